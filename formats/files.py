@@ -1,0 +1,37 @@
+"""Whole files or none: every output is written beside its target and renamed when complete."""
+
+from __future__ import annotations
+
+import os
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from meshdeform_core.errors import FormatError
+
+
+@contextmanager
+def replacing(target: Path) -> Iterator[Path]:
+    """Yield a temporary path beside ``target``; rename it over ``target`` if the block succeeds, delete it if not.
+
+    Raises
+    ------
+    FormatError
+        When the folder is missing or not writable, or the disk is full; ``target`` is then as it was.
+    """
+    target = Path(target)
+    folder = target.parent
+    if not folder.is_dir():
+        raise FormatError(f"cannot write {target}: the folder {folder} does not exist; create it first")
+    if target.is_dir():
+        raise FormatError(f"cannot write {target}: it is a folder; give a file name")
+    # The suffix is kept: some writers choose the format by it.
+    partial = folder / f".{target.stem}.{os.getpid()}-{secrets.token_hex(4)}.partial{target.suffix}"
+    try:
+        yield partial
+        os.replace(partial, target)
+    except OSError as error:
+        raise FormatError(f"cannot write {target}: {error.strerror or error}") from error
+    finally:
+        partial.unlink(missing_ok=True)

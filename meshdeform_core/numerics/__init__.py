@@ -1,0 +1,1 @@
+"""Numba loops and linear algebra on plain arrays; no knowledge of grids."""

@@ -1,0 +1,15 @@
+"""Fixtures for all tests: where the third-party grids lie, and a clean place to write."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture(scope="session")
+def third_party() -> Path:
+    """Folder of third-party grids with oracle coordinates; they may not be committed, so they may be absent."""
+    folder = Path(os.environ.get("MESHDEFORM_GRIDS", Path(__file__).parents[2] / "shared" / "grids"))
+    if not (folder / "oracle" / "summary.json").is_file():
+        pytest.skip(f"third-party grids are not at {folder} (set MESHDEFORM_GRIDS)")
+    return folder
