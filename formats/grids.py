@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import importlib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,18 +11,17 @@ from typing import Any
 
 import numpy as np
 
-from meshdeform_core.errors import FormatError
+from meshdeform_core.errors import FormatError, GridError
 from meshdeform_core.grid import FileFormat, Grid
-
-from .files import replacing
 
 
 @dataclass(frozen=True)
 class Format:
     """One row of the format table.
 
-    The module offers ``read(path) -> Grid``, ``write(grid, target, format) -> None`` (``target`` is a temporary path
-    with the final suffix) and ``variant(suffix, grid, like, options) -> FileFormat``, which decides how to write.
+    The module offers ``read(path) -> Grid`` (absent for write-only formats), ``variant(grid, path, options) ->
+    FileFormat``, which decides how to write, and ``write(grid, path, variant) -> None``, which replaces ``path`` as a
+    whole or leaves it alone (see :func:`meshdeform_formats.files.replacing`).
     """
 
     module: str
@@ -37,10 +35,121 @@ class Format:
 FORMATS: dict[str, Format] = {
     "plot3d": Format(
         "plot3d",
-        (".xyz", ".x", ".g", ".p3d", ".p2d", ".fmt", ".p2dfmt", ".p3dfmt", ".p3dbin", ".p2dbin", ".grd", ".bin"),
+        (
+            ".xyz",
+            ".x",
+            ".g",
+            ".p3d",
+            ".p2d",
+            ".fmt",
+            ".p2dfmt",
+            ".p3dfmt",
+            ".p3dbin",
+            ".p2dbin",
+            ".grd",
+            ".bin",
+        ),
         "Plot3D, all variants",
     ),
     "cgns": Format("cgns", (".cgns", ".hdf", ".hdf5", ".adf"), "CGNS, HDF5 and ADF (ADF is read only)"),
     "vtk": Format("vtk", (".vtk", ".vts", ".vtm"), "VTK legacy, .vts and .vtm structured grids"),
-    "meshio": Format("meshio_export", (".vtu", ".su2", ".msh", ".inp", ".xdmf", ".med"), "unstructured, write only"),
+    "meshio": Format(
+        "meshio_export", (".vtu", ".su2", ".msh", ".inp", ".xdmf", ".med"), "unstructured, write only"
+    ),
 }
+
+
+# What other programs' files begin with, so that a stranger is refused by name instead of being tried as Plot3D.
+_FOREIGN: tuple[tuple[bytes, str], ...] = (
+    (b"$MeshFormat", "a Gmsh mesh (unstructured)"),
+    (b"NDIME", "an SU2 mesh (unstructured)"),
+    (b"FoamFile", "an OpenFOAM file"),
+    (b"#!TDV", "a Tecplot binary file"),
+    (b"CDF\x01", "a netCDF file"),
+    (b"CDF\x02", "a netCDF file"),
+    (b"solid ", "an STL surface"),
+    (b"ISO-10303", "a STEP geometry"),
+    (b"\x1f\x8b", "a gzip archive; unpack it first"),
+    (b"BZh", "a bzip2 archive; unpack it first"),
+    (b"PK\x03\x04", "a zip or npz archive; unpack it first"),
+    (b"\x93NUMPY", "a numpy array"),
+    (b"\x89PNG", "a PNG picture"),
+    (b"%PDF", "a PDF document"),
+)
+
+
+def read_grid(path: str | Path) -> Grid:
+    """Read a block-structured grid; the format is recognised by the file's content, never by its name.
+
+    Raises
+    ------
+    FormatError
+        When the file is missing, truncated, ambiguous or not a block-structured grid.
+    GridError
+        When it holds coordinates that are not finite.
+    """
+    path = Path(path)
+    head = _head(path)
+    grid: Grid = FORMATS[_recognise(head, path)].load().read(path)
+    _require_finite(grid, path)
+    return grid
+
+
+def write_grid(grid: Grid, path: str | Path, options: Mapping[str, Any] | None = None) -> FileFormat:
+    """Write ``grid``, replacing ``path`` as a whole or leaving it alone; returns the variant that was written.
+
+    The suffix chooses the format. A file of the grid's own format is written in the grid's own variant, unless
+    ``options`` (a variant's switches, see ``meshdeform convert --help``) say otherwise.
+    """
+    path = Path(path)
+    module = FORMATS[format_of(path)].load()
+    variant: FileFormat = module.variant(grid, path, dict(options or {}))
+    module.write(grid, path, variant)
+    return variant
+
+
+def format_of(path: Path) -> str:
+    """Name of the format that the suffix of an output stands for."""
+    suffix = path.suffix.lower()
+    for name, entry in FORMATS.items():
+        if suffix in entry.suffixes:
+            return name
+    known = "; ".join(f"{name}: {' '.join(entry.suffixes)}" for name, entry in FORMATS.items())
+    raise FormatError(f"cannot tell the format of {path} from its suffix {suffix!r}; known are {known}")
+
+
+def _head(path: Path) -> bytes:
+    if not path.exists():
+        raise FormatError(f"{path} does not exist")
+    if path.is_dir():
+        raise FormatError(f"{path} is a folder; expected a grid file")
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(1024)
+    except OSError as error:
+        raise FormatError(f"cannot read {path}: {error.strerror or error}") from error
+    if not head:
+        raise FormatError(f"{path} is empty")
+    return head
+
+
+def _recognise(head: bytes, path: Path) -> str:
+    if head.startswith(b"\x89HDF\r\n\x1a\n") or b"ADF Database Version" in head[:64]:
+        return "cgns"
+    if head.startswith(b"# vtk DataFile") or b"<VTKFile" in head:
+        return "vtk"
+    text = head.lstrip()
+    for magic, title in _FOREIGN:
+        if text.startswith(magic):
+            raise FormatError(f"{path} is {title}, not a block-structured grid (Plot3D, CGNS or VTK)")
+    return "plot3d"
+
+
+def _require_finite(grid: Grid, path: Path) -> None:
+    bad = ~np.isfinite(grid.points).all(axis=1)
+    if bad.any():
+        first = int(np.argmax(bad))
+        raise GridError(
+            f"{path} has {int(bad.sum())} nodes whose coordinates are not finite numbers; the first is "
+            f"{grid.node_label(first)} = {grid.points[first].tolist()}"
+        )
