@@ -182,9 +182,7 @@ class Grid:
                 f"blocks {self.shapes} need ({expected}, 3) float64"
             )
         if len(self.names) != len(self.shapes) or len(set(self.names)) != len(self.names):
-            raise GridError(
-                f"need one unique name per block, found {list(self.names)} for {len(self.shapes)} blocks"
-            )
+            raise GridError(f"need one unique name per block, found {list(self.names)} for {len(self.shapes)} blocks")
         _check_dimension(self.shapes, self.names)
 
     @classmethod
@@ -196,9 +194,7 @@ class Grid:
         return cls(np.empty((total, 3)), sizes, labels, **rest)  # type: ignore[arg-type]
 
     @classmethod
-    def from_blocks(
-        cls, blocks: Sequence[FloatArray], names: Sequence[str] | None = None, **rest: Any
-    ) -> Grid:
+    def from_blocks(cls, blocks: Sequence[FloatArray], names: Sequence[str] | None = None, **rest: Any) -> Grid:
         """Make a grid from block coordinate arrays ``(ni, nj, nk, 3)`` (copied)."""
         grid = cls.allocate([b.shape[:3] for b in blocks], names, **rest)
         for index, block in enumerate(blocks):
@@ -270,9 +266,7 @@ def _check_dimension(shapes: Sequence[Shape], names: Sequence[str]) -> None:
     flat = [sum(n == 1 for n in shape) for shape in shapes]
     for shape, name, ones in zip(shapes, names, flat, strict=True):
         if min(shape) < 1 or ones > 1:
-            raise GridError(
-                f"{name}: {shape} nodes is not a block; expected at least 2 nodes along two indices"
-            )
+            raise GridError(f"{name}: {shape} nodes is not a block; expected at least 2 nodes along two indices")
     if len(set(flat)) > 1:
         two, three = names[flat.index(1)], names[flat.index(0)]
         raise GridError(f"the grid mixes 2-D and 3-D blocks ({two} is one plane of nodes, {three} is not)")

@@ -1,0 +1,38 @@
+# Two commands do all the set-up: `make demo` and `make test`. Needs Python 3.11+ and make, nothing else.
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+GRIDS ?= $(MESHDEFORM_GRIDS)
+
+.PHONY: help demo test check format bench reproduce clean
+
+help:
+	@echo "make demo       environment, install, the splitter plate deformed, report and picture in demo/"
+	@echo "make test       environment, install, all tests"
+	@echo "make check      ruff, format, mypy, import contract"
+	@echo "make bench      speed and memory tables (see docs/performance.md)"
+	@echo "make reproduce  the paper's tables and figures (QUICK=1 for the small sizes)"
+
+$(VENV)/installed: pyproject.toml
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --upgrade pip
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[test,check]'
+	@touch $@
+
+test: $(VENV)/installed
+	$(BIN)/pytest
+
+check: $(VENV)/installed
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	@mkdir -p build/names && ln -sfn ../../cli build/names/meshdeform_cli \
+	  && ln -sfn ../../formats build/names/meshdeform_formats
+	MYPYPATH=build/names $(BIN)/mypy
+	$(BIN)/lint-imports
+
+format: $(VENV)/installed
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+clean:
+	rm -rf build dist demo reproduced .pytest_cache .mypy_cache .ruff_cache
