@@ -1,0 +1,424 @@
+"""What the boundary does: which nodes move, stay, slide, repeat or are free, and where the moving ones go."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from .connectivity import connected_nodes, periodic_rotation
+from .constraints import CurvedSurface, Periodic, Plane, Slip, periodic_pairs, plane_of, slip_groups
+from .errors import CaseError, MotionError
+from .expression import Expression
+from .grid import FloatArray, Grid, IntArray, Side
+from .motion import Motion, Nodes, PreparedMotion
+from .selection import quads_of_patch, select_quads
+from .topology import Topology, side_nodes
+
+UNSELECTED = "(not selected)"
+
+
+class Kind(IntEnum):
+    """Kinds of boundary in ascending strength: a node on several patches takes the strongest."""
+
+    INTERFACE = 0
+    FREE = 1
+    PERIODIC = 2
+    SLIP = 3
+    SYMMETRY = 4
+    FIXED = 5
+    MOVING = 6
+
+    @property
+    def label(self) -> str:
+        return self.name.lower()
+
+
+@dataclass(frozen=True)
+class BoundarySpec:
+    """One ``[[boundary]]`` entry of a case.
+
+    Attributes
+    ----------
+    name : our name for it in reports
+    select : patterns, see :func:`meshdeform_core.selection.select_quads`
+    kind : what its nodes do
+    where : optional filter on the undeformed coordinates of the selected faces' corner nodes
+    motion : required for ``MOVING``, absent otherwise
+    """
+
+    name: str
+    select: tuple[str, ...]
+    kind: Kind
+    where: Expression | None = None
+    motion: Motion | None = None
+
+
+@dataclass(frozen=True)
+class Patch:
+    """A classified boundary entry, for reports and for "nearest patch".
+
+    ``nodes`` are unique node numbers, ``quads`` face quads; both may also belong to stronger entries.
+    """
+
+    name: str
+    kind: Kind
+    nodes: IntArray
+    quads: IntArray
+
+
+@dataclass(frozen=True)
+class Boundary:
+    """The classified boundary of one undeformed grid.
+
+    Attributes
+    ----------
+    kind : (n_unique,) int8, :class:`Kind` of every unique face node
+    quad_kind : (n_quads,) int8, kind of every face quad (``INTERFACE`` for shared ones)
+    patches : the entries in the order of the case, then what nothing selected
+    slip, periodic : constraints on displacements
+    mirrors : symmetry planes
+    notes : decisions the report must mention
+    """
+
+    kind: np.ndarray
+    quad_kind: np.ndarray
+    patches: tuple[Patch, ...]
+    movers: tuple[tuple[IntArray, PreparedMotion], ...]
+    slip: Slip
+    periodic: Periodic
+    mirrors: tuple[Plane, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def known(self) -> np.ndarray:
+        """(n_unique,) bool: nodes with a prescribed displacement, moving or fixed (the sources)."""
+        return self.kind >= Kind.FIXED
+
+    def count(self, *kinds: Kind) -> int:
+        """Unique face nodes of the given kinds."""
+        return int(np.isin(self.kind, kinds).sum())
+
+
+def classify(
+    grid: Grid, topology: Topology, specs: Sequence[BoundarySpec], constants: Mapping[str, float]
+) -> tuple[Topology, Boundary]:
+    """Apply the boundary entries of a case to a grid.
+
+    Returns the topology with two-sided walls opened, and the boundary. External faces that no entry selects are
+    fixed; the end planes of a grid that is one cell thick slide instead, or nothing between them could move.
+
+    Raises
+    ------
+    CaseError, MotionError
+        For selections that match nothing and for tables that match no node.
+    """
+    topology, notes = _open_two_sided_walls(grid, topology)
+    selected = [_select(grid, topology, spec, constants) for spec in specs]
+    quad_kind = np.zeros(len(topology.partner), dtype=np.int8)
+    movers: list[tuple[IntArray, PreparedMotion]] = []
+    for index, spec in enumerate(specs):
+        if spec.motion is not None:
+            nodes = np.unique(topology.quads.corners[selected[index]])
+            prepared = spec.motion.prepare(_nodes(grid, topology, nodes))
+            movers.append((nodes[prepared.moved], prepared))
+            if not prepared.moved.all():
+                selected[index] = _fully_within(topology, selected[index], nodes[prepared.moved])
+        quads = selected[index]
+        quad_kind[quads] = np.maximum(quad_kind[quads], spec.kind)
+    defaults, more = _unselected(grid, topology, quad_kind, [s.name for s in specs])
+    entries = [*zip([s.name for s in specs], [s.kind for s in specs], selected, strict=True), *defaults]
+    for _, kind, quads in defaults:
+        quad_kind[quads] = kind
+    kind = _node_kinds(topology, entries, movers)
+    slip, mirrors = _sliding(grid, topology, entries, kind)
+    periodic = _periodicity(grid, topology, specs, selected)
+    _spread_over_images(kind, periodic)
+    patches = tuple(Patch(n, k, np.unique(topology.quads.corners[q]), q) for n, k, q in entries)
+    boundary = Boundary(kind, quad_kind, patches, tuple(movers), slip, periodic, mirrors, (*notes, *more))
+    return topology, boundary
+
+
+def _select(grid: Grid, topology: Topology, spec: BoundarySpec, constants: Mapping[str, float]) -> IntArray:
+    quads = select_quads(grid, topology, spec.select, spec.name)
+    if spec.where is None:
+        return quads
+    corners = topology.quads.corners[quads]
+    nodes = np.unique(corners)
+    x, y, z = grid.points[topology.first[nodes]].T
+    holds = np.broadcast_to(np.asarray(spec.where({**constants, "x": x, "y": y, "z": z})), nodes.shape)
+    inside = np.zeros(topology.n_unique, dtype=bool)
+    inside[nodes[holds.astype(bool)]] = True
+    quads = quads[inside[corners].all(axis=1)]
+    if quads.size == 0:
+        ranges = ", ".join(f"{n} {c.min():.4g} to {c.max():.4g}" for n, c in zip("xyz", (x, y, z), strict=True))
+        raise CaseError(
+            f"boundary {spec.name!r}: where = {spec.where.text!r} holds at no face of the selection "
+            f"({int(holds.sum())} of {len(nodes)} nodes satisfy it; the selection spans {ranges})"
+        )
+    return quads
+
+
+def _nodes(grid: Grid, topology: Topology, numbers: IntArray) -> Nodes:
+    flat = topology.first[numbers]
+    return Nodes(grid.points[flat], flat, topology.edge[numbers], grid)
+
+
+def _fully_within(topology: Topology, quads: IntArray, nodes: IntArray) -> IntArray:
+    inside = np.zeros(topology.n_unique, dtype=bool)
+    inside[nodes] = True
+    return quads[inside[topology.quads.corners[quads]].all(axis=1)]
+
+
+def _open_two_sided_walls(grid: Grid, topology: Topology) -> tuple[Topology, list[str]]:
+    """A thin plate between two blocks: their faces coincide, but the file declares a wall on both sides."""
+    wall = np.zeros(len(topology.partner), dtype=bool)
+    for patch in grid.patches:
+        if any(word in patch.bc_type.lower() for word in ("wall", "solid")):
+            wall[quads_of_patch(topology.quads, patch)] = True
+    shared = np.flatnonzero(wall & (topology.partner >= 0))
+    both = shared[wall[topology.partner[shared]]]
+    if both.size == 0:
+        return topology, []
+    note = f"{both.size // 2} face quads are walls on both sides (a thin plate); they count as outside"
+    return topology.opened(both), [note]
+
+
+Entry = tuple[str, Kind, IntArray]
+
+
+def _unselected(
+    grid: Grid, topology: Topology, quad_kind: np.ndarray, names: list[str]
+) -> tuple[list[Entry], list[str]]:
+    rest = np.flatnonzero(topology.external & (quad_kind == 0))
+    if rest.size == 0:
+        return [], []
+    entries: list[Entry] = []
+    notes = []
+    ends = _end_planes(grid, topology)
+    sliding = rest[np.isin(topology.quads.block_side[rest], ends)]
+    fixed = rest[~np.isin(topology.quads.block_side[rest], ends)]
+    if sliding.size:
+        entries.append(("(end planes)", Kind.SLIP, sliding))
+        notes.append(
+            "the grid is one cell thick: its two end planes, which no boundary entry selects, slide (kind slip)"
+        )
+    if fixed.size:
+        entries.append((UNSELECTED, Kind.FIXED, fixed))
+        if names:
+            notes.append(f"{fixed.size} external face quads are selected by no boundary entry; they are fixed")
+    return entries, notes
+
+
+def _end_planes(grid: Grid, topology: Topology) -> list[int]:
+    """Block sides (``6 * block + side``) between which the whole grid is one cell thick; empty if it is not."""
+    ends = []
+    for block, shape in enumerate(grid.shapes):
+        for axis in range(3):
+            pair = (Side(2 * axis), Side(2 * axis + 1))
+            quads = [topology.quads.of_side(block, side) for side in pair]
+            if shape[axis] == 2 and all(topology.external[q].all() for q in quads):
+                ends += [6 * block + side for side in pair]
+                break
+        else:
+            return []
+    return ends
+
+
+def _node_kinds(topology: Topology, entries: list[Entry], movers: list[tuple[IntArray, PreparedMotion]]) -> np.ndarray:
+    kind = np.zeros(topology.n_unique, dtype=np.int8)
+    for strength in Kind:
+        for _, entry_kind, quads in entries:
+            if entry_kind == strength != Kind.MOVING:
+                kind[topology.quads.corners[quads]] = strength
+    for nodes, _ in movers:
+        kind[nodes] = Kind.MOVING
+    return kind
+
+
+def _sliding(grid: Grid, topology: Topology, entries: list[Entry], kind: np.ndarray) -> tuple[Slip, tuple[Plane, ...]]:
+    planes: list[tuple[Plane, IntArray]] = []
+    curved: list[CurvedSurface] = []
+    mirrors: list[Plane] = []
+    normal = plane_normal(grid)
+    for name, entry_kind, quads in entries:
+        if entry_kind not in (Kind.SLIP, Kind.SYMMETRY):
+            continue
+        bent = []
+        for side in np.unique(topology.quads.block_side[quads]):
+            part = quads[topology.quads.block_side[quads] == side]
+            nodes = np.unique(topology.quads.corners[part])
+            plane = plane_of(grid.points[topology.first[nodes]], normal)
+            if plane is None:
+                bent.append(part)
+                continue
+            planes.append((plane, nodes[kind[nodes] < Kind.FIXED]))
+            if entry_kind is Kind.SYMMETRY:
+                mirrors.append(plane)
+        if bent and entry_kind is Kind.SYMMETRY:
+            raise CaseError(f'boundary {name!r} is a symmetry but not a plane; use kind = "slip" for curved surfaces')
+        if bent:
+            curved.append(_curved_surface(grid, topology, np.concatenate(bent), kind))
+    return Slip(slip_groups(planes, topology.n_unique), tuple(curved)), _distinct(mirrors)
+
+
+def _curved_surface(grid: Grid, topology: Topology, quads: IntArray, kind: np.ndarray) -> CurvedSurface:
+    corners = topology.quads.corners[quads]
+    nodes, local = np.unique(corners, return_inverse=True)
+    local = local.reshape(corners.shape)
+    # In 2-D a cell edge is a triangle without width.
+    split = ([0, 1, 2], [0, 2, 3]) if corners.shape[1] == 4 else ([0, 1, 1],)
+    triangles = np.concatenate([local[:, which] for which in split])
+    return CurvedSurface(nodes[kind[nodes] < Kind.FIXED], grid.points[topology.first[nodes]], triangles)
+
+
+def plane_normal(grid: Grid) -> FloatArray | None:
+    """Unit normal of the plane of a 2-D grid, ``None`` for a 3-D grid.
+
+    Raises
+    ------
+    CaseError
+        When a 2-D grid is not flat.
+    """
+    if grid.dimension == 3:
+        return None
+    plane = plane_of(grid.points, None)
+    if plane is None:
+        raise CaseError("the grid is one layer of nodes but not a plane; surface grids cannot be deformed")
+    return plane.normal
+
+
+def _distinct(planes: list[Plane]) -> tuple[Plane, ...]:
+    kept: list[Plane] = []
+    for plane in planes:
+        scale = max(float(np.abs(plane.point).max()), 1e-300)
+        if not any(
+            abs(p.normal @ plane.normal) > 1 - 1e-9 and abs(p.normal @ (p.point - plane.point)) < 1e-6 * scale
+            for p in kept
+        ):
+            kept.append(plane)
+    return tuple(kept)
+
+
+def _periodicity(grid: Grid, topology: Topology, specs: Sequence[BoundarySpec], selected: list[IntArray]) -> Periodic:
+    pairs = Periodic.none()
+    for spec, quads in zip(specs, selected, strict=True):
+        if spec.kind is not Kind.PERIODIC:
+            continue
+        nodes = np.unique(topology.quads.corners[quads])
+        declared = _declared_pairs(grid, topology, nodes)
+        if np.isin(nodes, np.r_[declared.one, declared.two]).all():
+            pairs += declared
+            continue
+        if len(spec.select) != 2:
+            raise CaseError(
+                f"boundary {spec.name!r} is periodic but selects {len(spec.select)} things and the file declares no "
+                f"periodic connection for them; expected select = [one side, other side]"
+            )
+        halves = [np.isin(quads, select_quads(grid, topology, [pattern], spec.name)) for pattern in spec.select]
+        one, two = (np.unique(topology.quads.corners[quads[half]]) for half in halves)
+        pairs += periodic_pairs(grid, topology, one, two, spec.name)
+    return pairs
+
+
+def _declared_pairs(grid: Grid, topology: Topology, nodes: IntArray) -> Periodic:
+    pairs = Periodic.none()
+    for connection in grid.connections:
+        if connection.periodic is not None:
+            own, donor = (topology.numbers_of(flat) for flat in connected_nodes(grid, connection))
+            inside = np.isin(own, nodes) & np.isin(donor, nodes)
+            rotation = np.tile(periodic_rotation(connection.periodic), (int(inside.sum()), 1, 1))
+            pairs += Periodic(own[inside], donor[inside], rotation)
+    return pairs
+
+
+def _spread_over_images(kind: np.ndarray, periodic: Periodic) -> None:
+    """Images of a moving or fixed node are moving or fixed: pairs move alike."""
+    if periodic.one.size == 0:
+        return
+    nodes, root, _ = periodic.frames(len(kind))
+    strongest = np.zeros(len(kind), dtype=np.int8)
+    np.maximum.at(strongest, root, kind[nodes])
+    known = strongest[root] >= Kind.FIXED
+    kind[nodes[known]] = strongest[root[known]]
+
+
+def prescribed_displacement(
+    grid: Grid, topology: Topology, boundary: Boundary, time: float = 0.0, fraction: float = 1.0
+) -> FloatArray:
+    """Displacement (n_unique, 3) of all face nodes: the motion at moving nodes, zero elsewhere.
+
+    Raises
+    ------
+    MotionError
+        When two moving patches disagree at a shared node, or a 2-D grid would leave its plane.
+    """
+    displacement = np.zeros((topology.n_unique, 3))
+    owner = np.full(topology.n_unique, -1)
+    for index, (nodes, motion) in enumerate(boundary.movers):
+        new = motion.displacement(time, fraction)[motion.moved]
+        _require_agreement(grid, topology, boundary, owner, displacement, nodes, new)
+        displacement[nodes] = new
+        owner[nodes] = index
+    if boundary.periodic.one.size:
+        _copy_to_images(boundary.periodic, displacement, owner)
+    normal = plane_normal(grid)
+    if normal is not None and np.abs(displacement @ normal).max() > 1e-9 * np.abs(displacement).max():
+        raise MotionError(
+            f"the motion leaves the plane of the 2-D grid by {np.abs(displacement @ normal).max():.3g}; "
+            f"expected displacements normal to {normal.tolist()}"
+        )
+    return displacement
+
+
+def _copy_to_images(periodic: Periodic, displacement: FloatArray, owner: np.ndarray) -> None:
+    nodes, root, turn = periodic.frames(len(displacement))
+    moving = owner[nodes] >= 0
+    home = np.zeros_like(displacement)
+    home[root[moving]] = np.einsum("nji,nj->ni", turn[moving], displacement[nodes[moving]])
+    image = np.isin(root, root[moving]) & ~moving
+    displacement[nodes[image]] = np.einsum("nij,nj->ni", turn[image], home[root[image]])
+
+
+def _require_agreement(
+    grid: Grid,
+    topology: Topology,
+    boundary: Boundary,
+    owner: np.ndarray,
+    displacement: FloatArray,
+    nodes: IntArray,
+    new: FloatArray,
+) -> None:
+    both = owner[nodes] >= 0
+    if not both.any():
+        return
+    gap = np.linalg.norm(displacement[nodes[both]] - new[both], axis=1)
+    edge = topology.edge[nodes[both]]
+    worst = int(np.argmax(gap / edge))
+    if gap[worst] > 1e-6 * edge[worst]:
+        node = nodes[both][worst]
+        movers = [p.name for p in boundary.patches if p.kind is Kind.MOVING and node in p.nodes]
+        raise MotionError(
+            f"moving patches {' and '.join(repr(name) for name in movers)} disagree at their shared node "
+            f"{grid.node_label(int(topology.first[node]))}: displacements {displacement[node].tolist()} and "
+            f"{new[both][worst].tolist()}; give both patches the same motion there"
+        )
+
+
+def slip_departure(grid: Grid, topology: Topology, boundary: Boundary, displacement: FloatArray) -> float:
+    """Largest displacement of a moving node out of a slip or symmetry plane that it lies on (grid length unit)."""
+    worst = 0.0
+    planar = [p for p in boundary.patches if p.kind in (Kind.SLIP, Kind.SYMMETRY)]
+    for patch in planar:
+        for side in np.unique(topology.quads.block_side[patch.quads]):
+            block = int(side) // 6
+            flat = side_nodes(grid, block, Side(int(side) % 6)).ravel()
+            plane = plane_of(grid.points[flat], plane_normal(grid))
+            quads = patch.quads[topology.quads.block_side[patch.quads] == side]
+            nodes = np.unique(topology.quads.corners[quads])
+            moving = nodes[boundary.kind[nodes] == Kind.MOVING]
+            if plane is not None and moving.size:
+                worst = max(worst, float(np.abs(displacement[moving] @ plane.normal).max()))
+    return worst

@@ -1,0 +1,177 @@
+"""What a deformation method is given, and what it must offer.
+
+A method is a frozen dataclass of the user's options. ``prepare(problem)`` does everything that depends on the
+undeformed grid only; ``apply(displacement)`` of the prepared method is what every time step pays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Protocol
+
+import numpy as np
+
+from ..boundary import Boundary, Kind, plane_normal
+from ..grid import FloatArray, Grid, IntArray
+from ..topology import Topology
+
+Progress = Callable[[str, int, int], None]
+"""``progress(stage, done, total)``; called from the computing threads' owner only."""
+
+
+@dataclass(frozen=True)
+class Surface:
+    """The faces between the sources: where areas and rotations come from. All indices are into the sources.
+
+    Attributes
+    ----------
+    area : (n_sources,) nodal area (in 2-D length): a quarter of each adjacent face (half of each edge)
+    corners : (c, 3) node, next and previous node of each corner of a moving face; in 2-D (c, 2) edge ends
+    edges : (e, 2) node and neighbour along moving faces, each neighbour once
+    """
+
+    area: FloatArray
+    corners: IntArray
+    edges: IntArray
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One undeformed grid with its classified boundary: the data of ``prepare``.
+
+    ``sources`` are the unique nodes with known displacement (moving and fixed), N_s in the paper.
+    """
+
+    grid: Grid
+    topology: Topology
+    boundary: Boundary
+
+    @cached_property
+    def source_numbers(self) -> IntArray:
+        """Unique node numbers of the sources, ascending."""
+        return np.flatnonzero(self.boundary.known)
+
+    @cached_property
+    def source_flat(self) -> IntArray:
+        """Flat indices of the sources."""
+        return self.topology.first[self.source_numbers]
+
+    @cached_property
+    def source_points(self) -> FloatArray:
+        """Coordinates (n_sources, 3)."""
+        return self.grid.points[self.source_flat]
+
+    @cached_property
+    def plane_normal(self) -> FloatArray | None:
+        """Unit normal of a 2-D grid, ``None`` in 3-D."""
+        return plane_normal(self.grid)
+
+    @cached_property
+    def surface(self) -> Surface:
+        """Faces between the sources."""
+        quads, kinds = self.topology.quads.corners, self.boundary.quad_kind
+        local = np.full(self.topology.n_unique, -1)
+        local[self.source_numbers] = np.arange(len(self.source_numbers))
+        every = local[quads[kinds >= Kind.FIXED]]
+        area = _nodal_area(self.source_points, every[(every >= 0).all(axis=1)])
+        moving = local[quads[kinds == Kind.MOVING]]
+        return Surface(area, *_rings(moving))
+
+    @cached_property
+    def n_unique_nodes(self) -> int:
+        """All nodes of the grid with coincident ones counted once (N_s + N_v)."""
+        return self.grid.n_nodes - len(self.topology.face_nodes) + self.topology.n_unique
+
+    @cached_property
+    def centroid(self) -> FloatArray:
+        """Mean of all unique nodes (eq. 17)."""
+        t = self.topology
+        total = self.grid.points.sum(axis=0) - self.grid.points[t.face_nodes].sum(axis=0)
+        return np.asarray((total + self.grid.points[t.first].sum(axis=0)) / self.n_unique_nodes)
+
+
+def _nodal_area(points: FloatArray, quads: IntArray) -> FloatArray:
+    corners = points[quads]
+    if quads.shape[1] == 2:
+        size = np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)
+    else:
+        size = 0.5 * np.linalg.norm(np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1]), axis=1)
+    share = np.repeat(size / quads.shape[1], quads.shape[1])
+    return np.bincount(quads.ravel(), share, minlength=len(points))
+
+
+def _rings(quads: IntArray) -> tuple[IntArray, IntArray]:
+    """Face corners and unique node-neighbour pairs of quads (m, 4), or of 2-D edges (m, 2)."""
+    if quads.shape[1] == 2:
+        return quads, np.empty((0, 2), dtype=np.int64)
+    around = [np.roll(quads, shift, axis=1) for shift in (0, -1, 1)]
+    corners = np.stack([a.ravel() for a in around], axis=1)
+    pairs = np.concatenate([corners[:, :2], corners[:, ::2]])
+    pairs = pairs[pairs[:, 0] != pairs[:, 1]]
+    return corners, np.unique(pairs, axis=0)
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One parameter as it was used: its value and, when the program chose it, why."""
+
+    value: Any
+    reason: str = ""
+
+
+@dataclass
+class Account:
+    """What a prepared method reports: parameters with reasons, counts, warnings."""
+
+    settings: dict[str, Setting] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+
+
+class PreparedMethod(Protocol):
+    """A method that knows the undeformed grid."""
+
+    account: Account
+
+    def apply(self, displacement: FloatArray, progress: Progress | None = None) -> FloatArray:
+        """Displacement (n_nodes, 3) of all block nodes from that of the sources (n_sources, 3)."""
+        ...
+
+
+class Method(Protocol):
+    """A deformation method with its options."""
+
+    def prepare(self, problem: Problem) -> PreparedMethod:
+        """Everything that depends on the undeformed grid only."""
+        ...
+
+
+class Evaluator(Protocol):
+    """An interpolation bound to its target nodes."""
+
+    def evaluate(self, fit: Any, out: FloatArray, progress: Progress | None) -> None:
+        """Write the displacement of the target nodes into their rows of ``out`` (n_nodes, 3)."""
+        ...
+
+
+class PreparedInterpolation(Protocol):
+    """A scattered-data method (IDW, RBF) bound to its sources."""
+
+    account: Account
+
+    def at(self, points: FloatArray, flat: IntArray) -> Evaluator:
+        """Bind to the target nodes ``flat`` among all ``points`` (n_nodes, 3)."""
+        ...
+
+    def fit(self, displacement: FloatArray) -> Any:
+        """Whatever the evaluation needs to know of the displacement (n_sources, 3) of the sources."""
+        ...
+
+
+class Interpolation(Protocol):
+    """IDW or RBF with its options."""
+
+    def bind(self, problem: Problem) -> PreparedInterpolation:
+        """Bind to the sources of a problem."""
+        ...

@@ -1,0 +1,144 @@
+"""The composite of two methods: one moves block interfaces, the other block interiors (Sen et al. section 4).
+
+Every method of the program is a composite, also those with one name: ``tfi`` is tfi-tfi, and a scattered-data method
+alone moves all nodes in the first step and has no second one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from ..grid import FloatArray, IntArray
+from .base import Account, Interpolation, Problem, Progress
+from .edges import PreparedEdgeGraph
+from .skeleton import Skeleton
+
+
+class Mover(Protocol):
+    """First step, bound to its nodes."""
+
+    account: Account
+
+    def move(self, displacement: FloatArray, out: FloatArray, progress: Progress | None = None) -> None:
+        """Displacement of its nodes from that of the sources (n_sources, 3), into ``out`` (n_nodes, 3)."""
+        ...
+
+
+class PreparedFiller(Protocol):
+    """Second step, bound to its blocks."""
+
+    account: Account
+
+    def fill(self, displacement: FloatArray, progress: Progress | None = None) -> None:
+        """Block interiors from what the first step moved, in place."""
+        ...
+
+
+class Filler(Protocol):
+    """A method that fills blocks."""
+
+    def skeleton(self, problem: Problem) -> Skeleton:
+        """What the first step has to move."""
+        ...
+
+    def prepare(self, problem: Problem, skeleton: Skeleton) -> PreparedFiller:
+        """Bind to the undeformed grid."""
+        ...
+
+
+@dataclass(frozen=True)
+class Composite:
+    """``mover`` for the interfaces (``None``: TFI on the edge graph), then ``filler`` for the interiors.
+
+    Without a filler the mover moves every node.
+    """
+
+    mover: Interpolation | None
+    filler: Filler | None
+
+    def prepare(self, problem: Problem) -> PreparedComposite:
+        """Bind both steps to the undeformed grid."""
+        return PreparedComposite(self, problem)
+
+
+@dataclass
+class _Scattered:
+    """An interpolation as the first step: its nodes are those of the skeleton that are not sources."""
+
+    interpolation: Interpolation
+    problem: Problem
+    flat: IntArray
+    account: Account = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._bound = self.interpolation.bind(self.problem)
+        self._evaluator = self._bound.at(self.problem.grid.points, self.flat)
+        self.account = self._bound.account
+
+    def move(self, displacement: FloatArray, out: FloatArray, progress: Progress | None = None) -> None:
+        self._evaluator.evaluate(self._bound.fit(displacement), out, progress)
+
+
+class PreparedComposite:
+    """Two prepared steps and the constraints between them."""
+
+    def __init__(self, method: Composite, problem: Problem):
+        self._problem = problem
+        skeleton = method.filler.skeleton(problem) if method.filler else None
+        self._mover: Mover
+        if method.mover is None:
+            self._mover = PreparedEdgeGraph(problem)
+        else:
+            self._mover = _Scattered(method.mover, problem, _targets(problem, skeleton))
+        self._filler = method.filler.prepare(problem, skeleton) if method.filler and skeleton else None
+
+    @property
+    def account(self) -> Account:
+        """Settings and warnings of both steps."""
+        parts = [self._mover.account] + ([self._filler.account] if self._filler else [])
+        merged = Account()
+        for part in parts:
+            merged.settings |= part.settings
+            merged.warnings += part.warnings
+        return merged
+
+    def apply(self, displacement: FloatArray, progress: Progress | None = None) -> FloatArray:
+        """Displacement (n_nodes, 3) of all block nodes from that of the sources (n_sources, 3)."""
+        problem = self._problem
+        # Not-a-number, so that a node that no step reaches cannot pass for one that does not move.
+        out = np.full((problem.grid.n_nodes, 3), np.nan)
+        self._mover.move(displacement, out, progress)
+        out[problem.source_flat] = displacement
+        self._constrain(out)
+        if self._filler:
+            self._filler.fill(out, progress)
+        return out
+
+    def _constrain(self, out: FloatArray) -> None:
+        """Slip and periodicity, then one displacement for coincident nodes."""
+        topology, boundary = self._problem.topology, self._problem.boundary
+        face = out[topology.first]
+        points = self._problem.grid.points[topology.first]
+        boundary.slip.constrain(face, points)
+        boundary.periodic.constrain(face, ~boundary.known)
+        out[topology.face_nodes] = face[topology.number]
+
+
+def _targets(problem: Problem, skeleton: Skeleton | None) -> IntArray:
+    """Flat indices of the nodes that the first step moves: no sources, coincident nodes once."""
+    topology = problem.topology
+    chosen = np.zeros(problem.grid.n_nodes, dtype=bool)
+    if skeleton is None:
+        chosen[:] = True
+    else:
+        chosen[skeleton.nodes()] = True
+    # A node counts if any of its copies does: coincident faces may be cut at different places.
+    wanted = np.zeros(topology.n_unique, dtype=bool)
+    wanted[topology.number[chosen[topology.face_nodes]]] = True
+    wanted[problem.source_numbers] = False
+    chosen[topology.face_nodes] = False
+    chosen[topology.first[wanted]] = True
+    return np.flatnonzero(chosen)

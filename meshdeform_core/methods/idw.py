@@ -1,0 +1,285 @@
+"""Inverse distance weighting of rigid motions (Sen et al. section 2.3; Luke et al. 2012; Witteveen 2010)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..boundary import Kind
+from ..constraints import Plane
+from ..errors import MethodError
+from ..grid import FloatArray, IntArray
+from ..numerics import rotation as rot
+from ..numerics.direct import weighted_sums
+from ..numerics.parallel import for_chunks
+from ..numerics.rigid import finish
+from .base import Account, Problem, Progress, Setting
+
+ROTATIONS = ("none", "quaternion", "division", "blend", "lie")
+WEIGHTS = ("luke", "shepard")
+ALPHA_CAP = 0.3
+_CHUNK = 2048
+
+
+@dataclass(frozen=True)
+class IDW:
+    """Weighted mean of the boundary's rigid motions; cost N_v x N_s, no system to solve.
+
+    Holds the near-wall grid rigidly to the wall and pushes the deformation outwards. Fails where a moving wall meets
+    a fixed one under large motion (``quaternion``), at rotations near 180 degrees, and cannot rotate with ``none``.
+
+    Attributes
+    ----------
+    rotation : what is averaged: ``none`` displacements (eq. 14); ``quaternion`` rotation and translation about the
+        origin of coordinates (eq. 20); ``division`` the same in ``divisions`` steps (eqs. 26-28); ``blend`` predicted
+        positions (Luke et al.); ``lie`` the twist, the limit of ``division`` in closed form, frame independent
+    weights : ``luke`` (eq. 16) or ``shepard`` (eq. 15)
+    alpha : weight of near against far sources in eq. 16, or ``"auto"``: eq. 18, at most 0.3
+    eta : factor of eq. 18
+    a, b : exponents of eq. 16
+    length : L_def of eq. 16 (grid length unit), or ``"auto"``: eq. 17
+    p_moving, p_fixed : exponents of ``shepard`` for moving and fixed sources
+    divisions : m of eq. 26
+    reweight : ``division`` finds its weights anew in every step, as in the paper; cost times m
+    remove_mean : take the mean displacement out first and add it back; ``"auto"``: only for ``lie``
+    """
+
+    rotation: str = "lie"
+    weights: str = "luke"
+    alpha: float | str = 0.1
+    eta: float = 5.0
+    a: float = 3.0
+    b: float = 5.0
+    length: float | str = "auto"
+    p_moving: float = 3.0
+    p_fixed: float = 3.0
+    divisions: int = 25
+    reweight: bool = False
+    remove_mean: bool | str = "auto"
+
+    def __post_init__(self) -> None:
+        _choose("rotation", self.rotation, ROTATIONS)
+        _choose("weights", self.weights, WEIGHTS)
+        for name in ("alpha", "length"):
+            _positive(name, getattr(self, name), auto=True)
+        for name in ("eta", "a", "b", "p_moving", "p_fixed", "divisions"):
+            _positive(name, getattr(self, name), auto=False)
+        if self.remove_mean not in (True, False, "auto"):
+            raise MethodError(f'method.idw.remove_mean = {self.remove_mean!r}; expected true, false or "auto"')
+        if self.reweight and self.rotation != "division":
+            raise MethodError(f'method.idw.reweight belongs to rotation = "division", not {self.rotation!r}')
+
+    def bind(self, problem: Problem) -> PreparedIDW:
+        """Sources with their images at symmetry planes, nodal areas, L_def."""
+        return PreparedIDW(self, problem)
+
+
+def _choose(name: str, value: str, known: tuple[str, ...]) -> None:
+    if value not in known:
+        raise MethodError(f"method.idw.{name} = {value!r} is unknown; known are {', '.join(known)}")
+
+
+def _positive(name: str, value: object, auto: bool) -> None:
+    if auto and value == "auto":
+        return
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not (np.isfinite(value) and value > 0):
+        expected = 'a positive number or "auto"' if auto else "a positive number"
+        raise MethodError(f"method.idw.{name} = {value!r}; expected {expected}")
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A displacement as the sums need it.
+
+    ``values`` (k, n) and ``strength`` (2, n) per source; ``origin`` (3,) that translations refer to; ``mean`` (3,)
+    displacement taken out.
+    """
+
+    sources: FloatArray
+    values: FloatArray
+    strength: FloatArray
+    origin: FloatArray
+    mean: FloatArray
+    rotations: FloatArray
+    translations: FloatArray
+
+
+class PreparedIDW:
+    """IDW bound to the sources of one undeformed grid."""
+
+    def __init__(self, options: IDW, problem: Problem):
+        self.options = options
+        self.account = Account()
+        self._problem = problem
+        self._images = _mirror_images(problem)
+        self.sources, self.area = self._images.points, self._images.area
+        self.exponents = (options.a, options.b) if options.weights == "luke" else (options.p_moving, options.p_fixed)
+        self.length = self._length()
+        auto = options.remove_mean == "auto"
+        self.remove_mean = options.rotation == "lie" if auto else bool(options.remove_mean)
+        self._record(auto)
+
+    def _length(self) -> float:
+        if self.options.length != "auto":
+            return float(self.options.length)
+        return float(np.linalg.norm(self._problem.source_points - self._problem.centroid, axis=1).max())
+
+    def _record(self, mean_is_auto: bool) -> None:
+        o, settings = self.options, self.account.settings
+        settings["rotation"] = Setting(o.rotation)
+        settings["weights"] = Setting(o.weights)
+        if o.weights == "luke":
+            settings["alpha"] = Setting(o.alpha, "eq. 18 at each displacement" if o.alpha == "auto" else "")
+            reason = "eq. 17: farthest source from the centroid of all nodes" if o.length == "auto" else ""
+            settings["length"] = Setting(self.length, reason)
+            settings["a"], settings["b"] = Setting(o.a), Setting(o.b)
+        else:
+            settings["p_moving"], settings["p_fixed"] = Setting(o.p_moving), Setting(o.p_fixed)
+        if o.rotation == "division":
+            settings["divisions"], settings["reweight"] = Setting(o.divisions), Setting(o.reweight)
+        reason = "a translation of the whole boundary is then reproduced exactly" if self.remove_mean else ""
+        settings["remove_mean"] = Setting(self.remove_mean, reason if mean_is_auto else "")
+        if len(self.sources) > len(self._problem.source_points):
+            settings["mirrored_sources"] = Setting(len(self.sources), "images at symmetry planes take part")
+
+    def fit(self, displacement: FloatArray) -> Fit:
+        """Rigid motions of the sources for one displacement (n_sources, 3)."""
+        problem = self._problem
+        after = problem.source_points + displacement
+        surface = problem.surface
+        quaternions = (
+            np.tile([1.0, 0.0, 0.0, 0.0], (len(after), 1))
+            if self.options.rotation == "none"
+            else rot.surface_rotations(
+                problem.source_points, after, surface.corners, surface.edges, problem.plane_normal
+            )
+        )
+        d, q = self._images.extend(displacement, quaternions)
+        share = self.area / self.area.sum()
+        mean = share @ d if self.remove_mean else np.zeros(3)
+        strength = self._strength(d)
+        # Frame-independent kinds are computed about the centroid: smaller numbers, less round-off.
+        origin = np.zeros(3) if self.options.rotation in ("quaternion", "division") else problem.centroid
+        values = _motion_values(self.options, self.sources - origin, d - mean, q)
+        return Fit(self.sources, values, strength, origin, mean, q, d)
+
+    def _strength(self, d: FloatArray) -> FloatArray:
+        o = self.options
+        if o.weights == "shepard":
+            moving = self._images.moving
+            return np.stack([moving.astype(float), (~moving).astype(float)])
+        alpha = self._alpha(d) if o.alpha == "auto" else float(o.alpha)
+        # Weights matter up to a factor: L_def^a is divided out, which keeps the numbers near one.
+        return np.stack([self.area, self.area * alpha**o.b * self.length ** (o.b - o.a)])
+
+    def _alpha(self, d: FloatArray) -> float:
+        mean = (self.area / self.area.sum()) @ d
+        full = self.options.eta / self.length * float(np.linalg.norm(d - mean, axis=1).max())
+        alpha = min(max(full, 1e-3), ALPHA_CAP)
+        reason = f"eq. 18 gives {full:.3g}" + (f", capped at {ALPHA_CAP} (crossed cells)" if full > alpha else "")
+        self.account.settings["alpha"] = Setting(alpha, reason)
+        return alpha
+
+    def at(self, points: FloatArray, flat: IntArray) -> DirectEvaluator:
+        """Bind to the target nodes ``flat`` among ``points``."""
+        return DirectEvaluator(self, points, flat)
+
+
+@dataclass(frozen=True)
+class DirectEvaluator:
+    """Exact sums at target nodes, chunk by chunk."""
+
+    idw: PreparedIDW
+    points: FloatArray
+    flat: IntArray
+
+    def evaluate(self, fit: Fit, out: FloatArray, progress: Progress | None) -> None:
+        """Write the displacement of the targets into ``out``."""
+        options = self.idw.options
+        steps = options.divisions if options.rotation == "division" else 1
+
+        def work(lo: int, hi: int) -> None:
+            flat = self.flat[lo:hi]
+            x = self.points[flat]
+            moved = np.empty_like(x)
+            sums = weighted_sums(x, fit.sources, fit.strength, self.idw.exponents, fit.values)
+            finish(options.rotation, sums, x - fit.origin, moved, steps)
+            out[flat] = moved + fit.mean
+
+        report = None if progress is None else (lambda done, total: progress("idw", done, total))
+        for_chunks(work, len(self.flat), _CHUNK, report)
+
+
+def _motion_values(options: IDW, x: FloatArray, d: FloatArray, q: FloatArray) -> FloatArray:
+    """What is averaged, (k, n), for sources at ``x`` with displacements ``d`` and rotations ``q``."""
+    if options.rotation == "none":
+        return np.ascontiguousarray(d.T)
+    w = rot.rotation_vector(q)
+    turned = rot.rotate(q, x) - x
+    translation = d - turned
+    if options.rotation == "lie":
+        return np.concatenate([w.T, rot.twist_velocity(w, translation).T])
+    if options.rotation == "blend":
+        columns = [rot.rotate(q, np.tile(e, (len(x), 1))) - e for e in np.eye(3)]
+        return np.concatenate([np.stack(columns, axis=2).reshape(len(x), 9).T, translation.T])
+    if options.rotation == "division":
+        part = rot.quaternion_of(w / options.divisions)
+        return np.concatenate([part.T, _divided_translation(w, translation, options.divisions).T])
+    return np.concatenate([q.T, translation.T])
+
+
+def _divided_translation(w: FloatArray, translation: FloatArray, m: int) -> FloatArray:
+    """T_m = M^-1 T of eq. 27: one of ``m`` equal steps of a screw has the twist (w, v) / m."""
+    v = rot.twist_velocity(w, translation)
+    return rot.translation_of_twist(w / m, v / m)
+
+
+@dataclass(frozen=True)
+class Images:
+    """Sources with their mirror images.
+
+    ``owner`` (n,) is the source that each is an image of, ``reflection`` (n, 3, 3) the mirror that made it.
+    """
+
+    points: FloatArray
+    area: FloatArray
+    owner: IntArray
+    reflection: FloatArray
+    moving: np.ndarray
+
+    def extend(self, displacement: FloatArray, quaternions: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Displacements and rotations of all images from those of the sources."""
+        d, q = displacement[self.owner], quaternions[self.owner]
+        if len(d) == len(displacement):
+            return d, q
+        d = np.einsum("nij,nj->ni", self.reflection, d)
+        # Mirrored rotations: axial vectors turn with the determinant of the mirror.
+        sign = np.linalg.det(self.reflection)[:, None]
+        q = np.concatenate([q[:, :1], sign * np.einsum("nij,nj->ni", self.reflection, q[:, 1:])], axis=1)
+        return d, q
+
+
+def _mirror_images(problem: Problem) -> Images:
+    n = len(problem.source_points)
+    moving = problem.boundary.kind[problem.source_numbers] == Kind.MOVING
+    images = Images(problem.source_points, problem.surface.area, np.arange(n), np.tile(np.eye(3), (n, 1, 1)), moving)
+    for plane in problem.boundary.mirrors:
+        images = _reflected(images, plane, problem)
+    return images
+
+
+def _reflected(images: Images, plane: Plane, problem: Problem) -> Images:
+    height = (images.points - plane.point) @ plane.normal
+    edge = problem.topology.edge[problem.source_numbers][images.owner]
+    on_plane = np.abs(height) <= 1e-3 * edge
+    area = np.where(on_plane, 2 * images.area, images.area)
+    off = ~on_plane
+    mirror = np.eye(3) - 2 * np.outer(plane.normal, plane.normal)
+    return Images(
+        np.concatenate([images.points, images.points[off] - 2 * height[off, None] * plane.normal]),
+        np.concatenate([area, area[off]]),
+        np.concatenate([images.owner, images.owner[off]]),
+        np.concatenate([images.reflection, mirror @ images.reflection[off]]),
+        np.concatenate([images.moving, images.moving[off]]),
+    )

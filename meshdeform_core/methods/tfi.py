@@ -1,0 +1,122 @@
+"""Transfinite interpolation: block interiors from block faces, and faces from edges (Sen et al. section 2.1)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import MethodError
+from ..grid import FloatArray, IntArray, Side
+from ..numerics.blend import arc_coordinates, blend_block, blend_plane, plane_coordinates
+from ..numerics.parallel import for_chunks
+from ..topology import side_nodes
+from .base import Account, Problem, Progress, Setting
+from .skeleton import Skeleton, SubBlock, make_skeleton
+
+DEFAULT_MAX_CELLS = 32
+
+
+@dataclass(frozen=True)
+class TFI:
+    """Linear blending of face displacements by arc length; cost N_v, a few operations per node.
+
+    Keeps the clustering of the grid. Loses wall orthogonality and crosses cells when a body rotates by more than
+    some 40 degrees, and kinks grid lines at block interfaces when it moves the interfaces too.
+
+    Attributes
+    ----------
+    max_cells : as the second step of a hybrid: blocks are cut into virtual sub-blocks of at most this many cells per
+        direction, whose faces the first step moves; 0 never cuts
+    """
+
+    max_cells: int = DEFAULT_MAX_CELLS
+
+    def __post_init__(self) -> None:
+        if isinstance(self.max_cells, bool) or not isinstance(self.max_cells, int) or self.max_cells < 0:
+            raise MethodError(f"method.tfi.max_cells = {self.max_cells!r}; expected a whole number >= 0 (0: never cut)")
+
+    def skeleton(self, problem: Problem) -> Skeleton:
+        """What the first step has to move for this second step."""
+        return make_skeleton(problem, self.max_cells)
+
+    def prepare(self, problem: Problem, skeleton: Skeleton) -> PreparedTFI:
+        """Arc-length coordinates of all sub-blocks."""
+        return PreparedTFI(self, problem, skeleton)
+
+
+class PreparedTFI:
+    """Arc-length coordinates of one undeformed grid, (n_nodes, 3) in all."""
+
+    def __init__(self, options: TFI, problem: Problem, skeleton: Skeleton):
+        grid = problem.grid
+        self._grid, self._skeleton = grid, skeleton
+        self._planes = [_FlatPlane.of(problem, block, side, skeleton) for block, side in sorted(skeleton.flat_ends)]
+        self._subs = list(skeleton.sub_blocks())
+        self._arc = np.empty((grid.n_nodes, 3)) if grid.dimension == 3 else np.empty((0, 3))
+        if grid.dimension == 3:
+            for_chunks(self._arcs, grid.n_blocks, 1)
+        else:
+            self._planes += [_FlatPlane.of_sub_block(problem, sub) for sub in self._subs]
+        self.account = Account()
+        self.account.settings["max_cells"] = Setting(options.max_cells)
+        self.account.settings["sub_blocks"] = Setting(len(self._subs))
+
+    def _arcs(self, first: int, last: int) -> None:
+        for block in range(first, last):
+            arc_coordinates(self._grid.block(block), *self._skeleton.cuts[block], self._grid.block(block, self._arc))
+
+    def fill(self, displacement: FloatArray, progress: Progress | None = None) -> None:
+        """Interior of every sub-block from its faces, in place in ``displacement`` (n_nodes, 3)."""
+        for plane in self._planes:
+            plane.fill(displacement)
+        if self._grid.dimension == 2:
+            return
+
+        def work(lo: int, hi: int) -> None:
+            for sub in self._subs[lo:hi]:
+                (i0, j0, k0), (i1, j1, k1) = sub.low, sub.high
+                blend_block(
+                    self._grid.block(sub.block, displacement),
+                    self._grid.block(sub.block, self._arc),
+                    i0, i1, j0, j1, k0, k1,
+                )  # fmt: skip
+
+        report = None if progress is None else (lambda done, total: progress("tfi", done, total))
+        for_chunks(work, len(self._subs), 1, report)
+
+
+@dataclass(frozen=True)
+class _FlatPlane:
+    """Planes of nodes to be blended from their edges: flat indices (na, nb) and arc coordinates."""
+
+    parts: tuple[tuple[IntArray, FloatArray, FloatArray], ...]
+
+    @classmethod
+    def of(cls, problem: Problem, block: int, side: Side, skeleton: Skeleton) -> _FlatPlane:
+        nodes = side_nodes(problem.grid, block, side)
+        rows, columns = (skeleton.cuts[block][axis].tolist() for axis in side.tangential)
+        return cls._from(problem, [
+            nodes[a0 : a1 + 1, b0 : b1 + 1]
+            for a0, a1 in zip(rows[:-1], rows[1:], strict=True)
+            for b0, b1 in zip(columns[:-1], columns[1:], strict=True)
+        ])  # fmt: skip
+
+    @classmethod
+    def of_sub_block(cls, problem: Problem, sub: SubBlock) -> _FlatPlane:
+        """A sub-block of a 2-D grid."""
+        shape = problem.grid.shapes[sub.block]
+        numbers = np.arange(problem.grid.offsets[sub.block], problem.grid.offsets[sub.block + 1]).reshape(shape)
+        window = tuple(slice(lo, hi + 1) for lo, hi in zip(sub.low, sub.high, strict=True))
+        return cls._from(problem, [numbers[window].squeeze(axis=shape.index(1))])
+
+    @classmethod
+    def _from(cls, problem: Problem, windows: list[IntArray]) -> _FlatPlane:
+        inner = [w for w in windows if min(w.shape) > 2]
+        return cls(tuple((w, *plane_coordinates(problem.grid.points[w])) for w in inner))
+
+    def fill(self, displacement: FloatArray) -> None:
+        for nodes, s, t in self.parts:
+            values = displacement[nodes]
+            blend_plane(values, s, t)
+            displacement[nodes] = values

@@ -1,0 +1,148 @@
+"""Rotations and rigid motions of surface nodes (Sen et al. appendix A), and their logarithms in SE(3).
+
+Arrays of n rotation vectors, matrices (n, 3, 3), unit quaternions (n, 4, scalar first) and translations (n, 3).
+"""
+
+import numpy as np
+
+
+def surface_rotations(before, after, corners, edges, plane_normal=None):
+    """Rotation of every node of a deforming surface, fitted to its faces (eqs. 21-25).
+
+    The first turn carries the mean unit normal of the node's faces onto the deformed one; the second turns the edges
+    in the tangent plane. Both edge vectors are projected on that plane and the angle is taken with its sign (atan2):
+    as printed, eq. 23 has no sign for in-plane bending. Sharp edges get the mean of their faces like every node.
+
+    Parameters
+    ----------
+    before, after : (n, 3) node positions
+    corners : (c, 3) int64: node, next and previous node of the face, for every face corner; in 2-D (c, 2): the two end
+        nodes of every edge of the curve
+    edges : (e, 2) int64: node and neighbour, each neighbour once (unused in 2-D)
+    plane_normal : unit normal of the plane of a 2-D grid
+
+    Returns
+    -------
+    quaternions : (n, 4), identity at nodes without faces
+    """
+    normals = [_node_normals(x, corners, plane_normal) for x in (before, after)]
+    first = _aligning(*normals)
+    if plane_normal is not None:
+        return first
+    arm = rotate(first[edges[:, 0]], before[edges[:, 1]] - before[edges[:, 0]])
+    target = after[edges[:, 1]] - after[edges[:, 0]]
+    normal = normals[1][edges[:, 0]]
+    arm, target = (v - normal * _dot(normal, v)[:, None] for v in (arm, target))
+    angle = np.arctan2(_dot(normal, np.cross(arm, target)), _dot(arm, target))
+    count = np.bincount(edges[:, 0], minlength=len(before))
+    mean = np.bincount(edges[:, 0], angle, minlength=len(before)) / np.maximum(count, 1)
+    second = _quaternion(normals[1], mean)
+    return multiply(second, first)
+
+
+def _node_normals(x, corners, plane_normal):
+    """Mean of the unit normals of the faces at each node, normalised; zero where it is undefined."""
+    if plane_normal is None:
+        node, following, previous = corners.T
+        normal = _unit(np.cross(_unit(x[following] - x[node]), _unit(x[previous] - x[node])))
+        owners = [node]
+    else:
+        normal = np.cross(_unit(x[corners[:, 1]] - x[corners[:, 0]]), plane_normal)
+        owners = [corners[:, 0], corners[:, 1]]
+    total = np.zeros_like(x)
+    for owner in owners:
+        for axis in range(3):
+            total[:, axis] += np.bincount(owner, normal[:, axis], minlength=len(x))
+    # Faces that cancel (both sides of a plate without thickness) or collapse leave round-off: no direction.
+    total[np.linalg.norm(total, axis=1) < 1e-6] = 0.0
+    return _unit(total)
+
+
+def _aligning(start, end):
+    """Shortest rotation that carries unit vectors onto others; about any normal when they are opposite."""
+    axis = np.cross(start, end)
+    sine = np.linalg.norm(axis, axis=1)
+    cosine = _dot(start, end)
+    opposite = (sine < 1e-12) & (cosine < 0)
+    if opposite.any():
+        least = np.eye(3)[np.argmin(np.abs(start[opposite]), axis=1)]
+        axis[opposite] = np.cross(start[opposite], least)
+    return _quaternion(_unit(axis), np.arctan2(sine, cosine))
+
+
+def _quaternion(axis, angle):
+    return np.concatenate([np.cos(angle / 2)[:, None], np.sin(angle / 2)[:, None] * axis], axis=1)
+
+
+def multiply(p, q):
+    """Quaternion product: first ``q``, then ``p``; the scalar part is made non-negative (rotation at most 180 deg)."""
+    scalar = p[:, 0] * q[:, 0] - _dot(p[:, 1:], q[:, 1:])
+    vector = p[:, :1] * q[:, 1:] + q[:, :1] * p[:, 1:] + np.cross(p[:, 1:], q[:, 1:])
+    product = np.concatenate([scalar[:, None], vector], axis=1)
+    product[scalar < 0] *= -1
+    return product
+
+
+def rotate(q, v):
+    """Vectors (n, 3) turned by quaternions (n, 4)."""
+    lift = np.cross(q[:, 1:], v)
+    return v + 2 * (q[:, :1] * lift + np.cross(q[:, 1:], lift))
+
+
+def rotation_vector(q):
+    """Axis times angle (radians, at most pi) of unit quaternions with non-negative scalar part."""
+    sine = np.linalg.norm(q[:, 1:], axis=1)
+    angle = 2 * np.arctan2(sine, q[:, 0])
+    # angle / sine tends to 2 for small angles.
+    ratio = np.where(sine > 1e-150, angle / np.maximum(sine, 1e-150), 2.0)
+    return q[:, 1:] * ratio[:, None]
+
+
+def quaternion_of(w):
+    """Unit quaternions of rotation vectors (n, 3)."""
+    angle = np.linalg.norm(w, axis=1)
+    half_sinc = np.where(angle > 1e-150, np.sin(angle / 2) / np.maximum(angle, 1e-150), 0.5)
+    return np.concatenate([np.cos(angle / 2)[:, None], half_sinc[:, None] * w], axis=1)
+
+
+def translation_of_twist(w, v):
+    """V(w) v: the translation of the rigid motion exp(w, v)."""
+    _, b, c = _coefficients(w)
+    cross = np.cross(w, v)
+    return v + b[:, None] * cross + c[:, None] * np.cross(w, cross)
+
+
+def twist_velocity(w, t):
+    """Inverse of V(w) applied to translations: the v of log (R, t)."""
+    a, b, _ = _coefficients(w)
+    angle2 = _dot(w, w)
+    # (1 - a / (2 b)) / angle^2 with a = sin(x)/x, b = (1 - cos x)/x^2; 1/12 in the limit.
+    small = angle2 < 1e-3
+    safe = np.where(small, 1.0, angle2)
+    series = 1 / 12 + angle2 / 720 + angle2**2 / 30240
+    factor = np.where(small, series, (1 - a / (2 * np.where(small, 0.5, b))) / safe)
+    cross = np.cross(w, t)
+    return t - 0.5 * cross + factor[:, None] * np.cross(w, cross)
+
+
+def _coefficients(w):
+    """sin(x)/x, (1 - cos x)/x^2 and (x - sin x)/x^3 for x = |w|."""
+    x2 = _dot(w, w)
+    x = np.sqrt(x2)
+    small = x2 < 1e-3
+    safe = np.where(small, 1.0, x)
+    half = np.sin(safe / 2) / safe
+    a = np.where(small, 1 - x2 / 6 + x2**2 / 120 - x2**3 / 5040, np.sin(safe) / safe)
+    b = np.where(small, 0.5 - x2 / 24 + x2**2 / 720 - x2**3 / 40320, 2 * half**2)
+    c = np.where(small, 1 / 6 - x2 / 120 + x2**2 / 5040 - x2**3 / 362880, (safe - np.sin(safe)) / safe**3)
+    return a, b, c
+
+
+def _unit(v):
+    """Unit vectors; zero where there is no direction (edges without length, collapsed faces)."""
+    length = np.linalg.norm(v, axis=1, keepdims=True)
+    return np.divide(v, length, out=np.zeros_like(v), where=length > 1e-100)
+
+
+def _dot(u, v):
+    return np.einsum("ni,ni->n", u, v)

@@ -1,0 +1,154 @@
+"""Closest points on a triangulated surface: a tree of boxes, searched nearest box first."""
+
+import numpy as np
+from numba import njit
+
+_LEAF = 8
+_DEPTH = 64
+
+
+class TriangleTree:
+    """Bounding-box tree over triangles.
+
+    Parameters
+    ----------
+    points : (n, 3) float64
+    triangles : (m, 3) int64, m >= 1; degenerate triangles are allowed
+    """
+
+    def __init__(self, points, triangles):
+        self.triangles = triangles
+        corners = np.ascontiguousarray(points[triangles])
+        self._order, self._node, self._box = _build(corners.min(axis=1), corners.max(axis=1))
+        self._corners = corners[self._order]
+
+    def closest(self, targets):
+        """Closest surface points of ``targets`` (k, 3).
+
+        Returns
+        -------
+        triangle : (k,) int64
+        weights : (k, 3) barycentric coordinates, in [0, 1] and summing to 1
+        distance : (k,)
+        """
+        found, weights, distance = _search(
+            np.ascontiguousarray(targets, dtype=np.float64), self._corners, self._node, self._box
+        )
+        return self._order[found], weights, distance
+
+
+@njit(cache=True)
+def _build(low, high):
+    """Split at the median centroid along the longest box axis until a box holds few triangles.
+
+    ``node[n] = (first, count, child)``: a leaf has child -1, else its children are ``child`` and ``child + 1``.
+    """
+    m = low.shape[0]
+    centroid = 0.5 * (low + high)
+    order = np.arange(m)
+    node = np.empty((2 * m + 1, 3), dtype=np.int64)
+    box = np.empty((2 * m + 1, 6))
+    node[0] = np.array([0, m, -1])
+    used, current = 1, 0
+    while current < used:
+        first, count = node[current, 0], node[current, 1]
+        members = order[first : first + count]
+        for axis in range(3):
+            box[current, axis] = low[members, axis].min()
+            box[current, 3 + axis] = high[members, axis].max()
+        if count > _LEAF:
+            axis = np.argmax(box[current, 3:] - box[current, :3])
+            order[first : first + count] = members[np.argsort(centroid[members, axis])]
+            half = count // 2
+            node[current, 2] = used
+            node[used] = np.array([first, half, -1])
+            node[used + 1] = np.array([first + half, count - half, -1])
+            used += 2
+        current += 1
+    return order, node[:used].copy(), box[:used].copy()
+
+
+@njit(cache=True, nogil=True)
+def _search(targets, corners, node, box):
+    n = targets.shape[0]
+    found = np.zeros(n, dtype=np.int64)
+    weights = np.zeros((n, 3))
+    distance = np.empty(n)
+    stack = np.empty(_DEPTH, dtype=np.int64)
+    trial = np.empty(3)
+    for t in range(n):
+        p = targets[t]
+        best = np.inf
+        stack[0] = 0
+        depth = 1
+        while depth:
+            depth -= 1
+            current = stack[depth]
+            if _box_distance2(p, box[current]) >= best:
+                continue
+            child = node[current, 2]
+            if child < 0:
+                for m in range(node[current, 0], node[current, 0] + node[current, 1]):
+                    d2 = _triangle_distance2(p, corners[m], trial)
+                    if d2 < best:
+                        best = d2
+                        found[t] = m
+                        weights[t] = trial
+            else:
+                near, far = child, child + 1
+                if _box_distance2(p, box[far]) < _box_distance2(p, box[near]):
+                    near, far = far, near
+                stack[depth] = far
+                stack[depth + 1] = near
+                depth += 2
+        distance[t] = np.sqrt(best)
+    return found, weights, distance
+
+
+@njit(cache=True, nogil=True)
+def _box_distance2(p, box):
+    total = 0.0
+    for axis in range(3):
+        gap = max(box[axis] - p[axis], 0.0, p[axis] - box[3 + axis])
+        total += gap * gap
+    return total
+
+
+@njit(cache=True, nogil=True)
+def _triangle_distance2(p, corner, weights):
+    """Squared distance to a triangle; fills the barycentric coordinates of the closest point.
+
+    Voronoi regions of corners, edges and face (Ericson, Real-Time Collision Detection, section 5.1.5).
+    """
+    a, b, c = corner[0], corner[1], corner[2]
+    ab, ac, ap = b - a, c - a, p - a
+    d1, d2 = _dot(ab, ap), _dot(ac, ap)
+    bp, cp = p - b, p - c
+    d3, d4 = _dot(ab, bp), _dot(ac, bp)
+    d5, d6 = _dot(ab, cp), _dot(ac, cp)
+    va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
+    v = w = 0.0
+    if d1 <= 0.0 and d2 <= 0.0:
+        pass
+    elif d3 >= 0.0 and d4 <= d3:
+        v = 1.0
+    elif d6 >= 0.0 and d5 <= d6:
+        w = 1.0
+    elif vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
+        v = d1 / (d1 - d3)
+    elif vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
+        w = d2 / (d2 - d6)
+    elif va <= 0.0 and d4 >= d3 and d5 >= d6:
+        w = (d4 - d3) / ((d4 - d3) + (d5 - d6))
+        v = 1.0 - w
+    else:
+        total = va + vb + vc
+        v, w = vb / total, vc / total
+    weights[0], weights[1], weights[2] = 1.0 - v - w, v, w
+    gap = ap - v * ab - w * ac
+    return _dot(gap, gap)
+
+
+@njit(cache=True, nogil=True)
+def _dot(u, v):
+    return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]

@@ -1,0 +1,1 @@
+"""Sample cases: each folder has a README.md, a case.toml and a generator with size parameters."""

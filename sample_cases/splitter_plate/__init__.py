@@ -1,0 +1,33 @@
+"""Square cylinder with a splitter plate in a channel (Sen et al. section 4): ten blocks, uniform square cells."""
+
+import numpy as np
+
+from meshdeform_core.grid import Grid
+
+# (name, x range, y range) of the ten blocks; the plate and cylinder interfaces are parts of faces.
+_BLOCKS = (
+    ("upstream-top", (-3.5, -0.5), (0.5, 6.5)),
+    ("upstream-middle", (-3.5, -0.5), (-0.5, 0.5)),
+    ("upstream-bottom", (-3.5, -0.5), (-6.5, -0.5)),
+    ("cylinder-top", (-0.5, 0.5), (0.5, 6.5)),
+    ("cylinder-bottom", (-0.5, 0.5), (-6.5, -0.5)),
+    ("plate-top", (0.5, 5.5), (0.125, 6.5)),
+    ("plate-bottom", (0.5, 5.5), (-6.5, -0.125)),
+    ("wake-top", (5.5, 8.5), (0.125, 6.5)),
+    ("wake-middle", (5.5, 8.5), (-0.125, 0.125)),
+    ("wake-bottom", (5.5, 8.5), (-6.5, -0.125)),
+)
+
+
+def generate(size: int = 8) -> Grid:
+    """The undeformed grid with ``size`` cells per unit length (a multiple of 8; the paper has 16) and size/2 in z."""
+    if size < 8 or size % 8:
+        raise ValueError(f"size = {size} cells per unit; expected a multiple of 8 (the plate is a quarter thick)")
+
+    def nodes(span: tuple[float, float]) -> np.ndarray:
+        # Integer multiples of the cell: nodes of neighbouring blocks are equal to the last bit.
+        return np.arange(round(span[0] * size), round(span[1] * size) + 1) / size
+
+    z = nodes((0.0, 0.5))
+    blocks = [np.stack(np.meshgrid(nodes(x), nodes(y), z, indexing="ij"), axis=-1) for _, x, y in _BLOCKS]
+    return Grid.from_blocks(blocks, [name for name, _, _ in _BLOCKS])
