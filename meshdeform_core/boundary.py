@@ -8,14 +8,15 @@ from enum import IntEnum
 
 import numpy as np
 
-from .connectivity import connected_nodes, periodic_rotation
-from .constraints import CurvedSurface, Periodic, Plane, Slip, periodic_pairs, plane_of, slip_groups
-from .errors import CaseError, MotionError
+from .errors import CaseError
 from .expression import Expression
-from .grid import FloatArray, Grid, IntArray, Side
+from .grid import Grid, IntArray, Side
 from .motion import Motion, Nodes, PreparedMotion
+from .periodic import Periodic, find_periodicity
+from .planes import Plane
 from .selection import quads_of_patch, select_quads
-from .topology import Topology, side_nodes
+from .slip import Slip, find_sliding
+from .topology import Topology
 
 UNSELECTED = "(not selected)"
 
@@ -132,12 +133,17 @@ def classify(
     entries = [*zip([s.name for s in specs], [s.kind for s in specs], selected, strict=True), *defaults]
     for _, kind, quads in defaults:
         quad_kind[quads] = kind
-    kind = _node_kinds(topology, entries, movers)
-    slip, mirrors = _sliding(grid, topology, entries, kind)
-    periodic = _periodicity(grid, topology, specs, selected)
-    _spread_over_images(kind, periodic)
+    node_kind = _node_kinds(topology, entries, movers)
+    periodic = Periodic.none()
+    for spec, quads in zip(specs, selected, strict=True):
+        if spec.kind is Kind.PERIODIC:
+            sides = [select_quads(grid, topology, [pattern], spec.name) for pattern in spec.select]
+            periodic += find_periodicity(grid, topology, spec.name, quads, sides)
+    _spread_over_images(node_kind, periodic)
+    slipping = [(n, q, k is Kind.SYMMETRY) for n, k, q in entries if k in (Kind.SLIP, Kind.SYMMETRY)]
+    slip, mirrors = find_sliding(grid, topology, slipping, node_kind < Kind.FIXED)
     patches = tuple(Patch(n, k, np.unique(topology.quads.corners[q]), q) for n, k, q in entries)
-    boundary = Boundary(kind, quad_kind, patches, tuple(movers), slip, periodic, mirrors, (*notes, *more))
+    boundary = Boundary(node_kind, quad_kind, patches, tuple(movers), slip, periodic, mirrors, (*notes, *more))
     return topology, boundary
 
 
@@ -238,102 +244,6 @@ def _node_kinds(topology: Topology, entries: list[Entry], movers: list[tuple[Int
     return kind
 
 
-def _sliding(grid: Grid, topology: Topology, entries: list[Entry], kind: np.ndarray) -> tuple[Slip, tuple[Plane, ...]]:
-    planes: list[tuple[Plane, IntArray]] = []
-    curved: list[CurvedSurface] = []
-    mirrors: list[Plane] = []
-    normal = plane_normal(grid)
-    for name, entry_kind, quads in entries:
-        if entry_kind not in (Kind.SLIP, Kind.SYMMETRY):
-            continue
-        bent = []
-        for side in np.unique(topology.quads.block_side[quads]):
-            part = quads[topology.quads.block_side[quads] == side]
-            nodes = np.unique(topology.quads.corners[part])
-            plane = plane_of(grid.points[topology.first[nodes]], normal)
-            if plane is None:
-                bent.append(part)
-                continue
-            planes.append((plane, nodes[kind[nodes] < Kind.FIXED]))
-            if entry_kind is Kind.SYMMETRY:
-                mirrors.append(plane)
-        if bent and entry_kind is Kind.SYMMETRY:
-            raise CaseError(f'boundary {name!r} is a symmetry but not a plane; use kind = "slip" for curved surfaces')
-        if bent:
-            curved.append(_curved_surface(grid, topology, np.concatenate(bent), kind))
-    return Slip(slip_groups(planes, topology.n_unique), tuple(curved)), _distinct(mirrors)
-
-
-def _curved_surface(grid: Grid, topology: Topology, quads: IntArray, kind: np.ndarray) -> CurvedSurface:
-    corners = topology.quads.corners[quads]
-    nodes, local = np.unique(corners, return_inverse=True)
-    local = local.reshape(corners.shape)
-    # In 2-D a cell edge is a triangle without width.
-    split = ([0, 1, 2], [0, 2, 3]) if corners.shape[1] == 4 else ([0, 1, 1],)
-    triangles = np.concatenate([local[:, which] for which in split])
-    return CurvedSurface(nodes[kind[nodes] < Kind.FIXED], grid.points[topology.first[nodes]], triangles)
-
-
-def plane_normal(grid: Grid) -> FloatArray | None:
-    """Unit normal of the plane of a 2-D grid, ``None`` for a 3-D grid.
-
-    Raises
-    ------
-    CaseError
-        When a 2-D grid is not flat.
-    """
-    if grid.dimension == 3:
-        return None
-    plane = plane_of(grid.points, None)
-    if plane is None:
-        raise CaseError("the grid is one layer of nodes but not a plane; surface grids cannot be deformed")
-    return plane.normal
-
-
-def _distinct(planes: list[Plane]) -> tuple[Plane, ...]:
-    kept: list[Plane] = []
-    for plane in planes:
-        scale = max(float(np.abs(plane.point).max()), 1e-300)
-        if not any(
-            abs(p.normal @ plane.normal) > 1 - 1e-9 and abs(p.normal @ (p.point - plane.point)) < 1e-6 * scale
-            for p in kept
-        ):
-            kept.append(plane)
-    return tuple(kept)
-
-
-def _periodicity(grid: Grid, topology: Topology, specs: Sequence[BoundarySpec], selected: list[IntArray]) -> Periodic:
-    pairs = Periodic.none()
-    for spec, quads in zip(specs, selected, strict=True):
-        if spec.kind is not Kind.PERIODIC:
-            continue
-        nodes = np.unique(topology.quads.corners[quads])
-        declared = _declared_pairs(grid, topology, nodes)
-        if np.isin(nodes, np.r_[declared.one, declared.two]).all():
-            pairs += declared
-            continue
-        if len(spec.select) != 2:
-            raise CaseError(
-                f"boundary {spec.name!r} is periodic but selects {len(spec.select)} things and the file declares no "
-                f"periodic connection for them; expected select = [one side, other side]"
-            )
-        halves = [np.isin(quads, select_quads(grid, topology, [pattern], spec.name)) for pattern in spec.select]
-        one, two = (np.unique(topology.quads.corners[quads[half]]) for half in halves)
-        pairs += periodic_pairs(grid, topology, one, two, spec.name)
-    return pairs
-
-
-def _declared_pairs(grid: Grid, topology: Topology, nodes: IntArray) -> Periodic:
-    pairs = Periodic.none()
-    for connection in grid.connections:
-        if connection.periodic is not None:
-            own, donor = (topology.numbers_of(flat) for flat in connected_nodes(grid, connection))
-            inside = np.isin(own, nodes) & np.isin(donor, nodes)
-            rotation = np.tile(periodic_rotation(connection.periodic), (int(inside.sum()), 1, 1))
-            pairs += Periodic(own[inside], donor[inside], rotation)
-    return pairs
-
-
 def _spread_over_images(kind: np.ndarray, periodic: Periodic) -> None:
     """Images of a moving or fixed node are moving or fixed: pairs move alike."""
     if periodic.one.size == 0:
@@ -343,82 +253,3 @@ def _spread_over_images(kind: np.ndarray, periodic: Periodic) -> None:
     np.maximum.at(strongest, root, kind[nodes])
     known = strongest[root] >= Kind.FIXED
     kind[nodes[known]] = strongest[root[known]]
-
-
-def prescribed_displacement(
-    grid: Grid, topology: Topology, boundary: Boundary, time: float = 0.0, fraction: float = 1.0
-) -> FloatArray:
-    """Displacement (n_unique, 3) of all face nodes: the motion at moving nodes, zero elsewhere.
-
-    Raises
-    ------
-    MotionError
-        When two moving patches disagree at a shared node, or a 2-D grid would leave its plane.
-    """
-    displacement = np.zeros((topology.n_unique, 3))
-    owner = np.full(topology.n_unique, -1)
-    for index, (nodes, motion) in enumerate(boundary.movers):
-        new = motion.displacement(time, fraction)[motion.moved]
-        _require_agreement(grid, topology, boundary, owner, displacement, nodes, new)
-        displacement[nodes] = new
-        owner[nodes] = index
-    if boundary.periodic.one.size:
-        _copy_to_images(boundary.periodic, displacement, owner)
-    normal = plane_normal(grid)
-    if normal is not None and np.abs(displacement @ normal).max() > 1e-9 * np.abs(displacement).max():
-        raise MotionError(
-            f"the motion leaves the plane of the 2-D grid by {np.abs(displacement @ normal).max():.3g}; "
-            f"expected displacements normal to {normal.tolist()}"
-        )
-    return displacement
-
-
-def _copy_to_images(periodic: Periodic, displacement: FloatArray, owner: np.ndarray) -> None:
-    nodes, root, turn = periodic.frames(len(displacement))
-    moving = owner[nodes] >= 0
-    home = np.zeros_like(displacement)
-    home[root[moving]] = np.einsum("nji,nj->ni", turn[moving], displacement[nodes[moving]])
-    image = np.isin(root, root[moving]) & ~moving
-    displacement[nodes[image]] = np.einsum("nij,nj->ni", turn[image], home[root[image]])
-
-
-def _require_agreement(
-    grid: Grid,
-    topology: Topology,
-    boundary: Boundary,
-    owner: np.ndarray,
-    displacement: FloatArray,
-    nodes: IntArray,
-    new: FloatArray,
-) -> None:
-    both = owner[nodes] >= 0
-    if not both.any():
-        return
-    gap = np.linalg.norm(displacement[nodes[both]] - new[both], axis=1)
-    edge = topology.edge[nodes[both]]
-    worst = int(np.argmax(gap / edge))
-    if gap[worst] > 1e-6 * edge[worst]:
-        node = nodes[both][worst]
-        movers = [p.name for p in boundary.patches if p.kind is Kind.MOVING and node in p.nodes]
-        raise MotionError(
-            f"moving patches {' and '.join(repr(name) for name in movers)} disagree at their shared node "
-            f"{grid.node_label(int(topology.first[node]))}: displacements {displacement[node].tolist()} and "
-            f"{new[both][worst].tolist()}; give both patches the same motion there"
-        )
-
-
-def slip_departure(grid: Grid, topology: Topology, boundary: Boundary, displacement: FloatArray) -> float:
-    """Largest displacement of a moving node out of a slip or symmetry plane that it lies on (grid length unit)."""
-    worst = 0.0
-    planar = [p for p in boundary.patches if p.kind in (Kind.SLIP, Kind.SYMMETRY)]
-    for patch in planar:
-        for side in np.unique(topology.quads.block_side[patch.quads]):
-            block = int(side) // 6
-            flat = side_nodes(grid, block, Side(int(side) % 6)).ravel()
-            plane = plane_of(grid.points[flat], plane_normal(grid))
-            quads = patch.quads[topology.quads.block_side[patch.quads] == side]
-            nodes = np.unique(topology.quads.corners[quads])
-            moving = nodes[boundary.kind[nodes] == Kind.MOVING]
-            if plane is not None and moving.size:
-                worst = max(worst, float(np.abs(displacement[moving] @ plane.normal).max()))
-    return worst

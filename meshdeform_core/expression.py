@@ -170,7 +170,7 @@ def _refuse(node: ast.AST, owner: Expression) -> None:
 
 def _value(node: ast.AST, values: Mapping[str, Any]) -> Any:
     match node:
-        case ast.Constant(value=value):
+        case ast.Constant(value=int() | float() as value):
             # Float arithmetic only: integers would make 9**9**9 an endless computation.
             return np.float64(value)
         case ast.Name(id=name):
@@ -188,8 +188,8 @@ def _value(node: ast.AST, values: Mapping[str, Any]) -> Any:
         case ast.Compare(left=left, ops=ops, comparators=others):
             terms = [_value(term, values) for term in (left, *others)]
             result = _COMPARE[type(ops[0])](terms[0], terms[1])
-            for op, one, two in zip(ops[1:], terms[1:], terms[2:], strict=False):
-                result = np.logical_and(result, _COMPARE[type(op)](one, two))
+            for compare, one, two in zip(ops[1:], terms[1:], terms[2:], strict=False):
+                result = np.logical_and(result, _COMPARE[type(compare)](one, two))
             return result
         case ast.Call(func=ast.Name(id=name), args=args):
             return _FUNCTIONS[name][1](*(_value(arg, values) for arg in args))

@@ -24,6 +24,7 @@ from .errors import GridError
 Shape = tuple[int, int, int]
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
 
 
 class Side(IntEnum):

@@ -150,7 +150,7 @@ def _handedness(x: FloatArray) -> int:
         flat = x.shape.index(1)
         a, b = (axis for axis in range(3) if axis != flat)
         plane = x.squeeze(axis=flat)
-        normal = np.cross(*(_mean_edges(plane, axis, 2) for axis in (0, 1)))
+        normal = np.cross(_mean_edges(plane, 0, 2), _mean_edges(plane, 1, 2))
         signs = np.sign(normal[..., int(np.argmax(np.abs(normal).sum(axis=(0, 1))))])
         # Index order (a, b) is cyclic for a flat i or k axis and reversed for a flat j axis.
         return -1 if (signs.sum() < 0) != ((b - a) == 2) else 1
@@ -162,11 +162,11 @@ def _handedness(x: FloatArray) -> int:
 def _mean_edges(x: FloatArray, axis: int, dimension: int) -> FloatArray:
     """Mean edge vector along ``axis`` of every sampled cell."""
     samples = [np.unique(np.linspace(0, n - 2, min(n - 1, 16)).astype(int)) for n in x.shape[:dimension]]
-    total = 0.0
+    total = np.zeros(1)
     for corner in np.ndindex(*(2,) * dimension):
         picked = x[np.ix_(*(s + c for s, c in zip(samples, corner, strict=True)))]
         total = total + (picked if corner[axis] else -picked)
-    return np.asarray(total) / 2 ** (dimension - 1)
+    return total / 2 ** (dimension - 1)
 
 
 def _has_quads(shape: Shape, side: Side) -> bool:

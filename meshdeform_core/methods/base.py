@@ -13,8 +13,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ..boundary import Boundary, Kind, plane_normal
+from ..boundary import Boundary, Kind
 from ..grid import FloatArray, Grid, IntArray
+from ..planes import plane_normal
 from ..topology import Topology
 
 Progress = Callable[[str, int, int], None]

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..boundary import Kind
-from ..constraints import Plane
 from ..errors import MethodError
 from ..grid import FloatArray, IntArray
 from ..numerics import rotation as rot
 from ..numerics.direct import weighted_sums
 from ..numerics.parallel import for_chunks
 from ..numerics.rigid import finish
+from ..planes import Plane
 from .base import Account, Problem, Progress, Setting
 
 ROTATIONS = ("none", "quaternion", "division", "blend", "lie")

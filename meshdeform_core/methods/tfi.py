@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -98,8 +99,8 @@ class _FlatPlane:
         rows, columns = (skeleton.cuts[block][axis].tolist() for axis in side.tangential)
         return cls._from(problem, [
             nodes[a0 : a1 + 1, b0 : b1 + 1]
-            for a0, a1 in zip(rows[:-1], rows[1:], strict=True)
-            for b0, b1 in zip(columns[:-1], columns[1:], strict=True)
+            for a0, a1 in itertools.pairwise(rows)
+            for b0, b1 in itertools.pairwise(columns)
         ])  # fmt: skip
 
     @classmethod

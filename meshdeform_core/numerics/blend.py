@@ -5,13 +5,11 @@ coordinates run from 0 to 1 within every sub-block. Cuts are index arrays from 0
 """
 
 import numpy as np
-from numba import njit
 
-_OPTIONS = {"cache": True, "nogil": True, "error_model": "numpy"}
-_FAST = {**_OPTIONS, "fastmath": True}
+from .jit import fast_kernel, kernel
 
 
-@njit(**_OPTIONS)
+@kernel
 def arc_coordinates(points, cuts_i, cuts_j, cuts_k, out):
     """Normalised arc lengths (eq. 10) along i, j, k within each sub-block, into ``out`` (ni, nj, nk, 3).
 
@@ -29,7 +27,7 @@ def arc_coordinates(points, cuts_i, cuts_j, cuts_k, out):
             _line(points[i, j], cuts_k, out[i, j, :, 2])
 
 
-@njit(**_OPTIONS)
+@kernel
 def _line(x, cuts, out):
     """Arc coordinate along one grid line; a cut belongs to the segment that it ends."""
     out[0] = 0.0
@@ -44,7 +42,7 @@ def _line(x, cuts, out):
             out[n] = out[n] / total if total > 0.0 else (n - first) / (last - first)
 
 
-@njit(**_FAST)
+@fast_kernel
 def blend_block(d, arc, i0, i1, j0, j1, k0, k1):
     """Displacement of the interior of one sub-block from its faces, in place (eqs. 1, 3-9).
 
@@ -78,7 +76,7 @@ def blend_block(d, arc, i0, i1, j0, j1, k0, k1):
                     d[i, j, k, c] = along_i + along_j + along_k + z0 * bottom + z1 * top
 
 
-@njit(**_FAST)
+@fast_kernel
 def blend_plane(d, s, t):
     """Displacement of the interior of a plane (na, nb, 3) from its four edges, in place (eq. 2).
 

@@ -3,12 +3,11 @@
 import math
 
 import numpy as np
-from numba import njit
 
-_OPTIONS = {"cache": True, "nogil": True, "error_model": "numpy"}
+from .jit import kernel
 
 
-@njit(**_OPTIONS)
+@kernel
 def measure_hexahedra(x, sign, i0, i1, skew, scaled, jacobian, volume, bad):
     """Measures of the cells i0 <= i < i1 of a block.
 
@@ -16,7 +15,8 @@ def measure_hexahedra(x, sign, i0, i1, skew, scaled, jacobian, volume, bad):
     ----------
     x : (ni, nj, nk, 3) nodes
     sign : handedness of the block, so that good cells have positive Jacobians
-    skew : (ci, cj, ck) out, f_skew = 8 / sum over corners of (sqrt(l11 l22 l33) / a)^(2/3); 0 if any a <= 0 (Knupp 2003)
+    skew : (ci, cj, ck) out, f_skew = 8 / sum over corners of (sqrt(l11 l22 l33) / a)^(2/3), 0 if any a <= 0
+        (Knupp 2003)
     scaled : out, smallest corner Jacobian divided by its three edge lengths
     jacobian : out, smallest corner Jacobian (length^3)
     volume : out, exact volume of the trilinear cell
@@ -57,7 +57,7 @@ def measure_hexahedra(x, sign, i0, i1, skew, scaled, jacobian, volume, bad):
                 bad[n, j, k] = mask
 
 
-@njit(**_OPTIONS)
+@kernel
 def _edges(p, edge, square):
     """Edge vectors along i, j, k of a cell; corner c = 4 a + 2 b + g at (i + a, j + b, k + g)."""
     for n in range(4):
@@ -71,7 +71,7 @@ def _edges(p, edge, square):
             square[axis, n] = e[0] * e[0] + e[1] * e[1] + e[2] * e[2]
 
 
-@njit(**_OPTIONS)
+@kernel
 def _hexahedron_volume(p):
     """A third of the flux of the position through the six bilinear faces: centroid times area vector, exactly."""
     return (
@@ -84,7 +84,7 @@ def _hexahedron_volume(p):
     ) / 24.0
 
 
-@njit(**_OPTIONS)
+@kernel
 def _face_flux(p, a, b, c, d):
     # Relative to corner 0, so that a cell far from the origin loses no digits.
     ux, uy, uz = p[c, 0] - p[a, 0], p[c, 1] - p[a, 1], p[c, 2] - p[a, 2]
@@ -95,7 +95,7 @@ def _face_flux(p, a, b, c, d):
     return cx * (uy * vz - uz * vy) + cy * (uz * vx - ux * vz) + cz * (ux * vy - uy * vx)
 
 
-@njit(**_OPTIONS)
+@kernel
 def measure_quads(x, normal, i0, i1, skew, scaled, jacobian, area, bad):
     """The same for a 2-D block (na, nb, 3) whose good cells have Jacobians along ``normal``.
 

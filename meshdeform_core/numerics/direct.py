@@ -7,8 +7,8 @@ machines it is bound by the square root and the division, which leaves room for 
 import math
 
 import numpy as np
-from numba import njit
 
+from .jit import fast_kernel
 from .parallel import for_chunks
 
 N_VALUES = 7
@@ -52,7 +52,7 @@ def weighted_sums(targets, sources, strength, exponents, values, progress=None):
     return result
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@fast_kernel
 def _sum_block(targets, packed, p1, p2, values, out):
     luke = p1 == 3.0 and p2 == 5.0
     weight = np.empty(_TILE)
@@ -107,7 +107,7 @@ def _sum_block(targets, packed, p1, p2, values, out):
                 out[t, 7] += a7
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@fast_kernel
 def _weights(px, py, pz, x, y, z, c1, c2, p1, p2, weight):
     for s in range(x.size):
         dx, dy, dz = px - x[s], py - y[s], pz - z[s]

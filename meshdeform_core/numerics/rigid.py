@@ -6,12 +6,10 @@ relative to the origin that the translations refer to.
 
 import math
 
-from numba import njit
-
-_OPTIONS = {"cache": True, "nogil": True, "error_model": "numpy"}
+from .jit import kernel
 
 
-@njit(**_OPTIONS)
+@kernel
 def finish_displacement(sums, out):
     """Mean displacement (eq. 14)."""
     for n in range(sums.shape[0]):
@@ -19,7 +17,7 @@ def finish_displacement(sums, out):
             out[n, d] = sums[n, 1 + d] / sums[n, 0]
 
 
-@njit(**_OPTIONS)
+@kernel
 def finish_quaternion(sums, points, out, steps):
     """Mean quaternion, normalised, and mean translation (eqs. 19, 20), applied ``steps`` times (eqs. 26-28)."""
     for n in range(sums.shape[0]):
@@ -37,7 +35,7 @@ def finish_quaternion(sums, points, out, steps):
         out[n, 0], out[n, 1], out[n, 2] = d0, d1, d2
 
 
-@njit(**_OPTIONS)
+@kernel
 def finish_affine(sums, points, out):
     """Mean of the predicted positions R_i (x - x_i) + y_i (Luke et al. 2012): an affine map of x."""
     for n in range(sums.shape[0]):
@@ -47,7 +45,7 @@ def finish_affine(sums, points, out):
             out[n, d] = (linear + sums[n, 10 + d]) / sums[n, 0]
 
 
-@njit(**_OPTIONS)
+@kernel
 def finish_twist(sums, points, out):
     """Exponential of the mean twist: (R - 1) x + V v with R = exp w."""
     for n in range(sums.shape[0]):

@@ -1,7 +1,8 @@
 """Closest points on a triangulated surface: a tree of boxes, searched nearest box first."""
 
 import numpy as np
-from numba import njit
+
+from .jit import kernel
 
 _LEAF = 8
 _DEPTH = 64
@@ -37,7 +38,7 @@ class TriangleTree:
         return self._order[found], weights, distance
 
 
-@njit(cache=True)
+@kernel
 def _build(low, high):
     """Split at the median centroid along the longest box axis until a box holds few triangles.
 
@@ -68,7 +69,7 @@ def _build(low, high):
     return order, node[:used].copy(), box[:used].copy()
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _search(targets, corners, node, box):
     n = targets.shape[0]
     found = np.zeros(n, dtype=np.int64)
@@ -105,7 +106,7 @@ def _search(targets, corners, node, box):
     return found, weights, distance
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _box_distance2(p, box):
     total = 0.0
     for axis in range(3):
@@ -114,7 +115,7 @@ def _box_distance2(p, box):
     return total
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _triangle_distance2(p, corner, weights):
     """Squared distance to a triangle; fills the barycentric coordinates of the closest point.
 
@@ -149,6 +150,6 @@ def _triangle_distance2(p, corner, weights):
     return _dot(gap, gap)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _dot(u, v):
     return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]

@@ -1,0 +1,258 @@
+"""The program: a grid, its boundary and a method give a deformed grid and a verdict."""
+
+from __future__ import annotations
+
+import dataclasses
+import time as clock
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from .boundary import Boundary, BoundarySpec, Kind, classify
+from .connectivity import check_connections
+from .errors import CaseError, MotionError
+from .grid import FloatArray, Grid
+from .methods import Account, Options, PreparedMethod, Problem, Progress, make_method
+from .prescription import prescribed_displacement
+from .quality import Assessment, assess
+from .quality.validity import newly_invalid
+from .topology import RELATIVE_TOLERANCE, Topology, find_topology
+
+MAX_HALVINGS = 8
+
+
+@dataclass(frozen=True)
+class Case:
+    """What to do with a grid: its boundary entries, the constants of their formulas, the method.
+
+    ``tolerance`` is the largest distance of coincident nodes, relative to the local edge.
+    """
+
+    boundaries: tuple[BoundarySpec, ...]
+    constants: Mapping[str, float] = field(default_factory=dict)
+    method: Options = field(default_factory=Options)
+    tolerance: float = RELATIVE_TOLERANCE
+
+
+@dataclass
+class Timing:
+    """Seconds spent per stage."""
+
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        start = clock.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[name] = self.seconds.get(name, 0.0) + clock.perf_counter() - start
+
+
+@dataclass(frozen=True)
+class Setup:
+    """A grid with everything that is known before anything moves; what ``--dry-run`` shows."""
+
+    grid: Grid
+    case: Case
+    topology: Topology
+    boundary: Boundary
+    warnings: tuple[str, ...]
+
+    @property
+    def problem(self) -> Problem:
+        return Problem(self.grid, self.topology, self.boundary)
+
+    def displacement(self, time: float, fraction: float = 1.0) -> FloatArray:
+        """Prescribed displacement of all unique face nodes (n_unique, 3)."""
+        return prescribed_displacement(self.grid, self.topology, self.boundary, time, fraction)
+
+
+@dataclass(frozen=True)
+class Result:
+    """A deformed grid, how it was made and how good it is.
+
+    ``reached`` is the fraction of the motion that was imposed: below 1 only when marching stopped before a step that
+    would have made cells invalid; the invalid cells of the assessment are then those of that step.
+    """
+
+    setup: Setup
+    grid: Grid
+    assessment: Assessment
+    account: Account
+    steps: int
+    reached: float
+    max_displacement: float
+    timing: Timing
+    warnings: tuple[str, ...]
+
+    @property
+    def valid(self) -> bool:
+        """The whole motion was imposed and no cell became invalid."""
+        return self.reached == 1.0 and self.assessment.valid
+
+
+def set_up(grid: Grid, case: Case, timing: Timing | None = None) -> Setup:
+    """Find the topology and classify the boundary.
+
+    Raises
+    ------
+    CaseError, MotionError
+        When a boundary entry matches nothing or no node would move.
+    """
+    timing = timing or Timing()
+    with timing.stage("topology"):
+        topology = find_topology(grid, case.tolerance)
+        warnings = [*grid.notes, *check_connections(grid, topology)]
+        if topology.crowded:
+            warnings.append(f"{topology.crowded} face quads are shared by more than two blocks")
+        topology, boundary = classify(grid, topology, case.boundaries, case.constants)
+    if not boundary.count(Kind.MOVING):
+        raise MotionError(
+            "no node moves: no boundary entry of kind moving selects any node; "
+            "expected a [[boundary]] with kind = \"moving\" and a motion, or a displacement table"
+        )
+    return Setup(grid, case, topology, boundary, (*warnings, *boundary.notes))
+
+
+def deform(
+    grid: Grid,
+    case: Case,
+    *,
+    time: float = 0.0,
+    steps: int | str = 1,
+    precision: str | None = None,
+    progress: Progress | None = None,
+) -> Result:
+    """Deform ``grid`` as ``case`` says and judge the result.
+
+    Parameters
+    ----------
+    time : at which motions are evaluated
+    steps : increments, each from the last grid; ``"auto"`` halves them until the grid stays valid
+    precision : ``float32`` or ``float64`` of the file that will be written (default: the grid's own); the verdict is
+        about the coordinates as written
+
+    Raises
+    ------
+    MeshDeformError
+        For anything that is the input's fault.
+    """
+    timing = Timing()
+    return impose(set_up(grid, case, timing), time, steps, precision or grid.precision, timing, progress)
+
+
+def impose(
+    setup: Setup, time: float, steps: int | str, precision: str, timing: Timing, progress: Progress | None = None
+) -> Result:
+    """Impose the motion of a set-up case; see :func:`deform`."""
+    march = _March(setup, time, precision, timing, progress)
+    if steps == "auto":
+        march.adaptively()
+    elif isinstance(steps, int) and steps > 0:
+        march.in_equal_steps(steps)
+    else:
+        raise CaseError(f'steps = {steps!r}; expected a whole number >= 1 or "auto"')
+    return march.result()
+
+
+class _March:
+    """A motion imposed step by step, each step from the last grid."""
+
+    def __init__(self, setup: Setup, time: float, precision: str, timing: Timing, progress: Progress | None):
+        self.setup, self.time, self.precision = setup, time, precision
+        self.timing, self.progress = timing, progress
+        self.fraction, self.steps = 0.0, 0
+        self.points = setup.grid.points
+        self.moved = np.zeros((setup.topology.n_unique, 3))
+        self.failed: FloatArray | None = None
+        self.first_bad: dict[int, int] = {}
+        self.warnings = list(setup.warnings)
+        self._prepared: tuple[FloatArray, PreparedMethod] | None = None
+        self._inspect_motion()
+
+    def _inspect_motion(self) -> None:
+        self.total = self.setup.displacement(self.time)
+        self.max_displacement = float(np.linalg.norm(self.total, axis=1).max())
+        if self.max_displacement == 0.0:
+            self.warnings.append(f"nothing moves: the displacement is zero everywhere at t = {self.time:g}")
+        departure = self.setup.boundary.slip.departure(self.total)
+        if departure > 1e-6 * self.max_displacement:
+            self.warnings.append(
+                f"the motion carries nodes out of a slip or symmetry plane by up to {departure:.3g}; "
+                f"the plane follows there, its other nodes stay in it"
+            )
+
+    def in_equal_steps(self, count: int) -> None:
+        for step in range(1, count + 1):
+            self._accept(step / count, self._trial(step / count))
+
+    def adaptively(self) -> None:
+        """As large steps as validity allows: halve a step that breaks cells, double again after success."""
+        increment, smallest = 1.0, 0.5**MAX_HALVINGS
+        while self.fraction < 1.0:
+            target = min(1.0, self.fraction + increment)
+            points = self._trial(target)
+            if not newly_invalid(self.setup.grid, self._rounded(points), self.setup.topology).size:
+                self._accept(target, points)
+            elif increment > smallest:
+                increment /= 2
+            else:
+                self.failed = points
+                self.warnings.append(
+                    f"the motion was imposed to {self.fraction:.1%} only; a step of {increment:.2%} more makes cells "
+                    f"invalid. The grid reached so far is kept"
+                )
+                return
+
+    def _trial(self, fraction: float) -> FloatArray:
+        """Coordinates after going from the current grid to ``fraction`` of the motion."""
+        setup = self.setup
+        prepared = self._method()
+        target = self.total if fraction == 1.0 else setup.displacement(self.time, fraction)
+        increment = (target - self.moved)[setup.problem.source_numbers]
+        with self.timing.stage("apply"):
+            return np.asarray(self.points + prepared.apply(increment, self.progress))
+
+    def _method(self) -> PreparedMethod:
+        """The method prepared on the current grid; kept while trials start from the same grid."""
+        if self._prepared is None or self._prepared[0] is not self.points:
+            with self.timing.stage("prepare"):
+                problem = dataclasses.replace(self.setup.problem, grid=self.setup.grid.moved(self.points))
+                self._prepared = self.points, make_method(self.setup.case.method).prepare(problem)
+        return self._prepared[1]
+
+    def _accept(self, fraction: float, points: FloatArray) -> None:
+        self.moved = self.total if fraction == 1.0 else self.setup.displacement(self.time, fraction)
+        self.account = self._method().account
+        self.points, self.fraction, self.steps = points, fraction, self.steps + 1
+        with self.timing.stage("quality"):
+            for cell in newly_invalid(self.setup.grid, points, self.setup.topology).tolist():
+                self.first_bad.setdefault(cell, self.steps)
+
+    def _rounded(self, points: FloatArray) -> FloatArray:
+        return points.astype(np.float32).astype(np.float64) if self.precision == "float32" else points
+
+    def result(self) -> Result:
+        setup = self.setup
+        final = self._rounded(self.points)
+        with self.timing.stage("quality"):
+            assessment = assess(setup.grid, final, setup.topology, setup.boundary)
+            if self.failed is not None:
+                # The kept grid is valid; what the user needs to know is which cells the next step would break.
+                broken = assess(setup.grid, self._rounded(self.failed), setup.topology, setup.boundary)
+                assessment = dataclasses.replace(assessment, invalid=broken.invalid)
+            assessment = assessment.with_steps(setup.grid, self.first_bad, self.steps + (self.failed is not None))
+        return Result(
+            setup,
+            setup.grid.moved(final),
+            assessment,
+            self.account if self.steps else self._method().account,
+            self.steps,
+            self.fraction,
+            self.max_displacement,
+            self.timing,
+            (*self.warnings, *(self.account.warnings if self.steps else ())),
+        )

@@ -1,0 +1,12 @@
+"""How loops are compiled: cached on disk, without the interpreter lock, with numpy's rules for division.
+
+Numpy's error model matters for speed: Python's would test every division for zero, which keeps loops scalar.
+"""
+
+from numba import njit
+
+kernel = njit(cache=True, nogil=True, error_model="numpy")
+"""Decorator for loops whose results must not depend on the order of operations."""
+
+fast_kernel = njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
+"""Decorator for sums: additions may be reordered, so that they become vector instructions."""

@@ -1,0 +1,149 @@
+"""Measures of grid lines: at block interfaces (kink, spacing jump) and at moving walls (direction, first cell)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..boundary import Boundary, Kind
+from ..grid import FloatArray, Grid, IntArray, Side
+from ..topology import Topology, inward_step, side_nodes
+
+
+@dataclass(frozen=True)
+class InterfaceLines:
+    """Grid lines that cross block interfaces: flat indices (n,) of the interface node in each block and its neighbour.
+
+    The line runs ``before -> here | there -> beyond``; ``here`` and ``there`` coincide.
+    """
+
+    before: IntArray
+    here: IntArray
+    there: IntArray
+    beyond: IntArray
+
+
+def interface_lines(grid: Grid, topology: Topology) -> InterfaceLines:
+    """All grid lines across shared faces, each once."""
+    quads = np.flatnonzero(topology.partner > np.arange(len(topology.partner)))
+    own, own_side = _corners(grid, topology, quads)
+    other, other_side = _corners(grid, topology, topology.partner[quads])
+    number, partner_number = topology.numbers_of(own), topology.numbers_of(other)
+    match = np.argmax(partner_number[:, None, :] == number[:, :, None], axis=2)
+    there = np.take_along_axis(other, match, axis=1)
+    here_key = own * 6 + own_side[:, None] % 6
+    there_key = there * 6 + other_side[:, None] % 6
+    _, once = np.unique(here_key.ravel() * (6 * grid.n_nodes) + there_key.ravel(), return_index=True)
+    width = own.shape[1]
+    here, beyond = own.ravel()[once], there.ravel()[once]
+    steps = _inward_steps(grid)
+    return InterfaceLines(
+        here + steps[np.repeat(own_side, width)[once]], here, beyond, beyond + steps[np.repeat(other_side, width)[once]]
+    )
+
+
+def _inward_steps(grid: Grid) -> IntArray:
+    """Flat index step into the block for every block side, (6 * n_blocks,)."""
+    return np.array([inward_step(shape, side) for shape in grid.shapes for side in Side], dtype=np.int64)
+
+
+def _corners(grid: Grid, topology: Topology, quads: IntArray) -> tuple[IntArray, IntArray]:
+    """Flat corner nodes (n, 4) (in 2-D (n, 2)) of face quads and the block side of each."""
+    side_of = topology.quads.block_side[quads]
+    width = topology.quads.corners.shape[1]
+    corners = np.empty((len(quads), width), dtype=np.int64)
+    for block_side in np.unique(side_of):
+        block, side = int(block_side) // 6, Side(int(block_side) % 6)
+        nodes = side_nodes(grid, block, side)
+        mine = side_of == block_side
+        local = quads[mine] - topology.quads.start[block, side]
+        if width == 2:
+            line = nodes.ravel()
+            corners[mine] = np.stack([line[local], line[local + 1]], axis=1)
+        else:
+            u, v = np.divmod(local, topology.quads.counts[block, side, 1])
+            around = [nodes[u, v], nodes[u + 1, v], nodes[u + 1, v + 1], nodes[u, v + 1]]
+            corners[mine] = np.stack(around, axis=1)
+    return corners, side_of
+
+
+def kink_and_jump(lines: InterfaceLines, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Angle (degrees) between the two segments that meet at an interface, and ln of the ratio of their lengths."""
+    inner = points[lines.here] - points[lines.before]
+    outer = points[lines.beyond] - points[lines.there]
+    lengths = np.linalg.norm(inner, axis=1), np.linalg.norm(outer, axis=1)
+    sine = np.linalg.norm(np.cross(inner, outer), axis=1)
+    angle = np.rad2deg(np.arctan2(sine, np.einsum("ni,ni->n", inner, outer)))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        jump = np.log(lengths[1] / lengths[0])
+    return angle, np.where(np.isfinite(jump), jump, 0.0)
+
+
+@dataclass(frozen=True)
+class WallFace:
+    """The part of one block face that is a moving wall.
+
+    ``nodes`` (na, nb) flat indices of the whole face, ``wall`` (qa, qb) which of its quads move, ``step`` to the first
+    node off the wall, ``inward`` +1 if the face's index order gives normals into the block, -1 if out of it.
+    """
+
+    nodes: IntArray
+    wall: np.ndarray
+    step: int
+    inward: float
+
+
+def moving_walls(grid: Grid, topology: Topology, boundary: Boundary) -> list[WallFace]:
+    """All block faces with moving quads."""
+    moving = boundary.quad_kind == Kind.MOVING
+    faces = []
+    for block_side in np.unique(topology.quads.block_side[moving]):
+        block, side = int(block_side) // 6, Side(int(block_side) % 6)
+        counts = topology.quads.counts[block, side]
+        wall = moving[topology.quads.of_side(block, side)].reshape(counts)
+        nodes = side_nodes(grid, block, side)
+        inward = _inward_sign(topology, block, side, nodes)
+        faces.append(WallFace(nodes, wall, inward_step(grid.shapes[block], side), inward))
+    return faces
+
+
+def _inward_sign(topology: Topology, block: int, side: Side, nodes: IntArray) -> float:
+    """Whether the normal from the face's index order (in 2-D: plane normal cross tangent) points into the block."""
+    if topology.quads.corners.shape[1] == 2:
+        first = topology.quads.corners[topology.quads.of_side(block, side)][0, 0]
+        # Corner order has the outside to the right.
+        return 1.0 if first == topology.numbers_of(nodes.ravel()[:1])[0] else -1.0
+    # e_b x e_c of the tangential axes points along +a for i and k faces, along -a for j faces.
+    index_normal = (-1.0 if side.axis == 1 else 1.0) * float(topology.handedness[block])
+    return index_normal if side % 2 == 0 else -index_normal
+
+
+def wall_lines(face: WallFace, points: FloatArray, plane_normal: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+    """Angle (degrees) of the first grid line to the wall normal and wall-normal height of the first cell.
+
+    One value per node of the moving quads of the face, always in the same order.
+    """
+    x = points[face.nodes]
+    if plane_normal is None:
+        diagonals = (x[1:, 1:] - x[:-1, :-1], x[:-1, 1:] - x[1:, :-1])
+        quad_normal = face.inward * np.cross(*diagonals)
+    else:
+        tangent = np.diff(x.reshape(-1, 3), axis=0).reshape(*face.wall.shape, 3)
+        quad_normal = face.inward * np.cross(plane_normal, tangent)
+    length = np.linalg.norm(quad_normal, axis=-1, keepdims=True)
+    unit = np.divide(quad_normal, length, out=np.zeros_like(quad_normal), where=length > 0) * face.wall[..., None]
+    normal = np.zeros_like(x)
+    touched = np.zeros(face.nodes.shape, dtype=bool)
+    for a in range(min(2, x.shape[0])):
+        for b in range(min(2, x.shape[1])):
+            window = np.s_[a : a + unit.shape[0], b : b + unit.shape[1]]
+            normal[window] += unit
+            touched[window] |= face.wall
+    n = normal[touched]
+    size = np.linalg.norm(n, axis=1, keepdims=True)
+    n = np.divide(n, size, out=np.zeros_like(n), where=size > 0)
+    arm = points[face.nodes[touched] + face.step] - x[touched]
+    height = np.einsum("ni,ni->n", n, arm)
+    across = np.linalg.norm(np.cross(n, arm), axis=1)
+    return np.rad2deg(np.arctan2(across, height)), height
