@@ -112,7 +112,7 @@ def set_up(grid: Grid, case: Case, timing: Timing | None = None) -> Setup:
     if not boundary.count(Kind.MOVING):
         raise MotionError(
             "no node moves: no boundary entry of kind moving selects any node; "
-            "expected a [[boundary]] with kind = \"moving\" and a motion, or a displacement table"
+            'expected a [[boundary]] with kind = "moving" and a motion, or a displacement table'
         )
     return Setup(grid, case, topology, boundary, (*warnings, *boundary.notes))
 

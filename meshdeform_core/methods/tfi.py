@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..errors import MethodError
-from ..grid import FloatArray, IntArray, Side
+from ..grid import FloatArray, IntArray
 from ..numerics.blend import arc_coordinates, blend_block, blend_plane, plane_coordinates
 from ..numerics.parallel import for_chunks
-from ..topology import side_nodes
 from .base import Account, Problem, Progress, Setting
 from .skeleton import Skeleton, SubBlock, make_skeleton
 
@@ -52,13 +50,13 @@ class PreparedTFI:
     def __init__(self, options: TFI, problem: Problem, skeleton: Skeleton):
         grid = problem.grid
         self._grid, self._skeleton = grid, skeleton
-        self._planes = [_FlatPlane.of(problem, block, side, skeleton) for block, side in sorted(skeleton.flat_ends)]
         self._subs = list(skeleton.sub_blocks())
         self._arc = np.empty((grid.n_nodes, 3)) if grid.dimension == 3 else np.empty((0, 3))
+        self._planes: list[_Plane] = []
         if grid.dimension == 3:
             for_chunks(self._arcs, grid.n_blocks, 1)
         else:
-            self._planes += [_FlatPlane.of_sub_block(problem, sub) for sub in self._subs]
+            self._planes = [_Plane.of(problem, sub) for sub in self._subs]
         self.account = Account()
         self.account.settings["max_cells"] = Setting(options.max_cells)
         self.account.settings["sub_blocks"] = Setting(len(self._subs))
@@ -69,9 +67,9 @@ class PreparedTFI:
 
     def fill(self, displacement: FloatArray, progress: Progress | None = None) -> None:
         """Interior of every sub-block from its faces, in place in ``displacement`` (n_nodes, 3)."""
-        for plane in self._planes:
-            plane.fill(displacement)
         if self._grid.dimension == 2:
+            for plane in self._planes:
+                plane.fill(displacement)
             return
 
         def work(lo: int, hi: int) -> None:
@@ -88,36 +86,22 @@ class PreparedTFI:
 
 
 @dataclass(frozen=True)
-class _FlatPlane:
-    """Planes of nodes to be blended from their edges: flat indices (na, nb) and arc coordinates."""
+class _Plane:
+    """A sub-block of a 2-D grid: flat indices (na, nb) and arc coordinates."""
 
-    parts: tuple[tuple[IntArray, FloatArray, FloatArray], ...]
-
-    @classmethod
-    def of(cls, problem: Problem, block: int, side: Side, skeleton: Skeleton) -> _FlatPlane:
-        nodes = side_nodes(problem.grid, block, side)
-        rows, columns = (skeleton.cuts[block][axis].tolist() for axis in side.tangential)
-        return cls._from(problem, [
-            nodes[a0 : a1 + 1, b0 : b1 + 1]
-            for a0, a1 in itertools.pairwise(rows)
-            for b0, b1 in itertools.pairwise(columns)
-        ])  # fmt: skip
+    nodes: IntArray
+    s: FloatArray
+    t: FloatArray
 
     @classmethod
-    def of_sub_block(cls, problem: Problem, sub: SubBlock) -> _FlatPlane:
-        """A sub-block of a 2-D grid."""
+    def of(cls, problem: Problem, sub: SubBlock) -> _Plane:
         shape = problem.grid.shapes[sub.block]
         numbers = np.arange(problem.grid.offsets[sub.block], problem.grid.offsets[sub.block + 1]).reshape(shape)
         window = tuple(slice(lo, hi + 1) for lo, hi in zip(sub.low, sub.high, strict=True))
-        return cls._from(problem, [numbers[window].squeeze(axis=shape.index(1))])
-
-    @classmethod
-    def _from(cls, problem: Problem, windows: list[IntArray]) -> _FlatPlane:
-        inner = [w for w in windows if min(w.shape) > 2]
-        return cls(tuple((w, *plane_coordinates(problem.grid.points[w])) for w in inner))
+        nodes = numbers[window].squeeze(axis=shape.index(1))
+        return cls(nodes, *plane_coordinates(problem.grid.points[nodes]))
 
     def fill(self, displacement: FloatArray) -> None:
-        for nodes, s, t in self.parts:
-            values = displacement[nodes]
-            blend_plane(values, s, t)
-            displacement[nodes] = values
+        values = displacement[self.nodes]
+        blend_plane(values, self.s, self.t)
+        displacement[self.nodes] = values
