@@ -25,8 +25,9 @@ test: $(VENV)/installed
 check: $(VENV)/installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	@mkdir -p build/names && ln -sfn ../../cli build/names/meshdeform_cli \
-	  && ln -sfn ../../formats build/names/meshdeform_formats
+	@mkdir -p build/names
+	@for pair in cli:meshdeform_cli formats:meshdeform_formats sample_cases:meshdeform_samples; do \
+	  ln -sfn "../../$${pair%%:*}" "build/names/$${pair##*:}"; done
 	MYPYPATH=build/names $(BIN)/mypy
 	$(BIN)/lint-imports
 
@@ -36,3 +37,11 @@ format: $(VENV)/installed
 
 clean:
 	rm -rf build dist demo reproduced .pytest_cache .mypy_cache .ruff_cache
+
+demo: $(VENV)/installed
+	rm -rf demo
+	$(BIN)/meshdeform sample splitter-plate -o demo --size 16
+	$(BIN)/meshdeform deform demo/grid.cgns -c demo/case.toml -o demo/deformed.cgns \
+	  --report demo/report.json --report demo/report.txt
+	$(BIN)/meshdeform plot demo/deformed.cgns -o demo/deformed.png --plane k=1 --title "splitter plate, IDW-TFI"
+	@echo "Look at demo/deformed.png; the report is in demo/report.txt and demo/report.json."

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -93,6 +94,26 @@ def read_grid(path: str | Path) -> Grid:
     return grid
 
 
+def read_grid_with_boundaries(path: Path, boundary_file: Path | None) -> Grid:
+    """Read a grid; a neutral map file replaces what the grid file says of boundaries."""
+    grid = read_grid(path)
+    if boundary_file is None:
+        return grid
+    from .neutral_map import read_neutral_map
+
+    return read_neutral_map(boundary_file, grid)
+
+
+def complete_for_export(grid: Grid, path: Path) -> Grid:
+    """Add the interfaces that the coordinates show when the target can hold them and the source declared none."""
+    if format_of(path) != "cgns" or grid.connections:
+        return grid
+    from meshdeform_core.interfaces import find_interfaces
+    from meshdeform_core.topology import find_topology
+
+    return dataclasses.replace(grid, connections=find_interfaces(grid, find_topology(grid)))
+
+
 def write_grid(grid: Grid, path: str | Path, options: Mapping[str, Any] | None = None) -> FileFormat:
     """Write ``grid``, replacing ``path`` as a whole or leaving it alone; returns the variant that was written.
 
@@ -100,9 +121,14 @@ def write_grid(grid: Grid, path: str | Path, options: Mapping[str, Any] | None =
     ``options`` (a variant's switches, see ``meshdeform convert --help``) say otherwise.
     """
     path = Path(path)
-    module = FORMATS[format_of(path)].load()
-    variant: FileFormat = module.variant(grid, path, dict(options or {}))
-    module.write(grid, path, variant)
+    variant = variant_of(grid, path, options)
+    FORMATS[format_of(path)].load().write(grid, path, variant)
+    return variant
+
+
+def variant_of(grid: Grid, path: Path, options: Mapping[str, Any] | None = None) -> FileFormat:
+    """The variant in which :func:`write_grid` would write ``grid``."""
+    variant: FileFormat = FORMATS[format_of(path)].load().variant(grid, path, dict(options or {}))
     return variant
 
 

@@ -64,7 +64,7 @@ def _connections(grid: Grid, topology: Topology, pair: _Pair, mine: BoolArray) -
 def _seed(
     grid: Grid, topology: Topology, pair: _Pair, left: BoolArray, local: IntArray, donor_local: IntArray
 ) -> tuple[IntArray, IntArray] | None:
-    """Index matrix (2, 2) and quad offset (2,) from the first quad in ``left``, without collapsed edges if there is one."""
+    """Index matrix (2, 2) and quad offset (2,) from a quad in ``left``, one without collapsed edges if there is."""
     own = _numbers(grid, topology, pair.block, pair.side)
     donor = _numbers(grid, topology, pair.donor, pair.donor_side)
     corners = np.sort(topology.quads.corners[topology.quads.of_side(pair.block, pair.side)], axis=1)

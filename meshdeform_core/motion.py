@@ -15,7 +15,7 @@ import numpy as np
 
 from .errors import MotionError
 from .expression import Expression
-from .grid import FloatArray, Grid, IntArray
+from .grid import BoolArray, FloatArray, Grid, IntArray
 from .transfer import Matching, SurfaceData, Transfer, transfer
 
 VARIABLES = ("x", "y", "z", "t")
@@ -135,9 +135,12 @@ class PreparedMotion:
         return tuple(step.match for step in self.steps if isinstance(step, Imposed))
 
     @property
-    def moved(self) -> np.ndarray:
+    def moved(self) -> BoolArray:
         """(n,) bool: nodes that the motion moves; all, unless its tables match a part of them only."""
-        return np.logical_and.reduce([np.ones(len(self.nodes.flat), dtype=bool), *(m.matched for m in self.matches)])
+        moved = np.ones(len(self.nodes.flat), dtype=bool)
+        for match in self.matches:
+            moved &= match.matched
+        return moved
 
     def displacement(self, time: float = 0.0, fraction: float = 1.0) -> FloatArray:
         """Displacement (n, 3) of the nodes at ``time``, imposed to ``fraction``.
@@ -157,7 +160,7 @@ class PreparedMotion:
         return total
 
     def _require_finite(self, total: FloatArray, index: int, time: float) -> None:
-        bad = ~np.isfinite(total).all(axis=1)
+        bad: BoolArray = np.asarray(~np.isfinite(total).all(axis=1))
         if bad.any():
             worst = int(np.argmax(bad))
             raise MotionError(

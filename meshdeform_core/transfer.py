@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .errors import CaseError, MotionError
-from .grid import FloatArray, Grid, IntArray, Side
+from .grid import BoolArray, FloatArray, Grid, IntArray, Side
 from .topology import RELATIVE_TOLERANCE, side_nodes
 
 HOW = ("exact", "nearest", "interpolate")
@@ -68,7 +68,7 @@ class Transfer:
     """
 
     displacement: FloatArray
-    matched: np.ndarray
+    matched: BoolArray
     distance: FloatArray
     label: str
     how: str
@@ -155,7 +155,7 @@ def _from_deformed_grid(deformed: Grid, flat: IntArray, grid: Grid) -> Transfer:
     return Transfer(displacement, matched, np.zeros(len(flat)), label, "same nodes", used)
 
 
-def _from_surface_blocks(surface: Grid, flat: IntArray, grid: Grid) -> tuple[FloatArray, np.ndarray]:
+def _from_surface_blocks(surface: Grid, flat: IntArray, grid: Grid) -> tuple[FloatArray, BoolArray]:
     """Each block of the surface grid is the block face of the same size that lies closest to it."""
     moved = np.full((grid.n_nodes, 3), np.nan)
     taken: set[tuple[int, Side]] = set()
@@ -164,7 +164,7 @@ def _from_surface_blocks(surface: Grid, flat: IntArray, grid: Grid) -> tuple[Flo
         nodes = _closest_face(new, surface.names[index], flat, grid, taken)
         moved[nodes] = new
     displacement = moved[flat] - grid.points[flat]
-    matched = np.isfinite(displacement).all(axis=1)
+    matched: BoolArray = np.asarray(np.isfinite(displacement).all(axis=1))
     return np.where(matched[:, None], displacement, 0.0), matched
 
 

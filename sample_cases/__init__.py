@@ -1,1 +1,26 @@
-"""Sample cases: each folder has a README.md, a case.toml and a generator with size parameters."""
+"""Sample cases: one folder each with a README.md, a case.toml and a generator with a size parameter.
+
+A generator module offers ``generate(size) -> Grid``, ``DEFAULT_SIZE`` and ``SIZE_HELP``.
+"""
+
+from __future__ import annotations
+
+import importlib
+from importlib.resources import files
+from importlib.resources.abc import Traversable
+from types import ModuleType
+
+SAMPLES = {
+    "splitter-plate": "splitter_plate",
+}
+"""Name on the command line -> folder."""
+
+
+def load(name: str) -> ModuleType:
+    """The generator module of a sample."""
+    return importlib.import_module(f"{__package__}.{SAMPLES[name]}")
+
+
+def folder(name: str) -> Traversable:
+    """Where a sample's README.md and case.toml lie."""
+    return files(__package__) / SAMPLES[name]

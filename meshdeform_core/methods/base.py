@@ -52,7 +52,7 @@ class Problem:
     @cached_property
     def source_numbers(self) -> IntArray:
         """Unique node numbers of the sources, ascending."""
-        return np.flatnonzero(self.boundary.known)
+        return np.flatnonzero(self.boundary.known).astype(np.int64)
 
     @cached_property
     def source_flat(self) -> IntArray:
@@ -100,7 +100,7 @@ def _nodal_area(points: FloatArray, quads: IntArray) -> FloatArray:
     else:
         size = 0.5 * np.linalg.norm(np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1]), axis=1)
     share = np.repeat(size / quads.shape[1], quads.shape[1])
-    return np.bincount(quads.ravel(), share, minlength=len(points))
+    return np.bincount(quads.ravel(), share, minlength=len(points)).astype(np.float64)
 
 
 def _rings(quads: IntArray) -> tuple[IntArray, IntArray]:
@@ -133,7 +133,10 @@ class Account:
 class PreparedMethod(Protocol):
     """A method that knows the undeformed grid."""
 
-    account: Account
+    @property
+    def account(self) -> Account:
+        """Parameters as used, with reasons, and warnings."""
+        ...
 
     def apply(self, displacement: FloatArray, progress: Progress | None = None) -> FloatArray:
         """Displacement (n_nodes, 3) of all block nodes from that of the sources (n_sources, 3)."""

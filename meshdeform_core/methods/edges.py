@@ -147,7 +147,8 @@ class _Graph:
                     links.append((int(index[one]), two, 1 / segment.length))
         # The pseudo-inverse leaves vertices that are tied to nothing known where they are.
         table = np.array(links).reshape(-1, 3)
-        return cls(np.linalg.pinv(system), table[:, 0].astype(np.int64), table[:, 1].astype(np.int64), table[:, 2])
+        inverse = np.asarray(np.linalg.pinv(system), dtype=np.float64)
+        return cls(inverse, table[:, 0].astype(np.int64), table[:, 1].astype(np.int64), table[:, 2])
 
     def solve(self, d: FloatArray) -> FloatArray:
         pull = np.zeros((len(self.inverse), 3))

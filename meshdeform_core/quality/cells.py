@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from ..grid import FloatArray, Grid, Shape
+from ..grid import FloatArray, Grid
 from ..numerics.cells import measure_hexahedra, measure_quads
 from ..numerics.parallel import for_chunks, thread_count
 
@@ -29,20 +30,22 @@ class CellMeasures:
 
 def measure_block(x: FloatArray, sign: float, plane_normal: FloatArray | None) -> CellMeasures:
     """Measures of one block ``x`` (ni, nj, nk, 3) of handedness ``sign``; in 2-D with the normal of the plane."""
-    cells: Shape = tuple(max(n - 1, 1) for n in x.shape[:3])  # type: ignore[assignment]
-    measures = CellMeasures(*(np.empty(cells) for _ in range(4)), np.empty(cells, dtype=np.uint8))  # type: ignore[misc]
+    ni, nj, nk = (max(n - 1, 1) for n in x.shape[:3])
+    skew, scaled, jacobian, volume = (np.empty((ni, nj, nk)) for _ in range(4))
+    measures = CellMeasures(skew, scaled, jacobian, volume, np.empty((ni, nj, nk), dtype=np.uint8))
+    arrays = list(vars(measures).values())
     if plane_normal is None:
-        _measure(measure_hexahedra, x, sign, cells[0], list(vars(measures).values()))
+        _measure(measure_hexahedra, x, sign, ni, arrays)
         return measures
     flat = x.shape.index(1)
     # The positive normal of (i, j) and (j, k) index planes follows their order, that of (i, k) is opposite.
     normal = sign * (-1.0 if flat == 1 else 1.0) * _positive(plane_normal)
     plane = np.ascontiguousarray(x.squeeze(axis=flat))
-    _measure(measure_quads, plane, normal, plane.shape[0] - 1, [m.squeeze(axis=flat) for m in vars(measures).values()])
+    _measure(measure_quads, plane, normal, plane.shape[0] - 1, [a.squeeze(axis=flat) for a in arrays])
     return measures
 
 
-def _measure(kernel, x, sign, rows: int, arrays: list[np.ndarray]) -> None:  # type: ignore[no-untyped-def]
+def _measure(kernel: Callable[..., None], x: FloatArray, sign: Any, rows: int, arrays: list[np.ndarray]) -> None:
     def work(lo: int, hi: int) -> None:
         kernel(x, sign, lo, hi, *(a[lo:hi] for a in arrays))
 

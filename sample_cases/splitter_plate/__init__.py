@@ -4,6 +4,11 @@ import numpy as np
 
 from meshdeform_core.grid import Grid
 
+from ..patches import with_patches
+
+DEFAULT_SIZE = 8
+SIZE_HELP = "cells per unit length, a multiple of 8 (paper: 16)"
+
 # (name, x range, y range) of the ten blocks; the plate and cylinder interfaces are parts of faces.
 _BLOCKS = (
     ("upstream-top", (-3.5, -0.5), (0.5, 6.5)),
@@ -19,7 +24,7 @@ _BLOCKS = (
 )
 
 
-def generate(size: int = 8) -> Grid:
+def generate(size: int = DEFAULT_SIZE) -> Grid:
     """The undeformed grid with ``size`` cells per unit length (a multiple of 8; the paper has 16) and size/2 in z."""
     if size < 8 or size % 8:
         raise ValueError(f"size = {size} cells per unit; expected a multiple of 8 (the plate is a quarter thick)")
@@ -30,4 +35,12 @@ def generate(size: int = 8) -> Grid:
 
     z = nodes((0.0, 0.5))
     blocks = [np.stack(np.meshgrid(nodes(x), nodes(y), z, indexing="ij"), axis=-1) for _, x, y in _BLOCKS]
-    return Grid.from_blocks(blocks, [name for name, _, _ in _BLOCKS])
+    grid = Grid.from_blocks(blocks, [name for name, _, _ in _BLOCKS])
+    return with_patches(
+        grid,
+        [
+            ("span", "BCSymmetryPlane", lambda x, side: np.full(len(x), side.axis == 2)),
+            ("body", "BCWall", lambda x, side: (np.abs(x[:, 1]) < 0.55) & (x[:, 0] > -0.55) & (x[:, 0] < 5.55)),
+            ("outer", "BCFarfield", lambda x, side: np.full(len(x), True)),
+        ],
+    )

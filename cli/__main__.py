@@ -1,0 +1,5 @@
+"""``python -m meshdeform_cli``."""
+
+from .main import main
+
+main()

@@ -1,0 +1,44 @@
+"""``meshdeform convert``: from any readable to any writable format."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from .options import PATH, boundary_file_option, check_output, force_option, parse_variant, quiet_option, variant_option
+
+
+@click.command("convert")
+@click.argument("source", metavar="IN", type=PATH)
+@click.argument("target", metavar="OUT", type=PATH)
+@boundary_file_option
+@variant_option
+@force_option
+@quiet_option
+def command(
+    source: Path, target: Path, boundary_file: Path | None, variant: tuple[str, ...], force: bool, quiet: bool
+) -> int:
+    """Convert the grid IN to the format that the suffix of OUT stands for.
+
+    \b
+    Examples:
+      meshdeform convert wing.cgns wing.vtm
+      meshdeform convert grid.xyz grid.p3dfmt
+      meshdeform convert grid.xyz big.xyz --variant byte_order=big --variant precision=float32
+      meshdeform convert airfoil.p3dfmt airfoil.cgns --boundary-file airfoil.nmf
+    """
+    from meshdeform_formats.grids import format_of, write_grid
+
+    format_of(target)
+    options = parse_variant(variant)
+    check_output(target, force, source, boundary_file)
+    from meshdeform_formats.grids import complete_for_export, read_grid_with_boundaries
+
+    grid = complete_for_export(read_grid_with_boundaries(source, boundary_file), target)
+    written = write_grid(grid, target, options)
+    for note in grid.notes:
+        click.echo(f"meshdeform: note: {note}", err=True)
+    if not quiet:
+        click.echo(f"{target}: {written.label}, {grid.n_blocks} blocks, {grid.n_nodes:,} nodes")
+    return 0

@@ -1,0 +1,108 @@
+"""``meshdeform deform``: the main job."""
+
+from __future__ import annotations
+
+import time as clock
+from pathlib import Path
+
+import click
+
+from meshdeform_core.errors import CaseError
+
+from .main import EXIT_INVALID
+from .options import (
+    PATH,
+    boundary_file_option,
+    case_options,
+    check_output,
+    force_option,
+    grid_argument,
+    memory_option,
+    parse_memory,
+    parse_variant,
+    quiet_option,
+    threads_option,
+    variant_option,
+    verbose_option,
+)  # fmt: skip
+from .progress import ProgressBar
+
+
+@click.command("deform")
+@grid_argument
+@click.option("-o", "--output", type=PATH, help="Deformed grid; the suffix chooses the format.")
+@case_options
+@click.option("--steps", default="1", metavar="N|auto", help="Impose the motion in N steps, or as many as needed.")
+@click.option("--time", "at_time", default=0.0, metavar="T", help="Evaluate the motion at this time.")
+@click.option("--report", "reports", type=PATH, multiple=True, help="Report, .json .txt or .html (repeatable).")
+@boundary_file_option
+@threads_option
+@memory_option
+@variant_option
+@click.option("--dry-run", is_flag=True, help="Show what would be done; write nothing.")
+@force_option
+@click.option("--allow-invalid", is_flag=True, help="Exit 0 even if cells became invalid.")
+@quiet_option
+@verbose_option
+def command(
+    grid: Path, output: Path | None, case_file: Path | None, displacement: Path | None, method: str | None,
+    overrides: tuple[str, ...], steps: str, at_time: float, reports: tuple[Path, ...], boundary_file: Path | None,
+    threads: int | None, max_memory: str | None, variant: tuple[str, ...], dry_run: bool, force: bool,
+    allow_invalid: bool, quiet: bool, verbose: bool,
+) -> int:  # fmt: skip
+    """Deform GRID, judge the result and write it.
+
+    \b
+    Examples:
+      meshdeform deform wing.cgns -c wing.toml -o bent.cgns
+      meshdeform deform grid.xyz -d displacement.csv -o deformed.xyz -m idw-tfi --report report.json
+      meshdeform deform grid.cgns -c case.toml --steps auto -s method.idw.alpha=0.3 -o deformed.cgns
+      meshdeform deform grid.cgns -c case.toml --dry-run
+
+    Nodes on the outside that no boundary entry selects stay fixed. The deformed grid is written even when cells became
+    invalid (exit code 3); the report lists them.
+    """
+    start = clock.perf_counter()
+    if output is None and not dry_run:
+        raise click.UsageError("Missing option '-o' / '--output' (or --dry-run).")
+    if case_file is None and displacement is None and not overrides:
+        raise click.UsageError("Nothing to do: give a case file (-c) or a displacement table (-d).")
+    _check_targets(output, reports, force, dry_run, grid, case_file, displacement)
+
+    from . import work
+
+    work.use_threads(threads)
+    job = work.load(grid, case_file, overrides, method, displacement, boundary_file, parse_memory(max_memory))
+    if dry_run:
+        click.echo(work.describe(job, at_time), nl=False)
+        return 0
+    assert output is not None
+    with ProgressBar(not quiet) as progress:
+        report = work.run(job, output, parse_steps(steps), at_time, parse_variant(variant), progress, start)
+    for path in reports:
+        work.write_report(report, path)
+    work.tell(report, quiet, verbose)
+    return 0 if report["valid"] or allow_invalid else EXIT_INVALID
+
+
+def _check_targets(
+    output: Path | None, reports: tuple[Path, ...], force: bool, dry_run: bool, *inputs: Path | None
+) -> None:
+    from meshdeform_formats.grids import format_of
+    from meshdeform_formats.report import check_report_path
+
+    if output is not None and not dry_run:
+        format_of(output)
+        check_output(output, force, *inputs)
+    for path in reports:
+        check_report_path(path)
+        check_output(path, force, output, *inputs)
+
+
+def parse_steps(text: str) -> int | str:
+    """``auto`` or a positive whole number."""
+    if text == "auto":
+        return text
+    if not text.isascii() or not text.isdigit() or int(text) == 0:
+        raise CaseError(f'--steps {text!r}: expected a whole number >= 1 or "auto"')
+    return int(text)

@@ -1,0 +1,136 @@
+"""``meshdeform info``: what is in a grid file."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from .options import boundary_file_option, grid_argument, json_option
+
+
+@click.command("info")
+@grid_argument
+@boundary_file_option
+@json_option
+def command(grid: Path, boundary_file: Path | None, as_json: bool) -> int:
+    """Show what GRID holds: format variant, blocks, patches, interfaces, handedness, collapsed edges.
+
+    \b
+    Examples:
+      meshdeform info wing.cgns
+      meshdeform info airfoil.p3dfmt --boundary-file airfoil.nmf
+      meshdeform info grid.vts --json
+    """
+    facts = gather(grid, boundary_file)
+    click.echo(json.dumps(facts, indent=2) if as_json else _text(facts))
+    return 0
+
+
+def gather(path: Path, boundary_file: Path | None) -> dict[str, Any]:
+    """Everything ``info`` prints, as one dictionary; node indices are 1-based."""
+    from meshdeform_core.connectivity import check_connections
+    from meshdeform_core.interfaces import find_interfaces
+    from meshdeform_core.topology import find_topology
+    from meshdeform_formats.grids import read_grid_with_boundaries
+
+    grid = read_grid_with_boundaries(path, boundary_file)
+    topology = find_topology(grid)
+    sides = [f"{name}.{side}" for name in grid.names for side in ("imin", "imax", "jmin", "jmax", "kmin", "kmax")]
+    external = np.bincount(topology.quads.block_side[topology.external], minlength=len(sides))
+    connections = find_interfaces(grid, topology)
+    low, high = grid.points.min(axis=0), grid.points.max(axis=0)
+    return {
+        "file": str(path),
+        "format": grid.format.label if grid.format else None,
+        "dimension": grid.dimension,
+        "nodes": grid.n_nodes,
+        "unique_nodes": grid.n_nodes - len(topology.face_nodes) + topology.n_unique,
+        "cells": grid.n_cells,
+        "bounding_box": [low.tolist(), high.tolist()],
+        "shortest_face_edge": float(topology.edge.min()),
+        "blocks": [
+            {"name": n, "nodes": list(s), "handedness": "right" if h > 0 else "left"}
+            for n, s, h in zip(grid.names, grid.shapes, topology.handedness, strict=True)
+        ],
+        "patches": [
+            {
+                "name": p.name, "family": p.family, "type": p.bc_type,
+                "windows": [
+                    {"face": sides[6 * w.block + w.side], "first": [n + 1 for n in w.low], "last": [n + 1 for n in w.high]}
+                    for w in p.windows
+                ],
+            }
+            for p in grid.patches
+        ],
+        "interfaces": [
+            {
+                "blocks": [grid.names[c.block], grid.names[c.donor_block]], "name": c.name,
+                "first": [n + 1 for n in c.begin], "last": [n + 1 for n in c.end],
+                "donor_first": [n + 1 for n in c.donor_begin], "donor_last": [n + 1 for n in c.donor_end],
+                "transform": list(c.transform),
+            }
+            for c in connections
+        ],
+        "declared_connections": len(grid.connections),
+        "external_faces": {sides[s]: int(external[s]) for s in np.flatnonzero(external)},
+        "collapsed": _collapsed(topology, sides),
+        "fields": sorted({f"{f.name} ({f.location})" for f in grid.fields}),
+        "notes": [*grid.notes, *check_connections(grid, topology)],
+    }  # fmt: skip
+
+
+def _collapsed(topology: Any, sides: list[str]) -> list[dict[str, Any]]:
+    """Block faces with quads that lost an edge (triangles) or their area (lines, points)."""
+    corners = np.sort(topology.quads.corners, axis=1)
+    distinct = 1 + np.count_nonzero(np.diff(corners, axis=1), axis=1)
+    found = []
+    for what, mask in (
+        ("no area", topology.partner == -2),
+        ("a collapsed edge", (distinct == corners.shape[1] - 1) & (topology.partner != -2)),
+    ):
+        count = np.bincount(topology.quads.block_side[mask], minlength=len(sides))
+        found += [{"face": sides[s], "what": what, "quads": int(count[s])} for s in np.flatnonzero(count)]
+    return found
+
+
+def _text(facts: dict[str, Any]) -> str:
+    box = "  ".join(f"{a:.6g}..{b:.6g}" for a, b in zip(*facts["bounding_box"], strict=True))
+    lines = [
+        f"{facts['file']}: {facts['format']}",
+        f"{facts['dimension']}-D, {len(facts['blocks'])} blocks, {facts['nodes']:,} nodes "
+        f"({facts['unique_nodes']:,} unique), {facts['cells']:,} cells",
+        f"extent {box}, shortest edge on a block face {facts['shortest_face_edge']:.3g}",
+        "",
+        "blocks",
+    ]
+    width = max(len(b["name"]) for b in facts["blocks"])
+    for block in facts["blocks"]:
+        size = " x ".join(str(n) for n in block["nodes"])
+        lines.append(f"  {block['name']:{width}s}  {size:18s} {block['handedness']}-handed")
+    lines += ["", f"patches ({len(facts['patches'])})"]
+    for patch in facts["patches"]:
+        where = ", ".join(f"{w['face']}[{_window(w)}]" for w in patch["windows"])
+        kind = ", ".join(word for word in (patch["family"], patch["type"]) if word)
+        lines.append(f"  {patch['name']}  ({kind or 'no type'})  {where}")
+    lines += [
+        "",
+        f"interfaces ({len(facts['interfaces'])} found, {facts['declared_connections']} declared in the file)",
+    ]
+    for face in facts["interfaces"]:
+        lines.append(f"  {face['name']}  {face['first']}..{face['last']}  transform {face['transform']}")
+    lines += ["", "faces on the outside (quads)"]
+    lines += [f"  {face}: {count:,}" for face, count in facts["external_faces"].items()]
+    for entry in facts["collapsed"]:
+        lines.append(f"collapsed  {entry['face']}: {entry['quads']:,} quads with {entry['what']}")
+    if facts["fields"]:
+        lines.append(f"fields     {', '.join(facts['fields'])}")
+    lines += [f"note       {note}" for note in facts["notes"]]
+    return "\n".join(lines)
+
+
+def _window(window: dict[str, Any]) -> str:
+    return ",".join(f"{a}:{b}" for a, b in zip(window["first"], window["last"], strict=True))

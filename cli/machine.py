@@ -1,0 +1,31 @@
+"""What this machine has and what this process took of it."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+from meshdeform_core.memory import MemoryLimit
+
+
+def machine_memory() -> MemoryLimit:
+    """Memory that can be taken without swapping, as far as the system tells."""
+    try:
+        for line in Path("/proc/meminfo").read_text(encoding="ascii").splitlines():
+            if line.startswith("MemAvailable:"):
+                return MemoryLimit(int(line.split()[1]) * 1024, "the machine has")
+        size = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (OSError, ValueError, AttributeError):
+        size = 2**62
+    return MemoryLimit(size, "the machine has")
+
+
+def peak_memory() -> int:
+    """Largest resident size of this process so far, bytes; 0 where the system does not tell."""
+    try:
+        import resource
+    except ImportError:
+        return 0
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else peak * 1024

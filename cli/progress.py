@@ -1,0 +1,51 @@
+"""A progress bar on a terminal, for whatever takes longer than a second."""
+
+from __future__ import annotations
+
+import sys
+import time
+from types import TracebackType
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rich.progress import Progress as Bar
+
+_PATIENCE = 1.0
+
+
+class ProgressBar:
+    """Callback for the core's progress; shows nothing unless stderr is a terminal and a stage takes its time."""
+
+    def __init__(self, enabled: bool = True):
+        self._enabled = enabled and sys.stderr.isatty()
+        self._started: dict[str, float] = {}
+        self._bar: Bar | None = None
+        self._tasks: dict[str, int] = {}
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        if not self._enabled:
+            return
+        start = self._started.setdefault(stage, time.perf_counter())
+        if self._bar is None and time.perf_counter() - start < _PATIENCE:
+            return
+        bar = self._bar or self._open()
+        if stage not in self._tasks:
+            self._tasks[stage] = bar.add_task(stage, total=total)
+        bar.update(self._tasks[stage], completed=done, total=total)  # type: ignore[arg-type]
+
+    def _open(self) -> Bar:
+        from rich.console import Console
+        from rich.progress import Progress as Bar
+
+        self._bar = Bar(console=Console(stderr=True), transient=True)
+        self._bar.start()
+        return self._bar
+
+    def __enter__(self) -> ProgressBar:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._bar is not None:
+            self._bar.stop()

@@ -1,0 +1,100 @@
+"""What the deforming commands do once their options are known."""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import click
+
+from meshdeform_core.deform import Timing, impose, set_up
+from meshdeform_core.grid import Grid
+from meshdeform_core.memory import MemoryLimit
+from meshdeform_core.methods import make_method
+from meshdeform_core.numerics.parallel import set_threads
+from meshdeform_formats.case import CaseFile, read_case
+from meshdeform_formats.grids import read_grid_with_boundaries, variant_of, write_grid
+from meshdeform_formats.report import Report, deformation_report, plan_report, write_report
+from meshdeform_formats.report_text import as_text
+
+from .machine import peak_memory
+from .progress import ProgressBar
+
+__all__ = ["Job", "describe", "load", "run", "tell", "use_threads", "write_report"]
+
+
+@dataclass(frozen=True)
+class Job:
+    """A grid that was read and the case to apply to it."""
+
+    grid: Grid
+    case: CaseFile
+    read_seconds: float
+    memory: MemoryLimit
+
+
+def use_threads(count: int | None) -> None:
+    """Honour ``--threads``."""
+    set_threads(count)
+
+
+def load(
+    path: Path, case_file: Path | None, overrides: Iterable[str], method: str | None, table: Path | None,
+    boundary_file: Path | None, memory: MemoryLimit,
+) -> Job:  # fmt: skip
+    """Read the case first (it is small and most often wrong), then the grid with its boundary information."""
+    case = read_case(case_file, overrides, method, table)
+    make_method(case.case.method)
+    start = clock.perf_counter()
+    grid = read_grid_with_boundaries(path, boundary_file or case.boundary_file)
+    # Coordinates before and after, displacement, arc lengths, quality: measured peaks stay below this.
+    memory.require(8 * grid.points.nbytes, f"deforming {grid.n_nodes:,} nodes", "use a machine with more memory")
+    return Job(grid, case, clock.perf_counter() - start, memory)
+
+
+def describe(job: Job, time: float) -> str:
+    """What would be done: classification, parameters, node counts."""
+    setup = set_up(job.grid, job.case.case)
+    prepared = make_method(job.case.case.method).prepare(setup.problem)
+    displacement = setup.displacement(time)
+    largest = float((displacement**2).sum(axis=1).max() ** 0.5)
+    return as_text(plan_report(setup, prepared.account, {"max_displacement": largest})) + "dry run   nothing written\n"
+
+
+def run(
+    job: Job, output: Path, steps: int | str, time: float, variant: dict[str, str], progress: ProgressBar, start: float
+) -> Report:
+    """Deform, write, report. ``start`` is when the command began (``perf_counter``)."""
+    precision = variant_of(job.grid, output, variant).precision
+    timing = Timing()
+    result = impose(set_up(job.grid, job.case.case, timing), time, steps, precision, timing, progress)
+    before = clock.perf_counter()
+    write_grid(result.grid, output, variant)
+    now = clock.perf_counter()
+    seconds = {"read": job.read_seconds, "write": now - before, "total": now - start}
+    return deformation_report(result, seconds, peak_memory())
+
+
+def tell(report: Report, quiet: bool, verbose: bool) -> None:
+    """The report on stdout, what must not be missed on stderr."""
+    if not quiet:
+        click.echo(as_text(report), nl=False)
+    if not report["valid"]:
+        click.echo(f"meshdeform: {_verdict(report)}", err=True)
+    if verbose:
+        for stage, seconds in report["timing"].items():
+            click.echo(f"meshdeform: {stage} {seconds:.3f} s", err=True)
+
+
+def _verdict(report: dict[str, Any]) -> str:
+    count = report["quality"]["after"]["invalid_cells"]
+    if report["reached"] < 1.0:
+        return f"the motion was imposed to {report['reached']:.1%} only; the grid written is the one reached"
+    first = report["invalid_cells"][0]
+    return (
+        f"{count} cells became invalid, first {first['block']} {tuple(first['ijk'])} near {first['nearest_patch']!r}; "
+        f"try --steps auto, or another method (see `meshdeform methods`)"
+    )

@@ -1,0 +1,275 @@
+"""Case files: TOML tables checked key by key and turned into the core's records.
+
+A case is data: formulas go through :mod:`meshdeform_core.expression`, and every key that is not known is an error.
+"""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+from meshdeform_core.boundary import BoundarySpec, Kind
+from meshdeform_core.deform import Case
+from meshdeform_core.errors import CaseError, MethodError
+from meshdeform_core.expression import Expression, expression
+from meshdeform_core.methods import IDW, TFI, Options
+from meshdeform_core.motion import VARIABLES, Displace, Follow, Motion, Rotate, Step
+from meshdeform_core.topology import RELATIVE_TOLERANCE
+from meshdeform_core.transfer import Matching
+
+from .displacement import read_displacement
+
+Table = dict[str, Any]
+_KINDS = {kind.label: kind for kind in Kind if kind is not Kind.INTERFACE}
+_STEPS = {
+    "rotate": ("rotate",),
+    "translate": ("translate",),
+    "displace": ("displace",),
+    "file": ("file", "match", "tolerance"),
+}
+
+
+@dataclass(frozen=True)
+class CaseFile:
+    """A case and what the case file says about reading the grid.
+
+    ``boundary_file`` is a neutral map file with the grid's boundary information, or ``None``.
+    """
+
+    case: Case
+    boundary_file: Path | None = None
+
+
+def read_case(
+    path: str | Path | None, overrides: Iterable[str] = (), method: str | None = None, table: str | Path | None = None
+) -> CaseFile:
+    """Read a case file and apply what the command line adds.
+
+    Parameters
+    ----------
+    path : TOML file, or ``None`` for an empty case
+    overrides : ``KEY=VALUE`` strings; KEY is a dotted path, entries of ``boundary`` go by name or 1-based number
+    method : replaces ``method.name``
+    table : displacement table; the boundary nodes that it matches move, all others stay
+
+    Raises
+    ------
+    CaseError
+        Naming the file, the key and the nearest known one.
+    """
+    path = Path(path) if path else None
+    data = _load(path)
+    for text in overrides:
+        _override(data, text)
+    if method:
+        _table(data, "method")["name"] = method
+    try:
+        # File names in a case are relative to the case file.
+        parsed = _parse(data, path.parent if path else Path())
+    except (CaseError, MethodError) as error:
+        raise type(error)(f"{path or 'command line'}: {error}") from error
+    if table:
+        follow = Follow(read_displacement(Path(table)), Matching(partial=True))
+        spec = BoundarySpec(Path(table).name, ("*",), Kind.MOVING, None, Motion((follow,), parsed.case.constants))
+        parsed = replace(parsed, case=replace(parsed.case, boundaries=(*parsed.case.boundaries, spec)))
+    return parsed
+
+
+def _load(path: Path | None) -> Table:
+    if path is None:
+        return {}
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise CaseError(f"cannot read the case file {path}: {error.strerror or error}") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise CaseError(f"{path} is not a TOML file: {error}") from error
+
+
+def _fail(where: str, message: str) -> CaseError:
+    return CaseError(f"{where}: {message}")
+
+
+def _override(data: Table, text: str) -> None:
+    key, equals, value = text.partition("=")
+    if not equals or not key.strip():
+        raise CaseError(f"--set {text!r}: expected KEY=VALUE, like method.idw.alpha=0.3")
+    try:
+        parsed = tomllib.loads(f"value = {value}")["value"]
+    except tomllib.TOMLDecodeError:
+        parsed = value.strip()
+    *path, last = key.strip().split(".")
+    target: Any = data
+    for name in path:
+        target = target.setdefault(name, {}) if isinstance(target, dict) else _entry(target, name, text)
+        if not isinstance(target, (dict, list)):
+            raise CaseError(f"--set {text!r}: {name!r} is a value, not a table")
+    if isinstance(target, list):
+        raise CaseError(f'--set {text!r}: name the entry and its key, like boundary.wing.kind="fixed"')
+    target[last] = parsed
+
+
+def _entry(entries: list[Any], name: str, text: str) -> Any:
+    for number, entry in enumerate(entries, 1):
+        if isinstance(entry, dict) and (entry.get("name") == name or str(number) == name):
+            return entry
+    known = [str(e.get("name", n)) for n, e in enumerate(entries, 1) if isinstance(e, dict)]
+    raise CaseError(f"--set {text!r}: no boundary entry {name!r}; known are {', '.join(known)}")
+
+
+def _parse(data: Table, folder: Path) -> CaseFile:
+    _check_keys(data, ("grid", "constants", "boundary", "method"), "case")
+    grid = _table(data, "grid")
+    _check_keys(grid, ("boundary_file", "tolerance"), "[grid]")
+    constants = _constants(_table(data, "constants"))
+    entries = data.get("boundary", [])
+    if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
+        raise _fail("boundary", "expected [[boundary]] entries (double brackets)")
+    specs = tuple(_boundary(entry, number, constants, folder) for number, entry in enumerate(entries, 1))
+    names = [spec.name for spec in specs]
+    if len(set(names)) < len(names):
+        raise _fail("boundary", f"names must differ, found {names}")
+    tolerance = _number(grid.get("tolerance", RELATIVE_TOLERANCE), "grid.tolerance")
+    if not 0 < tolerance < 0.5:
+        raise _fail("grid.tolerance", f"{tolerance} of the local edge; expected a fraction between 0 and 0.5")
+    case = Case(specs, constants, _options(_table(data, "method")), tolerance)
+    name = grid.get("boundary_file")
+    if name is not None and not isinstance(name, str):
+        raise _fail("grid.boundary_file", f"expected a file name, found {name!r}")
+    return CaseFile(case, folder / name if name else None)
+
+
+def _constants(table: Table) -> dict[str, float]:
+    constants = {name: _number(value, f"constants.{name}") for name, value in table.items()}
+    for name in constants:
+        if name in VARIABLES or name == "pi":
+            raise _fail(f"constants.{name}", f"{name} already has a meaning in formulas; choose another name")
+        if not name.isidentifier():
+            raise _fail(f"constants.{name}", "a constant's name has letters, digits and _ only")
+    return constants
+
+
+def _boundary(entry: Table, number: int, constants: Mapping[str, float], folder: Path) -> BoundarySpec:
+    name = entry.get("name", f"boundary {number}")
+    where = f"boundary {name!r}"
+    _check_keys(entry, ("name", "select", "where", "kind", "motion"), where)
+    kind = entry.get("kind", "moving" if "motion" in entry else None)
+    if not isinstance(name, str) or kind not in _KINDS:
+        raise _fail(where, f"kind = {kind!r}; expected one of {', '.join(_KINDS)}{_nearest(kind, _KINDS)}")
+    select = entry.get("select", ["*"])
+    select = [select] if isinstance(select, str) else select
+    if not isinstance(select, list) or not select or not all(isinstance(item, str) for item in select):
+        raise _fail(where, f'select = {select!r}; expected a list of names, like ["wing", "block2.jmin"]')
+    steps = entry.get("motion", [])
+    if (kind == "moving") != bool(steps):
+        missing = "moves but has no motion" if kind == "moving" else f"is {kind} but has a motion"
+        raise _fail(where, f'{missing}; expected motion = [...] for kind = "moving" and only there')
+    condition = _formula(entry["where"], (*constants, "x", "y", "z"), f"{where}: where") if "where" in entry else None
+    motion = _motion(steps, constants, where, folder) if steps else None
+    return BoundarySpec(name, tuple(select), _KINDS[kind], condition, motion)
+
+
+def _motion(steps: Any, constants: Mapping[str, float], where: str, folder: Path) -> Motion:
+    if isinstance(steps, dict):
+        steps = [steps]
+    if not isinstance(steps, list) or not all(isinstance(step, dict) for step in steps):
+        raise _fail(where, "motion: expected a list of tables, like [{ translate = [0, 0.1, 0] }]")
+    known = (*constants, *VARIABLES)
+    return Motion(tuple(_step(step, n, known, where, folder) for n, step in enumerate(steps, 1)), dict(constants))
+
+
+def _step(step: Table, number: int, known: tuple[str, ...], where: str, folder: Path) -> Step:
+    where = f"{where}, motion step {number}"
+    kinds = [name for name in _STEPS if name in step]
+    if len(kinds) != 1:
+        raise _fail(where, f"found {sorted(step)}; expected exactly one of {', '.join(_STEPS)}{_guess(step)}")
+    _check_keys(step, _STEPS[kinds[0]], where)
+    value = step[kinds[0]]
+    if kinds[0] == "file":
+        if not isinstance(value, str):
+            raise _fail(where, f"file = {value!r}; expected a file name")
+        tolerance = step.get("tolerance")
+        limit = None if tolerance is None else _number(tolerance, f"{where}: tolerance")
+        return Follow(read_displacement(folder / value), Matching(step.get("match", "nearest"), limit))
+    if kinds[0] == "rotate":
+        return _rotation(value, known, where)
+    x, y, z = (_formula(part, known, where) for part in _three(value, f"{where}: {kinds[0]}"))
+    return Displace((x, y, z))
+
+
+def _rotation(value: Any, known: tuple[str, ...], where: str) -> Rotate:
+    if not isinstance(value, dict):
+        raise _fail(where, f"rotate = {value!r}; expected {{ angle = degrees, axis = [..], center = [..] }}")
+    _check_keys(value, ("angle", "axis", "center"), f"{where}, rotate")
+    if "angle" not in value:
+        raise _fail(where, "rotate has no angle; expected degrees, or a formula of t")
+    axis = [_number(a, f"{where}: axis") for a in _three(value.get("axis", [0, 0, 1]), f"{where}: axis")]
+    if not any(axis):
+        raise _fail(where, "axis = [0, 0, 0] has no direction")
+    center = [_formula(c, known, where) for c in _three(value.get("center", [0, 0, 0]), f"{where}: center")]
+    return Rotate(
+        _formula(value["angle"], known, where), (axis[0], axis[1], axis[2]), (center[0], center[1], center[2])
+    )
+
+
+def _options(table: Table) -> Options:
+    _check_keys(table, [f.name for f in fields(Options)], "[method]")
+    name = table.get("name", Options().name)
+    if not isinstance(name, str):
+        raise _fail("method.name", f"expected a name, found {name!r}")
+    parts = {part: _build(kind, _table(table, part, "method."), f"[method.{part}]")
+             for part, kind in (("idw", IDW), ("tfi", TFI))}  # fmt: skip
+    return Options(name=name, **parts)
+
+
+def _build(kind: type, table: Table, where: str) -> Any:
+    """A dataclass of options from its table: the fields are the keys."""
+    _check_keys(table, [f.name for f in fields(kind)], where)
+    return kind(**table)
+
+
+def _table(data: Table, key: str, prefix: str = "") -> Table:
+    value = data.get(key, {})
+    if not isinstance(value, dict):
+        raise _fail(f"{prefix}{key}", f"expected a table [{prefix}{key}], found {value!r}")
+    return value
+
+
+def _check_keys(table: Table, known: Iterable[str], where: str) -> None:
+    known = list(known)
+    for key in table:
+        if key not in known:
+            hint = _nearest(key, known) or f"; known are {', '.join(known)}"
+            raise _fail(where, f"unknown key {key!r}{hint}")
+
+
+def _nearest(word: Any, known: Iterable[str]) -> str:
+    close = difflib.get_close_matches(str(word), list(known), 1)
+    return f"; did you mean {close[0]!r}?" if close else ""
+
+
+def _guess(step: Table) -> str:
+    return next((hint for key in step if (hint := _nearest(key, _STEPS))), "")
+
+
+def _three(value: Any, where: str) -> list[Any]:
+    if not isinstance(value, list) or len(value) != 3:
+        raise _fail(where, f"expected three values, found {value!r}")
+    return value
+
+
+def _number(value: Any, where: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) < float("inf"):
+        raise _fail(where, f"expected a finite number, found {value!r}")
+    return float(value)
+
+
+def _formula(value: Any, known: Iterable[str], where: str) -> Expression:
+    try:
+        return expression(value, known)
+    except CaseError as error:
+        raise _fail(where, str(error)) from None
