@@ -6,20 +6,26 @@ from pathlib import Path
 
 import click
 
-from .options import PATH, boundary_file_option, check_output, force_option, parse_variant, quiet_option, variant_option
+from .options import (
+    PATH,
+    GridInput,
+    check_output,
+    force_option,
+    grid_options,
+    parse_pairs,
+    quiet_option,
+    variant_option,
+)  # fmt: skip
 
 
 @click.command("convert")
-@click.argument("source", metavar="IN", type=PATH)
+@grid_options
 @click.argument("target", metavar="OUT", type=PATH)
-@boundary_file_option
 @variant_option
 @force_option
 @quiet_option
-def command(
-    source: Path, target: Path, boundary_file: Path | None, variant: tuple[str, ...], force: bool, quiet: bool
-) -> int:
-    """Convert the grid IN to the format that the suffix of OUT stands for.
+def command(source: GridInput, target: Path, variant: tuple[str, ...], force: bool, quiet: bool) -> int:
+    """Convert GRID to the format that the suffix of OUT stands for.
 
     \b
     Examples:
@@ -28,14 +34,12 @@ def command(
       meshdeform convert grid.xyz big.xyz --variant byte_order=big --variant precision=float32
       meshdeform convert airfoil.p3dfmt airfoil.cgns --boundary-file airfoil.nmf
     """
-    from meshdeform_formats.grids import format_of, write_grid
+    from meshdeform_formats.grids import complete_for_export, format_of, write_grid
 
     format_of(target)
-    options = parse_variant(variant)
-    check_output(target, force, source, boundary_file)
-    from meshdeform_formats.grids import complete_for_export, read_grid_with_boundaries
-
-    grid = complete_for_export(read_grid_with_boundaries(source, boundary_file), target)
+    options = parse_pairs(variant, "--variant")
+    check_output(target, force, *source.files)
+    grid = complete_for_export(source.read(), target)
     written = write_grid(grid, target, options)
     for note in grid.notes:
         click.echo(f"meshdeform: note: {note}", err=True)

@@ -12,15 +12,18 @@ from meshdeform_core.errors import CaseError
 from .main import EXIT_INVALID
 from .options import (
     PATH,
-    boundary_file_option,
+    CaseInput,
+    GridInput,
     case_options,
     check_output,
+    check_reports,
     force_option,
-    grid_argument,
+    grid_options,
     memory_option,
     parse_memory,
-    parse_variant,
+    parse_pairs,
     quiet_option,
+    report_option,
     threads_option,
     variant_option,
     verbose_option,
@@ -29,13 +32,12 @@ from .progress import ProgressBar
 
 
 @click.command("deform")
-@grid_argument
+@grid_options
 @click.option("-o", "--output", type=PATH, help="Deformed grid; the suffix chooses the format.")
 @case_options
 @click.option("--steps", default="1", metavar="N|auto", help="Impose the motion in N steps, or as many as needed.")
 @click.option("--time", "at_time", default=0.0, metavar="T", help="Evaluate the motion at this time.")
-@click.option("--report", "reports", type=PATH, multiple=True, help="Report, .json .txt or .html (repeatable).")
-@boundary_file_option
+@report_option
 @threads_option
 @memory_option
 @variant_option
@@ -45,8 +47,7 @@ from .progress import ProgressBar
 @quiet_option
 @verbose_option
 def command(
-    grid: Path, output: Path | None, case_file: Path | None, displacement: Path | None, method: str | None,
-    overrides: tuple[str, ...], steps: str, at_time: float, reports: tuple[Path, ...], boundary_file: Path | None,
+    source: GridInput, output: Path | None, case: CaseInput, steps: str, at_time: float, reports: tuple[Path, ...],
     threads: int | None, max_memory: str | None, variant: tuple[str, ...], dry_run: bool, force: bool,
     allow_invalid: bool, quiet: bool, verbose: bool,
 ) -> int:  # fmt: skip
@@ -65,38 +66,33 @@ def command(
     start = clock.perf_counter()
     if output is None and not dry_run:
         raise click.UsageError("Missing option '-o' / '--output' (or --dry-run).")
-    if case_file is None and displacement is None and not overrides:
+    if case.empty:
         raise click.UsageError("Nothing to do: give a case file (-c) or a displacement table (-d).")
-    _check_targets(output, reports, force, dry_run, grid, case_file, displacement)
+    if not dry_run and output is not None:
+        _check_target(output, force, *source.files, *case.files)
+    check_reports(reports, force, output, *source.files, *case.files)
 
     from . import work
 
     work.use_threads(threads)
-    job = work.load(grid, case_file, overrides, method, displacement, boundary_file, parse_memory(max_memory))
-    if dry_run:
+    job = work.load(source, case, parse_memory(max_memory))
+    if dry_run or output is None:
         click.echo(work.describe(job, at_time), nl=False)
         return 0
-    assert output is not None
+    options = parse_pairs(variant, "--variant")
     with ProgressBar(not quiet) as progress:
-        report = work.run(job, output, parse_steps(steps), at_time, parse_variant(variant), progress, start)
+        report = work.run(job, output, parse_steps(steps), at_time, options, progress, start)
     for path in reports:
         work.write_report(report, path)
     work.tell(report, quiet, verbose)
     return 0 if report["valid"] or allow_invalid else EXIT_INVALID
 
 
-def _check_targets(
-    output: Path | None, reports: tuple[Path, ...], force: bool, dry_run: bool, *inputs: Path | None
-) -> None:
+def _check_target(output: Path, force: bool, *inputs: Path | None) -> None:
     from meshdeform_formats.grids import format_of
-    from meshdeform_formats.report import check_report_path
 
-    if output is not None and not dry_run:
-        format_of(output)
-        check_output(output, force, *inputs)
-    for path in reports:
-        check_report_path(path)
-        check_output(path, force, output, *inputs)
+    format_of(output)
+    check_output(output, force, *inputs)
 
 
 def parse_steps(text: str) -> int | str:

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
 
-from .options import boundary_file_option, grid_argument, json_option
+from .options import GridInput, grid_options, json_option
 
 
 @click.command("info")
-@grid_argument
-@boundary_file_option
+@grid_options
 @json_option
-def command(grid: Path, boundary_file: Path | None, as_json: bool) -> int:
+def command(source: GridInput, as_json: bool) -> int:
     """Show what GRID holds: format variant, blocks, patches, interfaces, handedness, collapsed edges.
 
     \b
@@ -25,26 +23,25 @@ def command(grid: Path, boundary_file: Path | None, as_json: bool) -> int:
       meshdeform info airfoil.p3dfmt --boundary-file airfoil.nmf
       meshdeform info grid.vts --json
     """
-    facts = gather(grid, boundary_file)
+    facts = gather(source)
     click.echo(json.dumps(facts, indent=2) if as_json else _text(facts))
     return 0
 
 
-def gather(path: Path, boundary_file: Path | None) -> dict[str, Any]:
+def gather(source: GridInput) -> dict[str, Any]:
     """Everything ``info`` prints, as one dictionary; node indices are 1-based."""
     from meshdeform_core.connectivity import check_connections
     from meshdeform_core.interfaces import find_interfaces
     from meshdeform_core.topology import find_topology
-    from meshdeform_formats.grids import read_grid_with_boundaries
 
-    grid = read_grid_with_boundaries(path, boundary_file)
+    grid = source.read()
     topology = find_topology(grid)
     sides = [f"{name}.{side}" for name in grid.names for side in ("imin", "imax", "jmin", "jmax", "kmin", "kmax")]
     external = np.bincount(topology.quads.block_side[topology.external], minlength=len(sides))
     connections = find_interfaces(grid, topology)
     low, high = grid.points.min(axis=0), grid.points.max(axis=0)
     return {
-        "file": str(path),
+        "file": str(source.path),
         "format": grid.format.label if grid.format else None,
         "dimension": grid.dimension,
         "nodes": grid.n_nodes,
@@ -60,7 +57,11 @@ def gather(path: Path, boundary_file: Path | None) -> dict[str, Any]:
             {
                 "name": p.name, "family": p.family, "type": p.bc_type,
                 "windows": [
-                    {"face": sides[6 * w.block + w.side], "first": [n + 1 for n in w.low], "last": [n + 1 for n in w.high]}
+                    {
+                        "face": sides[6 * w.block + w.side],
+                        "first": [n + 1 for n in w.low],
+                        "last": [n + 1 for n in w.high],
+                    }
                     for w in p.windows
                 ],
             }

@@ -1,11 +1,13 @@
-"""Options that several commands share, and the checks that need no grid."""
+"""Options that several commands share, packed into one record each, and the checks that need no grid."""
 
 from __future__ import annotations
 
+import functools
 import re
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -14,10 +16,13 @@ from meshdeform_core.memory import MemoryLimit
 
 from .machine import machine_memory
 
-F = TypeVar("F", bound=Callable[..., Any])
+if TYPE_CHECKING:
+    from meshdeform_core.grid import Grid
+    from meshdeform_formats.case import CaseFile
+
+Command = Callable[..., Any]
 
 PATH = click.Path(path_type=Path)
-grid_argument = click.argument("grid", type=PATH)
 force_option = click.option("--force", is_flag=True, help="Overwrite an existing output (never the input).")
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 quiet_option = click.option("-q", "--quiet", is_flag=True, help="Print errors only.")
@@ -25,34 +30,110 @@ verbose_option = click.option("-v", "--verbose", is_flag=True, help="Tell more: 
 threads_option = click.option("--threads", type=click.IntRange(min=1), help="Use at most so many threads.")
 memory_option = click.option("--max-memory", metavar="SIZE", help="Refuse what needs more, like 2GiB.")
 variant_option = click.option(
-    "--variant", "variant", metavar="KEY=VALUE", multiple=True,
+    "--variant", metavar="KEY=VALUE", multiple=True,
     help="How to write the output. plot3d: encoding=ascii|binary|fortran byte_order=little|big "
-    "precision=float32|float64 markers=4|8 multiblock=true|false iblank=true|false dimension=2|3; "
-    "vtk: encoding=ascii|binary|appended compression=none|zlib|lz4|lzma; cgns: precision (repeatable).",
+    "precision=float32|float64 markers=4|8 records=block|array|plane multiblock=true|false iblank=true|false "
+    "dimension=2|3; vtk: encoding=ascii|binary|appended compression=none|zlib|lz4|lzma; cgns: precision (repeatable).",
 )  # fmt: skip
-boundary_file_option = click.option("--boundary-file", type=PATH, help="Neutral map file (.nmf) with the boundaries.")
+report_option = click.option(
+    "--report", "reports", type=PATH, multiple=True, help="Report; the suffix picks .json .txt or .html (repeatable)."
+)
 
 
-def case_options(command: F) -> F:
-    """Options that say what to do with a grid."""
-    for option in (
-        click.option("-s", "--set", "overrides", metavar="KEY=VALUE", multiple=True,
-                     help="Override a key of the case, like method.idw.alpha=0.3 (repeatable)."),
-        click.option("-m", "--method", metavar="NAME", help="tfi, idw, rbf or a hybrid like idw-tfi (the default)."),
-        click.option("-d", "--displacement", type=PATH, help="Surface displacement table."),
-        click.option("-c", "--case", "case_file", type=PATH, help="Case file (TOML)."),
-    ):  # fmt: skip
-        command = option(command)
-    return command
+@dataclass(frozen=True)
+class GridInput:
+    """A grid file with what helps to read it."""
+
+    path: Path
+    boundary_file: Path | None
+    read_as: tuple[str, ...]
+
+    def read(self, boundary_file: Path | None = None) -> Grid:
+        """The grid; ``boundary_file`` is the case's own, for when the command line names none."""
+        from meshdeform_formats.grids import read_grid_with_boundaries
+
+        options = parse_pairs(self.read_as, "--read-as")
+        return read_grid_with_boundaries(self.path, self.boundary_file or boundary_file, options)
+
+    @property
+    def files(self) -> tuple[Path | None, ...]:
+        """Files that no output may overwrite."""
+        return self.path, self.boundary_file
 
 
-def parse_variant(pairs: tuple[str, ...]) -> dict[str, str]:
+@dataclass(frozen=True)
+class CaseInput:
+    """What to do with a grid, as the command line says it."""
+
+    file: Path | None
+    displacement: Path | None
+    method: str | None
+    overrides: tuple[str, ...]
+
+    def read(self) -> CaseFile:
+        """The case file with everything that the command line adds."""
+        from meshdeform_formats.case import read_case
+
+        return read_case(self.file, self.overrides, self.method, self.displacement)
+
+    @property
+    def empty(self) -> bool:
+        return self.file is None and self.displacement is None and not self.overrides
+
+    @property
+    def files(self) -> tuple[Path | None, ...]:
+        """Files that no output may overwrite."""
+        return self.file, self.displacement
+
+
+def grid_options(command: Command) -> Command:
+    """Argument GRID and its options, handed over as ``source``."""
+
+    @click.argument("grid", type=PATH)
+    @click.option("--boundary-file", type=PATH, help="Neutral map file (.nmf) with the boundaries.")
+    @click.option(
+        "--read-as",
+        metavar="KEY=VALUE",
+        multiple=True,
+        help="How to read a Plot3D file that has several readings; keys as for --variant (repeatable).",
+    )
+    @functools.wraps(command)
+    def packed(grid: Path, boundary_file: Path | None, read_as: tuple[str, ...], **rest: Any) -> Any:
+        return command(source=GridInput(grid, boundary_file, read_as), **rest)
+
+    return packed  # fmt: skip
+
+
+def case_options(command: Command) -> Command:
+    """Options that say what to do with a grid, handed over as ``case``."""
+
+    @click.option("-c", "--case", "case_file", type=PATH, help="Case file (TOML).")
+    @click.option("-d", "--displacement", type=PATH, help="Surface displacement table.")
+    @click.option("-m", "--method", metavar="NAME", help="tfi, idw, rbf or a hybrid like idw-tfi (the default).")
+    @click.option(
+        "-s",
+        "--set",
+        "overrides",
+        metavar="KEY=VALUE",
+        multiple=True,
+        help="Override a key of the case, like method.idw.alpha=0.3 (repeatable).",
+    )
+    @functools.wraps(command)
+    def packed(
+        case_file: Path | None, displacement: Path | None, method: str | None, overrides: tuple[str, ...], **rest: Any
+    ) -> Any:
+        return command(case=CaseInput(case_file, displacement, method, overrides), **rest)
+
+    return packed  # fmt: skip
+
+
+def parse_pairs(pairs: tuple[str, ...], option: str) -> dict[str, str]:
     """``("encoding=ascii", ...)`` as a dictionary."""
     options = {}
     for pair in pairs:
         key, equals, value = pair.partition("=")
         if not equals:
-            raise FormatError(f"--variant {pair!r}: expected KEY=VALUE, like encoding=ascii")
+            raise FormatError(f"{option} {pair!r}: expected KEY=VALUE, like encoding=ascii")
         options[key.strip()] = value.strip()
     return options
 
@@ -63,7 +144,7 @@ def parse_memory(text: str | None) -> MemoryLimit:
         return machine_memory()
     match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([kmgt]?)(i?)b?\s*", text.lower())
     if not match or float(match[1]) == 0:
-        raise CaseError(f"--max-memory {text!r}: expected a size like 2GiB, 500MB or 1e9 bytes written out")
+        raise CaseError(f"--max-memory {text!r}: expected a size like 2GiB, 500MB or 1000000 (bytes)")
     base = 1024 if match[3] else 1000
     size = int(float(match[1]) * base ** ("", "k", "m", "g", "t").index(match[2]))
     return MemoryLimit(size, "--max-memory allows")
@@ -84,3 +165,12 @@ def check_output(path: Path, force: bool, *inputs: Path | None) -> None:
         raise FormatError(f"{path} exists; use --force to overwrite it")
     if not path.parent.is_dir():
         raise FormatError(f"cannot write {path}: the folder {path.parent} does not exist; create it first")
+
+
+def check_reports(reports: tuple[Path, ...], force: bool, *inputs: Path | None) -> None:
+    """The same for reports, whose suffix must be known."""
+    from meshdeform_formats.report import check_report_path
+
+    for path in reports:
+        check_report_path(path)
+        check_output(path, force, *inputs)

@@ -9,11 +9,11 @@ import click
 
 from meshdeform_core.errors import CaseError
 
-from .options import PATH, boundary_file_option, check_output, force_option, grid_argument
+from .options import PATH, GridInput, check_output, force_option, grid_options
 
 
 @click.command("plot")
-@grid_argument
+@grid_options
 @click.option("-o", "--output", type=PATH, required=True, help="Picture, .png .svg or .pdf.")
 @click.option(
     "--metric", type=click.Choice(["f_skew", "scaled_jacobian", "volume"]), default="f_skew", show_default=True
@@ -30,11 +30,10 @@ from .options import PATH, boundary_file_option, check_output, force_option, gri
 @click.option("--zoom", metavar="L,R,B,T", help="Window: left, right, bottom, top.")
 @click.option("--title", default=None, help="Default: the file's name.")
 @click.option("--lines/--no-lines", default=True, show_default=True, help="Draw grid lines.")
-@boundary_file_option
 @force_option
 def command(
-    grid: Path, output: Path, metric: str, plane: str | None, select: tuple[str, ...], view: str, zoom: str | None,
-    title: str | None, lines: bool, boundary_file: Path | None, force: bool,
+    source: GridInput, output: Path, metric: str, plane: str | None, select: tuple[str, ...], view: str,
+    zoom: str | None, title: str | None, lines: bool, force: bool,
 ) -> int:  # fmt: skip
     """Draw a plane or a surface of GRID, coloured by a quality metric.
 
@@ -45,21 +44,20 @@ def command(
       meshdeform plot airfoil.p2dfmt -o nose.pdf --zoom=-0.1,0.3,-0.2,0.2
     """
     from meshdeform_core.topology import find_topology
-    from meshdeform_formats.grids import read_grid_with_boundaries
     from meshdeform_formats.picture import check_picture_path, plane_facets, save_picture, surface_facets
 
     if plane and select:
         raise CaseError("--plane and --select exclude each other; give one of them")
     check_picture_path(output)
-    check_output(output, force, grid, boundary_file)
+    check_output(output, force, *source.files)
     axis, index = parse_plane(plane)
     window = parse_zoom(zoom)
-    data = read_grid_with_boundaries(grid, boundary_file)
+    data = source.read()
     topology = find_topology(data)
     facets = (
         surface_facets(data, topology, select, metric) if select else plane_facets(data, topology, axis, index, metric)
     )
-    save_picture(facets, output, metric=metric, view=view, title=title or grid.name, zoom=window, lines=lines)
+    save_picture(facets, output, metric=metric, view=view, title=title or source.path.name, zoom=window, lines=lines)
     return 0
 
 

@@ -8,7 +8,7 @@ import click
 
 from meshdeform_core.errors import CaseError
 
-from .options import PATH, check_output, force_option, parse_variant, variant_option
+from .options import PATH, check_output, force_option, parse_pairs, variant_option
 
 
 @click.command("sample")
@@ -55,7 +55,7 @@ def command(
         grid = module.generate(module.DEFAULT_SIZE if size is None else size)
     except ValueError as error:
         raise CaseError(f"sample {name}: {error}") from error
-    write_grid(grid, target, parse_variant(variant))
+    write_grid(grid, target, parse_pairs(variant, "--variant"))
     for path, text in texts.items():
         path.write_text(text, encoding="utf-8")
     click.echo(f"{target}: {grid.n_blocks} blocks, {grid.n_nodes:,} nodes; case in {output / 'case.toml'}")

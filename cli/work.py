@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,12 +14,13 @@ from meshdeform_core.grid import Grid
 from meshdeform_core.memory import MemoryLimit
 from meshdeform_core.methods import make_method
 from meshdeform_core.numerics.parallel import set_threads
-from meshdeform_formats.case import CaseFile, read_case
-from meshdeform_formats.grids import read_grid_with_boundaries, variant_of, write_grid
+from meshdeform_formats.case import CaseFile
+from meshdeform_formats.grids import variant_of, write_grid
 from meshdeform_formats.report import Report, deformation_report, plan_report, write_report
 from meshdeform_formats.report_text import as_text
 
 from .machine import peak_memory
+from .options import CaseInput, GridInput
 from .progress import ProgressBar
 
 __all__ = ["Job", "describe", "load", "run", "tell", "use_threads", "write_report"]
@@ -41,18 +41,15 @@ def use_threads(count: int | None) -> None:
     set_threads(count)
 
 
-def load(
-    path: Path, case_file: Path | None, overrides: Iterable[str], method: str | None, table: Path | None,
-    boundary_file: Path | None, memory: MemoryLimit,
-) -> Job:  # fmt: skip
+def load(source: GridInput, case: CaseInput, memory: MemoryLimit) -> Job:
     """Read the case first (it is small and most often wrong), then the grid with its boundary information."""
-    case = read_case(case_file, overrides, method, table)
-    make_method(case.case.method)
+    what = case.read()
+    make_method(what.case.method)
     start = clock.perf_counter()
-    grid = read_grid_with_boundaries(path, boundary_file or case.boundary_file)
+    grid = source.read(what.boundary_file)
     # Coordinates before and after, displacement, arc lengths, quality: measured peaks stay below this.
     memory.require(8 * grid.points.nbytes, f"deforming {grid.n_nodes:,} nodes", "use a machine with more memory")
-    return Job(grid, case, clock.perf_counter() - start, memory)
+    return Job(grid, what, clock.perf_counter() - start, memory)
 
 
 def describe(job: Job, time: float) -> str:

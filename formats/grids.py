@@ -77,8 +77,10 @@ _FOREIGN: tuple[tuple[bytes, str], ...] = (
 )
 
 
-def read_grid(path: str | Path) -> Grid:
+def read_grid(path: str | Path, options: Mapping[str, Any] | None = None) -> Grid:
     """Read a block-structured grid; the format is recognised by the file's content, never by its name.
+
+    ``options`` (a Plot3D variant's switches) settle what a file's content leaves open.
 
     Raises
     ------
@@ -88,15 +90,19 @@ def read_grid(path: str | Path) -> Grid:
         When it holds coordinates that are not finite.
     """
     path = Path(path)
-    head = _head(path)
-    grid: Grid = FORMATS[_recognise(head, path)].load().read(path)
+    name = _recognise(_head(path), path)
+    if options and name != "plot3d":
+        raise FormatError(f"{path} is a {name} file, whose variant is in the file; expected no {', '.join(options)}")
+    grid: Grid = FORMATS[name].load().read(path, **(options or {}))
     _require_finite(grid, path)
     return grid
 
 
-def read_grid_with_boundaries(path: Path, boundary_file: Path | None) -> Grid:
+def read_grid_with_boundaries(
+    path: Path, boundary_file: Path | None, options: Mapping[str, Any] | None = None
+) -> Grid:
     """Read a grid; a neutral map file replaces what the grid file says of boundaries."""
-    grid = read_grid(path)
+    grid = read_grid(path, options)
     if boundary_file is None:
         return grid
     from .neutral_map import read_neutral_map
@@ -106,7 +112,8 @@ def read_grid_with_boundaries(path: Path, boundary_file: Path | None) -> Grid:
 
 def complete_for_export(grid: Grid, path: Path) -> Grid:
     """Add the interfaces that the coordinates show when the target can hold them and the source declared none."""
-    if format_of(path) != "cgns" or grid.connections:
+    own = grid.format is not None and grid.format.name == "cgns"
+    if format_of(path) != "cgns" or grid.connections or own:
         return grid
     from meshdeform_core.interfaces import find_interfaces
     from meshdeform_core.topology import find_topology

@@ -11,12 +11,13 @@ import numpy as np
 from .errors import CaseError
 from .expression import Expression
 from .grid import Grid, IntArray, Side
-from .motion import Motion, Nodes, PreparedMotion
+from .motion import Motion, PreparedMotion
 from .periodic import Periodic, find_periodicity
 from .planes import Plane
 from .selection import quads_of_patch, select_quads
 from .slip import Slip, find_sliding
 from .topology import Topology
+from .transfer import Nodes
 
 UNSELECTED = "(not selected)"
 
@@ -122,11 +123,12 @@ def classify(
     movers: list[tuple[IntArray, PreparedMotion]] = []
     for index, spec in enumerate(specs):
         if spec.motion is not None:
-            nodes = np.unique(topology.quads.corners[selected[index]])
-            prepared = spec.motion.prepare(_nodes(grid, topology, nodes))
-            movers.append((nodes[prepared.moved], prepared))
+            nodes = _nodes(grid, topology, selected[index])
+            prepared = spec.motion.prepare(nodes)
+            moved = nodes.numbers[prepared.moved]
+            movers.append((moved, prepared))
             if not prepared.moved.all():
-                selected[index] = _fully_within(topology, selected[index], nodes[prepared.moved])
+                selected[index] = _fully_within(topology, selected[index], moved)
         quads = selected[index]
         quad_kind[quads] = np.maximum(quad_kind[quads], spec.kind)
     defaults, more = _unselected(grid, topology, quad_kind, [s.name for s in specs])
@@ -167,9 +169,19 @@ def _select(grid: Grid, topology: Topology, spec: BoundarySpec, constants: Mappi
     return quads
 
 
-def _nodes(grid: Grid, topology: Topology, numbers: IntArray) -> Nodes:
-    flat = topology.first[numbers]
-    return Nodes(grid.points[flat], flat, topology.edge[numbers], grid)
+def _nodes(grid: Grid, topology: Topology, quads: IntArray) -> Nodes:
+    """The nodes of face quads, with the shortest face edge at each."""
+    corners = topology.quads.corners[quads]
+    points = grid.points[topology.first]
+    edge = np.full(topology.n_unique, np.inf)
+    for one in range(corners.shape[1]):
+        a, b = corners[:, one], corners[:, (one + 1) % corners.shape[1]]
+        length = np.linalg.norm(points[a] - points[b], axis=1)
+        length[a == b] = np.inf
+        np.minimum.at(edge, a, length)
+        np.minimum.at(edge, b, length)
+    numbers = np.unique(corners)
+    return Nodes(points[numbers], numbers, edge[numbers], grid, topology)
 
 
 def _fully_within(topology: Topology, quads: IntArray, nodes: IntArray) -> IntArray:

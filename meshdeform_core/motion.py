@@ -15,28 +15,10 @@ import numpy as np
 
 from .errors import MotionError
 from .expression import Expression
-from .grid import BoolArray, FloatArray, Grid, IntArray
-from .transfer import Matching, SurfaceData, Transfer, transfer
+from .grid import BoolArray, FloatArray, Grid
+from .transfer import Matching, Nodes, SurfaceData, Transfer, transfer
 
 VARIABLES = ("x", "y", "z", "t")
-
-
-@dataclass(frozen=True)
-class Nodes:
-    """The boundary nodes that a motion moves, undeformed.
-
-    Attributes
-    ----------
-    points : (n, 3), grid length unit
-    flat : (n,) flat node indices, for messages and for tables that are grids
-    edge : (n,) shortest edge at each node: the scale of matching tolerances
-    grid : the undeformed grid
-    """
-
-    points: FloatArray
-    flat: IntArray
-    edge: FloatArray
-    grid: Grid
 
 
 class Step(Protocol):
@@ -96,7 +78,7 @@ class Follow:
     matching: Matching
 
     def prepare(self, nodes: Nodes) -> PreparedStep:
-        return Imposed(transfer(self.data, self.matching, nodes.points, nodes.flat, nodes.edge, nodes.grid))
+        return Imposed(transfer(self.data, self.matching, nodes))
 
 
 @dataclass(frozen=True)
@@ -137,7 +119,7 @@ class PreparedMotion:
     @property
     def moved(self) -> BoolArray:
         """(n,) bool: nodes that the motion moves; all, unless its tables match a part of them only."""
-        moved = np.ones(len(self.nodes.flat), dtype=bool)
+        moved = np.ones(len(self.nodes.numbers), dtype=bool)
         for match in self.matches:
             moved &= match.matched
         return moved
@@ -165,7 +147,7 @@ class PreparedMotion:
             worst = int(np.argmax(bad))
             raise MotionError(
                 f"motion step {index + 1} gives the displacement {total[worst].tolist()} at node "
-                f"{self.nodes.grid.node_label(int(self.nodes.flat[worst]))} = {self.nodes.points[worst].tolist()}, "
+                f"{self.nodes.label(worst)} = {self.nodes.points[worst].tolist()}, "
                 f"t = {time:g} ({int(bad.sum())} of {len(bad)} nodes); expected finite numbers: check the formulas"
             )
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from .errors import CaseError, MotionError
 from .grid import BoolArray, FloatArray, Grid, IntArray, Side
-from .topology import RELATIVE_TOLERANCE, side_nodes
+from .topology import RELATIVE_TOLERANCE, Topology, side_nodes
 
 HOW = ("exact", "nearest", "interpolate")
 _NEIGHBOURS = 12
@@ -32,6 +32,29 @@ class SurfaceData:
 
 
 @dataclass(frozen=True)
+class Nodes:
+    """Undeformed boundary nodes that want a displacement.
+
+    Attributes
+    ----------
+    points : (n, 3), grid length unit
+    numbers : (n,) unique node numbers
+    edge : (n,) shortest edge of the boundary's faces at each node: the scale of matching tolerances
+    grid, topology : where they come from
+    """
+
+    points: FloatArray
+    numbers: IntArray
+    edge: FloatArray
+    grid: Grid
+    topology: Topology
+
+    def label(self, index: int) -> str:
+        """Readable place of one node."""
+        return self.grid.node_label(int(self.topology.first[self.numbers[index]]))
+
+
+@dataclass(frozen=True)
 class Matching:
     """How boundary nodes find their displacement in a table.
 
@@ -39,8 +62,8 @@ class Matching:
     ----------
     how : ``exact`` (the same points), ``nearest`` (the closest point's value) or ``interpolate`` (the closest point of
         the table's surface; without a surface a local linear fit)
-    tolerance : largest distance, grid length unit; ``None`` for 1e-3 of the node's shortest edge (exact), that edge
-        (nearest) or a tenth of the table's diagonal (interpolate)
+    tolerance : largest distance, grid length unit; ``None`` for 1e-3 of the shortest surface edge at the node (exact),
+        half of it (nearest) or a tenth of the table's diagonal (interpolate)
     partial : nodes without a match are allowed; they are not moved by the table
     """
 
@@ -75,10 +98,8 @@ class Transfer:
     used: tuple[int, int]
 
 
-def transfer(
-    data: SurfaceData | Grid, matching: Matching, points: FloatArray, flat: IntArray, edge: FloatArray, grid: Grid
-) -> Transfer:
-    """Displacement of the boundary nodes ``points`` (n, 3) with flat indices ``flat`` and shortest edges ``edge``.
+def transfer(data: SurfaceData | Grid, matching: Matching, nodes: Nodes) -> Transfer:
+    """Displacement of boundary nodes from a table, or from a grid with the deformed positions of the same nodes.
 
     Raises
     ------
@@ -86,22 +107,22 @@ def transfer(
         When no node matches, or some do not although ``matching.partial`` does not allow it.
     """
     if isinstance(data, Grid):
-        result = _from_deformed_grid(data, flat, grid)
+        result = _from_deformed_grid(data, nodes)
     elif matching.how == "interpolate":
-        result = _interpolate(data, matching, points)
+        result = _interpolate(data, matching, nodes.points)
     else:
-        result = _from_points(data, matching, points, edge)
-    _require_matches(result, matching, points, flat, grid, data)
+        result = _from_points(data, matching, nodes)
+    _require_matches(result, matching, nodes, data)
     return result
 
 
-def _from_points(data: SurfaceData, matching: Matching, points: FloatArray, edge: FloatArray) -> Transfer:
+def _from_points(data: SurfaceData, matching: Matching, nodes: Nodes) -> Transfer:
     from scipy.spatial import cKDTree
 
-    reach = edge * (RELATIVE_TOLERANCE if matching.how == "exact" else 1.0)
+    reach = nodes.edge * (RELATIVE_TOLERANCE if matching.how == "exact" else 0.5)
     if matching.tolerance is not None:
-        reach = np.full(len(points), matching.tolerance)
-    distance, nearest = cKDTree(data.points).query(points)
+        reach = np.full(len(nodes.points), matching.tolerance)
+    distance, nearest = cKDTree(data.points).query(nodes.points)
     matched = distance <= reach
     displacement = np.where(matched[:, None], data.displacement[nearest], 0.0)
     used = len(np.unique(nearest[matched])), len(data.points)
@@ -143,40 +164,43 @@ def _local_fit(data: SurfaceData, points: FloatArray) -> tuple[FloatArray, Float
     return displacement, distance[:, 0]
 
 
-def _from_deformed_grid(deformed: Grid, flat: IntArray, grid: Grid) -> Transfer:
+def _from_deformed_grid(deformed: Grid, nodes: Nodes) -> Transfer:
     label = deformed.path.name if deformed.path else "deformed grid"
-    if deformed.shapes == grid.shapes:
-        displacement = deformed.points[flat] - grid.points[flat]
-        matched = np.ones(len(flat), dtype=bool)
-        used = len(flat), deformed.n_nodes
+    if deformed.shapes == nodes.grid.shapes:
+        displacement = deformed.points[nodes.topology.first[nodes.numbers]] - nodes.points
+        matched = np.ones(len(displacement), dtype=bool)
     else:
-        displacement, matched = _from_surface_blocks(deformed, flat, grid)
-        used = int(matched.sum()), deformed.n_nodes
-    return Transfer(displacement, matched, np.zeros(len(flat)), label, "same nodes", used)
+        displacement, matched = _from_surface_blocks(deformed, nodes)
+    used = int(matched.sum()), deformed.n_nodes
+    return Transfer(displacement, matched, np.zeros(len(displacement)), label, "same nodes", used)
 
 
-def _from_surface_blocks(surface: Grid, flat: IntArray, grid: Grid) -> tuple[FloatArray, BoolArray]:
+def _from_surface_blocks(surface: Grid, nodes: Nodes) -> tuple[FloatArray, BoolArray]:
     """Each block of the surface grid is the block face of the same size that lies closest to it."""
-    moved = np.full((grid.n_nodes, 3), np.nan)
+    moved = np.full((nodes.topology.n_unique, 3), np.nan)
     taken: set[tuple[int, Side]] = set()
     for index, shape in enumerate(surface.shapes):
         new = surface.block(index).reshape([n for n in shape if n > 1] + [3])
-        nodes = _closest_face(new, surface.names[index], flat, grid, taken)
-        moved[nodes] = new
-    displacement = moved[flat] - grid.points[flat]
+        moved[_closest_face(new, surface.names[index], nodes, taken)] = new
+    displacement = moved[nodes.numbers] - nodes.points
     matched: BoolArray = np.asarray(np.isfinite(displacement).all(axis=1))
     return np.where(matched[:, None], displacement, 0.0), matched
 
 
-def _closest_face(new: FloatArray, name: str, flat: IntArray, grid: Grid, taken: set[tuple[int, Side]]) -> IntArray:
+def _closest_face(new: FloatArray, name: str, nodes: Nodes, taken: set[tuple[int, Side]]) -> IntArray:
+    """Unique node numbers of the selected block face that a deformed surface ``new`` (na, nb, 3) belongs to."""
+    grid, topology = nodes.grid, nodes.topology
     candidates = []
     for block in range(grid.n_blocks):
         for side in Side:
-            nodes = side_nodes(grid, block, side)
-            squeezed = nodes.reshape([n for n in nodes.shape if n > 1])
-            if squeezed.shape == new.shape[:-1] and (block, side) not in taken and np.isin(squeezed, flat).all():
-                gap = np.sqrt(np.mean((grid.points[squeezed] - new) ** 2))
-                candidates.append((float(gap), block, side, squeezed))
+            flat = side_nodes(grid, block, side)
+            flat = flat.reshape([n for n in flat.shape if n > 1])
+            if flat.shape != new.shape[:-1] or (block, side) in taken:
+                continue
+            numbers = topology.numbers_of(flat.ravel()).reshape(flat.shape)
+            if np.isin(numbers, nodes.numbers).all():
+                gap = np.sqrt(np.mean((grid.points[flat] - new) ** 2))
+                candidates.append((float(gap), block, side, numbers))
     candidates.sort(key=lambda entry: entry[:3])
     size = " x ".join(str(n) for n in new.shape[:-1])
     if not candidates:
@@ -190,23 +214,21 @@ def _closest_face(new: FloatArray, name: str, flat: IntArray, grid: Grid, taken:
             f"the deformed surface {name} ({size} nodes) could be any of the faces {faces}; "
             f"select one face per boundary entry, or give the displacement as a table"
         )
-    _, block, side, nodes = candidates[0]
+    _, block, side, numbers = candidates[0]
     taken.add((block, side))
-    return nodes
+    return numbers
 
 
-def _require_matches(
-    result: Transfer, matching: Matching, points: FloatArray, flat: IntArray, grid: Grid, data: SurfaceData | Grid
-) -> None:
+def _require_matches(result: Transfer, matching: Matching, nodes: Nodes, data: SurfaceData | Grid) -> None:
     missing = np.flatnonzero(~result.matched)
     if len(missing) == 0 or (matching.partial and result.matched.any()):
         return
     worst = missing[np.argmax(result.distance[missing])]
-    table = data.points
     raise MotionError(
-        f"{result.label}: {len(missing)} of {len(points)} selected nodes have no match ({result.how}); the farthest is "
-        f"{grid.node_label(int(flat[worst]))} = {points[worst].tolist()}, {result.distance[worst]:.3g} away. "
-        f"The table spans {_span(table)}, the nodes {_span(points)}{_unit_hint(table, points)}. "
+        f"{result.label}: {len(missing)} of {len(nodes.points)} selected nodes have no match ({result.how}); the "
+        f"farthest is {nodes.label(worst)} = {nodes.points[worst].tolist()}, {result.distance[worst]:.3g} away. "
+        f"The table spans {_span(data.points)}, the nodes {_span(nodes.points)}"
+        f"{_unit_hint(data.points, nodes.points)}. "
         f'Set a larger tolerance, match = "interpolate", or a selection that the table covers'
     )
 

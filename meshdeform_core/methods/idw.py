@@ -8,12 +8,13 @@ import numpy as np
 
 from ..boundary import Kind
 from ..errors import MethodError
-from ..grid import FloatArray, IntArray
+from ..grid import BoolArray, FloatArray, IntArray
 from ..numerics import rotation as rot
 from ..numerics.direct import weighted_sums
 from ..numerics.parallel import for_chunks
 from ..numerics.rigid import finish
 from ..planes import Plane
+from ..topology import RELATIVE_TOLERANCE
 from .base import Account, Problem, Progress, Setting
 
 ROTATIONS = ("none", "quaternion", "division", "blend", "lie")
@@ -65,6 +66,8 @@ class IDW:
             _positive(name, getattr(self, name), auto=True)
         for name in ("eta", "a", "b", "p_moving", "p_fixed", "divisions"):
             _positive(name, getattr(self, name), auto=False)
+        if int(self.divisions) != self.divisions:
+            raise MethodError(f"method.idw.divisions = {self.divisions}; expected a whole number")
         if self.remove_mean not in (True, False, "auto"):
             raise MethodError(f'method.idw.remove_mean = {self.remove_mean!r}; expected true, false or "auto"')
         if self.reweight and self.rotation != "division":
@@ -92,17 +95,16 @@ def _positive(name: str, value: object, auto: bool) -> None:
 class Fit:
     """A displacement as the sums need it.
 
-    ``values`` (k, n) and ``strength`` (2, n) per source; ``origin`` (3,) that translations refer to; ``mean`` (3,)
-    displacement taken out.
+    ``path`` source positions (n, 3) at the start of every step, relative to ``origin`` (3,): one step, unless the
+    weights are found anew on the way; ``values`` (k, n) and ``strength`` (2, n) per source; ``mean`` (3,) displacement
+    that was taken out.
     """
 
-    sources: FloatArray
+    path: tuple[FloatArray, ...]
     values: FloatArray
     strength: FloatArray
     origin: FloatArray
     mean: FloatArray
-    rotations: FloatArray
-    translations: FloatArray
 
 
 class PreparedIDW:
@@ -113,7 +115,7 @@ class PreparedIDW:
         self.account = Account()
         self._problem = problem
         self._images = _mirror_images(problem)
-        self.sources, self.area = self._images.points, self._images.area
+        self.area = self._images.area
         self.exponents = (options.a, options.b) if options.weights == "luke" else (options.p_moving, options.p_fixed)
         self.length = self._length()
         auto = options.remove_mean == "auto"
@@ -131,44 +133,42 @@ class PreparedIDW:
         settings["weights"] = Setting(o.weights)
         if o.weights == "luke":
             settings["alpha"] = Setting(o.alpha, "eq. 18 at each displacement" if o.alpha == "auto" else "")
-            reason = "eq. 17: farthest source from the centroid of all nodes" if o.length == "auto" else ""
-            settings["length"] = Setting(self.length, reason)
             settings["a"], settings["b"] = Setting(o.a), Setting(o.b)
         else:
             settings["p_moving"], settings["p_fixed"] = Setting(o.p_moving), Setting(o.p_fixed)
+        reason = "eq. 17: farthest source from the centroid of all nodes" if o.length == "auto" else ""
+        settings["length"] = Setting(self.length, reason)
         if o.rotation == "division":
             settings["divisions"], settings["reweight"] = Setting(o.divisions), Setting(o.reweight)
         reason = "a translation of the whole boundary is then reproduced exactly" if self.remove_mean else ""
         settings["remove_mean"] = Setting(self.remove_mean, reason if mean_is_auto else "")
-        if len(self.sources) > len(self._problem.source_points):
-            settings["mirrored_sources"] = Setting(len(self.sources), "images at symmetry planes take part")
+        if len(self.area) > len(self._problem.source_points):
+            settings["mirrored_sources"] = Setting(len(self.area), "images at symmetry planes take part")
 
     def fit(self, displacement: FloatArray) -> Fit:
         """Rigid motions of the sources for one displacement (n_sources, 3)."""
-        problem = self._problem
-        after = problem.source_points + displacement
-        surface = problem.surface
-        quaternions = (
-            np.tile([1.0, 0.0, 0.0, 0.0], (len(after), 1))
-            if self.options.rotation == "none"
-            else rot.surface_rotations(
-                problem.source_points, after, surface.corners, surface.edges, problem.plane_normal
-            )
-        )
-        d, q = self._images.extend(displacement, quaternions)
+        images = self._images
+        d = images.displaced(displacement)
+        q = np.tile([1.0, 0.0, 0.0, 0.0], (len(d), 1))
+        if self.options.rotation != "none":
+            normal = self._problem.plane_normal
+            q = rot.surface_rotations(images.points, images.points + d, images.corners, images.edges, normal)
         share = self.area / self.area.sum()
         mean = share @ d if self.remove_mean else np.zeros(3)
         strength = self._strength(d)
         # Frame-independent kinds are computed about the centroid: smaller numbers, less round-off.
-        origin = np.zeros(3) if self.options.rotation in ("quaternion", "division") else problem.centroid
-        values = _motion_values(self.options, self.sources - origin, d - mean, q)
-        return Fit(self.sources, values, strength, origin, mean, q, d)
+        origin = np.zeros(3) if self.options.rotation in ("quaternion", "division") else self._problem.centroid
+        start = images.points - origin
+        values = _motion_values(self.options, start, d - mean, q)
+        path = _division_path(start, values, self.options.divisions) if self.options.reweight else (start,)
+        return Fit(path, values, strength, origin, mean)
 
     def _strength(self, d: FloatArray) -> FloatArray:
         o = self.options
         if o.weights == "shepard":
             moving = self._images.moving
-            return np.stack([moving.astype(float), (~moving).astype(float)])
+            # (L_def / r)^p: two exponents compare lengths, so the length has to be the grid's own.
+            return np.stack([moving * self.length**o.p_moving, ~moving * self.length**o.p_fixed])
         alpha = self._alpha(d) if o.alpha == "auto" else float(o.alpha)
         # Weights matter up to a factor: L_def^a is divided out, which keeps the numbers near one.
         return np.stack([self.area, self.area * alpha**o.b * self.length ** (o.b - o.a)])
@@ -197,15 +197,17 @@ class DirectEvaluator:
     def evaluate(self, fit: Fit, out: FloatArray, progress: Progress | None) -> None:
         """Write the displacement of the targets into ``out``."""
         options = self.idw.options
-        steps = options.divisions if options.rotation == "division" else 1
+        repeats = options.divisions if options.rotation == "division" and not options.reweight else 1
 
         def work(lo: int, hi: int) -> None:
             flat = self.flat[lo:hi]
-            x = self.points[flat]
-            moved = np.empty_like(x)
-            sums = weighted_sums(x, fit.sources, fit.strength, self.idw.exponents, fit.values)
-            finish(options.rotation, sums, x - fit.origin, moved, steps)
-            out[flat] = moved + fit.mean
+            x = self.points[flat] - fit.origin
+            moved, total = np.empty_like(x), np.zeros_like(x)
+            for sources in fit.path:
+                sums = weighted_sums(x + total, sources, fit.strength, self.idw.exponents, fit.values)
+                finish(options.rotation, sums, x + total, moved, repeats)
+                total += moved
+            out[flat] = total + fit.mean
 
         report = None if progress is None else (lambda done, total: progress("idw", done, total))
         for_chunks(work, len(self.flat), _CHUNK, report)
@@ -229,6 +231,15 @@ def _motion_values(options: IDW, x: FloatArray, d: FloatArray, q: FloatArray) ->
     return np.concatenate([q.T, translation.T])
 
 
+def _division_path(start: FloatArray, values: FloatArray, m: int) -> tuple[FloatArray, ...]:
+    """Where the sources are at the start of each of ``m`` steps (eq. 26): each repeats its own rigid motion."""
+    part, translation = np.ascontiguousarray(values[:4].T), values[4:].T
+    path = [start]
+    for _ in range(m - 1):
+        path.append(rot.rotate(part, path[-1]) + translation)
+    return tuple(path)
+
+
 def _divided_translation(w: FloatArray, translation: FloatArray, m: int) -> FloatArray:
     """T_m = M^-1 T of eq. 27: one of ``m`` equal steps of a screw has the twist (w, v) / m."""
     v = rot.twist_velocity(w, translation)
@@ -237,49 +248,55 @@ def _divided_translation(w: FloatArray, translation: FloatArray, m: int) -> Floa
 
 @dataclass(frozen=True)
 class Images:
-    """Sources with their mirror images.
+    """Sources with their mirror images, as one surface that closes across symmetry planes.
 
-    ``owner`` (n,) is the source that each is an image of, ``reflection`` (n, 3, 3) the mirror that made it.
+    ``owner`` (n,) is the source that each is an image of, ``reflection`` (n, 3, 3) the mirror that made it;
+    ``corners`` and ``edges`` as in :class:`.base.Surface`, into the images.
     """
 
     points: FloatArray
     area: FloatArray
     owner: IntArray
     reflection: FloatArray
-    moving: np.ndarray
+    moving: BoolArray
+    corners: IntArray
+    edges: IntArray
 
-    def extend(self, displacement: FloatArray, quaternions: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Displacements and rotations of all images from those of the sources."""
-        d, q = displacement[self.owner], quaternions[self.owner]
-        if len(d) == len(displacement):
-            return d, q
-        d = np.einsum("nij,nj->ni", self.reflection, d)
-        # Mirrored rotations: axial vectors turn with the determinant of the mirror.
-        sign = np.linalg.det(self.reflection)[:, None]
-        q = np.concatenate([q[:, :1], sign * np.einsum("nij,nj->ni", self.reflection, q[:, 1:])], axis=1)
-        return d, q
+    def displaced(self, displacement: FloatArray) -> FloatArray:
+        """Displacements of all images from those of the sources."""
+        return np.einsum("nij,nj->ni", self.reflection, displacement[self.owner])
 
 
 def _mirror_images(problem: Problem) -> Images:
     n = len(problem.source_points)
-    moving = problem.boundary.kind[problem.source_numbers] == Kind.MOVING
-    images = Images(problem.source_points, problem.surface.area, np.arange(n), np.tile(np.eye(3), (n, 1, 1)), moving)
+    moving = np.asarray(problem.boundary.kind[problem.source_numbers] == Kind.MOVING)
+    reflection = np.tile(np.eye(3), (n, 1, 1))
+    surface = problem.surface
+    images = Images(
+        problem.source_points, surface.area, np.arange(n), reflection, moving, surface.corners, surface.edges
+    )
     for plane in problem.boundary.mirrors:
         images = _reflected(images, plane, problem)
     return images
 
 
 def _reflected(images: Images, plane: Plane, problem: Problem) -> Images:
+    """The images and their reflection; what lies on the plane is its own image, with both halves of its area."""
     height = (images.points - plane.point) @ plane.normal
     edge = problem.topology.edge[problem.source_numbers][images.owner]
-    on_plane = np.abs(height) <= 1e-3 * edge
-    area = np.where(on_plane, 2 * images.area, images.area)
+    on_plane = np.abs(height) <= RELATIVE_TOLERANCE * edge
     off = ~on_plane
+    area = np.where(on_plane, 2 * images.area, images.area)
     mirror = np.eye(3) - 2 * np.outer(plane.normal, plane.normal)
+    image_of = np.where(on_plane, np.arange(len(off)), len(off) + np.cumsum(off) - 1)
+    # A mirrored face runs the other way round: next and previous node change places.
+    order = [0, 2, 1] if images.corners.shape[1] == 3 else [1, 0]
     return Images(
         np.concatenate([images.points, images.points[off] - 2 * height[off, None] * plane.normal]),
         np.concatenate([area, area[off]]),
         np.concatenate([images.owner, images.owner[off]]),
         np.concatenate([images.reflection, mirror @ images.reflection[off]]),
         np.concatenate([images.moving, images.moving[off]]),
+        np.concatenate([images.corners, image_of[images.corners][:, order]]),
+        np.unique(np.concatenate([images.edges, image_of[images.edges]]), axis=0),
     )

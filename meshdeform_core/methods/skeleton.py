@@ -66,6 +66,8 @@ def _cuts(shape: Shape, max_cells: int) -> Cuts:
         if n == 1:
             return np.zeros(1, dtype=np.int64)
         parts = -(-(n - 1) // max_cells) if max_cells else 1
+        # The same planes seen from either end: an odd number of cells has no middle plane to cut at.
+        parts += (n - 1) % 2 == 1 and parts % 2 == 0
         return np.round(np.linspace(0, n - 1, parts + 1)).astype(np.int64)
 
     i, j, k = (along(n) for n in shape)

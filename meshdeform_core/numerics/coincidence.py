@@ -32,7 +32,7 @@ def coincident_groups(points, tolerance):
     ordered = points[order]
     copy_of = np.cumsum(np.r_[False, (ordered[1:] != ordered[:-1]).any(axis=1)])
     first = np.r_[0, np.flatnonzero(np.diff(copy_of)) + 1]
-    pairs = close_pairs(ordered[first], np.minimum.reduceat(tolerance[order], first))
+    pairs = close_pairs(ordered[first], np.maximum.reduceat(tolerance[order], first))
     exact = np.empty(len(points), dtype=np.int64)
     exact[order] = copy_of
     return _by_first_occurrence(_components(len(first), pairs)[exact])

@@ -1,0 +1,101 @@
+"""Write a grid that did not come from a CGNS file as a new one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshdeform_core.grid import Field, Grid
+
+from .cgns_export_boundary import boundary_nodes, family_names, family_nodes
+from .cgns_export_connectivity import connectivity_nodes
+from .cgns_hdf5 import hdf5_errors
+from .cgns_hdf5_write import write_hdf5
+from .cgns_names import unique_names
+from .cgns_tree import Node, make
+from .files import replacing
+
+# The version of the standard whose readers know everything written here.
+_LIBRARY_VERSION = 3.2
+_LOCATIONS = {"node": "Vertex", "cell": "CellCenter"}
+
+
+def write_new(grid: Grid, path: Path, precision: str) -> None:
+    """Write ``grid`` as a CGNS file with one base: zones, boundary conditions, families, connections, fields.
+
+    Names are cut to 32 characters and made unique. Fields (IBLANK, VTK arrays) become flow solutions at the nodes or
+    cells. A grid in the plane z = 0 gets two coordinates; patches on the plane itself have no place in a 2-D base.
+    """
+    with replacing(path) as partial, hdf5_errors(path, "write"):
+        write_hdf5(_tree(grid, precision), partial)
+
+
+def _tree(grid: Grid, precision: str) -> Node:
+    dimension = 2 if grid.dimension == 2 and not grid.points[:, 2].any() else 3
+    names = unique_names(grid.names, "Zone")
+    families = family_names(grid, names)
+    conditions, connectivity = boundary_nodes(grid, families), connectivity_nodes(grid, names)
+    zones = []
+    for block, name in enumerate(names):
+        children = [
+            make("ZoneType", "ZoneType_t", "Structured"),
+            _coordinates(grid, block, dimension, precision),
+            *_solutions(grid, block),
+            *conditions[block],
+            *connectivity[block],
+        ]
+        shape = np.array([n for n in grid.shapes[block] if n > 1], np.int32)
+        zones.append(make(name, "Zone_t", np.stack([shape, shape - 1, 0 * shape], axis=1), children))
+    sizes = np.array([grid.dimension, dimension], np.int32)
+    base = make("Base", "CGNSBase_t", sizes, [*zones, *family_nodes(grid, families)])
+    version = make("CGNSLibraryVersion", "CGNSLibraryVersion_t", np.array([_LIBRARY_VERSION], np.float32))
+    return make("", "", None, [version, base])
+
+
+def _coordinates(grid: Grid, block: int, dimension: int, precision: str) -> Node:
+    points = _without_plane(grid.block(block), grid, block)
+    arrays = [
+        make(name, "DataArray_t", points[..., axis], dtype=np.dtype(precision))
+        for axis, name in enumerate(("CoordinateX", "CoordinateY", "CoordinateZ")[:dimension])
+    ]
+    return make("GridCoordinates", "GridCoordinates_t", None, arrays)
+
+
+def _solutions(grid: Grid, block: int) -> list[Node]:
+    """One flow solution for the fields at the nodes and one for those at the cells."""
+    solutions = []
+    for location, word in _LOCATIONS.items():
+        fields = [
+            f for f in grid.fields if f.block == block and f.location == location and f.values.dtype.kind in "biuf"
+        ]
+        arrays = [array for field in fields for array in _components(field, grid, block)]
+        names = unique_names((name for name, _ in arrays), "Field", ["GridLocation"])
+        nodes = [make(name, "DataArray_t", values) for name, (_, values) in zip(names, arrays, strict=True)]
+        if nodes:
+            location_node = make("GridLocation", "GridLocation_t", word)
+            solutions.append(make(f"FlowSolution{word}", "FlowSolution_t", None, [location_node, *nodes]))
+    return solutions
+
+
+def _components(field: Field, grid: Grid, block: int) -> list[tuple[str, NDArray[Any]]]:
+    """Scalar arrays of a field in a type CGNS has; vectors are written as nameX, nameY, nameZ."""
+    values = _without_plane(field.values, grid, block)
+    if values.dtype.kind != "f":
+        values = values.astype(np.int64 if values.dtype.itemsize > 4 or values.dtype == np.uint32 else np.int32)
+    elif values.dtype not in (np.float32, np.float64):
+        values = values.astype(np.float64)
+    if values.ndim == grid.dimension:
+        return [(field.name, values)]
+    flat = values.reshape(*values.shape[: grid.dimension], -1)
+    count = flat.shape[-1]
+    suffixes = "XYZ"[:count] if count <= 3 else [str(i + 1) for i in range(count)]
+    return [(f"{field.name}{suffix}", flat[..., i]) for i, suffix in enumerate(suffixes)]
+
+
+def _without_plane(values: NDArray[Any], grid: Grid, block: int) -> NDArray[Any]:
+    """Block values without the index axis that has a single node, if there is one."""
+    shape = grid.shapes[block]
+    return values.squeeze(axis=shape.index(1)) if 1 in shape else values

@@ -1,0 +1,25 @@
+"""Remarks collected while reading: one line per kind, however many zones it concerns."""
+
+from __future__ import annotations
+
+_SHOWN = 4
+
+
+class Notes:
+    """Remarks for ``Grid.notes``; the same remark about several places becomes one line."""
+
+    def __init__(self) -> None:
+        self._places: dict[str, list[str]] = {}
+
+    def add(self, remark: str, place: str) -> None:
+        places = self._places.setdefault(remark, [])
+        if place not in places:
+            places.append(place)
+
+    def lines(self) -> tuple[str, ...]:
+        """One line per remark, e.g. ``rind planes are ...: zone 1, zone 2, and 7 more``."""
+        return tuple(
+            f"{remark}: {', '.join(places[:_SHOWN])}"
+            + (f" and {len(places) - _SHOWN} more" if len(places) > _SHOWN else "")
+            for remark, places in self._places.items()
+        )

@@ -1,0 +1,187 @@
+"""A CGNS file as a tree of nodes, the same for both containers (ADF and HDF5).
+
+Every node has a name, a label (what the standard calls it, ``Zone_t``), a data type (``R8``, ``MT`` for none), the
+dimensions of its data with the fastest index first, and children in file order. Children and data are read when they
+are first asked for. Source: CGNS SIDS File Mapping Manual.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshdeform_core.errors import FormatError
+
+NAME_LENGTH = 32
+# Real trees are about ten levels deep; a file that nests more is damaged or made to harm.
+MAXIMUM_DEPTH = 64
+
+# What the two-letter data types are in memory.
+DTYPES: dict[str, np.dtype[Any]] = {
+    "B1": np.dtype(np.uint8),
+    "C1": np.dtype(np.int8),
+    "I4": np.dtype(np.int32),
+    "I8": np.dtype(np.int64),
+    "U4": np.dtype(np.uint32),
+    "U8": np.dtype(np.uint64),
+    "R4": np.dtype(np.float32),
+    "R8": np.dtype(np.float64),
+    "X4": np.dtype(np.complex64),
+    "X8": np.dtype(np.complex128),
+}
+
+
+@dataclass(frozen=True)
+class Link:
+    """Where a link node points to: a node path in another file, or in its own file when ``file`` is empty."""
+
+    file: str
+    path: str
+
+    def __str__(self) -> str:
+        return f"{self.file}:{self.path}" if self.file else self.path
+
+
+def _no_data() -> NDArray[Any]:
+    return np.empty(0, np.uint8)
+
+
+def _nothing() -> None:
+    return None
+
+
+@dataclass(eq=False)
+class Node:
+    """One node. ``target`` is the node itself or, for a link, the node it leads to.
+
+    ``dtype`` is the type of the stored values (byte order included), ``None`` without data. ``read``, ``expand`` and
+    ``follow`` fetch the data, the children and the link's target from the container; ``require`` raises FormatError
+    when less is stored than ``dims`` announce, so that nothing is allocated for it.
+    """
+
+    name: str
+    file: Path
+    path: str
+    label: str = ""
+    data_type: str = "MT"
+    dims: tuple[int, ...] = ()
+    dtype: np.dtype[Any] | None = None
+    link: Link | None = None
+    read: Callable[[], NDArray[Any]] = _no_data
+    require: Callable[[], object] = _nothing
+    expand: Callable[[], Iterable[Node]] = tuple
+    follow: Callable[[], Node | None] = _nothing
+    _following: bool = False
+
+    @cached_property
+    def children(self) -> tuple[Node, ...]:
+        """Children in file order, links not followed."""
+        return tuple(self.expand())
+
+    @cached_property
+    def target(self) -> Node:
+        """The node that holds label, data and children; an empty node when a link leads nowhere or back to itself."""
+        if self.link is None:
+            return self
+        if self._following:
+            return self._empty()
+        self._following = True
+        found = self.follow()
+        return found.target if found else self._empty()
+
+    def _empty(self) -> Node:
+        return Node(self.name, self.file, self.path)
+
+    @property
+    def dangling(self) -> bool:
+        """A link whose target cannot be found."""
+        return self.link is not None and not self.target.label
+
+    def child(self, name: str) -> Node | None:
+        """The child of that name, links followed; ``None`` if there is none."""
+        return next((child.target for child in self.target.children if child.name == name), None)
+
+    def labelled(self, label: str) -> list[Node]:
+        """Children of that label in file order, as they are named here (links not followed)."""
+        return [child for child in self.target.children if child.target.label == label]
+
+    @property
+    def contents(self) -> str:
+        """What the node holds, in words for messages, e.g. ``3 x 2 R8 values``."""
+        return describe(self.target.dims, self.target.data_type)
+
+    def data(self) -> NDArray[Any]:
+        """The node's values of shape ``dims``, fastest index first; possibly a view of the file."""
+        return self.target.read()
+
+    def text(self) -> str:
+        """Character data as one string without trailing blanks; empty without data."""
+        return decoded(self.data().tobytes(order="F"))
+
+    def words(self) -> list[str]:
+        """Character data of several strings of ``dims[0]`` characters each."""
+        raw = self.data().tobytes(order="F")
+        width = max(self.target.dims[0], 1) if self.target.dims else 1
+        return [decoded(raw[at : at + width]) for at in range(0, len(raw), width)]
+
+    def integers(self, *dims: int) -> NDArray[np.int64]:
+        """Integer data of exactly these dimensions; ``-1`` stands for any size.
+
+        Raises
+        ------
+        FormatError
+            When the node holds something else.
+        """
+        found = self.target
+        fits = len(found.dims) == len(dims) and all(n in (-1, m) for n, m in zip(dims, found.dims, strict=True))
+        if not fits or found.dtype is None or found.dtype.kind not in "iu" or found.data_type == "C1":
+            wanted = " x ".join("n" if n < 0 else str(n) for n in dims)
+            raise FormatError(
+                f"{self.path} holds {self.contents}; expected {wanted} integers (I4 or I8), which the CGNS standard "
+                f"asks for here"
+            )
+        return found.data().astype(np.int64)
+
+
+def make(
+    name: str,
+    label: str,
+    value: str | NDArray[Any] | None = None,
+    children: Sequence[Node] = (),
+    dtype: np.dtype[Any] | None = None,
+) -> Node:
+    """A node in memory; ``value`` is an array (fastest index first), stored as ``dtype`` or as it is."""
+    if value is None:
+        return Node(name, Path(), name, label, expand=lambda: children)
+    array = np.frombuffer(value.encode(), np.int8) if isinstance(value, str) else value
+    stored = dtype or array.dtype
+    data_type = data_type_of(stored)
+    return Node(name, Path(), name, label, data_type, array.shape, stored, read=lambda: array, expand=lambda: children)
+
+
+def data_type_of(dtype: np.dtype[Any]) -> str:
+    """The CGNS name of a type in memory, e.g. ``R8``."""
+    for name, known in DTYPES.items():
+        if known == dtype.newbyteorder("="):
+            return name
+    raise FormatError(f"CGNS has no data type for {dtype}")
+
+
+def describe(dims: tuple[int, ...], data_type: str) -> str:
+    """Data in words, see :attr:`Node.contents`."""
+    return f"{' x '.join(str(n) for n in dims)} {data_type} values" if dims else "no values"
+
+
+def decoded(raw: bytes) -> str:
+    """Text up to the first NUL without trailing blanks. Old files hold Latin-1, new ones UTF-8."""
+    raw = raw.split(b"\0", 1)[0].rstrip()
+    try:
+        return raw.decode()
+    except UnicodeDecodeError:
+        return raw.decode("latin-1")

@@ -1,0 +1,255 @@
+"""Unstructured hexahedra (2-D: quads) for other tools, written through meshio; nothing is read back.
+
+=========  ======================================================================================
+``.vtu``   cells with their block number, and the fields that all blocks have
+``.xdmf``  the same, as one XML file
+``.msh``   Gmsh 2.2: cells and boundary faces in physical groups named after blocks and patches
+``.med``   cells and boundary faces in groups named after blocks and patches
+``.su2``   cells, and a marker for each patch (written here: meshio gives markers numbers, not names)
+``.inp``   Abaqus: cells, and a node set for each patch
+=========  ======================================================================================
+
+Coincident nodes are one node. Cells of left-handed blocks are turned so that all volumes are positive; collapsed
+hexahedra stay hexahedra. Outside faces on no patch get the name of their block face, such as ``block1.imin``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import meshio
+import numpy as np
+from numpy.typing import NDArray
+
+from meshdeform_core.errors import FormatError
+from meshdeform_core.grid import Field, FileFormat, FloatArray, Grid, IntArray, Side, Window
+from meshdeform_core.topology import Topology, find_topology
+
+from .files import replacing
+from .vtk_dataset import storable
+from .vtk_options import checked_options
+
+_OPTIONS: dict[str, dict[str, tuple[str, ...]]] = {".msh": {"encoding": ("binary", "ascii")}}
+
+# Corners of a right-handed cell from the lowest indices on, in the order of VTK, Gmsh, SU2 and Abaqus.
+_QUAD = ((0, 0), (1, 0), (1, 1), (0, 1))
+_HEXAHEDRON = (*((i, j, 0) for i, j in _QUAD), *((i, j, 1) for i, j in _QUAD))
+
+
+def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
+    """How to write ``grid``: ``.msh`` takes ``encoding`` (``binary`` or ``ascii``), the others have no options.
+
+    Raises
+    ------
+    FormatError
+        For unknown options.
+    """
+    suffix = Path(path).suffix.lower()
+    known = _OPTIONS.get(suffix, {})
+    defaults = {key: values[0] for key, values in known.items()}
+    return FileFormat("meshio", options={"kind": suffix[1:], **defaults, **checked_options(path, options, known)})
+
+
+def write(grid: Grid, path: Path, variant: FileFormat) -> None:
+    """Write ``grid`` as :func:`variant` says, replacing ``path`` as a whole.
+
+    Raises
+    ------
+    FormatError
+        When the file cannot be written, or the format cannot hold the grid (2-D SU2 needs a plane grid).
+    """
+    mesh = _unstructured(grid, find_topology(grid))
+    with replacing(Path(path)) as partial:
+        _WRITERS[variant.options["kind"]](grid, mesh, partial, variant.options)
+
+
+@dataclass(frozen=True)
+class _Unstructured:
+    """Cells and outside faces of a grid.
+
+    Attributes
+    ----------
+    points : (n, 3) unique nodes; ``nodes`` (n,) the block node each was taken from
+    cells : (m, 8) or, in 2-D, (m, 4) node numbers, positively oriented; ``block`` (m,) the block of each
+    faces : (q, 4) or (q, 2) node numbers; ``patch`` (q,) the index in ``names`` of each
+    """
+
+    points: FloatArray
+    nodes: IntArray
+    cells: IntArray
+    block: IntArray
+    faces: IntArray
+    patch: IntArray
+    names: tuple[str, ...]
+
+    @property
+    def kinds(self) -> tuple[str, str]:
+        """meshio's names of the cells and the faces."""
+        return ("hexahedron", "quad") if self.cells.shape[1] == 8 else ("quad", "line")
+
+
+def _unstructured(grid: Grid, topology: Topology) -> _Unstructured:
+    number: NDArray[Any] = np.full(grid.n_nodes, -1)
+    number[topology.face_nodes] = topology.number
+    interior = np.flatnonzero(number < 0)
+    number[interior] = topology.n_unique + np.arange(len(interior))
+    nodes = np.concatenate([topology.first, interior])
+    cells = [_cells(grid.block(b, number), int(topology.handedness[b])) for b in range(grid.n_blocks)]
+    names, patch = _patches(grid, topology)
+    return _Unstructured(
+        points=grid.points[nodes],
+        nodes=nodes,
+        cells=np.concatenate(cells),
+        block=np.repeat(np.arange(grid.n_blocks), [len(c) for c in cells]),
+        faces=topology.quads.corners[topology.external],
+        patch=patch,
+        names=names,
+    )
+
+
+def _cells(number: NDArray[Any], handedness: int) -> IntArray:
+    """Corners of the cells of one block, C-ordered, from the node numbers ``(ni, nj, nk)``."""
+    corners: Sequence[tuple[int, ...]]
+    if 1 in number.shape:
+        flat = number.shape.index(1)
+        number = number.squeeze(axis=flat)
+        # The indices (i, j) and (j, k) are in cyclic order, (i, k) are not.
+        right_handed = (handedness > 0) != (flat == 1)
+        corners = _QUAD if right_handed else _QUAD[::-1]
+    else:
+        corners = _HEXAHEDRON if handedness > 0 else _HEXAHEDRON[4:] + _HEXAHEDRON[:4]
+    ends = (slice(-1), slice(1, None))
+    return np.stack([number[tuple(ends[c] for c in corner)].ravel() for corner in corners], axis=1)
+
+
+def _patches(grid: Grid, topology: Topology) -> tuple[tuple[str, ...], IntArray]:
+    """Names of patches and block faces, and the index of its name for each external face of the topology."""
+    names = dict.fromkeys(patch.name for patch in grid.patches)
+    sides = [f"{name}.{side.label}" for name in grid.names for side in Side]
+    index = {name: number for number, name in enumerate([*names, *(side for side in sides if side not in names)])}
+    patch = np.array([index[side] for side in sides])[topology.quads.block_side]
+    for declared in grid.patches:
+        for window in declared.windows:
+            patch[_window_quads(grid, topology, window)] = index[declared.name]
+    used, patch = np.unique(patch[topology.external], return_inverse=True)
+    labels = tuple(index)
+    return tuple(labels[number] for number in used), patch.reshape(-1)
+
+
+def _window_quads(grid: Grid, topology: Topology, window: Window) -> IntArray:
+    """The face quads in a window; none where a 2-D grid has no faces."""
+    quads = topology.quads.of_side(window.block, window.side)
+    counts = topology.quads.counts[window.block, window.side]
+    shape = [grid.shapes[window.block][axis] for axis in window.side.tangential]
+    ranges = (
+        slice(low, high) if nodes > 1 else slice(None)
+        for low, high, nodes in zip(window.low, window.high, shape, strict=True)
+    )
+    return np.arange(quads.start, quads.stop).reshape(counts)[tuple(ranges)].ravel()
+
+
+def _write_vtu(grid: Grid, mesh: _Unstructured, path: Path, options: Mapping[str, Any]) -> None:
+    _with_fields(grid, mesh).write(path, file_format="vtu")
+
+
+def _write_xdmf(grid: Grid, mesh: _Unstructured, path: Path, options: Mapping[str, Any]) -> None:
+    # The default puts the numbers in a second file, which could not be replaced together with the first.
+    _with_fields(grid, mesh).write(path, file_format="xdmf", data_format="XML")
+
+
+def _with_fields(grid: Grid, mesh: _Unstructured) -> meshio.Mesh:
+    """Cells only, with the fields that exist on all blocks."""
+    point_data: dict[str, NDArray[Any]] = {}
+    cell_data: dict[str, NDArray[Any]] = {"block": mesh.block}
+    groups: dict[tuple[str, str], list[Field]] = {}
+    for field in sorted(grid.fields, key=lambda field: field.block):
+        groups.setdefault((field.location, field.name), []).append(field)
+    for (location, name), fields in groups.items():
+        if len(fields) == grid.n_blocks and len({f.values.shape[3:] for f in fields}) == 1:
+            values = np.concatenate([f.values.reshape(-1, *f.values.shape[3:]) for f in fields])
+            values = storable(values, f"{location} field {name!r}")
+            if location == "node":
+                point_data[name] = values[mesh.nodes]
+            else:
+                cell_data[name] = values
+    cells = [(mesh.kinds[0], mesh.cells)]
+    return meshio.Mesh(mesh.points, cells, point_data, {name: [values] for name, values in cell_data.items()})
+
+
+def _write_msh(grid: Grid, mesh: _Unstructured, path: Path, options: Mapping[str, Any]) -> None:
+    tags = [mesh.block + 1 + len(mesh.names), mesh.patch + 1]
+    dimension = grid.dimension
+    groups = {name: np.array([len(mesh.names) + 1 + b, dimension]) for b, name in enumerate(grid.names)}
+    groups |= {name: np.array([1 + p, dimension - 1]) for p, name in enumerate(mesh.names)}
+    meshio.Mesh(
+        mesh.points,
+        _cells_and_faces(mesh),
+        cell_data={"gmsh:physical": tags, "gmsh:geometrical": tags},
+        field_data=groups,
+    ).write(path, file_format="gmsh22", binary=options["encoding"] == "binary")
+
+
+def _write_med(grid: Grid, mesh: _Unstructured, path: Path, options: Mapping[str, Any]) -> None:
+    # Families of cells have negative numbers in MED.
+    tags = [-(mesh.block + 1 + len(mesh.names)), -(mesh.patch + 1)]
+    med = meshio.Mesh(mesh.points, _cells_and_faces(mesh), cell_data={"cell_tags": tags})
+    med.cell_tags = {-(1 + number): [name] for number, name in enumerate([*mesh.names, *grid.names])}
+    med.write(path, file_format="med")
+
+
+def _write_inp(grid: Grid, mesh: _Unstructured, path: Path, options: Mapping[str, Any]) -> None:
+    sets = {_word(name): np.unique(mesh.faces[mesh.patch == number]) for number, name in enumerate(mesh.names)}
+    meshio.Mesh(mesh.points, [(mesh.kinds[0], mesh.cells)], point_sets=sets).write(path, file_format="abaqus")
+
+
+def _cells_and_faces(mesh: _Unstructured) -> list[tuple[str, IntArray]]:
+    cells, faces = mesh.kinds
+    return [(cells, mesh.cells), (faces, mesh.faces)]
+
+
+def _write_su2(grid: Grid, mesh: _Unstructured, path: Path, options: Mapping[str, Any]) -> None:
+    points, cells = (mesh.points, mesh.cells) if grid.dimension == 3 else _plane(mesh)
+    with path.open("wb") as stream:
+        stream.write(f"NDIME= {grid.dimension}\nNELEM= {len(cells)}\n".encode())
+        _write_elements(stream, cells)
+        stream.write(f"NPOIN= {len(points)}\n".encode())
+        np.savetxt(stream, points, fmt="%.17g")
+        stream.write(f"NMARK= {len(mesh.names)}\n".encode())
+        for number, name in enumerate(mesh.names):
+            faces = mesh.faces[mesh.patch == number]
+            stream.write(f"MARKER_TAG= {_word(name)}\nMARKER_ELEMS= {len(faces)}\n".encode())
+            _write_elements(stream, faces)
+
+
+def _word(name: str) -> str:
+    """A name without blanks, which the text formats do not allow."""
+    return "_".join(name.split())
+
+
+def _write_elements(stream: BinaryIO, corners: IntArray) -> None:
+    vtk_type = {2: 3, 4: 9, 8: 12}[corners.shape[1]]
+    np.savetxt(stream, np.insert(corners, 0, vtk_type, axis=1), fmt="%d")
+
+
+def _plane(mesh: _Unstructured) -> tuple[FloatArray, IntArray]:
+    """Points ``(n, 2)`` and cells of a plane grid, counter-clockwise in the two coordinates that are kept."""
+    extent = np.ptp(mesh.points, axis=0)
+    normal = int(np.argmin(extent))
+    if extent[normal] > 1e-9 * extent.max():
+        raise FormatError(f"a 2-D SU2 grid is plane; this one extends over {extent.tolist()} along x, y, z")
+    kept = [axis for axis in range(3) if axis != normal]
+    # x and z see the plane of normal y from behind.
+    return mesh.points[:, kept], mesh.cells[:, ::-1] if normal == 1 else mesh.cells
+
+
+_WRITERS: dict[str, Callable[[Grid, _Unstructured, Path, Mapping[str, Any]], None]] = {
+    "vtu": _write_vtu,
+    "xdmf": _write_xdmf,
+    "msh": _write_msh,
+    "med": _write_med,
+    "inp": _write_inp,
+    "su2": _write_su2,
+}

@@ -1,0 +1,174 @@
+"""What one VTK data set holds, whatever kind of file it lies in, and how it becomes a block of a grid.
+
+VTK stores nodes with i fastest: a run of ``n`` values is ``(nk, nj, ni, ...)``. The grid has ``(ni, nj, nk, ...)``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshdeform_core.errors import FormatError, GridError
+from meshdeform_core.grid import Field, FileFormat, Grid, Shape
+
+
+class DataArray(NamedTuple):
+    """A data array as VTK stores it.
+
+    ``location`` is ``node``, ``cell`` or, for the field data of the whole data set, empty; ``values`` is ``(n,)`` or
+    ``(n, components)``; ``roles`` are VTK's words for what the array is: ``Scalars``, ``Vectors``, ``Normals``, ...
+    """
+
+    name: str
+    location: str
+    values: NDArray[Any]
+    roles: tuple[str, ...] = ()
+    components: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class VtkField(Field):
+    """A field that also keeps the roles VTK gave its array and the names of the components."""
+
+    roles: tuple[str, ...] = ()
+    components: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class VtkFormat(FileFormat):
+    """A VTK file variant, with what belongs to a data set but is neither coordinates nor a field of the grid.
+
+    Attributes
+    ----------
+    title : second line of a legacy file
+    origins : index (i, j, k) of the first node of each block; empty when all are (0, 0, 0)
+    field_data : the arrays of each block that belong to no node or cell (time, ...); empty when there are none
+    """
+
+    title: str = "written by meshdeform"
+    origins: tuple[Shape, ...] = ()
+    field_data: tuple[tuple[DataArray, ...], ...] = ()
+
+
+@dataclass(frozen=True)
+class DataSet:
+    """One structured data set as it lies in a file.
+
+    ``points`` is ``(nk, nj, ni, 3)`` in the file's own type and byte order; ``options`` are the switches of the file
+    variant it came from.
+    """
+
+    points: NDArray[Any]
+    arrays: tuple[DataArray, ...]
+    options: Mapping[str, str]
+    origin: Shape = (0, 0, 0)
+    title: str = VtkFormat.title
+    notes: tuple[str, ...] = ()
+
+
+def assemble(path: Path, kind: str, data_sets: Sequence[DataSet], names: Sequence[str] | None = None) -> Grid:
+    """Make a grid of data sets; ``kind`` is the kind of file: ``legacy``, ``vts``, ``vtm``, ...
+
+    Raises
+    ------
+    FormatError
+        When an array has not one value per node or cell.
+    GridError
+        When a data set is a line or a point, or 2-D and 3-D are mixed.
+    """
+    origins = tuple(d.origin for d in data_sets)
+    field_data = tuple(tuple(a for a in d.arrays if not a.location) for d in data_sets)
+    file_format = VtkFormat(
+        name="vtk",
+        precision="float32" if all(d.points.dtype.itemsize == 4 for d in data_sets) else "float64",
+        options={"kind": kind, **data_sets[0].options},
+        title=data_sets[0].title,
+        origins=origins if any(map(any, origins)) else (),
+        field_data=field_data if any(field_data) else (),
+    )
+    shapes: list[Shape] = [(d.points.shape[2], d.points.shape[1], d.points.shape[0]) for d in data_sets]
+    fields = tuple(
+        _field(path, array, block, shapes[block])
+        for block, data_set in enumerate(data_sets)
+        for array in data_set.arrays
+        if array.location
+    )
+    notes = tuple(note for d in data_sets for note in d.notes)
+    try:
+        grid = Grid.allocate(shapes, names, fields=fields, format=file_format, path=path, notes=notes)
+    except GridError as error:
+        raise GridError(f"{path}: {error}") from error
+    for block, data_set in enumerate(data_sets):
+        grid.block(block)[...] = data_set.points.swapaxes(0, 2)
+    return grid
+
+
+def _field(path: Path, array: DataArray, block: int, nodes: Shape) -> VtkField:
+    ni, nj, nk = nodes if array.location == "node" else (max(n - 1, 1) for n in nodes)
+    if len(array.values) != ni * nj * nk:
+        raise FormatError(
+            f"{path}: {array.location} array {array.name!r} has {len(array.values)} values; "
+            f"{ni} x {nj} x {nk} {array.location}s are expected"
+        )
+    ordered = array.values.reshape(nk, nj, ni, *array.values.shape[1:]).swapaxes(0, 2)
+    return VtkField(array.name, array.location, block, native(ordered), array.roles, array.components)
+
+
+def lattice(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any]) -> NDArray[Any]:
+    """Nodes of the product of three axes, ``(nk, nj, ni, 3)``."""
+    along_z, along_y, along_x = np.meshgrid(z, y, x, indexing="ij")
+    return np.stack([along_x, along_y, along_z], axis=-1)
+
+
+def points_to_write(grid: Grid, block: int, precision: str) -> NDArray[Any]:
+    """Coordinates of a block as VTK's run ``(n, 3)``."""
+    return _run(grid.block(block).astype(precision, copy=False))
+
+
+def arrays_to_write(grid: Grid, block: int, variant: VtkFormat) -> list[DataArray]:
+    """All arrays of a block: field data of the variant and fields of the grid.
+
+    Raises
+    ------
+    FormatError
+        When two fields share a name and place, or one has the wrong shape or a type that VTK does not know.
+    """
+    found: dict[tuple[str, str], DataArray] = {}
+    for field in grid.fields:
+        if field.block != block:
+            continue
+        label = f"{field.location} field {field.name!r} of {grid.names[block]}"
+        shape = grid.shapes[block] if field.location == "node" else grid.cell_shapes[block]
+        if field.values.shape[:3] != shape or field.values.ndim > 4:
+            raise FormatError(f"{label} has shape {field.values.shape}; expected {shape} and at most one more axis")
+        if (field.location, field.name) in found:
+            raise FormatError(f"{label} exists twice; a VTK data set needs unique names")
+        values = _run(storable(field.values, label))
+        extra = (field.roles, field.components) if isinstance(field, VtkField) else ((), ())
+        found[field.location, field.name] = DataArray(field.name, field.location, values, *extra)
+    field_data = variant.field_data[block] if variant.field_data else ()
+    return [*field_data, *found.values()]
+
+
+def _run(values: NDArray[Any]) -> NDArray[Any]:
+    run = np.ascontiguousarray(values.swapaxes(0, 2))
+    return run.reshape(-1, *values.shape[3:])
+
+
+def storable(values: NDArray[Any], label: str) -> NDArray[Any]:
+    """The values in native byte order and a type that mesh files know: integers, float32, float64; bool as uint8."""
+    if values.dtype.kind == "b":
+        return values.astype(np.uint8)
+    if values.dtype.kind not in "iuf" or values.dtype.itemsize > 8 or values.dtype == np.float16:
+        raise FormatError(f"{label} is of type {values.dtype}; expected integers, float32 or float64")
+    return values.astype(values.dtype.newbyteorder("="), copy=False)
+
+
+def native(values: NDArray[Any]) -> NDArray[Any]:
+    """A C-contiguous copy in the byte order of this machine."""
+    return values.astype(values.dtype.newbyteorder("="), order="C")

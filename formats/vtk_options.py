@@ -1,0 +1,32 @@
+"""The switches of a file variant, checked against what the writer knows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+from meshdeform_core.errors import FormatError
+
+
+def checked_options(path: Path, options: Mapping[str, Any], known: Mapping[str, Sequence[str]]) -> dict[str, str]:
+    """The options as they are, each a known key with one of its values.
+
+    Raises
+    ------
+    FormatError
+        For anything else; the message names the nearest known key or value and all known ones.
+    """
+    for key, value in options.items():
+        _require_known(path, "option", str(key), list(known))
+        _require_known(path, f"{key} =", str(value), known[key])
+    return {str(key): str(value) for key, value in options.items()}
+
+
+def _require_known(path: Path, what: str, word: str, known: Sequence[str]) -> None:
+    if word in known:
+        return
+    nearest = get_close_matches(word, known, n=1, cutoff=0.0)
+    hint = f" (did you mean {nearest[0]!r}?)" if nearest else ""
+    raise FormatError(f"cannot write {path}: unknown {what} {word!r}{hint}; known are: {' '.join(known) or 'none'}")

@@ -1,0 +1,71 @@
+"""Problems and methods that many tests share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from grids import frame
+
+from meshdeform_core.boundary import BoundarySpec, Kind, classify
+from meshdeform_core.expression import expression
+from meshdeform_core.grid import Grid
+from meshdeform_core.methods import IDW, TFI, Options, Problem, make_method
+from meshdeform_core.motion import Displace, Motion, Rotate
+from meshdeform_core.topology import find_topology
+
+ALL_METHODS: dict[str, Options] = {
+    "tfi": Options("tfi"),
+    "idw-none": Options("idw", idw=IDW(rotation="none")),
+    "idw-quaternion": Options("idw", idw=IDW(rotation="quaternion")),
+    "idw-division": Options("idw", idw=IDW(rotation="division", divisions=8)),
+    "idw-division-reweight": Options("idw", idw=IDW(rotation="division", divisions=4, reweight=True)),
+    "idw-blend": Options("idw", idw=IDW(rotation="blend")),
+    "idw-lie": Options("idw"),
+    "idw-shepard": Options("idw", idw=IDW(weights="shepard", p_moving=4, p_fixed=3)),
+    "idw-tfi": Options("idw-tfi"),
+    "idw-tfi-cut": Options("idw-tfi", tfi=TFI(max_cells=2)),
+}
+
+
+def constant(x: float, y: float, z: float) -> Motion:
+    return formulas(str(float(x)), str(float(y)), str(float(z)))
+
+
+def formulas(x: str, y: str, z: str) -> Motion:
+    parts = [expression(text, {"x", "y", "z", "t"}) for text in (x, y, z)]
+    return Motion((Displace((parts[0], parts[1], parts[2])),), {})
+
+
+def turning(angle: float, axis: tuple[float, float, float] = (0, 0, 1), center: tuple[float, ...] = (0, 0, 0)) -> Motion:
+    c = [expression(float(v), ()) for v in center]
+    return Motion((Rotate(expression(angle, {"t"}), axis, (c[0], c[1], c[2])),), {})
+
+
+INNER = "abs(x) < 0.51 and abs(y) < 0.51"
+STILL = constant(0, 0, 0)
+
+
+def body_specs(motion: Motion, span: Kind = Kind.SLIP) -> list[BoundarySpec]:
+    """The bar of ``frame`` moves, the outside stays, the span slides."""
+    near = expression(INNER, {"x", "y", "z"})
+    return [
+        BoundarySpec("body", ("*.i*", "*.j*"), Kind.MOVING, near, motion),
+        BoundarySpec("span", ("*.kmin", "*.kmax"), span),
+    ]
+
+
+def everything_moves(motion: Motion = STILL) -> list[BoundarySpec]:
+    return [BoundarySpec("all", ("*",), Kind.MOVING, None, motion)]
+
+
+def problem_of(grid: Grid | None = None, specs: list[BoundarySpec] | None = None) -> Problem:
+    grid = frame() if grid is None else grid
+    topology, boundary = classify(grid, find_topology(grid), specs or everything_moves(), {})
+    return Problem(grid, topology, boundary)
+
+
+def apply(options: Options, problem: Problem, motion: Callable[[np.ndarray], np.ndarray] | np.ndarray) -> np.ndarray:
+    """Displacement of all nodes for a motion of the sources, given as a function of their coordinates."""
+    displacement = motion(problem.source_points) if callable(motion) else motion
+    return make_method(options).prepare(problem).apply(displacement)

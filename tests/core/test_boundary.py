@@ -1,0 +1,341 @@
+"""Selection, kinds, precedence, constraints and motions."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from cases import apply, body_specs, constant, formulas, problem_of, turning
+from grids import block_around, frame, frame_2d, polar
+
+from meshdeform_core.boundary import UNSELECTED, BoundarySpec, Kind, classify
+from meshdeform_core.deform import Case, deform, set_up
+from meshdeform_core.errors import CaseError, GridError, MotionError
+from meshdeform_core.expression import expression
+from meshdeform_core.grid import Grid, Patch, Side, Window
+from meshdeform_core.methods import IDW, Options
+from meshdeform_core.motion import Follow, Motion
+from meshdeform_core.planes import plane_normal
+from meshdeform_core.prescription import prescribed_displacement
+from meshdeform_core.selection import select_quads
+from meshdeform_core.topology import find_topology
+from meshdeform_core.transfer import Matching, SurfaceData
+
+FRAME = frame()
+XYZ = {"x", "y", "z"}
+MOVE = constant(0.1, 0.0, 0.0)
+
+
+def specs_of(*entries):
+    return [BoundarySpec(n, (s,) if isinstance(s, str) else s, k, None, m) for n, s, k, m in entries]
+
+
+def kinds(problem, where):
+    points = problem.grid.points[problem.topology.first]
+    return set(problem.boundary.kind[where(points)].tolist())
+
+
+@pytest.mark.parametrize(
+    ("pattern", "quads"),
+    [
+        ("block1.imin", 4 * 3), ("block1.imin[1:3,*]", 2 * 3), ("block1.imin[*,2:]", 4 * 2), ("block1.imin[:2,:2]", 1),
+        ("block1.*min", 4 * 3 + 4 * 3 + 16), ("block*.kmin", 5 * 5 * 9 - 25), ("*.kmin", 5 * 5 * 9 - 25),
+        ("bar", 10), ("walls", 10), ("block2/bar", 10), ("b?r", 10),
+    ],
+)  # fmt: skip
+def test_patterns(pattern, quads):
+    window = Window(1, Side.IMIN, (0, 0), (5, 2))
+    grid = dataclasses.replace(FRAME, patches=(Patch("bar", (window,), "walls"),))
+    topology = find_topology(grid)
+    found = select_quads(grid, topology, [pattern], "test")
+    expected = {"block*.kmin": _kmin_count(), "*.kmin": _kmin_count()}.get(pattern, quads)
+    assert len(found) == expected
+    assert np.all(topology.external[found])
+
+
+def _kmin_count():
+    cells = [4, 5, 6]
+    return sum(a * b for i, a in enumerate(cells) for j, b in enumerate(cells) if (i, j) != (1, 1))
+
+
+@pytest.mark.parametrize(
+    ("pattern", "message"),
+    [
+        ("wing", "matches no patch, family or block face"), ("blok1.imin", "did you mean 'block1.imin'"),
+        ("block1.imax", "shared with other blocks"), ("block1.imin[1:99,*]", "outside the face"),
+        ("block1.imin[3,*]", "not a range"), ("block1.imin[0:2,*]", "outside the face"), ("block1.imin[1:2]", "expected two"),
+        ("block1.imin[a:b,*]", "not a range"), ("block1.imin[2:2,*]", "holds no cell face"), ("block9.imin", "matches no patch"),
+        ("", "matches no patch"),
+    ],
+)  # fmt: skip
+def test_bad_patterns(pattern, message):
+    with pytest.raises(CaseError, match=message):
+        select_quads(FRAME, find_topology(FRAME), [pattern], "test")
+
+
+def test_strongest_kind_wins():
+    problem = problem_of(
+        FRAME,
+        specs_of(
+            ("free", "block1.kmin", Kind.FREE, None),
+            ("span", "*.k*", Kind.SLIP, None),
+            ("bar", ("block2.imax", "block4.jmax", "block5.jmin", "block7.imin"), Kind.MOVING, MOVE),
+        ),
+    )
+    assert kinds(problem, lambda x: (np.abs(x[:, 0]) < 0.51) & (np.abs(x[:, 1]) < 0.51)) == {Kind.MOVING}
+    assert kinds(problem, lambda x: x[:, 0] == -2.0) == {Kind.FIXED}
+    names = {p.name: p.kind for p in problem.boundary.patches}
+    assert names[UNSELECTED] is Kind.FIXED
+    assert any("selected by no boundary entry" in note for note in problem.boundary.notes)
+
+
+def test_where_takes_faces_with_all_corners_inside():
+    spec = [BoundarySpec("left", ("*",), Kind.MOVING, expression("x < -1.99 and z < 0.5", XYZ), MOVE)]
+    problem = problem_of(FRAME, spec)
+    moving = problem.grid.points[problem.topology.first[problem.boundary.kind == Kind.MOVING]]
+    assert np.all(moving[:, 0] == -2.0)
+    assert np.all(moving[:, 2] < 0.5)
+    with pytest.raises(CaseError, match="holds at no face"):
+        problem_of(FRAME, [dataclasses.replace(spec[0], where=expression("x > 7", XYZ))])
+
+
+def test_one_cell_thick_grids_slide_on_their_end_planes():
+    thin = frame(layers=1)
+    problem = problem_of(thin, body_specs(MOVE)[:1])
+    assert {p.name: p.kind for p in problem.boundary.patches}["(end planes)"] is Kind.SLIP
+    assert any("one cell thick" in note for note in problem.boundary.notes)
+
+
+def test_disagreeing_patches_name_their_node():
+    specs = specs_of(
+        ("one", ("block2.imax",), Kind.MOVING, MOVE), ("two", ("block4.jmax",), Kind.MOVING, constant(0.0, 0.1, 0.0))
+    )
+    problem = problem_of(FRAME, specs)
+    with pytest.raises(MotionError, match=r"'one' and 'two' disagree at their shared node block\d \("):
+        prescribed_displacement(problem.grid, problem.topology, problem.boundary)
+
+
+def test_agreeing_patches_are_moved_once():
+    specs = specs_of(("one", "block2.imax", Kind.MOVING, turning(20)), ("two", "block4.jmax", Kind.MOVING, turning(20)))
+    problem = problem_of(FRAME, specs)
+    told = prescribed_displacement(problem.grid, problem.topology, problem.boundary)
+    moving = problem.boundary.kind == Kind.MOVING
+    assert np.linalg.norm(told[moving], axis=1).max() < 1.1 * np.deg2rad(20) * 0.75
+
+
+def test_two_sided_walls_are_opened():
+    x = np.linspace(0, 1, 5)
+    lower, upper = block_around(x, x, x), block_around(x, 1 + x, x)
+    plate = [
+        Patch("low", (Window(0, Side.JMAX, (1, 0), (3, 4)),), bc_type="BCWall"),
+        Patch("high", (Window(1, Side.JMIN, (1, 0), (3, 4)),), bc_type="BCWall"),
+    ]
+    grid = Grid.from_blocks([lower, upper], patches=tuple(plate))
+    topology, boundary = classify(grid, find_topology(grid), specs_of(("plate", "low", Kind.MOVING, MOVE)), {})
+    assert (boundary.kind == Kind.MOVING).sum() == 3 * 5
+    assert any("walls on both sides" in note for note in boundary.notes)
+    moved = deform(grid, Case(tuple(specs_of(("plate", "low", Kind.MOVING, turning(5, (0, 0, 1), (0.5, 1, 0))))))).grid
+    np.testing.assert_array_equal(moved.block(0)[:, -1], moved.block(1)[:, 0])
+    assert topology.partner[topology.quads.of_side(0, Side.JMAX)].min() == -1
+
+
+def test_curved_slip_surface_is_not_left():
+    grid = polar(48, 6, 3)
+    specs = specs_of(("hub", "block1.jmax", Kind.MOVING, turning(20)), ("casing", "block1.jmin", Kind.SLIP, None))
+    for name in ("idw", "tfi", "idw-tfi"):
+        problem = problem_of(grid, [*specs, BoundarySpec("span", ("*.k*",), Kind.SLIP)])
+        moved = grid.points + apply(Options(name), problem, lambda x: prescribed_at(problem))
+        outer = np.hypot(grid.points[:, 0], grid.points[:, 1]) > 2.99
+        radius = np.hypot(moved[outer, 0], moved[outer, 1])
+        # On the facets between the nodes of the original surface: within their sagitta of the circle.
+        sagitta = 3 * (1 - np.cos(np.pi / 48))
+        assert radius.max() <= 3 + 1e-12
+        assert radius.min() >= 3 - sagitta - 1e-12
+        assert np.abs(moved[outer] - grid.points[outer]).max() > 0.01
+
+
+def prescribed_at(problem):
+    return prescribed_displacement(problem.grid, problem.topology, problem.boundary)[problem.source_numbers]
+
+
+def test_symmetry_plane_is_the_middle_of_a_mirrored_grid():
+    """Half a grid with a symmetry plane deforms as the half of the whole grid does."""
+    whole = frame(4, 6)
+    z = whole.points[:, 2]
+    half = Grid.from_blocks([whole.block(b)[:, :, :4] for b in range(8)])
+    bend = formulas("0.2*sin(3*z)*sin(3*(1-z))", "0.1*(1-cos(2*pi*z))", "0")
+    inner = expression("abs(x) < 0.51 and abs(y) < 0.51", XYZ)
+    sides = BoundarySpec("bar", ("*.i*", "*.j*"), Kind.MOVING, inner, bend)
+    ends = BoundarySpec("end", ("*.kmin",), Kind.FIXED)
+    for options in (Options("idw"), Options("idw", idw=IDW(rotation="none", remove_mean=True))):
+        full = problem_of(whole, [sides, BoundarySpec("ends", ("*.k*",), Kind.FIXED)])
+        mirrored = problem_of(half, [sides, ends, BoundarySpec("mid", ("*.kmax",), Kind.SYMMETRY)])
+        options = dataclasses.replace(options, idw=dataclasses.replace(options.idw, length=3.0))
+        one = apply(options, full, prescribed_at(full))
+        two = apply(options, mirrored, prescribed_at(mirrored))
+        for b in range(8):
+            np.testing.assert_allclose(
+                whole.block(b, one)[:, :, :4], half.block(b, two), atol=1e-12, err_msg=options.idw.rotation
+            )
+    assert z.max() == 1.0
+
+
+def test_curved_symmetry_is_refused():
+    specs = specs_of(("hub", "block1.jmax", Kind.MOVING, MOVE), ("mirror", "block1.jmin", Kind.SYMMETRY, None))
+    with pytest.raises(CaseError, match="not a plane"):
+        problem_of(polar(), specs)
+
+
+@pytest.mark.parametrize("name", ["idw", "tfi", "idw-tfi"])
+def test_periodic_sides_move_alike_by_translation(name):
+    specs = body_specs(turning(15), Kind.SLIP)
+    specs.append(BoundarySpec("pitch", ("*.jmin", "*.jmax"), Kind.PERIODIC, expression("abs(y) > 1.99", XYZ)))
+    problem = problem_of(FRAME, specs)
+    moved = apply(Options(name), problem, prescribed_at(problem))
+    low, high = (np.flatnonzero(FRAME.points[:, 1] == y) for y in (-2.0, 2.0))
+    order = [p[np.lexsort(FRAME.points[p].T)] for p in (low, high)]
+    interior = np.abs(FRAME.points[order[0], 0]) < 1.9
+    np.testing.assert_array_equal(moved[order[0]], moved[order[1]])
+    assert np.abs(moved[order[0]][interior]).max() > 1e-3
+
+
+def test_periodic_sector_moves_alike_by_rotation():
+    angle, radius, z = np.linspace(0, np.pi / 3, 7), np.linspace(1, 2, 5), np.linspace(0, 1, 4)
+    a, r, h = np.meshgrid(angle, radius, z, indexing="ij")
+    grid = Grid.from_blocks([np.stack([r * np.cos(a), r * np.sin(a), h], axis=-1)])
+    specs = specs_of(
+        ("hub", "block1.jmin", Kind.MOVING, formulas("0.1*x", "0.1*y", "0")),
+        ("casing", "block1.jmax", Kind.FIXED, None),
+        ("pitch", ("block1.imin", "block1.imax"), Kind.PERIODIC, None),
+        ("span", "*.k*", Kind.SLIP, None),
+    )
+    problem = problem_of(grid, specs)
+    moved = grid.block(0, apply(Options("idw"), problem, prescribed_at(problem)))
+    c, s = np.cos(np.pi / 3), np.sin(np.pi / 3)
+    turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    np.testing.assert_allclose(moved[-1], moved[0] @ turn.T, atol=1e-14)
+    with pytest.raises(CaseError, match="do not match by a translation"):
+        problem_of(grid, [*specs[:2], *specs_of(("pitch", ("block1.imin", "block1.kmax"), Kind.PERIODIC, None))])
+
+
+def test_motion_steps_act_in_order_on_undeformed_formulas():
+    both = Motion((*formulas("y", "0", "0").steps, *turning(90).steps), {})
+    problem = problem_of(FRAME, body_specs(both))
+    nodes = np.flatnonzero(problem.boundary.kind == Kind.MOVING)
+    x = problem.grid.points[problem.topology.first[nodes]]
+    told = prescribed_displacement(problem.grid, problem.topology, problem.boundary)[nodes]
+    expected = np.stack([-x[:, 1], x[:, 0] + x[:, 1], x[:, 2]], axis=1) - x
+    np.testing.assert_allclose(told, expected, atol=1e-14)
+
+
+def test_half_a_rotation_is_a_rotation_by_half_the_angle():
+    problem = problem_of(FRAME, body_specs(turning(60)))
+    half = prescribed_displacement(problem.grid, problem.topology, problem.boundary, fraction=0.5)
+    other = problem_of(FRAME, body_specs(turning(30)))
+    np.testing.assert_allclose(half, prescribed_displacement(other.grid, other.topology, other.boundary), atol=1e-15)
+
+
+def test_formulas_that_are_not_finite_name_the_node():
+    problem = problem_of(FRAME, body_specs(formulas("1/(x+0.5)", "0", "0")))
+    with pytest.raises(MotionError, match=r"\[inf, .* at node block\d \("):
+        prescribed_displacement(problem.grid, problem.topology, problem.boundary)
+
+
+def test_a_flat_grid_stays_flat():
+    problem = problem_of(frame_2d(), body_specs(constant(0, 0, 0.1))[:1])
+    with pytest.raises(MotionError, match="leaves the plane"):
+        prescribed_displacement(problem.grid, problem.topology, problem.boundary)
+    bent = frame_2d()
+    with pytest.raises(GridError, match="not a plane"):
+        plane_normal(bent.moved(bent.points + np.array([0, 0, 1.0]) * bent.points[:, :1] ** 2))
+
+
+def table(points, displacement, triangles=None, label="table.csv"):
+    return SurfaceData(points, displacement, np.empty((0, 3), np.int64) if triangles is None else triangles, label)
+
+
+def following(data, **matching):
+    return body_specs(Motion((Follow(data, Matching(**matching)),), {}))
+
+
+def bar_nodes():
+    problem = problem_of(FRAME, body_specs(MOVE))
+    return problem.grid.points[problem.topology.first[problem.boundary.kind == Kind.MOVING]]
+
+
+def test_exact_and_nearest_tables():
+    points = bar_nodes()
+    shift = np.stack([0.1 * points[:, 1], -0.1 * points[:, 0], 0 * points[:, 0]], axis=1)
+    shuffled = np.random.default_rng(0).permutation(len(points))
+    for how, noise in (("exact", 0.0), ("nearest", 1e-3)):
+        data = table(points[shuffled] + noise, shift[shuffled])
+        problem = problem_of(FRAME, following(data, how=how))
+        told = prescribed_displacement(problem.grid, problem.topology, problem.boundary)
+        np.testing.assert_array_equal(told[problem.boundary.kind == Kind.MOVING], shift)
+        (match,) = problem.boundary.movers[0][1].matches
+        assert match.matched.all()
+        assert match.used == (len(points), len(points))
+
+
+@pytest.mark.parametrize("with_surface", [True, False])
+def test_interpolation_across_a_non_matching_surface(with_surface):
+    """A linear field on a coarser, differently cut bar surface is reproduced on the nodes."""
+    side = np.linspace(-0.5, 0.5, 4)
+    rows = np.linspace(0.0, 1.0, 3)
+    ring = [(a, -0.5) for a in side] + [(0.5, a) for a in side[1:]]
+    ring += [(a, 0.5) for a in side[::-1][1:]] + [(-0.5, a) for a in side[::-1][1:]]
+    points = np.array([(x, y, z) for z in rows for x, y in ring])
+    n = len(ring)
+    quads = [(r * n + i, r * n + i + 1, (r + 1) * n + i + 1, (r + 1) * n + i) for r in range(2) for i in range(n - 1)]
+    triangles = np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]) if with_surface else None
+    matrix = np.array([[0.1, 0.0, 0.2], [0.0, -0.1, 0.1], [0.0, 0.0, 0.05]])
+    problem = problem_of(
+        FRAME, following(table(points, points @ matrix.T, triangles), how="interpolate", tolerance=0.3)
+    )
+    nodes = problem.boundary.kind == Kind.MOVING
+    told = prescribed_displacement(problem.grid, problem.topology, problem.boundary)[nodes]
+    expected = problem.grid.points[problem.topology.first[nodes]] @ matrix.T
+    np.testing.assert_allclose(told, expected, atol=1e-12 if with_surface else 2e-3)
+
+
+def test_unmatched_nodes_are_an_error_with_a_reason():
+    points = bar_nodes()
+    with pytest.raises(MotionError, match=r"1 of \d+ selected nodes have no match"):
+        problem_of(FRAME, following(table(points[1:], points[1:]), how="exact"))
+    with pytest.raises(MotionError, match="different length units"):
+        problem_of(FRAME, following(table(1000 * points, points)))
+    with pytest.raises(CaseError, match="unknown; known are exact"):
+        Matching("closest")
+    with pytest.raises(CaseError, match="positive length"):
+        Matching("exact", -1.0)
+
+
+def test_a_partial_table_moves_what_it_matches_and_fixes_the_rest():
+    points = bar_nodes()
+    data = table(points[:40], np.full((40, 3), 0.01))
+    follow = Motion((Follow(data, Matching("nearest", partial=True)),), {})
+    setup = set_up(FRAME, Case((BoundarySpec("table", ("*",), Kind.MOVING, None, follow),)))
+    assert setup.boundary.count(Kind.MOVING) == 40
+    assert setup.boundary.count(Kind.FIXED) > 0
+    assert setup.boundary.count(Kind.SLIP) == 0
+
+
+def test_deformed_grids_as_displacement():
+    target = FRAME.moved(FRAME.points + 0.05 * np.sin(FRAME.points[:, [1, 2, 0]]))
+    problem = problem_of(FRAME, following(target))
+    told = prescribed_displacement(problem.grid, problem.topology, problem.boundary)
+    nodes = problem.boundary.kind == Kind.MOVING
+    flat = problem.topology.first[nodes]
+    np.testing.assert_array_equal(told[nodes], target.points[flat] - FRAME.points[flat])
+    faces = [target.block(1)[-1], target.block(6)[0], target.block(3)[:, -1], target.block(4)[:, 0]]
+    surface = Grid.from_blocks([f[:, :, None] for f in faces])
+    problem = problem_of(FRAME, following(surface))
+    again = prescribed_displacement(problem.grid, problem.topology, problem.boundary)
+    np.testing.assert_array_equal(again[nodes], told[nodes])
+    wrong = Grid.from_blocks([np.zeros((9, 9, 1, 3)) + np.arange(9)[:, None, None, None]])
+    with pytest.raises(MotionError, match="no selected block face has this size"):
+        problem_of(FRAME, following(wrong))
+
+
+def test_nothing_moves_is_an_error():
+    with pytest.raises(MotionError, match="no node moves"):
+        set_up(FRAME, Case(tuple(specs_of(("all", "*", Kind.FIXED, None)))))

@@ -1,0 +1,73 @@
+"""Formulas: what they compute, and that nothing else can be said in them."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from meshdeform_core.errors import CaseError
+from meshdeform_core.expression import MAX_LENGTH, expression
+
+X = np.linspace(-1.0, 2.0, 7)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("0.2*sin(2*pi*(x-0.5)/L)", 0.2 * np.sin(2 * np.pi * (X - 0.5) / 5)),
+        ("x > 0.5 and abs(x) < 1.6", (X > 0.5) & (np.abs(X) < 1.6)),
+        ("not x > 0 or x >= 2", ~(X > 0) | (X >= 2)),
+        ("-1 < x <= 1 != 2", (X > -1) & (X <= 1)),
+        ("where(x > 0, x**2, -x)", np.where(X > 0, X**2, -X)),
+        ("max(0, 1 - abs(x)) + min(x, 0)", np.maximum(0, 1 - np.abs(X)) + np.minimum(X, 0)),
+        ("atan2(x, 2) + hypot(x, 1) + mod(x, 0.7)", np.arctan2(X, 2) + np.hypot(X, 1) + np.mod(X, 0.7)),
+        ("x // 1 + x % 1", X),
+        ("1/2", 0.5),
+    ],
+)
+def test_values(text, expected):
+    np.testing.assert_allclose(expression(text, {"x", "L"})({"x": X, "L": 5.0}), expected, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "__import__('os')", "x.__class__", "x[0]", "(lambda: 1)()", "[i for i in x]", "{x}", "(x, x)", "'text'", "True",
+        "f'{x}'", "x := 2", "x if x else 2", "1j", "sin(x=1)", "sin(*x)", "open", "eval(x)", "exec", "x @ x", "x ^ 2",
+        "x << 2", "~x", "x is x", "x in x", "None", "...", "b'0'", "await x", "x;x", "import os", "", "   ", "x\nx",
+        "sin()", "sin(x, x)", "where(x)", "u", "1e", "0x", "x" + "+x" * 499, "(" * 300 + "x" + ")" * 300, "9" * 400,
+        "x" * (MAX_LENGTH + 1), "getattr(x, 'y')", "pi()", "x(1)", "globals()", "print(x)",
+    ],
+)  # fmt: skip
+def test_nothing_else_is_a_formula(text):
+    with pytest.raises(CaseError):
+        expression(text, {"x"})
+
+
+def test_numbers_are_floats_so_that_powers_end():
+    assert expression("9**9**9**9", ())({}) == np.inf
+    assert np.isnan(expression("0/0", ())({}))
+
+
+@pytest.mark.parametrize("value", [True, None, [1], {"a": 1}])
+def test_only_numbers_and_text(value):
+    with pytest.raises(CaseError, match="expected a number or a formula"):
+        expression(value, ())
+
+
+def test_hints():
+    with pytest.raises(CaseError, match="did you mean 'sin'"):
+        expression("sni(x)", {"x"})
+    with pytest.raises(CaseError, match="did you mean 'length'"):
+        expression("lenght*2", {"length"})
+    with pytest.raises(CaseError, match=r"powers are written \*\*"):
+        expression("x^2", {"x"})
+
+
+@settings(max_examples=200, deadline=None, derandomize=True)
+@given(st.text(max_size=60))
+def test_any_text_is_a_formula_or_an_error(text):
+    try:
+        expression(text, {"x"})({"x": X})
+    except CaseError:
+        pass

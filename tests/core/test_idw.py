@@ -1,0 +1,138 @@
+"""IDW against a slow twin, the limits it must have, and its options."""
+
+import numpy as np
+import pytest
+from cases import apply, body_specs, problem_of, turning
+from grids import frame, frame_2d
+from reference.idw import slow_idw
+
+from meshdeform_core.boundary import BoundarySpec, Kind
+from meshdeform_core.errors import MethodError
+from meshdeform_core.expression import expression
+from meshdeform_core.methods import IDW, Options, make_method
+from meshdeform_core.numerics import rotation as rot
+from meshdeform_core.numerics.direct import weighted_sums
+from meshdeform_core.prescription import prescribed_displacement
+
+VARIANTS = {
+    "none": IDW(rotation="none"),
+    "quaternion": IDW(rotation="quaternion"),
+    "quaternion without mean": IDW(rotation="quaternion", remove_mean=True),
+    "division": IDW(rotation="division", divisions=5),
+    "division reweighted": IDW(rotation="division", divisions=5, reweight=True),
+    "blend": IDW(rotation="blend"),
+    "lie": IDW(),
+    "lie with mean": IDW(remove_mean=False),
+    "other exponents": IDW(a=2.0, b=4.5, alpha=0.3),
+    "auto alpha": IDW(alpha="auto"),
+    "length": IDW(length=2.0),
+    "shepard": IDW(weights="shepard", p_moving=4.0, p_fixed=2.0),
+}
+
+
+def told(problem):
+    return prescribed_displacement(problem.grid, problem.topology, problem.boundary)[problem.source_numbers]
+
+
+@pytest.mark.parametrize("grid", [frame(3, 2), frame_2d(4)], ids=["3-d", "2-d"])
+@pytest.mark.parametrize("name", VARIANTS)
+def test_slow_twin(name, grid):
+    bend = body_specs(turning(25))[: 2 if grid.dimension == 3 else 1]
+    problem = problem_of(grid, bend)
+    moved = apply(Options("idw", idw=VARIANTS[name]), problem, told(problem))
+    inside = np.setdiff1d(np.arange(grid.n_nodes), problem.topology.face_nodes)
+    targets = inside[:: max(1, len(inside) // 12)]
+    expected = slow_idw(problem, told(problem), grid.points[targets], VARIANTS[name])
+    np.testing.assert_allclose(moved[targets], expected, atol=1e-12)
+
+
+def test_division_converges_to_lie_as_one_over_m():
+    problem = problem_of(frame(), body_specs(turning(30, center=(0.4, -0.3, 0.0))))
+    displacement = told(problem)
+    lie = apply(Options("idw", idw=IDW(remove_mean=False)), problem, displacement)
+    errors = []
+    for m in (10, 20, 40):
+        moved = apply(Options("idw", idw=IDW(rotation="division", divisions=m)), problem, displacement)
+        errors.append(np.abs(moved - lie).max())
+    orders = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert np.all((orders > 0.9) & (orders < 1.1))
+
+
+def test_quaternion_depends_on_the_origin_and_blend_shrinks():
+    grid = frame()
+    here = problem_of(grid, body_specs(turning(60)))
+    near = expression("abs(x - 3) < 0.51 and abs(y) < 0.51", {"x", "y", "z"})
+    specs = [
+        BoundarySpec("body", ("*.i*", "*.j*"), Kind.MOVING, near, turning(60, center=(3, 0, 0))),
+        body_specs(turning(60))[1],
+    ]
+    there = problem_of(grid.moved(grid.points + [3.0, 0, 0]), specs)
+    quaternion = Options("idw", idw=IDW(rotation="quaternion"))
+    gap = np.abs(apply(quaternion, here, told(here)) - apply(quaternion, there, told(there))).max()
+    assert gap > 1e-2
+    assert np.abs(apply(Options("idw"), here, told(here)) - apply(Options("idw"), there, told(there))).max() < 1e-12
+
+
+def test_auto_alpha_is_eq_18_capped_and_says_so():
+    problem = problem_of(frame(), body_specs(turning(60)))
+    prepared = make_method(Options("idw", idw=IDW(alpha="auto"))).prepare(problem)
+    prepared.apply(told(problem))
+    setting = prepared.account.settings["alpha"]
+    assert setting.value == 0.3
+    assert "eq. 18" in setting.reason
+    assert "capped" in setting.reason
+    small = problem_of(frame(), body_specs(turning(1)))
+    prepared.apply(told(small))
+    assert 0.001 < prepared.account.settings["alpha"].value < 0.3
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"rotation": "quaternions"}, {"weights": "luk"}, {"alpha": 0}, {"alpha": -1.0}, {"alpha": "automatic"},
+        {"alpha": float("nan")}, {"a": True}, {"p_moving": "3"}, {"eta": "5"}, {"divisions": 0}, {"divisions": 2.5},
+        {"remove_mean": "yes"}, {"reweight": True}, {"length": 0}, {"p_fixed": None}, {"divisions": True},
+    ],
+)  # fmt: skip
+def test_bad_options(options):
+    with pytest.raises(MethodError, match=r"method\.idw\."):
+        IDW(**options)
+
+
+@pytest.mark.parametrize("exponents", [(3, 5), (2, 4.5)])
+@pytest.mark.parametrize("n_values", [3, 7, 12])
+def test_sums(exponents, n_values):
+    rng = np.random.default_rng(0)
+    targets, sources = rng.random((130, 3)), rng.random((301, 3))
+    strength, values = rng.random((2, 301)), rng.standard_normal((n_values, 301))
+    r = np.linalg.norm(targets[:, None] - sources, axis=2)
+    w = strength[0] * r ** -exponents[0] + strength[1] * r ** -exponents[1]
+    sums = weighted_sums(targets, sources, strength, exponents, values)
+    np.testing.assert_allclose(sums[:, 0], w.sum(axis=1), rtol=1e-13)
+    np.testing.assert_allclose(sums[:, 1:], w @ values.T, rtol=1e-10, atol=1e-8)
+
+
+def test_rigid_motions_of_surfaces_are_found():
+    """A bent sheet turned as a whole: every node gets that turn, also for in-plane turns and sharp edges."""
+    u, v = np.meshgrid(np.linspace(0, 1, 5), np.linspace(0, 1, 4), indexing="ij")
+    x = np.stack([u, v, np.abs(u - 0.5)], axis=-1).reshape(-1, 3)
+    index = np.arange(20).reshape(5, 4)
+    quads = np.stack([index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]], axis=-1).reshape(-1, 4)
+    from meshdeform_core.methods.base import _rings
+
+    corners, edges = _rings(quads)
+    for w in ([0, 0, 1.2], [0.3, -0.8, 0.5], [2.0, 2.0, 0.5], [0, 0, 0]):
+        q = rot.quaternion_of(np.array([w], dtype=float))
+        turned = rot.rotate(np.tile(q, (20, 1)), x) + np.array([1.0, -2.0, 3.0])
+        found = rot.rotation_vector(rot.surface_rotations(x, turned, corners, edges))
+        np.testing.assert_allclose(found, np.tile(w, (20, 1)), atol=1e-12)
+
+
+def test_logarithm_and_exponential_are_inverse():
+    rng = np.random.default_rng(5)
+    for scale in (1e-9, 1e-3, 0.0316, 0.5, 3.0):
+        w = rng.standard_normal((50, 3))
+        w *= scale / np.linalg.norm(w, axis=1, keepdims=True)
+        t = rng.standard_normal((50, 3))
+        np.testing.assert_allclose(rot.rotation_vector(rot.quaternion_of(w)), w, rtol=1e-12, atol=1e-18)
+        np.testing.assert_allclose(rot.translation_of_twist(w, rot.twist_velocity(w, t)), t, atol=1e-12)

@@ -1,0 +1,182 @@
+"""CGNS files that cannot be used: each is refused with a message that says what, where and what to do."""
+
+from dataclasses import replace
+
+import h5py
+import numpy as np
+import pytest
+from cgns_witness import N, bc, box, connectivity, one_to_one, periodic, tree, two_zones, write_hdf5, zone, zone_bc
+
+from meshdeform_core.errors import FormatError, GridError
+from meshdeform_formats import cgns, read_grid
+
+SHAPE = (4, 3, 5)
+
+
+def good() -> N:
+    return zone("z", box(*SHAPE))
+
+
+def with_coordinates(*arrays: N, rind: list[int] | None = None) -> N:
+    planes = [N("Rind", "Rind_t", np.array(rind, np.int32))] if rind else []
+    grid = N("GridCoordinates", "GridCoordinates_t", None, [*planes, *arrays])
+    return replace(good(), children=[N("ZoneType", "ZoneType_t", "Structured"), grid])
+
+
+def array(name: str, dtype: str = "f8", shape: tuple[int, ...] = SHAPE) -> N:
+    return N(name, "DataArray_t", np.zeros(shape, dtype))
+
+
+def sized(*sizes: int, dtype: str = "i4") -> N:
+    values = np.array([sizes, np.subtract(sizes, 1), np.zeros(len(sizes))]).T.astype(dtype)
+    return replace(good(), data=values)
+
+
+def located(location: str) -> N:
+    return N("GridLocation", "GridLocation_t", location)
+
+
+def boundary(points: object, *more: N, point_set: str = "PointRange") -> N:
+    return zone("z", box(*SHAPE), zone_bc(bc("wall", "BCWall", points, *more, point_set=point_set)))
+
+
+def connected(node: N) -> N:
+    return zone("z", box(*SHAPE), connectivity(node))
+
+
+def overset(*kinds: str) -> N:
+    children = [
+        N(f"g{i}", "GridConnectivity_t", "b", [N("GridConnectivityType", "GridConnectivityType_t", kind)])
+        for i, kind in enumerate(kinds)
+    ]
+    return tree(zone("a", box(3, 3, 3), connectivity(*children)), zone("b", box(3, 3, 3)))
+
+
+X, Y, Z = array("CoordinateX"), array("CoordinateY"), array("CoordinateZ")
+RADIUS, THETA = array("CoordinateR"), array("CoordinateTheta")
+JOIN = one_to_one("join", "z", [[1, 1, 1], [1, 3, 5]], [[4, 1, 1], [4, 3, 5]])
+
+
+def joined(child: N) -> N:
+    return replace(JOIN, children=[*JOIN.children, child])
+
+
+@pytest.mark.parametrize(
+    ("root", "message"),
+    [
+        (N("", "", None, tree().children[:1]), "no CGNSBase_t node"),
+        (tree(), "the base Base has no zones"),
+        (tree(good(), cell=1), "cell dimension 1 and physical dimension 3"),
+        (tree(good(), cell=3, physical=2), "cell dimension 3 and physical dimension 2"),
+        (tree(zone("u", box(2, 2, 2), kind="Unstructured"), good()), r"1 of 2 zones .* is 'u' \(Unstructured\)"),
+        (tree(good(), cell=2), r"/Base/z holds 3 x 3 I4 values; expected 2 x 3 integers"),
+        (tree(sized(4, 3, 5, dtype="f8")), "holds 3 x 3 R8 values; expected 3 x 3 integers"),
+        (tree(sized(4, 0, 5)), r"zone z has \[4, 0, 5\] nodes"),
+        (tree(sized(4, 3, 6)), r"CoordinateX of zone z has \(4, 3, 5\) values; the zone has \(4, 3, 6\) nodes"),
+        (tree(good().without("GridCoordinates")), "zone z has no GridCoordinates_t"),
+        (tree(with_coordinates()), "zone z has the coordinates nothing; expected CoordinateX, CoordinateY"),
+        (tree(with_coordinates(X, Z)), "has the coordinates CoordinateX, CoordinateZ; expected"),
+        (tree(with_coordinates(RADIUS, THETA, Z)), "cylindrical .* converted to Cartesian"),
+        (tree(with_coordinates(X, Y, array("CoordinateZ", "i4"))), "holds 4 x 3 x 5 I4 values; expected R4 or R8"),
+        (tree(with_coordinates(X, Y, array("CoordinateZ", shape=(4, 3)))), r"CoordinateZ .* has \(4, 3\) values"),
+        (tree(with_coordinates(X, Y, Z, rind=[1, 0, 0, 0, 0, 0])), r"has \(5, 3, 5\) nodes \(with rind\)"),
+        (tree(with_coordinates(X, Y, Z, rind=[-1, 0, 0, 0, 0, 1])), "rind planes; expected none or more"),
+        (tree(with_coordinates(X, Y, Z, rind=[0, 0])), "Rind holds 2 I4 values; expected 6 integers"),
+        (tree(boundary([[1, 1, 1], [1, 3, 6]])), r"PointRange names the index \[1, 3, 6\]; zone z ends at \[4, 3, 5\]"),
+        (tree(boundary([[0, 1, 1], [0, 3, 5]])), r"names the index \[0, 1, 1\]"),
+        (tree(boundary([[1, 1, 1], [1, 3, 5]], located("IFaceCenter"))), r"wall/PointRange names .* \[4, 2, 4\]"),
+        (tree(boundary([[1, 1, 1], [9, 1, 1]], point_set="PointList")), r"PointList names the index \[9, 1, 1\]"),
+        (tree(boundary([[1, 1], [1, 3]])), "holds 2 x 2 I4 values; expected 3 x 2 integers"),
+        (tree(boundary([[1, 1, 1]] * 3)), "holds 3 x 3 I4 values; expected 3 x 2 integers"),
+        (tree(connected(JOIN.without("PointRangeDonor"))), "the connection /Base/z/.*/join has no PointRangeDonor"),
+        (tree(connected(joined(N("Transform", "x", np.ones(2, "i4"))))), "expected 3 integers"),
+        (
+            tree(connected(joined(periodic([0] * 4, [0] * 3, [0] * 3)))),
+            r"RotationCenter holds \(4,\) float32 values; expected 2 or 3 real numbers",
+        ),
+        (overset("Overset"), r"2 zones are connected by overset \(Chimera\) connectivity only"),
+        (overset("Overset", "Overset"), "only; meshdeform moves blocks that share nodes"),
+        (tree(good(), replace(good(), name="g", children=good().children[:1])), "zone g has no GridCoordinates_t"),
+    ],
+)  # fmt: skip
+def test_refused_with_the_reason(tmp_path, root, message):
+    path = write_hdf5(tmp_path / "grid.cgns", root)
+    with pytest.raises(FormatError, match=message) as refusal:
+        read_grid(path)
+    assert str(path) in str(refusal.value)
+
+
+def test_overset_beside_other_connectivity_is_not_refused(tmp_path):
+    assert read_grid(write_hdf5(tmp_path / "grid.cgns", overset("Overset", "Abutting1to1"))).n_blocks == 2
+
+
+def test_coordinates_that_are_not_numbers(tmp_path):
+    points = box(*SHAPE)
+    points[1, 2, 3, 0] = np.nan
+    with pytest.raises(GridError, match=r"z \(2, 3, 4\)"):
+        read_grid(write_hdf5(tmp_path / "grid.cgns", tree(zone("z", points))))
+
+
+def test_further_grids_without_the_original(tmp_path):
+    two = [replace(good()["GridCoordinates"], name=name) for name in ("Grid#1", "Grid#2")]
+    root = tree(replace(good(), children=two))
+    with pytest.raises(FormatError, match=r"has only Grid#1, Grid#2; expected its original grid, GridCoordinates"):
+        read_grid(write_hdf5(tmp_path / "grid.cgns", root))
+
+
+def test_hdf5_that_is_not_cgns(tmp_path):
+    path = tmp_path / "results.h5"
+    with h5py.File(path, "w") as file:
+        file["displacement"] = np.zeros((5, 3))
+    with pytest.raises(FormatError, match=r"is HDF5 but not CGNS: /displacement"):
+        read_grid(path)
+
+
+def test_cgns_of_a_library_that_stored_dimensions_otherwise(tmp_path):
+    path = write_hdf5(tmp_path / "old.cgns", two_zones())
+    with h5py.File(path, "r+") as file:
+        file[" version"] = np.zeros(33, np.int8)
+    with pytest.raises(FormatError, match=r"before 3\.0"):
+        read_grid(path)
+
+
+def test_truncated_hdf5(tmp_path):
+    raw = write_hdf5(tmp_path / "grid.cgns", two_zones()).read_bytes()
+    short = tmp_path / "short.cgns"
+    for length in range(8, len(raw), len(raw) // 25):
+        short.write_bytes(raw[:length])
+        with pytest.raises(FormatError, match=r"short\.cgns as HDF5: it is damaged, truncated or open"):
+            read_grid(short)
+
+
+def test_announced_but_never_written_values(tmp_path):
+    path = write_hdf5(tmp_path / "grid.cgns", tree(sized(40000, 30000, 50000)))
+    with h5py.File(path, "r+") as file:
+        for name in "XYZ":
+            group = file[f"Base/z/GridCoordinates/Coordinate{name}"]
+            del group[" data"]
+            group.create_dataset(" data", shape=(50000, 30000, 40000), dtype="f8", chunks=(64, 64, 64))
+    with pytest.raises(FormatError, match=r"announces .* values; only 0 bytes are stored"):
+        read_grid(path)
+
+
+def test_missing_file(tmp_path):
+    with pytest.raises(FormatError, match=r"cannot read .*nothing\.cgns: No such file"):
+        cgns.read(tmp_path / "nothing.cgns")
+
+
+@pytest.mark.parametrize(
+    "link", [("gone.cgns", "/Base/z/GridCoordinates"), ("", "/nowhere"), ("", "/Base/z/GridCoordinates")]
+)
+def test_links_that_lead_nowhere(tmp_path, link):
+    broken = replace(good(), children=[N("GridCoordinates", "", link=link)])
+    with pytest.raises(FormatError, match=r"zone z has no GridCoordinates_t.*lead nowhere: GridCoordinates ->"):
+        read_grid(write_hdf5(tmp_path / "grid.cgns", tree(broken)))
+
+
+def test_names_that_are_not_utf8(tmp_path):
+    path = write_hdf5(tmp_path / "grid.cgns", two_zones())
+    with h5py.File(path, "r+") as file:
+        h5py.h5g.create(file["Base"].id, b"l\xfcft")
+    with pytest.raises(FormatError, match=r"the name b'l\\xfcft' in /Base is not UTF-8"):
+        read_grid(path)

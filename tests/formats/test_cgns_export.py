@@ -1,0 +1,248 @@
+"""New CGNS files from grids of other formats or made in memory, checked by cgnscheck, vtk and our own reader."""
+
+import shutil
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from cgns_witness import box
+
+from meshdeform_core.grid import Connection, Field, Grid, Patch, Periodicity, Side, Window, whole_face
+from meshdeform_formats import read_grid, write_grid
+from meshdeform_formats.cgns_export_boundary import bc_type
+from meshdeform_formats.cgns_names import unique_names
+from meshdeform_formats.cgns_periodic import inverse_motion, rotation_matrix
+
+
+def assert_cgnscheck_finds_no_error(path: Path) -> None:
+    if shutil.which("cgnscheck") is None:
+        pytest.skip("cgnscheck is not installed")
+    report = subprocess.run(["cgnscheck", str(path)], capture_output=True, text=True, timeout=60, check=True).stdout
+    assert "checking complete" in report
+    assert "ERROR" not in report
+
+
+def two_blocks(**more: object) -> Grid:
+    """Two boxes joined along i; the second is turned so that its j axis continues the first one's i axis."""
+    turned = box(3, 3, 5, (3, 0, 0)).transpose(1, 0, 2, 3)[::-1]
+    joint = Connection("joint", 0, (3, 0, 0), (3, 2, 4), 1, (2, 0, 0), (0, 0, 4), (2, -1, 3))
+    patches = (
+        Patch(
+            "wing",
+            (Window(0, Side.JMIN, (0, 0), (3, 4)), Window(1, Side.IMAX, (0, 0), (2, 4))),
+            bc_type="viscous_solid",
+        ),
+        Patch("inlet", (Window(0, Side.IMIN, (0, 1), (2, 4)),), "Far", "BCFarfield"),
+        Patch("odd", (Window(1, Side.KMAX, (0, 0), (2, 2)),), "", "my condition"),
+    )
+    grid = Grid.from_blocks([box(4, 3, 5), turned], ["left", "right"], patches=patches, connections=(joint,))
+    return replace(grid, **more)
+
+
+def test_everything_comes_back(tmp_path):
+    grid = two_blocks()
+    written = write_grid(grid, tmp_path / "new.cgns")
+    again = read_grid(tmp_path / "new.cgns")
+    assert written.label == "cgns (container=HDF5), float64"
+    np.testing.assert_array_equal(again.points, grid.points)
+    assert (again.names, again.shapes) == (grid.names, grid.shapes)
+    wing, inlet, second_wing, odd = again.patches
+    assert wing == Patch("wing", grid.patches[0].windows[:1], "wing", "BCWallViscous")
+    assert inlet == grid.patches[1]
+    assert second_wing == Patch("wing", grid.patches[0].windows[1:], "wing", "BCWallViscous")
+    assert odd == replace(grid.patches[2], bc_type="UserDefined")
+    assert again.connections == (
+        grid.connections[0],
+        Connection("joint", 1, (0, 0, 0), (2, 0, 4), 0, (3, 2, 0), (3, 0, 4), (-2, 1, 3)),
+    )
+    assert again.notes == ()
+    assert_cgnscheck_finds_no_error(tmp_path / "new.cgns")
+
+
+def test_the_words_of_other_formats_are_kept_beside_the_cgns_words(tmp_path):
+    write_grid(two_blocks(), tmp_path / "new.cgns")
+    with h5py.File(tmp_path / "new.cgns") as file:
+        assert file["Base/right/ZoneBC/odd/BoundaryCondition/ data"][()].tobytes() == b"my condition"
+        assert file["Base/Far/FamilyBC/ data"][()].tobytes() == b"BCFarfield"
+
+
+@pytest.mark.parametrize(
+    ("word", "expected"),
+    [
+        ("viscous_solid", "BCWallViscous"),
+        ("tangency", "BCWallInviscid"),
+        ("farfield_riem", "BCFarfield"),
+        ("symmetry_x", "BCSymmetryPlane"),
+        ("Wall", "BCWall"),
+        ("BCTunnelInflow", "BCTunnelInflow"),
+        ("back_pressure", "BCOutflow"),
+        ("one_of_a_kind", "UserDefined"),
+        ("", "UserDefined"),
+    ],
+)
+def test_words_for_boundary_conditions(word, expected):
+    assert bc_type(word) == expected
+
+
+def test_both_directions_are_written_once(tmp_path):
+    grid = two_blocks()
+    write_grid(grid, tmp_path / "one.cgns")
+    both = read_grid(tmp_path / "one.cgns").connections
+    write_grid(replace(grid, connections=both), tmp_path / "two.cgns")
+    assert read_grid(tmp_path / "two.cgns").connections == both
+
+
+def test_a_connection_given_backwards(tmp_path):
+    backwards = Connection("back", 0, (3, 2, 4), (3, 0, 0), 1, (0, 0, 4), (2, 0, 0), (2, -1, 3))
+    write_grid(two_blocks(connections=(backwards,)), tmp_path / "new.cgns")
+    assert read_grid(tmp_path / "new.cgns").connections[0] == replace(two_blocks().connections[0], name="back")
+    assert_cgnscheck_finds_no_error(tmp_path / "new.cgns")
+
+
+@pytest.mark.parametrize(
+    "periodic",
+    [
+        Periodicity(translation=(0.0, 0.0, 4.0)),
+        Periodicity((0.5, 0.25, 0.0), (30.0, 0.0, 0.0), (1.0, 0.0, 0.0)),
+        Periodicity((0.0, 0.0, 0.0), (0.0, -120.0, 0.0)),
+        Periodicity((1.0, 2.0, 3.0), (10.0, 20.0, 30.0), (4.0, 5.0, 6.0)),
+    ],
+)
+def test_periodic_connections_and_their_way_back(tmp_path, periodic):
+    connection = Connection("per", 0, (0, 0, 0), (3, 2, 0), 0, (0, 0, 4), (3, 2, 4), (1, 2, 3), periodic)
+    write_grid(two_blocks(connections=(connection,)), tmp_path / "new.cgns")
+    there, back = read_grid(tmp_path / "new.cgns").connections
+    assert (back.begin, back.donor_begin) == (there.donor_begin, there.begin)
+    for found, wanted in ((there.periodic, periodic), (back.periodic, inverse_motion(periodic))):
+        np.testing.assert_allclose(found.rotation_center, wanted.rotation_center, atol=1e-6)
+        np.testing.assert_allclose(found.rotation_angle, wanted.rotation_angle, atol=1e-5)
+        np.testing.assert_allclose(found.translation, wanted.translation, atol=1e-5)
+    points = np.random.default_rng(0).normal(size=(5, 3))
+    for motion in (periodic, inverse_motion(periodic)):
+        center = np.array(motion.rotation_center)
+        points = (points - center) @ rotation_matrix(np.array(motion.rotation_angle)).T + center + motion.translation
+    np.testing.assert_allclose(points, np.random.default_rng(0).normal(size=(5, 3)), atol=1e-12)
+    assert_cgnscheck_finds_no_error(tmp_path / "new.cgns")
+
+
+def test_fields_become_flow_solutions(tmp_path):
+    grid = two_blocks()
+    rng = np.random.default_rng(1)
+    fields = (
+        Field("iblank", "node", 0, rng.integers(-3, 2, (4, 3, 5), dtype=np.int32)),
+        Field("velocity", "node", 0, rng.normal(size=(4, 3, 5, 3))),
+        Field("stress", "node", 0, rng.normal(size=(4, 3, 5, 3, 3)).astype(np.float32)),
+        Field("pressure", "cell", 1, rng.normal(size=(2, 2, 4)).astype(np.float32)),
+        Field("flag", "cell", 1, rng.integers(0, 2, (2, 2, 4)).astype(bool)),
+    )
+    write_grid(replace(grid, fields=fields), tmp_path / "new.cgns")
+    with h5py.File(tmp_path / "new.cgns") as file:
+        nodes, cells = file["Base/left/FlowSolutionVertex"], file["Base/right/FlowSolutionCellCenter"]
+        np.testing.assert_array_equal(nodes["iblank/ data"][()].T, fields[0].values)
+        np.testing.assert_array_equal(nodes["velocityY/ data"][()].T, fields[1].values[..., 1])
+        np.testing.assert_array_equal(nodes["stress9/ data"][()].T, fields[2].values[..., 2, 2])
+        np.testing.assert_array_equal(cells["pressure/ data"][()].T, fields[3].values)
+        np.testing.assert_array_equal(cells["flag/ data"][()].T, fields[4].values)
+        assert cells["GridLocation/ data"][()].tobytes() == b"CellCenter"
+        assert list(file["Base/left"])[3:] == ["FlowSolutionVertex", "ZoneBC", "ZoneGridConnectivity"]
+    np.testing.assert_array_equal(read_grid(tmp_path / "new.cgns").points, grid.points)
+    assert_cgnscheck_finds_no_error(tmp_path / "new.cgns")
+
+
+@pytest.mark.parametrize("flat", [0, 1, 2])
+@pytest.mark.parametrize("in_plane", [True, False])
+def test_two_dimensional_grids(tmp_path, flat, in_plane):
+    """The axis of a single node disappears, whichever it is."""
+    plane = box(4, 3, 1)[:, :, 0]
+    plane[..., 2] = 0.0 if in_plane else plane[..., 0] ** 2
+    block = np.expand_dims(plane, flat)
+    kept = [axis for axis in range(3) if axis != flat]
+    side = Side(2 * kept[0] + 1)
+    values = np.arange(12.0).reshape(np.expand_dims(plane[..., 0], flat).shape)
+    end, donor_end = [0, 0, 0], [0, 0, 0]
+    end[kept[1]] = donor_end[kept[1]] = 2
+    end[kept[0]] = 3
+    begin = [3 if axis == kept[0] else 0 for axis in range(3)]
+    grid = Grid.from_blocks(
+        [block],
+        patches=(
+            Patch("out", (whole_face(block.shape[:3], 0, side),)),
+            Patch("plane", (whole_face(block.shape[:3], 0, Side(2 * flat)),)),
+        ),
+        connections=(Connection("c", 0, tuple(begin), tuple(end), 0, (0, 0, 0), tuple(donor_end), (1, 2, 3)),),
+        fields=(Field("v", "node", 0, values),),
+    )
+    write_grid(grid, tmp_path / "new.cgns")
+    again = read_grid(tmp_path / "new.cgns")
+    assert again.shapes == ((4, 3, 1),)
+    np.testing.assert_array_equal(again.block(0)[:, :, 0], plane)
+    assert [(patch.name, patch.windows) for patch in again.patches] == [
+        ("out", (Window(0, Side.IMAX, (0, 0), (2, 0)),))
+    ]
+    assert again.connections[0] == Connection("c", 0, (3, 0, 0), (3, 2, 0), 0, (0, 0, 0), (0, 2, 0), (1, 2, 3))
+    with h5py.File(tmp_path / "new.cgns") as file:
+        assert file["Base/ data"][()].tolist() == [2, 2 if in_plane else 3]
+        np.testing.assert_array_equal(file["Base/block1/FlowSolutionVertex/v/ data"][()].T, values.squeeze())
+    assert_cgnscheck_finds_no_error(tmp_path / "new.cgns")
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_precision(tmp_path, precision):
+    grid = two_blocks()
+    write_grid(grid, tmp_path / "new.cgns", {"precision": precision})
+    again = read_grid(tmp_path / "new.cgns")
+    assert again.precision == precision
+    np.testing.assert_array_equal(again.points, grid.points.astype(precision))
+
+
+def test_long_and_repeated_names(tmp_path):
+    long = "a very long name of a block that goes on"
+    names = [f"{long} {b}" for b in range(3)]
+    patches = tuple(Patch(f"{long}/{b % 2}", (whole_face((3, 3, 3), 0, Side(b)),), f"{long}{b % 2}") for b in range(4))
+    grid = Grid.from_blocks([box(3, 3, 3)] * 3, names, patches=patches)
+    write_grid(grid, tmp_path / "new.cgns")
+    again = read_grid(tmp_path / "new.cgns")
+    assert len(set(again.names)) == 3
+    assert len({patch.name for patch in again.patches}) == 4
+    assert len({patch.family for patch in again.patches}) == 2
+    assert all(len(name) <= 32 for name in again.names)
+    assert_cgnscheck_finds_no_error(tmp_path / "new.cgns")
+
+
+def test_unique_names():
+    assert unique_names(["a", "a", "a/b", " ", "x" * 40, "x" * 33], "Zone") == (
+        "a",
+        "a_2",
+        "a_b",
+        "Zone",
+        "x" * 32,
+        "x" * 30 + "_2",
+    )
+    assert unique_names(["ü" * 20], "Zone") == ("ü" * 16,)  # 32 bytes
+
+
+def test_vtk_reads_the_same_coordinates(tmp_path):
+    from vtkmodules.util.numpy_support import vtk_to_numpy
+    from vtkmodules.vtkIOCGNSReader import vtkCGNSReader
+
+    grid = two_blocks(fields=(Field("iblank", "node", 0, np.ones((4, 3, 5), np.int32)),))
+    write_grid(grid, tmp_path / "new.cgns")
+    reader = vtkCGNSReader()
+    reader.SetFileName(str(tmp_path / "new.cgns"))
+    reader.SetDoublePrecisionMesh(1)
+    reader.Update()
+    base = reader.GetOutput().GetBlock(0)
+    assert base.GetNumberOfBlocks() == 2
+    for index in range(2):
+        points = vtk_to_numpy(base.GetBlock(index).GetPoints().GetData())
+        np.testing.assert_array_equal(points, grid.block(index).transpose(2, 1, 0, 3).reshape(-1, 3))
+
+
+def test_third_party_plot3d(third_party, tmp_path):
+    grid = read_grid(third_party / "cylinder_ring_4blk.x")
+    write_grid(grid, tmp_path / "new.cgns")
+    np.testing.assert_array_equal(read_grid(tmp_path / "new.cgns").points, grid.points)
+    assert_cgnscheck_finds_no_error(tmp_path / "new.cgns")

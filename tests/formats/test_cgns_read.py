@@ -1,0 +1,446 @@
+"""Reading CGNS: third-party grids against their oracle, everything else against files of an independent writer."""
+
+import itertools
+from dataclasses import replace
+
+import h5py
+import numpy as np
+import pytest
+from cgns_witness import (
+    AdfWriter,
+    N,
+    bc,
+    box,
+    connectivity,
+    one_to_one,
+    periodic,
+    tree,
+    two_zones,
+    words,
+    write_hdf5,
+    zone,
+    zone_bc,
+)
+
+from meshdeform_core.grid import Connection, Grid, Side, Window
+from meshdeform_formats import read_grid, write_grid
+
+WING, WING_HDF5, AIRFOIL = "717_wl_L2.cgns", "717_wl_L2_hdf5.cgns", "nak_a_141.cgns"
+
+
+def connected_nodes(grid: Grid, connection: Connection) -> tuple[np.ndarray, np.ndarray]:
+    """Coordinates of a connection's nodes and of their donors, by the definition of the transform."""
+    step = np.sign(np.subtract(connection.end, connection.begin))
+    counts = np.abs(np.subtract(connection.end, connection.begin)) + 1
+    matrix = np.zeros((3, 3), int)
+    for axis, donor in enumerate(connection.transform):
+        matrix[abs(donor) - 1, axis] = np.sign(donor)
+    own, other = [], []
+    for n in itertools.product(*(range(count) for count in counts)):
+        offset = np.multiply(n, step)
+        own.append(tuple(np.add(connection.begin, offset)))
+        other.append(tuple(np.add(connection.donor_begin, matrix @ offset)))
+    assert other[-1] == connection.donor_end
+    assert min(map(min, own + other)) >= 0
+    return (
+        np.array([grid.block(connection.block)[index] for index in own]),
+        np.array([grid.block(connection.donor_block)[index] for index in other]),
+    )
+
+
+@pytest.mark.parametrize("name", [WING, WING_HDF5, AIRFOIL])
+def test_third_party_coordinates_are_exact(third_party, name):
+    grid = read_grid(third_party / name)
+    oracle = np.load(third_party / "oracle" / f"{name.replace('_hdf5', '')}.npz", allow_pickle=False)
+    assert grid.n_blocks == len(oracle.files)
+    for block in range(grid.n_blocks):
+        np.testing.assert_array_equal(grid.block(block), oracle[f"b{block}"])
+    assert grid.precision == "float64"
+    assert grid.notes == ()
+
+
+@pytest.mark.parametrize("name", [WING, WING_HDF5, AIRFOIL])
+def test_third_party_connections_join_coincident_nodes(third_party, name):
+    grid = read_grid(third_party / name)
+    assert grid.connections
+    for connection in grid.connections:
+        own, donor = connected_nodes(grid, connection)
+        np.testing.assert_array_equal(own, donor)
+
+
+def test_the_wing(third_party):
+    grid = read_grid(third_party / WING)
+    assert grid.names == tuple(f"domain.{i:05d}" for i in range(1, 6))
+    assert len(grid.connections) == 16
+    assert len({connection.transform for connection in grid.connections}) == 4
+    assert [patch.name for patch in grid.patches] == [f"BC{i}" for i in range(1, 15)]
+    assert {(patch.family, patch.bc_type) for patch in grid.patches} == {
+        ("wall", "BCWallViscous"),
+        ("Far", "BCFarfield"),
+        ("Sym", "BCSymmetryPlane"),
+    }
+    for patch in grid.patches:
+        (window,) = patch.windows
+        face = grid.block(window.block).take(-1 if window.side % 2 else 0, axis=window.side.axis)
+        points = face[window.low[0] : window.high[0] + 1, window.low[1] : window.high[1] + 1].reshape(-1, 3)
+        distance = np.linalg.norm(points, axis=1)
+        assert patch.family != "Far" or distance.min() > 200
+        assert patch.family != "wall" or distance.max() < 30
+        assert patch.family != "Sym" or np.ptp(points[:, 2]) < 1e-11
+
+
+def test_adf_and_hdf5_give_the_same_grid(third_party):
+    adf, hdf5 = read_grid(third_party / WING), read_grid(third_party / WING_HDF5)
+    np.testing.assert_array_equal(adf.points, hdf5.points)
+    assert replace(adf, points=hdf5.points, format=None, path=None) == replace(hdf5, format=None, path=None)
+    assert (adf.format.options["container"], hdf5.format.options["container"]) == ("ADF", "HDF5")
+
+
+def test_two_zones(tmp_path):
+    grid = read_grid(write_hdf5(tmp_path / "grid.cgns", two_zones()))
+    assert grid.names == ("left", "right")
+    assert grid.shapes == ((4, 3, 5), (3, 3, 5))
+    np.testing.assert_array_equal(grid.block(0), box(4, 3, 5))
+    assert [(p.name, p.family, p.bc_type) for p in grid.patches] == [
+        ("body", "Wing", "BCWallViscous"),
+        ("top", "Wing", "BCWall"),  # FamilySpecified: what the family says
+        ("body", "", "BCFarfield"),
+    ]
+    assert grid.patches[1].windows == (Window(0, Side.KMAX, (0, 0), (3, 2)),)
+    right, left = grid.connections
+    assert right == Connection("to right", 0, (3, 0, 0), (3, 2, 4), 1, (0, 0, 0), (0, 2, 4), (1, 2, 3))
+    assert left.donor_block == 0  # donor "Base/left"
+    assert left.transform == (1, 2, 3)  # no Transform
+
+
+@pytest.mark.parametrize("track", [True, False])
+def test_zones_come_in_file_order(tmp_path, track):
+    names = ["zone 10", "b", "zone 2", "a"]
+    root = tree(*(zone(name, box(2, 2, 2)) for name in names))
+    assert read_grid(write_hdf5(tmp_path / "grid.cgns", root, track=track)).names == tuple(names)
+    assert read_grid(AdfWriter().write(tmp_path / "grid.adf", root)).names == tuple(names)
+
+
+def test_packed_datasets(tmp_path):
+    path = write_hdf5(tmp_path / "grid.cgns", two_zones(), dataset={"compression": "gzip", "shuffle": True})
+    np.testing.assert_array_equal(read_grid(path).block(0), box(4, 3, 5))
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "precision", "options"),
+    [
+        ("f4", "f4", "float32", {"container": "HDF5"}),
+        ("f8", "f8", "float64", {"container": "HDF5"}),
+        ("f8", "f4", "float32", {"container": "HDF5", "precision": "mixed"}),
+    ],
+)
+def test_precision(tmp_path, first, second, precision, options):
+    root = tree(zone("a", box(3, 2, 2), dtype=first), zone("b", box(3, 2, 2), dtype=second))
+    grid = read_grid(write_hdf5(tmp_path / "grid.cgns", root))
+    assert grid.precision == precision
+    assert grid.format.options == options
+    np.testing.assert_array_equal(grid.block(1), box(3, 2, 2).astype(second))
+
+
+def test_big_endian_data(tmp_path):
+    path = write_hdf5(tmp_path / "grid.cgns", two_zones())
+    with h5py.File(path, "r+") as file:
+        group = file["Base/left/GridCoordinates/CoordinateX"]
+        values = group[" data"][()]
+        del group[" data"]
+        group.create_dataset(" data", data=values, dtype=">f8")
+    np.testing.assert_array_equal(read_grid(path).block(0), box(4, 3, 5))
+
+
+@pytest.mark.parametrize("physical", [2, 3])
+def test_bases_of_two_index_axes(tmp_path, physical):
+    points = box(4, 3, 1)[:, :, 0, :physical]
+    flat = zone(
+        "flat",
+        points,
+        zone_bc(
+            bc("wall", "BCWall", [[1, 1], [4, 1]]),
+            bc("out", "BCOutflow", [[4, 1], [4, 2], [4, 3]], point_set="PointList"),
+        ),
+        connectivity(one_to_one("cut", "flat", [[1, 1], [1, 3]], [[4, 3], [4, 1]], [1, -2])),
+    )
+    grid = read_grid(write_hdf5(tmp_path / "grid.cgns", tree(flat, cell=2, physical=physical)))
+    assert grid.dimension == 2
+    assert grid.shapes == ((4, 3, 1),)
+    np.testing.assert_array_equal(grid.block(0)[:, :, 0, :physical], points)
+    assert physical == 3 or not grid.points[:, 2].any()
+    assert [patch.windows for patch in grid.patches] == [
+        (Window(0, Side.JMIN, (0, 0), (3, 0)),),
+        (Window(0, Side.IMAX, (0, 0), (2, 0)),),
+    ]
+    assert grid.connections == (Connection("cut", 0, (0, 0, 0), (0, 2, 0), 0, (3, 2, 0), (3, 0, 0), (1, -2, 3)),)
+
+
+def located(location: str) -> N:
+    return N("GridLocation", "GridLocation_t", location)
+
+
+def face_list(axis: int, plane: int, shape: tuple[int, int, int]) -> np.ndarray:
+    """1-based indices of all faces of one plane of a block of ``shape`` nodes."""
+    spans = [range(1, n) if a != axis else [plane] for a, n in enumerate(shape)]
+    return np.array(list(itertools.product(*spans)))
+
+
+KMAX = (Window(0, Side.KMAX, (0, 0), (3, 2)),)
+IMIN = (Window(0, Side.IMIN, (0, 0), (2, 4)),)
+
+
+@pytest.mark.parametrize(
+    ("condition", "windows"),
+    [
+        (bc("x", "BCWall", [[1, 1, 5], [4, 3, 5]]), KMAX),
+        (bc("x", "BCWall", [[4, 3, 5], [1, 1, 5]]), KMAX),
+        (bc("x", "BCWall", [[1, 1, 5], [3, 2, 5]], located("FaceCenter")), KMAX),
+        (bc("x", "BCWall", [[1, 1, 5], [3, 2, 5]], located("KFaceCenter")), KMAX),
+        (bc("x", "BCWall", [[1, 1, 1], [1, 2, 4]], located("IFaceCenter")), IMIN),
+        (bc("x", "BCWall", [[1, 1, 1], [1, 2, 4]], point_set="ElementRange"), IMIN),
+        (bc("x", "BCWall", [[1, 1, 2], [1, 2, 3]], located("FaceCenter")), (Window(0, Side.IMIN, (0, 1), (2, 3)),)),
+        (bc("x", "BCWall", np.add(np.argwhere(np.ones((4, 3, 1))), [1, 1, 5]), point_set="PointList"), KMAX),
+        (bc("x", "BCWall", face_list(2, 5, (4, 3, 5)), located("KFaceCenter"), point_set="PointList"), KMAX),
+        (bc("x", "BCWall", face_list(2, 5, (4, 3, 5)), located("FaceCenter"), point_set="PointList"), KMAX),
+        (bc("x", "BCWall", face_list(0, 1, (4, 3, 5)), point_set="ElementList"), IMIN),
+    ],
+)
+def test_point_sets(tmp_path, condition, windows):
+    root = tree(zone("z", box(4, 3, 5), zone_bc(condition)))
+    grid = read_grid(write_hdf5(tmp_path / "grid.cgns", root))
+    assert grid.patches[0].windows == windows
+    assert grid.notes == ()
+
+
+def test_point_list_of_an_l_shape_and_of_both_ends(tmp_path):
+    member = np.zeros((5, 6), bool)
+    member[:3, :] = member[:, :3] = True
+    nodes = np.column_stack([np.argwhere(member) + 1, np.ones(member.sum(), int)])
+    both = np.vstack([face_list(0, 1, (5, 6, 3)), face_list(0, 5, (5, 6, 3))])
+    ell, ends = (
+        bc("ell", "BCWall", nodes, point_set="PointList"),
+        bc("ends", "BCWall", both, located("IFaceCenter"), point_set="PointList"),
+    )
+    grid = read_grid(write_hdf5(tmp_path / "grid.cgns", tree(zone("z", box(5, 6, 3), zone_bc(ell, ends)))))
+    assert {w.side for w in grid.patches[0].windows} == {Side.KMIN}
+    cells = np.zeros((4, 5), int)
+    for window in grid.patches[0].windows:
+        cells[window.low[0] : window.high[0], window.low[1] : window.high[1]] += 1
+    expected = member[1:, 1:] & member[:-1, 1:] & member[1:, :-1] & member[:-1, :-1]
+    np.testing.assert_array_equal(cells, expected)
+    assert [w.side for w in grid.patches[1].windows] == [Side.IMIN, Side.IMAX]
+
+
+def test_face_centres_of_a_single_layer_of_cells(tmp_path):
+    """Every face has k = 1, but the layer is not the face."""
+    condition = bc("wall", "BCWall", [[1, 1, 1], [1, 2, 1]], located("FaceCenter"))
+    grid = read_grid(write_hdf5(tmp_path / "grid.cgns", tree(zone("z", box(4, 3, 2), zone_bc(condition)))))
+    assert grid.patches[0].windows == (Window(0, Side.IMIN, (0, 0), (2, 1)),)
+
+
+@pytest.mark.parametrize(
+    ("condition", "note"),
+    [
+        (bc("odd", "BCWall", [[1, 1, 1], [1, 1, 5]]), "cover no part of a block face are not used: z/odd"),
+        (bc("odd", "BCWall", [[2, 1, 1], [2, 3, 5]]), "cover no part of a block face are not used: z/odd"),
+        (bc("odd", "BCWall", [[1, 1, 1], [4, 3, 5]]), "cover no part of a block face are not used: z/odd"),
+        (bc("odd", "BCWall", [[2, 2, 2]], point_set="PointList"), "cover no part"),
+        (bc("odd", "BCWall", [[1, 1, 1], [1, 1, 4]], located("FaceCenter")), "cover no part"),
+        (
+            bc("odd", "BCWall", [[1, 1, 1], [1, 2, 4]], located("CellCenter")),
+            "located at CellCenter are not used: z/odd",
+        ),
+        (N("odd", "BC_t", "BCWall"), "without a point set are not used: z/odd"),
+    ],
+)
+def test_conditions_that_are_no_faces_are_noted(tmp_path, condition, note):
+    grid = read_grid(write_hdf5(tmp_path / "grid.cgns", tree(zone("z", box(4, 3, 5), zone_bc(condition)))))
+    assert grid.patches == ()
+    assert any(note in line for line in grid.notes)
+
+
+def test_points_left_over_are_noted(tmp_path):
+    nodes = [*(np.argwhere(np.ones((4, 3, 1))) + 1).tolist(), [2, 2, 2], [1, 1, 2]]
+    condition = bc("wall", "BCWall", nodes, point_set="PointList")
+    grid = read_grid(write_hdf5(tmp_path / "grid.cgns", tree(zone("z", box(4, 3, 5), zone_bc(condition)))))
+    assert len(grid.patches) == 1
+    assert grid.notes == ("listed points that belong to no part of a block face are not used: z/wall (2)",)
+
+
+def test_additional_family_names(tmp_path):
+    names = [N("FamilyName", "FamilyName_t", "a"), N("Other", "AdditionalFamilyName_t", "b")]
+    conditions = [bc(f"bc{n}", "BCWall", [[1, 1, 1], [1, 2, 2]], *names[n:]) for n in range(2)]
+    grid = read_grid(write_hdf5(tmp_path / "grid.cgns", tree(zone("z", box(2, 2, 2), zone_bc(*conditions)))))
+    assert [patch.family for patch in grid.patches] == ["a", "b"]
+
+
+def ring_sector(angle: float) -> np.ndarray:
+    """A sector of a ring about the x axis, from 0 to ``angle`` degrees along k."""
+    x, r, phi = np.meshgrid(
+        np.linspace(0, 1, 3), np.linspace(1, 2, 3), np.radians(np.linspace(0, angle, 4)), indexing="ij"
+    )
+    return np.stack([x, r * np.cos(phi), r * np.sin(phi)], axis=-1)
+
+
+def degrees(word: str) -> N:
+    return N("DimensionalUnits", "DimensionalUnits_t", words("Kilogram", "Meter", "Second", "Kelvin", word))
+
+
+@pytest.mark.parametrize(
+    ("stored", "inner", "base", "noted"),
+    [
+        (5.0, "Degree", None, None),
+        (np.radians(5.0), "Radian", None, None),
+        (5.0, None, "Degree", None),
+        (np.radians(5.0), "Radian", "Degree", None),
+        (np.radians(5.0), None, None, "radians"),
+        (5.0, None, None, "degrees"),
+        (5.0, "Null", None, "degrees"),
+    ],
+)
+def test_periodic_angles_are_degrees_whatever_their_unit(tmp_path, stored, inner, base, noted):
+    motion = periodic([0, 0, 0], [stored, 0, 0], [0, 0, 0], *([degrees(inner)] if inner else []))
+    sides = connectivity(one_to_one("to kmax", "z", [[1, 1, 1], [3, 3, 1]], [[1, 1, 4], [3, 3, 4]], None, motion))
+    root = tree(zone("z", ring_sector(5.0), sides), more=[degrees(base)] if base else [])
+    grid = read_grid(write_hdf5(tmp_path / "grid.cgns", root))
+    found = grid.connections[0].periodic
+    assert found.rotation_angle == pytest.approx((5.0, 0.0, 0.0), rel=1e-6)
+    assert (found.rotation_center, found.translation) == ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    assert any("read as" in note for note in grid.notes) == (noted is not None)
+    assert noted is None or any(f"read as {noted}" in note for note in grid.notes)
+
+
+def test_periodic_translation(tmp_path):
+    motion = periodic([1, 2, 3], [0, 0, 0], [0.0, 0.0, 4.0])
+    sides = connectivity(one_to_one("p", "z", [[1, 1, 1], [3, 3, 1]], [[1, 1, 5], [3, 3, 5]], None, motion))
+    grid = read_grid(write_hdf5(tmp_path / "grid.cgns", tree(zone("z", box(3, 3, 5), sides))))
+    assert grid.connections[0].periodic.translation == (0.0, 0.0, 4.0)
+    assert grid.connections[0].periodic.rotation_center == (1.0, 2.0, 3.0)
+    assert grid.notes == ()
+
+
+@pytest.mark.parametrize(
+    ("own", "donor", "transform", "name"),
+    [
+        ([[4, 1, 1], [4, 3, 5]], [[1, 1, 1], [1, 3, 4]], [1, 2, 3], "right"),
+        ([[4, 1, 1], [4, 3, 9]], [[1, 1, 1], [1, 3, 9]], [1, 2, 3], "right"),
+        ([[4, 1, 1], [4, 3, 5]], [[1, 1, 1], [1, 3, 5]], [1, 1, 3], "right"),
+        ([[4, 1, 1], [4, 3, 5]], [[1, 1, 1], [1, 3, 5]], [1, 0, 3], "right"),
+        ([[4, 1, 1], [4, 3, 5]], [[1, 1, 1], [1, 3, 5]], [1, 2, 3], "elsewhere"),
+    ],
+)
+def test_connections_that_do_not_fit_are_noted(tmp_path, own, donor, transform, name):
+    wrong = connectivity(one_to_one("wrong", name, own, donor, transform))
+    root = tree(zone("left", box(4, 3, 5), wrong), zone("right", box(3, 3, 5, (3, 0, 0))))
+    grid = read_grid(write_hdf5(tmp_path / "grid.cgns", root))
+    assert grid.connections == ()
+    assert grid.notes == ("connections that do not fit their zones are not used: left/wrong",)
+
+
+def general(name: str, kind: str | None) -> N:
+    children = [N("PointList", "IndexArray_t", np.ones((3, 1), np.int32))]
+    if kind:
+        children.append(N("GridConnectivityType", "GridConnectivityType_t", kind))
+    return N(name, "GridConnectivity_t", "right", children)
+
+
+@pytest.mark.parametrize("kind", ["Abutting1to1", "Abutting"])
+def test_other_connectivity_is_noted(tmp_path, kind):
+    root = tree(
+        zone("left", box(4, 3, 5), connectivity(general("g", kind), general("h", "Overset"))),
+        zone("right", box(3, 3, 5, (3, 0, 0))),
+    )
+    notes = read_grid(write_hdf5(tmp_path / "grid.cgns", root)).notes
+    assert any(f"{kind} connectivity is kept in the file and not used" in n and "left/g" in n for n in notes)
+    assert any("Overset connectivity is kept" in n and "left/h" in n for n in notes)
+
+
+def test_rind_planes_are_left_out(tmp_path):
+    whole = box(6, 4, 5)
+    inner = zone("z", whole[1:4, :, 1:])
+    arrays = [N(f"Coordinate{'XYZ'[c]}", "DataArray_t", whole[..., c]) for c in range(3)]
+    rind = N("Rind", "Rind_t", np.array([1, 2, 0, 0, 1, 0], np.int32))
+    coordinates = N("GridCoordinates", "GridCoordinates_t", None, [rind, *arrays])
+    root = tree(replace(inner, children=[inner["ZoneType"], coordinates]))
+    grid = read_grid(write_hdf5(tmp_path / "grid.cgns", root))
+    assert grid.shapes == ((3, 4, 4),)
+    np.testing.assert_array_equal(grid.block(0), whole[1:4, :, 1:])
+    assert any("rind planes are left out" in note for note in grid.notes)
+
+
+def test_what_else_a_file_holds_is_noted(tmp_path):
+    units = N("DimensionalUnits", "DimensionalUnits_t", words("Kilogram", "Millimeter", "Second", "Kelvin", "Degree"))
+    first = zone("z", box(3, 3, 3), N("GridCoordinates#2", "GridCoordinates_t"))
+    first["GridCoordinates/CoordinateY"].children.append(N("DataConversion", "DataConversion_t", np.array([2.0, 1.0])))
+    root = tree(first, more=[units])
+    root.children.append(N("Second", "CGNSBase_t", np.array([3, 3], np.int32)))
+    notes = read_grid(write_hdf5(tmp_path / "grid.cgns", root)).notes
+    assert "the length unit in the file is: Millimeter" in notes
+    assert any("DataConversion" in note and "z/CoordinateY" in note for note in notes)
+    assert any("further grids" in note and "z/GridCoordinates#2" in note for note in notes)
+    assert any("the grid is the base Base" in note and "Second" in note for note in notes)
+
+
+def test_the_first_base_with_zones_is_taken(tmp_path):
+    root = tree(zone("z", box(3, 3, 3)))
+    root.children.insert(1, N("Empty", "CGNSBase_t", np.array([3, 3], np.int32)))
+    assert read_grid(write_hdf5(tmp_path / "grid.cgns", root)).names == ("z",)
+
+
+def test_a_remark_about_many_zones_is_one_line(tmp_path):
+    zones = [zone(f"z{i}", box(2, 2, 2), N("GridCoordinates2", "GridCoordinates_t")) for i in range(7)]
+    (note,) = read_grid(write_hdf5(tmp_path / "grid.cgns", tree(*zones))).notes
+    assert note.endswith(
+        "z0/GridCoordinates2, z1/GridCoordinates2, z2/GridCoordinates2, z3/GridCoordinates2 and 3 more"
+    )
+
+
+@pytest.mark.parametrize("direct", [False, True])
+def test_links_in_hdf5(tmp_path, direct):
+    """Links as the CGNS library writes them, and plain HDF5 links as other tools do."""
+    (tmp_path / "mesh").mkdir()
+    points = box(3, 3, 3)
+    write_hdf5(tmp_path / "mesh" / "other.cgns", tree(zone("far", points)))
+    whole = zone("here", points)
+    inner = N("GridCoordinates", "", link=("", "/Base/here/GridCoordinates"))
+    outer = N("GridCoordinates", "", link=("mesh/other.cgns", "/Base/far/GridCoordinates"))
+    linked = [
+        replace(whole, name=name, children=[whole["ZoneType"], node]) for name, node in (("a", inner), ("b", outer))
+    ]
+    path = write_hdf5(tmp_path / "main.cgns", tree(whole, *linked))
+    if direct:
+        with h5py.File(path, "r+") as file:
+            for name, target in (
+                ("a", h5py.SoftLink("/Base/here/GridCoordinates")),
+                ("b", h5py.ExternalLink("mesh/other.cgns", "/Base/far/GridCoordinates")),
+            ):
+                del file[f"Base/{name}/GridCoordinates"]
+                file[f"Base/{name}/GridCoordinates"] = target
+    grid = read_grid(path)
+    for block in range(3):
+        np.testing.assert_array_equal(grid.block(block), points)
+    assert any("linked from another file" in note for note in grid.notes)
+
+
+@pytest.mark.parametrize("kind", ["variable length", "characters", "blank padded"])
+def test_attributes_of_other_writers(tmp_path, kind):
+    path = write_hdf5(tmp_path / "grid.cgns", two_zones())
+
+    def rewrite(name: str, node: h5py.Group | h5py.Dataset) -> None:
+        for key in ("name", "label", "type") if isinstance(node, h5py.Group) else ():
+            text = node.attrs[key].decode()
+            del node.attrs[key]
+            if kind == "variable length":
+                node.attrs[key] = text
+            elif kind == "characters":
+                node.attrs[key] = np.frombuffer(text.encode().ljust(33, b"\0"), "S1")
+            else:
+                node.attrs[key] = np.bytes_(text.ljust(33))
+
+    with h5py.File(path, "r+") as file:
+        file.visititems(rewrite)
+    grid = read_grid(path)
+    assert grid.names == ("left", "right")
+    write_grid(grid, tmp_path / "out.cgns")
+    np.testing.assert_array_equal(read_grid(tmp_path / "out.cgns").points, grid.points)

@@ -1,0 +1,470 @@
+"""Writing a grid that came from CGNS: only the coordinates change, checked with h5py, cgnscheck, adf2hdf and vtk."""
+
+import shutil
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from cgns_witness import (
+    AdfWriter,
+    N,
+    box,
+    connectivity,
+    differences,
+    listing,
+    one_to_one,
+    periodic,
+    tree,
+    two_zones,
+    words,
+    write_hdf5,
+    zone,
+)
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from meshdeform_core.errors import FormatError
+from meshdeform_core.grid import Grid
+from meshdeform_formats import cgns, read_grid, write_grid
+
+WING, WING_HDF5, AIRFOIL = "717_wl_L2.cgns", "717_wl_L2_hdf5.cgns", "nak_a_141.cgns"
+
+
+def moved(grid: Grid) -> Grid:
+    """Every node moved by a smooth function of its position: shared nodes stay shared."""
+    x, y, z = grid.points.T
+    return grid.moved(np.stack([x + 0.01 * y, 1.5 * y + 0.1 * x, z * np.pi], axis=1))
+
+
+def is_coordinate(entry: tuple[Any, ...]) -> bool:
+    return "/Coordinate" in entry[0] and entry[1] == " data"
+
+
+def is_version(entry: tuple[Any, ...]) -> bool:
+    return entry[1] == " hdf5version"
+
+
+def run(tool: str, *arguments: Path) -> str:
+    """Standard output of a tool of the CGNS library; skips the test where it is not installed."""
+    if shutil.which(tool) is None:
+        pytest.skip(f"{tool} is not installed")
+    return subprocess.run([tool, *map(str, arguments)], capture_output=True, text=True, timeout=60, check=True).stdout
+
+
+def assert_cgnscheck_finds_no_error(path: Path) -> None:
+    report = run("cgnscheck", path)
+    assert "checking complete" in report
+    assert "ERROR" not in report
+
+
+def full_file() -> N:
+    """A file with much that is not coordinates: solutions in time, units, descriptors, unusual names."""
+    units = N("DimensionalUnits", "DimensionalUnits_t", words("Kilogram", "Meter", "Second", "Kelvin", "Radian"))
+    solution = N(
+        "FlowSolution", "FlowSolution_t", None, [N("Density", "DataArray_t", np.arange(60.0).reshape(4, 3, 5))]
+    )
+    pointers = N("FlowSolutionPointers", "DataArray_t", words("FlowSolution"))
+    iterative = N("ZoneIterativeData", "ZoneIterativeData_t", None, [pointers])
+    motion = periodic([0, 0, 0], [0, 0, 0], [0, 2, 0])
+    across = connectivity(one_to_one("per", "z 2", [[1, 1, 1], [4, 1, 5]], [[1, 3, 1], [4, 3, 5]], None, motion))
+    first = zone("z 2", box(4, 3, 5), solution, iterative, across)
+    second = zone("a", box(3, 3, 5, (3, 0, 0)), N("Ordinal", "Ordinal_t", np.array([7], np.int64)), dtype="f4")
+    steps = N("BaseIterativeData", "BaseIterativeData_t", np.array([1], np.int32))
+    state = N("Reference", "ReferenceState_t", None, [N("Note", "Descriptor_t", "free stream")])
+    root = tree(first, second, more=[units, N("DataClass", "DataClass_t", "Dimensional"), steps, state])
+    root.children.append(
+        N("Other base", "CGNSBase_t", np.array([2, 2], np.int32), [zone("flat", box(3, 3, 1)[:, :, 0, :2])])
+    )
+    return root
+
+
+# --- HDF5 to HDF5 -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("packing", [{}, {"compression": "gzip", "chunks": True}])
+@pytest.mark.parametrize("track", [True, False])
+def test_only_the_coordinates_change(tmp_path, packing, track):
+    source = write_hdf5(tmp_path / "in.cgns", full_file(), dataset=packing, track=track)
+    grid = moved(read_grid(source))
+    write_grid(grid, tmp_path / "out.cgns")
+    assert differences(source, tmp_path / "out.cgns", is_coordinate) == []
+    again = read_grid(tmp_path / "out.cgns")
+    np.testing.assert_array_equal(again.block(0), grid.block(0))
+    np.testing.assert_array_equal(again.block(1), grid.block(1).astype(np.float32))
+    assert (again.names, again.patches, again.connections) == (grid.names, grid.patches, grid.connections)
+
+
+def test_unmoved_coordinates_stay_bit_for_bit(tmp_path):
+    source = write_hdf5(tmp_path / "in.cgns", full_file())
+    write_grid(read_grid(source), tmp_path / "out.cgns")
+    assert listing(source) == listing(tmp_path / "out.cgns")
+
+
+def test_third_party_hdf5(third_party, tmp_path):
+    grid = moved(read_grid(third_party / WING_HDF5))
+    write_grid(grid, tmp_path / "out.cgns")
+    assert differences(third_party / WING_HDF5, tmp_path / "out.cgns", is_coordinate) == []
+    np.testing.assert_array_equal(read_grid(tmp_path / "out.cgns").points, grid.points)
+    assert_cgnscheck_finds_no_error(tmp_path / "out.cgns")
+
+
+def test_shared_nodes_stay_shared(third_party, tmp_path):
+    grid = moved(read_grid(third_party / WING_HDF5))
+    write_grid(grid, tmp_path / "out.cgns", {"precision": "float32"})
+    written = read_grid(tmp_path / "out.cgns")
+    for c in written.connections:
+        own, donor = written.block(c.block), written.block(c.donor_block)
+        np.testing.assert_array_equal(own[c.begin], donor[c.donor_begin])
+        np.testing.assert_array_equal(own[c.end], donor[c.donor_end])
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+@pytest.mark.parametrize("packing", [{}, {"compression": "gzip", "compression_opts": 7, "shuffle": True}])
+def test_precision_on_request(tmp_path, precision, packing):
+    source = write_hdf5(tmp_path / "in.cgns", full_file(), dataset=packing)
+    grid = moved(read_grid(source))
+    written = write_grid(grid, tmp_path / "out.cgns", {"precision": precision})
+    assert written.label == f"cgns (container=HDF5), {precision}"
+    again = read_grid(tmp_path / "out.cgns")
+    np.testing.assert_array_equal(again.points, grid.points.astype(precision))
+    assert again.format == written
+    with h5py.File(tmp_path / "out.cgns") as file:
+        node = file["Base/z 2/GridCoordinates/CoordinateY"]
+        assert node.attrs["type"] == {"float32": b"R4", "float64": b"R8"}[precision]
+        assert node[" data"].compression == packing.get("compression")
+        assert list(file["Base/z 2/GridCoordinates"]) == ["CoordinateX", "CoordinateY", "CoordinateZ"]
+
+
+def test_mixed_precision_is_kept(tmp_path):
+    source = write_hdf5(tmp_path / "in.cgns", full_file())
+    written = write_grid(read_grid(source), tmp_path / "out.cgns")
+    assert written.options == {"container": "HDF5", "precision": "mixed"}
+    assert read_grid(tmp_path / "out.cgns").format == written
+
+
+def test_rind_planes_and_bounding_box(tmp_path):
+    whole = box(5, 4, 5)
+    arrays = [N(f"Coordinate{'XYZ'[c]}", "DataArray_t", whole[..., c]) for c in range(3)]
+    rind = N("Rind", "Rind_t", np.array([1, 0, 0, 1, 0, 0], np.int32))
+    bounds = np.stack([whole.min(axis=(0, 1, 2)), whole.max(axis=(0, 1, 2))], axis=1)
+    inner = zone("z", whole[1:, :3])
+    coordinates = N("GridCoordinates", "GridCoordinates_t", bounds, [rind, *arrays])
+    source = write_hdf5(tmp_path / "in.cgns", tree(replace(inner, children=[inner["ZoneType"], coordinates])))
+    grid = moved(read_grid(source))
+    for precision in ("float64", "float32"):
+        write_grid(grid, tmp_path / "out.cgns", {"precision": precision})
+        with h5py.File(tmp_path / "out.cgns") as file:
+            group = file["Base/z/GridCoordinates"]
+            stored = np.stack([group[f"Coordinate{c}/ data"][()].T for c in "XYZ"], axis=-1)
+            box_stored = group[" data"][()]
+        expected = whole.copy()
+        expected[1:, :3] = grid.block(0)
+        np.testing.assert_array_equal(stored, expected.astype(precision))
+        np.testing.assert_array_equal(box_stored, [grid.points.min(axis=0), grid.points.max(axis=0)])
+
+
+def test_bases_of_two_index_axes(tmp_path):
+    source = write_hdf5(tmp_path / "in.cgns", tree(zone("z", box(4, 3, 1)[:, :, 0, :2]), cell=2, physical=2))
+    grid = moved(read_grid(source))
+    write_grid(grid, tmp_path / "out.cgns")
+    np.testing.assert_array_equal(read_grid(tmp_path / "out.cgns").points, grid.points)
+    assert_cgnscheck_finds_no_error(tmp_path / "out.cgns")
+    with pytest.raises(FormatError, match=r"stores x and y only .* moved out of the plane z = 0"):
+        write_grid(grid.moved(grid.points + 1.0), tmp_path / "other.cgns")
+    assert not (tmp_path / "other.cgns").exists()
+
+
+def test_writing_over_the_source(tmp_path):
+    source = write_hdf5(tmp_path / "in.cgns", two_zones())
+    before = listing(source)
+    grid = moved(read_grid(source))
+    write_grid(grid, source)
+    np.testing.assert_array_equal(read_grid(source).points, grid.points)
+    assert [entry[:2] for entry in listing(source)] == [entry[:2] for entry in before]
+
+
+@settings(max_examples=25, deadline=None, derandomize=True)
+@given(
+    shapes=st.lists(st.tuples(st.integers(2, 4), st.integers(2, 4), st.integers(2, 5)), min_size=1, max_size=3),
+    dtype=st.sampled_from(["f4", "f8"]),
+    container=st.sampled_from(["HDF5", "ADF"]),
+    seed=st.integers(0, 1000),
+)
+def test_round_trip(tmp_path_factory, shapes, dtype, container, seed):
+    folder = tmp_path_factory.mktemp("round")
+    root = tree(*(zone(f"zone {b}", box(*shape, (5 * b, 0, 0)), dtype=dtype) for b, shape in enumerate(shapes)))
+    path = folder / "in.cgns"
+    grid = read_grid(write_hdf5(path, root) if container == "HDF5" else AdfWriter().write(path, root))
+    points = np.random.default_rng(seed).normal(size=grid.points.shape).astype(dtype).astype(float)
+    write_grid(grid.moved(points), folder / "out.cgns")
+    again = read_grid(folder / "out.cgns")
+    np.testing.assert_array_equal(again.points, points)
+    assert (again.shapes, again.names) == (tuple(shapes), grid.names)
+
+
+# --- links --------------------------------------------------------------------------------------------------------
+
+
+def linked_case(folder: Path) -> Path:
+    """A zone of its own, one whose coordinates are the first's, one whose coordinates lie in another file."""
+    (folder / "mesh").mkdir()
+    points = box(3, 3, 3)
+    write_hdf5(folder / "mesh" / "other.cgns", tree(zone("far", points)))
+    whole = zone("own", points)
+    coordinates = [("", "/Base/own/GridCoordinates"), ("mesh/other.cgns", "/Base/far/GridCoordinates")]
+    linked = [
+        replace(
+            whole, name=name, children=[N("GridCoordinates", "", link=link), N("ZoneType", "ZoneType_t", "Structured")]
+        )
+        for name, link in zip(("inner", "outer"), coordinates, strict=True)
+    ]
+    more = [
+        N("Note", "", link=("mesh/other.cgns", "/CGNSLibraryVersion")),
+        N("Gone", "", link=("no/such.cgns", "/Base")),
+        N("Here", "", link=("", "/Base/own/ZoneType")),
+    ]
+    return write_hdf5(folder / "in.cgns", tree(whole, *linked, more=more))
+
+
+def test_links_survive_and_linked_coordinates_become_local(tmp_path):
+    source = linked_case(tmp_path)
+    grid = read_grid(source)
+    points = grid.points + np.repeat([1.0, 2.0, 3.0], 27)[:, None]  # zones that shared coordinates part
+    untouched = listing(source), listing(tmp_path / "mesh" / "other.cgns")
+    (tmp_path / "results" / "deep").mkdir(parents=True)
+    for out in (tmp_path / "out.cgns", tmp_path / "results" / "deep" / "out.cgns"):
+        write_grid(grid.moved(points), out)
+        np.testing.assert_array_equal(read_grid(out).points, points)
+        with h5py.File(out) as file:
+            assert list(file["Base"])[:3] == [" data", "own", "inner"]
+            assert list(file["Base/inner"]) == [" data", "GridCoordinates", "ZoneType"]
+            assert file["Base/outer/GridCoordinates"].attrs["type"] == b"MT"
+            assert file["Base/outer/GridCoordinates"].attrs["label"] == b"GridCoordinates_t"
+            assert " link" not in file["Base/outer/GridCoordinates"]
+            link = file["Base/Note"].get(" link", getlink=True)
+            assert file["Base/Note/ link"].attrs["name"] == b"CGNSLibraryVersion"
+            assert file["Base/Note/ file"][()].tobytes().rstrip(b"\0").decode() == link.filename
+            assert file["Base/Gone"].get(" link", getlink=True).filename == "no/such.cgns"
+            assert file["Base/Here"].get(" link", getlink=True).path == "/Base/own/ZoneType"
+    assert (listing(source), listing(tmp_path / "mesh" / "other.cgns")) == untouched
+
+
+def test_a_zone_that_is_a_link(tmp_path):
+    write_hdf5(tmp_path / "other.cgns", two_zones())
+    links = [N(name, "", link=("other.cgns", f"/Base/{name}")) for name in ("right", "left")]
+    source = write_hdf5(tmp_path / "in.cgns", tree(*links))
+    grid = moved(read_grid(source))
+    assert grid.names == ("right", "left")
+    write_grid(grid, tmp_path / "out.cgns")
+    (tmp_path / "other.cgns").unlink()
+    again = read_grid(tmp_path / "out.cgns")
+    np.testing.assert_array_equal(again.points, grid.points)
+    assert (again.names, again.patches, again.connections) == (grid.names, grid.patches, grid.connections)
+
+
+def test_plain_hdf5_links_to_coordinates(tmp_path):
+    write_hdf5(tmp_path / "other.cgns", two_zones())
+    source = write_hdf5(tmp_path / "in.cgns", two_zones())
+    with h5py.File(source, "r+") as file:
+        del file["Base/left/GridCoordinates"]
+        file["Base/left/GridCoordinates"] = h5py.ExternalLink("other.cgns", "/Base/left/GridCoordinates")
+    untouched = listing(tmp_path / "other.cgns")
+    grid = moved(read_grid(source))
+    write_grid(grid, tmp_path / "out.cgns")
+    assert listing(tmp_path / "other.cgns") == untouched
+    (tmp_path / "other.cgns").unlink()
+    np.testing.assert_array_equal(read_grid(tmp_path / "out.cgns").points, grid.points)
+
+
+def test_coordinates_in_a_virtual_dataset_are_refused(tmp_path):
+    """Writing them would change the other file."""
+    write_hdf5(tmp_path / "other.cgns", two_zones())
+    source = write_hdf5(tmp_path / "in.cgns", two_zones())
+    with h5py.File(source, "r+") as file:
+        group = file["Base/left/GridCoordinates/CoordinateX"]
+        layout = h5py.VirtualLayout(group[" data"].shape, "f8")
+        layout[...] = h5py.VirtualSource(str(tmp_path / "other.cgns"), group.name + "/ data", group[" data"].shape)
+        del group[" data"]
+        group.create_virtual_dataset(" data", layout)
+    with pytest.raises(FormatError, match="lie in other files"):
+        read_grid(source)
+
+
+def test_links_of_adf_files(tmp_path):
+    """HDF5 cannot follow links into ADF files: they are resolved, links inside the file stay."""
+    (tmp_path / "mesh").mkdir()
+    points = box(3, 3, 3)
+    other = tree(zone("far", points))
+    other["Base"].children.append(N("shortcut", "", link=("", "/Base/far/ZoneType")))
+    AdfWriter().write(tmp_path / "mesh" / "other.adf", other)
+    whole = zone("own", points)
+    outer = replace(
+        whole, name="outer", children=[N("GridCoordinates", "", link=("mesh/other.adf", "/Base/far/GridCoordinates"))]
+    )
+    more = [
+        N("Whole base", "", link=("mesh/other.adf", "/Base")),
+        N("Gone", "", link=("no/such.adf", "/Base")),
+        N("Here", "", link=("", "/Base/own/ZoneType")),
+    ]
+    source = AdfWriter().write(tmp_path / "in.adf", tree(whole, outer, more=more))
+    (tmp_path / "results").mkdir()
+    grid = moved(read_grid(source))
+    write_grid(grid, tmp_path / "results" / "out.cgns")
+    np.testing.assert_array_equal(read_grid(tmp_path / "results" / "out.cgns").points, grid.points)
+    with h5py.File(tmp_path / "results" / "out.cgns") as file:
+        np.testing.assert_array_equal(
+            file["Base/Whole base/far/GridCoordinates/CoordinateX/ data"][()].T, points[..., 0]
+        )
+        assert file["Base/Whole base/shortcut/ data"][()].tobytes() == b"Structured"
+        assert file["Base/Gone"].get(" link", getlink=True).filename == "no/such.adf"
+        assert file["Base/Here"].get(" link", getlink=True).path == "/Base/own/ZoneType"
+
+
+def test_files_linked_in_a_circle(tmp_path):
+    inner = tree(zone("z", box(3, 3, 3)), more=[N("back", "", link=("a.adf", "/Base"))])
+    outer = tree(zone("z", box(3, 3, 3)), more=[N("there", "", link=("b.adf", "/Base"))])
+    AdfWriter().write(tmp_path / "b.adf", inner)
+    source = AdfWriter().write(tmp_path / "a.adf", outer)
+    with pytest.raises(FormatError, match=r"nested more than 64 deep .* a link leads back up"):
+        write_grid(read_grid(source), tmp_path / "out.cgns")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.adf", "b.adf"]
+
+
+# --- ADF to HDF5 --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", [WING, AIRFOIL])
+def test_adf_becomes_what_adf2hdf_makes_of_it(third_party, tmp_path, name):
+    run("adf2hdf", third_party / name, tmp_path / "reference.cgns")
+    write_grid(read_grid(third_party / name), tmp_path / "out.cgns")
+    assert differences(tmp_path / "reference.cgns", tmp_path / "out.cgns", is_version) == []
+    assert_cgnscheck_finds_no_error(tmp_path / "out.cgns")
+
+
+@pytest.mark.parametrize(("version", "order", "chunks"), [("A02011", "<", 1), ("A02011", ">", 3), ("B02012", ">", 2)])
+def test_adf_variants_become_what_adf2hdf_makes_of_them(tmp_path, version, order, chunks):
+    """This also shows that the CGNS library reads what our witness writes."""
+    source = AdfWriter(version, order, chunks).write(tmp_path / "in.cgns", full_file())
+    run("adf2hdf", source, tmp_path / "reference.cgns")
+    write_grid(read_grid(source), tmp_path / "out.cgns")
+    assert differences(tmp_path / "reference.cgns", tmp_path / "out.cgns", is_version) == []
+
+
+def test_moved_adf(third_party, tmp_path):
+    grid = moved(read_grid(third_party / WING))
+    written = write_grid(grid, tmp_path / "out.cgns")
+    assert written.options == {"container": "HDF5"}
+    again = read_grid(tmp_path / "out.cgns")
+    np.testing.assert_array_equal(again.points, grid.points)
+    assert (again.patches, again.connections, again.names) == (grid.patches, grid.connections, grid.names)
+
+
+def test_what_hdf2adf_makes_of_our_file_is_the_same_grid(tmp_path):
+    source = write_hdf5(tmp_path / "in.cgns", two_zones())
+    grid = moved(read_grid(source))
+    write_grid(grid, tmp_path / "out.cgns")
+    run("hdf2adf", tmp_path / "out.cgns", tmp_path / "back.cgns")
+    back = read_grid(tmp_path / "back.cgns")
+    assert back.format.options["container"] == "ADF"
+    np.testing.assert_array_equal(back.points, grid.points)
+    assert back.patches == grid.patches
+
+
+# --- other readers ------------------------------------------------------------------------------------------------
+
+
+def vtk_blocks(path: Path) -> list[np.ndarray]:
+    """Coordinates ``(ni, nj, nk, 3)`` of all zones as vtk's own CGNS reader sees them (it sorts zones by name)."""
+    from vtkmodules.util.numpy_support import vtk_to_numpy
+    from vtkmodules.vtkIOCGNSReader import vtkCGNSReader
+
+    reader = vtkCGNSReader()
+    reader.SetFileName(str(path))
+    reader.UpdateInformation()
+    reader.EnableAllBases()
+    reader.SetDoublePrecisionMesh(1)
+    reader.Update()
+    base = reader.GetOutput().GetBlock(0)
+    blocks = []
+    for index in range(base.GetNumberOfBlocks()):
+        block = base.GetBlock(index)
+        sizes = [0, 0, 0]
+        block.GetDimensions(sizes)
+        points = vtk_to_numpy(block.GetPoints().GetData())
+        blocks.append(points.reshape(*sizes[::-1], 3).transpose(2, 1, 0, 3))
+    return blocks
+
+
+@pytest.mark.parametrize("name", [WING, WING_HDF5, AIRFOIL])
+def test_vtk_reads_the_same_coordinates(third_party, tmp_path, name):
+    grid = moved(read_grid(third_party / name))
+    write_grid(grid, tmp_path / "out.cgns")
+    blocks = vtk_blocks(tmp_path / "out.cgns")
+    assert len(blocks) == grid.n_blocks
+    for index, block in enumerate(blocks):
+        np.testing.assert_array_equal(block, grid.block(index))
+
+
+# --- refusals -----------------------------------------------------------------------------------------------------
+
+
+def test_source_that_is_gone_or_changed(tmp_path):
+    source = write_hdf5(tmp_path / "in.cgns", two_zones())
+    grid = read_grid(source)
+    write_hdf5(source, tree(zone("left", box(4, 3, 5)), zone("right", box(4, 3, 5))))
+    with pytest.raises(
+        FormatError, match=r"in\.cgns has changed since the grid was read: its zones are now left \(4, 3, 5\)"
+    ):
+        write_grid(grid, tmp_path / "out.cgns")
+    source.unlink()
+    with pytest.raises(FormatError, match="is no longer there"):
+        write_grid(grid, tmp_path / "out.cgns")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("options", "name", "message"),
+    [
+        ({"precison": "float32"}, "out.cgns", "no option 'precison'.*did you mean precision"),
+        ({"endian": "big"}, "out.cgns", "no option 'endian'; the only one is precision=float32|float64"),
+        ({"precision": "float16"}, "out.cgns", "float32 or float64, not 'float16'"),
+        ({}, "out.adf", "ADF is read only; give it the suffix .cgns"),
+        ({}, "missing/out.cgns", "the folder .* does not exist"),
+    ],
+)
+def test_outputs_that_are_refused(tmp_path, options, name, message):
+    grid = read_grid(write_hdf5(tmp_path / "in.cgns", two_zones()))
+    with pytest.raises(FormatError, match=message):
+        write_grid(grid, tmp_path / name, options)
+    assert [path.name for path in tmp_path.iterdir()] == ["in.cgns"]
+
+
+def test_a_disk_that_is_full_while_the_file_is_copied(tmp_path, monkeypatch):
+    grid = read_grid(write_hdf5(tmp_path / "in.cgns", two_zones()))
+
+    def fail(source: Path, target: Path) -> None:
+        Path(target).write_text("half")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(shutil, "copyfile", fail)
+    with pytest.raises(FormatError, match=r"cannot write .*out\.cgns .*is the disk full"):
+        write_grid(grid, tmp_path / "out.cgns")
+    assert [path.name for path in tmp_path.iterdir()] == ["in.cgns"]
+
+
+def test_a_failure_leaves_the_old_output_alone(tmp_path, monkeypatch):
+    grid = read_grid(write_hdf5(tmp_path / "in.cgns", two_zones()))
+    (tmp_path / "out.cgns").write_text("old")
+
+    def fail(*arguments: object, **options: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(h5py.Dataset, "__setitem__", fail)
+    with pytest.raises(FormatError, match=r"out\.cgns .*is the disk full\?.*No space left"):
+        cgns.write(grid, tmp_path / "out.cgns", cgns.variant(grid, tmp_path / "out.cgns", {}))
+    assert (tmp_path / "out.cgns").read_text() == "old"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["in.cgns", "out.cgns"]

@@ -1,0 +1,346 @@
+"""Displacement tables in all their forms give the same surface data."""
+
+import dataclasses
+import itertools
+
+import h5py
+import meshio
+import numpy as np
+import pytest
+import vtk_witness
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as npst
+from vtkmodules.vtkCommonCore import vtkPoints
+from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData
+from vtkmodules.vtkIOLegacy import vtkPolyDataWriter
+from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter
+
+from meshdeform_core.errors import FormatError
+from meshdeform_core.grid import Field, Grid
+from meshdeform_core.transfer import SurfaceData
+from meshdeform_formats import write_grid
+from meshdeform_formats.displacement import read_displacement, write_displacement
+from meshdeform_formats.displacement_cells import fans, starts_of_list
+from meshdeform_formats.displacement_table import DISPLACEMENT_NAMES, POINT_NAMES, vector_names
+
+RNG = np.random.default_rng(0)
+POINTS, MOVES = RNG.normal(size=(8, 3)), RNG.normal(size=(8, 3))
+ROWS = np.hstack([POINTS, MOVES])
+
+
+def check(data, triangles=(), points=POINTS, moves=MOVES):
+    assert isinstance(data, SurfaceData)
+    for found, expected in ((data.points, points), (data.displacement, moves)):
+        np.testing.assert_array_equal(found, expected)
+        assert found.dtype == np.float64
+        assert found.flags.c_contiguous
+    assert data.triangles.dtype == np.int64
+    assert data.triangles.shape[1] == 3
+    assert {tuple(sorted(t)) for t in data.triangles.tolist()} == {tuple(sorted(t)) for t in triangles}
+
+
+def text(rows, separator):
+    return "".join(separator.join(map(repr, row)) + "\n" for row in rows.tolist())
+
+
+@pytest.mark.parametrize("separator", [",", ", ", ";", "\t", " ", "   "])
+@pytest.mark.parametrize("header", ["", "x y z dx dy dz\n", "# by hand\n\n"])
+@pytest.mark.parametrize("suffix", [".csv", ".txt", ".dat", ".tsv", ".CSV"])
+def test_text_by_order(tmp_path, separator, header, suffix):
+    path = tmp_path / f"table{suffix}"
+    path.write_text(header + text(ROWS, separator))
+    check(read_displacement(path))
+    assert read_displacement(path).label == f"table{suffix}"
+
+
+HEADERS = [
+    "x,y,z,dx,dy,dz",
+    "X,Y,Z,UX,UY,UZ",
+    "X [m],Y [m],Z [m],U1 [mm],U2 [mm],U3 [mm]",
+    '"Points:0","Points:1","Points:2","displacement:0","displacement:1","displacement:2"',
+    "Points_0,Points_1,Points_2,Displacement_0,Displacement_1,Displacement_2",
+    "CoordinateX,CoordinateY,CoordinateZ,DisplacementX,DisplacementY,DisplacementZ",
+    "x-coordinate,y-coordinate,z-coordinate,x-displacement,y-displacement,z-displacement",
+    "coords_x,coords_y,coords_z,u_x,u_y,u_z",
+    "x,y,z,Delta x,Delta y,Delta z",
+]
+
+
+@pytest.mark.parametrize("header", HEADERS)
+@pytest.mark.parametrize("order", [[0, 1, 2, 3, 4, 5], [4, 2, 0, 5, 1, 3]])
+def test_columns_by_name(tmp_path, header, order):
+    names = header.split(",")
+    path = tmp_path / "a.csv"
+    path.write_text(",".join(names[i] for i in order) + "\r\n" + text(ROWS[:, order], ",").replace("\n", "\r\n"))
+    check(read_displacement(path))
+
+
+def test_other_columns_and_comments_do_not_matter(tmp_path):
+    rows = "".join(f"p{i},{x!r},{y!r},{z!r},{a!r},0.5,{b!r},{c!r} # here\n" for i, (x, y, z, a, b, c) in
+                   enumerate(ROWS.tolist()))  # fmt: skip
+    (tmp_path / "a.csv").write_text("\ufeffname,x,y,z,dx,pressure,dy,dz\n# units: m\n\n" + rows, encoding="utf-8")
+    check(read_displacement(tmp_path / "a.csv"))
+
+
+def test_a_header_in_a_comment(tmp_path):
+    np.savetxt(tmp_path / "a.txt", ROWS[:, [3, 4, 5, 0, 1, 2]], fmt="%.17g", header="dx dy dz x y z")
+    check(read_displacement(tmp_path / "a.txt"))
+    np.savetxt(tmp_path / "a.txt", ROWS, fmt="%.17g", header="six columns of numbers for you")
+    check(read_displacement(tmp_path / "a.txt"))
+
+
+@pytest.mark.parametrize("header", ["", "x,y,dx,dy\n"])
+def test_plane_text(tmp_path, header):
+    (tmp_path / "a.csv").write_text(header + text(ROWS[:, [0, 1, 3, 4]], ","))
+    flat = [1, 1, 0]
+    check(read_displacement(tmp_path / "a.csv"), points=POINTS * flat, moves=MOVES * flat)
+
+
+def test_one_row_is_a_table(tmp_path):
+    (tmp_path / "a.csv").write_text("0 0 0 1 0 0")
+    check(read_displacement(tmp_path / "a.csv"), points=[[0, 0, 0]], moves=[[1, 0, 0]])
+
+
+def test_arrays(tmp_path):
+    np.save(tmp_path / "a.npy", ROWS)
+    check(read_displacement(tmp_path / "a.npy"))
+    np.save(tmp_path / "a.npy", np.asfortranarray(ROWS.astype(">f8")))
+    check(read_displacement(tmp_path / "a.npy"))
+    np.savez(tmp_path / "a.npz", Points=POINTS, U=MOVES, triangles=[[0, 1, 2], [3, 3, 4]])
+    check(read_displacement(tmp_path / "a.npz"), [(0, 1, 2)])
+    np.savez_compressed(tmp_path / "a.npz", **dict(zip(("x", "y", "z", "dx", "dy", "dz"), ROWS.T, strict=True)))
+    check(read_displacement(tmp_path / "a.npz"))
+
+
+@pytest.mark.parametrize("group", ["", "step/"])
+def test_hdf5(tmp_path, group):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file[f"{group}coordinates"], file[f"{group}Displacement"] = POINTS, MOVES
+        file["other/time"] = 0.5
+        file.attrs["title"] = "x"
+    check(read_displacement(tmp_path / "a.h5"))
+
+
+CELLS = [("triangle", [[0, 1, 2], [5, 6, 7]]), ("quad", [[1, 2, 3, 4]]), ("line", [[0, 5]])]
+TRIANGLES = [(0, 1, 2), (5, 6, 7), (1, 2, 3), (1, 3, 4)]
+
+
+@pytest.mark.parametrize("suffix", [".vtu", ".vtk", ".xdmf", ".med", ".msh"])
+@pytest.mark.parametrize("name", ["Displacement", "U", "anything"])
+def test_surfaces_of_meshio(tmp_path, suffix, name):
+    data = {name: MOVES, "pressure": MOVES[:, 0].copy()}
+    if name != "anything":
+        data["Velocity"] = 2 * MOVES
+    kind = "gmsh22" if suffix == ".msh" else suffix[1:]
+    meshio.Mesh(POINTS, CELLS, data).write(tmp_path / f"a{suffix}", file_format=kind)
+    check(read_displacement(tmp_path / f"a{suffix}"), TRIANGLES)
+
+
+def test_components_as_scalars(tmp_path):
+    data = {f"displacement_{axis}": MOVES[:, i].copy() for i, axis in enumerate("xyz")}
+    meshio.Mesh(POINTS, CELLS[:1], data).write(tmp_path / "a.ply")
+    check(read_displacement(tmp_path / "a.ply"), TRIANGLES[:2])
+    # Text is tried as Tecplot when it says so.
+    meshio.Mesh(POINTS, CELLS[:1], {"displacement": MOVES}).write(tmp_path / "a.dat", file_format="tecplot")
+    check(read_displacement(tmp_path / "a.dat"), TRIANGLES[:2])
+
+
+PRECICE = """<?xml version="1.0"?>
+<VTKFile type="UnstructuredGrid" version="0.1" byte_order="LittleEndian">
+   <UnstructuredGrid>
+      <Piece NumberOfPoints="3" NumberOfCells="4"> 
+         <Points> 
+            <DataArray type="Float64" Name="Position" NumberOfComponents="3" format="ascii">
+0 0 0
+1 0 0
+0 1 0
+            </DataArray>
+         </Points> 
+         <Cells>
+            <DataArray type="Int32" Name="connectivity" NumberOfComponents="1" format="ascii">
+0 1 2 0 1 1 2 0
+            </DataArray>
+            <DataArray type="Int32" Name="offsets" NumberOfComponents="1" format="ascii">
+3 5 7 8
+            </DataArray>
+            <DataArray type="UInt8" Name="types" NumberOfComponents="1" format="ascii">
+5 3 3 1
+            </DataArray>
+         </Cells>
+         <PointData Scalars="Rank Force " Vectors="Displacement ">
+            <DataArray type="UInt32" Name="Rank" NumberOfComponents="1" format="ascii">
+0 0 0
+            </DataArray>
+            <DataArray type="Float64" Name="Displacement" NumberOfComponents="3" format="ascii">
+0.5 0 0
+0.5 1e-3 0
+0.5 0 -2
+            </DataArray>
+            <DataArray type="Float64" Name="Force" NumberOfComponents="3" format="ascii">
+1 1 1 1 1 1 1 1 1
+            </DataArray>
+         </PointData>
+      </Piece> 
+   </UnstructuredGrid>
+</VTKFile>
+"""  # noqa: W291
+
+
+def test_an_export_of_precice(tmp_path):
+    (tmp_path / "a.vtu").write_text(PRECICE)
+    points, moves = [[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0.5, 0, 0], [0.5, 1e-3, 0], [0.5, 0, -2]]
+    check(read_displacement(tmp_path / "a.vtu"), [(0, 1, 2)], points, moves)
+
+
+def cell_array(*cells):
+    array = vtkCellArray()
+    for cell in cells:
+        array.InsertNextCell(len(cell), cell)
+    return array
+
+
+@pytest.fixture
+def polydata():
+    surface = vtkPolyData()
+    nodes = vtkPoints()
+    nodes.SetData(vtk_witness.numpy_to_vtk(POINTS, deep=True))
+    surface.SetPoints(nodes)
+    surface.SetPolys(cell_array([0, 1, 2], [1, 2, 3, 4], [0, 2, 4, 6, 7]))
+    surface.SetStrips(cell_array([3, 4, 5, 6]))
+    surface.SetLines(cell_array([0, 1]))
+    surface.SetVerts(cell_array([6]))
+    vtk_witness.add_array(surface.GetPointData(), "disp", MOVES)
+    vtk_witness.add_array(surface.GetPointData(), "normals", MOVES)
+    vtk_witness.add_array(surface.GetCellData(), "displacement", np.zeros((6, 3)))
+    return surface
+
+
+POLYGONS = [(0, 1, 2), (1, 2, 3), (1, 3, 4), (0, 2, 4), (0, 4, 6), (0, 6, 7), (3, 4, 5), (4, 5, 6)]
+
+
+def test_vtp(tmp_path, polydata):
+    for compression, mode in itertools.product((0, 2), (0, 1, 2)):
+        writer = vtkXMLPolyDataWriter()
+        writer.SetInputData(polydata)
+        writer.SetCompressorType(compression)
+        writer.SetDataMode(mode)
+        writer.SetFileName(str(tmp_path / "a.vtp"))
+        assert writer.Write()
+        check(read_displacement(tmp_path / "a.vtp"), POLYGONS)
+
+
+@pytest.mark.parametrize("version", [42, 51])
+def test_legacy_polydata(tmp_path, polydata, version):
+    writer = vtkPolyDataWriter()
+    writer.SetInputData(polydata)
+    writer.SetFileVersion(version)
+    writer.SetFileTypeToBinary()
+    writer.SetFileName(str(tmp_path / "a.vtk"))
+    assert writer.Write()
+    check(read_displacement(tmp_path / "a.vtk"), POLYGONS)
+
+
+GRID = Grid.from_blocks([RNG.normal(size=(2, 3, 2, 3)), RNG.normal(size=(2, 2, 2, 3))])
+
+
+@pytest.mark.parametrize("name", ["a.xyz", "a.cgns", "a.vtm"])
+def test_a_grid_is_the_deformed_position(tmp_path, name):
+    fields = tuple(Field("U", "node", b, np.zeros((*GRID.shapes[b], 3))) for b in (0, 1))
+    write_grid(dataclasses.replace(GRID, fields=fields) if name == "a.vtm" else GRID, tmp_path / name)
+    grid = read_displacement(tmp_path / name)
+    assert isinstance(grid, Grid)
+    np.testing.assert_array_equal(grid.points, GRID.points)
+
+
+def test_a_structured_grid_with_displacement_is_a_table(tmp_path):
+    moves = RNG.normal(size=(20, 3))
+    fields = (
+        Field("Displacement", "node", 0, moves[:12].reshape(2, 3, 2, 3)),
+        Field("Displacement", "node", 1, moves[12:].reshape(2, 2, 2, 3)),
+    )
+    write_grid(dataclasses.replace(GRID, fields=fields), tmp_path / "a.vtm")
+    data = read_displacement(tmp_path / "a.vtm")
+    np.testing.assert_array_equal(data.points, GRID.points)
+    np.testing.assert_array_equal(data.displacement, moves)
+    # Two triangles for each of 10 and 6 face quads.
+    assert data.triangles.shape == (32, 3)
+    write_grid(dataclasses.replace(GRID, fields=fields[:1]), tmp_path / "a.vtm")
+    assert isinstance(read_displacement(tmp_path / "a.vtm"), Grid)
+
+
+def test_a_structured_surface_with_components(tmp_path):
+    x, y = np.meshgrid([0.0, 1.0, 2.0], [0.0, 1.0], indexing="ij")
+    points = np.stack([x, y, 0 * x], axis=-1)[:, :, None]
+    fields = tuple(Field(f"disp_{axis}", "node", 0, points[..., i] + i) for i, axis in enumerate("xyz"))
+    write_grid(Grid.from_blocks([points], fields=fields), tmp_path / "a.vtk")
+    data = read_displacement(tmp_path / "a.vtk")
+    np.testing.assert_array_equal(data.displacement, data.points + np.arange(3))
+    corners = data.points[data.triangles]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    assert area.tolist() == [0.5] * 4
+
+
+finite = st.floats(allow_nan=False, allow_infinity=False, width=64)
+
+
+@settings(max_examples=30, deadline=None, derandomize=True)
+@given(rows=npst.arrays(float, st.tuples(st.integers(1, 6), st.just(6)), elements=finite, fill=st.nothing()))
+@pytest.mark.parametrize("suffix", [".csv", ".npz"])
+def test_write_and_read(tmp_path_factory, suffix, rows):
+    rows = rows[np.unique(rows[:, :3], axis=0, return_index=True)[1]]
+    triangles = np.array([[0, 0, 0]]) if len(rows) < 3 else np.array([[0, 1, 2]])
+    data = SurfaceData(rows[:, :3], rows[:, 3:], triangles, "memory")
+    path = tmp_path_factory.mktemp("table") / f"a{suffix}"
+    write_displacement(path, data)
+    again = read_displacement(path)
+    np.testing.assert_array_equal(again.points, data.points)
+    np.testing.assert_array_equal(again.displacement, data.displacement)
+    assert len(again.triangles) == (suffix == ".npz" and len(rows) >= 3)
+
+
+def test_write_knows_two_formats(tmp_path):
+    with pytest.raises(FormatError, match=r"written as \.csv or \.npz"):
+        write_displacement(tmp_path / "a.vtu", SurfaceData(POINTS, MOVES, np.empty((0, 3), int), ""))
+
+
+def test_a_hundred_thousand_rows(tmp_path):
+    rows = np.random.default_rng(1).normal(size=(100_000, 6))
+    write_displacement(tmp_path / "a.csv", SurfaceData(rows[:, :3], rows[:, 3:], np.empty((0, 3), int), ""))
+    data = read_displacement(tmp_path / "a.csv")
+    np.testing.assert_array_equal(np.hstack([data.points, data.displacement]), rows)
+
+
+def test_equal_points_that_move_alike_are_kept(tmp_path):
+    rows = np.vstack([ROWS, ROWS[3] * (1 + 1e-14)])
+    rows[-1, :3] = ROWS[3, :3]
+    np.save(tmp_path / "a.npy", rows)
+    assert len(read_displacement(tmp_path / "a.npy").points) == 9
+
+
+@pytest.mark.parametrize(
+    ("wanted", "scalars", "vectors", "found"),
+    [
+        (POINT_NAMES, ["x", "y"], [], ("x", "y")),
+        (POINT_NAMES, ["x", "z"], [], None),
+        (POINT_NAMES, ["0", "1", "2"], [], None),
+        (POINT_NAMES, ["x", "y", "z"], ["Points"], ("x", "y", "z")),
+        (DISPLACEMENT_NAMES, ["u0", "u1", "u2"], [], ("u0", "u1", "u2")),
+        (DISPLACEMENT_NAMES, ["u1", "u2", "u3"], [], ("u1", "u2", "u3")),
+        (DISPLACEMENT_NAMES, ["u1", "u2"], [], ("u1", "u2")),
+        (DISPLACEMENT_NAMES, ["dx", "dy", "dz"], ["DISP", "U"], ("DISP",)),
+        (DISPLACEMENT_NAMES, ["depth", "density"], ["velocity"], None),
+    ],
+)
+def test_names(wanted, scalars, vectors, found):
+    assert vector_names(wanted, scalars, vectors) == found
+
+
+@given(st.lists(st.integers(0, 6), min_size=1, max_size=30))
+@settings(deadline=None, derandomize=True)
+def test_lists_of_cells(sizes):
+    entries = np.concatenate([[n, *range(n)] for n in sizes])
+    starts = starts_of_list(entries)
+    assert starts.tolist() == np.cumsum([0, *(n + 1 for n in sizes[:-1])]).tolist()
+    triangles = fans(entries, starts + 1, entries[starts])
+    assert triangles.tolist() == [[0, i, i + 1] for n in sizes for i in range(1, n - 1)]

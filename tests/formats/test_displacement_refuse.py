@@ -1,0 +1,252 @@
+"""Displacement tables that are none: each refused with what was found and where."""
+
+import dataclasses
+
+import h5py
+import meshio
+import numpy as np
+import pytest
+
+from meshdeform_core.errors import FormatError, GridError
+from meshdeform_core.grid import Field, Grid
+from meshdeform_formats import write_grid
+from meshdeform_formats.displacement import read_displacement
+
+POINTS = np.arange(12.0).reshape(4, 3)
+ROW = "1 2 3 4 5 6\n"
+
+TEXTS = {
+    "": "is empty",
+    "\n\n": "has no rows of numbers",
+    "# nothing\n": "has no rows of numbers",
+    "x,y,z,dx,dy,dz\n": "has no rows of numbers below the header 'x,y,z,dx,dy,dz'",
+    "1 2 3 4 5\n": "line 1: found 5 columns without names; expected 6 (x y z dx dy dz) or 4 (x y dx dy)",
+    "\n1 2 3\n": "line 2: found 3 columns without names",
+    ROW + "\n# c\n1 2 3 4 5\n": "line 4: found 5 columns; expected 6 as before",
+    ROW + "2 2 3 4 5 6 7\n": "line 2: found 7 columns; expected 6 as before",
+    ROW + "2 2 3 4 5 six\n": "line 2: 'six' is not a number",
+    ROW + "2 2 3 4 5 1.0D+00\n": "line 2: '1.0D+00' is not a number",
+    "1,2,3,4,5,6\n2,2,3,,5,6\n": "line 2: '' is not a number",
+    "x y z dx dy dz n\n1 2 3 4 5 6 a\n2 3 4 5\n": "line 3: found 4 columns; expected 7 as before",
+    "x y z dx dy dz n\n1 2 3 4 5 b a\n": "line 2: 'b' is not a number",
+    ROW + "# c\n2 2 3 4 5 nan\n": "line 3: the displacement [4.0, 5.0, nan] is not finite (1 such rows)",
+    ROW + "-inf 2 3 4 5 6\n": "line 2: the point [-inf, 2.0, 3.0] is not finite",
+    ROW + "2 2 3 4 5 6\n\n1 2 3 4 5 7\n": "[4.0, 5.0, 6.0] in line 1 and [4.0, 5.0, 7.0] in line 4; keep one of them",
+    "a b c d e f\n" + ROW: "expected a name for each of 6 columns, x y z (or x y) and dx dy dz (or dx dy) among them",
+    "x y z dx dy\n" + ROW: "expected a name for each of 6 columns",
+    "x y z p q r\n" + ROW: "found 'x' 'y' 'z' 'p' 'q' 'r'",
+    "1,5;2,5;3,0;4,0;5,0;6,0\n" * 2: "found '1,5' '2,5'",
+}
+
+
+@pytest.mark.parametrize("text", TEXTS, ids=range(len(TEXTS)))
+def test_wrong_texts(tmp_path, text):
+    (tmp_path / "a.csv").write_text(text)
+    with pytest.raises(FormatError) as error:
+        read_displacement(tmp_path / "a.csv")
+    assert str(error.value).startswith(str(tmp_path / "a.csv"))
+    assert TEXTS[text] in str(error.value)
+
+
+def test_other_texts(tmp_path):
+    (tmp_path / "a.csv").write_bytes("größe".encode("latin-1"))
+    with pytest.raises(FormatError, match="is not a text in UTF-8"):
+        read_displacement(tmp_path / "a.csv")
+    with pytest.raises(FormatError, match=r"cannot read .*none\.csv: No such file"):
+        read_displacement(tmp_path / "none.csv")
+    with pytest.raises(FormatError, match="Is a directory"):
+        read_displacement(tmp_path)
+    (tmp_path / "a.table").write_text(ROW)
+    with pytest.raises(FormatError, match=r"a file called \.table is no table of displacements; expected text \(\.csv"):
+        read_displacement(tmp_path / "a.table")
+    (tmp_path / "a.xyz").write_text("not a grid")
+    with pytest.raises(FormatError, match="Plot3D"):
+        read_displacement(tmp_path / "a.xyz")
+
+
+def surface(path, data):
+    meshio.Mesh(POINTS, [("triangle", [[0, 1, 2]])], data).write(path)
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        ({}, "found none"),
+        ({"p": POINTS[:, 0].copy()}, "found p scalar"),
+        ({"a": POINTS, "b": POINTS}, r"found a \(3,\), b \(3,\)"),
+        ({"disp": POINTS * np.nan}, r"row 1: the displacement \[nan, nan, nan\] is not finite \(4 such rows\)"),
+    ],
+)
+@pytest.mark.parametrize("suffix", [".vtu", ".xdmf"])
+def test_surfaces_without_a_displacement(tmp_path, data, message, suffix):
+    surface(tmp_path / f"a{suffix}", data)
+    with pytest.raises(FormatError, match=message):
+        read_displacement(tmp_path / f"a{suffix}")
+
+
+@pytest.mark.parametrize("suffix", [".vtu", ".vtk", ".xdmf", ".med", ".ply", ".tec"])
+def test_truncated_surfaces(tmp_path, capfd, suffix):
+    surface(tmp_path / f"a{suffix}", {f"disp_{axis}": POINTS[:, i].copy() for i, axis in enumerate("xyz")})
+    assert len(read_displacement(tmp_path / f"a{suffix}").triangles) == 1
+    data = (tmp_path / f"a{suffix}").read_bytes()
+    capfd.readouterr()
+    for length in range(20, len(data) - 1, max(len(data) // 20, 1)):
+        (tmp_path / f"a{suffix}").write_bytes(data[:length])
+        with pytest.raises(FormatError, match=f"a{suffix}"):
+            read_displacement(tmp_path / f"a{suffix}")
+    assert capfd.readouterr().out == ""
+
+
+POLYGONS = """# vtk DataFile Version 3.0
+surface
+ASCII
+DATASET POLYDATA
+POINTS 4 double
+0 0 0 1 0 0 0 1 0 1 1 0
+POLYGONS {cells}
+POINT_DATA 4
+VECTORS disp double
+0 0 1 0 0 2 0 0 3 0 0 4
+"""
+
+GOOD_CELLS = {
+    "2 8\n3 0 1 2 3 1 3 2": [[0, 1, 2], [1, 3, 2]],
+    "2 9\n4 0 1 2 3 3 1 3 2": [[0, 1, 2], [0, 2, 3], [1, 3, 2]],
+    "2 3\nOFFSETS int\n0 3\nCONNECTIVITY int\n0 1 2": [[0, 1, 2]],
+    "0 0\n": [],
+}
+WRONG_CELLS = {
+    "1 4\n3 0 1 4": "triangles refer to points 0 to 4 of 4",
+    "2 8\n3 0 1 2 4 1 3 2": "line 8: POLYGONS: the 8 entries are not 2 cells",
+    "3 8\n3 0 1 2 3 1 3 2": "are not 3 cells, each with its number of corners first",
+    "2 9\n3 0 1 2 3 1 3 2": "something that is no number",
+    "2 3\nOFFSETS int\n0 2\nCONNECTIVITY int\n0 1 2": "the offsets of the cells do not ascend from 0 to 3",
+    "2 3\nOFFSETS int\n0 3\n0 1 2": "expected 'CONNECTIVITY type' of POLYGONS, found '0 1 2'",
+}
+
+
+@pytest.mark.parametrize("cells", GOOD_CELLS, ids=range(len(GOOD_CELLS)))
+def test_good_polygons(tmp_path, cells):
+    (tmp_path / "a.vtk").write_text(POLYGONS.format(cells=cells))
+    assert read_displacement(tmp_path / "a.vtk").triangles.tolist() == GOOD_CELLS[cells]
+
+
+@pytest.mark.parametrize("cells", WRONG_CELLS, ids=range(len(WRONG_CELLS)))
+def test_wrong_polygons(tmp_path, cells):
+    (tmp_path / "a.vtk").write_text(POLYGONS.format(cells=cells))
+    with pytest.raises(FormatError) as error:
+        read_displacement(tmp_path / "a.vtk")
+    assert WRONG_CELLS[cells] in str(error.value)
+
+
+def unstructured(types="5", offsets="3", connectivity="0 1 2"):
+    words = {"types": ("UInt8", types), "offsets": ("Int64", offsets), "connectivity": ("Int64", connectivity)}
+    cells = "".join(f'<DataArray type="{t}" Name="{n}" format="ascii">{w}</DataArray>' for n, (t, w) in words.items())
+    points, moves = (
+        f'<DataArray type="Float64" Name="{name}" NumberOfComponents="3" format="ascii">0 0 0 1 0 0 0 1 0</DataArray>'
+        for name in ("Points", "U")
+    )
+    return (
+        '<VTKFile type="UnstructuredGrid" byte_order="LittleEndian"><UnstructuredGrid>'
+        f'<Piece NumberOfPoints="3" NumberOfCells="1"><PointData>{moves}</PointData><Points>{points}</Points>'
+        f"<Cells>{cells}</Cells></Piece></UnstructuredGrid></VTKFile>"
+    )
+
+
+@pytest.mark.parametrize(
+    ("cell", "message"),
+    [
+        ({"types": "9"}, "has cells with fewer nodes than corners"),
+        ({"offsets": "7"}, "cannot read|do not ascend"),
+        ({"connectivity": "0 1 7"}, "triangles refer to points 0 to 7 of 3"),
+        ({"types": "five"}, "cannot read"),
+    ],
+)
+def test_wrong_cells(tmp_path, capfd, cell, message):
+    (tmp_path / "a.vtu").write_text(unstructured())
+    assert read_displacement(tmp_path / "a.vtu").triangles.tolist() == [[0, 1, 2]]
+    (tmp_path / "a.vtu").write_text(unstructured(**cell))
+    with pytest.raises(FormatError, match=message):
+        read_displacement(tmp_path / "a.vtu")
+    assert capfd.readouterr() == ("", "")
+
+
+def test_truncated_polygons(tmp_path):
+    text = POLYGONS.format(cells="2 8\n3 0 1 2 3 1 3 2")
+    for length in range(30, len(text) - 2):
+        (tmp_path / "a.vtk").write_text(text[:length])
+        with pytest.raises(FormatError):
+            read_displacement(tmp_path / "a.vtk")
+
+
+def test_wrong_arrays(tmp_path):
+    np.save(tmp_path / "a.npy", np.zeros((3, 5)))
+    with pytest.raises(FormatError, match=r"holds float64 numbers of shape \(3, 5\); expected \(n, 6\) or \(n, 4\)"):
+        read_displacement(tmp_path / "a.npy")
+    np.save(tmp_path / "a.npy", np.array([{}], dtype=object), allow_pickle=True)
+    with pytest.raises(FormatError, match="allow_pickle=False"):
+        read_displacement(tmp_path / "a.npy")
+    np.savez(tmp_path / "a.npz", points=POINTS, shift=POINTS)
+    with pytest.raises(FormatError, match=r"found points \(4, 3\), shift \(4, 3\)"):
+        read_displacement(tmp_path / "a.npz")
+    np.savez(tmp_path / "a.npz", points=POINTS, displacement=POINTS[:3])
+    with pytest.raises(FormatError, match="has 4 points but 3 displacements"):
+        read_displacement(tmp_path / "a.npz")
+    np.savez(tmp_path / "a.npz", points=POINTS[:0], displacement=POINTS[:0])
+    with pytest.raises(FormatError, match="has no points with displacements"):
+        read_displacement(tmp_path / "a.npz")
+    np.savez(tmp_path / "a.npz", points=POINTS, displacement=POINTS, triangles=[[0, 1, 9]])
+    with pytest.raises(FormatError, match="triangles refer to points 0 to 9 of 4"):
+        read_displacement(tmp_path / "a.npz")
+    np.savez(tmp_path / "a.npz", points=POINTS, displacement=np.array([{}], dtype=object))
+    with pytest.raises(FormatError, match="allow_pickle=False"):
+        read_displacement(tmp_path / "a.npz")
+
+
+def test_wrong_hdf5(tmp_path):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["a/points"] = file["b/points"] = POINTS
+        file["b/shift"] = POINTS
+    with pytest.raises(FormatError, match=r"found /: none; /a: points \(4, 3\); /b: points \(4, 3\), shift \(4, 3\)"):
+        read_displacement(tmp_path / "a.h5")
+    with h5py.File(tmp_path / "a.h5", "a") as file:
+        file["a/disp"] = file["b/disp"] = POINTS
+    with pytest.raises(FormatError, match="has displacements in several groups, /a /b; expected one"):
+        read_displacement(tmp_path / "a.h5")
+
+
+@pytest.mark.parametrize("suffix", [".npy", ".npz", ".h5"])
+def test_truncated_arrays(tmp_path, suffix):
+    path = tmp_path / f"a{suffix}"
+    if suffix == ".npy":
+        np.save(path, np.zeros((9, 6)))
+    elif suffix == ".npz":
+        np.savez(path, points=POINTS, displacement=POINTS)
+    else:
+        with h5py.File(path, "w") as file:
+            file["points"] = file["displacement"] = POINTS
+    data = path.read_bytes()
+    for length in range(10, len(data) - 1, len(data) // 25):
+        path.write_bytes(data[:length])
+        with pytest.raises(FormatError, match=f"cannot read .*a{suffix}"):
+            read_displacement(path)
+
+
+@pytest.mark.parametrize("kind", ["PPolyData", "PUnstructuredGrid"])
+def test_parallel_indices(tmp_path, kind):
+    (tmp_path / "a.pvtu").write_text(f'<VTKFile type="{kind}" byte_order="LittleEndian"></VTKFile>')
+    with pytest.raises(FormatError, match="index of a parallel data set; expected its pieces merged"):
+        read_displacement(tmp_path / "a.pvtu")
+
+
+def test_a_grid_with_two_displacements_of_a_node(tmp_path):
+    blocks = [np.stack(np.meshgrid([b, b + 1.0], [0.0, 1.0], [0.0, 1.0], indexing="ij"), axis=-1) for b in (0, 1)]
+    fields = tuple(Field("disp", "node", b, np.full((2, 2, 2, 3), float(b))) for b in (0, 1))
+    grid = Grid.from_blocks(blocks, ["left", "right"], fields=fields)
+    write_grid(grid, tmp_path / "a.vtm")
+    with pytest.raises(FormatError, match=r"in left \(2, 1, 1\) and \[1\.0, 1\.0, 1\.0\] in right \(1, 1, 1\)"):
+        read_displacement(tmp_path / "a.vtm")
+    bad = np.where(np.arange(16)[:, None] == 3, np.nan, grid.points)
+    write_grid(dataclasses.replace(grid, points=bad), tmp_path / "a.vtm")
+    with pytest.raises(GridError, match="not finite"):
+        read_displacement(tmp_path / "a.vtm")

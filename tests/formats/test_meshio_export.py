@@ -1,0 +1,218 @@
+"""Unstructured files, read back by meshio (and by hand where it drops names)."""
+
+import dataclasses
+
+import meshio
+import numpy as np
+import pytest
+
+from meshdeform_core.errors import FormatError
+from meshdeform_core.grid import Field, Grid, Patch, Side, Window, whole_face
+from meshdeform_formats import meshio_export, read_grid, write_grid
+
+FORMATS = {".vtu": "vtu", ".xdmf": "xdmf", ".msh": "gmsh", ".med": "med", ".su2": "su2", ".inp": "abaqus"}
+
+
+def box(low, high, shape, left_handed=False):
+    axes = [np.linspace(a, b, n) for a, b, n in zip(low, high, shape, strict=True)]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    return points[::-1] if left_handed else points
+
+
+def two_blocks():
+    """Two unit-high boxes that share a face; the second is left-handed."""
+    first, second = box((0, 0, 0), (1, 1, 1), (3, 3, 4)), box((1, 0, 0), (3, 1, 1), (5, 3, 4), left_handed=True)
+    wall = Patch("lower wall", (whole_face((3, 3, 4), 0, Side.JMIN), Window(1, Side.JMIN, (0, 0), (2, 3))))
+    shared = Patch("interface", (whole_face((3, 3, 4), 0, Side.IMAX),))
+    fields = (
+        Field("x", "node", 0, first[..., 0]),
+        Field("x", "node", 1, second[..., 0]),
+        Field("centre", "cell", 0, _centres(first)),
+        Field("centre", "cell", 1, _centres(second)),
+        Field("flag", "node", 0, np.ones((3, 3, 4), dtype=bool)),
+    )
+    return Grid.from_blocks([first, second], ["left", "right"], patches=(wall, shared), fields=fields)
+
+
+def _centres(points):
+    for axis in range(3):
+        points = (
+            points.take(range(1, points.shape[axis]), axis) + points.take(range(points.shape[axis] - 1), axis)
+        ) / 2
+    return points
+
+
+def export(grid, path, **options):
+    write_grid(grid, path, options)
+    return meshio.read(path, file_format=FORMATS[path.suffix])
+
+
+def volumes(points, cells):
+    """Volumes of hexahedra by the divergence theorem, corners in VTK's order."""
+    faces = ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7))
+    total = 0.0
+    for face in faces:
+        a, b, c, d = (points[cells[:, corner]] for corner in face)
+        total = total + np.einsum("ni,ni->n", (a + b + c + d) / 4, np.cross(c - a, d - b) / 2)
+    return total / 3
+
+
+def areas(points, quads):
+    a, b, c, d = (points[quads[:, corner]] for corner in range(4))
+    u, v = (c - a)[:, :2], (d - b)[:, :2]
+    return (u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]) / 2
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_cells_of_all_formats(tmp_path, suffix):
+    grid = two_blocks()
+    mesh = export(grid, tmp_path / f"a{suffix}")
+    # 3 x 3 x 4 and 5 x 3 x 4 nodes, of which 3 x 4 coincide.
+    assert mesh.points.shape == (36 + 60 - 12, 3)
+    cells = mesh.cells_dict["hexahedron"]
+    assert len(cells) == grid.n_cells
+    volume = volumes(mesh.points, cells)
+    np.testing.assert_allclose(volume, np.repeat([1 / 12, 2 / 24], [12, 24]), rtol=1e-13)
+    centres = mesh.points[cells].mean(axis=1)
+    expected = np.concatenate([_centres(grid.block(b)).reshape(-1, 3) for b in (0, 1)])
+    np.testing.assert_allclose(centres, expected, atol=1e-15)
+
+
+@pytest.mark.parametrize("suffix", [".vtu", ".xdmf"])
+def test_fields_and_blocks(tmp_path, suffix):
+    mesh = export(two_blocks(), tmp_path / f"a{suffix}")
+    np.testing.assert_array_equal(mesh.point_data["x"], mesh.points[:, 0])
+    np.testing.assert_array_equal(mesh.cell_data["block"][0], np.repeat([0, 1], [12, 24]))
+    np.testing.assert_allclose(mesh.cell_data["centre"][0], mesh.points[mesh.cells[0].data].mean(axis=1), atol=1e-15)
+    assert "flag" not in mesh.point_data
+
+
+PATCHES = {"lower wall": 6 + 6, "left.imin": 6, "left.jmax": 6, "left.kmin": 4, "left.kmax": 4}
+PATCHES |= {"right.imin": 6, "right.jmin": 6, "right.jmax": 12, "right.kmin": 8, "right.kmax": 8}
+
+
+def check_outward(points, quads):
+    """Quads of the two boxes look away from their middle."""
+    a, b, c, d = (points[quads[:, corner]] for corner in range(4))
+    normal = np.cross(c - a, d - b)
+    assert (np.einsum("ni,ni->n", normal, (a + b + c + d) / 4 - [1.5, 0.5, 0.5]) > 0).all()
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "binary"])
+def test_gmsh_groups(tmp_path, encoding):
+    mesh = export(two_blocks(), tmp_path / "a.msh", encoding=encoding)
+    assert (b"$MeshFormat\n2.2 %d 8\n" % (encoding == "binary")) in (tmp_path / "a.msh").read_bytes()
+    tags = mesh.cell_data_dict["gmsh:physical"]
+    assert {n: int((tags["quad"] == t).sum()) for n, (t, d) in mesh.field_data.items() if d == 2} == PATCHES
+    assert {n: int((tags["hexahedron"] == t).sum()) for n, (t, d) in mesh.field_data.items() if d == 3} == {
+        "left": 12,
+        "right": 24,
+    }
+    check_outward(mesh.points, mesh.cells_dict["quad"])
+    wall = mesh.cells_dict["quad"][tags["quad"] == mesh.field_data["lower wall"][0]]
+    assert (mesh.points[wall][..., 1] == 0).all()
+    assert mesh.points[wall][..., 0].max() == 3
+
+
+def test_med_groups(tmp_path):
+    mesh = export(two_blocks(), tmp_path / "a.med")
+    tags = mesh.cell_data_dict["cell_tags"]
+    found = {names[0]: int((np.concatenate(list(tags.values())) == tag).sum()) for tag, names in mesh.cell_tags.items()}
+    assert found == PATCHES | {"left": 12, "right": 24}
+
+
+def test_abaqus_node_sets(tmp_path):
+    mesh = export(two_blocks(), tmp_path / "a.inp")
+    assert set(mesh.point_sets) == {name.replace(" ", "_") for name in PATCHES}
+    assert (mesh.points[mesh.point_sets["left.imin"]][:, 0] == 0).all()
+    assert len(mesh.point_sets["left.imin"]) == 12
+
+
+def su2_markers(path):
+    """Elements of each marker of a SU2 file."""
+    lines = iter(path.read_text().splitlines())
+    found = {}
+    for line in lines:
+        if line.startswith("MARKER_TAG="):
+            name, number = line.split("= ")[1], int(next(lines).split("= ")[1])
+            found[name] = np.array([next(lines).split() for _ in range(number)], dtype=int)
+    return found
+
+
+def test_su2_markers(tmp_path):
+    mesh = export(two_blocks(), tmp_path / "a.su2")
+    text = (tmp_path / "a.su2").read_text()
+    assert text.startswith("NDIME= 3\nNELEM= 36\n12 ")
+    assert f"NMARK= {len(PATCHES)}\n" in text
+    markers = su2_markers(tmp_path / "a.su2")
+    assert {name: len(rows) for name, rows in markers.items()} == {n.replace(" ", "_"): c for n, c in PATCHES.items()}
+    for rows in markers.values():
+        assert (rows[:, 0] == 9).all()
+        check_outward(mesh.points, rows[:, 1:])
+
+
+@pytest.mark.parametrize("flat", [0, 1, 2])
+@pytest.mark.parametrize("normal", [0, 1, 2])
+@pytest.mark.parametrize("left_handed", [False, True])
+def test_plane_su2(tmp_path, flat, normal, left_handed):
+    shape = tuple(1 if axis == flat else n for axis, n in enumerate((3, 4, 5)))
+    plane = np.stack(np.meshgrid(*(np.arange(n) / n for n in shape if n > 1), indexing="ij"), axis=-1)
+    points = np.insert(plane, normal, 0.5, axis=-1).reshape(*shape, 3)
+    if left_handed:
+        points = np.flip(points, axis=(flat + 1) % 3)
+    first = next(axis for axis in range(3) if axis != flat)
+    patch = Patch("inlet", (whole_face(shape, 0, Side(2 * first)),))
+    mesh = export(Grid.from_blocks([points], patches=(patch,)), tmp_path / "a.su2")
+    assert mesh.points.shape[1] == 2
+    quads = mesh.cells_dict["quad"]
+    assert len(quads) == np.prod([n - 1 for n in shape if n > 1])
+    assert (areas(mesh.points, quads) > 0).all()
+    inlet = su2_markers(tmp_path / "a.su2")["inlet"]
+    assert inlet.shape == (next(n for a, n in enumerate(shape) if a not in (first, flat)) - 1, 3)
+    assert (inlet[:, 0] == 3).all()
+
+
+def test_a_curved_surface_is_no_su2_grid(tmp_path):
+    points = box((0, 0, 0), (1, 1, 0), (3, 3, 1))
+    points[..., 2] = points[..., 0] ** 2
+    grid = Grid.from_blocks([points])
+    with pytest.raises(FormatError, match="a 2-D SU2 grid is plane"):
+        write_grid(grid, tmp_path / "a.su2")
+    assert not list(tmp_path.iterdir())
+    assert len(export(grid, tmp_path / "a.vtu").cells_dict["quad"]) == 4
+
+
+def test_collapsed_hexahedra_stay_hexahedra(tmp_path):
+    points = box((0, 0, 0), (1, 1, 1), (3, 3, 3))
+    points[0, :, :, 1] = 0
+    mesh = export(Grid.from_blocks([points]), tmp_path / "a.vtu")
+    cells = mesh.cells_dict["hexahedron"]
+    assert len(cells) == 8
+    assert sorted(len(set(cell)) for cell in cells.tolist()) == [6, 6, 6, 6, 8, 8, 8, 8]
+    assert len(mesh.points) == 27 - 6
+    assert (volumes(mesh.points, cells) > 0).all()
+
+
+def test_unknown_options(tmp_path):
+    with pytest.raises(FormatError, match="unknown option 'encoding'; known are: none"):
+        write_grid(two_blocks(), tmp_path / "a.su2", {"encoding": "ascii"})
+    with pytest.raises(FormatError, match="did you mean 'binary'"):
+        write_grid(two_blocks(), tmp_path / "a.msh", {"encoding": "binar"})
+
+
+def test_fields_that_mesh_files_do_not_know(tmp_path):
+    grid = two_blocks()
+    fields = tuple(Field("c", "node", b, np.zeros(grid.shapes[b], complex)) for b in (0, 1))
+    with pytest.raises(FormatError, match="node field 'c' is of type complex128"):
+        write_grid(dataclasses.replace(grid, fields=fields), tmp_path / "a.vtu")
+    assert not list(tmp_path.iterdir())
+
+
+def test_handedness_of_a_third_party_grid(third_party, tmp_path):
+    mesh = export(read_grid(third_party / "SampleStructGrid.vtk"), tmp_path / "a.vtu")
+    assert (volumes(mesh.points, mesh.cells_dict["hexahedron"]) > 0).all()
+    assert mesh.point_data["scalars"].shape == (24000,)
+
+
+def test_nothing_is_read_back():
+    assert not hasattr(meshio_export, "read")

@@ -1,0 +1,295 @@
+"""Neutral map files: those of NASA, every way two faces can meet, and what is refused."""
+
+import dataclasses
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from meshdeform_core.errors import FormatError
+from meshdeform_core.grid import Connection, Grid, Patch, Periodicity, Side, Window, whole_face
+from meshdeform_formats import plot3d
+from meshdeform_formats.neutral_map import read_neutral_map, write_neutral_map
+
+
+def lattice(*shape: int, origin: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> np.ndarray:
+    """Block of a unit lattice: node (i, j, k) lies at origin + (i, j, k)."""
+    return np.stack(np.indices(shape), axis=-1) + np.array(origin)
+
+
+def put(folder: Path, *lines: str) -> Path:
+    path = folder / "grid.nmf"
+    path.write_text("# a map\n" + "\n".join(lines) + "\n")
+    return path
+
+
+def matrix(connection: Connection) -> np.ndarray:
+    result = np.zeros((3, 3), int)
+    for axis, donor in enumerate(connection.transform):
+        result[abs(donor) - 1, axis] = np.sign(donor)
+    return result
+
+
+def gap(grid: Grid, connection: Connection) -> float:
+    """Largest distance between the nodes that a connection says are the same."""
+    begin, end = np.array(connection.begin), np.array(connection.end)
+    steps = np.indices(np.abs(end - begin) + 1).reshape(3, -1).T * np.where(end >= begin, 1, -1)
+    here, there = begin + steps, np.array(connection.donor_begin) + steps @ matrix(connection).T
+    assert tuple(there[-1]) == connection.donor_end
+    nodes, donors = grid.block(connection.block)[tuple(here.T)], grid.block(connection.donor_block)[tuple(there.T)]
+    return float(np.abs(nodes - donors).max())
+
+
+@pytest.fixture
+def third_party_grid(third_party):
+    def read(grid: str, neutral_map: str) -> Grid:
+        return read_neutral_map(third_party / neutral_map, plot3d.read(third_party / grid))
+
+    return read
+
+
+def test_c_grid_and_its_cut(third_party_grid):
+    grid = third_party_grid("nak_a_141.p3dfmt", "nak_a_141.nmf")
+    assert [patch.name for patch in grid.patches] == [
+        "symmetry_y-1",
+        "symmetry_y-2",
+        "farfield_riem-1",
+        "farfield_riem-2",
+        "viscous_solid-1",
+        "farfield_riem-3",
+    ]
+    wall = grid.patches[4]
+    assert wall == Patch(
+        "viscous_solid-1", (Window(0, Side.KMIN, (0, 38), (1, 102)),), "viscous_solid", "viscous_solid"
+    )
+    (cut,) = grid.connections
+    # The CGNS file of the same grid has the same transform.
+    assert (cut.transform, cut.begin, cut.donor_begin) == ((1, -2, -3), (0, 0, 0), (0, 140, 0))
+    assert gap(grid, cut) == 0.0
+    assert grid.notes == ()
+
+
+def test_block_numbers_that_are_all_1(third_party_grid):
+    grid = third_party_grid("backstep5_4levdn.p3dbin", "backstep5_4levdn.nmf")
+    assert "block numbers [1, 1, 1, 1] are not 1 to 4; taken in file order" in grid.notes[0]
+    assert [(c.block, c.donor_block) for c in grid.connections] == [(0, 1), (1, 2), (2, 3)]
+    assert [gap(grid, connection) for connection in grid.connections] == [0.0, 0.0, 0.0]
+    assert len(grid.patches) == 21
+    step = next(patch for patch in grid.patches if patch.name == "viscous_solid-9")
+    assert step.windows == (Window(2, Side.JMIN, (0, 0), (1, 24)),)
+
+
+def test_map_of_the_3d_sibling_of_a_2d_grid(third_party_grid):
+    grid = third_party_grid("shear_3blk_2d.p2dfmt", "shear_3blk.nmf")
+    assert "6 entries lie on the plane of the 2-D grid itself and are left out" in grid.notes[0]
+    assert [gap(grid, connection) for connection in grid.connections] == [0.0, 0.0]
+    windows = {patch.name: patch.windows for patch in grid.patches}
+    assert windows["subsonic_inflow_pt-1"] == (Window(0, Side.IMIN, (0, 0), (16, 0)),)
+    assert windows["viscous_solid-1"] == (Window(1, Side.JMIN, (0, 0), (8, 0)),)
+    assert windows["viscous_solid-2"] == (Window(0, Side.JMAX, (0, 0), (8, 0)),)
+    assert len(windows) == 9
+    # The plate between the two inflow channels is where they touch without being connected.
+    lower, upper = grid.block(0)[:, -1], grid.block(1)[:, 0]
+    assert np.array_equal(lower, upper)
+
+
+@pytest.mark.parametrize(
+    ("grid_name", "map_name"),
+    [
+        ("nak_a_141.p3dfmt", "nak_a_141.nmf"),
+        ("backstep5_4levdn.p3dbin", "backstep5_4levdn.nmf"),
+        ("shear_3blk_2d.p2dfmt", "shear_3blk.nmf"),
+    ],
+)
+def test_what_is_written_is_read_back(third_party, third_party_grid, tmp_path, grid_name, map_name):
+    grid = third_party_grid(grid_name, map_name)
+    write_neutral_map(grid, tmp_path / "out.nmf")
+    back = read_neutral_map(tmp_path / "out.nmf", plot3d.read(third_party / grid_name))
+    assert back.patches == grid.patches
+    assert back.connections == grid.connections
+    assert back.notes == ()
+
+
+# Face number: constant index, whether at its end, primary and secondary index.
+FACES = {1: (2, 0, 0, 1), 2: (2, 1, 0, 1), 3: (0, 0, 1, 2), 4: (0, 1, 1, 2), 5: (1, 0, 2, 0), 6: (1, 1, 2, 0)}
+
+
+def neighbours(face: int, donor_face: int, swap: bool, flips: tuple[bool, bool]) -> tuple[np.ndarray, np.ndarray, str]:
+    """Two blocks of one unit lattice that share a face, the second one turned, and the entry that says so."""
+    axis, far, *tangential = FACES[face]
+    donor_axis, donor_far, *donor_tangential = FACES[donor_face]
+    shape = np.zeros(3, int)
+    shape[[axis, *tangential]] = 3, 4, 5
+    # Where the indices of the donor lead, in those of the block.
+    leads = dict(zip([donor_axis, *donor_tangential], [axis, *(tangential[::-1] if swap else tangential)], strict=True))
+    flipped = {axis: donor_far == far, **dict(zip(tangential, flips, strict=True))}
+    shifted = lattice(*shape) + np.eye(3)[axis] * (2 if far else -2)
+    donor = np.transpose(shifted, [leads[0], leads[1], leads[2], 3])
+    donor = np.flip(donor, [index for index, lead in leads.items() if flipped[lead]])
+    first = [f"1 {shape[index]}" for index in tangential]
+    second = [f"{shape[leads[i]]} 1" if flipped[leads[i]] else f"1 {shape[leads[i]]}" for i in donor_tangential]
+    return lattice(*shape), donor, " ".join(["1", str(face), *first, "2", str(donor_face), *second, str(swap)])
+
+
+@pytest.mark.parametrize("face", FACES)
+@pytest.mark.parametrize("donor_face", FACES)
+def test_all_ways_two_faces_can_meet(tmp_path, face, donor_face):
+    for swap, *flips in itertools.product((False, True), repeat=3):
+        block, donor, entry = neighbours(face, donor_face, swap, (flips[0], flips[1]))
+        bare = Grid.from_blocks([block, donor])
+        sizes = [f"{n} {' '.join(map(str, b.shape[:3]))}" for n, b in ((1, block), (2, donor))]
+        grid = read_neutral_map(put(tmp_path, "2", *sizes, f"ONE_TO_ONE {entry}"), bare)
+        (connection,) = grid.connections
+        assert gap(grid, connection) == 0.0
+        axis, far = FACES[face][:2]
+        outward = np.eye(3, dtype=int)[axis] * (1 if far else -1)
+        beyond = np.array(connection.donor_begin) + matrix(connection) @ outward
+        assert np.array_equal(donor[tuple(beyond)], block[connection.begin] + outward)
+        write_neutral_map(grid, tmp_path / "out.nmf")
+        (again,) = read_neutral_map(tmp_path / "out.nmf", bare).connections
+        assert dataclasses.replace(again, name=connection.name) == connection
+
+
+def test_part_of_a_face_with_swap(tmp_path):
+    """As in the hump grid of NASA: part of kmin of block 1 on jmax of block 3, k against j, Swap true."""
+    lower = lattice(2, 9, 4)
+    cavity = np.moveaxis(lattice(2, 5, 3, origin=(0.0, 2.0, -2.0)), [1, 2], [2, 1])[:, :, ::-1]
+    path = put(tmp_path, "2", "1 2 9 4", "2 2 3 5", "one-to-one 1 1 1 2 3 7 2 6 5 1 1 2 true \\")
+    grid = read_neutral_map(path, Grid.from_blocks([lower, cavity]))
+    assert gap(grid, grid.connections[0]) == 0.0
+    assert grid.connections[0].transform == (1, -3, 2)
+
+
+def test_quotes_comments_flags_and_types_with_two_faces(tmp_path):
+    path = put(
+        tmp_path,
+        "2 # blocks \\",
+        "",
+        " 2 3 4 6 \\",
+        " 1 3 4 5",
+        "'viscous solid' 1 3 1 4 1 5   TRUE",
+        '"wall" 2 4 4 1 6 2 \\',
+        "Patched 1 2 1 3 1 4 2 1 1 3 1 4",
+        "WALL 1 5 1 5 1 3 # not the same word",
+    )
+    grid = read_neutral_map(path, Grid.from_blocks([lattice(3, 4, 5), lattice(3, 4, 6)]))
+    assert [patch.name for patch in grid.patches] == ["viscous solid-1", "wall-1", "Patched-1", "WALL-1"]
+    assert grid.patches[1].windows == (Window(1, Side.IMAX, (0, 1), (3, 5)),)
+    assert grid.patches[2].windows == (Window(0, Side.KMAX, (0, 0), (2, 3)), Window(1, Side.KMIN, (0, 0), (2, 3)))
+    assert grid.connections == ()
+    write_neutral_map(grid, tmp_path / "out.nmf")
+    text = (tmp_path / "out.nmf").read_text()
+    back = read_neutral_map(tmp_path / "out.nmf", Grid.from_blocks([lattice(3, 4, 5), lattice(3, 4, 6)]))
+    assert [patch.windows for patch in back.patches] == [patch.windows for patch in grid.patches]
+    assert "viscous_solid" in text
+    assert sum("Patched" in line for line in text.splitlines()) == 1
+
+
+def test_edges_of_a_construct2d_grid(tmp_path):
+    lines = ("1", "1 9 4 1", "FARFIELD 1 1 1 4 1 1", "FARFIELD 1 2 1 4 1 1", "VISCOUS 1 3 3 7 1 1  TRUE")
+    lines += ("FARFIELD 1 4 1 9 1 1", "ONE_TO_ONE 1 3 1 3 1 1 1 3 9 7 1 1 FALSE")
+    grid = read_neutral_map(put(tmp_path, *lines), Grid.from_blocks([lattice(9, 4, 1)]))
+    assert [(patch.name, patch.windows[0]) for patch in grid.patches] == [
+        ("FARFIELD-1", Window(0, Side.IMIN, (0, 0), (3, 0))),
+        ("FARFIELD-2", Window(0, Side.IMAX, (0, 0), (3, 0))),
+        ("VISCOUS-1", Window(0, Side.JMIN, (2, 0), (6, 0))),
+        ("FARFIELD-3", Window(0, Side.JMAX, (0, 0), (8, 0))),
+    ]
+    assert grid.connections[0].transform == (-1, -2, 3)
+    assert (grid.connections[0].begin, grid.connections[0].donor_begin) == ((0, 0, 0), (8, 0, 0))
+
+
+def test_faces_of_a_2d_grid(tmp_path):
+    lines = ("1", "1 9 4 1", "symmetry 1 1 1 9 1 4", "symmetry 1 2 1 9 1 4", "wall 1 5 1 1 1 9", "inflow 1 3 1 4 1 1")
+    grid = read_neutral_map(put(tmp_path, *lines), Grid.from_blocks([lattice(9, 4, 1)]))
+    assert [patch.windows[0] for patch in grid.patches] == [
+        Window(0, Side.JMIN, (0, 0), (8, 0)),
+        Window(0, Side.IMIN, (0, 0), (3, 0)),
+    ]
+    assert "2 entries lie on the plane" in grid.notes[0]
+
+
+def test_patches_are_added_to_those_the_grid_has(tmp_path):
+    own = Patch("wall-1", (whole_face((3, 4, 5), 0, Side.IMIN),), "wall", "wall")
+    grid = Grid.from_blocks([lattice(3, 4, 5)], patches=(own,))
+    names = [p.name for p in read_neutral_map(put(tmp_path, "1", "1 3 4 5", "wall 1 6 1 5 1 3"), grid).patches]
+    assert names == ["wall-1", "wall-2"]
+
+
+def test_connections_of_both_blocks_and_periodic_ones_are_written(tmp_path):
+    blocks = [lattice(3, 4, 5), lattice(2, 4, 5, origin=(2.0, 0.0, 0.0))]
+    there = Connection("a", 0, (2, 0, 0), (2, 3, 4), 1, (0, 0, 0), (0, 3, 4), (1, 2, 3))
+    back = Connection("b", 1, (0, 0, 0), (0, 3, 4), 0, (2, 0, 0), (2, 3, 4), (1, 2, 3))
+    around = Connection("c", 0, (0, 0, 0), (0, 3, 4), 1, (1, 0, 0), (1, 3, 4), (1, 2, 3), Periodicity())
+    grid = Grid.from_blocks(blocks, connections=(there, back, around), patches=(Patch("my wall", (), "", ""),))
+    write_neutral_map(grid, tmp_path / "out.nmf")
+    read = read_neutral_map(tmp_path / "out.nmf", Grid.from_blocks(blocks))
+    assert [(c.block, c.begin, c.transform) for c in read.connections] == [(0, (2, 0, 0), (1, 2, 3))]
+    assert [patch.windows[0] for patch in read.patches] == [
+        whole_face((3, 4, 5), 0, Side.IMIN),
+        whole_face((2, 4, 5), 1, Side.IMAX),
+    ]
+    assert {patch.bc_type for patch in read.patches} == {"periodic"}
+
+
+BAD = {
+    "empty": ([""], "holds no neutral map: nothing but comments"),
+    "no count": (["wall 1 1 1 3 1 4"], "line 2: expected the number of blocks, found 'wall 1 1 1 3 1 4'"),
+    "two numbers for the count": (["1 1"], "line 2: expected the number of blocks, found '1 1'"),
+    "no blocks": (["0"], "line 2: expected the number of blocks, found '0'"),
+    "sizes missing": (["2", "1 3 4 5"], "announces 2 blocks but ends after the sizes of 1"),
+    "three numbers": (["1", "3 4 5"], "line 3: expected block number, IDIM, JDIM, KDIM for 1 blocks, found '3 4 5'"),
+    "entries among the sizes": (["2", "1 3 4 5", "wall 1 1 1 3 1 4"], "line 4: expected block number, IDIM.*'wall 1 1"),
+    "zero size": (["1", "1 3 0 5"], "line 3: expected block number"),
+    "other number of blocks": (["2", "1 3 4 5", "2 3 4 5"], "describes 2 blocks, the grid has 1"),
+    "other sizes": (["1", "1 3 5 5"], r"block 1 has 3x5x5 nodes, block1 of the grid has 3x4x5; expected is this"),
+    "too few numbers": (["1", "1 3 4 5", "wall 1 1 1 3 1"], "line 4: wall has 5 numbers; a face range has 6"),
+    "too many numbers": (["1", "1 3 4 5", "wall 1 1 1 3 1 4 7"], "line 4: wall has 7 numbers"),
+    "a word among the numbers": (
+        ["1", "1 3 4 5", "wall 1 kmin 1 3 1 4"],
+        "line 4: expected a type, B1.*'wall 1 kmin",
+    ),
+    "unknown block": (
+        ["1", "1 3 4 5", "wall 2 1 1 3 1 4"],
+        "line 4: block 2 does not exist; .* blocks 1 to 1",
+    ),
+    "unknown face": (["1", "1 3 4 5", "wall 1 7 1 3 1 4"], "line 4: face 7 does not exist; faces are 1 to 6"),
+    "range too large": (
+        ["1", "1 3 4 5", "wall 1 5 1 6 1 3"],
+        r"line 4: range 1 to 6 along k on face 5 \(jmin\) of block 1, which has nodes 1 to 5 there",
+    ),
+    "range from zero": (["1", "1 3 4 5", "wall 1 3 0 4 1 5"], r"range 0 to 4 along j on face 3 \(imin\)"),
+    "no donor": (["1", "1 3 4 5", "one-to-one 1 1 1 3 1 4 false"], "line 4: one-to-one needs two face ranges and Swap"),
+    "no swap": (["1", "1 3 4 5", "One_To_One 1 1 1 3 1 4 1 2 1 3 1 4"], "line 4: One_To_One needs two face ranges"),
+    "ranges of two lengths": (
+        ["1", "1 3 4 5", "one-to-one 1 1 1 3 1 4 1 2 1 3 1 3 false"],
+        "line 4: 4 nodes of block 1 along j meet 3 of block 1 along j; check the ranges and Swap",
+    ),
+    "wrong swap": (
+        ["1", "1 3 4 5", "one-to-one 1 1 1 3 1 4 1 2 1 3 1 4 true"],
+        "line 4: 3 nodes of block 1 along i meet 4 of block 1 along j",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_maps(tmp_path, name):
+    lines, message = BAD[name]
+    path = put(tmp_path, *lines)
+    with pytest.raises(FormatError, match=message) as caught:
+        read_neutral_map(path, Grid.from_blocks([lattice(3, 4, 5)]))
+    assert str(path) in str(caught.value)
+
+
+def test_a_sibling_that_can_be_turned_two_ways_is_refused(tmp_path):
+    with pytest.raises(FormatError, match="block 1 has 2x2x5 nodes, block1 of the grid has 2x5x1"):
+        read_neutral_map(put(tmp_path, "1", "1 2 2 5"), Grid.from_blocks([lattice(2, 5, 1)]))
+
+
+def test_files_that_cannot_be_read_or_written(tmp_path):
+    grid = Grid.from_blocks([lattice(3, 4, 5)])
+    with pytest.raises(FormatError, match=r"cannot read .*missing.nmf: No such file"):
+        read_neutral_map(tmp_path / "missing.nmf", grid)
+    with pytest.raises(FormatError, match=r"the folder .* does not exist"):
+        write_neutral_map(grid, tmp_path / "no" / "out.nmf")

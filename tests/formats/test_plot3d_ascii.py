@@ -1,0 +1,173 @@
+"""Text as Fortran's list-directed input understands it."""
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from plot3d_witness import ascii_file, sample_blocks, sample_iblank
+
+from meshdeform_core.errors import FormatError
+from meshdeform_core.grid import FileFormat, Grid
+from meshdeform_formats import plot3d, plot3d_numbers
+
+
+def put(folder: Path, text: str) -> Path:
+    path = folder / "grid.unknown"
+    path.write_bytes(text.encode())
+    return path
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_every_text_variant_is_recognised(tmp_path, dimension):
+    shapes = [(3, 4, 1), (2, 5, 1)] if dimension == 2 else [(3, 4, 5), (2, 3, 2)]
+    for multiblock, with_iblank in itertools.product((True, False), (True, False)):
+        used = shapes if multiblock else shapes[:1]
+        blocks, iblank = sample_blocks(used), sample_iblank(used) if with_iblank else None
+        grid = plot3d.read(put(tmp_path, ascii_file(blocks, iblank, multiblock, dimension)))
+        for index, block in enumerate(blocks):
+            np.testing.assert_array_equal(grid.block(index), block)
+        assert [f.values.tolist() for f in grid.fields] == [flags.tolist() for flags in iblank or []]
+        expected = {"encoding": "ascii", "multiblock": multiblock, "dimension": dimension, "iblank": with_iblank}
+        assert grid.format.options == expected
+
+
+def read_one_block(folder: Path, header: str, values: str) -> list[float]:
+    """Coordinates of a 2 x 2 x 1 block in the order of the file."""
+    grid = plot3d.read(put(folder, header + values))
+    assert grid.shapes == ((2, 2, 1),)
+    return [float(x) for c in range(3) for x in grid.block(0)[..., c].ravel(order="F")]
+
+
+VALUES = [-1.0, 0.5, 2.0, 0.003, 4.0, 5.0, 6.0, 7.0, 0.25, 0.25, 0.25, 8e9]
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        "-1.0 0.5 2.0 0.003 4 5 6 7 .25 .25 .25 8e9",
+        "-1.,.5,2.,3.E-3,\n4.,5.,6.,7.\n0.25,0.25,0.25,8E+09,\n",
+        "-1.0 , 0.5\t,\t2.0,3d-3\r\n4 5 6 7\r\n.25 .25 .25 8d9\r\n",
+        "-1.0D+00 0.5D0 +2.0d00 3.0D-003 4 5 6 7 3*.25 8.0D+09",
+        "-1.0 5.0-1 2.0+0 0.3-002 4.0 5.0 6.0 7.0 3*0.25 0.8+010",
+        "-1 0.5 2 3e-3 4 5 6 7 1*.25 2*0.25E+00 8Q9",
+        "-1\n0.5\n2\n3e-3\n4\n5\n6\n7\n3*0.25\n\n\n8.00000000000000000000e9\n\n",
+        "-0001.0 00.5 2 0.00300 4.0000 5 6 7 3*25.0E-02 80000.E5   ",
+        "-1 +.5 +2 +3e-3 4 5 6 7 3*+.25 +8e+9",
+    ],
+)
+@pytest.mark.parametrize(
+    "header",
+    ["1\n2 2 1\n", "1,2,2,1,", "1*1 2*2 1 ", "\t1\t2*2\t1\t", "\r\n 1\r\n\r\n2, 2, 1\r\n", "2,2,1\n", "2*2\n1\n"],
+)
+def test_spellings_of_the_same_numbers(tmp_path, header, values):
+    assert read_one_block(tmp_path, header, values) == VALUES
+
+
+def test_repeat_counts_over_several_block_sizes(tmp_path):
+    text = "3\n9*2\n" + "8*0.0 8*1.0 8*2.0 " + "24*3.5 8*-1 16*4\n"
+    grid = plot3d.read(put(tmp_path, text))
+    assert grid.shapes == ((2, 2, 2),) * 3
+    assert [grid.block(b).reshape(8, 3)[5].tolist() for b in range(3)] == [[0, 1, 2], [3.5, 3.5, 3.5], [-1, 4, 4]]
+
+
+def test_values_run_over_block_ends_in_one_line(tmp_path):
+    blocks = sample_blocks([(2, 3, 2), (3, 2, 2)])
+    grid = plot3d.read(put(tmp_path, ascii_file(blocks).replace("\n", " ")))
+    np.testing.assert_array_equal(grid.block(1), blocks[1])
+
+
+@pytest.mark.parametrize("piece", [1, 7, 64, 1000])
+def test_numbers_survive_any_cut_of_the_text(tmp_path, monkeypatch, piece):
+    monkeypatch.setattr(plot3d_numbers, "_PIECE", piece)
+    values = " -1.0D+00, 0.5\n,2.0 ,\t3*4.25\r\n 1.5-101  7,\n"
+    path = put(tmp_path, values)
+    with path.open("rb") as stream:
+        numbers = plot3d_numbers.read_numbers(stream, path)
+    assert numbers.tolist() == [-1.0, 0.5, 2.0, 4.25, 4.25, 4.25, 1.5e-101, 7.0]
+
+
+def test_numbers_of_all_sizes_are_read_exactly(tmp_path):
+    rng = np.random.default_rng(3)
+    values = rng.integers(0, 2**64, 20000, dtype=np.uint64).view(np.float64)
+    values = np.concatenate([values[np.isfinite(values)], [5e-324, 2.2250738585072014e-308, 1.7976931348623157e308]])
+    path = put(tmp_path, "\n".join(map(repr, values.tolist())))
+    with path.open("rb") as stream:
+        assert np.array_equal(plot3d_numbers.read_numbers(stream, path), values)
+
+
+def test_lines_of_numbers_are_exact_and_short():
+    values = np.array([0.1, 1 / 3, -0.0, 1e22, 5e-324, 1.7976931348623157e308, 123456.0])
+    lines = bytes(plot3d_numbers.number_lines(values)).split()
+    assert np.array_equal(np.array([float(line) for line in lines]).view(np.uint64), values.view(np.uint64))
+    assert all(len(line) <= len(repr(value)) + 2 for line, value in zip(lines, values.tolist(), strict=True))
+    assert bytes(plot3d_numbers.number_lines(np.array([1, -2, 0], np.int32))).split() == [b"1", b"-2", b"0"]
+
+
+def test_nan_and_infinity_are_left_to_the_caller(tmp_path):
+    numbers = read_one_block(tmp_path, "1 2 2 1 ", "NaN Infinity -inf +Infinity 4 5 6 7 8 9 10 11")
+    assert np.isnan(numbers[0])
+    assert numbers[1:4] == [np.inf, -np.inf, np.inf]
+
+
+# [1, ni, nj] begins a 2-D file of one block with IBLANK as well as a 3-D file of the shape (1, ni, nj).
+
+
+def test_iblank_or_z_of_a_flat_block_is_told_by_its_values(tmp_path):
+    flat = sample_blocks([(1, 3, 4)])
+    assert plot3d.read(put(tmp_path, ascii_file(flat, multiblock=False))).shapes == ((1, 3, 4),)
+    flat[0][..., 2] = 0.0
+    assert plot3d.read(put(tmp_path, ascii_file(flat, multiblock=False))).shapes == ((1, 3, 4),)
+
+
+def test_iblank_or_z_of_a_flat_block_is_told_by_its_spelling(tmp_path):
+    flat = sample_blocks([(1, 3, 4)])
+    flat[0][..., 2] = 1.0
+    assert plot3d.read(put(tmp_path, ascii_file(flat, multiblock=False))).shapes == ((1, 3, 4),)
+    plane, iblank = sample_blocks([(3, 4, 1)]), sample_iblank([(3, 4, 1)])
+    for flags in (iblank, [np.ones_like(iblank[0])]):
+        grid = plot3d.read(put(tmp_path, ascii_file(plane, flags, dimension=2)))
+        assert grid.format.options["iblank"]
+        np.testing.assert_array_equal(grid.fields[0].values, flags[0])
+        np.testing.assert_array_equal(grid.block(0), plane[0])
+
+
+def test_a_flat_block_that_we_write_is_not_taken_for_iblank(tmp_path):
+    block = sample_blocks([(1, 3, 4)])[0]
+    block[..., 2] = 2.0
+    path = tmp_path / "flat.fmt"
+    options = {"encoding": "ascii", "multiblock": False}
+    plot3d.write(Grid.from_blocks([block]), path, FileFormat("plot3d", options=options))
+    np.testing.assert_array_equal(plot3d.read(path).block(0), block)
+
+
+def test_what_neither_tells_must_be_chosen(tmp_path):
+    flat = sample_blocks([(1, 3, 4)])
+    flat[0][..., 2] = 0.0
+    text = ascii_file(flat, multiblock=False).replace("0.0\n", "0\n")
+    path = put(tmp_path, text)
+    with pytest.raises(FormatError, match=r"can be read in 2 ways.*dimension=2, iblank=true.*dimension=3"):
+        plot3d.read(path)
+    np.testing.assert_array_equal(plot3d.read(path, dimension=3).block(0), flat[0])
+    assert plot3d.read(path, dimension="2").shapes == ((3, 4, 1),)
+
+
+@settings(max_examples=1000, deadline=None, derandomize=True)
+@given(st.lists(st.text("0123459+-.eED*", max_size=7), max_size=6).map(" ".join))
+def test_the_fast_way_takes_nothing_that_the_slow_way_does_not(text):
+    fast = plot3d_numbers._plain_numbers(text.encode())
+    if fast is not None:
+        assert np.array_equal(fast, plot3d_numbers._spelled_numbers(text.encode(), 1, Path("grid")))
+
+
+number = st.from_regex(r"\A([1-9]\*)?-?([0-9]{1,3}\.?[0-9]{0,3}|\.[0-9]{1,3})([eEdD][+-]?[0-9]{1,2})?\Z")
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(st.lists(number, min_size=1, max_size=8))
+def test_the_fast_way_takes_all_plain_numbers(words):
+    fast = plot3d_numbers._plain_numbers("\n".join(words).encode())
+    assert fast is not None
+    assert np.array_equal(fast, plot3d_numbers._spelled_numbers(" ".join(words).encode(), 1, Path("grid")))

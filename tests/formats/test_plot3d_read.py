@@ -1,0 +1,179 @@
+"""Every binary variant is recognised and read: files written with struct, gfortran and by others."""
+
+import itertools
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from plot3d_witness import ENCODINGS, binary_file, fortran_record, sample_blocks, sample_iblank
+
+from meshdeform_core.errors import FormatError
+from meshdeform_core.grid import Grid
+from meshdeform_formats import plot3d, plot3d_records
+
+SHAPES_3D = [(3, 4, 5), (2, 3, 2)]
+SHAPES_2D = [(3, 4, 1), (2, 5, 1)]
+
+
+def put(folder: Path, content: bytes) -> Path:
+    path = folder / "grid.unknown"
+    path.write_bytes(content)
+    return path
+
+
+def check(grid: Grid, blocks: list[np.ndarray], iblank: list[np.ndarray] | None = None) -> None:
+    assert grid.shapes == tuple(block.shape[:3] for block in blocks)
+    for index, block in enumerate(blocks):
+        np.testing.assert_array_equal(grid.block(index), block)
+    fields = {field.block: field for field in grid.fields}
+    assert set(fields) == (set(range(len(blocks))) if iblank else set())
+    for index, field in fields.items():
+        assert (field.name, field.location, field.values.dtype) == ("iblank", "node", np.int32)
+        np.testing.assert_array_equal(field.values, iblank[index])
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS, ids=lambda e: "-".join(map(str, e.values())))
+@pytest.mark.parametrize("byte_order", ["little", "big"])
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_every_binary_variant_is_recognised(tmp_path, encoding, byte_order, precision, dimension):
+    for multiblock, with_iblank in itertools.product((True, False), (True, False)):
+        shapes = (SHAPES_2D if dimension == 2 else SHAPES_3D)[: 2 if multiblock else 1]
+        blocks, iblank = sample_blocks(shapes, precision), sample_iblank(shapes) if with_iblank else None
+        variant = {**encoding, "byte_order": byte_order, "multiblock": multiblock, "dimension": dimension}
+        path = put(tmp_path, binary_file(blocks, iblank, precision=precision, **variant))
+        grid = plot3d.read(path)
+        check(grid, blocks, iblank)
+        assert grid.format.precision == precision
+        # A 2-D block is one plane: the same record either way.
+        one_plane = {"records": "block"} if dimension == 2 and encoding.get("records") == "plane" else {}
+        assert grid.format.options == {**variant, "iblank": with_iblank, **one_plane}
+        assert grid.path == path
+
+
+def test_2d_files_have_one_plane_at_z_0(tmp_path):
+    blocks = sample_blocks(SHAPES_2D)
+    grid = plot3d.read(put(tmp_path, binary_file(blocks, encoding="binary", dimension=2)))
+    assert grid.dimension == 2
+    assert not grid.points[:, 2].any()
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_block_sizes_may_stand_in_one_record_each(tmp_path, order):
+    blocks = sample_blocks([(3, 4, 5), (2, 3, 4), (4, 3, 2)])
+    content = fortran_record(np.array([3], order + "i4").tobytes(), order)
+    for block in blocks:
+        content += fortran_record(np.array(block.shape[:3], order + "i4").tobytes(), order)
+    for block in blocks:
+        content += fortran_record(block.astype(order + "f8").T.tobytes(), order)
+    check(plot3d.read(put(tmp_path, content)), blocks)
+
+
+@pytest.mark.parametrize("longest", [1, 37, 64, 1000])
+def test_records_split_into_subrecords_are_joined(tmp_path, longest):
+    blocks = sample_blocks(SHAPES_3D)
+    content = fortran_record(np.array([2], "<i4").tobytes())
+    content += fortran_record(np.array([b.shape[:3] for b in blocks], "<i4").tobytes())
+    content += b"".join(fortran_record(block.T.tobytes(), longest=longest) for block in blocks)
+    grid = plot3d.read(put(tmp_path, content))
+    check(grid, blocks)
+    assert grid.format.options["markers"] == 4
+
+
+def test_one_plane_per_record_is_the_block_record_when_there_is_one_plane(tmp_path):
+    blocks = sample_blocks([(3, 4, 1)])
+    content = binary_file(blocks, encoding="fortran", records="plane", multiblock=False)
+    assert plot3d.read(put(tmp_path, content)).format.options["records"] == "block"
+
+
+def test_many_blocks(tmp_path):
+    blocks = sample_blocks([(2, 2, 2)] * 300)
+    check(plot3d.read(put(tmp_path, binary_file(blocks, encoding="fortran", markers=8))), blocks)
+
+
+# [1, ni, nj] begins a 2-D file of one block as well as a 3-D file of the shape (1, ni, nj); the sizes can agree.
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_iblank_tells_2d_from_flat_3d(tmp_path, precision):
+    shape = (5, 4, 1)
+    blocks, iblank = sample_blocks([shape], precision), sample_iblank([shape])
+    variant = {"encoding": "binary", "precision": precision, "dimension": 2}
+    grid = plot3d.read(put(tmp_path, binary_file(blocks, iblank, **variant)))
+    check(grid, blocks, iblank)
+
+
+def test_coordinates_tell_flat_3d_from_2d_with_iblank(tmp_path):
+    blocks = sample_blocks([(1, 5, 4)], "float32")
+    path = put(tmp_path, binary_file(blocks, encoding="binary", precision="float32", multiblock=False))
+    grid = plot3d.read(path)
+    check(grid, blocks)
+    assert grid.format.options["dimension"] == 3
+
+
+def test_z_zero_is_not_taken_for_iblank(tmp_path):
+    blocks = sample_blocks([(1, 5, 4)], "float32")
+    blocks[0][..., 2] = 0.0
+    path = put(tmp_path, binary_file(blocks, encoding="binary", precision="float32", multiblock=False))
+    check(plot3d.read(path), blocks)
+
+
+def test_float64_2d_or_float32_3d_with_iblank(tmp_path):
+    blocks = sample_blocks([(5, 4, 1)])
+    check(plot3d.read(put(tmp_path, binary_file(blocks, encoding="binary", dimension=2))), blocks)
+    blocks, iblank = sample_blocks([(1, 5, 4)], "float32"), sample_iblank([(1, 5, 4)])
+    variant = {"encoding": "binary", "precision": "float32", "multiblock": False}
+    check(plot3d.read(put(tmp_path, binary_file(blocks, iblank, **variant))), blocks, iblank)
+
+
+def test_three_arrays_or_three_planes_must_be_chosen(tmp_path):
+    blocks = sample_blocks([(4, 5, 3)])
+    for records in ("array", "plane"):
+        path = put(tmp_path, binary_file(blocks, encoding="fortran", records=records))
+        with pytest.raises(FormatError, match=r"can be read in 2 ways.*records=array.*records=plane"):
+            plot3d.read(path)
+        check(plot3d.read(path, records=records), blocks)
+
+
+def test_options_force_a_reading(tmp_path):
+    blocks = sample_blocks(SHAPES_3D)
+    path = put(tmp_path, binary_file(blocks, encoding="fortran", byte_order="big"))
+    check(plot3d.read(path, encoding="fortran", byte_order="big", markers="4", multiblock="true", dimension=3), blocks)
+    with pytest.raises(FormatError, match=r"with byte_order=little; without these options it is big-endian Fortran"):
+        plot3d.read(path, byte_order="little")
+
+
+def test_nan_is_read_for_the_caller_to_report(tmp_path):
+    blocks = sample_blocks([(2, 3, 4)], "float32")
+    blocks[0][0, 1, 2, 0] = np.nan
+    grid = plot3d.read(put(tmp_path, binary_file(blocks, encoding="binary", precision="float32")))
+    assert np.flatnonzero(np.isnan(grid.points).any(axis=1)).tolist() == [6]
+
+
+def test_reading_binary_needs_no_slow_import():
+    code = "import sys, meshdeform_formats.plot3d; print([m for m in ('scipy', 'numba', 'vtk') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("nak_a_141.p3dfmt", {"encoding": "ascii", "multiblock": True, "dimension": 3, "iblank": False}),
+        ("shear_3blk_2d.p2dfmt", {"encoding": "ascii", "multiblock": True, "dimension": 2, "iblank": False}),
+        ("backstep5_4levdn.p3dbin", {"encoding": "fortran", "byte_order": "big", "markers": 4, "records": "block"}),
+        ("cylinder_ring_4blk.x", {"encoding": "fortran", "byte_order": "little", "markers": 4, "records": "block"}),
+    ],
+)
+def test_third_party_files_as_their_oracle(third_party, name, options):
+    grid = plot3d.read(third_party / name)
+    with np.load(third_party / "oracle" / f"{name}.npz", allow_pickle=False) as oracle:
+        check(grid, [oracle[f"b{index}"] for index in range(len(oracle.files))])
+    assert grid.format.options.items() >= options.items()
+    assert grid.format.precision == "float64"
+
+
+def test_longest_subrecord_is_the_one_of_the_compilers():
+    assert plot3d_records.LONGEST_SUBRECORD == 2147483639

@@ -1,0 +1,316 @@
+"""Every variant on request: written as a witness writes it, read back, read by VTK and gfortran."""
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from plot3d_witness import ENCODINGS, binary_file, sample_blocks, sample_iblank
+
+from meshdeform_core.errors import FormatError
+from meshdeform_core.grid import Field, FileFormat, Grid
+from meshdeform_formats import plot3d, plot3d_records, write_grid
+
+
+def make_grid(blocks: list[np.ndarray], iblank: list[np.ndarray] | None = None, **rest) -> Grid:
+    fields = tuple(Field("iblank", "node", index, flags) for index, flags in enumerate(iblank or []))
+    return Grid.from_blocks(blocks, fields=fields, **rest)
+
+
+def write(grid: Grid, path: Path, **options) -> FileFormat:
+    chosen = plot3d.variant(grid, path, options)
+    plot3d.write(grid, path, chosen)
+    return chosen
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS, ids=lambda e: "-".join(map(str, e.values())))
+@pytest.mark.parametrize("byte_order", ["little", "big"])
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize("iblank", [False, True])
+def test_bytes_are_those_of_the_witness(tmp_path, encoding, byte_order, precision, dimension, iblank):
+    shapes = [(3, 4, 1), (2, 5, 1)] if dimension == 2 else [(3, 4, 5), (2, 3, 2)]
+    blocks, flags = sample_blocks(shapes), sample_iblank(shapes) if iblank else None
+    options = {**encoding, "byte_order": byte_order, "precision": precision, "dimension": dimension}
+    write(make_grid(blocks, flags), tmp_path / "a.x", **options)
+    assert (tmp_path / "a.x").read_bytes() == binary_file(blocks, flags, **options)
+
+
+@st.composite
+def grids_and_options(draw):
+    dimension = draw(st.sampled_from([2, 3]))
+    n = st.integers(2, 6)
+    flat = dimension == 2 or draw(st.booleans())
+    hole = 2 if dimension == 2 else draw(st.integers(0, 2))
+    count = draw(st.integers(1, 4))
+    shapes = [tuple(1 if flat and axis == hole else draw(n) for axis in range(3)) for _ in range(count)]
+    encoding = draw(st.sampled_from([{"encoding": "ascii"}, *ENCODINGS]))
+    options = {"dimension": dimension, "precision": draw(st.sampled_from(["float32", "float64"])), **encoding}
+    options["multiblock"] = count > 1 or draw(st.booleans())
+    if encoding["encoding"] != "ascii":
+        options["byte_order"] = draw(st.sampled_from(["little", "big"]))
+    seed, with_iblank = draw(st.integers(0, 2**32 - 1)), draw(st.booleans())
+    rng = np.random.default_rng(seed)
+    scale = 10.0 ** draw(st.integers(-6, 6))
+    blocks = [rng.normal(scale=scale, size=(*shape, 3)) for shape in shapes]
+    for block in blocks:
+        block[..., dimension:] = 0.0
+    iblank = [rng.integers(-2, 3, shape).astype(np.int32) for shape in shapes] if with_iblank else None
+    return make_grid(blocks, iblank), options
+
+
+def read_choosing(path: Path, options: dict) -> Grid:
+    """Read a file, naming the variant only where its content leaves a choice."""
+    try:
+        return plot3d.read(path)
+    except FormatError as error:
+        if "ways and its content does not decide" not in str(error):
+            raise
+        return plot3d.read(path, **options)
+
+
+@settings(
+    max_examples=150, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(case=grids_and_options())
+def test_round_trip(tmp_path, case):
+    grid, options = case
+    path = tmp_path / "grid.x"
+    chosen = write(grid, path, **options)
+    back = read_choosing(path, {**options, "iblank": bool(grid.fields)})
+    written = grid.points.astype(options["precision"])
+    assert np.array_equal(back.points.astype(options["precision"]), written)
+    assert back.shapes == grid.shapes
+    assert [f.values.tolist() for f in back.fields] == [f.values.tolist() for f in grid.fields]
+    one_plane = options.get("records") == "plane" and all(shape[2] == 1 for shape in grid.shapes)
+    expected = {**chosen.options, "records": "block"} if one_plane else dict(chosen.options)
+    assert dict(back.format.options) == expected
+    again = tmp_path / "again.x"
+    plot3d.write(back, again, back.format)
+    assert again.read_bytes() == path.read_bytes()
+
+
+def test_float64_text_is_exact(tmp_path):
+    rng = np.random.default_rng(4)
+    bits = rng.integers(0, 2**63, (6, 7, 8, 3), dtype=np.uint64).view(np.float64)
+    block = np.where(np.isfinite(bits), bits, 0.0)
+    write(make_grid([block]), tmp_path / "a.fmt")
+    assert np.array_equal(plot3d.read(tmp_path / "a.fmt").block(0), block)
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("a.fmt", {"encoding": "ascii", "dimension": 3}),
+        ("a.p3dfmt", {"encoding": "ascii", "dimension": 3}),
+        ("a.P2DFMT", {"encoding": "ascii", "dimension": 2}),
+        ("a.p2d", {"encoding": "fortran", "dimension": 2, "byte_order": "little", "markers": 4, "records": "block"}),
+        ("a.p2dbin", {"encoding": "fortran", "dimension": 2, "byte_order": "little", "markers": 4, "records": "block"}),
+        ("a.xyz", {"encoding": "fortran", "dimension": 3, "byte_order": "little", "markers": 4, "records": "block"}),
+        ("a.bin", {"encoding": "fortran", "dimension": 3, "byte_order": "little", "markers": 4, "records": "block"}),
+    ],
+)
+def test_the_suffix_decides_for_grids_from_elsewhere(name, expected):
+    grid = make_grid(sample_blocks([(3, 4, 1)]), format=FileFormat("cgns", "float32"))
+    chosen = plot3d.variant(grid, Path(name), {})
+    assert chosen.options == {**expected, "multiblock": True, "iblank": False}
+    assert chosen.precision == "float64"
+
+
+def test_a_grid_keeps_its_own_variant(tmp_path):
+    own = {"encoding": "fortran", "byte_order": "big", "markers": 8, "records": "array", "precision": "float32"}
+    blocks, iblank = sample_blocks([(3, 4, 5)]), sample_iblank([(3, 4, 5)])
+    write(make_grid(blocks, iblank), tmp_path / "a.x", **own, multiblock="false")
+    grid = plot3d.read(tmp_path / "a.x")
+    write_grid(grid, tmp_path / "b.xyz")
+    assert (tmp_path / "b.xyz").read_bytes() == (tmp_path / "a.x").read_bytes()
+    assert write_grid(grid, tmp_path / "b.fmt").options["encoding"] == "ascii"
+    assert write_grid(plot3d.read(tmp_path / "b.fmt"), tmp_path / "b.p3dbin").options["encoding"] == "fortran"
+    changed = write_grid(grid, tmp_path / "c.x", {"encoding": "binary", "iblank": "false"})
+    assert changed.options == {
+        "encoding": "binary",
+        "byte_order": "big",
+        "multiblock": False,
+        "dimension": 3,
+        "iblank": False,
+    }
+    back = plot3d.read(tmp_path / "c.x")
+    assert np.array_equal(back.points, grid.points)
+    assert back.fields == ()
+
+
+def test_third_party_files_are_written_as_they_were(third_party, tmp_path):
+    for name in ("backstep5_4levdn.p3dbin", "cylinder_ring_4blk.x"):
+        write_grid(plot3d.read(third_party / name), tmp_path / name)
+        assert (tmp_path / name).read_bytes() == (third_party / name).read_bytes()
+
+
+def test_iblank_is_written_when_carried_or_asked_for(tmp_path):
+    shapes = [(3, 4, 5), (2, 3, 2)]
+    flags = sample_iblank(shapes)
+    fields = (Field("IBlank", "node", 1, flags[1].astype(np.float64)), Field("iblank", "cell", 0, np.ones((2, 3, 4))))
+    grid = Grid.from_blocks(sample_blocks(shapes), fields=fields)
+    write(grid, tmp_path / "a.x")
+    back = plot3d.read(tmp_path / "a.x")
+    assert (back.fields[0].values == 1).all()
+    assert np.array_equal(back.fields[1].values, flags[1])
+    write(make_grid(sample_blocks(shapes)), tmp_path / "b.x", iblank="true")
+    assert all((field.values == 1).all() for field in plot3d.read(tmp_path / "b.x").fields)
+    write(grid, tmp_path / "c.x", iblank=False)
+    assert plot3d.read(tmp_path / "c.x").fields == ()
+
+
+@pytest.mark.parametrize(
+    ("shape", "options", "message"),
+    [
+        ((3, 4, 5), {"dimension": 2}, r"as 2-D: block1 has 3x4x5 nodes.*use dimension=3"),
+        ((1, 4, 5), {"dimension": "2"}, r"as 2-D: block1 has 1x4x5 nodes"),
+        ((3, 4, 5), {"multiblock": "false"}, "without block count: the grid has 2 blocks; use multiblock=true"),
+        ((3, 4, 5), {"encoding": "ascii", "byte_order": "big"}, "byte_order means nothing with encoding=ascii.*binary"),
+        ((3, 4, 5), {"encoding": "binary", "markers": 8}, "markers means nothing with encoding=binary.*fortran"),
+        ((3, 4, 5), {"bytorder": "big"}, "unknown Plot3D option 'bytorder'; nearest is 'byte_order'"),
+        ((3, 4, 5), {"encoding": "asci"}, "encoding=asci is not known; nearest is 'ascii'"),
+    ],
+)
+def test_what_cannot_be_written(shape, options, message):
+    grid = make_grid(sample_blocks([shape, shape]))
+    with pytest.raises(FormatError, match=message):
+        plot3d.variant(grid, Path("a.x"), options)
+
+
+def test_z_is_never_lost(tmp_path):
+    block = sample_blocks([(3, 4, 1)])[0]
+    block[1, 2, 0, 2] = 1e-3
+    path = tmp_path / "a.p2dfmt"
+    with pytest.raises(FormatError, match=r"as 2-D: block1 has z from 0 to 0.001"):
+        plot3d.variant(make_grid([block]), path, {})
+    with pytest.raises(FormatError, match="as 2-D"):
+        plot3d.write(make_grid([block]), path, FileFormat("plot3d", options={"encoding": "ascii", "dimension": 2}))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_coordinates_beyond_float32(tmp_path):
+    block = sample_blocks([(3, 4, 5)])[0]
+    block[0, 0, 0, 1] = -1e39
+    with pytest.raises(FormatError, match=r"as float32: a coordinate is 1e\+39; use precision=float64"):
+        plot3d.variant(make_grid([block]), tmp_path / "a.x", {"precision": "float32"})
+
+
+def test_iblank_of_another_shape(tmp_path):
+    grid = make_grid(sample_blocks([(3, 4, 5)]), [np.ones((3, 4, 9))])
+    with pytest.raises(FormatError, match=r"block1 has \(3, 4, 5\) nodes but IBLANK values \(3, 4, 9\)"):
+        plot3d.variant(grid, tmp_path / "a.x", {})
+
+
+def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
+    def full_disk(grid, stream, variant):
+        stream.write(b"part of it")
+        raise OSError(28, "No space left on device")
+
+    path = tmp_path / "a.x"
+    path.write_text("old")
+    monkeypatch.setattr(plot3d, "write_binary", full_disk)
+    with pytest.raises(FormatError, match=r"cannot write .*a\.x: No space left on device"):
+        write(make_grid(sample_blocks([(3, 4, 5)])), path)
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("longest", [1, 7, 100, 1439, 1440])
+def test_long_records_become_subrecords(tmp_path, monkeypatch, longest):
+    monkeypatch.setattr(plot3d_records, "LONGEST_SUBRECORD", longest)
+    blocks = sample_blocks([(3, 4, 5), (2, 3, 2)])
+    write(make_grid(blocks), tmp_path / "a.x")
+    content = (tmp_path / "a.x").read_bytes()
+    assert int.from_bytes(content[:4], "little", signed=True) == (4 if longest >= 4 else -longest)
+    assert np.array_equal(plot3d.read(tmp_path / "a.x").block(1), blocks[1])
+    write(make_grid(blocks), tmp_path / "b.x", markers=8)
+    assert (tmp_path / "b.x").read_bytes() == binary_file(blocks, encoding="fortran", markers=8)
+
+
+FORTRAN = """
+program witness
+  implicit none
+  integer :: nb, b, c, m
+  integer, allocatable :: dims(:,:), iblank(:)
+  real(8), allocatable :: x(:,:)
+  open(1, file='in.x', form='unformatted', status='old')
+  open(2, file='out.fmt', form='formatted')
+  open(3, file='out.big', form='unformatted', convert='big_endian')
+  read(1) nb
+  allocate(dims(3, nb))
+  read(1) dims
+  write(2, *) nb
+  write(2, *) dims
+  write(3) nb
+  write(3) dims
+  do b = 1, nb
+    m = product(dims(:, b))
+    allocate(x(m, 3), iblank(m))
+    read(1) (x(:, c), c = 1, 3), iblank
+    write(2, *) x
+    write(2, *) iblank
+    write(3) x, iblank
+    deallocate(x, iblank)
+  end do
+end program
+"""
+
+
+@pytest.mark.skipif(shutil.which("gfortran") is None, reason="gfortran is not installed")
+@pytest.mark.parametrize("markers", [4, 8])
+def test_gfortran_reads_what_we_write_and_we_what_it_writes(tmp_path, monkeypatch, markers):
+    flags = [f"-frecord-marker={markers}", *(["-fmax-subrecord-length=500"] if markers == 4 else [])]
+    (tmp_path / "w.f90").write_text(FORTRAN)
+    subprocess.run(["gfortran", *flags, "w.f90", "-o", "w"], cwd=tmp_path, check=True, timeout=60)
+    shapes = [(3, 4, 5), (2, 3, 2)]
+    grid = make_grid(sample_blocks(shapes), sample_iblank(shapes))
+    monkeypatch.setattr(plot3d_records, "LONGEST_SUBRECORD", 333)
+    write(grid, tmp_path / "in.x", markers=markers)
+    subprocess.run(["./w"], cwd=tmp_path, check=True, timeout=60)
+    for name in ("out.fmt", "out.big"):
+        back = plot3d.read(tmp_path / name)
+        assert np.array_equal(back.points, grid.points)
+        assert [f.values.tolist() for f in back.fields] == [f.values.tolist() for f in grid.fields]
+    assert back.format.options["byte_order"] == "big"
+    assert back.format.options["markers"] == markers
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"encoding": "ascii"},
+        {"encoding": "ascii", "multiblock": False},
+        {"encoding": "binary", "byte_order": "big"},
+        {"encoding": "binary", "precision": "float32", "multiblock": False},
+        {"encoding": "fortran", "byte_order": "little"},
+        {"encoding": "fortran", "byte_order": "big", "precision": "float32"},
+        {"encoding": "fortran", "dimension": 2},
+        {"encoding": "ascii", "dimension": 2},
+    ],
+    ids=lambda o: "-".join(map(str, o.values())),
+)
+def test_vtk_reads_what_we_write(tmp_path, options):
+    parallel = pytest.importorskip("vtkmodules.vtkIOParallel")
+    support = pytest.importorskip("vtkmodules.util.numpy_support")
+    shapes = [(3, 4, 1), (2, 5, 1)] if options.get("dimension") == 2 else [(3, 4, 5), (2, 3, 2)]
+    multiblock = options.get("multiblock", True)
+    blocks = sample_blocks(shapes[: 2 if multiblock else 1], "float32")
+    path = tmp_path / "a.x"
+    write(make_grid(blocks), path, **options)
+    reader = parallel.vtkMultiBlockPLOT3DReader()
+    reader.SetXYZFileName(str(path))
+    reader.AutoDetectFormatOff()
+    reader.SetBinaryFile(options["encoding"] != "ascii")
+    reader.SetHasByteCount(options["encoding"] == "fortran")
+    (reader.SetByteOrderToBigEndian if options.get("byte_order") == "big" else reader.SetByteOrderToLittleEndian)()
+    reader.SetDoublePrecision(options.get("precision", "float64") == "float64")
+    reader.SetMultiGrid(multiblock)
+    reader.SetTwoDimensionalGeometry(options.get("dimension") == 2)
+    reader.Update()
+    for index, block in enumerate(blocks):
+        points = support.vtk_to_numpy(reader.GetOutput().GetBlock(index).GetPoints().GetData())
+        np.testing.assert_array_equal(points, block.transpose(2, 1, 0, 3).reshape(-1, 3))

@@ -1,0 +1,243 @@
+"""Multi-block sets: nested names, whole sets or none, and foreign pieces."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import vtk_witness
+from vtkmodules.vtkCommonDataModel import vtkCompositeDataSet, vtkMultiBlockDataSet
+from vtkmodules.vtkIOXML import vtkXMLMultiBlockDataReader, vtkXMLMultiBlockDataWriter
+
+from meshdeform_core.errors import FormatError, GridError
+from meshdeform_core.grid import Field, Grid
+from meshdeform_formats import read_grid, vtk_multiblock, write_grid
+
+
+def blocks(*shapes, seed=0):
+    rng = np.random.default_rng(seed)
+    return [rng.normal(size=(*shape, 3)) for shape in shapes]
+
+
+def grid_of(*names, seed=0):
+    return Grid.from_blocks(blocks(*((2, 3, 2 + n) for n in range(len(names))), seed=seed), names)
+
+
+def vtk_set(tree):
+    """vtkMultiBlockDataSet from ``[(name or None, array, list or None)]``."""
+    found = vtkMultiBlockDataSet()
+    for index, (name, entry) in enumerate(tree):
+        child = vtk_set(entry) if isinstance(entry, list) else entry
+        found.SetBlock(index, vtk_witness.structured_grid(child) if isinstance(child, np.ndarray) else child)
+        if name:
+            found.GetMetaData(index).Set(vtkCompositeDataSet.NAME(), name)
+    return found
+
+
+def write_set(path, tree):
+    writer = vtkXMLMultiBlockDataWriter()
+    writer.SetInputData(vtk_set(tree))
+    writer.SetFileName(str(path))
+    assert writer.Write()
+
+
+def tree_of(data_set):
+    """Names and number of points of a set as VTK reads it."""
+    found = []
+    for index in range(data_set.GetNumberOfBlocks()):
+        block = data_set.GetBlock(index)
+        name = data_set.GetMetaData(index).Get(vtkCompositeDataSet.NAME())
+        inner = tree_of(block) if block.IsA("vtkMultiBlockDataSet") else block.GetNumberOfPoints()
+        found.append((name, inner))
+    return found
+
+
+def test_nested_sets_of_vtk(tmp_path, monkeypatch):
+    a, b, c, d = blocks((2, 3, 4), (3, 3, 3), (2, 2, 2), (4, 2, 2))
+    (tmp_path / "sub").mkdir()
+    tree = [("fluid", [("wing", a), ("tail", b)]), (None, None), (None, c), ("wing", [(None, d)])]
+    write_set(tmp_path / "sub" / "set.vtm", tree)
+    monkeypatch.chdir(tmp_path)
+    grid = read_grid(Path("sub") / "set.vtm")
+    assert grid.names == ("fluid/wing", "fluid/tail", "block3", "wing/block4")
+    for index, points in enumerate((a, b, c, d)):
+        np.testing.assert_array_equal(grid.block(index), points)
+    assert grid.format.options["kind"] == "vtm"
+
+
+def test_equal_names_become_unique(tmp_path):
+    write_set(tmp_path / "set.vtm", [("same", points) for points in blocks((2, 2, 2), (2, 2, 3), (2, 2, 4))])
+    assert read_grid(tmp_path / "set.vtm").names == ("same", "same_2", "same_3")
+
+
+def test_vtk_reads_our_set(tmp_path):
+    grid = grid_of("fluid/wing <1>", "fluid/tail", "solid")
+    write_grid(grid, tmp_path / "set.vtm")
+    assert sorted(p.relative_to(tmp_path).as_posix() for p in tmp_path.rglob("*.vts")) == [
+        "set/set_0.vts",
+        "set/set_1.vts",
+        "set/set_2.vts",
+    ]
+    reader = vtkXMLMultiBlockDataReader()
+    reader.SetFileName(str(tmp_path / "set.vtm"))
+    reader.Update()
+    assert tree_of(reader.GetOutput()) == [("fluid", [("wing <1>", 12), ("tail", 18)]), ("solid", 24)]
+    again = read_grid(tmp_path / "set.vtm")
+    assert again.names == grid.names
+    np.testing.assert_array_equal(again.points, grid.points)
+
+
+def test_fields_belong_to_their_block(tmp_path):
+    fields = (Field("iblank", "node", 1, np.ones((2, 3, 3), np.int32)), Field("q", "cell", 0, np.zeros((1, 2, 1))))
+    grid = Grid.from_blocks(blocks((2, 3, 2), (2, 3, 3)), fields=fields)
+    write_grid(grid, tmp_path / "set.vtm", {"compression": "lz4"})
+    again = read_grid(tmp_path / "set.vtm")
+    assert {(f.name, f.location, f.block) for f in again.fields} == {("iblank", "node", 1), ("q", "cell", 0)}
+    assert again.format.options["compression"] == "lz4"
+
+
+def content(folder):
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+def test_a_new_set_replaces_the_old_one_as_a_whole(tmp_path):
+    write_grid(grid_of("a", "b", "c"), tmp_path / "set.vtm")
+    write_grid(grid_of("x", "y", seed=1), tmp_path / "set.vtm")
+    assert set(content(tmp_path)) == {"set.vtm", "set/set_0.vts", "set/set_1.vts"}
+    assert read_grid(tmp_path / "set.vtm").names == ("x", "y")
+
+
+def test_an_error_while_writing_leaves_the_old_set(tmp_path, monkeypatch):
+    write_grid(grid_of("a", "b"), tmp_path / "set.vtm")
+    before = content(tmp_path)
+    original = vtk_multiblock.write_block
+
+    def failing(grid, block, path, variant):
+        if block == 1:
+            raise OSError("no space left")
+        original(grid, block, path, variant)
+
+    monkeypatch.setattr(vtk_multiblock, "write_block", failing)
+    with pytest.raises(FormatError, match=r"cannot write .*set\.vtm: no space left"):
+        write_grid(grid_of("x", "y", seed=1), tmp_path / "set.vtm")
+    assert content(tmp_path) == before
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+@pytest.mark.parametrize("failing_rename", [1, 2, 3])
+@pytest.mark.parametrize("error", [OSError("gone"), KeyboardInterrupt()])
+def test_an_error_between_the_renames_puts_the_old_set_back(tmp_path, monkeypatch, failing_rename, error):
+    write_grid(grid_of("a", "b"), tmp_path / "set.vtm")
+    before = content(tmp_path)
+    original, calls = Path.rename, []
+
+    def rename(self, target):
+        calls.append(target)
+        if len(calls) == failing_rename:
+            raise error
+        return original(self, target)
+
+    monkeypatch.setattr(Path, "rename", rename)
+    with pytest.raises((FormatError, KeyboardInterrupt)):
+        write_grid(grid_of("x", "y", seed=1), tmp_path / "set.vtm")
+    assert content(tmp_path) == before
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+import numpy as np
+from meshdeform_core.grid import Grid
+from meshdeform_formats import write_grid
+
+number, target, original, calls = int(sys.argv[1]), sys.argv[2], Path.rename, []
+
+def rename(self, to):
+    calls.append(to)
+    if len(calls) == number:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return original(self, to)
+
+Path.rename = rename
+write_grid(Grid.from_blocks([np.random.rand(2, 2, 2, 3)] * 2), target)
+"""
+
+
+@pytest.mark.parametrize("number", [1, 2, 3])
+def test_a_kill_between_the_renames_never_mixes_two_sets(tmp_path, number):
+    grid = grid_of("a", "b", "c")
+    write_grid(grid, tmp_path / "set.vtm")
+    result = subprocess.run([sys.executable, "-c", KILLED, str(number), str(tmp_path / "set.vtm")], timeout=60)
+    assert result.returncode == -9
+    if (tmp_path / "set.vtm").exists():
+        assert number == 1
+        np.testing.assert_array_equal(read_grid(tmp_path / "set.vtm").points, grid.points)
+
+
+def test_a_folder_that_is_not_ours_is_left_alone(tmp_path):
+    (tmp_path / "case").mkdir()
+    (tmp_path / "case" / "notes.txt").write_text("mine")
+    with pytest.raises(
+        FormatError, match=r"pieces go to the folder .*case, which holds notes\.txt and is not replaced"
+    ):
+        write_grid(grid_of("a"), tmp_path / "case.vtm")
+    assert content(tmp_path) == {"case/notes.txt": b"mine"}
+    write_grid(grid_of("a"), tmp_path / "set.vtm")
+    (tmp_path / "set" / "mine.vts").write_text("mine")
+    with pytest.raises(FormatError, match=r"holds mine\.vts"):
+        write_grid(grid_of("a"), tmp_path / "set.vtm")
+
+
+def test_a_file_in_place_of_the_folder(tmp_path):
+    (tmp_path / "set").write_text("mine")
+    with pytest.raises(FormatError, match="but that is a file"):
+        write_grid(grid_of("a"), tmp_path / "set.vtm")
+
+
+def index(body):
+    return f'<VTKFile type="vtkMultiBlockDataSet" byte_order="LittleEndian">{body}</VTKFile>'
+
+
+def in_set(*files):
+    tags = "".join(f'<DataSet index="{n}" file="{file}"/>' for n, file in enumerate(files))
+    return index(f"<vtkMultiBlockDataSet>{tags}</vtkMultiBlockDataSet>")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (index(""), "has no vtkMultiBlockDataSet element"),
+        (index("<vtkMultiBlockDataSet/>"), "refers to no data sets"),
+        (index("<vtkMultiBlockDataSet>"), "is not a complete multi-block index: mismatched tag"),
+        (in_set("missing.vts"), r"refers to .*missing\.vts, which does not exist"),
+        (in_set("empty.vts"), r"empty\.vts is empty"),
+        (in_set("set.vtm"), r"set\.vtm is a multi-block set"),
+        (in_set("surface.vtp"), r"surface\.vtp is a polygon surface"),
+        (in_set("one.vts", "cut.vts"), r"cut\.vts does not end with </VTKFile>"),
+    ],
+)
+def test_wrong_sets(tmp_path, text, message):
+    write_grid(grid_of("a"), tmp_path / "one.vts")
+    (tmp_path / "cut.vts").write_bytes((tmp_path / "one.vts").read_bytes()[:-30])
+    (tmp_path / "empty.vts").touch()
+    (tmp_path / "surface.vtp").write_text('<VTKFile type="PolyData" byte_order="LittleEndian"></VTKFile>')
+    (tmp_path / "set.vtm").write_text(text)
+    with pytest.raises(FormatError, match=message):
+        read_grid(tmp_path / "set.vtm")
+
+
+def test_two_and_three_dimensions(tmp_path):
+    write_set(tmp_path / "set.vtm", [("plane", blocks((2, 2, 1))[0]), ("body", blocks((2, 2, 2))[0])])
+    with pytest.raises(GridError, match=r"set\.vtm: the grid mixes 2-D and 3-D blocks"):
+        read_grid(tmp_path / "set.vtm")
+
+
+def test_a_read_only_folder(tmp_path):
+    if os.geteuid() == 0:
+        pytest.skip("root may write everywhere")
+    (tmp_path / "locked").mkdir(mode=0o500)
+    with pytest.raises(FormatError, match="Permission denied"):
+        write_grid(grid_of("a"), tmp_path / "locked" / "set.vtm")

@@ -1,0 +1,226 @@
+"""Files of VTK's own writers, and third-party files, read by us."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import vtk_witness
+from vtkmodules.vtkCommonDataModel import vtkImageData, vtkRectilinearGrid
+from vtkmodules.vtkIOLegacy import vtkRectilinearGridWriter, vtkStructuredPointsWriter
+from vtkmodules.vtkIOXML import vtkXMLImageDataWriter, vtkXMLRectilinearGridWriter
+
+from meshdeform_formats import read_grid
+
+SHAPE = (3, 4, 5)
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(0)
+
+
+def rich_grid(rng, dtype=np.float64):
+    """A VTK grid with every kind of array, and those arrays."""
+    points = rng.normal(size=(*SHAPE, 3)).astype(dtype)
+    grid = vtk_witness.structured_grid(points, origin=(2, -1, 0))
+    cells = tuple(n - 1 for n in SHAPE)
+    arrays = {
+        ("node", "pressure"): (rng.normal(size=SHAPE), "Scalars", ()),
+        ("node", "velocity"): (rng.normal(size=(*SHAPE, 3)).astype(np.float32), "Vectors", ("u", "v", "w")),
+        ("node", "normal"): (rng.normal(size=(*SHAPE, 3)).astype(np.float32), "Normals", ()),
+        ("node", "stress of %"): (rng.normal(size=(*SHAPE, 9)), "Tensors", ()),
+        ("node", "iblank"): (rng.integers(-3, 3, SHAPE).astype(np.int32), None, ()),
+        ("node", "vtkGhostType"): (rng.integers(0, 3, SHAPE).astype(np.uint8), None, ()),
+        ("cell", "number"): (rng.integers(0, 2**62, cells), "Scalars", ()),
+        ("cell", "pair"): (rng.normal(size=(*cells, 2)), None, ()),
+        ("cell", "small"): (rng.integers(-9, 9, cells).astype(np.int16), None, ()),
+    }
+    for (location, name), (values, role, components) in arrays.items():
+        attributes = grid.GetPointData() if location == "node" else grid.GetCellData()
+        vtk_witness.add_array(attributes, name, values, role, components)
+    vtk_witness.add_array(grid.GetFieldData(), "TimeValue", np.array([0.25]))
+    return grid, points, arrays
+
+
+def check(grid, points, arrays):
+    assert grid.shapes == (SHAPE,)
+    np.testing.assert_array_equal(grid.block(0), points)
+    assert grid.precision == points.dtype.name
+    fields = {(f.location, f.name): f for f in grid.fields}
+    assert fields.keys() == arrays.keys()
+    for key, (values, role, components) in arrays.items():
+        np.testing.assert_array_equal(fields[key].values, values)
+        assert fields[key].values.dtype == values.dtype
+        assert fields[key].values.flags.c_contiguous
+        assert fields[key].roles == ((role,) if role else ())
+        assert fields[key].components == components
+    ((name, location, values, *_),) = grid.format.field_data[0]
+    assert (name, location, values.tolist()) == ("TimeValue", "", [0.25])
+    assert grid.format.origins == ((2, -1, 0),)
+
+
+XML_VARIANTS = [
+    (encoding, compression, header)
+    for encoding in ("ascii", "binary", "appended", "appended-base64")
+    for compression in ("NONE", "ZLIB", "LZ4", "LZMA")
+    for header in ("UInt32", "UInt64")
+    if encoding != "ascii" or (compression, header) == ("NONE", "UInt32")
+]
+
+
+@pytest.mark.parametrize(("encoding", "compression", "header"), XML_VARIANTS)
+def test_every_variant_of_vts(tmp_path, rng, encoding, compression, header):
+    vts, points, arrays = rich_grid(rng)
+    vtk_witness.write_xml(tmp_path / "grid.dat", vts, encoding, compression, header)
+    grid = read_grid(tmp_path / "grid.dat")
+    check(grid, points, arrays)
+    assert grid.format.options == {
+        "kind": "vts",
+        "encoding": encoding,
+        "compression": compression.lower(),
+        "byte_order": "little",
+        "header_type": header,
+    }
+
+
+def test_big_endian_vts_of_single_precision(tmp_path, rng):
+    vts, points, arrays = rich_grid(rng, np.float32)
+    vtk_witness.write_xml(tmp_path / "grid.vts", vts, big_endian=True)
+    grid = read_grid(tmp_path / "grid.vts")
+    check(grid, points, arrays)
+    assert grid.format.options["byte_order"] == "big"
+
+
+@pytest.mark.parametrize("binary", [True, False])
+@pytest.mark.parametrize("version", [42, 51])
+def test_legacy_files(tmp_path, rng, binary, version):
+    vtk, points, arrays = rich_grid(rng)
+    vtk_witness.write_legacy(tmp_path / "grid.xyz", vtk, binary, version)
+    grid = read_grid(tmp_path / "grid.xyz")
+    assert grid.format.options == {"kind": "legacy", "encoding": "binary" if binary else "ascii"}
+    if not binary:
+        # VTK's writer has cut the numbers; what counts is what it reads itself.
+        witness, values, _ = vtk_witness.read(tmp_path / "grid.xyz")
+        points = np.ascontiguousarray(witness)
+        arrays = {key: (values[key], role, components) for key, (_, role, components) in arrays.items()}
+    # VTK writes DIMENSIONS, which lose the origin.
+    check(dataclasses.replace(grid, format=dataclasses.replace(grid.format, origins=((2, -1, 0),))), points, arrays)
+    assert grid.format.title == "vtk output"
+    assert grid.format.origins == ()
+
+
+def test_global_ids_and_text(tmp_path, rng):
+    vts = vtk_witness.structured_grid(rng.normal(size=(2, 2, 2, 3)))
+    numbers = np.arange(8).reshape(2, 2, 2)
+    vtk_witness.add_array(vts.GetPointData(), "ids", numbers, "GlobalIds")
+    vtk_witness.add_text(vts.GetFieldData(), "author", "somebody", "x" * 100)
+    for path, write in ((tmp_path / "a.vts", vtk_witness.write_xml), (tmp_path / "a.vtk", vtk_witness.write_legacy)):
+        write(path, vts)
+        grid = read_grid(path)
+        assert grid.fields[0].roles == ("GlobalIds",)
+        np.testing.assert_array_equal(grid.fields[0].values, numbers)
+        assert grid.notes == ("the text array 'author' is not carried along",)
+    vtk_witness.write_legacy(tmp_path / "a.vtk", vts, binary=False)
+    np.testing.assert_array_equal(read_grid(tmp_path / "a.vtk").fields[0].values, numbers)
+
+
+@pytest.mark.parametrize("shape", [(1, 3, 4), (3, 1, 4), (3, 4, 1)])
+def test_plane_grids(tmp_path, rng, shape):
+    points = rng.normal(size=(*shape, 3))
+    vtk_witness.write_xml(tmp_path / "a.vts", vtk_witness.structured_grid(points))
+    grid = read_grid(tmp_path / "a.vts")
+    assert (grid.dimension, grid.shapes) == (2, (shape,))
+    np.testing.assert_array_equal(grid.block(0), points)
+
+
+def test_old_sections_of_legacy_files(tmp_path):
+    text = """# vtk DataFile Version 2.0
+by hand
+ascii
+dataset STRUCTURED_GRID
+FIELD FieldData 1
+TIME 1 1 double
+0.5
+dimensions 2 2 1
+points 4 int
+0 0 0 1 0 0
+0 1 0 1 1 0
+
+POINT_DATA 4
+COLOR_SCALARS colour 3
+0 0.5 1 0 0 0 1 1 1 0.25 0.25 0.25
+LOOKUP_TABLE rainbow 1
+0 0 1 1
+SCALARS flag bit
+LOOKUP_TABLE default
+1 0 0 1
+TEXTURE_COORDINATES map 2 float
+0 0 1 0 0 1 1 1
+CELL_DATA 1
+VECTORS flow double
+1 2
+3
+GLOBAL_IDS id vtkIdType
+9000000000"""
+    (tmp_path / "a.vtk").write_text(text)
+    grid = read_grid(tmp_path / "a.vtk")
+    np.testing.assert_array_equal(grid.block(0)[:, :, 0, :2], [[[0, 0], [0, 1]], [[1, 0], [1, 1]]])
+    fields = {f.name: f for f in grid.fields}
+    assert fields["colour"].values[1, 0, 0].tolist() == [0, 0, 0]
+    assert fields["colour"].values[0, 0, 0].tolist() == [0, 128, 255]
+    assert fields["flag"].values.ravel().tolist() == [1, 0, 0, 1]
+    assert fields["flow"].values.tolist() == [[[[1, 2, 3]]]]
+    assert fields["id"].values.item() == 9_000_000_000
+    assert fields["colour"].roles == ("Scalars",)
+    assert fields["flag"].roles == ()
+    assert fields["map"].roles == ("TCoords",)
+    assert "lookup table 'rainbow'" in grid.notes[1]
+    assert "no line end" in grid.notes[0]
+
+
+def axes():
+    return np.array([0.0, 1.0, 4.0]), np.array([-1.0, 0.5]), np.array([2.0, 2.5, 3.5, 9.0])
+
+
+def test_rectilinear_grids_become_structured(tmp_path, rng):
+    vtr = vtkRectilinearGrid()
+    vtr.SetDimensions(3, 2, 4)
+    for axis, put in zip(axes(), (vtr.SetXCoordinates, vtr.SetYCoordinates, vtr.SetZCoordinates), strict=True):
+        put(vtk_witness.numpy_to_vtk(axis, deep=True))
+    values = rng.normal(size=(3, 2, 4))
+    vtk_witness.add_array(vtr.GetPointData(), "p", values)
+    for writer, name in ((vtkXMLRectilinearGridWriter(), "a.vtr"), (vtkRectilinearGridWriter(), "a.vtk")):
+        writer.SetInputData(vtr)
+        writer.SetFileName(str(tmp_path / name))
+        assert writer.Write()
+        grid = read_grid(tmp_path / name)
+        np.testing.assert_array_equal(grid.block(0), np.stack(np.meshgrid(*axes(), indexing="ij"), axis=-1))
+        assert "read as a structured grid" in grid.notes[0]
+    np.testing.assert_array_equal(read_grid(tmp_path / "a.vtr").fields[0].values, values)
+
+
+def test_images_become_structured(tmp_path, rng):
+    vti = vtkImageData()
+    vti.SetExtent(1, 3, 0, 1, 0, 3)
+    vti.SetOrigin(0.5, 0, 0)
+    vti.SetSpacing(0.25, 2, 1)
+    vtk_witness.add_array(vti.GetPointData(), "p", rng.normal(size=(3, 2, 4)))
+    expected = np.stack(np.meshgrid(0.5 + 0.25 * np.arange(1, 4), [0, 2], range(4), indexing="ij"), axis=-1)
+    for writer, name in ((vtkXMLImageDataWriter(), "a.vti"), (vtkStructuredPointsWriter(), "a.vtk")):
+        writer.SetInputData(vti)
+        writer.SetFileName(str(tmp_path / name))
+        assert writer.Write()
+        np.testing.assert_array_equal(read_grid(tmp_path / name).block(0), expected)
+
+
+@pytest.mark.parametrize("name", ["SampleStructGrid.vtk", "StructuredGrid.vts"])
+def test_third_party_grids_to_the_last_bit(third_party, name):
+    grid = read_grid(third_party / name)
+    with np.load(third_party / "oracle" / f"{name}.npz") as oracle:
+        np.testing.assert_array_equal(grid.block(0), oracle["b0"])
+    points, arrays, _ = vtk_witness.read(third_party / name)
+    np.testing.assert_array_equal(grid.block(0), points)
+    assert grid.precision == "float32"
+    assert {(f.location, f.name) for f in grid.fields} == arrays.keys()
+    for field in grid.fields:
+        np.testing.assert_array_equal(field.values, arrays[field.location, field.name])

@@ -1,0 +1,203 @@
+"""Damaged and foreign VTK files: each refused with a message, none misread, none printed about by VTK."""
+
+import dataclasses
+import re
+
+import numpy as np
+import pytest
+import vtk_witness
+from vtkmodules.vtkCommonDataModel import vtkPolyData, vtkUnstructuredGrid
+from vtkmodules.vtkIOLegacy import vtkPolyDataWriter, vtkUnstructuredGridWriter
+from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter, vtkXMLUnstructuredGridWriter
+
+from meshdeform_core.errors import FormatError, GridError
+from meshdeform_core.grid import Field, Grid
+from meshdeform_formats import read_grid, write_grid
+
+POINTS = np.random.default_rng(0).normal(size=(2, 3, 2, 3))
+GRID = Grid.from_blocks([POINTS], fields=(Field("f", "node", 0, np.arange(12.0).reshape(2, 3, 2)),))
+
+VARIANTS = [
+    ("a.vtk", {"encoding": "ascii"}),
+    ("a.vtk", {"encoding": "binary"}),
+    ("a.vts", {"encoding": "ascii"}),
+    ("a.vts", {"encoding": "binary", "compression": "none"}),
+    ("a.vts", {"encoding": "appended", "compression": "none"}),
+    ("a.vts", {"encoding": "appended", "compression": "lzma"}),
+    ("a.vts", {"encoding": "appended-base64", "compression": "zlib"}),
+    ("a.vtm", {}),
+]
+
+
+@pytest.mark.parametrize(("name", "options"), VARIANTS)
+def test_truncated_files_are_never_taken_for_complete(tmp_path, capfd, name, options):
+    write_grid(GRID, tmp_path / name, options)
+    data = (tmp_path / name).read_bytes()
+    # Past the last value only white space, closing tags or, without any, digits of the last number can be missing.
+    end = data.rstrip().rfind(b" ") if name == "a.vtk" else data.rfind(b"</VTKFile>")
+    for length in [*range(60, end, max(end // 150, 1)), end - 1]:
+        (tmp_path / name).write_bytes(data[:length])
+        try:
+            grid = read_grid(tmp_path / name)
+        except FormatError:
+            continue
+        # A legacy file has no end mark: cut off between two sections it is complete, but for the later one.
+        assert name == "a.vtk"
+        assert not grid.fields
+        if options["encoding"] == "binary" or data[length - 1 : length + 1].isspace():
+            np.testing.assert_array_equal(grid.points, GRID.points)
+        else:
+            assert "no line end" in grid.notes[0]
+            np.testing.assert_array_equal(grid.points.ravel()[:-1], GRID.points.ravel()[:-1])
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("options", [o for name, o in VARIANTS if name == "a.vts"])
+def test_damaged_sizes_are_found_before_vtk_allocates_them(tmp_path, capfd, options):
+    write_grid(GRID, tmp_path / "a.vts", options)
+    data = (tmp_path / "a.vts").read_bytes()
+    rng = np.random.default_rng(1)
+    for _ in range(150):
+        damaged = bytearray(data)
+        for _ in range(int(rng.integers(1, 6))):
+            damaged[rng.integers(len(data))] = rng.integers(256)
+        (tmp_path / "b.vts").write_bytes(damaged)
+        try:
+            grid = read_grid(tmp_path / "b.vts")
+        except (FormatError, GridError):
+            continue
+        assert grid.points.size % 3 == 0
+    assert capfd.readouterr() == ("", "")
+
+
+def header(kind="STRUCTURED_GRID", rest=""):
+    return f"# vtk DataFile Version 3.0\ntitle\nASCII\nDATASET {kind}\n{rest}"
+
+
+SQUARE = "DIMENSIONS 2 2 1\nPOINTS 4 float\n0 0 0 1 0 0 0 1 0 1 1 0\n"
+
+LEGACY = {
+    "# vtk DataFile Version 3.0\ntitle\nTEXT\n": "line 3: expected ASCII or BINARY, found 'TEXT'",
+    "# vtk DataFile Version 3.0\ntitle\nASCII\nPOINTS 3 float\n": "line 4: expected 'DATASET kind', found 'POINTS 3",
+    header("POLYDATA"): "is a polygon surface (DATASET POLYDATA); expected a structured grid",
+    header("UNSTRUCTURED_GRID"): "is an unstructured grid",
+    header("FIELD"): "is field data",
+    header("HYPER_TREE"): "is another kind of data set (DATASET HYPER_TREE)",
+    header(rest=""): "has no DIMENSIONS",
+    header(rest="DIMENSIONS 2 2\n"): "line 5: expected 3 numbers, found 2",
+    header(rest="DIMENSIONS 2 2 x\n"): "line 5: expected 3 numbers, found '2 2 x'",
+    header(rest="DIMENSIONS 2 2 1\n"): "has no POINTS",
+    header(rest="DIMENSIONS 0 2 1\nPOINTS 0 float\n"): "is an empty grid: 0 x 2 x 1 nodes",
+    header(rest="DIMENSIONS 2 3 1\nPOINTS 4 float\n0 0 0 1 0 0 0 1 0 1 1 0\n"): "has 4 points; its DIMENSIONS",
+    header(rest="DIMENSIONS 2 2 1\nPOINTS 4 float\n0 0 0 1 0 0 0 1 0 1\n1.0\n"): "expected 12 values, found 11",
+    header(rest="DIMENSIONS 2 2 1\nPOINTS 4 float\n0 0 0 1 0 0 0 1\nCELL_DATA 1\n"): "something that is no number",
+    header(rest="DIMENSIONS 2 2 1\nPOINTS 4 half\n"): "line 6: POINTS: unknown type 'half'; known are char",
+    header(rest="DIMENSIONS 2 2 1\nPOINTS -4 float\n"): "line 6: expected a number, found '-4'",
+    header(rest="DIMENSIONS 2 2 1\nPOINTS 999999999999 float\n1"): "need 5999999999993 bytes, 1 are left",
+    header(rest=SQUARE + "POINT_DATA 4\nSCALARS p float\n1 2 3 4\n"): "expected 'LOOKUP_TABLE name' after SCALARS",
+    header(rest=SQUARE + "POINT_DATA 4\nVECTORS v float\n1 2 3\n"): "array 'v': 12 values need 23 bytes, 6 are left",
+    header(rest=SQUARE + "POINT_DATA 3\nSCALARS p float\nLOOKUP_TABLE t\n1 2 3\n"): "node array 'p' has 3 values",
+    header(rest=SQUARE + "POINT_DATA 4\nFIELD f 1\np 1 4\n1 2 3 4\n"): "expected 'name components tuples type'",
+    header(rest=SQUARE + "PIXELS 4\n"): "expected a section of a VTK file, found 'PIXELS 4'",
+    header("RECTILINEAR_GRID", "DIMENSIONS 2 1 1\nX_COORDINATES 2 float\n0 1\n"): "has no Y_COORDINATES and no Z_",
+    header("STRUCTURED_POINTS", "DIMENSIONS 2 1 1\n"): "has no ORIGIN",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("text", LEGACY, ids=range(len(LEGACY)))
+def test_wrong_legacy_files(tmp_path, text):
+    (tmp_path / "a.vtk").write_text(text)
+    with pytest.raises(FormatError) as error:
+        read_grid(tmp_path / "a.vtk")
+    assert str(error.value).startswith(f"{tmp_path / 'a.vtk'}")
+    assert LEGACY[text] in str(error.value)
+
+
+def vts(**changes):
+    """A small .vts file with some of its words replaced."""
+    words = {
+        "root": 'type="StructuredGrid" version="0.1" byte_order="LittleEndian"',
+        "whole": "0 1 0 1 0 0",
+        "points": "0 0 0 1 0 0 0 1 0 1 1 0",
+        "data": "",
+        "end": "</VTKFile>",
+    } | changes
+    return (
+        f'<VTKFile {words["root"]}><StructuredGrid WholeExtent="{words["whole"]}"><Piece Extent="{words["whole"]}">'
+        f"<PointData>{words['data']}</PointData><Points>"
+        f'<DataArray type="Float64" NumberOfComponents="3" format="ascii">'
+        f"{words['points']}</DataArray></Points></Piece></StructuredGrid>{words['end']}"
+    )
+
+
+def binary(words):
+    return f'<DataArray type="Float64" Name="p" format="binary">{words}</DataArray>'
+
+
+XML = {
+    vts(end=""): "does not end with </VTKFile>; the file is truncated",
+    vts(root='type="PolyData" byte_order="LittleEndian"'): "is a polygon surface (VTKFile type PolyData)",
+    vts(root='type="UnstructuredGrid" byte_order="LittleEndian"'): "is an unstructured grid",
+    vts(root='type="PStructuredGrid" byte_order="LittleEndian"'): "is the index of a parallel data set",
+    vts(root='type="Table" byte_order="LittleEndian"'): "is another kind of data set (VTKFile type Table)",
+    vts(root='type="StructuredGrid" byte_order="Middle"'): "has byte_order 'Middle'; known are LittleEndian BigEndian",
+    vts(root='type="StructuredGrid" byte_order="LittleEndian" compressor="gz"'): "has compressor 'gz'; known are",
+    vts(root='type="StructuredGrid" byte_order="LittleEndian" header_type="UInt16"'): "has header_type 'UInt16'",
+    vts(whole="0 99999 0 99999 0 99999"): "cannot hold 1000000000000000 entries",
+    vts(whole="0 -1 0 -1 0 -1", points=""): "is an empty grid",
+    vts(points="0 0 0 1"): "cannot read",
+    vts(points="0 0 0 one 0 0 0 1 0 1 1 0"): "cannot read",
+    vts(data=binary("IAAAAA==")): "cannot read",
+    vts(data=binary("////fw==")): "the size of array p, at byte",
+    vts(data=binary("?")): "the size of array p, at byte",
+    vts().replace("</Points>", "</Point>"): "Error parsing XML",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("text", XML, ids=range(len(XML)))
+def test_wrong_xml_files(tmp_path, capfd, text):
+    (tmp_path / "a.vts").write_text(text)
+    with pytest.raises(FormatError) as error:
+        read_grid(tmp_path / "a.vts")
+    assert XML[text] in str(error.value)
+    assert str(tmp_path / "a.vts") in str(error.value)
+    assert "0x" not in str(error.value)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_the_small_file_is_good_unchanged(tmp_path):
+    (tmp_path / "a.vts").write_text(vts())
+    assert read_grid(tmp_path / "a.vts").shapes == ((2, 2, 1),)
+
+
+@pytest.mark.parametrize("name", ["a.vtk", "a.vts"])
+def test_coordinates_that_are_not_finite(tmp_path, name):
+    points = POINTS.copy()
+    points[1, 2, 0, 1] = np.nan
+    write_grid(dataclasses.replace(GRID, points=points.reshape(-1, 3)), tmp_path / name)
+    with pytest.raises(GridError, match=re.escape("the first is block1 (2, 3, 1)")):
+        read_grid(tmp_path / name)
+
+
+def test_a_line_of_nodes_is_no_block(tmp_path):
+    vtk_witness.write_xml(tmp_path / "a.vts", vtk_witness.structured_grid(np.zeros((5, 1, 1, 3))))
+    with pytest.raises(GridError, match=r"a\.vts: block1: \(5, 1, 1\) nodes is not a block"):
+        read_grid(tmp_path / "a.vts")
+
+
+@pytest.mark.parametrize(
+    ("data_set", "writer", "message"),
+    [
+        (vtkPolyData, vtkPolyDataWriter, "is a polygon surface"),
+        (vtkPolyData, vtkXMLPolyDataWriter, "is a polygon surface"),
+        (vtkUnstructuredGrid, vtkUnstructuredGridWriter, "is an unstructured grid"),
+        (vtkUnstructuredGrid, vtkXMLUnstructuredGridWriter, "is an unstructured grid"),
+    ],
+)
+def test_other_data_sets_of_vtk(tmp_path, data_set, writer, message):
+    out = writer()
+    out.SetInputData(data_set())
+    out.SetFileName(str(tmp_path / "a"))
+    assert out.Write()
+    with pytest.raises(FormatError, match=message):
+        read_grid(tmp_path / "a")

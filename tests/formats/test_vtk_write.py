@@ -1,0 +1,283 @@
+"""What we write, read back by us and by VTK's and meshio's readers."""
+
+import dataclasses
+import os
+
+import meshio
+import numpy as np
+import pytest
+import vtk_witness
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from meshdeform_core.errors import FormatError
+from meshdeform_core.grid import Field, FileFormat, Grid
+from meshdeform_formats import read_grid, vtk, write_grid
+from meshdeform_formats.vtk_dataset import VtkField
+
+EXTREMES = np.array([0.1, 5e-324, -0.0, 1.7976931348623157e308, 1 / 3, -123456.789012345678])
+DTYPES = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64")
+
+
+def block(shape, seed=0):
+    return np.random.default_rng(seed).normal(size=(*shape, 3))
+
+
+def same(one, other, precision="float64"):
+    assert one.shapes == other.shapes
+    np.testing.assert_array_equal(one.points.astype(precision), other.points)
+    first, second = ({(f.block, f.location, f.name): f for f in g.fields} for g in (one, other))
+    assert first.keys() == second.keys()
+    for key, field in first.items():
+        np.testing.assert_array_equal(field.values, second[key].values)
+        assert field.values.dtype == second[key].values.dtype
+
+
+@st.composite
+def grids(draw, n_blocks=1):
+    rng = np.random.default_rng(draw(st.integers(0, 2**32)))
+    flat = draw(st.sampled_from([None, 0, 1, 2]))
+    shapes = []
+    for _ in range(n_blocks):
+        shape = draw(st.lists(st.integers(2, 4), min_size=3, max_size=3))
+        shapes.append(tuple(1 if axis == flat else n for axis, n in enumerate(shape)))
+    grid = Grid.from_blocks([rng.normal(size=(*shape, 3)) for shape in shapes])
+    fields = []
+    for b, (name, dtype, location, components) in draw(
+        st.lists(
+            st.tuples(
+                st.integers(0, n_blocks - 1),
+                st.tuples(
+                    st.text(st.characters(codec="utf-8", exclude_categories=("C",)), min_size=1, max_size=6),
+                    st.sampled_from(DTYPES),
+                    st.sampled_from(["node", "cell"]),
+                    st.sampled_from([0, 2, 3, 4, 9]),
+                ),
+            ),
+            max_size=4,
+            unique_by=lambda entry: (entry[0], entry[1][0], entry[1][2]),
+        )
+    ):
+        shape = grid.shapes[b] if location == "node" else grid.cell_shapes[b]
+        values = rng.integers(0, 100, (*shape, *([components] if components else []))).astype(dtype)
+        fields.append(Field(name, location, b, values))
+    return dataclasses.replace(grid, fields=tuple(fields))
+
+
+XML_OPTIONS = st.fixed_dictionaries(
+    {"encoding": st.sampled_from(["binary", "appended", "appended-base64"])},
+    optional={
+        "compression": st.sampled_from(["none", "zlib", "lz4", "lzma"]),
+        "byte_order": st.sampled_from(["little", "big"]),
+        "header_type": st.sampled_from(["UInt32", "UInt64"]),
+        "precision": st.sampled_from(["float32", "float64"]),
+    },
+) | st.fixed_dictionaries({"encoding": st.just("ascii")}, optional={"precision": st.sampled_from(["float32"])})
+LEGACY_OPTIONS = st.fixed_dictionaries(
+    {"encoding": st.sampled_from(["ascii", "binary"])}, optional={"precision": st.sampled_from(["float32", "float64"])}
+)
+
+
+@settings(max_examples=40, deadline=None, derandomize=True)
+@given(grid=grids(), options=XML_OPTIONS)
+def test_vts_round_trip(tmp_path_factory, grid, options):
+    path = tmp_path_factory.mktemp("vts") / "grid.vts"
+    write_grid(grid, path, options)
+    again = read_grid(path)
+    same(grid, again, options.get("precision", "float64"))
+    assert options.items() <= {**again.format.options, "precision": again.precision}.items()
+
+
+@settings(max_examples=40, deadline=None, derandomize=True)
+@given(grid=grids(), options=LEGACY_OPTIONS)
+def test_legacy_round_trip(tmp_path_factory, grid, options):
+    path = tmp_path_factory.mktemp("vtk") / "grid.vtk"
+    write_grid(grid, path, options)
+    again = read_grid(path)
+    same(grid, again, options.get("precision", "float64"))
+    assert again.format.options == {"kind": "legacy", "encoding": options["encoding"]}
+
+
+@settings(max_examples=20, deadline=None, derandomize=True)
+@given(grid=grids(n_blocks=3))
+def test_vtm_round_trip(tmp_path_factory, grid):
+    path = tmp_path_factory.mktemp("vtm") / "grid.vtm"
+    write_grid(grid, path)
+    same(grid, read_grid(path))
+
+
+@pytest.mark.parametrize("name", ["a.vts", "a.vtk"])
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_ascii_is_exact(tmp_path, name, precision):
+    values = np.resize(EXTREMES, 24) if precision == "float64" else np.resize([0.1, 1e-45, 3.4e38, 1 / 3], 24)
+    values = values.astype(precision)
+    points = np.stack([values] * 3, axis=-1).reshape(2, 3, 4, 3).astype(float)
+    field = Field("f", "node", 0, values.reshape(2, 3, 4))
+    grid = Grid.from_blocks([points], fields=(field,), format=FileFormat("plot3d", precision))
+    write_grid(grid, tmp_path / name, {"encoding": "ascii"})
+    again = read_grid(tmp_path / name)
+    assert again.points.tobytes() == grid.points.tobytes()
+    assert again.fields[0].values.tobytes() == field.values.tobytes()
+    witness, arrays, _ = vtk_witness.read(tmp_path / name)
+    assert witness.dtype == precision
+    assert np.ascontiguousarray(witness, dtype=float).tobytes() == grid.points.tobytes()
+    assert np.ascontiguousarray(arrays["node", "f"]).tobytes() == field.values.tobytes()
+
+
+@pytest.mark.parametrize("options", [{"encoding": "ascii"}, {"encoding": "binary"}])
+@pytest.mark.parametrize("name", ["a.vts", "a.vtk"])
+def test_vtk_reads_what_we_write(tmp_path, name, options):
+    shape = (3, 4, 2)
+    rng = np.random.default_rng(1)
+    fields = (
+        VtkField("p", "node", 0, rng.normal(size=shape), ("Scalars",)),
+        VtkField("v", "node", 0, rng.normal(size=(*shape, 3)).astype("f4"), ("Vectors",), ("a b", "c", "d")),
+        VtkField("n", "node", 0, rng.normal(size=(*shape, 3)), ("Normals",)),
+        VtkField("t", "node", 0, rng.normal(size=(*shape, 9)), ("Tensors",)),
+        VtkField("map", "node", 0, rng.normal(size=(*shape, 2)), ("TCoords",)),
+        Field("iblank", "node", 0, rng.integers(-1, 2, shape).astype(">i4")),
+        Field("100 % mine", "cell", 0, rng.normal(size=(2, 3, 1))),
+        Field("flag", "cell", 0, rng.integers(0, 2, (2, 3, 1)).astype(bool)),
+    )
+    grid = Grid.from_blocks([block(shape)], fields=fields)
+    write_grid(grid, tmp_path / name, options)
+    points, arrays, _ = vtk_witness.read(tmp_path / name)
+    np.testing.assert_array_equal(points, grid.block(0))
+    assert len(arrays) == len(fields)
+    for field in fields:
+        np.testing.assert_array_equal(arrays[field.location, field.name], field.values)
+    again = {f.name: f for f in read_grid(tmp_path / name).fields}
+    assert {n: f.roles for n, f in again.items() if f.roles} == {f.name: f.roles for f in fields[:5]}
+    assert again["v"].components == ("a b", "c", "d")
+
+
+def test_an_array_with_two_roles(tmp_path):
+    field = VtkField("both", "node", 0, block((2, 2, 2)), ("Vectors", "Normals"))
+    write_grid(Grid.from_blocks([block((2, 2, 2))], fields=(field,)), tmp_path / "a.vts")
+    assert vtk_witness.roles(tmp_path / "a.vts") == {"Vectors": "both", "Normals": "both"}
+    assert read_grid(tmp_path / "a.vts").fields[0].roles == ("Vectors", "Normals")
+
+
+def test_ids_stay_ids(tmp_path):
+    field = VtkField("id", "node", 0, np.arange(8).reshape(2, 2, 2), ("GlobalIds",))
+    write_grid(Grid.from_blocks([block((2, 2, 2))], fields=(field,)), tmp_path / "a.vts")
+    assert vtk_witness.roles(tmp_path / "a.vts") == {"GlobalIds": "id"}
+
+
+def test_meshio_reads_our_legacy_files(tmp_path):
+    values = np.random.default_rng(2).normal(size=(3, 4, 2))
+    grid = Grid.from_blocks([block((3, 4, 2))], fields=(Field("f", "node", 0, values),))
+    for encoding in ("ascii", "binary"):
+        write_grid(grid, tmp_path / "a.vtk", {"encoding": encoding})
+        mesh = meshio.read(tmp_path / "a.vtk")
+        np.testing.assert_array_equal(mesh.points, grid.block(0).swapaxes(0, 2).reshape(-1, 3))
+        np.testing.assert_array_equal(np.ravel(mesh.point_data["f"]), values.swapaxes(0, 2).ravel())
+
+
+@pytest.mark.parametrize("name", ["SampleStructGrid.vtk", "StructuredGrid.vts"])
+def test_third_party_data_survive(third_party, tmp_path, name):
+    grid = read_grid(third_party / name)
+    target = tmp_path / name
+    assert write_grid(grid, target) == grid.format
+    points, arrays, extent = vtk_witness.read(third_party / name)
+    again, kept, same_extent = vtk_witness.read(target)
+    assert extent == same_extent
+    assert again.dtype == points.dtype
+    np.testing.assert_array_equal(again, points)
+    assert kept.keys() == arrays.keys()
+    for key, values in arrays.items():
+        assert kept[key].dtype == values.dtype
+        np.testing.assert_array_equal(kept[key], values)
+
+
+@pytest.mark.parametrize("name", ["a.vts", "a.vtk"])
+def test_extents_and_field_data_survive(tmp_path, name):
+    vts = vtk_witness.structured_grid(block((2, 3, 4)), origin=(5, -2, 1))
+    vtk_witness.add_array(vts.GetFieldData(), "TimeValue", np.array([0.125]))
+    vtk_witness.write_xml(tmp_path / "in.vts", vts)
+    write_grid(read_grid(tmp_path / "in.vts"), tmp_path / name)
+    assert vtk_witness.read(tmp_path / name)[2] == (5, 6, -2, 0, 1, 4)
+    again = read_grid(tmp_path / name)
+    assert again.format.origins == ((5, -2, 1),)
+    assert again.format.field_data[0][0].values.tolist() == [0.125]
+
+
+def test_variant_follows_the_input_only_for_the_same_kind(tmp_path):
+    grid = Grid.from_blocks([block((2, 2, 2))])
+    write_grid(grid, tmp_path / "a.vts", {"encoding": "appended-base64", "compression": "lz4", "precision": "float32"})
+    own = read_grid(tmp_path / "a.vts")
+    assert vtk.variant(own, tmp_path / "b.vts", {}).options == own.format.options
+    assert vtk.variant(own, tmp_path / "b.vts", {"compression": "none"}).options["encoding"] == "appended-base64"
+    assert vtk.variant(own, tmp_path / "b.vts", {"encoding": "ascii"}).options["compression"] == "none"
+    other = vtk.variant(own, tmp_path / "b.vtk", {})
+    assert (dict(other.options), other.precision) == ({"kind": "legacy", "encoding": "binary"}, "float32")
+    assert vtk.variant(grid, tmp_path / "b.vts", {}).label == (
+        "vtk (kind=vts, encoding=appended, compression=zlib, byte_order=little, header_type=UInt64), float64"
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "message"),
+    [
+        (
+            "a.vts",
+            {"encodin": "ascii"},
+            "unknown option 'encodin' (did you mean 'encoding'?); known are: encoding compression",
+        ),
+        ("a.vts", {"compression": "gzip"}, "unknown compression = 'gzip' (did you mean 'zlib'?)"),
+        ("a.vts", {"precision": "float16"}, "known are: float32 float64"),
+        ("a.vts", {"encoding": "ascii", "compression": "zlib"}, "ascii is never compressed"),
+        ("a.vtk", {"compression": "zlib"}, "known are: encoding precision"),
+        ("a.vtk", {"encoding": "appended"}, "known are: ascii binary"),
+    ],
+)
+def test_unknown_options(tmp_path, name, options, message):
+    with pytest.raises(FormatError) as error:
+        write_grid(Grid.from_blocks([block((2, 2, 2))]), tmp_path / name, options)
+    assert message in str(error.value)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["a.vts", "a.vtk"])
+def test_several_blocks_need_a_vtm(tmp_path, name):
+    grid = Grid.from_blocks([block((2, 2, 2)), block((2, 3, 2))])
+    with pytest.raises(FormatError, match=r"holds one block, the grid has 2; write a \.vtm"):
+        write_grid(grid, tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ([Field("f", "node", 0, np.zeros((2, 2, 3)))], r"has shape \(2, 2, 3\); expected \(2, 2, 2\)"),
+        ([Field("f", "cell", 0, np.zeros((2, 2, 2)))], r"cell field 'f' of block1 has shape"),
+        ([Field("f", "node", 0, np.zeros((2, 2, 2), complex))], "is of type complex128"),
+        ([Field("f", "node", 0, np.zeros((2, 2, 2), "f2"))], "is of type float16"),
+        ([Field("f", "node", 0, np.zeros((2, 2, 2)))] * 2, "exists twice"),
+    ],
+)
+@pytest.mark.parametrize("name", ["a.vts", "a.vtk", "a.vtm"])
+def test_fields_that_cannot_be_stored(tmp_path, fields, message, name):
+    grid = Grid.from_blocks([block((2, 2, 2))], fields=tuple(fields))
+    with pytest.raises(FormatError, match=message):
+        write_grid(grid, tmp_path / name)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full")
+@pytest.mark.parametrize("name", ["a.vts", "a.vtk"])
+def test_a_full_disk(tmp_path, name, monkeypatch):
+    grid = Grid.from_blocks([block((20, 20, 20))])
+    write_grid(grid, tmp_path / name)
+    before = (tmp_path / name).read_bytes()
+
+    def write_to_full(grid, number, path, variant, write_block):
+        path.symlink_to("/dev/full")
+        write_block(grid, number, path, variant)
+
+    module = vtk.vtk_legacy_write if name == "a.vtk" else vtk.vtk_xml
+    original = module.write_block
+    monkeypatch.setattr(module, "write_block", lambda *args: write_to_full(*args, original))
+    with pytest.raises(FormatError, match=f"cannot write .*{name}: "):
+        write_grid(grid, tmp_path / name)
+    assert (tmp_path / name).read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == [name]

@@ -1,0 +1,64 @@
+"""Small grids made for tests."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from meshdeform_core.grid import Grid
+
+SPANS = ((-2.0, -0.5), (-0.5, 0.5), (0.5, 2.0))
+
+
+def stretched(span: tuple[float, float], cells: int) -> np.ndarray:
+    """Nodes that are closer together at the lower end."""
+    s = np.linspace(0.0, 1.0, cells + 1)
+    return span[0] + (span[1] - span[0]) * (0.6 * s + 0.4 * s**2)
+
+
+def block_around(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+    return np.stack(np.meshgrid(x, y, z, indexing="ij"), axis=-1)
+
+
+def frame(cells: int = 4, layers: int = 3) -> Grid:
+    """Eight Cartesian blocks around a square bar: every kind of interface, clustered, right-handed."""
+    lines = [stretched(span, cells + n) for n, span in enumerate(SPANS)]
+    z = np.linspace(0.0, 1.0, layers + 1)
+    blocks = [block_around(lines[i], lines[j], z) for i in range(3) for j in range(3) if (i, j) != (1, 1)]
+    return Grid.from_blocks(blocks)
+
+
+def frame_2d(cells: int = 5) -> Grid:
+    """The same in two dimensions."""
+    lines = [stretched(span, cells + n) for n, span in enumerate(SPANS)]
+    z = np.zeros(1)
+    blocks = [block_around(lines[i], lines[j], z) for i in range(3) for j in range(3) if (i, j) != (1, 1)]
+    return Grid.from_blocks(blocks)
+
+
+def polar(n_around: int = 24, n_radial: int = 8, n_span: int = 4) -> Grid:
+    """One O-grid block around a cylinder: a seam, curved walls."""
+    angle = np.linspace(0.0, 2 * np.pi, n_around + 1)
+    radius = stretched((1.0, 3.0), n_radial)
+    z = np.linspace(0.0, 1.0, n_span + 1)
+    a, r, h = np.meshgrid(angle, radius, z, indexing="ij")
+    x = np.stack([r * np.cos(a), r * np.sin(a), h], axis=-1)
+    x[-1] = x[0]
+    return Grid.from_blocks([x[:, :, ::-1].copy()])
+
+
+def permuted(grid: Grid, axes: tuple[int, int, int], flips: tuple[bool, bool, bool]) -> Grid:
+    """Every block with its index axes permuted and flipped."""
+    blocks = []
+    for b in range(grid.n_blocks):
+        x = np.transpose(grid.block(b), (*axes, 3))
+        for axis, flip in enumerate(flips):
+            x = np.flip(x, axis) if flip else x
+        blocks.append(np.ascontiguousarray(x))
+    return Grid.from_blocks(blocks, grid.names)
+
+
+def back(values: np.ndarray, axes: tuple[int, int, int], flips: tuple[bool, bool, bool]) -> np.ndarray:
+    """Undo :func:`permuted` on one block array (ni, nj, nk, 3)."""
+    for axis, flip in enumerate(flips):
+        values = np.flip(values, axis) if flip else values
+    return np.transpose(values, (*np.argsort(axes), 3))

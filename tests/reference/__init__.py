@@ -1,0 +1,1 @@
+"""Slow twins: the same mathematics in plain numpy, written to be read."""

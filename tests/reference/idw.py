@@ -1,0 +1,151 @@
+"""IDW the slow way: matrices for rotations, scipy's exponentials, one target at a time."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg import expm, logm
+from scipy.spatial.transform import Rotation
+
+from meshdeform_core.boundary import Kind
+from meshdeform_core.methods import IDW, Problem
+
+
+def slow_idw(problem: Problem, displacement: np.ndarray, targets: np.ndarray, options: IDW) -> np.ndarray:
+    x, n = problem.source_points, len(displacement)
+    area = nodal_areas(problem)
+    shift = area @ displacement / area.sum()
+    remove = options.rotation == "lie" if options.remove_mean == "auto" else options.remove_mean
+    mean = shift if remove else np.zeros(3)
+    y = x + displacement - mean
+    turns = [np.eye(3)] * n if options.rotation == "none" else node_rotations(problem, x, y)
+
+    def weights(at, sources):
+        return weights_of(problem, at, sources, area, shift, displacement, options)
+
+    move = _mover(x, y, turns, options)
+    return np.array([move(p, weights) + mean for p in targets])
+
+
+def _mover(x, y, turns, options):
+    """Function of a target and the weights: its displacement."""
+    if options.rotation == "none":
+        return lambda p, weights: weights(p, x) @ (y - x)
+    if options.rotation == "blend":
+        return lambda p, weights: weights(p, x) @ (np.einsum("nij,nj->ni", turns, p - x) + y) - p
+    if options.rotation == "lie":
+        twists = np.array([log_motion(r, b - r @ a) for r, a, b in zip(turns, x, y, strict=True)])
+        return lambda p, weights: (expm(np.einsum("n,nij->ij", weights(p, x), twists)) @ np.r_[p, 1.0])[:3] - p
+    return _divided(x, y, turns, options)
+
+
+def _divided(x, y, turns, options):
+    m = options.divisions if options.rotation == "division" else 1
+    parts = [Rotation.from_rotvec(Rotation.from_matrix(r).as_rotvec() / m) for r in turns]
+    shifts = [
+        np.linalg.solve(sum(np.linalg.matrix_power(q.as_matrix(), i) for i in range(m)), b - r @ a)
+        for q, r, a, b in zip(parts, turns, x, y, strict=True)
+    ]
+    quaternions = np.array([q.as_quat(scalar_first=True) for q in parts])
+    quaternions[quaternions[:, 0] < 0] *= -1
+    path = [x]
+    for _ in range(m - 1):
+        path.append(np.array([q.apply(s) + t for q, s, t in zip(parts, path[-1], shifts, strict=True)]))
+
+    def move(p, weights):
+        at = p.copy()
+        w = weights(p, x)
+        for sources in path:
+            w = weights(at, sources) if options.reweight else w
+            q = w @ quaternions
+            at = Rotation.from_quat(q / np.linalg.norm(q), scalar_first=True).apply(at) + w @ np.array(shifts)
+        return at - p
+
+    return move
+
+
+def weights_of(problem, p, x, area, shift, displacement, options):
+    r = np.linalg.norm(p - x, axis=1)
+    length = options.length
+    if length == "auto":
+        t = problem.topology
+        unique = np.setdiff1d(np.arange(problem.grid.n_nodes), np.setdiff1d(t.face_nodes, t.first))
+        center = problem.grid.points[unique].mean(axis=0)
+        length = np.linalg.norm(problem.source_points - center, axis=1).max()
+    if options.weights == "shepard":
+        moving = problem.boundary.kind[problem.source_numbers] == Kind.MOVING
+        w = (length / r) ** np.where(moving, options.p_moving, options.p_fixed)
+    else:
+        alpha = options.alpha
+        if alpha == "auto":
+            alpha = min(0.3, options.eta / length * np.linalg.norm(displacement - shift, axis=1).max())
+        w = area * ((length / r) ** options.a + (alpha * length / r) ** options.b)
+    return w / w.sum()
+
+
+def log_motion(turn, translation):
+    motion = np.eye(4)
+    motion[:3, :3], motion[:3, 3] = turn, translation
+    return np.real(logm(motion))
+
+
+def source_quads(problem, kinds):
+    number = {int(u): i for i, u in enumerate(problem.source_numbers)}
+    chosen = np.isin(problem.boundary.quad_kind, kinds)
+    return [[number[int(c)] for c in quad] for quad in problem.topology.quads.corners[chosen]]
+
+
+def nodal_areas(problem):
+    area = np.zeros(len(problem.source_points))
+    for quad in source_quads(problem, (Kind.MOVING, Kind.FIXED)):
+        corners = problem.source_points[quad]
+        if len(quad) == 2:
+            size = np.linalg.norm(corners[1] - corners[0])
+        else:
+            size = 0.5 * np.linalg.norm(np.cross(corners[2] - corners[0], corners[3] - corners[1]))
+        area[quad] += size / len(quad)
+    return area
+
+
+def node_rotations(problem, x, y):
+    """Appendix A of the paper for every source that belongs to a moving face."""
+    quads = source_quads(problem, (Kind.MOVING,))
+    turns = []
+    for node in range(len(x)):
+        mine = [quad for quad in quads if node in quad]
+        turns.append(_node_rotation(problem, node, mine, x, y) if mine else np.eye(3))
+    return turns
+
+
+def _node_rotation(problem, node, quads, x, y):
+    if problem.grid.dimension == 2:
+        before, after = (_unit(sum(_unit(p[b] - p[a]) for a, b in quads)) for p in (x, y))
+        angle = np.arctan2(np.cross(before, after)[2], before @ after)
+        return Rotation.from_rotvec([0, 0, angle]).as_matrix()
+    normals = [_unit(sum(_corner_normal(p, node, quad) for quad in quads)) for p in (x, y)]
+    first = _between(*normals)
+    neighbours = set()
+    for quad in quads:
+        at = quad.index(node)
+        neighbours |= {quad[(at + 1) % 4], quad[at - 1]}
+    angles = []
+    for other in neighbours:
+        arm, target = first @ (x[other] - x[node]), y[other] - y[node]
+        arm, target = (v - normals[1] * (normals[1] @ v) for v in (arm, target))
+        angles.append(np.arctan2(normals[1] @ np.cross(arm, target), arm @ target))
+    return Rotation.from_rotvec(normals[1] * np.mean(angles)).as_matrix() @ first
+
+
+def _corner_normal(p, node, quad):
+    at = quad.index(node)
+    return _unit(np.cross(p[quad[(at + 1) % 4]] - p[node], p[quad[at - 1]] - p[node]))
+
+
+def _between(a, b):
+    axis = np.cross(a, b)
+    angle = np.arctan2(np.linalg.norm(axis), a @ b)
+    return Rotation.from_rotvec(angle * _unit(axis)).as_matrix()
+
+
+def _unit(v):
+    length = np.linalg.norm(v)
+    return v / length if length > 0 else v
