@@ -34,6 +34,8 @@ from .vtk_options import checked_options
 
 _OPTIONS: dict[str, dict[str, tuple[str, ...]]] = {".msh": {"encoding": ("binary", "ascii")}}
 
+_ROWS_AT_ONCE = 10_000
+
 # Corners of a right-handed cell from the lowest indices on, in the order of VTK, Gmsh, SU2 and Abaqus.
 _QUAD = ((0, 0), (1, 0), (1, 1), (0, 1))
 _HEXAHEDRON = (*((i, j, 0) for i, j in _QUAD), *((i, j, 1) for i, j in _QUAD))
@@ -216,7 +218,7 @@ def _write_su2(grid: Grid, mesh: _Unstructured, path: Path, options: Mapping[str
         stream.write(f"NDIME= {grid.dimension}\nNELEM= {len(cells)}\n".encode())
         _write_elements(stream, cells)
         stream.write(f"NPOIN= {len(points)}\n".encode())
-        np.savetxt(stream, points, fmt="%.17g")
+        _write_rows(stream, points, "%.17g")
         stream.write(f"NMARK= {len(mesh.names)}\n".encode())
         for number, name in enumerate(mesh.names):
             faces = mesh.faces[mesh.patch == number]
@@ -231,7 +233,13 @@ def _word(name: str) -> str:
 
 def _write_elements(stream: BinaryIO, corners: IntArray) -> None:
     vtk_type = {2: 3, 4: 9, 8: 12}[corners.shape[1]]
-    np.savetxt(stream, np.insert(corners, 0, vtk_type, axis=1), fmt="%d")
+    _write_rows(stream, np.insert(corners, 0, vtk_type, axis=1), "%d")
+
+
+def _write_rows(stream: BinaryIO, rows: NDArray[Any], number: str) -> None:
+    line = " ".join([number] * rows.shape[1]) + "\n"
+    for part in np.array_split(rows, len(rows) // _ROWS_AT_ONCE + 1):
+        stream.write((line * len(part) % tuple(part.ravel().tolist())).encode())
 
 
 def _plane(mesh: _Unstructured) -> tuple[FloatArray, IntArray]:

@@ -230,6 +230,18 @@ def test_vtp(tmp_path, polydata):
         check(read_displacement(tmp_path / "a.vtp"), POLYGONS)
 
 
+def test_points_without_cells(tmp_path, polydata):
+    for clear in (polydata.SetPolys, polydata.SetStrips, polydata.SetLines, polydata.SetVerts):
+        clear(None)
+    for writer, name in ((vtkXMLPolyDataWriter(), "a.vtp"), (vtkPolyDataWriter(), "a.vtk")):
+        writer.SetInputData(polydata)
+        writer.SetFileName(str(tmp_path / name))
+        if name == "a.vtk":
+            writer.SetFileTypeToBinary()
+        assert writer.Write()
+        check(read_displacement(tmp_path / name))
+
+
 @pytest.mark.parametrize("version", [42, 51])
 def test_legacy_polydata(tmp_path, polydata, version):
     writer = vtkPolyDataWriter()

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 import vtk_witness
+from vtkmodules import vtkCommonCore
 from vtkmodules.vtkCommonDataModel import vtkImageData, vtkRectilinearGrid
 from vtkmodules.vtkIOLegacy import vtkRectilinearGridWriter, vtkStructuredPointsWriter
 from vtkmodules.vtkIOXML import vtkXMLImageDataWriter, vtkXMLRectilinearGridWriter
@@ -107,6 +108,41 @@ def test_legacy_files(tmp_path, rng, binary, version):
     check(dataclasses.replace(grid, format=dataclasses.replace(grid.format, origins=((2, -1, 0),))), points, arrays)
     assert grid.format.title == "vtk output"
     assert grid.format.origins == ()
+
+
+TYPES = {
+    "Bit": "uint8",
+    "Char": "int8",
+    "SignedChar": "int8",
+    "UnsignedChar": "uint8",
+    "Short": "int16",
+    "UnsignedInt": "uint32",
+    "LongLong": "int64",
+    "UnsignedLongLong": "uint64",
+    "IdType": "int64",
+    "Float": "float32",
+}
+
+
+@pytest.mark.parametrize("name", ["xml", "binary", "ascii"])
+def test_all_types_of_numbers(tmp_path, rng, name):
+    vtk = vtk_witness.structured_grid(rng.normal(size=(3, 3, 3, 3)))
+    numbers = rng.integers(0, 2, (3, 3, 3))
+    for kind in TYPES:
+        array = getattr(vtkCommonCore, f"vtk{kind}Array")()
+        array.SetName(kind)
+        for number in numbers.swapaxes(0, 2).ravel().tolist():
+            array.InsertNextValue(chr(number) if kind == "Char" else number)
+        vtk.GetPointData().AddArray(array)
+    if name == "xml":
+        vtk_witness.write_xml(tmp_path / "a", vtk)
+    else:
+        vtk_witness.write_legacy(tmp_path / "a", vtk, binary=name == "binary")
+    fields = {f.name: f.values for f in read_grid(tmp_path / "a").fields}
+    for kind, dtype in TYPES.items():
+        np.testing.assert_array_equal(fields[kind], numbers)
+        # VTK writes ids to binary legacy files as 4 bytes.
+        assert fields[kind].dtype == ("int32" if (kind, name) == ("IdType", "binary") else dtype)
 
 
 def test_global_ids_and_text(tmp_path, rng):
