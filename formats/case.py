@@ -6,6 +6,7 @@ A case is data: formulas go through :mod:`meshdeform_core.expression`, and every
 from __future__ import annotations
 
 import difflib
+import keyword
 import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields, replace
@@ -16,7 +17,7 @@ from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.deform import Case
 from meshdeform_core.errors import CaseError, MethodError
 from meshdeform_core.expression import Expression, expression
-from meshdeform_core.methods import IDW, TFI, Options
+from meshdeform_core.methods import IDW, RBF, TFI, Options
 from meshdeform_core.motion import VARIABLES, Displace, Follow, Motion, Rotate, Step
 from meshdeform_core.topology import RELATIVE_TOLERANCE
 from meshdeform_core.transfer import Matching
@@ -24,7 +25,7 @@ from meshdeform_core.transfer import Matching
 from .displacement import read_displacement
 
 Table = dict[str, Any]
-_KINDS = {kind.label: kind for kind in Kind if kind is not Kind.INTERFACE}
+_KINDS = {kind.label: kind for kind in reversed(Kind) if kind is not Kind.INTERFACE}
 _STEPS = {
     "rotate": ("rotate",),
     "translate": ("translate",),
@@ -83,11 +84,29 @@ def _load(path: Path | None) -> Table:
     if path is None:
         return {}
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return _toml(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise CaseError(f"cannot read the case file {path}: {error.strerror or error}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except ValueError as error:
         raise CaseError(f"{path} is not a TOML file: {error}") from error
+
+
+def _toml(text: str) -> Table:
+    """Parse TOML; ``ValueError`` for anything else, also for the integers beyond 64 bits that TOML does not have."""
+    try:
+        data = tomllib.loads(text)
+    except RecursionError:
+        raise ValueError("its brackets are nested too deeply") from None
+    _require_64_bits(data)
+    return data
+
+
+def _require_64_bits(value: Any) -> None:
+    if isinstance(value, (dict, list)):
+        for item in value.values() if isinstance(value, dict) else value:
+            _require_64_bits(item)
+    elif isinstance(value, int) and not -(2**63) <= value < 2**63:
+        raise ValueError("it has an integer of more than 64 bits; write large numbers like 1e30")
 
 
 def _fail(where: str, message: str) -> CaseError:
@@ -99,8 +118,8 @@ def _override(data: Table, text: str) -> None:
     if not equals or not key.strip():
         raise CaseError(f"--set {text!r}: expected KEY=VALUE, like method.idw.alpha=0.3")
     try:
-        parsed = tomllib.loads(f"value = {value}")["value"]
-    except tomllib.TOMLDecodeError:
+        parsed = _toml(f"value = {value}")["value"]
+    except ValueError:
         parsed = value.strip()
     *path, last = key.strip().split(".")
     target: Any = data
@@ -137,16 +156,14 @@ def _parse(data: Table, folder: Path) -> CaseFile:
     if not 0 < tolerance < 0.5:
         raise _fail("grid.tolerance", f"{tolerance} of the local edge; expected a fraction between 0 and 0.5")
     case = Case(specs, constants, _options(_table(data, "method")), tolerance)
-    name = grid.get("boundary_file")
-    if name is not None and not isinstance(name, str):
-        raise _fail("grid.boundary_file", f"expected a file name, found {name!r}")
-    return CaseFile(case, folder / name if name else None)
+    boundary_file = _file(grid["boundary_file"], folder, "[grid]: boundary_file") if "boundary_file" in grid else None
+    return CaseFile(case, boundary_file)
 
 
 def _constants(table: Table) -> dict[str, float]:
     constants = {name: _number(value, f"constants.{name}") for name, value in table.items()}
     for name in constants:
-        if name in VARIABLES or name == "pi":
+        if name in VARIABLES or name == "pi" or keyword.iskeyword(name):
             raise _fail(f"constants.{name}", f"{name} already has a meaning in formulas; choose another name")
         if not name.isidentifier():
             raise _fail(f"constants.{name}", "a constant's name has letters, digits and _ only")
@@ -157,20 +174,31 @@ def _boundary(entry: Table, number: int, constants: Mapping[str, float], folder:
     name = entry.get("name", f"boundary {number}")
     where = f"boundary {name!r}"
     _check_keys(entry, ("name", "select", "where", "kind", "motion"), where)
-    kind = entry.get("kind", "moving" if "motion" in entry else None)
-    if not isinstance(name, str) or kind not in _KINDS:
-        raise _fail(where, f"kind = {kind!r}; expected one of {', '.join(_KINDS)}{_nearest(kind, _KINDS)}")
+    if not isinstance(name, str):
+        raise _fail(where, f"name = {name!r}; expected a text in quotes")
+    kind = _kind(entry, where)
     select = entry.get("select", ["*"])
     select = [select] if isinstance(select, str) else select
     if not isinstance(select, list) or not select or not all(isinstance(item, str) for item in select):
         raise _fail(where, f'select = {select!r}; expected a list of names, like ["wing", "block2.jmin"]')
     steps = entry.get("motion", [])
-    if (kind == "moving") != bool(steps):
-        missing = "moves but has no motion" if kind == "moving" else f"is {kind} but has a motion"
+    if (kind is Kind.MOVING) != bool(steps):
+        missing = "moves but has no motion" if kind is Kind.MOVING else f"is {kind.label} but has a motion"
         raise _fail(where, f'{missing}; expected motion = [...] for kind = "moving" and only there')
     condition = _formula(entry["where"], (*constants, "x", "y", "z"), f"{where}: where") if "where" in entry else None
     motion = _motion(steps, constants, where, folder) if steps else None
-    return BoundarySpec(name, tuple(select), _KINDS[kind], condition, motion)
+    return BoundarySpec(name, tuple(select), kind, condition, motion)
+
+
+def _kind(entry: Table, where: str) -> Kind:
+    """What the entry says, ``moving`` if it has a motion and says nothing."""
+    known = f"expected one of {', '.join(_KINDS)}"
+    if "kind" not in entry and "motion" not in entry:
+        raise _fail(where, f"has no kind; {known}")
+    kind = entry.get("kind", "moving")
+    if not isinstance(kind, str) or kind not in _KINDS:
+        raise _fail(where, f"kind = {kind!r}; {known}{_nearest(kind, _KINDS)}")
+    return _KINDS[kind]
 
 
 def _motion(steps: Any, constants: Mapping[str, float], where: str, folder: Path) -> Motion:
@@ -190,11 +218,10 @@ def _step(step: Table, number: int, known: tuple[str, ...], where: str, folder: 
     _check_keys(step, _STEPS[kinds[0]], where)
     value = step[kinds[0]]
     if kinds[0] == "file":
-        if not isinstance(value, str):
-            raise _fail(where, f"file = {value!r}; expected a file name")
         tolerance = step.get("tolerance")
         limit = None if tolerance is None else _number(tolerance, f"{where}: tolerance")
-        return Follow(read_displacement(folder / value), Matching(step.get("match", "nearest"), limit))
+        data = read_displacement(_file(value, folder, f"{where}: file"))
+        return Follow(data, Matching(step.get("match", "nearest"), limit))
     if kinds[0] == "rotate":
         return _rotation(value, known, where)
     x, y, z = (_formula(part, known, where) for part in _three(value, f"{where}: {kinds[0]}"))
@@ -222,7 +249,7 @@ def _options(table: Table) -> Options:
     if not isinstance(name, str):
         raise _fail("method.name", f"expected a name, found {name!r}")
     parts = {part: _build(kind, _table(table, part, "method."), f"[method.{part}]")
-             for part, kind in (("idw", IDW), ("tfi", TFI))}  # fmt: skip
+             for part, kind in (("idw", IDW), ("rbf", RBF), ("tfi", TFI))}  # fmt: skip
     return Options(name=name, **parts)
 
 
@@ -260,6 +287,12 @@ def _three(value: Any, where: str) -> list[Any]:
     if not isinstance(value, list) or len(value) != 3:
         raise _fail(where, f"expected three values, found {value!r}")
     return value
+
+
+def _file(value: Any, folder: Path, where: str) -> Path:
+    if not isinstance(value, str) or not value or "\0" in value:
+        raise _fail(where, f"expected a file name, found {value!r}")
+    return folder / value
 
 
 def _number(value: Any, where: str) -> float:

@@ -34,7 +34,7 @@ _XML_OPTIONS = {
 }
 _OPTIONS: dict[str, dict[str, tuple[str, ...]]] = {"legacy": _LEGACY_OPTIONS, "vts": _XML_OPTIONS, "vtm": _XML_OPTIONS}
 
-_XML_DEFAULTS = {"encoding": "appended", "compression": "zlib", "byte_order": "little", "header_type": "UInt64"}
+_XML_DEFAULTS = {"encoding": "appended", "compression": "none", "byte_order": "little", "header_type": "UInt64"}
 _DEFAULTS = {"legacy": {"encoding": "binary"}, "vts": _XML_DEFAULTS, "vtm": _XML_DEFAULTS}
 
 

@@ -10,12 +10,20 @@ from grids import frame
 from meshdeform_core.boundary import BoundarySpec, Kind, classify
 from meshdeform_core.expression import expression
 from meshdeform_core.grid import Grid
-from meshdeform_core.methods import IDW, TFI, Options, Problem, make_method
+from meshdeform_core.methods import IDW, RBF, TFI, Options, Problem, make_method
 from meshdeform_core.motion import Displace, Motion, Rotate
 from meshdeform_core.topology import find_topology
 
 ALL_METHODS: dict[str, Options] = {
     "tfi": Options("tfi"),
+    "rbf-tps": Options("rbf"),
+    **{
+        f"rbf-{basis}": Options("rbf", rbf=RBF(basis=basis, radius=6.0))
+        for basis in ("wendland-c0", "wendland-c2", "ctps-c1", "ctps-c2a", "ctps-c2b")
+    },
+    "rbf-minres": Options("rbf", rbf=RBF(basis="wendland-c0", radius=6.0, solver="minres", tolerance=1e-14)),
+    "rbf-tfi": Options("rbf-tfi"),
+    "idw-rbf": Options("idw-rbf"),
     "idw-none": Options("idw", idw=IDW(rotation="none")),
     "idw-quaternion": Options("idw", idw=IDW(rotation="quaternion")),
     "idw-division": Options("idw", idw=IDW(rotation="division", divisions=8)),

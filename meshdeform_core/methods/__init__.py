@@ -3,8 +3,11 @@
 ==========  ==========================  =====================
 name        interfaces moved by         interiors filled by
 ==========  ==========================  =====================
-tfi         TFI on the edge graph       TFI
-idw         IDW                         IDW (one step)
+tfi-tfi     TFI on the edge graph       TFI
+rbf-rbf     RBF                         RBF (one step)
+idw-idw     IDW                         IDW (one step)
+rbf-tfi     RBF                         TFI in sub-blocks
+idw-rbf     IDW                         RBF per block
 idw-tfi     IDW                         TFI in sub-blocks
 ==========  ==========================  =====================
 """
@@ -16,14 +19,17 @@ from dataclasses import dataclass, field
 
 from ..errors import MethodError
 from .base import Account, Method, PreparedMethod, Problem, Progress, Setting
+from .block_rbf import BlockRBF
 from .hybrid import Composite
 from .idw import IDW
+from .rbf import RBF
 from .tfi import TFI
 
 __all__ = [
     "ALIASES",
     "CATALOGUE",
     "IDW",
+    "RBF",
     "TFI",
     "Account",
     "Composite",
@@ -36,7 +42,7 @@ __all__ = [
     "make_method",
 ]
 
-ALIASES = {"tfi": "tfi-tfi", "idw": "idw-idw"}
+ALIASES = {"tfi": "tfi-tfi", "rbf": "rbf-rbf", "idw": "idw-idw"}
 DEFAULT = "idw-tfi"
 
 
@@ -46,6 +52,7 @@ class Options:
 
     name: str = DEFAULT
     idw: IDW = field(default_factory=IDW)
+    rbf: RBF = field(default_factory=RBF)
     tfi: TFI = field(default_factory=TFI)
 
 
@@ -67,11 +74,29 @@ CATALOGUE: dict[str, Entry] = {
         (),
         lambda options: Composite(None, TFI(max_cells=0)),
     ),
+    "rbf-rbf": Entry(
+        "radial basis functions for every node: smooth, valid at the largest rotations",
+        "Cost N_s^3 + N_v x N_s. Does not carry the near-wall grid rigidly with the wall.",
+        (RBF,),
+        lambda options: Composite(options.rbf, None),
+    ),
     "idw-idw": Entry(
         "inverse distance weighting of every node: the best walls, for large rotations and boundary layers",
         "Cost N_v x N_s. Carries the near-wall grid rigidly with the wall.",
         (IDW,),
         lambda options: Composite(options.idw, None),
+    ),
+    "rbf-tfi": Entry(
+        "RBF for block interfaces and virtual sub-block faces, TFI inside",
+        "Cost N_s^3 + N_s x N_v^(2/3) + N_v: the sum over all nodes is saved, the system is not.",
+        (RBF, TFI),
+        lambda options: Composite(options.rbf, options.tfi),
+    ),
+    "idw-rbf": Entry(
+        "IDW for block interfaces, RBF inside every block",
+        "One system per block in its face nodes. Smooth inside blocks, kinks at their interfaces.",
+        (IDW, RBF),
+        lambda options: Composite(options.idw, BlockRBF(options.rbf)),
     ),
     "idw-tfi": Entry(
         "IDW for block interfaces and virtual sub-block faces, TFI inside: the default, IDW's quality at a fraction of "
@@ -84,6 +109,14 @@ CATALOGUE: dict[str, Entry] = {
 """All methods by their full names."""
 
 
+REFUSED = {
+    "tfi-idw": "TFI cannot rotate interfaces, and IDW inside every block costs as much as IDW everywhere; use idw-idw",
+    "tfi-rbf": "TFI kinks the interfaces, which no second step can mend; use idw-rbf",
+    "rbf-idw": "it combines the costs of both (Sen et al. section 6); use rbf-tfi or idw-rbf",
+}
+"""Combinations that make no sense, and what to use instead."""
+
+
 def make_method(options: Options) -> Method:
     """The method that ``options.name`` stands for.
 
@@ -93,6 +126,8 @@ def make_method(options: Options) -> Method:
         For an unknown name.
     """
     name = ALIASES.get(options.name, options.name)
+    if name in REFUSED:
+        raise MethodError(f"method {options.name!r} is not offered: {REFUSED[name]}")
     if name not in CATALOGUE:
         raise MethodError(f"method {options.name!r} is unknown; known are {', '.join([*ALIASES, *CATALOGUE])}")
     return CATALOGUE[name].make(options)

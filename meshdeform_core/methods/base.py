@@ -14,9 +14,10 @@ from typing import Any, Protocol
 import numpy as np
 
 from ..boundary import Boundary, Kind
-from ..grid import FloatArray, Grid, IntArray
+from ..grid import FloatArray, Grid, IntArray, Side
+from ..memory import UNLIMITED, MemoryLimit
 from ..planes import plane_normal
-from ..topology import Topology
+from ..topology import Topology, inward_step, side_nodes
 
 Progress = Callable[[str, int, int], None]
 """``progress(stage, done, total)``; called from the computing threads' owner only."""
@@ -42,12 +43,14 @@ class Surface:
 class Problem:
     """One undeformed grid with its classified boundary: the data of ``prepare``.
 
-    ``sources`` are the unique nodes with known displacement (moving and fixed), N_s in the paper.
+    The sources are the unique nodes with known displacement (moving and fixed), N_s in the paper. ``memory`` is what
+    methods may take.
     """
 
     grid: Grid
     topology: Topology
     boundary: Boundary
+    memory: MemoryLimit = UNLIMITED
 
     @cached_property
     def source_numbers(self) -> IntArray:
@@ -79,6 +82,20 @@ class Problem:
         area = _nodal_area(self.source_points, every[(every >= 0).all(axis=1)])
         moving = local[quads[kinds == Kind.MOVING]]
         return Surface(area, *_rings(moving))
+
+    @cached_property
+    def first_cell_height(self) -> FloatArray:
+        """Distance (n_sources,) from each source to the next node off the boundary face; the smallest of its faces."""
+        topology, grid = self.topology, self.grid
+        height = np.full(topology.n_unique, np.inf)
+        known = self.boundary.quad_kind >= Kind.FIXED
+        for block_side in np.unique(topology.quads.block_side[known]):
+            block, side = int(block_side) // 6, Side(int(block_side) % 6)
+            flat = side_nodes(grid, block, side).ravel()
+            gap = np.linalg.norm(grid.points[flat + inward_step(grid.shapes[block], side)] - grid.points[flat], axis=1)
+            np.minimum.at(height, topology.numbers_of(flat), np.where(gap > 0, gap, np.inf))
+        own = height[self.source_numbers]
+        return np.where(np.isfinite(own), own, topology.edge[self.source_numbers])
 
     @cached_property
     def n_unique_nodes(self) -> int:
@@ -168,7 +185,7 @@ class PreparedInterpolation(Protocol):
         """Bind to the target nodes ``flat`` among all ``points`` (n_nodes, 3)."""
         ...
 
-    def fit(self, displacement: FloatArray) -> Any:
+    def fit(self, displacement: FloatArray, progress: Progress | None = None) -> Any:
         """Whatever the evaluation needs to know of the displacement (n_sources, 3) of the sources."""
         ...
 

@@ -79,7 +79,7 @@ class _Scattered:
         self.account = self._bound.account
 
     def move(self, displacement: FloatArray, out: FloatArray, progress: Progress | None = None) -> None:
-        self._evaluator.evaluate(self._bound.fit(displacement), out, progress)
+        self._evaluator.evaluate(self._bound.fit(displacement, progress), out, progress)
 
 
 class PreparedComposite:
@@ -94,6 +94,7 @@ class PreparedComposite:
         else:
             self._mover = _Scattered(method.mover, problem, _targets(problem, skeleton))
         self._filler = method.filler.prepare(problem, skeleton) if method.filler and skeleton else None
+        self._left_out = skeleton is not None and bool(skeleton.left_out)
 
     @property
     def account(self) -> Account:
@@ -115,6 +116,8 @@ class PreparedComposite:
         self._constrain(out)
         if self._filler:
             self._filler.fill(out, progress)
+            if self._left_out:
+                self._constrain(out)
         return out
 
     def _constrain(self, out: FloatArray) -> None:

@@ -6,16 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..boundary import Kind
 from ..errors import MethodError
-from ..grid import BoolArray, FloatArray, IntArray
+from ..grid import FloatArray, IntArray
 from ..numerics import rotation as rot
 from ..numerics.direct import weighted_sums
 from ..numerics.parallel import for_chunks
 from ..numerics.rigid import finish
-from ..planes import Plane
-from ..topology import RELATIVE_TOLERANCE
 from .base import Account, Problem, Progress, Setting
+from .images import mirror_images
+from .options import choose, positive
 
 ROTATIONS = ("none", "quaternion", "division", "blend", "lie")
 WEIGHTS = ("luke", "shepard")
@@ -60,35 +59,21 @@ class IDW:
     remove_mean: bool | str = "auto"
 
     def __post_init__(self) -> None:
-        _choose("rotation", self.rotation, ROTATIONS)
-        _choose("weights", self.weights, WEIGHTS)
+        choose("idw.rotation", self.rotation, ROTATIONS)
+        choose("idw.weights", self.weights, WEIGHTS)
         for name in ("alpha", "length"):
-            _positive(name, getattr(self, name), auto=True)
-        for name in ("eta", "a", "b", "p_moving", "p_fixed", "divisions"):
-            _positive(name, getattr(self, name), auto=False)
-        if int(self.divisions) != self.divisions:
-            raise MethodError(f"method.idw.divisions = {self.divisions}; expected a whole number")
-        if self.remove_mean not in (True, False, "auto"):
-            raise MethodError(f'method.idw.remove_mean = {self.remove_mean!r}; expected true, false or "auto"')
+            positive(f"idw.{name}", getattr(self, name), auto=True)
+        for name in ("eta", "a", "b", "p_moving", "p_fixed"):
+            positive(f"idw.{name}", getattr(self, name))
+        positive("idw.divisions", self.divisions, whole=True)
+        choose("idw.remove_mean", self.remove_mean, (True, False, "auto"))
+        choose("idw.reweight", self.reweight, (True, False))
         if self.reweight and self.rotation != "division":
             raise MethodError(f'method.idw.reweight belongs to rotation = "division", not {self.rotation!r}')
 
     def bind(self, problem: Problem) -> PreparedIDW:
         """Sources with their images at symmetry planes, nodal areas, L_def."""
         return PreparedIDW(self, problem)
-
-
-def _choose(name: str, value: str, known: tuple[str, ...]) -> None:
-    if value not in known:
-        raise MethodError(f"method.idw.{name} = {value!r} is unknown; known are {', '.join(known)}")
-
-
-def _positive(name: str, value: object, auto: bool) -> None:
-    if auto and value == "auto":
-        return
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not (np.isfinite(value) and value > 0):
-        expected = 'a positive number or "auto"' if auto else "a positive number"
-        raise MethodError(f"method.idw.{name} = {value!r}; expected {expected}")
 
 
 @dataclass(frozen=True)
@@ -114,7 +99,7 @@ class PreparedIDW:
         self.options = options
         self.account = Account()
         self._problem = problem
-        self._images = _mirror_images(problem)
+        self._images = mirror_images(problem)
         self.area = self._images.area
         self.exponents = (options.a, options.b) if options.weights == "luke" else (options.p_moving, options.p_fixed)
         self.length = self._length()
@@ -145,7 +130,7 @@ class PreparedIDW:
         if len(self.area) > len(self._problem.source_points):
             settings["mirrored_sources"] = Setting(len(self.area), "images at symmetry planes take part")
 
-    def fit(self, displacement: FloatArray) -> Fit:
+    def fit(self, displacement: FloatArray, progress: Progress | None = None) -> Fit:
         """Rigid motions of the sources for one displacement (n_sources, 3)."""
         images = self._images
         d = images.displaced(displacement)
@@ -244,59 +229,3 @@ def _divided_translation(w: FloatArray, translation: FloatArray, m: int) -> Floa
     """T_m = M^-1 T of eq. 27: one of ``m`` equal steps of a screw has the twist (w, v) / m."""
     v = rot.twist_velocity(w, translation)
     return rot.translation_of_twist(w / m, v / m)
-
-
-@dataclass(frozen=True)
-class Images:
-    """Sources with their mirror images, as one surface that closes across symmetry planes.
-
-    ``owner`` (n,) is the source that each is an image of, ``reflection`` (n, 3, 3) the mirror that made it;
-    ``corners`` and ``edges`` as in :class:`.base.Surface`, into the images.
-    """
-
-    points: FloatArray
-    area: FloatArray
-    owner: IntArray
-    reflection: FloatArray
-    moving: BoolArray
-    corners: IntArray
-    edges: IntArray
-
-    def displaced(self, displacement: FloatArray) -> FloatArray:
-        """Displacements of all images from those of the sources."""
-        return np.einsum("nij,nj->ni", self.reflection, displacement[self.owner])
-
-
-def _mirror_images(problem: Problem) -> Images:
-    n = len(problem.source_points)
-    moving = np.asarray(problem.boundary.kind[problem.source_numbers] == Kind.MOVING)
-    reflection = np.tile(np.eye(3), (n, 1, 1))
-    surface = problem.surface
-    images = Images(
-        problem.source_points, surface.area, np.arange(n), reflection, moving, surface.corners, surface.edges
-    )
-    for plane in problem.boundary.mirrors:
-        images = _reflected(images, plane, problem)
-    return images
-
-
-def _reflected(images: Images, plane: Plane, problem: Problem) -> Images:
-    """The images and their reflection; what lies on the plane is its own image, with both halves of its area."""
-    height = (images.points - plane.point) @ plane.normal
-    edge = problem.topology.edge[problem.source_numbers][images.owner]
-    on_plane = np.abs(height) <= RELATIVE_TOLERANCE * edge
-    off = ~on_plane
-    area = np.where(on_plane, 2 * images.area, images.area)
-    mirror = np.eye(3) - 2 * np.outer(plane.normal, plane.normal)
-    image_of = np.where(on_plane, np.arange(len(off)), len(off) + np.cumsum(off) - 1)
-    # A mirrored face runs the other way round: next and previous node change places.
-    order = [0, 2, 1] if images.corners.shape[1] == 3 else [1, 0]
-    return Images(
-        np.concatenate([images.points, images.points[off] - 2 * height[off, None] * plane.normal]),
-        np.concatenate([area, area[off]]),
-        np.concatenate([images.owner, images.owner[off]]),
-        np.concatenate([images.reflection, mirror @ images.reflection[off]]),
-        np.concatenate([images.moving, images.moving[off]]),
-        np.concatenate([images.corners, image_of[images.corners][:, order]]),
-        np.unique(np.concatenate([images.edges, image_of[images.edges]]), axis=0),
-    )

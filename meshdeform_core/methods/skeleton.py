@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..grid import Grid, IntArray, Shape
+from ..grid import Grid, IntArray, Shape, Side
 from .base import Problem
 
 Cuts = tuple[IntArray, IntArray, IntArray]
@@ -26,11 +26,15 @@ class SubBlock:
 class Skeleton:
     """The index planes at which blocks are cut.
 
-    ``cuts`` are, for every block, the node indices of the cutting planes along i, j, k, both ends included.
+    Attributes
+    ----------
+    cuts : for every block the node indices of the cutting planes along i, j, k, both ends included
+    left_out : block sides that the second step moves itself; only their rims belong to the skeleton
     """
 
     grid: Grid
     cuts: tuple[Cuts, ...]
+    left_out: frozenset[tuple[int, Side]] = frozenset()
 
     def sub_blocks(self) -> Iterator[SubBlock]:
         """All sub-blocks of all blocks."""
@@ -52,6 +56,11 @@ class Skeleton:
             # The one plane of a 2-D block is not a cut: it holds the interior.
             on[axis][cut if shape[axis] > 1 else []] = True
         mask = on[0][:, None, None] | on[1][:, None] | on[2]
+        for side in (side for side in Side if (block, side) in self.left_out):
+            a, b = side.tangential
+            plane: list[slice | int] = [slice(None)] * 3
+            plane[side.axis] = shape[side.axis] - 1 if side % 2 else 0
+            mask[tuple(plane)] = on[a][:, None] | on[b]
         return np.asarray(self.grid.offsets[block] + np.flatnonzero(mask), dtype=np.int64)
 
 

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..errors import MethodError
 from ..grid import FloatArray, IntArray
 from ..numerics.blend import arc_coordinates, blend_block, blend_plane, plane_coordinates
 from ..numerics.parallel import for_chunks
 from .base import Account, Problem, Progress, Setting
+from .options import positive
 from .skeleton import Skeleton, SubBlock, make_skeleton
 
 DEFAULT_MAX_CELLS = 32
@@ -32,8 +32,7 @@ class TFI:
     max_cells: int = DEFAULT_MAX_CELLS
 
     def __post_init__(self) -> None:
-        if isinstance(self.max_cells, bool) or not isinstance(self.max_cells, int) or self.max_cells < 0:
-            raise MethodError(f"method.tfi.max_cells = {self.max_cells!r}; expected a whole number >= 0 (0: never cut)")
+        positive("tfi.max_cells", self.max_cells, whole=True, zero=True)
 
     def skeleton(self, problem: Problem) -> Skeleton:
         """What the first step has to move for this second step."""

@@ -1,6 +1,6 @@
-"""Radial basis functions (Sen et al. Table I) as scalar functions of the squared scaled distance.
+"""Radial basis functions (Sen et al. Table I) of squared distances.
 
-One integer names the function inside one loop: functions passed as arguments would be compiled at every start.
+One integer names the function: functions passed as arguments would be compiled at every start.
 """
 
 import math
@@ -9,7 +9,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from .jit import fast_kernel
+from .jit import contracted_kernel, fast_kernel
 
 BASES = {"tps": 0, "wendland-c0": 1, "wendland-c2": 2, "ctps-c1": 3, "ctps-c2a": 4, "ctps-c2b": 5}
 """Names and kernel numbers; all but ``tps`` have compact support."""
@@ -35,7 +35,7 @@ def _from_bits(typing_context, value):
     return types.float64(types.int64), generate
 
 
-@fast_kernel
+@contracted_kernel
 def log(x):
     """Natural logarithm of a positive normal number without branches, so that loops over it become vector code.
 
@@ -52,25 +52,48 @@ def log(x):
     s = (m - 1.0) / (m + 1.0)
     z = s * s
     tail = 1.0 / 15.0 + z * (1.0 / 17.0 + z * (1.0 / 19.0 + z * (1.0 / 21.0)))
-    series = 1.0 / 3.0 + z * (1.0 / 5.0 + z * (1.0 / 7.0 + z * (1.0 / 9.0 + z * (1.0 / 11.0 + z * (1.0 / 13.0 + z * tail)))))
+    series = 1.0 / 3.0 + z * (
+        1.0 / 5.0 + z * (1.0 / 7.0 + z * (1.0 / 9.0 + z * (1.0 / 11.0 + z * (1.0 / 13.0 + z * tail))))
+    )
     return e * 0.6931471805599453 + 2.0 * s * (1.0 + z * series)
 
 
 @fast_kernel
-def phi(kind, r2):
-    """Basis function ``kind`` at squared distance ``r2``, in units of the squared support radius (TPS: any unit)."""
+def apply_basis(kind, r2, n):
+    """Replace ``r2[:n]``, squared distances in units of the squared support radius (TPS: any unit), by basis values.
+
+    One loop per function, chosen once per call: a choice inside the loop would keep it scalar.
+    """
     if kind == 0:
-        return 0.5 * r2 * log(r2)
-    r = math.sqrt(min(r2, 1.0))
-    if kind == 1:
-        return (1.0 - r) * (1.0 - r)
-    if kind == 2:
-        q = (1.0 - r) * (1.0 - r)
-        return q * q * (4.0 * r + 1.0)
-    s = min(r2, 1.0)
-    ln = 0.5 * log(s)
-    if kind == 3:
-        return 1.0 + s * (80.0 / 3.0 - 40.0 * r + 15.0 * s - 8.0 / 3.0 * s * r + 20.0 * ln)
-    if kind == 4:
-        return 1.0 + s * (-30.0 - 10.0 * r + 45.0 * s - 6.0 * s * r - 60.0 * r * ln)
-    return 1.0 + s * (-20.0 + 80.0 * r - 45.0 * s - 16.0 * s * r + 60.0 * s * ln)
+        for i in range(n):
+            r2[i] = 0.5 * r2[i] * log(r2[i])
+    elif kind == 1:
+        for i in range(n):
+            r = math.sqrt(_inside(r2[i]))
+            r2[i] = (1.0 - r) * (1.0 - r)
+    elif kind == 2:
+        for i in range(n):
+            r = math.sqrt(_inside(r2[i]))
+            q = (1.0 - r) * (1.0 - r)
+            r2[i] = q * q * (4.0 * r + 1.0)
+    elif kind == 3:
+        for i in range(n):
+            s = _inside(r2[i])
+            r = math.sqrt(s)
+            r2[i] = 1.0 + s * (80.0 / 3.0 - 40.0 * r + 15.0 * s - 8.0 / 3.0 * s * r + 10.0 * log(s))
+    elif kind == 4:
+        for i in range(n):
+            s = _inside(r2[i])
+            r = math.sqrt(s)
+            r2[i] = 1.0 + s * (-30.0 - 10.0 * r + 45.0 * s - 6.0 * s * r - 30.0 * r * log(s))
+    else:
+        for i in range(n):
+            s = _inside(r2[i])
+            r = math.sqrt(s)
+            r2[i] = 1.0 + s * (-20.0 + 80.0 * r - 45.0 * s - 16.0 * s * r + 30.0 * s * log(s))
+
+
+@fast_kernel
+def _inside(r2):
+    """Squared distance cut off at the support radius, where the compact functions are zero."""
+    return r2 if r2 < 1.0 else 1.0

@@ -10,3 +10,6 @@ kernel = njit(cache=True, nogil=True, error_model="numpy")
 
 fast_kernel = njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
 """Decorator for sums: additions may be reordered, so that they become vector instructions."""
+
+contracted_kernel = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+"""Decorator for functions that may fuse multiplications with additions but must keep their order."""

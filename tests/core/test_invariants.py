@@ -1,5 +1,7 @@
 """The invariants of the methods (spec section 10): contract tests over all of them."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from cases import ALL_METHODS, apply, body_specs, everything_moves, problem_of, turning
@@ -16,9 +18,15 @@ ROTATION *= np.sign(np.linalg.det(ROTATION))
 
 NO_ROTATION = {"idw-none", "idw-shepard-none"}
 # Frame independent, or exact for a translation superposed on everything (spec section 10).
-FRAME_FREE = {"tfi", "idw-none", "idw-lie", "idw-tfi", "idw-tfi-cut", "idw-shepard"}
-ROTATION_FREE = FRAME_FREE | {"idw-blend", "idw-quaternion", "idw-division", "idw-division-reweight"}
+RBF_ALONE = {name for name in ALL_METHODS if name.startswith("rbf-")}
+FRAME_FREE = {"tfi", "idw-none", "idw-lie", "idw-tfi", "idw-tfi-cut", "idw-shepard", "idw-rbf"} | RBF_ALONE
 MEAN_FREE = FRAME_FREE | {"idw-blend"}
+# Solutions of linear systems carry the round-off of their condition.
+SOLVED = RBF_ALONE | {"idw-rbf"}
+
+
+def tolerance(name: str) -> float:
+    return 1e-10 if name in SOLVED else 1e-12
 
 
 def bend(x: np.ndarray) -> np.ndarray:
@@ -40,7 +48,7 @@ def test_translation_of_everything_is_exact(name, grid):
     problem = problem_of(grid)
     shift = np.array([0.3, -0.2, 0.0])
     moved = apply(ALL_METHODS[name], problem, lambda x: np.tile(shift, (len(x), 1)))
-    assert np.abs(moved - shift).max() < 1e-12
+    assert np.abs(moved - shift).max() < tolerance(name)
 
 
 @EVERY
@@ -52,7 +60,7 @@ def test_rigid_rotation_of_everything_is_exact(name, grid):
     if name in NO_ROTATION:
         assert error > 1e-3
     else:
-        assert error < 1e-12
+        assert error < tolerance(name)
 
 
 @EVERY
@@ -120,7 +128,7 @@ def test_frame_rotation_and_shift_do_not_matter(name):
     moved = apply(ALL_METHODS[name], here, told)
     other = apply(ALL_METHODS[name], there, told @ ROTATION.T) @ ROTATION
     if name in FRAME_FREE | {"idw-blend"}:
-        assert np.abs(moved - other).max() < 1e-12
+        assert np.abs(moved - other).max() < tolerance(name)
     elif name in ("idw-quaternion", "idw-division"):
         assert np.abs(moved - other).max() > 1e-6
 
@@ -132,7 +140,7 @@ def test_superposed_translation(name):
     moved = apply(ALL_METHODS[name], problem, solid_turn_of_body(problem))
     more = apply(ALL_METHODS[name], problem, solid_turn_of_body(problem) + shift)
     if name in MEAN_FREE:
-        assert np.abs(more - moved - shift).max() < 1e-12
+        assert np.abs(more - moved - shift).max() < tolerance(name)
 
 
 def solid_turn_of_body(problem):
@@ -148,7 +156,11 @@ def test_scale_does_not_matter(name, factor):
     big = problem_of(grid.moved(grid.points * factor), specs)
     told = solid_turn_of_body(problem_of(grid, specs))
     moved = apply(ALL_METHODS[name], problem_of(grid, specs), told)
-    other = apply(ALL_METHODS[name], big, told * factor) / factor
+    options = ALL_METHODS[name]
+    if options.rbf.radius != "auto":
+        # A radius is a length: it grows with the grid.
+        options = dataclasses.replace(options, rbf=dataclasses.replace(options.rbf, radius=options.rbf.radius * factor))
+    other = apply(options, big, told * factor) / factor
     assert np.abs(moved - other).max() < 1e-10
 
 
@@ -219,12 +231,12 @@ def test_extrema_are_kept_without_rotation():
     assert np.all(moved >= told.min(axis=0) - 1e-14)
 
 
-@pytest.mark.parametrize("name", ["tfi"])
+@pytest.mark.parametrize("name", sorted({"tfi"} | RBF_ALONE))
 def test_linear_map_is_exact(name):
     grid = frame()
     matrix = np.array([[0.1, 0.2, 0.0], [-0.1, 0.05, 0.3], [0.0, 0.1, -0.2]])
     moved = apply(ALL_METHODS[name], problem_of(grid), lambda x: x @ matrix.T)
-    assert np.abs(moved - grid.points @ matrix.T).max() < 1e-14
+    assert np.abs(moved - grid.points @ matrix.T).max() < (1e-14 if name == "tfi" else 1e-10)
 
 
 def test_fixed_outside_and_moving_body_are_told_by_the_boundary():

@@ -1,0 +1,363 @@
+"""Radial basis functions with a linear polynomial (Sen et al. section 2.2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..boundary import Kind
+from ..errors import MethodError
+from ..grid import FloatArray, IntArray
+from ..memory import UNLIMITED, MemoryLimit
+from ..numerics.basis import BASES
+from ..numerics.greedy import Selection, select
+from ..numerics.parallel import for_chunks
+from ..numerics.radial import radial_matrix, radial_sums
+from ..numerics.saddle import DirectSolver, minres
+from .base import Account, Problem, Progress, Setting
+from .images import mirror_images
+from .options import choose, positive
+
+SOLVERS = ("auto", "direct", "minres")
+GREEDY = ("none", "single", "hybrid", "double-edged")
+ERRORS = ("first-cell", "absolute")
+_CHUNK = 2048
+
+
+@dataclass(frozen=True)
+class RBF:
+    """Interpolation by radial basis functions: one linear system in N_s, then a sum of cost N_v x N_s.
+
+    Smooth over the whole domain and valid at larger rotations than the others, but it does not carry the near-wall
+    grid rigidly with the wall. The system grows as N_s^2 in memory and N_s^3 in time; greedy reduction keeps a part
+    of the centres.
+
+    Attributes
+    ----------
+    basis : ``tps`` (global), ``wendland-c0``, ``wendland-c2``, ``ctps-c1``, ``ctps-c2a``, ``ctps-c2b`` (Table I)
+    radius : support radius of the compact bases (grid length unit), or ``"auto"``: every node sees the whole moving
+        body
+    solver : ``direct`` (Cholesky on the null space of the side conditions), ``minres`` (the paper's), ``auto``
+    tolerance : eps_c of ``minres``: ||r|| <= tolerance ||b||
+    max_iterations : of ``minres``; not converging is a warning
+    greedy : ``none``, ``single`` (Rendall & Allen), ``hybrid`` (the paper's), ``double-edged`` (Wang et al.); compact
+        bases only
+    greedy_error : ``first-cell``: errors relative to the height of the first cell at each node; ``absolute``: lengths
+    greedy_tolerance : eps_g, largest error at any boundary node, in the unit of ``greedy_error``
+    greedy_start : number of the first source, counted from 0
+    greedy_updates : m, single-point updates between exact solutions; 0: as many as there are sources
+    greedy_max_points : most centres to keep; 0: all
+    greedy_correct : add the remaining error to the nodes near each wall node, so that walls land exactly
+    """
+
+    basis: str = "tps"
+    radius: float | str = "auto"
+    solver: str = "auto"
+    tolerance: float = 1e-10
+    max_iterations: int = 10000
+    greedy: str = "none"
+    greedy_error: str = "first-cell"
+    greedy_tolerance: float = 0.1
+    greedy_start: int = 0
+    greedy_updates: int = 0
+    greedy_max_points: int = 0
+    greedy_correct: bool = True
+
+    def __post_init__(self) -> None:
+        choose("rbf.basis", self.basis, tuple(BASES))
+        choose("rbf.solver", self.solver, SOLVERS)
+        choose("rbf.greedy", self.greedy, GREEDY)
+        choose("rbf.greedy_error", self.greedy_error, ERRORS)
+        positive("rbf.radius", self.radius, auto=True)
+        positive("rbf.tolerance", self.tolerance)
+        positive("rbf.greedy_tolerance", self.greedy_tolerance)
+        positive("rbf.max_iterations", self.max_iterations, whole=True)
+        for name in ("greedy_start", "greedy_updates", "greedy_max_points"):
+            positive(f"rbf.{name}", getattr(self, name), whole=True, zero=True)
+        choose("rbf.greedy_correct", self.greedy_correct, (True, False))
+        if self.basis == "tps" and self.greedy != "none":
+            raise MethodError(
+                "method.rbf.greedy does not work with the thin plate spline: its value at distance 0 is 0, so no "
+                'centre can correct its own error; choose a compact basis, like wendland-c2, or greedy = "none"'
+            )
+
+    def bind(self, problem: Problem) -> PreparedRBF:
+        """Sources and their images at symmetry planes as centres; nothing is solved yet."""
+        return PreparedRBF(self, problem)
+
+
+@dataclass(frozen=True)
+class Centres:
+    """Centres in normalised coordinates with the polynomial terms that they determine.
+
+    Thin plate splines with a linear polynomial do not depend on the unit of length, and compact functions take
+    distances in radii; both are conditioned best near one. Directions in which all centres lie in a plane carry no
+    polynomial term: 2-D grids and planar patches then have a solution.
+    """
+
+    points: FloatArray
+    origin: FloatArray
+    scale: float
+    axes: FloatArray
+
+    @classmethod
+    def of(cls, points: FloatArray, radius: float | None) -> Centres:
+        origin = points.mean(axis=0)
+        arms = points - origin
+        extent = float(np.linalg.norm(arms, axis=1).max()) or 1.0
+        _, sizes, axes = np.linalg.svd(arms, full_matrices=False)
+        spread = axes[sizes > 1e-8 * extent * np.sqrt(len(points))]
+        scale = extent if radius is None else radius
+        return cls(np.ascontiguousarray(arms / scale), origin, scale, spread)
+
+    def normalised(self, points: FloatArray) -> FloatArray:
+        """Other points in the same coordinates."""
+        return (points - self.origin) / self.scale
+
+    def polynomial(self, normalised: FloatArray) -> FloatArray:
+        """Polynomial terms (n, q) at normalised points: the constant and the directions in which centres spread."""
+        return np.concatenate([np.ones((len(normalised), 1)), normalised @ self.axes.T], axis=1)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Solved coefficients: ``centres`` (k, 3) normalised, ``coefficients`` (k, 3), ``polynomial`` (q, 3).
+
+    ``residual`` (n, 3) what a greedy reduction left at all sources and ``reach`` how far it is spread; else ``None``.
+    """
+
+    centres: FloatArray
+    coefficients: FloatArray
+    polynomial: FloatArray
+    residual: FloatArray | None = None
+    reach: float = 0.0
+
+
+class RadialSystem:
+    """The linear system of one set of centres, factorised when first needed and kept."""
+
+    def __init__(self, options: RBF, centres: Centres, limit: MemoryLimit = UNLIMITED):
+        self.options, self.centres = options, centres
+        self.kind = BASES[options.basis]
+        self.terms = centres.polynomial(centres.points)
+        n = len(centres.points)
+        limit.require(
+            8 * n * n,
+            f"a radial basis function system of {n:,} centres",
+            "use greedy reduction (a compact basis), the hybrid idw-tfi, or fewer boundary nodes",
+        )
+        self._direct: DirectSolver | None = None
+        self._matrix: FloatArray | None = None
+
+    def solve(self, values: FloatArray, account: Account, progress: Progress | None) -> tuple[FloatArray, FloatArray]:
+        """Coefficients (n, 3) and polynomial (q, 3) for values at the centres (n, 3)."""
+        if self.options.solver == "minres":
+            return self._iterate(values, account, progress)
+        if self._direct is None:
+            self._direct = DirectSolver(lambda: radial_matrix(self.kind, *(self.centres.points,) * 2), self.terms)
+            account.settings["solver"] = Setting(self._direct.kind)
+        coefficients, polynomial = self._direct.solve(values)
+        # One step of iterative refinement: the matrix is gone, its product with a vector is a sum over centres.
+        rest = values - self._multiply(coefficients) - self.terms @ polynomial
+        more, shift = self._direct.solve(rest)
+        coefficients, polynomial = coefficients + more, polynomial + shift
+        rest = values - self._multiply(coefficients) - self.terms @ polynomial
+        account.settings["residual"] = Setting(float(np.abs(rest).max()), "largest error at a centre, length unit")
+        return coefficients, polynomial
+
+    def _multiply(self, coefficients: FloatArray) -> FloatArray:
+        return radial_sums(self.kind, self.centres.points, self.centres.points, coefficients)
+
+    def _iterate(
+        self, values: FloatArray, account: Account, progress: Progress | None
+    ) -> tuple[FloatArray, FloatArray]:
+        if self._matrix is None:
+            self._matrix = radial_matrix(self.kind, self.centres.points, self.centres.points)
+        matrix, terms = self._matrix, self.terms
+        n = len(terms)
+
+        def multiply(x: FloatArray) -> FloatArray:
+            return np.concatenate([matrix @ x[:n] + terms @ x[n:], terms.T @ x[:n]])
+
+        rhs = np.concatenate([values, np.zeros((terms.shape[1], values.shape[1]))])
+        o = self.options
+        report = None if progress is None else (lambda done, total: progress("minres", done, total))
+        solution, iterations, residual = minres(multiply, rhs, o.tolerance, o.max_iterations, report)
+        account.settings["iterations"] = Setting(iterations.tolist(), "one number per component")
+        account.settings["residual"] = Setting(residual.tolist(), "||b - K x|| / ||b||, computed from the solution")
+        if (iterations >= o.max_iterations).any():
+            account.warnings.append(
+                f"MINRES stopped after {o.max_iterations} iterations with a residual of {residual.max():.2e} "
+                f"(asked for {o.tolerance:g}); raise method.rbf.max_iterations, loosen tolerance or use solver = direct"
+            )
+        return solution[:n], solution[n:]
+
+
+class PreparedRBF:
+    """RBF bound to the sources of one undeformed grid."""
+
+    def __init__(self, options: RBF, problem: Problem):
+        self.options = options
+        self.account = Account()
+        self._problem = problem
+        self._images = mirror_images(problem)
+        self.centres = Centres.of(self._images.points, self._radius())
+        self._system: RadialSystem | None = None
+        self._selection: Selection | None = None
+        self.account.settings |= {
+            "basis": Setting(options.basis),
+            "centres": Setting(len(self._images.points)),
+            "polynomial": Setting(
+                f"linear in {len(self.centres.axes)} directions",
+                "" if len(self.centres.axes) == 3 else "the centres lie in a plane or a line",
+            ),
+            "solver": Setting(options.solver),
+        }
+        if options.solver == "minres":
+            self.account.settings["tolerance"] = Setting(options.tolerance)
+
+    def _radius(self) -> float | None:
+        o = self.options
+        if o.basis == "tps":
+            return None
+        if o.radius != "auto":
+            self.account.settings["radius"] = Setting(o.radius)
+            return float(o.radius)
+        problem = self._problem
+        moving = problem.source_points[problem.boundary.kind[problem.source_numbers] == Kind.MOVING]
+        center = moving.mean(axis=0)
+        body = float(np.linalg.norm(moving - center, axis=1).max())
+        face = problem.grid.points[problem.topology.first]
+        radius = body + float(np.linalg.norm(face - center, axis=1).max())
+        self.account.settings["radius"] = Setting(radius, "every node sees the whole moving body")
+        return radius
+
+    def fit(self, displacement: FloatArray, progress: Progress | None = None) -> Fit:
+        """Solve for one displacement of the sources (n_sources, 3)."""
+        values = self._images.displaced(displacement)
+        self._warn_of_short_radius(values)
+        if self.options.greedy != "none":
+            return self._fit_reduced(values, progress)
+        if self._system is None:
+            self._system = RadialSystem(self.options, self.centres, self._problem.memory)
+        return Fit(self.centres.points, *self._system.solve(values, self.account, progress))
+
+    def _warn_of_short_radius(self, values: FloatArray) -> None:
+        largest = float(np.linalg.norm(values, axis=1).max())
+        if self.options.basis != "tps" and largest > 0.5 * self.centres.scale:
+            self.account.warnings.append(
+                f"the support radius {self.centres.scale:.4g} is less than twice the largest displacement "
+                f"{largest:.4g}: cells will cross at its rim; use a larger method.rbf.radius"
+            )
+
+    def _fit_reduced(self, values: FloatArray, progress: Progress | None) -> Fit:
+        o, n = self.options, len(values)
+        scale = np.ones(n)
+        if o.greedy_error == "first-cell":
+            scale = self._problem.first_cell_height[self._images.owner]
+        if o.greedy_start >= n:
+            raise MethodError(f"method.rbf.greedy_start = {o.greedy_start}; there are {n} sources, counted from 0")
+        fit = self._refit(values, scale)
+        if fit is None:
+            report = None if progress is None else (lambda done, total: progress("greedy", done, total))
+            found = select(
+                BASES[o.basis], self.centres.points, self.centres.polynomial(self.centres.points), values, scale,
+                method=o.greedy, tolerance=o.greedy_tolerance, start=o.greedy_start,
+                per_round=o.greedy_updates or n, max_points=o.greedy_max_points or n, progress=report,
+            )  # fmt: skip
+            self._selection = found
+            self._record(found)
+            points = np.ascontiguousarray(self.centres.points[found.active])
+            fit = self._with_residual(points, found.coefficients, found.polynomial, values)
+        return fit
+
+    def _refit(self, values: FloatArray, scale: FloatArray) -> Fit | None:
+        """The kept selection with new values, unless its error has grown beyond the tolerance."""
+        found = self._selection
+        if found is None or self.options.greedy == "single":
+            return None
+        points = np.ascontiguousarray(self.centres.points[found.active])
+        if self._system is None:
+            kept = Centres(points, self.centres.origin, self.centres.scale, self.centres.axes)
+            self._system = RadialSystem(self.options, kept)
+        fit = self._with_residual(points, *self._system.solve(values[found.active], self.account, None), values)
+        assert fit.residual is not None
+        error = float((np.linalg.norm(fit.residual, axis=1) / scale).max())
+        if error > self.options.greedy_tolerance:
+            self._system = None
+            return None
+        self.account.settings["greedy_error_reached"] = Setting(error, "with the selection of an earlier displacement")
+        return fit
+
+    def _with_residual(
+        self, points: FloatArray, coefficients: FloatArray, polynomial: FloatArray, values: FloatArray
+    ) -> Fit:
+        here = self.centres.points
+        residual = values - radial_sums(BASES[self.options.basis], here, points, coefficients)
+        residual -= self.centres.polynomial(here)[:, : len(polynomial)] @ polynomial
+        # Spread over a length on which the correction cannot fold cells: many times its own size.
+        reach = 20.0 * float(np.linalg.norm(residual, axis=1).max())
+        return Fit(points, coefficients, polynomial, residual, reach)
+
+    def _record(self, found: Selection) -> None:
+        unit = "first-cell heights" if self.options.greedy_error == "first-cell" else "length unit"
+        self.account.settings |= {
+            "greedy": Setting(self.options.greedy),
+            "greedy_points": Setting(len(found.active), f"of {len(found.error)} centres"),
+            "greedy_rounds": Setting(found.rounds),
+            "greedy_updates_done": Setting(found.updates),
+            "greedy_tolerance": Setting(self.options.greedy_tolerance, unit),
+            "greedy_error_reached": Setting(float(found.error.max()), unit),
+        }
+        if not found.converged:
+            self.account.warnings.append(
+                f"greedy reduction stopped with {len(found.active)} points and an error of {found.error.max():.3g} "
+                f"({unit}); asked for {self.options.greedy_tolerance:g}. Raise greedy_max_points or greedy_tolerance"
+            )
+
+    def at(self, points: FloatArray, flat: IntArray) -> RadialEvaluator:
+        """Bind to the target nodes ``flat`` among ``points``."""
+        return RadialEvaluator(self, points, flat)
+
+
+class RadialEvaluator:
+    """Sums at target nodes, chunk by chunk, with the greedy residual added near the walls."""
+
+    def __init__(self, prepared: PreparedRBF, points: FloatArray, flat: IntArray):
+        self._prepared, self._points, self._flat = prepared, points, flat
+        self._nearest: tuple[FloatArray, IntArray] | None = None
+
+    def evaluate(self, fit: Fit, out: FloatArray, progress: Progress | None) -> None:
+        """Write the displacement of the targets into ``out``."""
+        centres, options = self._prepared.centres, self._prepared.options
+        correct = fit.residual is not None and options.greedy_correct and fit.reach > 0
+        if correct and self._nearest is None:
+            self._nearest = self._find_nearest()
+
+        def work(lo: int, hi: int) -> None:
+            flat = self._flat[lo:hi]
+            x = centres.normalised(self._points[flat])
+            moved = radial_sums(BASES[options.basis], x, fit.centres, fit.coefficients)
+            moved += centres.polynomial(x)[:, : len(fit.polynomial)] @ fit.polynomial
+            if correct:
+                moved += self._correction(fit, lo, hi)
+            out[flat] = moved
+
+        report = None if progress is None else (lambda done, total: progress("rbf", done, total))
+        for_chunks(work, len(self._flat), _CHUNK, report)
+
+    def _find_nearest(self) -> tuple[FloatArray, IntArray]:
+        from scipy.spatial import cKDTree
+
+        tree = cKDTree(self._prepared.centres.points * self._prepared.centres.scale + self._prepared.centres.origin)
+        distance, nearest = tree.query(self._points[self._flat])
+        return distance, nearest
+
+    def _correction(self, fit: Fit, lo: int, hi: int) -> FloatArray:
+        """Residual of the nearest source, fading smoothly with the distance to it (Wendland C2)."""
+        assert self._nearest is not None
+        assert fit.residual is not None
+        distance, nearest = (part[lo:hi] for part in self._nearest)
+        r = np.minimum(distance / fit.reach, 1.0)
+        return ((1 - r) ** 4 * (4 * r + 1))[:, None] * fit.residual[nearest]

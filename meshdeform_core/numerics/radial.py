@@ -1,0 +1,84 @@
+"""Exact sums and matrices of radial basis functions: every target with every centre."""
+
+import numpy as np
+
+from .basis import apply_basis
+from .jit import fast_kernel
+from .parallel import for_chunks
+
+_TILE = 256
+_TARGETS = 64
+_CHUNK = 1024
+
+
+def radial_sums(kind, targets, centres, coefficients, progress=None):
+    """Sums over all centres of coefficient * phi(distance), eq. 11 without its polynomial.
+
+    Parameters
+    ----------
+    kind : number of the basis function, see :data:`.basis.BASES`
+    targets, centres : (n, 3), (m, 3) float64, in units of the support radius
+    coefficients : (m, 3)
+
+    Returns
+    -------
+    sums : (n, 3)
+    """
+    packed = np.ascontiguousarray(np.concatenate([centres.T, coefficients.T]))
+    sums = np.empty((len(targets), 3))
+
+    def work(lo, hi):
+        _sum_block(kind, targets[lo:hi], packed, sums[lo:hi])
+
+    for_chunks(work, len(targets), _CHUNK, progress)
+    return sums
+
+
+def radial_matrix(kind, targets, centres):
+    """Basis values (n, m) between targets (n, 3) and centres (m, 3), in units of the support radius."""
+    matrix = np.empty((len(targets), len(centres)))
+    columns = np.ascontiguousarray(centres.T)
+
+    def work(lo, hi):
+        _fill_rows(kind, targets[lo:hi], columns, matrix[lo:hi])
+
+    for_chunks(work, len(targets), 64)
+    return matrix
+
+
+@fast_kernel
+def _sum_block(kind, targets, packed, out):
+    value = np.empty(_TILE)
+    m = packed.shape[1]
+    out[:] = 0.0
+    for t0 in range(0, targets.shape[0], _TARGETS):
+        for s0 in range(0, m, _TILE):
+            s1 = min(s0 + _TILE, m)
+            x, y, z = packed[0, s0:s1], packed[1, s0:s1], packed[2, s0:s1]
+            c0, c1, c2 = packed[3, s0:s1], packed[4, s0:s1], packed[5, s0:s1]
+            for t in range(t0, min(t0 + _TARGETS, targets.shape[0])):
+                _squared_distances(targets[t, 0], targets[t, 1], targets[t, 2], x, y, z, value)
+                apply_basis(kind, value, s1 - s0)
+                a0 = a1 = a2 = 0.0
+                for s in range(s1 - s0):
+                    a0 += value[s] * c0[s]
+                    a1 += value[s] * c1[s]
+                    a2 += value[s] * c2[s]
+                out[t, 0] += a0
+                out[t, 1] += a1
+                out[t, 2] += a2
+
+
+@fast_kernel
+def _fill_rows(kind, targets, columns, out):
+    x, y, z = columns[0], columns[1], columns[2]
+    for t in range(targets.shape[0]):
+        _squared_distances(targets[t, 0], targets[t, 1], targets[t, 2], x, y, z, out[t])
+        apply_basis(kind, out[t], x.size)
+
+
+@fast_kernel
+def _squared_distances(px, py, pz, x, y, z, out):
+    for s in range(x.size):
+        dx, dy, dz = px - x[s], py - y[s], pz - z[s]
+        out[s] = dx * dx + dy * dy + dz * dz
