@@ -1,6 +1,7 @@
 """Sample cases: one folder each with a README.md, a case.toml and a generator with a size parameter.
 
-A generator module offers ``generate(size) -> Grid``, ``DEFAULT_SIZE`` and ``SIZE_HELP``.
+A generator module offers ``generate(size) -> Grid``, ``DEFAULT_SIZE`` and ``SIZE_HELP``; one whose motion is a table
+also ``tables(size) -> {file name: SurfaceData}``.
 """
 
 from __future__ import annotations
@@ -11,7 +12,11 @@ from importlib.resources.abc import Traversable
 from types import ModuleType
 
 SAMPLES = {
+    "square": "square",
+    "airfoil": "airfoil",
     "splitter-plate": "splitter_plate",
+    "hemisphere": "hemisphere",
+    "beam": "beam",
 }
 """Name on the command line -> folder."""
 

@@ -65,7 +65,10 @@ class Skeleton:
 
 
 def make_skeleton(problem: Problem, max_cells: int) -> Skeleton:
-    """Cut every block into sub-blocks of at most ``max_cells`` cells per direction; 0 cuts nothing."""
+    """Cut every block into sub-blocks of at most ``max_cells`` cells per direction; 0 cuts nothing.
+
+    A direction with more than half of ``max_cells`` is cut at least once.
+    """
     cuts = tuple(_cuts(shape, max_cells) for shape in problem.grid.shapes)
     return Skeleton(problem.grid, cuts)
 
@@ -74,9 +77,13 @@ def _cuts(shape: Shape, max_cells: int) -> Cuts:
     def along(n: int) -> IntArray:
         if n == 1:
             return np.zeros(1, dtype=np.int64)
-        parts = -(-(n - 1) // max_cells) if max_cells else 1
+        cells = n - 1
+        parts = -(-cells // max_cells) if max_cells else 1
+        # A coarse block can span as large an angle of a body as a fine one: only short blocks stay whole.
+        if parts == 1 and max_cells and 2 * cells > max_cells:
+            parts = 2
         # The same planes seen from either end: an odd number of cells has no middle plane to cut at.
-        parts += (n - 1) % 2 == 1 and parts % 2 == 0
+        parts += cells % 2 == 1 and parts % 2 == 0
         return np.round(np.linspace(0, n - 1, parts + 1)).astype(np.int64)
 
     i, j, k = (along(n) for n in shape)

@@ -13,7 +13,7 @@ from .base import Account, Problem, Progress, Setting
 from .options import positive
 from .skeleton import Skeleton, SubBlock, make_skeleton
 
-DEFAULT_MAX_CELLS = 32
+DEFAULT_MAX_CELLS = 16
 
 
 @dataclass(frozen=True)

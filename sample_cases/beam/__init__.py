@@ -1,0 +1,43 @@
+"""Appendix B of Sen et al.: a thin beam that bends to a parabola in a rectangle, 2-D."""
+
+import numpy as np
+
+from meshdeform_core.grid import Grid
+
+from ..patches import with_patches
+
+DEFAULT_SIZE = 40
+SIZE_HELP = "cells along the rectangle, a multiple of 40: 40 and 400 in the paper"
+
+
+def generate(size: int = DEFAULT_SIZE, origin: tuple[float, float] = (0.0, 0.0)) -> Grid:
+    """Rectangle of 4 x 2, ``size`` x (``size``/2 + 1) cells; the beam |x| <= 0.5 is a hole in the middle row.
+
+    ``origin`` is where the centre of the rectangle lies (the paper shows what an origin at the corner does).
+    """
+    if size < 40 or size % 40:
+        raise ValueError(f"size = {size} cells along x; expected a multiple of 40")
+    x = (np.arange(size + 1) - size // 2) * (4.0 / size)
+    rows = size // 2 + 1
+    y = (np.arange(rows + 1) - rows / 2) * (2.0 / rows)
+    spans_x = [(0, 3 * size // 8), (3 * size // 8, 5 * size // 8), (5 * size // 8, size)]
+    spans_y = [(0, rows // 2), (rows // 2, rows // 2 + 1), (rows // 2 + 1, rows)]
+    blocks = []
+    for i, (a, b) in enumerate(spans_x):
+        for j, (c, d) in enumerate(spans_y):
+            if (i, j) != (1, 1):
+                plane = np.stack(
+                    np.meshgrid(x[a : b + 1] + origin[0], y[c : d + 1] + origin[1], [0.0], indexing="ij"), -1
+                )
+                blocks.append(plane)
+    return with_patches(
+        Grid.from_blocks(blocks),
+        [
+            ("outer", "BCFarfield", lambda c, side: _on_rim(c - [*origin, 0.0])),
+            ("beam", "BCWall", lambda c, side: np.full(len(c), True)),
+        ],
+    )
+
+
+def _on_rim(c: np.ndarray) -> np.ndarray:
+    return np.asarray((np.abs(c[:, 0]) > 1.999) | (np.abs(c[:, 1]) > 0.999))
