@@ -283,7 +283,7 @@ class PreparedRBF:
             self._system = RadialSystem(self.options, kept)
         fit = self._with_residual(points, *self._system.solve(values[found.active], self.account, None), values)
         assert fit.residual is not None
-        error = float((np.linalg.norm(fit.residual, axis=1) / scale).max())
+        error = float((np.abs(fit.residual).max(axis=1) / scale).max())
         if error > self.options.greedy_tolerance:
             self._system = None
             return None

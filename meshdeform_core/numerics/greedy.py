@@ -18,7 +18,7 @@ class Selection:
     ----------
     active : (k,) int64, chosen centres in the order in which they were first updated
     coefficients, polynomial : (k, m), (q, m) of the reduced interpolation
-    error : (n,) error norm at every centre in units of ``scale``
+    error : (n,) largest error component at every centre in units of ``scale``
     rounds, updates : exact solutions and single-point updates that it took
     converged : whether the largest error is within the tolerance
     """
@@ -60,9 +60,10 @@ def select(kind, centres, polynomial, values, scale, *, method, tolerance, start
     count = rounds = updates = 0
     solved = weight[:0], np.zeros((polynomial.shape[1], values.shape[1]))
     while True:
-        limit = per_round if method != "single" else 100 * n
+        # Between exact solutions all updates are made, whatever the error: it is only known after the solution.
+        limit, enough = (100 * n, tolerance) if method == "single" else (per_round, 0.0)
         done, count = _update(
-            kind, columns, residual, weight, 1.0 / scale, chosen, order, count, max_points, limit, tolerance,
+            kind, columns, residual, weight, 1.0 / scale, chosen, order, count, max_points, limit, enough,
             start if updates == 0 else -1, pairs,
         )  # fmt: skip
         updates += done
@@ -72,12 +73,12 @@ def select(kind, centres, polynomial, values, scale, *, method, tolerance, start
             break
         rounds += 1
         solved, residual = _solve_exactly(kind, centres, polynomial, values, active)
-        error = np.linalg.norm(residual, axis=1) / scale
+        error = np.abs(residual).max(axis=1) / scale
         if progress:
             progress(count, max_points)
         if error.max() <= tolerance or count >= max_points or done == 0:
             break
-    error = np.linalg.norm(residual, axis=1) / scale
+    error = np.abs(residual).max(axis=1) / scale
     converged = bool(error.max() <= tolerance)
     return Selection(active.copy(), *solved, error, rounds, updates, converged)
 
@@ -108,17 +109,13 @@ def _update(
     kind, columns, residual, weight, inverse_scale, chosen, order, count, max_points, limit, tolerance, start, pairs
 ):
     """Single-point corrections; returns their number and the number of chosen centres."""
-    n, m = residual.shape
-    value = np.empty(n)
+    value = np.empty(residual.shape[0])
     done = 0
     while done < limit:
         worst = start
         if worst < 0 or done > 0:
             worst = _largest(residual, inverse_scale)
-        size = 0.0
-        for c in range(m):
-            size += residual[worst, c] ** 2
-        if np.sqrt(size) * inverse_scale[worst] <= tolerance and done > 0:
+        if np.abs(residual[worst]).max() * inverse_scale[worst] <= tolerance and done > 0:
             break
         second = _opposite(residual, inverse_scale, worst) if pairs else -1
         for point in (worst, second):
@@ -137,14 +134,13 @@ def _update(
 
 @kernel
 def _largest(residual, inverse_scale):
+    """The centre with the largest error component (the paper's "maximum absolute error")."""
     best, where = -1.0, 0
     for i in range(residual.shape[0]):
-        size = 0.0
         for c in range(residual.shape[1]):
-            size += residual[i, c] ** 2
-        size *= inverse_scale[i] ** 2
-        if size > best:
-            best, where = size, i
+            size = abs(residual[i, c]) * inverse_scale[i]
+            if size > best:
+                best, where = size, i
     return where
 
 
