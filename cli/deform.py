@@ -9,10 +9,12 @@ import click
 
 from meshdeform_core.errors import CaseError
 
+from .machine import use_threads
 from .main import EXIT_INVALID
 from .options import (
     PATH,
     CaseInput,
+    FiniteNumber,
     GridInput,
     case_options,
     check_output,
@@ -36,7 +38,9 @@ from .progress import ProgressBar
 @click.option("-o", "--output", type=PATH, help="Deformed grid; the suffix chooses the format.")
 @case_options
 @click.option("--steps", default="1", metavar="N|auto", help="Impose the motion in N steps, or as many as needed.")
-@click.option("--time", "at_time", default=0.0, metavar="T", help="Evaluate the motion at this time.")
+@click.option(
+    "--time", "at_time", type=FiniteNumber(), default=0.0, metavar="T", help="Evaluate the motion at this time."
+)
 @report_option
 @threads_option
 @memory_option
@@ -64,6 +68,7 @@ def command(
     invalid (exit code 3); the report lists them.
     """
     start = clock.perf_counter()
+    use_threads(threads)
     if output is None and not dry_run:
         raise click.UsageError("Missing option '-o' / '--output' (or --dry-run).")
     if case.empty:
@@ -71,17 +76,16 @@ def command(
     if not dry_run and output is not None:
         _check_target(output, force, *source.files, *case.files)
     check_reports(reports, force, output, *source.files, *case.files)
+    count, options, limit = parse_steps(steps), parse_pairs(variant, "--variant"), parse_memory(max_memory)
 
     from . import work
 
-    work.use_threads(threads)
-    job = work.load(source, case, parse_memory(max_memory))
+    job = work.load(source, case, limit, [path for path in (output, *reports) if path is not None])
     if dry_run or output is None:
-        click.echo(work.describe(job, at_time), nl=False)
+        click.echo(work.describe(job, output, at_time, options), nl=False)
         return 0
-    options = parse_pairs(variant, "--variant")
     with ProgressBar(not quiet) as progress:
-        report = work.run(job, output, parse_steps(steps), at_time, options, progress, start)
+        report = work.run(job, output, count, at_time, options, progress, start)
     for path in reports:
         work.write_report(report, path)
     work.tell(report, quiet, verbose)

@@ -7,6 +7,17 @@ import sys
 from pathlib import Path
 
 from meshdeform_core.memory import MemoryLimit
+from meshdeform_core.numerics.parallel import set_threads, thread_count
+
+# How the linear algebra libraries that numpy and scipy come with are told, once, when they are loaded.
+_LIBRARIES = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+
+
+def use_threads(count: int | None) -> None:
+    """Honour ``--threads``, in our loops and in linear algebra; to be called before numpy is imported."""
+    set_threads(count)
+    if count is not None:
+        os.environ.update(dict.fromkeys(_LIBRARIES, str(thread_count())))
 
 
 def machine_memory() -> MemoryLimit:

@@ -71,7 +71,11 @@ def cli() -> None:
 
 def main(args: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and exit."""
-    signal.signal(signal.SIGTERM, _terminate)
+    for name in ("SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)
+        # What the caller ignores (nohup) stays ignored.
+        if number is not None and signal.getsignal(number) is signal.SIG_DFL:
+            signal.signal(number, _terminate)
     sys.exit(run(args))
 
 
@@ -99,10 +103,15 @@ def run(args: Sequence[str] | None = None) -> int:
     except (KeyboardInterrupt, click.Abort):
         click.echo("meshdeform: interrupted; no output was left half-written", err=True)
         return EXIT_INTERRUPTED
-    except BrokenPipeError:
-        # The reader went away (`meshdeform info grid | head`): nothing more to say.
+    except (BrokenPipeError, SystemExit) as stop:
+        # The reader went away (`meshdeform info grid | head`), which click turns into exit code 1: nothing more to say.
+        if isinstance(stop, SystemExit) and stop.code != 1:
+            raise
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except OSError as error:
+        # Refused by the system: no permission, a name too long, a full disk.
+        return _fail(f"{error.filename}: {error.strerror}" if error.filename else str(error))
     except MemoryError as error:
         return _fail(f"out of memory ({error}); see --max-memory, or use a smaller grid or method")
     except Exception:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -23,6 +24,18 @@ if TYPE_CHECKING:
 Command = Callable[..., Any]
 
 PATH = click.Path(path_type=Path)
+
+
+class FiniteNumber(click.FloatRange):
+    """A number without nan and inf, which compare with nothing and would pass every check."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        number = super().convert(value, param, ctx)
+        if not math.isfinite(number):
+            self.fail(f"{value!r} is not a finite number.", param, ctx)
+        return number
+
+
 force_option = click.option("--force", is_flag=True, help="Overwrite an existing output (never the input).")
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 quiet_option = click.option("-q", "--quiet", is_flag=True, help="Print errors only.")
@@ -150,6 +163,13 @@ def parse_memory(text: str | None) -> MemoryLimit:
     return MemoryLimit(size, "--max-memory allows")
 
 
+def keep_inputs(path: Path, *inputs: Path | None) -> None:
+    """Refuse an output that is one of the inputs, by whatever name."""
+    for source in inputs:
+        if source is not None and path.exists() and source.exists() and path.samefile(source):
+            raise FormatError(f"{path} is an input; the output must be another file (even with --force)")
+
+
 def check_output(path: Path, force: bool, *inputs: Path | None) -> None:
     """Refuse, before anything is computed, to write where something lies or where nothing can be written.
 
@@ -158,13 +178,14 @@ def check_output(path: Path, force: bool, *inputs: Path | None) -> None:
     FormatError
         When the output exists and ``force`` is not given, is one of the inputs, or its folder is missing.
     """
-    for source in inputs:
-        if source is not None and path.exists() and source.exists() and path.samefile(source):
-            raise FormatError(f"{path} is an input; the output must be another file (even with --force)")
+    keep_inputs(path, *inputs)
+    if path.is_dir():
+        raise FormatError(f"cannot write {path}: it is a folder; give a file name")
     if path.exists() and not force:
         raise FormatError(f"{path} exists; use --force to overwrite it")
     if not path.parent.is_dir():
-        raise FormatError(f"cannot write {path}: the folder {path.parent} does not exist; create it first")
+        reason = "is a file" if path.parent.exists() else "does not exist; create it first"
+        raise FormatError(f"cannot write {path}: the folder {path.parent} {reason}")
 
 
 def check_reports(reports: tuple[Path, ...], force: bool, *inputs: Path | None) -> None:

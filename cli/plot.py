@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 
@@ -79,6 +80,7 @@ def parse_zoom(text: str | None) -> tuple[float, ...] | None:
         window = tuple(float(part) for part in text.split(","))
     except ValueError:
         window = ()
-    if len(window) != 4 or not (window[0] < window[1] and window[2] < window[3]):
+    sound = len(window) == 4 and all(map(math.isfinite, window))
+    if not sound or not (window[0] < window[1] and window[2] < window[3]):
         raise CaseError(f"--zoom {text!r}: expected left,right,bottom,top with left < right and bottom < top")
     return window

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from meshdeform_core.errors import GridError
-
+from .compare import require_same_blocks
+from .machine import use_threads
 from .main import EXIT_INVALID
 from .options import (
     PATH,
@@ -54,13 +54,11 @@ def command(
     With --reference a cell is invalid if a corner Jacobian that was positive became zero or negative (exit code 3).
     Alone, cells with such corners are counted as inherited. A case file (-c) tells where the moving walls are.
     """
+    use_threads(threads)
     check_reports(reports, force, reference, *source.files, *case.files)
     from meshdeform_formats.report import write_report
     from meshdeform_formats.report_text import as_text
 
-    from .work import use_threads
-
-    use_threads(threads)
     report = judge(source, reference, case)
     for path in reports:
         write_report(report, path)
@@ -79,11 +77,7 @@ def judge(source: GridInput, reference: Path | None, case: CaseInput) -> dict[st
     what = case.read()
     grid = source.read(what.boundary_file)
     original = grid if reference is None else _original(grid, reference)
-    if grid.shapes != original.shapes:
-        raise GridError(
-            f"{source.path} has blocks {list(grid.shapes)}, its reference {reference} has {list(original.shapes)}; "
-            f"expected the same blocks in the same order"
-        )
+    require_same_blocks(grid, original, source.path, reference or source.path)
     topology = find_topology(original, what.case.tolerance)
     boundary = None
     notes = original.notes

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -10,17 +12,28 @@ from meshdeform_core.errors import CaseError
 
 from .options import PATH, check_output, force_option, parse_pairs, variant_option
 
+if TYPE_CHECKING:
+    from meshdeform_core.grid import Grid
+    from meshdeform_core.transfer import SurfaceData
+
+_BOUNDARY_FILE = "grid.nmf"
+
 
 @click.command("sample")
 @click.argument("name", required=False)
-@click.option("-o", "--output", type=PATH, help="Folder for grid, case.toml and README.md; made if missing.")
+@click.option("-o", "--output", type=PATH, help="Folder for grid and case.toml; made if missing.")
 @click.option("--size", type=int, help="Size of the grid; what it counts depends on the sample.")
-@click.option("--suffix", default=".cgns", show_default=True, help="Format of the grid, by suffix.")
+@click.option(
+    "--suffix",
+    default=".cgns",
+    show_default=True,
+    help="Format of the grid, by suffix; grid.nmf holds the boundaries for formats that have no place for them.",
+)
 @variant_option
 @force_option
 def command(
     name: str | None, output: Path | None, size: int | None, suffix: str, variant: tuple[str, ...], force: bool
-) -> int:
+) -> int:  # fmt: skip
     """Write the sample case NAME into a folder; without NAME list what there is.
 
     \b
@@ -29,34 +42,84 @@ def command(
       meshdeform sample splitter-plate -o case --size 16
       meshdeform deform case/grid.cgns -c case/case.toml -o case/deformed.cgns
     """
-    from meshdeform_formats.grids import format_of, write_grid
-    from meshdeform_samples import SAMPLES, folder, load
+    from meshdeform_formats.displacement import write_displacement
+    from meshdeform_formats.files import replacing
+    from meshdeform_formats.grids import format_of, variant_of, write_grid
+    from meshdeform_samples import SAMPLES
 
     if name is None:
-        for key in SAMPLES:
-            module = load(key)
-            title = (module.__doc__ or "").splitlines()[0]
-            click.echo(f"{key}\n    {title}\n    --size: {module.SIZE_HELP}; default {module.DEFAULT_SIZE}")
+        click.echo(_catalogue())
         return 0
     if name not in SAMPLES:
         raise CaseError(f"sample {name!r} is unknown; known are {', '.join(SAMPLES)}")
     if output is None:
         raise click.UsageError("Missing option '-o' / '--output'.")
     target = output / f"grid{suffix if suffix.startswith('.') else '.' + suffix}"
-    format_of(target)
+    kind = format_of(target)
+    if kind == "meshio":
+        raise CaseError(f"--suffix {suffix}: unstructured grids cannot be deformed; expected Plot3D, VTK or .cgns")
+    options = parse_pairs(variant, "--variant")
+    grid, tables = _generate(name, size)
+    variant_of(grid, target, options)
+    boundary_file = None if kind == "cgns" else _BOUNDARY_FILE
+    texts = _texts(name, boundary_file)
+    _make_folder(output)
+    for file in (target.name, boundary_file or target.name, *tables, *texts):
+        check_output(output / file, force)
+    write_grid(grid, target, options)
+    if boundary_file:
+        _write_boundaries(grid, output / boundary_file)
+    for file, table in tables.items():
+        write_displacement(output / file, table)
+    for file, text in texts.items():
+        with replacing(output / file) as partial:
+            partial.write_text(text, encoding="utf-8")
+    click.echo(f"{target}: {grid.n_blocks} blocks, {grid.n_nodes:,} nodes; case in {output / 'case.toml'}")
+    return 0
+
+
+def _catalogue() -> str:
+    from meshdeform_samples import SAMPLES, load
+
+    entries = []
+    for key in SAMPLES:
+        module = load(key)
+        title = (module.__doc__ or "").splitlines()[0]
+        entries.append(f"{key}\n    {title}\n    --size: {module.SIZE_HELP}; default {module.DEFAULT_SIZE}")
+    return "\n".join(entries)
+
+
+def _make_folder(output: Path) -> None:
     if output.exists() and not output.is_dir():
         raise CaseError(f"{output} is a file; expected a folder")
     output.mkdir(parents=True, exist_ok=True)
-    texts = {output / file: (folder(name) / file).read_text(encoding="utf-8") for file in ("case.toml", "README.md")}
-    for path in (target, *texts):
-        check_output(path, force)
+
+
+def _generate(name: str, size: int | None) -> tuple[Grid, dict[str, SurfaceData]]:
+    """The grid and the tables of its motion, by file name."""
+    from meshdeform_samples import load
+
     module = load(name)
+    size = module.DEFAULT_SIZE if size is None else size
     try:
-        grid = module.generate(module.DEFAULT_SIZE if size is None else size)
+        return module.generate(size), module.tables(size) if hasattr(module, "tables") else {}
     except ValueError as error:
         raise CaseError(f"sample {name}: {error}") from error
-    write_grid(grid, target, parse_pairs(variant, "--variant"))
-    for path, text in texts.items():
-        path.write_text(text, encoding="utf-8")
-    click.echo(f"{target}: {grid.n_blocks} blocks, {grid.n_nodes:,} nodes; case in {output / 'case.toml'}")
-    return 0
+
+
+def _texts(name: str, boundary_file: str | None) -> dict[str, str]:
+    """case.toml and README.md; the case names the neutral map file if there is one."""
+    from meshdeform_samples import folder
+
+    texts = {file: (folder(name) / file).read_text(encoding="utf-8") for file in ("case.toml", "README.md")}
+    if boundary_file:
+        texts["case.toml"] = f'[grid]\nboundary_file = "{boundary_file}"\n\n{texts["case.toml"]}'
+    return texts
+
+
+def _write_boundaries(grid: Grid, path: Path) -> None:
+    """Boundaries as a neutral map file whose types are the names that the case selects."""
+    from meshdeform_formats.neutral_map import write_neutral_map
+
+    named = tuple(dataclasses.replace(patch, bc_type="", family=patch.name) for patch in grid.patches)
+    write_neutral_map(dataclasses.replace(grid, patches=named), path)

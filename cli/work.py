@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time as clock
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,17 +14,16 @@ from meshdeform_core.deform import Timing, impose, set_up
 from meshdeform_core.grid import Grid
 from meshdeform_core.memory import MemoryLimit
 from meshdeform_core.methods import make_method
-from meshdeform_core.numerics.parallel import set_threads
 from meshdeform_formats.case import CaseFile
-from meshdeform_formats.grids import variant_of, write_grid
+from meshdeform_formats.grids import complete_for_export, variant_of, write_grid
 from meshdeform_formats.report import Report, deformation_report, plan_report, write_report
 from meshdeform_formats.report_text import as_text
 
 from .machine import peak_memory
-from .options import CaseInput, GridInput
+from .options import CaseInput, GridInput, keep_inputs
 from .progress import ProgressBar
 
-__all__ = ["Job", "describe", "load", "run", "tell", "use_threads", "write_report"]
+__all__ = ["Job", "describe", "load", "run", "tell", "write_report"]
 
 
 @dataclass(frozen=True)
@@ -36,24 +36,28 @@ class Job:
     memory: MemoryLimit
 
 
-def use_threads(count: int | None) -> None:
-    """Honour ``--threads``."""
-    set_threads(count)
+def load(source: GridInput, case: CaseInput, memory: MemoryLimit, outputs: Sequence[Path]) -> Job:
+    """Read the case first (it is small and most often wrong), then the grid with its boundary information.
 
-
-def load(source: GridInput, case: CaseInput, memory: MemoryLimit) -> Job:
-    """Read the case first (it is small and most often wrong), then the grid with its boundary information."""
+    ``outputs`` must not be files that the case names.
+    """
     what = case.read()
+    for path in outputs:
+        keep_inputs(path, *what.files)
     make_method(what.case.method)
     start = clock.perf_counter()
     grid = source.read(what.boundary_file)
     # Coordinates before and after, displacement, arc lengths, quality: measured peaks stay below this.
-    memory.require(8 * grid.points.nbytes, f"deforming {grid.n_nodes:,} nodes", "use a machine with more memory")
+    memory.require(
+        8 * grid.points.nbytes, f"deforming {grid.n_nodes:,} nodes", "allow more, or use a machine that has it"
+    )
     return Job(grid, what, clock.perf_counter() - start, memory)
 
 
-def describe(job: Job, time: float) -> str:
+def describe(job: Job, output: Path | None, time: float, variant: dict[str, str]) -> str:
     """What would be done: classification, parameters, node counts."""
+    if output is not None:
+        variant_of(job.grid, output, variant)
     setup = set_up(job.grid, job.case.case)
     prepared = make_method(job.case.case.method).prepare(setup.problem)
     displacement = setup.displacement(time)
@@ -67,7 +71,8 @@ def run(
     """Deform, write, report. ``start`` is when the command began (``perf_counter``)."""
     precision = variant_of(job.grid, output, variant).precision
     timing = Timing()
-    result = impose(set_up(job.grid, job.case.case, timing), time, steps, precision, timing, progress)
+    grid = complete_for_export(job.grid, output)
+    result = impose(set_up(grid, job.case.case, timing), time, steps, precision, timing, progress)
     before = clock.perf_counter()
     write_grid(result.grid, output, variant)
     now = clock.perf_counter()

@@ -8,7 +8,7 @@ from __future__ import annotations
 import difflib
 import keyword
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,7 @@ from meshdeform_core.transfer import Matching
 from .displacement import read_displacement
 
 Table = dict[str, Any]
+_TOO_LONG = "it has an integer of more than 64 bits; write large numbers like 1e30"
 _KINDS = {kind.label: kind for kind in reversed(Kind) if kind is not Kind.INTERFACE}
 _STEPS = {
     "rotate": ("rotate",),
@@ -38,11 +39,13 @@ _STEPS = {
 class CaseFile:
     """A case and what the case file says about reading the grid.
 
-    ``boundary_file`` is a neutral map file with the grid's boundary information, or ``None``.
+    ``boundary_file`` is a neutral map file with the grid's boundary information, or ``None``; ``files`` are all that
+    the case names. File names in a case are relative to the case file.
     """
 
     case: Case
     boundary_file: Path | None = None
+    files: tuple[Path, ...] = ()
 
 
 def read_case(
@@ -66,11 +69,12 @@ def read_case(
     data = _load(path)
     for text in overrides:
         _override(data, text)
-    if method:
-        _table(data, "method")["name"] = method
+    folder = path.parent if path else Path()
     try:
-        # File names in a case are relative to the case file.
-        parsed = _parse(data, path.parent if path else Path())
+        if method:
+            data.setdefault("method", {})
+            _table(data, "method")["name"] = method
+        parsed = _parse(data, folder)
     except (CaseError, MethodError) as error:
         raise type(error)(f"{path or 'command line'}: {error}") from error
     if table:
@@ -95,8 +99,12 @@ def _toml(text: str) -> Table:
     """Parse TOML; ``ValueError`` for anything else, also for the integers beyond 64 bits that TOML does not have."""
     try:
         data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError:
+        raise
     except RecursionError:
         raise ValueError("its brackets are nested too deeply") from None
+    except ValueError:
+        raise ValueError(_TOO_LONG) from None
     _require_64_bits(data)
     return data
 
@@ -106,7 +114,7 @@ def _require_64_bits(value: Any) -> None:
         for item in value.values() if isinstance(value, dict) else value:
             _require_64_bits(item)
     elif isinstance(value, int) and not -(2**63) <= value < 2**63:
-        raise ValueError("it has an integer of more than 64 bits; write large numbers like 1e30")
+        raise ValueError(_TOO_LONG)
 
 
 def _fail(where: str, message: str) -> CaseError:
@@ -118,7 +126,7 @@ def _override(data: Table, text: str) -> None:
     if not equals or not key.strip():
         raise CaseError(f"--set {text!r}: expected KEY=VALUE, like method.idw.alpha=0.3")
     try:
-        parsed = _toml(f"value = {value}")["value"]
+        (parsed,) = _toml(f"value = {value}").values()
     except ValueError:
         parsed = value.strip()
     *path, last = key.strip().split(".")
@@ -128,7 +136,10 @@ def _override(data: Table, text: str) -> None:
         if not isinstance(target, (dict, list)):
             raise CaseError(f"--set {text!r}: {name!r} is a value, not a table")
     if isinstance(target, list):
-        raise CaseError(f'--set {text!r}: name the entry and its key, like boundary.wing.kind="fixed"')
+        raise CaseError(
+            f"--set {text!r}: {'.'.join(path)} is a list; name an entry and its key, like "
+            f'boundary.wing.kind="fixed", or give the list as a whole'
+        )
     target[last] = parsed
 
 
@@ -137,7 +148,7 @@ def _entry(entries: list[Any], name: str, text: str) -> Any:
         if isinstance(entry, dict) and (entry.get("name") == name or str(number) == name):
             return entry
     known = [str(e.get("name", n)) for n, e in enumerate(entries, 1) if isinstance(e, dict)]
-    raise CaseError(f"--set {text!r}: no boundary entry {name!r}; known are {', '.join(known)}")
+    raise CaseError(f"--set {text!r}: no entry {name!r}; known are {', '.join(known) or 'none'}")
 
 
 def _parse(data: Table, folder: Path) -> CaseFile:
@@ -157,7 +168,17 @@ def _parse(data: Table, folder: Path) -> CaseFile:
         raise _fail("grid.tolerance", f"{tolerance} of the local edge; expected a fraction between 0 and 0.5")
     case = Case(specs, constants, _options(_table(data, "method")), tolerance)
     boundary_file = _file(grid["boundary_file"], folder, "[grid]: boundary_file") if "boundary_file" in grid else None
-    return CaseFile(case, boundary_file)
+    return CaseFile(case, boundary_file, tuple(folder / name for name in _named_files(data)))
+
+
+def _named_files(value: Any) -> Iterator[str]:
+    """Values of ``file`` and ``boundary_file``, wherever they are."""
+    if isinstance(value, (dict, list)):
+        for key, item in value.items() if isinstance(value, dict) else enumerate(value):
+            if key in ("file", "boundary_file") and isinstance(item, str):
+                yield item
+            else:
+                yield from _named_files(item)
 
 
 def _constants(table: Table) -> dict[str, float]:
@@ -218,14 +239,20 @@ def _step(step: Table, number: int, known: tuple[str, ...], where: str, folder: 
     _check_keys(step, _STEPS[kinds[0]], where)
     value = step[kinds[0]]
     if kinds[0] == "file":
-        tolerance = step.get("tolerance")
-        limit = None if tolerance is None else _number(tolerance, f"{where}: tolerance")
-        data = read_displacement(_file(value, folder, f"{where}: file"))
-        return Follow(data, Matching(step.get("match", "nearest"), limit))
+        matching = _matching(step, where)
+        return Follow(read_displacement(_file(value, folder, f"{where}: file")), matching)
     if kinds[0] == "rotate":
         return _rotation(value, known, where)
     x, y, z = (_formula(part, known, where) for part in _three(value, f"{where}: {kinds[0]}"))
     return Displace((x, y, z))
+
+
+def _matching(step: Table, where: str) -> Matching:
+    tolerance = _number(step["tolerance"], f"{where}: tolerance") if "tolerance" in step else None
+    try:
+        return Matching(step.get("match", "nearest"), tolerance)
+    except CaseError as error:
+        raise _fail(where, str(error)) from None
 
 
 def _rotation(value: Any, known: tuple[str, ...], where: str) -> Rotate:

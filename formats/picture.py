@@ -59,7 +59,8 @@ def plane_facets(grid: Grid, topology: Topology, axis: int, index: int | None, m
             corners.append(_quads(np.take(grid.block(block), at, axis=along)))
             values.append(np.take(measures, layer, axis=along).ravel())
     if not corners:
-        raise CaseError(f"no block has a node plane {'ijk'[axis]} = {(index or 0) + 1}")
+        longest = max(shape[axis] for shape in grid.shapes)
+        raise CaseError(f"no block has a node plane {'ijk'[axis]} = {(index or 0) + 1}; the largest is {longest}")
     return Facets(np.concatenate(corners), np.concatenate(values))
 
 

@@ -212,7 +212,7 @@ def test_variant_follows_the_input_only_for_the_same_kind(tmp_path):
     other = vtk.variant(own, tmp_path / "b.vtk", {})
     assert (dict(other.options), other.precision) == ({"kind": "legacy", "encoding": "binary"}, "float32")
     assert vtk.variant(grid, tmp_path / "b.vts", {}).label == (
-        "vtk (kind=vts, encoding=appended, compression=zlib, byte_order=little, header_type=UInt64), float64"
+        "vtk (kind=vts, encoding=appended, compression=none, byte_order=little, header_type=UInt64), float64"
     )
 
 

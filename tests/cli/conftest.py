@@ -1,0 +1,115 @@
+"""A bench for commands: a folder with small good files to work in, and a way to call the program in-process."""
+
+from __future__ import annotations
+
+import dataclasses
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from grids import frame, frame_2d
+
+from meshdeform_cli.main import run
+from meshdeform_core.grid import Grid, Patch, Side
+from meshdeform_core.topology import find_topology
+from meshdeform_core.windows import windows_of_quads
+from meshdeform_formats import write_grid
+
+CASE = """\
+[constants]
+turn = 10.0
+
+[[boundary]]
+name = "body"
+select = ["*.i*", "*.j*"]
+where = "abs(x) < 0.51 and abs(y) < 0.51"
+kind = "moving"
+motion = [{ rotate = { angle = "turn", axis = [0, 0, 1], center = [0, 0, 0] } }]
+
+[[boundary]]
+name = "span"
+select = ["*.kmin", "*.kmax"]
+kind = "slip"
+"""
+
+
+@dataclasses.dataclass(frozen=True)
+class Outcome:
+    """What a command left behind: exit code, stdout, stderr."""
+
+    code: int
+    out: str
+    err: str
+
+
+Call = Callable[..., Outcome]
+
+
+@pytest.fixture
+def call(capsys: pytest.CaptureFixture[str]) -> Call:
+    """``call("info", "grid.xyz")`` runs a command in this process."""
+
+    def called(*args: object) -> Outcome:
+        capsys.readouterr()
+        code = run([str(arg) for arg in args])
+        return Outcome(code, *capsys.readouterr())
+
+    return called
+
+
+@pytest.fixture(scope="session")
+def _template(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("bench")
+    grid = frame()
+    write_grid(grid, folder / "grid.xyz")
+    write_grid(grid, folder / "grid.p3dfmt", {"encoding": "ascii"})
+    write_grid(with_walls(grid), folder / "grid.cgns")
+    write_grid(frame_2d(), folder / "flat.p2dfmt", {"encoding": "ascii", "dimension": "2"})
+    (folder / "case.toml").write_text(CASE)
+    points = grid.points[np.abs(grid.points[:, :2]).max(axis=1) < 0.51]
+    table = np.hstack([points, np.tile([0.1, 0.0, 0.0], (len(points), 1))])
+    np.savetxt(folder / "table.csv", np.unique(table, axis=0), "%.17g", delimiter=",", header="x,y,z,dx,dy,dz")
+    (folder / "old.xyz").write_bytes(b"an old result")
+    (folder / "old.json").write_text("an old report")
+    return folder
+
+
+@pytest.fixture
+def bench(_template: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The current folder, with grid.xyz, grid.p3dfmt, grid.cgns, flat.p2dfmt, case.toml, table.csv and old results."""
+    folder = tmp_path / "bench"
+    shutil.copytree(_template, folder)
+    monkeypatch.chdir(folder)
+    return folder
+
+
+def with_walls(grid: Grid) -> Grid:
+    """``frame`` with the patches ``body``, ``outer`` and ``span``."""
+    topology = find_topology(grid)
+    windows: dict[str, list] = {"body": [], "outer": [], "span": []}
+    for block in range(grid.n_blocks):
+        for side in Side:
+            chosen = topology.external[topology.quads.of_side(block, side)]
+            low = grid.points[topology.first[topology.quads.corners[topology.quads.of_side(block, side)]]]
+            near = np.abs(low[..., :2]).max() < 0.51
+            name = "span" if side.axis == 2 else "body" if near else "outer"
+            counts = tuple(topology.quads.counts[block, side])
+            windows[name] += windows_of_quads(grid.shapes[block], block, side, chosen.reshape(counts))
+    kinds = {"body": "BCWall", "outer": "BCFarfield", "span": "BCSymmetryPlane"}
+    patches = tuple(Patch(name, tuple(found), name, kinds[name]) for name, found in windows.items())
+    return dataclasses.replace(grid, patches=patches)
+
+
+def contents(folder: Path) -> dict[str, bytes | None]:
+    """Every path below a folder with its bytes: what must not change when a command refuses."""
+    return {
+        str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None
+        for path in sorted(folder.rglob("*"))
+    }
+
+
+@pytest.fixture
+def snapshot() -> Callable[[Path], dict[str, bytes | None]]:
+    return contents

@@ -1,0 +1,193 @@
+"""Wrong case files: each is refused with one message that names what is wrong, and nothing is written."""
+
+from __future__ import annotations
+
+import pytest
+
+HEAD = '[[boundary]]\nname = "body"\nselect = ["*"]\nwhere = "abs(x) < 0.51 and abs(y) < 0.51"\n'
+MOVING = HEAD + 'kind = "moving"\n'
+SHIFT = MOVING + "motion = [{ translate = [0.1, 0, 0] }]\n"
+
+
+def body(line: str) -> str:
+    """The moving body with its motion replaced by ``line``."""
+    return MOVING + line + "\n"
+
+
+def moved(formula: str) -> str:
+    return body(f"motion = [{{ displace = [{formula!r}, 0, 0] }}]")
+
+
+# id: (case file, fragments of the message)
+WRONG = {
+    # not TOML
+    "syntax": ("[method\nname = 'tfi'", ("not a TOML file", "line 1")),
+    "key-twice": ("[method]\nname = 'tfi'\nname = 'idw'", ("not a TOML file", "overwrite")),
+    "endless-integer": ("[constants]\nL = " + "9" * 5000, ("64 bits", "1e30")),
+    "nested-too-deeply": ("a = " + "[" * 3000 + "]" * 3000, ("not a TOML file", "nested too deeply")),
+    # unknown keys at every level
+    "key-top": ("[metod]\nname = 'tfi'", ("unknown key 'metod'", "did you mean 'method'")),
+    "key-grid": ("[grid]\nboundary_fil = 'a.nmf'", ("[grid]", "boundary_fil", "did you mean 'boundary_file'")),
+    "key-boundary": (SHIFT + "selct = ['a']", ("boundary 'body'", "selct", "did you mean 'select'")),
+    "key-motion": (body("motion = [{ translat = [0, 0, 0] }]"), ("motion step 1", "did you mean 'translate'")),
+    "key-rotate": (body("motion = [{ rotate = { angel = 5 } }]"), ("rotate", "angel", "did you mean 'angle'")),
+    "key-file": (body("motion = [{ file = 'table.csv', math = 'exact' }]"), ("math", "did you mean 'match'")),
+    "key-method": ("[method]\nnam = 'tfi'\n" + SHIFT, ("[method]", "nam", "did you mean 'name'")),
+    "key-idw": ("[method.idw]\nalpa = 0.1\n" + SHIFT, ("[method.idw]", "alpa", "did you mean 'alpha'")),
+    "key-tfi": ("[method.tfi]\nmax_cell = 8\n" + SHIFT, ("[method.tfi]", "did you mean 'max_cells'")),
+    "key-nothing-near": ("[zzz]\n", ("unknown key 'zzz'", "known are grid, constants, boundary, method")),
+    # wrong types at every level
+    "type-grid": ("grid = 3", ("grid", "expected a table")),
+    "type-constants": ("constants = []", ("constants", "expected a table")),
+    "type-boundary": ("boundary = 3", ("boundary", "double brackets")),
+    "type-boundary-single": ("[boundary]\nname = 'a'", ("boundary", "double brackets")),
+    "type-boundary-entries": ("boundary = [1, 2]", ("boundary", "double brackets")),
+    "type-boundary-file": ("[grid]\nboundary_file = 3", ("[grid]: boundary_file", "file name", "3")),
+    "type-tolerance": ("[grid]\ntolerance = 'small'", ("grid.tolerance", "finite number", "'small'")),
+    "type-constant": ("[constants]\nL = 'five'", ("constants.L", "finite number", "'five'")),
+    "type-constant-bool": ("[constants]\nL = true", ("constants.L", "finite number", "True")),
+    "type-name": (SHIFT.replace('"body"', "7"), ("name = 7", "expected")),
+    "type-select": (SHIFT.replace('["*"]', "7"), ("boundary 'body'", "select = 7", "list of names")),
+    "type-select-items": (SHIFT.replace('["*"]', "[1]"), ("boundary 'body'", "select = [1]")),
+    "type-select-empty": (SHIFT.replace('["*"]', "[]"), ("boundary 'body'", "select = []")),
+    "type-where": (SHIFT.replace('"abs(x) < 0.51 and abs(y) < 0.51"', "[1]"), ("where", "[1]", "formula")),
+    "type-kind": (SHIFT.replace('"moving"', "['moving']"), ("boundary 'body'", "kind = ['moving']", "fixed")),
+    "type-kind-table": (SHIFT.replace('"moving"', "{ a = 1 }"), ("boundary 'body'", "kind = {'a': 1}")),
+    "type-motion": (body("motion = 5"), ("motion", "list of tables")),
+    "type-motion-items": (body("motion = ['up']"), ("motion", "list of tables")),
+    "type-translate": (body("motion = [{ translate = 0.1 }]"), ("translate", "three values", "0.1")),
+    "type-translate-two": (body("motion = [{ translate = [1, 2] }]"), ("translate", "three values", "[1, 2]")),
+    "type-translate-item": (body("motion = [{ translate = [[], 0, 0] }]"), ("number or a formula", "[]")),
+    "type-rotate": (body("motion = [{ rotate = 30 }]"), ("rotate = 30", "angle")),
+    "type-axis": (body("motion = [{ rotate = { angle = 5, axis = 'z' } }]"), ("axis", "three values", "'z'")),
+    "type-axis-item": (body("motion = [{ rotate = { angle = 5, axis = [0, 0, '1'] } }]"), ("axis", "'1'")),
+    "type-center": (body("motion = [{ rotate = { angle = 5, center = 0 } }]"), ("center", "three values")),
+    "type-angle": (body("motion = [{ rotate = { angle = true } }]"), ("number or a formula", "True")),
+    "type-file": (body("motion = [{ file = 5 }]"), ("motion step 1", "file name, found 5")),
+    "type-match": (body("motion = [{ file = 'table.csv', match = 5 }]"), ("motion step 1", "match = 5", "exact, nearest, interpolate")),
+    "type-match-tolerance": (body("motion = [{ file = 'table.csv', tolerance = 'x' }]"), ("tolerance", "'x'")),
+    "type-method": ("method = 'tfi'\n" + SHIFT, ("method", "expected a table [method]")),
+    "type-method-name": ("[method]\nname = 3\n" + SHIFT, ("method.name", "3")),
+    "type-idw": ("[method]\nidw = 3\n" + SHIFT, ("method.idw", "expected a table")),
+    "type-alpha": ("[method.idw]\nalpha = 'big'\n" + SHIFT, ("method.idw.alpha", "'big'", "positive number")),
+    "type-rotation": ("[method.idw]\nrotation = 3\n" + SHIFT, ("method.idw.rotation", "quaternion")),
+    "type-remove-mean": ("[method.idw]\nremove_mean = 'no'\n" + SHIFT, ("method.idw.remove_mean", "auto")),
+    "type-max-cells": ("[method.tfi]\nmax_cells = 'few'\n" + SHIFT, ("method.tfi.max_cells", "'few'")),
+    # values out of range
+    "value-tolerance": ("[grid]\ntolerance = 0.7", ("grid.tolerance", "0.7", "between 0 and 0.5")),
+    "value-constant-nan": ("[constants]\nL = nan", ("constants.L", "finite", "nan")),
+    "value-constant-huge": ("[constants]\nL = 1" + "0" * 400, ("64 bits", "1e30")),
+    "value-hexadecimal": ("[constants]\nL = 0x" + "f" * 5000, ("64 bits",)),
+    "value-constant-t": ("[constants]\nt = 1", ("constants.t", "already has a meaning")),
+    "value-constant-name": ("[constants]\n'a b' = 1", ("constants.a b", "letters, digits and _")),
+    "value-constant-keyword": ("[constants]\nand = 1", ("constants.and", "meaning")),
+    "value-kind": (SHIFT.replace('"moving"', '"movin"'), ("kind = 'movin'", "did you mean 'moving'")),
+    "value-no-kind": ('[[boundary]]\nname = "a"', ("boundary 'a'", "has no kind", "moving, fixed")),
+    "value-axis": (body("motion = [{ rotate = { angle = 5, axis = [0, 0, 0] } }]"), ("axis", "no direction")),
+    "value-axis-nan": (body("motion = [{ rotate = { angle = 5, axis = [nan, 0, 1] } }]"), ("axis", "finite")),
+    "value-no-angle": (body("motion = [{ rotate = { axis = [0, 0, 1] } }]"), ("no angle", "degrees")),
+    "value-two-steps-in-one": (body("motion = [{ translate = [0, 0, 0], rotate = {} }]"), ("exactly one of",)),
+    "value-empty-step": (body("motion = [{}]"), ("motion step 1", "exactly one of")),
+    "value-no-motion": (MOVING, ("boundary 'body'", "moves but has no motion")),
+    "value-empty-motion": (body("motion = []"), ("boundary 'body'", "moves but has no motion")),
+    "value-motion-of-fixed": (
+        HEAD + "kind = 'fixed'\nmotion = [{ translate = [0, 0, 0] }]",
+        ("boundary 'body'", "is fixed but has a motion"),
+    ),
+    "value-match": (body("motion = [{ file = 'table.csv', match = 'neer' }]"), ("match = 'neer'", "nearest")),
+    "value-match-tolerance": (body("motion = [{ file = 'table.csv', tolerance = -1 }]"), ("tolerance", "positive")),
+    "value-alpha": ("[method.idw]\nalpha = -0.1\n" + SHIFT, ("method.idw.alpha = -0.1", "positive number")),
+    "value-alpha-huge": ("[method.idw]\nalpha = 1" + "0" * 400 + "\n" + SHIFT, ("64 bits",)),
+    "value-rotation": ("[method.idw]\nrotation = 'li'\n" + SHIFT, ("rotation = 'li'", "lie")),
+    "value-divisions": ("[method.idw]\ndivisions = 2.5\n" + SHIFT, ("divisions = 2.5", "whole number")),
+    "value-reweight": ("[method.idw]\nreweight = true\n" + SHIFT, ("reweight", "division")),
+    "type-reweight": ("[method.idw]\nrotation = 'division'\nreweight = 'x'\n" + SHIFT, ("reweight", "'x'")),
+    "value-max-cells": ("[method.tfi]\nmax_cells = -4\n" + SHIFT, ("max_cells = -4",)),
+    "value-method": ("[method]\nname = 'tfy'\n" + SHIFT, ("method 'tfy' is unknown", "idw-tfi")),
+    "same-name-twice": (SHIFT + SHIFT, ("boundary", "names must differ", "body")),
+    # formulas
+    "formula-syntax": (moved("0.1*"), ("'0.1*'", "not a formula")),
+    "formula-empty": (moved(""), ("not a formula",)),
+    "formula-name": (moved("q*x"), ("unknown name 'q'", "known are")),
+    "formula-near-name": (
+        "[constants]\nlength = 1\n" + moved("lenght*x"), ("unknown name 'lenght'", "did you mean 'length'")
+    ),
+    "formula-function": (moved("sine(x)"), ("unknown function 'sine'", "did you mean 'sin")),
+    "formula-arguments": (moved("atan2(x)"), ("atan2 takes 2 arguments, found 1",)),
+    "formula-power": (moved("x^2"), ("not allowed", "powers are written **")),
+    "formula-text": (moved("x + 'a'".replace("'", "\\'")), ()),
+    "formula-time-in-where": (SHIFT.replace("abs(x) < 0.51", "t < 1"), ("where", "unknown name 't'")),
+    "formula-number-too-large": (moved("1" + "0" * 400), ("beyond the range",)),
+    "formula-number-not-quoted": (body("motion = [{ translate = [1" + "0" * 400 + ", 0, 0] }]"), ("64 bits",)),
+    "formula-nan": (body("motion = [{ translate = [nan, 0, 0] }]"), ("motion step 1", "nan")),
+    "formula-too-long": (moved("+".join(["x"] * 600)), ("1000",)),
+    "formula-too-deep": (moved("(" * 400 + "x" + ")" * 400), ("not a formula",)),
+    # formulas that reach for Python
+    "python-import": (moved('__import__("os").system("touch hacked")'), ("not allowed",)),
+    "python-attribute": (moved("x.__class__"), ("x.__class__", "not allowed")),
+    "python-dunder": (moved("__builtins__"), ("unknown name '__builtins__'",)),
+    "python-index": (moved("x[0]"), ("x[0]", "not allowed")),
+    "python-lambda": (moved("(lambda: 1)()"), ("not allowed",)),
+    "python-comprehension": (moved("[x for x in (1, 2)]"), ("not allowed",)),
+    "python-walrus": (moved("(y := 1)"), ("not allowed",)),
+    "python-text": (moved('"a" * 9'), ("not allowed",)),
+    "python-f-text": (moved('f"{x}"'), ("not allowed",)),
+    "python-call-of-call": (moved("sin(x)(y)"), ("not allowed",)),
+    "python-keyword-argument": (moved("where(x, a=1)"), ("not allowed",)),
+    "python-star": (moved("max(*x)"), ()),
+    "python-ternary": (moved("1 if x > 0 else 2"), ("not allowed",)),
+    "python-complex": (moved("1j*x"), ("not allowed",)),
+    "python-open": (moved('open("case.toml")'), ("unknown function 'open'",)),
+    "python-eval": (moved('eval("1")'), ("unknown function 'eval'",)),
+    "python-in-where": (SHIFT.replace("abs(x) < 0.51", "exec('x')"), ("where", "unknown function 'exec'")),
+    "python-in-angle": (body("motion = [{ rotate = { angle = 'x.real' } }]"), ("x.real", "not allowed")),
+    "python-in-center": (body("motion = [{ rotate = { angle = 1, center = ['x.T', 0, 0] } }]"), ("x.T", "not allowed")),
+    # selections
+    "select-unknown": (SHIFT.replace('"*"]', '"wing"]'), ("'wing'", "no named patches", "block1.imin")),
+    "select-near": (SHIFT.replace('"*"]', '"block1.imn"]'), ("did you mean 'block1.imin'",)),
+    "select-shared": (SHIFT.replace('"*"]', '"block1.imax"]'), ("shared with other blocks", "meshdeform info")),
+    "select-window": (SHIFT.replace('"*"]', '"block1.imin[1:99,*]"]'), ("1:99", "outside the face")),
+    "select-window-text": (SHIFT.replace('"*"]', '"block1.imin[a,*]"]'), ("'a'", "not a range")),
+    "select-window-one": (SHIFT.replace('"*"]', '"block1.imin[1:2]"]'), ("1 ranges", "expected two")),
+    "select-window-line": (SHIFT.replace('"*"]', '"block1.imin[1:1,*]"]'), ("no cell face", "two nodes")),
+    "where-nothing": (SHIFT.replace("abs(x) < 0.51", "x > 99"), ("where", "no face", "x -2 to 2")),
+    "where-nan": (SHIFT.replace("abs(x) < 0.51", "sqrt(-1) > 0"), ("where", "no face")),
+    # motions that cannot be
+    "nothing-moves": ('[[boundary]]\nname = "all"\nkind = "fixed"', ("no node moves", "kind = \"moving\"")),
+    "empty": ("", ("no node moves",)),
+    "motion-nan": (moved("log(x)"), ("motion step 1", "at node block1", "check the formulas")),
+    "motion-infinite": (moved("1/(y*0)"), ("motion step 1", "check the formulas")),
+    "moving-conflict": (
+        SHIFT + SHIFT.replace('"body"', '"other"').replace("0.1", "0.2"),
+        ("'body' and 'other' disagree", "shared node", "0.1", "0.2"),
+    ),
+    "periodic-one-side": ("[[boundary]]\nselect = ['block1.imin']\nkind = 'periodic'\n" + SHIFT, ("periodic", "one side, other side")),
+    "periodic-no-match": (
+        "[[boundary]]\nname = 'p'\nselect = ['block1.imin', 'block1.jmin']\nkind = 'periodic'\n" + SHIFT,
+        ("'p'", "do not match"),
+    ),
+    # files
+    "boundary-file-missing": ("[grid]\nboundary_file = 'no.nmf'\n" + SHIFT, ("no.nmf", "No such file")),
+    "boundary-file-is-grid": ("[grid]\nboundary_file = 'grid.xyz'\n" + SHIFT, ("grid.xyz",)),
+    "boundary-file-null": ('[grid]\nboundary_file = "a\\u0000b"\n' + SHIFT, ("boundary_file", "expected a file name")),
+    "boundary-file-empty": ("[grid]\nboundary_file = ''\n" + SHIFT, ("boundary_file", "expected a file name")),
+    "table-missing": (body("motion = [{ file = 'no.csv' }]"), ("no.csv", "No such file")),
+    "table-folder": (body("motion = [{ file = '.' }]"), ("Is a directory",)),
+    "table-null": (body('motion = [{ file = "a\\u0000b" }]'), ("file", "expected a file name")),
+    "table-is-case": (body("motion = [{ file = 'case.toml' }]"), ("case.toml", "no table of displacements")),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_wrong_case_is_refused(name, bench, call, snapshot):
+    text, fragments = WRONG[name]
+    (bench / "wrong.toml").write_text(text)
+    before = snapshot(bench)
+    result = call("deform", "grid.xyz", "-c", "wrong.toml", "-o", "out.xyz", "--report", "out.json")
+    assert snapshot(bench) == before
+    assert result.code == 2
+    assert result.out == ""
+    assert result.err.startswith("meshdeform: error: ")
+    assert result.err.count("\n") == 1
+    missing = [fragment for fragment in fragments if fragment not in result.err]
+    assert not missing, result.err

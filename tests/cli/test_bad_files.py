@@ -1,0 +1,233 @@
+"""Damaged, foreign and mismatched files: each is refused by every command that would read it."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import zipfile
+from collections.abc import Callable
+
+import h5py
+import numpy as np
+import pytest
+
+
+def xyz(edit: Callable[[bytearray], None]) -> Callable[[bytes], bytes]:
+    """grid.xyz (Fortran, little-endian float64) with some bytes changed."""
+
+    def changed(good: bytes) -> bytes:
+        data = bytearray(good)
+        edit(data)
+        return bytes(data)
+
+    return changed
+
+
+def _put(at: int, kind: str, value: float) -> Callable[[bytes], bytes]:
+    def edit(data: bytearray) -> None:
+        raw = np.array(value, kind).tobytes()
+        data[at : at + len(raw)] = raw
+
+    return xyz(edit)
+
+
+def _zip(data: bytes) -> bytes:
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as archive:
+        archive.writestr("grid.xyz", data)
+    return stream.getvalue()
+
+
+def _hdf5() -> bytes:
+    stream = io.BytesIO()
+    with h5py.File(stream, "w") as file:
+        file["values"] = np.arange(3.0)
+    return stream.getvalue()
+
+
+# Where things are in grid.xyz: a record with the number of blocks, one with the dimensions of 8 blocks, coordinates.
+DIMENSIONS = 12 + 4
+COORDINATES = DIMENSIONS + 8 * 3 * 4 + 4 + 4
+
+# id: (made from the bytes of grid.xyz, fragments of the message)
+GRIDS: dict[str, tuple[Callable[[bytes], bytes], tuple[str, ...]]] = {
+    "empty": (lambda good: b"", ("is empty",)),
+    "one-byte": (lambda good: b"\x04", ("bad.xyz",)),
+    "blank": (lambda good: b"  \n \n", ("bad.xyz",)),
+    "prose": (lambda good: b"This is not a grid.\n" * 9, ("bad.xyz",)),
+    "numbers": (lambda good: b"1 2 3\n" * 50, ("bad.xyz",)),
+    "noise": (lambda good: np.random.default_rng(1).bytes(5000), ("bad.xyz",)),
+    "zeros": (lambda good: bytes(1000), ("bad.xyz",)),
+    "truncated-head": (lambda good: good[:30], ("bad.xyz",)),
+    "truncated-middle": (lambda good: good[: len(good) // 2], ("bad.xyz", "bytes")),
+    "truncated-by-one": (lambda good: good[:-1], ("bad.xyz", "bytes")),
+    "too-long": (lambda good: good + b"\0", ("bad.xyz", "bytes")),
+    "transferred-as-text": (lambda good: good.replace(b"\n", b"\r\n").replace(b"\0", b""), ("bad.xyz",)),
+    "dimension-zero": (_put(DIMENSIONS, "<i4", 0), ("bad.xyz",)),
+    "dimension-negative": (_put(DIMENSIONS, "<i4", -5), ("bad.xyz",)),
+    "dimension-huge": (_put(DIMENSIONS, "<i4", 2**31 - 1), ("bad.xyz",)),
+    "dimension-other": (_put(DIMENSIONS, "<i4", 6), ("bad.xyz",)),
+    "nan": (_put(COORDINATES, "<f8", np.nan), ("1 nodes", "not finite", "block1 (1, 1, 1)", "nan")),
+    "inf": (_put(COORDINATES + 8, "<f8", -np.inf), ("not finite", "block1 (2, 1, 1)", "-inf")),
+    "line": (lambda good: b"1\n1 1 5\n" + b"0 " * 15, ("block1", "(1, 1, 5)", "at least 2 nodes")),
+    "mixed-dimensions": (lambda good: b"2\n2 2 1\n2 2 2\n" + b"0 " * 36, ("mixes 2-D and 3-D blocks",)),
+    "ascii-too-few": (lambda good: b"1\n2 2 2\n" + b"0.5 " * 23, ("bad.xyz", "28 numbers", "has 27")),
+    "ascii-too-many": (lambda good: b"1\n2 2 2\n" + b"0.5 " * 25, ("bad.xyz", "28 numbers", "1 too many")),
+    "ascii-word": (lambda good: b"1\n2 2 2\n" + b"0.5 " * 23 + b"abc", ("bad.xyz", "abc")),
+    "gzip": (gzip.compress, ("gzip archive", "unpack it first")),
+    "zip": (_zip, ("zip", "unpack it first")),
+    "hdf5": (lambda good: _hdf5(), ("bad.xyz", "CGNS")),
+    "hdf5-truncated": (lambda good: _hdf5()[:500], ("bad.xyz",)),
+    "hdf5-magic-only": (lambda good: b"\x89HDF\r\n\x1a\n", ("bad.xyz",)),
+    "adf-magic-only": (lambda good: b"@(#)ADF Database Version A02011>", ("bad.xyz",)),
+    "gmsh": (lambda good: b"$MeshFormat\n4.1 0 8\n$EndMeshFormat\n", ("Gmsh mesh", "unstructured")),
+    "su2": (lambda good: b"NDIME= 2\nNELEM= 0\n", ("SU2 mesh", "unstructured")),
+    "foam": (lambda good: b"FoamFile\n{\n version 2.0;\n}\n", ("OpenFOAM",)),
+    "stl": (lambda good: b"solid wing\n facet normal 0 0 1\n", ("STL surface",)),
+    "png": (lambda good: b"\x89PNG\r\n\x1a\n" + bytes(99), ("PNG picture",)),
+    "pdf": (lambda good: b"%PDF-1.5\n", ("PDF document",)),
+    "npy": (lambda good: b"\x93NUMPY\x01\x00" + bytes(99), ("numpy array",)),
+    "vtk-legacy-head-only": (lambda good: b"# vtk DataFile Version 3.0\n", ("bad.xyz",)),
+    "vtk-legacy-unstructured": (
+        lambda good: b"# vtk DataFile Version 3.0\nt\nASCII\nDATASET UNSTRUCTURED_GRID\nPOINTS 0 float\n",
+        ("bad.xyz", "UNSTRUCTURED_GRID"),
+    ),
+    "vtk-xml-cut": (lambda good: b'<?xml version="1.0"?>\n<VTKFile type="StructuredGrid"', ("bad.xyz",)),
+    "vtk-xml-polydata": (lambda good: b'<VTKFile type="PolyData" version="1.0"></VTKFile>', ("bad.xyz", "PolyData")),
+    "case-file": (lambda good: b'[[boundary]]\nname = "body"\n', ("bad.xyz",)),
+}
+
+COMMANDS = {
+    "info": ("info", "bad.xyz"),
+    "deform": ("deform", "bad.xyz", "-c", "case.toml", "-o", "out.xyz", "--report", "out.json"),
+    "convert": ("convert", "bad.xyz", "out.cgns"),
+    "compare": ("compare", "grid.xyz", "bad.xyz"),
+    "quality": ("quality", "grid.xyz", "--reference", "bad.xyz", "--report", "out.html"),
+    "plot": ("plot", "bad.xyz", "-o", "out.png"),
+}
+
+
+def assert_refused(result, fragments) -> None:
+    assert result.code == 2, result.err
+    assert result.out == ""
+    assert result.err.startswith("meshdeform: error: ")
+    assert result.err.count("\n") == 1, result.err
+    assert result.err.isprintable() or result.err[:-1].isprintable(), result.err
+    missing = [fragment for fragment in fragments if fragment not in result.err]
+    assert not missing, result.err
+
+
+@pytest.mark.parametrize("name", GRIDS)
+def test_wrong_grid_is_refused(name, bench, call, snapshot):
+    make, fragments = GRIDS[name]
+    (bench / "bad.xyz").write_bytes(make((bench / "grid.xyz").read_bytes()))
+    before = snapshot(bench)
+    for command in ("info", "deform"):
+        assert_refused(call(*COMMANDS[command]), fragments)
+        assert snapshot(bench) == before
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("name", ["truncated-middle", "nan"])
+def test_every_command_refuses_wrong_grids(command, name, bench, call, snapshot):
+    make, fragments = GRIDS[name]
+    (bench / "bad.xyz").write_bytes(make((bench / "grid.xyz").read_bytes()))
+    before = snapshot(bench)
+    assert_refused(call(*COMMANDS[command]), fragments)
+    assert snapshot(bench) == before
+
+
+@pytest.mark.parametrize("kept", [0.05, 0.5, 0.9, 0.999])
+def test_truncated_cgns_is_refused(kept, bench, call, snapshot):
+    good = (bench / "grid.cgns").read_bytes()
+    (bench / "cut.cgns").write_bytes(good[: int(kept * len(good))])
+    before = snapshot(bench)
+    assert_refused(call("deform", "cut.cgns", "-c", "case.toml", "-o", "out.cgns"), ("cut.cgns",))
+    assert snapshot(bench) == before
+
+
+def rows(*lines: str) -> Callable[[np.ndarray], str]:
+    return lambda good: "\n".join(lines) + "\n"
+
+
+def scaled(factor: float) -> Callable[[np.ndarray], str]:
+    """The table with its points in another length unit."""
+    return lambda good: "\n".join(" ".join(map(str, (*(factor * row[:3]), *row[3:]))) for row in good)
+
+
+def replaced(line: int, column: int, text: str) -> Callable[[np.ndarray], str]:
+    def table(good: np.ndarray) -> str:
+        lines = [[str(value) for value in row] for row in good]
+        lines[line][column] = text
+        return "\n".join(" ".join(values) for values in lines)
+
+    return table
+
+
+# id: (text of a table made from the good rows, fragments of the message)
+TABLES: dict[str, tuple[Callable[[np.ndarray], str], tuple[str, ...]]] = {
+    "empty": (lambda good: "", ("bad.csv is empty",)),
+    "header-only": (rows("x,y,z,dx,dy,dz"), ("bad.csv",)),
+    "prose": (rows("no table"), ("bad.csv", "no rows of numbers")),
+    "five-columns": (rows("1 2 3 4 5"), ("bad.csv", "5")),
+    "ragged": (rows("0 0 0 1 1 1", "0 0 1 1 1"), ("bad.csv", "line 2")),
+    "word": (replaced(3, 4, "abc"), ("bad.csv", "line 4", "abc")),
+    "nan": (replaced(3, 4, "nan"), ("bad.csv", "line 4", "nan")),
+    "inf": (replaced(3, 0, "inf"), ("bad.csv", "line 4", "inf")),
+    "two-displacements": (
+        lambda good: "0 0 0 1 0 0\n0 0 0 2 0 0\n", ("bad.csv", "line 1", "line 2"),
+    ),
+    "matches-nothing": (rows("9 9 9 0.1 0 0", "9 9 8 0.1 0 0"), ("no match", "bad.csv")),
+    "millimetres": (scaled(1000.0), ("no match", "factor", "different length units?")),
+    "metres": (scaled(0.001), ("different length units?",)),
+    "binary": (lambda good: "\x00\x01\x02", ("bad.csv",)),
+}
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_wrong_table_is_refused(name, bench, call, snapshot):
+    make, fragments = TABLES[name]
+    good = np.loadtxt(bench / "table.csv", delimiter=",", skiprows=1)
+    (bench / "bad.csv").write_text(make(good))
+    motion = "boundary.body.motion=[{file = 'bad.csv'}]"
+    before = snapshot(bench)
+    for source in (("-d", "bad.csv"), ("-c", "case.toml", "-s", motion)):
+        assert_refused(call("deform", "grid.xyz", *source, "-o", "out.xyz"), fragments)
+        assert snapshot(bench) == before
+
+
+# id: (grid, case text, fragments): cases that are right in themselves but not for this grid
+MISMATCHES = {
+    "flat-leaves-plane": (
+        "flat.p2dfmt",
+        'motion = [{ translate = [0, 0, "0.1*x"] }]',
+        ("leaves the plane of the 2-D grid", "expected displacements normal to"),
+    ),
+    "flat-rotates-out": (
+        "flat.p2dfmt",
+        "motion = [{ rotate = { angle = 5, axis = [1, 0, 0] } }]",
+        ("leaves the plane of the 2-D grid",),
+    ),
+    "table-covers-a-part": (
+        "grid.xyz",
+        'motion = [{ file = "part.csv", match = "exact" }]',
+        ("40 of 80 selected nodes have no match", "part.csv", "Set a larger tolerance"),
+    ),
+    "grid-of-other-size": (
+        "grid.xyz",
+        'motion = [{ file = "flat.p2dfmt" }]',
+        ("6 x 6 nodes", "no selected block face has this size"),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", MISMATCHES)
+def test_case_that_does_not_fit_the_grid_is_refused(name, bench, call, snapshot):
+    grid, motion, fragments = MISMATCHES[name]
+    lines = (bench / "table.csv").read_text().splitlines(keepends=True)
+    (bench / "part.csv").write_text("".join(lines[:41]))
+    near = 'where = "abs(x) < 0.51 and abs(y) < 0.51"'
+    (bench / "wrong.toml").write_text(f'[[boundary]]\nname = "body"\n{near}\nkind = "moving"\n{motion}\n')
+    before = snapshot(bench)
+    assert_refused(call("deform", grid, "-c", "wrong.toml", "-o", "out" + grid[-4:].replace("dfmt", ".fmt")), fragments)
+    assert snapshot(bench) == before

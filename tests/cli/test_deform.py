@@ -1,0 +1,419 @@
+"""``meshdeform deform`` as a user runs it: what it writes, what it says, what it returns."""
+
+from __future__ import annotations
+
+import json
+import os
+
+import numpy as np
+import pytest
+
+from meshdeform_core.methods import ALIASES, CATALOGUE
+from meshdeform_core.topology import find_topology
+from meshdeform_formats import read_grid
+
+RUN = ("deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz")
+
+
+def rotated(points: np.ndarray, degrees: float) -> np.ndarray:
+    c, s = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
+    return points @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]).T
+
+
+def body_nodes(points: np.ndarray) -> np.ndarray:
+    return np.abs(points[:, :2]).max(axis=1) < 0.51
+
+
+def report_of(call, *arguments: str, code: int = 0) -> dict:
+    """Run with a JSON report and return it."""
+    result = call(*arguments, "--report", "report.json", "--force", "-q")
+    assert result.code == code, result.err
+    with open("report.json") as file:
+        return json.load(file)
+
+
+@pytest.fixture
+def angle(bench):
+    """Set the angle of the body in case.toml."""
+
+    def set_angle(value: float | str) -> None:
+        text = (bench / "case.toml").read_text()
+        (bench / "case.toml").write_text(text.replace('angle = "turn"', f"angle = {value!r}".replace("'", '"')))
+
+    return set_angle
+
+
+@pytest.mark.parametrize("grid", ["grid.xyz", "grid.p3dfmt", "grid.cgns"])
+def test_boundaries_go_where_they_were_told(grid, bench, call):
+    source = (bench / grid).read_bytes()
+    output = "out" + os.path.splitext(grid)[1]
+    result = call("deform", grid, "-c", "case.toml", "-o", output)
+    assert result.code == 0, result.err
+    assert (bench / grid).read_bytes() == source
+    before, after = read_grid(grid), read_grid(output)
+    near = body_nodes(before.points)
+    np.testing.assert_allclose(after.points[near], rotated(before.points[near], 10.0), rtol=0, atol=1e-15)
+    outside = np.abs(before.points[:, :2]).max(axis=1) == 2.0
+    np.testing.assert_array_equal(after.points[outside], before.points[outside])
+    ends = np.isin(before.points[:, 2], (0.0, 1.0))
+    np.testing.assert_array_equal(after.points[ends, 2], before.points[ends, 2])
+    interior = ~(near | outside | ends)
+    assert np.abs(after.points - before.points)[interior].max() > 0.01
+
+
+@pytest.mark.parametrize("grid", ["grid.xyz", "grid.cgns"])
+def test_shared_nodes_are_identical_to_the_last_bit(grid, bench, call):
+    assert call("deform", grid, "-c", "case.toml", "-o", "out.xyz").code == 0
+    before, after = read_grid(grid), read_grid("out.xyz")
+    topology = find_topology(before)
+    faces = after.points[topology.face_nodes]
+    assert len(topology.number) > topology.n_unique
+    np.testing.assert_array_equal(faces, after.points[topology.first][topology.number])
+
+
+def test_results_go_to_stdout_and_nothing_to_stderr(bench, call):
+    result = call(*RUN)
+    assert result.err == ""
+    for words in ("grid.xyz", "8 blocks", "1,152 nodes", "idw-tfi", "body", "moving", "f_skew minimum", "valid"):
+        assert words in result.out
+    assert "\x1b" not in result.out
+
+
+def test_quiet_prints_nothing(bench, call):
+    result = call(*RUN, "-q")
+    assert (result.code, result.out, result.err) == (0, "", "")
+    assert (bench / "out.xyz").exists()
+
+
+def test_verbose_tells_the_stages_on_stderr(bench, call):
+    result = call(*RUN, "-v")
+    stages = [line.split()[1] for line in result.err.splitlines()]
+    assert stages == ["read", "topology", "prepare", "apply", "quality", "write", "total"]
+
+
+def test_a_second_run_gives_the_same_bytes(bench, call):
+    call(*RUN, "--threads", "1")
+    call("deform", "grid.xyz", "-c", "case.toml", "-o", "again.xyz", "--threads", "2")
+    assert (bench / "out.xyz").read_bytes() == (bench / "again.xyz").read_bytes()
+
+
+def test_threads_are_honoured(bench, call, monkeypatch):
+    from meshdeform_core.numerics import parallel
+
+    with monkeypatch.context() as patch:
+        patch.setattr(parallel, "_limit", None)
+        for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"):
+            patch.delenv(name, raising=False)
+        call(*RUN, "--threads", "1")
+        assert parallel.thread_count() == 1
+        assert os.environ["OPENBLAS_NUM_THREADS"] == "1"
+        for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"):
+            patch.delenv(name)
+
+
+def test_dry_run_writes_nothing(bench, call, snapshot):
+    before = snapshot(bench)
+    result = call(*RUN, "--dry-run", "--report", "out.json")
+    assert result.code == 0
+    assert snapshot(bench) == before
+    for words in ("80 moving", "240 fixed", "320 slip", "largest displacement", "idw-tfi", "alpha = 0.1", "nothing written"):
+        assert words in result.out, result.out
+
+
+def test_dry_run_needs_no_output(bench, call):
+    assert call("deform", "grid.xyz", "-c", "case.toml", "--dry-run").code == 0
+
+
+def test_force_overwrites_an_output(bench, call):
+    result = call("deform", "grid.xyz", "-c", "case.toml", "-o", "old.xyz", "--report", "old.json", "--force")
+    assert result.code == 0
+    assert read_grid("old.xyz").n_nodes == 1152
+    assert json.loads((bench / "old.json").read_text())["valid"] is True
+
+
+def test_force_is_not_needed_for_a_new_output(bench, call):
+    assert call(*RUN).code == 0
+    assert call(*RUN).code == 2
+
+
+@pytest.mark.parametrize("name", [*ALIASES, *CATALOGUE])
+def test_every_method_moves_the_body_exactly(name, bench, call):
+    report = report_of(call, *RUN, "-m", name)
+    assert report["method"]["name"] == name
+    assert report["valid"] is True
+    before, after = read_grid("grid.xyz").points, read_grid("out.xyz").points
+    near = body_nodes(before)
+    np.testing.assert_allclose(after[near], rotated(before[near], 10.0), rtol=0, atol=1e-12)
+
+
+def test_method_option_wins_over_the_case(bench, call):
+    with open("case.toml", "a") as case:
+        case.write('\n[method]\nname = "idw"\n')
+    assert report_of(call, *RUN)["method"]["name"] == "idw"
+    assert report_of(call, *RUN, "-m", "tfi")["method"]["name"] == "tfi"
+
+
+# Invalid cells: exit code 3
+
+
+def test_invalid_cells_give_exit_code_3_and_are_listed(bench, call, angle):
+    angle(120.0)
+    result = call(*RUN, "-m", "tfi", "--report", "out.json")
+    assert result.code == 3
+    report = json.loads((bench / "out.json").read_text())
+    assert report["valid"] is False
+    count = report["quality"]["after"]["invalid_cells"]
+    assert count > 0
+    first = report["invalid_cells"][0]
+    assert first["block"].startswith("block")
+    assert len(first["ijk"]) == 3
+    assert min(first["ijk"]) >= 1
+    assert first["min_jacobian"] <= 0
+    assert first["step"] == 1
+    assert first["nearest_patch"] in {"body", "span", "(not selected)"}
+    assert len(report["invalid_cells"]) == min(count, 200)
+    assert read_grid("out.xyz").n_nodes == 1152
+    assert f"{count} cells became invalid" in result.err
+    assert "--steps auto" in result.err
+    assert "INVALID" in result.out
+
+
+def test_allow_invalid_exits_0_and_still_says_so(bench, call, angle):
+    angle(120.0)
+    result = call(*RUN, "-m", "tfi", "--allow-invalid", "-q")
+    assert result.code == 0
+    assert result.out == ""
+    assert "became invalid" in result.err
+
+
+def test_quality_command_agrees_about_invalid_cells(bench, call, angle):
+    angle(120.0)
+    report = report_of(call, *RUN, "-m", "tfi", code=3)
+    result = call("quality", "out.xyz", "--reference", "grid.xyz", "-c", "case.toml", "--json")
+    assert result.code == 3
+    again = json.loads(result.out)
+    assert again["quality"] == report["quality"]
+    assert [c["ijk"] for c in again["invalid_cells"]] == [c["ijk"] for c in report["invalid_cells"]]
+
+
+# Steps and time
+
+
+def test_steps_follow_the_path_of_the_motion(bench, call, angle):
+    angle(40.0)
+    report = report_of(call, *RUN, "--steps", "4")
+    assert report["steps"] == 4
+    assert report["reached"] == 1.0
+    before, after = read_grid("grid.xyz").points, read_grid("out.xyz").points
+    near = body_nodes(before)
+    np.testing.assert_allclose(after[near], rotated(before[near], 40.0), rtol=0, atol=1e-14)
+
+
+def test_automatic_steps_make_an_invalid_motion_valid(bench, call, angle):
+    angle(85.0)
+    assert report_of(call, *RUN, "-m", "rbf", code=3)["valid"] is False
+    report = report_of(call, *RUN, "-m", "rbf", "--steps", "auto")
+    assert report["valid"] is True
+    assert report["steps"] > 1
+
+
+def test_automatic_steps_stop_before_the_grid_breaks(bench, call, angle):
+    angle(120.0)
+    result = call(*RUN, "-m", "tfi", "--steps", "auto", "--report", "out.json")
+    report = json.loads((bench / "out.json").read_text())
+    assert result.code == 3
+    assert 0.0 < report["reached"] < 1.0
+    assert report["quality"]["after"]["invalid_cells"] == 0
+    assert report["invalid_cells"], "the cells that the next step would break"
+    assert f"imposed to {report['reached']:.1%} only" in result.err
+    before, after = read_grid("grid.xyz").points, read_grid("out.xyz").points
+    near = body_nodes(before)
+    np.testing.assert_allclose(after[near], rotated(before[near], 120.0 * report["reached"]), rtol=0, atol=1e-12)
+
+
+def test_time_evaluates_the_motion(bench, call, angle):
+    angle("20*sin(2*pi*t)")
+    largest = {t: report_of(call, *RUN, "--time", t)["boundary"]["max_displacement"] for t in ("0", "0.25", "0.75")}
+    assert largest["0"] == 0.0
+    assert largest["0.25"] == pytest.approx(2 * np.sin(np.deg2rad(10.0)) * np.sqrt(0.5), rel=1e-12)
+    assert largest["0.75"] == pytest.approx(largest["0.25"], rel=1e-12)
+
+
+def test_a_motion_that_is_zero_is_said_to_be_zero(bench, call, angle):
+    angle("turn*t")
+    result = call(*RUN)
+    assert result.code == 0
+    assert "nothing moves" in result.out
+    np.testing.assert_array_equal(read_grid("out.xyz").points, read_grid("grid.xyz").points)
+
+
+# --set
+
+
+@pytest.mark.parametrize(
+    ("override", "where", "expected"),
+    [
+        ("method.name=tfi", ("method", "name"), "tfi"),
+        ('method.name="tfi"', ("method", "name"), "tfi"),
+        ("method.name = 'tfi'", ("method", "name"), "tfi"),
+        ("method.idw.alpha=0.25", ("method", "alpha", "value"), 0.25),
+        ("method.idw.alpha=1", ("method", "alpha", "value"), 1),
+        ("method.idw.rotation=blend", ("method", "rotation", "value"), "blend"),
+        ("method.idw.remove_mean=false", ("method", "remove_mean", "value"), False),
+        ("method.tfi.max_cells=2", ("method", "max_cells", "value"), 2),
+        ("method={name='idw', idw={alpha=0.2}}", ("method", "alpha", "value"), 0.2),
+        ("constants.turn=0", ("boundary", "max_displacement"), 0.0),
+        ("boundary.span.kind=fixed", ("boundary", "slip_nodes"), 0),
+        ("boundary.2.kind=fixed", ("boundary", "slip_nodes"), 0),
+        ("boundary.2.name=ends", ("boundary", "patches", 1, "name"), "ends"),
+        ('boundary.span.select=["*.kmin"]', ("boundary", "patches", 1, "nodes"), 240),
+        ("boundary.span.select=*.kmin", ("boundary", "patches", 1, "nodes"), 240),
+        ("boundary.body.where=x > 1.99", ("boundary", "moving_nodes"), 64),
+        ("boundary.body.motion.1.rotate.angle=0", ("boundary", "max_displacement"), 0.0),
+        ("boundary.body.motion=[{translate=[0, 0.25, 0]}]", ("boundary", "max_displacement"), 0.25),
+        ("grid.tolerance=0.01", ("boundary", "moving_nodes"), 80),
+    ],
+)
+def test_set_overrides_any_key(override, where, expected, bench, call):
+    report = report_of(call, *RUN, "--set", override, "--allow-invalid")
+    found = report
+    for key in where:
+        found = found[key]
+    assert found == expected
+
+
+def test_the_last_set_wins(bench, call):
+    report = report_of(call, *RUN, "-s", "method.idw.alpha=0.2", "-s", "method.idw.alpha=0.3")
+    assert report["method"]["alpha"]["value"] == 0.3
+
+
+def test_a_case_can_be_given_without_a_file(bench, call):
+    entry = 'boundary=[{where="abs(x) < 0.51 and abs(y) < 0.51", motion=[{translate=[0.1, 0, 0]}]}]'
+    report = report_of(call, "deform", "grid.xyz", "-s", entry, "-o", "out.xyz")
+    assert report["boundary"]["moving_nodes"] == 80
+
+
+# Tables
+
+
+def test_a_table_alone_is_enough(bench, call):
+    report = report_of(call, "deform", "grid.xyz", "-d", "table.csv", "-o", "out.xyz")
+    matched = report["boundary"]["matches"][0]
+    assert (matched["table"], matched["matched_nodes"], matched["unmatched_nodes"]) == ("table.csv", 80, 560)
+    assert matched["table_points_used"] == matched["table_points"]
+    before, after = read_grid("grid.xyz").points, read_grid("out.xyz").points
+    near = body_nodes(before)
+    np.testing.assert_allclose((after - before)[near], np.tile([0.1, 0, 0], (near.sum(), 1)), atol=1e-15)
+    faces = find_topology(read_grid("grid.xyz")).face_nodes
+    outside = faces[(np.abs(before[faces, :2]).max(axis=1) == 2.0) | np.isin(before[faces, 2], (0.0, 1.0))]
+    outside = outside[~near[outside]]
+    np.testing.assert_array_equal(after[outside], before[outside])
+
+
+def test_table_and_case_together(bench, call):
+    report = report_of(call, *RUN, "-d", "table.csv", "-s", "boundary=[{select=['*.k*'], kind='slip'}]")
+    assert report["boundary"]["moving_nodes"] == 80
+    assert report["boundary"]["slip_nodes"] > 0
+
+
+def test_a_deformed_grid_is_a_table(bench, call):
+    assert call(*RUN).code == 0
+    motion = "boundary.body.motion=[{file='out.xyz'}]"
+    assert call("deform", "grid.xyz", "-c", "case.toml", "-s", motion, "-o", "again.xyz").code == 0
+    np.testing.assert_allclose(read_grid("again.xyz").points, read_grid("out.xyz").points, atol=1e-13)
+
+
+def test_files_of_a_case_are_found_beside_it(bench, call, monkeypatch):
+    text = (bench / "case.toml").read_text()
+    motion = text.index("motion = ")
+    (bench / "case.toml").write_text(
+        text[:motion] + 'motion = [{ file = "table.csv" }]\n' + text[text.index("\n", motion) :]
+    )
+    (bench / "elsewhere").mkdir()
+    monkeypatch.chdir("elsewhere")
+    result = call("deform", "../grid.xyz", "-c", "../case.toml", "-o", "out.xyz")
+    assert result.code == 0, result.err
+    assert "80 nodes matched" in result.out
+
+
+# Formats
+
+
+def test_the_variant_of_the_input_is_kept(bench, call):
+    assert call("convert", "grid.xyz", "big.xyz", "--variant", "byte_order=big", "--variant", "markers=8").code == 0
+    assert call("deform", "big.xyz", "-c", "case.toml", "-o", "out.xyz").code == 0
+    assert read_grid("out.xyz").format == read_grid("big.xyz").format
+
+
+def test_variant_chooses_another(bench, call):
+    assert call(*RUN, "--variant", "encoding=binary", "--variant", "precision=float32").code == 0
+    written = read_grid("out.xyz").format
+    assert (written.options["encoding"], written.precision) == ("binary", "float32")
+
+
+def test_the_verdict_is_about_the_precision_that_is_written(bench, call):
+    """Cells thinner than float32 can hold are invalid in a float32 file, and only there."""
+    grid = read_grid("grid.xyz")
+    thin = grid.points.copy()
+    thin[:, :2] = thin[:, :2] * 1e-3 + 7000.0
+    from meshdeform_formats import write_grid
+
+    write_grid(grid.moved(thin), "thin.xyz")
+    shift = 'boundary=[{select=["*"], motion=[{translate=[0.1, 0, 0]}]}]'
+    assert call("deform", "thin.xyz", "-s", shift, "-o", "out.xyz").code == 0
+    assert call("deform", "thin.xyz", "-s", shift, "-o", "out32.xyz", "--variant", "precision=float32").code == 3
+
+
+def test_read_as_settles_what_a_file_leaves_open(bench, call):
+    assert call("deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz", "--read-as", "encoding=fortran").code == 0
+
+
+def test_suffix_chooses_the_format(bench, call):
+    for name in ("out.cgns", "out.vtm", "out.p3dfmt", "out.vtu"):
+        assert call("deform", "grid.xyz", "-c", "case.toml", "-o", name).code == 0
+    points = read_grid("out.cgns").points
+    np.testing.assert_array_equal(read_grid("out.vtm").points, points)
+    np.testing.assert_array_equal(read_grid("out.p3dfmt").points, points)
+
+
+def test_a_new_cgns_file_has_the_interfaces(bench, call):
+    assert call("deform", "grid.xyz", "-c", "case.toml", "-o", "out.cgns").code == 0
+    assert call("convert", "grid.xyz", "converted.cgns").code == 0
+    deformed, converted = read_grid("out.cgns"), read_grid("converted.cgns")
+    assert len(converted.connections) == 16
+    assert deformed.connections == converted.connections
+
+
+def test_patches_of_the_file_are_selected_by_name(bench, call):
+    case = 'boundary=[{select=["body"], motion=[{rotate={angle=5}}]}, {select=["span"], kind="slip"}]'
+    report = report_of(call, "deform", "grid.cgns", "-s", case, "-o", "out.cgns")
+    assert report["boundary"]["moving_nodes"] == 80
+
+
+def test_a_flat_grid(bench, call):
+    case = 'boundary=[{where="abs(x) < 0.51 and abs(y) < 0.51", motion=[{rotate={angle=10}}]}]'
+    report = report_of(call, "deform", "flat.p2dfmt", "-s", case, "-o", "out.p2dfmt")
+    assert report["grid"]["dimension"] == 2
+    after = read_grid("out.p2dfmt")
+    assert after.dimension == 2
+    np.testing.assert_array_equal(after.points[:, 2], 0.0)
+
+
+def test_the_output_may_be_the_target_of_no_link(bench, call):
+    """A link as output is replaced by the file; what it pointed to stays."""
+    os.symlink("old.xyz", "link.xyz")
+    assert call("deform", "grid.xyz", "-c", "case.toml", "-o", "link.xyz", "--force").code == 0
+    assert (bench / "old.xyz").read_bytes() == b"an old result"
+    assert read_grid("link.xyz").n_nodes == 1152
+
+
+def test_progress_shows_on_a_terminal_only(bench, call, monkeypatch):
+    import sys
+
+    from meshdeform_cli import progress
+
+    monkeypatch.setattr(progress, "_PATIENCE", 0.0)
+    assert call(*RUN, "-q").err == ""
+    monkeypatch.setattr(type(sys.stderr), "isatty", lambda self: True, raising=False)
+    assert "idw" in call(*RUN, "--force").err
+    assert call(*RUN, "--force", "-q").err == ""

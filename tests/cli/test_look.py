@@ -1,0 +1,246 @@
+"""The commands that look at grids: info, quality, compare, plot, methods; and sample."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import numpy as np
+import pytest
+
+from meshdeform_core.methods import ALIASES, CATALOGUE
+from meshdeform_formats import read_grid, write_grid
+from meshdeform_samples import SAMPLES
+
+# info
+
+
+def test_info_for_people(bench, call):
+    result = call("info", "grid.cgns")
+    assert (result.code, result.err) == (0, "")
+    for words in (
+        "grid.cgns: cgns (container=HDF5), float64",
+        "3-D, 8 blocks, 1,152 nodes",
+        "600 cells",
+        "block1  5 x 5 x 4          right-handed",
+        "body  (body, BCWall)",
+        "block1.imax-block4.imin",
+        "interfaces (8 found, 0 declared in the file)",
+        "block1.imin: 12",
+    ):
+        assert words in result.out, result.out
+
+
+def test_info_for_programs(bench, call):
+    result = call("info", "grid.cgns", "--json")
+    facts = json.loads(result.out)
+    assert result.err == ""
+    assert set(facts) == {
+        "file", "format", "dimension", "nodes", "unique_nodes", "cells", "bounding_box", "shortest_face_edge", "blocks",
+        "patches", "interfaces", "declared_connections", "external_faces", "collapsed", "fields", "notes",
+    }  # fmt: skip
+    assert facts["blocks"][0] == {"name": "block1", "nodes": [5, 5, 4], "handedness": "right"}
+    assert facts["bounding_box"] == [[-2.0, -2.0, 0.0], [2.0, 2.0, 1.0]]
+    # 16 lines each way without the 4 x 4 inside the bar, four layers.
+    assert facts["unique_nodes"] == (16 * 16 - 4 * 4) * 4
+    assert len(facts["interfaces"]) == 8
+    assert {p["family"] for p in facts["patches"]} == {"body", "outer", "span"}
+    window = facts["patches"][0]["windows"][0]
+    assert window["face"].split(".")[1] in {"imin", "imax", "jmin", "jmax"}
+    assert min(window["first"]) == 1
+    assert facts["collapsed"] == []
+
+
+def test_info_names_left_handed_blocks_and_collapsed_edges(bench, call):
+    grid = read_grid("grid.xyz")
+    points = grid.points.copy()
+    grid.block(0, points)[:, :, 0] = grid.block(0, points)[:, :1, 0]
+    points[:, 0] *= -1
+    write_grid(grid.moved(points), "other.xyz")
+    facts = json.loads(call("info", "other.xyz", "--json").out)
+    assert {b["handedness"] for b in facts["blocks"]} == {"left"}
+    assert {"face": "block1.kmin", "what": "no area", "quads": 16} in facts["collapsed"]
+    assert "left-handed" in call("info", "other.xyz").out
+
+
+# quality
+
+
+def test_quality_of_a_grid_alone(bench, call):
+    result = call("quality", "grid.xyz", "--json")
+    report = json.loads(result.out)
+    assert (result.code, result.err) == (0, "")
+    assert report["valid"] is True
+    assert report["quality"]["after"]["f_skew"]["min"] == pytest.approx(1.0)
+    assert report["quality"]["after"]["total_volume"] == pytest.approx(15.0)
+    assert report["quality"]["after"]["wall_normal_deviation_deg"] is None
+
+
+def test_quality_against_the_original(bench, call):
+    call("deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz", "--report", "deform.json")
+    result = call("quality", "out.xyz", "--reference", "grid.xyz", "-c", "case.toml", "--report", "quality.json")
+    assert result.code == 0
+    assert "f_skew minimum" in result.out
+    one, two = (json.loads((bench / name).read_text())["quality"] for name in ("deform.json", "quality.json"))
+    assert one == two
+
+
+def test_quality_quietly(bench, call):
+    result = call("quality", "grid.xyz", "-q", "--report", "q.txt")
+    assert (result.code, result.out, result.err) == (0, "", "")
+    assert "verdict" in (bench / "q.txt").read_text()
+
+
+def test_quality_of_folded_grid_is_inherited(bench, call):
+    grid = read_grid("grid.xyz")
+    points = grid.points.copy()
+    grid.block(0, points)[2, 2, 2] += [0.0, 0.0, 0.9]
+    write_grid(grid.moved(points), "folded.xyz")
+    alone = json.loads(call("quality", "folded.xyz", "--json").out)
+    assert alone["valid"] is True
+    assert alone["quality"]["after"]["inherited_invalid_cells"] > 0
+    result = call("quality", "folded.xyz", "--reference", "grid.xyz", "--json")
+    assert result.code == 3
+    report = json.loads(result.out)
+    assert report["quality"]["after"]["invalid_cells"] == alone["quality"]["after"]["inherited_invalid_cells"]
+    assert report["invalid_cells"][0]["block"] == "block1"
+
+
+# compare
+
+
+def test_compare_equal_grids_of_different_formats(bench, call):
+    result = call("compare", "grid.xyz", "grid.cgns", "--tolerance", "0")
+    assert result.code == 0
+    assert "largest 0.000000e+00" in result.out
+    assert "0 of 1,152 nodes differ" in result.out
+
+
+def test_compare_says_how_far_and_where(bench, call):
+    grid = read_grid("grid.xyz")
+    points = grid.points.copy()
+    grid.block(2, points)[1, 3, 2] += [0.0, 3e-3, 4e-3]
+    write_grid(grid.moved(points), "other.xyz")
+    facts = json.loads(call("compare", "grid.xyz", "other.xyz", "--json").out)
+    assert facts["largest"] == pytest.approx(5e-3)
+    assert facts["rms"] == pytest.approx(5e-3 / np.sqrt(1152))
+    assert facts["where"] == "block3 (2, 4, 3)"
+    assert facts["differing_nodes"] == 1
+    assert [b["largest"] > 0 for b in facts["blocks"]] == [n == 2 for n in range(8)]
+    assert call("compare", "grid.xyz", "other.xyz").code == 0
+    assert call("compare", "grid.xyz", "other.xyz", "--tolerance", "6e-3").code == 0
+    assert call("compare", "grid.xyz", "other.xyz", "--tolerance", "4e-3").code == 1
+
+
+# plot
+
+
+@pytest.mark.parametrize(
+    ("suffix", "magic"), [(".png", b"\x89PNG\r\n"), (".pdf", b"%PDF-"), (".svg", b"<?xml"), (".PNG", b"\x89PNG\r\n")]
+)
+def test_plot_formats(suffix, magic, bench, call):
+    result = call("plot", "grid.xyz", "-o", f"picture{suffix}")
+    assert (result.code, result.out, result.err) == (0, "", "")
+    assert (bench / f"picture{suffix}").read_bytes().startswith(magic)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("--plane", "i=1"),
+        ("--plane", "j=mid", "--metric", "volume"),
+        ("--plane", "k=4", "--metric", "scaled_jacobian", "--no-lines"),
+        ("--select", "body", "--view", "iso", "--title", "The body"),
+        ("--select", "block1.imin", "--select", "block*.kmax[1:2,*]", "--view", "x"),
+        ("--zoom", "-1,1,-0.5,0.5"),
+        ("--zoom=-1,1,-0.5,0.5", "--title", "x < y & z"),
+    ],
+)
+def test_plot_options(options, bench, call):
+    assert call("plot", "grid.cgns", "-o", "picture.svg", *options).code == 0
+    text = (bench / "picture.svg").read_text()
+    titles = {"--title": options[options.index("--title") + 1]} if "--title" in options else {"": "grid.cgns"}
+    assert next(iter(titles.values())).replace("&", "&amp;").replace("<", "&lt;") in text
+
+
+def test_plot_of_a_flat_grid_and_force(bench, call):
+    assert call("plot", "flat.p2dfmt", "-o", "picture.png").code == 0
+    first = (bench / "picture.png").read_bytes()
+    assert call("plot", "flat.p2dfmt", "-o", "picture.png").code == 2
+    assert call("plot", "flat.p2dfmt", "-o", "picture.png", "--force").code == 0
+    assert (bench / "picture.png").read_bytes()[:8] == first[:8]
+
+
+# methods
+
+
+def test_methods_lists_all(call):
+    result = call("methods")
+    assert result.code == 0
+    for name in (*ALIASES, *CATALOGUE):
+        assert name in result.out
+
+
+@pytest.mark.parametrize("name", [*ALIASES, *CATALOGUE])
+def test_methods_explains_each(name, call):
+    result = call("methods", name)
+    assert result.code == 0
+    entry = CATALOGUE[ALIASES.get(name, name)]
+    assert entry.summary in result.out
+    for part in entry.parts:
+        assert f"[method.{part.__name__.lower()}]" in result.out
+        for option in part.__dataclass_fields__:
+            assert re.search(rf"^  {option} = ", result.out, re.MULTILINE), option
+
+
+# sample
+
+
+def test_sample_lists_all(call):
+    result = call("sample")
+    assert result.code == 0
+    assert [line for line in result.out.splitlines() if not line.startswith(" ")] == list(SAMPLES)
+    assert result.out.count("--size: ") == len(SAMPLES)
+
+
+SIZES = {"square": 11, "airfoil": 41, "splitter-plate": 8, "hemisphere": 8, "beam": 40}
+
+
+@pytest.mark.parametrize("name", SAMPLES)
+def test_samples_are_cases_to_start_from_in_every_format(name, bench, call):
+    points = []
+    for suffix in (".cgns", ".xyz", ".vtm"):
+        folder = f"sample{suffix}"
+        size = ("--size", SIZES[name]) if name in SIZES else ()
+        result = call("sample", name, "-o", folder, "--suffix", suffix, *size)
+        assert result.code == 0, result.err
+        assert f"{folder}/grid{suffix}: " in result.out
+        assert {"case.toml", "README.md", f"grid{suffix}"} <= {path.name for path in (bench / folder).iterdir()}
+        result = call("deform", f"{folder}/grid{suffix}", "-c", f"{folder}/case.toml", "-o", f"{folder}/out{suffix}")
+        assert result.code == 0, result.err
+        points.append(read_grid(f"{folder}/out{suffix}").points)
+    np.testing.assert_allclose(points[1], points[0], rtol=0, atol=1e-13)
+    np.testing.assert_allclose(points[2], points[0], rtol=0, atol=1e-13)
+
+
+def test_sample_overwrites_only_by_force(bench, call, snapshot):
+    arguments = ("sample", "beam", "-o", "new/folder", "--suffix", "xyz")
+    assert call(*arguments).code == 0
+    before = snapshot(bench)
+    result = call(*arguments)
+    assert (result.code, snapshot(bench)) == (2, before)
+    assert "new/folder/grid.xyz exists; use --force" in result.err
+    (bench / "new/folder/grid.xyz").unlink()
+    assert "new/folder/grid.nmf exists" in call(*arguments).err
+    assert call(*arguments, "--force").code == 0
+    assert snapshot(bench) == before
+
+
+# help
+
+
+@pytest.mark.parametrize("arguments", [(), ("--help",), ("-h",), ("deform", "--help"), ("--version",)])
+def test_help_and_version(arguments, call):
+    result = call(*arguments)
+    assert (result.code, result.err) == (0, "")
+    assert "meshdeform" in result.out
