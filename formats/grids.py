@@ -98,9 +98,7 @@ def read_grid(path: str | Path, options: Mapping[str, Any] | None = None) -> Gri
     return grid
 
 
-def read_grid_with_boundaries(
-    path: Path, boundary_file: Path | None, options: Mapping[str, Any] | None = None
-) -> Grid:
+def read_grid_with_boundaries(path: Path, boundary_file: Path | None, options: Mapping[str, Any] | None = None) -> Grid:
     """Read a grid; a neutral map file replaces what the grid file says of boundaries."""
     grid = read_grid(path, options)
     if boundary_file is None:

@@ -45,7 +45,9 @@ def formulas(x: str, y: str, z: str) -> Motion:
     return Motion((Displace((parts[0], parts[1], parts[2])),), {})
 
 
-def turning(angle: float, axis: tuple[float, float, float] = (0, 0, 1), center: tuple[float, ...] = (0, 0, 0)) -> Motion:
+def turning(
+    angle: float, axis: tuple[float, float, float] = (0, 0, 1), center: tuple[float, ...] = (0, 0, 0)
+) -> Motion:
     c = [expression(float(v), ()) for v in center]
     return Motion((Rotate(expression(angle, {"t"}), axis, (c[0], c[1], c[2])),), {})
 

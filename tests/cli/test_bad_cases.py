@@ -64,7 +64,10 @@ WRONG = {
     "type-center": (body("motion = [{ rotate = { angle = 5, center = 0 } }]"), ("center", "three values")),
     "type-angle": (body("motion = [{ rotate = { angle = true } }]"), ("number or a formula", "True")),
     "type-file": (body("motion = [{ file = 5 }]"), ("motion step 1", "file name, found 5")),
-    "type-match": (body("motion = [{ file = 'table.csv', match = 5 }]"), ("motion step 1", "match = 5", "exact, nearest, interpolate")),
+    "type-match": (
+        body("motion = [{ file = 'table.csv', match = 5 }]"),
+        ("motion step 1", "match = 5", "exact, nearest, interpolate"),
+    ),
     "type-match-tolerance": (body("motion = [{ file = 'table.csv', tolerance = 'x' }]"), ("tolerance", "'x'")),
     "type-method": ("method = 'tfi'\n" + SHIFT, ("method", "expected a table [method]")),
     "type-method-name": ("[method]\nname = 3\n" + SHIFT, ("method.name", "3")),
@@ -110,7 +113,8 @@ WRONG = {
     "formula-empty": (moved(""), ("not a formula",)),
     "formula-name": (moved("q*x"), ("unknown name 'q'", "known are")),
     "formula-near-name": (
-        "[constants]\nlength = 1\n" + moved("lenght*x"), ("unknown name 'lenght'", "did you mean 'length'")
+        "[constants]\nlength = 1\n" + moved("lenght*x"),
+        ("unknown name 'lenght'", "did you mean 'length'"),
     ),
     "formula-function": (moved("sine(x)"), ("unknown function 'sine'", "did you mean 'sin")),
     "formula-arguments": (moved("atan2(x)"), ("atan2 takes 2 arguments, found 1",)),
@@ -153,7 +157,7 @@ WRONG = {
     "where-nothing": (SHIFT.replace("abs(x) < 0.51", "x > 99"), ("where", "no face", "x -2 to 2")),
     "where-nan": (SHIFT.replace("abs(x) < 0.51", "sqrt(-1) > 0"), ("where", "no face")),
     # motions that cannot be
-    "nothing-moves": ('[[boundary]]\nname = "all"\nkind = "fixed"', ("no node moves", "kind = \"moving\"")),
+    "nothing-moves": ('[[boundary]]\nname = "all"\nkind = "fixed"', ("no node moves", 'kind = "moving"')),
     "empty": ("", ("no node moves",)),
     "motion-nan": (moved("log(x)"), ("motion step 1", "at node block1", "check the formulas")),
     "motion-infinite": (moved("1/(y*0)"), ("motion step 1", "check the formulas")),
@@ -161,7 +165,10 @@ WRONG = {
         SHIFT + SHIFT.replace('"body"', '"other"').replace("0.1", "0.2"),
         ("'body' and 'other' disagree", "shared node", "0.1", "0.2"),
     ),
-    "periodic-one-side": ("[[boundary]]\nselect = ['block1.imin']\nkind = 'periodic'\n" + SHIFT, ("periodic", "one side, other side")),
+    "periodic-one-side": (
+        "[[boundary]]\nselect = ['block1.imin']\nkind = 'periodic'\n" + SHIFT,
+        ("periodic", "one side, other side"),
+    ),
     "periodic-no-match": (
         "[[boundary]]\nname = 'p'\nselect = ['block1.imin', 'block1.jmin']\nkind = 'periodic'\n" + SHIFT,
         ("'p'", "do not match"),

@@ -175,7 +175,8 @@ TABLES: dict[str, tuple[Callable[[np.ndarray], str], tuple[str, ...]]] = {
     "nan": (replaced(3, 4, "nan"), ("bad.csv", "line 4", "nan")),
     "inf": (replaced(3, 0, "inf"), ("bad.csv", "line 4", "inf")),
     "two-displacements": (
-        lambda good: "0 0 0 1 0 0\n0 0 0 2 0 0\n", ("bad.csv", "line 1", "line 2"),
+        lambda good: "0 0 0 1 0 0\n0 0 0 2 0 0\n",
+        ("bad.csv", "line 1", "line 2"),
     ),
     "matches-nothing": (rows("9 9 9 0.1 0 0", "9 9 8 0.1 0 0"), ("no match", "bad.csv")),
     "millimetres": (scaled(1000.0), ("no match", "factor", "different length units?")),

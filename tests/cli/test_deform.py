@@ -116,7 +116,15 @@ def test_dry_run_writes_nothing(bench, call, snapshot):
     result = call(*RUN, "--dry-run", "--report", "out.json")
     assert result.code == 0
     assert snapshot(bench) == before
-    for words in ("80 moving", "240 fixed", "320 slip", "largest displacement", "idw-tfi", "alpha = 0.1", "nothing written"):
+    for words in (
+        "80 moving",
+        "240 fixed",
+        "320 slip",
+        "largest displacement",
+        "idw-tfi",
+        "alpha = 0.1",
+        "nothing written",
+    ):
         assert words in result.out, result.out
 
 

@@ -183,7 +183,7 @@ def test_airfoil_is_the_same_in_cgns(third_party, here, call):
     """Plot3D with a neutral map and CGNS with its own boundaries give the same result."""
     shutil.copy(third_party / "nak_a_141.nmf", here)
     _, one, _ = deformed(call, third_party / "nak_a_141.p3dfmt", AIRFOIL)
-    case = AIRFOIL.replace("[grid]\nboundary_file = \"nak_a_141.nmf\"\n", "")
+    case = AIRFOIL.replace('[grid]\nboundary_file = "nak_a_141.nmf"\n', "")
     case = case.replace('"viscous_solid"', '"Klo_Seg*"').replace('"symmetry_y"', '"I*_Seg*"')
     _, two, _ = deformed(call, third_party / "nak_a_141.cgns", case)
     np.testing.assert_allclose(two.points, one.points, rtol=0, atol=1e-12)
