@@ -75,7 +75,7 @@ class _Scattered:
 
     def __post_init__(self) -> None:
         self._bound = self.interpolation.bind(self.problem)
-        self._evaluator = self._bound.at(self.problem.grid.points, self.flat)
+        self._evaluator = self._bound.at(self.flat)
         self.account = self._bound.account
 
     def move(self, displacement: FloatArray, out: FloatArray, progress: Progress | None = None) -> None:

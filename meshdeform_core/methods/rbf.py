@@ -316,9 +316,9 @@ class PreparedRBF:
                 f"({unit}); asked for {self.options.greedy_tolerance:g}. Raise greedy_max_points or greedy_tolerance"
             )
 
-    def at(self, points: FloatArray, flat: IntArray) -> RadialEvaluator:
-        """Bind to the target nodes ``flat`` among ``points``."""
-        return RadialEvaluator(self, points, flat)
+    def at(self, flat: IntArray) -> RadialEvaluator:
+        """Bind to the target nodes ``flat``."""
+        return RadialEvaluator(self, self._problem.grid.points, flat)
 
 
 class RadialEvaluator:

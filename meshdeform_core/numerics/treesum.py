@@ -1,0 +1,238 @@
+"""Fast inverse-distance sums: clusters of sources seen from bricks of target nodes.
+
+For every brick the tree of sources is walked from the top. A cluster that is far away, for the accuracy that its share
+of the weighted mean needs, gives its interpolation points as sources; if the brick is small against the distance too,
+they act on the brick's interpolation points and the result is interpolated to its nodes. The rest is summed exactly.
+Numerator and denominator of eq. 14 use the same approximate weights, so the error of the mean is the error of the
+weights times the *difference* of a cluster's displacement from the mean: a common motion is exact.
+
+Source: barycentric cluster-cluster treecodes (Wang, Krasny, Tlupova 2020), with the acceptance of a weighted mean.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from .boxes import box_coordinate, box_points, chebyshev, interpolation_error, lagrange
+from .direct import N_VALUES, sum_block
+from .jit import kernel
+from .tree import SourceTree
+
+COLUMNS = 1 + N_VALUES
+_STACK = 256
+
+
+class Weights(NamedTuple):
+    """w = r^-a + kappa r^-b."""
+
+    a: float
+    b: float
+    kappa: float
+
+
+class Reach(NamedTuple):
+    """How far a cluster's motion can pull the weighted mean, for error bounds.
+
+    Attributes
+    ----------
+    strength : (m,) total strength of each cluster
+    shift, turn : (m,) largest displacement and rotation angle (radians) of its sources
+    """
+
+    strength: np.ndarray
+    shift: np.ndarray
+    turn: np.ndarray
+
+
+class Charges(NamedTuple):
+    """Charges (columns: strength, strength times values) of sources in tree order and of interpolation points."""
+
+    source: np.ndarray
+    proxy: np.ndarray
+
+
+def cluster_reach(tree: SourceTree, strength, shift, turn):
+    """:class:`Reach` of every cluster from the sources' strength, displacement and rotation (n,)."""
+    m = len(tree.span)
+    reach = Reach(np.empty(m), np.empty(m), np.empty(m))
+    _reduce(tree.span, strength[tree.order], shift[tree.order], turn[tree.order], *reach)
+    return reach
+
+
+@kernel
+def _reduce(span, strength, shift, turn, total, largest_shift, largest_turn):
+    for c in range(span.shape[0]):
+        lo, hi = span[c]
+        total[c] = strength[lo:hi].sum()
+        largest_shift[c] = shift[lo:hi].max()
+        largest_turn[c] = turn[lo:hi].max()
+
+
+@kernel
+def add_totals(samples, tree, reach, weights, total, moved):
+    """Total weight and weighted displacement bound at sample points (n, 3), added to ``total`` and ``moved`` (n,)."""
+    stack = np.empty(_STACK, dtype=np.int64)
+    for s in range(samples.shape[0]):
+        stack[0] = 0
+        depth = 1
+        while depth:
+            depth -= 1
+            c = stack[depth]
+            d2 = 0.0
+            for d in range(3):
+                d2 += (samples[s, d] - tree.center[c, d]) ** 2
+            extent2 = tree.half[c, 0] ** 2 + tree.half[c, 1] ** 2 + tree.half[c, 2] ** 2
+            if d2 > 2.0 * extent2 or tree.child[c] < 0:
+                # A leaf around the sample: its weight as if at the rim, which is less than it is.
+                w = reach.strength[c] * _weight(max(d2, 0.25 * extent2), weights)
+                total[s] += w
+                moved[s] += w * (reach.shift[c] + reach.turn[c] * math.sqrt(d2))
+            else:
+                stack[depth], stack[depth + 1] = tree.child[c], tree.child[c] + 1
+                depth += 2
+
+
+@kernel
+def sum_bricks(first, last, points, bricks, tree, reach, charges, weights, allowed, mean, out, risk):
+    """Weighted sums (n, COLUMNS) at the targets of bricks ``first`` to ``last``, added to ``out`` (bricks' order).
+
+    Parameters
+    ----------
+    points : (n_nodes, 3)
+    allowed : (b,) weighted displacement error that one cluster may cause in a brick
+    mean : (b,) bound of the mean displacement there
+    out : (targets of these bricks, COLUMNS)
+    risk : (b,) the sum of the error bounds of all clusters, relative to ``allowed``, is added
+    """
+    n = tree.points.shape[0] + tree.proxies.shape[0]
+    far, near = np.empty((3 + COLUMNS, n)), np.empty((3 + COLUMNS, n))
+    row = 0
+    for b in range(first, last):
+        x = points[bricks.targets[bricks.start[b] : bricks.start[b + 1]]]
+        sums = out[row : row + x.shape[0]]
+        row += x.shape[0]
+        n_far, n_near, bound = _collect(b, bricks, tree, reach, charges, weights, allowed[b], mean[b], far, near)
+        risk[b] += bound
+        sum_block(x, near, n_near, weights.a, weights.b, weights.kappa, sums)
+        if n_far:
+            _add_far(b, bricks, x, far, n_far, weights, sums)
+
+
+@kernel
+def _weight(distance2, weights):
+    r = math.sqrt(distance2)
+    return r**-weights.a + weights.kappa * r**-weights.b
+
+
+@kernel
+def _collect(b, bricks, tree, reach, charges, weights, allowed, mean, far, near):
+    """Walk the tree for one brick: what acts on its interpolation points (far) and on its nodes (near)."""
+    half, count = bricks.half[b], bricks.count[b]
+    radius = math.sqrt(half[0] ** 2 + half[1] ** 2 + half[2] ** 2)
+    # Few targets need no interpolation points of their own.
+    few = bricks.start[b + 1] - bricks.start[b] <= 2 * count[0] * count[1] * count[2]
+    stack = np.empty(_STACK, dtype=np.int64)
+    stack[0] = 0
+    depth = 1
+    n_far = n_near = 0
+    bound = 0.0
+    while depth:
+        depth -= 1
+        c = stack[depth]
+        d2 = 0.0
+        for d in range(3):
+            d2 += (bricks.center[b, d] - tree.center[c, d]) ** 2
+        distance = math.sqrt(d2)
+        pull = reach.strength[c] * (reach.shift[c] + reach.turn[c] * distance + mean) / allowed
+        raw = tree.proxy[c + 1] == tree.proxy[c]
+        if not few:
+            error = _far_error(c, half, count, distance, radius, tree, weights, raw)
+            if pull * error < 0.5:
+                n_far = _take(c, raw, tree, charges, far, n_far)
+                bound += pull * error
+                continue
+        if not raw and distance > radius:
+            error = _relative_error(tree.half[c], tree.count[c], distance - radius, weights)
+            error *= pull * _weight((distance - radius) ** 2, weights)
+            if error < 0.5:
+                n_near = _take(c, False, tree, charges, near, n_near)
+                bound += error
+                continue
+        if tree.child[c] < 0 or raw:
+            n_near = _take(c, True, tree, charges, near, n_near)
+            continue
+        stack[depth], stack[depth + 1] = tree.child[c], tree.child[c] + 1
+        depth += 2
+    return n_far, n_near, bound
+
+
+@kernel
+def _far_error(c, half, count, distance, radius, tree, weights, raw):
+    """Larger error of the two interpolations, over the brick and over cluster ``c``, as an error of the weight."""
+    extent = math.sqrt(tree.half[c, 0] ** 2 + tree.half[c, 1] ** 2 + tree.half[c, 2] ** 2)
+    if distance <= extent or (not raw and distance <= radius):
+        return np.inf
+    error = _relative_error(half, count, distance - extent, weights)
+    if not raw:
+        error = max(error, _relative_error(tree.half[c], tree.count[c], distance, weights))
+    return error * _weight(distance * distance, weights)
+
+
+@kernel
+def _relative_error(half, count, distance, weights):
+    """Relative interpolation error of the weight function."""
+    ratio = weights.kappa * distance ** (weights.a - weights.b)
+    steep = ratio / (1.0 + ratio)
+    error = 0.0
+    if steep < 0.99:
+        error += (1.0 - steep) * interpolation_error(half, count, distance, weights.a)
+    if steep > 0.01:
+        error += steep * interpolation_error(half, count, distance, weights.b)
+    return error
+
+
+@kernel
+def _take(c, raw, tree, charges, packed, n):
+    """Append a cluster's sources or interpolation points to packed columns; returns the new length."""
+    if raw:
+        for s in range(tree.span[c, 0], tree.span[c, 1]):
+            for d in range(3):
+                packed[d, n] = tree.points[s, d]
+            for k in range(charges.source.shape[1]):
+                packed[3 + k, n] = charges.source[s, k]
+            n += 1
+        return n
+    for s in range(tree.proxy[c], tree.proxy[c + 1]):
+        for d in range(3):
+            packed[d, n] = tree.proxies[s, d]
+        for k in range(charges.proxy.shape[1]):
+            packed[3 + k, n] = charges.proxy[s, k]
+        n += 1
+    return n
+
+
+@kernel
+def _add_far(b, bricks, x, far, n_far, weights, sums):
+    """Sums at the brick's interpolation points, interpolated to its targets and added."""
+    count = bricks.count[b]
+    local = count[0] * count[1] * count[2]
+    place, values = np.empty((local, 3)), np.zeros((local, COLUMNS))
+    box_points(bricks.center[b], bricks.axes[b], bricks.half[b], count, place)
+    sum_block(place, far, n_far, weights.a, weights.b, weights.kappa, values)
+    node, weight, value = np.empty((3, 32)), np.empty((3, 32)), np.empty((3, 32))
+    for d in range(3):
+        chebyshev(count[d], node[d], weight[d])
+    for t in range(x.shape[0]):
+        for d in range(3):
+            at = box_coordinate(x[t], bricks.center[b], bricks.axes[b], bricks.half[b], d)
+            lagrange(count[d], node[d], weight[d], at, value[d])
+        n = 0
+        for i in range(count[0]):
+            for j in range(count[1]):
+                product = value[0, i] * value[1, j]
+                for k in range(count[2]):
+                    factor = product * value[2, k]
+                    for c in range(COLUMNS):
+                        sums[t, c] += factor * values[n, c]
+                    n += 1
