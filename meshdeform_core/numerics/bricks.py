@@ -16,7 +16,7 @@ class Bricks(NamedTuple):
     ----------
     start : (b + 1,) where each brick's targets begin
     targets : (n,) flat node indices
-    center, axes, half, count : boxes as in :class:`SourceTree`
+    center, axes, half, per_side : boxes as in :class:`SourceTree`
     """
 
     start: np.ndarray
@@ -24,7 +24,7 @@ class Bricks(NamedTuple):
     center: np.ndarray
     axes: np.ndarray
     half: np.ndarray
-    count: np.ndarray
+    per_side: np.ndarray
 
 
 def build_bricks(points, shapes, offsets, wanted, order, capacity):

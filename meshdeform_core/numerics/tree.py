@@ -20,7 +20,7 @@ class SourceTree(NamedTuple):
     span : (m, 2) first and one past the last place of each cluster
     child : (m,) first child (the second follows it), -1 for leaves
     center, axes, half : (m, 3), (m, 3, 3), (m, 3) boxes
-    count : (m, 3) interpolation points per side
+    per_side : (m, 3) interpolation points per side
     proxy : (m + 1,) where each cluster's interpolation points begin
     proxies : (total, 3) interpolation points
     """
@@ -32,7 +32,7 @@ class SourceTree(NamedTuple):
     center: np.ndarray
     axes: np.ndarray
     half: np.ndarray
-    count: np.ndarray
+    per_side: np.ndarray
     proxy: np.ndarray
     proxies: np.ndarray
 
@@ -126,7 +126,7 @@ def gather_charges(tree, charges, out):
         first = tree.proxy[cluster]
         if tree.proxy[cluster + 1] == first:
             continue
-        count = tree.count[cluster]
+        count = tree.per_side[cluster]
         for d in range(3):
             chebyshev(count[d], node[d], weight[d])
         for s in range(tree.span[cluster, 0], tree.span[cluster, 1]):

@@ -128,7 +128,7 @@ def _weight(distance2, weights):
 @kernel
 def _collect(b, bricks, tree, reach, charges, weights, allowed, mean, far, near):
     """Walk the tree for one brick: what acts on its interpolation points (far) and on its nodes (near)."""
-    half, count = bricks.half[b], bricks.count[b]
+    half, count = bricks.half[b], bricks.per_side[b]
     radius = math.sqrt(half[0] ** 2 + half[1] ** 2 + half[2] ** 2)
     # Few targets need no interpolation points of their own.
     few = bricks.start[b + 1] - bricks.start[b] <= 2 * count[0] * count[1] * count[2]
@@ -153,7 +153,7 @@ def _collect(b, bricks, tree, reach, charges, weights, allowed, mean, far, near)
                 bound += pull * error
                 continue
         if not raw and distance > radius:
-            error = _relative_error(tree.half[c], tree.count[c], distance - radius, weights)
+            error = _relative_error(tree.half[c], tree.per_side[c], distance - radius, weights)
             error *= pull * _weight((distance - radius) ** 2, weights)
             if error < 0.5:
                 n_near = _take(c, False, tree, charges, near, n_near)
@@ -175,7 +175,7 @@ def _far_error(c, half, count, distance, radius, tree, weights, raw):
         return np.inf
     error = _relative_error(half, count, distance - extent, weights)
     if not raw:
-        error = max(error, _relative_error(tree.half[c], tree.count[c], distance, weights))
+        error = max(error, _relative_error(tree.half[c], tree.per_side[c], distance, weights))
     return error * _weight(distance * distance, weights)
 
 
@@ -215,7 +215,7 @@ def _take(c, raw, tree, charges, packed, n):
 @kernel
 def _add_far(b, bricks, x, far, n_far, weights, sums):
     """Sums at the brick's interpolation points, interpolated to its targets and added."""
-    count = bricks.count[b]
+    count = bricks.per_side[b]
     local = count[0] * count[1] * count[2]
     place, values = np.empty((local, 3)), np.zeros((local, COLUMNS))
     box_points(bricks.center[b], bricks.axes[b], bricks.half[b], count, place)
