@@ -13,13 +13,11 @@ from .base import Account, Problem, Progress, Setting
 from .idw_sums import Bound, ExactSums, FastSums, Fit
 from .images import mirror_images
 from .options import choose, positive
+from .summation import check_summation, fast_pays
 
 ROTATIONS = ("none", "quaternion", "division", "blend", "lie")
 WEIGHTS = ("luke", "shepard")
-SUMMATIONS = ("auto", "exact", "fast")
 ALPHA_CAP = 0.3
-FAST_PAIRS = 2e8
-"""Pairs of sources and targets from which fast sums pay; exact ones take about 0.2 s for as many."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +41,9 @@ class IDW:
     divisions : m of eq. 26
     reweight : ``division`` finds its weights anew in every step, as in the paper; cost times m
     remove_mean : take the mean displacement out first and add it back; ``"auto"``: only for ``lie``
-    summation : ``exact`` sums, or ``fast`` ones with clusters of sources, or ``"auto"``: fast from 2e8 pairs of nodes
-    tolerance : of fast sums: error of a node's displacement relative to its shortest cell edge, 1e-8 to 0.1
+    summation : ``exact`` sums, or ``fast`` ones with clusters of sources, or ``"auto"``: fast from 2000
+        sources and 2e8 pairs of nodes
+    summation_tolerance : of fast sums: error of a node's displacement relative to its shortest cell edge, 1e-8 to 0.1
     """
 
     rotation: str = "lie"
@@ -60,7 +59,7 @@ class IDW:
     reweight: bool = False
     remove_mean: bool | str = "auto"
     summation: str = "auto"
-    tolerance: float = 1e-2
+    summation_tolerance: float = 1e-2
 
     def __post_init__(self) -> None:
         choose("idw.rotation", self.rotation, ROTATIONS)
@@ -71,10 +70,7 @@ class IDW:
             positive(f"idw.{name}", getattr(self, name))
         positive("idw.divisions", self.divisions, whole=True)
         choose("idw.remove_mean", self.remove_mean, (True, False, "auto"))
-        choose("idw.summation", self.summation, SUMMATIONS)
-        positive("idw.tolerance", self.tolerance)
-        if not 1e-8 <= self.tolerance <= 0.1:
-            raise MethodError(f"method.idw.tolerance = {self.tolerance:g}; expected 1e-8 to 0.1 of a cell")
+        check_summation("idw", self.summation, self.summation_tolerance)
         choose("idw.reweight", self.reweight, (True, False))
         if self.reweight and self.rotation != "division":
             raise MethodError(f'method.idw.reweight belongs to rotation = "division", not {self.rotation!r}')
@@ -175,14 +171,13 @@ class PreparedIDW:
         """Bind to the target nodes ``flat``."""
         o, grid = self.options, self._problem.grid
         bound = Bound(grid, flat, self.points, self.strength, self.groups, o.rotation, o.divisions, o.reweight)
-        pairs = len(flat) * len(self.points)
-        fast = o.summation == "fast" or (o.summation == "auto" and pairs > FAST_PAIRS)
-        reason = f"{pairs:.2g} pairs of nodes" if o.summation == "auto" else ""
-        self.account.settings["summation"] = Setting("fast" if fast else "exact", reason)
+        fast, self.account.settings["summation"] = fast_pays(o.summation, len(flat), len(self.points))
         if not fast:
             return ExactSums(bound)
-        self.account.settings["tolerance"] = Setting(o.tolerance, "displacement error relative to the local cell")
-        return FastSums(bound, o.tolerance, self.account)
+        self.account.settings["summation_tolerance"] = Setting(
+            o.summation_tolerance, "error relative to the local cell"
+        )
+        return FastSums(bound, o.summation_tolerance, self.account)
 
 
 def _motion_values(options: IDW, x: FloatArray, d: FloatArray, q: FloatArray) -> FloatArray:

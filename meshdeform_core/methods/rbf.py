@@ -12,17 +12,17 @@ from ..grid import FloatArray, IntArray
 from ..memory import UNLIMITED, MemoryLimit
 from ..numerics.basis import BASES
 from ..numerics.greedy import Selection, select
-from ..numerics.parallel import for_chunks
 from ..numerics.radial import radial_matrix, radial_sums
 from ..numerics.saddle import DirectSolver, minres
 from .base import Account, Problem, Progress, Setting
 from .images import mirror_images
 from .options import choose, positive
+from .rbf_sums import Centres, Fit, RadialSums
+from .summation import check_summation
 
 SOLVERS = ("auto", "direct", "minres")
 GREEDY = ("none", "single", "hybrid", "double-edged")
 ERRORS = ("first-cell", "absolute")
-_CHUNK = 2048
 
 
 @dataclass(frozen=True)
@@ -49,6 +49,9 @@ class RBF:
     greedy_updates : m, single-point updates between exact solutions; 0: as many as there are sources
     greedy_max_points : most centres to keep; 0: all
     greedy_correct : add the remaining error to the nodes near each wall node, so that walls land exactly
+    summation : ``exact`` sums at the nodes, or ``fast`` ones with clusters of centres, or ``"auto"``: fast from 2000
+        centres and 2e8 pairs of nodes
+    summation_tolerance : of fast sums: error of a node's displacement relative to its shortest cell edge, 1e-8 to 0.1
     """
 
     basis: str = "tps"
@@ -63,6 +66,8 @@ class RBF:
     greedy_updates: int = 0
     greedy_max_points: int = 0
     greedy_correct: bool = True
+    summation: str = "auto"
+    summation_tolerance: float = 1e-2
 
     def __post_init__(self) -> None:
         choose("rbf.basis", self.basis, tuple(BASES))
@@ -75,6 +80,7 @@ class RBF:
         positive("rbf.max_iterations", self.max_iterations, whole=True)
         for name in ("greedy_start", "greedy_updates", "greedy_max_points"):
             positive(f"rbf.{name}", getattr(self, name), whole=True, zero=True)
+        check_summation("rbf", self.summation, self.summation_tolerance)
         choose("rbf.greedy_correct", self.greedy_correct, (True, False))
         if self.basis == "tps" and self.greedy != "none":
             raise MethodError(
@@ -85,53 +91,6 @@ class RBF:
     def bind(self, problem: Problem) -> PreparedRBF:
         """Sources and their images at symmetry planes as centres; nothing is solved yet."""
         return PreparedRBF(self, problem)
-
-
-@dataclass(frozen=True)
-class Centres:
-    """Centres in normalised coordinates with the polynomial terms that they determine.
-
-    Thin plate splines with a linear polynomial do not depend on the unit of length, and compact functions take
-    distances in radii; both are conditioned best near one. Directions in which all centres lie in a plane carry no
-    polynomial term: 2-D grids and planar patches then have a solution.
-    """
-
-    points: FloatArray
-    origin: FloatArray
-    scale: float
-    axes: FloatArray
-
-    @classmethod
-    def of(cls, points: FloatArray, radius: float | None) -> Centres:
-        origin = points.mean(axis=0)
-        arms = points - origin
-        extent = float(np.linalg.norm(arms, axis=1).max()) or 1.0
-        _, sizes, axes = np.linalg.svd(arms, full_matrices=False)
-        spread = axes[sizes > 1e-8 * extent * np.sqrt(len(points))]
-        scale = extent if radius is None else radius
-        return cls(np.ascontiguousarray(arms / scale), origin, scale, spread)
-
-    def normalised(self, points: FloatArray) -> FloatArray:
-        """Other points in the same coordinates."""
-        return (points - self.origin) / self.scale
-
-    def polynomial(self, normalised: FloatArray) -> FloatArray:
-        """Polynomial terms (n, q) at normalised points: the constant and the directions in which centres spread."""
-        return np.concatenate([np.ones((len(normalised), 1)), normalised @ self.axes.T], axis=1)
-
-
-@dataclass(frozen=True)
-class Fit:
-    """Solved coefficients: ``centres`` (k, 3) normalised, ``coefficients`` (k, 3), ``polynomial`` (q, 3).
-
-    ``residual`` (n, 3) what a greedy reduction left at all sources and ``reach`` how far it is spread; else ``None``.
-    """
-
-    centres: FloatArray
-    coefficients: FloatArray
-    polynomial: FloatArray
-    residual: FloatArray | None = None
-    reach: float = 0.0
 
 
 class RadialSystem:
@@ -316,48 +275,11 @@ class PreparedRBF:
                 f"({unit}); asked for {self.options.greedy_tolerance:g}. Raise greedy_max_points or greedy_tolerance"
             )
 
-    def at(self, flat: IntArray) -> RadialEvaluator:
+    def at(self, flat: IntArray) -> RadialSums:
         """Bind to the target nodes ``flat``."""
-        return RadialEvaluator(self, self._problem.grid.points, flat)
-
-
-class RadialEvaluator:
-    """Sums at target nodes, chunk by chunk, with the greedy residual added near the walls."""
-
-    def __init__(self, prepared: PreparedRBF, points: FloatArray, flat: IntArray):
-        self._prepared, self._points, self._flat = prepared, points, flat
-        self._nearest: tuple[FloatArray, IntArray] | None = None
-
-    def evaluate(self, fit: Fit, out: FloatArray, progress: Progress | None) -> None:
-        """Write the displacement of the targets into ``out``."""
-        centres, options = self._prepared.centres, self._prepared.options
-        correct = fit.residual is not None and options.greedy_correct and fit.reach > 0
-        if correct and self._nearest is None:
-            self._nearest = self._find_nearest()
-
-        def work(lo: int, hi: int) -> None:
-            flat = self._flat[lo:hi]
-            x = centres.normalised(self._points[flat])
-            moved = radial_sums(BASES[options.basis], x, fit.centres, fit.coefficients)
-            moved += centres.polynomial(x)[:, : len(fit.polynomial)] @ fit.polynomial
-            if correct:
-                moved += self._correction(fit, lo, hi)
-            out[flat] = moved
-
-        report = None if progress is None else (lambda done, total: progress("rbf", done, total))
-        for_chunks(work, len(self._flat), _CHUNK, report)
-
-    def _find_nearest(self) -> tuple[FloatArray, IntArray]:
-        from scipy.spatial import cKDTree
-
-        tree = cKDTree(self._prepared.centres.points * self._prepared.centres.scale + self._prepared.centres.origin)
-        distance, nearest = tree.query(self._points[self._flat])
-        return distance, nearest
-
-    def _correction(self, fit: Fit, lo: int, hi: int) -> FloatArray:
-        """Residual of the nearest source, fading smoothly with the distance to it (Wendland C2)."""
-        assert self._nearest is not None
-        assert fit.residual is not None
-        distance, nearest = (part[lo:hi] for part in self._nearest)
-        r = np.minimum(distance / fit.reach, 1.0)
-        return ((1 - r) ** 4 * (4 * r + 1))[:, None] * fit.residual[nearest]
+        o, grid = self.options, self._problem.grid
+        correct = o.greedy != "none" and o.greedy_correct
+        sums = RadialSums(grid, flat, self.centres, o.basis, o.summation, o.summation_tolerance, correct, self.account)
+        if o.greedy == "none":
+            sums.prepare(len(self.centres.points))
+        return sums

@@ -142,6 +142,13 @@ def box_coordinate(point, center, axes, half, row):
 
 
 @kernel
+def nearest_reach(half, distance):
+    """Distance of a source from the sides of a box, plus its longest half width: a source off a corner is nearer."""
+    longest = max(half[0], half[1], half[2])
+    return distance - (math.sqrt(half[0] * half[0] + half[1] * half[1] + half[2] * half[2]) - longest)
+
+
+@kernel
 def interpolation_error(half, count, distance, power):
     """Error of interpolating r^-power over a box, for a source at ``distance`` from its middle, relative to its value.
 
@@ -149,9 +156,7 @@ def interpolation_error(half, count, distance, power):
     calibrated against computed errors: 1 to 3 times too large, never too small by more than 2.
     """
     longest = max(half[0], half[1], half[2])
-    diagonal = math.sqrt(half[0] * half[0] + half[1] * half[1] + half[2] * half[2])
-    # A source off a corner is nearer than one off a side.
-    reach = distance - (diagonal - longest)
+    reach = nearest_reach(half, distance)
     if reach <= longest * 1.05:
         return np.inf
     total = 0.0
@@ -164,3 +169,33 @@ def interpolation_error(half, count, distance, power):
         total += term
     growth = 1.0 - longest / reach
     return total / growth**power
+
+
+@kernel
+def radial_error(basis, half, count, distance):
+    """Error of interpolating a radial basis function over a box inside its support, for a source at ``distance``.
+
+    The function's singular part at the origin decides: r^2 log r, r or r^3 (numbers of :data:`.basis.BASES`). The
+    remaining polynomial is exact from five points on.
+    """
+    longest = max(half[0], half[1], half[2])
+    reach = nearest_reach(half, distance)
+    if reach <= longest * 1.05:
+        return np.inf
+    if basis == 0:
+        power, factor = 2.0, 1.0
+    elif basis == 1:
+        power, factor = 1.0, 0.5
+    elif basis == 2:
+        power, factor = 3.0, 15.0
+    elif basis == 3:
+        power, factor = 2.0, 20.0
+    else:
+        power, factor = 3.0, 60.0
+    growth = 1.0 / (1.0 - longest / reach)
+    total = 0.0
+    for d in range(3):
+        n, x = count[d], half[d] / reach
+        term = (x * 0.5) ** n * factor * growth ** max(n - power, 0.0)
+        total += 4.0 * term / (n * (n - 1) * (n - 2)) if n > 2 and power == 2.0 else term
+    return total * reach**power

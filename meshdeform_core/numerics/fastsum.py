@@ -1,6 +1,7 @@
 """Fast weighted sums as one object: trees, bricks and accuracy of one undeformed grid (see :mod:`.treesum`)."""
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -9,7 +10,10 @@ from .bricks import Bricks, build_bricks, node_sizes
 from .direct import N_VALUES
 from .parallel import for_chunks
 from .tree import build_tree, gather_charges
-from .treesum import COLUMNS, Charges, Weights, add_totals, cluster_reach, sum_bricks
+from .treesum import Charges, add_totals, cluster_reach, inverse_powers, sum_bricks
+
+Report = Callable[[int, int], None] | None
+"""``report(done, total)``, or nothing."""
 
 _SAMPLES = 9
 _CHUNK = 16
@@ -91,7 +95,7 @@ class FastSums:
         risk : (b,) bound of each brick's error, in units that only allow comparing
         """
         bricks = self.targets.bricks
-        kinds = [Weights(*(float(part) for part in each)) for each in weights]
+        kinds = [inverse_powers(*each) for each in weights]
         reaches = [cluster_reach(tree, strength[g], shift[g], turn[g]) for g, tree in self._groups]
         allowed, mean = self._allowance(kinds, reaches)
         risk = np.zeros(len(allowed))
@@ -101,7 +105,7 @@ class FastSums:
             start, stop = bricks.start[lo], bricks.start[hi]
             sums = np.empty((stop - start, 1 + N_VALUES * len(passes)))
             for number, charges in enumerate(passes):
-                part = np.zeros((stop - start, COLUMNS))
+                part = np.zeros((stop - start, 1 + N_VALUES))
                 for (_, tree), reach, charge, kind in zip(self._groups, reaches, charges, kinds, strict=True):
                     sum_bricks(
                         lo, hi, self.targets.points, bricks, tree, reach, charge, kind, allowed, mean, part, risk
@@ -117,11 +121,11 @@ class FastSums:
         """Charges of one pass, per group."""
         charges = []
         for group, tree in self._groups:
-            source = np.zeros((len(group), COLUMNS))
+            source = np.zeros((len(group), 1 + N_VALUES))
             members = group[tree.order]
             source[:, 0] = strength[members]
             source[:, 1 : 1 + len(values)] = (strength[members] * values[:, members]).T
-            proxy = np.empty((len(tree.proxies), COLUMNS))
+            proxy = np.empty((len(tree.proxies), 1 + N_VALUES))
             gather_charges(tree, source, proxy)
             charges.append(Charges(source, proxy))
         return charges

@@ -1,9 +1,10 @@
-"""Fast inverse-distance sums: clusters of sources seen from bricks of target nodes.
+"""Fast sums of functions of distance: clusters of sources seen from bricks of target nodes.
 
-For every brick the tree of sources is walked from the top. A cluster that is far away, for the accuracy that its share
-of the weighted mean needs, gives its interpolation points as sources; if the brick is small against the distance too,
-they act on the brick's interpolation points and the result is interpolated to its nodes. The rest is summed exactly.
-Numerator and denominator of eq. 14 use the same approximate weights, so the error of the mean is the error of the
+For every brick the tree of sources is walked from the top. A cluster that is far away, for the accuracy that its part
+of the sum needs, gives its interpolation points as sources; if the brick is small against the distance too, they act on
+the brick's interpolation points and the result is interpolated to its nodes. The rest is summed exactly.
+
+In a weighted mean (eq. 14) numerator and denominator use the same approximate weights, so its error is the error of the
 weights times the *difference* of a cluster's displacement from the mean: a common motion is exact.
 
 Source: barycentric cluster-cluster treecodes (Wang, Krasny, Tlupova 2020), with the acceptance of a weighted mean.
@@ -14,30 +15,49 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .boxes import box_coordinate, box_points, chebyshev, interpolation_error, lagrange
-from .direct import N_VALUES, sum_block
+from .basis import BASES
+from .boxes import box_coordinate, box_points, chebyshev, interpolation_error, lagrange, radial_error
+from .direct import sum_block
 from .jit import kernel
+from .radial import radial_block
 from .tree import SourceTree
 
-COLUMNS = 1 + N_VALUES
 _STACK = 256
 
 
-class Weights(NamedTuple):
-    """w = r^-a + kappa r^-b."""
+class Kernel(NamedTuple):
+    """A function of distance: a radial basis function by its number, or r^-a + kappa r^-b for ``basis`` -1.
 
+    Attributes
+    ----------
+    basis : see :data:`.basis.BASES`; distances are in units of the support radius
+    compact : the basis function vanishes from distance 1 on
+    """
+
+    basis: int
+    compact: bool
     a: float
     b: float
     kappa: float
 
 
+def inverse_powers(a, b, kappa):
+    """Kernel r^-a + kappa r^-b of inverse distance weighting."""
+    return Kernel(-1, False, float(a), float(b), float(kappa))
+
+
+def radial_basis(name):
+    """Kernel of a radial basis function by name."""
+    return Kernel(BASES[name], name != "tps", 0.0, 0.0, 0.0)
+
+
 class Reach(NamedTuple):
-    """How far a cluster's motion can pull the weighted mean, for error bounds.
+    """How much a cluster can do, for error bounds: strength times (shift + turn * distance + mean of the brick).
 
     Attributes
     ----------
     strength : (m,) total strength of each cluster
-    shift, turn : (m,) largest displacement and rotation angle (radians) of its sources
+    shift, turn : (m,) largest displacement and rotation angle (radians) of its sources; 1 and 0 for plain sums
     """
 
     strength: np.ndarray
@@ -70,7 +90,7 @@ def _reduce(span, strength, shift, turn, total, largest_shift, largest_turn):
 
 
 @kernel
-def add_totals(samples, tree, reach, weights, total, moved):
+def add_totals(samples, tree, reach, function, total, moved):
     """Total weight and weighted displacement bound at sample points (n, 3), added to ``total`` and ``moved`` (n,)."""
     stack = np.empty(_STACK, dtype=np.int64)
     for s in range(samples.shape[0]):
@@ -85,7 +105,7 @@ def add_totals(samples, tree, reach, weights, total, moved):
             extent2 = tree.half[c, 0] ** 2 + tree.half[c, 1] ** 2 + tree.half[c, 2] ** 2
             if d2 > 2.0 * extent2 or tree.child[c] < 0:
                 # A leaf around the sample: its weight as if at the rim, which is less than it is.
-                w = reach.strength[c] * _weight(max(d2, 0.25 * extent2), weights)
+                w = reach.strength[c] * _weight(max(d2, 0.25 * extent2), function)
                 total[s] += w
                 moved[s] += w * (reach.shift[c] + reach.turn[c] * math.sqrt(d2))
             else:
@@ -94,39 +114,40 @@ def add_totals(samples, tree, reach, weights, total, moved):
 
 
 @kernel
-def sum_bricks(first, last, points, bricks, tree, reach, charges, weights, allowed, mean, out, risk):
-    """Weighted sums (n, COLUMNS) at the targets of bricks ``first`` to ``last``, added to ``out`` (bricks' order).
+def sum_bricks(first, last, points, bricks, tree, reach, charges, function, allowed, mean, out, risk):
+    """Sums (n, columns) at the targets of bricks ``first`` to ``last``, added to ``out`` (bricks' order).
 
     Parameters
     ----------
     points : (n_nodes, 3)
-    allowed : (b,) weighted displacement error that one cluster may cause in a brick
+    allowed : (b,) error of the sums that one cluster may cause in a brick
     mean : (b,) bound of the mean displacement there
-    out : (targets of these bricks, COLUMNS)
+    out : (targets of these bricks, columns of the charges)
     risk : (b,) the sum of the error bounds of all clusters, relative to ``allowed``, is added
     """
     n = tree.points.shape[0] + tree.proxies.shape[0]
-    far, near = np.empty((3 + COLUMNS, n)), np.empty((3 + COLUMNS, n))
+    rows = 3 + charges.source.shape[1]
+    far, near = np.empty((rows, n)), np.empty((rows, n))
     row = 0
     for b in range(first, last):
         x = points[bricks.targets[bricks.start[b] : bricks.start[b + 1]]]
         sums = out[row : row + x.shape[0]]
         row += x.shape[0]
-        n_far, n_near, bound = _collect(b, bricks, tree, reach, charges, weights, allowed[b], mean[b], far, near)
+        n_far, n_near, bound = _collect(b, bricks, tree, reach, charges, function, allowed[b], mean[b], far, near)
         risk[b] += bound
-        sum_block(x, near, n_near, weights.a, weights.b, weights.kappa, sums)
+        _sum(x, near, n_near, function, sums)
         if n_far:
-            _add_far(b, bricks, x, far, n_far, weights, sums)
+            _add_far(b, bricks, x, far, n_far, function, sums)
 
 
 @kernel
-def _weight(distance2, weights):
+def _weight(distance2, function):
     r = math.sqrt(distance2)
-    return r**-weights.a + weights.kappa * r**-weights.b
+    return r**-function.a + function.kappa * r**-function.b
 
 
 @kernel
-def _collect(b, bricks, tree, reach, charges, weights, allowed, mean, far, near):
+def _collect(b, bricks, tree, reach, charges, function, allowed, mean, far, near):
     """Walk the tree for one brick: what acts on its interpolation points (far) and on its nodes (near)."""
     half, count = bricks.half[b], bricks.per_side[b]
     radius = math.sqrt(half[0] ** 2 + half[1] ** 2 + half[2] ** 2)
@@ -145,19 +166,24 @@ def _collect(b, bricks, tree, reach, charges, weights, allowed, mean, far, near)
             d2 += (bricks.center[b, d] - tree.center[c, d]) ** 2
         distance = math.sqrt(d2)
         pull = reach.strength[c] * (reach.shift[c] + reach.turn[c] * distance + mean) / allowed
+        extent = math.sqrt(tree.half[c, 0] ** 2 + tree.half[c, 1] ** 2 + tree.half[c, 2] ** 2)
+        if function.compact and distance - radius - extent >= 1.0:
+            continue
+        cut = function.compact and distance + radius + extent > 1.0
         raw = tree.proxy[c + 1] == tree.proxy[c]
-        if not few:
-            error = _far_error(c, half, count, distance, radius, tree, weights, raw)
+        if not (few or cut) and distance > extent and (raw or distance > radius):
+            error = _error(half, count, distance - extent, distance, function)
+            if not raw:
+                error = max(error, _error(tree.half[c], tree.per_side[c], distance, distance, function))
             if pull * error < 0.5:
                 n_far = _take(c, raw, tree, charges, far, n_far)
                 bound += pull * error
                 continue
-        if not raw and distance > radius:
-            error = _relative_error(tree.half[c], tree.per_side[c], distance - radius, weights)
-            error *= pull * _weight((distance - radius) ** 2, weights)
-            if error < 0.5:
+        if not (raw or cut) and distance > radius:
+            error = _error(tree.half[c], tree.per_side[c], distance - radius, distance - radius, function)
+            if pull * error < 0.5:
                 n_near = _take(c, False, tree, charges, near, n_near)
-                bound += error
+                bound += pull * error
                 continue
         if tree.child[c] < 0 or raw:
             n_near = _take(c, True, tree, charges, near, n_near)
@@ -168,28 +194,26 @@ def _collect(b, bricks, tree, reach, charges, weights, allowed, mean, far, near)
 
 
 @kernel
-def _far_error(c, half, count, distance, radius, tree, weights, raw):
-    """Larger error of the two interpolations, over the brick and over cluster ``c``, as an error of the weight."""
-    extent = math.sqrt(tree.half[c, 0] ** 2 + tree.half[c, 1] ** 2 + tree.half[c, 2] ** 2)
-    if distance <= extent or (not raw and distance <= radius):
-        return np.inf
-    error = _relative_error(half, count, distance - extent, weights)
-    if not raw:
-        error = max(error, _relative_error(tree.half[c], tree.per_side[c], distance, weights))
-    return error * _weight(distance * distance, weights)
+def _sum(targets, packed, n, function, out):
+    if function.basis < 0:
+        sum_block(targets, packed, n, function.a, function.b, function.kappa, out)
+    else:
+        radial_block(function.basis, targets, packed, n, out)
 
 
 @kernel
-def _relative_error(half, count, distance, weights):
-    """Relative interpolation error of the weight function."""
-    ratio = weights.kappa * distance ** (weights.a - weights.b)
+def _error(half, count, gap, distance, function):
+    """Error of interpolating the function over a box: its shape judged at ``gap``, its size at ``distance``."""
+    if function.basis >= 0:
+        return radial_error(function.basis, half, count, gap)
+    ratio = function.kappa * gap ** (function.a - function.b)
     steep = ratio / (1.0 + ratio)
     error = 0.0
     if steep < 0.99:
-        error += (1.0 - steep) * interpolation_error(half, count, distance, weights.a)
+        error += (1.0 - steep) * interpolation_error(half, count, gap, function.a)
     if steep > 0.01:
-        error += steep * interpolation_error(half, count, distance, weights.b)
-    return error
+        error += steep * interpolation_error(half, count, gap, function.b)
+    return error * _weight(distance * distance, function)
 
 
 @kernel
@@ -213,13 +237,13 @@ def _take(c, raw, tree, charges, packed, n):
 
 
 @kernel
-def _add_far(b, bricks, x, far, n_far, weights, sums):
+def _add_far(b, bricks, x, far, n_far, function, sums):
     """Sums at the brick's interpolation points, interpolated to its targets and added."""
     count = bricks.per_side[b]
     local = count[0] * count[1] * count[2]
-    place, values = np.empty((local, 3)), np.zeros((local, COLUMNS))
+    place, values = np.empty((local, 3)), np.zeros((local, sums.shape[1]))
     box_points(bricks.center[b], bricks.axes[b], bricks.half[b], count, place)
-    sum_block(place, far, n_far, weights.a, weights.b, weights.kappa, values)
+    _sum(place, far, n_far, function, values)
     node, weight, value = np.empty((3, 32)), np.empty((3, 32)), np.empty((3, 32))
     for d in range(3):
         chebyshev(count[d], node[d], weight[d])
@@ -233,6 +257,6 @@ def _add_far(b, bricks, x, far, n_far, weights, sums):
                 product = value[0, i] * value[1, j]
                 for k in range(count[2]):
                     factor = product * value[2, k]
-                    for c in range(COLUMNS):
+                    for c in range(sums.shape[1]):
                         sums[t, c] += factor * values[n, c]
                     n += 1

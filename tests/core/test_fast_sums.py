@@ -8,10 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from meshdeform_core.errors import MethodError
-from meshdeform_core.methods import IDW, Options, make_method
+from meshdeform_core.methods import IDW, RBF, Options, make_method
 from meshdeform_core.numerics import boxes, fastsum
+from meshdeform_core.numerics.basis import BASES
 from meshdeform_core.numerics.bricks import build_bricks, node_sizes
 from meshdeform_core.numerics.elementary import exp, log
+from meshdeform_core.numerics.fastradial import FastRadial
+from meshdeform_core.numerics.radial import radial_sums
 from meshdeform_core.numerics.tree import build_tree, gather_charges
 from meshdeform_core.prescription import prescribed_displacement
 
@@ -46,7 +49,7 @@ def cell_sizes(problem):
 @pytest.mark.parametrize("name", VARIANTS)
 def test_error_stays_below_the_tolerance(name, tolerance, problem):
     exact = apply(Options("idw", idw=IDW(summation="exact", **VARIANTS[name])), problem, told(problem))
-    fast = IDW(summation="fast", tolerance=tolerance, **VARIANTS[name])
+    fast = IDW(summation="fast", summation_tolerance=tolerance, **VARIANTS[name])
     prepared = make_method(Options("idw", idw=fast)).prepare(problem)
     error = np.linalg.norm(prepared.apply(told(problem)) - exact, axis=1) / cell_sizes(problem)
     assert error.max() <= tolerance
@@ -66,7 +69,7 @@ def test_common_translation_is_exact(rotation):
 def test_two_dimensional_grid():
     problem = problem_of(frame_2d(40), body_specs(turning(20))[:1])
     exact, fast = (
-        apply(Options("idw", idw=IDW(summation=kind, tolerance=1e-3)), problem, told(problem))
+        apply(Options("idw", idw=IDW(summation=kind, summation_tolerance=1e-3)), problem, told(problem))
         for kind in ("exact", "fast")
     )
     gap = np.linalg.norm(fast - exact, axis=1) / cell_sizes(problem)
@@ -75,7 +78,7 @@ def test_two_dimensional_grid():
 
 
 def test_error_that_is_too_large_is_found_and_mended(problem, monkeypatch):
-    options = Options("idw", idw=IDW(summation="fast", tolerance=1e-3))
+    options = Options("idw", idw=IDW(summation="fast", summation_tolerance=1e-3))
     exact = apply(Options("idw", idw=IDW(summation="exact")), problem, told(problem))
     monkeypatch.setattr(fastsum, "_SHARE", 3e4)
     prepared = make_method(options).prepare(problem)
@@ -92,7 +95,7 @@ def test_small_cases_are_summed_exactly(problem):
     prepared = make_method(Options("idw")).prepare(problem)
     assert prepared.account.settings["summation"].value == "exact"
     with pytest.raises(MethodError, match="1e-8 to"):
-        IDW(tolerance=1e-9)
+        IDW(summation_tolerance=1e-9)
     with pytest.raises(MethodError, match=r"idw\.summation"):
         IDW(summation="quick")
 
@@ -164,3 +167,31 @@ def test_logarithm_and_exponential():
     np.testing.assert_allclose([exp(v) for v in x], np.exp(x), rtol=1e-15)
     y = np.exp(np.linspace(-600, 600, 4001))
     np.testing.assert_allclose([log(v) for v in y], np.log(y), rtol=1e-15, atol=1e-15)
+
+
+@pytest.mark.parametrize("basis", ["tps", "wendland-c0", "wendland-c2", "ctps-c1", "ctps-c2a", "ctps-c2b"])
+@pytest.mark.parametrize("radius", [12.0, 2.5])
+def test_radial_sums(basis, radius, problem):
+    """The same coefficients, once exactly and once fast, at nodes and at the centres themselves."""
+    exact, fast = (
+        apply(
+            Options("rbf", rbf=RBF(basis=basis, radius=radius, summation=kind, summation_tolerance=1e-3)),
+            problem,
+            told(problem),
+        )
+        for kind in ("exact", "fast")
+    )
+    assert 0 < (np.linalg.norm(fast - exact, axis=1) / cell_sizes(problem)).max() <= 1e-3
+
+
+@pytest.mark.parametrize("basis", ["tps", "wendland-c2"])
+def test_radial_product(basis, problem):
+    centres = problem.source_points / 4.0
+    coefficients = np.random.default_rng(0).standard_normal((len(centres), 3))
+    exact = radial_sums(BASES[basis], centres, centres, coefficients)
+    fast = FastRadial(basis, np.ascontiguousarray(centres), 6)
+    for allowed, expected in ((1e-3, 1e-2), (1e-6, 1e-5)):
+        error = np.abs(fast.product(coefficients, allowed) - exact).max() / np.abs(exact).max()
+        assert 0 < error < expected
+    twice = fast.product(2 * coefficients, 1e-3) - 2 * fast.product(coefficients, 1e-3)
+    assert np.abs(twice).max() <= 1e-12 * np.abs(exact).max()
