@@ -11,7 +11,7 @@ from ..errors import MethodError
 from ..grid import FloatArray, IntArray
 from ..memory import UNLIMITED, MemoryLimit
 from ..numerics.basis import BASES
-from ..numerics.greedy import Selection, select
+from ..numerics.greedy import Selection, independent, select
 from ..numerics.radial import radial_matrix, radial_sums
 from ..numerics.saddle import DirectSolver, minres
 from .base import Account, Problem, Progress, Setting
@@ -99,7 +99,8 @@ class RadialSystem:
     def __init__(self, options: RBF, centres: Centres, limit: MemoryLimit = UNLIMITED):
         self.options, self.centres = options, centres
         self.kind = BASES[options.basis]
-        self.terms = centres.polynomial(centres.points)
+        # Few kept centres (one, while nothing moves) may not determine all terms.
+        self.terms = independent(centres.polynomial(centres.points))
         n = len(centres.points)
         limit.require(
             8 * n * n,
@@ -234,7 +235,7 @@ class PreparedRBF:
     def _refit(self, values: FloatArray, scale: FloatArray) -> Fit | None:
         """The kept selection with new values, unless its error has grown beyond the tolerance."""
         found = self._selection
-        if found is None or self.options.greedy == "single":
+        if found is None:
             return None
         points = np.ascontiguousarray(self.centres.points[found.active])
         if self._system is None:
