@@ -12,8 +12,9 @@ from typing import Protocol
 import numpy as np
 
 from ..grid import FloatArray, IntArray
-from .base import Account, Interpolation, Problem, Progress
+from .base import Account, Interpolation, PreparedMethod, Problem, Progress
 from .edges import PreparedEdgeGraph
+from .periodic_steps import PreparedPeriodic, free_periodic, with_known_periodic
 from .skeleton import Skeleton
 
 
@@ -59,9 +60,21 @@ class Composite:
     mover: Interpolation | None
     filler: Filler | None
 
-    def prepare(self, problem: Problem) -> PreparedComposite:
+    def prepare(self, problem: Problem) -> PreparedMethod:
         """Bind both steps to the undeformed grid."""
-        return PreparedComposite(self, problem)
+        periodic = free_periodic(problem)
+        if periodic.size == 0:
+            return PreparedComposite(self, problem)
+        first = _mover(self.mover, problem, problem.topology.first[periodic])
+        guided = with_known_periodic(problem)
+        return PreparedPeriodic(problem, first, PreparedComposite(self, guided), guided)
+
+
+def _mover(interpolation: Interpolation | None, problem: Problem, flat: IntArray) -> Mover:
+    """An interpolation for the nodes ``flat``, or TFI on the edge graph, which moves all face nodes."""
+    if interpolation is None:
+        return PreparedEdgeGraph(problem)
+    return _Scattered(interpolation, problem, flat)
 
 
 @dataclass
@@ -88,11 +101,7 @@ class PreparedComposite:
     def __init__(self, method: Composite, problem: Problem):
         self._problem = problem
         skeleton = method.filler.skeleton(problem) if method.filler else None
-        self._mover: Mover
-        if method.mover is None:
-            self._mover = PreparedEdgeGraph(problem)
-        else:
-            self._mover = _Scattered(method.mover, problem, _targets(problem, skeleton))
+        self._mover = _mover(method.mover, problem, _targets(problem, skeleton))
         self._filler = method.filler.prepare(problem, skeleton) if method.filler and skeleton else None
         self._left_out = skeleton is not None and bool(skeleton.left_out)
 
