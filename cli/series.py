@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time as clock
 from pathlib import Path
 
@@ -73,6 +74,7 @@ def command(
       meshdeform series grid.xyz -c case.toml --times 0:1:0.1 -o out --suffix .vtm --velocity second
       meshdeform series wing.cgns -c flutter.toml --times 0:0.5:0.01 -o flutter --single-file --report flutter.json
       meshdeform series wing.cgns -c flutter.toml --times 0:0.5:0.01 -o flutter --resume
+      meshdeform series wing.cgns -d 'surface_*.csv' --times 0:0.5:0.01 -o flutter
 
     What depends on the undeformed grid only is computed once. Every file is whole whenever the run is stopped;
     OUTPUT/series.json keeps what --resume needs. Levels with invalid cells are written too (exit code 3).
@@ -82,7 +84,9 @@ def command(
     if output is None:
         raise click.UsageError("Missing option '-o' / '--output'.")
     if case.empty:
-        raise click.UsageError("Nothing to do: give a case file (-c).")
+        raise click.UsageError("Nothing to do: give a case file (-c) or displacement files (-d).")
+    if case.displacement and not times:
+        raise click.UsageError("Displacement files (-d 'surface_*.csv') need their times: --times START:STOP:STEP.")
     if resume and force:
         raise click.UsageError("--resume continues a series, --force begins it anew; give one of them.")
     check_reports(reports, force or resume, *source.files, *case.files)
@@ -91,7 +95,7 @@ def command(
     from . import series_run, work
 
     wanted = series_run.Wanted(output, times, origin, velocity, count, suffix, single_file, options)
-    job = work.load(source, case, limit, reports)
+    job = work.load(source, dataclasses.replace(case, times=times), limit, reports)
     run = series_run.prepare(job, source, wanted)
     if dry_run:
         click.echo(series_run.describe(run), nl=False)

@@ -144,9 +144,10 @@ def carry_out(run: Run, progress: ProgressBar, start: float) -> Report:
         manifest.complete = True
         manifest.save()
         files.clean(complete=True)
-    seconds = {"read": run.job.read_seconds, **run.timing.seconds, "total": clock.perf_counter() - start}
+    seconds = {"read": run.job.read_seconds, **run.timing.seconds}
     view = str(files.view) if files.view else None
-    return series_report(manifest.head, manifest.levels, schedule, view, seconds, peak_memory())
+    total = clock.perf_counter() - start
+    return series_report(manifest.head, manifest.levels, schedule, view, seconds, total, peak_memory())
 
 
 def _record(run: Run, level: Level) -> None:

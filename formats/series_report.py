@@ -57,6 +57,7 @@ def series_report(
     schedule: Schedule,
     view: str | None,
     timing: Mapping[str, float],
+    total: float,
     peak_memory: int,
 ) -> Report:
     """The report over all levels.
@@ -64,7 +65,8 @@ def series_report(
     Parameters
     ----------
     view : the file to open in ParaView
-    timing : seconds of this run that belong to no level (reading, topology, putting files together), and in total
+    timing : seconds of this run that belong to no level (reading, topology, putting files together)
+    total : seconds of this run
     """
     stages = dict.fromkeys(key for level in levels for key in level["timing"] if key != "total")
     spent = {key: sum(level["timing"].get(key, 0.0) for level in levels) for key in stages}
@@ -85,7 +87,7 @@ def series_report(
         },
         "levels": list(levels),
         "valid": all(level["valid"] for level in levels),
-        "timing": {**timing, **spent, "total": timing["total"]},
+        "timing": {**timing, **spent, "total": total},
         "peak_memory_bytes": peak_memory,
         "warnings": warnings,
     }

@@ -100,6 +100,17 @@ def test_times_are_those_of_the_displacement_files(swing, call):
     assert "no level at t = 1" in call(*RUN[:4], "-o", "new", "--times", "0:3:1").err
 
 
+def test_displacement_files_alone_are_enough(swing, call):
+    table = (swing / "table.csv").read_text()
+    (swing / "move_9.csv").write_text(table.replace("0.1000", "0.0000"))
+    (swing / "move_10.csv").write_text(table)
+    report = report_of(call, "series", "grid.xyz", "-d", "move_*.csv", "--times", "0,1", "-o", "out")
+    assert [level["max_displacement"] for level in report["levels"]] == pytest.approx([0, 0.1])
+    assert report["boundary"]["moving_nodes"] == 80
+    assert "need their times" in call("series", "grid.xyz", "-d", "move_*.csv", "-o", "new").err
+    assert "2 files" in call("series", "grid.xyz", "-d", "move_*.csv", "-o", "new", "--times", "0:2:1").err
+
+
 def test_a_broken_level_is_written_and_gives_exit_3(swing, call):
     (swing / "swing.toml").write_text(SWING.replace("20*sin(2*pi*t)", "150*sin(pi*t)"))
     result = call("series", *RUN[1:-1], "0:1:0.5", "--report", "r.json")
