@@ -14,7 +14,7 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Field, FileFormat, FloatArray, Grid
 from meshdeform_core.series import grid_velocity
 
-from .files import replacing
+from .files import remove_partial, replacing
 from .grids import FORMATS, format_of, read_grid, variant_of, write_grid
 from .series_index import index_path, write_index
 
@@ -132,7 +132,7 @@ class LevelFiles:
             write_index(self.view, levels, self.variant)
 
     def clean(self, complete: bool = False) -> None:
-        _remove_partial(self._folder)
+        remove_partial(self._folder)
         if self._suffix == ".vtm":
             for number in range(len(self._times)):
                 self._remove_lone_pieces(self.path(number))
@@ -199,17 +199,8 @@ class SingleFile:
         return with_velocity(grid, velocity, self.variant.precision)
 
     def clean(self, complete: bool = False) -> None:
-        _remove_partial(self._folder)
+        remove_partial(self._folder)
         if complete and self._levels.is_dir():
             shutil.rmtree(self._levels)
         elif self._levels.is_dir():
-            _remove_partial(self._levels)
-
-
-def _remove_partial(folder: Path) -> None:
-    """Remove what a killed program was writing (see :func:`.files.replacing`)."""
-    for left in folder.glob(".*.partial*"):
-        if left.is_dir():
-            shutil.rmtree(left)
-        else:
-            left.unlink()
+            remove_partial(self._levels)

@@ -241,6 +241,24 @@ def test_a_file_that_holds_a_series_takes_no_second_one(tmp_path):
         SingleFile(read_grid(tmp_path / "wing.cgns"), tmp_path, "again.cgns", TIMES, {}, "none")
 
 
+def test_what_a_killed_program_left_is_removed_and_nothing_else(tmp_path):
+    files = written(one_block(), tmp_path, "wing.vtm", order="none")
+    left = [".wing_0001.123-0a1b2c3d.partial.vtm", ".series.9-00000000.partial.json"]
+    mine = ["notes.txt", ".hidden.partial", "wing_0009"]
+    for name in left + mine:
+        (tmp_path / name).write_text("x")
+    staging = tmp_path / ".wing_0001.123-0a1b2c3d.partial"
+    (staging / "new").mkdir(parents=True)
+    files.path(2).unlink()
+    files.clean()
+    assert not staging.exists()
+    assert not any((tmp_path / name).exists() for name in left)
+    assert all((tmp_path / name).exists() for name in mine)
+    # Pieces without their index would be in the way of the level that is made anew.
+    assert [files.has(n) for n in range(3)] == [True, True, False]
+    assert [files.path(n).with_suffix("").exists() for n in range(3)] == [True, True, False]
+
+
 def assert_cgnscheck_finds_no_error(path: Path) -> None:
     if shutil.which("cgnscheck") is None:
         return
