@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Iterator, Mapping, Sequence
 
 from meshdeform_core.series import Level, Schedule
@@ -28,9 +29,11 @@ def level_record(level: Level, file: str, write_seconds: float, head: Report, wa
     """One level of the report.
 
     ``method`` has the parameters that differ from those in ``head``; ``warnings`` those that no earlier level gave
-    (``warned``); at most 20 invalid cells are listed.
+    (``warned``), whatever numbers are in them; at most 20 invalid cells are listed.
     """
     result = level.result
+    known = {_without_numbers(text) for text in warned}
+    warnings = {_without_numbers(text): text for text in reversed(result.warnings)}
     method = method_part(result.setup.case.method.name, result.account)
     seconds = {**level.timing.seconds, "write": write_seconds}
     return {
@@ -47,8 +50,12 @@ def level_record(level: Level, file: str, write_seconds: float, head: Report, wa
         "invalid_cells": [cell_part(cell) for cell in result.assessment.invalid[:_LISTED]],
         "method": {key: value for key, value in method.items() if head["method"].get(key) != value},
         "timing": {**seconds, "total": sum(seconds.values())},
-        "warnings": [text for text in dict.fromkeys(result.warnings) if text not in warned],
+        "warnings": [text for key, text in warnings.items() if key not in known],
     }
+
+
+def _without_numbers(text: str) -> str:
+    return re.sub(r"\d+(\.\d+)?(e[-+]?\d+)?", "#", text)
 
 
 def series_report(

@@ -69,6 +69,17 @@ def test_the_report_has_every_level_and_shows_that_preparation_happened_once(swi
     assert all(level["drift"] is None and level["warnings"] == [] for level in report["levels"])
 
 
+def test_a_warning_is_given_once_and_not_for_round_off(swing, call):
+    (swing / "swing.toml").write_text(
+        SWING.replace("motion = [", 'motion = [{ translate = [0, 0, "0.1*sin(pi*t)"] }, ')
+    )
+    report = report_of(call, *RUN, "--allow-invalid")
+    found = [n for n, level in enumerate(report["levels"]) if level["warnings"]]
+    assert found == [1]
+    assert "out of a slip or symmetry plane by up to 0.0707" in report["levels"][1]["warnings"][0]
+    assert sum("out of a slip" in text for text in report["warnings"]) == 1
+
+
 def test_text_and_page_have_a_line_per_level(swing, call):
     result = call(*RUN, "--report", "r.txt", "--report", "r.html")
     assert result.code == 0
