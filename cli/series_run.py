@@ -66,7 +66,7 @@ def prepare(job: Job, source: GridInput, wanted: Wanted) -> Run:
     output = {"output": name, "single file": wanted.single_file, "variant": files.variant.label}
     manifest.ingredients = ingredients_of(source.path, source.boundary_file, job.case, schedule, output)
     timing = Timing()
-    return Run(job, set_up(grid, job.case.case, timing), schedule, files, manifest, timing)
+    return Run(job, set_up(grid, job.case.case, timing, job.memory), schedule, files, manifest, timing)
 
 
 def _suffix(source: Path, wanted: Wanted) -> str:
@@ -109,23 +109,31 @@ def open_manifest(run: Run, resume: bool, force: bool) -> None:
         When files are in the way, or the series to be continued is made of something else.
     """
     new = run.manifest
-    if resume and new.path.exists():
-        old = Manifest.load(new.path)
+    begun = new.path.exists() and not force
+    # A run that finished no level, because something was wrong, is not in the way of the next one.
+    old = Manifest.load(new.path) if begun else None
+    if old and old.levels and resume:
         old.require_same(new.ingredients)
-        if not (old.complete and all(path.exists() for path in run.files.outputs)):
-            gone = [n for n in range(len(old.levels)) if not run.files.has(n)]
-            old.levels = old.levels[: gone[0]] if gone else old.levels
-            old.complete = False
+        _keep_what_exists(run, old)
         run.manifest = old
         run.files.clean(old.complete)
         return
-    present = [path for path in (new.path, *run.files.outputs) if path.exists()]
-    if present and not force:
-        hint = "use --resume to go on with it, or --force to begin anew" if present[0] == new.path else "use --force"
+    present = [new.path] if old and old.levels else [path for path in run.files.outputs if path.exists()]
+    if present and not force and not (old and resume):
+        hint = "use --resume to go on with it, or --force to begin anew" if old else "use --force to overwrite it"
         raise FormatError(f"{present[0]} exists; {hint}")
     new.path.parent.mkdir(parents=True, exist_ok=True)
     run.files.clean()
     new.save()
+
+
+def _keep_what_exists(run: Run, manifest: Manifest) -> None:
+    """Forget levels that have gone since; of a complete series all files must be there."""
+    if manifest.complete and all(path.exists() for path in run.files.outputs):
+        return
+    gone = [number for number in range(len(manifest.levels)) if not run.files.has(number)]
+    manifest.levels = manifest.levels[: gone[0]] if gone else manifest.levels
+    manifest.complete = False
 
 
 def carry_out(run: Run, progress: ProgressBar, start: float) -> Report:

@@ -58,7 +58,7 @@ def describe(job: Job, output: Path | None, time: float, variant: dict[str, str]
     """What would be done: classification, parameters, node counts."""
     if output is not None:
         variant_of(job.grid, output, variant)
-    setup = set_up(job.grid, job.case.case)
+    setup = set_up(job.grid, job.case.case, memory=job.memory)
     prepared = make_method(job.case.case.method).prepare(setup.problem)
     displacement = setup.displacement(time)
     largest = float((displacement**2).sum(axis=1).max() ** 0.5)
@@ -72,7 +72,7 @@ def run(
     precision = variant_of(job.grid, output, variant).precision
     timing = Timing()
     grid = complete_for_export(job.grid, output)
-    result = impose(set_up(grid, job.case.case, timing), time, steps, precision, timing, progress)
+    result = impose(set_up(grid, job.case.case, timing, job.memory), time, steps, precision, timing, progress)
     before = clock.perf_counter()
     write_grid(result.grid, output, variant)
     now = clock.perf_counter()

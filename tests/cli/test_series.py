@@ -247,6 +247,16 @@ def test_wrong_calls_are_refused(arguments, words, swing, call, snapshot):
     assert snapshot(swing) == before
 
 
+@pytest.mark.parametrize("command", [RUN, ("deform", "grid.xyz", "-c", "swing.toml", "-o", "out.xyz", "--time", "0.2")])
+def test_methods_keep_to_the_memory_limit(command, swing, call):
+    result = call(*command, "-m", "rbf", "--max-memory", "400kB")
+    assert result.code == 2
+    assert "a radial basis function system of" in result.err
+    assert "--max-memory allows" in result.err
+    # What failed before its first level is not in the way.
+    assert call(*command, "-q").code == 0
+
+
 def test_an_earlier_series_is_in_the_way(swing, call, snapshot):
     assert call(*RUN, "-q").code == 0
     before = snapshot(swing)
