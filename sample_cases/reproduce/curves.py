@@ -43,8 +43,8 @@ def _angles(figure: Any, parts: dict[str, Any]) -> None:
     axes = figure.subplots()
     rows = parts["largest_angle"]["rows"]
     at = range(len(rows))
-    axes.barh([i + 0.2 for i in at], [r["one_step"] for r in rows], 0.36, color=_COLOURS[0], label="one step")
-    axes.barh([i - 0.2 for i in at], [r["marching"] for r in rows], 0.36, color=_COLOURS[1], label="marching, 5° steps")
+    axes.barh([i - 0.2 for i in at], [r["one_step"] for r in rows], 0.36, color=_COLOURS[0], label="one step")
+    axes.barh([i + 0.2 for i in at], [r["marching"] for r in rows], 0.36, color=_COLOURS[1], label="marching, 5° steps")
     axes.set_yticks(list(at), [r["method"] for r in rows])
     axes.invert_yaxis()
     axes.set_xlabel("largest valid rotation [deg]")
@@ -90,12 +90,16 @@ def _alpha(figure: Any, parts: dict[str, Any]) -> None:
     for angle, colour, marker in zip(angles, _COLOURS, _MARKERS, strict=False):
         points = [p for p in parts["alpha"] if p["angle"] == angle]
         style = {"color": colour, "marker": marker, "markersize": 3.5, "linewidth": 1.0}
-        alpha = [p["alpha"] for p in points]
-        left.plot(alpha, [p["f_skew_min"] for p in points], **style, label=f"{angle:g}°")
-        right.plot(alpha, [p["wall_deviation_rms_deg"] for p in points], **style)
+        valid = [p for p in points if p["invalid_cells"] == 0]
+        left.plot([p["alpha"] for p in points], [p["f_skew_min"] for p in points], **style, label=f"{angle:g}°")
+        right.plot([p["alpha"] for p in valid], [p["wall_deviation_rms_deg"] for p in valid], **style)
+    ticks = sorted({p["alpha"] for p in parts["alpha"]})
     for axes in (left, right):
         axes.set_xscale("log")
-    _axes(left, r"$\alpha$", "minimum of $f_{skew}$", (-0.02, 1))
+        axes.set_xlim(ticks[0] / 1.2, ticks[-1] * 1.2)
+        axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+        axes.minorticks_off()
+    _axes(left, r"$\alpha$", "minimum of $f_{skew}$ (0: crossed cells)", (-0.02, 1))
     _axes(right, r"$\alpha$", "wall-normal deviation rms [deg]", None)
     left.legend(frameon=False, title="rotation")
 

@@ -17,7 +17,7 @@ from .experiment import Outcome, Trial
 
 _SUFFIX = ".svg"
 _LINES = 30
-_VECTOR_CELLS = 800
+_VECTOR_CELLS, _DOTS = 800, 150
 Zoom = tuple[float, float, float, float]
 
 
@@ -204,7 +204,7 @@ def _draw(figure: Figure, slices: dict[str, Slice], folder: Path) -> str:
         bar = whole.colorbar(collection, ax=axes, label="$f_{skew}$ [-]", shrink=0.8, aspect=30, pad=0.015)
         bar.outline.set_linewidth(0.5)
         with replacing(folder / f"{figure.name}{_SUFFIX}") as partial:
-            whole.savefig(partial)
+            whole.savefig(partial, dpi=_DOTS)
         plt.close(whole)
     return f"{figure.name}{_SUFFIX}"
 

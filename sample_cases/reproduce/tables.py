@@ -105,11 +105,13 @@ def table5(quick: bool) -> Table:
     size, parts, small = (24, 12, 12) if quick else (92, 44, 32)
     split = Sample("hemisphere", size, (("max_cells", parts),), time=2.5e-4)
     less = Sample("hemisphere", small, time=2.5e-4)
-    trials = [
-        Trial(name, split, Options(name, idw=IDW(**_PAPER_IDW), tfi=_WHOLE))
-        for name in ("tfi-tfi", "idw-tfi", "idw-idw")
+    lie, quaternion = IDW(remove_mean=False, **_EXACT), IDW(**_PAPER_IDW)
+    trials = [Trial(name, split, Options(name, idw=lie, tfi=_WHOLE)) for name in ("tfi-tfi", "idw-tfi", "idw-idw")]
+    trials += [
+        Trial("idw-tfi-quaternion", split, Options("idw-tfi", idw=quaternion, tfi=_WHOLE)),
+        Trial("default", split, Options()),
+        Trial("rbf-rbf", less, Options("rbf")),
     ]
-    trials += [Trial("default", split, Options()), Trial("rbf-rbf", less, Options("rbf"))]
     return Table("table5", tuple(trials), "idw-tfi")
 
 
