@@ -38,6 +38,10 @@ format: $(VENV)/installed
 clean:
 	rm -rf build dist demo reproduced .pytest_cache .mypy_cache .ruff_cache
 
+reproduce: $(VENV)/installed
+	$(BIN)/meshdeform reproduce all -o reproduced --validation reproduced/validation.md --force $(if $(QUICK),--quick)
+	@echo "Look at reproduced/validation.md, reproduced/results.md and the figures beside them."
+
 demo: $(VENV)/installed
 	rm -rf demo
 	$(BIN)/meshdeform sample splitter-plate -o demo --size 16
