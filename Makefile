@@ -31,6 +31,10 @@ check: $(VENV)/installed
 	MYPYPATH=build/names $(BIN)/mypy
 	$(BIN)/lint-imports
 
+# All sizes take about twenty minutes; make bench OPTIONS=--quick two.
+bench: $(VENV)/installed
+	$(BIN)/python benchmarks/run.py $(OPTIONS)
+
 format: $(VENV)/installed
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
