@@ -125,7 +125,7 @@ class RadialSums:
         targets = self._targets
         if self._tree is None or self._tree[0] is not fit.centres:
             order = fastsum.interpolation_order(self._tolerance) + _EXTRA_ORDER
-            self._tree = fit.centres, FastRadial(self._basis, fit.centres, order)
+            self._tree = fit.centres, FastRadial(BASES[self._basis], fit.centres, order)
 
         def use(flat: IntArray, sums: FloatArray) -> None:
             x = targets.points[flat]

@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from .basis import BASES
 from .bricks import Bricks
 from .fastsum import Targets
 from .parallel import for_chunks
@@ -22,33 +21,33 @@ class FastRadial:
 
     Parameters
     ----------
-    basis : name of the basis function
+    kind : number of the basis function, see :data:`.basis.BASES`
     centres : (n, 3) in units of the support radius
     order : interpolation points per side of a cube
     """
 
-    def __init__(self, basis, centres, order):
-        self._basis = basis
-        self._function = radial_basis(basis)
+    def __init__(self, kind, centres, order):
+        self._kind = kind
+        self._function = radial_basis(kind)
         self._centres = centres
         self._tree = build_tree(centres, order)
         self._own = bricks_of_tree(self._tree, _CAPACITY * order**2)
 
-    def product(self, coefficients, allowed):
-        """Sums (n, 3) at the centres themselves: the product of the matrix and the coefficients (n, 3).
+    def product(self, coefficients):
+        """Sums (n, 3) at the centres themselves: the product of the matrix and the coefficients (n, 3), exact.
 
-        ``allowed`` is the error that one cluster may cause for coefficients of rms 1 and n = 1; the same clusters are
-        taken whatever the coefficients are, so that the product is a fixed linear map.
+        Only clusters beyond the support of a compact function are left out. Approximate ones do not pay here: the
+        coefficients of a smooth displacement nearly cancel within each cluster, so that the sums would have to be some
+        1e5 times more accurate than their terms.
         """
         n = len(coefficients)
         result = np.empty((n, 3))
-        every = np.full(len(self._own.start) - 1, allowed)
-        members = np.diff(self._tree.span, axis=1)[:, 0]
+        nothing = np.zeros(len(self._own.start) - 1)
 
         def use(flat, sums):
             result[flat] = sums
 
-        self._sum(self._centres, self._own, coefficients, np.sqrt(members / n), every, use)
+        self._sum(self._centres, self._own, coefficients, np.ones(len(self._tree.span)), nothing, use)
         return result
 
     def evaluate(self, coefficients, targets: Targets, tolerance, use, progress=None):
@@ -68,7 +67,7 @@ class FastRadial:
         limit = tolerance * targets.sizes.min(axis=1)
         trial = np.unique(np.linspace(0, len(limit) - 1, _TRIAL_BRICKS).astype(int))
         flat = targets.samples[trial]
-        exact = radial_sums(BASES[self._basis], targets.points[flat.ravel()], self._centres, coefficients)
+        exact = radial_sums(self._kind, targets.points[flat.ravel()], self._centres, coefficients)
         share = 1.0
         for _ in range(_TRIALS):
             error = self._trial_error(coefficients, strength, targets, trial, limit * share, exact) / tolerance
