@@ -12,6 +12,7 @@ from meshdeform_core.methods import IDW, RBF, TFI, Options, make_method
 from meshdeform_core.methods.operations import count_operations, count_pairs, idw_operations, tfi_operations
 from meshdeform_samples.reproduce import WHAT
 from meshdeform_samples.reproduce.experiment import Sample, Trial, asymmetry, greedy_range, prepare_sample, run
+from meshdeform_samples.reproduce.robustness import quality_of
 from meshdeform_samples.reproduce.rows import paper
 from meshdeform_samples.reproduce.tables import TABLES
 
@@ -150,3 +151,17 @@ def test_pairs_of_the_split_hemisphere_are_those_of_its_faces():
     every = [tuple(p) for p in np.concatenate(faces) if tuple(p) not in known]
     assert count_pairs(hybrid, problem) == (len(set(every)) * len(known), len(every) * len(known))
     assert count_pairs(whole, problem)[0] == (problem.n_unique_nodes - len(known)) * len(known)
+
+
+def test_sub_blocks_keep_walls_orthogonal_on_large_blocks():
+    dome = Sample("hemisphere", 24, time=2.5e-4)
+    deviation = [
+        quality_of(dome, Options("idw-tfi", tfi=TFI(max_cells=cells)))["wall_deviation_rms_deg"] for cells in (16, 0)
+    ]
+    assert deviation[0] < 2.0
+    assert deviation[1] == pytest.approx(10.5, abs=0.2)
+
+
+def test_tfi_reaches_the_angle_that_another_implementation_measured():
+    turned = [Sample("splitter-plate", 8, constants=(("angle", angle),)) for angle in (40.0, 45.0)]
+    assert [quality_of(sample, Options("tfi-tfi"))["invalid_cells"] > 0 for sample in turned] == [False, True]
