@@ -105,6 +105,12 @@ def test_costs_are_of_the_run_and_positive():
     assert outcome.gflop > 0
 
 
+@pytest.fixture(autouse=True)
+def keep_environment(monkeypatch):
+    """The command tells linear algebra to use one thread, by environment variables that outlive it."""
+    monkeypatch.setattr("meshdeform_cli.machine._LIBRARIES", ())
+
+
 def test_command_writes_data_tables_figures_and_the_page(tmp_path, capsys):
     out, page = tmp_path / "out", tmp_path / "validation.md"
     arguments = ["reproduce", "figB", "-o", str(out), "--quick", "--validation", str(page)]
