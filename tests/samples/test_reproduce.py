@@ -117,7 +117,7 @@ def test_command_writes_data_tables_figures_and_the_page(tmp_path, capsys):
     assert command(arguments) == 0
     shown = capsys.readouterr()
     assert "IDW lie (ours)" in shown.out
-    assert "figB lie-corner (4 of 5)" in shown.err
+    assert "figB lie-corner (4 of 7)" in shown.err
     data = json.loads((out / "figB.json").read_text())
     assert {row["key"] for row in data["rows"]} == {row["key"] for row in paper()["figB"]["rows"]}
     for row in data["rows"]:
