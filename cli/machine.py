@@ -20,6 +20,14 @@ def use_threads(count: int | None) -> None:
         os.environ.update(dict.fromkeys(_LIBRARIES, str(thread_count())))
 
 
+def use_one_library_thread() -> None:
+    """Linear algebra in one thread: others that wait in a busy loop would count as CPU time.
+
+    To be called before numpy is imported.
+    """
+    os.environ.update(dict.fromkeys(_LIBRARIES, "1"))
+
+
 def machine_memory() -> MemoryLimit:
     """Memory that can be taken without swapping, as far as the system tells."""
     available = _first_number(Path("/proc/meminfo"), "MemAvailable:")
