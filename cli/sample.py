@@ -22,7 +22,7 @@ _BOUNDARY_FILE = "grid.nmf"
 @click.command("sample")
 @click.argument("name", required=False)
 @click.option("-o", "--output", type=PATH, help="Folder for grid and case.toml; made if missing.")
-@click.option("--size", type=int, help="Size of the grid; what it counts depends on the sample.")
+@click.option("--size", help="Size of the grid: a number, whose meaning depends on the sample, or a name like small.")
 @click.option(
     "--suffix",
     default=".cgns",
@@ -32,7 +32,7 @@ _BOUNDARY_FILE = "grid.nmf"
 @variant_option
 @force_option
 def command(
-    name: str | None, output: Path | None, size: int | None, suffix: str, variant: tuple[str, ...], force: bool
+    name: str | None, output: Path | None, size: str | None, suffix: str, variant: tuple[str, ...], force: bool
 ) -> int:  # fmt: skip
     """Write the sample case NAME into a folder; without NAME list what there is.
 
@@ -40,6 +40,7 @@ def command(
     Examples:
       meshdeform sample
       meshdeform sample splitter-plate -o case --size 16
+      meshdeform sample wing -o case --size small
       meshdeform deform case/grid.cgns -c case/case.toml -o case/deformed.cgns
     """
     from meshdeform_formats.displacement import write_displacement
@@ -85,7 +86,8 @@ def _catalogue() -> str:
     for key in SAMPLES:
         module = load(key)
         title = (module.__doc__ or "").splitlines()[0]
-        entries.append(f"{key}\n    {title}\n    --size: {module.SIZE_HELP}; default {module.DEFAULT_SIZE}")
+        names = ", ".join(f"{name} = {size}" for name, size in module.SIZES.items())
+        entries.append(f"{key}\n    {title}\n    --size: {module.SIZE_HELP}; default {module.DEFAULT_SIZE}; {names}")
     return "\n".join(entries)
 
 
@@ -95,16 +97,25 @@ def _make_folder(output: Path) -> None:
     output.mkdir(parents=True, exist_ok=True)
 
 
-def _generate(name: str, size: int | None) -> tuple[Grid, dict[str, SurfaceData]]:
+def _generate(name: str, size: str | None) -> tuple[Grid, dict[str, SurfaceData]]:
     """The grid and the tables of its motion, by file name."""
     from meshdeform_samples import load
 
     module = load(name)
-    size = module.DEFAULT_SIZE if size is None else size
+    number = module.DEFAULT_SIZE if size is None else _size(name, size, module.SIZES)
     try:
-        return module.generate(size), module.tables(size) if hasattr(module, "tables") else {}
+        return module.generate(number), module.tables(number) if hasattr(module, "tables") else {}
     except ValueError as error:
         raise CaseError(f"sample {name}: {error}") from error
+
+
+def _size(name: str, text: str, named: dict[str, int]) -> int:
+    if text in named:
+        return named[text]
+    # ASCII only: digits of other scripts are numbers to Python, but hardly meant.
+    if not (text.isascii() and text.lstrip("-").isdigit()):
+        raise CaseError(f"sample {name}: --size {text!r}; expected a whole number or one of {', '.join(named)}")
+    return int(text)
 
 
 def _texts(name: str, boundary_file: str | None) -> dict[str, str]:

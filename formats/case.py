@@ -8,8 +8,8 @@ from __future__ import annotations
 import difflib
 import keyword
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, fields, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from meshdeform_core.motion import VARIABLES, Displace, Follow, Motion, Rotate, 
 from meshdeform_core.topology import RELATIVE_TOLERANCE
 from meshdeform_core.transfer import Matching
 
+from .case_files import named_files, read_sequence, sequence_files
 from .displacement import read_displacement
 
 Table = dict[str, Any]
@@ -32,6 +33,7 @@ _STEPS = {
     "translate": ("translate",),
     "displace": ("displace",),
     "file": ("file", "match", "tolerance"),
+    "files": ("files", "times", "match", "tolerance"),
 }
 
 
@@ -40,16 +42,21 @@ class CaseFile:
     """A case and what the case file says about reading the grid.
 
     ``boundary_file`` is a neutral map file with the grid's boundary information, or ``None``; ``files`` are all that
-    the case names. File names in a case are relative to the case file.
+    the case names, relative to its folder; ``content`` are its tables with everything that the command line changed.
     """
 
     case: Case
     boundary_file: Path | None = None
     files: tuple[Path, ...] = ()
+    content: Mapping[str, Any] = field(default_factory=dict)
 
 
 def read_case(
-    path: str | Path | None, overrides: Iterable[str] = (), method: str | None = None, table: str | Path | None = None
+    path: str | Path | None,
+    overrides: Iterable[str] = (),
+    method: str | None = None,
+    table: str | Path | None = None,
+    times: str | None = None,
 ) -> CaseFile:
     """Read a case file and apply what the command line adds.
 
@@ -59,6 +66,7 @@ def read_case(
     overrides : ``KEY=VALUE`` strings; KEY is a dotted path, entries of ``boundary`` go by name or 1-based number
     method : replaces ``method.name``
     table : displacement table; the boundary nodes that it matches move, all others stay
+    times : if given, ``table`` is a pattern of files, one for each of these times (see :func:`parse_times`)
 
     Raises
     ------
@@ -77,11 +85,21 @@ def read_case(
         parsed = _parse(data, folder)
     except (CaseError, MethodError) as error:
         raise type(error)(f"{path or 'command line'}: {error}") from error
-    if table:
-        follow = Follow(read_displacement(Path(table)), Matching(partial=True))
-        spec = BoundarySpec(Path(table).name, ("*",), Kind.MOVING, None, Motion((follow,), parsed.case.constants))
-        parsed = replace(parsed, case=replace(parsed.case, boundaries=(*parsed.case.boundaries, spec)))
-    return parsed
+    return parsed if table is None else _with_table(parsed, Path(table), times)
+
+
+def _with_table(parsed: CaseFile, table: Path, times: str | None) -> CaseFile:
+    """The case with one more boundary entry: what a table, or a sequence of tables, matches."""
+    matching, where = Matching(partial=True), f"--displacement {table}"
+    step: Step
+    if times is None:
+        step, files = Follow(read_displacement(table), matching), [table]
+    else:
+        step = read_sequence(str(table), times, Path(), matching, where)
+        files = sequence_files(str(table), Path(), where)
+    spec = BoundarySpec(table.name, ("*",), Kind.MOVING, None, Motion((step,), parsed.case.constants))
+    case = replace(parsed.case, boundaries=(*parsed.case.boundaries, spec))
+    return replace(parsed, case=case, files=(*parsed.files, *files))
 
 
 def _load(path: Path | None) -> Table:
@@ -168,17 +186,7 @@ def _parse(data: Table, folder: Path) -> CaseFile:
         raise _fail("grid.tolerance", f"{tolerance} of the local edge; expected a fraction between 0 and 0.5")
     case = Case(specs, constants, _options(_table(data, "method")), tolerance)
     boundary_file = _file(grid["boundary_file"], folder, "[grid]: boundary_file") if "boundary_file" in grid else None
-    return CaseFile(case, boundary_file, tuple(folder / name for name in _named_files(data)))
-
-
-def _named_files(value: Any) -> Iterator[str]:
-    """Values of ``file`` and ``boundary_file``, wherever they are."""
-    if isinstance(value, (dict, list)):
-        for key, item in value.items() if isinstance(value, dict) else enumerate(value):
-            if key in ("file", "boundary_file") and isinstance(item, str):
-                yield item
-            else:
-                yield from _named_files(item)
+    return CaseFile(case, boundary_file, tuple(named_files(data, folder)), data)
 
 
 def _constants(table: Table) -> dict[str, float]:
@@ -241,6 +249,8 @@ def _step(step: Table, number: int, known: tuple[str, ...], where: str, folder: 
     if kinds[0] == "file":
         matching = _matching(step, where)
         return Follow(read_displacement(_file(value, folder, f"{where}: file")), matching)
+    if kinds[0] == "files":
+        return read_sequence(value, step.get("times"), folder, _matching(step, where), where)
     if kinds[0] == "rotate":
         return _rotation(value, known, where)
     x, y, z = (_formula(part, known, where) for part in _three(value, f"{where}: {kinds[0]}"))

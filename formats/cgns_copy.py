@@ -1,7 +1,11 @@
-"""Write a grid that came from a CGNS file: a copy of that file in which only the coordinates change."""
+"""Write a grid that came from a CGNS file: a copy of that file in which only the coordinates change.
+
+Fields of the grid, which the reader leaves in the file, are new ones and become flow solutions.
+"""
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import shutil
 from pathlib import Path
@@ -14,9 +18,11 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray, Grid
 
 from .adf import is_adf
+from .cgns_export import solution_nodes
 from .cgns_file import naming, opened_cgns
 from .cgns_hdf5 import DATA, LINK, LINK_FILE, hdf5_errors
-from .cgns_hdf5_write import characters, own_group, write_hdf5
+from .cgns_hdf5_write import characters, own_group, put_node, write_hdf5
+from .cgns_names import unique_names
 from .cgns_notes import Notes
 from .cgns_tree import Node, data_type_of
 from .cgns_zone import Base, Zone, find_base, structured_zones
@@ -45,7 +51,9 @@ def write_copy(grid: Grid, path: Path, precision: str | None) -> None:
                 _adapt_links(file, source.parent, path.parent)
                 group = own_group(file, base.node)
                 for block, zone in enumerate(zones):
-                    _replace_coordinates(own_group(group, zone.node), zone, grid.block(block), precision)
+                    own = own_group(group, zone.node)
+                    _replace_coordinates(own, zone, grid.block(block), precision)
+                    _add_fields(own, zone, grid, block)
 
 
 def _same_zones(root: Node, grid: Grid, source: Path) -> tuple[Base, list[Zone]]:
@@ -70,9 +78,22 @@ def _replace_coordinates(parent: h5py.Group, zone: Zone, block: FloatArray, prec
     for axis, node in enumerate(zone.coordinates):
         group = own_group(grid, node)
         dataset = _writable_dataset(group, precision)
-        values = block[..., axis].reshape([part.stop - part.start for part in zone.core])
+        values = block[..., axis].reshape(zone.counts)
         dataset[zone.core[::-1]] = np.ascontiguousarray(values.T, dtype=dataset.dtype)
     _replace_bounding_box(grid, zone, block)
+
+
+def _add_fields(parent: h5py.Group, zone: Zone, grid: Grid, block: int) -> None:
+    """Flow solutions of the block's fields. One with the same arrays, from an earlier run, is replaced, others stay."""
+    for solution in solution_nodes(grid, block, zone.counts):
+        arrays = {child.name for child in solution.children}
+        others = [
+            old.name
+            for old in zone.node.target.children
+            if old.target.label != solution.label or {child.name for child in old.target.children} != arrays
+        ]
+        (name,) = unique_names([solution.name], solution.name, others)
+        put_node(parent, dataclasses.replace(solution, name=name))
 
 
 def _writable_dataset(group: h5py.Group, precision: str | None) -> h5py.Dataset:

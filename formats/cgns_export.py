@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -40,14 +41,14 @@ def _tree(grid: Grid, precision: str) -> Node:
     conditions, connectivity = boundary_nodes(grid, families), connectivity_nodes(grid, names)
     zones = []
     for block, name in enumerate(names):
+        shape = np.array([n for n in grid.shapes[block] if n > 1], np.int32)
         children = [
             make("ZoneType", "ZoneType_t", "Structured"),
             _coordinates(grid, block, dimension, precision),
-            *_solutions(grid, block),
+            *solution_nodes(grid, block, shape.tolist()),
             *conditions[block],
             *connectivity[block],
         ]
-        shape = np.array([n for n in grid.shapes[block] if n > 1], np.int32)
         zones.append(make(name, "Zone_t", np.stack([shape, shape - 1, 0 * shape], axis=1), children))
     sizes = np.array([grid.dimension, dimension], np.int32)
     base = make("Base", "CGNSBase_t", sizes, [*zones, *family_nodes(grid, families)])
@@ -64,14 +65,19 @@ def _coordinates(grid: Grid, block: int, dimension: int, precision: str) -> Node
     return make("GridCoordinates", "GridCoordinates_t", None, arrays)
 
 
-def _solutions(grid: Grid, block: int) -> list[Node]:
-    """One flow solution for the fields at the nodes and one for those at the cells."""
+def solution_nodes(grid: Grid, block: int, shape: Sequence[int]) -> list[Node]:
+    """Flow solutions of a block: one for its fields at the nodes and one for those at the cells.
+
+    ``shape`` are the nodes of the zone along its index axes (two or three). Fields of types that CGNS does not have
+    are left out; vectors become nameX, nameY, nameZ.
+    """
     solutions = []
     for location, word in _LOCATIONS.items():
+        size = shape if location == "node" else [n - 1 for n in shape]
         fields = [
             f for f in grid.fields if f.block == block and f.location == location and f.values.dtype.kind in "biuf"
         ]
-        arrays = [array for field in fields for array in _components(field, grid, block)]
+        arrays = [array for field in fields for array in _components(field, size)]
         names = unique_names((name for name, _ in arrays), "Field", ["GridLocation"])
         nodes = [make(name, "DataArray_t", values) for name, (_, values) in zip(names, arrays, strict=True)]
         if nodes:
@@ -80,16 +86,16 @@ def _solutions(grid: Grid, block: int) -> list[Node]:
     return solutions
 
 
-def _components(field: Field, grid: Grid, block: int) -> list[tuple[str, NDArray[Any]]]:
-    """Scalar arrays of a field in a type CGNS has; vectors are written as nameX, nameY, nameZ."""
-    values = _without_plane(field.values, grid, block)
+def _components(field: Field, shape: Sequence[int]) -> list[tuple[str, NDArray[Any]]]:
+    """Scalar arrays (*shape) of a field in a type CGNS has."""
+    values = field.values
     if values.dtype.kind != "f":
         values = values.astype(np.int64 if values.dtype.itemsize > 4 or values.dtype == np.uint32 else np.int32)
     elif values.dtype not in (np.float32, np.float64):
         values = values.astype(np.float64)
-    if values.ndim == grid.dimension:
-        return [(field.name, values)]
-    flat = values.reshape(*values.shape[: grid.dimension], -1)
+    if values.ndim == 3:
+        return [(field.name, values.reshape(shape))]
+    flat = values.reshape(*shape, -1)
     count = flat.shape[-1]
     suffixes = "XYZ"[:count] if count <= 3 else [str(i + 1) for i in range(count)]
     return [(f"{field.name}{suffix}", flat[..., i]) for i, suffix in enumerate(suffixes)]

@@ -72,6 +72,13 @@ def own_group(parent: h5py.Group, node: Node) -> h5py.Group:
     return group
 
 
+def put_node(parent: h5py.Group, node: Node) -> None:
+    """Add a node to a file being written, in the place of any node of the same name."""
+    if node.name in parent:
+        del parent[node.name]
+    _write(parent.id, node, Path(), 0)
+
+
 def _write(parent: h5g.GroupID, node: Node, home: Path, depth: int) -> None:
     if depth > MAXIMUM_DEPTH:
         raise FormatError(

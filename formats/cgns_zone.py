@@ -43,6 +43,11 @@ class Zone:
     def name(self) -> str:
         return self.node.name
 
+    @property
+    def counts(self) -> tuple[int, ...]:
+        """Nodes along each index axis of the base."""
+        return tuple(part.stop - part.start for part in self.core)
+
     def read(self, block: FloatArray) -> None:
         """Fill ``block`` of shape ``(ni, nj, nk, 3)`` with the coordinates; components the file lacks become zero."""
         for axis in range(3):

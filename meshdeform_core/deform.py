@@ -14,6 +14,7 @@ from .boundary import Boundary, BoundarySpec, Kind, classify
 from .connectivity import check_connections
 from .errors import CaseError, MotionError
 from .grid import FloatArray, Grid
+from .memory import UNLIMITED, MemoryLimit
 from .methods import Account, Options, PreparedMethod, Problem, Progress, make_method
 from .prescription import prescribed_displacement
 from .quality import Assessment, assess
@@ -60,14 +61,27 @@ class Setup:
     topology: Topology
     boundary: Boundary
     warnings: tuple[str, ...]
+    memory: MemoryLimit = UNLIMITED
 
     @property
     def problem(self) -> Problem:
-        return Problem(self.grid, self.topology, self.boundary)
+        return Problem(self.grid, self.topology, self.boundary, self.memory)
 
     def displacement(self, time: float, fraction: float = 1.0) -> FloatArray:
         """Prescribed displacement of all unique face nodes (n_unique, 3)."""
         return prescribed_displacement(self.grid, self.topology, self.boundary, time, fraction)
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where a motion sets out when it is a level of a series.
+
+    ``points`` (n_nodes, 3) are the undeformed coordinates or those of an earlier level; ``prepared`` is the method
+    prepared on them, if it already is.
+    """
+
+    points: FloatArray
+    prepared: PreparedMethod | None = None
 
 
 @dataclass(frozen=True)
@@ -94,8 +108,8 @@ class Result:
         return self.reached == 1.0 and self.assessment.valid
 
 
-def set_up(grid: Grid, case: Case, timing: Timing | None = None) -> Setup:
-    """Find the topology and classify the boundary.
+def set_up(grid: Grid, case: Case, timing: Timing | None = None, memory: MemoryLimit = UNLIMITED) -> Setup:
+    """Find the topology and classify the boundary; ``memory`` is what methods may take.
 
     Raises
     ------
@@ -114,7 +128,7 @@ def set_up(grid: Grid, case: Case, timing: Timing | None = None) -> Setup:
             "no node moves: no boundary entry of kind moving selects any node; "
             'expected a [[boundary]] with kind = "moving" and a motion, or a displacement table'
         )
-    return Setup(grid, case, topology, boundary, (*warnings, *boundary.notes))
+    return Setup(grid, case, topology, boundary, (*warnings, *boundary.notes), memory)
 
 
 def deform(
@@ -145,10 +159,16 @@ def deform(
 
 
 def impose(
-    setup: Setup, time: float, steps: int | str, precision: str, timing: Timing, progress: Progress | None = None
+    setup: Setup,
+    time: float,
+    steps: int | str,
+    precision: str,
+    timing: Timing,
+    progress: Progress | None = None,
+    start: Start | None = None,
 ) -> Result:
-    """Impose the motion of a set-up case; see :func:`deform`."""
-    march = _March(setup, time, precision, timing, progress)
+    """Impose the motion of a set-up case, from the undeformed grid or from ``start``; see :func:`deform`."""
+    march = _March(setup, time, precision, timing, progress, start)
     if steps == "auto":
         march.adaptively()
     elif isinstance(steps, int) and steps > 0:
@@ -161,25 +181,40 @@ def impose(
 class _March:
     """A motion imposed step by step, each step from the last grid."""
 
-    def __init__(self, setup: Setup, time: float, precision: str, timing: Timing, progress: Progress | None):
+    def __init__(
+        self,
+        setup: Setup,
+        time: float,
+        precision: str,
+        timing: Timing,
+        progress: Progress | None,
+        start: Start | None = None,
+    ):
         self.setup, self.time, self.precision = setup, time, precision
         self.timing, self.progress = timing, progress
         self.fraction, self.steps = 0.0, 0
-        self.points = setup.grid.points
-        self.moved = np.zeros((setup.topology.n_unique, 3))
+        self.points = start.points if start else setup.grid.points
+        # Exactly zero from the undeformed grid.
+        self.begin = (self.points - setup.grid.points)[setup.topology.first]
+        self.moved = self.begin
         self.failed: FloatArray | None = None
         self.first_bad: dict[int, int] = {}
         self.warnings = list(setup.warnings)
         self._prepared: tuple[FloatArray, PreparedMethod] | None = None
-        self._inspect_motion()
+        if start and start.prepared:
+            self._prepared = start.points, start.prepared
+        self._inspect_motion(alone=start is None)
 
-    def _inspect_motion(self) -> None:
+    def _inspect_motion(self, alone: bool) -> None:
         self.total = self.setup.displacement(self.time)
         self.max_displacement = float(np.linalg.norm(self.total, axis=1).max())
-        if self.max_displacement == 0.0:
+        # A level of a series may stand still.
+        if alone and self.max_displacement == 0.0:
             self.warnings.append(f"nothing moves: the displacement is zero everywhere at t = {self.time:g}")
         departure = self.setup.boundary.slip.departure(self.total)
-        if departure > 1e-6 * self.max_displacement:
+        # A motion that comes back to nothing leaves round-off in all directions.
+        round_off = 1e-12 * float(np.ptp(self.setup.grid.points, axis=0).max())
+        if departure > max(1e-6 * self.max_displacement, round_off):
             self.warnings.append(
                 f"the motion carries nodes out of a slip or symmetry plane by up to {departure:.3g}; "
                 f"the plane follows there, its other nodes stay in it"
@@ -211,10 +246,17 @@ class _March:
         """Coordinates after going from the current grid to ``fraction`` of the motion."""
         setup = self.setup
         prepared = self._method()
-        target = self.total if fraction == 1.0 else setup.displacement(self.time, fraction)
-        increment = (target - self.moved)[setup.problem.source_numbers]
+        increment = (self._prescribed(fraction) - self.moved)[setup.problem.source_numbers]
         with self.timing.stage("apply"):
             return np.asarray(self.points + prepared.apply(increment, self.progress))
+
+    def _prescribed(self, fraction: float) -> FloatArray:
+        """Boundary displacement part of the way: on the motion's own path from the undeformed grid, else straight."""
+        if fraction == 1.0:
+            return self.total
+        if not self.begin.any():
+            return self.setup.displacement(self.time, fraction)
+        return self.begin + fraction * (self.total - self.begin)
 
     def _method(self) -> PreparedMethod:
         """The method prepared on the current grid; kept while trials start from the same grid."""
@@ -225,9 +267,12 @@ class _March:
         return self._prepared[1]
 
     def _accept(self, fraction: float, points: FloatArray) -> None:
-        self.moved = self.total if fraction == 1.0 else self.setup.displacement(self.time, fraction)
+        self.moved = self._prescribed(fraction)
         self.account = self._method().account
         self.points, self.fraction, self.steps = points, fraction, self.steps + 1
+        if fraction == 1.0:
+            # What the last step broke, the assessment finds.
+            return
         with self.timing.stage("quality"):
             for cell in newly_invalid(self.setup.grid, points, self.setup.topology).tolist():
                 self.first_bad.setdefault(cell, self.steps)

@@ -7,7 +7,7 @@ rotation by 30 degrees, not the midpoint of the chord.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -92,6 +92,56 @@ class Imposed:
 
 
 @dataclass(frozen=True)
+class FollowSequence:
+    """Displacement from one table per time, read when its time comes; one is in memory at a time.
+
+    ``times`` ascend; ``read(n)`` reads the table of ``times[n]``.
+    """
+
+    times: tuple[float, ...]
+    read: Callable[[int], SurfaceData | Grid]
+    matching: Matching
+
+    def prepare(self, nodes: Nodes) -> PreparedStep:
+        return ImposedSequence(self, nodes)
+
+
+class ImposedSequence:
+    """Tables that are transferred to the nodes one after the other; ``match`` is the transfer of the last one used."""
+
+    def __init__(self, sequence: FollowSequence, nodes: Nodes):
+        self._sequence, self._nodes = sequence, nodes
+        self._current = 0
+        self.match = self._transfer(0)
+
+    def increment(self, current: FloatArray, values: Mapping[str, Any], fraction: float) -> FloatArray:
+        wanted = self._index(values["t"])
+        if wanted != self._current:
+            match = self._transfer(wanted)
+            if (match.matched != self.match.matched).any():
+                raise MotionError(
+                    f"{match.label} matches {int(match.matched.sum())} boundary nodes, {self.match.label} other ones "
+                    f"({int(self.match.matched.sum())}); expected all tables of a sequence to cover the same nodes"
+                )
+            self._current, self.match = wanted, match
+        return fraction * self.match.displacement
+
+    def _transfer(self, index: int) -> Transfer:
+        return transfer(self._sequence.read(index), self._sequence.matching, self._nodes)
+
+    def _index(self, time: float) -> int:
+        times = np.asarray(self._sequence.times)
+        nearest = int(np.argmin(np.abs(times - time)))
+        spacing = np.diff(times).min() if len(times) > 1 else max(abs(time), abs(times[0]))
+        if abs(times[nearest] - time) > 1e-6 * spacing:
+            raise MotionError(
+                f"the sequence of displacement files has no level at t = {time:g}; it has {len(times)} levels from "
+                f"{times[0]:g} to {times[-1]:g}, the nearest at {times[nearest]:g}. Choose times that it has"
+            )
+        return nearest
+
+
+@dataclass(frozen=True)
 class Motion:
     """Steps in the order in which they are applied, with the constants that their formulas may use."""
 
@@ -114,7 +164,7 @@ class PreparedMotion:
     @property
     def matches(self) -> tuple[Transfer, ...]:
         """What the tables matched, for the report."""
-        return tuple(step.match for step in self.steps if isinstance(step, Imposed))
+        return tuple(step.match for step in self.steps if isinstance(step, Imposed | ImposedSequence))
 
     @property
     def moved(self) -> BoolArray:

@@ -1,7 +1,7 @@
 """Sample cases: one folder each with a README.md, a case.toml and a generator with a size parameter.
 
-A generator module offers ``generate(size) -> Grid``, ``DEFAULT_SIZE`` and ``SIZE_HELP``; one whose motion is a table
-also ``tables(size) -> {file name: SurfaceData}``.
+A generator module offers ``generate(size) -> Grid``, ``DEFAULT_SIZE``, ``SIZE_HELP`` and ``SIZES``, sizes with names;
+one whose motion is a table also ``tables(size) -> {file name: SurfaceData}``.
 """
 
 from __future__ import annotations
@@ -17,6 +17,9 @@ SAMPLES = {
     "splitter-plate": "splitter_plate",
     "hemisphere": "hemisphere",
     "beam": "beam",
+    "wing": "wing",
+    "cascade": "cascade",
+    "valve": "valve",
 }
 """Name on the command line -> folder."""
 

@@ -181,8 +181,8 @@ class PreparedInterpolation(Protocol):
 
     account: Account
 
-    def at(self, points: FloatArray, flat: IntArray) -> Evaluator:
-        """Bind to the target nodes ``flat`` among all ``points`` (n_nodes, 3)."""
+    def at(self, flat: IntArray) -> Evaluator:
+        """Bind to the target nodes ``flat`` of the grid."""
         ...
 
     def fit(self, displacement: FloatArray, progress: Progress | None = None) -> Any:

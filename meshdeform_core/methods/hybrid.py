@@ -12,8 +12,9 @@ from typing import Protocol
 import numpy as np
 
 from ..grid import FloatArray, IntArray
-from .base import Account, Interpolation, Problem, Progress
+from .base import Account, Interpolation, PreparedMethod, Problem, Progress
 from .edges import PreparedEdgeGraph
+from .periodic_steps import PreparedPeriodic, free_periodic, with_known_periodic
 from .skeleton import Skeleton
 
 
@@ -59,9 +60,21 @@ class Composite:
     mover: Interpolation | None
     filler: Filler | None
 
-    def prepare(self, problem: Problem) -> PreparedComposite:
+    def prepare(self, problem: Problem) -> PreparedMethod:
         """Bind both steps to the undeformed grid."""
-        return PreparedComposite(self, problem)
+        periodic = free_periodic(problem)
+        if periodic.size == 0:
+            return PreparedComposite(self, problem)
+        first = _mover(self.mover, problem, problem.topology.first[periodic])
+        guided = with_known_periodic(problem)
+        return PreparedPeriodic(problem, first, PreparedComposite(self, guided), guided)
+
+
+def _mover(interpolation: Interpolation | None, problem: Problem, flat: IntArray) -> Mover:
+    """An interpolation for the nodes ``flat``, or TFI on the edge graph, which moves all face nodes."""
+    if interpolation is None:
+        return PreparedEdgeGraph(problem)
+    return _Scattered(interpolation, problem, flat)
 
 
 @dataclass
@@ -75,7 +88,7 @@ class _Scattered:
 
     def __post_init__(self) -> None:
         self._bound = self.interpolation.bind(self.problem)
-        self._evaluator = self._bound.at(self.problem.grid.points, self.flat)
+        self._evaluator = self._bound.at(self.flat)
         self.account = self._bound.account
 
     def move(self, displacement: FloatArray, out: FloatArray, progress: Progress | None = None) -> None:
@@ -88,11 +101,7 @@ class PreparedComposite:
     def __init__(self, method: Composite, problem: Problem):
         self._problem = problem
         skeleton = method.filler.skeleton(problem) if method.filler else None
-        self._mover: Mover
-        if method.mover is None:
-            self._mover = PreparedEdgeGraph(problem)
-        else:
-            self._mover = _Scattered(method.mover, problem, _targets(problem, skeleton))
+        self._mover = _mover(method.mover, problem, first_step_nodes(problem, skeleton))
         self._filler = method.filler.prepare(problem, skeleton) if method.filler and skeleton else None
         self._left_out = skeleton is not None and bool(skeleton.left_out)
 
@@ -130,7 +139,7 @@ class PreparedComposite:
         out[topology.face_nodes] = face[topology.number]
 
 
-def _targets(problem: Problem, skeleton: Skeleton | None) -> IntArray:
+def first_step_nodes(problem: Problem, skeleton: Skeleton | None) -> IntArray:
     """Flat indices of the nodes that the first step moves: no sources, coincident nodes once."""
     topology = problem.topology
     chosen = np.zeros(problem.grid.n_nodes, dtype=bool)

@@ -9,17 +9,15 @@ import numpy as np
 from ..errors import MethodError
 from ..grid import FloatArray, IntArray
 from ..numerics import rotation as rot
-from ..numerics.direct import weighted_sums
-from ..numerics.parallel import for_chunks
-from ..numerics.rigid import finish
 from .base import Account, Problem, Progress, Setting
+from .idw_sums import Bound, ExactSums, FastSums, Fit
 from .images import mirror_images
 from .options import choose, positive
+from .summation import check_summation, fast_pays
 
 ROTATIONS = ("none", "quaternion", "division", "blend", "lie")
 WEIGHTS = ("luke", "shepard")
 ALPHA_CAP = 0.3
-_CHUNK = 2048
 
 
 @dataclass(frozen=True)
@@ -43,6 +41,9 @@ class IDW:
     divisions : m of eq. 26
     reweight : ``division`` finds its weights anew in every step, as in the paper; cost times m
     remove_mean : take the mean displacement out first and add it back; ``"auto"``: only for ``lie``
+    summation : ``exact`` sums, or ``fast`` ones with clusters of sources, or ``"auto"``: fast from 2000
+        sources and 2e8 pairs of nodes
+    summation_tolerance : of fast sums: error of a node's displacement relative to its shortest cell edge, 1e-8 to 0.1
     """
 
     rotation: str = "lie"
@@ -57,6 +58,8 @@ class IDW:
     divisions: int = 25
     reweight: bool = False
     remove_mean: bool | str = "auto"
+    summation: str = "auto"
+    summation_tolerance: float = 1e-2
 
     def __post_init__(self) -> None:
         choose("idw.rotation", self.rotation, ROTATIONS)
@@ -67,6 +70,7 @@ class IDW:
             positive(f"idw.{name}", getattr(self, name))
         positive("idw.divisions", self.divisions, whole=True)
         choose("idw.remove_mean", self.remove_mean, (True, False, "auto"))
+        check_summation("idw", self.summation, self.summation_tolerance)
         choose("idw.reweight", self.reweight, (True, False))
         if self.reweight and self.rotation != "division":
             raise MethodError(f'method.idw.reweight belongs to rotation = "division", not {self.rotation!r}')
@@ -74,22 +78,6 @@ class IDW:
     def bind(self, problem: Problem) -> PreparedIDW:
         """Sources with their images at symmetry planes, nodal areas, L_def."""
         return PreparedIDW(self, problem)
-
-
-@dataclass(frozen=True)
-class Fit:
-    """A displacement as the sums need it.
-
-    ``path`` source positions (n, 3) at the start of every step, relative to ``origin`` (3,): one step, unless the
-    weights are found anew on the way; ``values`` (k, n) and ``strength`` (2, n) per source; ``mean`` (3,) displacement
-    that was taken out.
-    """
-
-    path: tuple[FloatArray, ...]
-    values: FloatArray
-    strength: FloatArray
-    origin: FloatArray
-    mean: FloatArray
 
 
 class PreparedIDW:
@@ -100,9 +88,9 @@ class PreparedIDW:
         self.account = Account()
         self._problem = problem
         self._images = mirror_images(problem)
-        self.area = self._images.area
-        self.exponents = (options.a, options.b) if options.weights == "luke" else (options.p_moving, options.p_fixed)
+        self.area, self.points = self._images.area, self._images.points
         self.length = self._length()
+        self.groups, self.strength = self._grouped()
         auto = options.remove_mean == "auto"
         self.remove_mean = options.rotation == "lie" if auto else bool(options.remove_mean)
         self._record(auto)
@@ -111,6 +99,18 @@ class PreparedIDW:
         if self.options.length != "auto":
             return float(self.options.length)
         return float(np.linalg.norm(self._problem.source_points - self._problem.centroid, axis=1).max())
+
+    def _grouped(self) -> tuple[tuple[IntArray, ...], FloatArray]:
+        """Sources (index arrays) with the same weight function, and the strength (n,) of every source."""
+        o, moving = self.options, self._images.moving
+        everything = (np.arange(len(moving)),)
+        if o.weights == "luke":
+            return everything, self.area
+        if o.p_moving == o.p_fixed or moving.all() or not moving.any():
+            return everything, np.ones(len(moving))
+        # (L_def / r)^p: two exponents compare lengths, so the length has to be the grid's own.
+        strength = np.where(moving, self.length**o.p_moving, self.length**o.p_fixed)
+        return (np.flatnonzero(moving), np.flatnonzero(~moving)), strength
 
     def _record(self, mean_is_auto: bool) -> None:
         o, settings = self.options, self.account.settings
@@ -138,25 +138,26 @@ class PreparedIDW:
         if self.options.rotation != "none":
             normal = self._problem.plane_normal
             q = rot.surface_rotations(images.points, images.points + d, images.corners, images.edges, normal)
-        share = self.area / self.area.sum()
-        mean = share @ d if self.remove_mean else np.zeros(3)
-        strength = self._strength(d)
+        mean = self.area / self.area.sum() @ d if self.remove_mean else np.zeros(3)
         # Frame-independent kinds are computed about the centroid: smaller numbers, less round-off.
         origin = np.zeros(3) if self.options.rotation in ("quaternion", "division") else self._problem.centroid
         start = images.points - origin
         values = _motion_values(self.options, start, d - mean, q)
         path = _division_path(start, values, self.options.divisions) if self.options.reweight else (start,)
-        return Fit(path, values, strength, origin, mean)
+        turn = np.linalg.norm(rot.rotation_vector(q), axis=1)
+        return Fit(path, values, self._weights(d), np.linalg.norm(d - mean, axis=1), turn, origin, mean)
 
-    def _strength(self, d: FloatArray) -> FloatArray:
+    def _weights(self, d: FloatArray) -> tuple[tuple[float, float, float], ...]:
+        """Weight function (a, b, kappa) of each group: r^-a + kappa r^-b.
+
+        Weights matter up to a factor: L_def^a is divided out, which keeps the numbers near one.
+        """
         o = self.options
         if o.weights == "shepard":
-            moving = self._images.moving
-            # (L_def / r)^p: two exponents compare lengths, so the length has to be the grid's own.
-            return np.stack([moving * self.length**o.p_moving, ~moving * self.length**o.p_fixed])
+            # The second exponent has no part in it; Luke's has the fastest loop.
+            return tuple((p, 5.0, 0.0) for p in (o.p_moving, o.p_fixed)[: len(self.groups)])
         alpha = self._alpha(d) if o.alpha == "auto" else float(o.alpha)
-        # Weights matter up to a factor: L_def^a is divided out, which keeps the numbers near one.
-        return np.stack([self.area, self.area * alpha**o.b * self.length ** (o.b - o.a)])
+        return ((o.a, o.b, alpha**o.b * self.length ** (o.b - o.a)),)
 
     def _alpha(self, d: FloatArray) -> float:
         mean = (self.area / self.area.sum()) @ d
@@ -166,36 +167,17 @@ class PreparedIDW:
         self.account.settings["alpha"] = Setting(alpha, reason)
         return alpha
 
-    def at(self, points: FloatArray, flat: IntArray) -> DirectEvaluator:
-        """Bind to the target nodes ``flat`` among ``points``."""
-        return DirectEvaluator(self, points, flat)
-
-
-@dataclass(frozen=True)
-class DirectEvaluator:
-    """Exact sums at target nodes, chunk by chunk."""
-
-    idw: PreparedIDW
-    points: FloatArray
-    flat: IntArray
-
-    def evaluate(self, fit: Fit, out: FloatArray, progress: Progress | None) -> None:
-        """Write the displacement of the targets into ``out``."""
-        options = self.idw.options
-        repeats = options.divisions if options.rotation == "division" and not options.reweight else 1
-
-        def work(lo: int, hi: int) -> None:
-            flat = self.flat[lo:hi]
-            x = self.points[flat] - fit.origin
-            moved, total = np.empty_like(x), np.zeros_like(x)
-            for sources in fit.path:
-                sums = weighted_sums(x + total, sources, fit.strength, self.idw.exponents, fit.values)
-                finish(options.rotation, sums, x + total, moved, repeats)
-                total += moved
-            out[flat] = total + fit.mean
-
-        report = None if progress is None else (lambda done, total: progress("idw", done, total))
-        for_chunks(work, len(self.flat), _CHUNK, report)
+    def at(self, flat: IntArray) -> ExactSums | FastSums:
+        """Bind to the target nodes ``flat``."""
+        o, grid = self.options, self._problem.grid
+        bound = Bound(grid, flat, self.points, self.strength, self.groups, o.rotation, o.divisions, o.reweight)
+        fast, self.account.settings["summation"] = fast_pays(o.summation, len(flat), len(self.points))
+        if not fast:
+            return ExactSums(bound)
+        self.account.settings["summation_tolerance"] = Setting(
+            o.summation_tolerance, "error relative to the local cell"
+        )
+        return FastSums(bound, o.summation_tolerance, self.account)
 
 
 def _motion_values(options: IDW, x: FloatArray, d: FloatArray, q: FloatArray) -> FloatArray:

@@ -9,20 +9,18 @@ import numpy as np
 from ..boundary import Kind
 from ..errors import MethodError
 from ..grid import FloatArray, IntArray
-from ..memory import UNLIMITED, MemoryLimit
 from ..numerics.basis import BASES
 from ..numerics.greedy import Selection, select
-from ..numerics.parallel import for_chunks
-from ..numerics.radial import radial_matrix, radial_sums
-from ..numerics.saddle import DirectSolver, minres
+from ..numerics.radial import radial_sums
 from .base import Account, Problem, Progress, Setting
 from .images import mirror_images
 from .options import choose, positive
+from .radial_system import SOLVERS, RadialSystem
+from .rbf_sums import Centres, Fit, RadialSums
+from .summation import check_summation
 
-SOLVERS = ("auto", "direct", "minres")
 GREEDY = ("none", "single", "hybrid", "double-edged")
 ERRORS = ("first-cell", "absolute")
-_CHUNK = 2048
 
 
 @dataclass(frozen=True)
@@ -38,9 +36,11 @@ class RBF:
     basis : ``tps`` (global), ``wendland-c0``, ``wendland-c2``, ``ctps-c1``, ``ctps-c2a``, ``ctps-c2b`` (Table I)
     radius : support radius of the compact bases (grid length unit), or ``"auto"``: every node sees the whole moving
         body
-    solver : ``direct`` (Cholesky on the null space of the side conditions), ``minres`` (the paper's), ``auto``
-    tolerance : eps_c of ``minres``: ||r|| <= tolerance ||b||
-    max_iterations : of ``minres``; not converging is a warning
+    solver : ``direct`` (Cholesky on the null space of the side conditions), ``minres`` (the paper's), ``krylov``
+        (preconditioned GMRES, for any number of centres), or ``"auto"``: direct up to 4000 centres, then krylov
+    tolerance : of the iterative solvers: ||r|| <= tolerance ||b||; ``"auto"``: 1e-10 for ``minres`` (eps_c of the
+        paper), 1e-6 for ``krylov``
+    max_iterations : of the iterative solvers; not converging is a warning
     greedy : ``none``, ``single`` (Rendall & Allen), ``hybrid`` (the paper's), ``double-edged`` (Wang et al.); compact
         bases only
     greedy_error : ``first-cell``: errors relative to the height of the first cell at each node; ``absolute``: lengths
@@ -49,12 +49,15 @@ class RBF:
     greedy_updates : m, single-point updates between exact solutions; 0: as many as there are sources
     greedy_max_points : most centres to keep; 0: all
     greedy_correct : add the remaining error to the nodes near each wall node, so that walls land exactly
+    summation : ``exact`` sums at the nodes, or ``fast`` ones with clusters of centres, or ``"auto"``: fast from 2000
+        centres and 2e8 pairs of nodes
+    summation_tolerance : of fast sums: error of a node's displacement relative to its shortest cell edge, 1e-8 to 0.1
     """
 
     basis: str = "tps"
     radius: float | str = "auto"
     solver: str = "auto"
-    tolerance: float = 1e-10
+    tolerance: float | str = "auto"
     max_iterations: int = 10000
     greedy: str = "none"
     greedy_error: str = "first-cell"
@@ -63,6 +66,8 @@ class RBF:
     greedy_updates: int = 0
     greedy_max_points: int = 0
     greedy_correct: bool = True
+    summation: str = "auto"
+    summation_tolerance: float = 1e-2
 
     def __post_init__(self) -> None:
         choose("rbf.basis", self.basis, tuple(BASES))
@@ -70,11 +75,12 @@ class RBF:
         choose("rbf.greedy", self.greedy, GREEDY)
         choose("rbf.greedy_error", self.greedy_error, ERRORS)
         positive("rbf.radius", self.radius, auto=True)
-        positive("rbf.tolerance", self.tolerance)
+        positive("rbf.tolerance", self.tolerance, auto=True)
         positive("rbf.greedy_tolerance", self.greedy_tolerance)
         positive("rbf.max_iterations", self.max_iterations, whole=True)
         for name in ("greedy_start", "greedy_updates", "greedy_max_points"):
             positive(f"rbf.{name}", getattr(self, name), whole=True, zero=True)
+        check_summation("rbf", self.summation, self.summation_tolerance)
         choose("rbf.greedy_correct", self.greedy_correct, (True, False))
         if self.basis == "tps" and self.greedy != "none":
             raise MethodError(
@@ -85,113 +91,6 @@ class RBF:
     def bind(self, problem: Problem) -> PreparedRBF:
         """Sources and their images at symmetry planes as centres; nothing is solved yet."""
         return PreparedRBF(self, problem)
-
-
-@dataclass(frozen=True)
-class Centres:
-    """Centres in normalised coordinates with the polynomial terms that they determine.
-
-    Thin plate splines with a linear polynomial do not depend on the unit of length, and compact functions take
-    distances in radii; both are conditioned best near one. Directions in which all centres lie in a plane carry no
-    polynomial term: 2-D grids and planar patches then have a solution.
-    """
-
-    points: FloatArray
-    origin: FloatArray
-    scale: float
-    axes: FloatArray
-
-    @classmethod
-    def of(cls, points: FloatArray, radius: float | None) -> Centres:
-        origin = points.mean(axis=0)
-        arms = points - origin
-        extent = float(np.linalg.norm(arms, axis=1).max()) or 1.0
-        _, sizes, axes = np.linalg.svd(arms, full_matrices=False)
-        spread = axes[sizes > 1e-8 * extent * np.sqrt(len(points))]
-        scale = extent if radius is None else radius
-        return cls(np.ascontiguousarray(arms / scale), origin, scale, spread)
-
-    def normalised(self, points: FloatArray) -> FloatArray:
-        """Other points in the same coordinates."""
-        return (points - self.origin) / self.scale
-
-    def polynomial(self, normalised: FloatArray) -> FloatArray:
-        """Polynomial terms (n, q) at normalised points: the constant and the directions in which centres spread."""
-        return np.concatenate([np.ones((len(normalised), 1)), normalised @ self.axes.T], axis=1)
-
-
-@dataclass(frozen=True)
-class Fit:
-    """Solved coefficients: ``centres`` (k, 3) normalised, ``coefficients`` (k, 3), ``polynomial`` (q, 3).
-
-    ``residual`` (n, 3) what a greedy reduction left at all sources and ``reach`` how far it is spread; else ``None``.
-    """
-
-    centres: FloatArray
-    coefficients: FloatArray
-    polynomial: FloatArray
-    residual: FloatArray | None = None
-    reach: float = 0.0
-
-
-class RadialSystem:
-    """The linear system of one set of centres, factorised when first needed and kept."""
-
-    def __init__(self, options: RBF, centres: Centres, limit: MemoryLimit = UNLIMITED):
-        self.options, self.centres = options, centres
-        self.kind = BASES[options.basis]
-        self.terms = centres.polynomial(centres.points)
-        n = len(centres.points)
-        limit.require(
-            8 * n * n,
-            f"a radial basis function system of {n:,} centres",
-            "use greedy reduction (a compact basis), the hybrid idw-tfi, or fewer boundary nodes",
-        )
-        self._direct: DirectSolver | None = None
-        self._matrix: FloatArray | None = None
-
-    def solve(self, values: FloatArray, account: Account, progress: Progress | None) -> tuple[FloatArray, FloatArray]:
-        """Coefficients (n, 3) and polynomial (q, 3) for values at the centres (n, 3)."""
-        if self.options.solver == "minres":
-            return self._iterate(values, account, progress)
-        if self._direct is None:
-            self._direct = DirectSolver(lambda: radial_matrix(self.kind, *(self.centres.points,) * 2), self.terms)
-            account.settings["solver"] = Setting(self._direct.kind)
-        coefficients, polynomial = self._direct.solve(values)
-        # One step of iterative refinement: the matrix is gone, its product with a vector is a sum over centres.
-        rest = values - self._multiply(coefficients) - self.terms @ polynomial
-        more, shift = self._direct.solve(rest)
-        coefficients, polynomial = coefficients + more, polynomial + shift
-        rest = values - self._multiply(coefficients) - self.terms @ polynomial
-        account.settings["residual"] = Setting(float(np.abs(rest).max()), "largest error at a centre, length unit")
-        return coefficients, polynomial
-
-    def _multiply(self, coefficients: FloatArray) -> FloatArray:
-        return radial_sums(self.kind, self.centres.points, self.centres.points, coefficients)
-
-    def _iterate(
-        self, values: FloatArray, account: Account, progress: Progress | None
-    ) -> tuple[FloatArray, FloatArray]:
-        if self._matrix is None:
-            self._matrix = radial_matrix(self.kind, self.centres.points, self.centres.points)
-        matrix, terms = self._matrix, self.terms
-        n = len(terms)
-
-        def multiply(x: FloatArray) -> FloatArray:
-            return np.concatenate([matrix @ x[:n] + terms @ x[n:], terms.T @ x[:n]])
-
-        rhs = np.concatenate([values, np.zeros((terms.shape[1], values.shape[1]))])
-        o = self.options
-        report = None if progress is None else (lambda done, total: progress("minres", done, total))
-        solution, iterations, residual = minres(multiply, rhs, o.tolerance, o.max_iterations, report)
-        account.settings["iterations"] = Setting(iterations.tolist(), "one number per component")
-        account.settings["residual"] = Setting(residual.tolist(), "||b - K x|| / ||b||, computed from the solution")
-        if (iterations >= o.max_iterations).any():
-            account.warnings.append(
-                f"MINRES stopped after {o.max_iterations} iterations with a residual of {residual.max():.2e} "
-                f"(asked for {o.tolerance:g}); raise method.rbf.max_iterations, loosen tolerance or use solver = direct"
-            )
-        return solution[:n], solution[n:]
 
 
 class PreparedRBF:
@@ -214,8 +113,6 @@ class PreparedRBF:
             ),
             "solver": Setting(options.solver),
         }
-        if options.solver == "minres":
-            self.account.settings["tolerance"] = Setting(options.tolerance)
 
     def _radius(self) -> float | None:
         o = self.options
@@ -275,7 +172,7 @@ class PreparedRBF:
     def _refit(self, values: FloatArray, scale: FloatArray) -> Fit | None:
         """The kept selection with new values, unless its error has grown beyond the tolerance."""
         found = self._selection
-        if found is None or self.options.greedy == "single":
+        if found is None:
             return None
         points = np.ascontiguousarray(self.centres.points[found.active])
         if self._system is None:
@@ -316,48 +213,11 @@ class PreparedRBF:
                 f"({unit}); asked for {self.options.greedy_tolerance:g}. Raise greedy_max_points or greedy_tolerance"
             )
 
-    def at(self, points: FloatArray, flat: IntArray) -> RadialEvaluator:
-        """Bind to the target nodes ``flat`` among ``points``."""
-        return RadialEvaluator(self, points, flat)
-
-
-class RadialEvaluator:
-    """Sums at target nodes, chunk by chunk, with the greedy residual added near the walls."""
-
-    def __init__(self, prepared: PreparedRBF, points: FloatArray, flat: IntArray):
-        self._prepared, self._points, self._flat = prepared, points, flat
-        self._nearest: tuple[FloatArray, IntArray] | None = None
-
-    def evaluate(self, fit: Fit, out: FloatArray, progress: Progress | None) -> None:
-        """Write the displacement of the targets into ``out``."""
-        centres, options = self._prepared.centres, self._prepared.options
-        correct = fit.residual is not None and options.greedy_correct and fit.reach > 0
-        if correct and self._nearest is None:
-            self._nearest = self._find_nearest()
-
-        def work(lo: int, hi: int) -> None:
-            flat = self._flat[lo:hi]
-            x = centres.normalised(self._points[flat])
-            moved = radial_sums(BASES[options.basis], x, fit.centres, fit.coefficients)
-            moved += centres.polynomial(x)[:, : len(fit.polynomial)] @ fit.polynomial
-            if correct:
-                moved += self._correction(fit, lo, hi)
-            out[flat] = moved
-
-        report = None if progress is None else (lambda done, total: progress("rbf", done, total))
-        for_chunks(work, len(self._flat), _CHUNK, report)
-
-    def _find_nearest(self) -> tuple[FloatArray, IntArray]:
-        from scipy.spatial import cKDTree
-
-        tree = cKDTree(self._prepared.centres.points * self._prepared.centres.scale + self._prepared.centres.origin)
-        distance, nearest = tree.query(self._points[self._flat])
-        return distance, nearest
-
-    def _correction(self, fit: Fit, lo: int, hi: int) -> FloatArray:
-        """Residual of the nearest source, fading smoothly with the distance to it (Wendland C2)."""
-        assert self._nearest is not None
-        assert fit.residual is not None
-        distance, nearest = (part[lo:hi] for part in self._nearest)
-        r = np.minimum(distance / fit.reach, 1.0)
-        return ((1 - r) ** 4 * (4 * r + 1))[:, None] * fit.residual[nearest]
+    def at(self, flat: IntArray) -> RadialSums:
+        """Bind to the target nodes ``flat``."""
+        o, grid = self.options, self._problem.grid
+        correct = o.greedy != "none" and o.greedy_correct
+        sums = RadialSums(grid, flat, self.centres, o.basis, o.summation, o.summation_tolerance, correct, self.account)
+        if o.greedy == "none":
+            sums.prepare(len(self.centres.points))
+        return sums

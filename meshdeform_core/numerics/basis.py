@@ -5,57 +5,11 @@ One integer names the function: functions passed as arguments would be compiled 
 
 import math
 
-from llvmlite import ir
-from numba import types
-from numba.extending import intrinsic
-
-from .jit import contracted_kernel, fast_kernel
+from .elementary import log
+from .jit import fast_kernel
 
 BASES = {"tps": 0, "wendland-c0": 1, "wendland-c2": 2, "ctps-c1": 3, "ctps-c2a": 4, "ctps-c2b": 5}
 """Names and kernel numbers; all but ``tps`` have compact support."""
-
-
-@intrinsic
-def _bits(typing_context, value):
-    """The 64 bits of a float64 as an integer."""
-
-    def generate(context, builder, signature, arguments):
-        return builder.bitcast(arguments[0], ir.IntType(64))
-
-    return types.int64(types.float64), generate
-
-
-@intrinsic
-def _from_bits(typing_context, value):
-    """The float64 with the given 64 bits."""
-
-    def generate(context, builder, signature, arguments):
-        return builder.bitcast(arguments[0], ir.DoubleType())
-
-    return types.float64(types.int64), generate
-
-
-@contracted_kernel
-def log(x):
-    """Natural logarithm of a positive normal number without branches, so that loops over it become vector code.
-
-    ``x = 2^e m`` with m in [sqrt(1/2), sqrt(2)); log m = 2 artanh((m - 1) / (m + 1)). Error below 1e-15 relative; the
-    value at 0 is finite (about -709), as x log x needs it.
-    """
-    bits = _bits(x)
-    # Bias the mantissa so that the split lies at sqrt(1/2) instead of 1.
-    shifted = bits - 0x3FE6A09E667F3BCD
-    exponent = shifted >> 52
-    m = _from_bits(bits - (exponent << 52))
-    # The exponent as a float64 by its bits: vector units have no conversion from 64-bit integers.
-    e = _from_bits((exponent + 2048) | 0x4330000000000000) - (4503599627370496.0 + 2048.0)
-    s = (m - 1.0) / (m + 1.0)
-    z = s * s
-    tail = 1.0 / 15.0 + z * (1.0 / 17.0 + z * (1.0 / 19.0 + z * (1.0 / 21.0)))
-    series = 1.0 / 3.0 + z * (
-        1.0 / 5.0 + z * (1.0 / 7.0 + z * (1.0 / 9.0 + z * (1.0 / 11.0 + z * (1.0 / 13.0 + z * tail))))
-    )
-    return e * 0.6931471805599453 + 2.0 * s * (1.0 + z * series)
 
 
 @fast_kernel

@@ -25,10 +25,10 @@ def radial_sums(kind, targets, centres, coefficients, progress=None):
     sums : (n, 3)
     """
     packed = np.ascontiguousarray(np.concatenate([centres.T, coefficients.T]))
-    sums = np.empty((len(targets), 3))
+    sums = np.zeros((len(targets), 3))
 
     def work(lo, hi):
-        _sum_block(kind, targets[lo:hi], packed, sums[lo:hi])
+        radial_block(kind, targets[lo:hi], packed, packed.shape[1], sums[lo:hi])
 
     for_chunks(work, len(targets), _CHUNK, progress)
     return sums
@@ -40,20 +40,22 @@ def radial_matrix(kind, targets, centres):
     columns = np.ascontiguousarray(centres.T)
 
     def work(lo, hi):
-        _fill_rows(kind, targets[lo:hi], columns, matrix[lo:hi])
+        fill_rows(kind, targets[lo:hi], columns, matrix[lo:hi])
 
     for_chunks(work, len(targets), 64)
     return matrix
 
 
 @fast_kernel
-def _sum_block(kind, targets, packed, out):
+def radial_block(kind, targets, packed, n, out):
+    """Add to ``out`` (t, 3) the sums of coefficient * phi over ``n`` packed centres: x, y, z, coefficients in rows.
+
+    ``packed`` is a whole array and not a slice: the loops need rows that are known to be contiguous.
+    """
     value = np.empty(_TILE)
-    m = packed.shape[1]
-    out[:] = 0.0
     for t0 in range(0, targets.shape[0], _TARGETS):
-        for s0 in range(0, m, _TILE):
-            s1 = min(s0 + _TILE, m)
+        for s0 in range(0, n, _TILE):
+            s1 = min(s0 + _TILE, n)
             x, y, z = packed[0, s0:s1], packed[1, s0:s1], packed[2, s0:s1]
             c0, c1, c2 = packed[3, s0:s1], packed[4, s0:s1], packed[5, s0:s1]
             for t in range(t0, min(t0 + _TARGETS, targets.shape[0])):
@@ -70,7 +72,8 @@ def _sum_block(kind, targets, packed, out):
 
 
 @fast_kernel
-def _fill_rows(kind, targets, columns, out):
+def fill_rows(kind, targets, columns, out):
+    """Basis values (n, m) between targets (n, 3) and centres given as columns (3, m), into ``out``."""
     x, y, z = columns[0], columns[1], columns[2]
     for t in range(targets.shape[0]):
         _squared_distances(targets[t, 0], targets[t, 1], targets[t, 2], x, y, z, out[t])

@@ -9,6 +9,7 @@ from ..patches import with_patches
 from ..spacing import tanh_law
 
 DEFAULT_SIZE = 401
+SIZES = {"small": 101, "paper": 401}
 SIZE_HELP = "nodes around the airfoil, the last repeats the first (paper: 401, with 241 in radial direction)"
 
 _SEMI_AXES = 0.5, 0.05

@@ -7,6 +7,7 @@ from meshdeform_core.grid import Grid
 from ..patches import with_patches
 
 DEFAULT_SIZE = 40
+SIZES = {"small": 40, "paper": 400}
 SIZE_HELP = "cells along the rectangle, a multiple of 40: 40 and 400 in the paper"
 
 

@@ -9,6 +9,7 @@ from ..spacing import geometric
 from ..splitting import split
 
 DEFAULT_SIZE = 24
+SIZES = {"small": 12, "medium": 24, "paper": 92}
 SIZE_HELP = "cells across the top panel, a multiple of 4: 24 gives 78 k cells, 92 the paper's 4.44 M"
 
 DIAMETER = 0.15

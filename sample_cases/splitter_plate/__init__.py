@@ -7,6 +7,7 @@ from meshdeform_core.grid import Grid
 from ..patches import with_patches
 
 DEFAULT_SIZE = 8
+SIZES = {"small": 8, "paper": 16, "large": 32}
 SIZE_HELP = "cells per unit length, a multiple of 8 (paper: 16)"
 
 # (name, x range, y range) of the ten blocks; the plate and cylinder interfaces are parts of faces.

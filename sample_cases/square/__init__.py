@@ -7,6 +7,7 @@ from meshdeform_core.grid import Grid
 from ..patches import with_patches
 
 DEFAULT_SIZE = 21
+SIZES = {"small": 21, "paper": 301}
 SIZE_HELP = "nodes per side (paper: 21 and 301)"
 
 

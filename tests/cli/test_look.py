@@ -211,7 +211,7 @@ def test_samples_are_cases_to_start_from_in_every_format(name, bench, call):
     points = []
     for suffix in (".cgns", ".xyz", ".vtm"):
         folder = f"sample{suffix}"
-        size = ("--size", SIZES[name]) if name in SIZES else ()
+        size = ("--size", SIZES.get(name, "small"))
         result = call("sample", name, "-o", folder, "--suffix", suffix, *size)
         assert result.code == 0, result.err
         assert f"{folder}/grid{suffix}: " in result.out

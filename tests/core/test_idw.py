@@ -104,10 +104,10 @@ def test_bad_options(options):
 def test_sums(exponents, n_values):
     rng = np.random.default_rng(0)
     targets, sources = rng.random((130, 3)), rng.random((301, 3))
-    strength, values = rng.random((2, 301)), rng.standard_normal((n_values, 301))
+    strength, values = rng.random(301), rng.standard_normal((n_values, 301))
     r = np.linalg.norm(targets[:, None] - sources, axis=2)
-    w = strength[0] * r ** -exponents[0] + strength[1] * r ** -exponents[1]
-    sums = weighted_sums(targets, sources, strength, exponents, values)
+    w = strength * (r ** -exponents[0] + 0.3 * r ** -exponents[1])
+    sums = weighted_sums(targets, sources, strength, (*exponents, 0.3), values)
     np.testing.assert_allclose(sums[:, 0], w.sum(axis=1), rtol=1e-13)
     np.testing.assert_allclose(sums[:, 1:], w @ values.T, rtol=1e-10, atol=1e-8)
 

@@ -1,0 +1,64 @@
+"""Periodic boundaries in two steps: their nodes first, alike; then everything else, which they guide like walls.
+
+Making pairs alike after everything has moved would leave a jump beside the boundary: an interpolation does not see
+the images of the body beyond it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Protocol
+
+import numpy as np
+
+from ..boundary import Kind
+from ..grid import FloatArray, IntArray
+from .base import Account, PreparedMethod, Problem, Progress
+
+
+class FaceMover(Protocol):
+    """An interpolation bound to nodes of the boundary."""
+
+    def move(self, displacement: FloatArray, out: FloatArray, progress: Progress | None = None) -> None:
+        """Displacement of its nodes from that of the sources (n_sources, 3), into ``out`` (n_nodes, 3)."""
+        ...
+
+
+def free_periodic(problem: Problem) -> IntArray:
+    """Unique numbers of the periodic nodes that nothing else moves or holds."""
+    periodic = problem.boundary.periodic
+    nodes = np.unique(np.r_[periodic.one, periodic.two])
+    return np.asarray(nodes[~problem.boundary.known[nodes]])
+
+
+def with_known_periodic(problem: Problem) -> Problem:
+    """The problem whose free periodic nodes have a prescribed displacement."""
+    boundary = problem.boundary
+    kind, quad_kind = boundary.kind.copy(), boundary.quad_kind.copy()
+    kind[free_periodic(problem)] = Kind.MOVING
+    quad_kind[quad_kind == Kind.PERIODIC] = Kind.MOVING
+    return dataclasses.replace(problem, boundary=dataclasses.replace(boundary, kind=kind, quad_kind=quad_kind))
+
+
+class PreparedPeriodic:
+    """A method that moves free periodic nodes before all others."""
+
+    def __init__(self, problem: Problem, first: FaceMover, rest: PreparedMethod, guided: Problem):
+        self._problem, self._first, self._rest, self._guided = problem, first, rest, guided
+
+    @property
+    def account(self) -> Account:
+        """Settings and warnings of the method itself."""
+        return self._rest.account
+
+    def apply(self, displacement: FloatArray, progress: Progress | None = None) -> FloatArray:
+        """Displacement (n_nodes, 3) of all block nodes from that of the sources (n_sources, 3)."""
+        problem = self._problem
+        out = np.zeros((problem.grid.n_nodes, 3))
+        self._first.move(displacement, out, progress)
+        out[problem.source_flat] = displacement
+        topology, boundary = problem.topology, problem.boundary
+        face = out[topology.first]
+        boundary.slip.constrain(face, problem.grid.points[topology.first])
+        boundary.periodic.constrain(face, ~boundary.known)
+        return self._rest.apply(face[self._guided.source_numbers], progress)

@@ -1,0 +1,152 @@
+"""How radial basis functions are evaluated at the nodes: exactly, or fast with clusters of centres."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..grid import FloatArray, Grid, IntArray
+from ..numerics import fastsum
+from ..numerics.basis import BASES
+from ..numerics.fastradial import FastRadial
+from ..numerics.parallel import for_chunks, thread_count
+from ..numerics.radial import radial_sums
+from .base import Account, Progress, Setting
+from .summation import fast_pays
+
+_CHUNK = 1024
+# Smooth coefficients of many centres cancel less well than the weights of a mean: one point more than there.
+_EXTRA_ORDER = 1
+
+
+@dataclass(frozen=True)
+class Centres:
+    """Centres in normalised coordinates with the polynomial terms that they determine.
+
+    Thin plate splines with a linear polynomial do not depend on the unit of length, and compact functions take
+    distances in radii; both are conditioned best near one. Directions in which all centres lie in a plane carry no
+    polynomial term: 2-D grids and planar patches then have a solution.
+    """
+
+    points: FloatArray
+    origin: FloatArray
+    scale: float
+    axes: FloatArray
+
+    @classmethod
+    def of(cls, points: FloatArray, radius: float | None) -> Centres:
+        origin = points.mean(axis=0)
+        arms = points - origin
+        extent = float(np.linalg.norm(arms, axis=1).max()) or 1.0
+        _, sizes, axes = np.linalg.svd(arms, full_matrices=False)
+        spread = axes[sizes > 1e-8 * extent * np.sqrt(len(points))]
+        scale = extent if radius is None else radius
+        return cls(np.ascontiguousarray(arms / scale), origin, scale, spread)
+
+    def normalised(self, points: FloatArray) -> FloatArray:
+        """Other points in the same coordinates."""
+        return (points - self.origin) / self.scale
+
+    def polynomial(self, normalised: FloatArray) -> FloatArray:
+        """Polynomial terms (n, q) at normalised points: the constant and the directions in which centres spread."""
+        return np.concatenate([np.ones((len(normalised), 1)), normalised @ self.axes.T], axis=1)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Solved coefficients: ``centres`` (k, 3) normalised, ``coefficients`` (k, 3), ``polynomial`` (q, 3).
+
+    ``residual`` (n, 3) what a greedy reduction left at all sources and ``reach`` how far it is spread; else ``None``.
+    """
+
+    centres: FloatArray
+    coefficients: FloatArray
+    polynomial: FloatArray
+    residual: FloatArray | None = None
+    reach: float = 0.0
+
+
+class RadialSums:
+    """Sums at the target nodes, with the greedy residual added near the walls if ``correct``."""
+
+    def __init__(
+        self,
+        grid: Grid,
+        flat: IntArray,
+        centres: Centres,
+        basis: str,
+        summation: str,
+        tolerance: float,
+        correct: bool,
+        account: Account,
+    ):
+        self._grid, self._flat, self._centres, self._basis = grid, flat, centres, basis
+        self._summation, self._tolerance = summation, tolerance
+        self._correct, self._account = correct, account
+        self._targets: fastsum.Targets | None = None
+        self._tree: tuple[FloatArray, FastRadial] | None = None
+        self._nearest: tuple[FloatArray, IntArray] | None = None
+
+    def prepare(self, n_centres: int) -> None:
+        """Sort the target nodes for fast sums, if these pay for so many centres."""
+        fast, setting = fast_pays(self._summation, len(self._flat), n_centres)
+        self._account.settings["summation"] = setting
+        if not fast or self._targets is not None:
+            return
+        self._account.settings["summation_tolerance"] = Setting(self._tolerance, "error relative to the local cell")
+        grid, order = self._grid, fastsum.interpolation_order(self._tolerance) + _EXTRA_ORDER
+        points = np.ascontiguousarray(self._centres.normalised(grid.points))
+        targets = fastsum.make_targets(points, grid.shapes, grid.offsets, self._flat, order)
+        self._targets = targets._replace(sizes=targets.sizes * self._centres.scale)
+
+    def evaluate(self, fit: Fit, out: FloatArray, progress: Progress | None) -> None:
+        """Write the displacement of the targets into ``out`` (n_nodes, 3)."""
+        report = None if progress is None else (lambda done, total: progress("rbf", done, total))
+        self.prepare(len(fit.centres))
+        if self._account.settings["summation"].value == "fast":
+            self._fast(fit, out, report)
+        else:
+            self._exact(fit, out, report)
+        if self._correct and fit.reach > 0:
+            self._add_residual(fit, out)
+
+    def _exact(self, fit: Fit, out: FloatArray, report: fastsum.Report) -> None:
+        def work(lo: int, hi: int) -> None:
+            flat = self._flat[lo:hi]
+            x = self._centres.normalised(self._grid.points[flat])
+            moved = radial_sums(BASES[self._basis], x, fit.centres, fit.coefficients)
+            out[flat] = moved + self._centres.polynomial(x)[:, : len(fit.polynomial)] @ fit.polynomial
+
+        for_chunks(work, len(self._flat), _CHUNK, report)
+
+    def _fast(self, fit: Fit, out: FloatArray, report: fastsum.Report) -> None:
+        assert self._targets is not None
+        targets = self._targets
+        if self._tree is None or self._tree[0] is not fit.centres:
+            order = fastsum.interpolation_order(self._tolerance) + _EXTRA_ORDER
+            self._tree = fit.centres, FastRadial(self._basis, fit.centres, order)
+
+        def use(flat: IntArray, sums: FloatArray) -> None:
+            x = targets.points[flat]
+            out[flat] = sums + self._centres.polynomial(x)[:, : len(fit.polynomial)] @ fit.polynomial
+
+        error = self._tree[1].evaluate(fit.coefficients, targets, self._tolerance, use, report)
+        self._account.settings["sampled_error"] = Setting(error, "against exact sums at samples, in cells")
+        if error > self._tolerance:
+            self._account.warnings.append(
+                f"fast sums: an error of {error:.2g} of a cell was found, {self._tolerance:g} is allowed; "
+                f'use method.rbf.summation = "exact"'
+            )
+
+    def _add_residual(self, fit: Fit, out: FloatArray) -> None:
+        """Residual of the nearest source, fading smoothly with the distance to it (Wendland C2)."""
+        from scipy.spatial import cKDTree
+
+        assert fit.residual is not None
+        if self._nearest is None:
+            tree = cKDTree(self._centres.points * self._centres.scale + self._centres.origin)
+            self._nearest = tree.query(self._grid.points[self._flat], workers=thread_count())
+        distance, nearest = self._nearest
+        r = np.minimum(distance / fit.reach, 1.0)
+        out[self._flat] += ((1 - r) ** 4 * (4 * r + 1))[:, None] * fit.residual[nearest]

@@ -1,0 +1,157 @@
+"""Bricks of target nodes: the other half of what fast summation sorts once per undeformed grid."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from .boxes import fit_box, points_per_side
+from .jit import kernel
+
+
+class Bricks(NamedTuple):
+    """Target nodes in compact groups that follow the grid's own order.
+
+    Attributes
+    ----------
+    start : (b + 1,) where each brick's targets begin
+    targets : (n,) flat node indices
+    center, axes, half, per_side : boxes as in :class:`SourceTree`
+    """
+
+    start: np.ndarray
+    targets: np.ndarray
+    center: np.ndarray
+    axes: np.ndarray
+    half: np.ndarray
+    per_side: np.ndarray
+
+
+def build_bricks(points, shapes, offsets, wanted, order, capacity):
+    """Cut every block's index box into bricks of about ``capacity`` targets.
+
+    Boxes are halved along the index direction in which they are longest in space, so that bricks are compact although
+    cells are stretched.
+
+    Parameters
+    ----------
+    points : (n_nodes, 3)
+    shapes : (n_blocks, 3) int64, nodes
+    offsets : (n_blocks + 1,) int64
+    wanted : (n_nodes,) bool, the target nodes
+    """
+    parts = []
+    for block, shape in enumerate(shapes):
+        lo, hi = offsets[block], offsets[block + 1]
+        mask = wanted[lo:hi].reshape(shape)
+        inside = int(mask.sum())
+        if inside:
+            fraction = inside / mask.size
+            starts, targets = _cut_block(points[lo:hi].reshape(*shape, 3), mask, inside, capacity / fraction)
+            parts.append((starts, targets + lo))
+    start = np.zeros(1, dtype=np.int64)
+    targets = np.empty(0, dtype=np.int64)
+    if parts:
+        targets = np.concatenate([t for _, t in parts])
+        start = np.concatenate([start, np.cumsum(np.concatenate([np.diff(s) for s, _ in parts]))])
+    return Bricks(start, targets, *_fit_bricks(points, start, targets, order))
+
+
+@kernel
+def _cut_block(x, mask, count, capacity):
+    ni, nj, nk = mask.shape
+    box = np.empty((4096, 6), dtype=np.int64)
+    box[0, 0] = box[0, 2] = box[0, 4] = 0
+    box[0, 1], box[0, 3], box[0, 5] = ni, nj, nk
+    depth = 1
+    starts = np.empty(count + 1, dtype=np.int64)
+    starts[0], pieces = 0, 0
+    targets = np.empty(count, dtype=np.int64)
+    used = 0
+    while depth:
+        depth -= 1
+        b = box[depth].copy()
+        size = (b[1] - b[0]) * (b[3] - b[2]) * (b[5] - b[4])
+        if size > capacity:
+            axis = _longest_side(x, b)
+            middle = (b[2 * axis] + b[2 * axis + 1]) // 2
+            box[depth + 1] = b
+            box[depth + 1, 2 * axis + 1] = middle
+            box[depth] = b
+            box[depth, 2 * axis] = middle
+            depth += 2
+            continue
+        before = used
+        for i in range(b[0], b[1]):
+            for j in range(b[2], b[3]):
+                for k in range(b[4], b[5]):
+                    if mask[i, j, k]:
+                        targets[used] = (i * nj + j) * nk + k
+                        used += 1
+        if used > before:
+            pieces += 1
+            starts[pieces] = used
+    return starts[: pieces + 1].copy(), targets
+
+
+@kernel
+def _longest_side(x, b):
+    """Index axis along which an index box is longest: mean length of its edges, taken through their quarter points."""
+    best, axis = -1.0, 0
+    at, previous = np.empty(3, dtype=np.int64), np.empty(3)
+    for a in range(3):
+        lo, hi = b[2 * a], b[2 * a + 1] - 1
+        if hi == lo:
+            continue
+        total = 0.0
+        for corner in range(4):
+            other = 0
+            for d in range(3):
+                if d != a:
+                    at[d] = b[2 * d] if (corner >> other) & 1 == 0 else b[2 * d + 1] - 1
+                    other += 1
+            for quarter in range(5):
+                at[a] = lo + (hi - lo) * quarter // 4
+                length = 0.0
+                for d in range(3):
+                    here = x[at[0], at[1], at[2], d]
+                    length += (here - previous[d]) ** 2
+                    previous[d] = here
+                if quarter:
+                    total += math.sqrt(length)
+        if total > best:
+            best, axis = total, a
+    return axis
+
+
+@kernel
+def _fit_bricks(points, start, targets, order):
+    m = start.size - 1
+    center, axes, half = np.empty((m, 3)), np.empty((m, 3, 3)), np.empty((m, 3))
+    count = np.empty((m, 3), dtype=np.int64)
+    for b in range(m):
+        fit_box(points, targets[start[b] : start[b + 1]], center[b], axes[b], half[b])
+        points_per_side(half[b], order, count[b])
+    return center, axes, half, count
+
+
+@kernel
+def node_sizes(points, shapes, offsets, flat):
+    """Shortest edge (n,) at the nodes ``flat`` of a grid; edges without length, at poles, do not count."""
+    size = np.full(flat.size, np.inf)
+    step = np.empty(3, dtype=np.int64)
+    for n in range(flat.size):
+        block = np.searchsorted(offsets, flat[n], side="right") - 1
+        shape = shapes[block]
+        rest = flat[n] - offsets[block]
+        step[0], step[1], step[2] = shape[1] * shape[2], shape[2], 1
+        for axis in range(3):
+            at = rest // step[axis] % shape[axis]
+            for way in (-1, 1):
+                if 0 <= at + way < shape[axis]:
+                    edge = 0.0
+                    for d in range(3):
+                        edge += (points[flat[n] + way * step[axis], d] - points[flat[n], d]) ** 2
+                    if edge > 0.0:
+                        size[n] = min(size[n], math.sqrt(edge))
+    return size

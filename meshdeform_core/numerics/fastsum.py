@@ -1,0 +1,145 @@
+"""Fast weighted sums as one object: trees, bricks and accuracy of one undeformed grid (see :mod:`.treesum`)."""
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from .bricks import Bricks, build_bricks, node_sizes
+from .direct import N_VALUES
+from .parallel import for_chunks
+from .tree import build_tree, gather_charges
+from .treesum import Charges, add_totals, cluster_reach, inverse_powers, sum_bricks
+
+Report = Callable[[int, int], None] | None
+"""``report(done, total)``, or nothing."""
+
+_SAMPLES = 9
+_CHUNK = 16
+# What one cluster may cause, in units of what all together may: errors of many clusters mostly cancel. Measured on the
+# hemisphere and the splitter plate so that the error stays below the tolerance by a factor of 2 to 5.
+_SHARE = 4.0
+
+
+class Targets(NamedTuple):
+    """Target nodes in bricks, and where the accuracy of each brick is judged.
+
+    Attributes
+    ----------
+    points : (n_nodes, 3)
+    bricks : :class:`.bricks.Bricks`
+    samples : (b, 9) targets spread over each brick in the grid's order
+    sizes : (b, 9) shortest edge at them
+    """
+
+    points: np.ndarray
+    bricks: Bricks
+    samples: np.ndarray
+    sizes: np.ndarray
+
+
+def interpolation_order(tolerance):
+    """Interpolation points per side of a cube for a tolerance: 4 for 1e-2, 5 for 1e-4, 7 for 1e-8."""
+    return 3 + math.ceil(-0.5 * math.log10(tolerance) - 1e-9)
+
+
+def shape_table(shapes):
+    """Block shapes (n_blocks, 3) as the loops want them."""
+    return np.asarray(shapes, dtype=np.int64).reshape(-1, 3)
+
+
+def make_targets(points, shapes, offsets, flat, order):
+    """Sort the target nodes ``flat`` of a grid into bricks of about eight times their interpolation points."""
+    wanted = np.zeros(len(points), dtype=bool)
+    wanted[flat] = True
+    shapes = shape_table(shapes)
+    bricks = build_bricks(points, shapes, offsets, wanted, order, 8 * order**3)
+    count = np.diff(bricks.start)
+    at = (np.arange(_SAMPLES) * (count[:, None] - 1)) // (_SAMPLES - 1)
+    samples = bricks.targets[bricks.start[:-1, None] + at]
+    sizes = node_sizes(points, shapes, offsets, samples.ravel()).reshape(samples.shape)
+    return Targets(points, bricks, samples, sizes)
+
+
+class FastSums:
+    """Weighted sums over groups of sources, with an error per target that is small against its cells.
+
+    Parameters
+    ----------
+    sources : (n, 3)
+    groups : index arrays; the sources that have the same weight function
+    targets : from :func:`make_targets`
+    tolerance : error of the weighted mean displacement relative to the local cell size
+    """
+
+    def __init__(self, sources, groups, targets: Targets, tolerance):
+        self.targets = targets
+        self.tolerance = tolerance
+        self.share = _SHARE
+        order = interpolation_order(tolerance)
+        self._groups = [(np.asarray(group), build_tree(sources[group], order)) for group in groups]
+
+    def evaluate(self, strength, weights, values, shift, turn, use, progress=None):
+        """Compute the sums brick by brick and hand each chunk to ``use``.
+
+        Parameters
+        ----------
+        strength : (n,) per source; values : (k, n)
+        weights : (a, b, kappa) per group
+        shift, turn : (n,) displacement and rotation angle of each source, against which errors are judged
+        use : called with flat indices (m,) and sums (m, 1 + k), the weight first, from several threads
+
+        Returns
+        -------
+        risk : (b,) bound of each brick's error, in units that only allow comparing
+        """
+        bricks = self.targets.bricks
+        kinds = [inverse_powers(*each) for each in weights]
+        reaches = [cluster_reach(tree, strength[g], shift[g], turn[g]) for g, tree in self._groups]
+        allowed, mean = self._allowance(kinds, reaches)
+        risk = np.zeros(len(allowed))
+        passes = [self._charges(strength, values[k : k + N_VALUES]) for k in range(0, len(values), N_VALUES)]
+
+        def work(lo, hi):
+            start, stop = bricks.start[lo], bricks.start[hi]
+            sums = np.empty((stop - start, 1 + N_VALUES * len(passes)))
+            for number, charges in enumerate(passes):
+                part = np.zeros((stop - start, 1 + N_VALUES))
+                for (_, tree), reach, charge, kind in zip(self._groups, reaches, charges, kinds, strict=True):
+                    sum_bricks(
+                        lo, hi, self.targets.points, bricks, tree, reach, charge, kind, allowed, mean, part, risk
+                    )
+                sums[:, 0] = part[:, 0]
+                sums[:, 1 + N_VALUES * number : 1 + N_VALUES * (number + 1)] = part[:, 1:]
+            use(bricks.targets[start:stop], sums)
+
+        for_chunks(work, len(allowed), _CHUNK, progress)
+        return risk
+
+    def _charges(self, strength, values):
+        """Charges of one pass, per group."""
+        charges = []
+        for group, tree in self._groups:
+            source = np.zeros((len(group), 1 + N_VALUES))
+            members = group[tree.order]
+            source[:, 0] = strength[members]
+            source[:, 1 : 1 + len(values)] = (strength[members] * values[:, members]).T
+            proxy = np.empty((len(tree.proxies), 1 + N_VALUES))
+            gather_charges(tree, source, proxy)
+            charges.append(Charges(source, proxy))
+        return charges
+
+    def _allowance(self, kinds, reaches):
+        """Weighted displacement error that one cluster may cause in each brick, and the mean displacement there."""
+        points, samples = self.targets.points, self.targets.samples
+        total, moved = np.zeros(samples.shape), np.zeros(samples.shape)
+
+        def work(lo, hi):
+            at = points[samples[lo:hi].ravel()]
+            for (_, tree), reach, kind in zip(self._groups, reaches, kinds, strict=True):
+                add_totals(at, tree, reach, kind, total[lo:hi].reshape(-1), moved[lo:hi].reshape(-1))
+
+        for_chunks(work, len(samples), 64)
+        allowed = (total * self.targets.sizes).min(axis=1) * self.tolerance * self.share
+        return allowed, (moved / total).max(axis=1)

@@ -1,0 +1,169 @@
+"""A motion over time: one grid per time level, with everything that depends on the undeformed grid computed once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from .deform import Result, Setup, Start, Timing, impose
+from .errors import CaseError
+from .grid import FloatArray
+from .methods import PreparedMethod, Progress, make_method
+from .numerics.rotation import rotation_vector, surface_rotations
+
+ORIGINS = ("reference", "last")
+VELOCITIES = ("none", "first", "second")
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """When, and from which grid.
+
+    Attributes
+    ----------
+    times : of the levels, ascending
+    origin : ``reference``: every level is made from the undeformed grid, so that equal boundaries give equal grids;
+        ``last``: each level from the one before (marching), which reaches larger motions but drifts
+    velocity : order of the backward differences of the grid velocity, or ``none``
+    steps : increments of each level, or ``"auto"``; see :func:`meshdeform_core.deform.deform`
+    """
+
+    times: tuple[float, ...]
+    origin: str = "reference"
+    velocity: str = "none"
+    steps: int | str = 1
+
+    def __post_init__(self) -> None:
+        for name, value, known in (("origin", self.origin, ORIGINS), ("velocity", self.velocity, VELOCITIES)):
+            if value not in known:
+                raise CaseError(f"{name} = {value!r} of a series is unknown; known are {', '.join(known)}")
+        if not self.times or not np.isfinite(self.times).all() or (np.diff(self.times) <= 0).any():
+            raise CaseError(f"the times of a series must ascend; found {_shortened(self.times)}")
+
+    def past(self, number: int) -> int:
+        """How many levels before level ``number`` are needed to make it."""
+        wanted = max(VELOCITIES.index(self.velocity), int(self.origin == "last"))
+        return min(number, wanted)
+
+
+@dataclass(frozen=True)
+class Drift:
+    """Distance (grid length unit) of a marched grid from the one made in one step from the undeformed grid."""
+
+    max: float
+    rms: float
+
+
+@dataclass(frozen=True)
+class Level:
+    """One time level.
+
+    ``rotation`` is the largest rotation of a moving wall against the undeformed grid (degrees), ``velocity``
+    (n_nodes, 3) the grid velocity, zero at the first level.
+    """
+
+    number: int
+    time: float
+    result: Result
+    rotation: float
+    drift: Drift | None
+    velocity: FloatArray | None
+    timing: Timing
+
+
+def deform_series(
+    setup: Setup,
+    schedule: Schedule,
+    precision: str,
+    progress: Progress | None = None,
+    first: int = 0,
+    finished: Callable[[int], FloatArray] | None = None,
+) -> Iterator[Level]:
+    """Make the levels ``first``, ``first + 1``, ... one after the other; only what the next one needs is kept.
+
+    A level that is not valid does not stop the series: its result says so.
+
+    Parameters
+    ----------
+    precision : of the files that will be written. Marching and velocities use the coordinates as written, so that
+        they are those of the files, and a continued series equals an uninterrupted one
+    finished : coordinates (n_nodes, 3) as written of a level before ``first``; required if ``first`` needs any
+    """
+    series = _Series(setup, schedule, precision, progress)
+    past = [finished(n) for n in range(first - schedule.past(first), first)] if finished else []
+    for number in range(first, len(schedule.times)):
+        level = series.level(number, past)
+        yield level
+        past = [*past, level.result.grid.points]
+        past = past[len(past) - schedule.past(number + 1) :]
+
+
+class _Series:
+    """What all levels share: the set-up and the method prepared on the undeformed grid."""
+
+    def __init__(self, setup: Setup, schedule: Schedule, precision: str, progress: Progress | None):
+        self.setup, self.schedule, self.precision, self.progress = setup, schedule, precision, progress
+        self.problem = setup.problem
+        self._reference: PreparedMethod | None = None
+
+    def level(self, number: int, past: list[FloatArray]) -> Level:
+        setup, schedule = self.setup, self.schedule
+        time, timing = schedule.times[number], Timing()
+        reference = self._prepared(timing)
+        marching = schedule.origin == "last" and bool(past)
+        start = Start(past[-1]) if marching else Start(setup.grid.points, reference)
+        result = impose(setup, time, schedule.steps, self.precision, timing, self.progress, start)
+        displacement = setup.displacement(time)[self.problem.source_numbers]
+        drift = velocity = None
+        if schedule.origin == "last":
+            with timing.stage("drift"):
+                drift = self._drift(result, reference.apply(displacement, self.progress))
+        if schedule.velocity != "none":
+            points = [*past, result.grid.points]
+            velocity = grid_velocity(schedule.times[: number + 1], points, schedule.velocity)
+        return Level(number, time, result, self._rotation(displacement), drift, velocity, timing)
+
+    def _prepared(self, timing: Timing) -> PreparedMethod:
+        if self._reference is None:
+            with timing.stage("prepare"):
+                self._reference = make_method(self.setup.case.method).prepare(self.problem)
+        return self._reference
+
+    def _drift(self, result: Result, displacement: FloatArray) -> Drift:
+        distance = np.linalg.norm(result.grid.points - self.setup.grid.points - displacement, axis=1)
+        return Drift(float(distance.max()), float(np.sqrt(np.mean(distance**2))))
+
+    def _rotation(self, displacement: FloatArray) -> float:
+        surface, points = self.problem.surface, self.problem.source_points
+        normal = self.problem.plane_normal
+        turned = surface_rotations(points, points + displacement, surface.corners, surface.edges, normal)
+        return float(np.degrees(np.linalg.norm(rotation_vector(turned), axis=1).max()))
+
+
+def grid_velocity(times: tuple[float, ...], points: list[FloatArray], order: str) -> FloatArray:
+    """Velocity (n_nodes, 3) at the last of ``times`` by backward differences over levels of any spacing.
+
+    ``second`` order falls back to first at the second level; at the first one, which has no past, the velocity is zero.
+
+    Parameters
+    ----------
+    points : coordinates at the last levels, the newest last
+    """
+    known = min(len(times), len(points), VELOCITIES.index(order) + 1)
+    if known == 1:
+        return np.zeros_like(points[-1])
+    h = times[-1] - times[-2]
+    slope = (points[-1] - points[-2]) / h
+    if known == 2:
+        return slope
+    before = times[-2] - times[-3]
+    earlier = (points[-2] - points[-3]) / before
+    # The derivative, at the newest, of the parabola through three levels.
+    return slope + (slope - earlier) * (h / (h + before))
+
+
+def _shortened(times: tuple[float, ...]) -> str:
+    shown = ", ".join(f"{t:g}" for t in times[:5])
+    return f"[{shown}{', ...' if len(times) > 5 else ''}]"

@@ -1,0 +1,40 @@
+"""A square bar turns in a cascade of equal bars: the upper and the lower boundary are periodic, 2-D."""
+
+import numpy as np
+
+from meshdeform_core.grid import Grid
+
+from ..patches import with_patches
+
+DEFAULT_SIZE = 32
+SIZES = {"small": 16, "medium": 32, "large": 128}
+SIZE_HELP = "cells along an edge of the bar, an even number: 32 gives 48 k cells"
+
+_PITCH = 4.0
+_INLET, _OUTLET = -4.0, 8.0
+
+
+def generate(size: int = DEFAULT_SIZE) -> Grid:
+    """Eight blocks of uniform square cells around a bar of unit edge; one pitch of 4 of the cascade."""
+    if size < 4 or size % 2:
+        raise ValueError(f"size = {size} cells along an edge of the bar; expected an even number, at least 4")
+    x = [_nodes(span, size) for span in ((_INLET, -0.5), (-0.5, 0.5), (0.5, _OUTLET))]
+    y = [_nodes(span, size) for span in ((-_PITCH / 2, -0.5), (-0.5, 0.5), (0.5, _PITCH / 2))]
+    names = [f"{row}-{column}" for column in ("upstream", "bar", "downstream") for row in ("lower", "middle", "upper")]
+    blocks = [np.stack(np.meshgrid(a, b, [0.0], indexing="ij"), axis=-1) for a in x for b in y]
+    del names[4], blocks[4]
+    return with_patches(
+        Grid.from_blocks(blocks, names),
+        [
+            ("bar", "BCWall", lambda c, side: np.abs(c[:, :2]).max(axis=1) < 0.51),
+            ("inlet", "BCInflow", lambda c, side: c[:, 0] == _INLET),
+            ("outlet", "BCOutflow", lambda c, side: c[:, 0] == _OUTLET),
+            ("lower", "", lambda c, side: c[:, 1] == -_PITCH / 2),
+            ("upper", "", lambda c, side: c[:, 1] == _PITCH / 2),
+        ],
+    )
+
+
+def _nodes(span: tuple[float, float], size: int) -> np.ndarray:
+    # Integer multiples of the cell: nodes of neighbouring blocks are equal to the last bit.
+    return np.arange(round(span[0] * size), round(span[1] * size) + 1) / size

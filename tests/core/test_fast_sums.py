@@ -1,0 +1,197 @@
+"""Fast IDW sums against exact ones: every rotation kind and weight, the tolerance kept, nothing common disturbed."""
+
+import numpy as np
+import pytest
+from cases import apply, body_specs, constant, everything_moves, problem_of, turning
+from grids import frame, frame_2d
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from meshdeform_core.errors import MethodError
+from meshdeform_core.methods import IDW, RBF, Options, make_method
+from meshdeform_core.numerics import boxes, fastsum
+from meshdeform_core.numerics.basis import BASES
+from meshdeform_core.numerics.bricks import build_bricks, node_sizes
+from meshdeform_core.numerics.elementary import exp, log
+from meshdeform_core.numerics.fastradial import FastRadial
+from meshdeform_core.numerics.radial import radial_sums
+from meshdeform_core.numerics.tree import build_tree, gather_charges
+from meshdeform_core.prescription import prescribed_displacement
+
+VARIANTS = {
+    "none": {"rotation": "none"},
+    "quaternion": {"rotation": "quaternion"},
+    "division": {"rotation": "division", "divisions": 4},
+    "division reweighted": {"rotation": "division", "divisions": 2, "reweight": True},
+    "blend": {"rotation": "blend"},
+    "lie": {},
+    "other exponents": {"a": 2.5, "b": 4.0, "alpha": 0.3},
+    "shepard": {"weights": "shepard"},
+    "shepard, two exponents": {"weights": "shepard", "p_moving": 4.0, "p_fixed": 3.0},
+}
+
+
+@pytest.fixture(scope="module")
+def problem():
+    return problem_of(frame(12, 8), body_specs(turning(20, center=(0.3, 0.1, 0.0))))
+
+
+def told(problem):
+    return prescribed_displacement(problem.grid, problem.topology, problem.boundary)[problem.source_numbers]
+
+
+def cell_sizes(problem):
+    grid = problem.grid
+    return node_sizes(grid.points, fastsum.shape_table(grid.shapes), grid.offsets, np.arange(grid.n_nodes))
+
+
+@pytest.mark.parametrize("tolerance", [1e-2, 1e-4, 1e-8])
+@pytest.mark.parametrize("name", VARIANTS)
+def test_error_stays_below_the_tolerance(name, tolerance, problem):
+    exact = apply(Options("idw", idw=IDW(summation="exact", **VARIANTS[name])), problem, told(problem))
+    fast = IDW(summation="fast", summation_tolerance=tolerance, **VARIANTS[name])
+    prepared = make_method(Options("idw", idw=fast)).prepare(problem)
+    error = np.linalg.norm(prepared.apply(told(problem)) - exact, axis=1) / cell_sizes(problem)
+    assert error.max() <= tolerance
+    # Exact sums would pass too: they must not have been what ran.
+    assert tolerance < 1e-4 or error.max() > 1e-13
+    assert prepared.account.settings["sampled_error"].value <= tolerance
+    assert prepared.account.warnings == []
+
+
+@pytest.mark.parametrize("rotation", ["none", "quaternion", "blend", "lie"])
+def test_common_translation_is_exact(rotation):
+    problem = problem_of(frame(10, 6), everything_moves(constant(0.3, -0.2, 0.5)))
+    moved = apply(Options("idw", idw=IDW(rotation=rotation, summation="fast")), problem, told(problem))
+    np.testing.assert_allclose(moved, np.tile([0.3, -0.2, 0.5], (len(moved), 1)), atol=1e-13)
+
+
+def test_two_dimensional_grid():
+    problem = problem_of(frame_2d(40), body_specs(turning(20))[:1])
+    exact, fast = (
+        apply(Options("idw", idw=IDW(summation=kind, summation_tolerance=1e-3)), problem, told(problem))
+        for kind in ("exact", "fast")
+    )
+    gap = np.linalg.norm(fast - exact, axis=1) / cell_sizes(problem)
+    assert 0 < gap.max() <= 1e-3
+    np.testing.assert_array_equal(fast[:, 2], 0.0)
+
+
+def test_error_that_is_too_large_is_found_and_mended(problem, monkeypatch):
+    options = Options("idw", idw=IDW(summation="fast", summation_tolerance=1e-3))
+    exact = apply(Options("idw", idw=IDW(summation="exact")), problem, told(problem))
+    monkeypatch.setattr(fastsum, "_SHARE", 3e4)
+    prepared = make_method(options).prepare(problem)
+    error = np.linalg.norm(prepared.apply(told(problem)) - exact, axis=1) / cell_sizes(problem)
+    assert prepared.account.settings["sampled_error"].value <= 1e-3
+    assert error.max() <= 2e-3
+    monkeypatch.setattr("meshdeform_core.methods.idw_sums._MAX_RETRIES", 0)
+    prepared = make_method(options).prepare(problem)
+    prepared.apply(told(problem))
+    assert "fast sums" in prepared.account.warnings[0]
+
+
+def test_small_cases_are_summed_exactly(problem):
+    prepared = make_method(Options("idw")).prepare(problem)
+    assert prepared.account.settings["summation"].value == "exact"
+    with pytest.raises(MethodError, match="1e-8 to"):
+        IDW(summation_tolerance=1e-9)
+    with pytest.raises(MethodError, match=r"idw\.summation"):
+        IDW(summation="quick")
+
+
+def test_bricks_hold_every_target_once():
+    grid = frame(9, 7)
+    shapes = fastsum.shape_table(grid.shapes)
+    wanted = np.random.default_rng(0).random(grid.n_nodes) < 0.6
+    bricks = build_bricks(grid.points, shapes, grid.offsets, wanted, 4, 100)
+    np.testing.assert_array_equal(np.sort(bricks.targets), np.flatnonzero(wanted))
+    for b in range(len(bricks.start) - 1):
+        x = grid.points[bricks.targets[bricks.start[b] : bricks.start[b + 1]]]
+        inside = np.abs((x - bricks.center[b]) @ bricks.axes[b].T)
+        assert np.all(inside <= bricks.half[b] + 1e-12)
+
+
+def test_node_sizes():
+    grid = frame_2d(4)
+    sizes = cell_sizes(problem_of(grid, body_specs(turning(1))[:1]))
+    for block in range(grid.n_blocks):
+        x = grid.block(block)
+        shortest = np.full(x.shape[:3], np.inf)
+        for axis in (0, 1):
+            edge = np.linalg.norm(np.diff(x, axis=axis), axis=3)
+            low, high = [slice(None)] * 3, [slice(None)] * 3
+            low[axis], high[axis] = slice(None, -1), slice(1, None)
+            shortest[tuple(low)] = np.minimum(shortest[tuple(low)], edge)
+            shortest[tuple(high)] = np.minimum(shortest[tuple(high)], edge)
+        here = sizes[grid.offsets[block] : grid.offsets[block + 1]]
+        np.testing.assert_allclose(here, shortest.ravel(), rtol=1e-14)
+
+
+@settings(max_examples=20, deadline=None, derandomize=True)
+@given(st.integers(2, 900), st.integers(0, 2), st.integers(0, 10**6))
+def test_clusters_hold_their_sources_and_keep_their_charges(n, flat, seed):
+    """Boxes contain their sources, and interpolation keeps the total and the first moment of the charges."""
+    rng = np.random.default_rng(seed)
+    points = rng.standard_normal((n, 3))
+    points[:, :flat] = 1.0
+    charges = rng.random((n, 8))
+    tree = build_tree(points, 3)
+    np.testing.assert_array_equal(np.sort(tree.order), np.arange(n))
+    proxy = np.empty((len(tree.proxies), 8))
+    gather_charges(tree, charges[tree.order], proxy)
+    for c, (lo, hi) in enumerate(tree.span):
+        members = tree.order[lo:hi]
+        inside = np.abs((points[members] - tree.center[c]) @ tree.axes[c].T)
+        assert np.all(inside <= tree.half[c] + 1e-12)
+        mine = slice(tree.proxy[c], tree.proxy[c + 1])
+        if mine.stop > mine.start:
+            np.testing.assert_allclose(proxy[mine].sum(axis=0), charges[members].sum(axis=0), rtol=1e-11)
+            moments = points[members].T @ charges[members]
+            if np.all(tree.per_side[c] >= 2 - (tree.half[c] < 1e-12)):
+                np.testing.assert_allclose(tree.proxies[mine].T @ proxy[mine], moments, rtol=1e-9, atol=1e-9)
+
+
+def test_interpolation_reproduces_polynomials():
+    for n in (1, 2, 3, 5, 8):
+        node, weight, value = np.empty(n), np.empty(n), np.empty(n)
+        boxes.chebyshev(n, node, weight)
+        for t in np.r_[np.linspace(-1, 1, 9), node]:
+            boxes.lagrange(n, node, weight, t, value)
+            for power in range(n):
+                assert value @ node**power == pytest.approx(t**power, abs=1e-13)
+
+
+def test_logarithm_and_exponential():
+    x = np.linspace(-690, 690, 4001)
+    np.testing.assert_allclose([exp(v) for v in x], np.exp(x), rtol=1e-15)
+    y = np.exp(np.linspace(-600, 600, 4001))
+    np.testing.assert_allclose([log(v) for v in y], np.log(y), rtol=1e-15, atol=1e-15)
+
+
+@pytest.mark.parametrize("basis", ["tps", "wendland-c0", "wendland-c2", "ctps-c1", "ctps-c2a", "ctps-c2b"])
+@pytest.mark.parametrize("radius", [12.0, 2.5])
+def test_radial_sums(basis, radius, problem):
+    """The same coefficients, once exactly and once fast, at nodes and at the centres themselves."""
+    exact, fast = (
+        apply(
+            Options("rbf", rbf=RBF(basis=basis, radius=radius, summation=kind, summation_tolerance=1e-3)),
+            problem,
+            told(problem),
+        )
+        for kind in ("exact", "fast")
+    )
+    assert 0 < (np.linalg.norm(fast - exact, axis=1) / cell_sizes(problem)).max() <= 1e-3
+
+
+@pytest.mark.parametrize("basis", ["tps", "wendland-c2"])
+def test_radial_product(basis, problem):
+    centres = problem.source_points / 4.0
+    coefficients = np.random.default_rng(0).standard_normal((len(centres), 3))
+    exact = radial_sums(BASES[basis], centres, centres, coefficients)
+    fast = FastRadial(basis, np.ascontiguousarray(centres), 6)
+    for allowed, expected in ((1e-3, 1e-2), (1e-6, 1e-5)):
+        error = np.abs(fast.product(coefficients, allowed) - exact).max() / np.abs(exact).max()
+        assert 0 < error < expected
+    twice = fast.product(2 * coefficients, 1e-3) - 2 * fast.product(coefficients, 1e-3)
+    assert np.abs(twice).max() <= 1e-12 * np.abs(exact).max()

@@ -1,0 +1,165 @@
+"""Series of levels over time: no drift from the reference, marching and its drift, velocities, what is kept."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from cases import body_specs, formulas, turning
+from grids import frame, frame_2d
+
+from meshdeform_core.deform import Case, set_up
+from meshdeform_core.errors import CaseError
+from meshdeform_core.methods import IDW, RBF, Options, make_method
+from meshdeform_core.numerics import greedy
+from meshdeform_core.quality.validity import newly_invalid
+from meshdeform_core.series import Schedule, deform_series, grid_velocity
+
+SWING = turning("20*sin(2*pi*t)")
+QUARTERS = (0.0, 0.25, 0.5, 0.75, 1.0)
+
+
+def setup_of(motion=SWING, options=None):
+    return set_up(frame(), Case(tuple(body_specs(motion)), method=options or Options()))
+
+
+def levels_of(setup, schedule, **more):
+    return list(deform_series(setup, schedule, "float64", **more))
+
+
+@pytest.mark.parametrize("options", [Options(), Options("rbf"), Options("tfi")], ids=lambda o: o.name)
+def test_from_the_reference_a_period_leads_back_to_the_start(options):
+    setup = setup_of(options=options)
+    levels = levels_of(setup, Schedule(QUARTERS))
+    assert np.abs(levels[1].result.grid.points - setup.grid.points).max() > 0.1
+    assert [level.rotation for level in levels] == pytest.approx([0, 20, 0, 20, 0], abs=1e-6)
+    np.testing.assert_allclose(levels[-1].result.grid.points, setup.grid.points, rtol=0, atol=1e-12)
+    assert all(level.drift is None and level.velocity is None for level in levels)
+
+
+def test_levels_are_those_of_single_deformations():
+    setup = setup_of()
+    method = make_method(Options()).prepare(setup.problem)
+    for level in levels_of(setup, Schedule((0.1, 0.2))):
+        alone = method.apply(setup.displacement(level.time)[setup.problem.source_numbers])
+        np.testing.assert_array_equal(level.result.grid.points, setup.grid.points + alone)
+
+
+def test_the_method_is_prepared_once_from_the_reference_and_at_every_level_when_marching(monkeypatch):
+    from meshdeform_core.methods import Composite
+
+    prepared = []
+    original = Composite.prepare
+    monkeypatch.setattr(Composite, "prepare", lambda self, problem: prepared.append(1) or original(self, problem))
+    levels = levels_of(setup_of(), Schedule(QUARTERS))
+    assert len(prepared) == 1
+    assert ["prepare" in level.timing.seconds for level in levels] == [True, False, False, False, False]
+    prepared.clear()
+    levels_of(setup_of(), Schedule(QUARTERS, origin="last"))
+    assert len(prepared) == len(QUARTERS)
+
+
+def test_marching_reports_its_drift():
+    setup = setup_of(options=Options("idw", idw=IDW(rotation="quaternion")))
+    times = tuple(np.linspace(0.0, 1.0, 9))
+    levels = levels_of(setup, Schedule(times, origin="last"))
+    assert levels[0].drift.max == 0.0
+    # After the period the grid made from the reference is the undeformed one.
+    back = np.linalg.norm(levels[-1].result.grid.points - setup.grid.points, axis=1)
+    assert levels[-1].drift.max == pytest.approx(back.max(), abs=1e-12)
+    assert levels[-1].drift.rms == pytest.approx(np.sqrt(np.mean(back**2)), abs=1e-12)
+    assert levels[-1].drift.max > 1e-3
+
+
+def test_marching_puts_walls_where_they_were_told():
+    setup = setup_of()
+    level = levels_of(setup, Schedule((0.0, 0.1, 0.2), origin="last", steps=2))[-1]
+    wall = setup.boundary.known
+    moved = (level.result.grid.points - setup.grid.points)[setup.topology.first]
+    np.testing.assert_allclose(moved[wall], setup.displacement(0.2)[wall], rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("origin", ["reference", "last"])
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_a_continued_series_equals_an_uninterrupted_one(origin, precision):
+    setup, schedule = setup_of(), Schedule((0.0, 0.1, 0.25, 0.3), origin, "second")
+    whole = list(deform_series(setup, schedule, precision))
+    grids = [level.result.grid.points for level in whole]
+    rest = list(deform_series(setup, schedule, precision, first=2, finished=lambda n: grids[n]))
+    assert [level.number for level in rest] == [2, 3]
+    for one, two in zip(whole[2:], rest, strict=True):
+        np.testing.assert_array_equal(one.result.grid.points, two.result.grid.points)
+        np.testing.assert_array_equal(one.velocity, two.velocity)
+
+
+@pytest.mark.parametrize(("order", "exponent"), [("first", 1.0), ("second", 2.0)])
+def test_velocities_converge_with_their_order(order, exponent):
+    setup = setup_of(formulas("0.2*sin(t)", "0.1*t**3", "0"))
+    wall = setup.topology.first[setup.boundary.kind == 6]
+    errors = []
+    for h in (0.02, 0.01):
+        level = levels_of(setup, Schedule((1 - 2.5 * h, 1 - h, 1.0), velocity=order))[-1]
+        errors.append(np.abs(level.velocity[wall] - [0.2 * np.cos(1.0), 0.3, 0.0]).max())
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(exponent, abs=0.1)
+
+
+def test_second_order_begins_with_zero_and_first_order():
+    x = [np.array([[t**2, 2.0 * t, 1.0]]) for t in (0.0, 0.5, 2.0)]
+    times = (0.0, 0.5, 2.0)
+    np.testing.assert_array_equal(grid_velocity(times[:1], x[:1], "second"), [[0, 0, 0]])
+    np.testing.assert_allclose(grid_velocity(times[:2], x[:2], "second"), [[0.5, 2, 0]])
+    # Exact for parabolas, whatever the spacing.
+    np.testing.assert_allclose(grid_velocity(times, x, "second"), [[4, 2, 0]])
+    np.testing.assert_allclose(grid_velocity(times, x[1:], "first"), [[2.5, 2, 0]])
+
+
+def test_an_invalid_level_does_not_stop_the_series():
+    levels = levels_of(setup_of(turning("150*sin(pi*t)")), Schedule((0.0, 0.5, 1.0)))
+    assert [level.result.valid for level in levels] == [True, False, True]
+
+
+def test_marching_goes_on_from_what_automatic_steps_reached():
+    setup = setup_of(turning("90*sin(pi*t)"))
+    levels = levels_of(setup, Schedule((0.5, 1.0), "last", steps="auto"))
+    assert levels[0].result.reached < 1.0
+    assert not newly_invalid(setup.grid, levels[0].result.grid.points, setup.topology).size
+    assert levels[1].result.reached == 1.0
+    wall = setup.topology.first[setup.boundary.known]
+    np.testing.assert_allclose(levels[1].result.grid.points[wall], setup.grid.points[wall], rtol=0, atol=1e-13)
+
+
+def test_2d_levels_rotate_in_their_plane():
+    setup = set_up(frame_2d(), Case((body_specs(SWING)[0],)))
+    level = levels_of(setup, Schedule((0.25,), velocity="first"))[0]
+    assert level.rotation == pytest.approx(20.0)
+    assert not level.result.grid.points[:, 2].any()
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"times": ()}, {"times": (0.0, 0.0)}, {"times": (1.0, 0.5)}, {"origin": "first"}, {"velocity": "third"}]
+)
+def test_schedules_that_make_no_sense_are_refused(wrong):
+    with pytest.raises(CaseError, match="series"):
+        dataclasses.replace(Schedule((0.0, 1.0)), **wrong)
+
+
+@pytest.mark.parametrize("kind", ["single", "hybrid", "double-edged"])
+def test_a_greedy_selection_is_kept_until_its_error_exceeds_the_tolerance(kind, monkeypatch):
+    from meshdeform_core.methods import rbf
+
+    selections = []
+
+    def counted(*args, **options):
+        selections.append(greedy.select(*args, **options))
+        return selections[-1]
+
+    monkeypatch.setattr(rbf, "select", counted)
+    options = RBF(basis="wendland-c0", radius=6.0, greedy=kind, greedy_tolerance=0.1, greedy_updates=20)
+    # The same shape, smaller and smaller, then another one.
+    bend = formulas("where(t > 0, 0.2*y*y/max(t, 1), 0)", "where(t > 3.5, 0.3*sin(9*x), 0)", "0")
+    levels = levels_of(setup_of(bend, Options("rbf", rbf=options)), Schedule((0.0, 1.0, 2.0, 3.0, 4.0)))
+    # At rest one centre is enough.
+    assert [len(found.active) > 1 for found in selections] == [False, True, True]
+    for level in levels:
+        assert level.result.account.settings["greedy_error_reached"].value <= 0.1

@@ -1,0 +1,127 @@
+"""Times of a series and sequences of displacement files in a case."""
+
+from __future__ import annotations
+
+import gc
+import weakref
+from pathlib import Path
+
+import numpy as np
+import pytest
+from grids import frame
+
+from meshdeform_core.deform import set_up
+from meshdeform_core.errors import CaseError, MotionError
+from meshdeform_core.series import Schedule, deform_series
+from meshdeform_formats import case_files
+from meshdeform_formats.case import read_case
+from meshdeform_formats.case_files import parse_times
+
+CASE = """\
+[[boundary]]
+name = "body"
+select = ["*.i*", "*.j*"]
+where = "abs(x) < 0.51 and abs(y) < 0.51"
+motion = [{ files = "surface_*.csv", times = "0:1:0.1" }]
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "times"),
+    [
+        ("0:1:0.25", [0, 0.25, 0.5, 0.75, 1.0]),
+        ("0:1:0.3", [0, 0.3, 0.6, 0.9]),
+        ("2:2:1", [2.0]),
+        ("-1:1:1", [-1, 0, 1]),
+        ("0, 0.5, 2", [0, 0.5, 2]),
+        ("3", [3.0]),
+    ],
+)
+def test_times(text, times):
+    np.testing.assert_allclose(parse_times(text, "--times"), times, rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize("step", [0.1, 1e-3, 1 / 3, 0.07])
+def test_the_end_is_a_level_when_the_steps_reach_it(step):
+    times = parse_times(f"0:{100 * step!r}:{step!r}", "--times")
+    assert len(times) == 101
+    assert times[-1] == 100 * step
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "a", "0:1", "0:1:0", "0:1:-1", "1:0:0.1", "0:inf:1", "nan", "1,1", "2,1", "0:1:1e-9", "0:1:1:1", "1,,2"],
+)
+def test_other_times_are_refused(text):
+    with pytest.raises(CaseError, match="--times"):
+        parse_times(text, "--times")
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Eleven tables: the bar moves by n/100 in x; the names sort by their numbers, not as text."""
+    (tmp_path / "case.toml").write_text(CASE)
+    grid = frame()
+    points = np.unique(grid.points[np.abs(grid.points[:, :2]).max(axis=1) < 0.51], axis=0)
+    for number in range(11):
+        table = np.hstack([points, np.tile([0.01 * number, 0.0, 0.0], (len(points), 1))])
+        np.savetxt(tmp_path / f"surface_{number}.csv", table, "%.17g", delimiter=",")
+    return tmp_path
+
+
+def test_levels_follow_the_file_of_their_time_and_one_is_in_memory(folder, monkeypatch):
+    alive: list[weakref.ref] = []
+    read = case_files.read_displacement
+
+    def watched(path):
+        gc.collect()
+        assert sum(ref() is not None for ref in alive) == 0
+        table = read(path)
+        alive.append(weakref.ref(table))
+        return table
+
+    monkeypatch.setattr(case_files, "read_displacement", watched)
+    case = read_case(folder / "case.toml")
+    assert [path.name for path in case.files] == [f"surface_{n}.csv" for n in range(11)]
+    grid = frame()
+    setup = set_up(grid, case.case)
+    wall = setup.topology.first[setup.boundary.kind == 6]
+    times = parse_times("0:1:0.1", "times")
+    for level in deform_series(setup, Schedule(times), "float64"):
+        moved = (level.result.grid.points - grid.points)[wall]
+        np.testing.assert_allclose(moved, np.tile([0.1 * level.time, 0, 0], (len(wall), 1)), rtol=0, atol=1e-14)
+    # The first is read to find the nodes that it matches, and then no file twice.
+    assert len(alive) == 11
+
+
+def test_times_between_the_files_are_refused(folder):
+    setup = set_up(frame(), read_case(folder / "case.toml").case)
+    with pytest.raises(MotionError, match=r"no level at t = 0\.25.*11 levels from 0 to 1, the nearest at 0\.[23]"):
+        setup.displacement(0.25)
+
+
+def test_files_that_cover_other_nodes_are_refused(folder):
+    table = (folder / "surface_1.csv").read_text().splitlines()
+    (folder / "surface_1.csv").write_text("\n".join(table[: len(table) // 2]))
+    setup = set_up(frame(), read_case(folder / "case.toml").case)
+    with pytest.raises(MotionError, match=r"surface_1\.csv"):
+        setup.displacement(0.1)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('"surface_*.csv"', '"nothing_*.csv"', "no file matches"),
+        ('"surface_*.csv"', '["surface_0.csv", "gone.csv"]', "does not exist"),
+        ('"surface_*.csv"', "3", "expected a pattern"),
+        ('"0:1:0.1"', '"0:1:0.5"', "11 files .* for 3 times"),
+        (', times = "0:1:0.1"', "", "times: there are none"),
+        ('"0:1:0.1"', "[0, true]", "times: found"),
+        ('"0:1:0.1"', "[1, 0]", "do not ascend"),
+        ("times =", "when =", "unknown key 'when'"),
+    ],
+)
+def test_wrong_sequences_are_refused(folder, old, new, words):
+    (folder / "case.toml").write_text(CASE.replace(old, new))
+    with pytest.raises(CaseError, match=words):
+        read_case(folder / "case.toml")

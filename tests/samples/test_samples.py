@@ -1,0 +1,105 @@
+"""Every sample as a user starts from it: the commands of its README, at its smallest named size."""
+
+import json
+import shlex
+
+import numpy as np
+import pytest
+
+from meshdeform_cli.main import run
+from meshdeform_core.deform import set_up
+from meshdeform_formats import read_grid
+from meshdeform_formats.case import read_case
+from meshdeform_samples import SAMPLES, folder, load
+
+
+def documented(name, command):
+    """The first such command of a sample's README, without the program's name."""
+    lines = (folder(name) / "README.md").read_text(encoding="utf-8").splitlines()
+    found = [line.split() for line in lines if line.strip().startswith(f"meshdeform {command}")]
+    return shlex.split(" ".join(found[0][1:]))
+
+
+def write_sample(name):
+    assert run([*documented(name, "sample"), "--size", "small"]) == 0
+
+
+@pytest.mark.parametrize("name", SAMPLES)
+def test_readme_commands_give_a_valid_grid(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_sample(name)
+    arguments = documented(name, "deform")
+    extra = [] if "--report" in arguments else ["--report", "case/report.json"]
+    assert run([*arguments, *extra, "--quiet"]) == 0
+    report = json.loads((tmp_path / "case/report.json").read_text())
+    assert report["valid"] is True
+    assert report["boundary"]["moving_nodes"] > 0
+    assert report["quality"]["after"]["f_skew"]["min"] > 0.1
+    before, after = read_grid("case/grid.cgns"), read_grid(arguments[arguments.index("-o") + 1])
+    largest = np.linalg.norm(after.points - before.points, axis=1).max()
+    assert largest >= 0.99 * report["boundary"]["max_displacement"] > 0
+
+
+@pytest.mark.parametrize("name", SAMPLES)
+def test_sizes_grow_and_the_default_is_one_of_them(name):
+    sizes = load(name).SIZES
+    assert next(iter(sizes)) == "small"
+    assert sorted(sizes.values()) == list(sizes.values())
+
+
+def test_the_wing_moves_as_the_structural_model_does(tmp_path, monkeypatch):
+    """Pitch about the quarter chord, then bending with the square of the span, on nodes the table does not have."""
+    monkeypatch.chdir(tmp_path)
+    write_sample("wing")
+    grid, case = read_grid("case/grid.cgns"), read_case("case/case.toml").case
+    setup = set_up(grid, case)
+    moved = setup.displacement(0.0)
+    (wing,) = (patch.nodes for patch in setup.boundary.patches if patch.name == "wing")
+    x, y, z = grid.points[setup.topology.first[wing]].T
+    turn = np.deg2rad(6.0)
+    c, s = np.cos(turn), np.sin(turn)
+    expected = np.stack([c * (x - 0.25) + s * z + 0.25 - x, 0 * y, c * z - s * (x - 0.25) - z + 0.075 * y**2], axis=1)
+    # The model's panels cut across the curved skin and the parabola of the bending.
+    assert np.abs(moved[wing] - expected).max() < 2e-3
+
+
+def test_the_cascade_still_fits_onto_itself_after_one_pitch(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_sample("cascade")
+    assert run([*documented("cascade", "deform"), "--quiet"]) == 0
+    before, after = read_grid("case/grid.cgns").points, read_grid("case/deformed.cgns").points
+    moved = after - before
+    for x in np.unique(before[:, 0]):
+        lower, upper = (moved[(before[:, 0] == x) & (before[:, 1] == y)] for y in (-2.0, 2.0))
+        np.testing.assert_allclose(lower[0], upper[0], rtol=0, atol=1e-14)
+    assert np.abs(moved[before[:, 1] == 2.0]).max() > 0.1
+
+
+@pytest.mark.parametrize("method", ["tfi", "rbf", "idw", "rbf-tfi", "idw-rbf", "idw-tfi"])
+def test_no_jump_beside_periodic_boundaries(method, tmp_path, monkeypatch):
+    """The interior follows the pairs: the first cells keep their heights."""
+    monkeypatch.chdir(tmp_path)
+    write_sample("cascade")
+    assert run([*documented("cascade", "deform"), "-m", method, "--quiet"]) == 0
+    before, after = read_grid("case/grid.cgns"), read_grid("case/deformed.cgns")
+    heights = []
+    for grid in (before, after):
+        for name, j in (("lower-bar", 0), ("upper-bar", -2)):
+            block = grid.block(grid.names.index(name))[:, :, 0]
+            heights.append(np.linalg.norm(block[:, j + 1] - block[:, j], axis=1))
+    ratio = np.concatenate(heights[2:]) / np.concatenate(heights[:2])
+    assert ratio.min() > 0.5
+    assert ratio.max() < 1.6
+
+
+def test_the_valve_opens_with_time_and_closes_again():
+    module = load("valve")
+    grid = module.generate(module.SIZES["small"])
+    case = read_case(str(folder("valve") / "case.toml")).case
+    setup = set_up(grid, case)
+    (flap,) = (patch.nodes for patch in setup.boundary.patches if patch.name == "flap")
+    arm = grid.points[setup.topology.first[flap]]
+    for time, angle in ((0.0, 0.0), (0.05, 17.5), (0.1, 35.0), (9.0, 35.0)):
+        c, s = np.cos(np.deg2rad(angle)), np.sin(np.deg2rad(angle))
+        turned = arm @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]).T
+        np.testing.assert_allclose(setup.displacement(time)[flap], turned - arm, rtol=0, atol=1e-14)
