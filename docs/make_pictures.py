@@ -1,0 +1,82 @@
+"""Draw the pictures of the documentation: the sample cases deformed by every method, into docs/images.
+
+Run from the repository: ``.venv/bin/python docs/make_pictures.py [NAME ...]``; without names all are drawn (a minute).
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+from PIL import Image
+
+from meshdeform_cli.main import run
+from meshdeform_core.topology import find_topology
+from meshdeform_formats import read_grid
+from meshdeform_formats.picture import STYLE, draw, plane_facets
+
+IMAGES = Path(__file__).parent / "images"
+Panel = tuple[str, str, tuple[str, ...]]
+"""Title, method, further options of ``deform``."""
+
+PLATE_WINDOW = (-3.5, 8.5, -4.0, 5.5)
+
+
+def picture(name: str, sample: str, size: int, panels: list[Panel], window: tuple[float, ...], height: float) -> None:
+    """One picture with the deformed sample for every panel, side by side, coloured by f_skew."""
+    with tempfile.TemporaryDirectory() as folder, plt.rc_context(STYLE):
+        case = Path(folder)
+        call("sample", sample, "-o", case, "--size", size)
+        figure, axes = plt.subplots(
+            1, len(panels), figsize=(4.2 * len(panels), height), layout="constrained", squeeze=False, sharey=True
+        )
+        for number, (ax, (title, method, options)) in enumerate(zip(axes[0], panels, strict=True)):
+            output = case / f"{number}.cgns"
+            call("deform", case / "grid.cgns", "-c", case / "case.toml", "-m", method, *options, "-o", output,
+                 "--allow-invalid", "-q")  # fmt: skip
+            grid = read_grid(output)
+            collection = draw(ax, plane_facets(grid, find_topology(grid), 2, 0, "f_skew"), limits=(0.0, 1.0))
+            ax.set(xlim=window[:2], ylim=window[2:], title=title, ylabel="" if number else "y")
+        figure.colorbar(collection, ax=axes, label="f_skew", shrink=0.8, pad=0.02)
+        figure.savefig(case / "picture.png", dpi=100)
+        plt.close(figure)
+        # A palette is enough for one colour map and makes the file four times smaller.
+        Image.open(case / "picture.png").convert("RGB").quantize(128, method=Image.Quantize.MAXCOVERAGE).save(
+            IMAGES / f"{name}.png", optimize=True
+        )
+
+
+def call(*arguments: object) -> None:
+    """Run a command of the program; anything but success ends this one."""
+    code = run([str(argument) for argument in arguments])
+    if code:
+        raise SystemExit(code)
+
+
+def plate(name: str, method: str, *options: str) -> Callable[[], None]:
+    """The splitter plate at 30 degrees (the case of Sen et al., section 4), and at 45 degrees."""
+    turned = ("-s", "constants.angle=45")
+    panels = [(f"{method}, 30 degrees", method, options), (f"{method}, 45 degrees", method, (*options, *turned))]
+    return lambda: picture(name, "splitter-plate", 8, panels, PLATE_WINDOW, 3.7)
+
+
+def rotations() -> None:
+    """The beam of appendix B: what is averaged decides whether a symmetric motion gives a symmetric grid."""
+    panels = [(f"rotation = {kind}", "idw", ("-s", f"method.idw.rotation={kind}"))
+              for kind in ("none", "quaternion", "lie")]  # fmt: skip
+    picture("rotations", "beam", 40, panels, (-2.0, 2.0, -1.0, 1.2), 3.0)
+
+
+PICTURES: dict[str, Callable[[], None]] = {
+    **{name: plate(name, name) for name in ("tfi-tfi", "rbf-rbf", "idw-idw", "rbf-tfi", "idw-rbf", "idw-tfi")},
+    "rotations": rotations,
+}
+
+
+if __name__ == "__main__":
+    IMAGES.mkdir(exist_ok=True)
+    for wanted in sys.argv[1:] or PICTURES:
+        PICTURES[wanted]()
