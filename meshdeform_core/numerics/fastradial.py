@@ -5,7 +5,7 @@ import numpy as np
 from .basis import BASES
 from .bricks import Bricks
 from .fastsum import Targets
-from .parallel import for_chunks
+from .parallel import Shared, for_chunks
 from .radial import radial_sums
 from .tree import build_tree, gather_charges
 from .treesum import Charges, Reach, radial_basis, sum_bricks
@@ -48,10 +48,10 @@ class FastRadial:
         def use(flat, sums):
             result[flat] = sums
 
-        self._sum(self._centres, self._own, coefficients, np.sqrt(members / n), every, use)
+        self._sum(self._centres, self._own, coefficients, np.sqrt(members / n), every, use, result)
         return result
 
-    def evaluate(self, coefficients, targets: Targets, tolerance, use, progress=None):
+    def evaluate(self, coefficients, targets: Targets, tolerance, use, result, progress=None):
         """Sums at target nodes, handed chunk by chunk to ``use`` with their flat indices.
 
         Parameters
@@ -59,6 +59,7 @@ class FastRadial:
         coefficients : (n, 3)
         targets : with points in the unit of the centres
         tolerance : allowed error relative to the local cell size
+        result : (n_nodes, ...) array of which ``use`` fills these rows
 
         Returns
         -------
@@ -75,7 +76,7 @@ class FastRadial:
             if error <= 0.5:
                 break
             share *= max(0.03, 0.3 / error)
-        self._sum(targets.points, targets.bricks, coefficients, strength, limit * share, use, progress)
+        self._sum(targets.points, targets.bricks, coefficients, strength, limit * share, use, result, progress)
         return error * tolerance
 
     def _trial_error(self, coefficients, strength, targets, trial, allowed, exact):
@@ -91,7 +92,7 @@ class FastRadial:
         def use(flat, sums):
             found[flat] = sums
 
-        self._sum(targets.points, few, coefficients, strength, allowed[trial], use)
+        self._sum(targets.points, few, coefficients, strength, allowed[trial], use, found)
         gap = np.linalg.norm(found[targets.samples[trial].ravel()] - exact, axis=1)
         return float((gap / targets.sizes[trial].ravel()).max())
 
@@ -100,7 +101,7 @@ class FastRadial:
         squares = np.append(0.0, np.cumsum((coefficients[self._tree.order] ** 2).sum(axis=1)))
         return np.sqrt(squares[self._tree.span[:, 1]] - squares[self._tree.span[:, 0]])
 
-    def _sum(self, points, bricks, coefficients, strength, allowed, use, progress=None):
+    def _sum(self, points, bricks, coefficients, strength, allowed, use, result, progress=None):
         tree, m = self._tree, len(self._tree.span)
         reach = Reach(strength, np.ones(m), np.zeros(m))
         source = coefficients[tree.order]
@@ -115,7 +116,7 @@ class FastRadial:
             sum_bricks(lo, hi, points, bricks, tree, reach, charges, self._function, allowed, nothing, sums, risk)
             use(bricks.targets[start:stop], sums)
 
-        for_chunks(work, len(allowed), _CHUNK, progress)
+        for_chunks(work, len(allowed), _CHUNK, progress, [Shared(result, bricks.targets_of)])
 
 
 def bricks_of_tree(tree, capacity):
