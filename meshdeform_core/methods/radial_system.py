@@ -9,7 +9,6 @@ import numpy as np
 from ..grid import FloatArray
 from ..memory import UNLIMITED, MemoryLimit
 from ..numerics.basis import BASES
-from ..numerics.fastradial import FastRadial
 from ..numerics.greedy import independent
 from ..numerics.krylov import KrylovSolver
 from ..numerics.radial import radial_matrix, radial_sums
@@ -24,7 +23,6 @@ if TYPE_CHECKING:
 SOLVERS = ("auto", "direct", "minres", "krylov")
 DIRECT_CENTRES = 4000
 """Most centres that ``auto`` solves directly; from there on a factorisation takes longer than GMRES with its set-up."""
-_ORDER = 4
 _TOLERANCE = {"minres": 1e-10, "krylov": 1e-6}
 
 
@@ -55,9 +53,6 @@ class RadialSystem:
         self._direct: DirectSolver | None = None
         self._krylov: KrylovSolver | None = None
         self._matrix: FloatArray | None = None
-        # A compact function whose support ends before the far centres: most pairs can be left out.
-        sparse = options.basis != "tps" and float(np.abs(centres.points).max()) > 0.5
-        self._clusters = FastRadial(self.kind, centres.points, _ORDER) if sparse else None
 
     def solve(self, values: FloatArray, account: Account, progress: Progress | None) -> tuple[FloatArray, FloatArray]:
         """Coefficients (n, 3) and polynomial (q, 3) for values at the centres (n, 3)."""
@@ -82,8 +77,6 @@ class RadialSystem:
         return coefficients, polynomial
 
     def _multiply(self, coefficients: FloatArray) -> FloatArray:
-        if self._clusters is not None:
-            return self._clusters.product(coefficients)
         return radial_sums(self.kind, self.centres.points, self.centres.points, coefficients)
 
     def _solve_krylov(

@@ -1,10 +1,10 @@
-"""Fast sums of radial basis functions: products with the matrix of centres, and values at target nodes."""
+"""Fast sums of radial basis functions at target nodes."""
 
 import numpy as np
 
 from .bricks import Bricks
 from .fastsum import Targets
-from .parallel import for_chunks
+from .parallel import Shared, for_chunks
 from .radial import radial_sums
 from .tree import build_tree, gather_charges
 from .treesum import Charges, Reach, radial_basis, sum_bricks
@@ -12,8 +12,6 @@ from .treesum import Charges, Reach, radial_basis, sum_bricks
 _CHUNK = 16
 _TRIALS = 6
 _TRIAL_BRICKS = 8
-_CAPACITY = 6
-"""Targets of a brick of a product in units of the square of the order: its centres lie on a surface."""
 
 
 class FastRadial:
@@ -31,26 +29,8 @@ class FastRadial:
         self._function = radial_basis(kind)
         self._centres = centres
         self._tree = build_tree(centres, order)
-        self._own = bricks_of_tree(self._tree, _CAPACITY * order**2)
 
-    def product(self, coefficients):
-        """Sums (n, 3) at the centres themselves: the product of the matrix and the coefficients (n, 3), exact.
-
-        Only clusters beyond the support of a compact function are left out. Approximate ones do not pay here: the
-        coefficients of a smooth displacement nearly cancel within each cluster, so that the sums would have to be some
-        1e5 times more accurate than their terms.
-        """
-        n = len(coefficients)
-        result = np.empty((n, 3))
-        nothing = np.zeros(len(self._own.start) - 1)
-
-        def use(flat, sums):
-            result[flat] = sums
-
-        self._sum(self._centres, self._own, coefficients, np.ones(len(self._tree.span)), nothing, use)
-        return result
-
-    def evaluate(self, coefficients, targets: Targets, tolerance, use, progress=None):
+    def evaluate(self, coefficients, targets: Targets, tolerance, use, result, progress=None):
         """Sums at target nodes, handed chunk by chunk to ``use`` with their flat indices.
 
         Parameters
@@ -58,6 +38,7 @@ class FastRadial:
         coefficients : (n, 3)
         targets : with points in the unit of the centres
         tolerance : allowed error relative to the local cell size
+        result : (n_nodes, ...) array of which ``use`` fills these rows
 
         Returns
         -------
@@ -74,7 +55,7 @@ class FastRadial:
             if error <= 0.5:
                 break
             share *= max(0.03, 0.3 / error)
-        self._sum(targets.points, targets.bricks, coefficients, strength, limit * share, use, progress)
+        self._sum(targets.points, targets.bricks, coefficients, strength, limit * share, use, result, progress)
         return error * tolerance
 
     def _trial_error(self, coefficients, strength, targets, trial, allowed, exact):
@@ -90,7 +71,7 @@ class FastRadial:
         def use(flat, sums):
             found[flat] = sums
 
-        self._sum(targets.points, few, coefficients, strength, allowed[trial], use)
+        self._sum(targets.points, few, coefficients, strength, allowed[trial], use, found)
         gap = np.linalg.norm(found[targets.samples[trial].ravel()] - exact, axis=1)
         return float((gap / targets.sizes[trial].ravel()).max())
 
@@ -99,7 +80,7 @@ class FastRadial:
         squares = np.append(0.0, np.cumsum((coefficients[self._tree.order] ** 2).sum(axis=1)))
         return np.sqrt(squares[self._tree.span[:, 1]] - squares[self._tree.span[:, 0]])
 
-    def _sum(self, points, bricks, coefficients, strength, allowed, use, progress=None):
+    def _sum(self, points, bricks, coefficients, strength, allowed, use, result, progress=None):
         tree, m = self._tree, len(self._tree.span)
         reach = Reach(strength, np.ones(m), np.zeros(m))
         source = coefficients[tree.order]
@@ -114,16 +95,4 @@ class FastRadial:
             sum_bricks(lo, hi, points, bricks, tree, reach, charges, self._function, allowed, nothing, sums, risk)
             use(bricks.targets[start:stop], sums)
 
-        for_chunks(work, len(allowed), _CHUNK, progress)
-
-
-def bricks_of_tree(tree, capacity):
-    """Bricks of targets that are the sources themselves: the largest clusters of at most ``capacity``."""
-    size = np.diff(tree.span, axis=1)[:, 0]
-    parent = np.full(len(size), -1)
-    inner = np.flatnonzero(tree.child >= 0)
-    parent[tree.child[inner]] = parent[tree.child[inner] + 1] = inner
-    chosen = (size <= capacity) & ((parent < 0) | (size[parent] > capacity))
-    chosen = np.flatnonzero(chosen)[np.argsort(tree.span[chosen, 0])]
-    start = np.append(tree.span[chosen, 0], tree.span[0, 1])
-    return Bricks(start, tree.order, tree.center[chosen], tree.axes[chosen], tree.half[chosen], tree.per_side[chosen])
+        for_chunks(work, len(allowed), _CHUNK, progress, [Shared(result, bricks.targets_of)])

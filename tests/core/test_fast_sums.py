@@ -10,11 +10,8 @@ from hypothesis import strategies as st
 from meshdeform_core.errors import MethodError
 from meshdeform_core.methods import IDW, RBF, Options, make_method
 from meshdeform_core.numerics import boxes, fastsum
-from meshdeform_core.numerics.basis import BASES
 from meshdeform_core.numerics.bricks import build_bricks, node_sizes
 from meshdeform_core.numerics.elementary import exp, log
-from meshdeform_core.numerics.fastradial import FastRadial
-from meshdeform_core.numerics.radial import radial_sums
 from meshdeform_core.numerics.tree import build_tree, gather_charges
 from meshdeform_core.prescription import prescribed_displacement
 
@@ -182,12 +179,3 @@ def test_radial_sums(basis, radius, problem):
         for kind in ("exact", "fast")
     )
     assert 0 < (np.linalg.norm(fast - exact, axis=1) / cell_sizes(problem)).max() <= 1e-3
-
-
-@pytest.mark.parametrize(("basis", "radius"), [("tps", 4.0), ("wendland-c2", 4.0), ("wendland-c2", 0.6)])
-def test_radial_product(basis, radius, problem):
-    centres = np.ascontiguousarray(problem.source_points / radius)
-    coefficients = np.random.default_rng(0).standard_normal((len(centres), 3))
-    exact = radial_sums(BASES[basis], centres, centres, coefficients)
-    product = FastRadial(BASES[basis], centres, 4).product(coefficients)
-    np.testing.assert_allclose(product, exact, atol=1e-13 * np.abs(exact).max() * len(centres))
