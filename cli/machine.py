@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from meshdeform_core.memory import MemoryLimit
-from meshdeform_core.numerics.parallel import set_threads, thread_count
+from meshdeform_core.numerics.parallel import current_ranks, set_threads, thread_count
 
 # How the linear algebra libraries that numpy and scipy come with are told, once, when they are loaded.
 _LIBRARIES = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
@@ -16,18 +16,31 @@ _LIBRARIES = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VEC
 def use_threads(count: int | None) -> None:
     """Honour ``--threads``, in our loops and in linear algebra; to be called before numpy is imported."""
     set_threads(count)
-    if count is not None:
+    if count is not None or current_ranks().count > 1:
         os.environ.update(dict.fromkeys(_LIBRARIES, str(thread_count())))
 
 
+def use_one_library_thread() -> None:
+    """Linear algebra in one thread: others that wait in a busy loop would count as CPU time.
+
+    To be called before numpy is imported.
+    """
+    os.environ.update(dict.fromkeys(_LIBRARIES, "1"))
+
+
 def machine_memory() -> MemoryLimit:
-    """Memory that can be taken without swapping, as far as the system tells."""
+    """Memory that can be taken without swapping, as far as the system tells; of several ranks each has its share."""
+    ranks = current_ranks()
+    source = "the machine has" if ranks.on_machine == 1 else f"each of {ranks.on_machine} ranks on the machine has"
+    return MemoryLimit(_available_memory() // ranks.on_machine, source)
+
+
+def _available_memory() -> int:
     available = _first_number(Path("/proc/meminfo"), "MemAvailable:")
     try:
-        size = available * 1024 if available is not None else os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+        return available * 1024 if available is not None else os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     except (OSError, ValueError, AttributeError):
-        size = 2**62
-    return MemoryLimit(size, "the machine has")
+        return 2**62
 
 
 def peak_memory() -> int:

@@ -13,11 +13,14 @@ from typing import NoReturn
 
 import click
 
+from meshdeform_core.numerics.parallel import current_ranks
+
 EXIT_BUG, EXIT_INPUT, EXIT_INVALID, EXIT_INTERRUPTED = 1, 2, 3, 130
 
 _COMMANDS = (
     "deform", "series", "quality", "info", "convert", "compare", "plot", "methods", "sample", "reproduce",
 )  # fmt: skip
+_ON_RANKS = ("deform",)
 
 
 class LazyGroup(click.Group):
@@ -54,7 +57,8 @@ _SUMMARIES = {
 
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
 @click.version_option(package_name="meshdeform")
-def cli() -> None:
+@click.pass_context
+def cli(context: click.Context) -> None:
     """Deform block-structured grids and judge the result.
 
     \b
@@ -67,6 +71,11 @@ def cli() -> None:
     Results go to stdout, messages to stderr. Exit codes: 0 done and valid, 1 internal error, 2 bad usage or input,
     3 cells became invalid, 130 interrupted.
     """
+    if current_ranks().count > 1 and context.invoked_subcommand not in _ON_RANKS:
+        raise click.UsageError(
+            f"'{context.invoked_subcommand}' does not share its work among ranks; start it without mpiexec. "
+            f"These do: {', '.join(_ON_RANKS)}"
+        )
 
 
 def main(args: Sequence[str] | None = None) -> NoReturn:
@@ -76,7 +85,10 @@ def main(args: Sequence[str] | None = None) -> NoReturn:
         # What the caller ignores (nohup) stays ignored.
         if number is not None and signal.getsignal(number) is signal.SIG_DFL:
             signal.signal(number, _terminate)
-    sys.exit(run(args))
+    from .mpi import place, run_on_ranks
+
+    here = place()
+    sys.exit(run(args) if here is None else run_on_ranks(lambda: run(args), here))
 
 
 def _terminate(signum: int, frame: object) -> NoReturn:

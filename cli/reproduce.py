@@ -8,7 +8,7 @@ import click
 
 from meshdeform_core.errors import CaseError
 
-from .machine import use_threads
+from .machine import use_one_library_thread, use_threads
 from .options import PATH, check_output, force_option, quiet_option, threads_option
 
 _RESULT = "results.json"
@@ -40,6 +40,7 @@ def command(
     hour on two cores then.
     """
     use_threads(threads)
+    use_one_library_thread()
     from meshdeform_samples.reproduce import check, reproduce
     from meshdeform_samples.reproduce.report import as_markdown
 

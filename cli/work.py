@@ -14,9 +14,11 @@ from meshdeform_core.deform import Timing, impose, set_up
 from meshdeform_core.grid import Grid
 from meshdeform_core.memory import MemoryLimit
 from meshdeform_core.methods import make_method
+from meshdeform_core.numerics.parallel import current_ranks, thread_count
 from meshdeform_formats.case import CaseFile
 from meshdeform_formats.grids import complete_for_export, variant_of, write_grid
-from meshdeform_formats.report import Report, deformation_report, plan_report, write_report
+from meshdeform_formats.report import Report, deformation_report, plan_report
+from meshdeform_formats.report import write_report as _write_report
 from meshdeform_formats.report_text import as_text
 
 from .machine import peak_memory
@@ -79,10 +81,15 @@ def run(
     grid = complete_for_export(job.grid, output)
     result = impose(set_up(grid, job.case.case, timing, job.memory), time, steps, precision, timing, progress)
     before = clock.perf_counter()
-    write_grid(result.grid, output, variant)
+    current_ranks().on_first(lambda: write_grid(result.grid, output, variant))
     now = clock.perf_counter()
     seconds = {"read": job.read_seconds, "write": now - before, "total": now - start}
     return deformation_report(result, seconds, peak_memory())
+
+
+def write_report(report: Report, path: Path) -> None:
+    """Write the report, json, html or text by suffix."""
+    current_ranks().on_first(lambda: _write_report(report, path))
 
 
 def tell(report: Report, quiet: bool, verbose: bool) -> None:
@@ -92,6 +99,8 @@ def tell(report: Report, quiet: bool, verbose: bool) -> None:
     if not report["valid"]:
         click.echo(f"meshdeform: {_verdict(report)}", err=True)
     if verbose:
+        if (count := current_ranks().count) > 1:
+            click.echo(f"meshdeform: {count} ranks, the first with {thread_count()} threads", err=True)
         for stage, seconds in report["timing"].items():
             click.echo(f"meshdeform: {stage} {seconds:.3f} s", err=True)
 

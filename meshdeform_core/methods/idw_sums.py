@@ -9,7 +9,7 @@ import numpy as np
 from ..grid import FloatArray, Grid, IntArray
 from ..numerics import fastsum
 from ..numerics.direct import weighted_sums
-from ..numerics.parallel import for_chunks
+from ..numerics.parallel import Shared, for_chunks
 from ..numerics.rigid import finish
 from .base import Account, Progress, Setting
 
@@ -70,7 +70,8 @@ class ExactSums:
             out[flat] = self.displacement(fit, flat)
 
         report = None if progress is None else (lambda done, total: progress("idw", done, total))
-        for_chunks(work, len(self.bound.flat), _CHUNK, report)
+        flat = self.bound.flat
+        for_chunks(work, len(flat), _CHUNK, report, [Shared(out, lambda lo, hi: flat[lo:hi])])
 
     def displacement(self, fit: Fit, flat: IntArray) -> FloatArray:
         """Displacement (n, 3) of the nodes ``flat``."""
@@ -137,7 +138,7 @@ class FastSums:
                 finish(bound.rotation, values, x, moved, bound.repeats)
                 out[flat] += moved
 
-            risk = sums.evaluate(bound.strength, fit.weights, fit.values, fit.shift, fit.turn, use, report)
+            risk = sums.evaluate(bound.strength, fit.weights, fit.values, fit.shift, fit.turn, use, out, report)
         return np.asarray(risk)
 
     def _sampled_error(self, fit: Fit, out: FloatArray, risk: FloatArray) -> float:

@@ -13,6 +13,7 @@ from ..numerics.greedy import independent
 from ..numerics.krylov import KrylovSolver
 from ..numerics.radial import radial_matrix, radial_sums
 from ..numerics.saddle import DirectSolver, minres
+from ..numerics.sparse import sparse_radial_matrix
 from .base import Account, Progress, Setting
 from .rbf_sums import Centres
 
@@ -47,6 +48,7 @@ class RadialSystem:
             f"use {'' if krylov else 'solver = krylov, '}greedy reduction (a compact basis), the hybrid idw-tfi, or "
             "fewer boundary nodes",
         )
+        self._memory = limit.size
         self._tolerance = _TOLERANCE.get(self.solver, 0.0) if options.tolerance == "auto" else float(options.tolerance)
         self._direct: DirectSolver | None = None
         self._krylov: KrylovSolver | None = None
@@ -81,7 +83,12 @@ class RadialSystem:
         self, values: FloatArray, account: Account, progress: Progress | None
     ) -> tuple[FloatArray, FloatArray]:
         if self._krylov is None:
-            self._krylov = KrylovSolver(self.kind, self.centres.points, self.terms, self._multiply)
+            points = self.centres.points
+            sparse = sparse_radial_matrix(self.kind, points, self._memory)
+            product = self._multiply if sparse is None else sparse.dot
+            self._krylov = KrylovSolver(self.kind, points, self.terms, product)
+            if sparse is not None:
+                account.settings["nonzeros"] = Setting(sparse.nnz, "the support radius reaches few centres")
         report = None if progress is None else (lambda done, total: progress("krylov", done, total))
         found = self._krylov.solve(values, self._tolerance, self.options.max_iterations, report)
         account.settings["iterations"] = Setting(found.iterations, "all components together")

@@ -10,7 +10,7 @@ from ..grid import FloatArray, Grid, IntArray
 from ..numerics import fastsum
 from ..numerics.basis import BASES
 from ..numerics.fastradial import FastRadial
-from ..numerics.parallel import for_chunks, thread_count
+from ..numerics.parallel import Shared, for_chunks, thread_count
 from ..numerics.radial import radial_sums
 from .base import Account, Progress, Setting
 from .summation import fast_pays
@@ -118,20 +118,20 @@ class RadialSums:
             moved = radial_sums(BASES[self._basis], x, fit.centres, fit.coefficients)
             out[flat] = moved + self._centres.polynomial(x)[:, : len(fit.polynomial)] @ fit.polynomial
 
-        for_chunks(work, len(self._flat), _CHUNK, report)
+        for_chunks(work, len(self._flat), _CHUNK, report, [Shared(out, lambda lo, hi: self._flat[lo:hi])])
 
     def _fast(self, fit: Fit, out: FloatArray, report: fastsum.Report) -> None:
         assert self._targets is not None
         targets = self._targets
         if self._tree is None or self._tree[0] is not fit.centres:
             order = fastsum.interpolation_order(self._tolerance) + _EXTRA_ORDER
-            self._tree = fit.centres, FastRadial(self._basis, fit.centres, order)
+            self._tree = fit.centres, FastRadial(BASES[self._basis], fit.centres, order)
 
         def use(flat: IntArray, sums: FloatArray) -> None:
             x = targets.points[flat]
             out[flat] = sums + self._centres.polynomial(x)[:, : len(fit.polynomial)] @ fit.polynomial
 
-        error = self._tree[1].evaluate(fit.coefficients, targets, self._tolerance, use, report)
+        error = self._tree[1].evaluate(fit.coefficients, targets, self._tolerance, use, out, report)
         self._account.settings["sampled_error"] = Setting(error, "against exact sums at samples, in cells")
         if error > self._tolerance:
             self._account.warnings.append(

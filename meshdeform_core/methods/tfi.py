@@ -8,7 +8,7 @@ import numpy as np
 
 from ..grid import FloatArray, IntArray
 from ..numerics.blend import arc_coordinates, blend_block, blend_plane, plane_coordinates
-from ..numerics.parallel import for_chunks
+from ..numerics.parallel import Shared, for_chunks
 from .base import Account, Problem, Progress, Setting
 from .options import option, positive, used
 from .skeleton import Skeleton, SubBlock, make_skeleton
@@ -81,7 +81,11 @@ class PreparedTFI:
                 )  # fmt: skip
 
         report = None if progress is None else (lambda done, total: progress("tfi", done, total))
-        for_chunks(work, len(self._subs), 1, report)
+        for_chunks(work, len(self._subs), 1, report, [Shared(displacement, self._interior)])
+
+    def _interior(self, first: int, last: int) -> IntArray:
+        """Flat indices of the nodes inside some sub-blocks."""
+        return np.concatenate([sub.interior(self._grid) for sub in self._subs[first:last]])
 
 
 @dataclass(frozen=True)

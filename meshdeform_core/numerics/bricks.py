@@ -26,6 +26,10 @@ class Bricks(NamedTuple):
     half: np.ndarray
     per_side: np.ndarray
 
+    def targets_of(self, first, last):
+        """Flat indices of the targets in the bricks first <= b < last."""
+        return self.targets[self.start[first] : self.start[last]]
+
 
 def build_bricks(points, shapes, offsets, wanted, order, capacity):
     """Cut every block's index box into bricks of about ``capacity`` targets.

@@ -4,7 +4,15 @@ import math
 
 import numpy as np
 
-from .jit import kernel
+from .elementary import cube_root
+from .jit import inlined, kernel
+
+# Rows of the work array of a line of cells: coordinates of the four lines of nodes around it (3 r + axis for the line
+# r = 2 a + b at i + a, j + b), area vectors of the corners between the lines, squared edge lengths multiplied, results.
+_AREA, _SQUARE, _SKEW, _SCALED, _JACOBIAN, _VOLUME, _BAD, _ROWS = 12, 24, 28, 29, 30, 31, 32, 33
+# Nodes of a line that are worked on at a time: all rows together stay in the first-level cache.
+_TILE = 80
+_TINY, _HUGE = 1e-300, 1e150
 
 
 @kernel
@@ -22,77 +30,118 @@ def measure_hexahedra(x, sign, i0, i1, skew, scaled, jacobian, volume, bad):
     volume : out, exact volume of the trilinear cell
     bad : out, uint8, bit c set where corner c has a Jacobian <= 0
     """
-    edge = np.empty((3, 4, 3))
-    square = np.empty((3, 4))
-    p = np.empty((8, 3))
+    # Of fixed size and the only array of the inner loops: the compiler sees that its rows are apart.
+    work = np.empty((_ROWS, _TILE))
+    cells = x.shape[2] - 1
     for i in range(i0, i1):
         for j in range(x.shape[1] - 1):
-            for k in range(x.shape[2] - 1):
-                for c in range(8):
-                    for d in range(3):
-                        p[c, d] = x[i + (c >> 2), j + ((c >> 1) & 1), k + (c & 1), d]
-                _edges(p, edge, square)
-                total, lowest, lowest_scaled, mask = 0.0, np.inf, np.inf, 0
-                for c in range(8):
-                    a, b, g = c >> 2, (c >> 1) & 1, c & 1
-                    u, v, w = edge[0, 2 * b + g], edge[1, 2 * a + g], edge[2, 2 * a + b]
-                    det = sign * (
-                        u[0] * (v[1] * w[2] - v[2] * w[1])
-                        + u[1] * (v[2] * w[0] - v[0] * w[2])
-                        + u[2] * (v[0] * w[1] - v[1] * w[0])
-                    )
-                    size = math.sqrt(square[0, 2 * b + g] * square[1, 2 * a + g] * square[2, 2 * a + b])
-                    lowest = min(lowest, det)
-                    lowest_scaled = min(lowest_scaled, det / size if size > 0.0 else 0.0)
-                    if det > 0.0:
-                        ratio = size / det
-                        total += (ratio * ratio) ** (1.0 / 3.0)
-                    else:
-                        mask |= 1 << c
+            for k0 in range(0, cells, _TILE - 1):
+                count = min(_TILE - 1, cells - k0)
+                for r in range(4):
+                    line = x[i + (r >> 1), j + (r & 1), k0 : k0 + count + 1]
+                    for k in range(count + 1):
+                        for d in range(3):
+                            work[3 * r + d, k] = line[k, d]
+                _corner_areas(work, count + 1)
+                _cell_measures(work, count, sign)
                 n = i - i0
-                skew[n, j, k] = 0.0 if mask else min(8.0 / total, 1.0)
-                scaled[n, j, k] = lowest_scaled
-                jacobian[n, j, k] = lowest
-                volume[n, j, k] = sign * _hexahedron_volume(p)
-                bad[n, j, k] = mask
+                for k in range(count):
+                    skew[n, j, k0 + k] = work[_SKEW, k]
+                    scaled[n, j, k0 + k] = work[_SCALED, k]
+                    jacobian[n, j, k0 + k] = work[_JACOBIAN, k]
+                    volume[n, j, k0 + k] = work[_VOLUME, k]
+                    bad[n, j, k0 + k] = np.uint8(work[_BAD, k])
 
 
-@kernel
-def _edges(p, edge, square):
-    """Edge vectors along i, j, k of a cell; corner c = 4 a + 2 b + g at (i + a, j + b, k + g)."""
-    for n in range(4):
-        low, high = n >> 1, n & 1
-        for d in range(3):
-            edge[0, n, d] = p[4 + 2 * low + high, d] - p[2 * low + high, d]
-            edge[1, n, d] = p[4 * low + 2 + high, d] - p[4 * low + high, d]
-            edge[2, n, d] = p[4 * low + 2 * high + 1, d] - p[4 * low + 2 * high, d]
-        for axis in range(3):
-            e = edge[axis, n]
-            square[axis, n] = e[0] * e[0] + e[1] * e[1] + e[2] * e[2]
+@inlined
+def _corner_areas(work, count):
+    """Area vectors at all nodes of the four lines: cross products of the edges along i and j."""
+    # Every line on its own, and by name: loops over the lines would keep the loop over k scalar.
+    for k in range(count):
+        # r = 2 a + b: along i from line b to line 2 + b, along j from line 2 a to line 2 a + 1.
+        _area(work, k, 0, 0, 6, 0, 3)
+        _area(work, k, 1, 3, 9, 0, 3)
+        _area(work, k, 2, 0, 6, 6, 9)
+        _area(work, k, 3, 3, 9, 6, 9)
 
 
-@kernel
-def _hexahedron_volume(p):
-    """A third of the flux of the position through the six bilinear faces: centroid times area vector, exactly."""
+@inlined
+def _area(work, k, r, i0, i1, j0, j1):
+    """Area vector of the edges between rows i0, i1 and rows j0, j1 at node k of line r."""
+    ux, uy, uz = _difference(work, i1, k, i0, k)
+    vx, vy, vz = _difference(work, j1, k, j0, k)
+    work[_AREA + 3 * r, k] = uy * vz - uz * vy
+    work[_AREA + 3 * r + 1, k] = uz * vx - ux * vz
+    work[_AREA + 3 * r + 2, k] = ux * vy - uy * vx
+    work[_SQUARE + r, k] = (ux * ux + uy * uy + uz * uz) * (vx * vx + vy * vy + vz * vz)
+
+
+@inlined
+def _cell_measures(work, count, sign):
+    """The results of every cell from its eight corners, line by line."""
+    for k in range(count):
+        work[_SKEW, k], work[_BAD, k] = 0.0, 0.0
+        work[_JACOBIAN, k], work[_SCALED, k] = np.inf, np.inf
+        work[_VOLUME, k] = sign * _twelve_volumes(work, k) / 12.0
+    # One loop for all four lines, or over them, would stay scalar.
+    _add_corners(work, count, sign, 0)
+    _add_corners(work, count, sign, 1)
+    _add_corners(work, count, sign, 2)
+    _add_corners(work, count, sign, 3)
+    for k in range(count):
+        work[_SKEW, k] = min(8.0 / work[_SKEW, k], 1.0) if work[_JACOBIAN, k] > 0.0 else 0.0
+
+
+@inlined
+def _add_corners(work, count, sign, r):
+    """Add the corners on line r to the results of each cell, without branches: vector code."""
+    n = _AREA + 3 * r
+    for k in range(count):
+        wx, wy, wz = _difference(work, 3 * r, k + 1, 3 * r, k)
+        length = wx * wx + wy * wy + wz * wz
+        near = sign * (work[n, k] * wx + work[n + 1, k] * wy + work[n + 2, k] * wz)
+        far = sign * (work[n, k + 1] * wx + work[n + 1, k + 1] * wy + work[n + 2, k + 1] * wz)
+        near_square, far_square = work[_SQUARE + r, k] * length, work[_SQUARE + r, k + 1] * length
+        scaled = min(near / math.sqrt(max(near_square, _TINY)), far / math.sqrt(max(far_square, _TINY)))
+        mask = (0.0 if near > 0.0 else 1.0) + (0.0 if far > 0.0 else 2.0)
+        work[_SKEW, k] += _skewness(near, near_square) + _skewness(far, far_square)
+        work[_JACOBIAN, k] = min(work[_JACOBIAN, k], min(near, far))
+        work[_SCALED, k] = min(work[_SCALED, k], scaled)
+        work[_BAD, k] += mask * float(1 << 2 * r)
+
+
+@inlined
+def _skewness(jacobian, square):
+    """(l11 l22 l33 / a^2)^(1/3) of a corner; of no use where the Jacobian a is not positive."""
+    return cube_root(min(square / max(jacobian * jacobian, _TINY), _HUGE))
+
+
+@inlined
+def _difference(p, row, k, other, n):
+    return p[row, k] - p[other, n], p[row + 1, k] - p[other + 1, n], p[row + 2, k] - p[other + 2, n]
+
+
+@inlined
+def _twelve_volumes(p, k):
+    """Twelve times the exact volume of a trilinear cell, from diagonals of its faces and of itself (Grandy 1997)."""
+    # Corner (a, b, g) is at k + g in the rows from 3 (2 a + b); diagonals towards the corner (1, 1, 1).
+    ax, ay, az = p[9, k + 1] - p[6, k], p[10, k + 1] - p[7, k], p[11, k + 1] - p[8, k]
+    bx, by, bz = p[9, k + 1] - p[3, k], p[10, k + 1] - p[4, k], p[11, k + 1] - p[5, k]
+    cx, cy, cz = p[9, k + 1] - p[0, k + 1], p[10, k + 1] - p[1, k + 1], p[11, k + 1] - p[2, k + 1]
+    # Diagonals from the corner (0, 0, 0).
+    dx, dy, dz = p[3, k + 1] - p[0, k], p[4, k + 1] - p[1, k], p[5, k + 1] - p[2, k]
+    ex, ey, ez = p[6, k + 1] - p[0, k], p[7, k + 1] - p[1, k], p[8, k + 1] - p[2, k]
+    fx, fy, fz = p[9, k] - p[0, k], p[10, k] - p[1, k], p[11, k] - p[2, k]
     return (
-        _face_flux(p, 4, 6, 7, 5)
-        + _face_flux(p, 0, 1, 3, 2)
-        + _face_flux(p, 2, 3, 7, 6)
-        + _face_flux(p, 0, 4, 5, 1)
-        + _face_flux(p, 1, 5, 7, 3)
-        + _face_flux(p, 0, 2, 6, 4)
-    ) / 24.0
+        _triple(ax + dx, ay + dy, az + dz, bx, by, bz, fx, fy, fz)
+        + _triple(dx, dy, dz, bx + ex, by + ey, bz + ez, cx, cy, cz)
+        + _triple(ax, ay, az, ex, ey, ez, cx + fx, cy + fy, cz + fz)
+    )
 
 
-@kernel
-def _face_flux(p, a, b, c, d):
-    # Relative to corner 0, so that a cell far from the origin loses no digits.
-    ux, uy, uz = p[c, 0] - p[a, 0], p[c, 1] - p[a, 1], p[c, 2] - p[a, 2]
-    vx, vy, vz = p[d, 0] - p[b, 0], p[d, 1] - p[b, 1], p[d, 2] - p[b, 2]
-    cx = p[a, 0] + p[b, 0] + p[c, 0] + p[d, 0] - 4.0 * p[0, 0]
-    cy = p[a, 1] + p[b, 1] + p[c, 1] + p[d, 1] - 4.0 * p[0, 1]
-    cz = p[a, 2] + p[b, 2] + p[c, 2] + p[d, 2] - 4.0 * p[0, 2]
-    return cx * (uy * vz - uz * vy) + cy * (uz * vx - ux * vz) + cz * (ux * vy - uy * vx)
+@inlined
+def _triple(ux, uy, uz, vx, vy, vz, wx, wy, wz):
+    return ux * (vy * wz - vz * wy) + uy * (vz * wx - vx * wz) + uz * (vx * wy - vy * wx)
 
 
 @kernel

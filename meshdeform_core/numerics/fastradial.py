@@ -1,11 +1,10 @@
-"""Fast sums of radial basis functions: products with the matrix of centres, and values at target nodes."""
+"""Fast sums of radial basis functions at target nodes."""
 
 import numpy as np
 
-from .basis import BASES
 from .bricks import Bricks
 from .fastsum import Targets
-from .parallel import for_chunks
+from .parallel import Shared, for_chunks
 from .radial import radial_sums
 from .tree import build_tree, gather_charges
 from .treesum import Charges, Reach, radial_basis, sum_bricks
@@ -13,8 +12,6 @@ from .treesum import Charges, Reach, radial_basis, sum_bricks
 _CHUNK = 16
 _TRIALS = 6
 _TRIAL_BRICKS = 8
-_CAPACITY = 6
-"""Targets of a brick of a product in units of the square of the order: its centres lie on a surface."""
 
 
 class FastRadial:
@@ -22,36 +19,18 @@ class FastRadial:
 
     Parameters
     ----------
-    basis : name of the basis function
+    kind : number of the basis function, see :data:`.basis.BASES`
     centres : (n, 3) in units of the support radius
     order : interpolation points per side of a cube
     """
 
-    def __init__(self, basis, centres, order):
-        self._basis = basis
-        self._function = radial_basis(basis)
+    def __init__(self, kind, centres, order):
+        self._kind = kind
+        self._function = radial_basis(kind)
         self._centres = centres
         self._tree = build_tree(centres, order)
-        self._own = bricks_of_tree(self._tree, _CAPACITY * order**2)
 
-    def product(self, coefficients, allowed):
-        """Sums (n, 3) at the centres themselves: the product of the matrix and the coefficients (n, 3).
-
-        ``allowed`` is the error that one cluster may cause for coefficients of rms 1 and n = 1; the same clusters are
-        taken whatever the coefficients are, so that the product is a fixed linear map.
-        """
-        n = len(coefficients)
-        result = np.empty((n, 3))
-        every = np.full(len(self._own.start) - 1, allowed)
-        members = np.diff(self._tree.span, axis=1)[:, 0]
-
-        def use(flat, sums):
-            result[flat] = sums
-
-        self._sum(self._centres, self._own, coefficients, np.sqrt(members / n), every, use)
-        return result
-
-    def evaluate(self, coefficients, targets: Targets, tolerance, use, progress=None):
+    def evaluate(self, coefficients, targets: Targets, tolerance, use, result, progress=None):
         """Sums at target nodes, handed chunk by chunk to ``use`` with their flat indices.
 
         Parameters
@@ -59,6 +38,7 @@ class FastRadial:
         coefficients : (n, 3)
         targets : with points in the unit of the centres
         tolerance : allowed error relative to the local cell size
+        result : (n_nodes, ...) array of which ``use`` fills these rows
 
         Returns
         -------
@@ -68,14 +48,14 @@ class FastRadial:
         limit = tolerance * targets.sizes.min(axis=1)
         trial = np.unique(np.linspace(0, len(limit) - 1, _TRIAL_BRICKS).astype(int))
         flat = targets.samples[trial]
-        exact = radial_sums(BASES[self._basis], targets.points[flat.ravel()], self._centres, coefficients)
+        exact = radial_sums(self._kind, targets.points[flat.ravel()], self._centres, coefficients)
         share = 1.0
         for _ in range(_TRIALS):
             error = self._trial_error(coefficients, strength, targets, trial, limit * share, exact) / tolerance
             if error <= 0.5:
                 break
             share *= max(0.03, 0.3 / error)
-        self._sum(targets.points, targets.bricks, coefficients, strength, limit * share, use, progress)
+        self._sum(targets.points, targets.bricks, coefficients, strength, limit * share, use, result, progress)
         return error * tolerance
 
     def _trial_error(self, coefficients, strength, targets, trial, allowed, exact):
@@ -91,7 +71,7 @@ class FastRadial:
         def use(flat, sums):
             found[flat] = sums
 
-        self._sum(targets.points, few, coefficients, strength, allowed[trial], use)
+        self._sum(targets.points, few, coefficients, strength, allowed[trial], use, found)
         gap = np.linalg.norm(found[targets.samples[trial].ravel()] - exact, axis=1)
         return float((gap / targets.sizes[trial].ravel()).max())
 
@@ -100,7 +80,7 @@ class FastRadial:
         squares = np.append(0.0, np.cumsum((coefficients[self._tree.order] ** 2).sum(axis=1)))
         return np.sqrt(squares[self._tree.span[:, 1]] - squares[self._tree.span[:, 0]])
 
-    def _sum(self, points, bricks, coefficients, strength, allowed, use, progress=None):
+    def _sum(self, points, bricks, coefficients, strength, allowed, use, result, progress=None):
         tree, m = self._tree, len(self._tree.span)
         reach = Reach(strength, np.ones(m), np.zeros(m))
         source = coefficients[tree.order]
@@ -115,16 +95,4 @@ class FastRadial:
             sum_bricks(lo, hi, points, bricks, tree, reach, charges, self._function, allowed, nothing, sums, risk)
             use(bricks.targets[start:stop], sums)
 
-        for_chunks(work, len(allowed), _CHUNK, progress)
-
-
-def bricks_of_tree(tree, capacity):
-    """Bricks of targets that are the sources themselves: the largest clusters of at most ``capacity``."""
-    size = np.diff(tree.span, axis=1)[:, 0]
-    parent = np.full(len(size), -1)
-    inner = np.flatnonzero(tree.child >= 0)
-    parent[tree.child[inner]] = parent[tree.child[inner] + 1] = inner
-    chosen = (size <= capacity) & ((parent < 0) | (size[parent] > capacity))
-    chosen = np.flatnonzero(chosen)[np.argsort(tree.span[chosen, 0])]
-    start = np.append(tree.span[chosen, 0], tree.span[0, 1])
-    return Bricks(start, tree.order, tree.center[chosen], tree.axes[chosen], tree.half[chosen], tree.per_side[chosen])
+        for_chunks(work, len(allowed), _CHUNK, progress, [Shared(result, bricks.targets_of)])

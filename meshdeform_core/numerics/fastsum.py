@@ -8,7 +8,7 @@ import numpy as np
 
 from .bricks import Bricks, build_bricks, node_sizes
 from .direct import N_VALUES
-from .parallel import for_chunks
+from .parallel import Shared, for_chunks
 from .tree import build_tree, gather_charges
 from .treesum import Charges, add_totals, cluster_reach, inverse_powers, sum_bricks
 
@@ -80,7 +80,7 @@ class FastSums:
         order = interpolation_order(tolerance)
         self._groups = [(np.asarray(group), build_tree(sources[group], order)) for group in groups]
 
-    def evaluate(self, strength, weights, values, shift, turn, use, progress=None):
+    def evaluate(self, strength, weights, values, shift, turn, use, result, progress=None):
         """Compute the sums brick by brick and hand each chunk to ``use``.
 
         Parameters
@@ -89,6 +89,7 @@ class FastSums:
         weights : (a, b, kappa) per group
         shift, turn : (n,) displacement and rotation angle of each source, against which errors are judged
         use : called with flat indices (m,) and sums (m, 1 + k), the weight first, from several threads
+        result : (n_nodes, ...) array of which ``use`` fills these rows
 
         Returns
         -------
@@ -114,7 +115,7 @@ class FastSums:
                 sums[:, 1 + N_VALUES * number : 1 + N_VALUES * (number + 1)] = part[:, 1:]
             use(bricks.targets[start:stop], sums)
 
-        for_chunks(work, len(allowed), _CHUNK, progress)
+        for_chunks(work, len(allowed), _CHUNK, progress, [Shared(result, bricks.targets_of), Shared(risk)])
         return risk
 
     def _charges(self, strength, values):
@@ -140,6 +141,6 @@ class FastSums:
             for (_, tree), reach, kind in zip(self._groups, reaches, kinds, strict=True):
                 add_totals(at, tree, reach, kind, total[lo:hi].reshape(-1), moved[lo:hi].reshape(-1))
 
-        for_chunks(work, len(samples), 64)
+        for_chunks(work, len(samples), 64, shared=[Shared(total), Shared(moved)])
         allowed = (total * self.targets.sizes).min(axis=1) * self.tolerance * self.share
         return allowed, (moved / total).max(axis=1)

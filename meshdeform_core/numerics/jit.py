@@ -11,5 +11,8 @@ kernel = njit(cache=True, nogil=True, error_model="numpy")
 fast_kernel = njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
 """Decorator for sums: additions may be reordered, so that they become vector instructions."""
 
-contracted_kernel = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+contracted_kernel = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"}, forceinline=True)
 """Decorator for functions that may fuse multiplications with additions but must keep their order."""
+
+inlined = njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+"""Decorator for parts of a loop: the compiler sees them in their place, with the arrays of the caller."""

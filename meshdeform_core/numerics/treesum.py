@@ -46,9 +46,9 @@ def inverse_powers(a, b, kappa):
     return Kernel(-1, False, float(a), float(b), float(kappa))
 
 
-def radial_basis(name):
-    """Kernel of a radial basis function by name."""
-    return Kernel(BASES[name], name != "tps", 0.0, 0.0, 0.0)
+def radial_basis(kind):
+    """Kernel of a radial basis function by its number."""
+    return Kernel(kind, kind != BASES["tps"], 0.0, 0.0, 0.0)
 
 
 class Reach(NamedTuple):

@@ -1,21 +1,24 @@
-"""Cell measures of a grid, before and after, block by block."""
+"""Cell measures of a grid, slab by slab."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from ..grid import FloatArray, Grid
+from ..grid import FloatArray, Grid, IntArray
 from ..numerics.cells import measure_hexahedra, measure_quads
-from ..numerics.parallel import for_chunks, thread_count
+from ..numerics.parallel import Shared, for_chunks
+from ..planes import plane_normal
+from ..topology import Topology
+
+_SLAB_CELLS = 16384
 
 
 @dataclass(frozen=True)
 class CellMeasures:
-    """Measures of the cells of one block, arrays of the block's cell shape.
+    """Measures of cells, arrays (ci, cj, ck).
 
     ``skew`` f_skew; ``scaled`` smallest scaled corner Jacobian; ``jacobian`` smallest corner Jacobian; ``volume``
     (2-D: area); ``bad`` bit mask of the corners with Jacobian <= 0.
@@ -28,28 +31,29 @@ class CellMeasures:
     bad: np.ndarray
 
 
-def measure_block(x: FloatArray, sign: float, plane_normal: FloatArray | None) -> CellMeasures:
-    """Measures of one block ``x`` (ni, nj, nk, 3) of handedness ``sign``; in 2-D with the normal of the plane."""
+def measure_block(
+    x: FloatArray, sign: float, plane_normal: FloatArray | None, first: int = 0, last: int | None = None
+) -> CellMeasures:
+    """Measures of one block ``x`` (ni, nj, nk, 3) of handedness ``sign``; in 2-D with the normal of the plane.
+
+    ``first`` and ``last`` choose the layers first <= i < last of its cells; a block with one node along i has one.
+    """
     ni, nj, nk = (max(n - 1, 1) for n in x.shape[:3])
-    skew, scaled, jacobian, volume = (np.empty((ni, nj, nk)) for _ in range(4))
-    measures = CellMeasures(skew, scaled, jacobian, volume, np.empty((ni, nj, nk), dtype=np.uint8))
+    last = ni if last is None else last
+    shape = (last - first, nj, nk)
+    skew, scaled, jacobian, volume = (np.empty(shape) for _ in range(4))
+    measures = CellMeasures(skew, scaled, jacobian, volume, np.empty(shape, dtype=np.uint8))
     arrays = list(vars(measures).values())
     if plane_normal is None:
-        _measure(measure_hexahedra, x, sign, ni, arrays)
+        measure_hexahedra(x, sign, first, last, *arrays)
         return measures
     flat = x.shape.index(1)
     # The positive normal of (i, j) and (j, k) index planes follows their order, that of (i, k) is opposite.
     normal = sign * (-1.0 if flat == 1 else 1.0) * _positive(plane_normal)
     plane = np.ascontiguousarray(x.squeeze(axis=flat))
-    _measure(measure_quads, plane, normal, plane.shape[0] - 1, [a.squeeze(axis=flat) for a in arrays])
+    rows = (0, plane.shape[0] - 1) if flat == 0 else (first, last)
+    measure_quads(plane, normal, *rows, *(a.squeeze(axis=flat) for a in arrays))
     return measures
-
-
-def _measure(kernel: Callable[..., None], x: FloatArray, sign: Any, rows: int, arrays: list[np.ndarray]) -> None:
-    def work(lo: int, hi: int) -> None:
-        kernel(x, sign, lo, hi, *(a[lo:hi] for a in arrays))
-
-    for_chunks(work, rows, -(-rows // (4 * thread_count())))
 
 
 def _positive(normal: FloatArray) -> FloatArray:
@@ -57,9 +61,58 @@ def _positive(normal: FloatArray) -> FloatArray:
     return np.asarray(normal * np.sign(normal[int(np.argmax(np.abs(normal)))]))
 
 
-def measure_grid(
-    grid: Grid, points: FloatArray, signs: np.ndarray, normal: FloatArray | None
-) -> Iterator[CellMeasures]:
-    """Measures of every block of ``grid`` with other coordinates ``points`` (n_nodes, 3), one block at a time."""
-    for block in range(grid.n_blocks):
-        yield measure_block(grid.block(block, points), float(signs[block]), normal)
+@dataclass(frozen=True)
+class Slab:
+    """The layers first <= i < last of a block's cells: cells ``start`` to ``stop`` of the grid.
+
+    Cells are numbered block after block, C-ordered within each block.
+    """
+
+    block: int
+    first: int
+    last: int
+    start: int
+    stop: int
+
+
+def slabs(grid: Grid) -> list[Slab]:
+    """All cells of a grid in slabs of about 16,000, which bound the memory that the measures take."""
+    found, start = [], 0
+    for block, (ci, cj, ck) in enumerate(grid.cell_shapes):
+        step = max(1, _SLAB_CELLS // (cj * ck))
+        for first in range(0, ci, step):
+            last = min(first + step, ci)
+            stop = start + (last - first) * cj * ck
+            found.append(Slab(block, first, last, start, stop))
+            start = stop
+    return found
+
+
+def compare_cells(
+    grid: Grid,
+    topology: Topology,
+    before: FloatArray,
+    after: FloatArray,
+    use: Callable[[int, Slab, CellMeasures, CellMeasures], None],
+    per_cell: Sequence[np.ndarray],
+    per_slab: Sequence[np.ndarray] = (),
+) -> None:
+    """Hand the measures of every slab with coordinates ``before`` and ``after`` (n_nodes, 3) to ``use``.
+
+    Parameters
+    ----------
+    use : called from several threads with the number of the slab, the slab and its two measures; fills its cells of
+        the arrays ``per_cell`` (n_cells, ...) and its row of the arrays ``per_slab`` (n_slabs, ...)
+    """
+    parts, normal = slabs(grid), plane_normal(grid)
+
+    def work(lo: int, hi: int) -> None:
+        for number, slab in enumerate(parts[lo:hi], lo):
+            sign, ends = float(topology.handedness[slab.block]), (slab.first, slab.last)
+            old, new = (measure_block(grid.block(slab.block, x), sign, normal, *ends) for x in (before, after))
+            use(number, slab, old, new)
+
+    def cells(lo: int, hi: int) -> IntArray:
+        return np.arange(parts[lo].start, parts[hi - 1].stop)
+
+    for_chunks(work, len(parts), 1, shared=[*(Shared(a, cells) for a in per_cell), *map(Shared, per_slab)])

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from ..boundary import Boundary
-from ..grid import FloatArray, Grid, Shape
+from ..grid import FloatArray, Grid, IntArray, Shape
 from ..planes import plane_normal
 from ..topology import Topology
-from .cells import CellMeasures, measure_grid
+from .cells import measure_block
 from .lines import interface_lines, kink_and_jump, moving_walls, wall_lines
+from .tally import Comparison, Range, Skew, Tally
 
-HISTOGRAM_BINS = 20
 MAX_LISTED = 200
 
 
@@ -32,25 +32,6 @@ class Spread:
         if values.size == 0:
             return cls(0.0, 0.0)
         return cls(float(np.sqrt(np.mean(values**2))), float(np.abs(values).max()))
-
-
-@dataclass(frozen=True)
-class Range:
-    """Smallest and largest value."""
-
-    min: float
-    max: float
-
-
-@dataclass(frozen=True)
-class Skew:
-    """Distribution of f_skew: 1 is orthogonal, 0 is invalid. ``histogram`` counts cells in 20 equal bins of [0, 1]."""
-
-    harmonic_mean: float
-    mean: float
-    min: float
-    p01: float
-    histogram: tuple[int, ...]
 
 
 @dataclass(frozen=True)
@@ -109,7 +90,7 @@ class Assessment:
 
     def with_steps(self, grid: Grid, first_bad: Mapping[int, int], otherwise: int) -> Assessment:
         """The same with the step that first broke each listed cell, by cell number (see ``newly_invalid``)."""
-        starts = np.concatenate([[0], np.cumsum([a * b * c for a, b, c in grid.cell_shapes])])
+        starts = _cell_starts(grid)
 
         def number(cell: InvalidCell) -> int:
             block = grid.names.index(cell.block)
@@ -130,71 +111,6 @@ def _difference(before: dict[str, Any], after: dict[str, Any]) -> dict[str, Any]
     return change
 
 
-@dataclass
-class _Tally:
-    """Running totals over the blocks of one grid."""
-
-    skews: list[np.ndarray] = field(default_factory=list)
-    inverse: float = 0.0
-    total: float = 0.0
-    low: float = np.inf
-    negative: int = 0
-    scaled: float = np.inf
-    volume: float = 0.0
-
-    def add(self, m: CellMeasures) -> None:
-        with np.errstate(divide="ignore"):
-            self.inverse += float((1.0 / m.skew).sum())
-        self.total += float(m.skew.sum())
-        self.low = min(self.low, float(m.skew.min()))
-        # Single precision is enough for the quantile and the histogram.
-        self.skews.append(m.skew.ravel().astype(np.float32))
-        self.negative += int((m.volume <= 0).sum())
-        self.scaled = min(self.scaled, float(m.scaled.min()))
-        self.volume += float(m.volume.sum())
-
-    def skew(self) -> Skew:
-        every = np.concatenate(self.skews)
-        n = len(every)
-        at = max(0, -(-n // 100) - 1)
-        p01 = float(np.partition(every, at)[at])
-        bins = np.minimum((every * HISTOGRAM_BINS).astype(np.int64), HISTOGRAM_BINS - 1)
-        histogram = tuple(int(c) for c in np.bincount(bins, minlength=HISTOGRAM_BINS))
-        harmonic = n / self.inverse if np.isfinite(self.inverse) else 0.0
-        return Skew(harmonic, self.total / n, self.low, p01, histogram)
-
-    def quality(self, invalid: int, inherited: int, walls: Walls, interfaces: Interfaces, ratio: Range) -> Quality:
-        return Quality(
-            self.skew(), invalid, inherited, self.negative, self.scaled, *walls, *interfaces, ratio, self.volume
-        )
-
-
-@dataclass
-class _Comparison:
-    """Running comparison of two grids, block by block."""
-
-    before: _Tally = field(default_factory=_Tally)
-    after: _Tally = field(default_factory=_Tally)
-    invalid: int = 0
-    bad_before: int = 0
-    inherited: int = 0
-    ratio: Range = field(default_factory=lambda: Range(np.inf, -np.inf))
-
-    def add(self, old: CellMeasures, new: CellMeasures) -> np.ndarray:
-        """Count one block; returns where its cells are newly invalid."""
-        self.before.add(old)
-        self.after.add(new)
-        broken = np.asarray((new.bad & ~old.bad) != 0)
-        self.invalid += int(broken.sum())
-        self.bad_before += int((old.bad != 0).sum())
-        self.inherited += int(((old.bad != 0) & (new.bad != 0) & ~broken).sum())
-        sound = old.volume > 0
-        if sound.any():
-            change = new.volume[sound] / old.volume[sound]
-            self.ratio = Range(min(self.ratio.min, float(change.min())), max(self.ratio.max, float(change.max())))
-        return broken
-
-
 def assess(
     grid: Grid, after: FloatArray, topology: Topology, boundary: Boundary | None, before: FloatArray | None = None
 ) -> Assessment:
@@ -208,36 +124,42 @@ def assess(
     boundary : for the moving walls and the nearest patch; without it the wall measures are ``None``
     """
     start = grid.points if before is None else before
-    comparison = _Comparison()
-    invalid: list[InvalidCell] = []
-    normal = plane_normal(grid)
-    both = zip(*(measure_grid(grid, x, topology.handedness, normal) for x in (start, after)), strict=True)
-    for block, (old, new) in enumerate(both):
-        broken = comparison.add(old, new)
-        invalid += _list_cells(grid, after, block, broken, new, MAX_LISTED - len(invalid))
+    cells = Comparison(grid, topology, start, after)
+    broken = np.flatnonzero(cells.broken)
+    invalid = list(_list_cells(grid, topology, after, broken[:MAX_LISTED]))
     walls = _walls(grid, topology, boundary, start, after)
     interfaces = _interfaces(grid, topology, start, after)
-    c = comparison
-    ratio = c.ratio if c.ratio.min <= c.ratio.max else Range(1.0, 1.0)
     return Assessment(
-        c.before.quality(0, c.bad_before, walls[0], interfaces[0], Range(1.0, 1.0)),
-        c.after.quality(c.invalid, c.inherited, walls[1], interfaces[1], ratio),
+        _quality(cells.before, 0, cells.before.bad, walls[0], interfaces[0], Range(1.0, 1.0)),
+        _quality(cells.after, len(broken), cells.inherited, walls[1], interfaces[1], cells.ratio),
         _with_nearest_patch(grid, topology, boundary, start, invalid),
     )
 
 
-def _list_cells(
-    grid: Grid, points: FloatArray, block: int, broken: np.ndarray, measures: CellMeasures, room: int
-) -> Iterable[InvalidCell]:
-    x = grid.block(block, points)
-    for ijk in np.argwhere(broken)[: max(room, 0)]:
-        i, j, k = (int(n) for n in ijk)
-        center = x[i : i + 2, j : j + 2, k : k + 2].reshape(-1, 3).mean(axis=0)
+def _quality(cells: Tally, invalid: int, inherited: int, walls: Walls, interfaces: Interfaces, ratio: Range) -> Quality:
+    return Quality(
+        cells.skew(), invalid, inherited, cells.negative, cells.scaled, *walls, *interfaces, ratio, cells.volume
+    )
+
+
+def _cell_starts(grid: Grid) -> IntArray:
+    """Number (n_blocks + 1,) of the first cell of every block."""
+    return np.concatenate([[0], np.cumsum([a * b * c for a, b, c in grid.cell_shapes])])
+
+
+def _list_cells(grid: Grid, topology: Topology, points: FloatArray, cells: IntArray) -> Iterator[InvalidCell]:
+    starts, normal = _cell_starts(grid), plane_normal(grid)
+    for cell in cells.tolist():
+        block = int(np.searchsorted(starts, cell, side="right")) - 1
+        i, j, k = (int(n) for n in np.unravel_index(cell - starts[block], grid.cell_shapes[block]))
+        x = np.ascontiguousarray(grid.block(block, points)[i : i + 2, j : j + 2, k : k + 2])
+        measures = measure_block(x, float(topology.handedness[block]), normal)
+        center = x.reshape(-1, 3).mean(axis=0)
         yield InvalidCell(
             grid.names[block],
             (i + 1, j + 1, k + 1),
-            float(measures.skew[i, j, k]),
-            float(measures.jacobian[i, j, k]),
+            measures.skew.item(),
+            measures.jacobian.item(),
             (float(center[0]), float(center[1]), float(center[2])),
         )
 

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..grid import FloatArray, Grid, IntArray
-from ..planes import plane_normal
+from ..grid import BoolArray, FloatArray, Grid, IntArray
 from ..topology import Topology
-from .cells import measure_grid
+from .cells import CellMeasures, Slab, compare_cells
+
+
+def newly_bad(old: CellMeasures, new: CellMeasures) -> BoolArray:
+    """Cells with a corner Jacobian that was positive and is not any more."""
+    return np.asarray((new.bad & ~old.bad) != 0)
 
 
 def newly_invalid(grid: Grid, after: FloatArray, topology: Topology) -> IntArray:
@@ -15,10 +19,10 @@ def newly_invalid(grid: Grid, after: FloatArray, topology: Topology) -> IntArray
 
     Returns their numbers, counted block after block, C-ordered within each block.
     """
-    normal = plane_normal(grid)
-    both = zip(*(measure_grid(grid, x, topology.handedness, normal) for x in (grid.points, after)), strict=True)
-    found, start = [], 0
-    for old, new in both:
-        found.append(start + np.flatnonzero(new.bad & ~old.bad))
-        start += new.bad.size
-    return np.concatenate(found)
+    broken = np.empty(grid.n_cells, dtype=bool)
+
+    def use(_: int, slab: Slab, old: CellMeasures, new: CellMeasures) -> None:
+        broken[slab.start : slab.stop] = newly_bad(old, new).ravel()
+
+    compare_cells(grid, topology, grid.points, after, use, [broken])
+    return np.flatnonzero(broken)

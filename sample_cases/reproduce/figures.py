@@ -17,7 +17,7 @@ from .experiment import Outcome, Trial
 
 _SUFFIX = ".svg"
 _LINES = 30
-_VECTOR_CELLS, _DOTS = 800, 150
+_VECTOR_CELLS, _DOTS = 800, 130
 Zoom = tuple[float, float, float, float]
 
 
@@ -176,8 +176,16 @@ def _flat_in_y(grid: Grid, block: int) -> list[Plane]:
 
 
 def _lines(plane: FloatArray, every: int) -> list[FloatArray]:
-    """Every so many-th grid line in either direction of a plane (na, nb, 3), and the last ones."""
-    return [line for nodes in (plane, plane.swapaxes(0, 1)) for line in (*nodes[:-1:every], nodes[-1])]
+    """Every so many-th grid line in either direction of a plane (na, nb, 3), and the last ones.
+
+    Between two crossings a line has one node more, enough for a smooth curve.
+    """
+    along = max(1, every // 2)
+    lines = []
+    for nodes in (plane, plane.swapaxes(0, 1)):
+        thinned = np.concatenate([nodes[:, :-1:along], nodes[:, -1:]], axis=1)
+        lines += [*thinned[:-1:every], thinned[-1]]
+    return lines
 
 
 def _draw(figure: Figure, slices: dict[str, Slice], folder: Path) -> str:

@@ -36,16 +36,21 @@ def table_markdown(table: dict[str, Any]) -> str:
     body = []
     for row in table["rows"]:
         cells = [
-            row["method"], _pair(row["f_skew"], row["paper_f_skew"], ".4f", ".2f"), f"{row['f_skew_min']:.3f}",
-            str(row["invalid_cells"]), _pair(row["relative_cost"], row["paper_relative_cost"], ".3g", ".4g"),
-            number(row["relative_apply_cost"], ".3g"), _pair(row["gflop"], row["paper_gflop"], ".3g", ".4g"),
+            row["method"], pair(row["f_skew"], row["paper_f_skew"], ".4f", ".2f"), f"{row['f_skew_min']:.3f}",
+            str(row["invalid_cells"]), pair(row["relative_cost"], row["paper_relative_cost"], ".3g", ".4g"),
+            number(row["relative_apply_cost"], ".3g"), pair(row["gflop"], row["paper_gflop"], ".3g", ".4g"),
             points(row), remark(row),
         ]  # fmt: skip
         if extra:
             cells.insert(3, f"{row['asymmetry']:.1e}")
         body.append(cells)
-    parts = [f"## {table['title']}", table["note"], grid(head, body), pictures(table["figures"], ".")]
+    parts = [f"## {table['title']}", table["note"], samples(table), grid(head, body), pictures(table["figures"], ".")]
     return "\n\n".join(parts).rstrip()
+
+
+def samples(table: dict[str, Any]) -> str:
+    """Which samples a table was run on."""
+    return f"Run on: {'; '.join(dict.fromkeys(row['sample'] for row in table['rows']))}."
 
 
 def robustness_markdown(robustness: dict[str, Any], folder: str) -> str:
@@ -68,21 +73,25 @@ def pictures(names: list[str], folder: str) -> str:
 
 
 def number(value: float | None, style: str) -> str:
+    """A number, or nothing."""
     return "" if value is None else format(value, style)
 
 
-def _pair(ours: float | None, theirs: float | None, style: str, paper_style: str) -> str:
+def pair(ours: float | None, theirs: float | None, style: str, paper_style: str) -> str:
+    """Our number and the paper's in brackets."""
     text = number(ours, style)
     return f"{text} ({format(theirs, paper_style)})".strip() if theirs is not None else text
 
 
 def remark(row: Row) -> str:
+    """What is to be said about a row."""
     free = row["f_skew_without_walls"]
     parts = [row["remark"]] if row["remark"] else []
     return "; ".join(parts if free is None else [*parts, f"boundary as interpolated: {free:.4f}"])
 
 
 def points(row: Row) -> str:
+    """Greedy points: ours, their range over start nodes, the paper's."""
     if row["greedy_points"] is None:
         return ""
     low_high = row["greedy_points_range"]
@@ -91,5 +100,6 @@ def points(row: Row) -> str:
 
 
 def grid(head: list[str], body: list[list[str]]) -> str:
+    """A markdown table."""
     lines = [head, ["---"] * len(head), *body]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)

@@ -54,9 +54,9 @@ def study(folder: Path, quick: bool, tell: Tell) -> dict[str, Any]:
     # Five blocks around a body, each much larger than a sub-block: here the cuts matter.
     dome = Sample("hemisphere", 24, time=2.5e-4)
     parts["sub_blocks"] = [
-        {"max_cells": n, **_quality(dome, Options("idw-tfi", tfi=TFI(max_cells=n)))}
+        {"max_cells": n, **quality_of(dome, Options("idw-tfi", tfi=TFI(max_cells=n)))}
         for _, n in bench.each({f"max_cells {n}": n for n in cells}, "sub-blocks")
-    ] + [{"max_cells": None, **_quality(dome, Options("idw-idw"))}]
+    ] + [{"max_cells": None, **quality_of(dome, Options("idw-idw"))}]
     parts["alpha"] = [
         {"alpha": alpha, "angle": angle, **bench.point(Options("idw-idw", idw=IDW(alpha=alpha)), angle)}
         for _, alpha in bench.each({f"alpha {a}": a for a in alphas}, "alpha")
@@ -79,7 +79,7 @@ class _Bench:
 
     def point(self, options: Options, angle: float) -> dict[str, Any]:
         """Quality at one angle, in one step."""
-        return _quality(self._sample(angle), options) | {"angle": angle}
+        return quality_of(self._sample(angle), options) | {"angle": angle}
 
     def largest(self, options: Options) -> float:
         """Largest valid angle in one step: the last multiple of 5 degrees before one that crosses cells."""
@@ -110,7 +110,7 @@ class _Bench:
         return Sample("splitter-plate", self.size, constants=(("angle", angle),))
 
 
-def _quality(sample: Sample, options: Options) -> dict[str, Any]:
+def quality_of(sample: Sample, options: Options) -> dict[str, Any]:
     """Quality measures of a sample deformed in one step."""
     setup = prepare_sample(sample)
     points = _moved(setup.problem, options, setup.displacement(sample.time))

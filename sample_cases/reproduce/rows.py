@@ -91,6 +91,8 @@ def _remark(trial: Trial, outcome: Outcome) -> str:
         parts.append(f"{after.invalid_cells} crossed cells" + (", bad first cell" if squeezed else ""))
     elif heights is not None and (heights.min < 0.2 or heights.max > 5.0):
         parts.append(f"first cells {heights.min:.2g} to {heights.max:.2g} times as high")
+    if "divisions" in outcome.account.settings:
+        parts.append(f"done in {outcome.account.settings['divisions'].value} steps")
     if any("MINRES stopped" in warning for warning in outcome.account.warnings):
         parts.append("MINRES did not converge")
     if trial.sample.name == "hemisphere":

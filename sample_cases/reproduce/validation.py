@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from .report import Results, grid, number, pictures, points, remark, robustness_markdown
+from .report import Results, grid, number, pair, pictures, points, remark, robustness_markdown, samples
 
 
 def validation_page(results: Results, figures: str) -> str:
@@ -43,7 +43,7 @@ rounds a direct solution in the points kept. The formulas are in `meshdeform_cor
 def _table(table: dict[str, Any], figures: str) -> str:
     head = [
         "method", "ours", "paper", "difference", "measured", "min", "bad cells", "cost", "apply", "paper's cost",
-        "points",
+        "GFLOP (paper)", "points (paper)",
     ]  # fmt: skip
     body, reasons = [], []
     for row in table["rows"]:
@@ -52,7 +52,8 @@ def _table(table: dict[str, Any], figures: str) -> str:
             row["method"], f"{row['f_skew']:.4f}", number(row["paper_f_skew"], ".2f"), number(off, "+.3f"),
             number(row["measured_f_skew"], ".4g"), f"{row['f_skew_min']:.3f}", str(row["invalid_cells"]),
             number(row["relative_cost"], ".3g"), number(row["relative_apply_cost"], ".3g"),
-            number(row["paper_relative_cost"], ".4g"), points(row),
+            number(row["paper_relative_cost"], ".4g"), pair(row["gflop"], row["paper_gflop"], ".3g", ".4g"),
+            points(row),
         ])  # fmt: skip
         said = remark(row)
         if row["reason"] or said:
@@ -62,7 +63,14 @@ def _table(table: dict[str, Any], figures: str) -> str:
         elif off is not None and abs(off) > table["tolerance"] + 0.005:
             reasons.append(f"- **{row['method']}**: not reproduced; the reason is not known.")
     why = "Reasons and remarks:\n\n" + "\n".join(reasons) if reasons else ""
-    parts = [f"## {table['title']}", table["note"], grid(head, body), why, pictures(table["figures"], figures)]
+    parts = [
+        f"## {table['title']}",
+        table["note"],
+        samples(table),
+        grid(head, body),
+        why,
+        pictures(table["figures"], figures),
+    ]
     return "\n\n".join(part for part in parts if part)
 
 

@@ -10,11 +10,8 @@ from hypothesis import strategies as st
 from meshdeform_core.errors import MethodError
 from meshdeform_core.methods import IDW, RBF, Options, make_method
 from meshdeform_core.numerics import boxes, fastsum
-from meshdeform_core.numerics.basis import BASES
 from meshdeform_core.numerics.bricks import build_bricks, node_sizes
 from meshdeform_core.numerics.elementary import exp, log
-from meshdeform_core.numerics.fastradial import FastRadial
-from meshdeform_core.numerics.radial import radial_sums
 from meshdeform_core.numerics.tree import build_tree, gather_charges
 from meshdeform_core.prescription import prescribed_displacement
 
@@ -182,16 +179,3 @@ def test_radial_sums(basis, radius, problem):
         for kind in ("exact", "fast")
     )
     assert 0 < (np.linalg.norm(fast - exact, axis=1) / cell_sizes(problem)).max() <= 1e-3
-
-
-@pytest.mark.parametrize("basis", ["tps", "wendland-c2"])
-def test_radial_product(basis, problem):
-    centres = problem.source_points / 4.0
-    coefficients = np.random.default_rng(0).standard_normal((len(centres), 3))
-    exact = radial_sums(BASES[basis], centres, centres, coefficients)
-    fast = FastRadial(basis, np.ascontiguousarray(centres), 6)
-    for allowed, expected in ((1e-3, 1e-2), (1e-6, 1e-5)):
-        error = np.abs(fast.product(coefficients, allowed) - exact).max() / np.abs(exact).max()
-        assert 0 < error < expected
-    twice = fast.product(2 * coefficients, 1e-3) - 2 * fast.product(coefficients, 1e-3)
-    assert np.abs(twice).max() <= 1e-12 * np.abs(exact).max()

@@ -11,11 +11,13 @@ from meshdeform_core.methods import RBF, Options, make_method
 from meshdeform_core.methods.base import Account
 from meshdeform_core.methods.radial_system import RadialSystem
 from meshdeform_core.methods.rbf_sums import Centres
+from meshdeform_core.numerics import schwarz
 from meshdeform_core.numerics.basis import BASES
 from meshdeform_core.numerics.krylov import KrylovSolver
 from meshdeform_core.numerics.radial import radial_matrix, radial_sums
 from meshdeform_core.numerics.saddle import DirectSolver
 from meshdeform_core.numerics.schwarz import SchwarzPreconditioner, bisect
+from meshdeform_core.numerics.sparse import sparse_radial_matrix
 
 
 def sphere(n: int) -> np.ndarray:
@@ -25,7 +27,7 @@ def sphere(n: int) -> np.ndarray:
     return np.stack([np.sqrt(1 - z * z) * np.cos(angle), np.sqrt(1 - z * z) * np.sin(angle), z], axis=1)
 
 
-def graded_plane(n: int = 42) -> np.ndarray:
+def graded_plane(n: int = 38) -> np.ndarray:
     """A plane patch clustered towards one edge, first spacing 1/400 of the largest, as beside a wall."""
     u = (np.geomspace(1.0, 400.0, n) - 1.0) / 399.0
     x, y = np.meshgrid(u, np.linspace(0.0, 1.0, n), indexing="ij")
@@ -37,11 +39,11 @@ def bend(x: np.ndarray) -> np.ndarray:
 
 
 SETS = {
-    "sphere": sphere(1800),
+    "sphere": sphere(1500),
     "graded-plane": graded_plane(),
-    "two-scales": np.concatenate([sphere(1200), 20.0 + 5.0 * sphere(800)]),
-    "curve": np.stack([np.cos(np.arange(1500) / 240), np.sin(np.arange(1500) / 240), np.zeros(1500)], axis=1),
-    "line": np.linspace(0, 1, 1300)[:, None] * np.array([1.0, 2.0, -1.0]),
+    "two-scales": np.concatenate([sphere(900), 20.0 + 5.0 * sphere(600)]),
+    "curve": np.stack([np.cos(np.arange(1200) / 190), np.sin(np.arange(1200) / 190), np.zeros(1200)], axis=1),
+    "line": np.linspace(0, 1, 1000)[:, None] * np.array([1.0, 2.0, -1.0]),
 }
 
 
@@ -89,6 +91,16 @@ def test_new_right_hand_sides_reuse_the_preconditioner():
     second = solver.solve(3 * bend(centres.points)[:, ::-1], 1e-8, 40)
     assert solver.preconditioner is kept
     np.testing.assert_allclose(second.coefficients, 3 * first.coefficients[:, ::-1], rtol=1e-5, atol=1e-5)
+
+
+def test_large_coarse_level_has_a_coarse_level_of_its_own(monkeypatch):
+    monkeypatch.setattr(schwarz, "_DIRECT", 600)
+    monkeypatch.setattr(schwarz, "COARSENING", 4)
+    solver, centres, _ = system(sphere(4000), "tps", None)
+    found = solver.solve(bend(centres.points), 1e-6, 40)
+    assert isinstance(solver.preconditioner._next, SchwarzPreconditioner)
+    assert found.residual.max() <= 1e-6
+    assert found.iterations <= 15
 
 
 def test_dependent_and_empty_columns():
@@ -161,6 +173,30 @@ def test_not_converging_is_a_warning():
     RadialSystem(options, centres).solve(bend(centres.points), account, None)
     assert "stopped after 1 iterations" in account.warnings[0]
     assert "max_iterations" in account.warnings[0]
+
+
+def test_short_support_multiplies_by_its_nonzeros_only():
+    points = np.concatenate([sphere(4000), 1.5 * sphere(2000)])
+    centres = Centres.of(points, 0.18)
+    told, account = bend(points), Account()
+    options = RBF(basis="wendland-c2", radius=0.18)
+    coefficients, polynomial = RadialSystem(options, centres).solve(told, account, None)
+    assert 0 < account.settings["nonzeros"].value < 100 * len(points)
+    assert account.warnings == []
+    x = centres.points
+    rest = told - radial_sums(BASES["wendland-c2"], x, x, coefficients) - centres.polynomial(x) @ polynomial
+    assert (np.linalg.norm(rest, axis=0) <= 1.1e-6 * np.linalg.norm(told, axis=0)).all()
+
+
+def test_long_support_has_no_sparse_matrix():
+    points = sphere(500)
+    assert sparse_radial_matrix(BASES["wendland-c2"], points, 2**40) is None
+    assert sparse_radial_matrix(BASES["wendland-c2"], 20 * points, 1000) is None
+    assert sparse_radial_matrix(BASES["tps"], 20 * points, 2**40) is None
+    matrix = sparse_radial_matrix(BASES["wendland-c2"], 10 * points, 2**40)
+    np.testing.assert_allclose(
+        matrix.toarray(), radial_matrix(BASES["wendland-c2"], 10 * points, 10 * points), rtol=1e-12
+    )
 
 
 def test_automatic_choice_by_size_and_memory():

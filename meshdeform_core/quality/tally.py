@@ -1,0 +1,114 @@
+"""Totals over the cells of a grid before and after."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..grid import FloatArray, Grid
+from ..topology import Topology
+from .cells import CellMeasures, Slab, compare_cells, slabs
+from .validity import newly_bad
+
+HISTOGRAM_BINS = 20
+
+
+@dataclass(frozen=True)
+class Range:
+    """Smallest and largest value."""
+
+    min: float
+    max: float
+
+
+@dataclass(frozen=True)
+class Skew:
+    """Distribution of f_skew: 1 is orthogonal, 0 is invalid. ``histogram`` counts cells in 20 equal bins of [0, 1]."""
+
+    harmonic_mean: float
+    mean: float
+    min: float
+    p01: float
+    histogram: tuple[int, ...]
+
+
+class Tally:
+    """The cells of one grid: one row per slab, summed in the grid's order when everything is there.
+
+    ``sums`` (n_slabs, 5): 1/f_skew, f_skew, volume, cells with negative volume, with a bad corner; ``lows`` (n_slabs,
+    2): smallest f_skew and scaled Jacobian; ``skews`` (n_cells,).
+    """
+
+    def __init__(self, n_cells: int, n_slabs: int):
+        # Single precision is enough for the quantile and the histogram.
+        self.skews = np.empty(n_cells, dtype=np.float32)
+        self.sums, self.lows = np.empty((n_slabs, 5)), np.empty((n_slabs, 2))
+
+    def put(self, number: int, slab: Slab, m: CellMeasures) -> None:
+        """Note one slab."""
+        with np.errstate(divide="ignore"):
+            inverse = (1.0 / m.skew).sum()
+        self.sums[number] = inverse, m.skew.sum(), m.volume.sum(), (m.volume <= 0).sum(), (m.bad != 0).sum()
+        self.lows[number] = m.skew.min(), m.scaled.min()
+        self.skews[slab.start : slab.stop] = m.skew.ravel()
+
+    @property
+    def volume(self) -> float:
+        return float(self.sums[:, 2].sum())
+
+    @property
+    def negative(self) -> int:
+        return int(self.sums[:, 3].sum())
+
+    @property
+    def bad(self) -> int:
+        return int(self.sums[:, 4].sum())
+
+    @property
+    def scaled(self) -> float:
+        return float(self.lows[:, 1].min())
+
+    def skew(self) -> Skew:
+        n = len(self.skews)
+        inverse, total = self.sums[:, 0].sum(), self.sums[:, 1].sum()
+        at = max(0, -(-n // 100) - 1)
+        p01 = float(np.partition(self.skews, at)[at])
+        bins = np.minimum((self.skews * HISTOGRAM_BINS).astype(np.int64), HISTOGRAM_BINS - 1)
+        histogram = tuple(int(c) for c in np.bincount(bins, minlength=HISTOGRAM_BINS))
+        harmonic = n / float(inverse) if np.isfinite(inverse) else 0.0
+        return Skew(harmonic, float(total) / n, float(self.lows[:, 0].min()), p01, histogram)
+
+
+class Comparison:
+    """The cells of two grids with the same blocks: ``broken`` (n_cells,) are newly invalid."""
+
+    def __init__(self, grid: Grid, topology: Topology, before: FloatArray, after: FloatArray):
+        n_slabs = len(slabs(grid))
+        self.before, self.after = Tally(grid.n_cells, n_slabs), Tally(grid.n_cells, n_slabs)
+        self.broken = np.empty(grid.n_cells, dtype=bool)
+        self._inherited, self._ratio = np.empty(n_slabs), np.empty((n_slabs, 2))
+        tallies = [a for tally in (self.before, self.after) for a in (tally.sums, tally.lows)]
+        per_cell = [self.before.skews, self.after.skews, self.broken]
+        compare_cells(grid, topology, before, after, self._put, per_cell, [*tallies, self._inherited, self._ratio])
+
+    def _put(self, number: int, slab: Slab, old: CellMeasures, new: CellMeasures) -> None:
+        self.before.put(number, slab, old)
+        self.after.put(number, slab, new)
+        broken = newly_bad(old, new)
+        self.broken[slab.start : slab.stop] = broken.ravel()
+        self._inherited[number] = ((old.bad != 0) & (new.bad != 0) & ~broken).sum()
+        sound = old.volume > 0
+        change = new.volume[sound] / old.volume[sound]
+        self._ratio[number] = change.min(initial=np.inf), change.max(initial=-np.inf)
+
+    @property
+    def inherited(self) -> int:
+        """Cells that were bad before and are no worse."""
+        return int(self._inherited.sum())
+
+    @property
+    def ratio(self) -> Range:
+        """Volumes after over volumes before, of cells that had one."""
+        low, high = float(self._ratio[:, 0].min()), float(self._ratio[:, 1].max())
+        return Range(low, high) if low <= high else Range(1.0, 1.0)

@@ -1,0 +1,196 @@
+"""Several ranks: the same grids as on one, one voice, one exit code, and nobody left waiting."""
+
+import importlib.util
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from meshdeform_cli.mpi import Place, place
+from meshdeform_core.numerics.parallel import OneRank, for_chunks
+
+BESIDE = Path(sys.executable).with_name("mpiexec")
+MPIEXEC = str(BESIDE) if BESIDE.exists() else shutil.which("mpiexec")
+TESTS = Path(__file__).parent.parent
+LIMIT = 120
+
+needs_mpi = pytest.mark.skipif(
+    MPIEXEC is None or importlib.util.find_spec("mpi4py") is None,
+    reason="mpiexec or mpi4py is missing; pip install 'meshdeform[mpi-test]'",
+)
+needs_mpiexec = pytest.mark.skipif(MPIEXEC is None, reason="mpiexec is missing; pip install 'meshdeform[mpi-test]'")
+
+# Open MPI refuses root and more ranks than cores unless told; ranks that wait must not take the cores of the others.
+LENIENT = {
+    "OMPI_ALLOW_RUN_AS_ROOT": "1",
+    "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
+    "OMPI_MCA_rmaps_base_oversubscribe": "1",
+    "OMPI_MCA_mpi_yield_when_idle": "1",
+    "PRTE_MCA_rmaps_default_mapping_policy": ":oversubscribe",
+    "OPENBLAS_NUM_THREADS": "1",
+}
+
+FAILING = """
+from meshdeform_cli import mpi
+from meshdeform_cli.main import main
+from meshdeform_core.errors import MethodError
+from meshdeform_core.methods import tfi
+
+mpi._GRACE = 0.5
+
+def fail(*_):
+    raise MethodError("made to fail")
+
+if mpi.place().number == 1:
+    tfi.blend_block = fail
+main()
+"""
+FULL_DISK = """
+import errno
+from meshdeform_cli import work
+from meshdeform_cli.main import main
+
+def fail(*_):
+    raise OSError(errno.ENOSPC, "No space left on device", "out.xyz")
+
+work.write_grid = fail
+main()
+"""
+
+
+def start(*command, path: Path = TESTS, **extra):
+    environment = {**os.environ, **LENIENT, "PYTHONPATH": str(path), **extra}
+    return subprocess.run(
+        [str(part) for part in command], env=environment, capture_output=True, text=True, timeout=LIMIT, check=False
+    )
+
+
+def on_ranks(count, *args, program=("-m", "meshdeform_cli"), path: Path = TESTS):
+    return start(MPIEXEC, "-n", count, sys.executable, *program, *args, path=path)
+
+
+@needs_mpi
+@pytest.mark.parametrize("count", [2, 4])
+def test_every_method_gives_the_same_bits(count):
+    """Displacements, quality and invalid cells of all methods in 3-D and 2-D; the ranks themselves compare."""
+    done = on_ranks(count, program=(TESTS / "mpi_methods.py",))
+    assert done.returncode == 0, done.stderr
+    assert sorted(done.stdout.splitlines()) == [f"rank {n} of {count} agrees" for n in range(count)]
+
+
+@needs_mpi
+def test_command_writes_the_same_file_and_speaks_once(bench, call):
+    args = ("deform", "grid.xyz", "-c", "case.toml", "-m", "idw-tfi", "-s", "constants.turn=75", "-v")
+    alone = call(*args, "-o", "alone.xyz", "--report", "alone.json")
+    assert alone.code == 3
+    done = on_ranks(2, *args, "-o", "shared.xyz", "--report", "shared.json")
+    assert done.returncode == 3, done.stderr
+    assert Path("shared.xyz").read_bytes() == Path("alone.xyz").read_bytes()
+    one, two = (json.loads(Path(name).read_text()) for name in ("alone.json", "shared.json"))
+    assert two["quality"] == one["quality"]
+    assert two["invalid_cells"] == one["invalid_cells"]
+    assert two["invalid_cells"]
+    assert done.stdout.count("verdict") == 1
+    assert done.stderr.count("cells became invalid") == 1
+    assert "meshdeform: 2 ranks" in done.stderr
+
+
+@needs_mpi
+@pytest.mark.parametrize(
+    ("args", "message"),
+    [
+        (("deform", "gone.xyz", "-c", "case.toml", "-o", "out.xyz"), "gone.xyz does not exist"),
+        (("deform", "grid.xyz", "-c", "case.toml", "-o", "old.xyz"), "old.xyz exists"),
+        (("info", "grid.xyz"), "'info' does not share its work"),
+    ],
+)
+def test_what_is_wrong_is_said_once(args, message, bench, snapshot):
+    before = snapshot(bench)
+    done = on_ranks(2, *args)
+    assert done.returncode == 2
+    assert done.stderr.count(message) == 1
+    assert "Traceback" not in done.stderr
+    assert done.stdout == ""
+    assert snapshot(bench) == before
+
+
+@needs_mpi
+def test_a_rank_that_fails_alone_ends_all(bench, snapshot):
+    Path("failing.py").write_text(FAILING)
+    before = snapshot(bench)
+    done = on_ranks(2, "deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz", program=("failing.py",))
+    assert done.returncode == 2
+    assert done.stderr.count("rank 1 of 2: meshdeform: error: made to fail") == 1
+    assert snapshot(bench) == before
+
+
+@needs_mpi
+def test_a_file_that_cannot_be_written_ends_all(bench, snapshot):
+    Path("full.py").write_text(FULL_DISK)
+    before = snapshot(bench)
+    done = on_ranks(2, "deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz", program=("full.py",))
+    assert done.returncode == 2
+    assert done.stderr.count("meshdeform: error") == 1
+    assert "out.xyz: No space left on device" in done.stderr
+    assert "MPI_ABORT" not in done.stderr
+    assert snapshot(bench) == before
+
+
+@needs_mpiexec
+def test_without_mpi4py_nothing_is_written(bench, snapshot, tmp_path):
+    (tmp_path / "hidden").mkdir()
+    (tmp_path / "hidden" / "mpi4py.py").write_text("raise ImportError('No module named mpi4py')")
+    before = snapshot(bench)
+    args = ("deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz")
+    done = on_ranks(2, *args, path=tmp_path / "hidden")
+    assert done.returncode == 2
+    assert done.stderr.count("pip install 'meshdeform[mpi]'") == 1
+    assert snapshot(bench) == before
+
+
+@needs_mpi
+def test_the_mpiexec_of_another_mpi_is_refused(bench, snapshot):
+    before = snapshot(bench)
+    args = ("deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz")
+    done = start(sys.executable, "-m", "meshdeform_cli", *args, PMI_RANK="0", PMI_SIZE="3")
+    assert done.returncode == 2
+    assert "sees 1; use the mpiexec of that MPI" in done.stderr
+    assert snapshot(bench) == before
+
+
+def test_a_plain_start_does_not_touch_mpi(bench):
+    Path("mpi4py.py").write_text("raise SystemExit('imported')")
+    done = start(sys.executable, "-m", "meshdeform_cli", "--version", path=bench, OMPI_COMM_WORLD_SIZE="1")
+    assert done.returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("variables", "expected"),
+    [
+        ({}, None),
+        ({"OMPI_COMM_WORLD_RANK": "1", "OMPI_COMM_WORLD_SIZE": "4"}, Place(1, 4)),
+        ({"PMI_RANK": "0", "PMI_SIZE": "2"}, Place(0, 2)),
+        ({"PMIX_RANK": "5", "SLURM_STEP_NUM_TASKS": "8"}, Place(5, 8)),
+        ({"PMI_RANK": "0", "PMI_SIZE": "1"}, None),
+        ({"SLURM_STEP_NUM_TASKS": "8"}, None),
+        ({"PMI_RANK": "", "PMI_SIZE": "many"}, None),
+    ],
+)
+def test_launchers_are_known_by_their_variables(variables, expected, monkeypatch):
+    for name in list(os.environ):
+        if name.startswith(("OMPI_", "PMI", "SLURM_")):
+            monkeypatch.delenv(name)
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    assert place() == expected
+
+
+def test_one_rank_is_the_default():
+    done = []
+    for_chunks(lambda lo, hi: done.append((lo, hi)), 10, 4)
+    assert sorted(done) == [(0, 4), (4, 8), (8, 10)]
+    assert OneRank().on_first(lambda: 7) == 7

@@ -1,0 +1,72 @@
+"""Started by test_mpi.py under mpiexec: every method on all ranks together against the same on one alone."""
+
+import numpy as np
+from cases import ALL_METHODS, body_specs, problem_of, turning
+from grids import frame, frame_2d
+from mpi4py import MPI
+
+from meshdeform_cli.mpi import MPIRanks
+from meshdeform_core.methods import IDW, RBF, Options, make_method
+from meshdeform_core.numerics.parallel import OneRank, set_ranks
+from meshdeform_core.prescription import prescribed_displacement
+from meshdeform_core.quality import assess
+from meshdeform_core.quality.validity import newly_invalid
+
+FAST = {
+    "idw-fast": Options("idw", idw=IDW(summation="fast")),
+    "idw-fast-reweight": Options(
+        "idw", idw=IDW(summation="fast", rotation="division", divisions=2, reweight=True)
+    ),
+    "rbf-fast": Options("rbf", rbf=RBF(summation="fast")),
+    "rbf-greedy": Options("rbf", rbf=RBF(basis="wendland-c2", radius=6.0, greedy="single")),
+}  # fmt: skip
+
+
+# One global and one compact basis stand for the others, which share every loop with them.
+CHOSEN = {name: options for name, options in ALL_METHODS.items() if "ctps" not in name and name != "rbf-minres"}
+
+
+class Witness(MPIRanks):
+    """Counts the rows that this rank fills and the rows that all of them fill."""
+
+    own = every = 0
+
+    def share(self, array, rows):
+        sizes = [sum(len(part) for part in parts) for parts in rows]
+        self.own += sizes[self.number]
+        self.every += sum(sizes)
+        super().share(array, rows)
+
+
+def results(options, problem):
+    """Displacement, quality and invalid cells: everything that ranks share."""
+    told = prescribed_displacement(problem.grid, problem.topology, problem.boundary)[problem.source_numbers]
+    moved = make_method(options).prepare(problem).apply(told)
+    after = problem.grid.points + moved
+    verdict = assess(problem.grid, after, problem.topology, problem.boundary)
+    return moved, verdict, newly_invalid(problem.grid, after, problem.topology)
+
+
+def main():
+    ranks = Witness(MPI.COMM_WORLD)
+    turn = body_specs(turning(60))
+    problems = [problem_of(frame(7, 5), turn), problem_of(frame_2d(9), turn[:1])]
+    broken = 0
+    for name, options in (CHOSEN | FAST).items():
+        for problem in problems:
+            set_ranks(OneRank())
+            alone = results(options, problem)
+            set_ranks(ranks)
+            shared = results(options, problem)
+            np.testing.assert_array_equal(shared[0], alone[0], err_msg=name)
+            assert shared[1] == alone[1], name
+            np.testing.assert_array_equal(shared[2], alone[2], err_msg=name)
+            broken += len(alone[2])
+    assert broken, "no method broke a cell: the lists of invalid cells were compared empty"
+    # Loops with fewer chunks than ranks leave some of them idle on grids as small as these.
+    part = ranks.own * ranks.count / ranks.every
+    assert 0.4 < part < 2.0, f"rank {ranks.number} did {part:.0%} of its share"
+    print(f"rank {ranks.number} of {ranks.count} agrees")
+
+
+main()
