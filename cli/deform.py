@@ -82,7 +82,7 @@ def command(
 
     job = work.load(source, case, limit, [path for path in (output, *reports) if path is not None])
     if dry_run or output is None:
-        click.echo(work.describe(job, output, at_time, options), nl=False)
+        click.echo(work.describe(job, output, count, at_time, options), nl=False)
         return 0
     with ProgressBar(not quiet) as progress:
         report = work.run(job, output, count, at_time, options, progress, start)

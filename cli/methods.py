@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
+import json
 
 import click
 
@@ -20,7 +21,7 @@ def command(name: str | None) -> int:
       meshdeform methods
       meshdeform methods idw-tfi
     """
-    from meshdeform_core.methods import ALIASES, CATALOGUE
+    from meshdeform_core.methods import ALIASES, CATALOGUE, reason_of
 
     if name is None:
         for key, entry in CATALOGUE.items():
@@ -36,5 +37,5 @@ def command(name: str | None) -> int:
     for part in entry.parts:
         click.echo(f"\n[method.{part.__name__.lower()}]\n{inspect.cleandoc(part.__doc__ or '')}\n\ndefaults")
         for field in dataclasses.fields(part):
-            click.echo(f"  {field.name} = {field.default!r}")
+            click.echo(f"  {field.name} = {json.dumps(field.default)}  ({reason_of(field)})")
     return 0

@@ -56,15 +56,20 @@ def load(source: GridInput, case: CaseInput, memory: MemoryLimit, outputs: Seque
     return Job(grid, what, clock.perf_counter() - start, memory)
 
 
-def describe(job: Job, output: Path | None, time: float, variant: dict[str, str]) -> str:
-    """What would be done: classification, parameters, node counts."""
+def describe(job: Job, output: Path | None, steps: int | str, time: float, variant: dict[str, str]) -> str:
+    """What would be done: classification, parameters, node counts, and what is bound to go wrong."""
     if output is not None:
         variant_of(job.grid, output, variant)
     setup = set_up(job.grid, job.case.case, memory=job.memory)
     prepared = make_method(job.case.case.method).prepare(setup.problem)
-    displacement = setup.displacement(time)
-    largest = float((displacement**2).sum(axis=1).max() ** 0.5)
-    return as_text(plan_report(setup, prepared.account, {"max_displacement": largest})) + "dry run   nothing written\n"
+    motion = setup.displacement(time)
+    largest = float((motion**2).sum(axis=1).max() ** 0.5)
+    report = plan_report(setup, prepared.account, {"max_displacement": largest})
+    # Steps that are halved until they succeed are never too large.
+    first = setup.displacement(time, 1 / steps if isinstance(steps, int) else 0.0)
+    sources = setup.problem.source_numbers
+    report["warnings"] += prepared.foresee(motion[sources], first[sources])
+    return as_text(report) + "dry run   nothing written\n"
 
 
 def run(

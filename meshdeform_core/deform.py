@@ -221,11 +221,14 @@ class _March:
             )
 
     def in_equal_steps(self, count: int) -> None:
+        self._foresee(1 / count)
         for step in range(1, count + 1):
             self._accept(step / count, self._trial(step / count))
 
     def adaptively(self) -> None:
         """As large steps as validity allows: halve a step that breaks cells, double again after success."""
+        # Steps that are halved until they succeed are never too large.
+        self._foresee(0.0)
         increment, smallest = 1.0, 0.5**MAX_HALVINGS
         while self.fraction < 1.0:
             target = min(1.0, self.fraction + increment)
@@ -241,6 +244,11 @@ class _March:
                     f"invalid. The grid reached so far is kept"
                 )
                 return
+
+    def _foresee(self, first: float) -> None:
+        sources = self.setup.problem.source_numbers
+        motion, step = ((self._prescribed(part) - self.moved)[sources] for part in (1.0, first))
+        self.warnings += self._method().foresee(motion, step)
 
     def _trial(self, fraction: float) -> FloatArray:
         """Coordinates after going from the current grid to ``fraction`` of the motion."""

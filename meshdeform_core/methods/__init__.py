@@ -22,6 +22,7 @@ from .base import Account, Method, PreparedMethod, Problem, Progress, Setting
 from .block_rbf import BlockRBF
 from .hybrid import Composite
 from .idw import IDW
+from .options import reason_of
 from .rbf import RBF
 from .tfi import TFI
 
@@ -40,6 +41,7 @@ __all__ = [
     "Progress",
     "Setting",
     "make_method",
+    "reason_of",
 ]
 
 ALIASES = {"tfi": "tfi-tfi", "rbf": "rbf-rbf", "idw": "idw-idw"}

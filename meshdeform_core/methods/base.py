@@ -155,6 +155,10 @@ class PreparedMethod(Protocol):
         """Parameters as used, with reasons, and warnings."""
         ...
 
+    def foresee(self, motion: FloatArray, step: FloatArray) -> list[str]:
+        """What is bound to go wrong with a displacement (n_sources, 3) of which ``step`` is imposed first."""
+        ...
+
     def apply(self, displacement: FloatArray, progress: Progress | None = None) -> FloatArray:
         """Displacement (n_nodes, 3) of all block nodes from that of the sources (n_sources, 3)."""
         ...
@@ -183,6 +187,10 @@ class PreparedInterpolation(Protocol):
 
     def at(self, flat: IntArray) -> Evaluator:
         """Bind to the target nodes ``flat`` of the grid."""
+        ...
+
+    def foresee(self, motion: FloatArray, step: FloatArray) -> list[str]:
+        """What is bound to go wrong with a displacement (n_sources, 3) of which ``step`` is imposed first."""
         ...
 
     def fit(self, displacement: FloatArray, progress: Progress | None = None) -> Any:

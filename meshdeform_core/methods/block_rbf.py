@@ -13,6 +13,7 @@ from ..numerics.basis import BASES
 from ..numerics.radial import radial_sums
 from ..topology import side_nodes
 from .base import Account, Problem, Progress, Setting
+from .options import used
 from .rbf import RBF, Centres, RadialSystem
 from .skeleton import Skeleton, make_skeleton
 
@@ -58,7 +59,7 @@ class PreparedBlockRBF:
         self._keep = 8 * sum(n * n for n in sizes) < problem.memory.size // 2
         self.account = Account()
         self.account.settings |= {
-            "basis": Setting(options.basis),
+            **used(options, "basis", "solver", "tolerance"),
             "largest_block_system": Setting(max(sizes, default=0), "face nodes that are on no slip plane"),
             "factorisations_kept": Setting(self._keep, "all block systems fit half the memory" if self._keep else ""),
         }

@@ -16,6 +16,7 @@ from ..numerics.blend import blend_plane, plane_coordinates
 from ..topology import side_nodes
 from ..windows import windows_of_quads
 from .base import Account, Problem, Progress
+from .forecast import TFI_ROTATION, warn_of_rotation
 
 
 @dataclass(frozen=True)
@@ -64,6 +65,11 @@ class PreparedEdgeGraph:
             self._parts.append(part)
             # A rectangle of an L-shaped face has a border that is no block edge.
             self._segments += _segments(problem, [b for b in borders if not reached[b].all()], reached)
+
+    def foresee(self, motion: FloatArray, step: FloatArray) -> list[str]:
+        """What is bound to go wrong with a displacement (n_sources, 3) of which ``step`` is imposed first."""
+        # Steps do not help: blending is linear, they lead to the same grid.
+        return warn_of_rotation(self._problem, motion, TFI_ROTATION, "TFI crosses cells", "use idw-tfi")
 
     def move(self, displacement: FloatArray, out: FloatArray, progress: Progress | None = None) -> None:
         """Displacement of all face nodes from that of the sources (n_sources, 3), into ``out`` (n_nodes, 3)."""

@@ -23,6 +23,10 @@ class Mover(Protocol):
 
     account: Account
 
+    def foresee(self, motion: FloatArray, step: FloatArray) -> list[str]:
+        """What is bound to go wrong with a displacement (n_sources, 3) of which ``step`` is imposed first."""
+        ...
+
     def move(self, displacement: FloatArray, out: FloatArray, progress: Progress | None = None) -> None:
         """Displacement of its nodes from that of the sources (n_sources, 3), into ``out`` (n_nodes, 3)."""
         ...
@@ -91,6 +95,9 @@ class _Scattered:
         self._evaluator = self._bound.at(self.flat)
         self.account = self._bound.account
 
+    def foresee(self, motion: FloatArray, step: FloatArray) -> list[str]:
+        return self._bound.foresee(motion, step)
+
     def move(self, displacement: FloatArray, out: FloatArray, progress: Progress | None = None) -> None:
         self._evaluator.evaluate(self._bound.fit(displacement, progress), out, progress)
 
@@ -114,6 +121,10 @@ class PreparedComposite:
             merged.settings |= part.settings
             merged.warnings += part.warnings
         return merged
+
+    def foresee(self, motion: FloatArray, step: FloatArray) -> list[str]:
+        """What is bound to go wrong with a displacement (n_sources, 3) of which ``step`` is imposed first."""
+        return self._mover.foresee(motion, step)
 
     def apply(self, displacement: FloatArray, progress: Progress | None = None) -> FloatArray:
         """Displacement (n_nodes, 3) of all block nodes from that of the sources (n_sources, 3)."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,9 +11,10 @@ from ..errors import MethodError
 from ..grid import FloatArray, IntArray
 from ..numerics import rotation as rot
 from .base import Account, Problem, Progress, Setting
+from .forecast import LARGEST_ROTATION, PLAIN_ROTATION, warn_of_alpha, warn_of_rotation
 from .idw_sums import Bound, ExactSums, FastSums, Fit
 from .images import mirror_images
-from .options import choose, positive
+from .options import choose, option, positive, used
 from .summation import check_summation, fast_pays
 
 ROTATIONS = ("none", "quaternion", "division", "blend", "lie")
@@ -46,20 +48,20 @@ class IDW:
     summation_tolerance : of fast sums: error of a node's displacement relative to its shortest cell edge, 1e-8 to 0.1
     """
 
-    rotation: str = "lie"
-    weights: str = "luke"
-    alpha: float | str = 0.1
-    eta: float = 5.0
-    a: float = 3.0
-    b: float = 5.0
-    length: float | str = "auto"
-    p_moving: float = 3.0
-    p_fixed: float = 3.0
-    divisions: int = 25
-    reweight: bool = False
-    remove_mean: bool | str = "auto"
-    summation: str = "auto"
-    summation_tolerance: float = 1e-2
+    rotation: str = option("lie", "does not depend on the frame, holds walls best; the cost of one step")
+    weights: str = option("luke", "near and far field in one formula, nodal areas included")
+    alpha: float | str = option(0.1, "0.3 holds walls better at large rotations, but skews the cells farther away more")
+    eta: float = option(5.0, "Luke et al.")
+    a: float = option(3.0, "Luke et al.: the far field")
+    b: float = option(5.0, "Luke et al.: the near field")
+    length: float | str = option("auto", "eq. 17: farthest source from the centroid of all nodes")
+    p_moving: float = option(3.0, "as for fixed ones; a larger one lets the moving wall reach less far")
+    p_fixed: float = option(3.0, "as for moving ones")
+    divisions: int = option(25, "the paper's; the distance from lie falls as 1/m")
+    reweight: bool = option(False, "m times the cost")
+    remove_mean: bool | str = option("auto", "lie only: the paper's kinds do not")
+    summation: str = option("auto", "fast where it pays")
+    summation_tolerance: float = option(1e-2, "of the local cell: no quality measure sees it")
 
     def __post_init__(self) -> None:
         choose("idw.rotation", self.rotation, ROTATIONS)
@@ -114,21 +116,33 @@ class PreparedIDW:
 
     def _record(self, mean_is_auto: bool) -> None:
         o, settings = self.options, self.account.settings
-        settings["rotation"] = Setting(o.rotation)
-        settings["weights"] = Setting(o.weights)
+        settings |= used(o, "rotation", "weights")
         if o.weights == "luke":
-            settings["alpha"] = Setting(o.alpha, "eq. 18 at each displacement" if o.alpha == "auto" else "")
-            settings["a"], settings["b"] = Setting(o.a), Setting(o.b)
+            settings |= used(o, "alpha", "a", "b")
         else:
-            settings["p_moving"], settings["p_fixed"] = Setting(o.p_moving), Setting(o.p_fixed)
-        reason = "eq. 17: farthest source from the centroid of all nodes" if o.length == "auto" else ""
-        settings["length"] = Setting(self.length, reason)
+            settings |= used(o, "p_moving", "p_fixed")
+        if o.alpha == "auto":
+            settings["alpha"] = Setting("auto", "eq. 18 at each displacement")
+            settings |= used(o, "eta")
+        settings["length"] = dataclasses.replace(used(o, "length")["length"], value=self.length)
         if o.rotation == "division":
-            settings["divisions"], settings["reweight"] = Setting(o.divisions), Setting(o.reweight)
-        reason = "a translation of the whole boundary is then reproduced exactly" if self.remove_mean else ""
-        settings["remove_mean"] = Setting(self.remove_mean, reason if mean_is_auto else "")
+            settings |= used(o, "divisions", "reweight")
+        exact = "a translation of the whole boundary is then reproduced exactly"
+        reason = exact if self.remove_mean else 'auto: only rotation = "lie" does'
+        settings["remove_mean"] = Setting(self.remove_mean, reason if mean_is_auto else "given")
         if len(self.area) > len(self._problem.source_points):
             settings["mirrored_sources"] = Setting(len(self.area), "images at symmetry planes take part")
+
+    def foresee(self, motion: FloatArray, step: FloatArray) -> list[str]:
+        """What is bound to go wrong with a displacement (n_sources, 3) of which ``step`` is imposed first."""
+        plain = self.options.rotation == "none"
+        limit = PLAIN_ROTATION if plain else LARGEST_ROTATION
+        what = 'rotation = "none" shears the cells beside them' if plain else "the way round becomes a matter of chance"
+        advice = "take more steps (--steps auto)" + (', or rotation = "lie"' if plain else "")
+        warnings = warn_of_rotation(self._problem, step, limit, what, advice)
+        if self.options.weights == "luke" and self.options.alpha == "auto":
+            warnings += warn_of_alpha(self._eq_18(self._images.displaced(step)), ALPHA_CAP)
+        return warnings
 
     def fit(self, displacement: FloatArray, progress: Progress | None = None) -> Fit:
         """Rigid motions of the sources for one displacement (n_sources, 3)."""
@@ -159,9 +173,12 @@ class PreparedIDW:
         alpha = self._alpha(d) if o.alpha == "auto" else float(o.alpha)
         return ((o.a, o.b, alpha**o.b * self.length ** (o.b - o.a)),)
 
-    def _alpha(self, d: FloatArray) -> float:
+    def _eq_18(self, d: FloatArray) -> float:
         mean = (self.area / self.area.sum()) @ d
-        full = self.options.eta / self.length * float(np.linalg.norm(d - mean, axis=1).max())
+        return self.options.eta / self.length * float(np.linalg.norm(d - mean, axis=1).max())
+
+    def _alpha(self, d: FloatArray) -> float:
+        full = self._eq_18(d)
         alpha = min(max(full, 1e-3), ALPHA_CAP)
         reason = f"eq. 18 gives {full:.3g}" + (f", capped at {ALPHA_CAP} (crossed cells)" if full > alpha else "")
         self.account.settings["alpha"] = Setting(alpha, reason)
@@ -174,9 +191,7 @@ class PreparedIDW:
         fast, self.account.settings["summation"] = fast_pays(o.summation, len(flat), len(self.points))
         if not fast:
             return ExactSums(bound)
-        self.account.settings["summation_tolerance"] = Setting(
-            o.summation_tolerance, "error relative to the local cell"
-        )
+        self.account.settings |= used(o, "summation_tolerance")
         return FastSums(bound, o.summation_tolerance, self.account)
 
 

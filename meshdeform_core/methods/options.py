@@ -1,12 +1,35 @@
-"""Checks of option values: one message with the key, what was found and what was expected."""
+"""Option values: their defaults with reasons, and their checks with what was found and what was expected."""
 
 from __future__ import annotations
 
+from dataclasses import Field, field, fields
 from typing import Any
 
 import numpy as np
 
 from ..errors import MethodError
+from .base import Setting
+
+
+def option(default: Any, why: str) -> Any:
+    """A field of a method's options; ``why`` says in a few words why it has this default."""
+    return field(default=default, metadata={"why": why})
+
+
+def reason_of(parameter: Field[Any]) -> str:
+    """Why an option has its default."""
+    return str(parameter.metadata["why"])
+
+
+def used(options: Any, *names: str) -> dict[str, Setting]:
+    """The named options with their values, and why they have them."""
+    known = {parameter.name: parameter for parameter in fields(options)}
+    settings = {}
+    for name in names:
+        value = getattr(options, name)
+        chosen = value != known[name].default
+        settings[name] = Setting(value, "given" if chosen else f"default: {reason_of(known[name])}")
+    return settings
 
 
 def choose(name: str, value: Any, known: tuple[Any, ...]) -> None:

@@ -19,6 +19,10 @@ from .base import Account, PreparedMethod, Problem, Progress
 class FaceMover(Protocol):
     """An interpolation bound to nodes of the boundary."""
 
+    def foresee(self, motion: FloatArray, step: FloatArray) -> list[str]:
+        """What is bound to go wrong with a displacement (n_sources, 3) of which ``step`` is imposed first."""
+        ...
+
     def move(self, displacement: FloatArray, out: FloatArray, progress: Progress | None = None) -> None:
         """Displacement of its nodes from that of the sources (n_sources, 3), into ``out`` (n_nodes, 3)."""
         ...
@@ -50,6 +54,10 @@ class PreparedPeriodic:
     def account(self) -> Account:
         """Settings and warnings of the method itself."""
         return self._rest.account
+
+    def foresee(self, motion: FloatArray, step: FloatArray) -> list[str]:
+        """What is bound to go wrong with a displacement (n_sources, 3) of which ``step`` is imposed first."""
+        return self._first.foresee(motion, step)
 
     def apply(self, displacement: FloatArray, progress: Progress | None = None) -> FloatArray:
         """Displacement (n_nodes, 3) of all block nodes from that of the sources (n_sources, 3)."""

@@ -13,9 +13,10 @@ from ..numerics.basis import BASES
 from ..numerics.greedy import Selection, select
 from ..numerics.radial import radial_sums
 from .base import Account, Problem, Progress, Setting
+from .forecast import warn_of_coarse_tolerance, warn_of_radius
 from .images import mirror_images
-from .options import choose, positive
-from .radial_system import SOLVERS, RadialSystem
+from .options import choose, option, positive, used
+from .radial_system import DIRECT_CENTRES, SOLVERS, RadialSystem
 from .rbf_sums import Centres, Fit, RadialSums
 from .summation import check_summation
 
@@ -54,20 +55,20 @@ class RBF:
     summation_tolerance : of fast sums: error of a node's displacement relative to its shortest cell edge, 1e-8 to 0.1
     """
 
-    basis: str = "tps"
-    radius: float | str = "auto"
-    solver: str = "auto"
-    tolerance: float | str = "auto"
-    max_iterations: int = 10000
-    greedy: str = "none"
-    greedy_error: str = "first-cell"
-    greedy_tolerance: float = 0.1
-    greedy_start: int = 0
-    greedy_updates: int = 0
-    greedy_max_points: int = 0
-    greedy_correct: bool = True
-    summation: str = "auto"
-    summation_tolerance: float = 1e-2
+    basis: str = option("tps", "has no radius to choose, and the best f_skew of all bases on the splitter plate")
+    radius: float | str = option("auto", "every node sees the whole moving body")
+    solver: str = option("auto", f"direct up to {DIRECT_CENTRES:,} centres, then krylov")
+    tolerance: float | str = option("auto", "minres 1e-10, krylov 1e-6")
+    max_iterations: int = option(10000, "far more than a sound system takes")
+    greedy: str = option("none", "all centres: exact at every boundary node")
+    greedy_error: str = option("first-cell", "an error matters where the cells are fine")
+    greedy_tolerance: float = option(0.1, "of the first cell: wall cells keep their shape")
+    greedy_start: int = option(0, "the number of points varies by a tenth with it")
+    greedy_updates: int = option(0, "as many as there are sources, as in the paper")
+    greedy_max_points: int = option(0, "no limit: the tolerance decides")
+    greedy_correct: bool = option(True, "walls land exactly where they are told")
+    summation: str = option("auto", "fast where it pays")
+    summation_tolerance: float = option(1e-2, "of the local cell: no quality measure sees it")
 
     def __post_init__(self) -> None:
         choose("rbf.basis", self.basis, tuple(BASES))
@@ -102,24 +103,34 @@ class PreparedRBF:
         self._problem = problem
         self._images = mirror_images(problem)
         self.centres = Centres.of(self._images.points, self._radius())
-        self._system: RadialSystem | None = None
+        # Without reduction the size is known, and refused if it does not fit, before anything is computed.
+        self._system = None if options.greedy != "none" else RadialSystem(options, self.centres, problem.memory)
         self._selection: Selection | None = None
-        self.account.settings |= {
-            "basis": Setting(options.basis),
+        self.account.settings |= used(options, "basis", "solver", "tolerance", "max_iterations", "greedy") | {
             "centres": Setting(len(self._images.points)),
             "polynomial": Setting(
                 f"linear in {len(self.centres.axes)} directions",
                 "" if len(self.centres.axes) == 3 else "the centres lie in a plane or a line",
             ),
-            "solver": Setting(options.solver),
         }
+        if options.greedy != "none":
+            self._announce_greedy()
+
+    def _announce_greedy(self) -> None:
+        o, problem = self.options, self._problem
+        names = ("error", "tolerance", "start", "updates", "max_points", "correct")
+        self.account.settings |= used(o, *(f"greedy_{name}" for name in names))
+        moving = problem.boundary.kind[problem.source_numbers] == Kind.MOVING
+        height = problem.first_cell_height[moving]
+        tolerance = o.greedy_tolerance * (height if o.greedy_error == "first-cell" else np.ones(len(height)))
+        self.account.warnings += warn_of_coarse_tolerance(tolerance, height, o.greedy_correct)
 
     def _radius(self) -> float | None:
         o = self.options
         if o.basis == "tps":
             return None
         if o.radius != "auto":
-            self.account.settings["radius"] = Setting(o.radius)
+            self.account.settings |= used(o, "radius")
             return float(o.radius)
         problem = self._problem
         moving = problem.source_points[problem.boundary.kind[problem.source_numbers] == Kind.MOVING]
@@ -130,23 +141,20 @@ class PreparedRBF:
         self.account.settings["radius"] = Setting(radius, "every node sees the whole moving body")
         return radius
 
+    def foresee(self, motion: FloatArray, step: FloatArray) -> list[str]:
+        """What is bound to go wrong with a displacement (n_sources, 3) of which ``step`` is imposed first."""
+        if self.options.basis == "tps":
+            return []
+        terms = self.centres.polynomial(self.centres.points)
+        return warn_of_radius(self.centres.scale, terms, self._images.displaced(step))
+
     def fit(self, displacement: FloatArray, progress: Progress | None = None) -> Fit:
         """Solve for one displacement of the sources (n_sources, 3)."""
         values = self._images.displaced(displacement)
-        self._warn_of_short_radius(values)
         if self.options.greedy != "none":
             return self._fit_reduced(values, progress)
-        if self._system is None:
-            self._system = RadialSystem(self.options, self.centres, self._problem.memory)
+        assert self._system is not None
         return Fit(self.centres.points, *self._system.solve(values, self.account, progress))
-
-    def _warn_of_short_radius(self, values: FloatArray) -> None:
-        largest = float(np.linalg.norm(values, axis=1).max())
-        if self.options.basis != "tps" and largest > 0.5 * self.centres.scale:
-            self.account.warnings.append(
-                f"the support radius {self.centres.scale:.4g} is less than twice the largest displacement "
-                f"{largest:.4g}: cells will cross at its rim; use a larger method.rbf.radius"
-            )
 
     def _fit_reduced(self, values: FloatArray, progress: Progress | None) -> Fit:
         o, n = self.options, len(values)

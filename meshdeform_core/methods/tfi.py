@@ -10,7 +10,7 @@ from ..grid import FloatArray, IntArray
 from ..numerics.blend import arc_coordinates, blend_block, blend_plane, plane_coordinates
 from ..numerics.parallel import Shared, for_chunks
 from .base import Account, Problem, Progress, Setting
-from .options import positive
+from .options import option, positive, used
 from .skeleton import Skeleton, SubBlock, make_skeleton
 
 DEFAULT_MAX_CELLS = 16
@@ -29,7 +29,7 @@ class TFI:
         direction, whose faces the first step moves; 0 never cuts
     """
 
-    max_cells: int = DEFAULT_MAX_CELLS
+    max_cells: int = option(DEFAULT_MAX_CELLS, "walls as with IDW alone (hemisphere: 2.6 degrees off, 10.3 uncut)")
 
     def __post_init__(self) -> None:
         positive("tfi.max_cells", self.max_cells, whole=True, zero=True)
@@ -57,7 +57,7 @@ class PreparedTFI:
         else:
             self._planes = [_Plane.of(problem, sub) for sub in self._subs]
         self.account = Account()
-        self.account.settings["max_cells"] = Setting(options.max_cells)
+        self.account.settings |= used(options, "max_cells")
         self.account.settings["sub_blocks"] = Setting(len(self._subs))
 
     def _arcs(self, first: int, last: int) -> None:

@@ -1,0 +1,86 @@
+"""What is bound to go wrong with a displacement, told before anything is computed.
+
+The limits are measured on the splitter plate (Sen et al. section 4), whose plate turns by up to 24 degrees more than
+its body: one step is valid to a largest rotation of 54 degrees with TFI, of 34 with IDW of displacements.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..boundary import Kind
+from ..grid import FloatArray
+from ..numerics.rotation import rotation_vector, surface_rotations
+from .base import Problem
+
+TFI_ROTATION = 55.0
+PLAIN_ROTATION = 35.0
+LARGEST_ROTATION = 150.0
+"""Largest rotations in one step, degrees: of TFI, of averaged displacements, and of averaged rigid motions."""
+
+
+def largest_rotation(problem: Problem, displacement: FloatArray) -> float:
+    """Largest rotation of a moving wall against what does not move, else against the mean (degrees).
+
+    Parameters
+    ----------
+    displacement : (n_sources, 3)
+    """
+    surface, x = problem.surface, problem.source_points
+    turned = surface_rotations(x, x + displacement, surface.corners, surface.edges, problem.plane_normal)
+    turn = rotation_vector(turned)
+    if not (problem.boundary.kind[problem.source_numbers] == Kind.FIXED).any():
+        turn = turn - turn.mean(axis=0)
+    return math.degrees(float(np.linalg.norm(turn, axis=1).max()))
+
+
+def warn_of_rotation(problem: Problem, displacement: FloatArray, limit: float, what: str, advice: str) -> list[str]:
+    """A warning if walls turn by more than ``limit`` degrees: ``what`` happens then and what to do about it."""
+    angle = largest_rotation(problem, displacement)
+    if angle <= limit:
+        return []
+    return [f"walls turn by up to {angle:.0f} degrees; beyond about {limit:.0f}, {what}: {advice}"]
+
+
+def warn_of_alpha(full: float, cap: float) -> list[str]:
+    """A warning if eq. 18 asks for more than ``cap``."""
+    if full <= cap:
+        return []
+    steps = math.ceil(full / cap)
+    return [
+        f"eq. 18 gives alpha = {full:.3g} for so large a step; values above {cap} cross cells, so {cap} is used. Take "
+        f"at least {steps} steps (--steps {steps}), or set method.idw.alpha"
+    ]
+
+
+def warn_of_radius(radius: float, terms: FloatArray, values: FloatArray) -> list[str]:
+    """A warning if a support radius is too small for a step.
+
+    A compact function falls from 1 to 0 within its radius R with a slope of up to about 2/R: a displacement d of more
+    than R/2 folds the space beside the centre. The linear part of the displacement does not count, the polynomial
+    ``terms`` (n, q) reproduce it.
+    """
+    linear = terms @ np.linalg.lstsq(terms, values, rcond=None)[0]
+    largest = float(np.linalg.norm(values - linear, axis=1).max())
+    if 2.0 * largest <= radius:
+        return []
+    return [
+        f"the support radius {radius:.4g} is less than twice the largest displacement {largest:.4g} of a step (linear "
+        f'part taken out): cells will cross around it; use a larger method.rbf.radius, or "auto", or more steps'
+    ]
+
+
+def warn_of_coarse_tolerance(tolerance: FloatArray, height: FloatArray, corrected: bool) -> list[str]:
+    """A warning if eps_g, as lengths (n,), exceeds first-cell heights (n,) at moving nodes."""
+    coarse = tolerance > height
+    if not coarse.any():
+        return []
+    worst = int(np.argmax(tolerance / height))
+    rest = "the correction moves them by as much" if corrected else "they miss their place by as much"
+    return [
+        f"greedy_tolerance is coarser than the first cell at {int(coarse.sum()):,} of {len(height):,} moving nodes (up "
+        f"to {tolerance[worst]:.3g}, the cell is {height[worst]:.3g} high; {rest}): wall cells may invert; use a "
+        f'smaller tolerance, or greedy_error = "first-cell"'
+    ]

@@ -1,0 +1,132 @@
+"""Warnings before it happens: each comes where the deformation then fails, and stays away where it does not."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cases import apply, body_specs, everything_moves, problem_of, turning
+from grids import frame
+
+from meshdeform_core.boundary import BoundarySpec, Kind
+from meshdeform_core.deform import Case, deform
+from meshdeform_core.methods import CATALOGUE, IDW, RBF, Options, make_method
+from meshdeform_core.methods.forecast import largest_rotation
+from meshdeform_core.prescription import prescribed_displacement
+from meshdeform_formats.case import read_case
+from meshdeform_samples import folder, load
+
+PLATE = load("splitter-plate").generate(8)
+
+
+def plate_case(options: Options, angle: float) -> Case:
+    case = read_case(Path(str(folder("splitter-plate"))) / "case.toml", [f"constants.angle={angle}"]).case
+    return dataclasses.replace(case, method=options)
+
+
+def expect(options: Options, angle: float, words: str, steps: int | str = 1) -> None:
+    """The warning with ``words`` comes exactly if cells cross (which makes it neither idle nor late)."""
+    result = deform(PLATE, plate_case(options, angle), steps=steps)
+    warned = [text for text in result.warnings if words in text]
+    assert bool(warned) == (not result.valid), (result.valid, result.warnings)
+
+
+@pytest.mark.parametrize("angle", [30, 40, 45])
+def test_rotation_too_large_for_tfi(angle):
+    expect(Options("tfi"), angle, "TFI crosses cells")
+
+
+def test_steps_do_not_help_tfi():
+    expect(Options("tfi"), 45, "TFI crosses cells", steps=2)
+
+
+@pytest.mark.parametrize(("angle", "steps"), [(20, 1), (25, 1), (25, 2), (25, "auto")])
+def test_rotation_too_large_for_averaged_displacements(angle, steps):
+    expect(Options("idw-tfi", idw=IDW(rotation="none")), angle, "shears the cells", steps)
+
+
+@pytest.mark.parametrize("radius", [4.0, 8.0])
+def test_radius_smaller_than_the_motion(radius):
+    expect(Options("rbf-tfi", rbf=RBF(basis="wendland-c2", radius=radius)), 30, "support radius")
+
+
+def test_linear_part_of_the_motion_needs_no_radius():
+    problem = problem_of(frame(), everything_moves())
+    prepared = make_method(Options("rbf", rbf=RBF(basis="wendland-c2", radius=0.5))).prepare(problem)
+    linear = 3.0 + problem.source_points @ np.array([[1.0, 2, 0], [0, 1, 0], [-1, 0, 1]])
+    assert prepared.foresee(linear, linear) == []
+    bent = linear + 2.0 * (problem.source_points > 0)
+    assert len(prepared.foresee(bent, bent)) == 1
+    assert prepared.foresee(bent, bent / 10) == []
+
+
+def test_square_sample_is_not_warned_of_its_radius():
+    """Its boundary is shifted by one unit, two thirds of the radius, which the polynomial reproduces."""
+    case = read_case(Path(str(folder("square"))) / "case.toml").case
+    result = deform(load("square").generate(21), case)
+    assert result.valid
+    assert not result.warnings
+
+
+def test_alpha_of_one_large_step():
+    """By eq. 18 alone the plate at 30 degrees would have alpha 1.5, with which cells cross."""
+    auto = Options("idw-tfi", idw=IDW(alpha="auto"))
+    warnings = deform(PLATE, plate_case(auto, 30)).warnings
+    assert len(warnings) == 1
+    assert "eq. 18 gives alpha = 1.47" in warnings[0]
+    assert "at least 5 steps" in warnings[0]
+    assert not deform(PLATE, plate_case(auto, 30), steps=5).warnings
+    assert not deform(PLATE, plate_case(Options("idw-tfi", idw=IDW(alpha=1.47)), 30)).valid
+
+
+@pytest.mark.parametrize(
+    ("error", "tolerance", "comes"),
+    [("first-cell", 0.1, False), ("first-cell", 1.5, True), ("absolute", 0.02, False), ("absolute", 0.5, True)],
+)
+def test_greedy_tolerance_coarser_than_the_first_cell(error, tolerance, comes):
+    problem = problem_of(frame(), body_specs(turning(20)))
+    options = RBF(basis="wendland-c2", radius=6.0, greedy="hybrid", greedy_error=error, greedy_tolerance=tolerance)
+    warnings = make_method(Options("rbf", rbf=options)).prepare(problem).account.warnings
+    assert [("coarser than the first cell" in text) for text in warnings] == [True] * comes
+
+
+def test_largest_rotation_is_relative():
+    problem = problem_of(frame(), body_specs(turning(40)))
+    told = prescribed_displacement(problem.grid, problem.topology, problem.boundary)[problem.source_numbers]
+    assert largest_rotation(problem, told) == pytest.approx(40.0)
+    everything = problem_of(frame(), everything_moves(turning(40)))
+    told = prescribed_displacement(everything.grid, everything.topology, everything.boundary)
+    assert largest_rotation(everything, told[everything.source_numbers]) < 1e-10
+
+
+def test_periodic_problems_foresee_too():
+    specs = [
+        *body_specs(turning(70)),
+        BoundarySpec("sides", ("block[123].imin", "block[678].imax"), Kind.PERIODIC),
+    ]
+    problem = problem_of(frame(), specs)
+    told = prescribed_displacement(problem.grid, problem.topology, problem.boundary)[problem.source_numbers]
+    assert len(make_method(Options("tfi")).prepare(problem).foresee(told, told)) == 1
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_every_parameter_has_a_reason(name):
+    problem = problem_of(frame(), body_specs(turning(10)))
+    prepared = make_method(Options(name, idw=IDW(alpha=0.2))).prepare(problem)
+    counts = {"sub_blocks", "centres", "polynomial"}
+    settings = prepared.account.settings
+    assert [key for key, setting in settings.items() if not setting.reason and key not in counts] == []
+    if "alpha" in settings:
+        assert settings["alpha"].reason == "given"
+        assert settings["a"].reason.startswith("default: ")
+
+
+def test_dry_preparation_refuses_what_does_not_fit():
+    from meshdeform_core.errors import MethodError
+    from meshdeform_core.memory import MemoryLimit
+
+    problem = problem_of(frame(), body_specs(turning(10)))
+    tight = dataclasses.replace(problem, memory=MemoryLimit(10_000, "--max-memory allows"))
+    with pytest.raises(MethodError, match=r"needs about .* --max-memory allows 9\.77 KiB; use "):
+        make_method(Options("rbf", rbf=RBF(solver="direct"))).prepare(tight)
+    assert np.isfinite(apply(Options("idw"), tight, np.zeros((len(problem.source_points), 3)))).all()
