@@ -11,6 +11,7 @@ import numpy as np
 
 from .errors import CaseError
 from .grid import BoolArray, FloatArray, Grid, IntArray
+from .numerics.coincidence import distinct
 from .planes import FLATNESS, Plane, plane_normal, plane_of
 from .topology import Topology
 
@@ -96,9 +97,9 @@ def find_sliding(
     normal = plane_normal(grid)
     for name, quads, symmetry in slipping:
         bent = []
-        for side in np.unique(topology.quads.block_side[quads]):
+        for side in distinct(topology.quads.block_side[quads], 6 * grid.n_blocks):
             part = quads[topology.quads.block_side[quads] == side]
-            nodes = np.unique(topology.quads.corners[part])
+            nodes = distinct(topology.quads.corners[part], topology.n_unique)
             plane = plane_of(grid.points[topology.first[nodes]], normal)
             if plane is None:
                 bent.append(part)
