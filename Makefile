@@ -31,12 +31,20 @@ check: $(VENV)/installed
 	MYPYPATH=build/names $(BIN)/mypy
 	$(BIN)/lint-imports
 
+# All sizes take about twenty minutes; make bench OPTIONS=--quick two.
+bench: $(VENV)/installed
+	$(BIN)/python benchmarks/run.py $(OPTIONS)
+
 format: $(VENV)/installed
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
 clean:
 	rm -rf build dist demo reproduced .pytest_cache .mypy_cache .ruff_cache
+
+reproduce: $(VENV)/installed
+	$(BIN)/meshdeform reproduce all -o reproduced --validation reproduced/validation.md --force $(if $(QUICK),--quick)
+	@echo "Look at reproduced/validation.md, reproduced/results.md and the figures beside them."
 
 demo: $(VENV)/installed
 	rm -rf demo

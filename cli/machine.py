@@ -28,20 +28,31 @@ def machine_memory() -> MemoryLimit:
 
 
 def _available_memory() -> int:
+    available = _first_number(Path("/proc/meminfo"), "MemAvailable:")
     try:
-        for line in Path("/proc/meminfo").read_text(encoding="ascii").splitlines():
-            if line.startswith("MemAvailable:"):
-                return int(line.split()[1]) * 1024
-        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+        return available * 1024 if available is not None else os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     except (OSError, ValueError, AttributeError):
         return 2**62
 
 
 def peak_memory() -> int:
     """Largest resident size of this process so far, bytes; 0 where the system does not tell."""
+    # Linux counts the size of the parent at the start of a process into ru_maxrss, but not into VmHWM.
+    status = _first_number(Path("/proc/self/status"), "VmHWM:")
+    if status is not None:
+        return status * 1024
     try:
         import resource
     except ImportError:
         return 0
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak if sys.platform == "darwin" else peak * 1024
+
+
+def _first_number(path: Path, key: str) -> int | None:
+    """The number (KiB) behind ``key`` in a file of the system; ``None`` where there is no such file or key."""
+    try:
+        lines = path.read_text(encoding="ascii", errors="replace").splitlines()
+    except OSError:
+        return None
+    return next((int(line.split()[1]) for line in lines if line.startswith(key)), None)

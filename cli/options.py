@@ -82,12 +82,13 @@ class CaseInput:
     displacement: Path | None
     method: str | None
     overrides: tuple[str, ...]
+    times: str | None = None
 
     def read(self) -> CaseFile:
         """The case file with everything that the command line adds."""
         from meshdeform_formats.case import read_case
 
-        return read_case(self.file, self.overrides, self.method, self.displacement)
+        return read_case(self.file, self.overrides, self.method, self.displacement, self.times)
 
     @property
     def empty(self) -> bool:

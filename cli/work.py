@@ -60,7 +60,7 @@ def describe(job: Job, output: Path | None, time: float, variant: dict[str, str]
     """What would be done: classification, parameters, node counts."""
     if output is not None:
         variant_of(job.grid, output, variant)
-    setup = set_up(job.grid, job.case.case)
+    setup = set_up(job.grid, job.case.case, memory=job.memory)
     prepared = make_method(job.case.case.method).prepare(setup.problem)
     displacement = setup.displacement(time)
     largest = float((displacement**2).sum(axis=1).max() ** 0.5)
@@ -74,7 +74,7 @@ def run(
     precision = variant_of(job.grid, output, variant).precision
     timing = Timing()
     grid = complete_for_export(job.grid, output)
-    result = impose(set_up(grid, job.case.case, timing), time, steps, precision, timing, progress)
+    result = impose(set_up(grid, job.case.case, timing, job.memory), time, steps, precision, timing, progress)
     before = clock.perf_counter()
     current_ranks().on_first(lambda: write_grid(result.grid, output, variant))
     now = clock.perf_counter()
@@ -101,11 +101,21 @@ def tell(report: Report, quiet: bool, verbose: bool) -> None:
 
 
 def _verdict(report: dict[str, Any]) -> str:
-    count = report["quality"]["after"]["invalid_cells"]
-    if report["reached"] < 1.0:
-        return f"the motion was imposed to {report['reached']:.1%} only; the grid written is the one reached"
-    first = report["invalid_cells"][0]
+    if "levels" not in report:
+        return _flaw(report, report["quality"]["after"])
+    bad = [level for level in report["levels"] if not level["valid"]]
+    first = bad[0]
     return (
-        f"{count} cells became invalid, first {first['block']} {tuple(first['ijk'])} near {first['nearest_patch']!r}; "
-        f"try --steps auto, or another method (see `meshdeform methods`)"
+        f"{len(bad)} of {len(report['levels'])} levels are not valid, first level {first['number']} "
+        f"(t = {first['time']:g}): {_flaw(first, first['quality'])}"
+    )
+
+
+def _flaw(result: dict[str, Any], quality: dict[str, Any]) -> str:
+    if result["reached"] < 1.0:
+        return f"the motion was imposed to {result['reached']:.1%} only; the grid written is the one reached"
+    first = result["invalid_cells"][0]
+    return (
+        f"{quality['invalid_cells']} cells became invalid, first {first['block']} {tuple(first['ijk'])} near "
+        f"{first['nearest_patch']!r}; try --steps auto, or another method (see `meshdeform methods`)"
     )

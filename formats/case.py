@@ -22,7 +22,7 @@ from meshdeform_core.motion import VARIABLES, Displace, Follow, Motion, Rotate, 
 from meshdeform_core.topology import RELATIVE_TOLERANCE
 from meshdeform_core.transfer import Matching
 
-from .case_files import named_files, read_sequence
+from .case_files import named_files, read_sequence, sequence_files
 from .displacement import read_displacement
 
 Table = dict[str, Any]
@@ -52,7 +52,11 @@ class CaseFile:
 
 
 def read_case(
-    path: str | Path | None, overrides: Iterable[str] = (), method: str | None = None, table: str | Path | None = None
+    path: str | Path | None,
+    overrides: Iterable[str] = (),
+    method: str | None = None,
+    table: str | Path | None = None,
+    times: str | None = None,
 ) -> CaseFile:
     """Read a case file and apply what the command line adds.
 
@@ -62,6 +66,7 @@ def read_case(
     overrides : ``KEY=VALUE`` strings; KEY is a dotted path, entries of ``boundary`` go by name or 1-based number
     method : replaces ``method.name``
     table : displacement table; the boundary nodes that it matches move, all others stay
+    times : if given, ``table`` is a pattern of files, one for each of these times (see :func:`parse_times`)
 
     Raises
     ------
@@ -80,15 +85,21 @@ def read_case(
         parsed = _parse(data, folder)
     except (CaseError, MethodError) as error:
         raise type(error)(f"{path or 'command line'}: {error}") from error
-    if table:
-        follow = Follow(read_displacement(Path(table)), Matching(partial=True))
-        spec = BoundarySpec(Path(table).name, ("*",), Kind.MOVING, None, Motion((follow,), parsed.case.constants))
-        parsed = replace(
-            parsed,
-            case=replace(parsed.case, boundaries=(*parsed.case.boundaries, spec)),
-            files=(*parsed.files, Path(table)),
-        )
-    return parsed
+    return parsed if table is None else _with_table(parsed, Path(table), times)
+
+
+def _with_table(parsed: CaseFile, table: Path, times: str | None) -> CaseFile:
+    """The case with one more boundary entry: what a table, or a sequence of tables, matches."""
+    matching, where = Matching(partial=True), f"--displacement {table}"
+    step: Step
+    if times is None:
+        step, files = Follow(read_displacement(table), matching), [table]
+    else:
+        step = read_sequence(str(table), times, Path(), matching, where)
+        files = sequence_files(str(table), Path(), where)
+    spec = BoundarySpec(table.name, ("*",), Kind.MOVING, None, Motion((step,), parsed.case.constants))
+    case = replace(parsed.case, boundaries=(*parsed.case.boundaries, spec))
+    return replace(parsed, case=case, files=(*parsed.files, *files))
 
 
 def _load(path: Path | None) -> Table:

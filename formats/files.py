@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import re
 import secrets
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -35,3 +37,14 @@ def replacing(target: Path) -> Iterator[Path]:
         raise FormatError(f"cannot write {target}: {error.strerror or error}") from error
     finally:
         partial.unlink(missing_ok=True)
+
+
+def remove_partial(folder: Path) -> None:
+    """Remove what killed programs were writing into ``folder``: the temporary paths of :func:`replacing`."""
+    for left in folder.glob(".*.partial*"):
+        if not re.fullmatch(r"\..+\.\d+-[0-9a-f]{8}\.partial(\..+)?", left.name):
+            continue
+        if left.is_dir():
+            shutil.rmtree(left)
+        else:
+            left.unlink()

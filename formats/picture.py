@@ -49,19 +49,29 @@ def plane_facets(grid: Grid, topology: Topology, axis: int, index: int | None, m
 
     Blocks that do not reach the index are left out; a 2-D grid is drawn whole.
     """
-    corners, values = [], []
+    planes = []
     for block, shape in enumerate(grid.shapes):
-        measures = _metric(grid, topology, block, metric)
         along = shape.index(1) if grid.dimension == 2 else axis
         at = (shape[along] - 1) // 2 if index is None or grid.dimension == 2 else index
         if at < shape[along]:
-            layer = min(at, measures.shape[along] - 1)
-            corners.append(_quads(np.take(grid.block(block), at, axis=along)))
-            values.append(np.take(measures, layer, axis=along).ravel())
-    if not corners:
+            planes.append(block_facets(grid, topology, block, along, at, metric))
+    if not planes:
         longest = max(shape[axis] for shape in grid.shapes)
         raise CaseError(f"no block has a node plane {'ijk'[axis]} = {(index or 0) + 1}; the largest is {longest}")
-    return Facets(np.concatenate(corners), np.concatenate(values))
+    return joined(planes)
+
+
+def block_facets(grid: Grid, topology: Topology, block: int, axis: int, index: int, metric: str) -> Facets:
+    """The cells behind the node plane ``index`` (0-based) along ``axis`` of one block."""
+    measures = _metric(grid, topology, block, metric)
+    layer = min(index, measures.shape[axis] - 1)
+    quads = _quads(np.take(grid.block(block), index, axis=axis))
+    return Facets(quads, np.take(measures, layer, axis=axis).ravel())
+
+
+def joined(parts: list[Facets]) -> Facets:
+    """Several sets of quads as one."""
+    return Facets(np.concatenate([p.corners for p in parts]), np.concatenate([p.values for p in parts]))
 
 
 def surface_facets(grid: Grid, topology: Topology, patterns: tuple[str, ...], metric: str) -> Facets:

@@ -14,7 +14,7 @@ from meshdeform_core.deform import Result, Setup
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Grid
 from meshdeform_core.methods import Account
-from meshdeform_core.quality import Assessment
+from meshdeform_core.quality import Assessment, InvalidCell
 
 from .files import replacing
 
@@ -32,15 +32,15 @@ def deformation_report(result: Result, timing: Mapping[str, float], peak_memory:
     peak_memory : largest resident size of the process, bytes
     """
     setup = result.setup
-    boundary = _boundary_part(setup) | {"max_displacement": result.max_displacement}
+    boundary = boundary_part(setup) | {"max_displacement": result.max_displacement}
     seconds = dict.fromkeys(("read", "topology", "prepare", "apply", "quality", "write", "total"), 0.0)
     return {
-        **_head(setup.grid),
-        "method": _method_part(setup.case.method.name, result.account),
+        **head_part(setup.grid),
+        "method": method_part(setup.case.method.name, result.account),
         "boundary": boundary,
         **_quality_part(result.assessment),
         "valid": result.valid,
-        "invalid_cells": [_cell(cell) for cell in result.assessment.invalid],
+        "invalid_cells": [cell_part(cell) for cell in result.assessment.invalid],
         "steps": result.steps,
         "reached": result.reached,
         "timing": seconds | result.timing.seconds | dict(timing),
@@ -52,10 +52,10 @@ def deformation_report(result: Result, timing: Mapping[str, float], peak_memory:
 def quality_report(grid: Grid, assessment: Assessment, warnings: tuple[str, ...]) -> Report:
     """The report of a grid on its own or against its original."""
     return {
-        **_head(grid),
+        **head_part(grid),
         **_quality_part(assessment),
         "valid": assessment.valid,
-        "invalid_cells": [_cell(cell) for cell in assessment.invalid],
+        "invalid_cells": [cell_part(cell) for cell in assessment.invalid],
         "warnings": list(warnings),
     }
 
@@ -63,9 +63,9 @@ def quality_report(grid: Grid, assessment: Assessment, warnings: tuple[str, ...]
 def plan_report(setup: Setup, account: Account, extra: Mapping[str, Any]) -> Report:
     """What ``--dry-run`` prints: everything that is decided before anything moves."""
     return {
-        **_head(setup.grid),
-        "method": _method_part(setup.case.method.name, account),
-        "boundary": _boundary_part(setup) | dict(extra),
+        **head_part(setup.grid),
+        "method": method_part(setup.case.method.name, account),
+        "boundary": boundary_part(setup) | dict(extra),
         "warnings": [*setup.warnings, *account.warnings],
     }
 
@@ -99,7 +99,8 @@ def check_report_path(path: Path) -> None:
         raise FormatError(f"report {path}: suffix {path.suffix!r} is unknown; expected {', '.join(SUFFIXES)}")
 
 
-def _head(grid: Grid) -> Report:
+def head_part(grid: Grid) -> Report:
+    """Versions and the grid."""
     return {
         "schema": SCHEMA,
         "meshdeform": version("meshdeform"),
@@ -114,14 +115,16 @@ def _head(grid: Grid) -> Report:
     }
 
 
-def _method_part(name: str, account: Account) -> Report:
+def method_part(name: str, account: Account) -> Report:
+    """The method with its parameters."""
     part: Report = {"name": name}
     for key, setting in account.settings.items():
         part[key] = {"value": setting.value} | ({"reason": setting.reason} if setting.reason else {})
     return part
 
 
-def _boundary_part(setup: Setup) -> Report:
+def boundary_part(setup: Setup) -> Report:
+    """Patches, node counts, what tables matched."""
     boundary, topology = setup.boundary, setup.topology
     part: Report = {
         "patches": [{"name": p.name, "kind": p.kind.label, "nodes": len(p.nodes)} for p in boundary.patches],
@@ -158,7 +161,8 @@ def _quality_part(assessment: Assessment) -> Report:
     }
 
 
-def _cell(cell: Any) -> Report:
+def cell_part(cell: InvalidCell) -> Report:
+    """One invalid cell."""
     return {
         "block": cell.block,
         "ijk": list(cell.ijk),

@@ -14,23 +14,32 @@ table {{ border-collapse: collapse; }} th, td {{ padding: .2rem .8rem; text-alig
 th:first-child, td:first-child {{ text-align: left; }} tr:nth-child(even) {{ background: #f3f4f6; }}
 pre {{ background: #f3f4f6; padding: 1rem; overflow-x: auto; }} .bad {{ color: #b00020; }} .good {{ color: #0a6b2d; }}
 </style></head><body><h1>{title}</h1><p class="{tone}">{verdict}</p>
-<table><tr><th>measure</th><th>before</th><th>after</th></tr>{rows}</table>
-<h2>Distribution of f_skew</h2>{histogram}<h2>All of it</h2><pre>{text}</pre></body></html>
+{measures}<h2>All of it</h2><pre>{text}</pre></body></html>
 """
+_MEASURES = """<table><tr><th>measure</th><th>before</th><th>after</th></tr>{rows}</table>
+<h2>Distribution of f_skew</h2>{histogram}"""
 _WIDTH, _HEIGHT = 600, 180
 
 
 def as_html(report: dict[str, Any]) -> str:
-    """The report as a page: verdict, table, histogram, text."""
-    rows = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in measure_rows(report))
+    """The report as a page: verdict, table and histogram (of a single deformation), text."""
+    one = "levels" not in report
+    verdict = "The grid is valid." if one else "All levels are valid."
+    if not report["valid"]:
+        verdict = f"{'The grid' if one else 'A level'} has invalid cells, or the motion is incomplete."
     return _PAGE.format(
         title=f"meshdeform: {escape(str(report['grid']['file'] or 'grid'))}",
         tone="good" if report["valid"] else "bad",
-        verdict="The grid is valid." if report["valid"] else "The grid has invalid cells, or the motion is incomplete.",
-        rows=rows,
-        histogram=_histogram(report["quality"]["before"]["f_skew"], report["quality"]["after"]["f_skew"]),
+        verdict=verdict,
+        measures=_measures(report) if one else "",
         text=escape(as_text(report)),
     )
+
+
+def _measures(report: dict[str, Any]) -> str:
+    rows = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in measure_rows(report))
+    quality = report["quality"]
+    return _MEASURES.format(rows=rows, histogram=_histogram(quality["before"]["f_skew"], quality["after"]["f_skew"]))
 
 
 def _histogram(before: dict[str, Any], after: dict[str, Any]) -> str:

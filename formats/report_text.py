@@ -7,6 +7,8 @@ from typing import Any
 
 from meshdeform_core.memory import readable
 
+from .series_report import series_lines
+
 _MEASURES = (
     ("f_skew harmonic mean", ("f_skew", "harmonic_mean")),
     ("f_skew mean", ("f_skew", "mean")),
@@ -54,7 +56,9 @@ def _lines(report: dict[str, Any]) -> Iterator[str]:
         yield from _method(report["method"])
     if "boundary" in report:
         yield from _boundary(report["boundary"])
-    if "quality" in report:
+    if "levels" in report:
+        yield from series_lines(report)
+    elif "quality" in report:
         yield from _quality(report)
     if "timing" in report:
         timing = report["timing"]

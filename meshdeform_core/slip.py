@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,6 +13,9 @@ from .errors import CaseError
 from .grid import BoolArray, FloatArray, Grid, IntArray
 from .planes import FLATNESS, Plane, plane_normal, plane_of
 from .topology import Topology
+
+if TYPE_CHECKING:
+    from .numerics.surface import TriangleTree
 
 
 @dataclass(frozen=True)
@@ -23,6 +28,13 @@ class CurvedSurface:
     nodes: IntArray
     points: FloatArray
     triangles: IntArray
+
+    @cached_property
+    def tree(self) -> TriangleTree:
+        """For the closest points of the surface."""
+        from .numerics.surface import TriangleTree
+
+        return TriangleTree(self.points, self.triangles)
 
 
 @dataclass(frozen=True)
@@ -55,12 +67,10 @@ class Slip:
 
     @staticmethod
     def _slide(surface: CurvedSurface, displacement: FloatArray, points: FloatArray) -> None:
-        from .numerics.surface import TriangleTree
-
         moving = surface.nodes[(displacement[surface.nodes] != 0.0).any(axis=1)]
         if moving.size:
             target = points[moving] + displacement[moving]
-            triangle, weights, _ = TriangleTree(surface.points, surface.triangles).closest(target)
+            triangle, weights, _ = surface.tree.closest(target)
             corners = surface.points[surface.triangles[triangle]]
             displacement[moving] = np.einsum("nc,ncd->nd", weights, corners) - points[moving]
 

@@ -22,6 +22,7 @@ ALL_METHODS: dict[str, Options] = {
         for basis in ("wendland-c0", "wendland-c2", "ctps-c1", "ctps-c2a", "ctps-c2b")
     },
     "rbf-minres": Options("rbf", rbf=RBF(basis="wendland-c0", radius=6.0, solver="minres", tolerance=1e-14)),
+    "rbf-krylov": Options("rbf", rbf=RBF(solver="krylov", tolerance=1e-13)),
     "rbf-tfi": Options("rbf-tfi"),
     "idw-rbf": Options("idw-rbf"),
     "idw-none": Options("idw", idw=IDW(rotation="none")),

@@ -82,6 +82,11 @@ class PreparedBlockRBF:
         # Every node of a block sees all of its faces.
         return float(np.linalg.norm(np.ptp(self._problem.grid.points[faces], axis=0)))
 
+    @property
+    def sizes(self) -> list[tuple[int, int]]:
+        """Centres and targets of every block's system."""
+        return [(len(block.known), len(block.targets)) for block in self._blocks]
+
     def fill(self, displacement: FloatArray, progress: Progress | None = None) -> None:
         """Interior of every block and its slip planes from its other faces, in place in ``displacement``."""
         kind = BASES[self._options.basis]

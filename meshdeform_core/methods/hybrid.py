@@ -101,7 +101,7 @@ class PreparedComposite:
     def __init__(self, method: Composite, problem: Problem):
         self._problem = problem
         skeleton = method.filler.skeleton(problem) if method.filler else None
-        self._mover = _mover(method.mover, problem, _targets(problem, skeleton))
+        self._mover = _mover(method.mover, problem, first_step_nodes(problem, skeleton))
         self._filler = method.filler.prepare(problem, skeleton) if method.filler and skeleton else None
         self._left_out = skeleton is not None and bool(skeleton.left_out)
 
@@ -139,7 +139,7 @@ class PreparedComposite:
         out[topology.face_nodes] = face[topology.number]
 
 
-def _targets(problem: Problem, skeleton: Skeleton | None) -> IntArray:
+def first_step_nodes(problem: Problem, skeleton: Skeleton | None) -> IntArray:
     """Flat indices of the nodes that the first step moves: no sources, coincident nodes once."""
     topology = problem.topology
     chosen = np.zeros(problem.grid.n_nodes, dtype=bool)

@@ -9,18 +9,16 @@ import numpy as np
 from ..boundary import Kind
 from ..errors import MethodError
 from ..grid import FloatArray, IntArray
-from ..memory import UNLIMITED, MemoryLimit
 from ..numerics.basis import BASES
-from ..numerics.greedy import Selection, independent, select
-from ..numerics.radial import radial_matrix, radial_sums
-from ..numerics.saddle import DirectSolver, minres
+from ..numerics.greedy import Selection, select
+from ..numerics.radial import radial_sums
 from .base import Account, Problem, Progress, Setting
 from .images import mirror_images
 from .options import choose, positive
+from .radial_system import SOLVERS, RadialSystem
 from .rbf_sums import Centres, Fit, RadialSums
 from .summation import check_summation
 
-SOLVERS = ("auto", "direct", "minres")
 GREEDY = ("none", "single", "hybrid", "double-edged")
 ERRORS = ("first-cell", "absolute")
 
@@ -38,9 +36,11 @@ class RBF:
     basis : ``tps`` (global), ``wendland-c0``, ``wendland-c2``, ``ctps-c1``, ``ctps-c2a``, ``ctps-c2b`` (Table I)
     radius : support radius of the compact bases (grid length unit), or ``"auto"``: every node sees the whole moving
         body
-    solver : ``direct`` (Cholesky on the null space of the side conditions), ``minres`` (the paper's), ``auto``
-    tolerance : eps_c of ``minres``: ||r|| <= tolerance ||b||
-    max_iterations : of ``minres``; not converging is a warning
+    solver : ``direct`` (Cholesky on the null space of the side conditions), ``minres`` (the paper's), ``krylov``
+        (preconditioned GMRES, for any number of centres), or ``"auto"``: direct up to 4000 centres, then krylov
+    tolerance : of the iterative solvers: ||r|| <= tolerance ||b||; ``"auto"``: 1e-10 for ``minres`` (eps_c of the
+        paper), 1e-6 for ``krylov``
+    max_iterations : of the iterative solvers; not converging is a warning
     greedy : ``none``, ``single`` (Rendall & Allen), ``hybrid`` (the paper's), ``double-edged`` (Wang et al.); compact
         bases only
     greedy_error : ``first-cell``: errors relative to the height of the first cell at each node; ``absolute``: lengths
@@ -57,7 +57,7 @@ class RBF:
     basis: str = "tps"
     radius: float | str = "auto"
     solver: str = "auto"
-    tolerance: float = 1e-10
+    tolerance: float | str = "auto"
     max_iterations: int = 10000
     greedy: str = "none"
     greedy_error: str = "first-cell"
@@ -75,7 +75,7 @@ class RBF:
         choose("rbf.greedy", self.greedy, GREEDY)
         choose("rbf.greedy_error", self.greedy_error, ERRORS)
         positive("rbf.radius", self.radius, auto=True)
-        positive("rbf.tolerance", self.tolerance)
+        positive("rbf.tolerance", self.tolerance, auto=True)
         positive("rbf.greedy_tolerance", self.greedy_tolerance)
         positive("rbf.max_iterations", self.max_iterations, whole=True)
         for name in ("greedy_start", "greedy_updates", "greedy_max_points"):
@@ -91,67 +91,6 @@ class RBF:
     def bind(self, problem: Problem) -> PreparedRBF:
         """Sources and their images at symmetry planes as centres; nothing is solved yet."""
         return PreparedRBF(self, problem)
-
-
-class RadialSystem:
-    """The linear system of one set of centres, factorised when first needed and kept."""
-
-    def __init__(self, options: RBF, centres: Centres, limit: MemoryLimit = UNLIMITED):
-        self.options, self.centres = options, centres
-        self.kind = BASES[options.basis]
-        # Few kept centres (one, while nothing moves) may not determine all terms.
-        self.terms = independent(centres.polynomial(centres.points))
-        n = len(centres.points)
-        limit.require(
-            8 * n * n,
-            f"a radial basis function system of {n:,} centres",
-            "use greedy reduction (a compact basis), the hybrid idw-tfi, or fewer boundary nodes",
-        )
-        self._direct: DirectSolver | None = None
-        self._matrix: FloatArray | None = None
-
-    def solve(self, values: FloatArray, account: Account, progress: Progress | None) -> tuple[FloatArray, FloatArray]:
-        """Coefficients (n, 3) and polynomial (q, 3) for values at the centres (n, 3)."""
-        if self.options.solver == "minres":
-            return self._iterate(values, account, progress)
-        if self._direct is None:
-            self._direct = DirectSolver(lambda: radial_matrix(self.kind, *(self.centres.points,) * 2), self.terms)
-            account.settings["solver"] = Setting(self._direct.kind)
-        coefficients, polynomial = self._direct.solve(values)
-        # One step of iterative refinement: the matrix is gone, its product with a vector is a sum over centres.
-        rest = values - self._multiply(coefficients) - self.terms @ polynomial
-        more, shift = self._direct.solve(rest)
-        coefficients, polynomial = coefficients + more, polynomial + shift
-        rest = values - self._multiply(coefficients) - self.terms @ polynomial
-        account.settings["residual"] = Setting(float(np.abs(rest).max()), "largest error at a centre, length unit")
-        return coefficients, polynomial
-
-    def _multiply(self, coefficients: FloatArray) -> FloatArray:
-        return radial_sums(self.kind, self.centres.points, self.centres.points, coefficients)
-
-    def _iterate(
-        self, values: FloatArray, account: Account, progress: Progress | None
-    ) -> tuple[FloatArray, FloatArray]:
-        if self._matrix is None:
-            self._matrix = radial_matrix(self.kind, self.centres.points, self.centres.points)
-        matrix, terms = self._matrix, self.terms
-        n = len(terms)
-
-        def multiply(x: FloatArray) -> FloatArray:
-            return np.concatenate([matrix @ x[:n] + terms @ x[n:], terms.T @ x[:n]])
-
-        rhs = np.concatenate([values, np.zeros((terms.shape[1], values.shape[1]))])
-        o = self.options
-        report = None if progress is None else (lambda done, total: progress("minres", done, total))
-        solution, iterations, residual = minres(multiply, rhs, o.tolerance, o.max_iterations, report)
-        account.settings["iterations"] = Setting(iterations.tolist(), "one number per component")
-        account.settings["residual"] = Setting(residual.tolist(), "||b - K x|| / ||b||, computed from the solution")
-        if (iterations >= o.max_iterations).any():
-            account.warnings.append(
-                f"MINRES stopped after {o.max_iterations} iterations with a residual of {residual.max():.2e} "
-                f"(asked for {o.tolerance:g}); raise method.rbf.max_iterations, loosen tolerance or use solver = direct"
-            )
-        return solution[:n], solution[n:]
 
 
 class PreparedRBF:
@@ -174,8 +113,6 @@ class PreparedRBF:
             ),
             "solver": Setting(options.solver),
         }
-        if options.solver == "minres":
-            self.account.settings["tolerance"] = Setting(options.tolerance)
 
     def _radius(self) -> float | None:
         o = self.options

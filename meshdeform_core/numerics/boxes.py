@@ -23,15 +23,18 @@ def principal_axes(points, members, center, axes):
         for d in range(3):
             for e in range(d, 3):
                 a[d, e] += (points[members[i], d] - center[d]) * (points[members[i], e] - center[e])
-    v = np.eye(3)
+    v = np.zeros((3, 3))
+    v[0, 0] = v[1, 1] = v[2, 2] = 1.0
     for _ in range(12):
         for p, q in ((0, 1), (0, 2), (1, 2)):
             if abs(a[p, q]) > 1e-15 * (abs(a[p, p]) + abs(a[q, q])):
                 _rotate_pair(a, v, p, q)
-    order = np.argsort(-np.array([a[0, 0], a[1, 1], a[2, 2]]))
-    for row in range(3):
-        for d in range(3):
-            axes[row, d] = v[d, order[row]]
+    first = 0 if a[0, 0] >= a[1, 1] and a[0, 0] >= a[2, 2] else 1 if a[1, 1] >= a[2, 2] else 2
+    last = 2 if a[2, 2] <= a[0, 0] and a[2, 2] <= a[1, 1] else 1 if a[1, 1] <= a[0, 0] else 0
+    if first == last:
+        first, last = 0, 2
+    for d in range(3):
+        axes[0, d], axes[1, d], axes[2, d] = v[d, first], v[d, 3 - first - last], v[d, last]
 
 
 @kernel

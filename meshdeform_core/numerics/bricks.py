@@ -51,7 +51,7 @@ def build_bricks(points, shapes, offsets, wanted, order, capacity):
         inside = int(mask.sum())
         if inside:
             fraction = inside / mask.size
-            starts, targets = _cut_block(points[lo:hi].reshape(*shape, 3), mask, capacity / fraction)
+            starts, targets = _cut_block(points[lo:hi].reshape(*shape, 3), mask, inside, capacity / fraction)
             parts.append((starts, targets + lo))
     start = np.zeros(1, dtype=np.int64)
     targets = np.empty(0, dtype=np.int64)
@@ -62,13 +62,15 @@ def build_bricks(points, shapes, offsets, wanted, order, capacity):
 
 
 @kernel
-def _cut_block(x, mask, capacity):
+def _cut_block(x, mask, count, capacity):
     ni, nj, nk = mask.shape
     box = np.empty((4096, 6), dtype=np.int64)
-    box[0] = np.array([0, ni, 0, nj, 0, nk])
+    box[0, 0] = box[0, 2] = box[0, 4] = 0
+    box[0, 1], box[0, 3], box[0, 5] = ni, nj, nk
     depth = 1
-    starts = [0]
-    targets = np.empty(mask.sum(), dtype=np.int64)
+    starts = np.empty(count + 1, dtype=np.int64)
+    starts[0], pieces = 0, 0
+    targets = np.empty(count, dtype=np.int64)
     used = 0
     while depth:
         depth -= 1
@@ -91,33 +93,36 @@ def _cut_block(x, mask, capacity):
                         targets[used] = (i * nj + j) * nk + k
                         used += 1
         if used > before:
-            starts.append(used)
-    return np.array(starts), targets
+            pieces += 1
+            starts[pieces] = used
+    return starts[: pieces + 1].copy(), targets
 
 
 @kernel
 def _longest_side(x, b):
     """Index axis along which an index box is longest: mean length of its edges, taken through their quarter points."""
     best, axis = -1.0, 0
+    at, previous = np.empty(3, dtype=np.int64), np.empty(3)
     for a in range(3):
         lo, hi = b[2 * a], b[2 * a + 1] - 1
         if hi == lo:
             continue
         total = 0.0
         for corner in range(4):
-            at = np.empty(3, dtype=np.int64)
             other = 0
             for d in range(3):
                 if d != a:
                     at[d] = b[2 * d] if (corner >> other) & 1 == 0 else b[2 * d + 1] - 1
                     other += 1
-            previous = np.zeros(3)
             for quarter in range(5):
                 at[a] = lo + (hi - lo) * quarter // 4
-                here = x[at[0], at[1], at[2]]
+                length = 0.0
+                for d in range(3):
+                    here = x[at[0], at[1], at[2], d]
+                    length += (here - previous[d]) ** 2
+                    previous[d] = here
                 if quarter:
-                    total += np.sqrt(((here - previous) ** 2).sum())
-                previous = here
+                    total += math.sqrt(length)
         if total > best:
             best, axis = total, a
     return axis

@@ -40,7 +40,7 @@ def radial_matrix(kind, targets, centres):
     columns = np.ascontiguousarray(centres.T)
 
     def work(lo, hi):
-        _fill_rows(kind, targets[lo:hi], columns, matrix[lo:hi])
+        fill_rows(kind, targets[lo:hi], columns, matrix[lo:hi])
 
     for_chunks(work, len(targets), 64)
     return matrix
@@ -72,7 +72,8 @@ def radial_block(kind, targets, packed, n, out):
 
 
 @fast_kernel
-def _fill_rows(kind, targets, columns, out):
+def fill_rows(kind, targets, columns, out):
+    """Basis values (n, m) between targets (n, 3) and centres given as columns (3, m), into ``out``."""
     x, y, z = columns[0], columns[1], columns[2]
     for t in range(targets.shape[0]):
         _squared_distances(targets[t, 0], targets[t, 1], targets[t, 2], x, y, z, out[t])

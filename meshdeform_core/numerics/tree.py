@@ -68,7 +68,10 @@ def _split_sources(points):
         members = place[lo:hi]
         fit_box(points, members, center[current], axes[current], half[current])
         if hi - lo > LEAF:
-            longest = np.argmax(half[current])
+            longest = 0
+            for d in range(1, 3):
+                if half[current, d] > half[current, longest]:
+                    longest = d
             for i in range(hi - lo):
                 along[i] = box_coordinate(points[members[i]], center[current], axes[current], half[current], longest)
             middle = (hi - lo) // 2

@@ -171,25 +171,32 @@ def _collect(b, bricks, tree, reach, charges, function, allowed, mean, far, near
             continue
         cut = function.compact and distance + radius + extent > 1.0
         raw = tree.proxy[c + 1] == tree.proxy[c]
+        to_brick = to_nodes = False
         if not (few or cut) and distance > extent and (raw or distance > radius):
             error = _error(half, count, distance - extent, distance, function)
             if not raw:
                 error = max(error, _error(tree.half[c], tree.per_side[c], distance, distance, function))
-            if pull * error < 0.5:
-                n_far = _take(c, raw, tree, charges, far, n_far)
-                bound += pull * error
-                continue
-        if not (raw or cut) and distance > radius:
+            to_brick = pull * error < 0.5
+        if not (to_brick or raw or cut) and distance > radius:
             error = _error(tree.half[c], tree.per_side[c], distance - radius, distance - radius, function)
-            if pull * error < 0.5:
-                n_near = _take(c, False, tree, charges, near, n_near)
-                bound += pull * error
-                continue
-        if tree.child[c] < 0 or raw:
-            n_near = _take(c, True, tree, charges, near, n_near)
+            to_nodes = pull * error < 0.5
+        if to_brick or to_nodes:
+            bound += pull * error
+        elif tree.child[c] < 0 or raw:
+            to_nodes = raw = True
+        else:
+            stack[depth], stack[depth + 1] = tree.child[c], tree.child[c] + 1
+            depth += 2
             continue
-        stack[depth], stack[depth + 1] = tree.child[c], tree.child[c] + 1
-        depth += 2
+        buffer, n = (far, n_far) if to_brick else (near, n_near)
+        if raw:
+            n = _append(tree.points, charges.source, tree.span[c, 0], tree.span[c, 1], buffer, n)
+        else:
+            n = _append(tree.proxies, charges.proxy, tree.proxy[c], tree.proxy[c + 1], buffer, n)
+        if to_brick:
+            n_far = n
+        else:
+            n_near = n
     return n_far, n_near, bound
 
 
@@ -217,21 +224,13 @@ def _error(half, count, gap, distance, function):
 
 
 @kernel
-def _take(c, raw, tree, charges, packed, n):
-    """Append a cluster's sources or interpolation points to packed columns; returns the new length."""
-    if raw:
-        for s in range(tree.span[c, 0], tree.span[c, 1]):
-            for d in range(3):
-                packed[d, n] = tree.points[s, d]
-            for k in range(charges.source.shape[1]):
-                packed[3 + k, n] = charges.source[s, k]
-            n += 1
-        return n
-    for s in range(tree.proxy[c], tree.proxy[c + 1]):
+def _append(points, charges, first, last, packed, n):
+    """Append sources or interpolation points to packed columns; returns the new length."""
+    for s in range(first, last):
         for d in range(3):
-            packed[d, n] = tree.proxies[s, d]
-        for k in range(charges.proxy.shape[1]):
-            packed[3 + k, n] = charges.proxy[s, k]
+            packed[d, n] = points[s, d]
+        for k in range(charges.shape[1]):
+            packed[3 + k, n] = charges[s, k]
         n += 1
     return n
 

@@ -1,0 +1,87 @@
+"""Radial basis functions against scipy's RBFInterpolator, and fast evaluation against exact."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from cases import Motion, inner_nodes, motion, shortest_edges
+from scipy.interpolate import RBFInterpolator
+from tables import Row, Table, timed
+
+from meshdeform_core.grid import FloatArray
+from meshdeform_core.methods import RBF
+
+_NEIGHBOURS = 50
+
+
+def against_scipy(quick: bool) -> Table:
+    """Thin plate spline of all boundary nodes, evaluated at all others; set-up included."""
+    table = Table(
+        "RBF (thin plate spline): set-up and evaluation",
+        notes=[
+            "difference: largest distance from our exact sums, in units of the shortest cell edge",
+            f"neighbors={_NEIGHBOURS} is another interpolation, not continuous: one small system per node",
+        ],
+    )
+    for solve in list(_solvers(motion("splitter-plate", 8), neighbours=False).values())[:2]:
+        # Loops are compiled, or loaded, at their first use.
+        solve()()
+    for size in (8,) if quick else (8, 16):
+        table.rows += _rows(motion("splitter-plate", size), neighbours=not quick)
+    return table
+
+
+def _rows(case: Motion, neighbours: bool) -> list[Row]:
+    targets = inner_nodes(case.problem)
+    size = shortest_edges(case.setup.grid, targets)
+    reference: FloatArray | None = None
+    rows = []
+    for name, solve in _solvers(case, neighbours).items():
+        set_up, evaluate = timed(solve)
+        seconds, values = timed(evaluate)
+        values = values[targets] if len(values) == case.setup.grid.n_nodes else values
+        reference = values if reference is None else reference
+        difference = float((np.linalg.norm(values - reference, axis=1) / size).max())
+        rows.append(
+            {
+                "case": case.label,
+                "nodes": len(targets),
+                "centres": len(case.displacement),
+                "program": name,
+                "set-up s": set_up,
+                "evaluation s": seconds,
+                "total s": set_up + seconds,
+                "difference": difference,
+            }
+        )
+    for row in rows:
+        row["total / ours fast"] = row["total s"] / rows[1]["total s"]
+    return rows
+
+
+def _solvers(case: Motion, neighbours: bool) -> dict[str, Callable[[], Callable[[], FloatArray]]]:
+    """For every program: what sets it up and gives what evaluates it."""
+    problem, d = case.problem, case.displacement
+    targets = problem.grid.points[inner_nodes(problem)]
+
+    def ours(summation: str) -> Callable[[], Callable[[], FloatArray]]:
+        def solve() -> Callable[[], FloatArray]:
+            # The first apply solves the system, so it belongs to the set-up: bind, solve, then sum.
+            bound = RBF(summation=summation).bind(problem)
+            fit = bound.fit(d)
+            evaluator = bound.at(inner_nodes(problem))
+            out = np.empty((problem.grid.n_nodes, 3))
+            return lambda: (evaluator.evaluate(fit, out, None), out)[1]
+
+        return solve
+
+    def scipys(**options: int) -> Callable[[], Callable[[], FloatArray]]:
+        def solve() -> Callable[[], FloatArray]:
+            spline = RBFInterpolator(problem.source_points, d, kernel="thin_plate_spline", degree=1, **options)
+            return lambda: spline(targets)
+
+        return solve
+
+    solvers = {"ours, exact sums": ours("exact"), "ours, fast sums": ours("fast"), "scipy, global": scipys()}
+    return solvers | ({f"scipy, neighbors={_NEIGHBOURS}": scipys(neighbors=_NEIGHBOURS)} if neighbours else {})

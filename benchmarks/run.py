@@ -1,0 +1,76 @@
+"""Measure speed and memory of meshdeform in one run on one machine.
+
+python benchmarks/run.py                                  tables on stdout, build/benchmarks.json
+python benchmarks/run.py --quick --only idw
+python benchmarks/run.py --write docs/performance.md      the page with all tables
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import string
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import idw
+import machine
+import passes
+import rbf
+import runs
+from tables import Table
+
+TEMPLATE = Path(__file__).parent / "performance.md"
+SECTIONS: dict[str, tuple[Callable[[bool], Table], ...]] = {
+    "machine": (lambda quick: machine.description(), lambda quick: machine.limits()),
+    "loop": (idw.exact_loop,),
+    "idw": (idw.fast_against_exact, idw.processor_time),
+    "threads": (idw.threads,),
+    "rbf": (rbf.against_scipy,),
+    "passes": (passes.memory_speed,),
+    "runs": (runs.file_to_file,),
+    "ranks": (runs.ranks,),
+}
+"""What ``--only`` accepts; the names of the places in the template."""
+
+
+def measure(names: list[str], quick: bool) -> dict[str, list[Table]]:
+    """The tables of the named sections, printed as they are finished."""
+    results: dict[str, list[Table]] = {}
+    for name in names:
+        start = time.perf_counter()
+        results[name] = [section(quick) for section in SECTIONS[name]]
+        print("\n".join(table.markdown() for table in results[name]), flush=True)
+        print(f"{name}: {time.perf_counter() - start:.0f} s", file=sys.stderr)
+    return results
+
+
+def page(results: dict[str, list[Table]], quick: bool) -> str:
+    """The documentation page: the template with the tables in their places."""
+    texts = {name: "\n".join(table.markdown() for table in tables).rstrip() for name, tables in results.items()}
+    unmeasured = dict.fromkeys(SECTIONS, "*Not measured in this run.*")
+    remark = "\nThese are the small sizes of `--quick`, not the ones to quote.\n" if quick else ""
+    template = string.Template(TEMPLATE.read_text(encoding="utf-8"))
+    return template.substitute(unmeasured | texts, date=time.strftime("%Y-%m-%d"), remark=remark)
+
+
+def main() -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="small sizes: under two minutes")
+    parser.add_argument("--only", action="append", choices=SECTIONS, metavar="NAME", help=f"{', '.join(SECTIONS)}")
+    parser.add_argument("--json", type=Path, default=Path("build/benchmarks.json"), help="results (%(default)s)")
+    parser.add_argument("--write", type=Path, metavar="PAGE", help="write the page with all tables")
+    options = parser.parse_args()
+    results = measure(options.only or list(SECTIONS), options.quick)
+    options.json.parent.mkdir(parents=True, exist_ok=True)
+    record = {name: [table.as_json() for table in tables] for name, tables in results.items()}
+    options.json.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
+    if options.write:
+        options.write.write_text(page(results, options.quick), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

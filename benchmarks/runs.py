@@ -1,0 +1,122 @@
+"""Whole runs of the command, file to file: time by stage, peak memory, ranks."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import importlib.util
+import json
+import os
+import resource
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from cases import TIMES
+from tables import Row, Table
+
+STAGES = ("read", "topology", "prepare", "apply", "quality", "write")
+RUNS = (
+    ("splitter-plate", 16, "idw-tfi"), ("splitter-plate", 32, "idw-tfi"), ("splitter-plate", 32, "idw"),
+    ("hemisphere", 92, "idw-tfi"), ("hemisphere", 92, "idw"),
+)  # fmt: skip
+QUICK = (("splitter-plate", 8, "idw-tfi"), ("splitter-plate", 8, "idw"))
+_COMMAND = (sys.executable, "-m", "meshdeform_cli")
+
+
+def file_to_file(quick: bool) -> Table:
+    """``meshdeform deform`` with quality and report: wall, CPU, stages, peak memory in coordinate arrays."""
+    table = Table(
+        "Whole runs, file to file",
+        notes=[
+            "wall and CPU: the whole process, start of Python included; stages: as in its report, seconds",
+            "peak: largest resident size; as coordinate arrays: less that of the same command on 4,000 nodes, divided "
+            "by 24 bytes per node",
+        ],
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        small = make_sample(Path(folder), "hemisphere", 8)
+        for sample, size, method in QUICK if quick else RUNS:
+            base = _deform(small, "hemisphere", method)["peak MB"]
+            row = _deform(make_sample(Path(folder), sample, size), sample, method)
+            row["peak, coordinate arrays"] = (row["peak MB"] - base) / (24e-6 * row["nodes"])
+            table.rows.append({"case": f"{sample} {size}", "method": method, **row})
+    return table
+
+
+def make_sample(folder: Path, sample: str, size: int) -> Path:
+    """Grid and case of a sample in a folder of its own."""
+    target = folder / f"{sample}-{size}"
+    if not target.exists():
+        run([*_COMMAND, "sample", sample, "-o", str(target), "--size", str(size)])
+    return target
+
+
+def _deform(folder: Path, sample: str, method: str, launcher: Sequence[str] = ()) -> Row:
+    report = folder / "report.json"
+    wall, usage = run(
+        [
+            *launcher, *_COMMAND, "deform", f"{folder}/grid.cgns", "-c", f"{folder}/case.toml", "-m", method,
+            "-o", f"{folder}/deformed.cgns", "--time", str(TIMES.get(sample, 0.0)), "--report", str(report),
+            "--force", "--allow-invalid", "-q",
+        ]
+    )  # fmt: skip
+    facts = json.loads(report.read_text(encoding="utf-8"))
+    return {
+        "nodes": facts["grid"]["nodes"],
+        "wall s": wall,
+        "CPU s": usage.ru_utime + usage.ru_stime,
+        **{stage: facts["timing"][stage] for stage in STAGES},
+        "peak MB": facts["peak_memory_bytes"] / 1e6,
+    }
+
+
+def run(command: Sequence[str]) -> tuple[float, resource.struct_rusage]:
+    """Wall seconds and resources of a process with its children.
+
+    Raises
+    ------
+    RuntimeError
+        When it fails.
+    """
+    start = time.perf_counter()
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        raise RuntimeError(f"{' '.join(command)} ended with exit code {process.returncode}")
+    return time.perf_counter() - start, usage
+
+
+def ranks(quick: bool) -> Table:
+    """Strong scaling of one run over MPI ranks, one thread each."""
+    table = Table("MPI ranks: the same run on more of them, one thread per rank")
+    missing = _missing_for_mpi()
+    if missing:
+        table.notes.append(f"not measured: {missing}")
+        return table
+    sample, size = ("splitter-plate", 8) if quick else ("splitter-plate", 32)
+    with tempfile.TemporaryDirectory() as name:
+        folder = make_sample(Path(name), sample, size)
+        for method in ("idw-tfi", "idw"):
+            one = 0.0
+            for count in (1, 2, 4):
+                launcher = ["mpiexec", "--oversubscribe", "-n", str(count)]
+                row = _deform(folder, sample, method, launcher)
+                one = one or row["wall s"]
+                table.rows.append(
+                    {"case": f"{sample} {size}", "method": method, "ranks": count, "wall s": row["wall s"],
+                     "speed-up": one / row["wall s"], "cores": os.cpu_count()}
+                )  # fmt: skip
+    return table
+
+
+def _missing_for_mpi() -> str:
+    if "mpi" not in (importlib.metadata.metadata("meshdeform").get_all("Provides-Extra") or []):
+        return "this version has no extra [mpi]"
+    if shutil.which("mpiexec") is None:
+        return "there is no mpiexec"
+    return "" if importlib.util.find_spec("mpi4py") else "mpi4py is not installed"

@@ -1,0 +1,179 @@
+"""What ``meshdeform series`` does once its options are known."""
+
+from __future__ import annotations
+
+import time as clock
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from meshdeform_core.deform import Setup, Timing, set_up
+from meshdeform_core.errors import CaseError, FormatError
+from meshdeform_core.methods import make_method
+from meshdeform_core.motion import FollowSequence
+from meshdeform_core.numerics.parallel import current_ranks
+from meshdeform_core.series import Level, Schedule, deform_series
+from meshdeform_formats.case import CaseFile
+from meshdeform_formats.case_files import parse_times
+from meshdeform_formats.grids import FORMATS, complete_for_export
+from meshdeform_formats.report import Report, plan_report
+from meshdeform_formats.report_text import as_text
+from meshdeform_formats.series_files import LevelFiles, SeriesFiles, SingleFile
+from meshdeform_formats.series_manifest import NAME, Manifest, ingredients_of
+from meshdeform_formats.series_report import level_record, series_head, series_report
+
+from .machine import peak_memory
+from .options import GridInput, keep_inputs
+from .progress import ProgressBar
+from .work import Job
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """The options that only a series has."""
+
+    folder: Path
+    times: str | None
+    origin: str
+    velocity: str
+    steps: int | str
+    suffix: str | None
+    single_file: bool
+    variant: dict[str, str]
+
+
+@dataclass
+class Run:
+    """A series ready to be made: set-up, schedule, where the levels go, what is already done."""
+
+    job: Job
+    setup: Setup
+    schedule: Schedule
+    files: SeriesFiles
+    manifest: Manifest
+    timing: Timing
+
+
+def prepare(job: Job, source: GridInput, wanted: Wanted) -> Run:
+    """Decide on times and files, find topology and boundary; nothing is written."""
+    times = parse_times(wanted.times, "--times") if wanted.times else _times_of_files(job.case)
+    schedule = Schedule(times, wanted.origin, wanted.velocity, wanted.steps)
+    name = source.path.stem + _suffix(source.path, wanted)
+    grid = complete_for_export(job.grid, Path(name))
+    kind = SingleFile if wanted.single_file else LevelFiles
+    files = kind(grid, wanted.folder, name, times, wanted.variant, wanted.velocity)
+    manifest = Manifest(wanted.folder / NAME, {})
+    for path in [*files.outputs, manifest.path]:
+        keep_inputs(path, *source.files, *job.case.files)
+    output = {"output": name, "single file": wanted.single_file, "variant": files.variant.label}
+    manifest.ingredients = ingredients_of(source.path, source.boundary_file, job.case, schedule, output)
+    timing = Timing()
+    return Run(job, set_up(grid, job.case.case, timing, job.memory), schedule, files, manifest, timing)
+
+
+def _suffix(source: Path, wanted: Wanted) -> str:
+    if wanted.suffix:
+        return wanted.suffix if wanted.suffix.startswith(".") else f".{wanted.suffix}"
+    # ADF is read only.
+    cgns = wanted.single_file or source.suffix.lower() in FORMATS["cgns"].suffixes
+    return ".cgns" if cgns else source.suffix
+
+
+def _times_of_files(case: CaseFile) -> tuple[float, ...]:
+    """Times of the sequences of displacement files in a case."""
+    motions = [spec.motion for spec in case.case.boundaries if spec.motion is not None]
+    found = {step.times for motion in motions for step in motion.steps if isinstance(step, FollowSequence)}
+    if len(found) != 1:
+        reason = "has no sequence of displacement files" if not found else "has sequences with different times"
+        raise CaseError(f"the case {reason}; give the time levels: --times START:STOP:STEP")
+    return found.pop()
+
+
+def describe(run: Run) -> str:
+    """What would be done: classification, parameters, node counts, levels."""
+    prepared = make_method(run.setup.case.method).prepare(run.setup.problem)
+    times = run.schedule.times
+    largest = max(float((run.setup.displacement(t) ** 2).sum(axis=1).max() ** 0.5) for t in times)
+    last = run.files.path(len(times) - 1)
+    return (
+        as_text(plan_report(run.setup, prepared.account, {"max_displacement": largest}))
+        + f"series    {len(times)} levels from t = {times[0]:g} to {times[-1]:g}: {run.files.path(0)} ... {last}\n"
+        + "dry run   nothing written\n"
+    )
+
+
+def open_manifest(run: Run, resume: bool, force: bool) -> Manifest:
+    """Begin a series, or take over what an earlier run has finished.
+
+    Raises
+    ------
+    FormatError, CaseError
+        When files are in the way, or the series to be continued is made of something else.
+    """
+    new = run.manifest
+    begun = new.path.exists() and not force
+    # A run that finished no level, because something was wrong, is not in the way of the next one.
+    old = Manifest.load(new.path) if begun else None
+    if old and old.levels and resume:
+        old.require_same(new.ingredients)
+        _keep_what_exists(run, old)
+        run.files.clean(old.complete)
+        return old
+    present = [new.path] if old and old.levels else [path for path in run.files.outputs if path.exists()]
+    if present and not force and not (old and resume):
+        hint = "use --resume to go on with it, or --force to begin anew" if old else "use --force to overwrite it"
+        raise FormatError(f"{present[0]} exists; {hint}")
+    new.path.parent.mkdir(parents=True, exist_ok=True)
+    run.files.clean()
+    new.save()
+    return new
+
+
+def _keep_what_exists(run: Run, manifest: Manifest) -> None:
+    """Forget levels that have gone since; of a complete series all files must be there."""
+    if manifest.complete and all(path.exists() for path in run.files.outputs):
+        return
+    gone = [number for number in range(len(manifest.levels)) if not run.files.has(number)]
+    manifest.levels = manifest.levels[: gone[0]] if gone else manifest.levels
+    manifest.complete = False
+
+
+def carry_out(run: Run, progress: ProgressBar, start: float) -> Report:
+    """Make, write and record the levels that are missing, then report over all."""
+    count, first, ranks = len(run.schedule.times), len(run.manifest.levels), current_ranks()
+    progress("levels", first, count)
+    levels = deform_series(run.setup, run.schedule, run.files.variant.precision, progress, first, run.files.read)
+    for level in levels:
+        ranks.on_first(partial(_record, run, level))
+        progress("levels", level.number + 1, count)
+    return ranks.on_first(lambda: _complete(run, start))
+
+
+def _complete(run: Run, start: float) -> Report:
+    manifest, files, schedule = run.manifest, run.files, run.schedule
+    if not manifest.complete:
+        with run.timing.stage("publish"):
+            files.publish(len(schedule.times))
+        manifest.complete = True
+        manifest.save()
+        files.clean(complete=True)
+    seconds = {"read": run.job.read_seconds, **run.timing.seconds}
+    view = str(files.view) if files.view else None
+    total = clock.perf_counter() - start
+    return series_report(manifest.head, manifest.levels, schedule, view, seconds, total, peak_memory())
+
+
+def _record(run: Run, level: Level) -> None:
+    """Write a level, then note that it is done: in this order, so that what is noted exists."""
+    manifest, files = run.manifest, run.files
+    before = clock.perf_counter()
+    files.write(level.number, level.result.grid, level.velocity)
+    manifest.head = manifest.head or series_head(level)
+    warned = [*manifest.head["warnings"], *(text for done in manifest.levels for text in done["warnings"])]
+    seconds = clock.perf_counter() - before
+    record = level_record(level, files.path(level.number).name, seconds, manifest.head, warned)
+    manifest.levels.append(record)
+    manifest.save()
+    if level.number + 1 < len(run.schedule.times):
+        with run.timing.stage("publish"):
+            files.publish(level.number + 1)

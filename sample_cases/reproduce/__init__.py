@@ -1,0 +1,96 @@
+"""The paper's evaluation (Sen, De Nayer, Breuer 2017) rerun: tables, figures, robustness curves, validation page."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from meshdeform_core.errors import CaseError
+from meshdeform_core.numerics.parallel import thread_count
+from meshdeform_formats.files import replacing
+
+from .figures import Gallery
+from .report import as_markdown
+from .robustness import study
+from .rows import Tell, reproduce_table
+from .tables import TABLES
+from .validation import validation_page
+
+__all__ = ["WHAT", "check", "reproduce"]
+
+WHAT = (*TABLES, "robustness", "all")
+"""What can be asked for."""
+
+
+def check(what: str) -> None:
+    """Refuse what is not known, before anything takes time."""
+    if what not in WHAT:
+        raise CaseError(f"cannot reproduce {what!r}; known are {', '.join(WHAT)}")
+
+
+def reproduce(what: str, folder: Path, quick: bool, validation: Path | None, tell: Tell) -> dict[str, Any]:
+    """Run a table, the robustness curves or everything; write data, markdown and figures into ``folder``.
+
+    Parameters
+    ----------
+    quick : sizes that take minutes instead of an hour
+    validation : also write the page that compares with the paper
+
+    Raises
+    ------
+    CaseError
+        For something unknown.
+    """
+    check(what)
+    results: dict[str, Any] = {
+        "schema": 1, "meshdeform": version("meshdeform"), "quick": quick, "machine": _machine(), "tables": {},
+    }  # fmt: skip
+    names = tuple(TABLES) if what == "all" else (what,)
+    for name in names:
+        if name in TABLES:
+            gallery = Gallery(name, folder)
+            table = reproduce_table(TABLES[name](quick), tell, gallery.keep)
+            results["tables"][name] = table | {"figures": gallery.draw()}
+            _write(folder / name, results | {"tables": {name: results["tables"][name]}})
+    if what in ("all", "robustness"):
+        results["robustness"] = study(folder, quick, tell)
+    _write(folder / "results", results)
+    if validation is not None:
+        figures = os.path.relpath(folder, validation.parent)
+        _write_text(validation, validation_page(results, Path(figures).as_posix()))
+    return results
+
+
+def _write(stem: Path, results: dict[str, Any]) -> None:
+    """Data and their tables beside each other: ``stem.json`` and ``stem.md``."""
+    _write_text(stem.with_suffix(".json"), json.dumps(_flat(results), indent=1, allow_nan=False) + "\n")
+    _write_text(stem.with_suffix(".md"), as_markdown(results))
+
+
+def _flat(results: dict[str, Any]) -> dict[str, Any]:
+    """A file of one table has its rows at the top."""
+    tables = list(results["tables"].values())
+    return results | tables[0] if len(tables) == 1 else results
+
+
+def _write_text(path: Path, text: str) -> None:
+    with replacing(path) as partial:
+        partial.write_text(text, encoding="utf-8")
+
+
+def _machine() -> dict[str, Any]:
+    processor = platform.processor() or platform.machine()
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        named = [
+            line for line in info.read_text(encoding="utf-8", errors="replace").splitlines() if "model name" in line
+        ]
+        processor = named[0].partition(":")[2].strip() if named else processor
+    return {
+        "processor": processor, "cores": os.cpu_count(), "threads": thread_count(),
+        "python": platform.python_version(), "system": platform.system(),
+    }  # fmt: skip

@@ -1,0 +1,163 @@
+"""One row of a table: a sample, a method, what it costs and what comes out."""
+
+from __future__ import annotations
+
+import dataclasses
+import time as clock
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from meshdeform_core.deform import Setup, Timing, impose, set_up
+from meshdeform_core.grid import FloatArray
+from meshdeform_core.methods import Account, Options, make_method
+from meshdeform_core.methods.hybrid import Composite
+from meshdeform_core.methods.operations import count_operations, count_pairs
+from meshdeform_core.quality import Assessment, assess
+from meshdeform_formats.case import read_case
+from meshdeform_formats.displacement import write_displacement
+
+from .. import folder, load
+
+_ENOUGH_SECONDS = 1.0
+_REPEATS = 4
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A sample case at a size; ``options`` are further arguments of its generator, ``time`` that of its motion."""
+
+    name: str
+    size: int
+    options: tuple[tuple[str, Any], ...] = ()
+    time: float = 0.0
+    constants: tuple[tuple[str, float], ...] = ()
+
+    @property
+    def label(self) -> str:
+        extra = "".join(f", {key} = {value}" for key, value in (*self.options, *self.constants))
+        return f"{self.name} {self.size}{extra}"
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A row: ``key`` joins it to the paper's values; ``steps`` > 1 marches; ``starts`` are greedy start nodes."""
+
+    key: str
+    sample: Sample
+    method: Options
+    steps: int = 1
+    starts: int = 1
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a trial gave: the deformed nodes, their quality, the method's account, its costs.
+
+    ``pairs`` are those of target and source, once and block by block, 0 where there are none (TFI, marching);
+    ``cpu`` and ``wall`` are seconds of set-up and deformation, ``cpu_apply`` CPU seconds of the deformation alone.
+    """
+
+    setup: Setup
+    points: FloatArray
+    assessment: Assessment
+    account: Account
+    cpu: float
+    cpu_apply: float
+    wall: float
+    gflop: float | None
+    pairs: tuple[int, int] = (0, 0)
+
+
+@lru_cache(maxsize=2)
+def prepare_sample(sample: Sample) -> Setup:
+    """Grid, topology and boundary of a sample; the last two are kept."""
+    module = load(sample.name)
+    grid = module.generate(sample.size, **dict(sample.options))
+    overrides = [f"constants.{name}={value!r}" for name, value in sample.constants]
+    with TemporaryDirectory() as where:
+        for name, table in (module.tables(sample.size) if hasattr(module, "tables") else {}).items():
+            write_displacement(Path(where) / name, table)
+        case = Path(where) / "case.toml"
+        case.write_text((folder(sample.name) / "case.toml").read_text(encoding="utf-8"), encoding="utf-8")
+        return set_up(grid, read_case(case, overrides).case)
+
+
+def run(trial: Trial) -> Outcome:
+    """Deform and judge. Costs are the least of several runs when they are short; topology and quality do not count."""
+    setup = prepare_sample(trial.sample)
+    case = dataclasses.replace(setup.case, method=trial.method)
+    setup = dataclasses.replace(setup, case=case)
+    return _once(setup, trial) if trial.steps == 1 else _march(setup, trial)
+
+
+def _once(setup: Setup, trial: Trial) -> Outcome:
+    problem, method = setup.problem, make_method(trial.method)
+    displacement = setup.displacement(trial.sample.time)[problem.source_numbers]
+    cpu = cpu_apply = wall = np.inf
+    spent = 0.0
+    for _ in range(_REPEATS):
+        start, start_cpu = clock.perf_counter(), clock.process_time()
+        prepared = method.prepare(problem)
+        between = clock.process_time()
+        moved = prepared.apply(displacement)
+        end_cpu, seconds = clock.process_time(), clock.perf_counter() - start
+        cpu, cpu_apply, wall = min(cpu, end_cpu - start_cpu), min(cpu_apply, end_cpu - between), min(wall, seconds)
+        spent += seconds
+        if spent > _ENOUGH_SECONDS:
+            break
+    points = setup.grid.points + moved
+    assessment = assess(setup.grid, points, setup.topology, setup.boundary)
+    assert isinstance(method, Composite)
+    gflop = count_operations(method, problem, prepared.account) / 1e9
+    pairs = count_pairs(method, problem) if method.mover else (0, 0)
+    return Outcome(setup, points, assessment, prepared.account, cpu, cpu_apply, wall, gflop, pairs)
+
+
+def _march(setup: Setup, trial: Trial) -> Outcome:
+    timing = Timing()
+    start_cpu = clock.process_time()
+    result = impose(setup, trial.sample.time, trial.steps, setup.grid.precision, timing)
+    wall = timing.seconds["prepare"] + timing.seconds["apply"]
+    cpu = (clock.process_time() - start_cpu) * wall / sum(timing.seconds.values())
+    return Outcome(setup, result.grid.points, result.assessment, result.account, cpu, cpu, wall, None)
+
+
+def greedy_range(trial: Trial) -> list[int]:
+    """Points that the greedy reduction keeps, least and most over ``starts`` start nodes spread over the sources."""
+    setup = prepare_sample(trial.sample)
+    problem = setup.problem
+    displacement = setup.displacement(trial.sample.time)[problem.source_numbers]
+    counts = []
+    for start in np.linspace(0, len(displacement), trial.starts, endpoint=False).astype(int).tolist():
+        rbf = dataclasses.replace(trial.method.rbf, greedy_start=start)
+        bound = rbf.bind(problem)
+        bound.fit(displacement)
+        counts.append(int(bound.account.settings["greedy_points"].value))
+    return [min(counts), max(counts)]
+
+
+def quality_without_walls(trial: Trial) -> float:
+    """<f_skew> of a reduced RBF when boundary nodes stay where the interpolation puts them, off by up to eps_g."""
+    setup = prepare_sample(trial.sample)
+    problem, points = setup.problem, setup.grid.points
+    bound = trial.method.rbf.bind(problem)
+    moved = np.empty_like(points)
+    fit = bound.fit(setup.displacement(trial.sample.time)[problem.source_numbers])
+    bound.at(points, np.arange(len(points))).evaluate(fit, moved, None)
+    return assess(setup.grid, points + moved, setup.topology, setup.boundary).after.f_skew.harmonic_mean
+
+
+def asymmetry(outcome: Outcome, center: float) -> float:
+    """Largest distance between a deformed node and the mirror image, at the plane x = ``center``, of its partner."""
+    from scipy.spatial import cKDTree
+
+    mirror, shift = np.array([-1.0, 1.0, 1.0]), np.array([2 * center, 0.0, 0.0])
+    before = outcome.setup.grid.points
+    _, partner = cKDTree(before).query(before * mirror + shift)
+    gap = outcome.points - (outcome.points[partner] * mirror + shift)
+    return float(np.linalg.norm(gap, axis=1).max())

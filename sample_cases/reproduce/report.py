@@ -1,0 +1,95 @@
+"""Results as markdown, one table each."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from .rows import Row
+
+Results = dict[str, Any]
+
+
+def as_markdown(results: Results) -> str:
+    """All tables of a run with their figures."""
+    machine = results["machine"]
+    parts = [
+        "# The paper's tables by meshdeform",
+        f"{'Quick sizes, smaller than the paper. ' if results['quick'] else ''}meshdeform {results['meshdeform']}, "
+        f"{machine['processor']}, {machine['threads']} threads, Python {machine['python']}. Costs are CPU seconds of "
+        "set-up and deformation, least of several runs in one process, relative to the row with 1.",
+    ]
+    parts += [table_markdown(table) for table in results["tables"].values()]
+    if "robustness" in results:
+        parts.append(robustness_markdown(results["robustness"], "."))
+    return "\n\n".join(parts) + "\n"
+
+
+def table_markdown(table: dict[str, Any]) -> str:
+    """One table: our values, the paper's in brackets."""
+    head = [
+        "method", "f_skew (paper)", "min", "bad cells", "cost (paper)", "apply only", "GFLOP (paper)",
+        "points (paper)", "remark",
+    ]  # fmt: skip
+    extra = any("asymmetry" in row for row in table["rows"])
+    if extra:
+        head.insert(3, "asymmetry")
+    body = []
+    for row in table["rows"]:
+        cells = [
+            row["method"], _pair(row["f_skew"], row["paper_f_skew"], ".4f", ".2f"), f"{row['f_skew_min']:.3f}",
+            str(row["invalid_cells"]), _pair(row["relative_cost"], row["paper_relative_cost"], ".3g", ".4g"),
+            number(row["relative_apply_cost"], ".3g"), _pair(row["gflop"], row["paper_gflop"], ".3g", ".4g"),
+            points(row), remark(row),
+        ]  # fmt: skip
+        if extra:
+            cells.insert(3, f"{row['asymmetry']:.1e}")
+        body.append(cells)
+    parts = [f"## {table['title']}", table["note"], grid(head, body), pictures(table["figures"], ".")]
+    return "\n\n".join(parts).rstrip()
+
+
+def robustness_markdown(robustness: dict[str, Any], folder: str) -> str:
+    """Largest valid angles, and the figures."""
+    body = [
+        [row["method"], f"{row['one_step']:g}", f"{row['marching']:g}"] for row in robustness["largest_angle"]["rows"]
+    ]
+    step = robustness["largest_angle"]["step"]
+    text = (
+        f"## Robustness\n\nLargest valid rotation of the body of `{robustness['sample']}` in degrees, in multiples of "
+        f"{step:g}: imposed in one step, and marching, every {step:g} degrees from the last grid"
+    )
+    head = ["method", "one step [deg]", "marching [deg]"]
+    return f"{text}.\n\n{grid(head, body)}\n\n{pictures(robustness['figures'], folder)}"
+
+
+def pictures(names: list[str], folder: str) -> str:
+    """Figures by their file names in a folder."""
+    return "\n\n".join(f"![{name.partition('.')[0]}]({folder}/{name})" for name in names)
+
+
+def number(value: float | None, style: str) -> str:
+    return "" if value is None else format(value, style)
+
+
+def _pair(ours: float | None, theirs: float | None, style: str, paper_style: str) -> str:
+    text = number(ours, style)
+    return f"{text} ({format(theirs, paper_style)})".strip() if theirs is not None else text
+
+
+def remark(row: Row) -> str:
+    free = row["f_skew_without_walls"]
+    parts = [row["remark"]] if row["remark"] else []
+    return "; ".join(parts if free is None else [*parts, f"boundary as interpolated: {free:.4f}"])
+
+
+def points(row: Row) -> str:
+    if row["greedy_points"] is None:
+        return ""
+    low_high = row["greedy_points_range"]
+    ours = str(row["greedy_points"]) + (f", {low_high[0]}-{low_high[1]} by start" if low_high else "")
+    return f"{ours} ({row['paper_greedy_points']})" if row["paper_greedy_points"] else ours
+
+
+def grid(head: list[str], body: list[list[str]]) -> str:
+    lines = [head, ["---"] * len(head), *body]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)

@@ -1,0 +1,287 @@
+"""``meshdeform series`` as a user runs it: levels, index, report, going on after a stop, what is refused."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from meshdeform_formats import read_grid, write_grid
+
+SWING = """\
+[[boundary]]
+name = "body"
+select = ["*.i*", "*.j*"]
+where = "abs(x) < 0.51 and abs(y) < 0.51"
+motion = [{ rotate = { angle = "20*sin(2*pi*t)", axis = [0, 0, 1] } }]
+
+[[boundary]]
+name = "span"
+select = ["*.kmin", "*.kmax"]
+kind = "slip"
+"""
+RUN = ("series", "grid.xyz", "-c", "swing.toml", "-o", "out", "--times", "0:1:0.25")
+
+
+@pytest.fixture
+def swing(bench: Path) -> Path:
+    (bench / "swing.toml").write_text(SWING)
+    return bench
+
+
+def report_of(call, *arguments: str, code: int = 0) -> dict:
+    Path("report.json").unlink(missing_ok=True)
+    result = call(*arguments, "--report", "report.json", "-q")
+    assert result.code == code, result.err
+    return json.loads(Path("report.json").read_text())
+
+
+def test_one_grid_per_level_and_back_after_a_period(swing, call):
+    report = report_of(call, *RUN)
+    files = [level["file"] for level in report["levels"]]
+    assert files == [f"grid_{n:04d}.xyz" for n in range(5)]
+    assert sorted(path.name for path in Path("out").iterdir()) == ["grid.series.p3d", *files, "series.json"]
+    start, quarter, end = (read_grid(f"out/grid_{n:04d}.xyz").points for n in (0, 1, 4))
+    np.testing.assert_array_equal(start, read_grid("grid.xyz").points)
+    np.testing.assert_allclose(end, start, rtol=0, atol=1e-12)
+    assert call("deform", "grid.xyz", "-c", "swing.toml", "-o", "one.xyz", "--time", "0.25").code == 0
+    np.testing.assert_array_equal(quarter, read_grid("one.xyz").points)
+
+
+def test_the_report_has_every_level_and_shows_that_preparation_happened_once(swing, call):
+    report = report_of(call, *RUN)
+    assert (report["schema"], report["valid"], report["series"]["origin"]) == (1, True, "reference")
+    assert [level["time"] for level in report["levels"]] == [0, 0.25, 0.5, 0.75, 1]
+    prepare = [level["timing"].get("prepare", 0.0) for level in report["levels"]]
+    assert prepare[0] > 0
+    assert prepare[1:] == [0.0] * 4
+    assert report["timing"]["prepare"] == prepare[0]
+    skew = [level["quality"]["f_skew"] for level in report["levels"]]
+    assert skew[0]["min"] == pytest.approx(skew[2]["min"])
+    assert skew[1]["harmonic_mean"] < skew[0]["harmonic_mean"]
+    assert report["levels"][1]["max_rotation_deg"] == pytest.approx(20.0)
+    assert report["boundary"]["max_displacement"] == pytest.approx(np.sqrt(0.5) * 2 * np.sin(np.deg2rad(10)), rel=1e-6)
+    assert all(level["drift"] is None and level["warnings"] == [] for level in report["levels"])
+
+
+def test_a_warning_is_given_once_and_not_for_round_off(swing, call):
+    (swing / "swing.toml").write_text(
+        SWING.replace("motion = [", 'motion = [{ translate = [0, 0, "0.1*sin(pi*t)"] }, ')
+    )
+    report = report_of(call, *RUN, "--allow-invalid")
+    found = [n for n, level in enumerate(report["levels"]) if level["warnings"]]
+    assert found == [1]
+    assert "out of a slip or symmetry plane by up to 0.0707" in report["levels"][1]["warnings"][0]
+    assert sum("out of a slip" in text for text in report["warnings"]) == 1
+
+
+def test_text_and_page_have_a_line_per_level(swing, call):
+    result = call(*RUN, "--report", "r.txt", "--report", "r.html")
+    assert result.code == 0
+    assert Path("r.txt").read_text() == result.out
+    rows = [line for line in result.out.splitlines() if line.strip()[:1].isdigit() and "°" in line]
+    assert [row.split()[1] for row in rows] == ["0", "0.25", "0.5", "0.75", "1"]
+    assert "All levels are valid" in Path("r.html").read_text()
+
+
+def test_marching_reports_its_drift(swing, call):
+    report = report_of(call, *RUN, "--from", "last")
+    drift = np.linalg.norm(read_grid("out/grid_0004.xyz").points - read_grid("grid.xyz").points, axis=1).max()
+    assert drift > 1e-4
+    assert report["series"]["drift"]["max"] == pytest.approx(drift, rel=1e-9)
+    assert all(level["timing"]["prepare"] > 0 for level in report["levels"])
+
+
+def test_times_are_those_of_the_displacement_files(swing, call):
+    text = SWING.replace(
+        'rotate = { angle = "20*sin(2*pi*t)", axis = [0, 0, 1] }', 'files = "move_*.csv", times = [0, 3]'
+    )
+    (swing / "swing.toml").write_text(text)
+    table = (swing / "table.csv").read_text()
+    (swing / "move_1.csv").write_text(table.replace("0.1000", "0.0000"))
+    (swing / "move_2.csv").write_text(table)
+    report = report_of(call, *RUN[:-2])
+    assert [level["time"] for level in report["levels"]] == [0, 3]
+    assert report["levels"][1]["max_displacement"] == pytest.approx(0.1)
+    assert "no level at t = 1" in call(*RUN[:4], "-o", "new", "--times", "0:3:1").err
+
+
+def test_displacement_files_alone_are_enough(swing, call):
+    table = (swing / "table.csv").read_text()
+    (swing / "move_9.csv").write_text(table.replace("0.1000", "0.0000"))
+    (swing / "move_10.csv").write_text(table)
+    report = report_of(call, "series", "grid.xyz", "-d", "move_*.csv", "--times", "0,1", "-o", "out")
+    assert [level["max_displacement"] for level in report["levels"]] == pytest.approx([0, 0.1])
+    assert report["boundary"]["moving_nodes"] == 80
+    assert "need their times" in call("series", "grid.xyz", "-d", "move_*.csv", "-o", "new").err
+    assert "2 files" in call("series", "grid.xyz", "-d", "move_*.csv", "-o", "new", "--times", "0:2:1").err
+
+
+def test_a_broken_level_is_written_and_gives_exit_3(swing, call):
+    (swing / "swing.toml").write_text(SWING.replace("20*sin(2*pi*t)", "150*sin(pi*t)"))
+    result = call("series", *RUN[1:-1], "0:1:0.5", "--report", "r.json")
+    assert result.code == 3
+    assert "1 of 3 levels are not valid, first level 1 (t = 0.5)" in result.err
+    report = json.loads(Path("r.json").read_text())
+    assert [level["valid"] for level in report["levels"]] == [True, False, True]
+    assert report["levels"][1]["invalid_cells"][0]["nearest_patch"] in ("body", "span")
+    assert Path("out/grid_0001.xyz").exists()
+    assert call("series", *RUN[1:-1], "0:1:0.5", "--force", "--allow-invalid").code == 0
+
+
+def test_a_dry_run_writes_nothing(swing, call, snapshot):
+    before = snapshot(swing)
+    result = call(*RUN, "--dry-run")
+    assert result.code == 0
+    assert snapshot(swing) == before
+    assert "5 levels from t = 0 to 1: out/grid_0000.xyz ... out/grid_0004.xyz" in result.out
+
+
+KILLED = """\
+import os, pathlib, signal, sys
+calls = 0
+def counted(function):
+    def wrapper(*args, **options):
+        global calls
+        calls += 1
+        if calls == int(sys.argv[1]):
+            os.kill(os.getpid(), signal.SIGKILL)
+        return function(*args, **options)
+    return wrapper
+os.replace, pathlib.Path.rename = counted(os.replace), counted(pathlib.Path.rename)
+from meshdeform_cli.main import main
+main(sys.argv[2:])
+"""
+
+
+# Renames come in the order: manifest; pieces and index of level 0; manifest; ParaView's index; and so on.
+@pytest.mark.parametrize(("at", "extra"), [
+    (1, ("--suffix", ".vtm")), (2, ("--suffix", ".vtm")), (3, ("--suffix", ".vtm")),
+    (13, ("--suffix", ".vtm", "--from", "last", "--velocity", "second")),
+    (12, ("--single-file", "--velocity", "first")),
+])  # fmt: skip
+def test_killed_at_any_point_it_goes_on_and_ends_the_same(at, extra, swing, call):
+    options = ("grid.xyz", "-c", "swing.toml", "--times", "0:1:0.25", *extra)
+    command = [sys.executable, "-c", KILLED, str(at), "series", *options, "-o", "killed"]
+    stopped = subprocess.run(command, capture_output=True, timeout=60, check=False)
+    assert stopped.returncode == -signal.SIGKILL, stopped.stderr.decode()
+    manifest = Path("killed/series.json")
+    done = json.loads(manifest.read_text())["levels"] if manifest.exists() else []
+    assert (done == []) == (at <= 3)
+    times = {
+        level["file"]: Path("killed", level["file"]).stat().st_mtime_ns for level in done if "vtm" in level["file"]
+    }
+    assert call("series", *options, "-o", "killed", "--resume").code == 0
+    assert {name: Path("killed", name).stat().st_mtime_ns for name in times} == times
+    assert call("series", *options, "-o", "whole").code == 0
+    names = [{str(p.relative_to(folder)) for p in Path(folder).rglob("*")} for folder in ("killed", "whole")]
+    assert names[0] == names[1]
+    for name in names[0]:
+        one, two = Path("killed", name), Path("whole", name)
+        # HDF5 stores when things were made, the manifest how long they took.
+        if one.is_file() and one.suffix not in (".json", ".cgns"):
+            assert one.read_bytes() == two.read_bytes(), name
+
+
+def test_a_finished_series_is_left_alone(swing, call, snapshot):
+    first = report_of(call, *RUN)
+    before = snapshot(swing / "out")
+    assert report_of(call, *RUN, "--resume")["levels"] == first["levels"]
+    assert snapshot(swing / "out") == before
+
+
+def test_a_level_that_was_deleted_is_made_again(swing, call):
+    report_of(call, *RUN)
+    whole = Path("out/grid_0003.xyz").read_bytes()
+    Path("out/grid_0003.xyz").unlink()
+    assert call(*RUN, "--resume", "-q").code == 0
+    assert Path("out/grid_0003.xyz").read_bytes() == whole
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda: Path("swing.toml").write_text(SWING.replace("20*sin", "10*sin")), "rotate.angle was '20*sin"),
+        (lambda: write_grid(read_grid("grid.xyz").moved(1.01 * read_grid("grid.xyz").points), "grid.xyz"), "grid has"),
+        (("--times", "0:1:0.5"), "times was 5 values from 0.0 to 1.0, is [0.0, 0.5, 1.0]"),
+        (("--from", "last"), "origin was 'reference', is 'last'"),
+        (("--set", "method.idw.alpha=0.3"), "case method.idw.alpha is new (0.3)"),
+        (("--suffix", ".vtm"), "output was 'grid.xyz', is 'grid.vtm'"),
+    ],
+)  # fmt: skip
+def test_a_changed_series_is_refused_with_what_changed(change, words, swing, call, snapshot):
+    assert call(*RUN, "-q").code == 0
+    more = change if isinstance(change, tuple) else (change(), ())[1]
+    before = snapshot(swing)
+    result = call(*RUN, *more, "--resume")
+    assert result.code == 2
+    assert words in result.err
+    assert snapshot(swing) == before
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("-o", "out"), "--times START:STOP:STEP"),
+        (("--times", "0:1:0.5"), "Missing option '-o'"),
+        (("-o", "out", "--times", "0:1"), "--times: '0:1'"),
+        (("-o", "out", "--times", "0:1:0.5", "--suffix", ".abc"), "cannot tell the format"),
+        (("-o", "out", "--times", "0:1:0.5", "--velocity", "first"), ".xyz files hold no grid velocity"),
+        (("-o", "out", "--times", "0:1:0.5", "--single-file", "--suffix", ".vtm"), "only a CGNS file"),
+        (("-o", "out", "--times", "0:1:0.5", "--resume", "--force"), "--force begins it anew"),
+        (("-o", "grid.cgns", "--times", "0:1:0.5"), "grid.cgns"),
+        (("-o", ".", "--times", "0:1:0.5", "--single-file"), "grid.cgns exists"),
+        (("-o", "out", "--times", "0:1:0.5", "--steps", "0"), "--steps"),
+    ],
+)
+def test_wrong_calls_are_refused(arguments, words, swing, call, snapshot):
+    before = snapshot(swing)
+    result = call("series", "grid.xyz", "-c", "swing.toml", *arguments)
+    assert result.code == 2
+    assert words in result.err
+    assert snapshot(swing) == before
+
+
+@pytest.mark.parametrize("command", [RUN, ("deform", "grid.xyz", "-c", "swing.toml", "-o", "out.xyz", "--time", "0.2")])
+def test_methods_keep_to_the_memory_limit(command, swing, call):
+    result = call(*command, "-m", "rbf", "--max-memory", "400kB")
+    assert result.code == 2
+    assert "a radial basis function system of" in result.err
+    assert "--max-memory allows" in result.err
+    # What failed before its first level is not in the way.
+    assert call(*command, "-q").code == 0
+
+
+def test_an_earlier_series_is_in_the_way(swing, call, snapshot):
+    assert call(*RUN, "-q").code == 0
+    before = snapshot(swing)
+    result = call(*RUN)
+    assert result.code == 2
+    assert "series.json exists; use --resume to go on with it, or --force" in result.err
+    assert snapshot(swing) == before
+    assert call(*RUN, "--force", "-q").code == 0
+
+
+def test_the_hemisphere_returns_after_a_period(bench, call):
+    assert call("sample", "hemisphere", "-o", "case", "--size", "8").code == 0
+    run = ("series", "case/grid.cgns", "-c", "case/case.toml", "-o")
+    report = report_of(call, *run, "period", "--times", "0:1e-3:1e-4")
+    assert report["levels"][2]["max_displacement"] > 0.01
+    start, end = (read_grid(f"period/grid_{n:04d}.cgns").points for n in (0, 10))
+    np.testing.assert_allclose(end, start, rtol=0, atol=1e-12)
+    report = report_of(call, *run, "marched", "--times", "0:1e-3:1e-4", "--from", "last")
+    assert 1e-5 < report["series"]["drift"]["max"] < 5e-3
+
+
+def test_formats_that_are_not_read_cannot_go_on_marching(swing, call):
+    options = (*RUN, "--suffix", ".vtu", "--from", "last", "-q")
+    assert call(*options).code == 0
+    Path("out/grid_0003.vtu").unlink()
+    result = call(*options, "--resume")
+    assert result.code == 2
+    assert "cannot go on after out/grid_0002.vtu" in result.err

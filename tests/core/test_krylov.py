@@ -1,0 +1,173 @@
+"""Preconditioned GMRES for radial basis functions against the factorised system."""
+
+import numpy as np
+import pytest
+from cases import apply, body_specs, problem_of, turning
+from grids import frame
+
+from meshdeform_core.errors import MethodError
+from meshdeform_core.memory import MemoryLimit
+from meshdeform_core.methods import RBF, Options, make_method
+from meshdeform_core.methods.base import Account
+from meshdeform_core.methods.radial_system import RadialSystem
+from meshdeform_core.methods.rbf_sums import Centres
+from meshdeform_core.numerics.basis import BASES
+from meshdeform_core.numerics.krylov import KrylovSolver
+from meshdeform_core.numerics.radial import radial_matrix, radial_sums
+from meshdeform_core.numerics.saddle import DirectSolver
+from meshdeform_core.numerics.schwarz import SchwarzPreconditioner, bisect
+
+
+def sphere(n: int) -> np.ndarray:
+    """Nearly evenly spread points of a unit sphere (golden spiral)."""
+    z = 1 - (2 * np.arange(n) + 1) / n
+    angle = np.pi * (1 + 5**0.5) * np.arange(n)
+    return np.stack([np.sqrt(1 - z * z) * np.cos(angle), np.sqrt(1 - z * z) * np.sin(angle), z], axis=1)
+
+
+def graded_plane(n: int = 42) -> np.ndarray:
+    """A plane patch clustered towards one edge, first spacing 1/400 of the largest, as beside a wall."""
+    u = (np.geomspace(1.0, 400.0, n) - 1.0) / 399.0
+    x, y = np.meshgrid(u, np.linspace(0.0, 1.0, n), indexing="ij")
+    return np.stack([x, y, np.zeros_like(x)], axis=-1).reshape(-1, 3)
+
+
+def bend(x: np.ndarray) -> np.ndarray:
+    return np.stack([np.sin(2 * x[:, 1]), np.cos(x[:, 0]) * x[:, 2], np.exp(x[:, 0])], axis=1)
+
+
+SETS = {
+    "sphere": sphere(1800),
+    "graded-plane": graded_plane(),
+    "two-scales": np.concatenate([sphere(1200), 20.0 + 5.0 * sphere(800)]),
+    "curve": np.stack([np.cos(np.arange(1500) / 240), np.sin(np.arange(1500) / 240), np.zeros(1500)], axis=1),
+    "line": np.linspace(0, 1, 1300)[:, None] * np.array([1.0, 2.0, -1.0]),
+}
+
+
+def system(points: np.ndarray, basis: str, radius: float | None) -> tuple[KrylovSolver, Centres, int]:
+    centres, kind = Centres.of(points, radius), BASES[basis]
+    x = centres.points
+    return KrylovSolver(kind, x, centres.polynomial(x), lambda c: radial_sums(kind, x, x, c)), centres, kind
+
+
+@pytest.mark.parametrize("name", SETS)
+@pytest.mark.parametrize(("basis", "reach"), [("tps", None), ("wendland-c2", 2.0), ("wendland-c0", 0.2)])
+def test_solution_is_that_of_the_factorised_system(name, basis, reach):
+    points = SETS[name]
+    extent = np.linalg.norm(points - points.mean(axis=0), axis=1).max()
+    solver, centres, kind = system(points, basis, None if reach is None else reach * extent)
+    told = bend(points / extent)
+    found = solver.solve(told, 1e-6, 60)
+    assert found.iterations <= 25
+    assert found.residual.max() <= 1e-6
+    x, terms = centres.points, centres.polynomial(centres.points)
+    matrix = radial_matrix(kind, x, x)
+    rest = told - matrix @ found.coefficients - terms @ found.polynomial
+    assert (np.linalg.norm(rest, axis=0) <= 1.1e-6 * np.linalg.norm(told, axis=0)).all()
+    np.testing.assert_allclose(terms.T @ found.coefficients, 0, atol=1e-9 * np.abs(found.coefficients).sum())
+    # Between the centres, where coefficients that differ may mean the same, both interpolate alike.
+    between = centres.normalised(0.5 * (points[:-1] + points[1:])[::7])
+    known = DirectSolver(lambda: matrix, terms).solve(told)
+    one, two = (radial_sums(kind, between, x, c) + centres.polynomial(between) @ p
+                for c, p in [(found.coefficients, found.polynomial), known])  # fmt: skip
+    assert np.abs(one - two).max() < 2e-5 * np.abs(told).max()
+
+
+@pytest.mark.parametrize("basis", ["ctps-c1", "ctps-c2a", "ctps-c2b"])
+def test_other_compact_functions(basis):
+    solver, _, _ = system(SETS["two-scales"], basis, 50.0)
+    found = solver.solve(bend(SETS["two-scales"] / 25), 1e-6, 60)
+    assert found.residual.max() <= 1e-6
+    assert found.iterations <= 25
+
+
+def test_new_right_hand_sides_reuse_the_preconditioner():
+    solver, centres, _ = system(SETS["sphere"], "tps", None)
+    kept = solver.preconditioner
+    first = solver.solve(bend(centres.points), 1e-8, 40)
+    second = solver.solve(3 * bend(centres.points)[:, ::-1], 1e-8, 40)
+    assert solver.preconditioner is kept
+    np.testing.assert_allclose(second.coefficients, 3 * first.coefficients[:, ::-1], rtol=1e-5, atol=1e-5)
+
+
+def test_dependent_and_empty_columns():
+    solver, centres, _ = system(SETS["sphere"], "tps", None)
+    told = bend(centres.points)
+    told[:, 1], told[:, 2] = 2 * told[:, 0], 0.0
+    found = solver.solve(told, 1e-6, 40)
+    assert found.residual.max() <= 1e-6
+    assert np.all(found.coefficients[:, 2] == 0)
+    assert np.all(found.polynomial[:, 2] == 0)
+    nothing = solver.solve(np.zeros_like(told), 1e-6, 40)
+    assert nothing.iterations == 0
+    assert np.all(nothing.coefficients == 0)
+
+
+def test_duplicate_centres_share_their_value():
+    points = SETS["sphere"]
+    points = np.concatenate([points, points[:40]])
+    solver, _, _ = system(points, "tps", None)
+    found = solver.solve(bend(points), 1e-6, 60)
+    assert found.residual.max() <= 1e-6
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 5, 61, 400])
+def test_few_centres(n):
+    points = np.random.default_rng(n).uniform(size=(n, 3))
+    solver, _, _ = system(points, "tps", None)
+    found = solver.solve(bend(points), 1e-10, 20)
+    assert found.residual.max() <= 1e-10
+
+
+def test_preconditioner_is_linear_and_keeps_the_side_conditions():
+    points = Centres.of(SETS["graded-plane"], None).points
+    terms = np.concatenate([np.ones((len(points), 1)), points[:, :2]], axis=1)
+    solve = SchwarzPreconditioner(0, points, terms).solve
+    one, two = np.random.default_rng(0).standard_normal((2, len(points), 3))
+    total, parts = solve(one + 2 * two), [solve(one), solve(two)]
+    for k in range(2):
+        expected = parts[0][k] + 2 * parts[1][k]
+        np.testing.assert_allclose(total[k], expected, atol=1e-9 * np.abs(expected).max())
+    np.testing.assert_allclose(terms.T @ total[0], 0, atol=1e-10 * np.abs(total[0]).sum())
+
+
+def test_boxes_hold_every_point_once():
+    boxes = bisect(SETS["two-scales"], 33)
+    np.testing.assert_array_equal(np.sort(np.concatenate(boxes)), np.arange(len(SETS["two-scales"])))
+    sizes = [len(box) for box in boxes]
+    assert len(boxes) == 33
+    assert max(sizes) - min(sizes) <= 2
+
+
+def test_method_reports_iterations_and_residual():
+    problem = problem_of(frame(), body_specs(turning(10)))
+    method = make_method(Options("rbf", rbf=RBF(solver="krylov", tolerance=1e-12))).prepare(problem)
+    told = np.sin(problem.source_points)
+    moved = method.apply(told)
+    settings = method.account.settings
+    assert settings["solver"].value == "krylov"
+    assert settings["iterations"].value >= 1
+    assert max(settings["residual"].value) <= 1e-12
+    assert method.account.warnings == []
+    direct = apply(Options("rbf", rbf=RBF(solver="direct")), problem, told)
+    assert np.abs(moved - direct).max() < 1e-10
+
+
+def test_not_converging_is_a_warning():
+    account = Account()
+    centres = Centres.of(SETS["graded-plane"], 2.0)
+    options = RBF(basis="wendland-c2", radius=2.0, solver="krylov", max_iterations=1, tolerance=1e-12)
+    RadialSystem(options, centres).solve(bend(centres.points), account, None)
+    assert "stopped after 1 iterations" in account.warnings[0]
+    assert "max_iterations" in account.warnings[0]
+
+
+def test_automatic_choice_by_size_and_memory():
+    few, many = Centres.of(SETS["curve"], None), Centres.of(sphere(5000), None)
+    assert RadialSystem(RBF(), few).solver == "direct"
+    assert RadialSystem(RBF(), many).solver == "krylov"
+    tight = MemoryLimit(40 * 2**20, "--max-memory allows")
+    assert RadialSystem(RBF(), many, tight).solver == "krylov"
+    with pytest.raises(MethodError, match="solver = krylov"):
+        RadialSystem(RBF(solver="direct"), many, tight)

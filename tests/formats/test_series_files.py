@@ -1,0 +1,267 @@
+"""Levels on disk: velocities in every format that holds them, ParaView's index, one CGNS file; VTK as the witness."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from pathlib import Path
+from xml.etree import ElementTree
+
+import h5py
+import meshio
+import numpy as np
+import pytest
+import vtk_witness
+from grids import frame, frame_2d
+from vtkmodules.util.numpy_support import vtk_to_numpy
+from vtkmodules.vtkCommonDataModel import vtkCompositeDataSet
+from vtkmodules.vtkCommonExecutionModel import vtkStreamingDemandDrivenPipeline
+from vtkmodules.vtkIOCGNSReader import vtkCGNSReader
+from vtkmodules.vtkIOParallel import vtkPlot3DMetaReader
+
+from meshdeform_core.errors import FormatError
+from meshdeform_core.grid import Grid
+from meshdeform_formats import read_grid, write_grid
+from meshdeform_formats.series_files import LevelFiles, SingleFile
+
+TIMES = (0.0, 0.5, 2.0)
+
+
+def at(grid: Grid, time: float) -> Grid:
+    """The grid sheared by the time squared, so that its velocity is (2 t y, 0, 0)."""
+    return grid.moved(grid.points + np.outer(time**2 * grid.points[:, 1], [1.0, 0.0, 0.0]))
+
+
+def velocity(grid: Grid, time: float) -> np.ndarray:
+    return np.outer(2 * time * grid.points[:, 1], [1.0, 0.0, 0.0])
+
+
+def one_block() -> Grid:
+    return Grid.from_blocks([frame().block(2)], ["only"])
+
+
+def written(grid: Grid, folder: Path, name: str, kind=LevelFiles, order="second"):
+    files = kind(grid, folder, name, TIMES, {}, order)
+    for number, time in enumerate(TIMES):
+        files.write(number, at(grid, time), None if order == "none" else velocity(grid, time))
+        files.publish(number + 1)
+    return files
+
+
+def blocks_at(reader, time: float) -> list:
+    """Data sets of a reader at a time."""
+    reader.UpdateInformation()
+    information = reader.GetOutputInformation(0)
+    steps = information.Get(vtkStreamingDemandDrivenPipeline.TIME_STEPS())
+    assert steps == pytest.approx(TIMES)
+    reader.UpdateTimeStep(time)
+    iterator = reader.GetOutput().NewIterator()
+    assert isinstance(reader.GetOutput(), vtkCompositeDataSet)
+    found = []
+    iterator.InitTraversal()
+    while not iterator.IsDoneWithTraversal():
+        found.append(iterator.GetCurrentDataObject())
+        iterator.GoToNextItem()
+    return found
+
+
+def points_of(data_set, shape) -> np.ndarray:
+    return in_order(data_set.GetPoints().GetData(), shape)
+
+
+def in_order(array, shape) -> np.ndarray:
+    """(ni, nj, nk, ...) of a VTK array, whose first index runs fastest."""
+    values = vtk_to_numpy(array)
+    return values.reshape(*shape[::-1], *values.shape[1:]).swapaxes(0, 2)
+
+
+@pytest.mark.parametrize("suffix", [".vts", ".vtk"])
+def test_velocity_is_point_data(suffix, tmp_path):
+    grid = one_block()
+    files = written(grid, tmp_path, f"wing{suffix}")
+    points, arrays, _ = vtk_witness.read(files.path(2))
+    np.testing.assert_array_equal(points, at(grid, 2.0).block(0))
+    np.testing.assert_array_equal(arrays["node", "GridVelocity"], grid.block(0, velocity(grid, 2.0)))
+    # A level is read back and its velocity replaced, not doubled.
+    again = read_grid(files.path(2))
+    LevelFiles(again, tmp_path, f"again{suffix}", TIMES, {}, "first").write(0, again, 0 * again.points)
+    _, arrays, _ = vtk_witness.read(tmp_path / f"again_0000{suffix}")
+    assert list(arrays) == [("node", "GridVelocity")]
+    assert not arrays["node", "GridVelocity"].any()
+
+
+def test_velocity_of_every_block_of_a_set(tmp_path):
+    grid = frame()
+    files = written(grid, tmp_path, "wing.vtm")
+    assert not (tmp_path / "wing").exists()
+    for block in range(grid.n_blocks):
+        _, arrays, _ = vtk_witness.read(tmp_path / "wing_0001" / f"wing_0001_{block}.vts")
+        np.testing.assert_array_equal(arrays["node", "GridVelocity"], grid.block(block, velocity(grid, 0.5)))
+    np.testing.assert_array_equal(files.read(1), at(grid, 0.5).points)
+
+
+def test_velocity_of_unstructured_nodes(tmp_path):
+    grid = one_block()
+    files = written(grid, tmp_path, "wing.vtu")
+    mesh = meshio.read(files.path(2))
+    np.testing.assert_allclose(mesh.point_data["GridVelocity"][:, 0], 4 * mesh.points[:, 1], atol=1e-14)
+
+
+@pytest.mark.parametrize("source", ["new", "copy"])
+def test_velocity_is_a_flow_solution(source, tmp_path):
+    grid = frame()
+    if source == "copy":
+        write_grid(grid, tmp_path / "grid.cgns")
+        grid = read_grid(tmp_path / "grid.cgns")
+    files = written(grid, tmp_path, "wing.cgns")
+    with h5py.File(files.path(2)) as file:
+        for block, name in enumerate(grid.names):
+            solution = file["Base"][name]["FlowSolutionVertex"]
+            assert solution.attrs["label"].decode() == "FlowSolution_t"
+            stored = np.stack([solution[f"GridVelocity{c}/ data"][()].T for c in "XYZ"], axis=-1)
+            np.testing.assert_array_equal(stored, grid.block(block, velocity(grid, 2.0)))
+    np.testing.assert_array_equal(files.read(2), at(grid, 2.0).points)
+    assert_cgnscheck_finds_no_error(files.path(2))
+
+
+def test_fields_join_a_copy_beside_what_it_holds(tmp_path):
+    """A second run replaces its own solution; other solutions of the same name stay."""
+    write_grid(one_block(), tmp_path / "grid.cgns")
+    written(read_grid(tmp_path / "grid.cgns"), tmp_path, "wing.cgns")
+    again = read_grid(tmp_path / "wing_0002.cgns")
+    LevelFiles(again, tmp_path, "again.cgns", TIMES, {}, "first").write(0, again, 0 * again.points)
+    with h5py.File(tmp_path / "again_0000.cgns") as file:
+        assert [name for name in file["Base/only"] if "Solution" in name] == ["FlowSolutionVertex"]
+        assert not file["Base/only/FlowSolutionVertex/GridVelocityX/ data"][()].any()
+    with h5py.File(tmp_path / "wing_0002.cgns", "r+") as file:
+        file.move("Base/only/FlowSolutionVertex/GridVelocityZ", "Base/only/FlowSolutionVertex/Pressure")
+    again = read_grid(tmp_path / "wing_0002.cgns")
+    LevelFiles(again, tmp_path, "other.cgns", TIMES, {}, "first").write(0, again, 0 * again.points)
+    with h5py.File(tmp_path / "other_0000.cgns") as file:
+        assert "Pressure" in file["Base/only/FlowSolutionVertex"]
+        assert "GridVelocityZ" in file["Base/only/FlowSolutionVertex_2"]
+
+
+@pytest.mark.parametrize("suffix", [".xyz", ".su2", ".msh"])
+def test_formats_without_fields_refuse_velocities(suffix, tmp_path):
+    with pytest.raises(FormatError, match="hold no grid velocity"):
+        LevelFiles(frame(), tmp_path, f"wing{suffix}", TIMES, {}, "first")
+
+
+def test_collections_name_times_and_files(tmp_path):
+    files = written(frame(), tmp_path, "wing.vtm", order="none")
+    assert files.view == tmp_path / "wing.pvd"
+    entries = ElementTree.parse(files.view).getroot().findall("Collection/DataSet")
+    assert [float(entry.get("timestep")) for entry in entries] == list(TIMES)
+    assert all((tmp_path / entry.get("file")).is_file() for entry in entries)
+
+
+@pytest.mark.parametrize("suffix", [".vtk", ".cgns"])
+def test_file_series_name_times_and_files(suffix, tmp_path):
+    files = written(one_block(), tmp_path, f"wing{suffix}", order="none")
+    assert files.view == tmp_path / f"wing{suffix}.series"
+    content = json.loads(files.view.read_text())
+    assert content["file-series-version"] == "1.0"
+    assert [entry["time"] for entry in content["files"]] == list(TIMES)
+    assert [entry["name"] for entry in content["files"]] == [files.path(n).name for n in range(3)]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"encoding": "binary", "byte_order": "big"},
+        {"encoding": "ascii"},
+        {"precision": "float32"},
+    ],
+    ids=str,
+)
+def test_vtk_reads_a_plot3d_series_through_its_index(options, tmp_path):
+    grid = frame()
+    files = LevelFiles(grid, tmp_path, "wing.xyz", TIMES, options, "none")
+    for number, time in enumerate(TIMES):
+        files.write(number, at(grid, time), None)
+    files.publish(3)
+    reader = vtkPlot3DMetaReader()
+    reader.SetFileName(str(files.view))
+    for time in (2.0, 0.5):
+        found = blocks_at(reader, time)
+        assert len(found) == grid.n_blocks
+        for block, data_set in enumerate(found):
+            expected = at(grid, time).block(block)
+            np.testing.assert_allclose(points_of(data_set, grid.shapes[block]), expected, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("order", ["none", "first", "second"])
+@pytest.mark.parametrize("source", ["new", "copy"])
+def test_vtk_reads_all_levels_of_one_cgns_file(source, order, tmp_path):
+    grid = frame()
+    if source == "copy":
+        write_grid(grid, tmp_path / "grid.cgns")
+        grid = read_grid(tmp_path / "grid.cgns")
+    files = written(grid, tmp_path, "wing.cgns", SingleFile, order)
+    assert_cgnscheck_finds_no_error(files.view)
+    reader = vtkCGNSReader()
+    reader.SetFileName(str(files.view))
+    reader.UpdateInformation()
+    reader.EnableAllPointArrays()
+    expected = {"first": [0, 0.5, 2.5], "second": [0, 0.5, 4.0], "none": []}[order]
+    for number in (2, 0, 1):
+        found = blocks_at(reader, TIMES[number])
+        assert len(found) == grid.n_blocks
+        for block, data_set in enumerate(found):
+            shape = grid.shapes[block]
+            np.testing.assert_array_equal(points_of(data_set, shape), at(grid, TIMES[number]).block(block))
+            if expected:
+                moving = in_order(data_set.GetPointData().GetArray("GridVelocity"), shape)
+                slope = expected[number] * grid.block(block)[..., 1]
+                np.testing.assert_allclose(moving[..., 0], slope, rtol=0, atol=1e-13)
+    # What this program reads is the undeformed grid.
+    np.testing.assert_array_equal(read_grid(files.view).points, grid.points)
+
+
+def test_one_cgns_file_in_2d_has_two_coordinates(tmp_path):
+    grid = frame_2d()
+    files = written(grid, tmp_path, "wing.cgns", SingleFile, "first")
+    assert_cgnscheck_finds_no_error(files.view)
+    with h5py.File(files.view) as file:
+        zone = file["Base"][grid.names[0]]
+        assert sorted(zone["GridCoordinates#3"]) == ["CoordinateX", "CoordinateY"]
+        stored = zone["GridCoordinates#3/CoordinateX/ data"][()].T
+        np.testing.assert_array_equal(stored, at(grid, 2.0).block(0)[:, :, 0, 0])
+        words = zone["ZoneIterativeData/GridCoordinatesPointers/ data"][()].tobytes().decode()
+        assert words.split() == [f"GridCoordinates#{n}" for n in (1, 2, 3)]
+        np.testing.assert_array_equal(file["Base/BaseIterativeData/TimeValues/ data"][()], TIMES)
+
+
+def test_a_file_that_holds_a_series_takes_no_second_one(tmp_path):
+    written(frame(), tmp_path, "wing.cgns", SingleFile, "none")
+    with pytest.raises(FormatError, match="already holds a series"):
+        SingleFile(read_grid(tmp_path / "wing.cgns"), tmp_path, "again.cgns", TIMES, {}, "none")
+
+
+def test_what_a_killed_program_left_is_removed_and_nothing_else(tmp_path):
+    files = written(one_block(), tmp_path, "wing.vtm", order="none")
+    left = [".wing_0001.123-0a1b2c3d.partial.vtm", ".series.9-00000000.partial.json"]
+    mine = ["notes.txt", ".hidden.partial", "wing_0009"]
+    for name in left + mine:
+        (tmp_path / name).write_text("x")
+    staging = tmp_path / ".wing_0001.123-0a1b2c3d.partial"
+    (staging / "new").mkdir(parents=True)
+    files.path(2).unlink()
+    files.clean()
+    assert not staging.exists()
+    assert not any((tmp_path / name).exists() for name in left)
+    assert all((tmp_path / name).exists() for name in mine)
+    # Pieces without their index would be in the way of the level that is made anew.
+    assert [files.has(n) for n in range(3)] == [True, True, False]
+    assert [files.path(n).with_suffix("").exists() for n in range(3)] == [True, True, False]
+
+
+def assert_cgnscheck_finds_no_error(path: Path) -> None:
+    if shutil.which("cgnscheck") is None:
+        return
+    report = subprocess.run(["cgnscheck", str(path)], capture_output=True, text=True, timeout=60, check=True).stdout
+    assert "checking complete" in report
+    assert "ERROR" not in report

@@ -1,0 +1,152 @@
+"""The paper rerun: numbers that are fixed, counts against slow ones, and the command."""
+
+import dataclasses
+import json
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+import pytest
+
+from meshdeform_cli.main import run as command
+from meshdeform_core.methods import IDW, RBF, TFI, Options, make_method
+from meshdeform_core.methods.operations import count_operations, count_pairs, idw_operations, tfi_operations
+from meshdeform_samples.reproduce import WHAT
+from meshdeform_samples.reproduce.experiment import Sample, Trial, asymmetry, greedy_range, prepare_sample, run
+from meshdeform_samples.reproduce.rows import paper
+from meshdeform_samples.reproduce.tables import TABLES
+
+PLATE = Sample("splitter-plate", 8)
+
+
+def harmonic(trial):
+    return run(trial).assessment.after.f_skew.harmonic_mean
+
+
+@pytest.mark.parametrize("quick", [True, False])
+@pytest.mark.parametrize("name", TABLES)
+def test_every_run_has_its_row_in_the_paper(name, quick):
+    table = TABLES[name](quick)
+    printed = [row["key"] for row in paper()[name]["rows"]]
+    keys = [trial.key for trial in table.trials]
+    assert sorted(keys) == sorted(printed)
+    assert len(set(keys)) == len(keys)
+    assert table.reference in keys
+
+
+def test_beam_depends_on_the_origin_as_in_the_appendix():
+    trials = {trial.key: trial for trial in TABLES["figB"](True).trials}
+    centre, corner, lie = (run(trials[key]) for key in ("one-centre", "one-corner", "lie-corner"))
+    assert asymmetry(centre, 0.0) < 1e-12
+    assert asymmetry(corner, 2.0) == pytest.approx(0.22, abs=0.005)
+    assert asymmetry(lie, 2.0) < 1e-12
+    assert corner.assessment.after.f_skew.harmonic_mean == pytest.approx(0.967, abs=1e-3)
+    assert lie.assessment.after.f_skew.harmonic_mean == pytest.approx(0.9798, abs=5e-4)
+
+
+@pytest.mark.parametrize(
+    ("key", "expected"), [("tfi", 0.7573), ("wc0-direct", 0.8675), ("c1-direct", 0.8570), ("idw-none", 0.8677)]
+)
+def test_square_has_the_quality_that_another_implementation_measured(key, expected):
+    """On 61 x 61 instead of 301 x 301 nodes: the quality hardly depends on the size."""
+    trials = {trial.key: trial for trial in TABLES["table2"](True).trials}
+    assert harmonic(trials[key]) == pytest.approx(expected, abs=2.5e-3)
+
+
+@pytest.mark.parametrize(("key", "expected"), [("tfi-tfi", 0.9620), ("idw-idw", 0.9520), ("idw-tfi", 0.9516)])
+def test_splitter_plate_has_the_quality_that_another_implementation_measured(key, expected):
+    trials = {trial.key: trial for trial in TABLES["table4"](True).trials}
+    assert harmonic(trials[key]) == pytest.approx(expected, abs=5e-4)
+
+
+def test_greedy_counts_vary_with_the_start_node():
+    trials = {trial.key: trial for trial in TABLES["table2"](True).trials}
+    low, high = greedy_range(dataclasses.replace(trials["wc2-greedy"], starts=3))
+    assert 50 < low <= high < 100
+
+
+def test_idw_operations_are_pairs_times_thirty():
+    assert idw_operations(IDW(), 1000, 500) == pytest.approx(30 * 1000 * 500, rel=0.01)
+    assert idw_operations(IDW(rotation="blend"), 1000, 500) == pytest.approx(60 * 1000 * 500, rel=0.01)
+    division = IDW(rotation="division", divisions=25, reweight=True)
+    assert idw_operations(division, 1000, 500) == pytest.approx(25 * 30 * 1000 * 500, rel=0.01)
+
+
+def test_hybrids_sum_over_their_skeleton_only():
+    """Pair counts from the nodes themselves: off the block faces nothing is summed."""
+    problem = prepare_sample(PLATE).problem
+    sources, faces = len(problem.source_numbers), problem.topology.n_unique
+    hybrid = count(problem, Options("idw-tfi", idw=IDW(rotation="quaternion"), tfi=TFI(max_cells=0)))
+    expected = (faces - sources) * (30 * sources + 40) + tfi_operations(problem.grid.n_nodes, 3)
+    assert hybrid == pytest.approx(expected, rel=1e-12)
+    whole = count(problem, Options("idw"))
+    assert whole == pytest.approx((problem.n_unique_nodes - sources) * (30 * sources + 40), rel=1e-12)
+
+
+def count(problem, options):
+    method = make_method(options)
+    return count_operations(method, problem, method.prepare(problem).account)
+
+
+def test_direct_rbf_grows_with_the_cube_of_its_centres():
+    counts = []
+    for size in (41, 81, 161):
+        problem = prepare_sample(Sample("square", size)).problem
+        counts.append(count(problem, Options("rbf", rbf=RBF())) / len(problem.source_numbers) ** 3)
+    assert counts[2] < counts[1] < counts[0]
+    # Nodes grow as N_s^2 here, so that the sum over all of them is of the third order too: 45 N_s^3 / 16.
+    assert counts[2] == pytest.approx(1 / 3 + 45 / 16, rel=0.3)
+
+
+def test_costs_are_of_the_run_and_positive():
+    outcome = run(Trial("x", Sample("beam", 40), Options("idw")))
+    assert 0 < outcome.cpu_apply <= outcome.cpu
+    assert outcome.wall > 0
+    assert outcome.gflop > 0
+
+
+def test_command_writes_data_tables_figures_and_the_page(tmp_path, capsys):
+    out, page = tmp_path / "out", tmp_path / "validation.md"
+    arguments = ["reproduce", "figB", "-o", str(out), "--quick", "--validation", str(page)]
+    assert command(arguments) == 0
+    shown = capsys.readouterr()
+    assert "IDW lie (ours)" in shown.out
+    assert "figB lie-corner (4 of 5)" in shown.err
+    data = json.loads((out / "figB.json").read_text())
+    assert {row["key"] for row in data["rows"]} == {row["key"] for row in paper()["figB"]["rows"]}
+    for row in data["rows"]:
+        assert {"method", "f_skew", "paper_f_skew", "relative_cost", "paper_relative_cost", "seconds", "gflop"} <= set(
+            row
+        )
+        assert {"paper_gflop", "remark", "quality"} <= set(row)
+    assert data["machine"]["processor"]
+    for figure in data["figures"]:
+        root = ElementTree.parse(out / figure).getroot()
+        assert root.tag.endswith("svg")
+        assert f"(out/{figure})" in page.read_text()
+    assert (out / "results.md").read_text() == shown.out
+    assert command(arguments) == 2
+    assert "use --force" in capsys.readouterr().err
+
+
+def test_command_refuses_what_is_unknown(tmp_path, capsys):
+    assert command(["reproduce", "table9", "-o", str(tmp_path / "out")]) == 2
+    message = capsys.readouterr().err
+    assert all(name in message for name in WHAT)
+    assert not (tmp_path / "out").exists()
+
+
+def test_pairs_of_the_split_hemisphere_are_those_of_its_faces():
+    """Counted anew from coordinates: nodes of block faces by position, once and as often as blocks have them."""
+    setup = prepare_sample(Sample("hemisphere", 12, (("max_cells", 6),)))
+    problem, grid = setup.problem, setup.grid
+    whole, hybrid = (make_method(Options(name, tfi=TFI(max_cells=0))) for name in ("idw", "idw-tfi"))
+    faces = []
+    for block in range(grid.n_blocks):
+        x = np.round(grid.block(block), 10)
+        inside = np.zeros(x.shape[:3], dtype=bool)
+        inside[1:-1, 1:-1, 1:-1] = True
+        faces.append(x[~inside])
+    known = {tuple(p) for p in np.round(problem.source_points, 10)}
+    every = [tuple(p) for p in np.concatenate(faces) if tuple(p) not in known]
+    assert count_pairs(hybrid, problem) == (len(set(every)) * len(known), len(every) * len(known))
+    assert count_pairs(whole, problem)[0] == (problem.n_unique_nodes - len(known)) * len(known)
