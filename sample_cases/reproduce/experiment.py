@@ -148,7 +148,7 @@ def quality_without_walls(trial: Trial) -> float:
     bound = trial.method.rbf.bind(problem)
     moved = np.empty_like(points)
     fit = bound.fit(setup.displacement(trial.sample.time)[problem.source_numbers])
-    bound.at(points, np.arange(len(points))).evaluate(fit, moved, None)
+    bound.at(np.arange(len(points))).evaluate(fit, moved, None)
     return assess(setup.grid, points + moved, setup.topology, setup.boundary).after.f_skew.harmonic_mean
 
 
