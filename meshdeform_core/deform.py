@@ -14,6 +14,7 @@ from .boundary import Boundary, BoundarySpec, Kind, classify
 from .connectivity import check_connections
 from .errors import CaseError, MotionError
 from .grid import FloatArray, Grid
+from .memory import UNLIMITED, MemoryLimit
 from .methods import Account, Options, PreparedMethod, Problem, Progress, make_method
 from .prescription import prescribed_displacement
 from .quality import Assessment, assess
@@ -60,10 +61,11 @@ class Setup:
     topology: Topology
     boundary: Boundary
     warnings: tuple[str, ...]
+    memory: MemoryLimit = UNLIMITED
 
     @property
     def problem(self) -> Problem:
-        return Problem(self.grid, self.topology, self.boundary)
+        return Problem(self.grid, self.topology, self.boundary, self.memory)
 
     def displacement(self, time: float, fraction: float = 1.0) -> FloatArray:
         """Prescribed displacement of all unique face nodes (n_unique, 3)."""
@@ -106,8 +108,8 @@ class Result:
         return self.reached == 1.0 and self.assessment.valid
 
 
-def set_up(grid: Grid, case: Case, timing: Timing | None = None) -> Setup:
-    """Find the topology and classify the boundary.
+def set_up(grid: Grid, case: Case, timing: Timing | None = None, memory: MemoryLimit = UNLIMITED) -> Setup:
+    """Find the topology and classify the boundary; ``memory`` is what the method may take beside the grid.
 
     Raises
     ------
@@ -126,7 +128,7 @@ def set_up(grid: Grid, case: Case, timing: Timing | None = None) -> Setup:
             "no node moves: no boundary entry of kind moving selects any node; "
             'expected a [[boundary]] with kind = "moving" and a motion, or a displacement table'
         )
-    return Setup(grid, case, topology, boundary, (*warnings, *boundary.notes))
+    return Setup(grid, case, topology, boundary, (*warnings, *boundary.notes), memory)
 
 
 def deform(
