@@ -199,6 +199,24 @@ def blend_plane(d, s, t):
                 d[a, b, c] = across + t0 * d[a, 0, c] + t1 * d[a, n, c]
 
 
+@fast_kernel
+def blend_face(d, nodes, unknown, s, t):
+    """The same for a part of a face, ``nodes`` (na, nb) in ``d`` (n, 3), in place where ``unknown`` holds."""
+    m, n = nodes.shape[0] - 1, nodes.shape[1] - 1
+    c00, c0n, cm0, cmn = d[nodes[0, 0]], d[nodes[0, n]], d[nodes[m, 0]], d[nodes[m, n]]
+    for a in range(1, m):
+        left, right = d[nodes[a, 0]], d[nodes[a, n]]
+        for b in range(1, n):
+            if not unknown[a, b]:
+                continue
+            low, high, at = nodes[0, b], nodes[m, b], nodes[a, b]
+            s1, t1 = s[a, b], t[a, b]
+            s0, t0 = 1.0 - s1, 1.0 - t1
+            for c in range(3):
+                across = s0 * (d[low, c] - t0 * c00[c] - t1 * c0n[c]) + s1 * (d[high, c] - t0 * cm0[c] - t1 * cmn[c])
+                d[at, c] = across + t0 * left[c] + t1 * right[c]
+
+
 def plane_coordinates(points):
     """Arc coordinates s, t (na, nb) along both indices of a plane of nodes (na, nb, 3)."""
     coordinates = []
