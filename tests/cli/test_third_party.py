@@ -202,6 +202,84 @@ def test_cylinder_in_a_ring_turns(third_party, here, call):
     assert after.format == before.format
 
 
+STEP = """
+[grid]
+boundary_file = "backstep5_4levdn.nmf"
+
+[[boundary]]
+name = "lower wall"
+select = ["viscous_solid"]
+where = "x > 1 and x < 20 and z < 0.01"
+motion = [{ displace = [0, 0, "0.2*sin(pi*(x - 1)/19)**2"] }]
+
+[[boundary]]
+name = "sides"
+select = ["symmetry_y_strong"]
+kind = "slip"
+"""
+
+
+def test_wall_behind_a_step_bulges(third_party, here, call):
+    shutil.copy(third_party / "backstep5_4levdn.nmf", here)
+    before, after, report = deformed(call, third_party / "backstep5_4levdn.p3dbin", STEP)
+    assert report["valid"] is True
+    x, z = before.points[:, 0], before.points[:, 2]
+    wall = (z == 0.0) & (x > 1.0) & (x < 20.0)
+    bulge = 0.2 * np.sin(np.pi * (x[wall] - 1) / 19) ** 2
+    assert bulge.max() > 0.19
+    moved = after.points - before.points
+    # Faces count when all their corners satisfy the condition: the outermost nodes may belong to none.
+    at = np.abs(moved[wall, 2] - bulge)
+    assert np.mean(at < 1e-12) > 0.9
+    np.testing.assert_array_equal(after.points[:, 1], before.points[:, 1])
+    top = z == z.max()
+    np.testing.assert_array_equal(after.points[top], before.points[top])
+    assert after.format == before.format
+
+
+SHEAR = """
+[[boundary]]
+name = "floor"
+select = ["block3.*"]
+where = "y < 0.001"
+motion = [{ displace = [0, "2*sin(pi*x/200)**2", 0] }]
+"""
+
+
+def test_floor_bulges_in_the_plane(third_party, here, call):
+    before, after, report = deformed(call, third_party / "shear_3blk_2d.p2dfmt", SHEAR)
+    moved = after.points - before.points
+    assert report["grid"]["dimension"] == 2
+    assert report["boundary"]["moving_nodes"] > 0
+    floor = (before.points[:, 1] == 0.0) & (before.points[:, 0] >= 0.0)
+    expected = 2 * np.sin(np.pi * before.points[floor, 0] / 200) ** 2
+    np.testing.assert_allclose(moved[floor, 1], expected, rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(moved[:, 2], 0.0)
+
+
+TILT = """
+[[boundary]]
+name = "end"
+select = ["block1.{side}"]
+motion = [{{ translate = [{shift}, 0, {shift}] }}]
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "side", "shift", "array"),
+    [("StructuredGrid.vts", "kmax", 0.2, "Density"), ("SampleStructGrid.vtk", "imax", 0.005, "scalars")],
+)
+def test_vtk_grids_keep_their_arrays(name, side, shift, array, third_party, here, call):
+    before, after, _ = deformed(call, third_party / name, TILT.format(side=side, shift=shift))
+    last = after.block(0) - before.block(0)
+    end = last[:, :, -1] if side == "kmax" else last[-1]
+    np.testing.assert_allclose(end, np.broadcast_to([shift, 0, shift], end.shape), atol=4e-6)
+    assert [f.name for f in after.fields] == [f.name for f in before.fields]
+    one, two = (next(f for f in grid.fields if f.name == array) for grid in (before, after))
+    np.testing.assert_array_equal(one.values, two.values)
+    assert after.format == before.format
+
+
 def oracle(third_party: Path, name: str) -> list[np.ndarray]:
     values = np.load(third_party / "oracle" / f"{name.replace('_hdf5', '')}.npz", allow_pickle=False)
     return [values[f"b{n}"] for n in range(sum(key[0] == "b" for key in values))]

@@ -1,0 +1,140 @@
+"""Third-party grids: every file reads to the oracle and survives every variant of every writable format.
+
+The oracle holds the coordinates as independent readers found them (see the manifest beside the grids).
+"""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import meshio
+import numpy as np
+import pytest
+
+from meshdeform_core.errors import FormatError
+from meshdeform_core.grid import Grid
+from meshdeform_core.topology import find_topology
+from meshdeform_formats import read_grid, write_grid
+
+NAMES = (
+    "717_wl_L2.cgns", "717_wl_L2_hdf5.cgns", "nak_a_141.cgns", "nak_a_141.p3dfmt", "cylinder_ring_4blk.x",
+    "backstep5_4levdn.p3dbin", "shear_3blk_2d.p2dfmt", "StructuredGrid.vts", "SampleStructGrid.vtk",
+)  # fmt: skip
+EACH = pytest.mark.parametrize("name", NAMES)
+
+PLOT3D = [
+    {"encoding": "ascii"},
+    *({"encoding": "binary", "byte_order": order} for order in ("little", "big")),
+    *(
+        {"encoding": "fortran", "byte_order": order, "markers": markers, "records": records}
+        for order, markers, records in itertools.product(("little", "big"), (4, 8), ("block", "array", "plane"))
+    ),
+]
+VTK = {
+    ".vtk": [{"encoding": "ascii"}, {"encoding": "binary"}],
+    ".vts": [
+        *({"encoding": "appended", "compression": kind} for kind in ("none", "zlib", "lz4", "lzma")),
+        {"encoding": "binary", "compression": "zlib"},
+        {"encoding": "ascii"},
+    ],
+}
+
+
+def oracle(folder: Path, name: str) -> list[np.ndarray]:
+    values = np.load(folder / "oracle" / f"{name.replace('_hdf5', '')}.npz", allow_pickle=False)
+    return [values[f"b{n}"] for n in range(sum(key[0] == "b" for key in values))]
+
+
+def assert_same(grid: Grid, known: list[np.ndarray]) -> None:
+    assert grid.shapes == tuple(block.shape[:3] for block in known)
+    for number, block in enumerate(known):
+        np.testing.assert_array_equal(grid.block(number), block)
+
+
+@EACH
+def test_file_is_read_as_its_oracle(name, third_party):
+    assert_same(read_grid(third_party / name), oracle(third_party, name))
+
+
+@EACH
+def test_every_plot3d_variant_and_back(name, third_party, tmp_path):
+    known, grid = oracle(third_party, name), read_grid(third_party / name)
+    for number, options in enumerate(PLOT3D):
+        path = tmp_path / f"{number}.xyz"
+        write_grid(grid, path, {**options, "precision": "float64"})
+        again = read_grid(path)
+        assert_same(again, known)
+        assert again.format is not None
+        # The one plane of a 2-D block is the whole block.
+        if not (grid.dimension == 2 and options.get("records") == "plane"):
+            assert again.format.options.items() >= options.items()
+        back = write_grid(again, tmp_path / f"{number}-back{Path(name).suffix}")
+        assert_same(read_grid(tmp_path / f"{number}-back{Path(name).suffix}"), known)
+        assert back.precision == "float64"
+
+
+@EACH
+def test_plot3d_in_the_plane_and_single_blocks(name, third_party, tmp_path):
+    """2-D files and files without block count hold what fits them and refuse the rest."""
+    known, grid = oracle(third_party, name), read_grid(third_party / name)
+    for options, fits in (({"dimension": 2}, grid.dimension == 2), ({"multiblock": "false"}, grid.n_blocks == 1)):
+        path = tmp_path / "grid.xyz"
+        if fits:
+            write_grid(grid, path, options)
+            assert_same(read_grid(path), known)
+        else:
+            with pytest.raises(FormatError, match="cannot write"):
+                write_grid(grid, path, options)
+
+
+@EACH
+@pytest.mark.parametrize("suffix", VTK)
+def test_every_vtk_variant_and_back(name, suffix, third_party, tmp_path):
+    known, grid = oracle(third_party, name), read_grid(third_party / name)
+    target = suffix if grid.n_blocks == 1 else ".vtm"
+    variants = VTK[suffix] if target == suffix else VTK[".vts"][: 2 if suffix == ".vtk" else 6]
+    for number, options in enumerate(variants):
+        path = tmp_path / f"{number}{target}"
+        write_grid(grid, path, options)
+        again = read_grid(path)
+        assert_same(again, known)
+        assert again.precision == grid.precision
+        write_grid(again, tmp_path / f"{number}.cgns")
+        assert_same(read_grid(tmp_path / f"{number}.cgns"), known)
+
+
+@EACH
+def test_single_precision_is_rounding_once(name, third_party, tmp_path):
+    known, grid = oracle(third_party, name), read_grid(third_party / name)
+    rounded = [block.astype(np.float32).astype(np.float64) for block in known]
+    for target, options in (("grid.xyz", {"encoding": "binary"}), ("grid.cgns", {})):
+        write_grid(grid, tmp_path / target, {"precision": "float32", **options})
+        assert_same(read_grid(tmp_path / target), rounded)
+
+
+@EACH
+@pytest.mark.parametrize("suffix", [".vtu", ".su2", ".msh", ".inp", ".xdmf"])
+def test_unstructured_export_holds_every_cell_and_point(name, suffix, third_party, tmp_path):
+    """Read back by meshio: as many cells as the blocks have, at the oracle's points, each once."""
+    grid = read_grid(third_party / name)
+    path = tmp_path / f"grid{suffix}"
+    write_grid(grid, path)
+    mesh = meshio.read(path)
+    kind = "quad" if grid.dimension == 2 else "hexahedron"
+    cells = np.concatenate([block.data for block in mesh.cells if block.type == kind])
+    volume = cells[: grid.n_cells]
+    assert len(volume) == grid.n_cells
+    topology = find_topology(grid)
+    n_unique = grid.n_nodes - len(topology.face_nodes) + topology.n_unique
+    assert len(mesh.points) == n_unique
+    points = np.zeros((n_unique, 3))
+    points[:, : mesh.points.shape[1]] = mesh.points
+    known = np.concatenate([block.reshape(-1, 3) for block in oracle(third_party, name)])
+    assert np.isin(_as_rows(points), _as_rows(known)).all()
+
+
+def _as_rows(points: np.ndarray) -> np.ndarray:
+    """Points as single values that are equal when all their coordinates are."""
+    rounded = np.ascontiguousarray(points.astype(np.float32) + np.float32(0.0))
+    return rounded.view([("", np.float32)] * 3).ravel()
