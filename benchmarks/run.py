@@ -40,10 +40,13 @@ def measure(names: list[str], quick: bool) -> dict[str, list[Table]]:
     """The tables of the named sections, printed as they are finished."""
     results: dict[str, list[Table]] = {}
     for name in names:
-        start = time.perf_counter()
-        results[name] = [section(quick) for section in SECTIONS[name]]
-        print("\n".join(table.markdown() for table in results[name]), flush=True)
-        print(f"{name}: {time.perf_counter() - start:.0f} s", file=sys.stderr)
+        results[name] = []
+        for section in SECTIONS[name]:
+            start = time.perf_counter()
+            table = section(quick)
+            results[name].append(table)
+            print(table.markdown(), flush=True)
+            print(f"{name}: {table.title}: {time.perf_counter() - start:.0f} s", file=sys.stderr, flush=True)
     return results
 
 
