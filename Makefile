@@ -2,7 +2,6 @@
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
-GRIDS ?= $(MESHDEFORM_GRIDS)
 
 .PHONY: help demo test check format bench reproduce clean
 
@@ -20,7 +19,7 @@ $(VENV)/installed: pyproject.toml
 	@touch $@
 
 test: $(VENV)/installed
-	$(BIN)/pytest
+	$(BIN)/pytest -n auto
 
 check: $(VENV)/installed
 	$(BIN)/ruff check .

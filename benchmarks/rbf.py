@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 
 import numpy as np
@@ -85,3 +86,33 @@ def _solvers(case: Motion, neighbours: bool) -> dict[str, Callable[[], Callable[
 
     solvers = {"ours, exact sums": ours("exact"), "ours, fast sums": ours("fast"), "scipy, global": scipys()}
     return solvers | ({f"scipy, neighbors={_NEIGHBOURS}": scipys(neighbors=_NEIGHBOURS)} if neighbours else {})
+
+
+def large_systems(quick: bool) -> Table:
+    """Thin plate spline on the hemisphere's boundary nodes by preconditioned GMRES, and fast sums at all others."""
+    table = Table(
+        "RBF (thin plate spline): large systems",
+        notes=["residual: largest of the three components, relative to the right-hand side"],
+    )
+    for size in (16, 24) if quick else (24, 48, 92):
+        case = motion("hemisphere", size)
+        bound = RBF(solver="krylov").bind(case.problem)
+        evaluator = bound.at(inner_nodes(case.problem))
+        solving, fit = timed(functools.partial(bound.fit, case.displacement))
+        again, fit = timed(functools.partial(bound.fit, case.displacement))
+        out = np.empty((case.problem.grid.n_nodes, 3))
+        evaluating, _ = timed(functools.partial(evaluator.evaluate, fit, out, None))
+        settings = bound.account.settings
+        table.rows.append(
+            {
+                "case": case.label,
+                "nodes": len(inner_nodes(case.problem)),
+                "centres": len(case.displacement),
+                "set-up and solution s": solving,
+                "next solution s": again,
+                "iterations": settings["iterations"].value,
+                "residual": max(settings["residual"].value),
+                "evaluation s": evaluating,
+            }
+        )
+    return table

@@ -28,7 +28,7 @@ SECTIONS: dict[str, tuple[Callable[[bool], Table], ...]] = {
     "loop": (idw.exact_loop,),
     "idw": (idw.fast_against_exact, idw.processor_time),
     "threads": (idw.threads,),
-    "rbf": (rbf.against_scipy,),
+    "rbf": (rbf.against_scipy, rbf.large_systems),
     "passes": (passes.memory_speed,),
     "runs": (runs.file_to_file,),
     "ranks": (runs.ranks,),

@@ -20,7 +20,7 @@ EXIT_BUG, EXIT_INPUT, EXIT_INVALID, EXIT_INTERRUPTED = 1, 2, 3, 130
 _COMMANDS = (
     "deform", "series", "quality", "info", "convert", "compare", "plot", "methods", "sample", "reproduce",
 )  # fmt: skip
-_ON_RANKS = ("deform",)
+_ON_RANKS = ("deform", "series")
 
 
 class LazyGroup(click.Group):

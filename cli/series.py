@@ -8,6 +8,8 @@ from pathlib import Path
 
 import click
 
+from meshdeform_core.numerics.parallel import current_ranks
+
 from .deform import parse_steps
 from .machine import use_threads
 from .main import EXIT_INVALID
@@ -100,7 +102,7 @@ def command(
     if dry_run:
         click.echo(series_run.describe(run), nl=False)
         return 0
-    series_run.open_manifest(run, resume, force)
+    run.manifest = current_ranks().on_first(lambda: series_run.open_manifest(run, resume, force))
     with ProgressBar(not quiet) as progress:
         report = series_run.carry_out(run, progress, start)
     for path in reports:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import time as clock
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from meshdeform_core.deform import Setup, Timing, set_up
 from meshdeform_core.errors import CaseError, FormatError
 from meshdeform_core.methods import make_method
 from meshdeform_core.motion import FollowSequence
+from meshdeform_core.numerics.parallel import current_ranks
 from meshdeform_core.series import Level, Schedule, deform_series
 from meshdeform_formats.case import CaseFile
 from meshdeform_formats.case_files import parse_times
@@ -100,7 +102,7 @@ def describe(run: Run) -> str:
     )
 
 
-def open_manifest(run: Run, resume: bool, force: bool) -> None:
+def open_manifest(run: Run, resume: bool, force: bool) -> Manifest:
     """Begin a series, or take over what an earlier run has finished.
 
     Raises
@@ -115,9 +117,8 @@ def open_manifest(run: Run, resume: bool, force: bool) -> None:
     if old and old.levels and resume:
         old.require_same(new.ingredients)
         _keep_what_exists(run, old)
-        run.manifest = old
         run.files.clean(old.complete)
-        return
+        return old
     present = [new.path] if old and old.levels else [path for path in run.files.outputs if path.exists()]
     if present and not force and not (old and resume):
         hint = "use --resume to go on with it, or --force to begin anew" if old else "use --force to overwrite it"
@@ -125,6 +126,7 @@ def open_manifest(run: Run, resume: bool, force: bool) -> None:
     new.path.parent.mkdir(parents=True, exist_ok=True)
     run.files.clean()
     new.save()
+    return new
 
 
 def _keep_what_exists(run: Run, manifest: Manifest) -> None:
@@ -138,17 +140,20 @@ def _keep_what_exists(run: Run, manifest: Manifest) -> None:
 
 def carry_out(run: Run, progress: ProgressBar, start: float) -> Report:
     """Make, write and record the levels that are missing, then report over all."""
-    manifest, files, schedule = run.manifest, run.files, run.schedule
-    count = len(schedule.times)
-    first = len(manifest.levels)
+    count, first, ranks = len(run.schedule.times), len(run.manifest.levels), current_ranks()
     progress("levels", first, count)
-    levels = deform_series(run.setup, schedule, files.variant.precision, progress, first, files.read)
+    levels = deform_series(run.setup, run.schedule, run.files.variant.precision, progress, first, run.files.read)
     for level in levels:
-        _record(run, level)
+        ranks.on_first(partial(_record, run, level))
         progress("levels", level.number + 1, count)
+    return ranks.on_first(lambda: _complete(run, start))
+
+
+def _complete(run: Run, start: float) -> Report:
+    manifest, files, schedule = run.manifest, run.files, run.schedule
     if not manifest.complete:
         with run.timing.stage("publish"):
-            files.publish(count)
+            files.publish(len(schedule.times))
         manifest.complete = True
         manifest.save()
         files.clean(complete=True)

@@ -12,6 +12,7 @@ from .errors import CaseError
 from .expression import Expression
 from .grid import Grid, IntArray, Side
 from .motion import Motion, PreparedMotion
+from .numerics.coincidence import distinct
 from .periodic import Periodic, find_periodicity
 from .planes import Plane
 from .selection import quads_of_patch, select_quads
@@ -144,7 +145,7 @@ def classify(
     _spread_over_images(node_kind, periodic)
     slipping = [(n, q, k is Kind.SYMMETRY) for n, k, q in entries if k in (Kind.SLIP, Kind.SYMMETRY)]
     slip, mirrors = find_sliding(grid, topology, slipping, node_kind < Kind.FIXED)
-    patches = tuple(Patch(n, k, np.unique(topology.quads.corners[q]), q) for n, k, q in entries)
+    patches = tuple(Patch(n, k, distinct(topology.quads.corners[q], topology.n_unique), q) for n, k, q in entries)
     boundary = Boundary(node_kind, quad_kind, patches, tuple(movers), slip, periodic, mirrors, (*notes, *more))
     return topology, boundary
 
@@ -154,7 +155,7 @@ def _select(grid: Grid, topology: Topology, spec: BoundarySpec, constants: Mappi
     if spec.where is None:
         return quads
     corners = topology.quads.corners[quads]
-    nodes = np.unique(corners)
+    nodes = distinct(corners, topology.n_unique)
     x, y, z = grid.points[topology.first[nodes]].T
     holds = np.broadcast_to(np.asarray(spec.where({**constants, "x": x, "y": y, "z": z})), nodes.shape)
     inside = np.zeros(topology.n_unique, dtype=bool)
@@ -180,7 +181,7 @@ def _nodes(grid: Grid, topology: Topology, quads: IntArray) -> Nodes:
         length[a == b] = np.inf
         np.minimum.at(edge, a, length)
         np.minimum.at(edge, b, length)
-    numbers = np.unique(corners)
+    numbers = distinct(corners, topology.n_unique)
     return Nodes(points[numbers], numbers, edge[numbers], grid, topology)
 
 

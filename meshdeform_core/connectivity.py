@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from .errors import GridError
 from .grid import Connection, FloatArray, Grid, IntArray, Periodicity
+from .numerics.coincidence import distinct
 from .topology import RELATIVE_TOLERANCE, Topology
 
 
@@ -103,7 +104,7 @@ def _mismatch(grid: Grid, topology: Topology, connection: Connection, own: IntAr
 def _undeclared(grid: Grid, topology: Topology, declared: np.ndarray) -> list[str]:
     shared = topology.partner >= 0
     quads = shared & ~declared[topology.quads.corners].all(axis=1)
-    sides = np.unique(topology.quads.block_side[quads])
+    sides = distinct(topology.quads.block_side[quads], 6 * grid.n_blocks)
     if sides.size == 0:
         return []
     names = ", ".join(f"{grid.names[s // 6]}" for s in sides[:6])

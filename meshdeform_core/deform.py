@@ -109,7 +109,7 @@ class Result:
 
 
 def set_up(grid: Grid, case: Case, timing: Timing | None = None, memory: MemoryLimit = UNLIMITED) -> Setup:
-    """Find the topology and classify the boundary; ``memory`` is what methods may take.
+    """Find the topology and classify the boundary; ``memory`` is what the method may take beside the grid.
 
     Raises
     ------

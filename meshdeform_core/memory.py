@@ -38,5 +38,9 @@ class MemoryLimit:
         if needed > self.size:
             raise MethodError(f"{what} needs about {readable(needed)}, {self.source} {readable(self.size)}; {instead}")
 
+    def after(self, taken: int, what: str) -> MemoryLimit:
+        """What is left of the limit for methods when ``what`` has taken its part."""
+        return MemoryLimit(max(self.size - taken, 0), f"{self.source}, after {readable(taken)} for {what},")
+
 
 UNLIMITED = MemoryLimit(2**62, "the machine has")

@@ -11,6 +11,7 @@ import numpy as np
 
 from .errors import CaseError
 from .grid import Grid, IntArray, Patch, Side, Window
+from .numerics.coincidence import distinct
 from .topology import FaceQuads, Topology
 
 _FACE = re.compile(r"(?P<block>.+)\.(?P<side>[ijk*?][a-z*?]*)(?:\[(?P<window>[^\]]*)\])?")
@@ -37,7 +38,7 @@ def select_quads(grid: Grid, topology: Topology, patterns: Iterable[str], owner:
                 f"boundary {owner!r}: {pattern!r} selects only faces that are shared with other blocks; "
                 f"expected faces on the outside of the grid (see `meshdeform info`)"
             )
-    selected = np.unique(np.concatenate(chosen))
+    selected = distinct(np.concatenate(chosen), len(topology.partner))
     return selected[topology.external[selected]]
 
 

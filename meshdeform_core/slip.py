@@ -11,6 +11,7 @@ import numpy as np
 
 from .errors import CaseError
 from .grid import BoolArray, FloatArray, Grid, IntArray
+from .numerics.coincidence import distinct
 from .planes import FLATNESS, Plane, plane_normal, plane_of
 from .topology import Topology
 
@@ -53,26 +54,32 @@ class Slip:
     groups: tuple[tuple[IntArray, FloatArray], ...] = ()
     curved: tuple[CurvedSurface, ...] = ()
 
-    def constrain(self, displacement: FloatArray, points: FloatArray) -> None:
-        """Make ``displacement`` (n_unique, 3) of the undeformed ``points`` obey the constraints, in place."""
+    def constrain(self, displacement: FloatArray, points: FloatArray, first: IntArray) -> None:
+        """Make ``displacement`` (n_unique, 3) obey the constraints, in place.
+
+        Its nodes are the rows ``first`` (n_unique,) of the undeformed ``points`` (n_nodes, 3).
+        """
         for surface in self.curved:
-            self._slide(surface, displacement, points)
-        for nodes, removed in self.groups:
-            moved = displacement[nodes]
-            displacement[nodes] = moved - moved @ removed
+            self._slide(surface, displacement, points, first)
+        if self.groups:
+            from .numerics.rows import project_rows
+
+            for nodes, removed in self.groups:
+                project_rows(displacement, nodes, removed)
 
     def departure(self, displacement: FloatArray) -> float:
         """Largest displacement of a node out of a plane that it lies on (grid length unit)."""
         return max((float(np.abs(displacement[nodes] @ p.normal).max()) for p, nodes in self.planes), default=0.0)
 
     @staticmethod
-    def _slide(surface: CurvedSurface, displacement: FloatArray, points: FloatArray) -> None:
+    def _slide(surface: CurvedSurface, displacement: FloatArray, points: FloatArray, first: IntArray) -> None:
         moving = surface.nodes[(displacement[surface.nodes] != 0.0).any(axis=1)]
         if moving.size:
-            target = points[moving] + displacement[moving]
+            start = points[first[moving]]
+            target = start + displacement[moving]
             triangle, weights, _ = surface.tree.closest(target)
             corners = surface.points[surface.triangles[triangle]]
-            displacement[moving] = np.einsum("nc,ncd->nd", weights, corners) - points[moving]
+            displacement[moving] = np.einsum("nc,ncd->nd", weights, corners) - start
 
 
 def find_sliding(
@@ -96,9 +103,9 @@ def find_sliding(
     normal = plane_normal(grid)
     for name, quads, symmetry in slipping:
         bent = []
-        for side in np.unique(topology.quads.block_side[quads]):
+        for side in distinct(topology.quads.block_side[quads], 6 * grid.n_blocks):
             part = quads[topology.quads.block_side[quads] == side]
-            nodes = np.unique(topology.quads.corners[part])
+            nodes = distinct(topology.quads.corners[part], topology.n_unique)
             plane = plane_of(grid.points[topology.first[nodes]], normal)
             if plane is None:
                 bent.append(part)

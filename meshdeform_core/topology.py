@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from .grid import FloatArray, Grid, IntArray, Shape, Side
-from .numerics.coincidence import coincident_groups, equal_rows
+from .numerics.coincidence import coincident_groups, distinct, equal_rows
 
 RELATIVE_TOLERANCE = 1e-3
 """Coincident means closer than this fraction of the shortest edge at either node (spec section 1)."""
@@ -109,7 +109,7 @@ def find_topology(grid: Grid, tolerance: float = RELATIVE_TOLERANCE) -> Topology
     """
     sides = [(b, side) for b in range(grid.n_blocks) for side in Side if _has_quads(grid.shapes[b], side)]
     on_side = {key: side_nodes(grid, *key) for key in sides}
-    face_nodes = np.unique(np.concatenate([nodes.ravel() for nodes in on_side.values()]))
+    face_nodes = distinct(np.concatenate([nodes.ravel() for nodes in on_side.values()]), grid.n_nodes)
     edge = _shortest_edges(grid, on_side, face_nodes)
     number = coincident_groups(grid.points[face_nodes], tolerance * edge)
     n_unique = int(number.max()) + 1
@@ -177,22 +177,29 @@ def _shortest_edges(grid: Grid, on_side: dict[tuple[int, Side], IntArray], face_
     """Shortest edge at every face node that is longer than the round-off of the file's precision."""
     shortest = np.full(len(face_nodes), np.inf)
     epsilon = 4 * float(np.finfo(grid.precision).eps)
-
-    def take(nodes: IntArray, others: IntArray) -> None:
-        p, q = grid.points[nodes], grid.points[others]
-        length = np.linalg.norm(p - q, axis=-1)
-        noise = epsilon * np.maximum(np.abs(p).max(axis=-1), np.abs(q).max(axis=-1))
-        length[length <= noise] = np.inf
-        np.minimum.at(shortest, np.searchsorted(face_nodes, nodes), length)
-
     for (block, side), nodes in on_side.items():
-        take(nodes, nodes + inward_step(grid.shapes[block], side))
-        for one, two in ((nodes[1:], nodes[:-1]), (nodes[:, 1:], nodes[:, :-1])):
-            if one.size:
-                take(one, two)
-                take(two, one)
+        p, q = grid.points[nodes], grid.points[nodes + inward_step(grid.shapes[block], side)]
+        size = _largest(p)
+        local = _sound_length(p - q, epsilon * np.maximum(size, _largest(q)))
+        for one, two in ((np.s_[1:], np.s_[:-1]), (np.s_[:, 1:], np.s_[:, :-1])):
+            length = _sound_length(p[one] - p[two], epsilon * np.maximum(size[one], size[two]))
+            np.minimum(local[one], length, out=local[one])
+            np.minimum(local[two], length, out=local[two])
+        at = np.searchsorted(face_nodes, nodes)
+        shortest[at] = np.minimum(shortest[at], local)
     noise_floor = epsilon * np.abs(grid.points[face_nodes]).max(axis=1)
     return np.where(np.isfinite(shortest), shortest, noise_floor)
+
+
+def _largest(x: FloatArray) -> FloatArray:
+    """Largest absolute coordinate of points (..., 3); a reduction over so short an axis would be slow."""
+    return np.asarray(np.maximum(np.maximum(np.abs(x[..., 0]), np.abs(x[..., 1])), np.abs(x[..., 2])))
+
+
+def _sound_length(edge: FloatArray, noise: FloatArray) -> FloatArray:
+    """Length of edges (..., 3), infinite where it is nothing but noise."""
+    length = np.sqrt(edge[..., 0] ** 2 + edge[..., 1] ** 2 + edge[..., 2] ** 2)
+    return np.where(length <= noise, np.inf, length)
 
 
 def _face_quads(

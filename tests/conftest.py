@@ -3,7 +3,11 @@
 import os
 from pathlib import Path
 
-import pytest
+# Threads of linear algebra libraries that wait in busy loops slow down all other workers of the test run.
+for _library in ("OPENBLAS", "OMP", "MKL"):
+    os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
+
+import pytest  # noqa: E402 (numpy reads the variables when it is loaded)
 
 
 @pytest.fixture(scope="session")

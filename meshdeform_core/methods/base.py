@@ -16,6 +16,7 @@ import numpy as np
 from ..boundary import Boundary, Kind
 from ..grid import FloatArray, Grid, IntArray, Side
 from ..memory import UNLIMITED, MemoryLimit
+from ..numerics.coincidence import distinct
 from ..planes import plane_normal
 from ..topology import Topology, inward_step, side_nodes
 
@@ -89,7 +90,7 @@ class Problem:
         topology, grid = self.topology, self.grid
         height = np.full(topology.n_unique, np.inf)
         known = self.boundary.quad_kind >= Kind.FIXED
-        for block_side in np.unique(topology.quads.block_side[known]):
+        for block_side in distinct(topology.quads.block_side[known], 6 * grid.n_blocks):
             block, side = int(block_side) // 6, Side(int(block_side) % 6)
             flat = side_nodes(grid, block, side).ravel()
             gap = np.linalg.norm(grid.points[flat + inward_step(grid.shapes[block], side)] - grid.points[flat], axis=1)

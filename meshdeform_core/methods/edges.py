@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..grid import FloatArray, IntArray, Side
-from ..numerics.blend import blend_plane, plane_coordinates
+from ..numerics.blend import blend_face, plane_coordinates
+from ..numerics.rows import put_rows
 from ..topology import side_nodes
 from ..windows import windows_of_quads
 from .base import Account, Problem, Progress
@@ -52,9 +53,10 @@ class PreparedEdgeGraph:
         known = problem.boundary.known.copy()
         corner = np.zeros(len(known), dtype=bool)
         lines = list(_block_edges(problem))
+        points = problem.grid.points[problem.topology.first]
         for line in lines:
             corner[line[[0, -1]]] = True
-        self._segments = _segments(problem, lines, known | corner)
+        self._segments = _segments(points, lines, known | corner)
         self._free = np.flatnonzero(corner & ~known)
         self._graph = _Graph.of(self._segments, self._free, len(known))
         reached = known | corner
@@ -64,7 +66,9 @@ class PreparedEdgeGraph:
         for part, borders in _face_parts(problem, reached.copy()):
             self._parts.append(part)
             # A rectangle of an L-shaped face has a border that is no block edge.
-            self._segments += _segments(problem, [b for b in borders if not reached[b].all()], reached)
+            self._segments += _segments(points, [b for b in borders if not reached[b].all()], reached)
+        # Between neighbours there is nothing to fill.
+        self._segments = [segment for segment in self._segments if len(segment.nodes) > 2]
 
     def foresee(self, motion: FloatArray, step: FloatArray) -> list[str]:
         """What is bound to go wrong with a displacement (n_sources, 3) of which ``step`` is imposed first."""
@@ -82,10 +86,8 @@ class PreparedEdgeGraph:
             first, last = d[segment.nodes[0]], d[segment.nodes[-1]]
             d[segment.nodes[1:-1]] = first + segment.arc[1:-1, None] * (last - first)
         for part in self._parts:
-            values = d[part.nodes]
-            blend_plane(values, part.s, part.t)
-            d[part.nodes[part.unknown]] = values[part.unknown]
-        out[topology.first] = d
+            blend_face(d, part.nodes, part.unknown, part.s, part.t)
+        put_rows(d, topology.first, out)
 
 
 def _block_edges(problem: Problem) -> Iterator[IntArray]:
@@ -105,8 +107,8 @@ def _block_edges(problem: Problem) -> Iterator[IntArray]:
                 yield from (nodes[:, 0], nodes[:, -1])
 
 
-def _segments(problem: Problem, lines: list[IntArray], knot: np.ndarray) -> list[Segment]:
-    points = problem.grid.points[problem.topology.first]
+def _segments(points: FloatArray, lines: list[IntArray], knot: np.ndarray) -> list[Segment]:
+    """Stretches of ``lines`` between the nodes where ``knot`` holds; ``points`` (n_unique, 3)."""
     found: dict[tuple[int, int, int], Segment] = {}
     for line in lines:
         step = np.linalg.norm(np.diff(points[line], axis=0), axis=1)

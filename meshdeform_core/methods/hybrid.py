@@ -12,6 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from ..grid import FloatArray, IntArray
+from ..numerics.rows import put_rows, spread_rows, take_rows
 from .base import Account, Interpolation, PreparedMethod, Problem, Progress
 from .edges import PreparedEdgeGraph
 from .periodic_steps import PreparedPeriodic, free_periodic, with_known_periodic
@@ -132,7 +133,7 @@ class PreparedComposite:
         # Not-a-number, so that a node that no step reaches cannot pass for one that does not move.
         out = np.full((problem.grid.n_nodes, 3), np.nan)
         self._mover.move(displacement, out, progress)
-        out[problem.source_flat] = displacement
+        put_rows(displacement, problem.source_flat, out)
         self._constrain(out)
         if self._filler:
             self._filler.fill(out, progress)
@@ -143,11 +144,11 @@ class PreparedComposite:
     def _constrain(self, out: FloatArray) -> None:
         """Slip and periodicity, then one displacement for coincident nodes."""
         topology, boundary = self._problem.topology, self._problem.boundary
-        face = out[topology.first]
-        points = self._problem.grid.points[topology.first]
-        boundary.slip.constrain(face, points)
+        face = np.empty((topology.n_unique, 3))
+        take_rows(out, topology.first, face)
+        boundary.slip.constrain(face, self._problem.grid.points, topology.first)
         boundary.periodic.constrain(face, ~boundary.known)
-        out[topology.face_nodes] = face[topology.number]
+        spread_rows(face, topology.number, topology.face_nodes, out)
 
 
 def first_step_nodes(problem: Problem, skeleton: Skeleton | None) -> IntArray:

@@ -28,7 +28,7 @@ _BASIS = {
 _COMPONENTS = 3
 _TFI_BLOCK, _TFI_PLANE = 57 * _COMPONENTS + 3, 15 * _COMPONENTS + 2
 _ARC = 11
-_LUKE_PAIR = 16
+_LUKE_PAIR = 15
 _FINISH = 40
 
 
@@ -63,9 +63,9 @@ def tfi_operations(nodes: int, dimension: int) -> float:
 
 
 def idw_operations(idw: IDW, targets: int, sources: int) -> float:
-    """Weight (eq. 16) and accumulation of seven values per pair and pass, as often as weights are found anew."""
+    """Weight (eq. 16) and accumulation with seven values per pair and pass, as often as weights are found anew."""
     passes = -(-finish_width(idw.rotation) // N_VALUES)
-    per_pair = passes * (_LUKE_PAIR + 2 * N_VALUES)
+    per_pair = passes * (_LUKE_PAIR + 2 * (1 + N_VALUES))
     return float(targets) * ((idw.divisions if idw.reweight else 1) * (per_pair * float(sources)) + _FINISH)
 
 

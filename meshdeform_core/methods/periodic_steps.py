@@ -67,6 +67,6 @@ class PreparedPeriodic:
         out[problem.source_flat] = displacement
         topology, boundary = problem.topology, problem.boundary
         face = out[topology.first]
-        boundary.slip.constrain(face, problem.grid.points[topology.first])
+        boundary.slip.constrain(face, problem.grid.points, topology.first)
         boundary.periodic.constrain(face, ~boundary.known)
         return self._rest.apply(face[self._guided.source_numbers], progress)

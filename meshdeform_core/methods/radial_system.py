@@ -11,6 +11,7 @@ from ..memory import UNLIMITED, MemoryLimit
 from ..numerics.basis import BASES
 from ..numerics.greedy import independent
 from ..numerics.krylov import KrylovSolver
+from ..numerics.parallel import Shared, for_chunks
 from ..numerics.radial import radial_matrix, radial_sums
 from ..numerics.saddle import DirectSolver, minres
 from ..numerics.sparse import sparse_radial_matrix
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 SOLVERS = ("auto", "direct", "minres", "krylov")
 DIRECT_CENTRES = 4000
 """Most centres that ``auto`` solves directly; from there on a factorisation takes longer than GMRES with its set-up."""
+_CHUNK = 512
 _TOLERANCE = {"minres": 1e-10, "krylov": 1e-6}
 
 
@@ -77,7 +79,13 @@ class RadialSystem:
         return coefficients, polynomial
 
     def _multiply(self, coefficients: FloatArray) -> FloatArray:
-        return radial_sums(self.kind, self.centres.points, self.centres.points, coefficients)
+        points, result = self.centres.points, np.empty((len(self.centres.points), 3))
+
+        def work(lo: int, hi: int) -> None:
+            result[lo:hi] = radial_sums(self.kind, points[lo:hi], points, coefficients)
+
+        for_chunks(work, len(points), _CHUNK, shared=[Shared(result)])
+        return result
 
     def _solve_krylov(
         self, values: FloatArray, account: Account, progress: Progress | None

@@ -21,13 +21,6 @@ class SubBlock:
     low: Shape
     high: Shape
 
-    def interior(self, grid: Grid) -> IntArray:
-        """Flat indices of the nodes on none of its faces, C-ordered."""
-        _, nj, nk = grid.shapes[self.block]
-        i, j, k = (np.arange(lo + 1, hi) for lo, hi in zip(self.low, self.high, strict=True))
-        local = (i[:, None, None] * nj + j[:, None]) * nk + k
-        return np.asarray(grid.offsets[self.block] + local.ravel(), dtype=np.int64)
-
 
 @dataclass(frozen=True)
 class Skeleton:

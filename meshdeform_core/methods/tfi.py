@@ -6,14 +6,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..grid import FloatArray, IntArray
-from ..numerics.blend import arc_coordinates, blend_block, blend_plane, plane_coordinates
+from ..grid import FloatArray, Grid, IntArray
+from ..numerics.blend import arcs_along_i, arcs_along_j_and_k, blend_plane, blend_slabs, plane_coordinates
 from ..numerics.parallel import Shared, for_chunks
 from .base import Account, Problem, Progress, Setting
 from .options import option, positive, used
 from .skeleton import Skeleton, SubBlock, make_skeleton
 
 DEFAULT_MAX_CELLS = 16
+# Planes filled by one call, and calls of a whole grid: enough to share evenly, few enough to cost nothing.
+_PLANES, _CHUNKS = 32, 64
 
 
 @dataclass(frozen=True)
@@ -53,16 +55,21 @@ class PreparedTFI:
         self._arc = np.empty((grid.n_nodes, 3)) if grid.dimension == 3 else np.empty((0, 3))
         self._planes: list[_Plane] = []
         if grid.dimension == 3:
-            for_chunks(self._arcs, grid.n_blocks, 1)
+            for block in range(grid.n_blocks):
+                self._arcs(block)
         else:
             self._planes = [_Plane.of(problem, sub) for sub in self._subs]
+        self._slabs = _slabs(grid, self._subs)
         self.account = Account()
         self.account.settings |= used(options, "max_cells")
         self.account.settings["sub_blocks"] = Setting(len(self._subs))
 
-    def _arcs(self, first: int, last: int) -> None:
-        for block in range(first, last):
-            arc_coordinates(self._grid.block(block), *self._skeleton.cuts[block], self._grid.block(block, self._arc))
+    def _arcs(self, block: int) -> None:
+        points, arc = self._grid.block(block), self._grid.block(block, self._arc)
+        along_i, along_j, along_k = self._skeleton.cuts[block]
+        ni, nj = points.shape[:2]
+        for_chunks(lambda lo, hi: arcs_along_i(points, along_i, lo, hi, arc), nj, -(-nj // 8))
+        for_chunks(lambda lo, hi: arcs_along_j_and_k(points, along_j, along_k, lo, hi, arc), ni, -(-ni // 8))
 
     def fill(self, displacement: FloatArray, progress: Progress | None = None) -> None:
         """Interior of every sub-block from its faces, in place in ``displacement`` (n_nodes, 3)."""
@@ -72,20 +79,36 @@ class PreparedTFI:
             return
 
         def work(lo: int, hi: int) -> None:
-            for sub in self._subs[lo:hi]:
-                (i0, j0, k0), (i1, j1, k1) = sub.low, sub.high
-                blend_block(
-                    self._grid.block(sub.block, displacement),
-                    self._grid.block(sub.block, self._arc),
-                    i0, i1, j0, j1, k0, k1,
-                )  # fmt: skip
+            blend_slabs(displacement, self._arc, self._slabs[lo:hi])
 
         report = None if progress is None else (lambda done, total: progress("tfi", done, total))
-        for_chunks(work, len(self._subs), 1, report, [Shared(displacement, self._interior)])
+        chunk = 1 + len(self._slabs) // _CHUNKS
+        for_chunks(work, len(self._slabs), chunk, report, [Shared(displacement, self._interior)])
 
     def _interior(self, first: int, last: int) -> IntArray:
-        """Flat indices of the nodes inside some sub-blocks."""
-        return np.concatenate([sub.interior(self._grid) for sub in self._subs[first:last]])
+        """Flat indices of the nodes inside some slabs."""
+        return np.concatenate([_nodes_of(slab) for slab in self._slabs[first:last]])
+
+
+def _slabs(grid: Grid, subs: list[SubBlock]) -> IntArray:
+    """Planes i0 <= i < i1 of the interiors of sub-blocks, at most some at a time so that threads can share.
+
+    One row each: first node and shape of the block, low and high node of the sub-block, i0, i1.
+    """
+    rows = [
+        (grid.offsets[sub.block], *grid.shapes[sub.block], *sub.low, *sub.high, i, min(i + _PLANES, sub.high[0]))
+        for sub in subs
+        for i in range(sub.low[0] + 1, sub.high[0], _PLANES)
+    ]
+    return np.array(rows, dtype=np.int64).reshape(-1, 12)
+
+
+def _nodes_of(slab: IntArray) -> IntArray:
+    """Flat indices of the nodes that one row of :func:`_slabs` moves."""
+    offset, shape, low, high = int(slab[0]), slab[1:4], slab[4:7], slab[7:10]
+    j, k = (np.arange(low[axis] + 1, high[axis]) for axis in (1, 2))
+    i = np.arange(slab[10], slab[11])
+    return np.asarray(offset + ((i[:, None, None] * shape[1] + j[:, None]) * shape[2] + k).ravel())
 
 
 @dataclass(frozen=True)

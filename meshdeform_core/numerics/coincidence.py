@@ -118,3 +118,13 @@ def equal_rows(rows):
     partner = np.empty(len(rows), dtype=np.int64)
     partner[order] = order[following]
     return np.where(count > 1, partner, -1), count
+
+
+def distinct(numbers, size):
+    """The different ones of ``numbers`` (any shape, integers in 0 ... size - 1), ascending, int64.
+
+    By marks instead of sorting or hashing, as there are few numbers to choose from.
+    """
+    marked = np.zeros(size, dtype=bool)
+    marked[numbers] = True
+    return np.flatnonzero(marked)

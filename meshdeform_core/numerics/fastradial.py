@@ -11,7 +11,7 @@ from .treesum import Charges, Reach, radial_basis, sum_bricks
 
 _CHUNK = 16
 _TRIALS = 6
-_TRIAL_BRICKS = 8
+_TRIAL_BRICKS = 24
 
 
 class FastRadial:
@@ -52,9 +52,9 @@ class FastRadial:
         share = 1.0
         for _ in range(_TRIALS):
             error = self._trial_error(coefficients, strength, targets, trial, limit * share, exact) / tolerance
-            if error <= 0.5:
+            if error <= 0.25:
                 break
-            share *= max(0.03, 0.3 / error)
+            share *= max(0.03, 0.15 / error)
         self._sum(targets.points, targets.bricks, coefficients, strength, limit * share, use, result, progress)
         return error * tolerance
 

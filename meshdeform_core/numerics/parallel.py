@@ -94,7 +94,7 @@ def usable_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def for_chunks(work, size, chunk, progress=None, shared: Sequence[Shared] = ()):
+def for_chunks(work, size, chunk, progress=None, shared: Sequence[Shared] | None = None):
     """Call ``work(first, last)`` for consecutive chunks of ``range(size)``, spread over the threads.
 
     Parameters
@@ -102,15 +102,16 @@ def for_chunks(work, size, chunk, progress=None, shared: Sequence[Shared] = ()):
     work : function that releases the interpreter lock and touches only its own part of the result
     chunk : items per call; small enough that the threads finish together
     progress : called with (items done, items in all) as chunks finish
-    shared : everything that ``work`` fills. The chunks are then dealt out among the ranks like cards, because
-        neighbours cost alike; without it every rank does all of them. Chunks are the same however many ranks there are
+    shared : everything that ``work`` fills and all ranks need. The chunks are then dealt out among the ranks like
+        cards, because neighbours cost alike, the same cards whenever size and chunk are the same; without it every
+        rank does all of them. Chunks do not depend on the number of ranks
     """
     bounds = [(first, min(first + chunk, size)) for first in range(0, size, chunk)]
-    ranks = _ranks if shared else OneRank()
+    ranks = OneRank() if shared is None else _ranks
     _on_threads(work, bounds[ranks.number :: ranks.count], progress)
     if ranks.count > 1:
         dealt = [bounds[number :: ranks.count] for number in range(ranks.count)]
-        for array, rows in shared:
+        for array, rows in shared or ():
             ranks.share(array, [[rows(*ends) for ends in own] for own in dealt])
 
 

@@ -11,7 +11,7 @@ from scipy.linalg import qr
 from scipy.spatial import cKDTree
 
 from .cholesky import invert_last
-from .parallel import for_chunks, thread_count
+from .parallel import Shared, for_chunks, thread_count
 from .radial import radial_matrix, radial_sums
 from .saddle import DirectSolver
 
@@ -22,6 +22,7 @@ _DIRECT = 8000
 _FEWEST = 500
 _SPACING = 20
 _SHIFT = 1e-13
+_BOXES = 8
 
 
 class SchwarzPreconditioner:
@@ -68,7 +69,10 @@ class SchwarzPreconditioner:
             for box in range(lo, hi):
                 coefficients[self._own[box]] = self._rows[box] @ residual[self._near[box]]
 
-        for_chunks(work, len(self._own), 32)
+        def rows(lo, hi):
+            return np.concatenate(self._own[lo:hi])
+
+        for_chunks(work, len(self._own), _BOXES, shared=[Shared(coefficients, rows)])
         coefficients -= self._side @ (self._side.T @ coefficients)
         rest = residual[self._coarse] - radial_sums(self._kind, self._centres, self._points, coefficients)
         correction, polynomial = self._next.solve(rest)
@@ -133,7 +137,8 @@ def _restricted_inverses(kind, points, own, near):
             x = points[near[box]]
             rows[box] = _last_rows(kind, x, _polynomial_basis(x), len(own[box]))
 
-    for_chunks(work, len(own), 4)
+    # Nothing to share: a rank applies what it has made.
+    for_chunks(work, len(own), _BOXES, shared=[])
     return rows
 
 

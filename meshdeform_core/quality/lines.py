@@ -8,6 +8,7 @@ import numpy as np
 
 from ..boundary import Boundary, Kind
 from ..grid import FloatArray, Grid, IntArray, Side
+from ..numerics.coincidence import distinct
 from ..topology import Topology, inward_step, side_nodes
 
 
@@ -53,7 +54,7 @@ def _corners(grid: Grid, topology: Topology, quads: IntArray) -> tuple[IntArray,
     side_of = topology.quads.block_side[quads]
     width = topology.quads.corners.shape[1]
     corners = np.empty((len(quads), width), dtype=np.int64)
-    for block_side in np.unique(side_of):
+    for block_side in distinct(side_of, 6 * grid.n_blocks):
         block, side = int(block_side) // 6, Side(int(block_side) % 6)
         nodes = side_nodes(grid, block, side)
         mine = side_of == block_side
@@ -98,7 +99,7 @@ def moving_walls(grid: Grid, topology: Topology, boundary: Boundary) -> list[Wal
     """All block faces with moving quads."""
     moving = boundary.quad_kind == Kind.MOVING
     faces = []
-    for block_side in np.unique(topology.quads.block_side[moving]):
+    for block_side in distinct(topology.quads.block_side[moving], 6 * grid.n_blocks):
         block, side = int(block_side) // 6, Side(int(block_side) % 6)
         counts = topology.quads.counts[block, side]
         wall = moving[topology.quads.of_side(block, side)].reshape(counts)

@@ -100,6 +100,23 @@ def test_command_writes_the_same_file_and_speaks_once(bench, call):
 
 
 @needs_mpi
+def test_series_is_the_same_and_can_be_continued(bench, call):
+    args = ("series", "grid.xyz", "-c", "case.toml", "-s", "constants.turn=20", "-m", "idw-tfi", "--from", "last")
+    assert call(*args, "--times", "0:2:1", "-o", "alone").code == 0
+    for resumed in ((), ("--resume",)):
+        done = on_ranks(2, *args, "--times", "0:2:1", "-o", "shared", *resumed)
+        assert done.returncode == 0, done.stderr
+        levels = sorted(path.name for path in Path("alone").glob("*.xyz"))
+        assert len(levels) == 3
+        assert sorted(path.name for path in Path("shared").iterdir()) == sorted(os.listdir("alone"))
+        for name in levels:
+            assert Path("shared", name).read_bytes() == Path("alone", name).read_bytes()
+        # The second time around the last two levels are missing.
+        for name in levels[1:]:
+            Path("shared", name).unlink()
+
+
+@needs_mpi
 @pytest.mark.parametrize(
     ("args", "message"),
     [

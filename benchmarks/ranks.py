@@ -1,0 +1,97 @@
+"""Strong scaling over ranks: the splitter plate by IDW, one thread per rank.
+
+    mpiexec -n 2 python benchmarks/ranks.py 24 fast     # or: exact, or: idw-tfi
+
+One start measures 1, 2, 4, ... ranks one after the other. For every stage it prints the wall seconds, and the largest
+CPU seconds that a rank computed in it: on a machine that others use the wall time says little, the CPU time is what
+the stage takes when every rank has a core of its own, without the exchange.
+"""
+
+import sys
+import time
+from contextlib import contextmanager
+
+from mpi4py import MPI
+
+from meshdeform_cli.mpi import MPIRanks
+from meshdeform_core.deform import set_up
+from meshdeform_core.methods import make_method
+from meshdeform_core.numerics.parallel import set_ranks, set_threads
+from meshdeform_core.quality import assess
+from meshdeform_formats.case import read_case
+from meshdeform_samples import folder, load
+
+WORLD = MPI.COMM_WORLD
+METHODS = {
+    "exact": ("idw", ("method.idw.summation=exact",)),
+    "fast": ("idw", ("method.idw.summation=fast",)),
+    "idw-tfi": ("idw-tfi", ()),
+}
+
+
+class TimedRanks(MPIRanks):
+    """Keeps apart what a rank computes and what it spends on waiting and exchanging."""
+
+    idle = 0.0
+
+    def share(self, array, rows):
+        start = time.process_time()
+        super().share(array, rows)
+        self.idle += time.process_time() - start
+
+
+def main(size, kind):
+    set_threads(1)
+    method, overrides = METHODS[kind]
+    grid = load("splitter-plate").generate(size)
+    case = read_case(folder("splitter-plate") / "case.toml", overrides, method).case
+    if WORLD.rank == 0:
+        print(f"splitter plate n = {size}, {grid.n_nodes:,} nodes, {kind}: wall s / largest CPU s per rank")
+    counts = [2**n for n in range(WORLD.size.bit_length()) if 2**n <= WORLD.size]
+    # The first round compiles and touches the memory.
+    first = measure(load("splitter-plate").generate(8), case, WORLD.size)
+    assert first or WORLD.rank
+    for count in counts:
+        found = measure(grid, case, count)
+        if WORLD.rank == 0:
+            columns = "  ".join(f"{name} {wall:.2f} / {cpu:.2f}" for name, (wall, cpu) in found.items())
+            print(f"{count} ranks  {columns}", flush=True)
+
+
+def measure(grid, case, count):
+    """Seconds (wall, largest CPU) of each stage on the first ``count`` ranks, known to the first one."""
+    group = WORLD.Split(0 if WORLD.rank < count else MPI.UNDEFINED)
+    found = _stages(TimedRanks(group), grid, case) if group != MPI.COMM_NULL else {}
+    done = WORLD.Ibarrier()
+    while not done.Test():
+        # Asleep, so that ranks that have no part leave the cores to the others.
+        time.sleep(0.01)
+    return found
+
+
+def _stages(ranks, grid, case):
+    group, found = ranks._comm, {}
+    set_ranks(ranks)
+
+    @contextmanager
+    def stage(name):
+        group.Barrier()
+        wall, cpu, idle = time.perf_counter(), time.process_time(), ranks.idle
+        yield
+        busy = time.process_time() - cpu - (ranks.idle - idle)
+        group.Barrier()
+        found[name] = time.perf_counter() - wall, group.allreduce(busy, MPI.MAX)
+
+    with stage("topology"):
+        setup = set_up(grid, case)
+    with stage("prepare"):
+        prepared = make_method(case.method).prepare(setup.problem)
+    displacement = setup.displacement(0.0)[setup.problem.source_numbers]
+    with stage("apply"):
+        moved = prepared.apply(displacement)
+    with stage("quality"):
+        assess(grid, grid.points + moved, setup.topology, setup.boundary)
+    return found
+
+
+main(int(sys.argv[1]), sys.argv[2])
