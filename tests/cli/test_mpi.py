@@ -46,7 +46,7 @@ def fail(*_):
     raise MethodError("made to fail")
 
 if mpi.place().number == 1:
-    tfi.blend_block = fail
+    tfi.blend_slabs = fail
 main()
 """
 FULL_DISK = """
