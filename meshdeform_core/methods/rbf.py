@@ -55,7 +55,7 @@ class RBF:
     summation_tolerance : of fast sums: error of a node's displacement relative to its shortest cell edge, 1e-8 to 0.1
     """
 
-    basis: str = option("tps", "has no radius to choose, and the best f_skew of all bases on the splitter plate")
+    basis: str = option("tps", "has no radius to choose, and no basis has a better worst cell on the splitter plate")
     radius: float | str = option("auto", "every node sees the whole moving body")
     solver: str = option("auto", f"direct up to {DIRECT_CENTRES:,} centres, then krylov")
     tolerance: float | str = option("auto", "minres 1e-10, krylov 1e-6")

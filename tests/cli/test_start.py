@@ -1,0 +1,34 @@
+"""What commands import: the start of a command line tool is mostly imports."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+HEAVY = ("numba", "scipy", "vtk", "vtkmodules", "matplotlib", "meshio", "rich")
+CODE = """
+import sys
+from meshdeform_cli.main import run
+code = run(sys.argv[1:])
+print(code, sorted(set(name.partition(".")[0] for name in sys.modules) & set({heavy!r})), "numpy" in sys.modules)
+"""
+
+
+def imported(*arguments: object) -> str:
+    """Exit code, heavy modules, and whether numpy was imported, after a command in a fresh interpreter."""
+    command = [sys.executable, "-c", CODE.format(heavy=HEAVY), *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    return done.stdout.splitlines()[-1]
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["deform", "--help"], ["series", "--help"]])
+def test_help_imports_nothing_heavy(arguments):
+    assert imported(*arguments) == "0 [] False"
+
+
+@pytest.mark.parametrize("suffix", [".cgns", ".xyz"])
+def test_info_needs_numpy_only(suffix, tmp_path, call):
+    assert call("sample", "splitter-plate", "-o", tmp_path, "--suffix", suffix).code == 0
+    assert imported("info", tmp_path / f"grid{suffix}") == "0 [] True"
