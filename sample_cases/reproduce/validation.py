@@ -16,7 +16,7 @@ def validation_page(results: Results, figures: str) -> str:
     parts = [
         "# Validation against the paper",
         "Sen, De Nayer, Breuer: A fast and robust hybrid method for block-structured mesh deformation with emphasis on "
-        "FSI-LES applications, Int. J. Numer. Meth. Fluids (2017). This page is written by `meshdeform reproduce all "
+        "FSI-LES applications, Int. J. Numer. Meth. Engng (2017). This page is written by `meshdeform reproduce all "
         f"-o reproduced --validation docs/validation.md`. {sizes}",
         "`measured` is an independent implementation of the same definitions. Differences are ours minus the paper's, "
         "which prints two digits: up to 0.005 is its rounding. Nothing is fitted per row; what the paper leaves open "
