@@ -10,26 +10,18 @@ import click
 from meshdeform_core.errors import CaseError
 
 from .machine import use_threads
-from .main import EXIT_INVALID
 from .options import (
     PATH,
     CaseInput,
     FiniteNumber,
     GridInput,
+    RunInput,
     case_options,
     check_output,
     check_reports,
-    force_option,
     grid_options,
-    memory_option,
-    parse_memory,
-    parse_pairs,
-    quiet_option,
-    report_option,
-    threads_option,
-    variant_option,
-    verbose_option,
-)  # fmt: skip
+    run_options,
+)
 from .progress import ProgressBar
 
 
@@ -41,20 +33,8 @@ from .progress import ProgressBar
 @click.option(
     "--time", "at_time", type=FiniteNumber(), default=0.0, metavar="T", help="Evaluate the motion at this time."
 )
-@report_option
-@threads_option
-@memory_option
-@variant_option
-@click.option("--dry-run", is_flag=True, help="Show what would be done; write nothing.")
-@force_option
-@click.option("--allow-invalid", is_flag=True, help="Exit 0 even if cells became invalid.")
-@quiet_option
-@verbose_option
-def command(
-    source: GridInput, output: Path | None, case: CaseInput, steps: str, at_time: float, reports: tuple[Path, ...],
-    threads: int | None, max_memory: str | None, variant: tuple[str, ...], dry_run: bool, force: bool,
-    allow_invalid: bool, quiet: bool, verbose: bool,
-) -> int:  # fmt: skip
+@run_options
+def command(source: GridInput, output: Path | None, case: CaseInput, steps: str, at_time: float, run: RunInput) -> int:
     """Deform GRID, judge the result and write it.
 
     \b
@@ -68,28 +48,25 @@ def command(
     invalid (exit code 3); the report lists them.
     """
     start = clock.perf_counter()
-    use_threads(threads)
-    if output is None and not dry_run:
+    use_threads(run.threads)
+    if output is None and not run.dry_run:
         raise click.UsageError("Missing option '-o' / '--output' (or --dry-run).")
     if case.empty:
         raise click.UsageError("Nothing to do: give a case file (-c) or a displacement table (-d).")
-    if not dry_run and output is not None:
-        _check_target(output, force, *source.files, *case.files)
-    check_reports(reports, force, output, *source.files, *case.files)
-    count, options, limit = parse_steps(steps), parse_pairs(variant, "--variant"), parse_memory(max_memory)
+    if not run.dry_run and output is not None:
+        _check_target(output, run.force, *source.files, *case.files)
+    check_reports(run.reports, run.force, output, *source.files, *case.files)
+    count, options, limit = parse_steps(steps), run.variant_options, run.memory
 
     from . import work
 
-    job = work.load(source, case, limit, [path for path in (output, *reports) if path is not None])
-    if dry_run or output is None:
+    job = work.load(source, case, limit, [path for path in (output, *run.reports) if path is not None])
+    if run.dry_run or output is None:
         click.echo(work.describe(job, output, count, at_time, options), nl=False)
         return 0
-    with ProgressBar(not quiet) as progress:
+    with ProgressBar(not run.quiet) as progress:
         report = work.run(job, output, count, at_time, options, progress, start)
-    for path in reports:
-        work.write_report(report, path)
-    work.tell(report, quiet, verbose)
-    return 0 if report["valid"] or allow_invalid else EXIT_INVALID
+    return work.conclude(report, run)
 
 
 def _check_target(output: Path, force: bool, *inputs: Path | None) -> None:

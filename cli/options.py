@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import math
 import re
@@ -39,9 +40,7 @@ class FiniteNumber(click.FloatRange):
 force_option = click.option("--force", is_flag=True, help="Overwrite an existing output (never the input).")
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 quiet_option = click.option("-q", "--quiet", is_flag=True, help="Print errors only.")
-verbose_option = click.option("-v", "--verbose", is_flag=True, help="Tell more: stages and their times on stderr.")
 threads_option = click.option("--threads", type=click.IntRange(min=1), help="Use at most so many threads.")
-memory_option = click.option("--max-memory", metavar="SIZE", help="Refuse what needs more, like 2GiB.")
 variant_option = click.option(
     "--variant", metavar="KEY=VALUE", multiple=True,
     help="How to write the output. plot3d: encoding=ascii|binary|fortran byte_order=little|big "
@@ -115,7 +114,7 @@ def grid_options(command: Command) -> Command:
     def packed(grid: Path, boundary_file: Path | None, read_as: tuple[str, ...], **rest: Any) -> Any:
         return command(source=GridInput(grid, boundary_file, read_as), **rest)
 
-    return packed  # fmt: skip
+    return packed
 
 
 def case_options(command: Command) -> Command:
@@ -138,7 +137,50 @@ def case_options(command: Command) -> Command:
     ) -> Any:
         return command(case=CaseInput(case_file, displacement, method, overrides), **rest)
 
-    return packed  # fmt: skip
+    return packed
+
+
+@dataclass(frozen=True)
+class RunInput:
+    """How a command that makes grids runs, and what it tells."""
+
+    reports: tuple[Path, ...]
+    threads: int | None
+    max_memory: str | None
+    variant: tuple[str, ...]
+    dry_run: bool
+    force: bool
+    allow_invalid: bool
+    quiet: bool
+    verbose: bool
+
+    @property
+    def memory(self) -> MemoryLimit:
+        return parse_memory(self.max_memory)
+
+    @property
+    def variant_options(self) -> dict[str, str]:
+        return parse_pairs(self.variant, "--variant")
+
+
+def run_options(command: Command) -> Command:
+    """Options of the commands that make grids, handed over as ``run``."""
+
+    @report_option
+    @threads_option
+    @click.option("--max-memory", metavar="SIZE", help="Refuse what needs more, like 2GiB.")
+    @variant_option
+    @click.option("--dry-run", is_flag=True, help="Show what would be done; write nothing.")
+    @force_option
+    @click.option("--allow-invalid", is_flag=True, help="Exit 0 even if cells became invalid.")
+    @quiet_option
+    @click.option("-v", "--verbose", is_flag=True, help="Tell more: stages and their times on stderr.")
+    @functools.wraps(command)
+    def packed(**options: Any) -> Any:
+        own = {field.name: options.pop(field.name) for field in dataclasses.fields(RunInput)}
+        return command(run=RunInput(**own), **options)
+
+    return packed
 
 
 def parse_pairs(pairs: tuple[str, ...], option: str) -> dict[str, str]:

@@ -12,24 +12,7 @@ from meshdeform_core.numerics.parallel import current_ranks
 
 from .deform import parse_steps
 from .machine import use_threads
-from .main import EXIT_INVALID
-from .options import (
-    PATH,
-    CaseInput,
-    GridInput,
-    case_options,
-    check_reports,
-    force_option,
-    grid_options,
-    memory_option,
-    parse_memory,
-    parse_pairs,
-    quiet_option,
-    report_option,
-    threads_option,
-    variant_option,
-    verbose_option,
-)  # fmt: skip
+from .options import PATH, CaseInput, GridInput, RunInput, case_options, check_reports, grid_options, run_options
 from .progress import ProgressBar
 
 
@@ -53,20 +36,10 @@ from .progress import ProgressBar
 @click.option("--suffix", help="Format of the levels, by suffix; that of GRID by default.")
 @click.option("--single-file", is_flag=True, help="All levels in one CGNS file.")
 @click.option("--resume", is_flag=True, help="Go on where an interrupted run of the same series stopped.")
-@report_option
-@threads_option
-@memory_option
-@variant_option
-@click.option("--dry-run", is_flag=True, help="Show what would be done; write nothing.")
-@force_option
-@click.option("--allow-invalid", is_flag=True, help="Exit 0 even if cells became invalid.")
-@quiet_option
-@verbose_option
+@run_options
 def command(
     source: GridInput, output: Path | None, case: CaseInput, times: str | None, origin: str, steps: str, velocity: str,
-    suffix: str | None, single_file: bool, resume: bool, reports: tuple[Path, ...], threads: int | None,
-    max_memory: str | None, variant: tuple[str, ...], dry_run: bool, force: bool, allow_invalid: bool, quiet: bool,
-    verbose: bool,
+    suffix: str | None, single_file: bool, resume: bool, run: RunInput,
 ) -> int:  # fmt: skip
     """Deform GRID at every time level and write one grid per level, with an index for ParaView.
 
@@ -82,30 +55,27 @@ def command(
     OUTPUT/series.json keeps what --resume needs. Levels with invalid cells are written too (exit code 3).
     """
     start = clock.perf_counter()
-    use_threads(threads)
+    use_threads(run.threads)
     if output is None:
         raise click.UsageError("Missing option '-o' / '--output'.")
     if case.empty:
         raise click.UsageError("Nothing to do: give a case file (-c) or displacement files (-d).")
     if case.displacement and not times:
         raise click.UsageError("Displacement files (-d 'surface_*.csv') need their times: --times START:STOP:STEP.")
-    if resume and force:
+    if resume and run.force:
         raise click.UsageError("--resume continues a series, --force begins it anew; give one of them.")
-    check_reports(reports, force or resume, *source.files, *case.files)
-    count, options, limit = parse_steps(steps), parse_pairs(variant, "--variant"), parse_memory(max_memory)
+    check_reports(run.reports, run.force or resume, *source.files, *case.files)
+    count, options, limit = parse_steps(steps), run.variant_options, run.memory
 
     from . import series_run, work
 
     wanted = series_run.Wanted(output, times, origin, velocity, count, suffix, single_file, options)
-    job = work.load(source, dataclasses.replace(case, times=times), limit, reports)
-    run = series_run.prepare(job, source, wanted)
-    if dry_run:
-        click.echo(series_run.describe(run), nl=False)
+    job = work.load(source, dataclasses.replace(case, times=times), limit, run.reports)
+    plan = series_run.prepare(job, source, wanted)
+    if run.dry_run:
+        click.echo(series_run.describe(plan), nl=False)
         return 0
-    run.manifest = current_ranks().on_first(lambda: series_run.open_manifest(run, resume, force))
-    with ProgressBar(not quiet) as progress:
-        report = series_run.carry_out(run, progress, start)
-    for path in reports:
-        work.write_report(report, path)
-    work.tell(report, quiet, verbose)
-    return 0 if report["valid"] or allow_invalid else EXIT_INVALID
+    plan.manifest = current_ranks().on_first(lambda: series_run.open_manifest(plan, resume, run.force))
+    with ProgressBar(not run.quiet) as progress:
+        report = series_run.carry_out(plan, progress, start)
+    return work.conclude(report, run)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import time as clock
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,15 +18,15 @@ from meshdeform_core.methods import make_method
 from meshdeform_core.numerics.parallel import current_ranks, thread_count
 from meshdeform_formats.case import CaseFile
 from meshdeform_formats.grids import complete_for_export, variant_of, write_grid
-from meshdeform_formats.report import Report, deformation_report, plan_report
-from meshdeform_formats.report import write_report as _write_report
+from meshdeform_formats.report import Report, deformation_report, plan_report, write_report
 from meshdeform_formats.report_text import as_text
 
 from .machine import peak_memory
-from .options import CaseInput, GridInput, keep_inputs
+from .main import EXIT_INVALID
+from .options import CaseInput, GridInput, RunInput, keep_inputs
 from .progress import ProgressBar
 
-__all__ = ["Job", "describe", "load", "run", "tell", "write_report"]
+__all__ = ["Job", "conclude", "describe", "load", "run"]
 
 # Libraries, and coordinates before and after, displacement, arc lengths, topology, fast sums, quality: peaks of 5.4 to
 # 6.4 coordinate arrays were measured with tfi, idw and idw-tfi from 2.7 to 21 million nodes.
@@ -89,22 +90,20 @@ def run(
     return deformation_report(result, seconds, peak_memory())
 
 
-def write_report(report: Report, path: Path) -> None:
-    """Write the report, json, html or text by suffix."""
-    current_ranks().on_first(lambda: _write_report(report, path))
-
-
-def tell(report: Report, quiet: bool, verbose: bool) -> None:
-    """The report on stdout, what must not be missed on stderr."""
-    if not quiet:
+def conclude(report: Report, run: RunInput) -> int:
+    """Write the reports, print what is not to be missed; the exit code."""
+    for path in run.reports:
+        current_ranks().on_first(functools.partial(write_report, report, path))
+    if not run.quiet:
         click.echo(as_text(report), nl=False)
     if not report["valid"]:
         click.echo(f"meshdeform: {_verdict(report)}", err=True)
-    if verbose:
+    if run.verbose:
         if (count := current_ranks().count) > 1:
             click.echo(f"meshdeform: {count} ranks, the first with {thread_count()} threads", err=True)
         for stage, seconds in report["timing"].items():
             click.echo(f"meshdeform: {stage} {seconds:.3f} s", err=True)
+    return 0 if report["valid"] or run.allow_invalid else EXIT_INVALID
 
 
 def _verdict(report: dict[str, Any]) -> str:

@@ -22,7 +22,7 @@ from meshdeform_core.transfer import SurfaceData
 
 from .displacement_cells import grid_triangles
 from .displacement_table import VECTOR_NAMES, Table, checked_surface, pick_vector
-from .files import replacing
+from .files import read_head, replacing
 from .grids import FORMATS, read_grid
 from .vtk_legacy_file import dataset_kind
 from .vtk_xml_header import read_header
@@ -54,7 +54,7 @@ def read_displacement(path: str | Path) -> SurfaceData | Grid:
         two displacements (with both lines).
     """
     path = Path(path)
-    table = _read(path, _head(path))
+    table = _read(path, read_head(path))
     return table if isinstance(table, Grid) else checked_surface(table, path)
 
 
@@ -76,17 +76,6 @@ def write_displacement(path: str | Path, data: SurfaceData) -> None:
         else:
             columns = np.hstack([data.points, data.displacement])
             np.savetxt(partial, columns, fmt="%.17g", delimiter=",", header="x,y,z,dx,dy,dz", comments="")
-
-
-def _head(path: Path) -> bytes:
-    try:
-        with path.open("rb") as stream:
-            head = stream.read(1024)
-    except OSError as error:
-        raise FormatError(f"cannot read {path}: {error.strerror or error}") from error
-    if not head:
-        raise FormatError(f"{path} is empty")
-    return head
 
 
 def _read(path: Path, head: bytes) -> Table | Grid:

@@ -1,4 +1,4 @@
-"""Whole files or none: every output is written beside its target and renamed when complete."""
+"""Whole files or none: every output is written beside its target and renamed when complete. And how files begin."""
 
 from __future__ import annotations
 
@@ -48,3 +48,21 @@ def remove_partial(folder: Path) -> None:
             shutil.rmtree(left)
         else:
             left.unlink()
+
+
+def read_head(path: Path) -> bytes:
+    """The first kilobyte of a file, by which formats are told apart.
+
+    Raises
+    ------
+    FormatError
+        When the file cannot be read or is empty.
+    """
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(1024)
+    except OSError as error:
+        raise FormatError(f"cannot read {path}: {error.strerror or error}") from error
+    if not head:
+        raise FormatError(f"{path} is empty")
+    return head

@@ -15,6 +15,8 @@ import numpy as np
 from meshdeform_core.errors import FormatError, GridError
 from meshdeform_core.grid import FileFormat, Grid
 
+from .files import read_head
+
 
 @dataclass(frozen=True)
 class Format:
@@ -36,20 +38,7 @@ class Format:
 FORMATS: dict[str, Format] = {
     "plot3d": Format(
         "plot3d",
-        (
-            ".xyz",
-            ".x",
-            ".g",
-            ".p3d",
-            ".p2d",
-            ".fmt",
-            ".p2dfmt",
-            ".p3dfmt",
-            ".p3dbin",
-            ".p2dbin",
-            ".grd",
-            ".bin",
-        ),
+        (".xyz", ".x", ".g", ".p3d", ".p2d", ".fmt", ".p2dfmt", ".p3dfmt", ".p3dbin", ".p2dbin", ".grd", ".bin"),
         "Plot3D, all variants",
     ),
     "cgns": Format("cgns", (".cgns", ".hdf", ".hdf5", ".adf"), "CGNS, HDF5 and ADF (ADF is read only)"),
@@ -90,7 +79,11 @@ def read_grid(path: str | Path, options: Mapping[str, Any] | None = None) -> Gri
         When it holds coordinates that are not finite.
     """
     path = Path(path)
-    name = _recognise(_head(path), path)
+    if not path.exists():
+        raise FormatError(f"{path} does not exist")
+    if path.is_dir():
+        raise FormatError(f"{path} is a folder; expected a grid file")
+    name = _recognise(read_head(path), path)
     if options and name != "plot3d":
         raise FormatError(f"{path} is a {name} file, whose variant is in the file; expected no {', '.join(options)}")
     grid: Grid = FORMATS[name].load().read(path, **(options or {}))
@@ -145,21 +138,6 @@ def format_of(path: Path) -> str:
             return name
     known = "; ".join(f"{name}: {' '.join(entry.suffixes)}" for name, entry in FORMATS.items())
     raise FormatError(f"cannot tell the format of {path} from its suffix {suffix!r}; known are {known}")
-
-
-def _head(path: Path) -> bytes:
-    if not path.exists():
-        raise FormatError(f"{path} does not exist")
-    if path.is_dir():
-        raise FormatError(f"{path} is a folder; expected a grid file")
-    try:
-        with path.open("rb") as stream:
-            head = stream.read(1024)
-    except OSError as error:
-        raise FormatError(f"cannot read {path}: {error.strerror or error}") from error
-    if not head:
-        raise FormatError(f"{path} is empty")
-    return head
 
 
 def _recognise(head: bytes, path: Path) -> str:
