@@ -200,6 +200,7 @@ class _March:
         self.failed: FloatArray | None = None
         self.first_bad: dict[int, int] = {}
         self.warnings = list(setup.warnings)
+        self.notices: dict[str, str] = {}
         self._prepared: tuple[FloatArray, PreparedMethod] | None = None
         if start and start.prepared:
             self._prepared = start.points, start.prepared
@@ -277,6 +278,7 @@ class _March:
     def _accept(self, fraction: float, points: FloatArray) -> None:
         self.moved = self._prescribed(fraction)
         self.account = self._method().account
+        self.notices |= self.account.notices
         self.points, self.fraction, self.steps = points, fraction, self.steps + 1
         if fraction == 1.0:
             # What the last step broke, the assessment finds.
@@ -307,5 +309,5 @@ class _March:
             self.fraction,
             self.max_displacement,
             self.timing,
-            (*self.warnings, *(self.account.warnings if self.steps else ())),
+            (*self.warnings, *self.notices.values()),
         )

@@ -142,10 +142,25 @@ class Setting:
 
 @dataclass
 class Account:
-    """What a prepared method reports: parameters with reasons, counts, warnings."""
+    """What a prepared method reports: parameters with reasons, counts, and the last warning of each kind."""
 
     settings: dict[str, Setting] = field(default_factory=dict)
-    warnings: list[str] = field(default_factory=list)
+    notices: dict[str, str] = field(default_factory=dict)
+
+    def note(self, kind: str, warning: str | None) -> None:
+        """Warn, or take back the warning of that kind that an earlier displacement gave."""
+        self.notices.pop(kind, None)
+        if warning:
+            self.notices[kind] = warning
+
+    @property
+    def warnings(self) -> list[str]:
+        return list(self.notices.values())
+
+    def include(self, other: Account) -> None:
+        """Add what another part of the method reports."""
+        self.settings |= other.settings
+        self.notices |= other.notices
 
 
 class PreparedMethod(Protocol):

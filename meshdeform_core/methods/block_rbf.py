@@ -91,12 +91,18 @@ class PreparedBlockRBF:
     def fill(self, displacement: FloatArray, progress: Progress | None = None) -> None:
         """Interior of every block and its slip planes from its other faces, in place in ``displacement``."""
         kind = BASES[self._options.basis]
+        accounts = []
         for number, block in enumerate(self._blocks):
+            accounts.append(Account())
             system = block.system or RadialSystem(self._options, block.centres, self._problem.memory)
-            coefficients, polynomial = system.solve(displacement[block.known], self.account, None)
+            coefficients, polynomial = system.solve(displacement[block.known], accounts[-1], None)
             x = block.centres.normalised(self._problem.grid.points[block.targets])
             moved = radial_sums(kind, x, block.centres.points, coefficients)
             displacement[block.targets] = moved + block.centres.polynomial(x) @ polynomial
             block.system = system if self._keep else None
             if progress:
                 progress("rbf blocks", number + 1, len(self._blocks))
+        # Of all blocks the one that was solved worst.
+        if accounts:
+            self.account.notices.clear()
+            self.account.include(max(accounts, key=lambda each: float(np.max(each.settings["residual"].value))))

@@ -72,15 +72,15 @@ def warn_of_radius(radius: float, terms: FloatArray, values: FloatArray) -> list
     ]
 
 
-def warn_of_coarse_tolerance(tolerance: FloatArray, height: FloatArray, corrected: bool) -> list[str]:
+def warn_of_coarse_tolerance(tolerance: FloatArray, height: FloatArray, corrected: bool) -> str | None:
     """A warning if eps_g, as lengths (n,), exceeds first-cell heights (n,) at moving nodes."""
     coarse = tolerance > height
     if not coarse.any():
-        return []
+        return None
     worst = int(np.argmax(tolerance / height))
     rest = "the correction moves them by as much" if corrected else "they miss their place by as much"
-    return [
+    return (
         f"greedy_tolerance is coarser than the first cell at {int(coarse.sum()):,} of {len(height):,} moving nodes (up "
         f"to {tolerance[worst]:.3g}, the cell is {height[worst]:.3g} high; {rest}): wall cells may invert; use a "
         f'smaller tolerance, or greedy_error = "first-cell"'
-    ]
+    )

@@ -119,8 +119,7 @@ class PreparedComposite:
         parts = [self._mover.account] + ([self._filler.account] if self._filler else [])
         merged = Account()
         for part in parts:
-            merged.settings |= part.settings
-            merged.warnings += part.warnings
+            merged.include(part)
         return merged
 
     def foresee(self, motion: FloatArray, step: FloatArray) -> list[str]:

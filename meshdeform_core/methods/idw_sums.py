@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -11,12 +12,10 @@ from ..numerics import fastsum
 from ..numerics.direct import weighted_sums
 from ..numerics.parallel import Shared, for_chunks
 from ..numerics.rigid import finish
-from .base import Account, Progress, Setting
+from .base import Account, Progress
+from .summation import largest_error, sum_accurately
 
 _CHUNK = 2048
-_WORST_BRICKS = 24
-_RANDOM_NODES = 64
-_MAX_RETRIES = 3
 
 
 @dataclass(frozen=True)
@@ -81,9 +80,8 @@ class ExactSums:
         for sources in fit.path:
             sums = np.zeros((len(x), 1 + len(fit.values)))
             for group, weights in zip(bound.groups, fit.weights, strict=True):
-                sums += weighted_sums(
-                    x + total, sources[group], bound.strength[group], weights, fit.values[:, group]
-                )  # fmt: skip
+                near = sources[group], bound.strength[group]
+                sums += weighted_sums(x + total, *near, weights, fit.values[:, group])
             finish(bound.rotation, sums, x + total, moved, bound.repeats)
             total += moved
         return np.asarray(total + fit.mean)
@@ -97,7 +95,6 @@ class FastSums:
         self._tolerance = tolerance
         self._account = account
         self._sums = self._sorted(bound.sources, bound.grid.points)
-        self._random = np.random.default_rng(0).permutation(len(bound.flat))[:_RANDOM_NODES]
 
     def _sorted(self, sources: FloatArray, points: FloatArray) -> fastsum.FastSums:
         grid, order = self.bound.grid, fastsum.interpolation_order(self._tolerance)
@@ -106,19 +103,13 @@ class FastSums:
 
     def evaluate(self, fit: Fit, out: FloatArray, progress: Progress | None) -> None:
         """Write the displacement of the targets into ``out`` (n_nodes, 3)."""
-        for _ in range(1 + _MAX_RETRIES):
+        exact = partial(ExactSums(self.bound).displacement, fit)
+
+        def once() -> float:
             risk = self._sum(fit, out, progress)
-            error = self._sampled_error(fit, out, risk)
-            if error <= self._tolerance:
-                break
-            # Rare: clusters whose errors add up. From now on each may cause less.
-            self._sums.share *= 0.25 * self._tolerance / error
-        else:
-            self._account.warnings.append(
-                f"fast sums: an error of {error:.2g} of a cell was found, {self._tolerance:g} is allowed; "
-                f'use method.idw.summation = "exact"'
-            )
-        self._account.settings["sampled_error"] = Setting(error, "against exact sums at the worst nodes, in cells")
+            return largest_error(self.bound.grid, self._sums.targets, risk, out, exact)
+
+        sum_accurately("idw", self._sums, once, self._tolerance, self._account)
 
     def _sum(self, fit: Fit, out: FloatArray, progress: Progress | None) -> FloatArray:
         """Displacements into ``out``; returns a bound of the error of each brick, in any unit."""
@@ -140,13 +131,3 @@ class FastSums:
 
             risk = sums.evaluate(bound.strength, fit.weights, fit.values, fit.shift, fit.turn, use, out, report)
         return np.asarray(risk)
-
-    def _sampled_error(self, fit: Fit, out: FloatArray, risk: FloatArray) -> float:
-        """Largest error in cells at samples of the bricks with the largest bounds and at random nodes."""
-        targets = self._sums.targets
-        worst = np.argsort(risk)[-_WORST_BRICKS:]
-        flat = np.concatenate([targets.samples[worst].ravel(), self.bound.flat[self._random]])
-        grid = self.bound.grid
-        size = fastsum.node_sizes(grid.points, fastsum.shape_table(grid.shapes), grid.offsets, flat)
-        exact = ExactSums(self.bound).displacement(fit, flat)
-        return float((np.linalg.norm(out[flat] - exact, axis=1) / size).max(initial=0.0))

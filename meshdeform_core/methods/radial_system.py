@@ -124,9 +124,9 @@ class RadialSystem:
     def _report_residual(self, account: Account, name: str, iterations: int, residual: FloatArray) -> None:
         account.settings["tolerance"] = Setting(self._tolerance)
         account.settings["residual"] = Setting(residual.tolist(), "||b - K x|| / ||b||, computed from the solution")
-        if residual.max() > self._tolerance:
-            account.warnings.append(
-                f"{name} stopped after {iterations} iterations with a residual of {residual.max():.2e} (asked for "
-                f"{self._tolerance:g}); raise method.rbf.max_iterations, loosen tolerance, use a smaller radius or "
-                "solver = direct"
-            )
+        failed = (
+            f"{name} stopped after {iterations} iterations with a residual of {residual.max():.2e} (asked for "
+            f"{self._tolerance:g}); raise method.rbf.max_iterations, loosen tolerance, use a smaller radius or "
+            "solver = direct"
+        )
+        account.note("solver", failed if residual.max() > self._tolerance else None)

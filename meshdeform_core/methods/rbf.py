@@ -123,7 +123,7 @@ class PreparedRBF:
         moving = problem.boundary.kind[problem.source_numbers] == Kind.MOVING
         height = problem.first_cell_height[moving]
         tolerance = o.greedy_tolerance * (height if o.greedy_error == "first-cell" else np.ones(len(height)))
-        self.account.warnings += warn_of_coarse_tolerance(tolerance, height, o.greedy_correct)
+        self.account.note("greedy tolerance", warn_of_coarse_tolerance(tolerance, height, o.greedy_correct))
 
     def _radius(self) -> float | None:
         o = self.options
@@ -215,11 +215,11 @@ class PreparedRBF:
             "greedy_tolerance": Setting(self.options.greedy_tolerance, unit),
             "greedy_error_reached": Setting(float(found.error.max()), unit),
         }
-        if not found.converged:
-            self.account.warnings.append(
-                f"greedy reduction stopped with {len(found.active)} points and an error of {found.error.max():.3g} "
-                f"({unit}); asked for {self.options.greedy_tolerance:g}. Raise greedy_max_points or greedy_tolerance"
-            )
+        failed = (
+            f"greedy reduction stopped with {len(found.active)} points and an error of {found.error.max():.3g} "
+            f"({unit}); asked for {self.options.greedy_tolerance:g}. Raise greedy_max_points or greedy_tolerance"
+        )
+        self.account.note("greedy", None if found.converged else failed)
 
     def at(self, flat: IntArray) -> RadialSums:
         """Bind to the target nodes ``flat``."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from ..numerics.fastradial import FastRadial
 from ..numerics.parallel import Shared, for_chunks, thread_count
 from ..numerics.radial import radial_sums
 from .base import Account, Progress, Setting
-from .summation import fast_pays
+from .summation import fast_pays, largest_error, sum_accurately
 
 _CHUNK = 1024
 # Smooth coefficients of many centres cancel less well than the weights of a mean: one point more than there.
@@ -84,15 +85,15 @@ class RadialSums:
         self._grid, self._flat, self._centres, self._basis = grid, flat, centres, basis
         self._summation, self._tolerance = summation, tolerance
         self._correct, self._account = correct, account
+        self._is_fast = False
         self._targets: fastsum.Targets | None = None
         self._tree: tuple[FloatArray, FastRadial] | None = None
         self._nearest: tuple[FloatArray, IntArray] | None = None
 
     def prepare(self, n_centres: int) -> None:
         """Sort the target nodes for fast sums, if these pay for so many centres."""
-        fast, setting = fast_pays(self._summation, len(self._flat), n_centres)
-        self._account.settings["summation"] = setting
-        if not fast or self._targets is not None:
+        self._is_fast, self._account.settings["summation"] = fast_pays(self._summation, len(self._flat), n_centres)
+        if not self._is_fast or self._targets is not None:
             return
         self._account.settings["summation_tolerance"] = Setting(self._tolerance, "error relative to the local cell")
         grid, order = self._grid, fastsum.interpolation_order(self._tolerance) + _EXTRA_ORDER
@@ -104,19 +105,23 @@ class RadialSums:
         """Write the displacement of the targets into ``out`` (n_nodes, 3)."""
         report = None if progress is None else (lambda done, total: progress("rbf", done, total))
         self.prepare(len(fit.centres))
-        if self._account.settings["summation"].value == "fast":
+        if self._is_fast:
             self._fast(fit, out, report)
         else:
             self._exact(fit, out, report)
         if self._correct and fit.reach > 0:
             self._add_residual(fit, out)
 
+    def _displacement(self, fit: Fit, flat: IntArray) -> FloatArray:
+        """Displacement (n, 3) of the nodes ``flat`` by exact sums."""
+        x = self._centres.normalised(self._grid.points[flat])
+        moved = radial_sums(BASES[self._basis], x, fit.centres, fit.coefficients)
+        return np.asarray(moved + self._centres.polynomial(x)[:, : len(fit.polynomial)] @ fit.polynomial)
+
     def _exact(self, fit: Fit, out: FloatArray, report: fastsum.Report) -> None:
         def work(lo: int, hi: int) -> None:
             flat = self._flat[lo:hi]
-            x = self._centres.normalised(self._grid.points[flat])
-            moved = radial_sums(BASES[self._basis], x, fit.centres, fit.coefficients)
-            out[flat] = moved + self._centres.polynomial(x)[:, : len(fit.polynomial)] @ fit.polynomial
+            out[flat] = self._displacement(fit, flat)
 
         for_chunks(work, len(self._flat), _CHUNK, report, [Shared(out, lambda lo, hi: self._flat[lo:hi])])
 
@@ -131,13 +136,13 @@ class RadialSums:
             x = targets.points[flat]
             out[flat] = sums + self._centres.polynomial(x)[:, : len(fit.polynomial)] @ fit.polynomial
 
-        error = self._tree[1].evaluate(fit.coefficients, targets, self._tolerance, use, out, report)
-        self._account.settings["sampled_error"] = Setting(error, "against exact sums at samples, in cells")
-        if error > self._tolerance:
-            self._account.warnings.append(
-                f"fast sums: an error of {error:.2g} of a cell was found, {self._tolerance:g} is allowed; "
-                f'use method.rbf.summation = "exact"'
-            )
+        sums = self._tree[1]
+
+        def once() -> float:
+            risk = sums.evaluate(fit.coefficients, targets, self._tolerance, use, out, report)
+            return largest_error(self._grid, targets, risk, out, partial(self._displacement, fit))
+
+        sum_accurately("rbf", sums, once, self._tolerance, self._account)
 
     def _add_residual(self, fit: Fit, out: FloatArray) -> None:
         """Residual of the nearest source, fading smoothly with the distance to it (Wendland C2)."""

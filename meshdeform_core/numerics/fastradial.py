@@ -1,17 +1,30 @@
 """Fast sums of radial basis functions at target nodes."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from .bricks import Bricks
-from .fastsum import Targets
+from .fastsum import Targets, sample_places
 from .parallel import Shared, for_chunks
 from .radial import radial_sums
 from .tree import build_tree, gather_charges
 from .treesum import Charges, Reach, radial_basis, sum_bricks
 
 _CHUNK = 16
-_TRIALS = 6
+# Errors of clusters cancel as much as the coefficients do, which only a trial shows: this part of the tolerance is
+# aimed at on some bricks, because others can be worse.
+_TRIALS, _AIM = 6, 0.25
 _TRIAL_BRICKS = 24
+
+
+class _Trial(NamedTuple):
+    chosen: np.ndarray
+    points: np.ndarray
+    bricks: Bricks
+    places: np.ndarray
+    exact: np.ndarray
+    sizes: np.ndarray
 
 
 class FastRadial:
@@ -22,6 +35,10 @@ class FastRadial:
     kind : number of the basis function, see :data:`.basis.BASES`
     centres : (n, 3) in units of the support radius
     order : interpolation points per side of a cube
+
+    Attributes
+    ----------
+    share : what one cluster may cause, as a multiple of the tolerance; found by trial, kept for later coefficients
     """
 
     def __init__(self, kind, centres, order):
@@ -29,6 +46,7 @@ class FastRadial:
         self._function = radial_basis(kind)
         self._centres = centres
         self._tree = build_tree(centres, order)
+        self.share = 1.0
 
     def evaluate(self, coefficients, targets: Targets, tolerance, use, result, progress=None):
         """Sums at target nodes, handed chunk by chunk to ``use`` with their flat indices.
@@ -42,51 +60,56 @@ class FastRadial:
 
         Returns
         -------
-        error : the largest found against exact sums at samples of the bricks, relative to the cell size
+        risk : (b,) bound of each brick's error, in units that only allow comparing
         """
-        strength = self._rms(coefficients)
+        strength, charges = self._rms(coefficients), self._charges(coefficients)
         limit = tolerance * targets.sizes.min(axis=1)
-        trial = np.unique(np.linspace(0, len(limit) - 1, _TRIAL_BRICKS).astype(int))
-        flat = targets.samples[trial]
-        exact = radial_sums(self._kind, targets.points[flat.ravel()], self._centres, coefficients)
-        share = 1.0
+        trial = self._trial(targets, coefficients)
         for _ in range(_TRIALS):
-            error = self._trial_error(coefficients, strength, targets, trial, limit * share, exact) / tolerance
-            if error <= 0.25:
+            error = self._trial_error(trial, charges, strength, limit * self.share) / tolerance
+            if error <= _AIM:
                 break
-            share *= max(0.03, 0.15 / error)
-        self._sum(targets.points, targets.bricks, coefficients, strength, limit * share, use, result, progress)
-        return error * tolerance
+            self.share *= max(0.03, 0.6 * _AIM / error)
+        return self._sum(targets.points, targets.bricks, charges, strength, limit * self.share, use, result, progress)
 
-    def _trial_error(self, coefficients, strength, targets, trial, allowed, exact):
-        """Largest error at the samples of some bricks, relative to the cell size."""
+    def _trial(self, targets, coefficients):
+        """Some bricks spread over all, with their own targets and the exact sums at their samples."""
         bricks = targets.bricks
-        few = Bricks(
-            np.append(0, np.cumsum(np.diff(bricks.start)[trial])),
-            np.concatenate([bricks.targets[bricks.start[b] : bricks.start[b + 1]] for b in trial]),
-            bricks.center[trial], bricks.axes[trial], bricks.half[trial], bricks.per_side[trial],
+        chosen = np.unique(np.linspace(0, len(targets.sizes) - 1, _TRIAL_BRICKS).astype(int))
+        flat = [bricks.targets[bricks.start[b] : bricks.start[b + 1]] for b in chosen]
+        start = np.append(0, np.cumsum([len(each) for each in flat]))
+        own = Bricks(
+            start, np.arange(start[-1]), bricks.center[chosen], bricks.axes[chosen], bricks.half[chosen],
+            bricks.per_side[chosen],
         )  # fmt: skip
-        found = np.zeros((len(targets.points), 3))
+        points, places = targets.points[np.concatenate(flat)], sample_places(start).ravel()
+        exact = radial_sums(self._kind, points[places], self._centres, coefficients)
+        return _Trial(chosen, points, own, places, exact, targets.sizes[chosen].ravel())
+
+    def _trial_error(self, trial, charges, strength, allowed):
+        """Largest error at the samples of the trial's bricks, relative to the cell size."""
+        found = np.zeros((len(trial.points), 3))
 
         def use(flat, sums):
             found[flat] = sums
 
-        self._sum(targets.points, few, coefficients, strength, allowed[trial], use, found)
-        gap = np.linalg.norm(found[targets.samples[trial].ravel()] - exact, axis=1)
-        return float((gap / targets.sizes[trial].ravel()).max())
+        self._sum(trial.points, trial.bricks, charges, strength, allowed[trial.chosen], use, found)
+        return float((np.linalg.norm(found[trial.places] - trial.exact, axis=1) / trial.sizes).max())
 
     def _rms(self, coefficients):
         """Root of the summed squares of each cluster's coefficients: what they do if their signs are random."""
         squares = np.append(0.0, np.cumsum((coefficients[self._tree.order] ** 2).sum(axis=1)))
         return np.sqrt(squares[self._tree.span[:, 1]] - squares[self._tree.span[:, 0]])
 
-    def _sum(self, points, bricks, coefficients, strength, allowed, use, result, progress=None):
+    def _charges(self, coefficients):
+        source = coefficients[self._tree.order]
+        proxy = np.empty((len(self._tree.proxies), 3))
+        gather_charges(self._tree, source, proxy)
+        return Charges(source, proxy)
+
+    def _sum(self, points, bricks, charges, strength, allowed, use, result, progress=None):
         tree, m = self._tree, len(self._tree.span)
         reach = Reach(strength, np.ones(m), np.zeros(m))
-        source = coefficients[tree.order]
-        proxy = np.empty((len(tree.proxies), 3))
-        gather_charges(tree, source, proxy)
-        charges = Charges(source, proxy)
         nothing, risk = np.zeros(len(allowed)), np.zeros(len(allowed))
 
         def work(lo, hi):
@@ -95,4 +118,5 @@ class FastRadial:
             sum_bricks(lo, hi, points, bricks, tree, reach, charges, self._function, allowed, nothing, sums, risk)
             use(bricks.targets[start:stop], sums)
 
-        for_chunks(work, len(allowed), _CHUNK, progress, [Shared(result, bricks.targets_of)])
+        for_chunks(work, len(allowed), _CHUNK, progress, [Shared(result, bricks.targets_of), Shared(risk)])
+        return risk

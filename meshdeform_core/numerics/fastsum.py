@@ -55,11 +55,15 @@ def make_targets(points, shapes, offsets, flat, order):
     wanted[flat] = True
     shapes = shape_table(shapes)
     bricks = build_bricks(points, shapes, offsets, wanted, order, 8 * order**3)
-    count = np.diff(bricks.start)
-    at = (np.arange(_SAMPLES) * (count[:, None] - 1)) // (_SAMPLES - 1)
-    samples = bricks.targets[bricks.start[:-1, None] + at]
+    samples = bricks.targets[sample_places(bricks.start)]
     sizes = node_sizes(points, shapes, offsets, samples.ravel()).reshape(samples.shape)
     return Targets(points, bricks, samples, sizes)
+
+
+def sample_places(start):
+    """Places (b, 9) in the list of targets, spread over each brick; ``start`` (b + 1,) where bricks begin."""
+    count = np.diff(start)
+    return start[:-1, None] + (np.arange(_SAMPLES) * (count[:, None] - 1)) // (_SAMPLES - 1)
 
 
 class FastSums:

@@ -23,6 +23,8 @@ from .radial import radial_block
 from .tree import SourceTree
 
 _STACK = 256
+# How a cluster acts: on the interpolation points of the brick, on its nodes, or only through its parts.
+_FAR, _NEAR, _OPEN = 2, 1, 0
 
 
 class Kernel(NamedTuple):
@@ -99,10 +101,8 @@ def add_totals(samples, tree, reach, function, total, moved):
         while depth:
             depth -= 1
             c = stack[depth]
-            d2 = 0.0
-            for d in range(3):
-                d2 += (samples[s, d] - tree.center[c, d]) ** 2
-            extent2 = tree.half[c, 0] ** 2 + tree.half[c, 1] ** 2 + tree.half[c, 2] ** 2
+            d2 = _distance2(samples[s], tree.center[c])
+            extent2 = _square(tree.half[c])
             if d2 > 2.0 * extent2 or tree.child[c] < 0:
                 # A leaf around the sample: its weight as if at the rim, which is less than it is.
                 w = reach.strength[c] * _weight(max(d2, 0.25 * extent2), function)
@@ -147,10 +147,19 @@ def _weight(distance2, function):
 
 
 @kernel
+def _square(x):
+    return x[0] ** 2 + x[1] ** 2 + x[2] ** 2
+
+
+@kernel
+def _distance2(x, y):
+    return (x[0] - y[0]) ** 2 + (x[1] - y[1]) ** 2 + (x[2] - y[2]) ** 2
+
+
+@kernel
 def _collect(b, bricks, tree, reach, charges, function, allowed, mean, far, near):
     """Walk the tree for one brick: what acts on its interpolation points (far) and on its nodes (near)."""
-    half, count = bricks.half[b], bricks.per_side[b]
-    radius = math.sqrt(half[0] ** 2 + half[1] ** 2 + half[2] ** 2)
+    count, radius = bricks.per_side[b], math.sqrt(_square(bricks.half[b]))
     # Few targets need no interpolation points of their own.
     few = bricks.start[b + 1] - bricks.start[b] <= 2 * count[0] * count[1] * count[2]
     stack = np.empty(_STACK, dtype=np.int64)
@@ -161,43 +170,46 @@ def _collect(b, bricks, tree, reach, charges, function, allowed, mean, far, near
     while depth:
         depth -= 1
         c = stack[depth]
-        d2 = 0.0
-        for d in range(3):
-            d2 += (bricks.center[b, d] - tree.center[c, d]) ** 2
-        distance = math.sqrt(d2)
-        pull = reach.strength[c] * (reach.shift[c] + reach.turn[c] * distance + mean) / allowed
-        extent = math.sqrt(tree.half[c, 0] ** 2 + tree.half[c, 1] ** 2 + tree.half[c, 2] ** 2)
+        distance = math.sqrt(_distance2(bricks.center[b], tree.center[c]))
+        extent = math.sqrt(_square(tree.half[c]))
         if function.compact and distance - radius - extent >= 1.0:
             continue
-        cut = function.compact and distance + radius + extent > 1.0
         raw = tree.proxy[c + 1] == tree.proxy[c]
-        to_brick = to_nodes = False
-        if not (few or cut) and distance > extent and (raw or distance > radius):
-            error = _error(half, count, distance - extent, distance, function)
-            if not raw:
-                error = max(error, _error(tree.half[c], tree.per_side[c], distance, distance, function))
-            to_brick = pull * error < 0.5
-        if not (to_brick or raw or cut) and distance > radius:
-            error = _error(tree.half[c], tree.per_side[c], distance - radius, distance - radius, function)
-            to_nodes = pull * error < 0.5
-        if to_brick or to_nodes:
-            bound += pull * error
-        elif tree.child[c] < 0 or raw:
-            to_nodes = raw = True
+        use = _OPEN
+        if not function.compact or distance + radius + extent <= 1.0:
+            pull = reach.strength[c] * (reach.shift[c] + reach.turn[c] * distance + mean) / allowed
+            use, caused = _accept(b, c, bricks, tree, function, distance, radius, extent, pull, raw, few)
+            bound += caused
+        if use == _OPEN:
+            if tree.child[c] >= 0 and not raw:
+                stack[depth], stack[depth + 1] = tree.child[c], tree.child[c] + 1
+                depth += 2
+                continue
+            raw = True
+        if use == _FAR:
+            n_far = _append(tree, charges, c, raw, far, n_far)
         else:
-            stack[depth], stack[depth + 1] = tree.child[c], tree.child[c] + 1
-            depth += 2
-            continue
-        buffer, n = (far, n_far) if to_brick else (near, n_near)
-        if raw:
-            n = _append(tree.points, charges.source, tree.span[c, 0], tree.span[c, 1], buffer, n)
-        else:
-            n = _append(tree.proxies, charges.proxy, tree.proxy[c], tree.proxy[c + 1], buffer, n)
-        if to_brick:
-            n_far = n
-        else:
-            n_near = n
+            n_near = _append(tree, charges, c, raw, near, n_near)
     return n_far, n_near, bound
+
+
+@kernel
+def _accept(b, c, bricks, tree, function, distance, radius, extent, pull, raw, few):
+    """Whether a cluster may act on the brick's interpolation points or on its nodes, and the error that it causes.
+
+    ``raw`` clusters act with their sources, others with their interpolation points.
+    """
+    if not few and distance > extent and (raw or distance > radius):
+        error = _error(bricks.half[b], bricks.per_side[b], distance - extent, distance, function)
+        if not raw:
+            error = max(error, _error(tree.half[c], tree.per_side[c], distance, distance, function))
+        if pull * error < 0.5:
+            return _FAR, pull * error
+    if not raw and distance > radius:
+        error = _error(tree.half[c], tree.per_side[c], distance - radius, distance - radius, function)
+        if pull * error < 0.5:
+            return _NEAR, pull * error
+    return _OPEN, 0.0
 
 
 @kernel
@@ -224,8 +236,15 @@ def _error(half, count, gap, distance, function):
 
 
 @kernel
-def _append(points, charges, first, last, packed, n):
-    """Append sources or interpolation points to packed columns; returns the new length."""
+def _append(tree, charges, c, raw, packed, n):
+    """Append the sources or the interpolation points of a cluster to packed columns; returns the new length."""
+    if raw:
+        return _pack(tree.points, charges.source, tree.span[c, 0], tree.span[c, 1], packed, n)
+    return _pack(tree.proxies, charges.proxy, tree.proxy[c], tree.proxy[c + 1], packed, n)
+
+
+@kernel
+def _pack(points, charges, first, last, packed, n):
     for s in range(first, last):
         for d in range(3):
             packed[d, n] = points[s, d]

@@ -82,7 +82,7 @@ def test_error_that_is_too_large_is_found_and_mended(problem, monkeypatch):
     error = np.linalg.norm(prepared.apply(told(problem)) - exact, axis=1) / cell_sizes(problem)
     assert prepared.account.settings["sampled_error"].value <= 1e-3
     assert error.max() <= 2e-3
-    monkeypatch.setattr("meshdeform_core.methods.idw_sums._MAX_RETRIES", 0)
+    monkeypatch.setattr("meshdeform_core.methods.summation.MAX_RETRIES", 0)
     prepared = make_method(options).prepare(problem)
     prepared.apply(told(problem))
     assert "fast sums" in prepared.account.warnings[0]
