@@ -78,23 +78,24 @@ LEGACY_OPTIONS = st.fixed_dictionaries(
 )
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
-@given(grid=grids(), options=XML_OPTIONS)
-def test_vts_round_trip(tmp_path_factory, grid, options):
-    path = tmp_path_factory.mktemp("vts") / "grid.vts"
+def written_and_read(grid, path, options):
     write_grid(grid, path, options)
     again = read_grid(path)
     same(grid, again, options.get("precision", "float64"))
+    return again
+
+
+@settings(max_examples=40, deadline=None, derandomize=True)
+@given(grid=grids(), options=XML_OPTIONS)
+def test_vts_round_trip(tmp_path_factory, grid, options):
+    again = written_and_read(grid, tmp_path_factory.mktemp("vts") / "grid.vts", options)
     assert options.items() <= {**again.format.options, "precision": again.precision}.items()
 
 
 @settings(max_examples=40, deadline=None, derandomize=True)
 @given(grid=grids(), options=LEGACY_OPTIONS)
 def test_legacy_round_trip(tmp_path_factory, grid, options):
-    path = tmp_path_factory.mktemp("vtk") / "grid.vtk"
-    write_grid(grid, path, options)
-    again = read_grid(path)
-    same(grid, again, options.get("precision", "float64"))
+    again = written_and_read(grid, tmp_path_factory.mktemp("vtk") / "grid.vtk", options)
     assert again.format.options == {"kind": "legacy", "encoding": options["encoding"]}
 
 
