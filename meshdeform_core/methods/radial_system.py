@@ -38,10 +38,10 @@ class RadialSystem:
         self.terms = independent(centres.polynomial(centres.points))
         n = len(centres.points)
         dense = 8 * n * n
+        self._direct_fits = dense <= limit.size
         self.solver, self._reason = options.solver, ""
         if options.solver == "auto":
-            few = n <= DIRECT_CENTRES and dense <= limit.size
-            self.solver = "direct" if few else "krylov"
+            self.solver = "direct" if n <= DIRECT_CENTRES and self._direct_fits else "krylov"
             self._reason = f"{n:,} centres, direct up to {DIRECT_CENTRES:,} if they fit the memory"
         krylov = self.solver == "krylov"
         limit.require(
@@ -126,7 +126,7 @@ class RadialSystem:
         account.settings["residual"] = Setting(residual.tolist(), "||b - K x|| / ||b||, computed from the solution")
         failed = (
             f"{name} stopped after {iterations} iterations with a residual of {residual.max():.2e} (asked for "
-            f"{self._tolerance:g}); raise method.rbf.max_iterations, loosen tolerance, use a smaller radius or "
-            "solver = direct"
+            f"{self._tolerance:g}); raise method.rbf.max_iterations, loosen tolerance, use a smaller radius"
+            f"{' or solver = direct' if self._direct_fits else ''}"
         )
         account.note("solver", failed if residual.max() > self._tolerance else None)

@@ -30,6 +30,7 @@ class DirectSolver:
         self.kind = "cholesky"
         if not self._factorise(matrix()):
             self.kind = "lu"
+            del self._factor
             n, q = polynomial.shape
             system = np.zeros((n + q, n + q))
             system[:n, :n] = matrix()
