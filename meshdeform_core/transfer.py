@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from .errors import CaseError, MotionError
 from .grid import BoolArray, FloatArray, Grid, IntArray, Side
@@ -117,12 +118,10 @@ def transfer(data: SurfaceData | Grid, matching: Matching, nodes: Nodes) -> Tran
 
 
 def _from_points(data: SurfaceData, matching: Matching, nodes: Nodes) -> Transfer:
-    from scipy.spatial import cKDTree
-
     reach = nodes.edge * (RELATIVE_TOLERANCE if matching.how == "exact" else 0.5)
     if matching.tolerance is not None:
         reach = np.full(len(nodes.points), matching.tolerance)
-    distance, nearest = cKDTree(data.points).query(nodes.points)
+    distance, nearest = scipy.spatial.cKDTree(data.points).query(nodes.points)
     matched = distance <= reach
     displacement = np.where(matched[:, None], data.displacement[nearest], 0.0)
     used = len(np.unique(nearest[matched])), len(data.points)
@@ -149,10 +148,8 @@ def _local_fit(data: SurfaceData, points: FloatArray) -> tuple[FloatArray, Float
 
     Directions in which the neighbours do not spread (the surface normal) are left out of the fit.
     """
-    from scipy.spatial import cKDTree
-
     k = min(_NEIGHBOURS, len(data.points))
-    distance, near = cKDTree(data.points).query(points, k=k)
+    distance, near = scipy.spatial.cKDTree(data.points).query(points, k=k)
     distance, near = distance.reshape(len(points), k), near.reshape(len(points), k)
     scale = np.maximum(distance[:, -1:], np.finfo(float).tiny)
     weight = np.sqrt(1.0 / ((distance / scale) ** 2 + 1e-12))

@@ -100,7 +100,7 @@ class RadialSystem:
         report = None if progress is None else (lambda done, total: progress("krylov", done, total))
         found = self._krylov.solve(values, self._tolerance, self.options.max_iterations, report)
         account.settings["iterations"] = Setting(found.iterations, "all components together")
-        self._report_residual(account, "GMRES", found.iterations, found.residual)
+        self._report_residual(account, "GMRES", found.iterations, found.residual, found.stalled)
         return found.coefficients, found.polynomial
 
     def _solve_minres(
@@ -121,12 +121,16 @@ class RadialSystem:
         self._report_residual(account, "MINRES", int(iterations.max()), residual)
         return solution[:n], solution[n:]
 
-    def _report_residual(self, account: Account, name: str, iterations: int, residual: FloatArray) -> None:
+    def _report_residual(
+        self, account: Account, name: str, iterations: int, residual: FloatArray, stalled: bool = False
+    ) -> None:
         account.settings["tolerance"] = Setting(self._tolerance)
         account.settings["residual"] = Setting(residual.tolist(), "||b - K x|| / ||b||, computed from the solution")
+        # Smooth bases with a large radius have coefficients that nearly cancel: their sums have no more digits.
+        more = "round-off allows no less; " if stalled else "raise method.rbf.max_iterations, "
+        other = " or solver = direct" if self._direct_fits and not stalled else ""
         failed = (
             f"{name} stopped after {iterations} iterations with a residual of {residual.max():.2e} (asked for "
-            f"{self._tolerance:g}); raise method.rbf.max_iterations, loosen tolerance, use a smaller radius"
-            f"{' or solver = direct' if self._direct_fits else ''}"
+            f"{self._tolerance:g}); {more}loosen tolerance, use a smaller radius{other}"
         )
         account.note("solver", failed if residual.max() > self._tolerance else None)

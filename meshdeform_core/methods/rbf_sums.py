@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+import scipy
 
 from ..grid import FloatArray, Grid, IntArray
 from ..numerics import fastsum
@@ -146,11 +147,9 @@ class RadialSums:
 
     def _add_residual(self, fit: Fit, out: FloatArray) -> None:
         """Residual of the nearest source, fading smoothly with the distance to it (Wendland C2)."""
-        from scipy.spatial import cKDTree
-
         assert fit.residual is not None
         if self._nearest is None:
-            tree = cKDTree(self._centres.points * self._centres.scale + self._centres.origin)
+            tree = scipy.spatial.cKDTree(self._centres.points * self._centres.scale + self._centres.origin)
             self._nearest = tree.query(self._grid.points[self._flat], workers=thread_count())
         distance, nearest = self._nearest
         r = np.minimum(distance / fit.reach, 1.0)

@@ -17,12 +17,16 @@ _DEPENDENT = 1e-14
 
 @dataclass(frozen=True)
 class Solution:
-    """Coefficients (n, 3), polynomial (q, 3), number of iterations, and ||r|| / ||b|| (3,) computed anew from them."""
+    """Coefficients (n, 3), polynomial (q, 3), number of iterations, and ||r|| / ||b|| (3,) computed anew from them.
+
+    ``stalled``: more iterations would not have helped.
+    """
 
     coefficients: np.ndarray
     polynomial: np.ndarray
     iterations: int
     residual: np.ndarray
+    stalled: bool
 
 
 class KrylovSolver:
@@ -58,9 +62,9 @@ class KrylovSolver:
         right = values / scale
         coefficients = np.zeros_like(right)
         polynomial = np.zeros((self._polynomial.shape[1], right.shape[1]))
-        rest, iterations = right, 0
+        rest, iterations, stalled = right, 0, False
         residual = np.linalg.norm(rest, axis=0)
-        while iterations < max_iterations and (residual > tolerance).any():
+        while iterations < max_iterations and (residual > tolerance).any() and not stalled:
             report = None if progress is None else partial(_advance, progress, iterations, max_iterations)
             limit = min(_RESTART, max_iterations - iterations)
             direction, steps = self._search(rest, tolerance, limit, report)
@@ -68,9 +72,8 @@ class KrylovSolver:
             coefficients, polynomial, iterations = coefficients + more, polynomial + shift, iterations + steps
             rest = right - self._image(coefficients, polynomial)
             before, residual = residual, np.linalg.norm(rest, axis=0)
-            if residual.max() > 0.5 * before.max():
-                break
-        return Solution(coefficients * scale, polynomial * scale, iterations, residual)
+            stalled = bool(residual.max() > max(0.5 * before.max(), tolerance))
+        return Solution(coefficients * scale, polynomial * scale, iterations, residual, stalled)
 
     def _image(self, coefficients, polynomial):
         return self._product(coefficients) + self._polynomial @ polynomial

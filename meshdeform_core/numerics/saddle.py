@@ -7,8 +7,7 @@ A (n, n) holds the basis values between centres, P (n, q) the polynomial terms.
 """
 
 import numpy as np
-from scipy.linalg import lapack, lu_factor, lu_solve
-from scipy.linalg.blas import dsymv, dsyr2
+import scipy
 
 
 class DirectSolver:
@@ -35,7 +34,7 @@ class DirectSolver:
             system = np.zeros((n + q, n + q))
             system[:n, :n] = matrix()
             system[:n, n:], system[n:, :n] = polynomial, polynomial.T
-            self._lu = lu_factor(system, overwrite_a=True, check_finite=False)
+            self._lu = scipy.linalg.lu_factor(system, overwrite_a=True, check_finite=False)
 
     def _factorise(self, a):
         # The transpose of a symmetric C-ordered matrix is itself in Fortran order: LAPACK works in place.
@@ -48,16 +47,16 @@ class DirectSolver:
             v[k] += np.copysign(np.linalg.norm(v), v[k])
             v *= np.sqrt(2.0) / np.linalg.norm(v)
             p -= np.outer(v, v @ p)
-            w = dsymv(1.0, a, v, lower=1)
+            w = scipy.linalg.blas.dsymv(1.0, a, v, lower=1)
             w -= 0.5 * (v @ w) * v
-            a = dsyr2(-1.0, v, w, a=a, lower=1, overwrite_a=1)
+            a = scipy.linalg.blas.dsyr2(-1.0, v, w, a=a, lower=1, overwrite_a=1)
             self._reflectors.append(v)
         self._triangle = p[:q].copy()
         self._coupling = np.tril(a[:, :q]).T.copy()
         self._coupling[:, :q] += np.tril(self._coupling[:, :q].T, -1).T
         a[:, :q] = 0.0
         a[np.arange(q), np.arange(q)] = 1.0
-        self._factor, info = lapack.dpotrf(a, lower=1, overwrite_a=1, clean=0)
+        self._factor, info = scipy.linalg.lapack.dpotrf(a, lower=1, overwrite_a=1, clean=0)
         return info == 0
 
     def solve(self, values):
@@ -65,12 +64,12 @@ class DirectSolver:
         n, q = self._polynomial.shape
         if self.kind == "lu":
             full = np.concatenate([values, np.zeros((q, values.shape[1]))])
-            solution = lu_solve(self._lu, full, overwrite_b=True, check_finite=False)
+            solution = scipy.linalg.lu_solve(self._lu, full, overwrite_b=True, check_finite=False)
             return solution[:n], solution[n:]
         reflected = self._reflect(values, self._reflectors)
         rest = reflected.copy()
         rest[:q] = 0.0
-        y, _ = lapack.dpotrs(self._factor, np.asfortranarray(rest), lower=1)
+        y, _ = scipy.linalg.lapack.dpotrs(self._factor, np.asfortranarray(rest), lower=1)
         y[:q] = 0.0
         polynomial = np.linalg.solve(self._triangle, reflected[:q] - self._coupling @ y) if q else np.zeros((0, 0))
         return self._reflect(y, self._reflectors[::-1]), polynomial

@@ -7,8 +7,7 @@ the boxes cannot see, the smooth part, is taken over by an interpolation of the 
 """
 
 import numpy as np
-from scipy.linalg import qr
-from scipy.spatial import cKDTree
+import scipy
 
 from .cholesky import invert_last
 from .parallel import Shared, for_chunks, thread_count
@@ -102,7 +101,7 @@ def _coarse(points, polynomial):
     boxes = bisect(points, min(len(points), max(_FEWEST, len(points) // COARSENING)))
     arms = (np.linalg.norm(points[box] - points[box].mean(axis=0), axis=1) for box in boxes)
     middles = [box[np.argmin(length)] for box, length in zip(boxes, arms, strict=True)]
-    corners = qr(polynomial.T, mode="r", pivoting=True)[1][: polynomial.shape[1]]
+    corners = scipy.linalg.qr(polynomial.T, mode="r", pivoting=True)[1][: polynomial.shape[1]]
     chosen = np.unique(np.concatenate([middles, corners]))
     return chosen[np.unique(points[chosen], axis=0, return_index=True)[1]]
 
@@ -113,7 +112,7 @@ def _with_overlap(points, boxes):
     Near is measured in spacings of the nodes of the box: where the grid is graded, the coarse end of a box would get
     no neighbours if lengths were compared.
     """
-    tree = cKDTree(points)
+    tree = scipy.spatial.cKDTree(points)
     candidates = np.arange(1, min(len(points), OVERLAP // 3) + 1)
 
     def widened(box):

@@ -1,8 +1,7 @@
 """Matrices of compact radial basis functions whose support reaches few centres."""
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.spatial import cKDTree
+import scipy
 
 from .basis import BASES, apply_basis
 
@@ -24,7 +23,7 @@ def sparse_radial_matrix(kind, points, memory):
     """
     if kind == BASES["tps"]:
         return None
-    tree, n = cKDTree(points), len(points)
+    tree, n = scipy.spatial.cKDTree(points), len(points)
     count = int(tree.count_neighbors(tree, 1.0))
     if count > n * min(_MOST_NEIGHBOURS, _LARGEST_SHARE * n) or _BYTES * count > memory:
         return None
@@ -35,4 +34,4 @@ def sparse_radial_matrix(kind, points, memory):
     rows = np.concatenate([lower, upper, diagonal])
     columns = np.concatenate([upper, lower, diagonal])
     entries = np.concatenate([values[:-1], values[:-1], np.full(n, values[-1])])
-    return coo_array((entries, (rows, columns)), shape=(n, n)).tocsr()
+    return scipy.sparse.coo_array((entries, (rows, columns)), shape=(n, n)).tocsr()
