@@ -28,10 +28,11 @@ SECTIONS: dict[str, tuple[Callable[[bool], Table], ...]] = {
     "loop": (idw.exact_loop,),
     "idw": (idw.fast_against_exact, idw.processor_time),
     "threads": (idw.threads,),
-    "rbf": (rbf.against_scipy, rbf.large_systems),
+    "rbf": (rbf.against_scipy, rbf.large_systems, rbf.compact_bases),
     "passes": (passes.memory_speed,),
     "runs": (runs.file_to_file,),
     "ranks": (runs.ranks,),
+    "start": (runs.start_up,),
 }
 """What ``--only`` accepts; the names of the places in the template."""
 

@@ -21,7 +21,7 @@ from tables import Row, Table
 STAGES = ("read", "topology", "prepare", "apply", "quality", "write")
 RUNS = (
     ("splitter-plate", 16, "idw-tfi"), ("splitter-plate", 32, "idw-tfi"), ("splitter-plate", 32, "idw"),
-    ("hemisphere", 92, "idw-tfi"), ("hemisphere", 92, "idw"),
+    ("hemisphere", 92, "idw-tfi"), ("hemisphere", 92, "idw"), ("hemisphere", 152, "idw-tfi"),
 )  # fmt: skip
 QUICK = (("splitter-plate", 8, "idw-tfi"), ("splitter-plate", 8, "idw"))
 _COMMAND = (sys.executable, "-m", "meshdeform_cli")
@@ -45,6 +45,60 @@ def file_to_file(quick: bool) -> Table:
             row["peak, coordinate arrays"] = (row["peak MB"] - base) / (24e-6 * row["nodes"])
             table.rows.append({"case": f"{sample} {size}", "method": method, **row})
     return table
+
+
+def start_up(quick: bool) -> Table:
+    """Commands on a small grid after their first start: mostly imports."""
+    table = Table(
+        "Start-up, hemisphere 16 (28,152 nodes)",
+        notes=[
+            "best of several runs of each command, all output discarded",
+            "imports: the sum that `python -X importtime` gives, which itself takes a part of it",
+        ],
+    )
+    with tempfile.TemporaryDirectory() as name:
+        folder = make_sample(Path(name), "hemisphere", 16)
+        grid, case, output = (str(folder / file) for file in ("grid.cgns", "case.toml", "deformed.cgns"))
+        commands = {
+            "--help": ["--help"],
+            "info grid.cgns": ["info", grid],
+            **{
+                f"deform -m {method}": [
+                    "deform",
+                    grid,
+                    "-c",
+                    case,
+                    "-m",
+                    method,
+                    "-o",
+                    output,
+                    "--time",
+                    "3",
+                    "--force",
+                ]
+                for method in ("idw-tfi", "idw", "tfi", "rbf")
+            },
+        }
+        for title, arguments in commands.items():
+            run([*_COMMAND, *arguments])
+            runs = [run([*_COMMAND, *arguments]) for _ in range(3 if quick else 7)]
+            wall, usage = min(runs, key=lambda each: each[0])
+            table.rows.append(
+                {
+                    "command": f"`meshdeform {title}`",
+                    "wall s": wall,
+                    "CPU s": usage.ru_utime + usage.ru_stime,
+                    "imports s": min(_import_seconds(arguments) for _ in range(3)),
+                }
+            )
+    return table
+
+
+def _import_seconds(arguments: Sequence[str]) -> float:
+    command = [sys.executable, "-X", "importtime", *_COMMAND[1:], *arguments]
+    told = subprocess.run(command, check=True, capture_output=True, text=True).stderr
+    lines = (line for line in told.splitlines() if line.startswith("import time:") and "self" not in line)
+    return sum(int(line.removeprefix("import time:").split("|")[0]) for line in lines) / 1e6
 
 
 def make_sample(folder: Path, sample: str, size: int) -> Path:
