@@ -90,27 +90,20 @@ def chebyshev(n, node, weight):
     for i in range(n):
         angle = (2 * i + 1) * math.pi / (2 * n)
         node[i] = math.cos(angle)
-        weight[i] = math.sin(angle) if i % 2 == 0 else -math.sin(angle)
+        weight[i] = (math.sin(angle) if i % 2 == 0 else -math.sin(angle)) * 2.0 ** (n - 1) / n
 
 
 @kernel
 def lagrange(n, node, weight, t, value):
-    """Values of the n Lagrange polynomials at ``t`` (barycentric formula)."""
-    if n == 1:
-        value[0] = 1.0
-        return
-    total = 0.0
+    """Values of the n Lagrange polynomials at ``t``: products of the distances from the other points."""
+    product = 1.0
     for i in range(n):
-        gap = t - node[i]
-        if abs(gap) < 1e-14:
-            for j in range(n):
-                value[j] = 0.0
-            value[i] = 1.0
-            return
-        value[i] = weight[i] / gap
-        total += value[i]
-    for i in range(n):
-        value[i] /= total
+        value[i] = weight[i] * product
+        product *= t - node[i]
+    product = 1.0
+    for i in range(n - 1, -1, -1):
+        value[i] *= product
+        product *= t - node[i]
 
 
 @kernel
@@ -142,63 +135,3 @@ def box_coordinate(point, center, axes, half, row):
     for d in range(3):
         at += axes[row, d] * (point[d] - center[d])
     return at / half[row]
-
-
-@kernel
-def nearest_reach(half, distance):
-    """Distance of a source from the sides of a box, plus its longest half width: a source off a corner is nearer."""
-    longest = max(half[0], half[1], half[2])
-    return distance - (math.sqrt(half[0] * half[0] + half[1] * half[1] + half[2] * half[2]) - longest)
-
-
-@kernel
-def interpolation_error(half, count, distance, power):
-    """Error of interpolating r^-power over a box, for a source at ``distance`` from its middle, relative to its value.
-
-    Leading Taylor term beyond the interpolation order in each direction, times its growth towards the nearest side;
-    calibrated against computed errors: 1 to 3 times too large, never too small by more than 2.
-    """
-    longest = max(half[0], half[1], half[2])
-    reach = nearest_reach(half, distance)
-    if reach <= longest * 1.05:
-        return np.inf
-    total = 0.0
-    for d in range(3):
-        n, x = count[d], half[d] / reach
-        term = 2.0 * (x * 0.5) ** n
-        # Binomial coefficient (n + power - 1 choose n).
-        for k in range(1, int(power)):
-            term *= (n + k) / k
-        total += term
-    growth = 1.0 - longest / reach
-    return total / growth**power
-
-
-@kernel
-def radial_error(basis, half, count, distance):
-    """Error of interpolating a radial basis function over a box inside its support, for a source at ``distance``.
-
-    The function's singular part at the origin decides: r^2 log r, r or r^3 (numbers of :data:`.basis.BASES`). The
-    remaining polynomial is exact from five points on.
-    """
-    longest = max(half[0], half[1], half[2])
-    reach = nearest_reach(half, distance)
-    if reach <= longest * 1.05:
-        return np.inf
-    if basis == 0:
-        power, factor = 2.0, 1.0
-    elif basis == 1:
-        power, factor = 1.0, 0.5
-    elif basis == 2:
-        power, factor = 3.0, 15.0
-    elif basis == 3:
-        power, factor = 2.0, 20.0
-    else:
-        power, factor = 3.0, 60.0
-    growth = 1.0 / (1.0 - longest / reach)
-    total = 0.0
-    for d in range(3):
-        n, x = count[d], half[d] / reach
-        term = (x * 0.5) ** n * factor * growth ** max(n - power, 0.0)
-        total += 4.0 * term / (n * (n - 1) * (n - 2)) if n > 2 and power == 2.0 else term
-    return total * reach**power

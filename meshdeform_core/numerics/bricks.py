@@ -1,12 +1,15 @@
-"""Bricks of target nodes: the other half of what fast summation sorts once per undeformed grid."""
+"""Bricks and regions of target nodes: the other half of what fast summation sorts once per undeformed grid."""
 
 import math
 from typing import NamedTuple
 
 import numpy as np
 
-from .boxes import fit_box, points_per_side
+from .boxes import box_points, fit_box, points_per_side
 from .jit import kernel
+
+REGION = 8
+"""Bricks of a region."""
 
 
 class Bricks(NamedTuple):
@@ -17,6 +20,8 @@ class Bricks(NamedTuple):
     start : (b + 1,) where each brick's targets begin
     targets : (n,) flat node indices
     center, axes, half, per_side : boxes as in :class:`SourceTree`
+    proxy : (b + 1,) where each brick's interpolation points begin
+    proxies : (total, 3) interpolation points
     """
 
     start: np.ndarray
@@ -25,17 +30,31 @@ class Bricks(NamedTuple):
     axes: np.ndarray
     half: np.ndarray
     per_side: np.ndarray
+    proxy: np.ndarray
+    proxies: np.ndarray
 
-    def targets_of(self, first, last):
-        """Flat indices of the targets in the bricks first <= b < last."""
-        return self.targets[self.start[first] : self.start[last]]
+
+class Regions(NamedTuple):
+    """Neighbouring bricks that see far clusters alike.
+
+    Attributes
+    ----------
+    first : (g + 1,) number of each region's first brick
+    center, axes, half, per_side : boxes around the interpolation points of the bricks
+    """
+
+    first: np.ndarray
+    center: np.ndarray
+    axes: np.ndarray
+    half: np.ndarray
+    per_side: np.ndarray
 
 
 def build_bricks(points, shapes, offsets, wanted, order, capacity):
-    """Cut every block's index box into bricks of about ``capacity`` targets.
+    """Cut every block's index box into bricks of at most about ``capacity`` targets, and group them into regions.
 
     Boxes are halved along the index direction in which they are longest in space, so that bricks are compact although
-    cells are stretched.
+    cells are stretched. A region is such a box with about ``REGION`` bricks.
 
     Parameters
     ----------
@@ -43,45 +62,73 @@ def build_bricks(points, shapes, offsets, wanted, order, capacity):
     shapes : (n_blocks, 3) int64, nodes
     offsets : (n_blocks + 1,) int64
     wanted : (n_nodes,) bool, the target nodes
+
+    Returns
+    -------
+    bricks : :class:`Bricks`
+    first : (g + 1,) number of each region's first brick
     """
-    parts = []
+    starts, firsts, targets = [np.zeros(1, np.int64)], [np.zeros(1, np.int64)], [np.empty(0, np.int64)]
     for block, shape in enumerate(shapes):
         lo, hi = offsets[block], offsets[block + 1]
         mask = wanted[lo:hi].reshape(shape)
         inside = int(mask.sum())
         if inside:
-            fraction = inside / mask.size
-            starts, targets = _cut_block(points[lo:hi].reshape(*shape, 3), mask, inside, capacity / fraction)
-            parts.append((starts, targets + lo))
-    start = np.zeros(1, dtype=np.int64)
-    targets = np.empty(0, dtype=np.int64)
-    if parts:
-        targets = np.concatenate([t for _, t in parts])
-        start = np.concatenate([start, np.cumsum(np.concatenate([np.diff(s) for s, _ in parts]))])
-    return Bricks(start, targets, *_fit_bricks(points, start, targets, order))
+            volume = capacity * mask.size / inside
+            start, first, flat = _cut_block(points[lo:hi].reshape(*shape, 3), mask, inside, volume)
+            firsts.append(first[1:] + sum(map(len, starts)) - 1)
+            starts.append(start[1:] + starts[-1][-1])
+            targets.append(flat + lo)
+    start, flat = np.concatenate(starts), np.concatenate(targets)
+    return make_bricks(points, start, flat, order), np.concatenate(firsts)
+
+
+def make_bricks(points, start, targets, order):
+    """Bricks of ``targets`` beginning at ``start`` (b + 1,), with up to ``order`` interpolation points per side."""
+    boxes = _fit_boxes(points, start, targets, order)
+    proxy = np.append(0, np.cumsum(boxes[-1].prod(axis=1)))
+    proxies = np.empty((proxy[-1], 3))
+    _place_proxies(*boxes, proxy, proxies)
+    return Bricks(start, targets, *boxes, proxy, proxies)
+
+
+def make_regions(bricks, first, order):
+    """Regions of the bricks beginning with number ``first`` (g + 1,)."""
+    return Regions(first, *_fit_boxes(bricks.proxies, bricks.proxy[first], np.arange(len(bricks.proxies)), order))
+
+
+@kernel
+def _place_proxies(center, axes, half, count, proxy, proxies):
+    for b in range(center.shape[0]):
+        box_points(center[b], axes[b], half[b], count[b], proxies[proxy[b] : proxy[b + 1]])
 
 
 @kernel
 def _cut_block(x, mask, count, capacity):
     ni, nj, nk = mask.shape
-    box = np.empty((4096, 6), dtype=np.int64)
-    box[0, 0] = box[0, 2] = box[0, 4] = 0
+    # Ranges of indices, and whether the box lies in a region.
+    box = np.empty((4096, 7), dtype=np.int64)
+    box[0, 0] = box[0, 2] = box[0, 4] = box[0, 6] = 0
     box[0, 1], box[0, 3], box[0, 5] = ni, nj, nk
     depth = 1
-    starts = np.empty(count + 1, dtype=np.int64)
-    starts[0], pieces = 0, 0
+    starts, firsts = np.empty(count + 1, dtype=np.int64), np.empty(count + 1, dtype=np.int64)
+    starts[0] = firsts[0] = pieces = regions = 0
     targets = np.empty(count, dtype=np.int64)
     used = 0
     while depth:
         depth -= 1
         b = box[depth].copy()
         size = (b[1] - b[0]) * (b[3] - b[2]) * (b[5] - b[4])
+        if not b[6] and size <= REGION * capacity:
+            b[6] = 1
+            if firsts[regions] < pieces:
+                regions += 1
+                firsts[regions] = pieces
         if size > capacity:
             axis = _longest_side(x, b)
             middle = (b[2 * axis] + b[2 * axis + 1]) // 2
-            box[depth + 1] = b
+            box[depth] = box[depth + 1] = b
             box[depth + 1, 2 * axis + 1] = middle
-            box[depth] = b
             box[depth, 2 * axis] = middle
             depth += 2
             continue
@@ -95,7 +142,10 @@ def _cut_block(x, mask, count, capacity):
         if used > before:
             pieces += 1
             starts[pieces] = used
-    return starts[: pieces + 1].copy(), targets
+    if firsts[regions] < pieces:
+        regions += 1
+        firsts[regions] = pieces
+    return starts[: pieces + 1].copy(), firsts[: regions + 1].copy(), targets
 
 
 @kernel
@@ -129,7 +179,7 @@ def _longest_side(x, b):
 
 
 @kernel
-def _fit_bricks(points, start, targets, order):
+def _fit_boxes(points, start, targets, order):
     m = start.size - 1
     center, axes, half = np.empty((m, 3)), np.empty((m, 3, 3)), np.empty((m, 3))
     count = np.empty((m, 3), dtype=np.int64)

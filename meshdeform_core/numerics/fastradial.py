@@ -1,30 +1,18 @@
 """Fast sums of radial basis functions at target nodes."""
 
-from typing import NamedTuple
-
 import numpy as np
 
-from .bricks import Bricks
-from .fastsum import Targets, sample_places
+from .acceptance import radial_basis
+from .fastsum import CHUNK, Targets
 from .parallel import Shared, for_chunks
 from .radial import radial_sums
 from .tree import build_tree, gather_charges
-from .treesum import Charges, Reach, radial_basis, sum_bricks
+from .treesum import Charges, Reach, sum_regions
 
-_CHUNK = 16
 # Errors of clusters cancel as much as the coefficients do, which only a trial shows: this part of the tolerance is
 # aimed at on some bricks, because others can be worse.
 _TRIALS, _AIM = 6, 0.25
 _TRIAL_BRICKS = 24
-
-
-class _Trial(NamedTuple):
-    chosen: np.ndarray
-    points: np.ndarray
-    bricks: Bricks
-    places: np.ndarray
-    exact: np.ndarray
-    sizes: np.ndarray
 
 
 class FastRadial:
@@ -45,6 +33,7 @@ class FastRadial:
         self._kind = kind
         self._function = radial_basis(kind)
         self._centres = centres
+        self._order = order
         self._tree = build_tree(centres, order)
         self.share = 1.0
 
@@ -63,38 +52,27 @@ class FastRadial:
         risk : (b,) bound of each brick's error, in units that only allow comparing
         """
         strength, charges = self._rms(coefficients), self._charges(coefficients)
+        chosen = np.unique(np.linspace(0, len(targets.sizes) - 1, _TRIAL_BRICKS).astype(int))
+        trial = targets.subset(chosen, self._order)
+        exact = radial_sums(self._kind, trial.points[trial.samples.ravel()], self._centres, coefficients)
         limit = tolerance * targets.sizes.min(axis=1)
-        trial = self._trial(targets, coefficients)
         for _ in range(_TRIALS):
-            error = self._trial_error(trial, charges, strength, limit * self.share) / tolerance
+            found = self._trial_sums(trial, charges, strength, self.share * limit[chosen])
+            error = (np.linalg.norm(found - exact, axis=1) / trial.sizes.ravel()).max() / tolerance
             if error <= _AIM:
                 break
             self.share *= max(0.03, 0.6 * _AIM / error)
-        return self._sum(targets.points, targets.bricks, charges, strength, limit * self.share, use, result, progress)
+        return self._sum(targets, charges, strength, self.share * limit, use, result, progress)
 
-    def _trial(self, targets, coefficients):
-        """Some bricks spread over all, with their own targets and the exact sums at their samples."""
-        bricks = targets.bricks
-        chosen = np.unique(np.linspace(0, len(targets.sizes) - 1, _TRIAL_BRICKS).astype(int))
-        flat = [bricks.targets[bricks.start[b] : bricks.start[b + 1]] for b in chosen]
-        start = np.append(0, np.cumsum([len(each) for each in flat]))
-        own = Bricks(
-            start, np.arange(start[-1]), bricks.center[chosen], bricks.axes[chosen], bricks.half[chosen],
-            bricks.per_side[chosen],
-        )  # fmt: skip
-        points, places = targets.points[np.concatenate(flat)], sample_places(start).ravel()
-        exact = radial_sums(self._kind, points[places], self._centres, coefficients)
-        return _Trial(chosen, points, own, places, exact, targets.sizes[chosen].ravel())
-
-    def _trial_error(self, trial, charges, strength, allowed):
-        """Largest error at the samples of the trial's bricks, relative to the cell size."""
+    def _trial_sums(self, trial, charges, strength, allowed):
+        """Sums at the samples of the trial's bricks."""
         found = np.zeros((len(trial.points), 3))
 
         def use(flat, sums):
             found[flat] = sums
 
-        self._sum(trial.points, trial.bricks, charges, strength, allowed[trial.chosen], use, found)
-        return float((np.linalg.norm(found[trial.places] - trial.exact, axis=1) / trial.sizes).max())
+        self._sum(trial, charges, strength, allowed, use, found)
+        return found[trial.samples.ravel()]
 
     def _rms(self, coefficients):
         """Root of the summed squares of each cluster's coefficients: what they do if their signs are random."""
@@ -107,16 +85,18 @@ class FastRadial:
         gather_charges(self._tree, source, proxy)
         return Charges(source, proxy)
 
-    def _sum(self, points, bricks, charges, strength, allowed, use, result, progress=None):
+    def _sum(self, targets, charges, strength, allowed, use, result, progress=None):
         tree, m = self._tree, len(self._tree.span)
         reach = Reach(strength, np.ones(m), np.zeros(m))
         nothing, risk = np.zeros(len(allowed)), np.zeros(len(allowed))
+        where = targets.points, targets.bricks, targets.regions
 
         def work(lo, hi):
-            start, stop = bricks.start[lo], bricks.start[hi]
-            sums = np.zeros((stop - start, 3))
-            sum_bricks(lo, hi, points, bricks, tree, reach, charges, self._function, allowed, nothing, sums, risk)
-            use(bricks.targets[start:stop], sums)
+            flat = targets.flat(lo, hi)
+            sums = np.zeros((len(flat), 3))
+            sum_regions(lo, hi, *where, tree, reach, charges, self._function, allowed, nothing, sums, risk)
+            use(flat, sums)
 
-        for_chunks(work, len(allowed), _CHUNK, progress, [Shared(result, bricks.targets_of), Shared(risk)])
+        shared = [Shared(result, targets.flat), Shared(risk, targets.numbers)]
+        for_chunks(work, targets.n_regions, CHUNK, progress, shared)
         return risk

@@ -6,17 +6,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .bricks import Bricks, build_bricks, node_sizes
+from .acceptance import inverse_powers
+from .bricks import Bricks, Regions, build_bricks, make_bricks, make_regions, node_sizes
 from .direct import N_VALUES
 from .parallel import Shared, for_chunks
 from .tree import build_tree, gather_charges
-from .treesum import Charges, add_totals, cluster_reach, inverse_powers, sum_bricks
+from .treesum import Charges, add_totals, cluster_reach, sum_regions
 
 Report = Callable[[int, int], None] | None
 """``report(done, total)``, or nothing."""
 
 _SAMPLES = 9
-_CHUNK = 16
+CHUNK = 2
+"""Regions per call."""
 # What one cluster may cause, as a multiple of what all together may, is this by the square of the interpolation order
 # less 2: errors of many clusters mostly cancel, the less the smaller they are. Measured on the sample cases.
 _SHARE = 24.0
@@ -28,15 +30,43 @@ class Targets(NamedTuple):
     Attributes
     ----------
     points : (n_nodes, 3)
-    bricks : :class:`.bricks.Bricks`
+    bricks, regions : :class:`.bricks.Bricks` and :class:`.bricks.Regions`
     samples : (b, 9) targets spread over each brick in the grid's order
     sizes : (b, 9) shortest edge at them
     """
 
     points: np.ndarray
     bricks: Bricks
+    regions: Regions
     samples: np.ndarray
     sizes: np.ndarray
+
+    @property
+    def n_regions(self):
+        return len(self.regions.first) - 1
+
+    def places(self, first, last):
+        """Part of the list of targets that lies in the regions first <= g < last."""
+        start, stop = self.bricks.start[self.regions.first[[first, last]]]
+        return slice(start, stop)
+
+    def flat(self, first, last):
+        """Flat indices of the targets in the regions first <= g < last."""
+        return self.bricks.targets[self.places(first, last)]
+
+    def subset(self, chosen, order):
+        """Targets of some bricks, numbered and kept on their own, each brick a region."""
+        bricks = self.bricks
+        flat = [bricks.targets[bricks.start[b] : bricks.start[b + 1]] for b in chosen]
+        start = np.append(0, np.cumsum([len(each) for each in flat]))
+        points = self.points[np.concatenate(flat)]
+        own = make_bricks(points, start, np.arange(len(points)), order)
+        regions = make_regions(own, np.arange(len(start)), order)
+        return Targets(points, own, regions, sample_places(start), self.sizes[chosen])
+
+    def numbers(self, first, last):
+        """Numbers of the bricks in these regions."""
+        return range(self.regions.first[first], self.regions.first[last])
 
 
 def interpolation_order(tolerance):
@@ -54,10 +84,10 @@ def make_targets(points, shapes, offsets, flat, order):
     wanted = np.zeros(len(points), dtype=bool)
     wanted[flat] = True
     shapes = shape_table(shapes)
-    bricks = build_bricks(points, shapes, offsets, wanted, order, 8 * order**3)
+    bricks, first = build_bricks(points, shapes, offsets, wanted, order, 8 * order**3)
     samples = bricks.targets[sample_places(bricks.start)]
     sizes = node_sizes(points, shapes, offsets, samples.ravel()).reshape(samples.shape)
-    return Targets(points, bricks, samples, sizes)
+    return Targets(points, bricks, make_regions(bricks, first, order), samples, sizes)
 
 
 def sample_places(start):
@@ -99,27 +129,28 @@ class FastSums:
         -------
         risk : (b,) bound of each brick's error, in units that only allow comparing
         """
-        bricks = self.targets.bricks
+        targets = self.targets
         kinds = [inverse_powers(*each) for each in weights]
         reaches = [cluster_reach(tree, strength[g], shift[g], turn[g]) for g, tree in self._groups]
         allowed, mean = self._allowance(kinds, reaches)
         risk = np.zeros(len(allowed))
         passes = [self._charges(strength, values[k : k + N_VALUES]) for k in range(0, len(values), N_VALUES)]
 
+        where = targets.points, targets.bricks, targets.regions
+
         def work(lo, hi):
-            start, stop = bricks.start[lo], bricks.start[hi]
-            sums = np.empty((stop - start, 1 + N_VALUES * len(passes)))
+            flat = targets.flat(lo, hi)
+            sums = np.empty((len(flat), 1 + N_VALUES * len(passes)))
             for number, charges in enumerate(passes):
-                part = np.zeros((stop - start, 1 + N_VALUES))
+                part = np.zeros((len(flat), 1 + N_VALUES))
                 for (_, tree), reach, charge, kind in zip(self._groups, reaches, charges, kinds, strict=True):
-                    sum_bricks(
-                        lo, hi, self.targets.points, bricks, tree, reach, charge, kind, allowed, mean, part, risk
-                    )
+                    sum_regions(lo, hi, *where, tree, reach, charge, kind, allowed, mean, part, risk)
                 sums[:, 0] = part[:, 0]
                 sums[:, 1 + N_VALUES * number : 1 + N_VALUES * (number + 1)] = part[:, 1:]
-            use(bricks.targets[start:stop], sums)
+            use(flat, sums)
 
-        for_chunks(work, len(allowed), _CHUNK, progress, [Shared(result, bricks.targets_of), Shared(risk)])
+        shared = [Shared(result, targets.flat), Shared(risk, targets.numbers)]
+        for_chunks(work, targets.n_regions, CHUNK, progress, shared)
         return risk
 
     def _charges(self, strength, values):

@@ -7,7 +7,7 @@ import numpy as np
 from .boxes import box_coordinate, box_points, chebyshev, fit_box, lagrange, points_per_side
 from .jit import kernel
 
-LEAF = 48
+LEAF = 24
 
 
 class SourceTree(NamedTuple):

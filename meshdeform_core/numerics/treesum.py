@@ -1,13 +1,15 @@
 """Fast sums of functions of distance: clusters of sources seen from bricks of target nodes.
 
-For every brick the tree of sources is walked from the top. A cluster that is far away, for the accuracy that its part
-of the sum needs, gives its interpolation points as sources; if the brick is small against the distance too, they act on
-the brick's interpolation points and the result is interpolated to its nodes. The rest is summed exactly.
+For every region of bricks the tree of sources is walked from the top. A cluster that is far away, for the accuracy that
+its part of the sum needs, gives its interpolation points as sources, which act on the region's interpolation points.
+What is too near for that is walked for every brick: clusters act on the brick's interpolation points, or on its nodes,
+and the rest is summed exactly. Results are interpolated from the region to its bricks and from these to their nodes.
 
 In a weighted mean (eq. 14) numerator and denominator use the same approximate weights, so its error is the error of the
 weights times the *difference* of a cluster's displacement from the mean: a common motion is exact.
 
-Source: barycentric cluster-cluster treecodes (Wang, Krasny, Tlupova 2020), with the acceptance of a weighted mean.
+Source: barycentric cluster-cluster treecodes (Wang, Krasny, Tlupova 2020), with two levels of targets and the
+acceptance of a weighted mean.
 """
 
 import math
@@ -15,42 +17,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .basis import BASES
-from .boxes import box_coordinate, box_points, chebyshev, interpolation_error, lagrange, radial_error
+from .acceptance import distance2, error_on_box, error_on_nodes, out_of_reach, square, weight
+from .boxes import box_points, chebyshev
 from .direct import sum_block
 from .jit import kernel
 from .radial import radial_block
 from .tree import SourceTree
 
 _STACK = 256
-# How a cluster acts: on the interpolation points of the brick, on its nodes, or only through its parts.
-_FAR, _NEAR, _OPEN = 2, 1, 0
-
-
-class Kernel(NamedTuple):
-    """A function of distance: a radial basis function by its number, or r^-a + kappa r^-b for ``basis`` -1.
-
-    Attributes
-    ----------
-    basis : see :data:`.basis.BASES`; distances are in units of the support radius
-    compact : the basis function vanishes from distance 1 on
-    """
-
-    basis: int
-    compact: bool
-    a: float
-    b: float
-    kappa: float
-
-
-def inverse_powers(a, b, kappa):
-    """Kernel r^-a + kappa r^-b of inverse distance weighting."""
-    return Kernel(-1, False, float(a), float(b), float(kappa))
-
-
-def radial_basis(kind):
-    """Kernel of a radial basis function by its number."""
-    return Kernel(kind, kind != BASES["tps"], 0.0, 0.0, 0.0)
 
 
 class Reach(NamedTuple):
@@ -101,11 +75,11 @@ def add_totals(samples, tree, reach, function, total, moved):
         while depth:
             depth -= 1
             c = stack[depth]
-            d2 = _distance2(samples[s], tree.center[c])
-            extent2 = _square(tree.half[c])
+            d2 = distance2(samples, s, tree.center, c)
+            extent2 = square(tree.half, c)
             if d2 > 2.0 * extent2 or tree.child[c] < 0:
                 # A leaf around the sample: its weight as if at the rim, which is less than it is.
-                w = reach.strength[c] * _weight(max(d2, 0.25 * extent2), function)
+                w = reach.strength[c] * weight(max(d2, 0.25 * extent2), function)
                 total[s] += w
                 moved[s] += w * (reach.shift[c] + reach.turn[c] * math.sqrt(d2))
             else:
@@ -114,102 +88,127 @@ def add_totals(samples, tree, reach, function, total, moved):
 
 
 @kernel
-def sum_bricks(first, last, points, bricks, tree, reach, charges, function, allowed, mean, out, risk):
-    """Sums (n, columns) at the targets of bricks ``first`` to ``last``, added to ``out`` (bricks' order).
+def sum_regions(first, last, points, bricks, regions, tree, reach, charges, function, allowed, mean, out, risk):
+    """Sums (n, columns) at the targets of regions ``first`` to ``last``, added to ``out`` (bricks' order).
 
     Parameters
     ----------
     points : (n_nodes, 3)
     allowed : (b,) error of the sums that one cluster may cause in a brick
     mean : (b,) bound of the mean displacement there
-    out : (targets of these bricks, columns of the charges)
+    out : (targets of these regions, columns of the charges)
     risk : (b,) the sum of the error bounds of all clusters, relative to ``allowed``, is added
     """
     n = tree.points.shape[0] + tree.proxies.shape[0]
-    rows = 3 + charges.source.shape[1]
-    far, near = np.empty((rows, n)), np.empty((rows, n))
+    columns = charges.source.shape[1]
+    far, near = np.empty((3 + columns, n)), np.empty((3 + columns, n))
+    left = np.empty(tree.span.shape[0], dtype=np.int64)
     row = 0
-    for b in range(first, last):
-        x = points[bricks.targets[bricks.start[b] : bricks.start[b + 1]]]
-        sums = out[row : row + x.shape[0]]
-        row += x.shape[0]
-        n_far, n_near, bound = _collect(b, bricks, tree, reach, charges, function, allowed[b], mean[b], far, near)
-        risk[b] += bound
-        _sum(x, near, n_near, function, sums)
-        if n_far:
-            _add_far(b, bricks, x, far, n_far, function, sums)
+    for g in range(first, last):
+        own = slice(regions.first[g], regions.first[g + 1])
+        n_far, n_left, bound = _look_from_region(
+            g, regions, tree, reach, charges, function, allowed[own].min(), mean[own].max(), far, left
+        )
+        values = _at_region(g, regions, far, n_far, columns, function)
+        for b in range(own.start, own.stop):
+            x = points[bricks.targets[bricks.start[b] : bricks.start[b + 1]]]
+            sums = out[row : row + x.shape[0]]
+            row += x.shape[0]
+            # Few targets need no interpolation points of their own.
+            few = x.shape[0] <= 2 * (bricks.proxy[b + 1] - bricks.proxy[b])
+            n_far_brick, n_near, more = _look_from_brick(
+                b, bricks, left[:n_left], tree, reach, charges, function, allowed[b], mean[b], few, far, near
+            )
+            risk[b] += bound + more
+            _sum(x, near, n_near, function, sums)
+            if few:
+                _interpolate(g, regions, values, x, sums)
+                continue
+            place = bricks.proxies[bricks.proxy[b] : bricks.proxy[b + 1]]
+            inner = np.zeros((place.shape[0], columns))
+            _sum(place, far, n_far_brick, function, inner)
+            _interpolate(g, regions, values, place, inner)
+            _interpolate(b, bricks, inner, x, sums)
 
 
 @kernel
-def _weight(distance2, function):
-    r = math.sqrt(distance2)
-    return r**-function.a + function.kappa * r**-function.b
+def _pull(c, reach, distance, mean, allowed):
+    """What a cluster does to the mean if its weights are wrong by one, relative to what it may do."""
+    return reach.strength[c] * (reach.shift[c] + reach.turn[c] * distance + mean) / allowed
 
 
 @kernel
-def _square(x):
-    return x[0] ** 2 + x[1] ** 2 + x[2] ** 2
-
-
-@kernel
-def _distance2(x, y):
-    return (x[0] - y[0]) ** 2 + (x[1] - y[1]) ** 2 + (x[2] - y[2]) ** 2
-
-
-@kernel
-def _collect(b, bricks, tree, reach, charges, function, allowed, mean, far, near):
-    """Walk the tree for one brick: what acts on its interpolation points (far) and on its nodes (near)."""
-    count, radius = bricks.per_side[b], math.sqrt(_square(bricks.half[b]))
-    # Few targets need no interpolation points of their own.
-    few = bricks.start[b + 1] - bricks.start[b] <= 2 * count[0] * count[1] * count[2]
+def _look_from_region(g, regions, tree, reach, charges, function, allowed, mean, far, left):
+    """Walk the tree for one region: what acts on its interpolation points, and the clusters left to its bricks."""
     stack = np.empty(_STACK, dtype=np.int64)
     stack[0] = 0
     depth = 1
-    n_far = n_near = 0
+    n_far = n_left = 0
     bound = 0.0
     while depth:
         depth -= 1
         c = stack[depth]
-        distance = math.sqrt(_distance2(bricks.center[b], tree.center[c]))
-        extent = math.sqrt(_square(tree.half[c]))
-        if function.compact and distance - radius - extent >= 1.0:
+        if out_of_reach(regions, g, tree, c, function):
             continue
         raw = tree.proxy[c + 1] == tree.proxy[c]
-        use = _OPEN
-        if not function.compact or distance + radius + extent <= 1.0:
-            pull = reach.strength[c] * (reach.shift[c] + reach.turn[c] * distance + mean) / allowed
-            use, caused = _accept(b, c, bricks, tree, function, distance, radius, extent, pull, raw, few)
-            bound += caused
-        if use == _OPEN:
-            if tree.child[c] >= 0 and not raw:
+        pull = _pull(c, reach, math.sqrt(distance2(regions.center, g, tree.center, c)), mean, allowed)
+        error = error_on_box(regions, g, tree, c, raw, function)
+        if pull * error < 0.5:
+            bound += pull * error
+            n_far = _append(tree, charges, c, raw, far, n_far)
+        elif tree.child[c] >= 0 and not raw and square(tree.half, c) > square(regions.half, g):
+            stack[depth], stack[depth + 1] = tree.child[c], tree.child[c] + 1
+            depth += 2
+        else:
+            left[n_left] = c
+            n_left += 1
+    return n_far, n_left, bound
+
+
+@kernel
+def _look_from_brick(b, bricks, left, tree, reach, charges, function, allowed, mean, few, far, near):
+    """Walk what its region left: what acts on the brick's interpolation points (far) and on its nodes (near)."""
+    stack = np.empty(_STACK, dtype=np.int64)
+    n_far = n_near = 0
+    bound = 0.0
+    for top in left:
+        stack[0] = top
+        depth = 1
+        while depth:
+            depth -= 1
+            c = stack[depth]
+            if out_of_reach(bricks, b, tree, c, function):
+                continue
+            raw = tree.proxy[c + 1] == tree.proxy[c]
+            pull = _pull(c, reach, math.sqrt(distance2(bricks.center, b, tree.center, c)), mean, allowed)
+            if not few:
+                error = error_on_box(bricks, b, tree, c, raw, function)
+                if pull * error < 0.5:
+                    bound += pull * error
+                    n_far = _append(tree, charges, c, raw, far, n_far)
+                    continue
+            error = error_on_nodes(bricks, b, tree, c, raw, function)
+            if pull * error < 0.5:
+                bound += pull * error
+                n_near = _append(tree, charges, c, raw, near, n_near)
+            elif tree.child[c] >= 0 and not raw:
                 stack[depth], stack[depth + 1] = tree.child[c], tree.child[c] + 1
                 depth += 2
-                continue
-            raw = True
-        if use == _FAR:
-            n_far = _append(tree, charges, c, raw, far, n_far)
-        else:
-            n_near = _append(tree, charges, c, raw, near, n_near)
+            else:
+                n_near = _append(tree, charges, c, True, near, n_near)
     return n_far, n_near, bound
 
 
 @kernel
-def _accept(b, c, bricks, tree, function, distance, radius, extent, pull, raw, few):
-    """Whether a cluster may act on the brick's interpolation points or on its nodes, and the error that it causes.
-
-    ``raw`` clusters act with their sources, others with their interpolation points.
-    """
-    if not few and distance > extent and (raw or distance > radius):
-        error = _error(bricks.half[b], bricks.per_side[b], distance - extent, distance, function)
-        if not raw:
-            error = max(error, _error(tree.half[c], tree.per_side[c], distance, distance, function))
-        if pull * error < 0.5:
-            return _FAR, pull * error
-    if not raw and distance > radius:
-        error = _error(tree.half[c], tree.per_side[c], distance - radius, distance - radius, function)
-        if pull * error < 0.5:
-            return _NEAR, pull * error
-    return _OPEN, 0.0
+def _at_region(g, regions, far, n_far, columns, function):
+    """Sums (points, columns) at the interpolation points of a region; none if nothing acts there."""
+    count = regions.per_side[g]
+    local = count[0] * count[1] * count[2] if n_far else 0
+    place, values = np.empty((local, 3)), np.zeros((local, columns))
+    if n_far:
+        box_points(regions.center[g], regions.axes[g], regions.half[g], count, place)
+        _sum(place, far, n_far, function, values)
+    return values
 
 
 @kernel
@@ -218,21 +217,6 @@ def _sum(targets, packed, n, function, out):
         sum_block(targets, packed, n, function.a, function.b, function.kappa, out)
     else:
         radial_block(function.basis, targets, packed, n, out)
-
-
-@kernel
-def _error(half, count, gap, distance, function):
-    """Error of interpolating the function over a box: its shape judged at ``gap``, its size at ``distance``."""
-    if function.basis >= 0:
-        return radial_error(function.basis, half, count, gap)
-    ratio = function.kappa * gap ** (function.a - function.b)
-    steep = ratio / (1.0 + ratio)
-    error = 0.0
-    if steep < 0.99:
-        error += (1.0 - steep) * interpolation_error(half, count, gap, function.a)
-    if steep > 0.01:
-        error += steep * interpolation_error(half, count, gap, function.b)
-    return error * _weight(distance * distance, function)
 
 
 @kernel
@@ -255,26 +239,49 @@ def _pack(points, charges, first, last, packed, n):
 
 
 @kernel
-def _add_far(b, bricks, x, far, n_far, function, sums):
-    """Sums at the brick's interpolation points, interpolated to its targets and added."""
-    count = bricks.per_side[b]
-    local = count[0] * count[1] * count[2]
-    place, values = np.empty((local, 3)), np.zeros((local, sums.shape[1]))
-    box_points(bricks.center[b], bricks.axes[b], bricks.half[b], count, place)
-    _sum(place, far, n_far, function, values)
-    node, weight, value = np.empty((3, 32)), np.empty((3, 32)), np.empty((3, 32))
+def _interpolate(b, boxes, values, x, sums):
+    """Add to ``sums`` (n, columns) at points ``x`` (n, 3) what ``values`` at the box's interpolation points give."""
+    columns, n = values.shape[1], x.shape[0]
+    if values.shape[0] == 0:
+        return
+    count = boxes.per_side[b]
+    share = np.empty((3, count.max(), n))
     for d in range(3):
-        chebyshev(count[d], node[d], weight[d])
-    for t in range(x.shape[0]):
-        for d in range(3):
-            at = box_coordinate(x[t], bricks.center[b], bricks.axes[b], bricks.half[b], d)
-            lagrange(count[d], node[d], weight[d], at, value[d])
-        n = 0
-        for i in range(count[0]):
-            for j in range(count[1]):
-                product = value[0, i] * value[1, j]
-                for k in range(count[2]):
-                    factor = product * value[2, k]
-                    for c in range(sums.shape[1]):
-                        sums[t, c] += factor * values[n, c]
-                    n += 1
+        _shares(b, boxes, x, d, share[d])
+    total, product = np.zeros((columns, n)), np.empty(n)
+    m = 0
+    for i in range(count[0]):
+        for j in range(count[1]):
+            for k in range(count[2]):
+                for t in range(n):
+                    product[t] = share[0, i, t] * share[1, j, t] * share[2, k, t]
+                for c in range(columns):
+                    value = values[m, c]
+                    for t in range(n):
+                        total[c, t] += value * product[t]
+                m += 1
+    for t in range(n):
+        for c in range(columns):
+            sums[t, c] += total[c, t]
+
+
+@kernel
+def _shares(b, boxes, x, d, share):
+    """Lagrange polynomials (points, n) along one side of a box at ``x`` (n, 3): vector loops over the points."""
+    n, n_points = boxes.per_side[b, d], x.shape[0]
+    node, weights, at, product = np.empty(n), np.empty(n), np.zeros(n_points), np.ones(n_points)
+    chebyshev(n, node, weights)
+    if boxes.half[b, d] > 0.0:
+        for e in range(3):
+            factor, origin = boxes.axes[b, d, e] / boxes.half[b, d], boxes.center[b, e]
+            for t in range(n_points):
+                at[t] += factor * (x[t, e] - origin)
+    for i in range(n):
+        for t in range(n_points):
+            share[i, t] = weights[i] * product[t]
+            product[t] *= at[t] - node[i]
+    product[:] = 1.0
+    for i in range(n - 1, -1, -1):
+        for t in range(n_points):
+            share[i, t] *= product[t]
+            product[t] *= at[t] - node[i]

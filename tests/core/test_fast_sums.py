@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from meshdeform_core.errors import MethodError
 from meshdeform_core.methods import IDW, RBF, Options, make_method
 from meshdeform_core.numerics import boxes, fastsum
-from meshdeform_core.numerics.bricks import build_bricks, node_sizes
+from meshdeform_core.numerics.bricks import build_bricks, make_regions, node_sizes
 from meshdeform_core.numerics.elementary import exp, log
 from meshdeform_core.numerics.tree import build_tree, gather_charges
 from meshdeform_core.prescription import prescribed_displacement
@@ -101,12 +101,20 @@ def test_bricks_hold_every_target_once():
     grid = frame(9, 7)
     shapes = fastsum.shape_table(grid.shapes)
     wanted = np.random.default_rng(0).random(grid.n_nodes) < 0.6
-    bricks = build_bricks(grid.points, shapes, grid.offsets, wanted, 4, 100)
+    bricks, first = build_bricks(grid.points, shapes, grid.offsets, wanted, 4, 100)
     np.testing.assert_array_equal(np.sort(bricks.targets), np.flatnonzero(wanted))
     for b in range(len(bricks.start) - 1):
         x = grid.points[bricks.targets[bricks.start[b] : bricks.start[b + 1]]]
         inside = np.abs((x - bricks.center[b]) @ bricks.axes[b].T)
         assert np.all(inside <= bricks.half[b] + 1e-12)
+    assert first[0] == 0
+    assert first[-1] == len(bricks.start) - 1
+    assert np.all(np.diff(first) > 0)
+    regions = make_regions(bricks, first, 4)
+    for g in range(len(first) - 1):
+        x = bricks.proxies[bricks.proxy[first[g]] : bricks.proxy[first[g + 1]]]
+        inside = np.abs((x - regions.center[g]) @ regions.axes[g].T)
+        assert np.all(inside <= regions.half[g] + 1e-12)
 
 
 def test_node_sizes():
