@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import json
-from typing import Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
 
 from .options import GridInput, grid_options, json_option
+
+if TYPE_CHECKING:
+    from meshdeform_core.grid import Connection, Patch
 
 
 @click.command("info")
@@ -38,7 +42,6 @@ def gather(source: GridInput) -> dict[str, Any]:
     topology = find_topology(grid)
     sides = [f"{name}.{side}" for name in grid.names for side in ("imin", "imax", "jmin", "jmax", "kmin", "kmax")]
     external = np.bincount(topology.quads.block_side[topology.external], minlength=len(sides))
-    connections = find_interfaces(grid, topology)
     low, high = grid.points.min(axis=0), grid.points.max(axis=0)
     return {
         "file": str(source.path),
@@ -53,35 +56,34 @@ def gather(source: GridInput) -> dict[str, Any]:
             {"name": n, "nodes": list(s), "handedness": "right" if h > 0 else "left"}
             for n, s, h in zip(grid.names, grid.shapes, topology.handedness, strict=True)
         ],
-        "patches": [
-            {
-                "name": p.name, "family": p.family, "type": p.bc_type,
-                "windows": [
-                    {
-                        "face": sides[6 * w.block + w.side],
-                        "first": [n + 1 for n in w.low],
-                        "last": [n + 1 for n in w.high],
-                    }
-                    for w in p.windows
-                ],
-            }
-            for p in grid.patches
-        ],
-        "interfaces": [
-            {
-                "blocks": [grid.names[c.block], grid.names[c.donor_block]], "name": c.name,
-                "first": [n + 1 for n in c.begin], "last": [n + 1 for n in c.end],
-                "donor_first": [n + 1 for n in c.donor_begin], "donor_last": [n + 1 for n in c.donor_end],
-                "transform": list(c.transform),
-            }
-            for c in connections
-        ],
+        "patches": [_patch(patch, sides) for patch in grid.patches],
+        "interfaces": [_interface(each, grid.names) for each in find_interfaces(grid, topology)],
         "declared_connections": len(grid.connections),
         "external_faces": {sides[s]: int(external[s]) for s in np.flatnonzero(external)},
         "collapsed": _collapsed(topology, sides),
         "fields": sorted({f"{f.name} ({f.location})" for f in grid.fields}),
         "notes": [*grid.notes, *check_connections(grid, topology)],
-    }  # fmt: skip
+    }
+
+
+def _patch(patch: Patch, sides: list[str]) -> dict[str, Any]:
+    windows = [
+        {"face": sides[6 * w.block + w.side], "first": [n + 1 for n in w.low], "last": [n + 1 for n in w.high]}
+        for w in patch.windows
+    ]
+    return {"name": patch.name, "family": patch.family, "type": patch.bc_type, "windows": windows}
+
+
+def _interface(face: Connection, names: Sequence[str]) -> dict[str, Any]:
+    return {
+        "blocks": [names[face.block], names[face.donor_block]],
+        "name": face.name,
+        "first": [n + 1 for n in face.begin],
+        "last": [n + 1 for n in face.end],
+        "donor_first": [n + 1 for n in face.donor_begin],
+        "donor_last": [n + 1 for n in face.donor_end],
+        "transform": list(face.transform),
+    }
 
 
 def _collapsed(topology: Any, sides: list[str]) -> list[dict[str, Any]]:
