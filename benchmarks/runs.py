@@ -47,11 +47,11 @@ def file_to_file(quick: bool) -> Table:
     return table
 
 
-def make_sample(folder: Path, sample: str, size: int) -> Path:
+def make_sample(folder: Path, sample: str, size: int, suffix: str = ".cgns") -> Path:
     """Grid and case of a sample in a folder of its own."""
     target = folder / f"{sample}-{size}"
     if not target.exists():
-        run([*_COMMAND, "sample", sample, "-o", str(target), "--size", str(size)])
+        run([*_COMMAND, "sample", sample, "-o", str(target), "--size", str(size), "--suffix", suffix])
     return target
 
 
