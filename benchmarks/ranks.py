@@ -13,7 +13,7 @@ from contextlib import contextmanager
 
 from mpi4py import MPI
 
-from meshdeform_cli.mpi import MPIRanks
+from meshdeform_cli.ranks import MPIRanks
 from meshdeform_core.deform import set_up
 from meshdeform_core.methods import make_method
 from meshdeform_core.numerics.parallel import set_ranks, set_threads

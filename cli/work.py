@@ -101,8 +101,11 @@ def tell(report: Report, quiet: bool, verbose: bool) -> None:
     if not report["valid"]:
         click.echo(f"meshdeform: {_verdict(report)}", err=True)
     if verbose:
-        if (count := current_ranks().count) > 1:
-            click.echo(f"meshdeform: {count} ranks, the first with {thread_count()} threads", err=True)
+        ranks = current_ranks()
+        if ranks.count > 1:
+            click.echo(f"meshdeform: {ranks.count} ranks, the first with {thread_count()} threads", err=True)
+        if ranks.private:
+            click.echo(f"meshdeform: every rank has its own copy of the grid: {ranks.private}", err=True)
         for stage, seconds in report["timing"].items():
             click.echo(f"meshdeform: {stage} {seconds:.3f} s", err=True)
 

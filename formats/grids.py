@@ -14,6 +14,7 @@ import numpy as np
 
 from meshdeform_core.errors import FormatError, GridError
 from meshdeform_core.grid import FileFormat, Grid
+from meshdeform_core.numerics.parallel import empty, for_rows
 
 
 @dataclass(frozen=True)
@@ -175,7 +176,8 @@ def _recognise(head: bytes, path: Path) -> str:
 
 
 def _require_finite(grid: Grid, path: Path) -> None:
-    bad = ~np.isfinite(grid.points).all(axis=1)
+    bad = empty([grid.n_nodes], bool)
+    for_rows(lambda rows: np.copyto(bad[rows], ~np.isfinite(grid.points[rows]).all(axis=1)), bad)
     if bad.any():
         first = int(np.argmax(bad))
         raise GridError(

@@ -16,6 +16,7 @@ from .errors import CaseError, MotionError
 from .grid import FloatArray, Grid
 from .memory import UNLIMITED, MemoryLimit
 from .methods import Account, Options, PreparedMethod, Problem, Progress, make_method
+from .numerics.parallel import empty, for_rows
 from .prescription import prescribed_displacement
 from .quality import Assessment, assess
 from .quality.validity import newly_invalid
@@ -195,7 +196,8 @@ class _March:
         self.fraction, self.steps = 0.0, 0
         self.points = start.points if start else setup.grid.points
         # Exactly zero from the undeformed grid.
-        self.begin = (self.points - setup.grid.points)[setup.topology.first]
+        first = setup.topology.first
+        self.begin = self.points[first] - setup.grid.points[first]
         self.moved = self.begin
         self.failed: FloatArray | None = None
         self.first_bad: dict[int, int] = {}
@@ -256,7 +258,9 @@ class _March:
         prepared = self._method()
         increment = (self._prescribed(fraction) - self.moved)[setup.problem.source_numbers]
         with self.timing.stage("apply"):
-            return np.asarray(self.points + prepared.apply(increment, self.progress))
+            moved = prepared.apply(increment, self.progress)
+            for_rows(lambda rows: np.add(self.points[rows], moved[rows], out=moved[rows]), moved)
+            return moved
 
     def _prescribed(self, fraction: float) -> FloatArray:
         """Boundary displacement part of the way: on the motion's own path from the undeformed grid, else straight."""
@@ -286,7 +290,11 @@ class _March:
                 self.first_bad.setdefault(cell, self.steps)
 
     def _rounded(self, points: FloatArray) -> FloatArray:
-        return points.astype(np.float32).astype(np.float64) if self.precision == "float32" else points
+        if self.precision != "float32":
+            return points
+        rounded: FloatArray = empty(points.shape)
+        for_rows(lambda rows: np.copyto(rounded[rows], points[rows].astype(np.float32)), rounded)
+        return rounded
 
     def result(self) -> Result:
         setup = self.setup

@@ -1,12 +1,24 @@
-"""Started by test_mpi.py under mpiexec: every method on all ranks together against the same on one alone."""
+"""Started by test_mpi.py under mpiexec: every method on all ranks together against the same on one alone.
+
+The first argument is the number of machines that the ranks pretend to be on, 0 for ranks without common memory.
+"""
+
+import ctypes
+import faulthandler
+import mmap
+import random
+import sys
+import time
 
 import numpy as np
 from cases import ALL_METHODS, body_specs, problem_of, turning
 from grids import frame, frame_2d
 from mpi4py import MPI
 
-from meshdeform_cli.mpi import MPIRanks
+from meshdeform_cli import ranks as memory
+from meshdeform_cli.ranks import CommonMemory, MPIRanks
 from meshdeform_core.methods import IDW, RBF, Options, make_method
+from meshdeform_core.numerics import parallel
 from meshdeform_core.numerics.parallel import OneRank, set_ranks
 from meshdeform_core.prescription import prescribed_displacement
 from meshdeform_core.quality import assess
@@ -27,15 +39,50 @@ CHOSEN = {name: options for name, options in ALL_METHODS.items() if "ctps" not i
 
 
 class Witness(MPIRanks):
-    """Counts the rows that this rank fills and the rows that all of them fill."""
+    """Counts rows and makes what is forbidden fail.
 
-    own = every = 0
+    ``own`` are the rows that this rank fills, ``every`` those that all of them fill. Common memory is write-protected
+    but in the loops that fill it, so that any other write kills the rank; and ranks dawdle where they might meet.
+    """
+
+    own = every = mapped = 0
 
     def share(self, array, rows):
-        sizes = [sum(len(part) for part in parts) for parts in rows]
+        sizes = [sum(len(part) for part in rows(number)) for number in range(self.count)]
         self.own += sizes[self.number]
         self.every += sum(sizes)
         super().share(array, rows)
+
+    def empty(self, shape, dtype):
+        array = super().empty(shape, dtype)
+        self._protect([array], mmap.PROT_READ)
+        return array
+
+    def begin(self, arrays):
+        self._dawdle(arrays)
+        super().begin(arrays)
+        self._protect(arrays, mmap.PROT_READ | mmap.PROT_WRITE)
+        self._dawdle(arrays)
+
+    def finish(self, arrays):
+        self._protect(arrays, mmap.PROT_READ)
+        self._dawdle(arrays)
+        super().finish(arrays)
+        self._dawdle(arrays)
+
+    @staticmethod
+    def _dawdle(arrays):
+        if arrays:
+            time.sleep(random.random() * 0.001)
+
+    def _protect(self, arrays, how):
+        for array in arrays:
+            while isinstance(array, np.ndarray):
+                array = array.base
+            if isinstance(array, CommonMemory):
+                self.mapped += 1
+                address = ctypes.addressof(ctypes.c_char.from_buffer(array))
+                assert ctypes.CDLL(None).mprotect(ctypes.c_void_p(address), ctypes.c_size_t(len(array)), how) == 0
 
 
 def results(options, problem):
@@ -47,8 +94,16 @@ def results(options, problem):
     return moved, verdict, newly_invalid(problem.grid, after, problem.topology)
 
 
-def main():
-    ranks = Witness(MPI.COMM_WORLD)
+def no_memory(size):
+    raise OSError("made to fail")
+
+
+def main(machines):
+    faulthandler.enable()
+    parallel._SMALL = 0
+    if not machines:
+        memory._memory_file = no_memory
+    ranks = Witness(MPI.COMM_WORLD, machines or 1)
     turn = body_specs(turning(60))
     problems = [problem_of(frame(7, 5), turn), problem_of(frame_2d(9), turn[:1])]
     broken = 0
@@ -66,7 +121,8 @@ def main():
     # Loops with fewer chunks than ranks leave some of them idle on grids as small as these.
     part = ranks.own * ranks.count / ranks.every
     assert 0.4 < part < 2.0, f"rank {ranks.number} did {part:.0%} of its share"
+    assert bool(ranks.mapped) == bool(machines) == (not ranks.private)
     print(f"rank {ranks.number} of {ranks.count} agrees")
 
 
-main()
+main(int(sys.argv[1]))
