@@ -8,6 +8,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Sequence
+from itertools import accumulate
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from meshdeform_core.errors import MeshDeformError
@@ -24,6 +25,8 @@ T = TypeVar("T")
 # A rank that failed waits so many seconds for the others to fail alike, which most errors in the input make them do.
 _GRACE = 5.0
 _POLL = 0.002
+# Bytes at whose multiples arrays begin: a cache line.
+_LINE = 64
 
 
 class CommonMemory(mmap.mmap):
@@ -128,21 +131,31 @@ class MPIRanks:
             action()
         self.finish([array])
 
-    def once(self, make: Callable[[], np.ndarray]) -> np.ndarray:
-        """An array that all ranks would make alike: made once per machine where memory is common."""
-        import numpy as np
-
+    def once(self, make: Callable[[], T]) -> T:
+        """What all ranks would make alike: made once per machine, large arrays in common memory."""
         if not self._together:
             return make()
-        made: list[np.ndarray] = []
+        import numpy as np
+        from mpi4py.MPI import pickle
 
-        def keep() -> tuple[tuple[int, ...], np.dtype[Any]]:
-            made.append(make())
-            return made[0].shape, made[0].dtype
+        buffers: list[Any] = []
 
-        array = self.empty(*self._from_first(self._machine, keep))
-        self.alter(array, lambda: np.copyto(array, made[0]))
-        return array
+        def packed() -> tuple[bytes, list[int]]:
+            data, parts = pickle.dumps_oob(make())
+            buffers.extend(parts)
+            return data, [part.nbytes for part in parts]
+
+        data, sizes = self._from_first(self._machine, packed)
+        ends = list(accumulate((-(-size // _LINE) * _LINE for size in sizes), initial=0))
+        memory = self.empty([ends[-1]], np.uint8)
+        places = [memory[start : start + size] for start, size in zip(ends, sizes, strict=False)]
+
+        def unpack() -> None:
+            for place, buffer in zip(places, buffers, strict=True):
+                place[:] = np.frombuffer(buffer, np.uint8)
+
+        self.alter(memory, unpack)
+        return pickle.loads_oob(data, places)
 
     def agree(self, failures: Sequence[Exception]) -> None:
         """Raise the first failure that any rank has, on all of them."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from meshdeform_core.errors import FormatError, GridError
 from meshdeform_core.grid import FileFormat, Grid
-from meshdeform_core.numerics.parallel import empty, for_rows
+from meshdeform_core.numerics.parallel import current_ranks, empty, for_rows
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,9 @@ def complete_for_export(grid: Grid, path: Path) -> Grid:
     from meshdeform_core.interfaces import find_interfaces
     from meshdeform_core.topology import find_topology
 
-    return dataclasses.replace(grid, connections=find_interfaces(grid, find_topology(grid)))
+    return dataclasses.replace(
+        grid, connections=current_ranks().once(lambda: find_interfaces(grid, find_topology(grid)))
+    )
 
 
 def write_grid(grid: Grid, path: str | Path, options: Mapping[str, Any] | None = None) -> FileFormat:

@@ -16,7 +16,7 @@ from .errors import CaseError, MotionError
 from .grid import FloatArray, Grid
 from .memory import UNLIMITED, MemoryLimit
 from .methods import Account, Options, PreparedMethod, Problem, Progress, make_method
-from .numerics.parallel import empty, for_rows
+from .numerics.parallel import current_ranks, empty, for_rows
 from .prescription import prescribed_displacement
 from .quality import Assessment, assess
 from .quality.validity import newly_invalid
@@ -119,7 +119,7 @@ def set_up(grid: Grid, case: Case, timing: Timing | None = None, memory: MemoryL
     """
     timing = timing or Timing()
     with timing.stage("topology"):
-        topology = find_topology(grid, case.tolerance)
+        topology = current_ranks().once(lambda: find_topology(grid, case.tolerance))
         warnings = [*grid.notes, *check_connections(grid, topology)]
         if topology.crowded:
             warnings.append(f"{topology.crowded} face quads are shared by more than two blocks")

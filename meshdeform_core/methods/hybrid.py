@@ -110,7 +110,8 @@ class PreparedComposite:
     def __init__(self, method: Composite, problem: Problem):
         self._problem = problem
         skeleton = method.filler.skeleton(problem) if method.filler else None
-        self._mover = _mover(method.mover, problem, first_step_nodes(problem, skeleton))
+        nodes = current_ranks().once(lambda: first_step_nodes(problem, skeleton))
+        self._mover = _mover(method.mover, problem, nodes)
         self._filler = method.filler.prepare(problem, skeleton) if method.filler and skeleton else None
         self._left_out = skeleton is not None and bool(skeleton.left_out)
 

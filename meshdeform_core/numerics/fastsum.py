@@ -8,7 +8,7 @@ import numpy as np
 
 from .bricks import Bricks, build_bricks, node_sizes
 from .direct import N_VALUES
-from .parallel import Shared, for_chunks
+from .parallel import Shared, current_ranks, for_chunks
 from .tree import build_tree, gather_charges
 from .treesum import Charges, add_totals, cluster_reach, inverse_powers, sum_bricks
 
@@ -51,15 +51,21 @@ def shape_table(shapes):
 
 def make_targets(points, shapes, offsets, flat, order):
     """Sort the target nodes ``flat`` of a grid into bricks of about eight times their interpolation points."""
+    shapes = shape_table(shapes)
+    bricks, samples, sizes = current_ranks().once(lambda: _sorted(points, shapes, offsets, flat, order))
+    return Targets(points, bricks, samples, sizes)
+
+
+def _sorted(points, shapes, offsets, flat, order):
+    """Bricks, samples and sizes of :class:`Targets`."""
     wanted = np.zeros(len(points), dtype=bool)
     wanted[flat] = True
-    shapes = shape_table(shapes)
     bricks = build_bricks(points, shapes, offsets, wanted, order, 8 * order**3)
     count = np.diff(bricks.start)
     at = (np.arange(_SAMPLES) * (count[:, None] - 1)) // (_SAMPLES - 1)
     samples = bricks.targets[bricks.start[:-1, None] + at]
     sizes = node_sizes(points, shapes, offsets, samples.ravel()).reshape(samples.shape)
-    return Targets(points, bricks, samples, sizes)
+    return bricks, samples, sizes
 
 
 class FastSums:

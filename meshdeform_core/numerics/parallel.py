@@ -76,8 +76,8 @@ class Ranks(Protocol):
         """Let ``action``, the same on all ranks, write to ``array``: once for each copy of it."""
         ...
 
-    def once(self, make: Callable[[], Any]) -> Any:
-        """An array that all ranks would make alike: made once per machine where memory is common."""
+    def once(self, make: Callable[[], T]) -> T:
+        """What all ranks would make alike: made once per machine where memory is common; not to be written to."""
         ...
 
     def agree(self, failures: Sequence[Exception]) -> None:
@@ -119,7 +119,7 @@ class OneRank:
     def alter(self, array: Any, action: Callable[[], object]) -> None:
         action()
 
-    def once(self, make: Callable[[], Any]) -> Any:
+    def once(self, make: Callable[[], T]) -> T:
         return make()
 
     def agree(self, failures: Sequence[Exception]) -> None:
