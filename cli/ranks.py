@@ -25,6 +25,8 @@ T = TypeVar("T")
 # A rank that failed waits so many seconds for the others to fail alike, which most errors in the input make them do.
 _GRACE = 5.0
 _POLL = 0.002
+# How often a rank asks, without a pause, whether all others have arrived: some ten microseconds.
+_TRIES = 50
 # Bytes at whose multiples arrays begin: a cache line.
 _LINE = 64
 
@@ -111,7 +113,7 @@ class MPIRanks:
 
     def _meet(self, arrays: Sequence[np.ndarray]) -> None:
         if any(_is_common(array) for array in arrays):
-            self._machine.Barrier()
+            _meet(self._machine)
 
     def share(self, array: np.ndarray, rows: Callable[[int], Sequence[Any]]) -> None:
         """Send the rows of each rank to all that have not got them, rank by rank: no buffer is larger than its part."""
@@ -119,7 +121,7 @@ class MPIRanks:
             for number in range(self.count):
                 _send(self._comm, number, array, rows(number))
         elif max(self._leader_of):
-            self._machine.Barrier()
+            _meet(self._machine)
             if self._machine.rank == 0:
                 for number, leader in enumerate(self._leader_of):
                     _send(self._leaders, leader, array, rows(number))
@@ -181,6 +183,7 @@ class MPIRanks:
                     result = action()
             except Exception as error:
                 failure = error
+        _meet(comm)
         failed, result = comm.bcast((failure is not None, result))
         if failure is not None:
             raise failure
@@ -209,6 +212,15 @@ class MPIRanks:
         if number and messages:
             sys.stderr.write(f"rank {number} of {self.count}: {messages}")
             sys.stderr.flush()
+
+
+def _meet(comm: Comm) -> None:
+    """Wait for all processes, asleep if it takes long: the one that all wait for may need the core."""
+    arrived, tries = comm.Ibarrier(), 0
+    while not arrived.Test():
+        tries += 1
+        if tries > _TRIES:
+            time.sleep(min(1e-5 * (tries - _TRIES), _POLL))
 
 
 def _memory_file(size: int) -> str:
