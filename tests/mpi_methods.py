@@ -3,22 +3,17 @@
 The first argument is the number of machines that the ranks pretend to be on, 0 for ranks without common memory.
 """
 
-import ctypes
-import faulthandler
-import mmap
-import random
 import sys
-import time
 
 import numpy as np
 from cases import ALL_METHODS, body_specs, problem_of, turning
 from grids import frame, frame_2d
 from mpi4py import MPI
+from mpi_witness import Witness
 
 from meshdeform_cli import ranks as memory
-from meshdeform_cli.ranks import CommonMemory, MPIRanks
+from meshdeform_core.boundary import Kind
 from meshdeform_core.methods import IDW, RBF, Options, make_method
-from meshdeform_core.numerics import parallel
 from meshdeform_core.numerics.parallel import OneRank, set_ranks
 from meshdeform_core.prescription import prescribed_displacement
 from meshdeform_core.quality import assess
@@ -41,51 +36,6 @@ CHOSEN = {name: options for name, options in ALL_METHODS.items() if "ctps" not i
 FEW = ("tfi", "rbf-krylov", "idw-rbf", "idw-tfi-cut", "idw-none", "idw-fast", "rbf-greedy")
 
 
-class Witness(MPIRanks):
-    """Counts rows and makes what is forbidden fail.
-
-    ``own`` are the rows that this rank fills, ``every`` those that all of them fill. Common memory is write-protected
-    but in the loops that fill it, so that any other write kills the rank; and ranks dawdle where they might meet.
-    """
-
-    own = every = mapped = 0
-
-    def share(self, array, rows):
-        sizes = [sum(len(part) for part in rows(number)) for number in range(self.count)]
-        self.own += sizes[self.number]
-        self.every += sum(sizes)
-        super().share(array, rows)
-
-    def empty(self, shape, dtype):
-        array = super().empty(shape, dtype)
-        self._protect([array], mmap.PROT_READ)
-        return array
-
-    def begin(self, arrays):
-        super().begin(arrays)
-        self._protect(arrays, mmap.PROT_READ | mmap.PROT_WRITE)
-        self._dawdle(arrays)
-
-    def finish(self, arrays):
-        self._protect(arrays, mmap.PROT_READ)
-        super().finish(arrays)
-        self._dawdle(arrays)
-
-    @staticmethod
-    def _dawdle(arrays):
-        if arrays and random.random() < 0.3:
-            time.sleep(0.0005)
-
-    def _protect(self, arrays, how):
-        for array in arrays:
-            while isinstance(array, np.ndarray):
-                array = array.base
-            if isinstance(array, CommonMemory):
-                self.mapped += 1
-                address = ctypes.addressof(ctypes.c_char.from_buffer(array))
-                assert ctypes.CDLL(None).mprotect(ctypes.c_void_p(address), ctypes.c_size_t(len(array)), how) == 0
-
-
 def results(options, problem):
     """Displacement, quality and invalid cells: everything that ranks share."""
     told = prescribed_displacement(problem.grid, problem.topology, problem.boundary)[problem.source_numbers]
@@ -100,8 +50,6 @@ def no_memory(size):
 
 
 def main(machines):
-    faulthandler.enable()
-    parallel._SMALL = 0
     if not machines:
         memory._memory_file = no_memory
     ranks = Witness(MPI.COMM_WORLD, machines or 1)
@@ -109,8 +57,10 @@ def main(machines):
     problems = [problem_of(frame(7, 5), turn), problem_of(frame_2d(9), turn[:1])]
     broken = 0
     methods = CHOSEN | FAST
-    for name in methods if machines == 1 else FEW:
-        options = methods[name]
+    if machines != 1:
+        methods = {name: methods[name] for name in FEW}
+        problems.append(problem_of(frame(3, 4), body_specs(turning(30), Kind.PERIODIC)))
+    for name, options in methods.items():
         for problem in problems:
             set_ranks(OneRank())
             alone = results(options, problem)

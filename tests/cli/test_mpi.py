@@ -52,15 +52,14 @@ if mpi.place().number == 1:
     tfi.blend_slabs = fail
 main()
 """
-# Grids of tests are small: let their arrays, too, lie in common memory; on two machines if asked to.
+# With all arrays in common memory, and on two machines if asked to.
 COMMON = """
 import functools, os
+from mpi_witness import Witness
 from meshdeform_cli import ranks
 from meshdeform_cli.main import main
-from meshdeform_core.numerics import parallel
 
-parallel._SMALL = 0
-ranks.MPIRanks = functools.partial(ranks.MPIRanks, machines=int(os.environ.get("MACHINES", "1")))
+ranks.MPIRanks = functools.partial(Witness, machines=int(os.environ.get("MACHINES", "1")))
 main()
 """
 FULL_DISK = """
