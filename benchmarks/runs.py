@@ -59,26 +59,9 @@ def start_up(quick: bool) -> Table:
     with tempfile.TemporaryDirectory() as name:
         folder = make_sample(Path(name), "hemisphere", 16)
         grid, case, output = (str(folder / file) for file in ("grid.cgns", "case.toml", "deformed.cgns"))
-        commands = {
-            "--help": ["--help"],
-            "info grid.cgns": ["info", grid],
-            **{
-                f"deform -m {method}": [
-                    "deform",
-                    grid,
-                    "-c",
-                    case,
-                    "-m",
-                    method,
-                    "-o",
-                    output,
-                    "--time",
-                    "3",
-                    "--force",
-                ]
-                for method in ("idw-tfi", "idw", "tfi", "rbf")
-            },
-        }
+        job = ["deform", grid, "-c", case, "-o", output, "--time", "3", "--force", "-m"]
+        commands = {"--help": ["--help"], "info grid.cgns": ["info", grid]}
+        commands |= {f"deform -m {method}": [*job, method] for method in ("idw-tfi", "idw", "tfi", "rbf")}
         for title, arguments in commands.items():
             run([*_COMMAND, *arguments])
             runs = [run([*_COMMAND, *arguments]) for _ in range(3 if quick else 7)]
@@ -101,11 +84,11 @@ def _import_seconds(arguments: Sequence[str]) -> float:
     return sum(int(line.removeprefix("import time:").split("|")[0]) for line in lines) / 1e6
 
 
-def make_sample(folder: Path, sample: str, size: int) -> Path:
+def make_sample(folder: Path, sample: str, size: int, suffix: str = ".cgns") -> Path:
     """Grid and case of a sample in a folder of its own."""
     target = folder / f"{sample}-{size}"
     if not target.exists():
-        run([*_COMMAND, "sample", sample, "-o", str(target), "--size", str(size)])
+        run([*_COMMAND, "sample", sample, "-o", str(target), "--size", str(size), "--suffix", suffix])
     return target
 
 

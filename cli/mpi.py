@@ -5,24 +5,14 @@ from __future__ import annotations
 import contextlib
 import io
 import os
-import sys
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from meshdeform_core.errors import MeshDeformError
 from meshdeform_core.numerics.parallel import set_ranks
 
-from .main import EXIT_INPUT, EXIT_INVALID
-
-if TYPE_CHECKING:
-    import numpy as np
-    from mpi4py.MPI import Intracomm
-
-T = TypeVar("T")
+from .main import EXIT_INPUT
 
 # How launchers tell a process its number and how many there are.
 _LAUNCHERS = (
@@ -30,9 +20,6 @@ _LAUNCHERS = (
     ("PMI_RANK", "PMI_SIZE"),  # MPICH, Intel MPI, Microsoft MPI
     ("PMIX_RANK", "SLURM_STEP_NUM_TASKS"),  # srun --mpi=pmix
 )
-# A rank that failed waits so many seconds for the others to fail alike, which most errors in the input make them do.
-_GRACE = 5.0
-_POLL = 0.002
 
 
 @dataclass(frozen=True)
@@ -65,6 +52,8 @@ def run_on_ranks(run: Callable[[], int], here: Place) -> int:
     if MPI.COMM_WORLD.size != here.count:
         library = MPI.Get_library_version().split(",")[0]
         return _refuse(here, f"mpi4py uses {library}, which sees {MPI.COMM_WORLD.size}; use the mpiexec of that MPI")
+    from .ranks import MPIRanks
+
     ranks = MPIRanks(MPI.COMM_WORLD)
     set_ranks(ranks)
     with _voice(ranks.number) as messages:
@@ -97,72 +86,3 @@ def _voice(number: int) -> Iterator[io.StringIO]:
         contextlib.redirect_stderr(messages),
     ):
         yield messages
-
-
-class MPIRanks:
-    """The ranks of a communicator as the core sees them (:class:`meshdeform_core.numerics.parallel.Ranks`)."""
-
-    def __init__(self, world: Intracomm):
-        from mpi4py import MPI
-
-        self._comm, self._end = world.Dup(), world.Dup()
-        self.number, self.count = world.rank, world.size
-        machine = world.Split_type(MPI.COMM_TYPE_SHARED)
-        self.on_machine = machine.size
-        # Launchers often bind each rank to some cores, which may overlap.
-        usable = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set(range(os.cpu_count() or 1))
-        every = set().union(*machine.allgather(usable))
-        self.cores = max(1, min(len(usable), len(every) // machine.size))
-        machine.Free()
-
-    def share(self, array: np.ndarray, rows: Sequence[Sequence[Any]]) -> None:
-        """Send the rows of each rank to all others, rank by rank: no buffer is larger than one rank's part."""
-        import numpy as np
-
-        for number, parts in enumerate(rows):
-            if not parts:
-                continue
-            at = np.concatenate(parts)
-            mine = number == self.number
-            part = array[at] if mine else np.empty((len(at), *array.shape[1:]), array.dtype)
-            self._comm.Bcast(part, root=number)
-            if not mine:
-                array[at] = part
-
-    def on_first(self, action: Callable[[], T]) -> T:
-        """Do something on the first rank only; its result, or that it failed, goes to all."""
-        failure: Exception | None = None
-        result: T | None = None
-        if self.number == 0:
-            try:
-                result = action()
-            except Exception as error:
-                failure = error
-        failed, result = self._comm.bcast((failure is not None, result))
-        if failure is not None:
-            raise failure
-        if failed:
-            raise MeshDeformError("the first rank failed; its message says why")
-        return result
-
-    def conclude(self, code: int, messages: str) -> int:
-        """Meet the other ranks at the end and agree on the exit code; ``messages`` is what this rank did not print."""
-        arrived = self._end.Ibarrier()
-        patience = _GRACE if code not in (0, EXIT_INVALID) else float("inf")
-        start = time.monotonic()
-        while not arrived.Test():
-            if time.monotonic() - start > patience:
-                # The others wait for this rank or work on: no way to ask them.
-                self._tell(self.number, messages)
-                self._end.Abort(code)
-            time.sleep(_POLL)
-        outcomes = self._end.allgather((code, messages))
-        failed = [number for number, (each, _) in enumerate(outcomes) if each] or [0]
-        if self.number == 0:
-            self._tell(failed[0], outcomes[failed[0]][1])
-        return int(outcomes[failed[0]][0])
-
-    def _tell(self, number: int, messages: str) -> None:
-        if number and messages:
-            sys.stderr.write(f"rank {number} of {self.count}: {messages}")
-            sys.stderr.flush()

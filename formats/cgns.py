@@ -52,8 +52,7 @@ def read(path: Path) -> Grid:
             format=_format(path, zones),
             path=path,
         )
-        for block, zone in enumerate(zones):
-            zone.read(grid.block(block))
+        grid.fill(lambda block: zones[block].read(grid.block(block)))
         connections = zone_connections(base, zones, grid, notes)
     return dataclasses.replace(grid, connections=tuple(connections), notes=notes.lines())
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from meshdeform_core.errors import FormatError, GridError
 from meshdeform_core.grid import FileFormat, Grid
+from meshdeform_core.numerics.parallel import current_ranks, empty, for_rows
 
 from .files import read_head
 
@@ -109,7 +110,9 @@ def complete_for_export(grid: Grid, path: Path) -> Grid:
     from meshdeform_core.interfaces import find_interfaces
     from meshdeform_core.topology import find_topology
 
-    return dataclasses.replace(grid, connections=find_interfaces(grid, find_topology(grid)))
+    return dataclasses.replace(
+        grid, connections=current_ranks().once(lambda: find_interfaces(grid, find_topology(grid)))
+    )
 
 
 def write_grid(grid: Grid, path: str | Path, options: Mapping[str, Any] | None = None) -> FileFormat:
@@ -153,7 +156,8 @@ def _recognise(head: bytes, path: Path) -> str:
 
 
 def _require_finite(grid: Grid, path: Path) -> None:
-    bad = ~np.isfinite(grid.points).all(axis=1)
+    bad = empty([grid.n_nodes], bool)
+    for_rows(lambda rows: np.copyto(bad[rows], ~np.isfinite(grid.points[rows]).all(axis=1)), bad)
     if bad.any():
         first = int(np.argmax(bad))
         raise GridError(

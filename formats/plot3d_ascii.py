@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray, Grid
+from meshdeform_core.numerics.parallel import current_ranks
 
 from .plot3d_blocks import assemble, file_arrays
 from .plot3d_detect import LONGEST_HEADER, Reading, UnknownFile, choose, header_variants, stream_readings
@@ -24,19 +25,11 @@ _LINES = 1 << 20
 def read_ascii(path: Path, options: Mapping[str, Any]) -> Grid:
     """Read a Plot3D text of any variant that ``options`` allow."""
     with path.open("rb") as stream:
-        numbers = read_numbers(stream, path)
+        numbers = current_ranks().once(lambda: read_numbers(stream, path))
         iblank_last = ends_with_integer(stream)
 
     def load(reading: Reading) -> Grid:
-        position = reading.segments[0][0]
-
-        def take(dtype: np.dtype[Any], count: int) -> NDArray[Any]:
-            nonlocal position
-            position += count
-            taken = numbers[position - count : position]
-            return taken if dtype.kind == "f" else _integers(taken, path)
-
-        return assemble(reading, path, take)
+        return assemble(reading, path, _Text(path, numbers, reading.segments[0][0]))
 
     head = numbers[:LONGEST_HEADER]
     integers = np.where((head == np.rint(head)) & (np.abs(head) < 2**31), head, 0).astype(np.int64)
@@ -55,6 +48,23 @@ def write_ascii(grid: Grid, stream: BinaryIO, variant: Variant) -> None:
         for array in file_arrays(grid, variant, index):
             for start in range(0, array.size, _LINES):
                 stream.write(number_lines(array[start : start + _LINES]))
+
+
+class _Text:
+    """The numbers of a text from ``position`` on, read in sequence."""
+
+    def __init__(self, path: Path, numbers: FloatArray, position: int) -> None:
+        self._path, self._numbers, self._position = path, numbers, position
+
+    def take(self, dtype: np.dtype[Any], count: int) -> NDArray[Any]:
+        """The next ``count`` numbers."""
+        taken = self._numbers[self._position : self._position + count]
+        self._position += count
+        return taken if dtype.kind == "f" else _integers(taken, self._path)
+
+    def skip(self, dtype: np.dtype[Any], count: int) -> None:
+        """Leave out the next ``count`` numbers."""
+        self._position += count
 
 
 def _integers(values: FloatArray, path: Path) -> FloatArray:

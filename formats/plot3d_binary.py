@@ -25,8 +25,7 @@ def read_binary(path: Path, options: Mapping[str, Any]) -> Grid:
     with path.open("rb") as stream:
 
         def load(reading: Reading) -> Grid:
-            data = _Data(stream, reading.segments)
-            return assemble(reading, path, data.take)
+            return assemble(reading, path, _Data(stream, reading.segments))
 
         readings = list(fortran_readings(stream))
         # A whole header, or header and data, in proper records is no accident; a fitting size of a stream can be one.
@@ -76,9 +75,21 @@ class _Data:
         array = np.empty(count, dtype)
         missing = array.view(np.uint8).data
         while missing:
-            if not self._left:
-                offset, self._left = next(self._segments)
-                self._stream.seek(offset)
+            self._reach_data()
             done = self._stream.readinto(missing[: self._left])
             missing, self._left = missing[done:], self._left - done
         return array
+
+    def skip(self, dtype: np.dtype[Any], count: int) -> None:
+        """Leave out the next ``count`` numbers."""
+        missing = dtype.itemsize * count
+        while missing:
+            self._reach_data()
+            step = min(missing, self._left)
+            self._stream.seek(step, os.SEEK_CUR)
+            missing, self._left = missing - step, self._left - step
+
+    def _reach_data(self) -> None:
+        if not self._left:
+            offset, self._left = next(self._segments)
+            self._stream.seek(offset)

@@ -6,43 +6,67 @@ the same for one k after the other). A grid holds x, y, z together with k runnin
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import math
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from meshdeform_core.grid import Field, Grid, Shape
+from meshdeform_core.grid import Field, FloatArray, Grid, Shape
+from meshdeform_core.numerics.parallel import empty
 
 from .plot3d_detect import Reading
 from .plot3d_variant import Variant
 
 IBLANK = "iblank"
 
-Take = Callable[[np.dtype[Any], int], NDArray[Any]]
+
+class Numbers(Protocol):
+    """The numbers behind the header of a file, in sequence."""
+
+    def take(self, dtype: np.dtype[Any], count: int) -> NDArray[Any]:
+        """The next ``count`` numbers."""
+        ...
+
+    def skip(self, dtype: np.dtype[Any], count: int) -> None:
+        """Leave out the next ``count`` numbers."""
+        ...
 
 
-def assemble(reading: Reading, path: Path, take: Take) -> Grid:
-    """Make the grid of a reading; ``take(dtype, count)`` gives the next numbers of the file."""
+def assemble(reading: Reading, path: Path, numbers: Numbers) -> Grid:
+    """Make the grid of a reading from the numbers of its file."""
     variant = reading.variant
     grid = Grid.allocate(reading.shapes, format=variant.file_format(), path=path)
-    fields = []
-    for index, shape in enumerate(reading.shapes):
-        block, iblank = grid.block(index), np.empty(shape, np.int32)
-        for planes in _slabs(variant, shape):
-            part = block[:, :, planes]
-            ni, nj, nk = part.shape[:3]
-            # What is no number in the file is reported by the caller, not by a warning of the conversion.
-            with np.errstate(invalid="ignore"):
-                for axis in range(variant.dimension):
-                    part[..., axis] = take(variant.real, ni * nj * nk).reshape(nk, nj, ni).T
-            if variant.iblank:
-                iblank[:, :, planes] = take(variant.integer, ni * nj * nk).reshape(nk, nj, ni).T
-        block[..., variant.dimension :] = 0.0
-        fields += [Field(IBLANK, "node", index, iblank)] if variant.iblank else []
-    return replace(grid, fields=tuple(fields))
+    flags = empty([grid.n_nodes if variant.iblank else 0], np.int32)
+    ahead = iter(range(grid.n_blocks))
+
+    def put(index: int) -> None:
+        # Blocks that other processes read.
+        while (skipped := next(ahead)) != index:
+            numbers.skip(variant.real, variant.dimension * math.prod(grid.shapes[skipped]))
+            numbers.skip(variant.integer, variant.iblank * math.prod(grid.shapes[skipped]))
+        _read_block(numbers, variant, grid.block(index), grid.block(index, flags) if variant.iblank else None)
+
+    grid.fill(put, *([flags] if variant.iblank else []))
+    if not variant.iblank:
+        return grid
+    return replace(grid, fields=tuple(Field(IBLANK, "node", b, grid.block(b, flags)) for b in range(grid.n_blocks)))
+
+
+def _read_block(numbers: Numbers, variant: Variant, block: FloatArray, iblank: NDArray[Any] | None) -> None:
+    for planes in _slabs(variant, block.shape[:3]):
+        part = block[:, :, planes]
+        ni, nj, nk = part.shape[:3]
+        # What is no number in the file is reported by the caller, not by a warning of the conversion.
+        with np.errstate(invalid="ignore"):
+            for axis in range(variant.dimension):
+                part[..., axis] = numbers.take(variant.real, ni * nj * nk).reshape(nk, nj, ni).T
+        if iblank is not None:
+            iblank[:, :, planes] = numbers.take(variant.integer, ni * nj * nk).reshape(nk, nj, ni).T
+    block[..., variant.dimension :] = 0.0
 
 
 def file_arrays(grid: Grid, variant: Variant, index: int) -> Iterator[NDArray[Any]]:

@@ -103,8 +103,11 @@ def assemble(path: Path, kind: str, data_sets: Sequence[DataSet], names: Sequenc
         grid = Grid.allocate(shapes, names, fields=fields, format=file_format, path=path, notes=notes)
     except GridError as error:
         raise GridError(f"{path}: {error}") from error
-    for block, data_set in enumerate(data_sets):
-        grid.block(block)[...] = data_set.points.swapaxes(0, 2)
+
+    def put(block: int) -> None:
+        grid.block(block)[...] = data_sets[block].points.swapaxes(0, 2)
+
+    grid.fill(put)
     return grid
 
 

@@ -16,6 +16,7 @@ from .errors import CaseError, MotionError
 from .grid import FloatArray, Grid
 from .memory import UNLIMITED, MemoryLimit
 from .methods import Account, Options, PreparedMethod, Problem, Progress, make_method
+from .numerics.parallel import current_ranks, empty, for_rows
 from .prescription import prescribed_displacement
 from .quality import Assessment, assess
 from .quality.validity import newly_invalid
@@ -118,7 +119,7 @@ def set_up(grid: Grid, case: Case, timing: Timing | None = None, memory: MemoryL
     """
     timing = timing or Timing()
     with timing.stage("topology"):
-        topology = find_topology(grid, case.tolerance)
+        topology = current_ranks().once(lambda: find_topology(grid, case.tolerance))
         warnings = [*grid.notes, *check_connections(grid, topology)]
         if topology.crowded:
             warnings.append(f"{topology.crowded} face quads are shared by more than two blocks")
@@ -195,7 +196,8 @@ class _March:
         self.fraction, self.steps = 0.0, 0
         self.points = start.points if start else setup.grid.points
         # Exactly zero from the undeformed grid.
-        self.begin = (self.points - setup.grid.points)[setup.topology.first]
+        first = setup.topology.first
+        self.begin = self.points[first] - setup.grid.points[first]
         self.moved = self.begin
         self.failed: FloatArray | None = None
         self.first_bad: dict[int, int] = {}
@@ -214,7 +216,8 @@ class _March:
             self.warnings.append(f"nothing moves: the displacement is zero everywhere at t = {self.time:g}")
         departure = self.setup.boundary.slip.departure(self.total)
         # A motion that comes back to nothing leaves round-off in all directions.
-        round_off = 1e-12 * float(np.ptp(self.setup.grid.points, axis=0).max())
+        boundary = self.setup.grid.points[self.setup.topology.first]
+        round_off = 1e-12 * float(np.ptp(boundary, axis=0).max())
         if departure > max(1e-6 * self.max_displacement, round_off):
             self.warnings.append(
                 f"the motion carries nodes out of a slip or symmetry plane by up to {departure:.3g}; "
@@ -257,7 +260,9 @@ class _March:
         prepared = self._method()
         increment = (self._prescribed(fraction) - self.moved)[setup.problem.source_numbers]
         with self.timing.stage("apply"):
-            return np.asarray(self.points + prepared.apply(increment, self.progress))
+            moved = prepared.apply(increment, self.progress)
+            for_rows(lambda rows: np.add(self.points[rows], moved[rows], out=moved[rows]), moved)
+            return moved
 
     def _prescribed(self, fraction: float) -> FloatArray:
         """Boundary displacement part of the way: on the motion's own path from the undeformed grid, else straight."""
@@ -288,7 +293,11 @@ class _March:
                 self.first_bad.setdefault(cell, self.steps)
 
     def _rounded(self, points: FloatArray) -> FloatArray:
-        return points.astype(np.float32).astype(np.float64) if self.precision == "float32" else points
+        if self.precision != "float32":
+            return points
+        rounded: FloatArray = empty(points.shape)
+        for_rows(lambda rows: np.copyto(rounded[rows], points[rows].astype(np.float32)), rounded)
+        return rounded
 
     def result(self) -> Result:
         setup = self.setup

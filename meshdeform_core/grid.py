@@ -8,7 +8,7 @@ All blocks share one coordinate array ``points`` of shape ``(n_nodes, 3)``; ``gr
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from functools import cached_property
@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import GridError
+from .numerics.parallel import Shared, current_ranks, empty, for_chunks
 
 Shape = tuple[int, int, int]
 FloatArray = NDArray[np.float64]
@@ -188,18 +189,21 @@ class Grid:
 
     @classmethod
     def allocate(cls, shapes: Sequence[Shape], names: Sequence[str] | None = None, **rest: Any) -> Grid:
-        """Make a grid with uninitialised coordinates, to be filled block by block through :meth:`block`."""
+        """Make a grid with uninitialised coordinates, to be filled block by block through :meth:`fill`."""
         sizes = tuple(tuple(int(n) for n in shape) for shape in shapes)
         total = sum(ni * nj * nk for ni, nj, nk in sizes)
         labels = tuple(names) if names is not None else tuple(f"block{b + 1}" for b in range(len(sizes)))
-        return cls(np.empty((total, 3)), sizes, labels, **rest)  # type: ignore[arg-type]
+        return cls(empty((total, 3)), sizes, labels, **rest)  # type: ignore[arg-type]
 
     @classmethod
     def from_blocks(cls, blocks: Sequence[FloatArray], names: Sequence[str] | None = None, **rest: Any) -> Grid:
         """Make a grid from block coordinate arrays ``(ni, nj, nk, 3)`` (copied)."""
         grid = cls.allocate([b.shape[:3] for b in blocks], names, **rest)
-        for index, block in enumerate(blocks):
-            grid.block(index)[...] = block
+
+        def put(index: int) -> None:
+            grid.block(index)[...] = blocks[index]
+
+        grid.fill(put)
         return grid
 
     @cached_property
@@ -240,6 +244,27 @@ class Grid:
         array = self.points if values is None else values
         lo, hi = self.offsets[index], self.offsets[index + 1]
         return array[lo:hi].reshape(self.shapes[index] + array.shape[1:])
+
+    def fill(self, put: Callable[[int], None], *others: NDArray[Any]) -> None:
+        """Call ``put(b)`` for every block, in ascending order; of several processes each calls it for some.
+
+        ``put`` fills the block's rows of ``points`` and of the arrays ``others`` with one row per node. What it raises
+        in one process is raised in all.
+        """
+        failures: list[Exception] = []
+
+        def work(block: int, _: int) -> None:
+            try:
+                if not failures:
+                    put(block)
+            except Exception as error:
+                failures.append(error)
+
+        def rows(first: int, last: int) -> range:
+            return range(self.offsets[first], self.offsets[last])
+
+        for_chunks(work, self.n_blocks, 1, shared=[Shared(a, rows) for a in (self.points, *others)], threads=1)
+        current_ranks().agree(failures)
 
     def moved(self, points: FloatArray) -> Grid:
         """The same grid with other coordinates."""

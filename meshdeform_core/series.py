@@ -11,6 +11,7 @@ from .deform import Result, Setup, Start, Timing, impose
 from .errors import CaseError
 from .grid import FloatArray
 from .methods import PreparedMethod, Progress, make_method
+from .numerics.parallel import empty, for_rows
 from .numerics.rotation import rotation_vector, surface_rotations
 
 ORIGINS = ("reference", "last")
@@ -132,7 +133,12 @@ class _Series:
         return self._reference
 
     def _drift(self, result: Result, displacement: FloatArray) -> Drift:
-        distance = np.linalg.norm(result.grid.points - self.setup.grid.points - displacement, axis=1)
+        start, end, distance = self.setup.grid.points, result.grid.points, empty([len(displacement)])
+
+        def fill(rows: slice) -> None:
+            distance[rows] = np.linalg.norm(end[rows] - start[rows] - displacement[rows], axis=1)
+
+        for_rows(fill, distance)
         return Drift(float(distance.max()), float(np.sqrt(np.mean(distance**2))))
 
     def _rotation(self, displacement: FloatArray) -> float:
@@ -151,9 +157,16 @@ def grid_velocity(times: tuple[float, ...], points: list[FloatArray], order: str
     ----------
     points : coordinates at the last levels, the newest last
     """
+    velocity: FloatArray = empty(points[-1].shape)
     known = min(len(times), len(points), VELOCITIES.index(order) + 1)
+    for_rows(lambda rows: np.copyto(velocity[rows], _slope(times, [x[rows] for x in points], known)), velocity)
+    return velocity
+
+
+def _slope(times: tuple[float, ...], points: list[FloatArray], known: int) -> FloatArray | float:
+    """Velocity at the last of ``points`` from that many levels."""
     if known == 1:
-        return np.zeros_like(points[-1])
+        return 0.0
     h = times[-1] - times[-2]
     slope = (points[-1] - points[-2]) / h
     if known == 2:

@@ -1,11 +1,18 @@
-"""Started by test_mpi.py under mpiexec: every method on all ranks together against the same on one alone."""
+"""Started by test_mpi.py under mpiexec: every method on all ranks together against the same on one alone.
+
+The first argument is the number of machines that the ranks pretend to be on, 0 for ranks without common memory.
+"""
+
+import sys
 
 import numpy as np
 from cases import ALL_METHODS, body_specs, problem_of, turning
 from grids import frame, frame_2d
 from mpi4py import MPI
+from mpi_witness import Witness
 
-from meshdeform_cli.mpi import MPIRanks
+from meshdeform_cli import ranks as memory
+from meshdeform_core.boundary import Kind
 from meshdeform_core.methods import IDW, RBF, Options, make_method
 from meshdeform_core.numerics.parallel import OneRank, set_ranks
 from meshdeform_core.prescription import prescribed_displacement
@@ -25,17 +32,8 @@ FAST = {
 # One global and one compact basis stand for the others, which share every loop with them.
 CHOSEN = {name: options for name, options in ALL_METHODS.items() if "ctps" not in name and name != "rbf-minres"}
 
-
-class Witness(MPIRanks):
-    """Counts the rows that this rank fills and the rows that all of them fill."""
-
-    own = every = 0
-
-    def share(self, array, rows):
-        sizes = [sum(len(part) for part in parts) for parts in rows]
-        self.own += sizes[self.number]
-        self.every += sum(sizes)
-        super().share(array, rows)
+# Where ranks have less in common the loops are the same: one method for each kind of exchange.
+FEW = ("tfi", "rbf-krylov", "idw-rbf", "idw-tfi-cut", "idw-none", "idw-fast", "rbf-greedy")
 
 
 def results(options, problem):
@@ -47,12 +45,22 @@ def results(options, problem):
     return moved, verdict, newly_invalid(problem.grid, after, problem.topology)
 
 
-def main():
-    ranks = Witness(MPI.COMM_WORLD)
+def no_memory(size):
+    raise OSError("made to fail")
+
+
+def main(machines):
+    if not machines:
+        memory._memory_file = no_memory
+    ranks = Witness(MPI.COMM_WORLD, machines or 1)
     turn = body_specs(turning(60))
     problems = [problem_of(frame(7, 5), turn), problem_of(frame_2d(9), turn[:1])]
     broken = 0
-    for name, options in (CHOSEN | FAST).items():
+    methods = CHOSEN | FAST
+    if machines != 1:
+        methods = {name: methods[name] for name in FEW}
+        problems.append(problem_of(frame(3, 4), body_specs(turning(30), Kind.PERIODIC)))
+    for name, options in methods.items():
         for problem in problems:
             set_ranks(OneRank())
             alone = results(options, problem)
@@ -66,7 +74,8 @@ def main():
     # Loops with fewer chunks than ranks leave some of them idle on grids as small as these.
     part = ranks.own * ranks.count / ranks.every
     assert 0.4 < part < 2.0, f"rank {ranks.number} did {part:.0%} of its share"
+    assert bool(ranks.mapped) == bool(machines) == (not ranks.private)
     print(f"rank {ranks.number} of {ranks.count} agrees")
 
 
-main()
+main(int(sys.argv[1]))

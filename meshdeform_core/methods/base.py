@@ -176,7 +176,10 @@ class PreparedMethod(Protocol):
         ...
 
     def apply(self, displacement: FloatArray, progress: Progress | None = None) -> FloatArray:
-        """Displacement (n_nodes, 3) of all block nodes from that of the sources (n_sources, 3)."""
+        """Displacement (n_nodes, 3) of all block nodes from that of the sources (n_sources, 3).
+
+        A new array from :func:`meshdeform_core.numerics.parallel.empty`, which becomes the caller's.
+        """
         ...
 
 

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from ..boundary import Kind
 from ..grid import FloatArray, IntArray, Side
 from ..numerics.basis import BASES
+from ..numerics.parallel import current_ranks
 from ..numerics.radial import radial_sums
+from ..numerics.rows import put_rows
 from ..topology import side_nodes
 from .base import Account, Problem, Progress, Setting
 from .options import used
@@ -98,7 +101,8 @@ class PreparedBlockRBF:
             coefficients, polynomial = system.solve(displacement[block.known], accounts[-1], None)
             x = block.centres.normalised(self._problem.grid.points[block.targets])
             moved = radial_sums(kind, x, block.centres.points, coefficients)
-            displacement[block.targets] = moved + block.centres.polynomial(x) @ polynomial
+            moved += block.centres.polynomial(x) @ polynomial
+            current_ranks().alter(displacement, partial(put_rows, moved, block.targets, displacement))
             block.system = system if self._keep else None
             if progress:
                 progress("rbf blocks", number + 1, len(self._blocks))

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..grid import FloatArray, IntArray, Side
 from ..numerics.blend import blend_face, plane_coordinates
+from ..numerics.parallel import current_ranks
 from ..numerics.rows import put_rows
 from ..topology import side_nodes
 from ..windows import windows_of_quads
@@ -87,7 +88,7 @@ class PreparedEdgeGraph:
             d[segment.nodes[1:-1]] = first + segment.arc[1:-1, None] * (last - first)
         for part in self._parts:
             blend_face(d, part.nodes, part.unknown, part.s, part.t)
-        put_rows(d, topology.first, out)
+        current_ranks().alter(out, lambda: put_rows(d, topology.first, out))
 
 
 def _block_edges(problem: Problem) -> Iterator[IntArray]:

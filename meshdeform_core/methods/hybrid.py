@@ -12,6 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from ..grid import FloatArray, IntArray
+from ..numerics.parallel import current_ranks, empty, for_rows
 from ..numerics.rows import put_rows, spread_rows, take_rows
 from .base import Account, Interpolation, PreparedMethod, Problem, Progress
 from .edges import PreparedEdgeGraph
@@ -109,7 +110,8 @@ class PreparedComposite:
     def __init__(self, method: Composite, problem: Problem):
         self._problem = problem
         skeleton = method.filler.skeleton(problem) if method.filler else None
-        self._mover = _mover(method.mover, problem, first_step_nodes(problem, skeleton))
+        nodes = current_ranks().once(lambda: first_step_nodes(problem, skeleton))
+        self._mover = _mover(method.mover, problem, nodes)
         self._filler = method.filler.prepare(problem, skeleton) if method.filler and skeleton else None
         self._left_out = skeleton is not None and bool(skeleton.left_out)
 
@@ -130,9 +132,10 @@ class PreparedComposite:
         """Displacement (n_nodes, 3) of all block nodes from that of the sources (n_sources, 3)."""
         problem = self._problem
         # Not-a-number, so that a node that no step reaches cannot pass for one that does not move.
-        out = np.full((problem.grid.n_nodes, 3), np.nan)
+        out = empty((problem.grid.n_nodes, 3))
+        for_rows(lambda rows: out[rows].fill(np.nan), out)
         self._mover.move(displacement, out, progress)
-        put_rows(displacement, problem.source_flat, out)
+        current_ranks().alter(out, lambda: put_rows(displacement, problem.source_flat, out))
         self._constrain(out)
         if self._filler:
             self._filler.fill(out, progress)
@@ -147,7 +150,7 @@ class PreparedComposite:
         take_rows(out, topology.first, face)
         boundary.slip.constrain(face, self._problem.grid.points, topology.first)
         boundary.periodic.constrain(face, ~boundary.known)
-        spread_rows(face, topology.number, topology.face_nodes, out)
+        current_ranks().alter(out, lambda: spread_rows(face, topology.number, topology.face_nodes, out))
 
 
 def first_step_nodes(problem: Problem, skeleton: Skeleton | None) -> IntArray:

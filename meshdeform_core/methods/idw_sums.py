@@ -115,7 +115,6 @@ class FastSums:
         """Displacements into ``out``; returns a bound of the error of each brick, in any unit."""
         report = None if progress is None else (lambda done, total: progress("idw", done, total))
         bound, sums, points = self.bound, self._sums, self.bound.grid.points
-        out[bound.flat] = fit.mean
         for step, sources in enumerate(fit.path):
             if step:
                 points = bound.grid.points.copy()
@@ -123,11 +122,11 @@ class FastSums:
                 sums = self._sorted(sources + fit.origin, points)
                 sums.share = self._sums.share
 
-            def use(flat: IntArray, values: FloatArray, points: FloatArray = points) -> None:
+            def use(flat: IntArray, values: FloatArray, points: FloatArray = points, step: int = step) -> None:
                 x = points[flat] - fit.origin
                 moved = np.empty_like(x)
                 finish(bound.rotation, values, x, moved, bound.repeats)
-                out[flat] += moved
+                out[flat] = moved + (out[flat] if step else fit.mean)
 
             risk = sums.evaluate(bound.strength, fit.weights, fit.values, fit.shift, fit.turn, use, out, report)
         return np.asarray(risk)

@@ -13,6 +13,8 @@ import numpy as np
 
 from ..boundary import Kind
 from ..grid import FloatArray, IntArray
+from ..numerics.parallel import current_ranks, empty
+from ..numerics.rows import put_rows
 from .base import Account, PreparedMethod, Problem, Progress
 
 
@@ -62,10 +64,12 @@ class PreparedPeriodic:
     def apply(self, displacement: FloatArray, progress: Progress | None = None) -> FloatArray:
         """Displacement (n_nodes, 3) of all block nodes from that of the sources (n_sources, 3)."""
         problem = self._problem
-        out = np.zeros((problem.grid.n_nodes, 3))
-        self._first.move(displacement, out, progress)
-        out[problem.source_flat] = displacement
+        out = empty((problem.grid.n_nodes, 3))
         topology, boundary = problem.topology, problem.boundary
+        # Of all that is not moved here, the face nodes are read.
+        current_ranks().alter(out, lambda: put_rows(np.zeros((topology.n_unique, 3)), topology.first, out))
+        self._first.move(displacement, out, progress)
+        current_ranks().alter(out, lambda: put_rows(displacement, problem.source_flat, out))
         face = out[topology.first]
         boundary.slip.constrain(face, problem.grid.points, topology.first)
         boundary.periodic.constrain(face, ~boundary.known)

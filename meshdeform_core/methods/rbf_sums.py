@@ -152,5 +152,10 @@ class RadialSums:
             tree = scipy.spatial.cKDTree(self._centres.points * self._centres.scale + self._centres.origin)
             self._nearest = tree.query(self._grid.points[self._flat], workers=thread_count())
         distance, nearest = self._nearest
-        r = np.minimum(distance / fit.reach, 1.0)
-        out[self._flat] += ((1 - r) ** 4 * (4 * r + 1))[:, None] * fit.residual[nearest]
+        residual, flat = fit.residual, self._flat
+
+        def work(lo: int, hi: int) -> None:
+            r = np.minimum(distance[lo:hi] / fit.reach, 1.0)
+            out[flat[lo:hi]] += ((1 - r) ** 4 * (4 * r + 1))[:, None] * residual[nearest[lo:hi]]
+
+        for_chunks(work, len(flat), _CHUNK, common=[out])

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from ..grid import FloatArray, Grid, IntArray
 from ..numerics.blend import arcs_along_i, arcs_along_j_and_k, blend_plane, blend_slabs, plane_coordinates
-from ..numerics.parallel import Shared, for_chunks
+from ..numerics.parallel import Shared, current_ranks, empty, for_chunks
 from .base import Account, Problem, Progress, Setting
 from .options import option, positive, used
 from .skeleton import Skeleton, SubBlock, make_skeleton
@@ -52,7 +53,7 @@ class PreparedTFI:
         grid = problem.grid
         self._grid, self._skeleton = grid, skeleton
         self._subs = list(skeleton.sub_blocks())
-        self._arc = np.empty((grid.n_nodes, 3)) if grid.dimension == 3 else np.empty((0, 3))
+        self._arc = empty((grid.n_nodes if grid.dimension == 3 else 0, 3))
         self._planes: list[_Plane] = []
         if grid.dimension == 3:
             for block in range(grid.n_blocks):
@@ -68,14 +69,16 @@ class PreparedTFI:
         points, arc = self._grid.block(block), self._grid.block(block, self._arc)
         along_i, along_j, along_k = self._skeleton.cuts[block]
         ni, nj = points.shape[:2]
-        for_chunks(lambda lo, hi: arcs_along_i(points, along_i, lo, hi, arc), nj, -(-nj // 8))
-        for_chunks(lambda lo, hi: arcs_along_j_and_k(points, along_j, along_k, lo, hi, arc), ni, -(-ni // 8))
+        for_chunks(lambda lo, hi: arcs_along_i(points, along_i, lo, hi, arc), nj, -(-nj // 8), common=[arc])
+        for_chunks(
+            lambda lo, hi: arcs_along_j_and_k(points, along_j, along_k, lo, hi, arc), ni, -(-ni // 8), common=[arc]
+        )
 
     def fill(self, displacement: FloatArray, progress: Progress | None = None) -> None:
         """Interior of every sub-block from its faces, in place in ``displacement`` (n_nodes, 3)."""
         if self._grid.dimension == 2:
             for plane in self._planes:
-                plane.fill(displacement)
+                current_ranks().alter(displacement, partial(plane.fill, displacement))
             return
 
         def work(lo: int, hi: int) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from .acceptance import inverse_powers
 from .bricks import Bricks, Regions, build_bricks, make_bricks, make_regions, node_sizes
 from .direct import N_VALUES
-from .parallel import Shared, for_chunks
+from .parallel import Shared, current_ranks, for_chunks
 from .tree import build_tree, gather_charges
 from .treesum import Charges, add_totals, cluster_reach, sum_regions
 
@@ -81,13 +81,18 @@ def shape_table(shapes):
 
 def make_targets(points, shapes, offsets, flat, order):
     """Sort the target nodes ``flat`` of a grid into bricks of about eight times their interpolation points."""
+    shapes = shape_table(shapes)
+    return Targets(points, *current_ranks().once(lambda: _sorted(points, shapes, offsets, flat, order)))
+
+
+def _sorted(points, shapes, offsets, flat, order):
+    """All of :class:`Targets` but the points."""
     wanted = np.zeros(len(points), dtype=bool)
     wanted[flat] = True
-    shapes = shape_table(shapes)
     bricks, first = build_bricks(points, shapes, offsets, wanted, order, 8 * order**3)
     samples = bricks.targets[sample_places(bricks.start)]
     sizes = node_sizes(points, shapes, offsets, samples.ravel()).reshape(samples.shape)
-    return Targets(points, bricks, make_regions(bricks, first, order), samples, sizes)
+    return bricks, make_regions(bricks, first, order), samples, sizes
 
 
 def sample_places(start):

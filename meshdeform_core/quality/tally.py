@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..grid import FloatArray, Grid
+from ..grid import FloatArray, Grid, IntArray
+from ..numerics.parallel import empty
 from ..topology import Topology
 from .cells import CellMeasures, Slab, compare_cells, slabs
 from .validity import newly_bad
@@ -37,13 +38,14 @@ class Tally:
     """The cells of one grid: one row per slab, summed in the grid's order when everything is there.
 
     ``sums`` (n_slabs, 5): 1/f_skew, f_skew, volume, cells with negative volume, with a bad corner; ``lows`` (n_slabs,
-    2): smallest f_skew and scaled Jacobian; ``skews`` (n_cells,).
+    2): smallest f_skew and scaled Jacobian; ``counts`` (n_slabs, 20): histogram of f_skew; ``skews`` (n_cells,).
     """
 
     def __init__(self, n_cells: int, n_slabs: int):
         # Single precision is enough for the quantile and the histogram.
-        self.skews = np.empty(n_cells, dtype=np.float32)
+        self.skews = empty([n_cells], np.float32)
         self.sums, self.lows = np.empty((n_slabs, 5)), np.empty((n_slabs, 2))
+        self.counts = np.empty((n_slabs, HISTOGRAM_BINS), dtype=np.int64)
 
     def put(self, number: int, slab: Slab, m: CellMeasures) -> None:
         """Note one slab."""
@@ -51,7 +53,9 @@ class Tally:
             inverse = (1.0 / m.skew).sum()
         self.sums[number] = inverse, m.skew.sum(), m.volume.sum(), (m.volume <= 0).sum(), (m.bad != 0).sum()
         self.lows[number] = m.skew.min(), m.scaled.min()
-        self.skews[slab.start : slab.stop] = m.skew.ravel()
+        skews = self.skews[slab.start : slab.stop]
+        skews[:] = m.skew.ravel()
+        self.counts[number] = np.bincount(_bins(skews), minlength=HISTOGRAM_BINS)
 
     @property
     def volume(self) -> float:
@@ -72,12 +76,20 @@ class Tally:
     def skew(self) -> Skew:
         n = len(self.skews)
         inverse, total = self.sums[:, 0].sum(), self.sums[:, 1].sum()
+        histogram = self.counts.sum(axis=0)
         at = max(0, -(-n // 100) - 1)
-        p01 = float(np.partition(self.skews, at)[at])
-        bins = np.minimum((self.skews * HISTOGRAM_BINS).astype(np.int64), HISTOGRAM_BINS - 1)
-        histogram = tuple(int(c) for c in np.bincount(bins, minlength=HISTOGRAM_BINS))
+        # Of millions of cells only those in the lowest bins are copied and sorted.
+        last = int(np.searchsorted(np.cumsum(histogram), at, side="right"))
+        parts = np.array_split(self.skews, len(self.counts))
+        lowest = np.concatenate([part[_bins(part) <= last] for part in parts])
+        p01 = float(np.partition(lowest, at)[at])
         harmonic = n / float(inverse) if np.isfinite(inverse) else 0.0
-        return Skew(harmonic, float(total) / n, float(self.lows[:, 0].min()), p01, histogram)
+        return Skew(harmonic, float(total) / n, float(self.lows[:, 0].min()), p01, tuple(histogram.tolist()))
+
+
+def _bins(skews: FloatArray) -> IntArray:
+    """Bin of the histogram for each value."""
+    return np.minimum((skews * HISTOGRAM_BINS).astype(np.uint8), HISTOGRAM_BINS - 1)
 
 
 class Comparison:
@@ -86,9 +98,9 @@ class Comparison:
     def __init__(self, grid: Grid, topology: Topology, before: FloatArray, after: FloatArray):
         n_slabs = len(slabs(grid))
         self.before, self.after = Tally(grid.n_cells, n_slabs), Tally(grid.n_cells, n_slabs)
-        self.broken = np.empty(grid.n_cells, dtype=bool)
+        self.broken = empty([grid.n_cells], bool)
         self._inherited, self._ratio = np.empty(n_slabs), np.empty((n_slabs, 2))
-        tallies = [a for tally in (self.before, self.after) for a in (tally.sums, tally.lows)]
+        tallies = [a for tally in (self.before, self.after) for a in (tally.sums, tally.lows, tally.counts)]
         per_cell = [self.before.skews, self.after.skews, self.broken]
         compare_cells(grid, topology, before, after, self._put, per_cell, [*tallies, self._inherited, self._ratio])
 

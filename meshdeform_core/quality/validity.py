@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..grid import BoolArray, FloatArray, Grid, IntArray
+from ..numerics.parallel import empty
 from ..topology import Topology
 from .cells import CellMeasures, Slab, compare_cells
 
@@ -19,7 +20,7 @@ def newly_invalid(grid: Grid, after: FloatArray, topology: Topology) -> IntArray
 
     Returns their numbers, counted block after block, C-ordered within each block.
     """
-    broken = np.empty(grid.n_cells, dtype=bool)
+    broken = empty([grid.n_cells], bool)
 
     def use(_: int, slab: Slab, old: CellMeasures, new: CellMeasures) -> None:
         broken[slab.start : slab.stop] = newly_bad(old, new).ravel()

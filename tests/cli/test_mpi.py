@@ -8,10 +8,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+import h5py
+import numpy as np
 import pytest
+from grids import frame
 
 from meshdeform_cli.mpi import Place, place
-from meshdeform_core.numerics.parallel import OneRank, for_chunks
+from meshdeform_formats import read_grid, write_grid
 
 BESIDE = Path(sys.executable).with_name("mpiexec")
 MPIEXEC = str(BESIDE) if BESIDE.exists() else shutil.which("mpiexec")
@@ -35,18 +38,28 @@ LENIENT = {
 }
 
 FAILING = """
-from meshdeform_cli import mpi
+from meshdeform_cli import mpi, ranks
 from meshdeform_cli.main import main
 from meshdeform_core.errors import MethodError
 from meshdeform_core.methods import tfi
 
-mpi._GRACE = 0.5
+ranks._GRACE = 0.5
 
 def fail(*_):
     raise MethodError("made to fail")
 
 if mpi.place().number == 1:
     tfi.blend_slabs = fail
+main()
+"""
+# With all arrays in common memory, and on two machines if asked to.
+COMMON = """
+import functools, os
+from mpi_witness import Witness
+from meshdeform_cli import ranks
+from meshdeform_cli.main import main
+
+ranks.MPIRanks = functools.partial(Witness, machines=int(os.environ.get("MACHINES", "1")))
 main()
 """
 FULL_DISK = """
@@ -69,15 +82,33 @@ def start(*command, path: Path = TESTS, **extra):
     )
 
 
-def on_ranks(count, *args, program=("-m", "meshdeform_cli"), path: Path = TESTS):
-    return start(MPIEXEC, "-n", count, sys.executable, *program, *args, path=path)
+def on_ranks(count, *args, program=("-m", "meshdeform_cli"), path: Path = TESTS, **extra):
+    return start(MPIEXEC, "-n", count, sys.executable, *program, *args, path=path, **extra)
+
+
+def break_block(path: Path):
+    """A CGNS file whose second block, which the second rank reads, is not what its checksum says."""
+    write_grid(frame(), path)
+    with h5py.File(path, "r+") as file:
+        (base,) = (group for group in file.values() if "block2" in group)
+        arrays = base["block2/GridCoordinates/CoordinateX"]
+        values = arrays[" data"][()]
+        del arrays[" data"]
+        place = arrays.create_dataset(" data", data=values, chunks=values.shape, fletcher32=True)
+        at = place.id.get_chunk_info(0).byte_offset
+    raw = bytearray(path.read_bytes())
+    raw[at] ^= 1
+    path.write_bytes(raw)
 
 
 @needs_mpi
-@pytest.mark.parametrize("count", [2, 4])
-def test_every_method_gives_the_same_bits(count):
-    """Displacements, quality and invalid cells of all methods in 3-D and 2-D; the ranks themselves compare."""
-    done = on_ranks(count, program=(TESTS / "mpi_methods.py",))
+@pytest.mark.parametrize(("count", "machines"), [(4, 1), (3, 2), (2, 0)])
+def test_every_method_gives_the_same_bits(count, machines):
+    """Displacements, quality and invalid cells of all methods in 3-D and 2-D; the ranks themselves compare.
+
+    On one machine with common memory, on two of which one has a single rank, and without common memory.
+    """
+    done = on_ranks(count, machines, program=(TESTS / "mpi_methods.py",))
     assert done.returncode == 0, done.stderr
     assert sorted(done.stdout.splitlines()) == [f"rank {n} of {count} agrees" for n in range(count)]
 
@@ -87,7 +118,8 @@ def test_command_writes_the_same_file_and_speaks_once(bench, call):
     args = ("deform", "grid.xyz", "-c", "case.toml", "-m", "idw-tfi", "-s", "constants.turn=75", "-v")
     alone = call(*args, "-o", "alone.xyz", "--report", "alone.json")
     assert alone.code == 3
-    done = on_ranks(2, *args, "-o", "shared.xyz", "--report", "shared.json")
+    Path("common.py").write_text(COMMON)
+    done = on_ranks(2, *args, "-o", "shared.xyz", "--report", "shared.json", program=("common.py",))
     assert done.returncode == 3, done.stderr
     assert Path("shared.xyz").read_bytes() == Path("alone.xyz").read_bytes()
     one, two = (json.loads(Path(name).read_text()) for name in ("alone.json", "shared.json"))
@@ -97,14 +129,27 @@ def test_command_writes_the_same_file_and_speaks_once(bench, call):
     assert done.stdout.count("verdict") == 1
     assert done.stderr.count("cells became invalid") == 1
     assert "meshdeform: 2 ranks" in done.stderr
+    assert "own copy" not in done.stderr
+
+
+@needs_mpi
+def test_two_machines_write_the_same_file(bench, call):
+    """Three ranks, two of them on one machine: blocks and results are exchanged between machines."""
+    Path("common.py").write_text(COMMON)
+    args = ("deform", "grid.cgns", "-c", "case.toml", "-m", "idw-tfi", "--variant", "precision=float32")
+    assert call(*args, "-o", "alone.cgns").code == 0
+    done = on_ranks(3, *args, "-o", "shared.cgns", program=("common.py",), MACHINES="2")
+    assert done.returncode == 0, done.stderr
+    np.testing.assert_array_equal(read_grid("shared.cgns").points, read_grid("alone.cgns").points)
 
 
 @needs_mpi
 def test_series_is_the_same_and_can_be_continued(bench, call):
     args = ("series", "grid.xyz", "-c", "case.toml", "-s", "constants.turn=20", "-m", "idw-tfi", "--from", "last")
     assert call(*args, "--times", "0:2:1", "-o", "alone").code == 0
+    Path("common.py").write_text(COMMON)
     for resumed in ((), ("--resume",)):
-        done = on_ranks(2, *args, "--times", "0:2:1", "-o", "shared", *resumed)
+        done = on_ranks(2, *args, "--times", "0:2:1", "-o", "shared", *resumed, program=("common.py",))
         assert done.returncode == 0, done.stderr
         levels = sorted(path.name for path in Path("alone").glob("*.xyz"))
         assert len(levels) == 3
@@ -122,14 +167,20 @@ def test_series_is_the_same_and_can_be_continued(bench, call):
     [
         (("deform", "gone.xyz", "-c", "case.toml", "-o", "out.xyz"), "gone.xyz does not exist"),
         (("deform", "grid.xyz", "-c", "case.toml", "-o", "old.xyz"), "old.xyz exists"),
+        (("deform", "broken.p3dfmt", "-c", "case.toml", "-o", "out.xyz"), "found 'oops'"),
+        (("deform", "broken.cgns", "-c", "case.toml", "-o", "out.xyz"), "cannot read broken.cgns as HDF5"),
         (("info", "grid.xyz"), "'info' does not share its work"),
     ],
 )
 def test_what_is_wrong_is_said_once(args, message, bench, snapshot):
+    Path("broken.p3dfmt").write_text(Path("grid.p3dfmt").read_text().rstrip() + " oops\n")
+    break_block(Path("broken.cgns"))
+    Path("common.py").write_text(COMMON)
     before = snapshot(bench)
-    done = on_ranks(2, *args)
+    done = on_ranks(2, *args, program=("common.py",))
     assert done.returncode == 2
     assert done.stderr.count(message) == 1
+    assert "MPI_ABORT" not in done.stderr
     assert "Traceback" not in done.stderr
     assert done.stdout == ""
     assert snapshot(bench) == before
@@ -204,10 +255,3 @@ def test_launchers_are_known_by_their_variables(variables, expected, monkeypatch
     for name, value in variables.items():
         monkeypatch.setenv(name, value)
     assert place() == expected
-
-
-def test_one_rank_is_the_default():
-    done = []
-    for_chunks(lambda lo, hi: done.append((lo, hi)), 10, 4)
-    assert sorted(done) == [(0, 4), (4, 8), (8, 10)]
-    assert OneRank().on_first(lambda: 7) == 7

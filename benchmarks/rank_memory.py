@@ -1,0 +1,71 @@
+"""Memory of whole runs over ranks: what a machine holds, shared pages counted once.
+
+    python benchmarks/rank_memory.py 24 idw-tfi         # or: idw; a third argument is the suffix of the grid
+
+The resident size of a process counts the pages that it shares with others in full. The proportional set size (PSS)
+divides each page among those that have it: the sum over the ranks is what the machine holds. Linux only.
+"""
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from runs import make_sample
+from tables import Table
+
+COUNTS = (1, 2, 4)
+PERIOD = 0.02
+
+
+def main(size, method, suffix=".cgns"):
+    table = Table(f"Splitter plate n = {size} ({suffix}), {method}: one thread per rank")
+    with tempfile.TemporaryDirectory() as name:
+        folder = make_sample(Path(name), "splitter-plate", size, suffix)
+        command = [
+            sys.executable, "-m", "meshdeform_cli", "deform", f"{folder}/grid{suffix}", "-c", f"{folder}/case.toml",
+            "-m", method, "-o", f"{folder}/deformed{suffix}", "--force", "--allow-invalid", "-q", "--threads", "1",
+        ]  # fmt: skip
+        for count in COUNTS:
+            table.rows.append({"ranks": count, **measure(["mpiexec", "--oversubscribe", "-n", str(count), *command])})
+    print(table.markdown())
+
+
+def measure(command):
+    """Wall and CPU seconds of a command on ranks, largest PSS of one of them and of all together."""
+    start, largest, total = time.perf_counter(), 0.0, 0.0
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+    while True:
+        done, status, usage = os.wait4(process.pid, os.WNOHANG)
+        if done:
+            break
+        sizes = [_pss(pid) for pid in _descendants(process.pid)]
+        largest, total = max([largest, *sizes]), max(total, sum(sizes))
+        time.sleep(PERIOD)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        raise RuntimeError(f"{' '.join(command)} ended with exit code {process.returncode}")
+    wall, cpu = time.perf_counter() - start, usage.ru_utime + usage.ru_stime
+    return {"wall s": wall, "CPU s": cpu, "largest rank MB": largest, "all ranks MB": total}
+
+
+def _descendants(pid):
+    try:
+        children = [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+    except OSError:
+        return []
+    return [each for child in children for each in (child, *_descendants(child))]
+
+
+def _pss(pid):
+    """Proportional set size in MB; 0 for a process that has ended."""
+    try:
+        lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
+    except OSError:
+        return 0.0
+    return sum(int(line.split()[1]) * 1024e-6 for line in lines if line.startswith("Pss:"))
+
+
+main(int(sys.argv[1]), *sys.argv[2:])
