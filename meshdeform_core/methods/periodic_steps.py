@@ -23,8 +23,8 @@ class FaceMover(Protocol):
         """What is bound to go wrong with a displacement (n_sources, 3) of which ``step`` is imposed first."""
         ...
 
-    def move(self, displacement: FloatArray, out: FloatArray, progress: Progress | None = None) -> None:
-        """Displacement of its nodes from that of the sources (n_sources, 3), into ``out`` (n_nodes, 3)."""
+    def move(self, displacement: FloatArray, out: FloatArray, progress: Progress | None = None) -> FloatArray:
+        """Displacement (n_unique, 3) on block faces from that of the sources (n_sources, 3); others into ``out``."""
         ...
 
 
@@ -62,11 +62,8 @@ class PreparedPeriodic:
     def apply(self, displacement: FloatArray, progress: Progress | None = None) -> FloatArray:
         """Displacement (n_nodes, 3) of all block nodes from that of the sources (n_sources, 3)."""
         problem = self._problem
-        out = np.zeros((problem.grid.n_nodes, 3))
-        self._first.move(displacement, out, progress)
-        out[problem.source_flat] = displacement
+        face = self._first.move(displacement, np.zeros((problem.grid.n_nodes, 3)), progress)
         topology, boundary = problem.topology, problem.boundary
-        face = out[topology.first]
         boundary.slip.constrain(face, problem.grid.points, topology.first)
         boundary.periodic.constrain(face, ~boundary.known)
         return self._rest.apply(face[self._guided.source_numbers], progress)
