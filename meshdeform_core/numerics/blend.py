@@ -68,15 +68,16 @@ def arc_coordinates(points, subs, first, last, arc):
         x, out = _block(points, sub)[ia : ib + 1, ja : jb + 1, ka : kb + 1], arc[sub[10] :]
         for a in range(1, jb - ja if axis == 0 else ib - ia):
             if axis == 0:
-                plane = arcs_across(x[:, a, 1:-1])
+                plane = arcs_across(x[:, a, 1:-1])[1:-1]
             elif axis == 1:
-                plane = arcs_across(x[a, :, 1:-1])
+                plane = arcs_across(x[a, :, 1:-1])[1:-1]
             else:
-                plane = arcs_across(x[a, 1:-1].transpose((1, 0, 2)))
-            for m in range(plane.shape[0] - 2):
-                for n in range(plane.shape[1]):
-                    i, j, k = (m, a - 1, n) if axis == 0 else ((a - 1, m, n) if axis == 1 else (a - 1, n, m))
-                    out[_arc_at(i, j, k, axis, jb - ja - 1, kb - ka - 1)] = plane[m + 1, n]
+                plane = np.ascontiguousarray(arcs_across(x[a, 1:-1].transpose((1, 0, 2)))[1:-1].T)
+            for m in range(plane.shape[0]):
+                i, j = (m, a - 1) if axis == 0 else (a - 1, m)
+                for k in range(0, plane.shape[1], _TILE):
+                    at, part = _arc_at(i, j, k, axis, jb - ja - 1, kb - ka - 1), plane[m, k : k + _TILE]
+                    out[at : at + part.size] = part
 
 
 @kernel
