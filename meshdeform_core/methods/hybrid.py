@@ -20,7 +20,7 @@ from .periodic_steps import PreparedPeriodic, free_periodic, with_known_periodic
 from .skeleton import Skeleton
 
 # Face nodes that one call puts in their places: enough to be worth a thread.
-_NODES = 150_000
+_NODES = 100_000
 
 
 class Mover(Protocol):

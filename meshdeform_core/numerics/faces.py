@@ -6,7 +6,7 @@ Lines and faces are listed one after another in flat arrays: those of line n are
 import numpy as np
 
 from .blend import arcs_across
-from .jit import fast_kernel, kernel
+from .jit import contracted_kernel, fast_kernel, kernel
 
 
 @kernel
@@ -64,12 +64,20 @@ def _blend_face(d, nodes, wanted, s, t):
             across[b, _ONE + c] = d[nodes[0, b], c] - d[nodes[0, 0], c]
             across[b, _BY_S + c] = d[nodes[m, b], c] - d[nodes[m, 0], c] - across[b, _ONE + c]
     along_low, along_high = d[nodes[0, n]] - d[nodes[0, 0]], d[nodes[m, n]] - d[nodes[m, 0]]
+    by_st = along_low - along_high
     for a in range(1, m):
         low, by_t = d[nodes[a, 0]], d[nodes[a, n]] - d[nodes[a, 0]] - along_low
         for b in range(1, n):
             if wanted[a, b]:
                 at, x, y = nodes[a, b], s[a * (n + 1) + b], t[a * (n + 1) + b]
-                for c in range(3):
-                    by_st = along_low[c] - along_high[c]
-                    one = low[c] + across[b, _ONE + c] + y * by_t[c]
-                    d[at, c] = one + x * (across[b, _BY_S + c] + y * by_st)
+                # All three before any is written: the compiler cannot know that only d changes.
+                d[at, 0], d[at, 1], d[at, 2] = (
+                    _blend_node(x, y, across[b], low, by_t, by_st, 0),
+                    _blend_node(x, y, across[b], low, by_t, by_st, 1),
+                    _blend_node(x, y, across[b], low, by_t, by_st, 2),
+                )
+
+
+@contracted_kernel
+def _blend_node(x, y, across, low, by_t, by_st, c):
+    return low[c] + across[_ONE + c] + y * by_t[c] + x * (across[_BY_S + c] + y * by_st[c])
