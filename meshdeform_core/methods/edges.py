@@ -8,17 +8,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..grid import FloatArray, IntArray, Side
-from ..numerics.blend import blend_face, plane_coordinates
-from ..numerics.parallel import current_ranks
+from ..grid import BoolArray, FloatArray, IntArray, Side
 from ..numerics.rows import put_rows
 from ..topology import side_nodes
 from ..windows import windows_of_quads
 from .base import Account, Problem, Progress
+from .faces import Faces, Lines
 from .forecast import TFI_ROTATION, warn_of_rotation
+
+if TYPE_CHECKING:
+    from scipy.sparse.linalg import SuperLU
 
 
 @dataclass(frozen=True)
@@ -33,16 +37,6 @@ class Segment:
     length: float
 
 
-@dataclass(frozen=True)
-class FacePart:
-    """A rectangle of face nodes to be blended from its edges: node numbers (na, nb) and arc coordinates."""
-
-    nodes: IntArray
-    unknown: np.ndarray
-    s: FloatArray
-    t: FloatArray
-
-
 class PreparedEdgeGraph:
     """The block edges and faces of one undeformed grid, ready to move with the sources."""
 
@@ -51,55 +45,50 @@ class PreparedEdgeGraph:
     def __init__(self, problem: Problem):
         self.account = Account()
         self._problem = problem
-        known = problem.boundary.known.copy()
-        corner = np.zeros(len(known), dtype=bool)
+        known = problem.boundary.known
+        reached = known.copy()
         lines = list(_block_edges(problem))
-        points = problem.grid.points[problem.topology.first]
         for line in lines:
-            corner[line[[0, -1]]] = True
-        self._segments = _segments(points, lines, known | corner)
-        self._free = np.flatnonzero(corner & ~known)
-        self._graph = _Graph.of(self._segments, self._free, len(known))
-        reached = known | corner
-        for segment in self._segments:
+            reached[line[[0, -1]]] = True
+        points = problem.grid.points[problem.topology.first]
+        self._free = np.flatnonzero(reached & ~known)
+        segments = _segments(points, lines, reached, known)
+        self._graph = _Graph.of(segments, self._free, len(known)) if self._free.size else None
+        for segment in segments:
             reached[segment.nodes] = True
-        self._parts = []
-        for part, borders in _face_parts(problem, reached.copy()):
-            self._parts.append(part)
+        nodes, wanted = _face_parts(problem, reached)
+        for part in nodes:
             # A rectangle of an L-shaped face has a border that is no block edge.
-            self._segments += _segments(points, [b for b in borders if not reached[b].all()], reached)
-        # Between neighbours there is nothing to fill.
-        self._segments = [segment for segment in self._segments if len(segment.nodes) > 2]
+            borders = [b for b in (part[0], part[-1], part[:, 0], part[:, -1]) if not reached[b].all()]
+            segments += _segments(points, borders, reached, reached)
+        self._lines = Lines.of([segment.nodes for segment in segments], [segment.arc for segment in segments])
+        self._faces = Faces.of(points, nodes, wanted)
 
     def foresee(self, motion: FloatArray, step: FloatArray) -> list[str]:
         """What is bound to go wrong with a displacement (n_sources, 3) of which ``step`` is imposed first."""
         # Steps do not help: blending is linear, they lead to the same grid.
         return warn_of_rotation(self._problem, motion, TFI_ROTATION, "TFI crosses cells", "use idw-tfi")
 
-    def move(self, displacement: FloatArray, out: FloatArray, progress: Progress | None = None) -> None:
-        """Displacement of all face nodes from that of the sources (n_sources, 3), into ``out`` (n_nodes, 3)."""
-        topology = self._problem.topology
-        d = np.zeros((topology.n_unique, 3))
-        d[self._problem.source_numbers] = displacement
-        if self._free.size:
-            d[self._free] = self._graph.solve(d)
-        for segment in self._segments:
-            first, last = d[segment.nodes[0]], d[segment.nodes[-1]]
-            d[segment.nodes[1:-1]] = first + segment.arc[1:-1, None] * (last - first)
-        for part in self._parts:
-            blend_face(d, part.nodes, part.unknown, part.s, part.t)
-        current_ranks().alter(out, lambda: put_rows(d, topology.first, out))
+    def move(self, displacement: FloatArray, out: FloatArray, progress: Progress | None = None) -> FloatArray:
+        """Displacement (n_unique, 3) of all face nodes from that of the sources (n_sources, 3); nothing to ``out``."""
+        # Not-a-number, so that a node that is not reached cannot pass for one that does not move.
+        face = np.full((self._problem.topology.n_unique, 3), np.nan)
+        put_rows(displacement, self._problem.source_numbers, face)
+        if self._graph:
+            face[self._free] = self._graph.solve(face)
+        self._lines.blend(face)
+        self._faces.blend(face)
+        return face
 
 
 def _block_edges(problem: Problem) -> Iterator[IntArray]:
     """Unique node numbers along every block edge."""
-    grid, topology = problem.grid, problem.topology
+    grid = problem.grid
     for block, shape in enumerate(grid.shapes):
         for side in Side:
             if shape[side.axis] == 1:
                 continue
-            nodes = topology.numbers_of(side_nodes(grid, block, side).ravel())
-            nodes = nodes.reshape([shape[a] for a in side.tangential])
+            nodes = _numbers(problem, block, side)
             if grid.dimension == 2:
                 yield nodes.ravel()
             elif side.axis < 2:
@@ -108,82 +97,91 @@ def _block_edges(problem: Problem) -> Iterator[IntArray]:
                 yield from (nodes[:, 0], nodes[:, -1])
 
 
-def _segments(points: FloatArray, lines: list[IntArray], knot: np.ndarray) -> list[Segment]:
-    """Stretches of ``lines`` between the nodes where ``knot`` holds; ``points`` (n_unique, 3)."""
+def _numbers(problem: Problem, block: int, side: Side) -> IntArray:
+    """Unique node numbers of a block face, shaped along ``side.tangential``."""
+    flat = side_nodes(problem.grid, block, side)
+    return problem.topology.numbers_of(flat.ravel()).reshape(flat.shape)
+
+
+def _segments(points: FloatArray, lines: list[IntArray], knot: BoolArray, known: BoolArray) -> list[Segment]:
+    """Stretches of ``lines`` between the nodes where ``knot`` holds; ``points`` (n_unique, 3).
+
+    Neighbours that are both ``known`` are no stretch: there is nothing between them to fill and nothing to pull.
+    """
     found: dict[tuple[int, int, int], Segment] = {}
     for line in lines:
-        step = np.linalg.norm(np.diff(points[line], axis=0), axis=1)
         at = np.flatnonzero(knot[line])
-        for first, last in zip(at[:-1].tolist(), at[1:].tolist(), strict=True):
-            nodes, steps = line[first : last + 1], step[first:last]
-            length = float(steps.sum())
-            if nodes[0] == nodes[-1] or length == 0.0:
-                continue
-            arc = np.concatenate([[0.0], np.cumsum(steps)]) / length
-            # Blocks that share an edge see it once each, in either direction.
-            key = (int(min(nodes[0], nodes[-1])), int(max(nodes[0], nodes[-1])), int(nodes[1:-1].min(initial=2**62)))
-            found.setdefault(key, Segment(nodes, arc, length))
+        ends = known[line[at]]
+        chosen = np.flatnonzero((np.diff(at) > 1) | ~(ends[:-1] & ends[1:]))
+        for first, last in zip(at[chosen].tolist(), at[chosen + 1].tolist(), strict=True):
+            nodes = line[first : last + 1]
+            arc = np.cumsum([0.0, *np.linalg.norm(np.diff(points[nodes], axis=0), axis=1)])
+            if arc[-1] > 0.0:
+                # Blocks that share an edge see it once each, in either direction.
+                key = (int(min(nodes[[0, -1]])), int(max(nodes[[0, -1]])), int(nodes[1:-1].min(initial=2**62)))
+                found.setdefault(key, Segment(nodes, arc / arc[-1], float(arc[-1])))
     return list(found.values())
 
 
 @dataclass(frozen=True)
 class _Graph:
-    """Harmonic extension to the free vertices: ``inverse @ sum(weight * d[known])`` per row.
+    """Harmonic extension to the free vertices.
 
-    ``row``, ``known``, ``weight`` (m,) list the edges from free vertices to nodes that are known.
+    ``row``, ``known``, ``weight`` (m,) list the edges from free vertices to nodes that are known; ``factor`` is the
+    Laplacian of the free ones.
     """
 
-    inverse: FloatArray
+    factor: SuperLU
     row: IntArray
     known: IntArray
     weight: FloatArray
 
     @classmethod
-    def of(cls, segments: list[Segment], free: IntArray, n: int) -> _Graph:
-        index = np.full(n, -1)
-        index[free] = np.arange(len(free))
-        system = np.zeros((len(free), len(free)))
-        links = []
-        for segment in segments:
-            a, b = int(segment.nodes[0]), int(segment.nodes[-1])
-            for one, two in ((a, b), (b, a)):
-                if index[one] < 0:
-                    continue
-                system[index[one], index[one]] += 1 / segment.length
-                if index[two] >= 0:
-                    system[index[one], index[two]] -= 1 / segment.length
-                else:
-                    links.append((int(index[one]), two, 1 / segment.length))
-        # The pseudo-inverse leaves vertices that are tied to nothing known where they are.
-        table = np.array(links).reshape(-1, 3)
-        inverse = np.asarray(np.linalg.pinv(system), dtype=np.float64)
-        return cls(inverse, table[:, 0].astype(np.int64), table[:, 1].astype(np.int64), table[:, 2])
+    def of(cls, segments: list[Segment], free: IntArray, n_unique: int) -> _Graph:
+        from scipy.sparse import csc_array
+        from scipy.sparse.csgraph import connected_components
+        from scipy.sparse.linalg import splu
+
+        n = len(free)
+        index = np.full(n_unique, -1)
+        index[free] = np.arange(n)
+        ends = np.array([segment.nodes[[0, -1]] for segment in segments]).reshape(-1, 2)
+        weight = np.tile([1 / segment.length for segment in segments], 2)
+        one, two = index[np.r_[ends[:, 0], ends[:, 1]]], np.r_[ends[:, 1], ends[:, 0]]
+        inner, outer = (one >= 0) & (index[two] >= 0), (one >= 0) & (index[two] < 0)
+        diagonal = np.bincount(one[one >= 0], weight[one >= 0], n)
+        # Vertices that are tied to nothing known stay where they are.
+        part = connected_components(csc_array((weight[inner], (one[inner], index[two[inner]])), shape=(n, n)))[1]
+        diagonal = diagonal + np.where(np.isin(part, part[one[outer]]), 0.0, 1.0)
+        every = np.arange(n)
+        values = np.r_[diagonal, -weight[inner]]
+        places = np.r_[every, one[inner]], np.r_[every, index[two[inner]]]
+        return cls(splu(csc_array((values, places), shape=(n, n))), one[outer], two[outer], weight[outer])
 
     def solve(self, d: FloatArray) -> FloatArray:
-        pull = np.zeros((len(self.inverse), 3))
-        np.add.at(pull, self.row, self.weight[:, None] * d[self.known])
-        return np.asarray(self.inverse @ pull)
+        """Displacement of the free vertices from ``d`` (n_unique, 3) of the known nodes."""
+        pull = [np.bincount(self.row, self.weight * d[self.known, c], self.factor.shape[0]) for c in range(3)]
+        return np.asarray(self.factor.solve(np.stack(pull, axis=1)))
 
 
-def _face_parts(problem: Problem, done: np.ndarray) -> Iterator[tuple[FacePart, list[IntArray]]]:
-    """Rectangles of each face with one neighbour, and their borders: block edges of one block or the other."""
+def _face_parts(problem: Problem, reached: BoolArray) -> tuple[list[IntArray], list[BoolArray]]:
+    """Rectangles of each face with one neighbour: their nodes (na, nb), and which of them no other one moves."""
     grid, topology = problem.grid, problem.topology
-    if grid.dimension == 2:
-        return
-    for block, shape in enumerate(grid.shapes):
-        for side in Side:
-            quads = topology.quads.of_side(block, side)
-            partner = topology.partner[quads]
-            neighbour = np.where(partner >= 0, topology.quads.block_side[np.maximum(partner, 0)], partner)
-            counts = tuple(topology.quads.counts[block, side])
-            numbers = topology.numbers_of(side_nodes(grid, block, side).ravel())
-            numbers = numbers.reshape([shape[a] for a in side.tangential])
-            for label in np.unique(neighbour):
-                for window in windows_of_quads(shape, block, side, (neighbour == label).reshape(counts)):
-                    (a0, b0), (a1, b1) = window.low, window.high
-                    nodes = numbers[a0 : a1 + 1, b0 : b1 + 1]
-                    if not done[nodes].all():
-                        unknown = ~done[nodes]
-                        done[nodes] = True
-                        part = FacePart(nodes, unknown, *plane_coordinates(grid.points[topology.first[nodes]]))
-                        yield part, [nodes[0], nodes[-1], nodes[:, 0], nodes[:, -1]]
+    done, parts, wanted = reached.copy(), [], []
+    for block, side in product(range(grid.n_blocks), Side) if grid.dimension == 3 else ():
+        shape, quads = grid.shapes[block], topology.quads.of_side(block, side)
+        numbers = _numbers(problem, block, side)
+        if done[numbers].all():
+            continue
+        partner = topology.partner[quads]
+        neighbour = np.where(partner >= 0, topology.quads.block_side[partner], partner)
+        neighbour = neighbour.reshape(topology.quads.counts[block, side])
+        for label in np.unique(neighbour):
+            for window in windows_of_quads(shape, block, side, neighbour == label):
+                (a0, b0), (a1, b1) = window.low, window.high
+                nodes = numbers[a0 : a1 + 1, b0 : b1 + 1]
+                if not done[nodes].all():
+                    parts.append(nodes)
+                    wanted.append(~done[nodes])
+                    done[nodes] = True
+    return parts, wanted

@@ -12,12 +12,15 @@ from typing import Protocol
 import numpy as np
 
 from ..grid import FloatArray, IntArray
-from ..numerics.parallel import current_ranks, empty, for_rows
+from ..numerics.parallel import current_ranks, empty, for_chunks, for_rows
 from ..numerics.rows import put_rows, spread_rows, take_rows
 from .base import Account, Interpolation, PreparedMethod, Problem, Progress
 from .edges import PreparedEdgeGraph
 from .periodic_steps import PreparedPeriodic, free_periodic, with_known_periodic
 from .skeleton import Skeleton
+
+# Face nodes that one call puts in their places: enough to be worth a thread.
+_NODES = 100_000
 
 
 class Mover(Protocol):
@@ -29,8 +32,11 @@ class Mover(Protocol):
         """What is bound to go wrong with a displacement (n_sources, 3) of which ``step`` is imposed first."""
         ...
 
-    def move(self, displacement: FloatArray, out: FloatArray, progress: Progress | None = None) -> None:
-        """Displacement of its nodes from that of the sources (n_sources, 3), into ``out`` (n_nodes, 3)."""
+    def move(self, displacement: FloatArray, out: FloatArray, progress: Progress | None = None) -> FloatArray:
+        """Displacement of its nodes from that of the sources (n_sources, 3).
+
+        Returns that of nodes on block faces (n_unique, 3); that of nodes inside blocks goes to ``out`` (n_nodes, 3).
+        """
         ...
 
 
@@ -100,8 +106,11 @@ class _Scattered:
     def foresee(self, motion: FloatArray, step: FloatArray) -> list[str]:
         return self._bound.foresee(motion, step)
 
-    def move(self, displacement: FloatArray, out: FloatArray, progress: Progress | None = None) -> None:
+    def move(self, displacement: FloatArray, out: FloatArray, progress: Progress | None = None) -> FloatArray:
         self._evaluator.evaluate(self._bound.fit(displacement, progress), out, progress)
+        face = _on_faces(out, self.problem)
+        put_rows(displacement, self.problem.source_numbers, face)
+        return face
 
 
 class PreparedComposite:
@@ -131,26 +140,35 @@ class PreparedComposite:
     def apply(self, displacement: FloatArray, progress: Progress | None = None) -> FloatArray:
         """Displacement (n_nodes, 3) of all block nodes from that of the sources (n_sources, 3)."""
         problem = self._problem
-        # Not-a-number, so that a node that no step reaches cannot pass for one that does not move.
+        # Every node lies on a block face, in the skeleton, or inside a block or sub-block: nothing stays unset.
         out = empty((problem.grid.n_nodes, 3))
-        for_rows(lambda rows: out[rows].fill(np.nan), out)
-        self._mover.move(displacement, out, progress)
-        current_ranks().alter(out, lambda: put_rows(displacement, problem.source_flat, out))
-        self._constrain(out)
+        if self._left_out:
+            # These are read before the second step moves them.
+            for_rows(lambda rows: out[rows].fill(np.nan), out)
+        self._constrain(self._mover.move(displacement, out, progress), out)
         if self._filler:
             self._filler.fill(out, progress)
             if self._left_out:
-                self._constrain(out)
+                self._constrain(_on_faces(out, problem), out)
         return out
 
-    def _constrain(self, out: FloatArray) -> None:
-        """Slip and periodicity, then one displacement for coincident nodes."""
+    def _constrain(self, face: FloatArray, out: FloatArray) -> None:
+        """Slip and periodicity, then one displacement for coincident nodes: from ``face`` (n_unique, 3) to ``out``."""
         topology, boundary = self._problem.topology, self._problem.boundary
-        face = np.empty((topology.n_unique, 3))
-        take_rows(out, topology.first, face)
         boundary.slip.constrain(face, self._problem.grid.points, topology.first)
         boundary.periodic.constrain(face, ~boundary.known)
-        current_ranks().alter(out, lambda: spread_rows(face, topology.number, topology.face_nodes, out))
+
+        def work(lo: int, hi: int) -> None:
+            spread_rows(face, topology.number[lo:hi], topology.face_nodes[lo:hi], out)
+
+        for_chunks(work, len(topology.number), _NODES, common=[out])
+
+
+def _on_faces(displacement: FloatArray, problem: Problem) -> FloatArray:
+    """What nodes on block faces have in ``displacement`` (n_nodes, 3), (n_unique, 3)."""
+    face = np.empty((problem.topology.n_unique, 3))
+    take_rows(displacement, problem.topology.first, face)
+    return face
 
 
 def first_step_nodes(problem: Problem, skeleton: Skeleton | None) -> IntArray:

@@ -13,8 +13,7 @@ import numpy as np
 
 from ..boundary import Kind
 from ..grid import FloatArray, IntArray
-from ..numerics.parallel import current_ranks, empty
-from ..numerics.rows import put_rows
+from ..numerics.parallel import empty, for_rows
 from .base import Account, PreparedMethod, Problem, Progress
 
 
@@ -25,8 +24,8 @@ class FaceMover(Protocol):
         """What is bound to go wrong with a displacement (n_sources, 3) of which ``step`` is imposed first."""
         ...
 
-    def move(self, displacement: FloatArray, out: FloatArray, progress: Progress | None = None) -> None:
-        """Displacement of its nodes from that of the sources (n_sources, 3), into ``out`` (n_nodes, 3)."""
+    def move(self, displacement: FloatArray, out: FloatArray, progress: Progress | None = None) -> FloatArray:
+        """Displacement (n_unique, 3) on block faces from that of the sources (n_sources, 3); others into ``out``."""
         ...
 
 
@@ -65,12 +64,9 @@ class PreparedPeriodic:
         """Displacement (n_nodes, 3) of all block nodes from that of the sources (n_sources, 3)."""
         problem = self._problem
         out = empty((problem.grid.n_nodes, 3))
+        for_rows(lambda rows: out[rows].fill(0.0), out)
+        face = self._first.move(displacement, out, progress)
         topology, boundary = problem.topology, problem.boundary
-        # Of all that is not moved here, the face nodes are read.
-        current_ranks().alter(out, lambda: put_rows(np.zeros((topology.n_unique, 3)), topology.first, out))
-        self._first.move(displacement, out, progress)
-        current_ranks().alter(out, lambda: put_rows(displacement, problem.source_flat, out))
-        face = out[topology.first]
         boundary.slip.constrain(face, problem.grid.points, topology.first)
         boundary.periodic.constrain(face, ~boundary.known)
         return self._rest.apply(face[self._guided.source_numbers], progress)

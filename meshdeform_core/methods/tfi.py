@@ -8,9 +8,10 @@ from functools import partial
 import numpy as np
 
 from ..grid import FloatArray, Grid, IntArray
-from ..numerics.blend import arcs_along_i, arcs_along_j_and_k, blend_plane, blend_slabs, plane_coordinates
+from ..numerics.blend import arc_coordinates, arc_numbers, blend_slabs
 from ..numerics.parallel import Shared, current_ranks, empty, for_chunks
 from .base import Account, Problem, Progress, Setting
+from .faces import Faces
 from .options import option, positive, used
 from .skeleton import Skeleton, SubBlock, make_skeleton
 
@@ -47,42 +48,33 @@ class TFI:
 
 
 class PreparedTFI:
-    """Arc-length coordinates of one undeformed grid, (n_nodes, 3) in all."""
+    """Arc-length coordinates of one undeformed grid: three numbers per node inside sub-blocks."""
 
     def __init__(self, options: TFI, problem: Problem, skeleton: Skeleton):
         grid = problem.grid
-        self._grid, self._skeleton = grid, skeleton
-        self._subs = list(skeleton.sub_blocks())
-        self._arc = empty((grid.n_nodes if grid.dimension == 3 else 0, 3))
-        self._planes: list[_Plane] = []
-        if grid.dimension == 3:
-            for block in range(grid.n_blocks):
-                self._arcs(block)
-        else:
-            self._planes = [_Plane.of(problem, sub) for sub in self._subs]
-        self._slabs = _slabs(grid, self._subs)
+        subs = list(skeleton.sub_blocks())
         self.account = Account()
         self.account.settings |= used(options, "max_cells")
-        self.account.settings["sub_blocks"] = Setting(len(self._subs))
+        self.account.settings["sub_blocks"] = Setting(len(subs))
+        planes = [_plane_nodes(grid, sub) for sub in subs] if grid.dimension == 2 else []
+        self._planes = Faces.of(grid.points, planes, [np.ones(nodes.shape, dtype=bool) for nodes in planes])
+        self._subs = _table(grid, subs if grid.dimension == 3 else [])
+        self._slabs = _slabs(self._subs)
+        self._arc = empty([int(arc_numbers(self._subs).sum())])
 
-    def _arcs(self, block: int) -> None:
-        points, arc = self._grid.block(block), self._grid.block(block, self._arc)
-        along_i, along_j, along_k = self._skeleton.cuts[block]
-        ni, nj = points.shape[:2]
-        for_chunks(lambda lo, hi: arcs_along_i(points, along_i, lo, hi, arc), nj, -(-nj // 8), common=[arc])
-        for_chunks(
-            lambda lo, hi: arcs_along_j_and_k(points, along_j, along_k, lo, hi, arc), ni, -(-ni // 8), common=[arc]
-        )
+        def work(lo: int, hi: int) -> None:
+            arc_coordinates(grid.points, self._subs, lo, hi, self._arc)
+
+        # One item per sub-block and direction.
+        count = 3 * len(self._subs)
+        for_chunks(work, count, 1 + count // _CHUNKS, common=[self._arc])
 
     def fill(self, displacement: FloatArray, progress: Progress | None = None) -> None:
         """Interior of every sub-block from its faces, in place in ``displacement`` (n_nodes, 3)."""
-        if self._grid.dimension == 2:
-            for plane in self._planes:
-                current_ranks().alter(displacement, partial(plane.fill, displacement))
-            return
+        current_ranks().alter(displacement, partial(self._planes.blend, displacement))
 
         def work(lo: int, hi: int) -> None:
-            blend_slabs(displacement, self._arc, self._slabs[lo:hi])
+            blend_slabs(displacement, self._arc, self._subs, self._slabs[lo:hi])
 
         report = None if progress is None else (lambda done, total: progress("tfi", done, total))
         chunk = 1 + len(self._slabs) // _CHUNKS
@@ -90,47 +82,38 @@ class PreparedTFI:
 
     def _interior(self, first: int, last: int) -> IntArray:
         """Flat indices of the nodes inside some slabs."""
-        return np.concatenate([_nodes_of(slab) for slab in self._slabs[first:last]])
+        return np.concatenate([_nodes_of(self._subs[n], i0, i1) for n, i0, i1 in self._slabs[first:last].tolist()])
 
 
-def _slabs(grid: Grid, subs: list[SubBlock]) -> IntArray:
-    """Planes i0 <= i < i1 of the interiors of sub-blocks, at most some at a time so that threads can share.
+def _table(grid: Grid, subs: list[SubBlock]) -> IntArray:
+    """Sub-blocks as the compiled loops want them, see :mod:`..numerics.blend`."""
+    rows = [(grid.offsets[sub.block], *grid.shapes[sub.block], *sub.low, *sub.high, 0) for sub in subs]
+    table = np.array(rows, dtype=np.int64).reshape(-1, 11)
+    numbers = arc_numbers(table)
+    table[:, 10] = np.cumsum(numbers) - numbers
+    return table
 
-    One row each: first node and shape of the block, low and high node of the sub-block, i0, i1.
-    """
+
+def _slabs(subs: IntArray) -> IntArray:
+    """Sub-block and planes i0 <= i < i1 of its interior, at most some at a time so that threads can share."""
     rows = [
-        (grid.offsets[sub.block], *grid.shapes[sub.block], *sub.low, *sub.high, i, min(i + _PLANES, sub.high[0]))
-        for sub in subs
-        for i in range(sub.low[0] + 1, sub.high[0], _PLANES)
+        (n, i, min(i + _PLANES, end))
+        for n, (low, end) in enumerate(subs[:, [4, 7]].tolist())
+        for i in range(low + 1, end, _PLANES)
     ]
-    return np.array(rows, dtype=np.int64).reshape(-1, 12)
+    return np.array(rows, dtype=np.int64).reshape(-1, 3)
 
 
-def _nodes_of(slab: IntArray) -> IntArray:
-    """Flat indices of the nodes that one row of :func:`_slabs` moves."""
-    offset, shape, low, high = int(slab[0]), slab[1:4], slab[4:7], slab[7:10]
+def _nodes_of(sub: IntArray, i0: int, i1: int) -> IntArray:
+    """Flat indices of the nodes that a slab moves."""
+    offset, shape, low, high = int(sub[0]), sub[1:4], sub[4:7], sub[7:10]
     j, k = (np.arange(low[axis] + 1, high[axis]) for axis in (1, 2))
-    i = np.arange(slab[10], slab[11])
-    return np.asarray(offset + ((i[:, None, None] * shape[1] + j[:, None]) * shape[2] + k).ravel())
+    return np.asarray(offset + ((np.arange(i0, i1)[:, None, None] * shape[1] + j[:, None]) * shape[2] + k).ravel())
 
 
-@dataclass(frozen=True)
-class _Plane:
-    """A sub-block of a 2-D grid: flat indices (na, nb) and arc coordinates."""
-
-    nodes: IntArray
-    s: FloatArray
-    t: FloatArray
-
-    @classmethod
-    def of(cls, problem: Problem, sub: SubBlock) -> _Plane:
-        shape = problem.grid.shapes[sub.block]
-        numbers = np.arange(problem.grid.offsets[sub.block], problem.grid.offsets[sub.block + 1]).reshape(shape)
-        window = tuple(slice(lo, hi + 1) for lo, hi in zip(sub.low, sub.high, strict=True))
-        nodes = numbers[window].squeeze(axis=shape.index(1))
-        return cls(nodes, *plane_coordinates(problem.grid.points[nodes]))
-
-    def fill(self, displacement: FloatArray) -> None:
-        values = displacement[self.nodes]
-        blend_plane(values, self.s, self.t)
-        displacement[self.nodes] = values
+def _plane_nodes(grid: Grid, sub: SubBlock) -> IntArray:
+    """Flat indices (na, nb) of a sub-block of a 2-D grid."""
+    shape = grid.shapes[sub.block]
+    numbers = np.arange(grid.offsets[sub.block], grid.offsets[sub.block + 1]).reshape(shape)
+    window = tuple(slice(lo, hi + 1) for lo, hi in zip(sub.low, sub.high, strict=True))
+    return np.asarray(numbers[window].squeeze(axis=shape.index(1)))

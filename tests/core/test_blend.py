@@ -7,8 +7,8 @@ import pytest
 
 from meshdeform_core.grid import Grid
 from meshdeform_core.methods import TFI
+from meshdeform_core.methods.faces import Faces, Lines
 from meshdeform_core.methods.tfi import PreparedTFI
-from meshdeform_core.numerics.blend import arcs_along_i, arcs_along_j_and_k, blend_slabs
 
 
 def boolean_sum(d, arc, low, high):
@@ -31,56 +31,86 @@ def boolean_sum(d, arc, low, high):
     return total
 
 
-@pytest.mark.parametrize("shape", [(5, 6, 7), (3, 40, 4), (40, 3, 150), (2, 5, 6), (9, 9, 2)])
-def test_a_block_is_blended_from_its_faces(shape):
-    rng = np.random.default_rng(1)
-    d, arc = rng.normal(size=(*shape, 3)), rng.random((*shape, 3))
-    low, high = (0, 0, 0), tuple(n - 1 for n in shape)
-    expected = d.copy()
-    inner = (slice(1, -1),) * 3
-    expected[inner] = boolean_sum(d, arc, low, high)[inner]
-    slabs = np.array([[0, *shape, *low, *high, i, i + 1] for i in range(1, shape[0] - 1)], dtype=np.int64)
-    slabs = slabs.reshape(-1, 12)
-    blend_slabs(d.reshape(-1, 3), arc.reshape(-1, 3), slabs)
-    np.testing.assert_allclose(d, expected, rtol=0, atol=1e-12)
-
-
-def test_arcs_run_from_zero_to_one_in_every_sub_block():
-    rng = np.random.default_rng(2)
-    shape, cuts = (5, 7, 6), ([0, 2, 4], [0, 3, 6], [0, 5])
-    x = np.cumsum(rng.random((*shape, 3)), axis=0) + rng.random((*shape, 3))
-    # Collapsed lines have uniform coordinates.
-    x[2:5, 1, 1] = x[2, 1, 1]
-    arc = np.full((*shape, 3), np.nan)
-    i, j, k = (np.array(c) for c in cuts)
-    arcs_along_i(x, i, 0, shape[1], arc)
-    arcs_along_j_and_k(x, j, k, 0, shape[0], arc)
+def arcs(x, cuts):
+    """Coordinates (ni, nj, nk, 3) from 0 to 1 in every sub-block, of the one that a cut ends; first nodes are 0."""
+    arc = np.zeros_like(x)
     for axis in range(3):
         length = np.linalg.norm(np.diff(np.moveaxis(x, axis, 0), axis=0), axis=-1)
-        found = np.moveaxis(arc[..., axis], axis, 0)
-        assert (found[0] == 0).all()
+        out = np.moveaxis(arc[..., axis], axis, 0)
         for first, last in itertools.pairwise(cuts[axis]):
             part = np.cumsum(length[first:last], axis=0)
             uniform = np.broadcast_to((np.arange(last - first) + 1.0)[:, None, None] / (last - first), part.shape)
-            expected = np.where(part[-1] > 0, part / np.where(part[-1] > 0, part[-1], 1), uniform)
-            np.testing.assert_allclose(found[first + 1 : last + 1], expected, rtol=1e-14)
+            out[first + 1 : last + 1] = np.where(part[-1] > 0, part / np.where(part[-1] > 0, part[-1], 1), uniform)
+    return arc
 
 
-def test_threads_share_blocks_of_any_size():
+def random_block(rng, shape):
+    corners = np.stack(np.meshgrid(*(np.arange(n) + 0.0 for n in shape), indexing="ij"), -1)
+    return corners + rng.random((*shape, 3))
+
+
+@pytest.mark.parametrize(
+    ("shapes", "max_cells"),
+    [
+        ([(5, 6, 7), (3, 40, 4)], 0),
+        ([(40, 3, 150), (2, 5, 6), (9, 9, 2)], 0),
+        ([(70, 9, 4), (2, 3, 9), (8, 37, 34)], 0),
+        ([(9, 8, 7), (5, 37, 11)], 4),
+        ([(20, 36, 41)], 16),
+    ],
+)
+def test_sub_blocks_are_blended_from_their_faces(shapes, max_cells):
+    rng = np.random.default_rng(1)
+    blocks = [random_block(rng, shape) for shape in shapes]
+    # A collapsed line has uniform coordinates.
+    blocks[0][:, 1, 1] = blocks[0][0, 1, 1]
+
     class Case:
-        grid = Grid.from_blocks(
-            [
-                np.stack(np.meshgrid(*(np.arange(n) + 0.0 for n in s), indexing="ij"), -1)
-                for s in ((70, 9, 4), (2, 3, 9))
-            ]
-        )
+        grid = Grid.from_blocks(blocks)
 
-    skeleton = TFI(max_cells=0).skeleton(Case)
-    prepared = PreparedTFI(TFI(max_cells=0), Case, skeleton)
-    d = np.random.default_rng(5).normal(size=Case.grid.points.shape)
-    first = Case.grid.block(0, d)
-    outer = first.copy()
-    arc = Case.grid.points.reshape(-1, 3)[: first.size // 3].reshape(first.shape) / [69, 8, 3]
-    outer[1:-1, 1:-1, 1:-1] = boolean_sum(first, arc, (0, 0, 0), (69, 8, 3))[1:-1, 1:-1, 1:-1]
-    prepared.fill(d)
-    np.testing.assert_allclose(first, outer, rtol=0, atol=1e-12)
+    skeleton = TFI(max_cells).skeleton(Case)
+    d = rng.normal(size=Case.grid.points.shape)
+    expected = d.copy()
+    for sub in skeleton.sub_blocks():
+        inner = tuple(slice(low + 1, high) for low, high in zip(sub.low, sub.high, strict=True))
+        arc = arcs(blocks[sub.block], skeleton.cuts[sub.block])
+        for axis, low in enumerate(sub.low):
+            # The low face belongs to the sub-block before, where its coordinate is 1.
+            at = [slice(None)] * 3
+            at[axis] = low
+            arc[(*at, axis)] = 0.0
+        blended = boolean_sum(Case.grid.block(sub.block, d), arc, sub.low, sub.high)
+        Case.grid.block(sub.block, expected)[inner] = blended[1:-1, 1:-1, 1:-1]
+    PreparedTFI(TFI(max_cells), Case, skeleton).fill(d)
+    np.testing.assert_allclose(d, expected, rtol=0, atol=1e-12)
+
+
+def test_faces_are_blended_from_their_edges():
+    rng = np.random.default_rng(2)
+    shapes = (5, 9), (2, 4), (3, 3)
+    count = sum(a * b for a, b in shapes)
+    points, d = rng.random((count, 3)), rng.normal(size=(count, 3))
+    order = np.split(rng.permutation(count), np.cumsum([a * b for a, b in shapes])[:-1])
+    nodes = [part.reshape(shape) for part, shape in zip(order, shapes, strict=True)]
+    wanted = [rng.random(shape) < 0.7 for shape in shapes]
+    expected = d.copy()
+    for part, chosen in zip(nodes, wanted, strict=True):
+        s, t = (
+            arcs(points[part][:, :, None], [[0, n - 1] if n > 1 else [0] for n in (*part.shape, 1)])[:, :, 0, axis]
+            for axis in (0, 1)
+        )
+        s, t, f = s[..., None], t[..., None], d[part]
+        across = (1 - s) * f[:1] + s * f[-1:] + (1 - t) * f[:, :1] + t * f[:, -1:]
+        corners = (1 - s) * ((1 - t) * f[0, 0] + t * f[0, -1]) + s * ((1 - t) * f[-1, 0] + t * f[-1, -1])
+        inside = np.zeros_like(chosen)
+        inside[1:-1, 1:-1] = chosen[1:-1, 1:-1]
+        expected[part[inside]] = (across - corners)[inside]
+    Faces.of(points, nodes, wanted).blend(d)
+    np.testing.assert_allclose(d, expected, rtol=0, atol=1e-13)
+
+
+def test_lines_are_blended_from_their_ends():
+    d = np.array([[1.0, 0, 0], [9, 9, 9], [9, 9, 9], [3, 0, 4], [7, 7, 7]])
+    lines = Lines.of([np.array([3, 1, 2, 0]), np.array([0, 3])], [np.array([0, 0.25, 0.5, 1]), np.array([0.0, 1])])
+    lines.blend(d)
+    np.testing.assert_allclose(d, [[1, 0, 0], [2.5, 0, 3], [2, 0, 2], [3, 0, 4], [7, 7, 7]], rtol=1e-15)

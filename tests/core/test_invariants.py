@@ -9,7 +9,7 @@ from grids import back, frame, frame_2d, permuted, polar
 
 from meshdeform_core.boundary import Kind
 from meshdeform_core.grid import Grid
-from meshdeform_core.methods import make_method
+from meshdeform_core.methods import hybrid, make_method
 from meshdeform_core.prescription import prescribed_displacement
 
 EVERY = pytest.mark.parametrize("name", ALL_METHODS)
@@ -247,3 +247,15 @@ def test_fixed_outside_and_moving_body_are_told_by_the_boundary():
     np.testing.assert_allclose(told[moving], solid_turn(points[moving], 30.0), atol=1e-15)
     assert np.all(told[~moving] == 0.0)
     assert len(everything_moves()) == 1
+
+
+@EVERY
+def test_every_node_is_reached(name, monkeypatch):
+    problem = problem_of(frame(), body_specs(turning(10)))
+    prepared = make_method(ALL_METHODS[name]).prepare(problem)
+
+    def unset(shape, dtype=float, **options):
+        return np.full(shape, np.nan, dtype) if np.dtype(dtype).kind == "f" else np.zeros(shape, dtype, **options)
+
+    monkeypatch.setattr(hybrid.np, "empty", unset)
+    assert np.isfinite(prepared.apply(bend(problem.source_points))).all()
