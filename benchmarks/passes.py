@@ -9,7 +9,7 @@ from tables import Row, Table, best
 
 from meshdeform_core.methods import Options, make_method
 from meshdeform_core.numerics.parallel import thread_count
-from meshdeform_core.quality import assess
+from meshdeform_core.quality import Original, assess
 from meshdeform_core.quality.validity import newly_invalid
 from meshdeform_core.topology import find_topology
 
@@ -38,8 +38,8 @@ def _rows(case: Motion) -> list[Row]:
         "TFI, whole apply": lambda: prepared.apply(case.displacement),
         "TFI of sub-blocks, filling": lambda: filler.fill(field),
         "TFI, set-up": lambda: make_method(Options("tfi")).prepare(case.problem),
-        "quality, before and after": lambda: assess(grid, after, setup.topology, setup.boundary),
-        "valid or not": lambda: newly_invalid(grid, after, setup.topology),
+        "quality, before and after": lambda: assess(Original(grid, setup.topology), after, setup.boundary),
+        "valid or not": lambda: newly_invalid(setup.original, after),
         "topology": lambda: find_topology(grid),
     }
     rows = []

@@ -18,7 +18,7 @@ from meshdeform_cli.ranks import MPIRanks
 from meshdeform_core.deform import set_up
 from meshdeform_core.methods import make_method
 from meshdeform_core.numerics.parallel import for_rows, set_ranks, set_threads
-from meshdeform_core.quality import assess
+from meshdeform_core.quality import Original, assess
 from meshdeform_formats.case import read_case
 from meshdeform_samples import folder, load
 
@@ -117,7 +117,7 @@ def _stages(ranks, size, case):
         after = prepared.apply(displacement)
         for_rows(lambda rows: np.add(grid.points[rows], after[rows], out=after[rows]), after)
     with stage("quality"):
-        assess(grid, after, setup.topology, setup.boundary)
+        assess(Original(grid, setup.topology), after, setup.boundary)
     return found
 
 

@@ -70,7 +70,7 @@ def command(
 def judge(source: GridInput, reference: Path | None, case: CaseInput) -> dict[str, Any]:
     """The quality report of a grid against ``reference``, or on its own."""
     from meshdeform_core.boundary import classify
-    from meshdeform_core.quality import assess
+    from meshdeform_core.quality import Original, assess
     from meshdeform_core.topology import find_topology
     from meshdeform_formats.report import quality_report
 
@@ -84,7 +84,7 @@ def judge(source: GridInput, reference: Path | None, case: CaseInput) -> dict[st
     if what.case.boundaries:
         topology, boundary = classify(original, topology, what.case.boundaries, what.case.constants)
         notes += boundary.notes
-    return quality_report(grid, assess(original, grid.points, topology, boundary), notes)
+    return quality_report(grid, assess(Original(original, topology), grid.points, boundary), notes)
 
 
 def _original(grid: Grid, reference: Path) -> Grid:

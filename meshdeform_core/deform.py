@@ -7,6 +7,7 @@ import time as clock
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from .memory import UNLIMITED, MemoryLimit
 from .methods import Account, Options, PreparedMethod, Problem, Progress, make_method
 from .numerics.parallel import current_ranks, empty, for_rows
 from .prescription import prescribed_displacement
-from .quality import Assessment, assess
+from .quality import Assessment, Original, assess
 from .quality.validity import newly_invalid
 from .topology import RELATIVE_TOLERANCE, Topology, find_topology
 
@@ -67,6 +68,11 @@ class Setup:
     @property
     def problem(self) -> Problem:
         return Problem(self.grid, self.topology, self.boundary, self.memory)
+
+    @cached_property
+    def original(self) -> Original:
+        """The undeformed cells, against which every result is judged."""
+        return Original(self.grid, self.topology)
 
     def displacement(self, time: float, fraction: float = 1.0) -> FloatArray:
         """Prescribed displacement of all unique face nodes (n_unique, 3)."""
@@ -237,7 +243,7 @@ class _March:
         while self.fraction < 1.0:
             target = min(1.0, self.fraction + increment)
             points = self._trial(target)
-            if not newly_invalid(self.setup.grid, self._rounded(points), self.setup.topology).size:
+            if not newly_invalid(self.setup.original, self._rounded(points)).size:
                 self._accept(target, points)
             elif increment > smallest:
                 increment /= 2
@@ -289,7 +295,7 @@ class _March:
             # What the last step broke, the assessment finds.
             return
         with self.timing.stage("quality"):
-            for cell in newly_invalid(self.setup.grid, points, self.setup.topology).tolist():
+            for cell in newly_invalid(self.setup.original, points).tolist():
                 self.first_bad.setdefault(cell, self.steps)
 
     def _rounded(self, points: FloatArray) -> FloatArray:
@@ -303,10 +309,10 @@ class _March:
         setup = self.setup
         final = self._rounded(self.points)
         with self.timing.stage("quality"):
-            assessment = assess(setup.grid, final, setup.topology, setup.boundary)
+            assessment = assess(setup.original, final, setup.boundary)
             if self.failed is not None:
                 # The kept grid is valid; what the user needs to know is which cells the next step would break.
-                broken = assess(setup.grid, self._rounded(self.failed), setup.topology, setup.boundary)
+                broken = assess(setup.original, self._rounded(self.failed), setup.boundary)
                 assessment = dataclasses.replace(assessment, invalid=broken.invalid)
             assessment = assessment.with_steps(setup.grid, self.first_bad, self.steps + (self.failed is not None))
         return Result(

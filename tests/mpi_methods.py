@@ -16,7 +16,7 @@ from meshdeform_core.boundary import Kind
 from meshdeform_core.methods import IDW, RBF, Options, make_method
 from meshdeform_core.numerics.parallel import OneRank, set_ranks
 from meshdeform_core.prescription import prescribed_displacement
-from meshdeform_core.quality import assess
+from meshdeform_core.quality import Original, assess
 from meshdeform_core.quality.validity import newly_invalid
 
 FAST = {
@@ -41,8 +41,9 @@ def results(options, problem):
     told = prescribed_displacement(problem.grid, problem.topology, problem.boundary)[problem.source_numbers]
     moved = make_method(options).prepare(problem).apply(told)
     after = problem.grid.points + moved
-    verdict = assess(problem.grid, after, problem.topology, problem.boundary)
-    return moved, verdict, newly_invalid(problem.grid, after, problem.topology)
+    original = Original(problem.grid, problem.topology)
+    verdict = assess(original, after, problem.boundary)
+    return moved, verdict, newly_invalid(original, after)
 
 
 def no_memory(size):

@@ -74,6 +74,11 @@ class Slab:
     start: int
     stop: int
 
+    @property
+    def cells(self) -> slice:
+        """Its cells in an array with one row per cell."""
+        return slice(self.start, self.stop)
+
 
 def slabs(grid: Grid) -> list[Slab]:
     """All cells of a grid in slabs of about 16,000, which bound the memory that the measures take."""
@@ -88,29 +93,27 @@ def slabs(grid: Grid) -> list[Slab]:
     return found
 
 
-def compare_cells(
+def measure_cells(
     grid: Grid,
     topology: Topology,
-    before: FloatArray,
-    after: FloatArray,
-    use: Callable[[int, Slab, CellMeasures, CellMeasures], None],
+    points: FloatArray,
+    use: Callable[[int, Slab, CellMeasures], None],
     per_cell: Sequence[np.ndarray],
     per_slab: Sequence[np.ndarray] = (),
 ) -> None:
-    """Hand the measures of every slab with coordinates ``before`` and ``after`` (n_nodes, 3) to ``use``.
+    """Hand the measures of every slab with coordinates ``points`` (n_nodes, 3) to ``use``.
 
     Parameters
     ----------
-    use : called from several threads with the number of the slab, the slab and its two measures; fills its cells of
-        the arrays ``per_cell`` (n_cells, ...) and its row of the arrays ``per_slab`` (n_slabs, ...)
+    use : called from several threads with the number of the slab, the slab and its measures; fills its cells of the
+        arrays ``per_cell`` (n_cells, ...) and its row of the arrays ``per_slab`` (n_slabs, ...)
     """
     parts, normal = slabs(grid), plane_normal(grid)
 
     def work(lo: int, hi: int) -> None:
         for number, slab in enumerate(parts[lo:hi], lo):
-            sign, ends = float(topology.handedness[slab.block]), (slab.first, slab.last)
-            old, new = (measure_block(grid.block(slab.block, x), sign, normal, *ends) for x in (before, after))
-            use(number, slab, old, new)
+            x, sign = grid.block(slab.block, points), float(topology.handedness[slab.block])
+            use(number, slab, measure_block(x, sign, normal, slab.first, slab.last))
 
     def cells(lo: int, hi: int) -> IntArray:
         return np.arange(parts[lo].start, parts[hi - 1].stop)

@@ -14,8 +14,10 @@ from ..grid import FloatArray, Grid, IntArray, Shape
 from ..planes import plane_normal
 from ..topology import Topology
 from .cells import measure_block
+from .comparison import Comparison
 from .lines import interface_lines, kink_and_jump, moving_walls, wall_lines
-from .tally import Comparison, Range, Skew, Tally
+from .original import Original
+from .tally import Range, Skew, Tally
 
 MAX_LISTED = 200
 
@@ -111,10 +113,8 @@ def _difference(before: dict[str, Any], after: dict[str, Any]) -> dict[str, Any]
     return change
 
 
-def assess(
-    grid: Grid, after: FloatArray, topology: Topology, boundary: Boundary | None, before: FloatArray | None = None
-) -> Assessment:
-    """Judge coordinates ``after`` (n_nodes, 3) against ``before`` (default: those of ``grid``).
+def assess(original: Original, after: FloatArray, boundary: Boundary | None) -> Assessment:
+    """Judge coordinates ``after`` (n_nodes, 3) against the original grid.
 
     A cell is invalid if a corner Jacobian that was positive became <= 0, where positive is relative to the handedness
     of most cells of the block; cells that were bad before are inherited, not invalid.
@@ -123,14 +123,14 @@ def assess(
     ----------
     boundary : for the moving walls and the nearest patch; without it the wall measures are ``None``
     """
-    start = grid.points if before is None else before
-    cells = Comparison(grid, topology, start, after)
+    grid, topology = original.grid, original.topology
+    start, cells = grid.points, Comparison(original, after)
     broken = np.flatnonzero(cells.broken)
     invalid = list(_list_cells(grid, topology, after, broken[:MAX_LISTED]))
     walls = _walls(grid, topology, boundary, start, after)
     interfaces = _interfaces(grid, topology, start, after)
     return Assessment(
-        _quality(cells.before, 0, cells.before.bad, walls[0], interfaces[0], Range(1.0, 1.0)),
+        _quality(original.tally, 0, original.tally.bad, walls[0], interfaces[0], Range(1.0, 1.0)),
         _quality(cells.after, len(broken), cells.inherited, walls[1], interfaces[1], cells.ratio),
         _with_nearest_patch(grid, topology, boundary, start, invalid),
     )

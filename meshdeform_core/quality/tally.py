@@ -1,4 +1,4 @@
-"""Totals over the cells of a grid before and after."""
+"""Totals over the cells of a grid."""
 
 from __future__ import annotations
 
@@ -6,11 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..grid import FloatArray, Grid, IntArray
+from ..grid import FloatArray, IntArray
 from ..numerics.parallel import empty
-from ..topology import Topology
-from .cells import CellMeasures, Slab, compare_cells, slabs
-from .validity import newly_bad
+from .cells import CellMeasures, Slab
 
 HISTOGRAM_BINS = 20
 
@@ -53,9 +51,14 @@ class Tally:
             inverse = (1.0 / m.skew).sum()
         self.sums[number] = inverse, m.skew.sum(), m.volume.sum(), (m.volume <= 0).sum(), (m.bad != 0).sum()
         self.lows[number] = m.skew.min(), m.scaled.min()
-        skews = self.skews[slab.start : slab.stop]
+        skews = self.skews[slab.cells]
         skews[:] = m.skew.ravel()
         self.counts[number] = np.bincount(_bins(skews), minlength=HISTOGRAM_BINS)
+
+    @property
+    def per_slab(self) -> list[np.ndarray]:
+        """Arrays with one row per slab."""
+        return [self.sums, self.lows, self.counts]
 
     @property
     def volume(self) -> float:
@@ -90,37 +93,3 @@ class Tally:
 def _bins(skews: FloatArray) -> IntArray:
     """Bin of the histogram for each value."""
     return np.minimum((skews * HISTOGRAM_BINS).astype(np.uint8), HISTOGRAM_BINS - 1)
-
-
-class Comparison:
-    """The cells of two grids with the same blocks: ``broken`` (n_cells,) are newly invalid."""
-
-    def __init__(self, grid: Grid, topology: Topology, before: FloatArray, after: FloatArray):
-        n_slabs = len(slabs(grid))
-        self.before, self.after = Tally(grid.n_cells, n_slabs), Tally(grid.n_cells, n_slabs)
-        self.broken = empty([grid.n_cells], bool)
-        self._inherited, self._ratio = np.empty(n_slabs), np.empty((n_slabs, 2))
-        tallies = [a for tally in (self.before, self.after) for a in (tally.sums, tally.lows, tally.counts)]
-        per_cell = [self.before.skews, self.after.skews, self.broken]
-        compare_cells(grid, topology, before, after, self._put, per_cell, [*tallies, self._inherited, self._ratio])
-
-    def _put(self, number: int, slab: Slab, old: CellMeasures, new: CellMeasures) -> None:
-        self.before.put(number, slab, old)
-        self.after.put(number, slab, new)
-        broken = newly_bad(old, new)
-        self.broken[slab.start : slab.stop] = broken.ravel()
-        self._inherited[number] = ((old.bad != 0) & (new.bad != 0) & ~broken).sum()
-        sound = old.volume > 0
-        change = new.volume[sound] / old.volume[sound]
-        self._ratio[number] = change.min(initial=np.inf), change.max(initial=-np.inf)
-
-    @property
-    def inherited(self) -> int:
-        """Cells that were bad before and are no worse."""
-        return int(self._inherited.sum())
-
-    @property
-    def ratio(self) -> Range:
-        """Volumes after over volumes before, of cells that had one."""
-        low, high = float(self._ratio[:, 0].min()), float(self._ratio[:, 1].max())
-        return Range(low, high) if low <= high else Range(1.0, 1.0)

@@ -4,26 +4,26 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..grid import BoolArray, FloatArray, Grid, IntArray
+from ..grid import BoolArray, FloatArray, IntArray
 from ..numerics.parallel import empty
-from ..topology import Topology
-from .cells import CellMeasures, Slab, compare_cells
+from .cells import CellMeasures, Slab, measure_cells
+from .original import Original
 
 
-def newly_bad(old: CellMeasures, new: CellMeasures) -> BoolArray:
-    """Cells with a corner Jacobian that was positive and is not any more."""
-    return np.asarray((new.bad & ~old.bad) != 0)
+def newly_bad(old: np.ndarray, new: np.ndarray) -> BoolArray:
+    """Cells with a corner Jacobian that was positive and is not any more, from bit masks of bad corners."""
+    return np.asarray((new & ~old) != 0)
 
 
-def newly_invalid(grid: Grid, after: FloatArray, topology: Topology) -> IntArray:
-    """Cells with a corner Jacobian that is positive in ``grid`` and <= 0 with coordinates ``after`` (n_nodes, 3).
+def newly_invalid(original: Original, after: FloatArray) -> IntArray:
+    """Cells with a corner Jacobian that was positive and is <= 0 with coordinates ``after`` (n_nodes, 3).
 
     Returns their numbers, counted block after block, C-ordered within each block.
     """
-    broken = empty([grid.n_cells], bool)
+    broken = empty([original.grid.n_cells], bool)
 
-    def use(_: int, slab: Slab, old: CellMeasures, new: CellMeasures) -> None:
-        broken[slab.start : slab.stop] = newly_bad(old, new).ravel()
+    def use(_: int, slab: Slab, new: CellMeasures) -> None:
+        broken[slab.cells] = newly_bad(original.bad[slab.cells], new.bad.ravel())
 
-    compare_cells(grid, topology, grid.points, after, use, [broken])
+    measure_cells(original.grid, original.topology, after, use, [broken])
     return np.flatnonzero(broken)

@@ -113,7 +113,7 @@ def _once(setup: Setup, trial: Trial) -> Outcome:
         if spent > _ENOUGH_SECONDS:
             break
     points = setup.grid.points + moved
-    assessment = assess(setup.grid, points, setup.topology, setup.boundary)
+    assessment = assess(setup.original, points, setup.boundary)
     assert isinstance(method, Composite)
     # What clusters of sources save depends on the displacement: only exact sums have a formula.
     summation = prepared.account.settings.get("summation")
@@ -163,7 +163,7 @@ def quality_without_walls(trial: Trial) -> float:
     moved = np.empty_like(points)
     fit = bound.fit(setup.displacement(trial.sample.time)[problem.source_numbers])
     bound.at(np.arange(len(points))).evaluate(fit, moved, None)
-    return assess(setup.grid, points + moved, setup.topology, setup.boundary).after.f_skew.harmonic_mean
+    return assess(setup.original, points + moved, setup.boundary).after.f_skew.harmonic_mean
 
 
 def asymmetry(outcome: Outcome, center: float) -> float:

@@ -87,7 +87,7 @@ class _Bench:
         while angle < _FULL:
             setup = prepare_sample(self._sample(angle + _STEP))
             points = _moved(setup.problem, options, setup.displacement(0.0))
-            if newly_invalid(setup.grid, points, setup.topology).size:
+            if newly_invalid(setup.original, points).size:
                 break
             angle += _STEP
         return angle
@@ -101,7 +101,7 @@ class _Bench:
             target = setup.displacement(0.0, step / count)
             problem = dataclasses.replace(setup.problem, grid=setup.grid.moved(points))
             points = _moved(problem, options, target - done)
-            if newly_invalid(setup.grid, points, setup.topology).size:
+            if newly_invalid(setup.original, points).size:
                 return (step - 1) * _STEP
             done = target
         return _FULL
@@ -114,7 +114,7 @@ def quality_of(sample: Sample, options: Options) -> dict[str, Any]:
     """Quality measures of a sample deformed in one step."""
     setup = prepare_sample(sample)
     points = _moved(setup.problem, options, setup.displacement(sample.time))
-    return _measures(assess(setup.grid, points, setup.topology, setup.boundary))
+    return _measures(assess(setup.original, points, setup.boundary))
 
 
 def _moved(problem: Problem, options: Options, displacement: FloatArray) -> FloatArray:

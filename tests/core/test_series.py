@@ -123,7 +123,7 @@ def test_marching_goes_on_from_what_automatic_steps_reached():
     setup = setup_of(turning("90*sin(pi*t)"))
     levels = levels_of(setup, Schedule((0.5, 1.0), "last", steps="auto"))
     assert levels[0].result.reached < 1.0
-    assert not newly_invalid(setup.grid, levels[0].result.grid.points, setup.topology).size
+    assert not newly_invalid(setup.original, levels[0].result.grid.points).size
     assert levels[1].result.reached == 1.0
     wall = setup.topology.first[setup.boundary.known]
     np.testing.assert_allclose(levels[1].result.grid.points[wall], setup.grid.points[wall], rtol=0, atol=1e-13)
