@@ -29,10 +29,13 @@ def use_one_library_thread() -> None:
 
 
 def machine_memory() -> MemoryLimit:
-    """Memory that can be taken without swapping, as far as the system tells; of several ranks each has its share."""
+    """Memory that can be taken without swapping, as far as the system tells; of several ranks each has its share.
+
+    The smallest share counts, on all ranks: what fits decides what they do, and they must do the same.
+    """
     ranks = current_ranks()
     source = "the machine has" if ranks.on_machine == 1 else f"each of {ranks.on_machine} ranks on the machine has"
-    return MemoryLimit(_available_memory() // ranks.on_machine, source)
+    return MemoryLimit(min(ranks.gather([_available_memory() // ranks.on_machine])), source)
 
 
 def _available_memory() -> int:

@@ -83,7 +83,8 @@ class MPIRanks:
             memory = _mapped(name, size)
         except OSError as error:
             failures.append(error)
-        self._agree(self._machine, failures)
+        for failure in self._gather(self._machine, failures):
+            raise failure
         if self._machine.rank == 0:
             # A mapping holds the memory by itself.
             os.close(int(name.rpartition("/")[2]))
@@ -159,15 +160,14 @@ class MPIRanks:
         self.alter(memory, unpack)
         return pickle.loads_oob(data, places)
 
-    def agree(self, failures: Sequence[Exception]) -> None:
-        """Raise the first failure that any rank has, on all of them."""
-        self._agree(self._comm, failures)
+    def gather(self, found: Sequence[T]) -> list[T]:
+        """What all ranks have found, in their order: little things."""
+        return self._gather(self._comm, found)
 
     @staticmethod
-    def _agree(comm: Comm, failures: Sequence[Exception]) -> None:
-        found = [failure for each in comm.allgather(list(failures)) for failure in each]
-        if found:
-            raise found[0]
+    def _gather(comm: Comm, found: Sequence[T]) -> list[T]:
+        _meet(comm)
+        return [each for own in comm.allgather(list(found)) for each in own]
 
     def on_first(self, action: Callable[[], T]) -> T:
         """Do something on the first rank only; its result, or that it failed, goes to all."""

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import GridError
-from .numerics.parallel import Shared, current_ranks, empty, for_chunks
+from .numerics.parallel import Shared, empty, for_items
 
 Shape = tuple[int, int, int]
 FloatArray = NDArray[np.float64]
@@ -251,20 +251,11 @@ class Grid:
         ``put`` fills the block's rows of ``points`` and of the arrays ``others`` with one row per node. What it raises
         in one process is raised in all.
         """
-        failures: list[Exception] = []
-
-        def work(block: int, _: int) -> None:
-            try:
-                if not failures:
-                    put(block)
-            except Exception as error:
-                failures.append(error)
 
         def rows(first: int, last: int) -> range:
             return range(self.offsets[first], self.offsets[last])
 
-        for_chunks(work, self.n_blocks, 1, shared=[Shared(a, rows) for a in (self.points, *others)], threads=1)
-        current_ranks().agree(failures)
+        for_items(put, self.n_blocks, [Shared(array, rows) for array in (self.points, *others)])
 
     def moved(self, points: FloatArray) -> Grid:
         """The same grid with other coordinates."""

@@ -16,6 +16,7 @@ class Pretended(OneRank):
     private = ""
 
     def __init__(self, number, count, arrays):
+        super().__init__(cores=1)
         self.number, self.count, self.on_machine = number, count, count
         self._arrays, self._made = arrays, 0
 

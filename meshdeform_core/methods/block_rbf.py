@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
 from ..boundary import Kind
 from ..grid import FloatArray, IntArray, Side
 from ..numerics.basis import BASES
-from ..numerics.parallel import current_ranks
+from ..numerics.parallel import Shared, alone, current_ranks, for_items
 from ..numerics.radial import radial_sums
-from ..numerics.rows import put_rows
 from ..topology import side_nodes
 from .base import Account, Problem, Progress, Setting
 from .options import used
@@ -93,20 +91,29 @@ class PreparedBlockRBF:
 
     def fill(self, displacement: FloatArray, progress: Progress | None = None) -> None:
         """Interior of every block and its slip planes from its other faces, in place in ``displacement``."""
-        kind = BASES[self._options.basis]
-        accounts = []
-        for number, block in enumerate(self._blocks):
-            accounts.append(Account())
-            system = block.system or RadialSystem(self._options, block.centres, self._problem.memory)
-            coefficients, polynomial = system.solve(displacement[block.known], accounts[-1], None)
-            x = block.centres.normalised(self._problem.grid.points[block.targets])
-            moved = radial_sums(kind, x, block.centres.points, coefficients)
-            moved += block.centres.polynomial(x) @ polynomial
-            current_ranks().alter(displacement, partial(put_rows, moved, block.targets, displacement))
-            block.system = system if self._keep else None
-            if progress:
-                progress("rbf blocks", number + 1, len(self._blocks))
-        # Of all blocks the one that was solved worst.
-        if accounts:
+        accounts: list[Account] = []
+
+        def work(number: int) -> None:
+            # A block is the work of one rank, its system included.
+            with alone():
+                accounts.append(self._fill(self._blocks[number], displacement))
+
+        def rows(first: int, last: int) -> IntArray:
+            return np.concatenate([block.targets for block in self._blocks[first:last]])
+
+        report = None if progress is None else (lambda done, total: progress("rbf blocks", done, total))
+        for_items(work, len(self._blocks), [Shared(displacement, rows)], report)
+        if accounts := current_ranks().gather(accounts):
+            # Of all blocks the one that was solved worst.
             self.account.notices.clear()
             self.account.include(max(accounts, key=lambda each: float(np.max(each.settings["residual"].value))))
+
+    def _fill(self, block: _Block, displacement: FloatArray) -> Account:
+        account = Account()
+        system = block.system or RadialSystem(self._options, block.centres, self._problem.memory)
+        coefficients, polynomial = system.solve(displacement[block.known], account, None)
+        x = block.centres.normalised(self._problem.grid.points[block.targets])
+        moved = radial_sums(BASES[self._options.basis], x, block.centres.points, coefficients)
+        displacement[block.targets] = moved + block.centres.polynomial(x) @ polynomial
+        block.system = system if self._keep else None
+        return account

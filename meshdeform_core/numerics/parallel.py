@@ -9,7 +9,7 @@ ranks from seeing each other's unfinished work:
 
 1. Only loops that name the array (``shared`` or ``common`` of :func:`for_chunks`) and :meth:`Ranks.alter` write to it.
    What all ranks run alike must not, however harmless: ``+=`` would count P times.
-2. Such a loop may read what it fills only in the rows of its own chunk; anything else is read before or after it.
+2. Of the rows that such a loop fills, a chunk reads only its own; the others are read before the loop or after it.
 3. Before the first write and after the last one the ranks of the machine wait for each other. So nobody reads what is
    not finished, and nobody overwrites what another one, still in the code before the loop, reads.
 
@@ -80,8 +80,8 @@ class Ranks(Protocol):
         """What all ranks would make alike: made once per machine where memory is common; not to be written to."""
         ...
 
-    def agree(self, failures: Sequence[Exception]) -> None:
-        """Raise the first failure that any rank has, on all of them."""
+    def gather(self, found: Sequence[T]) -> list[T]:
+        """What all ranks have found, in their order: little things."""
         ...
 
     def on_first(self, action: Callable[[], T]) -> T:
@@ -90,13 +90,16 @@ class Ranks(Protocol):
 
 
 class OneRank:
-    """A process on its own."""
+    """A process on its own; ``cores`` if it shall not use all that it may run on."""
 
     number, count, on_machine, private = 0, 1, 1, ""
 
+    def __init__(self, cores: int | None = None):
+        self._cores = cores
+
     @property
     def cores(self) -> int:
-        return usable_cores()
+        return self._cores or usable_cores()
 
     def empty(self, shape: Sequence[int], dtype: Any) -> Any:
         # Imported late: how many threads linear algebra takes is settled before numpy is loaded.
@@ -122,9 +125,8 @@ class OneRank:
     def once(self, make: Callable[[], T]) -> T:
         return make()
 
-    def agree(self, failures: Sequence[Exception]) -> None:
-        if failures:
-            raise failures[0]
+    def gather(self, found: Sequence[T]) -> list[T]:
+        return list(found)
 
     def on_first(self, action: Callable[[], T]) -> T:
         return action()
@@ -160,9 +162,9 @@ def current_ranks() -> Ranks:
 
 @contextmanager
 def alone() -> Iterator[None]:
-    """Share nothing while this lasts: for what one rank does while the others wait for it."""
+    """Share nothing while this lasts: for what a rank does by itself."""
     others = _ranks
-    set_ranks(OneRank())
+    set_ranks(OneRank(others.cores))
     try:
         yield
     finally:
@@ -226,6 +228,26 @@ def for_chunks(
 
 def _rows_of(rows, bounds, count, rank):
     return [rows(*ends) for ends in bounds[rank::count]]
+
+
+def for_items(work, count, shared: Sequence[Shared], progress=None):
+    """Call ``work(n)`` for every n of ``range(count)``, ascending and one at a time, dealt out among all ranks.
+
+    For large items that use the threads themselves, or none. ``shared`` as for :func:`for_chunks`. What ``work`` raises
+    on one rank ends its items and is raised on all of them.
+    """
+    failures: list[Exception] = []
+
+    def attempt(number, _):
+        try:
+            if not failures:
+                work(number)
+        except Exception as error:
+            failures.append(error)
+
+    for_chunks(attempt, count, 1, progress, shared, threads=1)
+    for failure in _ranks.gather(failures):
+        raise failure
 
 
 def for_rows(fill, array):

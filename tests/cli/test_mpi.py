@@ -187,6 +187,18 @@ def test_what_is_wrong_is_said_once(args, message, bench, snapshot):
 
 
 @needs_mpi
+def test_a_block_that_does_not_fit_the_memory_is_refused_by_all(bench, snapshot):
+    """The second step of idw-rbf: the system of a block is the work of one rank."""
+    before = snapshot(bench)
+    args = ("deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz", "-m", "idw-rbf", "--max-memory", "200.12MiB")
+    done = on_ranks(2, *args)
+    assert done.returncode == 2
+    assert done.stderr.count("a radial basis function system of") == 1
+    assert "MPI_ABORT" not in done.stderr
+    assert snapshot(bench) == before
+
+
+@needs_mpi
 def test_a_rank_that_fails_alone_ends_all(bench, snapshot):
     Path("failing.py").write_text(FAILING)
     before = snapshot(bench)
