@@ -1,8 +1,10 @@
 """Started by test_mpi.py under mpiexec: every method on all ranks together against the same on one alone.
 
-The first argument is the number of machines that the ranks pretend to be on, 0 for ranks without common memory.
+The first argument is the number of machines that the ranks pretend to be on, 0 for ranks without common memory; or
+``compile``, to run every method on this process alone.
 """
 
+import itertools
 import sys
 
 import numpy as np
@@ -50,14 +52,17 @@ def no_memory(size):
     raise OSError("made to fail")
 
 
+def every_case():
+    turn = body_specs(turning(60))
+    return CHOSEN | FAST, [problem_of(frame(7, 5), turn), problem_of(frame_2d(9), turn[:1])]
+
+
 def main(machines):
     if not machines:
         memory._memory_file = no_memory
     ranks = Witness(MPI.COMM_WORLD, machines or 1)
-    turn = body_specs(turning(60))
-    problems = [problem_of(frame(7, 5), turn), problem_of(frame_2d(9), turn[:1])]
+    methods, problems = every_case()
     broken = 0
-    methods = CHOSEN | FAST
     if machines != 1:
         methods = {name: methods[name] for name in FEW}
         problems.append(problem_of(frame(3, 4), body_specs(turning(30), Kind.PERIODIC)))
@@ -79,4 +84,8 @@ def main(machines):
     print(f"rank {ranks.number} of {ranks.count} agrees")
 
 
-main(int(sys.argv[1]))
+if sys.argv[1] == "compile":
+    for each, case in itertools.product(*every_case()):
+        results(CHOSEN.get(each) or FAST[each], case)
+else:
+    main(int(sys.argv[1]))
