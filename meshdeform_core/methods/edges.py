@@ -12,6 +12,7 @@ from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 
 from ..grid import BoolArray, FloatArray, IntArray, Side
 from ..numerics.rows import put_rows
@@ -138,10 +139,6 @@ class _Graph:
 
     @classmethod
     def of(cls, segments: list[Segment], free: IntArray, n_unique: int) -> _Graph:
-        from scipy.sparse import csc_array
-        from scipy.sparse.csgraph import connected_components
-        from scipy.sparse.linalg import splu
-
         n = len(free)
         index = np.full(n_unique, -1)
         index[free] = np.arange(n)
@@ -151,12 +148,19 @@ class _Graph:
         inner, outer = (one >= 0) & (index[two] >= 0), (one >= 0) & (index[two] < 0)
         diagonal = np.bincount(one[one >= 0], weight[one >= 0], n)
         # Vertices that are tied to nothing known stay where they are.
-        part = connected_components(csc_array((weight[inner], (one[inner], index[two[inner]])), shape=(n, n)))[1]
+        part = scipy.sparse.csgraph.connected_components(
+            scipy.sparse.csc_array((weight[inner], (one[inner], index[two[inner]])), shape=(n, n))
+        )[1]
         diagonal = diagonal + np.where(np.isin(part, part[one[outer]]), 0.0, 1.0)
         every = np.arange(n)
         values = np.r_[diagonal, -weight[inner]]
         places = np.r_[every, one[inner]], np.r_[every, index[two[inner]]]
-        return cls(splu(csc_array((values, places), shape=(n, n))), one[outer], two[outer], weight[outer])
+        return cls(
+            scipy.sparse.linalg.splu(scipy.sparse.csc_array((values, places), shape=(n, n))),
+            one[outer],
+            two[outer],
+            weight[outer],
+        )
 
     def solve(self, d: FloatArray) -> FloatArray:
         """Displacement of the free vertices from ``d`` (n_unique, 3) of the known nodes."""

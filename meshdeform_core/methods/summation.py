@@ -15,7 +15,7 @@ from .options import choose, positive
 
 _FAST_PAIRS = 2e8
 _FAST_SOURCES = 2000
-_WORST_BRICKS, _RANDOM_NODES = 24, 64
+_WORST_BRICKS, _RANDOM_NODES = 64, 256
 MAX_RETRIES = 3
 
 

@@ -21,7 +21,7 @@ CHUNK = 2
 """Regions per call."""
 # What one cluster may cause, as a multiple of what all together may, is this by the square of the interpolation order
 # less 2: errors of many clusters mostly cancel, the less the smaller they are. Measured on the sample cases.
-_SHARE = 24.0
+_SHARE = 16.0
 
 
 class Targets(NamedTuple):
