@@ -10,7 +10,9 @@ def geometric(first: float, cells: int, length: float) -> FloatArray:
     """``cells`` + 1 nodes from 0 to ``length`` in geometric progression, the first cell of size ``first``."""
 
     def excess(log_ratio: float) -> float:
-        return float(first * np.exp(log_ratio * np.arange(cells)).sum() - length)
+        # At the far end of the bracket the sum may be infinite: too long, whatever it is.
+        with np.errstate(over="ignore"):
+            return float(first * np.exp(log_ratio * np.arange(cells)).sum() - length)
 
     ratio = brentq(excess, -5.0, 5.0)
     nodes = np.concatenate([[0.0], np.cumsum(first * np.exp(ratio * np.arange(cells)))])

@@ -148,19 +148,14 @@ class _Graph:
         inner, outer = (one >= 0) & (index[two] >= 0), (one >= 0) & (index[two] < 0)
         diagonal = np.bincount(one[one >= 0], weight[one >= 0], n)
         # Vertices that are tied to nothing known stay where they are.
-        part = scipy.sparse.csgraph.connected_components(
-            scipy.sparse.csc_array((weight[inner], (one[inner], index[two[inner]])), shape=(n, n))
-        )[1]
+        ties = scipy.sparse.csc_array((weight[inner], (one[inner], index[two[inner]])), shape=(n, n))
+        part = scipy.sparse.csgraph.connected_components(ties)[1]
         diagonal = diagonal + np.where(np.isin(part, part[one[outer]]), 0.0, 1.0)
         every = np.arange(n)
         values = np.r_[diagonal, -weight[inner]]
         places = np.r_[every, one[inner]], np.r_[every, index[two[inner]]]
-        return cls(
-            scipy.sparse.linalg.splu(scipy.sparse.csc_array((values, places), shape=(n, n))),
-            one[outer],
-            two[outer],
-            weight[outer],
-        )
+        laplacian = scipy.sparse.csc_array((values, places), shape=(n, n))
+        return cls(scipy.sparse.linalg.splu(laplacian), one[outer], two[outer], weight[outer])
 
     def solve(self, d: FloatArray) -> FloatArray:
         """Displacement of the free vertices from ``d`` (n_unique, 3) of the known nodes."""
