@@ -12,7 +12,7 @@ from ..grid import FloatArray, Grid, IntArray
 from ..numerics import fastsum
 from ..numerics.basis import BASES
 from ..numerics.fastradial import FastRadial
-from ..numerics.parallel import Shared, for_chunks, thread_count
+from ..numerics.parallel import Shared, empty, for_chunks, for_rows, thread_count
 from ..numerics.radial import radial_sums
 from .base import Account, Progress, Setting
 from .summation import fast_pays, largest_error, sum_accurately
@@ -98,7 +98,8 @@ class RadialSums:
             return
         self._account.settings["summation_tolerance"] = Setting(self._tolerance, "error relative to the local cell")
         grid, order = self._grid, fastsum.interpolation_order(self._tolerance) + _EXTRA_ORDER
-        points = np.ascontiguousarray(self._centres.normalised(grid.points))
+        points = empty(grid.points.shape)
+        for_rows(lambda rows: np.copyto(points[rows], self._centres.normalised(grid.points[rows])), points)
         targets = fastsum.make_targets(points, grid.shapes, grid.offsets, self._flat, order)
         self._targets = targets._replace(sizes=targets.sizes * self._centres.scale)
 
