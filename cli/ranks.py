@@ -59,8 +59,9 @@ class MPIRanks:
         self._leaders = world.Split(0 if leads else MPI.UNDEFINED)
         self._leader_of = world.allgather(self._machine.bcast(self._leaders.rank if leads else None))
         # The same everywhere, also where a rank has its machine for itself: all must take the same way to share.
-        self.private = next(filter(None, world.allgather(self._why_private())), "")
-        self._together = not self.private and max(world.allgather(self._machine.size)) > 1
+        several = max(world.allgather(self._machine.size)) > 1
+        self.private = next(filter(None, world.allgather(self._why_private())), "") if several else ""
+        self._together = several and not self.private
 
     def _why_private(self) -> str:
         """Try common memory: ranks in different containers, for instance, cannot see each other's files."""

@@ -236,7 +236,7 @@ class _March:
             self._accept(step / count, self._trial(step / count))
 
     def adaptively(self) -> None:
-        """As large steps as validity allows: halve a step that breaks cells, double again after success."""
+        """In one step if that keeps the grid valid; a step that breaks cells, and all that follow, are halved."""
         # Steps that are halved until they succeed are never too large.
         self._foresee(0.0)
         increment, smallest = 1.0, 0.5**MAX_HALVINGS

@@ -28,12 +28,12 @@ class Pretended(OneRank):
 
 
 @contextmanager
-def rank(number, count, arrays):
-    """Be one of several ranks for a while; every array counts as large."""
-    small, parallel._SMALL = parallel._SMALL, 0
+def rank(number, count, arrays, small=0):
+    """Be one of several ranks for a while; arrays of ``small`` bytes or more, by default all, count as large."""
+    before, parallel._SMALL = parallel._SMALL, small
     set_ranks(Pretended(number, count, arrays))
     try:
         yield
     finally:
         set_ranks(OneRank())
-        parallel._SMALL = small
+        parallel._SMALL = before

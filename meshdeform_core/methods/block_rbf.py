@@ -57,7 +57,9 @@ class PreparedBlockRBF:
         blocks = (self._block(n, skeleton.left_out) for n in range(problem.grid.n_blocks))
         self._blocks = [block for block in blocks if block.targets.size]
         sizes = [len(block.known) for block in self._blocks]
-        self._keep = 8 * sum(n * n for n in sizes) < problem.memory.size // 2
+        # Each rank keeps those of the blocks that it is dealt.
+        ranks = current_ranks().count
+        self._keep = 8 * max(sum(n * n for n in sizes[r::ranks]) for r in range(ranks)) < problem.memory.size // 2
         self.account = Account()
         self.account.settings |= {
             **used(options, "basis", "solver", "tolerance"),
@@ -104,9 +106,11 @@ class PreparedBlockRBF:
         report = None if progress is None else (lambda done, total: progress("rbf blocks", done, total))
         for_items(work, len(self._blocks), [Shared(displacement, rows)], report)
         if accounts := current_ranks().gather(accounts):
-            # Of all blocks the one that was solved worst.
+            # Of all blocks the one that was solved worst: not at all, or with the largest residual.
             self.account.notices.clear()
-            self.account.include(max(accounts, key=lambda each: float(np.max(each.settings["residual"].value))))
+            self.account.include(
+                max(accounts, key=lambda each: (bool(each.notices), np.max(each.settings["residual"].value)))
+            )
 
     def _fill(self, block: _Block, displacement: FloatArray) -> Account:
         account = Account()

@@ -99,6 +99,9 @@ class FastSums:
     def _sorted(self, sources: FloatArray, points: FloatArray) -> fastsum.FastSums:
         grid, order = self.bound.grid, fastsum.interpolation_order(self._tolerance)
         targets = fastsum.make_targets(points, grid.shapes, grid.offsets, self.bound.flat, order)
+        if points is not grid.points:
+            # Accuracy is relative to the undeformed cells; on the way only the targets have moved.
+            targets = targets.sized(grid.points, grid.shapes, grid.offsets)
         return fastsum.FastSums(sources, self.bound.groups, targets, self._tolerance)
 
     def evaluate(self, fit: Fit, out: FloatArray, progress: Progress | None) -> None:
@@ -106,13 +109,13 @@ class FastSums:
         exact = partial(ExactSums(self.bound).displacement, fit)
 
         def once() -> float:
-            risk = self._sum(fit, out, progress)
-            return largest_error(self.bound.grid, self._sums.targets, risk, out, exact)
+            targets, risk = self._sum(fit, out, progress)
+            return largest_error(self.bound.grid, targets, risk, out, exact)
 
         sum_accurately("idw", self._sums, once, self._tolerance, self._account)
 
-    def _sum(self, fit: Fit, out: FloatArray, progress: Progress | None) -> FloatArray:
-        """Displacements into ``out``; returns a bound of the error of each brick, in any unit."""
+    def _sum(self, fit: Fit, out: FloatArray, progress: Progress | None) -> tuple[fastsum.Targets, FloatArray]:
+        """Displacements into ``out``; returns the last targets and a bound of the error of each brick, in any unit."""
         report = None if progress is None else (lambda done, total: progress("idw", done, total))
         bound, sums, points = self.bound, self._sums, self.bound.grid.points
         for step, sources in enumerate(fit.path):
@@ -129,4 +132,4 @@ class FastSums:
                 out[flat] = moved + (out[flat] if step else fit.mean)
 
             risk = sums.evaluate(bound.strength, fit.weights, fit.values, fit.shift, fit.turn, use, out, report)
-        return np.asarray(risk)
+        return sums.targets, np.asarray(risk)

@@ -62,11 +62,14 @@ class PreparedPeriodic:
 
     def apply(self, displacement: FloatArray, progress: Progress | None = None) -> FloatArray:
         """Displacement (n_nodes, 3) of all block nodes from that of the sources (n_sources, 3)."""
-        problem = self._problem
-        out = empty((problem.grid.n_nodes, 3))
-        for_rows(lambda rows: out[rows].fill(0.0), out)
-        face = self._first.move(displacement, out, progress)
+        problem, face = self._problem, self._on_faces(displacement, progress)
         topology, boundary = problem.topology, problem.boundary
         boundary.slip.constrain(face, problem.grid.points, topology.first)
         boundary.periodic.constrain(face, ~boundary.known)
         return self._rest.apply(face[self._guided.source_numbers], progress)
+
+    def _on_faces(self, displacement: FloatArray, progress: Progress | None) -> FloatArray:
+        """Displacement (n_unique, 3) of the periodic nodes; of the other face nodes that nothing moves yet, zero."""
+        out = empty((self._problem.grid.n_nodes, 3))
+        for_rows(lambda rows: out[rows].fill(0.0), out)
+        return self._first.move(displacement, out, progress)

@@ -130,7 +130,7 @@ class RadialSums:
     def _fast(self, fit: Fit, out: FloatArray, report: fastsum.Report) -> None:
         assert self._targets is not None
         targets = self._targets
-        if self._tree is None or self._tree[0] is not fit.centres:
+        if self._tree is None or not np.array_equal(self._tree[0], fit.centres):
             order = fastsum.interpolation_order(self._tolerance) + _EXTRA_ORDER
             self._tree = fit.centres, FastRadial(BASES[self._basis], fit.centres, order)
 

@@ -36,20 +36,20 @@ def fast_pays(summation: str, n_targets: int, n_sources: int) -> tuple[bool, Set
     return fast, Setting("fast" if fast else "exact", reason)
 
 
-class FastSums(Protocol):
+class HasShare(Protocol):
     """Fast sums whose accuracy depends on how much one cluster may do: ``share``."""
 
     share: float
 
 
-def sum_accurately(method: str, sums: FastSums, once: Callable[[], float], tolerance: float, account: Account) -> None:
+def sum_accurately(method: str, sums: HasShare, once: Callable[[], float], tolerance: float, account: Account) -> None:
     """Call ``once``, which sums and returns the error that it finds, until the error is within the tolerance.
 
     Reports the error (in cells), and warns if it stays too large.
     """
-    for _ in range(1 + MAX_RETRIES):
+    for attempt in range(1 + MAX_RETRIES):
         error = once()
-        if error <= tolerance:
+        if error <= tolerance or attempt == MAX_RETRIES or not np.isfinite(error):
             break
         # Rare: clusters whose errors add up. From now on each may cause less.
         sums.share *= 0.25 * tolerance / error
@@ -58,7 +58,7 @@ def sum_accurately(method: str, sums: FastSums, once: Callable[[], float], toler
         f"fast sums: an error of {error:.2g} of a cell was found, {tolerance:g} is allowed; "
         f'use method.{method}.summation = "exact"'
     )
-    account.note("summation", failed if error > tolerance else None)
+    account.note("summation", None if error <= tolerance else failed)
 
 
 def largest_error(

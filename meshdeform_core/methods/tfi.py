@@ -17,7 +17,7 @@ from .skeleton import Skeleton, SubBlock, make_skeleton
 
 DEFAULT_MAX_CELLS = 16
 # Planes filled by one call, and calls of a whole grid: enough to share evenly, few enough to cost nothing.
-_PLANES, _CHUNKS = 32, 64
+_PLANES, _CHUNKS = (8, 32), 64
 
 
 @dataclass(frozen=True)
@@ -96,10 +96,12 @@ def _table(grid: Grid, subs: list[SubBlock]) -> IntArray:
 
 def _slabs(subs: IntArray) -> IntArray:
     """Sub-block and planes i0 <= i < i1 of its interior, at most some at a time so that threads can share."""
+    every = int((subs[:, 7] - subs[:, 4] - 1).sum())
+    planes = min(_PLANES[1], max(_PLANES[0], every // _CHUNKS))
     rows = [
-        (n, i, min(i + _PLANES, end))
+        (n, i, min(i + planes, end))
         for n, (low, end) in enumerate(subs[:, [4, 7]].tolist())
-        for i in range(low + 1, end, _PLANES)
+        for i in range(low + 1, end, planes)
     ]
     return np.array(rows, dtype=np.int64).reshape(-1, 3)
 

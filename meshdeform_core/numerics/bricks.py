@@ -40,7 +40,7 @@ class Regions(NamedTuple):
     Attributes
     ----------
     first : (g + 1,) number of each region's first brick
-    center, axes, half, per_side : boxes around the interpolation points of the bricks
+    center, axes, half, per_side : boxes around the targets and the interpolation points of the bricks
     """
 
     first: np.ndarray
@@ -92,9 +92,24 @@ def make_bricks(points, start, targets, order):
     return Bricks(start, targets, *boxes, proxy, proxies)
 
 
-def make_regions(bricks, first, order):
+def make_regions(points, bricks, first, order):
     """Regions of the bricks beginning with number ``first`` (g + 1,)."""
-    return Regions(first, *_fit_boxes(bricks.proxies, bricks.proxy[first], np.arange(len(bricks.proxies)), order))
+    regions = Regions(first, *_fit_boxes(bricks.proxies, bricks.proxy[first], np.arange(len(bricks.proxies)), order))
+    _widen(points, bricks.start[first], bricks.targets, order, regions)
+    return regions
+
+
+@kernel
+def _widen(points, start, targets, order, regions):
+    """Make boxes hold the targets too."""
+    for g in range(start.size - 1):
+        for t in targets[start[g] : start[g + 1]]:
+            for row in range(3):
+                at = 0.0
+                for d in range(3):
+                    at += regions.axes[g, row, d] * (points[t, d] - regions.center[g, d])
+                regions.half[g, row] = max(regions.half[g, row], abs(at))
+        points_per_side(regions.half[g], order, regions.per_side[g])
 
 
 @kernel

@@ -61,8 +61,12 @@ class Targets(NamedTuple):
         start = np.append(0, np.cumsum([len(each) for each in flat]))
         points = self.points[np.concatenate(flat)]
         own = make_bricks(points, start, np.arange(len(points)), order)
-        regions = make_regions(own, np.arange(len(start)), order)
+        regions = make_regions(points, own, np.arange(len(start)), order)
         return Targets(points, own, regions, sample_places(start), self.sizes[chosen])
+
+    def sized(self, points, shapes, offsets):
+        """The same, with the edges at the samples taken from other coordinates (n_nodes, 3)."""
+        return self._replace(sizes=_edges(points, shape_table(shapes), offsets, self.samples))
 
     def numbers(self, first, last):
         """Numbers of the bricks in these regions."""
@@ -91,8 +95,12 @@ def _sorted(points, shapes, offsets, flat, order):
     wanted[flat] = True
     bricks, first = build_bricks(points, shapes, offsets, wanted, order, 8 * order**3)
     samples = bricks.targets[sample_places(bricks.start)]
-    sizes = node_sizes(points, shapes, offsets, samples.ravel()).reshape(samples.shape)
-    return bricks, make_regions(bricks, first, order), samples, sizes
+    return bricks, make_regions(points, bricks, first, order), samples, _edges(points, shapes, offsets, samples)
+
+
+def _edges(points, shapes, offsets, samples):
+    """Shortest edge at the samples, in their shape."""
+    return node_sizes(points, shapes, offsets, samples.ravel()).reshape(samples.shape)
 
 
 def sample_places(start):

@@ -236,18 +236,19 @@ def for_items(work, count, shared: Sequence[Shared], progress=None):
     For large items that use the threads themselves, or none. ``shared`` as for :func:`for_chunks`. What ``work`` raises
     on one rank ends its items and is raised on all of them.
     """
-    failures: list[Exception] = []
+    failures: list[tuple[int, Exception]] = []
 
     def attempt(number, _):
         try:
             if not failures:
                 work(number)
         except Exception as error:
-            failures.append(error)
+            failures.append((number, error))
 
     for_chunks(attempt, count, 1, progress, shared, threads=1)
-    for failure in _ranks.gather(failures):
-        raise failure
+    if found := _ranks.gather(failures):
+        # The one that a process on its own would have met.
+        raise min(found, key=lambda each: each[0])[1]
 
 
 def for_rows(fill, array):

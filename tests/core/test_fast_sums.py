@@ -1,5 +1,7 @@
 """Fast IDW sums against exact ones: every rotation kind and weight, the tolerance kept, nothing common disturbed."""
 
+import types
+
 import numpy as np
 import pytest
 from cases import apply, body_specs, constant, everything_moves, problem_of, turning
@@ -8,10 +10,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from meshdeform_core.errors import MethodError
-from meshdeform_core.methods import IDW, RBF, Options, make_method
+from meshdeform_core.methods import IDW, RBF, Account, Options, make_method
+from meshdeform_core.methods.summation import sum_accurately
 from meshdeform_core.numerics import boxes, fastsum
+from meshdeform_core.numerics.basis import BASES
 from meshdeform_core.numerics.bricks import build_bricks, make_regions, node_sizes
 from meshdeform_core.numerics.elementary import exp, log
+from meshdeform_core.numerics.fastradial import FastRadial
+from meshdeform_core.numerics.radial import radial_sums
 from meshdeform_core.numerics.tree import build_tree, gather_charges
 from meshdeform_core.prescription import prescribed_displacement
 
@@ -110,9 +116,14 @@ def test_bricks_hold_every_target_once():
     assert first[0] == 0
     assert first[-1] == len(bricks.start) - 1
     assert np.all(np.diff(first) > 0)
-    regions = make_regions(bricks, first, 4)
+    regions = make_regions(grid.points, bricks, first, 4)
     for g in range(len(first) - 1):
-        x = bricks.proxies[bricks.proxy[first[g]] : bricks.proxy[first[g + 1]]]
+        x = np.concatenate(
+            [
+                bricks.proxies[bricks.proxy[first[g]] : bricks.proxy[first[g + 1]]],
+                grid.points[bricks.targets[bricks.start[first[g]] : bricks.start[first[g + 1]]]],
+            ]
+        )
         inside = np.abs((x - regions.center[g]) @ regions.axes[g].T)
         assert np.all(inside <= regions.half[g] + 1e-12)
 
@@ -187,3 +198,43 @@ def test_radial_sums(basis, radius, problem):
         for kind in ("exact", "fast")
     )
     assert 0 < (np.linalg.norm(fast - exact, axis=1) / cell_sizes(problem)).max() <= 1e-3
+
+
+def test_weights_found_anew_on_the_way_are_checked_where_they_are_worst():
+    """Bricks are cut anew for every step; those of the last one, as many as they are, tell where to look."""
+    grid = frame(16, 16)
+    problem = problem_of(grid.moved(grid.points * [1.0, 1.0, 3.0]), body_specs(turning(60)))
+    options = {"rotation": "division", "divisions": 3, "reweight": True}
+    fast, exact = (
+        make_method(Options("idw", idw=IDW(summation=kind, **options))).prepare(problem) for kind in ("fast", "exact")
+    )
+    gap = np.linalg.norm(fast.apply(told(problem)) - exact.apply(told(problem)), axis=1) / cell_sizes(problem)
+    assert fast.account.settings["sampled_error"].value <= 1e-2
+    assert gap.max() <= 2e-2
+
+
+def test_compact_sums_reach_every_target_of_a_region():
+    """Sources at the rim of the support of the outermost nodes only, which lie outside all interpolation points."""
+    axis = np.linspace(0.0, 0.5, 9)
+    points = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+    rng = np.random.default_rng(0)
+    sources = np.array([-0.98, 0.0, 0.0]) + 1e-3 * rng.standard_normal((400, 3))
+    kind, coefficients = BASES["wendland-c0"], np.ones((400, 3))
+    targets = fastsum.make_targets(points, [(9, 9, 9)], np.array([0, 729]), np.arange(729), 4)
+    out = np.zeros((729, 3))
+
+    def use(flat, sums):
+        out[flat] = sums
+
+    FastRadial(kind, sources, 4).evaluate(coefficients, targets, 1e-6, use, out)
+    np.testing.assert_allclose(out, radial_sums(kind, points, sources, coefficients), atol=1e-6)
+    assert out.max() > 0.01
+
+
+def test_an_error_that_is_no_number_is_told_and_spoils_nothing():
+    account, sums = Account(), types.SimpleNamespace(share=1.0)
+    sum_accurately("idw", sums, lambda: float("nan"), 1e-2, account)
+    assert sums.share == 1.0
+    assert "fast sums" in account.warnings[0]
+    sum_accurately("idw", sums, lambda: 1e-3, 1e-2, account)
+    assert account.warnings == []

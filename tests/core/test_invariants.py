@@ -9,7 +9,9 @@ from grids import back, frame, frame_2d, permuted, polar
 
 from meshdeform_core.boundary import Kind
 from meshdeform_core.grid import Grid
-from meshdeform_core.methods import hybrid, make_method
+from meshdeform_core.methods import make_method
+from meshdeform_core.numerics import parallel
+from meshdeform_core.numerics.parallel import OneRank
 from meshdeform_core.prescription import prescribed_displacement
 
 EVERY = pytest.mark.parametrize("name", ALL_METHODS)
@@ -249,13 +251,25 @@ def test_fixed_outside_and_moving_body_are_told_by_the_boundary():
     assert len(everything_moves()) == 1
 
 
+class Unset(OneRank):
+    """Arrays that are not initialised hold not-a-number."""
+
+    def empty(self, shape, dtype):
+        return np.full(shape, np.nan, dtype) if np.dtype(dtype).kind == "f" else np.zeros(shape, dtype)
+
+
+REACHED = {
+    "3-D": lambda: problem_of(frame(), body_specs(turning(10))),
+    "2-D": lambda: problem_of(frame_2d(), body_specs(turning(10))[:1]),
+    "periodic": lambda: problem_of(frame(3, 4), body_specs(turning(10), Kind.PERIODIC)),
+}
+
+
 @EVERY
-def test_every_node_is_reached(name, monkeypatch):
-    problem = problem_of(frame(), body_specs(turning(10)))
+@pytest.mark.parametrize("which", REACHED)
+def test_every_node_is_reached(name, which, monkeypatch):
+    problem = REACHED[which]()
     prepared = make_method(ALL_METHODS[name]).prepare(problem)
-
-    def unset(shape, dtype=float, **options):
-        return np.full(shape, np.nan, dtype) if np.dtype(dtype).kind == "f" else np.zeros(shape, dtype, **options)
-
-    monkeypatch.setattr(hybrid.np, "empty", unset)
+    monkeypatch.setattr(parallel, "_SMALL", 0)
+    monkeypatch.setattr(parallel, "_ranks", Unset())
     assert np.isfinite(prepared.apply(bend(problem.source_points))).all()

@@ -71,9 +71,10 @@ def test_rows_are_all_filled_once():
 
 
 def test_only_large_arrays_are_in_common():
-    with rank(0, 2, arrays := []):
-        # Every array counts as large.
-        assert empty([3], np.int32) is arrays[0]
+    with rank(0, 2, arrays := [], small=1000):
+        empty([249], np.int32)
+        assert not arrays
+        assert empty([250], np.int32) is arrays[0]
     assert arrays[0].dtype == np.int32
     assert not _is_common(empty((1 << 18, 3))[5:])
 
