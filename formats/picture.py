@@ -30,6 +30,8 @@ STYLE: dict[Any, Any] = {
     "ytick.labelsize": 8,
     "figure.dpi": 150,
     "savefig.dpi": 220,
+    # The same picture is the same file.
+    "svg.hashsalt": "meshdeform",
     "svg.fonttype": "none",
 }
 COLOURS = "viridis"

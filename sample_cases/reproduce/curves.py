@@ -33,7 +33,7 @@ def draw_curves(parts: dict[str, Any], folder: Path) -> list[str]:
             figure = plt.figure(figsize=(6.8, 3.2), layout="constrained")
             drawer(figure, parts)
             with replacing(folder / f"{name}{SUFFIX}") as partial:
-                figure.savefig(partial)
+                figure.savefig(partial, metadata={"Date": None})
             plt.close(figure)
         names.append(f"{name}{SUFFIX}")
     return names

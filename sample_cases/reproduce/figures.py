@@ -212,7 +212,7 @@ def _draw(figure: Figure, slices: dict[str, Slice], folder: Path) -> str:
         bar = whole.colorbar(collection, ax=axes, label="$f_{skew}$ [-]", shrink=0.8, aspect=30, pad=0.015)
         bar.outline.set_linewidth(0.5)
         with replacing(folder / f"{figure.name}{_SUFFIX}") as partial:
-            whole.savefig(partial, dpi=_DOTS)
+            whole.savefig(partial, dpi=_DOTS, metadata={"Date": None})
         plt.close(whole)
     return f"{figure.name}{_SUFFIX}"
 
