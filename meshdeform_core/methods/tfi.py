@@ -16,8 +16,8 @@ from .options import option, positive, used
 from .skeleton import Skeleton, SubBlock, make_skeleton
 
 DEFAULT_MAX_CELLS = 16
-# Planes filled by one call, and calls of a whole grid: enough to share evenly, few enough to cost nothing.
-_PLANES, _CHUNKS = (8, 32), 64
+# Planes and nodes filled by one call, and calls of a whole grid: enough to share evenly, few enough to cost nothing.
+_PLANES, _NODES, _CHUNKS = (8, 32), 65536, 64
 
 
 @dataclass(frozen=True)
@@ -96,12 +96,11 @@ def _table(grid: Grid, subs: list[SubBlock]) -> IntArray:
 
 def _slabs(subs: IntArray) -> IntArray:
     """Sub-block and planes i0 <= i < i1 of its interior, at most some at a time so that threads can share."""
-    every = int((subs[:, 7] - subs[:, 4] - 1).sum())
-    planes = min(_PLANES[1], max(_PLANES[0], every // _CHUNKS))
+    planes = np.clip(_NODES // np.prod(subs[:, 8:10] - subs[:, 5:7], axis=1), *_PLANES)
     rows = [
-        (n, i, min(i + planes, end))
-        for n, (low, end) in enumerate(subs[:, [4, 7]].tolist())
-        for i in range(low + 1, end, planes)
+        (n, i, min(i + step, end))
+        for n, (low, end, step) in enumerate(np.column_stack([subs[:, [4, 7]], planes]).tolist())
+        for i in range(low + 1, end, step)
     ]
     return np.array(rows, dtype=np.int64).reshape(-1, 3)
 
