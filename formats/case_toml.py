@@ -14,6 +14,13 @@ _TOO_LONG = "it has an integer of more than 64 bits; write large numbers like 1e
 
 
 def load(path: Path | None) -> Table:
+    """The tables of a case file, none without a file.
+
+    Raises
+    ------
+    CaseError
+        When the file cannot be read or is not TOML.
+    """
     if path is None:
         return {}
     try:
@@ -47,6 +54,13 @@ def _require_64_bits(value: Any) -> None:
 
 
 def override(data: Table, text: str) -> None:
+    """Put the value of ``KEY=VALUE`` over what ``data`` has, in place; what is not TOML is taken as a text.
+
+    Raises
+    ------
+    CaseError
+        When there is no ``=``, or the key leads through a value or to an entry that does not exist.
+    """
     key, equals, value = text.partition("=")
     if not equals or not key.strip():
         raise CaseError(f"--set {text!r}: expected KEY=VALUE, like method.idw.alpha=0.3")
