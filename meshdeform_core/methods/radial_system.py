@@ -26,10 +26,15 @@ DIRECT_CENTRES = 4000
 """Most centres that ``auto`` solves directly; from there on a factorisation takes longer than GMRES with its set-up."""
 _CHUNK = 512
 _TOLERANCE = {"minres": 1e-10, "krylov": 1e-6}
+# Earlier solutions from which GMRES sets out: what a period of a motion with a few modes spans.
+_REMEMBERED = 12
 
 
 class RadialSystem:
-    """The linear system of one set of centres; factorisation or preconditioner are made when first needed and kept."""
+    """The linear system of one set of centres; factorisation or preconditioner are made when first needed and kept.
+
+    With GMRES a solution depends on those found before, within the solver's tolerance: see :class:`KrylovSolver`.
+    """
 
     def __init__(self, options: RBF, centres: Centres, limit: MemoryLimit = UNLIMITED):
         self.options, self.centres = options, centres
@@ -94,14 +99,23 @@ class RadialSystem:
             points = self.centres.points
             sparse = sparse_radial_matrix(self.kind, points, self._memory)
             product = self._multiply if sparse is None else sparse.dot
-            self._krylov = KrylovSolver(self.kind, points, self.terms, product)
+            self._krylov = KrylovSolver(self.kind, points, self.terms, product, self._remembered())
             if sparse is not None:
                 account.settings["nonzeros"] = Setting(sparse.nnz, "the support radius reaches few centres")
         report = None if progress is None else (lambda done, total: progress("krylov", done, total))
         found = self._krylov.solve(values, self._tolerance, self.options.max_iterations, report)
         account.settings["iterations"] = Setting(found.iterations, "all components together")
+        account.settings["starting_residual"] = Setting(
+            float(found.started.max()), "of the nearest combination of earlier solutions; 1 without any"
+        )
         self._report_residual(account, "GMRES", found.iterations, found.residual, found.stalled)
         return found.coefficients, found.polynomial
+
+    def _remembered(self) -> int:
+        """How many earlier solutions fit the memory beside the solver."""
+        n = len(self.centres.points)
+        every = KrylovSolver.memory(n, 1) - KrylovSolver.memory(n)
+        return int(min(_REMEMBERED, (self._memory - KrylovSolver.memory(n)) // every))
 
     def _solve_minres(
         self, values: FloatArray, account: Account, progress: Progress | None

@@ -9,6 +9,7 @@ from functools import partial
 
 import numpy as np
 
+from .earlier import EarlierSolutions
 from .schwarz import SchwarzPreconditioner
 
 _RESTART = 40
@@ -19,18 +20,23 @@ _DEPENDENT = 1e-14
 class Solution:
     """Coefficients (n, 3), polynomial (q, 3), number of iterations, and ||r|| / ||b|| (3,) computed anew from them.
 
-    ``stalled``: more iterations would not have helped.
+    ``started`` is the residual (3,) of what the search set out from, 1 without earlier solutions; ``stalled``: more
+    iterations would not have helped.
     """
 
     coefficients: np.ndarray
     polynomial: np.ndarray
     iterations: int
     residual: np.ndarray
+    started: np.ndarray
     stalled: bool
 
 
 class KrylovSolver:
     """Solver of ``A c + P p = b, P^T c = 0``; set up once, for any number of right-hand sides.
+
+    It sets out from the best combination of the solutions that it has found before. A solution therefore depends on
+    what was solved earlier, but only within the tolerance: its residual is computed from it, whatever it came from.
 
     Parameters
     ----------
@@ -38,16 +44,22 @@ class KrylovSolver:
     points : (n, 3) centres in units of the support radius
     polynomial : (n, q), full column rank
     product : A times (n, 3), to an accuracy below the tolerance asked for
+    remembered : how many earlier right-hand sides (n, 3) may be kept with their solutions
+
+    Attributes
+    ----------
+    earlier : the solutions kept; ``earlier.clear()`` forgets them
     """
 
-    def __init__(self, kind, points, polynomial, product):
+    def __init__(self, kind, points, polynomial, product, remembered=0):
         self._polynomial, self._product = polynomial, product
         self.preconditioner = SchwarzPreconditioner(kind, points, polynomial)
+        self.earlier = EarlierSolutions(len(points), polynomial.shape[1], remembered * points.shape[1])
 
     @staticmethod
-    def memory(n):
+    def memory(n, remembered=0):
         """Bytes that it takes for ``n`` centres, the product not counted."""
-        return SchwarzPreconditioner.memory(n) + 8 * n * 3 * (_RESTART + 6)
+        return SchwarzPreconditioner.memory(n) + 8 * n * 3 * (_RESTART + 6 + 2 * remembered)
 
     def solve(self, values, tolerance, max_iterations, progress=None):
         """Solve for values (n, 3) until ``||r|| <= tolerance ||b||`` in every column.
@@ -60,10 +72,11 @@ class KrylovSolver:
         # Unit columns: one tolerance for all, and no component drowns in another.
         scale = np.where(norm > 0, norm, 1.0)
         right = values / scale
-        coefficients = np.zeros_like(right)
-        polynomial = np.zeros((self._polynomial.shape[1], right.shape[1]))
+        coefficients, polynomial = self.earlier.nearest(right)
         rest, iterations, stalled = right, 0, False
-        residual = np.linalg.norm(rest, axis=0)
+        if coefficients.any() or polynomial.any():
+            rest = right - self._image(coefficients, polynomial)
+        started = residual = np.linalg.norm(rest, axis=0)
         while iterations < max_iterations and (residual > tolerance).any() and not stalled:
             report = None if progress is None else partial(_advance, progress, iterations, max_iterations)
             limit = min(_RESTART, max_iterations - iterations)
@@ -73,7 +86,9 @@ class KrylovSolver:
             rest = right - self._image(coefficients, polynomial)
             before, residual = residual, np.linalg.norm(rest, axis=0)
             stalled = bool(residual.max() > max(0.5 * before.max(), tolerance))
-        return Solution(coefficients * scale, polynomial * scale, iterations, residual, stalled)
+        if iterations:
+            self.earlier.add(coefficients, polynomial, right - rest, tolerance)
+        return Solution(coefficients * scale, polynomial * scale, iterations, residual, started, stalled)
 
     def _image(self, coefficients, polynomial):
         return self._product(coefficients) + self._polynomial @ polynomial
