@@ -14,7 +14,7 @@ from tables import Row, Table, best, exponent, timed
 from meshdeform_core.grid import FloatArray, IntArray
 from meshdeform_core.methods import IDW, Options, make_method
 from meshdeform_core.numerics.direct import N_VALUES, weighted_sums
-from meshdeform_core.numerics.parallel import set_threads, thread_count
+from meshdeform_core.parallel import set_threads, thread_count
 
 TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8)
 SIZES = {"splitter-plate": (8, 16, 32), "hemisphere": (24, 48, 92)}

@@ -12,7 +12,7 @@ import numba
 import numpy as np
 from tables import Table, best
 
-from meshdeform_core.numerics.parallel import for_chunks, thread_count
+from meshdeform_core.parallel import for_chunks, thread_count
 
 _NODES = 4_000_000
 _LENGTH = 2048

@@ -7,11 +7,11 @@ from cases import Motion, motion
 from machine import copy_seconds
 from tables import Row, Table, best
 
+from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.methods import Options, make_method
-from meshdeform_core.numerics.parallel import thread_count
+from meshdeform_core.parallel import thread_count
 from meshdeform_core.quality import Original, assess
 from meshdeform_core.quality.validity import newly_invalid
-from meshdeform_core.topology import find_topology
 
 CASES = {"splitter-plate": (16, 32), "hemisphere": (48,)}
 QUICK = {"splitter-plate": (8,), "hemisphere": (16,)}

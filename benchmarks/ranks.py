@@ -14,10 +14,10 @@ from contextlib import contextmanager
 import numpy as np
 from mpi4py import MPI
 
-from meshdeform_cli.ranks import MPIRanks
 from meshdeform_core.deform import set_up
 from meshdeform_core.methods import make_method
-from meshdeform_core.numerics.parallel import for_rows, set_ranks, set_threads
+from meshdeform_core.parallel import for_rows, set_ranks, set_threads
+from meshdeform_core.parallel.mpi import MPIRanks
 from meshdeform_core.quality import Original, assess
 from meshdeform_formats.case import read_case
 from meshdeform_samples import folder, load

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from .options import (
+from .options import (  # fmt: skip
     PATH,
     GridInput,
     check_output,
@@ -15,7 +15,7 @@ from .options import (
     parse_pairs,
     quiet_option,
     variant_option,
-)  # fmt: skip
+)
 
 
 @click.command("convert")

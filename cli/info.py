@@ -34,9 +34,9 @@ def command(source: GridInput, as_json: bool) -> int:
 
 def gather(source: GridInput) -> dict[str, Any]:
     """Everything ``info`` prints, as one dictionary; node indices are 1-based."""
-    from meshdeform_core.connectivity import check_connections
-    from meshdeform_core.interfaces import find_interfaces
-    from meshdeform_core.topology import find_topology
+    from meshdeform_core.grid.connectivity import check_connections
+    from meshdeform_core.grid.interfaces import find_interfaces
+    from meshdeform_core.grid.topology import find_topology
 
     grid = source.read()
     topology = find_topology(grid)

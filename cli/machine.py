@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from meshdeform_core.memory import MemoryLimit
-from meshdeform_core.numerics.parallel import current_ranks, set_threads, thread_count
+from meshdeform_core.parallel import current_ranks, set_threads, thread_count
 
 # How the linear algebra libraries that numpy and scipy come with are told, once, when they are loaded.
 _LIBRARIES = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")

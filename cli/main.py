@@ -13,9 +13,10 @@ from typing import NoReturn
 
 import click
 
-from meshdeform_core.numerics.parallel import current_ranks
+from meshdeform_core.parallel import current_ranks
 
-EXIT_BUG, EXIT_INPUT, EXIT_INVALID, EXIT_INTERRUPTED = 1, 2, 3, 130
+from .exit_codes import EXIT_BUG, EXIT_INPUT, EXIT_INTERRUPTED
+from .mpi import place, run_on_ranks
 
 _COMMANDS = (
     "deform", "series", "quality", "info", "convert", "compare", "plot", "methods", "sample", "reproduce",
@@ -85,8 +86,6 @@ def main(args: Sequence[str] | None = None) -> NoReturn:
         # What the caller ignores (nohup) stays ignored.
         if number is not None and signal.getsignal(number) is signal.SIG_DFL:
             signal.signal(number, _terminate)
-    from .mpi import place, run_on_ranks
-
     here = place()
     sys.exit(run(args) if here is None else run_on_ranks(lambda: run(args), here))
 

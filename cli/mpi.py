@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import click
 
-from meshdeform_core.numerics.parallel import set_ranks
+from meshdeform_core.parallel import set_ranks
 
-from .main import EXIT_INPUT
+from .exit_codes import EXIT_INPUT, EXIT_INVALID
 
 # How launchers tell a process its number and how many there are.
 _LAUNCHERS = (
@@ -52,7 +52,7 @@ def run_on_ranks(run: Callable[[], int], here: Place) -> int:
     if MPI.COMM_WORLD.size != here.count:
         library = MPI.Get_library_version().split(",")[0]
         return _refuse(here, f"mpi4py uses {library}, which sees {MPI.COMM_WORLD.size}; use the mpiexec of that MPI")
-    from .ranks import MPIRanks
+    from meshdeform_core.parallel.mpi import MPIRanks
 
     ranks = MPIRanks(MPI.COMM_WORLD)
     set_ranks(ranks)
@@ -62,7 +62,7 @@ def run_on_ranks(run: Callable[[], int], here: Place) -> int:
         except SystemExit as stop:
             # A signal: see meshdeform_cli.main.
             code = stop.code if isinstance(stop.code, int) else 1
-    return ranks.conclude(code, messages.getvalue())
+    return ranks.conclude(code, messages.getvalue(), complete=code in (0, EXIT_INVALID))
 
 
 def _refuse(here: Place, reason: str) -> int:

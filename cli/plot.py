@@ -44,7 +44,7 @@ def command(
       meshdeform plot wing.cgns -o wall.png --select wall --view iso
       meshdeform plot airfoil.p2dfmt -o nose.pdf --zoom=-0.1,0.3,-0.2,0.2
     """
-    from meshdeform_core.topology import find_topology
+    from meshdeform_core.grid.topology import find_topology
     from meshdeform_formats.picture import check_picture_path, plane_facets, save_picture, surface_facets
 
     if plane and select:

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from .compare import require_same_blocks
+from .exit_codes import EXIT_INVALID
 from .machine import use_threads
-from .main import EXIT_INVALID
-from .options import (
+from .options import (  # fmt: skip
     PATH,
     CaseInput,
     GridInput,
@@ -24,7 +24,7 @@ from .options import (
     quiet_option,
     report_option,
     threads_option,
-)  # fmt: skip
+)
 
 if TYPE_CHECKING:
     from meshdeform_core.grid import Grid
@@ -57,7 +57,7 @@ def command(
     use_threads(threads)
     check_reports(reports, force, reference, *source.files, *case.files)
     from meshdeform_formats.report import write_report
-    from meshdeform_formats.report_text import as_text
+    from meshdeform_formats.report.text import as_text
 
     report = judge(source, reference, case)
     for path in reports:
@@ -70,8 +70,8 @@ def command(
 def judge(source: GridInput, reference: Path | None, case: CaseInput) -> dict[str, Any]:
     """The quality report of a grid against ``reference``, or on its own."""
     from meshdeform_core.boundary import classify
+    from meshdeform_core.grid.topology import find_topology
     from meshdeform_core.quality import Original, assess
-    from meshdeform_core.topology import find_topology
     from meshdeform_formats.report import quality_report
 
     what = case.read()

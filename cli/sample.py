@@ -13,8 +13,8 @@ from meshdeform_core.errors import CaseError
 from .options import PATH, check_output, force_option, parse_pairs, variant_option
 
 if TYPE_CHECKING:
+    from meshdeform_core.boundary.transfer import SurfaceData
     from meshdeform_core.grid import Grid
-    from meshdeform_core.transfer import SurfaceData
 
 _BOUNDARY_FILE = "grid.nmf"
 

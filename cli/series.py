@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from meshdeform_core.numerics.parallel import current_ranks
+from meshdeform_core.parallel import current_ranks
 
 from .deform import parse_steps
 from .machine import use_threads

@@ -7,20 +7,20 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from meshdeform_core.boundary.motion import FollowSequence
 from meshdeform_core.deform import Setup, Timing, set_up
 from meshdeform_core.errors import CaseError, FormatError
 from meshdeform_core.methods import make_method
-from meshdeform_core.motion import FollowSequence
-from meshdeform_core.numerics.parallel import current_ranks
+from meshdeform_core.parallel import current_ranks
 from meshdeform_core.series import Level, Schedule, deform_series
 from meshdeform_formats.case import CaseFile
-from meshdeform_formats.case_files import parse_times
+from meshdeform_formats.case.files import parse_times
 from meshdeform_formats.grids import FORMATS, complete_for_export
 from meshdeform_formats.report import Report, plan_report
-from meshdeform_formats.report_text import as_text
-from meshdeform_formats.series_files import LevelFiles, SeriesFiles, SingleFile
-from meshdeform_formats.series_manifest import NAME, Manifest, ingredients_of
-from meshdeform_formats.series_report import level_record, series_head, series_report
+from meshdeform_formats.report.series import level_record, series_head, series_report
+from meshdeform_formats.report.text import as_text
+from meshdeform_formats.series.files import LevelFiles, SeriesFiles, SingleFile
+from meshdeform_formats.series.manifest import NAME, Manifest, ingredients_of
 
 from .machine import peak_memory
 from .options import GridInput, keep_inputs

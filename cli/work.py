@@ -15,14 +15,14 @@ from meshdeform_core.deform import Timing, impose, set_up
 from meshdeform_core.grid import Grid
 from meshdeform_core.memory import MemoryLimit
 from meshdeform_core.methods import make_method
-from meshdeform_core.numerics.parallel import current_ranks, thread_count
+from meshdeform_core.parallel import current_ranks, thread_count
 from meshdeform_formats.case import CaseFile
 from meshdeform_formats.grids import complete_for_export, variant_of, write_grid
 from meshdeform_formats.report import Report, deformation_report, plan_report, write_report
-from meshdeform_formats.report_text import as_text
+from meshdeform_formats.report.text import as_text
 
+from .exit_codes import EXIT_INVALID
 from .machine import peak_memory
-from .main import EXIT_INVALID
 from .options import CaseInput, GridInput, RunInput, keep_inputs
 from .progress import ProgressBar
 

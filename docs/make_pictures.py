@@ -14,7 +14,7 @@ import matplotlib.pyplot as plt
 from PIL import Image
 
 from meshdeform_cli.main import run
-from meshdeform_core.topology import find_topology
+from meshdeform_core.grid.topology import find_topology
 from meshdeform_formats import read_grid
 from meshdeform_formats.picture import STYLE, draw, plane_facets
 

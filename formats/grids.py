@@ -14,7 +14,7 @@ import numpy as np
 
 from meshdeform_core.errors import FormatError, GridError
 from meshdeform_core.grid import FileFormat, Grid
-from meshdeform_core.numerics.parallel import current_ranks, empty, for_rows
+from meshdeform_core.parallel import current_ranks, empty, for_rows
 
 from .files import read_head
 
@@ -107,8 +107,8 @@ def complete_for_export(grid: Grid, path: Path) -> Grid:
     own = grid.format is not None and grid.format.name == "cgns"
     if format_of(path) != "cgns" or grid.connections or own:
         return grid
-    from meshdeform_core.interfaces import find_interfaces
-    from meshdeform_core.topology import find_topology
+    from meshdeform_core.grid.interfaces import find_interfaces
+    from meshdeform_core.grid.topology import find_topology
 
     return dataclasses.replace(
         grid, connections=current_ranks().once(lambda: find_interfaces(grid, find_topology(grid)))

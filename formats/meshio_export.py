@@ -26,11 +26,11 @@ from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Field, FileFormat, FloatArray, Grid, IntArray, Side, Window
-from meshdeform_core.topology import Topology, find_topology
+from meshdeform_core.grid.topology import Topology, find_topology
 
 from .files import replacing
-from .vtk_dataset import storable
-from .vtk_options import checked_options
+from .vtk.dataset import storable
+from .vtk.options import checked_options
 
 _OPTIONS: dict[str, dict[str, tuple[str, ...]]] = {".msh": {"encoding": ("binary", "ascii")}}
 

@@ -10,10 +10,10 @@ import numpy as np
 
 from meshdeform_core.errors import CaseError, FormatError
 from meshdeform_core.grid import FloatArray, Grid, Side
-from meshdeform_core.planes import plane_normal
+from meshdeform_core.grid.planes import plane_normal
+from meshdeform_core.grid.selection import select_quads
+from meshdeform_core.grid.topology import Topology, side_nodes
 from meshdeform_core.quality.cells import measure_block
-from meshdeform_core.selection import select_quads
-from meshdeform_core.topology import Topology, side_nodes
 
 from .files import replacing
 

@@ -12,16 +12,16 @@ from functools import cached_property
 import numpy as np
 
 from .boundary import Boundary, BoundarySpec, Kind, classify
-from .connectivity import check_connections
+from .boundary.prescribed import prescribed_displacement
 from .errors import CaseError, MotionError
 from .grid import FloatArray, Grid
+from .grid.connectivity import check_connections
+from .grid.topology import RELATIVE_TOLERANCE, Topology, find_topology
 from .memory import UNLIMITED, MemoryLimit
 from .methods import Account, Options, PreparedMethod, Problem, Progress, make_method
-from .numerics.parallel import current_ranks, empty, for_rows
-from .prescription import prescribed_displacement
+from .parallel import current_ranks, empty, for_rows
 from .quality import Assessment, Original, assess
 from .quality.validity import newly_invalid
-from .topology import RELATIVE_TOLERANCE, Topology, find_topology
 
 MAX_HALVINGS = 8
 

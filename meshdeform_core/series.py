@@ -11,8 +11,8 @@ from .deform import Result, Setup, Start, Timing, impose
 from .errors import CaseError
 from .grid import FloatArray
 from .methods import PreparedMethod, Progress, make_method
-from .numerics.parallel import empty, for_rows
 from .numerics.rotation import rotation_vector, surface_rotations
+from .parallel import empty, for_rows
 
 ORIGINS = ("reference", "last")
 VELOCITIES = ("none", "first", "second")

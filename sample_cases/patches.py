@@ -8,9 +8,9 @@ from collections.abc import Callable
 import numpy as np
 
 from meshdeform_core.grid import BoolArray, FloatArray, Grid, Patch, Side, Window
-from meshdeform_core.interfaces import find_interfaces
-from meshdeform_core.topology import find_topology, side_nodes
-from meshdeform_core.windows import windows_of_quads
+from meshdeform_core.grid.interfaces import find_interfaces
+from meshdeform_core.grid.topology import find_topology, side_nodes
+from meshdeform_core.grid.windows import windows_of_quads
 
 Rule = tuple[str, str, Callable[[FloatArray, Side], BoolArray]]
 """Patch name, CGNS boundary condition type, and which faces: a function of their centres (n, 3) and their side."""

@@ -8,11 +8,11 @@ import numpy as np
 from grids import frame
 
 from meshdeform_core.boundary import BoundarySpec, Kind, classify
-from meshdeform_core.expression import expression
+from meshdeform_core.boundary.expression import expression
+from meshdeform_core.boundary.motion import Displace, Motion, Rotate
 from meshdeform_core.grid import Grid
+from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.methods import IDW, RBF, TFI, Options, Problem, make_method
-from meshdeform_core.motion import Displace, Motion, Rotate
-from meshdeform_core.topology import find_topology
 
 ALL_METHODS: dict[str, Options] = {
     "tfi": Options("tfi"),

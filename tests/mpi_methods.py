@@ -13,11 +13,11 @@ from grids import frame, frame_2d
 from mpi4py import MPI
 from mpi_witness import Witness
 
-from meshdeform_cli import ranks as memory
 from meshdeform_core.boundary import Kind
+from meshdeform_core.boundary.prescribed import prescribed_displacement
 from meshdeform_core.methods import IDW, RBF, Options, make_method
-from meshdeform_core.numerics.parallel import OneRank, set_ranks
-from meshdeform_core.prescription import prescribed_displacement
+from meshdeform_core.parallel import OneRank, set_ranks
+from meshdeform_core.parallel import mpi as memory
 from meshdeform_core.quality import Original, assess
 from meshdeform_core.quality.validity import newly_invalid
 

@@ -1,4 +1,4 @@
-"""Ranks that make what is forbidden fail: see the rules in meshdeform_core/numerics/parallel.py."""
+"""Ranks that make what is forbidden fail: see the rules in meshdeform_core/parallel/loops.py."""
 
 import ctypes
 import faulthandler
@@ -8,8 +8,8 @@ import time
 
 import numpy as np
 
-from meshdeform_cli.ranks import CommonMemory, MPIRanks
-from meshdeform_core.numerics import parallel
+from meshdeform_core.parallel import loops as parallel
+from meshdeform_core.parallel.mpi import CommonMemory, MPIRanks
 
 
 class Witness(MPIRanks):

@@ -4,8 +4,8 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from meshdeform_core.numerics import parallel
-from meshdeform_core.numerics.parallel import OneRank, set_ranks
+from meshdeform_core.parallel import OneRank, set_ranks
+from meshdeform_core.parallel import loops as parallel
 
 UNTOUCHED = 77
 

@@ -19,12 +19,12 @@ from dataclasses import dataclass, field
 
 from ..errors import MethodError
 from .base import Account, Method, PreparedMethod, Problem, Progress, Setting
-from .block_rbf import BlockRBF
-from .hybrid import Composite
-from .idw import IDW
+from .composite import Composite
 from .options import reason_of
-from .rbf import RBF
-from .tfi import TFI
+from .scattered.block_rbf import BlockRBF
+from .scattered.idw import IDW
+from .scattered.rbf import RBF
+from .transfinite.tfi import TFI
 
 __all__ = [
     "ALIASES",

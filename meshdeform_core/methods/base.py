@@ -15,10 +15,10 @@ import numpy as np
 
 from ..boundary import Boundary, Kind
 from ..grid import FloatArray, Grid, IntArray, Side
+from ..grid.planes import plane_normal
+from ..grid.topology import Topology, inward_step, side_nodes
 from ..memory import UNLIMITED, MemoryLimit
 from ..numerics.coincidence import distinct
-from ..planes import plane_normal
-from ..topology import Topology, inward_step, side_nodes
 
 Progress = Callable[[str, int, int], None]
 """``progress(stage, done, total)``; called from the computing threads' owner only."""
@@ -178,7 +178,7 @@ class PreparedMethod(Protocol):
     def apply(self, displacement: FloatArray, progress: Progress | None = None) -> FloatArray:
         """Displacement (n_nodes, 3) of all block nodes from that of the sources (n_sources, 3).
 
-        A new array from :func:`meshdeform_core.numerics.parallel.empty`, which becomes the caller's.
+        A new array from :func:`meshdeform_core.parallel.empty`, which becomes the caller's.
         """
         ...
 

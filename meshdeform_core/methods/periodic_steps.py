@@ -13,7 +13,7 @@ import numpy as np
 
 from ..boundary import Kind
 from ..grid import FloatArray, IntArray
-from ..numerics.parallel import empty, for_rows
+from ..parallel import empty, for_rows
 from .base import Account, PreparedMethod, Problem, Progress
 
 

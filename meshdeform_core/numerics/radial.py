@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from ..parallel import for_chunks
 from .basis import apply_basis
 from .jit import fast_kernel
-from .parallel import for_chunks
 
 _TILE = 256
 _TARGETS = 64

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..grid import FloatArray, Grid, IntArray
+from ..grid.planes import plane_normal
+from ..grid.topology import Topology
 from ..numerics.cells import measure_hexahedra, measure_quads
-from ..numerics.parallel import Shared, for_chunks
-from ..planes import plane_normal
-from ..topology import Topology
+from ..parallel import Shared, for_chunks
 
 _SLAB_CELLS = 16384
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..grid import FloatArray
-from ..numerics.parallel import empty
+from ..parallel import empty
 from .cells import CellMeasures, Slab, measure_cells, slabs
 from .original import Original
 from .tally import Range, Tally

@@ -8,8 +8,8 @@ import numpy as np
 
 from ..boundary import Boundary, Kind
 from ..grid import FloatArray, Grid, IntArray, Side
+from ..grid.topology import Topology, inward_step, side_nodes
 from ..numerics.coincidence import distinct
-from ..topology import Topology, inward_step, side_nodes
 
 
 @dataclass(frozen=True)

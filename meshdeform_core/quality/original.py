@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..grid import FloatArray, Grid
-from ..numerics.parallel import empty
-from ..topology import Topology
+from ..grid.topology import Topology
+from ..parallel import empty
 from .cells import CellMeasures, Slab, measure_cells, slabs
 from .tally import Tally
 

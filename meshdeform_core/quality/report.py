@@ -11,8 +11,8 @@ import numpy as np
 
 from ..boundary import Boundary
 from ..grid import FloatArray, Grid, IntArray, Shape
-from ..planes import plane_normal
-from ..topology import Topology
+from ..grid.planes import plane_normal
+from ..grid.topology import Topology
 from .cells import measure_block
 from .comparison import Comparison
 from .lines import interface_lines, kink_and_jump, moving_walls, wall_lines

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..grid import FloatArray, IntArray
-from ..numerics.parallel import empty
+from ..parallel import empty
 from .cells import CellMeasures, Slab
 
 HISTOGRAM_BINS = 20

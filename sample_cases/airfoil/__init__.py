@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from meshdeform_core.boundary.transfer import SurfaceData
 from meshdeform_core.grid import FloatArray, Grid
-from meshdeform_core.transfer import SurfaceData
 
 from ..patches import with_patches
 from ..spacing import tanh_law

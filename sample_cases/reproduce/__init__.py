@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from meshdeform_core.errors import CaseError
-from meshdeform_core.numerics.parallel import thread_count
+from meshdeform_core.parallel import thread_count
 from meshdeform_formats.files import replacing
 
 from .figures import Gallery

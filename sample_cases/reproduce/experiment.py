@@ -16,13 +16,13 @@ import numpy as np
 from meshdeform_core.deform import Setup, Timing, impose, set_up
 from meshdeform_core.grid import FloatArray
 from meshdeform_core.methods import Account, Options, make_method
-from meshdeform_core.methods.hybrid import Composite
-from meshdeform_core.methods.operations import count_operations, count_pairs
+from meshdeform_core.methods.composite import Composite
 from meshdeform_core.quality import Assessment, assess
 from meshdeform_formats.case import read_case
 from meshdeform_formats.displacement import write_displacement
 
 from .. import folder, load
+from .operations import count_operations, count_pairs
 
 _ENOUGH_SECONDS = 1.0
 _REPEATS = 4

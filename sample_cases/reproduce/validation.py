@@ -38,7 +38,7 @@ counts one, a logarithm 29. Per pair of target and source, exact IDW sums take 3
 weight of eq. 16 5, eight sums 15); RBF sums take 14 and the basis function (TPS 31, W C0 3, W C2 7, CTPS 41 or 42). TFI
 takes 207 per node in 3-D and 69 in 2-D, arc lengths included. A direct RBF solution takes n^3/3 + 16 n^2 and the
 matrix; a MINRES iteration 2 n^2 + 24 n for each component; a greedy update n times distance, basis and 12, each of its
-rounds a direct solution in the points kept. The formulas are in `meshdeform_core/methods/operations.py`."""
+rounds a direct solution in the points kept. The formulas are in `sample_cases/reproduce/operations.py`."""
 
 
 def _table(table: dict[str, Any], figures: str) -> str:

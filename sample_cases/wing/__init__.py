@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from meshdeform_core.boundary.transfer import SurfaceData
 from meshdeform_core.grid import BoolArray, FloatArray, Grid, Side
-from meshdeform_core.transfer import SurfaceData
 
 from ..patches import with_patches
 from ..spacing import geometric

@@ -13,8 +13,8 @@ from grids import frame, frame_2d
 
 from meshdeform_cli.main import run
 from meshdeform_core.grid import Grid, Patch, Side
-from meshdeform_core.topology import find_topology
-from meshdeform_core.windows import windows_of_quads
+from meshdeform_core.grid.topology import find_topology
+from meshdeform_core.grid.windows import windows_of_quads
 from meshdeform_formats import write_grid
 
 CASE = """\

@@ -8,8 +8,8 @@ import os
 import numpy as np
 import pytest
 
+from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.methods import ALIASES, CATALOGUE
-from meshdeform_core.topology import find_topology
 from meshdeform_formats import read_grid
 
 RUN = ("deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz")
@@ -98,7 +98,7 @@ def test_a_second_run_gives_the_same_bytes(bench, call):
 
 
 def test_threads_are_honoured(bench, call, monkeypatch):
-    from meshdeform_core.numerics import parallel
+    from meshdeform_core.parallel import loops as parallel
 
     with monkeypatch.context() as patch:
         patch.setattr(parallel, "_limit", None)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from meshdeform_core.topology import find_topology
+from meshdeform_core.grid.topology import find_topology
 from meshdeform_formats import read_grid
 
 GRIDS = (

@@ -7,8 +7,8 @@ import pytest
 
 from meshdeform_core.grid import Grid
 from meshdeform_core.methods import TFI
-from meshdeform_core.methods.faces import Faces, Lines
-from meshdeform_core.methods.tfi import PreparedTFI
+from meshdeform_core.methods.transfinite.faces import Faces, Lines
+from meshdeform_core.methods.transfinite.tfi import PreparedTFI
 
 
 def boolean_sum(d, arc, low, high):

@@ -8,17 +8,17 @@ from cases import apply, body_specs, constant, formulas, problem_of, turning
 from grids import block_around, frame, frame_2d, polar
 
 from meshdeform_core.boundary import UNSELECTED, BoundarySpec, Kind, classify
+from meshdeform_core.boundary.expression import expression
+from meshdeform_core.boundary.motion import Follow, Motion
+from meshdeform_core.boundary.prescribed import prescribed_displacement
+from meshdeform_core.boundary.transfer import Matching, SurfaceData
 from meshdeform_core.deform import Case, deform, set_up
 from meshdeform_core.errors import CaseError, GridError, MotionError
-from meshdeform_core.expression import expression
 from meshdeform_core.grid import Grid, Patch, Side, Window
+from meshdeform_core.grid.planes import plane_normal
+from meshdeform_core.grid.selection import select_quads
+from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.methods import IDW, Options
-from meshdeform_core.motion import Follow, Motion
-from meshdeform_core.planes import plane_normal
-from meshdeform_core.prescription import prescribed_displacement
-from meshdeform_core.selection import select_quads
-from meshdeform_core.topology import find_topology
-from meshdeform_core.transfer import Matching, SurfaceData
 
 FRAME = frame()
 XYZ = {"x", "y", "z"}

@@ -9,17 +9,18 @@ from grids import frame, frame_2d
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from meshdeform_core.boundary.prescribed import prescribed_displacement
 from meshdeform_core.errors import MethodError
 from meshdeform_core.methods import IDW, RBF, Account, Options, make_method
-from meshdeform_core.methods.summation import sum_accurately
-from meshdeform_core.numerics import boxes, fastsum
+from meshdeform_core.methods.scattered.summation import sum_accurately
 from meshdeform_core.numerics.basis import BASES
-from meshdeform_core.numerics.bricks import build_bricks, make_regions, node_sizes
 from meshdeform_core.numerics.elementary import exp, log
-from meshdeform_core.numerics.fastradial import FastRadial
+from meshdeform_core.numerics.fastsum import boxes
+from meshdeform_core.numerics.fastsum import sums as fastsum
+from meshdeform_core.numerics.fastsum.bricks import build_bricks, make_regions, node_sizes
+from meshdeform_core.numerics.fastsum.radial import FastRadial
+from meshdeform_core.numerics.fastsum.tree import build_tree, gather_charges
 from meshdeform_core.numerics.radial import radial_sums
-from meshdeform_core.numerics.tree import build_tree, gather_charges
-from meshdeform_core.prescription import prescribed_displacement
 
 VARIANTS = {
     "none": {"rotation": "none"},
@@ -88,7 +89,7 @@ def test_error_that_is_too_large_is_found_and_mended(problem, monkeypatch):
     error = np.linalg.norm(prepared.apply(told(problem)) - exact, axis=1) / cell_sizes(problem)
     assert prepared.account.settings["sampled_error"].value <= 1e-3
     assert error.max() <= 2e-3
-    monkeypatch.setattr("meshdeform_core.methods.summation.MAX_RETRIES", 0)
+    monkeypatch.setattr("meshdeform_core.methods.scattered.summation.MAX_RETRIES", 0)
     prepared = make_method(options).prepare(problem)
     prepared.apply(told(problem))
     assert "fast sums" in prepared.account.warnings[0]

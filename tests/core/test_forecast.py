@@ -9,10 +9,10 @@ from cases import apply, body_specs, everything_moves, problem_of, turning
 from grids import frame
 
 from meshdeform_core.boundary import BoundarySpec, Kind
+from meshdeform_core.boundary.prescribed import prescribed_displacement
 from meshdeform_core.deform import Case, deform
 from meshdeform_core.methods import CATALOGUE, IDW, RBF, Options, make_method
-from meshdeform_core.methods.forecast import largest_rotation
-from meshdeform_core.prescription import prescribed_displacement
+from meshdeform_core.methods.limits import largest_rotation
 from meshdeform_formats.case import read_case
 from meshdeform_samples import folder, load
 

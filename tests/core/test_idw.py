@@ -7,12 +7,12 @@ from grids import frame, frame_2d
 from reference.idw import slow_idw
 
 from meshdeform_core.boundary import BoundarySpec, Kind
+from meshdeform_core.boundary.expression import expression
+from meshdeform_core.boundary.prescribed import prescribed_displacement
 from meshdeform_core.errors import MethodError
-from meshdeform_core.expression import expression
 from meshdeform_core.methods import IDW, Options, make_method
 from meshdeform_core.numerics import rotation as rot
 from meshdeform_core.numerics.direct import weighted_sums
-from meshdeform_core.prescription import prescribed_displacement
 
 VARIANTS = {
     "none": IDW(rotation="none"),

@@ -8,11 +8,11 @@ from cases import ALL_METHODS, apply, body_specs, everything_moves, problem_of, 
 from grids import back, frame, frame_2d, permuted, polar
 
 from meshdeform_core.boundary import Kind
+from meshdeform_core.boundary.prescribed import prescribed_displacement
 from meshdeform_core.grid import Grid
 from meshdeform_core.methods import make_method
-from meshdeform_core.numerics import parallel
-from meshdeform_core.numerics.parallel import OneRank
-from meshdeform_core.prescription import prescribed_displacement
+from meshdeform_core.parallel import OneRank
+from meshdeform_core.parallel import loops as parallel
 
 EVERY = pytest.mark.parametrize("name", ALL_METHODS)
 ROTATION = np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))[0]
@@ -185,7 +185,7 @@ def test_index_order_does_not_matter(name, axes, flips):
     other = permuted(grid, axes, flips)
     motion = turning(10)
     from meshdeform_core.boundary import BoundarySpec
-    from meshdeform_core.expression import expression
+    from meshdeform_core.boundary.expression import expression
 
     xyz = {"x", "y", "z"}
     specs = [

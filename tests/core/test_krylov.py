@@ -9,15 +9,15 @@ from meshdeform_core.errors import MethodError
 from meshdeform_core.memory import MemoryLimit
 from meshdeform_core.methods import RBF, Options, make_method
 from meshdeform_core.methods.base import Account
-from meshdeform_core.methods.radial_system import RadialSystem
-from meshdeform_core.methods.rbf_sums import Centres
-from meshdeform_core.numerics import schwarz
+from meshdeform_core.methods.scattered.radial_system import RadialSystem
+from meshdeform_core.methods.scattered.rbf_sums import Centres
 from meshdeform_core.numerics.basis import BASES
-from meshdeform_core.numerics.krylov import KrylovSolver
 from meshdeform_core.numerics.radial import radial_matrix, radial_sums
-from meshdeform_core.numerics.saddle import DirectSolver
-from meshdeform_core.numerics.schwarz import SchwarzPreconditioner, bisect
-from meshdeform_core.numerics.sparse import sparse_radial_matrix
+from meshdeform_core.numerics.systems import schwarz
+from meshdeform_core.numerics.systems.krylov import KrylovSolver
+from meshdeform_core.numerics.systems.saddle import DirectSolver
+from meshdeform_core.numerics.systems.schwarz import SchwarzPreconditioner, bisect
+from meshdeform_core.numerics.systems.sparse import sparse_radial_matrix
 
 
 def sphere(n: int) -> np.ndarray:

@@ -12,18 +12,9 @@ import pytest
 from grids import frame
 from pretended import UNTOUCHED, rank
 
-from meshdeform_cli.ranks import _is_common, _mapped, _memory_file
 from meshdeform_core.grid import Grid
-from meshdeform_core.numerics.parallel import (
-    OneRank,
-    Shared,
-    alone,
-    current_ranks,
-    empty,
-    for_chunks,
-    for_rows,
-    set_threads,
-)
+from meshdeform_core.parallel import OneRank, Shared, alone, current_ranks, empty, for_chunks, for_rows, set_threads
+from meshdeform_core.parallel.mpi import _is_common, _mapped, _memory_file
 
 needs_linux = pytest.mark.skipif(not hasattr(os, "memfd_create"), reason="memory in common takes Linux")
 
@@ -114,7 +105,7 @@ def test_a_block_that_cannot_be_filled_ends_the_filling():
 
 HOLDER = """
 import sys, time
-from meshdeform_cli.ranks import _mapped, _memory_file
+from meshdeform_core.parallel.mpi import _mapped, _memory_file
 name = _memory_file(1000)
 memory = _mapped(name, 1000)
 memory[:5] = b"hello"

@@ -10,11 +10,11 @@ from reference.rbf import COMPACT, basis, distances, slow_rbf
 from scipy.interpolate import RBFInterpolator
 
 from meshdeform_core.boundary import BoundarySpec, Kind
+from meshdeform_core.boundary.prescribed import prescribed_displacement
 from meshdeform_core.errors import MethodError
 from meshdeform_core.grid import Grid
 from meshdeform_core.memory import MemoryLimit
 from meshdeform_core.methods import RBF, Options, Problem, make_method
-from meshdeform_core.prescription import prescribed_displacement
 
 GREEDY = ("single", "hybrid", "double-edged")
 

@@ -12,7 +12,7 @@ from grids import frame, frame_2d
 from meshdeform_core.deform import Case, set_up
 from meshdeform_core.errors import CaseError
 from meshdeform_core.methods import IDW, RBF, Options, make_method
-from meshdeform_core.numerics import greedy
+from meshdeform_core.numerics.systems import greedy
 from meshdeform_core.quality.validity import newly_invalid
 from meshdeform_core.series import Schedule, deform_series, grid_velocity
 
@@ -146,7 +146,7 @@ def test_schedules_that_make_no_sense_are_refused(wrong):
 
 @pytest.mark.parametrize("kind", ["single", "hybrid", "double-edged"])
 def test_a_greedy_selection_is_kept_until_its_error_exceeds_the_tolerance(kind, monkeypatch):
-    from meshdeform_core.methods import rbf
+    from meshdeform_core.methods.scattered import rbf
 
     selections = []
 

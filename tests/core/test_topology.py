@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from grids import block_around, frame, frame_2d, permuted, polar
 
-from meshdeform_core.connectivity import check_connections, connected_nodes
 from meshdeform_core.grid import Connection, Grid, Side
-from meshdeform_core.interfaces import find_interfaces
+from meshdeform_core.grid.connectivity import check_connections, connected_nodes
+from meshdeform_core.grid.interfaces import find_interfaces
+from meshdeform_core.grid.topology import COLLAPSED, find_topology
 from meshdeform_core.numerics.coincidence import close_pairs, coincident_groups
-from meshdeform_core.topology import COLLAPSED, find_topology
 
 LINE = np.linspace(0.0, 1.0, 5)
 

@@ -13,9 +13,9 @@ from grids import frame
 from meshdeform_core.deform import set_up
 from meshdeform_core.errors import CaseError, MotionError
 from meshdeform_core.series import Schedule, deform_series
-from meshdeform_formats import case_files
+from meshdeform_formats.case import files as case_files
 from meshdeform_formats.case import read_case
-from meshdeform_formats.case_files import parse_times
+from meshdeform_formats.case.files import parse_times
 
 CASE = """\
 [[boundary]]

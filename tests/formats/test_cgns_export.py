@@ -12,9 +12,9 @@ from cgns_witness import box
 
 from meshdeform_core.grid import Connection, Field, Grid, Patch, Periodicity, Side, Window, whole_face
 from meshdeform_formats import read_grid, write_grid
-from meshdeform_formats.cgns_export_boundary import bc_type
-from meshdeform_formats.cgns_names import unique_names
-from meshdeform_formats.cgns_periodic import inverse_motion, rotation_matrix
+from meshdeform_formats.cgns.names import unique_names
+from meshdeform_formats.cgns.new_boundary import bc_type
+from meshdeform_formats.cgns.periodic import inverse_motion, rotation_matrix
 
 
 def assert_cgnscheck_finds_no_error(path: Path) -> None:

@@ -10,7 +10,7 @@ from pretended import UNTOUCHED, rank
 
 from meshdeform_core.grid import Field
 from meshdeform_formats import read_grid, write_grid
-from meshdeform_formats.plot3d_binary import _Data
+from meshdeform_formats.plot3d.binary import _Data
 
 VARIANTS = [
     {"encoding": "binary"},

@@ -14,7 +14,7 @@ import pytest
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Grid
-from meshdeform_core.topology import find_topology
+from meshdeform_core.grid.topology import find_topology
 from meshdeform_formats import read_grid, write_grid
 
 NAMES = (

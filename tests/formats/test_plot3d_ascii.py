@@ -11,7 +11,8 @@ from plot3d_witness import ascii_file, sample_blocks, sample_iblank
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FileFormat, Grid
-from meshdeform_formats import plot3d, plot3d_numbers
+from meshdeform_formats import plot3d
+from meshdeform_formats.plot3d import numbers as plot3d_numbers
 
 
 def put(folder: Path, text: str) -> Path:

@@ -11,7 +11,8 @@ from plot3d_witness import ENCODINGS, binary_file, fortran_record, sample_blocks
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Grid
-from meshdeform_formats import plot3d, plot3d_records
+from meshdeform_formats import plot3d
+from meshdeform_formats.plot3d import records as plot3d_records
 
 SHAPES_3D = [(3, 4, 5), (2, 3, 2)]
 SHAPES_2D = [(3, 4, 1), (2, 5, 1)]

@@ -8,7 +8,8 @@ import pytest
 from plot3d_witness import ascii_file, binary_file, fortran_record, sample_blocks, sample_iblank
 
 from meshdeform_core.errors import FormatError, GridError
-from meshdeform_formats import plot3d, plot3d_numbers
+from meshdeform_formats import plot3d
+from meshdeform_formats.plot3d import numbers as plot3d_numbers
 
 BLOCKS = sample_blocks([(3, 4, 5), (2, 3, 4)])
 FORTRAN = binary_file(BLOCKS, encoding="fortran", byte_order="big")

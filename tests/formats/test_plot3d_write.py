@@ -12,7 +12,8 @@ from plot3d_witness import ENCODINGS, binary_file, sample_blocks, sample_iblank
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Field, FileFormat, Grid
-from meshdeform_formats import plot3d, plot3d_records, write_grid
+from meshdeform_formats import plot3d, write_grid
+from meshdeform_formats.plot3d import records as plot3d_records
 
 
 def make_grid(blocks: list[np.ndarray], iblank: list[np.ndarray] | None = None, **rest) -> Grid:
@@ -212,7 +213,7 @@ def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
 
     path = tmp_path / "a.x"
     path.write_text("old")
-    monkeypatch.setattr(plot3d, "write_binary", full_disk)
+    monkeypatch.setattr(plot3d.format, "write_binary", full_disk)
     with pytest.raises(FormatError, match=r"cannot write .*a\.x: No space left on device"):
         write(make_grid(sample_blocks([(3, 4, 5)])), path)
     assert path.read_text() == "old"

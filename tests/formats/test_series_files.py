@@ -23,7 +23,7 @@ from vtkmodules.vtkIOParallel import vtkPlot3DMetaReader
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Grid
 from meshdeform_formats import read_grid, write_grid
-from meshdeform_formats.series_files import LevelFiles, SingleFile
+from meshdeform_formats.series.files import LevelFiles, SingleFile
 
 TIMES = (0.0, 0.5, 2.0)
 

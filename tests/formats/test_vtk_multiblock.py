@@ -13,7 +13,8 @@ from vtkmodules.vtkIOXML import vtkXMLMultiBlockDataReader, vtkXMLMultiBlockData
 
 from meshdeform_core.errors import FormatError, GridError
 from meshdeform_core.grid import Field, Grid
-from meshdeform_formats import read_grid, vtk_multiblock, write_grid
+from meshdeform_formats import read_grid, write_grid
+from meshdeform_formats.vtk import multiblock as vtk_multiblock
 
 
 def blocks(*shapes, seed=0):

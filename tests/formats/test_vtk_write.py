@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Field, FileFormat, Grid
 from meshdeform_formats import read_grid, vtk, write_grid
-from meshdeform_formats.vtk_dataset import VtkField
+from meshdeform_formats.vtk.dataset import VtkField
 
 EXTREMES = np.array([0.1, 5e-324, -0.0, 1.7976931348623157e308, 1 / 3, -123456.789012345678])
 DTYPES = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64")
@@ -275,7 +275,7 @@ def test_a_full_disk(tmp_path, name, monkeypatch):
         path.symlink_to("/dev/full")
         write_block(grid, number, path, variant)
 
-    module = vtk.vtk_legacy_write if name == "a.vtk" else vtk.vtk_xml
+    module = vtk.legacy_write if name == "a.vtk" else vtk.xml
     original = module.write_block
     monkeypatch.setattr(module, "write_block", lambda *args: write_to_full(*args, original))
     with pytest.raises(FormatError, match=f"cannot write .*{name}: "):

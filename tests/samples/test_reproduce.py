@@ -9,9 +9,9 @@ import pytest
 
 from meshdeform_cli.main import run as command
 from meshdeform_core.methods import IDW, RBF, TFI, Options, make_method
-from meshdeform_core.methods.operations import count_operations, count_pairs, idw_operations, tfi_operations
 from meshdeform_samples.reproduce import WHAT
 from meshdeform_samples.reproduce.experiment import Sample, Trial, asymmetry, greedy_range, prepare_sample, run
+from meshdeform_samples.reproduce.operations import count_operations, count_pairs, idw_operations, tfi_operations
 from meshdeform_samples.reproduce.robustness import quality_of
 from meshdeform_samples.reproduce.rows import paper
 from meshdeform_samples.reproduce.tables import TABLES

@@ -1,0 +1,116 @@
+"""Files that a case names: which they are, and sequences of displacement files with their times."""
+
+from __future__ import annotations
+
+import glob
+import math
+import os
+import re
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from meshdeform_core.boundary.motion import FollowSequence
+from meshdeform_core.boundary.transfer import Matching, SurfaceData
+from meshdeform_core.errors import CaseError
+from meshdeform_core.grid import Grid
+
+from ..displacement import read_displacement
+
+_EXPECTED = 'expected "START:STOP:STEP", like "0:1e-3:5e-5", or ascending numbers'
+_MAXIMUM = 1_000_000
+
+
+def parse_times(text: str, where: str) -> tuple[float, ...]:
+    """``START:STOP:STEP`` (STOP included if the steps reach it) or numbers separated by commas.
+
+    Raises
+    ------
+    CaseError
+        For anything else, and for times that do not ascend.
+    """
+    parts = text.split(":")
+    try:
+        numbers = [float(part) for part in (parts if len(parts) > 1 else text.split(","))]
+    except ValueError:
+        raise CaseError(f"{where}: {text!r} is not a list of times; {_EXPECTED}") from None
+    if len(parts) == 1:
+        return _ascending(numbers, where)
+    if len(parts) != 3 or not all(map(math.isfinite, numbers)) or numbers[2] <= 0 or numbers[1] < numbers[0]:
+        raise CaseError(f"{where}: {text!r}; {_EXPECTED}, with STEP > 0 and STOP >= START")
+    start, stop, step = numbers
+    count = (stop - start) / step
+    if count >= _MAXIMUM:
+        raise CaseError(f"{where}: {text!r} are {count:.3g} levels; expected at most {_MAXIMUM:,}")
+    # A step like 0.1 does not divide 1 exactly.
+    return tuple(start + step * n for n in range(math.floor(count * (1 + 1e-12) + 1e-9) + 1))
+
+
+def _ascending(numbers: Sequence[float], where: str) -> tuple[float, ...]:
+    if not numbers or not all(map(math.isfinite, numbers)) or any(a >= b for a, b in pairwise(numbers)):
+        raise CaseError(f"{where}: the times {list(numbers)[:6]} do not ascend; {_EXPECTED}")
+    return tuple(float(n) for n in numbers)
+
+
+def named_files(value: Any, folder: Path) -> Iterator[Path]:
+    """Files that ``file``, ``files`` and ``boundary_file`` name, wherever these are in the tables of a case."""
+    if isinstance(value, (dict, list)):
+        for key, item in value.items() if isinstance(value, dict) else enumerate(value):
+            if key in ("file", "boundary_file") and isinstance(item, str):
+                yield folder / item
+            elif key == "files":
+                yield from sequence_files(item, folder, "files")
+            else:
+                yield from named_files(item, folder)
+
+
+def sequence_files(value: Any, folder: Path, where: str) -> list[Path]:
+    """Files of a list of names, or of a pattern like ``surface_*.csv`` in the order of the numbers in their names."""
+    if isinstance(value, str) and value and "\0" not in value:
+        found = glob.glob(os.path.join(glob.escape(str(folder)), value))
+        if not found:
+            raise CaseError(f"{where}: no file matches {value!r} in {folder.absolute()}")
+        return [Path(name) for name in sorted(found, key=_numerically)]
+    if isinstance(value, list) and value and all(isinstance(name, str) and name and "\0" not in name for name in value):
+        return [folder / name for name in value]
+    raise CaseError(f'{where}: files = {value!r}; expected a pattern like "surface_*.csv" or a list of file names')
+
+
+def _numerically(name: str) -> list[tuple[int, str]]:
+    """``step9`` before ``step10``."""
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]
+
+
+def read_sequence(files: Any, times: Any, folder: Path, matching: Matching, where: str) -> FollowSequence:
+    """A motion step that follows one displacement file per time; the files are read when their time comes.
+
+    Raises
+    ------
+    CaseError
+        When files are missing, or their number is not that of the times.
+    """
+    paths = sequence_files(files, folder, where)
+    for path in paths:
+        if not path.is_file():
+            raise CaseError(f"{where}: {path} does not exist")
+    when = _times(times, f"{where}: times")
+    if len(when) != len(paths):
+        raise CaseError(
+            f"{where}: {len(paths)} files ({paths[0].name} to {paths[-1].name}) for {len(when)} times; "
+            f"expected one time for each"
+        )
+
+    def read(index: int) -> SurfaceData | Grid:
+        return read_displacement(paths[index])
+
+    return FollowSequence(when, read, matching)
+
+
+def _times(value: Any, where: str) -> tuple[float, ...]:
+    if isinstance(value, str):
+        return parse_times(value, where)
+    if not isinstance(value, list) or any(isinstance(n, bool) or not isinstance(n, (int, float)) for n in value):
+        found = "there are none" if value is None else f"found {value!r}"
+        raise CaseError(f"{where}: {found}; {_EXPECTED}")
+    return _ascending(value, where)

@@ -1,0 +1,230 @@
+"""Case files: TOML tables checked key by key and turned into the core's records.
+
+A case is data: formulas go through :mod:`meshdeform_core.boundary.expression`, and every unknown key is an error.
+"""
+
+from __future__ import annotations
+
+import keyword
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any
+
+from meshdeform_core.boundary import BoundarySpec, Kind
+from meshdeform_core.boundary.motion import VARIABLES, Displace, Follow, Motion, Rotate, Step
+from meshdeform_core.boundary.transfer import Matching
+from meshdeform_core.deform import Case
+from meshdeform_core.errors import CaseError, MethodError
+from meshdeform_core.grid.topology import RELATIVE_TOLERANCE
+from meshdeform_core.methods import IDW, RBF, TFI, Options
+
+from ..displacement import read_displacement
+from .files import named_files, read_sequence, sequence_files
+from .toml import load, override
+from .values import Table, check_keys, fail, file_of, formula_of, nearest, number_of, table_of, three_of
+
+_KINDS = {kind.label: kind for kind in reversed(Kind) if kind is not Kind.INTERFACE}
+_STEPS = {
+    "rotate": ("rotate",),
+    "translate": ("translate",),
+    "displace": ("displace",),
+    "file": ("file", "match", "tolerance"),
+    "files": ("files", "times", "match", "tolerance"),
+}
+
+
+@dataclass(frozen=True)
+class CaseFile:
+    """A case and what the case file says about reading the grid.
+
+    ``boundary_file`` is a neutral map file with the grid's boundary information, or ``None``; ``files`` are all that
+    the case names, relative to its folder; ``content`` are its tables with everything that the command line changed.
+    """
+
+    case: Case
+    boundary_file: Path | None = None
+    files: tuple[Path, ...] = ()
+    content: Mapping[str, Any] = field(default_factory=dict)
+
+
+def read_case(
+    path: str | Path | None,
+    overrides: Iterable[str] = (),
+    method: str | None = None,
+    table: str | Path | None = None,
+    times: str | None = None,
+) -> CaseFile:
+    """Read a case file and apply what the command line adds.
+
+    Parameters
+    ----------
+    path : TOML file, or ``None`` for an empty case
+    overrides : ``KEY=VALUE`` strings; KEY is a dotted path, entries of ``boundary`` go by name or 1-based number
+    method : replaces ``method.name``
+    table : displacement table; the boundary nodes that it matches move, all others stay
+    times : if given, ``table`` is a pattern of files, one for each of these times (see :func:`parse_times`)
+
+    Raises
+    ------
+    CaseError
+        Naming the file, the key and the nearest known one.
+    """
+    path = Path(path) if path else None
+    data = load(path)
+    for text in overrides:
+        override(data, text)
+    folder = path.parent if path else Path()
+    try:
+        if method:
+            data.setdefault("method", {})
+            table_of(data, "method")["name"] = method
+        parsed = _parse(data, folder)
+    except (CaseError, MethodError) as error:
+        raise type(error)(f"{path or 'command line'}: {error}") from error
+    return parsed if table is None else _with_table(parsed, Path(table), times)
+
+
+def _with_table(parsed: CaseFile, table: Path, times: str | None) -> CaseFile:
+    """The case with one more boundary entry: what a table, or a sequence of tables, matches."""
+    matching, where = Matching(partial=True), f"--displacement {table}"
+    step: Step
+    if times is None:
+        step, files = Follow(read_displacement(table), matching), [table]
+    else:
+        step = read_sequence(str(table), times, Path(), matching, where)
+        files = sequence_files(str(table), Path(), where)
+    spec = BoundarySpec(table.name, ("*",), Kind.MOVING, None, Motion((step,), parsed.case.constants))
+    case = replace(parsed.case, boundaries=(*parsed.case.boundaries, spec))
+    return replace(parsed, case=case, files=(*parsed.files, *files))
+
+
+def _parse(data: Table, folder: Path) -> CaseFile:
+    check_keys(data, ("grid", "constants", "boundary", "method"), "case")
+    grid = table_of(data, "grid")
+    check_keys(grid, ("boundary_file", "tolerance"), "[grid]")
+    constants = _constants(table_of(data, "constants"))
+    entries = data.get("boundary", [])
+    if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
+        raise fail("boundary", "expected [[boundary]] entries (double brackets)")
+    specs = tuple(_boundary(entry, number, constants, folder) for number, entry in enumerate(entries, 1))
+    names = [spec.name for spec in specs]
+    if len(set(names)) < len(names):
+        raise fail("boundary", f"names must differ, found {names}")
+    tolerance = number_of(grid.get("tolerance", RELATIVE_TOLERANCE), "grid.tolerance")
+    if not 0 < tolerance < 0.5:
+        raise fail("grid.tolerance", f"{tolerance} of the local edge; expected a fraction between 0 and 0.5")
+    case = Case(specs, constants, _options(table_of(data, "method")), tolerance)
+    boundary_file = file_of(grid["boundary_file"], folder, "[grid]: boundary_file") if "boundary_file" in grid else None
+    return CaseFile(case, boundary_file, tuple(named_files(data, folder)), data)
+
+
+def _constants(table: Table) -> dict[str, float]:
+    constants = {name: number_of(value, f"constants.{name}") for name, value in table.items()}
+    for name in constants:
+        if name in VARIABLES or name == "pi" or keyword.iskeyword(name):
+            raise fail(f"constants.{name}", f"{name} already has a meaning in formulas; choose another name")
+        if not name.isidentifier():
+            raise fail(f"constants.{name}", "a constant's name has letters, digits and _ only")
+    return constants
+
+
+def _boundary(entry: Table, number: int, constants: Mapping[str, float], folder: Path) -> BoundarySpec:
+    name = entry.get("name", f"boundary {number}")
+    where = f"boundary {name!r}"
+    check_keys(entry, ("name", "select", "where", "kind", "motion"), where)
+    if not isinstance(name, str):
+        raise fail(where, f"name = {name!r}; expected a text in quotes")
+    kind = _kind(entry, where)
+    select = entry.get("select", ["*"])
+    select = [select] if isinstance(select, str) else select
+    if not isinstance(select, list) or not select or not all(isinstance(item, str) for item in select):
+        raise fail(where, f'select = {select!r}; expected a list of names, like ["wing", "block2.jmin"]')
+    steps = entry.get("motion", [])
+    if (kind is Kind.MOVING) != bool(steps):
+        missing = "moves but has no motion" if kind is Kind.MOVING else f"is {kind.label} but has a motion"
+        raise fail(where, f'{missing}; expected motion = [...] for kind = "moving" and only there')
+    condition = formula_of(entry["where"], (*constants, "x", "y", "z"), f"{where}: where") if "where" in entry else None
+    motion = _motion(steps, constants, where, folder) if steps else None
+    return BoundarySpec(name, tuple(select), kind, condition, motion)
+
+
+def _kind(entry: Table, where: str) -> Kind:
+    """What the entry says, ``moving`` if it has a motion and says nothing."""
+    known = f"expected one of {', '.join(_KINDS)}"
+    if "kind" not in entry and "motion" not in entry:
+        raise fail(where, f"has no kind; {known}")
+    kind = entry.get("kind", "moving")
+    if not isinstance(kind, str) or kind not in _KINDS:
+        raise fail(where, f"kind = {kind!r}; {known}{nearest(kind, _KINDS)}")
+    return _KINDS[kind]
+
+
+def _motion(steps: Any, constants: Mapping[str, float], where: str, folder: Path) -> Motion:
+    if isinstance(steps, dict):
+        steps = [steps]
+    if not isinstance(steps, list) or not all(isinstance(step, dict) for step in steps):
+        raise fail(where, "motion: expected a list of tables, like [{ translate = [0, 0.1, 0] }]")
+    known = (*constants, *VARIABLES)
+    return Motion(tuple(_step(step, n, known, where, folder) for n, step in enumerate(steps, 1)), dict(constants))
+
+
+def _step(step: Table, number: int, known: tuple[str, ...], where: str, folder: Path) -> Step:
+    where = f"{where}, motion step {number}"
+    kinds = [name for name in _STEPS if name in step]
+    if len(kinds) != 1:
+        raise fail(where, f"found {sorted(step)}; expected exactly one of {', '.join(_STEPS)}{_guess(step)}")
+    check_keys(step, _STEPS[kinds[0]], where)
+    value = step[kinds[0]]
+    if kinds[0] == "file":
+        matching = _matching(step, where)
+        return Follow(read_displacement(file_of(value, folder, f"{where}: file")), matching)
+    if kinds[0] == "files":
+        return read_sequence(value, step.get("times"), folder, _matching(step, where), where)
+    if kinds[0] == "rotate":
+        return _rotation(value, known, where)
+    x, y, z = (formula_of(part, known, where) for part in three_of(value, f"{where}: {kinds[0]}"))
+    return Displace((x, y, z))
+
+
+def _matching(step: Table, where: str) -> Matching:
+    tolerance = number_of(step["tolerance"], f"{where}: tolerance") if "tolerance" in step else None
+    try:
+        return Matching(step.get("match", "nearest"), tolerance)
+    except CaseError as error:
+        raise fail(where, str(error)) from None
+
+
+def _rotation(value: Any, known: tuple[str, ...], where: str) -> Rotate:
+    if not isinstance(value, dict):
+        raise fail(where, f"rotate = {value!r}; expected {{ angle = degrees, axis = [..], center = [..] }}")
+    check_keys(value, ("angle", "axis", "center"), f"{where}, rotate")
+    if "angle" not in value:
+        raise fail(where, "rotate has no angle; expected degrees, or a formula of t")
+    axis = [number_of(a, f"{where}: axis") for a in three_of(value.get("axis", [0, 0, 1]), f"{where}: axis")]
+    if not any(axis):
+        raise fail(where, "axis = [0, 0, 0] has no direction")
+    center = [formula_of(c, known, where) for c in three_of(value.get("center", [0, 0, 0]), f"{where}: center")]
+    return Rotate(
+        formula_of(value["angle"], known, where), (axis[0], axis[1], axis[2]), (center[0], center[1], center[2])
+    )
+
+
+def _guess(step: Table) -> str:
+    return next((hint for key in step if (hint := nearest(key, _STEPS))), "")
+
+
+def _options(table: Table) -> Options:
+    check_keys(table, [f.name for f in fields(Options)], "[method]")
+    name = table.get("name", Options().name)
+    if not isinstance(name, str):
+        raise fail("method.name", f"expected a name, found {name!r}")
+    parts = {part: _build(kind, table_of(table, part, "method."), f"[method.{part}]")
+             for part, kind in (("idw", IDW), ("rbf", RBF), ("tfi", TFI))}  # fmt: skip
+    return Options(name=name, **parts)
+
+
+def _build(kind: type, table: Table, where: str) -> Any:
+    """A dataclass of options from its table: the fields are the keys."""
+    check_keys(table, [f.name for f in fields(kind)], where)
+    return kind(**table)

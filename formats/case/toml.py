@@ -1,0 +1,90 @@
+"""The text of a case file, and the values that the command line puts over it."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from meshdeform_core.errors import CaseError
+
+from .values import Table
+
+_TOO_LONG = "it has an integer of more than 64 bits; write large numbers like 1e30"
+
+
+def load(path: Path | None) -> Table:
+    """The tables of a case file, none without a file.
+
+    Raises
+    ------
+    CaseError
+        When the file cannot be read or is not TOML.
+    """
+    if path is None:
+        return {}
+    try:
+        return _toml(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise CaseError(f"cannot read the case file {path}: {error.strerror or error}") from error
+    except ValueError as error:
+        raise CaseError(f"{path} is not a TOML file: {error}") from error
+
+
+def _toml(text: str) -> Table:
+    """Parse TOML; ``ValueError`` for anything else, also for the integers beyond 64 bits that TOML does not have."""
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError:
+        raise
+    except RecursionError:
+        raise ValueError("its brackets are nested too deeply") from None
+    except ValueError:
+        raise ValueError(_TOO_LONG) from None
+    _require_64_bits(data)
+    return data
+
+
+def _require_64_bits(value: Any) -> None:
+    if isinstance(value, (dict, list)):
+        for item in value.values() if isinstance(value, dict) else value:
+            _require_64_bits(item)
+    elif isinstance(value, int) and not -(2**63) <= value < 2**63:
+        raise ValueError(_TOO_LONG)
+
+
+def override(data: Table, text: str) -> None:
+    """Put the value of ``KEY=VALUE`` over what ``data`` has, in place; what is not TOML is taken as a text.
+
+    Raises
+    ------
+    CaseError
+        When there is no ``=``, or the key leads through a value or to an entry that does not exist.
+    """
+    key, equals, value = text.partition("=")
+    if not equals or not key.strip():
+        raise CaseError(f"--set {text!r}: expected KEY=VALUE, like method.idw.alpha=0.3")
+    try:
+        (parsed,) = _toml(f"value = {value}").values()
+    except ValueError:
+        parsed = value.strip()
+    *path, last = key.strip().split(".")
+    target: Any = data
+    for name in path:
+        target = target.setdefault(name, {}) if isinstance(target, dict) else _entry(target, name, text)
+        if not isinstance(target, (dict, list)):
+            raise CaseError(f"--set {text!r}: {name!r} is a value, not a table")
+    if isinstance(target, list):
+        raise CaseError(
+            f"--set {text!r}: {'.'.join(path)} is a list; name an entry and its key, like "
+            f'boundary.wing.kind="fixed", or give the list as a whole'
+        )
+    target[last] = parsed
+
+
+def _entry(entries: list[Any], name: str, text: str) -> Any:
+    for number, entry in enumerate(entries, 1):
+        if isinstance(entry, dict) and (entry.get("name") == name or str(number) == name):
+            return entry
+    known = [str(e.get("name", n)) for n, e in enumerate(entries, 1) if isinstance(e, dict)]
+    raise CaseError(f"--set {text!r}: no entry {name!r}; known are {', '.join(known) or 'none'}")

@@ -1,0 +1,73 @@
+"""Checks of what a case file holds: every value by its key, every key against those known.
+
+``where`` is how a message names the place; all raise ``CaseError``, with what was found and what was expected.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from meshdeform_core.boundary.expression import Expression, expression
+from meshdeform_core.errors import CaseError
+
+Table = dict[str, Any]
+
+
+def fail(where: str, message: str) -> CaseError:
+    """The error to raise for what stands at ``where``."""
+    return CaseError(f"{where}: {message}")
+
+
+def table_of(data: Table, key: str, prefix: str = "") -> Table:
+    """The table behind a key, empty if there is none; ``prefix`` are the tables around it, with their dots."""
+    value = data.get(key, {})
+    if not isinstance(value, dict):
+        raise fail(f"{prefix}{key}", f"expected a table [{prefix}{key}], found {value!r}")
+    return value
+
+
+def check_keys(table: Table, known: Iterable[str], where: str) -> None:
+    """Refuse a key that is not known, naming the nearest one that is."""
+    known = list(known)
+    for key in table:
+        if key not in known:
+            hint = nearest(key, known) or f"; known are {', '.join(known)}"
+            raise fail(where, f"unknown key {key!r}{hint}")
+
+
+def nearest(word: Any, known: Iterable[str]) -> str:
+    """The end of a message that suggests the known word nearest to ``word``; empty if none is near."""
+    close = difflib.get_close_matches(str(word), list(known), 1)
+    return f"; did you mean {close[0]!r}?" if close else ""
+
+
+def three_of(value: Any, where: str) -> list[Any]:
+    """A list of three values, of whatever kind."""
+    if not isinstance(value, list) or len(value) != 3:
+        raise fail(where, f"expected three values, found {value!r}")
+    return value
+
+
+def file_of(value: Any, folder: Path, where: str) -> Path:
+    """A file name, relative to the folder of the case file."""
+    if not isinstance(value, str) or not value or "\0" in value:
+        raise fail(where, f"expected a file name, found {value!r}")
+    return folder / value
+
+
+def number_of(value: Any, where: str) -> float:
+    """A finite number; truth values are none."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) < float("inf"):
+        raise fail(where, f"expected a finite number, found {value!r}")
+    return float(value)
+
+
+def formula_of(value: Any, known: Iterable[str], where: str) -> Expression:
+    """A number or a formula of the names in ``known``."""
+    try:
+        return expression(value, known)
+    except CaseError as error:
+        raise fail(where, str(error)) from None

@@ -1,0 +1,112 @@
+"""Connectivity of structured zones: one-to-one connections, periodic or not, and what is only noted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from meshdeform_core.errors import FormatError
+from meshdeform_core.grid import Connection, Grid, IntArray
+
+from .notes import Notes
+from .periodic import periodicity
+from .tree import Node
+from .zone import Base, Zone
+
+
+def refuse_overset(zones: Sequence[Zone]) -> None:
+    """Refuse a grid of several zones that are connected by overset (Chimera) interpolation and in no other way.
+
+    Its blocks overlap instead of sharing nodes, so nothing would hold them together while they are deformed.
+    """
+    kinds = [_kind(node) for zone in zones for group in _groups(zone) for node in group.target.children]
+    if len(zones) > 1 and "Overset" in kinds and not {"1to1", "Abutting1to1", "Abutting"} & set(kinds):
+        raise FormatError(
+            f"the {len(zones)} zones are connected by overset (Chimera) connectivity only; meshdeform moves blocks "
+            f"that share nodes: deform the zones one by one, or those of one component in a file of their own"
+        )
+
+
+def zone_connections(base: Base, zones: Sequence[Zone], grid: Grid, notes: Notes) -> list[Connection]:
+    """The GridConnectivity1to1_t of all zones in file order.
+
+    Interfaces are found from the coordinates, never trusted, so that a connection which does not fit its zones is
+    noted and left out. ``grid`` has the coordinates, which decide about angles without a unit.
+    """
+    blocks = {zone.name: block for block, zone in enumerate(zones)}
+    connections = []
+    for block, zone in enumerate(zones):
+        for group in _groups(zone):
+            for node in group.target.children:
+                kind, place = _kind(node), f"{zone.name}/{node.name}"
+                if kind == "1to1":
+                    donor = blocks.get(_donor_name(node, base))
+                    connection = None if donor is None else _connection(node, block, donor, zones)
+                    if connection is None:
+                        notes.add("connections that do not fit their zones are not used", place)
+                        continue
+                    periodic = periodicity(node, connection, (zone.node, base.node), grid, notes)
+                    connections.append(replace(connection, periodic=periodic))
+                elif kind:
+                    notes.add(
+                        f"{kind} connectivity is kept in the file and not used; nodes that coincide stay joined", place
+                    )
+    return connections
+
+
+def _groups(zone: Zone) -> list[Node]:
+    return zone.node.labelled("ZoneGridConnectivity_t")
+
+
+def _kind(node: Node) -> str:
+    """``1to1``, or the type of a general connectivity (Overset if it has none, SIDS 8.4), or nothing."""
+    label = node.target.label
+    if label == "GridConnectivity1to1_t":
+        return "1to1"
+    if label == "GridConnectivity_t":
+        types = node.labelled("GridConnectivityType_t")
+        return types[0].text() if types else "Overset"
+    return "Overset" if label == "OversetHoles_t" else ""
+
+
+def _donor_name(node: Node, base: Base) -> str:
+    """Name of the donor zone; ``Base/Zone`` is allowed and means ours when the base is ours."""
+    return node.text().removeprefix(f"{base.node.name}/")
+
+
+def _connection(node: Node, block: int, donor: int, zones: Sequence[Zone]) -> Connection | None:
+    axes = len(zones[block].core)
+    begin, end = _range(node, "PointRange", axes)
+    donor_begin, donor_end = _range(node, "PointRangeDonor", axes)
+    transform = _transform(node, axes)
+    if sorted(abs(transform)) != [1, 2, 3]:
+        return None
+    step = np.zeros(3, np.int64)
+    step[abs(transform) - 1] = np.sign(transform) * (end - begin)
+    fits = (donor_begin + step == donor_end).all()
+    for points, shape in (((begin, end), zones[block].shape), ((donor_begin, donor_end), zones[donor].shape)):
+        fits &= all(((p >= 0) & (p < shape)).all() for p in points)
+    if not fits:
+        return None
+    a, b, c, d, t = ((int(v[0]), int(v[1]), int(v[2])) for v in (begin, end, donor_begin, donor_end, transform))
+    return Connection(node.name, block, a, b, donor, c, d, t)
+
+
+def _range(node: Node, name: str, axes: int) -> tuple[IntArray, IntArray]:
+    child = node.child(name)
+    if child is None:
+        raise FormatError(f"the connection {node.path} has no {name}; every GridConnectivity1to1_t needs one")
+    points = np.zeros((2, 3), np.int64)
+    points[:, :axes] = child.integers(axes, 2).T - 1
+    return points[0], points[1]
+
+
+def _transform(node: Node, axes: int) -> IntArray:
+    """Signed donor axis of each axis; without one the axes correspond in order (SIDS 8.2)."""
+    transform = np.arange(1, 4)
+    child = node.child("Transform")
+    if child is not None:
+        transform[:axes] = child.integers(axes)
+    return transform

@@ -1,0 +1,104 @@
+"""CGNS: structured zones in HDF5 (read and written) and in ADF (read).
+
+Writing a grid that came from a CGNS file copies that file and changes its coordinates only; a grid from elsewhere
+becomes a new file. Coordinates keep the precision they have in the file, ``precision=float32|float64`` changes it.
+A file that mixes both precisions counts as float32, because that is how well its nodes are known to coincide.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+from meshdeform_core.errors import FormatError
+from meshdeform_core.grid import FileFormat, Grid
+
+from .adf import is_adf
+from .boundary import family_conditions, zone_patches
+from .connectivity import refuse_overset, zone_connections
+from .file import naming, opened_cgns
+from .notes import Notes
+from .zone import Zone, find_base, structured_zones
+
+_PRECISIONS = ("float32", "float64")
+_MIXED = "mixed"
+
+
+def read(path: Path) -> Grid:
+    """Read the structured zones of a CGNS file as blocks, in file order, with their names.
+
+    Patches are named like the BC_t, families like FamilyName. Coordinates are in the file's length unit, which
+    ``Grid.notes`` tells if the file does; z is zero where the file has x and y only.
+
+    Raises
+    ------
+    FormatError
+        When the file is damaged, or its zones are unstructured, in cylindrical coordinates or overset only.
+    """
+    notes = Notes()
+    with naming(path), opened_cgns(path) as root:
+        base = find_base(root, notes)
+        zones = structured_zones(base, notes)
+        refuse_overset(zones)
+        families = family_conditions(base)
+        patches = [p for block, zone in enumerate(zones) for p in zone_patches(zone, block, families, notes)]
+        grid = Grid.allocate(
+            [zone.shape for zone in zones],
+            [zone.name for zone in zones],
+            patches=tuple(patches),
+            format=_format(path, zones),
+            path=path,
+        )
+        grid.fill(lambda block: zones[block].read(grid.block(block)))
+        connections = zone_connections(base, zones, grid, notes)
+    return dataclasses.replace(grid, connections=tuple(connections), notes=notes.lines())
+
+
+def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
+    """How ``grid`` will be written to ``path``: HDF5, in the precision of ``options`` or else of the grid's file."""
+    for key in options:
+        if key != "precision":
+            hint = "; did you mean precision?" if get_close_matches(key, ["precision"]) else ""
+            raise FormatError(f"CGNS has no option {key!r}; the only one is precision=float32|float64{hint}")
+    if path.suffix.lower() == ".adf":
+        raise FormatError(f"cannot write {path}: ADF is read only; give it the suffix .cgns, which is written as HDF5")
+    precision = options.get("precision", grid.precision)
+    if precision not in _PRECISIONS:
+        raise FormatError(f"the precision of CGNS coordinates is float32 or float64, not {precision!r}")
+    mixed = "precision" not in options and grid.format is not None and _is_mixed(grid.format)
+    return FileFormat("cgns", precision, _options("HDF5", mixed))
+
+
+def write(grid: Grid, path: Path, variant: FileFormat) -> None:
+    """Write ``grid``, replacing ``path`` as a whole or leaving it alone.
+
+    Raises
+    ------
+    FormatError
+        When the file the grid came from is gone or changed, or the new one cannot be written.
+    """
+    # Imported here because reading ADF needs no HDF5.
+    from .write_copy import write_copy
+    from .write_new import write_new
+
+    if grid.path is not None and grid.format is not None and grid.format.name == "cgns":
+        write_copy(grid, path, None if _is_mixed(variant) else variant.precision)
+    else:
+        write_new(grid, path, variant.precision)
+
+
+def _format(path: Path, zones: Sequence[Zone]) -> FileFormat:
+    sizes = {array.target.dtype.itemsize for zone in zones for array in zone.coordinates if array.target.dtype}
+    precision = "float32" if 4 in sizes else "float64"
+    return FileFormat("cgns", precision, _options("ADF" if is_adf(path) else "HDF5", len(sizes) > 1))
+
+
+def _options(container: str, mixed: bool) -> dict[str, str]:
+    return {"container": container} | ({"precision": _MIXED} if mixed else {})
+
+
+def _is_mixed(variant: FileFormat) -> bool:
+    return variant.options.get("precision") == _MIXED

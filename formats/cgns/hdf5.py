@@ -1,0 +1,169 @@
+"""Read CGNS trees in HDF5: a node is a group, its data the dataset `` data``, name, label and type are attributes.
+
+A link is a group of type ``LK`` with a soft or external HDF5 link `` link`` and the texts `` path`` and `` file``.
+Dimensions are stored in reverse, because HDF5 counts the slowest index first. Source: CGNS SIDS File Mapping Manual,
+HDF5 mapping, and what the public CGNS library writes.
+
+Files of hundreds of zones have tens of thousands of nodes, for which h5py's high-level interface takes twice as long.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from h5py import h5a, h5d, h5g, h5l, h5o, h5p, h5s
+from numpy.typing import NDArray
+
+from meshdeform_core.errors import FormatError
+
+from .tree import Link, Node, decoded
+
+# Members of a group that are no child nodes; CGNS names never begin with a blank.
+DATA = " data"
+LINK = " link"
+LINK_PATH = " path"
+LINK_FILE = " file"
+_OLD_VERSION = b" version"
+# Deflate cannot pack tighter; a dataset that announces more was never written or is damaged.
+_MAXIMUM_COMPRESSION = 1100
+# A longer chain of links leads in a circle (the CGNS library has the same limit).
+_MAXIMUM_LINKS = 100
+
+
+@contextmanager
+def hdf5_errors(path: Path, action: str) -> Iterator[None]:
+    """Turn what the HDF5 library raises into a FormatError about ``path``; ``action`` is ``read`` or ``write``."""
+    try:
+        yield
+    except (OSError, RuntimeError, KeyError) as error:
+        hint = "it is damaged, truncated or open in another program" if action == "read" else "is the disk full?"
+        raise FormatError(f"cannot {action} {path} as HDF5: {hint} ({str(error).strip()})") from error
+
+
+@contextmanager
+def opened_hdf5(path: Path) -> Iterator[Node]:
+    """Root node of a CGNS file in HDF5; children and data can be read while the context lasts."""
+    with hdf5_errors(path, "read"), h5py.File(path, "r") as file:
+        root = h5g.open(file.id, b"/")
+        if _OLD_VERSION in root:
+            raise FormatError(
+                f"{path} was written by a CGNS library before 3.0, which stored dimensions in another order; "
+                f"open and save it once with cgnsupdate or a present CGNS library"
+            )
+        yield Node("", path, "", expand=lambda: _children(root, path, ""))
+
+
+def attribute(group: h5g.GroupID, name: bytes) -> str:
+    """A text attribute; writers differ in string types and in padding."""
+    stored = h5a.open(group, name)
+    value = np.empty(stored.shape, stored.dtype)
+    stored.read(value)
+    return decoded(value[()].encode() if isinstance(value[()], str) else np.asarray(value[()]).tobytes())
+
+
+def _children(group: h5g.GroupID, file: Path, parent: str) -> Iterator[Node]:
+    for name in _in_order(group):
+        text = _name(name, file, parent)
+        path = f"{parent}/{text}"
+        if group.links.get_info(name).type == h5l.TYPE_HARD:
+            yield _node(h5o.open(group, name), file, path)
+        else:
+            link = Link(*(_name(part, file, path) for part in _destination(group, name)))
+            yield Node(text, file, path, data_type="LK", link=link, follow=partial(_follow, group, name, 1))
+
+
+def _name(raw: bytes, file: Path, parent: str) -> str:
+    try:
+        return raw.decode()
+    except UnicodeDecodeError as error:
+        raise FormatError(f"{file}: the name {raw!r} in {parent or '/'} is not UTF-8; rename it") from error
+
+
+def _in_order(group: h5g.GroupID) -> list[bytes]:
+    """Names of the child nodes in creation order; by the attribute ``order`` where HDF5 did not track creation."""
+    names = [name for name in group if not name.startswith(b" ")]
+    if group.get_create_plist().get_link_creation_order() & h5p.CRT_ORDER_TRACKED:
+        return names
+    members = h5py.Group(group)
+    return sorted(names, key=lambda name: (int(np.ravel(members[name].attrs.get("order", 0))[0]), name))
+
+
+def _destination(group: h5g.GroupID, name: bytes) -> tuple[bytes, bytes]:
+    """File and path a HDF5 link leads to."""
+    value = group.links.get_val(name)
+    return value if isinstance(value, tuple) else (b"", value)
+
+
+def _node(group: h5g.GroupID | h5d.DatasetID, file: Path, path: str, links: int = 0) -> Node:
+    """The node of a group that was reached through that many links."""
+    if not isinstance(group, h5g.GroupID) or not all(h5a.exists(group, key) for key in (b"label", b"type")):
+        raise FormatError(
+            f"{file} is HDF5 but not CGNS: {path} is not a group with the attributes label and type, "
+            f"which every CGNS node has"
+        )
+    name, data_type = path.rsplit("/", 1)[-1], attribute(group, b"type").upper()
+    if data_type == "LK":
+        link = Link(_hidden_text(group, LINK_FILE), _hidden_text(group, LINK_PATH))
+        follow = partial(_follow, group, LINK.encode(), links + 1)
+        return Node(name, file, path, data_type="LK", link=link, follow=follow)
+    dims, dtype = (), None
+    if data_type != "MT" and DATA.encode() in group:
+        dataset = h5d.open(group, DATA.encode())
+        dims, dtype = dataset.shape[::-1], dataset.dtype
+    return Node(
+        name,
+        file,
+        path,
+        attribute(group, b"label"),
+        data_type,
+        dims,
+        dtype,
+        read=lambda: _values(group) if dims else np.empty(0, np.uint8),
+        require=lambda: _require_stored(group, file, path),
+        expand=lambda: _children(group, file, path),
+    )
+
+
+def _follow(group: h5g.GroupID, name: bytes, links: int) -> Node | None:
+    if links > _MAXIMUM_LINKS:
+        return None
+    try:
+        target = h5o.open(group, name)
+    except (KeyError, OSError):  # HDF5 raises these for links that lead nowhere
+        return None
+    place = h5py.Group(target)
+    return _node(target, Path(place.file.filename), place.name, links)
+
+
+def _require_stored(group: h5g.GroupID, file: Path, path: str) -> None:
+    dataset = h5d.open(group, DATA.encode())
+    layout = dataset.get_create_plist()
+    if layout.get_layout() == h5d.VIRTUAL or layout.get_external_count():
+        raise FormatError(
+            f"{file}: the values of {path} lie in other files (virtual or external HDF5 dataset); merge them"
+        )
+    stored = dataset.get_storage_size()
+    if math.prod(dataset.shape) * dataset.dtype.itemsize > stored * _MAXIMUM_COMPRESSION:
+        raise FormatError(
+            f"{file}: {path} announces {dataset.shape} {dataset.dtype} values; only {stored} bytes are stored"
+        )
+
+
+def _values(group: h5g.GroupID) -> NDArray[Any]:
+    dataset = h5d.open(group, DATA.encode())
+    values = np.empty(dataset.shape, dataset.dtype)
+    dataset.read(h5s.ALL, h5s.ALL, values)
+    return values.T
+
+
+def _hidden_text(group: h5g.GroupID, name: str) -> str:
+    if name.encode() not in group:
+        return ""
+    return decoded(h5py.Group(group)[name][()].tobytes())

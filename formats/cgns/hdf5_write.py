@@ -1,0 +1,131 @@
+"""Write CGNS trees in HDF5 as the CGNS library would; :mod:`.cgns_hdf5` describes the layout."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from h5py import h5a, h5d, h5g, h5p, h5s, h5t
+from numpy.typing import NDArray
+
+from meshdeform_core.errors import FormatError
+
+from .hdf5 import DATA, LINK, LINK_FILE, LINK_PATH, attribute
+from .tree import DTYPES, MAXIMUM_DEPTH, NAME_LENGTH, Node
+
+_FORMAT = " format"
+_VERSION = " hdf5version"
+
+
+def _text_type(length: int) -> h5t.TypeStringID:
+    kind = h5t.C_S1.copy()
+    kind.set_size(length + 1)
+    return kind
+
+
+def _ordered() -> h5p.PropGCID:
+    """Groups that remember the order in which their members were made."""
+    properties = h5p.create(h5p.GROUP_CREATE)
+    properties.set_link_creation_order(h5p.CRT_ORDER_TRACKED | h5p.CRT_ORDER_INDEXED)
+    return properties
+
+
+_NAME, _TYPE = _text_type(NAME_LENGTH), _text_type(2)
+_SCALAR = h5s.create(h5s.SCALAR)
+_ORDERED = _ordered()
+
+
+def write_hdf5(tree: Node, path: Path) -> None:
+    """Write a whole tree as a new CGNS file in HDF5, as the CGNS library would.
+
+    Links inside the file stay links. What a link to another file leads to is copied into the new file, because the
+    other file may be of a kind that HDF5 links cannot reach; if it is missing, the link is kept.
+    """
+    with h5py.File(path, "w", libver=("earliest", "v108"), track_order=True) as file:
+        root = h5g.open(file.id, b"/")
+        _describe(root, "HDF5 MotherNode", "Root Node of HDF5 File", "MT")
+        file[_FORMAT] = characters(f"IEEE_{sys.byteorder.upper()}_32")
+        version = f"HDF5 Version {h5py.version.hdf5_version}"
+        file[_VERSION] = np.frombuffer(version.encode().ljust(NAME_LENGTH + 1, b"\0"), np.int8)
+        for child in tree.children:
+            _write(root, child, tree.file, 0)
+
+
+def own_group(parent: h5py.Group, node: Node) -> h5py.Group:
+    """The group of ``node`` in a file being written. A link is replaced by what it leads to, in its place.
+
+    Coordinates that are to change must not be those of another file or of another zone.
+    """
+    if not isinstance(parent.get(node.name, getlink=True), h5py.HardLink):
+        del parent[node.name]
+        _write(parent.id, node, Path(), 0)
+    group = parent[node.name]
+    if attribute(group.id, b"type") == "LK":
+        for name in [name for name in group if name.startswith(" ")]:
+            del group[name]
+        for key, text in (("label", node.target.label), ("type", node.target.data_type)):
+            group.attrs.modify(key, np.bytes_(text))
+        _fill(group.id, node.target, Path(), 0)
+    return group
+
+
+def put_node(parent: h5py.Group, node: Node) -> None:
+    """Add a node to a file being written, in the place of any node of the same name."""
+    if node.name in parent:
+        del parent[node.name]
+    _write(parent.id, node, Path(), 0)
+
+
+def _write(parent: h5g.GroupID, node: Node, home: Path, depth: int) -> None:
+    if depth > MAXIMUM_DEPTH:
+        raise FormatError(
+            f"{home}: nodes are nested more than {MAXIMUM_DEPTH} deep at {node.path}; a link leads back up"
+        )
+    group = h5g.create(parent, node.name.encode(), gcpl=_ORDERED)
+    keep = node.link is not None and (node.dangling or (node.file == home and not node.link.file))
+    content = node if keep else node.target
+    _describe(group, node.name, content.label, content.data_type)
+    h5a.create(group, b"flags", h5t.NATIVE_INT32, h5s.create_simple((1,))).write(np.ones(1, np.int32))
+    if keep:
+        _write_link(group, node)
+    else:
+        _fill(group, content, home, depth)
+
+
+def _fill(group: h5g.GroupID, node: Node, home: Path, depth: int) -> None:
+    if node.dims:
+        write_dataset(group, DATA, np.ascontiguousarray(node.data().T, dtype=DTYPES.get(node.data_type)))
+    for child in node.children:
+        _write(group, child, home, depth + 1)
+
+
+def _write_link(group: h5g.GroupID, node: Node) -> None:
+    assert node.link is not None
+    file, path = node.link.file, node.link.path
+    if file:
+        group.links.create_external(LINK.encode(), file.encode(), path.encode())
+    else:
+        group.links.create_soft(LINK.encode(), b"/" + path.lstrip("/").encode())
+    write_dataset(group, LINK_PATH, characters(path))
+    if file:
+        write_dataset(group, LINK_FILE, characters(file))
+
+
+def write_dataset(group: h5g.GroupID, name: str, values: NDArray[Any]) -> None:
+    """Create a dataset of ``values``, which must be C-contiguous."""
+    space = h5s.create_simple(values.shape)
+    dataset = h5d.create(group, name.encode(), h5t.py_create(values.dtype, logical=True), space)
+    dataset.write(h5s.ALL, h5s.ALL, values)
+
+
+def _describe(group: h5g.GroupID, name: str, label: str, data_type: str) -> None:
+    for key, text, kind in ((b"name", name, _NAME), (b"label", label, _NAME), (b"type", data_type, _TYPE)):
+        h5a.create(group, key, kind, _SCALAR).write(np.array(text.encode(), dtype=kind.dtype))
+
+
+def characters(text: str) -> NDArray[np.int8]:
+    """Text as CGNS stores it beside a link, with a final NUL."""
+    return np.frombuffer(text.encode() + b"\0", np.int8)

@@ -1,0 +1,115 @@
+"""Connections as GridConnectivity1to1_t, both directions of each as CGNS wants them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from meshdeform_core.grid import Connection, Grid, Periodicity, Shape
+
+from .names import unique_names
+from .new_boundary import point_range
+from .periodic import inverse_motion
+from .tree import Node, make
+
+
+def connectivity_nodes(grid: Grid, zones: tuple[str, ...]) -> list[list[Node]]:
+    """For each block its ZoneGridConnectivity_t with all connections that start there, or nothing."""
+    declared = [_ascending(connection) for connection in grid.connections]
+    known = {_key(connection) for connection in declared}
+    reverse = [_ascending(_reversed(connection)) for connection in declared]
+    parts: list[list[Connection]] = [[] for _ in grid.shapes]
+    for connection in declared + [r for r in reverse if _key(r) not in known]:
+        parts[connection.block].append(connection)
+    nodes = []
+    for part in parts:
+        names = unique_names((connection.name for connection in part), "Connection")
+        children = [_node(name, connection, grid, zones) for name, connection in zip(names, part, strict=True)]
+        nodes.append([make("ZoneGridConnectivity", "ZoneGridConnectivity_t", None, children)] if children else [])
+    return nodes
+
+
+def _key(connection: Connection) -> tuple[int, Shape, Shape, int]:
+    return connection.block, connection.begin, connection.end, connection.donor_block
+
+
+def _ascending(connection: Connection) -> Connection:
+    """The same connection with ``begin <= end`` along every axis."""
+    begin, end = list(connection.begin), list(connection.end)
+    donor_begin, donor_end = list(connection.donor_begin), list(connection.donor_end)
+    for axis in range(3):
+        if begin[axis] > end[axis]:
+            donor = abs(connection.transform[axis]) - 1
+            begin[axis], end[axis] = end[axis], begin[axis]
+            donor_begin[donor], donor_end[donor] = donor_end[donor], donor_begin[donor]
+    return replace(
+        connection,
+        begin=_shape(begin),
+        end=_shape(end),
+        donor_begin=_shape(donor_begin),
+        donor_end=_shape(donor_end),
+    )
+
+
+def _shape(indices: list[int]) -> Shape:
+    i, j, k = indices
+    return i, j, k
+
+
+def _reversed(connection: Connection) -> Connection:
+    """The connection as seen from its donor."""
+    inverse = [0, 0, 0]
+    for axis, donor in enumerate(connection.transform):
+        inverse[abs(donor) - 1] = int(np.sign(donor)) * (axis + 1)
+    return Connection(
+        connection.name,
+        connection.donor_block,
+        connection.donor_begin,
+        connection.donor_end,
+        connection.block,
+        connection.begin,
+        connection.end,
+        (inverse[0], inverse[1], inverse[2]),
+        connection.periodic and inverse_motion(connection.periodic),
+    )
+
+
+def _node(name: str, connection: Connection, grid: Grid, zones: tuple[str, ...]) -> Node:
+    shape, donor_shape = grid.shapes[connection.block], grid.shapes[connection.donor_block]
+    own = point_range(shape, connection.begin, connection.end)
+    donor = point_range(donor_shape, connection.donor_begin, connection.donor_end)
+    children = [
+        make("Transform", '"int[IndexDimension]"', _transform(connection, shape, donor_shape)),
+        make("PointRange", "IndexRange_t", own),
+        make("PointRangeDonor", "IndexRange_t", donor),
+    ]
+    if connection.periodic:
+        periodic = make("Periodic", "Periodic_t", None, _motion(connection.periodic))
+        children.append(make("GridConnectivityProperty", "GridConnectivityProperty_t", None, [periodic]))
+    return make(name, "GridConnectivity1to1_t", zones[connection.donor_block], children)
+
+
+def _transform(connection: Connection, shape: Shape, donor_shape: Shape) -> np.ndarray:
+    """Signed donor axes, counted without the axes of a single node."""
+    number = {axis: place + 1 for place, axis in enumerate(a for a in range(3) if donor_shape[a] > 1)}
+    axes = [axis for axis in range(3) if shape[axis] > 1]
+    donors = [connection.transform[axis] for axis in axes]
+    return np.array([int(np.sign(donor)) * number[abs(donor) - 1] for donor in donors], np.int32)
+
+
+def _motion(periodic: Periodicity) -> list[Node]:
+    """Angles are written in radians and say so; readers differ in what they assume."""
+    units = make("DimensionalUnits", "DimensionalUnits_t", _words("Null", "Null", "Null", "Null", "Radian"))
+    angle = np.radians(periodic.rotation_angle).astype(np.float32)
+    return [
+        make("RotationCenter", "DataArray_t", np.array(periodic.rotation_center, np.float32)),
+        make("RotationAngle", "DataArray_t", angle, [units]),
+        make("Translation", "DataArray_t", np.array(periodic.translation, np.float32)),
+    ]
+
+
+def _words(*words: str) -> np.ndarray:
+    """Strings of 32 characters each as CGNS stores them, ``(32, n)``."""
+    text = "".join(word.ljust(32) for word in words).encode()
+    return np.frombuffer(text, np.int8).reshape(-1, 32).T

@@ -1,0 +1,129 @@
+"""Point sets (PointRange, PointList and their forms for faces) of structured zones as windows on block faces."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from meshdeform_core.errors import FormatError
+from meshdeform_core.grid import IntArray, Side, Window
+
+from .notes import Notes
+from .tree import Node
+from .windows import window_of_range, windows_of_nodes, windows_of_quads
+from .zone import Zone
+
+_POINT_SETS = ("PointRange", "PointList", "ElementRange", "ElementList")
+# Index axis normal to the faces of each location; the first two leave it to the indices.
+_FACE_LOCATIONS: Mapping[str, int | None] = {
+    "FaceCenter": None,
+    "EdgeCenter": None,
+    "IFaceCenter": 0,
+    "JFaceCenter": 1,
+    "KFaceCenter": 2,
+}
+
+
+def condition_windows(condition: Node, zone: Zone, block: int, notes: Notes) -> list[Window]:
+    """Where a boundary condition holds; what is not on a block face is noted and left out.
+
+    Raises
+    ------
+    FormatError
+        When its indices are not in the zone: a wall left out would not move with the others.
+    """
+    place = f"{zone.name}/{condition.name}"
+    sets = [child for name in _POINT_SETS for child in condition.target.children if child.name == name]
+    if not sets:
+        notes.add("boundary conditions without a point set are not used", place)
+        return []
+    location = _location(condition, sets[0])
+    points, is_range = _points(sets[0], zone), sets[0].name.endswith("Range")
+    if location == "Vertex":
+        windows, unused = _of_nodes(points, is_range, zone, block)
+    elif location in _FACE_LOCATIONS:
+        axis = _FACE_LOCATIONS[location]
+        if axis is None:
+            axis = _normal_axis(points, is_range, zone)
+        windows, unused = _of_faces(points, is_range, zone, block, axis, sets[0].path)
+    else:
+        notes.add(f"boundary conditions located at {location} are not used", place)
+        return []
+    if not windows:
+        notes.add("boundary conditions that cover no part of a block face are not used", place)
+    elif unused:
+        notes.add("listed points that belong to no part of a block face are not used", f"{place} ({unused})")
+    return windows
+
+
+def _location(condition: Node, points: Node) -> str:
+    """Where the points lie; ElementRange and ElementList are the old names for face centres."""
+    if points.name.startswith("Element"):
+        return "FaceCenter"
+    nodes = condition.labelled("GridLocation_t")
+    return nodes[0].text() if nodes else "Vertex"
+
+
+def _points(node: Node, zone: Zone) -> IntArray:
+    """0-based indices ``(n, 3)`` of a point set, all inside the zone."""
+    axes = len(zone.core)
+    if node.target.dims == (axes,):  # a single point, stored without the second dimension
+        indices = node.integers(axes).reshape(axes, 1)
+    else:
+        indices = node.integers(axes, 2 if node.name.endswith("Range") else -1)
+    points = np.zeros((indices.shape[1], 3), np.int64)
+    points[:, :axes] = indices.T - 1
+    _require_inside(points, zone, np.array(zone.shape), node.path)
+    return points
+
+
+def _require_inside(points: IntArray, zone: Zone, sizes: IntArray, place: str) -> None:
+    outside = ((points < 0) | (points >= sizes)).any(axis=1)
+    if outside.any():
+        axes = len(zone.core)
+        raise FormatError(
+            f"{place} names the index {(points[outside][0] + 1)[:axes].tolist()}; zone {zone.name} ends at "
+            f"{sizes[:axes].tolist()}: correct the boundary condition"
+        )
+
+
+def _of_nodes(points: IntArray, is_range: bool, zone: Zone, block: int) -> tuple[list[Window], int]:
+    if not is_range:
+        return windows_of_nodes(zone.shape, block, points)
+    window = window_of_range(zone.shape, block, points.min(axis=0).tolist(), points.max(axis=0).tolist())
+    return ([window] if window else []), 0
+
+
+def _of_faces(
+    points: IntArray, is_range: bool, zone: Zone, block: int, axis: int | None, place: str
+) -> tuple[list[Window], int]:
+    """Faces are numbered like their lowest node: by nodes along their normal, by cells along the other axes."""
+    if axis is None:
+        return [], len(points)
+    faces = np.array([n if a == axis else max(n - 1, 1) for a, n in enumerate(zone.shape)])
+    _require_inside(points, zone, faces, place)
+    if is_range:
+        high = points.max(axis=0) + [int(a != axis and n > 1) for a, n in enumerate(zone.shape)]
+        window = window_of_range(zone.shape, block, points.min(axis=0).tolist(), high.tolist())
+        return ([window] if window else []), 0
+    windows, used = [], 0
+    for side in (Side(2 * axis), Side(2 * axis + 1)):
+        a, b = side.tangential
+        on_side = points[:, axis] == (faces[axis] - 1) * (side % 2)
+        quads = np.zeros((faces[a], faces[b]), bool)
+        quads[points[on_side, a], points[on_side, b]] = True
+        windows += windows_of_quads(zone.shape, block, side, quads)
+        used += int(on_side.sum())
+    return windows, len(points) - used
+
+
+def _normal_axis(points: IntArray, is_range: bool, zone: Zone) -> int | None:
+    """The axis whose ends the faces lie on; ``None`` if there is none or the indices leave several."""
+    ends = np.array(zone.shape) - 1
+    constant = (points == points[0]).all(axis=0) if is_range else True
+    at_end = ((points == 0) | (points == ends)).all(axis=0) & constant & (ends > 0)
+    axes = np.flatnonzero(at_end)
+    if len(axes) > 1:  # across a single layer of cells every face has the index 1
+        axes = axes[ends[axes] > 1]
+    return int(axes[0]) if len(axes) == 1 else None

@@ -1,0 +1,105 @@
+"""All levels of a moving grid in one CGNS file, as SIDS section 11 describes time-dependent grids.
+
+Each zone keeps its undeformed GridCoordinates and gets one GridCoordinates_t (and FlowSolution_t, if there are fields)
+per level, which ZoneIterativeData_t points to; BaseIterativeData_t has the times.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from meshdeform_core.errors import FormatError
+from meshdeform_core.grid import FileFormat, Grid
+
+from ..files import replacing
+from . import format as cgns
+from .file import opened_cgns
+from .hdf5 import hdf5_errors
+from .hdf5_write import own_group, put_node
+from .notes import Notes
+from .tree import NAME_LENGTH, Node, make
+from .write_new import solution_nodes
+from .zone import Zone, find_base, structured_zones
+
+
+def require_steady(grid: Grid) -> None:
+    """Refuse a grid from a CGNS file that already holds a series."""
+    if grid.path is None or grid.format is None or grid.format.name != "cgns":
+        return
+    with opened_cgns(grid.path) as root:
+        found = find_base(root, Notes()).node.labelled("BaseIterativeData_t")
+    if found:
+        raise FormatError(
+            f"{grid.path} already holds a series ({found[0].name}); one file cannot hold two: "
+            f"write one file per level, or start from a file with one grid"
+        )
+
+
+def write_series(
+    grid: Grid, path: Path, variant: FileFormat, times: Sequence[float], level: Callable[[int], Grid]
+) -> None:
+    """Write the undeformed ``grid`` and its levels, replacing ``path`` as a whole or leaving it alone.
+
+    Parameters
+    ----------
+    level : ``level(n)`` has the coordinates at ``times[n]`` and the fields that belong to them; one is held at a time
+
+    Raises
+    ------
+    FormatError
+        When the file the grid came from is gone or changed, or the new one cannot be written.
+    """
+    with replacing(path) as partial:
+        cgns.write(grid, partial, variant)
+        with opened_cgns(partial) as root:
+            base = find_base(root, Notes())
+            zones = structured_zones(base, Notes())
+        with hdf5_errors(path, "write"), h5py.File(partial, "r+") as file:
+            group = own_group(file, base.node)
+            groups = [own_group(group, zone.node) for zone in zones]
+            pointers = [_add_level(groups, zones, level(n), n, variant.precision) for n in range(len(times))]
+            for block, own in enumerate(groups):
+                names = {key: [found[block][key] for found in pointers] for key in pointers[0][block]}
+                arrays = [make(key, "DataArray_t", _words(words)) for key, words in names.items()]
+                put_node(own, make("ZoneIterativeData", "ZoneIterativeData_t", None, arrays))
+            put_node(group, _iterations(times))
+            put_node(group, make("SimulationType", "SimulationType_t", "TimeAccurate"))
+
+
+def _add_level(
+    groups: Sequence[h5py.Group], zones: Sequence[Zone], grid: Grid, number: int, precision: str
+) -> list[dict[str, str]]:
+    """Add the nodes of one level; returns their names by the pointer of ZoneIterativeData_t, for each zone."""
+    pointers = []
+    for block, (group, zone) in enumerate(zip(groups, zones, strict=True)):
+        points = grid.block(block)
+        arrays = [
+            make(node.name, "DataArray_t", points[..., axis].reshape(zone.counts), dtype=np.dtype(precision))
+            for axis, node in enumerate(zone.coordinates)
+        ]
+        nodes = {"GridCoordinatesPointers": make(f"GridCoordinates#{number + 1}", "GridCoordinates_t", None, arrays)}
+        for solution in solution_nodes(grid, block, zone.counts):
+            children = solution.children
+            nodes["FlowSolutionPointers"] = make(f"{solution.name}#{number + 1}", solution.label, None, children)
+        for node in nodes.values():
+            put_node(group, node)
+        pointers.append({key: node.name for key, node in nodes.items()})
+    return pointers
+
+
+def _iterations(times: Sequence[float]) -> Node:
+    arrays = [
+        make("TimeValues", "DataArray_t", np.array(times, np.float64)),
+        make("IterationValues", "DataArray_t", np.arange(1, len(times) + 1, dtype=np.int32)),
+    ]
+    return make("BaseIterativeData", "BaseIterativeData_t", np.array([len(times)], np.int32), arrays)
+
+
+def _words(names: Sequence[str]) -> np.ndarray:
+    """Names as CGNS stores a list of them: characters (32, n), filled up with blanks."""
+    text = "".join(name.ljust(NAME_LENGTH) for name in names)
+    return np.frombuffer(text.encode(), np.int8).reshape(len(names), NAME_LENGTH).T

@@ -1,0 +1,150 @@
+"""Write a grid that came from a CGNS file: a copy of that file in which only the coordinates change.
+
+Fields of the grid, which the reader leaves in the file, are new ones and become flow solutions.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import shutil
+from pathlib import Path
+
+import h5py
+import numpy as np
+from h5py import h5g, h5l
+
+from meshdeform_core.errors import FormatError
+from meshdeform_core.grid import FloatArray, Grid
+
+from ..files import replacing
+from .adf import is_adf
+from .file import naming, opened_cgns
+from .hdf5 import DATA, LINK, LINK_FILE, hdf5_errors
+from .hdf5_write import characters, own_group, put_node, write_hdf5
+from .names import unique_names
+from .notes import Notes
+from .tree import Node, data_type_of
+from .write_new import solution_nodes
+from .zone import Base, Zone, find_base, structured_zones
+
+
+def write_copy(grid: Grid, path: Path, precision: str | None) -> None:
+    """Copy the CGNS file of ``grid`` to ``path`` with the grid's coordinates, in ``precision`` or each as it was.
+
+    Every other node, attribute, link and order stays; an ADF file becomes HDF5. What changes with the coordinates:
+    links to them become arrays of this file, relative names of linked files are adapted to a new folder, and bounding
+    boxes stored with the coordinates follow them.
+    """
+    source = grid.path
+    if source is None or not source.is_file():
+        raise FormatError(f"cannot write {path}: {source}, whose other contents belong into it, is no longer there")
+    with replacing(path) as partial, opened_cgns(source) as root:
+        with naming(source):
+            base, zones = _same_zones(root, grid, source)
+        with hdf5_errors(path, "write"):
+            if is_adf(source):
+                write_hdf5(root, partial)
+            else:
+                shutil.copyfile(source, partial)
+            with h5py.File(partial, "r+") as file:
+                _adapt_links(file, source.parent, path.parent)
+                group = own_group(file, base.node)
+                for block, zone in enumerate(zones):
+                    own = own_group(group, zone.node)
+                    _replace_coordinates(own, zone, grid.block(block), precision)
+                    _add_fields(own, zone, grid, block)
+
+
+def _same_zones(root: Node, grid: Grid, source: Path) -> tuple[Base, list[Zone]]:
+    """The zones of the source file, which must be those the grid was read from."""
+    base = find_base(root, Notes())
+    zones = structured_zones(base, Notes())
+    if tuple(zone.name for zone in zones) != grid.names or tuple(zone.shape for zone in zones) != grid.shapes:
+        raise FormatError(
+            f"{source} has changed since the grid was read: its zones are now "
+            f"{', '.join(f'{zone.name} {zone.shape}' for zone in zones[:4])}{' ...' if len(zones) > 4 else ''}; "
+            f"read it again, or write to another format"
+        )
+    if base.dimension == 2 and grid.points[:, 2].any():
+        raise FormatError(
+            f"{source} stores x and y only (physical dimension 2), but nodes have moved out of the plane z = 0"
+        )
+    return base, zones
+
+
+def _replace_coordinates(parent: h5py.Group, zone: Zone, block: FloatArray, precision: str | None) -> None:
+    grid = own_group(parent, zone.grid)
+    for axis, node in enumerate(zone.coordinates):
+        group = own_group(grid, node)
+        dataset = _writable_dataset(group, precision)
+        values = block[..., axis].reshape(zone.counts)
+        dataset[zone.core[::-1]] = np.ascontiguousarray(values.T, dtype=dataset.dtype)
+    _replace_bounding_box(grid, zone, block)
+
+
+def _add_fields(parent: h5py.Group, zone: Zone, grid: Grid, block: int) -> None:
+    """Flow solutions of the block's fields. One with the same arrays, from an earlier run, is replaced, others stay."""
+    for solution in solution_nodes(grid, block, zone.counts):
+        arrays = {child.name for child in solution.children}
+        others = [
+            old.name
+            for old in zone.node.target.children
+            if old.target.label != solution.label or {child.name for child in old.target.children} != arrays
+        ]
+        (name,) = unique_names([solution.name], solution.name, others)
+        put_node(parent, dataclasses.replace(solution, name=name))
+
+
+def _writable_dataset(group: h5py.Group, precision: str | None) -> h5py.Dataset:
+    """The coordinate dataset, made anew if its precision changes."""
+    dataset = group[DATA]
+    stored = dataset.dtype.newbyteorder("=")
+    dtype = stored if precision is None else np.dtype(precision)
+    if dtype == stored:
+        return dataset
+    values, packing = dataset[()].astype(dtype), _packing(dataset)
+    del group[DATA]
+    group.attrs.modify("type", np.bytes_(data_type_of(dtype)))
+    return group.create_dataset(DATA, data=values, **packing)
+
+
+def _packing(dataset: h5py.Dataset) -> dict[str, object]:
+    return {
+        "chunks": dataset.chunks,
+        "compression": dataset.compression,
+        "compression_opts": dataset.compression_opts,
+        "shuffle": dataset.shuffle,
+        "fletcher32": dataset.fletcher32,
+    }
+
+
+def _replace_bounding_box(grid: h5py.Group, zone: Zone, block: FloatArray) -> None:
+    """GridCoordinates_t may hold the lowest and highest coordinates (SIDS 7.1)."""
+    dimension = len(zone.coordinates)
+    if zone.grid.target.dims == (dimension, 2):
+        box = np.array([block.min(axis=(0, 1, 2)), block.max(axis=(0, 1, 2))])
+        grid[DATA][...] = box[:, :dimension]
+
+
+def _adapt_links(file: h5py.File, old: Path, new: Path) -> None:
+    """Let external links with relative names lead from the folder ``new`` to where they led from ``old``."""
+    if old.resolve() == new.resolve():
+        return
+    root, names = h5g.open(file.id, b"/"), []
+    root.links.visit(
+        lambda name, info: names.append(name.decode()) if info.type == h5l.TYPE_EXTERNAL else None, info=True
+    )
+    for name in names:
+        link = file.get(name, getlink=True)
+        target = old / link.filename
+        if os.path.isabs(link.filename) or not target.exists():
+            continue
+        filename = os.path.relpath(target.resolve(), new.resolve())
+        parent, _, own_name = name.rpartition("/")
+        group = file[parent or "/"]
+        del group[own_name]
+        group[own_name] = h5py.ExternalLink(filename, link.path)
+        if own_name == LINK and LINK_FILE in group:
+            del group[LINK_FILE]
+            group[LINK_FILE] = characters(filename)

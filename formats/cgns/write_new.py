@@ -1,0 +1,107 @@
+"""Write a grid that did not come from a CGNS file as a new one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshdeform_core.grid import Field, Grid
+
+from ..files import replacing
+from .hdf5 import hdf5_errors
+from .hdf5_write import write_hdf5
+from .names import unique_names
+from .new_boundary import boundary_nodes, family_names, family_nodes
+from .new_connectivity import connectivity_nodes
+from .tree import Node, make
+
+# The version of the standard whose readers know everything written here.
+_LIBRARY_VERSION = 3.2
+_LOCATIONS = {"node": "Vertex", "cell": "CellCenter"}
+
+
+def write_new(grid: Grid, path: Path, precision: str) -> None:
+    """Write ``grid`` as a CGNS file with one base: zones, boundary conditions, families, connections, fields.
+
+    Names are cut to 32 characters and made unique. Fields (IBLANK, VTK arrays) become flow solutions at the nodes or
+    cells. A grid in the plane z = 0 gets two coordinates; patches on the plane itself have no place in a 2-D base.
+    """
+    with replacing(path) as partial, hdf5_errors(path, "write"):
+        write_hdf5(_tree(grid, precision), partial)
+
+
+def _tree(grid: Grid, precision: str) -> Node:
+    dimension = 2 if grid.dimension == 2 and not grid.points[:, 2].any() else 3
+    names = unique_names(grid.names, "Zone")
+    families = family_names(grid, names)
+    conditions, connectivity = boundary_nodes(grid, families), connectivity_nodes(grid, names)
+    zones = []
+    for block, name in enumerate(names):
+        shape = np.array([n for n in grid.shapes[block] if n > 1], np.int32)
+        children = [
+            make("ZoneType", "ZoneType_t", "Structured"),
+            _coordinates(grid, block, dimension, precision),
+            *solution_nodes(grid, block, shape.tolist()),
+            *conditions[block],
+            *connectivity[block],
+        ]
+        zones.append(make(name, "Zone_t", np.stack([shape, shape - 1, 0 * shape], axis=1), children))
+    sizes = np.array([grid.dimension, dimension], np.int32)
+    base = make("Base", "CGNSBase_t", sizes, [*zones, *family_nodes(grid, families)])
+    version = make("CGNSLibraryVersion", "CGNSLibraryVersion_t", np.array([_LIBRARY_VERSION], np.float32))
+    return make("", "", None, [version, base])
+
+
+def _coordinates(grid: Grid, block: int, dimension: int, precision: str) -> Node:
+    points = _without_plane(grid.block(block), grid, block)
+    arrays = [
+        make(name, "DataArray_t", points[..., axis], dtype=np.dtype(precision))
+        for axis, name in enumerate(("CoordinateX", "CoordinateY", "CoordinateZ")[:dimension])
+    ]
+    return make("GridCoordinates", "GridCoordinates_t", None, arrays)
+
+
+def solution_nodes(grid: Grid, block: int, shape: Sequence[int]) -> list[Node]:
+    """Flow solutions of a block: one for its fields at the nodes and one for those at the cells.
+
+    ``shape`` are the nodes of the zone along its index axes (two or three). Fields of types that CGNS does not have
+    are left out; vectors become nameX, nameY, nameZ.
+    """
+    solutions = []
+    for location, word in _LOCATIONS.items():
+        size = shape if location == "node" else [n - 1 for n in shape]
+        fields = [
+            f for f in grid.fields if f.block == block and f.location == location and f.values.dtype.kind in "biuf"
+        ]
+        arrays = [array for field in fields for array in _components(field, size)]
+        names = unique_names((name for name, _ in arrays), "Field", ["GridLocation"])
+        nodes = [make(name, "DataArray_t", values) for name, (_, values) in zip(names, arrays, strict=True)]
+        if nodes:
+            location_node = make("GridLocation", "GridLocation_t", word)
+            solutions.append(make(f"FlowSolution{word}", "FlowSolution_t", None, [location_node, *nodes]))
+    return solutions
+
+
+def _components(field: Field, shape: Sequence[int]) -> list[tuple[str, NDArray[Any]]]:
+    """Scalar arrays (*shape) of a field in a type CGNS has."""
+    values = field.values
+    if values.dtype.kind != "f":
+        values = values.astype(np.int64 if values.dtype.itemsize > 4 or values.dtype == np.uint32 else np.int32)
+    elif values.dtype not in (np.float32, np.float64):
+        values = values.astype(np.float64)
+    if values.ndim == 3:
+        return [(field.name, values.reshape(shape))]
+    flat = values.reshape(*shape, -1)
+    count = flat.shape[-1]
+    suffixes = "XYZ"[:count] if count <= 3 else [str(i + 1) for i in range(count)]
+    return [(f"{field.name}{suffix}", flat[..., i]) for i, suffix in enumerate(suffixes)]
+
+
+def _without_plane(values: NDArray[Any], grid: Grid, block: int) -> NDArray[Any]:
+    """Block values without the index axis that has a single node, if there is one."""
+    shape = grid.shapes[block]
+    return values.squeeze(axis=shape.index(1)) if 1 in shape else values

@@ -1,0 +1,184 @@
+"""Structured zones of a CGNS base: their sizes and coordinate arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from meshdeform_core.errors import FormatError
+from meshdeform_core.grid import FloatArray, Shape
+
+from .notes import Notes
+from .tree import Node
+
+_COORDINATES = ("CoordinateX", "CoordinateY", "CoordinateZ")
+_FLOATS = (np.dtype(np.float32), np.dtype(np.float64))
+
+
+@dataclass(frozen=True)
+class Base:
+    """A CGNSBase_t: ``cell_dimension`` index axes in each zone, ``dimension`` coordinates at each node."""
+
+    node: Node
+    cell_dimension: int
+    dimension: int
+
+
+@dataclass(frozen=True)
+class Zone:
+    """A structured zone.
+
+    ``shape`` are its nodes without rind, with one node along k when the base has two index axes; ``core`` selects
+    them in the coordinate arrays, whose axes run i, j(, k).
+    """
+
+    node: Node
+    shape: Shape
+    grid: Node
+    coordinates: tuple[Node, ...]
+    core: tuple[slice, ...]
+
+    @property
+    def name(self) -> str:
+        return self.node.name
+
+    @property
+    def counts(self) -> tuple[int, ...]:
+        """Nodes along each index axis of the base."""
+        return tuple(part.stop - part.start for part in self.core)
+
+    def read(self, block: FloatArray) -> None:
+        """Fill ``block`` of shape ``(ni, nj, nk, 3)`` with the coordinates; components the file lacks become zero."""
+        for axis in range(3):
+            if axis < len(self.coordinates):
+                block[..., axis] = self.coordinates[axis].data()[self.core].reshape(self.shape)
+            else:
+                block[..., axis] = 0.0
+
+
+def find_base(root: Node, notes: Notes) -> Base:
+    """The first base that has zones; the others are noted."""
+    bases = root.labelled("CGNSBase_t")
+    if not bases:
+        raise FormatError("there is no CGNSBase_t node; expected a CGNS file with one base that holds the zones")
+    with_zones = [node for node in bases if node.labelled("Zone_t")]
+    if not with_zones:
+        raise FormatError(f"the base {bases[0].name} has no zones; expected at least one structured Zone_t")
+    chosen = with_zones[0]
+    for node in bases:
+        if node is not chosen:
+            notes.add(f"the grid is the base {chosen.name}; other bases are kept as they are", node.name)
+    cell_dimension, dimension = (int(n) for n in chosen.integers(2))
+    if cell_dimension not in (2, 3) or dimension not in (2, 3) or cell_dimension > dimension:
+        raise FormatError(
+            f"the base {chosen.name} has cell dimension {cell_dimension} and physical dimension {dimension}; "
+            f"a block-structured grid has 2 or 3 of each, and at least as many coordinates as index axes"
+        )
+    return Base(chosen, cell_dimension, dimension)
+
+
+def structured_zones(base: Base, notes: Notes) -> list[Zone]:
+    """All zones of the base in file order.
+
+    Raises
+    ------
+    FormatError
+        When a zone is unstructured, has no Cartesian coordinates, or sizes and arrays do not fit together.
+    """
+    nodes = base.node.labelled("Zone_t")
+    others = [(node.name, _zone_type(node)) for node in nodes if _zone_type(node) != "Structured"]
+    if others:
+        raise FormatError(
+            f"{len(others)} of {len(nodes)} zones are not Structured, the first is {others[0][0]!r} ({others[0][1]}); "
+            f"only block-structured grids can be deformed: export a grid of Structured zones"
+        )
+    return [_zone(node, base, notes) for node in nodes]
+
+
+def _zone_type(node: Node) -> str:
+    # Files older than ZoneType_t hold structured zones only.
+    types = node.labelled("ZoneType_t")
+    return types[0].text() if types else "Structured"
+
+
+def _zone(node: Node, base: Base, notes: Notes) -> Zone:
+    sizes = node.integers(base.cell_dimension, 3)[:, 0]
+    if (sizes < 1).any():
+        raise FormatError(f"zone {node.name} has {sizes.tolist()} nodes; expected at least one along each index")
+    grid = _grid_coordinates(node, notes)
+    rind = _rind(grid, base.cell_dimension, node.name, notes)
+    core = tuple(slice(int(low), int(low + n)) for (low, _), n in zip(rind, sizes, strict=True))
+    stored = tuple(int(n) for n in sizes + rind.sum(axis=1))
+    coordinates = _coordinates(grid, base.dimension, stored, node.name)
+    for linked in (node, grid, *coordinates):
+        if linked.link and linked.link.file:
+            notes.add(
+                "coordinates linked from another file become part of a written one", f"{node.name} ({linked.link})"
+            )
+    _note_units((*coordinates[:1], grid, node, base.node), notes)
+    for array in coordinates:
+        if array.labelled("DataConversion_t"):
+            notes.add(
+                "coordinates carry a DataConversion; they are used as they are stored", f"{node.name}/{array.name}"
+            )
+    ni, nj, nk = (*(int(n) for n in sizes), 1)[:3]
+    return Zone(node, (ni, nj, nk), grid, coordinates, core)
+
+
+def _grid_coordinates(zone: Node, notes: Notes) -> Node:
+    grids = zone.labelled("GridCoordinates_t")
+    original = [node for node in grids if node.name == "GridCoordinates"] or grids[:1]
+    if not original or (len(grids) > 1 and original[0].name != "GridCoordinates"):
+        found = f"only {', '.join(node.name for node in grids)}" if grids else "no GridCoordinates_t"
+        broken = [f"{node.name} -> {node.link}" for node in zone.target.children if node.dangling]
+        links = f"; links that lead nowhere: {', '.join(broken)}" if broken else ""
+        raise FormatError(f"zone {zone.name} has {found}; expected its original grid, GridCoordinates{links}")
+    for node in grids:
+        if node is not original[0]:
+            notes.add("further grids of a zone (of other times) are kept as they are", f"{zone.name}/{node.name}")
+    return original[0]
+
+
+def _rind(grid: Node, axes: int, zone: str, notes: Notes) -> np.ndarray:
+    """Extra planes of nodes around the zone's own, ``(axes, 2)``: at the low and the high end of each index."""
+    nodes = grid.labelled("Rind_t")
+    if not nodes:
+        return np.zeros((axes, 2), np.int64)
+    planes = nodes[0].integers(2 * axes).reshape(axes, 2)
+    if (planes < 0).any():
+        raise FormatError(f"zone {zone} has {planes.tolist()} rind planes; expected none or more at each end")
+    if planes.any():
+        notes.add("rind planes are left out of the grid and keep their coordinates in the file", zone)
+    return planes
+
+
+def _coordinates(grid: Node, dimension: int, stored: tuple[int, ...], zone: str) -> tuple[Node, ...]:
+    arrays = {node.name: node for node in grid.labelled("DataArray_t")}
+    wanted = _COORDINATES[:dimension]
+    if any(name not in arrays for name in wanted):
+        found = ", ".join(arrays) or "nothing"
+        other = {"CoordinateR", "CoordinateTheta", "CoordinatePhi", "CoordinateXi"} & set(arrays)
+        hint = "; cylindrical and other curvilinear coordinates must be converted to Cartesian first" if other else ""
+        raise FormatError(f"zone {zone} has the coordinates {found}; expected {', '.join(wanted)}{hint}")
+    nodes = tuple(arrays[name] for name in wanted)
+    for node in nodes:
+        array = node.target
+        if array.dtype is None or array.dtype.newbyteorder("=") not in _FLOATS:
+            raise FormatError(f"{node.name} of zone {zone} holds {array.contents}; expected R4 or R8")
+        if array.dims != stored:
+            raise FormatError(
+                f"{node.name} of zone {zone} has {array.dims} values; the zone has {stored} nodes (with rind)"
+            )
+        array.require()
+    return nodes
+
+
+def _note_units(places: tuple[Node, ...], notes: Notes) -> None:
+    """Note the length unit; the innermost declaration counts (SIDS 4.3)."""
+    for place in places:
+        for units in place.labelled("DimensionalUnits_t"):
+            names = units.words()
+            if len(names) > 1 and names[1] not in ("", "Null", "UserDefined"):
+                notes.add("the length unit in the file is", names[1])
+            return

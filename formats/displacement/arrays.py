@@ -1,0 +1,109 @@
+"""Displacement tables as arrays: .npy, .npz and HDF5."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from meshdeform_core.errors import FormatError
+
+from .table import DISPLACEMENT_NAMES, NO_TRIANGLES, POINT_NAMES, Table, pick_vector, row_place
+
+
+def read_npy(path: Path) -> Table:
+    """Read an array ``(n, 6)`` of ``x y z dx dy dz`` or ``(n, 4)`` of ``x y dx dy``.
+
+    Raises
+    ------
+    FormatError
+        When the file is truncated or holds something else.
+    """
+    try:
+        values = np.load(path, allow_pickle=False)
+    except (ValueError, EOFError, OSError) as error:
+        raise FormatError(f"cannot read {path}: {error}") from error
+    if values.ndim != 2 or values.shape[1] not in (4, 6) or values.dtype.kind not in "iuf":
+        raise FormatError(f"{path} holds {values.dtype} numbers of shape {values.shape}; expected (n, 6) or (n, 4)")
+    half = values.shape[1] // 2
+    return Table(values[:, :half], values[:, half:], NO_TRIANGLES, row_place)
+
+
+def read_npz(path: Path) -> Table:
+    """Read arrays ``points`` and ``displacement`` (n, 3), or ``x y z dx dy dz`` (n,), and perhaps ``triangles`` (m, 3).
+
+    Raises
+    ------
+    FormatError
+        When the file is truncated or has no such arrays; the message lists what it has.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+    except (ValueError, EOFError, OSError, zipfile.BadZipFile) as error:
+        raise FormatError(f"cannot read {path}: {error}") from error
+    table = _table({name: values for name, values in arrays.items() if values.dtype.kind in "iuf"})
+    if table is None:
+        raise FormatError(f"{path} needs arrays points and displacement, (n, 3) each; found {_list(arrays)}")
+    return table
+
+
+def read_hdf5(path: Path) -> Table:
+    """Read datasets as in npz, in the root group or in the one group below it that has them.
+
+    Raises
+    ------
+    FormatError
+        When the file is damaged, or not exactly one group has the datasets; the message lists what it has.
+    """
+    try:
+        with h5py.File(path, "r") as file:
+            groups = {name: _arrays(group) for name, group in _groups(file)}
+    except OSError as error:
+        raise FormatError(f"cannot read {path}: {error}") from error
+    tables = {name: table for name, arrays in groups.items() if (table := _table(arrays))}
+    if len(tables) == 1:
+        return next(iter(tables.values()))
+    if tables:
+        raise FormatError(f"{path} has displacements in several groups, {' '.join(tables)}; expected one")
+    found = "; ".join(f"{name}: {_list(arrays)}" for name, arrays in groups.items())
+    raise FormatError(f"{path} needs datasets points and displacement, (n, 3) each, in one group; found {found}")
+
+
+def hdf5_entries(path: Path) -> set[str]:
+    """Names in the root group, which tell what wrote the file."""
+    try:
+        with h5py.File(path, "r") as file:
+            return set(file)
+    except OSError as error:
+        raise FormatError(f"cannot read {path}: {error}") from error
+
+
+def _groups(file: h5py.File) -> Iterator[tuple[str, h5py.Group]]:
+    yield "/", file
+    for name, entry in file.items():
+        if isinstance(entry, h5py.Group):
+            yield f"/{name}", entry
+
+
+def _arrays(group: h5py.Group) -> dict[str, NDArray[Any]]:
+    sets = {name: entry for name, entry in group.items() if isinstance(entry, h5py.Dataset)}
+    return {name: entry[()] for name, entry in sets.items() if entry.dtype.kind in "iuf" and entry.ndim in (1, 2)}
+
+
+def _table(arrays: Mapping[str, NDArray[Any]]) -> Table | None:
+    triangles = arrays.get("triangles", NO_TRIANGLES)
+    columns = {name: values for name, values in arrays.items() if name != "triangles"}
+    points, displacement = pick_vector(POINT_NAMES, columns), pick_vector(DISPLACEMENT_NAMES, columns)
+    if points is None or displacement is None or triangles.ndim != 2 or triangles.shape[1] != 3:
+        return None
+    return Table(points, displacement, triangles, row_place)
+
+
+def _list(arrays: Mapping[str, NDArray[Any]]) -> str:
+    return ", ".join(f"{name} {values.shape}" for name, values in arrays.items()) or "none"

@@ -1,0 +1,66 @@
+"""Displacement tables as surfaces that meshio reads."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from meshio._helpers import reader_map
+
+from meshdeform_core.errors import FormatError
+
+from .cells import split_cells
+from .table import NO_TRIANGLES, Table, surface_table
+
+# Corners of the cells with two dimensions; nodes on edges and inside come after them.
+_CORNERS = {"triangle": 3, "triangle6": 3, "triangle7": 3, "quad": 4, "quad8": 4, "quad9": 4}
+
+
+def read(path: Path, file_format: str) -> Table:
+    """Read a surface with displacements as point data.
+
+    Raises
+    ------
+    FormatError
+        When the file is damaged, with meshio's words, or has no displacement.
+    """
+    try:
+        # Not meshio.read, which prints what goes wrong and ends the program.
+        mesh = reader_map[file_format](_source(path, file_format))
+        triangles = [
+            split_cells(np.asarray(block.data), _CORNERS.get(block.type, len(block.data[0])))
+            for block in mesh.cells
+            if len(block.data) and (block.type in _CORNERS or block.type == "polygon")
+        ]
+    # meshio's readers raise whatever they stumble over in a damaged file.
+    except Exception as error:
+        reason = str(error) or f"{type(error).__name__}, the file is damaged"
+        raise FormatError(f"cannot read {path} as {file_format}: {reason}") from error
+    return surface_table(path, mesh.points, mesh.point_data, np.concatenate([NO_TRIANGLES, *triangles]))
+
+
+def _source(path: Path, file_format: str) -> Any:
+    """What to give the reader: two of them read a truncated file for ever, unless its end is an error."""
+    if file_format == "ply":
+        return _EndingBytes(path.read_bytes())
+    if file_format == "tecplot":
+        return _EndingText(path.read_text(encoding="utf-8"))
+    return str(path)
+
+
+class _EndingBytes(io.BytesIO):
+    def readline(self, size: Any = -1, /) -> Any:
+        return _required(super().readline(size))
+
+
+class _EndingText(io.StringIO):
+    def readline(self, size: Any = -1, /) -> Any:
+        return _required(super().readline(size))
+
+
+def _required(line: bytes | str) -> bytes | str:
+    if not line:
+        raise EOFError("the file is truncated")
+    return line

@@ -1,0 +1,163 @@
+"""Displacement tables: where the points of a surface go.
+
+A file is a table when it has displacements: text columns, arrays (.npy, .npz, HDF5), or a surface with a vector at its
+points, by preference one called displacement. A structured grid (Plot3D, CGNS, VTK) is a table only if every block has
+a node array called ``displacement``, ``disp`` or ``deformation``. Otherwise its coordinates are the deformed position
+of the same nodes, whatever solution (``U``, ...) it carries.
+"""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshdeform_core.boundary.transfer import SurfaceData
+from meshdeform_core.errors import FormatError
+from meshdeform_core.grid import Grid
+
+from ..files import read_head, replacing
+from ..grids import FORMATS, read_grid
+from ..vtk.legacy_file import dataset_kind
+from ..vtk.xml_header import read_header
+from .cells import grid_triangles
+from .table import VECTOR_NAMES, Table, checked_surface, pick_vector
+
+# meshio's formats that can hold a displacement at points, by suffix; those with a magic number are known by that.
+_MESHIO_FORMATS = {
+    ".avs": "avsucd",
+    ".dat": "tecplot",
+    ".med": "med",
+    ".msh": "gmsh",
+    ".ply": "ply",
+    ".tec": "tecplot",
+    ".xdmf": "xdmf",
+    ".xmf": "xdmf",
+}
+_TEXT_SUFFIXES = (".csv", ".txt", ".dat", ".tsv")
+
+
+def read_displacement(path: str | Path) -> SurfaceData | Grid:
+    """Read a displacement table, or a grid that holds the deformed position of the same nodes.
+
+    Files that say what they are, are known by content; texts by suffix: ``.csv``, ``.txt``, ``.dat`` and ``.tsv`` are
+    columns of numbers, the suffixes of Plot3D are grids, the others meshio's.
+
+    Raises
+    ------
+    FormatError
+        When the file is damaged or holds no displacement (with what was found), numbers are not finite, or a point has
+        two displacements (with both lines).
+    """
+    path = Path(path)
+    table = _read(path, read_head(path))
+    return table if isinstance(table, Grid) else checked_surface(table, path)
+
+
+def write_displacement(path: str | Path, data: SurfaceData) -> None:
+    """Write a table as text (``.csv``, exact) or ``.npz`` (with triangles), replacing ``path`` as a whole.
+
+    Raises
+    ------
+    FormatError
+        For another suffix, or when the file cannot be written.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in (".csv", ".npz"):
+        raise FormatError(f"cannot write {path}: a displacement table is written as .csv or .npz")
+    with replacing(path) as partial:
+        if suffix == ".npz":
+            np.savez(partial, points=data.points, displacement=data.displacement, triangles=data.triangles)
+        else:
+            columns = np.hstack([data.points, data.displacement])
+            np.savetxt(partial, columns, fmt="%.17g", delimiter=",", header="x,y,z,dx,dy,dz", comments="")
+
+
+def _read(path: Path, head: bytes) -> Table | Grid:
+    if head.startswith(b"\x93NUMPY"):
+        return _module("arrays").read_npy(path)
+    if head.startswith(b"PK\x03\x04"):
+        return _module("arrays").read_npz(path)
+    if head.startswith(b"\x89HDF\r\n\x1a\n"):
+        return _read_hdf5(path)
+    if head.startswith(b"# vtk DataFile"):
+        return _read_vtk_legacy(path)
+    if b"<VTKFile" in head:
+        return _read_vtk_xml(path)
+    if path.suffix.lower() in _TEXT_SUFFIXES and not _is_tecplot(head):
+        return _module("text").read(path)
+    if b"ADF Database Version" in head[:64] or path.suffix.lower() in FORMATS["plot3d"].suffixes:
+        return _read_structured(path)
+    return _module("meshio").read(path, _meshio_format(path))
+
+
+def _module(name: str) -> ModuleType:
+    """A reader, imported when first needed: h5py, vtk and meshio take their time."""
+    return importlib.import_module(f"{__package__}.{name}")
+
+
+def _is_tecplot(head: bytes) -> bool:
+    words = head.lower()
+    return b"variables" in words and b"zone" in words
+
+
+def _meshio_format(path: Path) -> str:
+    suffix = path.suffix.lower()
+    if suffix not in _MESHIO_FORMATS:
+        raise FormatError(
+            f"{path}: a file called {suffix or 'without suffix'} is no table of displacements; expected text "
+            f"({' '.join(_TEXT_SUFFIXES)}), .npz, .npy, HDF5, VTK, {' '.join(_MESHIO_FORMATS)}, or a grid"
+        )
+    return _MESHIO_FORMATS[suffix]
+
+
+def _read_hdf5(path: Path) -> Table | Grid:
+    entries = _module("arrays").hdf5_entries(path)
+    if "CGNSLibraryVersion" in entries:
+        return _read_structured(path)
+    if "ENS_MAA" in entries:
+        return _module("meshio").read(path, "med")
+    return _module("arrays").read_hdf5(path)
+
+
+def _read_vtk_legacy(path: Path) -> Table | Grid:
+    kind = dataset_kind(path)
+    if kind == "POLYDATA":
+        return _module("vtk").read_vtk_legacy(path)
+    if kind == "UNSTRUCTURED_GRID":
+        return _module("meshio").read(path, "vtk")
+    return _read_structured(path)
+
+
+def _read_vtk_xml(path: Path) -> Table | Grid:
+    kind = read_header(path).kind
+    if kind in ("PolyData", "UnstructuredGrid"):
+        return _module("vtk").read_vtk_xml(path)
+    if kind in ("PPolyData", "PUnstructuredGrid"):
+        raise FormatError(f"{path} is the index of a parallel data set; expected its pieces merged to one file")
+    return _read_structured(path)
+
+
+def _read_structured(path: Path) -> Table | Grid:
+    grid = read_grid(path)
+    displacements = [_block_displacement(grid, block) for block in range(grid.n_blocks)]
+    known = [values for values in displacements if values is not None]
+    if len(known) < grid.n_blocks:
+        return grid
+    numbers = np.arange(grid.n_nodes)
+    triangles = [
+        grid_triangles(numbers[low:high].reshape(shape))
+        for low, high, shape in zip(grid.offsets, grid.offsets[1:], grid.shapes, strict=False)
+    ]
+    return Table(grid.points, np.concatenate(known), np.concatenate(triangles), grid.node_label)
+
+
+def _block_displacement(grid: Grid, block: int) -> NDArray[Any] | None:
+    """Displacement of the nodes of a block, (n, 2) or (n, 3), if the file has it."""
+    fields = [field for field in grid.fields if field.block == block and field.location == "node"]
+    return pick_vector(VECTOR_NAMES, {f.name: f.values.reshape(-1, *f.values.shape[3:]) for f in fields})

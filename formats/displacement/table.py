@@ -1,0 +1,151 @@
+"""Points with displacements, whatever file they come from: names of columns, and the checks that all tables share."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshdeform_core.boundary.transfer import SurfaceData
+from meshdeform_core.errors import FormatError
+from meshdeform_core.grid import FloatArray, IntArray
+
+POINT_NAMES = ("", "points", "point", "coordinates", "coordinate", "coords", "coord", "positions", "position", "nodes")
+VECTOR_NAMES = ("displacement", "displacements", "pointdisplacement", "disp", "displ", "depl", "deformation")
+DISPLACEMENT_NAMES = (*VECTOR_NAMES, "delta", "d", "u")
+
+NO_TRIANGLES: IntArray = np.empty((0, 3), dtype=np.int64)
+
+# Two points at the same place must move alike, up to this fraction of the largest displacement.
+_ALIKE = 1e-9
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table as read.
+
+    Attributes
+    ----------
+    points, displacement : (n, 2) or (n, 3)
+    triangles : (m, 3) indices into ``points``
+    place : words for where row ``i`` stands in the file, such as ``line 7``
+    """
+
+    points: NDArray[Any]
+    displacement: NDArray[Any]
+    triangles: IntArray
+    place: Callable[[int], str]
+
+
+def row_place(row: int) -> str:
+    """Where a row stands in a file without lines."""
+    return f"row {row + 1}"
+
+
+def vector_names(
+    names: Sequence[str], scalars: Collection[str], vectors: Collection[str] = ()
+) -> tuple[str, ...] | None:
+    """The array, or the two or three columns, that hold the vector called one of ``names``; ``None`` without.
+
+    Case, units in brackets and punctuation do not matter. The components of ``u`` are ``u_x u_y u_z``, ``u0 u1 u2``,
+    ``u1 u2 u3`` or ``x-u y-u z-u``; a missing third one makes the vector plane.
+    """
+    whole = {_plain(name): name for name in reversed(list(vectors))}
+    parts = {_plain(name): name for name in reversed(list(scalars))}
+    for name in names:
+        if name in whole:
+            return (whole[name],)
+        patterns = ["{name}{axis}", "{axis}{name}"] if name else ["{axis}"]
+        for pattern in patterns:
+            for axes in ("xyz", "012", "123") if pattern == "{name}{axis}" else ("xyz",):
+                found = [parts.get(pattern.format(name=name, axis=axis)) for axis in axes]
+                if found[0] and found[1]:
+                    return tuple(word for word in found if word)
+    return None
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"\[.*\]|\(.*\)|[^a-z0-9]", "", name.lower())
+
+
+def pick_vector(names: Sequence[str], arrays: Mapping[str, NDArray[Any]]) -> NDArray[Any] | None:
+    """The vector called one of ``names``, (n, 2) or (n, 3), from arrays by name; ``None`` without."""
+    vectors = [name for name, values in arrays.items() if values.ndim == 2 and values.shape[1] in (2, 3)]
+    scalars = [name for name, values in arrays.items() if values.ndim == 1]
+    found = vector_names(names, scalars, vectors)
+    if found is None:
+        return None
+    return arrays[found[0]] if len(found) == 1 else np.stack([arrays[name] for name in found], axis=1)
+
+
+def surface_table(
+    path: Path, points: NDArray[Any], arrays: Mapping[str, NDArray[Any]], triangles: NDArray[Any]
+) -> Table:
+    """The table of a surface with arrays at its points: the one called displacement, or its only vector.
+
+    Raises
+    ------
+    FormatError
+        When there is none, or several vectors have other names; the message lists them.
+    """
+    displacement = pick_vector(DISPLACEMENT_NAMES, arrays)
+    vectors = [values for values in arrays.values() if values.ndim == 2 and values.shape[1] == 3]
+    if displacement is None and len(vectors) == 1:
+        displacement = vectors[0]
+    if displacement is None:
+        found = ", ".join(f"{name} {values.shape[1:] or 'scalar'}" for name, values in arrays.items()) or "none"
+        raise FormatError(f"{path} has no vector called displacement (or disp, d, u) at its points; found {found}")
+    return Table(points, displacement, triangles, row_place)
+
+
+def checked_surface(table: Table, path: Path) -> SurfaceData:
+    """The table as surface data, with (n, 3) contiguous float64 arrays.
+
+    Raises
+    ------
+    FormatError
+        When it is empty, has numbers that are not finite, different displacements of one point, or triangles of
+        points that do not exist.
+    """
+    points, displacement = (_three_columns(values) for values in (table.points, table.displacement))
+    if len(points) != len(displacement):
+        raise FormatError(f"{path} has {len(points)} points but {len(displacement)} displacements")
+    if not len(points):
+        raise FormatError(f"{path} has no points with displacements")
+    for what, values in (("point", points), ("displacement", displacement)):
+        bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
+        if bad.size:
+            raise FormatError(
+                f"{path}, {table.place(int(bad[0]))}: the {what} {values[bad[0]].tolist()} is not finite "
+                f"({bad.size} such rows)"
+            )
+    _check_duplicates(points, displacement, table.place, path)
+    triangles = np.ascontiguousarray(table.triangles, dtype=np.int64)
+    if triangles.size and not 0 <= triangles.min() <= triangles.max() < len(points):
+        raise FormatError(f"{path}: triangles refer to points {triangles.min()} to {triangles.max()} of {len(points)}")
+    distinct = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)
+    return SurfaceData(points, displacement, triangles[distinct], path.name)
+
+
+def _three_columns(values: NDArray[Any]) -> FloatArray:
+    padding = np.zeros((len(values), 3 - values.shape[1]))
+    return np.ascontiguousarray(np.hstack([values, padding]), dtype=np.float64)
+
+
+def _check_duplicates(points: FloatArray, displacement: FloatArray, place: Callable[[int], str], path: Path) -> None:
+    order = np.lexsort(points.T)
+    same = (points[order[1:]] == points[order[:-1]]).all(axis=1)
+    first, second = order[:-1][same], order[1:][same]
+    apart = np.abs(displacement[first] - displacement[second]).max(axis=1, initial=0)
+    conflict = np.flatnonzero(apart > _ALIKE * np.abs(displacement).max())
+    if conflict.size:
+        one, other = sorted((int(first[conflict[0]]), int(second[conflict[0]])))
+        raise FormatError(
+            f"{path}: the point {points[one].tolist()} has two displacements, {displacement[one].tolist()} in "
+            f"{place(one)} and {displacement[other].tolist()} in {place(other)}; keep one of them"
+        )

@@ -1,0 +1,153 @@
+"""Displacement tables as text: columns separated by commas, semicolons, tabs or blanks, with or without a header."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from meshdeform_core.errors import FormatError
+
+from .table import DISPLACEMENT_NAMES, NO_TRIANGLES, POINT_NAMES, Table, vector_names
+
+_BY_ORDER = {6: "x y z dx dy dz", 4: "x y dx dy"}
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """Where the numbers stand.
+
+    ``first`` is the first line with numbers (1-based); ``separator`` is ``None`` for blanks and tabs; ``width`` is the
+    number of columns; ``points`` and ``displacement`` are the columns (0-based) to take.
+    """
+
+    first: int
+    separator: str | None
+    width: int
+    points: tuple[int, ...]
+    displacement: tuple[int, ...]
+
+
+def read(path: Path) -> Table:
+    """Read a text table.
+
+    Without header the columns are ``x y z dx dy dz``, or ``x y dx dy`` in 2-D. A header, also one in a comment, names
+    them in any order and number (see :func:`vector_names`). ``#`` begins a comment.
+
+    Raises
+    ------
+    FormatError
+        When the columns are unknown or a line is not a row of numbers; the message has the line.
+    """
+    layout = _layout(path)
+    try:
+        columns = layout.points + layout.displacement
+        every = len(columns) == layout.width
+        with path.open(encoding="utf-8-sig") as stream:
+            values = np.loadtxt(
+                stream,
+                delimiter=layout.separator,
+                skiprows=layout.first - 1,
+                # Asked for all columns, numpy also checks that there are no more.
+                usecols=None if every else columns,
+                ndmin=2,
+            )
+    except ValueError as error:
+        raise _explained(path, layout, error) from error
+    if every:
+        values = values[:, columns]
+    split = len(layout.points)
+    return Table(
+        values[:, :split], values[:, split:], NO_TRIANGLES, lambda row: f"line {_line_of_row(path, layout, row)}"
+    )
+
+
+def _contents(path: Path) -> Iterator[tuple[int, str, str]]:
+    """Number, text before ``#`` and comment after it of each line that is not blank."""
+    try:
+        with path.open(encoding="utf-8-sig") as stream:
+            for number, line in enumerate(stream, start=1):
+                text, _, comment = line.partition("#")
+                if text.strip() or comment.strip():
+                    yield number, text.strip(), comment.strip()
+    except UnicodeDecodeError as error:
+        raise FormatError(f"{path} is not a text in UTF-8: {error}") from error
+
+
+def _layout(path: Path) -> _Layout:
+    header, comment = "", ""
+    for number, text, remark in _contents(path):
+        if not text:
+            comment = remark
+            continue
+        separator = next((mark for mark in ";," if mark in text), None)
+        words = _words(text, separator)
+        if header or all(map(_is_number, words)):
+            return _Layout(
+                number, separator, len(words), *_columns(path, number, separator, len(words), header, comment)
+            )
+        header = text
+    below = f" below the header {header[:60]!r}" if header else ""
+    raise FormatError(f"{path} has no rows of numbers{below}")
+
+
+def _columns(
+    path: Path, number: int, separator: str | None, width: int, header: str, comment: str
+) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """The columns of the points and of the displacement in the rows that begin in line ``number``."""
+    names = _words(header or comment, separator)
+    if len(names) != width:
+        names = _words(header or comment, None)
+    found = [vector_names(wanted, names) for wanted in (POINT_NAMES, DISPLACEMENT_NAMES)]
+    if len(names) == width and found[0] and found[1]:
+        points, displacement = (tuple(map(names.index, columns)) for columns in found if columns)
+        return points, displacement
+    if header:
+        raise FormatError(
+            f"{path}: expected a name for each of {width} columns, x y z (or x y) and dx dy dz (or dx dy) among them; "
+            f"found {' '.join(map(repr, names))}"
+        )
+    if width not in _BY_ORDER:
+        expected = " or ".join(f"{number} ({names})" for number, names in _BY_ORDER.items())
+        raise FormatError(f"{path}, line {number}: found {width} columns without names; expected {expected}")
+    half = width // 2
+    return tuple(range(half)), tuple(range(half, width))
+
+
+def _words(text: str, separator: str | None) -> list[str]:
+    if separator is None:
+        return [word.strip('"') for word in text.split()]
+    return [word.strip() for word in next(csv.reader([text], delimiter=separator, skipinitialspace=True))]
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _rows(path: Path, layout: _Layout) -> Iterator[tuple[int, list[str]]]:
+    """Line number and words of each row of numbers."""
+    for number, text, _ in _contents(path):
+        if text and number >= layout.first:
+            yield number, _words(text, layout.separator)
+
+
+def _line_of_row(path: Path, layout: _Layout, row: int) -> int:
+    return next(number for index, (number, _) in enumerate(_rows(path, layout)) if index == row)
+
+
+def _explained(path: Path, layout: _Layout, error: ValueError) -> FormatError:
+    """What numpy did not understand, with the line."""
+    for number, words in _rows(path, layout):
+        if len(words) != layout.width:
+            return FormatError(f"{path}, line {number}: found {len(words)} columns; expected {layout.width} as before")
+        wrong = [words[column] for column in layout.points + layout.displacement if not _is_number(words[column])]
+        if wrong:
+            return FormatError(f"{path}, line {number}: {wrong[0]!r} is not a number")
+    return FormatError(f"{path}: {error}")

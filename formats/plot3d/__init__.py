@@ -1,0 +1,5 @@
+"""Plot3D files, all variants."""
+
+from .format import read, variant, write
+
+__all__ = ["read", "variant", "write"]

@@ -1,0 +1,198 @@
+"""Which Plot3D variant a file is: every reading is tried, exactly one must fit.
+
+A Plot3D file does not say how it was written. Its header and its exact size do: for every variant the header gives the
+block shapes, and these give the size that the file must have (bytes, or numbers in a text). A reading fits when the
+size and, in Fortran files, every record agree. File names are never looked at. (Texts and C streams written plane by
+plane have the size of whole blocks and cannot be told from them; only records can show it.)
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshdeform_core.errors import FormatError, GridError
+from meshdeform_core.grid import Grid, Shape
+
+from .variant import CHOICES, Variant
+
+MOST_BLOCKS = 100_000
+LONGEST_HEADER = 1 + 3 * MOST_BLOCKS
+# What asks for so many times more than the file has is no header.
+ABSURD = 1000
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One way to read a file.
+
+    ``size`` is what a file of this variant with these blocks has: bytes, or numbers in a text. ``segments`` are the
+    (offset, length) of the data behind the header, in the same unit. ``defect`` tells what disagrees beside the size,
+    ``evidence`` how much agrees: (1, good records) in Fortran files, (0, plausible header integers) in others.
+    """
+
+    variant: Variant
+    shapes: tuple[Shape, ...]
+    size: int
+    segments: tuple[tuple[int, int], ...]
+    evidence: tuple[int, int]
+    defect: str = ""
+
+    @property
+    def label(self) -> str:
+        """For messages: the variant and its blocks."""
+        if not self.shapes:
+            return self.variant.encoding_label
+        sizes = ", ".join("x".join(str(n) for n in shape[: self.variant.dimension]) for shape in self.shapes[:3])
+        count = "1 block" if len(self.shapes) == 1 else f"{len(self.shapes)} blocks"
+        return f"{self.variant.label} with {count} ({sizes}{', ...' if len(self.shapes) > 3 else ''})"
+
+
+def header_variants(**fixed: Any) -> Iterator[Variant]:
+    """The variants of one encoding that differ in what header and nodes hold."""
+    for multiblock, dimension, iblank in product((True, False), (3, 2), (False, True)):
+        yield Variant().changed({**fixed, "multiblock": multiblock, "dimension": dimension, "iblank": iblank})
+
+
+def header_shapes(integers: NDArray[np.int64], multiblock: bool, dimension: int, size: int) -> tuple[Shape, ...] | None:
+    """Block shapes that the leading integers of a file of ``size`` state, ``None`` when they cannot be a header."""
+    n_blocks = int(integers[0]) if multiblock and integers.size else 1
+    if not 1 <= n_blocks <= MOST_BLOCKS:
+        return None
+    sizes = integers[int(multiblock) : int(multiblock) + n_blocks * dimension]
+    if sizes.size < n_blocks * dimension or sizes.min() < 1:
+        return None
+    blocks = np.ones((n_blocks, 3), np.int64)
+    blocks[:, :dimension] = sizes.reshape(n_blocks, dimension)
+    shapes = tuple((int(ni), int(nj), int(nk)) for ni, nj, nk in blocks)
+    return shapes if sum(map(math.prod, shapes)) <= ABSURD * size else None
+
+
+def stream_readings(variants: Iterable[Variant], integers: NDArray[np.int64], size: int) -> Iterator[Reading]:
+    """Readings of a text or C binary file of ``size`` whose header may be ``integers``."""
+    for variant in variants:
+        shapes = header_shapes(integers, variant.multiblock, variant.dimension, size)
+        if shapes is None:
+            continue
+        integer, real = (1, 1) if variant.encoding == "ascii" else (4, variant.real.itemsize)
+        header = int(variant.multiblock) + variant.dimension * len(shapes)
+        data = (variant.dimension * real + variant.iblank * integer) * sum(map(math.prod, shapes))
+        segments = ((integer * header, data),)
+        yield Reading(variant, shapes, integer * header + data, segments, (0, header))
+
+
+@dataclass(frozen=True)
+class UnknownFile:
+    """A file whose variant is looked for: its size in ``unit``, the options given, how to load it in a reading.
+
+    ``ends_with_integer`` tells of a text whether its last number is written without dot and exponent.
+    """
+
+    path: Path
+    size: int
+    unit: str
+    options: Mapping[str, Any]
+    load: Callable[[Reading], Grid]
+    ends_with_integer: bool | None = None
+
+    def agrees(self, reading: Reading) -> bool:
+        """Whether the file has what this reading needs, no more and no less."""
+        return reading.size == self.size and not reading.defect
+
+
+def choose(readings: Iterable[Reading], file: UnknownFile) -> Grid:
+    """Load the one reading that fits and that the options allow.
+
+    Where the size leaves several, those whose content makes no sense fall out: IBLANK that is no small integer,
+    coordinates that are denormal. One that is left must make sense at large, unless its encoding was asked for.
+
+    Raises
+    ------
+    FormatError
+        When none or several remain.
+    """
+    tried = list(readings)
+    allowed = [reading for reading in tried if reading.variant.matches(file.options)]
+    fitting = [reading for reading in allowed if file.agrees(reading)]
+    if not fitting:
+        raise FormatError(_nothing_fits(tried, allowed, file))
+    if len(fitting) > 1:
+        fitting = [reading for reading in fitting if _makes_sense(reading, file)] or fitting
+    if len(fitting) > 1:
+        raise FormatError(_ambiguous(fitting, file.path))
+    grid = file.load(fitting[0])
+    if fitting[0].variant.encoding != "ascii" and "encoding" not in file.options:
+        _require_sense(grid, fitting[0], file.path)
+    return grid
+
+
+def _makes_sense(reading: Reading, file: UnknownFile) -> bool:
+    """Whether the numbers can be what this reading takes them for."""
+    # The last numbers of a file are IBLANK or z, and Fortran writes no real number without a dot.
+    if file.ends_with_integer not in (None, reading.variant.iblank):
+        return False
+    try:
+        grid = file.load(reading)
+    except (FormatError, GridError):
+        return False
+    all_blanked = reading.variant.iblank and not any(field.values.any() for field in grid.fields)
+    return not all_blanked and not np.isnan(grid.points).any() and _senseless_share(grid, reading.variant) == 0
+
+
+def _require_sense(grid: Grid, reading: Reading, path: Path) -> None:
+    """Refuse bits of something else that happen to have the right size; a sample is enough to see it."""
+    share = _senseless_share(grid, reading.variant, max(grid.n_nodes // 10_000, 1))
+    if share > 0.01:
+        raise FormatError(
+            f"{path} has the size of {reading.label}, but {share:.0%} of the numbers would make no sense (coordinates "
+            f"denormal or beyond 1e30, IBLANK beyond {MOST_BLOCKS}); if they are right, confirm it with the option "
+            f"encoding={reading.variant.encoding}"
+        )
+
+
+def _senseless_share(grid: Grid, variant: Variant, step: int = 1) -> float:
+    """Share of coordinates or IBLANK values that look like bits of something else, among every ``step``-th node."""
+    size = np.abs(grid.points[::step])
+    bad = [((size < np.finfo(variant.precision).tiny) & (size > 0)) | (size > 1e30)]
+    # Negative IBLANK values are numbers of neighbouring blocks.
+    bad += [np.abs(field.values.reshape(-1)[::step].astype(np.int64)) > MOST_BLOCKS for field in grid.fields]
+    return max(float(part.mean()) for part in bad)
+
+
+def _nothing_fits(tried: list[Reading], allowed: list[Reading], file: UnknownFile) -> str:
+    wanted = "".join(f" with {key}={value}" for key, value in file.options.items())
+    excluded = [reading.label for reading in tried if file.agrees(reading)]
+    if excluded:
+        return f"{file.path} fits no variant of Plot3D{wanted}; without these options it is {' or '.join(excluded)}"
+    if not allowed:
+        return (
+            f"{file.path} is not a Plot3D grid{wanted}: its first numbers are no block count and no block sizes in any "
+            f"encoding (text, C binary, Fortran records with 4- or 8-byte markers; either byte order)"
+        )
+    nearest = max(allowed, key=lambda reading: (reading.evidence, -abs(reading.size - file.size)))
+    missing = nearest.size - file.size
+    verdict = f"truncated by {missing}" if missing > 0 else f"{-missing} too many"
+    lacks = [f"the file should have {nearest.size} {file.unit} but has {file.size}: {verdict}"] if missing else []
+    lacks += [nearest.defect] if nearest.defect else []
+    count = f"{len(allowed)} tried"
+    return f"{file.path} fits no variant of Plot3D{wanted} ({count}); nearest is {nearest.label}: {'; '.join(lacks)}"
+
+
+def _ambiguous(readings: list[Reading], path: Path) -> str:
+    telling = [key for key in CHOICES if len({getattr(reading.variant, key) for reading in readings}) > 1]
+    ways = []
+    for reading in readings:
+        values = {key: getattr(reading.variant, key) for key in telling}
+        words = ", ".join(f"{key}={str(value).lower()}" for key, value in values.items() if value is not None)
+        ways.append(f"{words} ({reading.label})")
+    return (
+        f"{path} can be read in {len(readings)} ways and its content does not decide; choose by options: "
+        f"{' or '.join(ways)}"
+    )

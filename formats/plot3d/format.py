@@ -1,0 +1,140 @@
+"""Plot3D grid files: every variant is recognised by content when reading and chosen by name when writing.
+
+Sources: the PLOT3D manual (Walatka, Buning, Pierce, Elson, NASA TM-101067) for what a file holds, the gfortran manual
+("File format of unformatted sequential files") for records.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from meshdeform_core.errors import FormatError
+from meshdeform_core.grid import FileFormat, Grid
+
+from ..files import replacing
+from .binary import read_binary, write_binary
+from .blocks import iblank_of
+from .variant import Variant, parse_options
+
+_TEXT_SUFFIXES = (".fmt", ".p2dfmt", ".p3dfmt")
+_BINARY_SUFFIXES = (".p2dbin", ".p3dbin", ".bin")
+
+
+def read(path: Path, **options: Any) -> Grid:
+    """Read a Plot3D grid of any variant.
+
+    Parameters
+    ----------
+    path : file to read; its name says nothing about the variant
+    options : ``encoding``, ``byte_order``, ``markers``, ``records``, ``precision``, ``multiblock``, ``dimension``,
+        ``iblank`` (see :class:`.plot3d_variant.Variant`): only readings with these values are considered
+
+    Returns
+    -------
+    Blocks ``(ni, nj, nk, 3)``, in 2-D files ``(ni, nj, 1, 3)`` with z = 0; IBLANK as node field ``iblank`` (int32); the
+    variant as ``grid.format``.
+
+    Raises
+    ------
+    FormatError
+        When no variant fits (with the nearest one and what it lacks), when several do (with how to choose), or when a
+        text holds what is no number.
+    """
+    path = Path(path)
+    wanted = parse_options(options)
+    with path.open("rb") as stream:
+        # Every binary header has small integers with zero bytes in them, no text has.
+        if b"\0" in stream.read(1024):
+            return read_binary(path, wanted)
+    from .ascii import read_ascii  # scipy.io takes longer to import than a binary grid to read
+
+    return read_ascii(path, wanted)
+
+
+def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
+    """How to write ``grid``: the variant it was read from, else what the suffix means, changed by ``options``.
+
+    The suffixes ``.fmt .p2dfmt .p3dfmt`` mean text and ``.p2dbin .p3dbin`` no text, whatever the grid was read from.
+    Without a variant of its own a grid is written to ``.p2d ...`` in 2-D and else with Fortran records, little endian,
+    float64, multi-block, 3-D. IBLANK is written when the grid carries it.
+
+    Raises
+    ------
+    FormatError
+        For unknown options and values, and for options that cannot hold the grid.
+    """
+    chosen = _usual_variant(grid, Path(path)).changed(parse_options(options))
+    _require_writable(grid, Path(path), chosen)
+    return chosen.file_format()
+
+
+def write(grid: Grid, path: Path, variant: FileFormat) -> None:
+    """Write ``grid`` in the given variant, replacing ``path`` as a whole or leaving it alone.
+
+    Raises
+    ------
+    FormatError
+        When the variant cannot hold the grid or the file cannot be written.
+    """
+    chosen = Variant.of(variant)
+    _require_writable(grid, Path(path), chosen)
+    with replacing(Path(path)) as partial, partial.open("wb") as stream:
+        if chosen.encoding == "ascii":
+            from .ascii import write_ascii
+
+            write_ascii(grid, stream, chosen)
+        else:
+            write_binary(grid, stream, chosen)
+
+
+def _usual_variant(grid: Grid, path: Path) -> Variant:
+    carries_iblank = any(iblank_of(grid, index) is not None for index in range(grid.n_blocks))
+    suffix = path.suffix.lower()
+    if grid.format is not None and grid.format.name == "plot3d":
+        own = Variant.of(grid.format)
+        usual = own.changed({"iblank": own.iblank or carries_iblank})
+    else:
+        usual = Variant().changed({"dimension": 2 if suffix.startswith(".p2d") else 3, "iblank": carries_iblank})
+    if suffix in _TEXT_SUFFIXES:
+        return usual.changed({"encoding": "ascii"})
+    if suffix in _BINARY_SUFFIXES and usual.encoding == "ascii":
+        return usual.changed({"encoding": "fortran"})
+    return usual
+
+
+def _require_writable(grid: Grid, path: Path, chosen: Variant) -> None:
+    if not chosen.multiblock and grid.n_blocks > 1:
+        raise FormatError(
+            f"cannot write {path} without block count: the grid has {grid.n_blocks} blocks; use multiblock=true"
+        )
+    if max(max(shape) for shape in grid.shapes) >= 2**31:
+        raise FormatError(f"cannot write {path}: a block has more than 2**31 - 1 nodes along an index")
+    for index, (name, shape) in enumerate(zip(grid.names, grid.shapes, strict=True)):
+        iblank = iblank_of(grid, index)
+        if iblank is not None and iblank.shape != shape:
+            raise FormatError(f"cannot write {path}: {name} has {shape} nodes but IBLANK values {iblank.shape}")
+    if chosen.dimension == 2:
+        _require_flat(grid, path)
+    if chosen.precision == "float32":
+        largest = max(float(grid.points.max()), -float(grid.points.min()))
+        if largest > float(np.finfo(np.float32).max):
+            raise FormatError(f"cannot write {path} as float32: a coordinate is {largest:g}; use precision=float64")
+
+
+def _require_flat(grid: Grid, path: Path) -> None:
+    for index, (name, shape) in enumerate(zip(grid.names, grid.shapes, strict=True)):
+        if shape[2] != 1:
+            raise FormatError(
+                f"cannot write {path} as 2-D: {name} has {shape[0]}x{shape[1]}x{shape[2]} nodes, a 2-D file holds one "
+                f"plane k = 1; use dimension=3"
+            )
+        z = grid.block(index)[..., 2]
+        if z.any():
+            raise FormatError(
+                f"cannot write {path} as 2-D: {name} has z from {z.min():g} to {z.max():g}, which a 2-D file does not "
+                f"hold; use dimension=3"
+            )

@@ -1,0 +1,177 @@
+"""Fortran unformatted records: byte counts (markers) of 4 or 8 bytes before and after the data.
+
+A record longer than a signed 4-byte marker can say is split into subrecords: the marker before a subrecord is negative
+when another one follows, the marker after it when another one preceded (gfortran and Intel Fortran agree on this).
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import accumulate, chain, product, takewhile
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshdeform_core.grid import Shape
+
+from .detect import ABSURD, LONGEST_HEADER, MOST_BLOCKS, Reading, header_shapes
+from .variant import Variant
+
+# Bytes in the largest subrecord that gfortran and Intel Fortran write.
+LONGEST_SUBRECORD = 2**31 - 9
+
+
+@dataclass(frozen=True)
+class Record:
+    """One logical record: the (offset, length) of its data, more than one pair if it has subrecords."""
+
+    segments: tuple[tuple[int, int], ...]
+
+    @property
+    def length(self) -> int:
+        return sum(length for _, length in self.segments)
+
+
+@dataclass(frozen=True)
+class Walk:
+    """What walking through a file from marker to marker found, and what stopped it before the end of the file."""
+
+    size: int
+    records: list[Record]
+    problem: str
+
+
+def walk_records(stream: BinaryIO, variant: Variant) -> Walk:
+    """Walk through a file that may consist of records with the variant's byte order and markers."""
+    size, width = os.fstat(stream.fileno()).st_size, variant.marker.itemsize
+    records: list[Record] = []
+    segments: list[tuple[int, int]] = []
+    position = 0
+    while position < size:
+        place = f"record {len(records) + 1} at byte {position}"
+        before = _marker(stream, position, variant)
+        end = position + width + abs(before)
+        if before == 0 or end + width > size:
+            left = max(size - position - width, 0)
+            return Walk(size, records, f"{place} announces {abs(before)} bytes of data and {left} follow")
+        after = _marker(stream, end, variant)
+        if abs(after) != abs(before) or (after < 0) != bool(segments):
+            return Walk(size, records, f"{place} has the marker {before} before its data and {after} behind")
+        segments.append((position + width, abs(before)))
+        position = end + width
+        if before > 0:
+            records.append(Record(tuple(segments)))
+            segments = []
+    return Walk(size, records, f"record {len(records) + 1} lacks its last subrecord" if segments else "")
+
+
+def _marker(stream: BinaryIO, offset: int, variant: Variant) -> int:
+    width = variant.marker.itemsize
+    stream.seek(offset)
+    return int(np.frombuffer(stream.read(width).ljust(width, b"\0"), variant.marker)[0])
+
+
+def fortran_readings(stream: BinaryIO) -> Iterator[Reading]:
+    """Readings of a file that begins with proper records of the size of a header."""
+    for byte_order, markers in product(("little", "big"), (4, 8)):
+        base = Variant(byte_order=byte_order, markers=markers)
+        walk = walk_records(stream, base)
+        if not walk.records or walk.records[0].length not in (4, 8, 12):
+            continue
+        integers = _leading_integers(stream, walk.records, base)
+        headers = list(_headers(base, walk, integers))
+        for variant, shapes, used in headers:
+            yield from _data_readings(variant, shapes, walk, used)
+        if not headers:
+            defect = f"its header {integers[:9].tolist()} is no block count and sizes that fill whole records"
+            yield Reading(base, (), walk.size, (), (1, 0), defect)
+
+
+def _leading_integers(stream: BinaryIO, records: list[Record], variant: Variant) -> NDArray[np.int64]:
+    content = bytearray()
+    for offset, length in chain.from_iterable(record.segments for record in records[: 1 + MOST_BLOCKS]):
+        stream.seek(offset)
+        content += stream.read(min(length, 4 * LONGEST_HEADER - len(content)))
+    return np.frombuffer(content, variant.integer, count=len(content) // 4).astype(np.int64)
+
+
+def _headers(
+    base: Variant, walk: Walk, integers: NDArray[np.int64]
+) -> Iterator[tuple[Variant, tuple[Shape, ...], int]]:
+    """Variant, block shapes and number of header records; the block sizes may stand in one record or in several."""
+    ends = list(accumulate(record.length for record in walk.records[: 1 + MOST_BLOCKS]))
+    for multiblock, dimension in product((True, False), (3, 2)):
+        shapes = header_shapes(integers, multiblock, dimension, walk.size)
+        length = 4 * (int(multiblock) + dimension * len(shapes or ()))
+        if shapes and ends[0] == (4 if multiblock else length) and length in ends:
+            yield replace(base, multiblock=multiblock, dimension=dimension), shapes, ends.index(length) + 1
+
+
+def _data_readings(header: Variant, shapes: tuple[Shape, ...], walk: Walk, used: int) -> Iterator[Reading]:
+    """All that the records behind the ``used`` records of the header may hold."""
+    found = [record.length for record in walk.records]
+    segments = tuple(chain.from_iterable(record.segments for record in walk.records[used:]))
+    planes = sum(nk for _, _, nk in shapes)
+    for precision, iblank, per in product(("float64", "float32"), (False, True), ("block", "array", "plane")):
+        # Blocks of one plane are the same records either way.
+        if per == "plane" and not len(shapes) < planes <= ABSURD * len(found):
+            continue
+        variant = replace(header, precision=precision, iblank=iblank, records=per)
+        expected = found[:used] + [length for shape in shapes for length in record_lengths(variant, shape)]
+        good = len(list(takewhile(lambda pair: pair[0] == pair[1], zip(found, expected, strict=False))))
+        defect = _defect(found, expected, good, walk.problem)
+        size = _stored(expected, variant) if defect else walk.size
+        yield Reading(variant, shapes, size, segments, (1, good), defect)
+
+
+def _defect(found: list[int], expected: list[int], good: int, problem: str) -> str:
+    """What is wrong with the first record behind the good ones, if anything is."""
+    if good < min(len(found), len(expected)):
+        return f"record {good + 1} holds {found[good]} bytes where {expected[good]} are expected"
+    if len(found) > len(expected):
+        return f"record {len(expected) + 1} is one too many"
+    return problem or (f"record {good + 1} is missing" if len(found) < len(expected) else "")
+
+
+def record_lengths(variant: Variant, shape: Shape) -> list[int]:
+    """Bytes of data in each record of one block."""
+    real, integer = variant.real.itemsize, variant.integer.itemsize
+    per_node = variant.dimension * real + variant.iblank * integer
+    if variant.records == "array":
+        return [real * math.prod(shape)] * variant.dimension + [integer * math.prod(shape)] * variant.iblank
+    if variant.records == "plane":
+        return [per_node * shape[0] * shape[1]] * shape[2]
+    return [per_node * math.prod(shape)]
+
+
+def _longest(variant: Variant) -> int:
+    return LONGEST_SUBRECORD if variant.markers == 4 else sys.maxsize
+
+
+def _subrecords(length: int, variant: Variant) -> list[int]:
+    longest = _longest(variant)
+    return [min(longest, length - start) for start in range(0, length, longest)]
+
+
+def _stored(lengths: list[int], variant: Variant) -> int:
+    """Bytes that records with so much data take in the file."""
+    return sum(length + 2 * variant.marker.itemsize * math.ceil(length / _longest(variant)) for length in lengths)
+
+
+def write_record(stream: BinaryIO, arrays: Iterator[NDArray[Any]], length: int, variant: Variant) -> None:
+    """Write the next ``arrays`` that together have ``length`` bytes as one record."""
+    subrecords = _subrecords(length, variant)
+    data = memoryview(b"")
+    for number, part in enumerate(subrecords, 1):
+        stream.write(np.array(part if number == len(subrecords) else -part, variant.marker).tobytes())
+        left = part
+        while left:
+            data = data or next(arrays).view(np.uint8).data
+            piece, data = data[:left], data[left:]
+            left -= stream.write(piece)
+        stream.write(np.array(part if number == 1 else -part, variant.marker).tobytes())

@@ -1,0 +1,92 @@
+"""Parts of which all reports are made; a report is a dictionary of the types that JSON knows."""
+
+from __future__ import annotations
+
+import dataclasses
+from importlib.metadata import version
+from typing import Any
+
+from meshdeform_core.boundary import Kind
+from meshdeform_core.deform import Setup
+from meshdeform_core.grid import Grid
+from meshdeform_core.methods import Account
+from meshdeform_core.quality import Assessment, InvalidCell
+
+SCHEMA = 1
+Report = dict[str, Any]
+
+
+def head_part(grid: Grid) -> Report:
+    """Versions and the grid."""
+    return {
+        "schema": SCHEMA,
+        "meshdeform": version("meshdeform"),
+        "grid": {
+            "file": str(grid.path) if grid.path else None,
+            "format": grid.format.label if grid.format else None,
+            "dimension": grid.dimension,
+            "blocks": grid.n_blocks,
+            "nodes": grid.n_nodes,
+            "cells": grid.n_cells,
+        },
+    }
+
+
+def method_part(name: str, account: Account) -> Report:
+    """The method with its parameters."""
+    part: Report = {"name": name}
+    for key, setting in account.settings.items():
+        part[key] = {"value": setting.value} | ({"reason": setting.reason} if setting.reason else {})
+    return part
+
+
+def boundary_part(setup: Setup) -> Report:
+    """Patches, node counts, what tables matched."""
+    boundary, topology = setup.boundary, setup.topology
+    part: Report = {
+        "patches": [{"name": p.name, "kind": p.kind.label, "nodes": len(p.nodes)} for p in boundary.patches],
+        "moving_nodes": boundary.count(Kind.MOVING),
+        "fixed_nodes": boundary.count(Kind.FIXED),
+        "slip_nodes": boundary.count(Kind.SLIP, Kind.SYMMETRY),
+        "interface_nodes": boundary.count(*(kind for kind in Kind if kind < Kind.FIXED)),
+        "interior_nodes": setup.grid.n_nodes - len(topology.face_nodes),
+    }
+    matches = [match for _, motion in boundary.movers for match in motion.matches]
+    if matches:
+        part["matches"] = [
+            {
+                "table": m.label,
+                "match": m.how,
+                "matched_nodes": int(m.matched.sum()),
+                "unmatched_nodes": int((~m.matched).sum()),
+                "table_points": m.used[1],
+                "table_points_used": m.used[0],
+                "max_distance": float(m.distance[m.matched].max(initial=0.0)),
+            }
+            for m in matches
+        ]
+    return part
+
+
+def quality_part(assessment: Assessment) -> Report:
+    """Quality before and after, and the change."""
+    return {
+        "quality": {
+            "before": dataclasses.asdict(assessment.before),
+            "after": dataclasses.asdict(assessment.after),
+            "change": assessment.change,
+        }
+    }
+
+
+def cell_part(cell: InvalidCell) -> Report:
+    """One invalid cell."""
+    return {
+        "block": cell.block,
+        "ijk": list(cell.ijk),
+        "f_skew": cell.f_skew,
+        "min_jacobian": cell.min_jacobian,
+        "nearest_patch": cell.nearest_patch,
+        "center": list(cell.center),
+        "step": cell.step,
+    }

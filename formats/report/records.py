@@ -1,0 +1,60 @@
+"""Reports of a deformation, of a quality check, and of a dry run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from meshdeform_core.deform import Result, Setup
+from meshdeform_core.grid import Grid
+from meshdeform_core.methods import Account
+from meshdeform_core.quality import Assessment
+
+from .parts import Report, boundary_part, cell_part, head_part, method_part, quality_part
+
+
+def deformation_report(result: Result, timing: Mapping[str, float], peak_memory: int) -> Report:
+    """The report of :func:`meshdeform_core.deform.deform` (contract, schema 1).
+
+    Parameters
+    ----------
+    timing : seconds of reading, writing and in total, which only the caller knows
+    peak_memory : largest resident size of the process, bytes
+    """
+    setup = result.setup
+    boundary = boundary_part(setup) | {"max_displacement": result.max_displacement}
+    seconds = dict.fromkeys(("read", "topology", "prepare", "apply", "quality", "write", "total"), 0.0)
+    return {
+        **head_part(setup.grid),
+        "method": method_part(setup.case.method.name, result.account),
+        "boundary": boundary,
+        **quality_part(result.assessment),
+        "valid": result.valid,
+        "invalid_cells": [cell_part(cell) for cell in result.assessment.invalid],
+        "steps": result.steps,
+        "reached": result.reached,
+        "timing": seconds | result.timing.seconds | dict(timing),
+        "peak_memory_bytes": peak_memory,
+        "warnings": list(result.warnings),
+    }
+
+
+def quality_report(grid: Grid, assessment: Assessment, warnings: tuple[str, ...]) -> Report:
+    """The report of a grid on its own or against its original."""
+    return {
+        **head_part(grid),
+        **quality_part(assessment),
+        "valid": assessment.valid,
+        "invalid_cells": [cell_part(cell) for cell in assessment.invalid],
+        "warnings": list(warnings),
+    }
+
+
+def plan_report(setup: Setup, account: Account, extra: Mapping[str, Any]) -> Report:
+    """What ``--dry-run`` prints: everything that is decided before anything moves."""
+    return {
+        **head_part(setup.grid),
+        "method": method_part(setup.case.method.name, account),
+        "boundary": boundary_part(setup) | dict(extra),
+        "warnings": [*setup.warnings, *account.warnings],
+    }

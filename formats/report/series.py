@@ -1,0 +1,100 @@
+"""Report of a series: what all levels share, one record per level, and the verdict over all of them."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Mapping, Sequence
+
+from meshdeform_core.series import Level, Schedule
+
+from .parts import Report, boundary_part, cell_part, head_part, method_part
+
+_LISTED = 20
+
+
+def series_head(level: Level) -> Report:
+    """What all levels share: grid, method, boundary, quality of the undeformed grid, warnings of the set-up."""
+    result = level.result
+    return {
+        **head_part(result.setup.grid),
+        "method": method_part(result.setup.case.method.name, result.account),
+        "boundary": boundary_part(result.setup),
+        "quality": {"before": dataclasses.asdict(result.assessment.before)},
+        "warnings": list(result.setup.warnings),
+    }
+
+
+def level_record(level: Level, file: str, write_seconds: float, head: Report, warned: Sequence[str]) -> Report:
+    """One level of the report.
+
+    ``method`` has the parameters that differ from those in ``head``; ``warnings`` those that no earlier level gave
+    (``warned``), whatever numbers are in them; at most 20 invalid cells are listed.
+    """
+    result = level.result
+    known = {_without_numbers(text) for text in warned}
+    warnings = {_without_numbers(text): text for text in reversed(result.warnings)}
+    method = method_part(result.setup.case.method.name, result.account)
+    seconds = {**level.timing.seconds, "write": write_seconds}
+    return {
+        "number": level.number,
+        "time": level.time,
+        "file": file,
+        "valid": result.valid,
+        "steps": result.steps,
+        "reached": result.reached,
+        "max_displacement": result.max_displacement,
+        "max_rotation_deg": level.rotation,
+        "drift": dataclasses.asdict(level.drift) if level.drift else None,
+        "quality": dataclasses.asdict(result.assessment.after),
+        "invalid_cells": [cell_part(cell) for cell in result.assessment.invalid[:_LISTED]],
+        "method": {key: value for key, value in method.items() if head["method"].get(key) != value},
+        "timing": {**seconds, "total": sum(seconds.values())},
+        "warnings": [text for key, text in warnings.items() if key not in known],
+    }
+
+
+def _without_numbers(text: str) -> str:
+    return re.sub(r"\d+(\.\d+)?(e[-+]?\d+)?", "#", text)
+
+
+def series_report(
+    head: Report,
+    levels: Sequence[Report],
+    schedule: Schedule,
+    view: str | None,
+    timing: Mapping[str, float],
+    total: float,
+    peak_memory: int,
+) -> Report:
+    """The report over all levels.
+
+    Parameters
+    ----------
+    view : the file to open in ParaView
+    timing : seconds of this run that belong to no level (reading, topology, putting files together)
+    total : seconds of this run
+    """
+    stages = dict.fromkeys(key for level in levels for key in level["timing"] if key != "total")
+    spent = {key: sum(level["timing"].get(key, 0.0) for level in levels) for key in stages}
+    warnings = list(head["warnings"])
+    warnings += [f"level {level['number']}: {text}" for level in levels for text in level["warnings"]]
+    moved = max(level["max_displacement"] for level in levels)
+    if moved == 0.0:
+        warnings.append("nothing moves: the displacement is zero at all levels")
+    return {
+        **head,
+        "boundary": {**head["boundary"], "max_displacement": moved},
+        "series": {
+            "levels": len(levels),
+            "origin": schedule.origin,
+            "velocity": schedule.velocity,
+            "view": view,
+            "drift": levels[-1]["drift"],
+        },
+        "levels": list(levels),
+        "valid": all(level["valid"] for level in levels),
+        "timing": {**timing, **spent, "total": total},
+        "peak_memory_bytes": peak_memory,
+        "warnings": warnings,
+    }

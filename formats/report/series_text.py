@@ -1,0 +1,39 @@
+"""The levels of a series as text for people."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from .parts import Report
+
+
+def series_lines(report: Report) -> Iterator[str]:
+    """The levels as a table for people."""
+    series, levels = report["series"], report["levels"]
+    before = report["quality"]["before"]["f_skew"]
+    yield f"series    {series['levels']} levels, each from the {_ORIGINS[series['origin']]}"
+    if series["view"]:
+        yield f"          open {series['view']} in ParaView"
+    yield f"          f_skew of the undeformed grid: mean {before['harmonic_mean']:.4f}, minimum {before['min']:.4f}"
+    yield (
+        f"level     {'time':>12s} {'moved':>10s} {'turned':>8s} {'f_skew':>7s} {'min':>7s} {'invalid':>8s}"
+        f" {'drift':>9s} {'prepare':>8s} {'apply':>8s} {'total s':>8s}"
+    )
+    for level in levels:
+        skew, drift, timing = level["quality"]["f_skew"], level["drift"], level["timing"]
+        shown = f"{drift['max']:9.2e}" if drift else f"{'':9s}"
+        yield (
+            f"{level['number']:5d}     {level['time']:12.6g} {level['max_displacement']:10.4g} "
+            f"{level['max_rotation_deg']:7.2f}° {skew['harmonic_mean']:7.4f} {skew['min']:7.4f} "
+            f"{level['quality']['invalid_cells']:8,} {shown} {timing.get('prepare', 0.0):8.2f} "
+            f"{timing.get('apply', 0.0):8.2f} {timing['total']:8.2f}"
+        )
+    yield f"verdict   {'valid' if report['valid'] else 'INVALID'}"
+    if series["drift"]:
+        yield (
+            f"drift     {series['drift']['max']:.3g} at most, {series['drift']['rms']:.3g} rms: distance of the last "
+            f"level from the grid made from the undeformed one"
+        )
+
+
+_ORIGINS = {"reference": "undeformed grid", "last": "level before (marching)"}

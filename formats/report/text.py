@@ -1,0 +1,126 @@
+"""Reports as text for people."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from meshdeform_core.memory import readable
+
+from .series_text import series_lines
+
+_MEASURES = (
+    ("f_skew harmonic mean", ("f_skew", "harmonic_mean")),
+    ("f_skew mean", ("f_skew", "mean")),
+    ("f_skew 1 % quantile", ("f_skew", "p01")),
+    ("f_skew minimum", ("f_skew", "min")),
+    ("smallest scaled Jacobian", ("min_scaled_jacobian",)),
+    ("invalid cells", ("invalid_cells",)),
+    ("inherited invalid cells", ("inherited_invalid_cells",)),
+    ("negative volumes", ("negative_volumes",)),
+    ("wall-normal deviation rms [deg]", ("wall_normal_deviation_deg", "rms")),
+    ("wall-normal deviation max [deg]", ("wall_normal_deviation_deg", "max")),
+    ("first cell height ratio min", ("first_cell_height_ratio", "min")),
+    ("first cell height ratio max", ("first_cell_height_ratio", "max")),
+    ("interface kink rms [deg]", ("interface_kink_deg", "rms")),
+    ("interface kink max [deg]", ("interface_kink_deg", "max")),
+    ("interface spacing jump rms", ("interface_spacing_jump", "rms")),
+    ("volume ratio min", ("volume_ratio", "min")),
+    ("volume ratio max", ("volume_ratio", "max")),
+    ("total volume", ("total_volume",)),
+)
+_LISTED = 20
+
+
+def as_text(report: dict[str, Any]) -> str:
+    """The whole report, one section after the other."""
+    return "\n".join(_lines(report)) + "\n"
+
+
+def measure_rows(report: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """Name, value before and value after of every quality measure that the report has."""
+    quality = report["quality"]
+    rows = []
+    for name, keys in _MEASURES:
+        before, after = (_pick(quality[when], keys) for when in ("before", "after"))
+        if after is not None:
+            rows.append((name, _number(before), _number(after)))
+    return rows
+
+
+def _lines(report: dict[str, Any]) -> Iterator[str]:
+    grid = report["grid"]
+    yield f"grid      {grid['file'] or '(in memory)'}: {grid['format'] or 'no file'}"
+    yield f"          {grid['dimension']}-D, {grid['blocks']} blocks, {grid['nodes']:,} nodes, {grid['cells']:,} cells"
+    if "method" in report:
+        yield from _method(report["method"])
+    if "boundary" in report:
+        yield from _boundary(report["boundary"])
+    if "levels" in report:
+        yield from series_lines(report)
+    elif "quality" in report:
+        yield from _quality(report)
+    if "timing" in report:
+        timing = report["timing"]
+        yield "seconds   " + "  ".join(f"{name} {value:.2f}" for name, value in timing.items())
+        yield f"memory    {readable(report['peak_memory_bytes'])} at most"
+    for warning in report["warnings"]:
+        yield f"warning   {warning}"
+
+
+def _method(method: dict[str, Any]) -> Iterator[str]:
+    yield f"method    {method['name']}"
+    for name, setting in method.items():
+        if name != "name":
+            reason = f"  ({setting['reason']})" if "reason" in setting else ""
+            yield f"          {name} = {_number(setting['value'])}{reason}"
+
+
+def _boundary(boundary: dict[str, Any]) -> Iterator[str]:
+    patches = boundary["patches"]
+    width = max(len(p["name"]) for p in patches)
+    for number, patch in enumerate(patches):
+        lead = "boundary" if number == 0 else ""
+        yield f"{lead:9s} {patch['name']:{width}s}  {patch['kind']:9s} {patch['nodes']:>10,} nodes"
+    counts = [f"{boundary[key]:,} {key.split('_')[0]}" for key in boundary if key.endswith("_nodes")]
+    yield f"nodes     {', '.join(counts)}"
+    for match in boundary.get("matches", ()):
+        yield (
+            f"table     {match['table']}: {match['matched_nodes']:,} nodes matched ({match['match']}, at most "
+            f"{match['max_distance']:.3g} away), {match['unmatched_nodes']:,} not; "
+            f"{match['table_points_used']:,} of {match['table_points']:,} table points used"
+        )
+    if "max_displacement" in boundary:
+        yield f"motion    largest displacement {boundary['max_displacement']:.6g}"
+
+
+def _quality(report: dict[str, Any]) -> Iterator[str]:
+    yield f"{'quality':9s} {'':34s} {'before':>14s} {'after':>14s}"
+    for name, before, after in measure_rows(report):
+        yield f"{'':9s} {name:34s} {before:>14s} {after:>14s}"
+    if "steps" in report:
+        reached = "" if report["reached"] == 1.0 else f", the motion imposed to {report['reached']:.1%}"
+        yield f"steps     {report['steps']}{reached}"
+    yield f"verdict   {'valid' if report['valid'] else 'INVALID'}"
+    cells = report["invalid_cells"]
+    for cell in cells[:_LISTED]:
+        i, j, k = cell["ijk"]
+        near = f", nearest patch {cell['nearest_patch']}" if cell["nearest_patch"] else ""
+        yield (
+            f"          {cell['block']} ({i}, {j}, {k}): Jacobian {cell['min_jacobian']:.3g}, step {cell['step']}{near}"
+        )
+    if len(cells) > _LISTED:
+        yield f"          ... {len(cells) - _LISTED} more in the json report"
+
+
+def _pick(quality: dict[str, Any], keys: tuple[str, ...]) -> Any:
+    value: Any = quality
+    for key in keys:
+        value = None if value is None else value[key]
+    return value
+
+
+def _number(value: Any) -> str:
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return str(value)
+    return f"{value:,}" if isinstance(value, int) else f"{value:.6g}"

@@ -1,0 +1,206 @@
+"""Where the levels of a series go: one grid file each with an index, or all into one CGNS file."""
+
+from __future__ import annotations
+
+import dataclasses
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from meshdeform_core.errors import FormatError
+from meshdeform_core.grid import Field, FileFormat, FloatArray, Grid
+from meshdeform_core.series import grid_velocity
+
+from ..files import remove_partial, replacing
+from ..grids import FORMATS, format_of, read_grid, variant_of, write_grid
+from .index import index_path, write_index
+
+VELOCITY = "GridVelocity"
+_WITH_FIELDS = (*FORMATS["vtk"].suffixes, *FORMATS["cgns"].suffixes, ".vtu", ".xdmf")
+
+
+class SeriesFiles(Protocol):
+    """How levels lie on disk. Every file is whole or absent, whenever the program is stopped."""
+
+    variant: FileFormat
+
+    @property
+    def outputs(self) -> list[Path]:
+        """All files that will be written, for checks before anything is computed."""
+        ...
+
+    @property
+    def view(self) -> Path | None:
+        """The file to open in ParaView."""
+        ...
+
+    def path(self, number: int) -> Path:
+        """The file that holds a level when the series is complete."""
+        ...
+
+    def write(self, number: int, grid: Grid, velocity: FloatArray | None) -> None:
+        """Write one level."""
+        ...
+
+    def read(self, number: int) -> FloatArray:
+        """Coordinates (n_nodes, 3) of a written level, in the order of the series' grid."""
+        ...
+
+    def has(self, number: int) -> bool:
+        """Whether a level has been written."""
+        ...
+
+    def publish(self, done: int) -> None:
+        """Make the first ``done`` levels visible to other programs."""
+        ...
+
+    def clean(self, complete: bool = False) -> None:
+        """Remove what a killed run left behind and, when the series is complete, what it needs no more."""
+        ...
+
+
+def with_velocity(grid: Grid, velocity: FloatArray | None, precision: str) -> Grid:
+    """The grid with the velocity (n_nodes, 3) as a vector field at its nodes, in the place of an older one."""
+    if velocity is None:
+        return grid
+    values = velocity.astype(precision, copy=False)
+    new = [Field(VELOCITY, "node", b, grid.block(b, values)) for b in range(grid.n_blocks)]
+    return dataclasses.replace(grid, fields=(*(f for f in grid.fields if f.name != VELOCITY), *new))
+
+
+def level_name(stem: str, number: int, count: int, suffix: str) -> str:
+    """``wing_0007.vtm``: enough digits for all levels, at least four."""
+    return f"{stem}_{number:0{max(4, len(str(count - 1)))}d}{suffix}"
+
+
+class LevelFiles:
+    """One grid file per level, ``NAME_0000.vtm`` ..., and an index of them for ParaView.
+
+    Raises
+    ------
+    FormatError
+        When velocities are wanted and the format cannot hold them, or the variant cannot hold the grid.
+    """
+
+    def __init__(
+        self, grid: Grid, folder: Path, name: str, times: tuple[float, ...], options: Mapping[str, Any], velocity: str
+    ):
+        self._grid, self._folder, self._times = grid, folder, times
+        self._stem, self._suffix = Path(name).stem, Path(name).suffix.lower()
+        format_of(Path(name))
+        if velocity != "none" and self._suffix not in _WITH_FIELDS:
+            raise FormatError(
+                f"{self._suffix} files hold no grid velocity; choose one of {' '.join(dict.fromkeys(_WITH_FIELDS))}, "
+                f"or leave the velocity out"
+            )
+        self._options = options
+        self.variant = variant_of(grid, folder / name, options)
+        self.view = index_path(folder, self._stem, self._suffix)
+
+    @property
+    def outputs(self) -> list[Path]:
+        levels = [self.path(number) for number in range(len(self._times))]
+        return [*levels, self.view] if self.view else levels
+
+    def path(self, number: int) -> Path:
+        return self._folder / level_name(self._stem, number, len(self._times), self._suffix)
+
+    def write(self, number: int, grid: Grid, velocity: FloatArray | None) -> None:
+        write_grid(with_velocity(grid, velocity, self.variant.precision), self.path(number), self._options)
+
+    def read(self, number: int) -> FloatArray:
+        path = self.path(number)
+        if not hasattr(FORMATS[format_of(path)].load(), "read"):
+            raise FormatError(
+                f"cannot go on after {path}: the next level needs its coordinates, and {self._suffix} files are not "
+                f"read; make the series anew (--force), or in a format that is read"
+            )
+        grid = read_grid(path)
+        if grid.n_nodes != self._grid.n_nodes:
+            raise FormatError(f"{path} has {grid.n_nodes:,} nodes; a level of this series has {self._grid.n_nodes:,}")
+        return grid.points
+
+    def has(self, number: int) -> bool:
+        return self.path(number).is_file()
+
+    def publish(self, done: int) -> None:
+        if self.view:
+            levels = [(self._times[number], self.path(number).name) for number in range(done)]
+            write_index(self.view, levels, self.variant)
+
+    def clean(self, complete: bool = False) -> None:
+        remove_partial(self._folder)
+        if self._suffix == ".vtm":
+            for number in range(len(self._times)):
+                self._remove_lone_pieces(self.path(number))
+
+    def _remove_lone_pieces(self, index: Path) -> None:
+        """Remove the pieces of a multi-block set whose index was not reached."""
+        folder = index.with_suffix("")
+        if folder.is_dir() and not index.exists():
+            for piece in folder.glob(f"{index.stem}_*.vts"):
+                piece.unlink()
+            folder.rmdir()
+
+
+class SingleFile:
+    """All levels in ``NAME.cgns``. Until the last one is there they lie in the folder ``NAME.levels``."""
+
+    def __init__(
+        self, grid: Grid, folder: Path, name: str, times: tuple[float, ...], options: Mapping[str, Any], velocity: str
+    ):
+        from ..cgns.series import require_steady
+
+        self._grid, self._folder, self._times, self._velocity = grid, folder, times, velocity
+        self.view = folder / name
+        if format_of(self.view) != "cgns":
+            raise FormatError(f"{self.view}: only a CGNS file can hold all levels; choose the suffix .cgns")
+        require_steady(grid)
+        self.variant = variant_of(grid, self.view, options)
+        self._levels = folder / f"{self.view.stem}.levels"
+
+    @property
+    def outputs(self) -> list[Path]:
+        return [self.view]
+
+    def path(self, number: int) -> Path:
+        return self.view
+
+    def _part(self, number: int) -> Path:
+        return self._levels / level_name("level", number, len(self._times), ".npy")
+
+    def write(self, number: int, grid: Grid, velocity: FloatArray | None) -> None:
+        # Velocities are differences of coordinates: they are taken when the file is put together.
+        self._levels.mkdir(exist_ok=True)
+        with replacing(self._part(number)) as partial:
+            np.save(partial, grid.points.astype(self.variant.precision, copy=False))
+
+    def read(self, number: int) -> FloatArray:
+        return np.load(self._part(number), allow_pickle=False).astype(np.float64)
+
+    def has(self, number: int) -> bool:
+        return self._part(number).is_file()
+
+    def publish(self, done: int) -> None:
+        if done == len(self._times):
+            from ..cgns.series import write_series
+
+            write_series(self._grid, self.view, self.variant, self._times, self._level)
+
+    def _level(self, number: int) -> Grid:
+        grid = dataclasses.replace(self._grid, points=self.read(number), fields=())
+        if self._velocity == "none":
+            return grid
+        past = [self.read(n) for n in range(max(0, number - 2), number)]
+        velocity = grid_velocity(self._times[: number + 1], [*past, grid.points], self._velocity)
+        return with_velocity(grid, velocity, self.variant.precision)
+
+    def clean(self, complete: bool = False) -> None:
+        remove_partial(self._folder)
+        if complete and self._levels.is_dir():
+            shutil.rmtree(self._levels)
+        elif self._levels.is_dir():
+            remove_partial(self._levels)

@@ -1,0 +1,134 @@
+"""``series.json``: what a series is made of and which levels are done, so that it can be continued."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from meshdeform_core.errors import CaseError, FormatError
+from meshdeform_core.series import Schedule
+
+from ..case import CaseFile
+from ..files import replacing
+
+NAME = "series.json"
+_SHOWN = 6
+
+
+@dataclass
+class Manifest:
+    """State of a series on disk.
+
+    Attributes
+    ----------
+    path : of the file
+    ingredients : everything that the levels depend on, see :func:`ingredients_of`
+    head : the part of the report that all levels share; empty before the first one
+    levels : a record of each finished level, in order
+    complete : whether all outputs are in their final place
+    """
+
+    path: Path
+    ingredients: dict[str, Any]
+    head: dict[str, Any] = field(default_factory=dict)
+    levels: list[dict[str, Any]] = field(default_factory=list)
+    complete: bool = False
+
+    def save(self) -> None:
+        """Write the file, replacing it as a whole."""
+        content = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name != "path"}
+        with replacing(self.path) as partial:
+            partial.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+    @classmethod
+    def load(cls, path: Path) -> Manifest:
+        """Read the file.
+
+        Raises
+        ------
+        FormatError
+            When it is not a manifest.
+        """
+        try:
+            content = json.loads(path.read_text(encoding="utf-8"))
+            return cls(path, **content)
+        except (ValueError, TypeError) as error:
+            raise FormatError(
+                f"{path} is not the state of a series ({error}); make the series anew with --force"
+            ) from error
+
+    def require_same(self, ingredients: Mapping[str, Any]) -> None:
+        """Refuse to continue a series that is made of something else.
+
+        Raises
+        ------
+        CaseError
+            Saying what has changed.
+        """
+        # As JSON has them: tuples are lists there.
+        now = json.loads(json.dumps(ingredients))
+        changes = list(_changes(self.ingredients, now))
+        if changes:
+            more = f" and {len(changes) - _SHOWN} more" if len(changes) > _SHOWN else ""
+            raise CaseError(
+                f"cannot continue the series in {self.path.parent}, what it is made of has changed: "
+                f"{'; '.join(changes[:_SHOWN])}{more}. Undo that, write to another folder, or begin anew (--force)"
+            )
+
+
+def ingredients_of(
+    grid: Path, boundary_file: Path | None, case: CaseFile, schedule: Schedule, output: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Everything that the levels depend on, by name: the contents of the files, keys of the case, times, options.
+
+    ``output`` says how levels are written.
+    """
+    files = [path for path in (boundary_file or case.boundary_file, *case.files) if path is not None]
+    return {
+        "program": f"meshdeform {version('meshdeform')}",
+        "grid": _digest(grid),
+        **{f"file {path}": _digest(path) for path in files},
+        **{f"case {key}": value for key, value in _flattened(case.content, "")},
+        **dataclasses.asdict(schedule),
+        **output,
+    }
+
+
+def _digest(path: Path) -> str:
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def _flattened(value: Any, name: str) -> Iterator[tuple[str, Any]]:
+    """``boundary.1.motion.1.rotate.angle`` and its value, for all values of nested tables."""
+    if isinstance(value, Mapping):
+        for key, item in value.items():
+            yield from _flattened(item, f"{name}.{key}" if name else key)
+    elif isinstance(value, list) and any(isinstance(item, Mapping | list) for item in value):
+        for number, item in enumerate(value, 1):
+            yield from _flattened(item, f"{name}.{number}")
+    else:
+        yield name, value
+
+
+def _changes(old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[str]:
+    for key in dict.fromkeys([*old, *new]):
+        if key not in new:
+            yield f"{key} is gone (was {_shown(old[key])})"
+        elif key not in old:
+            yield f"{key} is new ({_shown(new[key])})"
+        elif old[key] != new[key]:
+            digests = key == "grid" or key.startswith("file ")
+            yield f"{key} has other contents" if digests else f"{key} was {_shown(old[key])}, is {_shown(new[key])}"
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, Sequence) and not isinstance(value, str) and len(value) > 4:
+        return f"{len(value)} values from {value[0]} to {value[-1]}"
+    return repr(value)

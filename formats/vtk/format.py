@@ -1,0 +1,112 @@
+"""VTK structured grids: legacy .vtk, XML .vts, and multi-block sets .vtm of .vts files.
+
+All node and cell arrays are carried along as fields, with their types, roles and component names; so are field data
+and extents that do not begin at 0. Text arrays and lookup tables are not, and :attr:`Grid.notes` says so. Patches and
+connections have no place in VTK files. IBLANK of Plot3D is the node array ``iblank``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from meshdeform_core.errors import FormatError
+from meshdeform_core.grid import Grid
+
+from ..files import replacing
+from . import legacy as vtk_legacy
+from . import legacy_write as vtk_legacy_write
+from . import multiblock as vtk_multiblock
+from . import xml as vtk_xml
+from .dataset import VtkFormat, assemble
+from .options import checked_options
+from .xml_header import read_header
+
+_KINDS = {".vtk": "legacy", ".vts": "vts", ".vtm": "vtm"}
+_XML_KINDS = {"StructuredGrid": "vts", "RectilinearGrid": "vtr", "ImageData": "vti"}
+
+_PRECISIONS = ("float32", "float64")
+_LEGACY_OPTIONS: dict[str, tuple[str, ...]] = {"encoding": ("ascii", "binary"), "precision": _PRECISIONS}
+_XML_OPTIONS = {
+    "encoding": ("ascii", "binary", "appended", "appended-base64"),
+    "compression": ("none", "zlib", "lz4", "lzma"),
+    "byte_order": ("little", "big"),
+    "header_type": ("UInt32", "UInt64"),
+    "precision": _PRECISIONS,
+}
+_OPTIONS: dict[str, dict[str, tuple[str, ...]]] = {"legacy": _LEGACY_OPTIONS, "vts": _XML_OPTIONS, "vtm": _XML_OPTIONS}
+
+_XML_DEFAULTS = {"encoding": "appended", "compression": "none", "byte_order": "little", "header_type": "UInt64"}
+_DEFAULTS = {"legacy": {"encoding": "binary"}, "vts": _XML_DEFAULTS, "vtm": _XML_DEFAULTS}
+
+
+def read(path: Path) -> Grid:
+    """Read a VTK file; its kind is recognised by content.
+
+    RECTILINEAR_GRID, STRUCTURED_POINTS, .vtr and .vti become structured grids, which a note says.
+
+    Raises
+    ------
+    FormatError
+        When the file is truncated or damaged, or holds something else than structured grids.
+    GridError
+        When a block is a line or a point, or 2-D and 3-D blocks are mixed.
+    """
+    path = Path(path)
+    with path.open("rb") as stream:
+        legacy = stream.read(14) == b"# vtk DataFile"
+    if legacy:
+        return assemble(path, "legacy", [vtk_legacy.read(path)])
+    kind = read_header(path).kind
+    if kind == "vtkMultiBlockDataSet":
+        data_sets, names = vtk_multiblock.read(path)
+        return assemble(path, "vtm", data_sets, names)
+    return assemble(path, _XML_KINDS.get(kind, kind), [vtk_xml.read(path)])
+
+
+def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> VtkFormat:
+    """How to write ``grid`` to ``path``: as it came when it came from a file of this kind, else compressed binary.
+
+    ``options``: ``encoding`` is ``ascii``, ``binary`` or, in XML files, ``appended`` (raw) or ``appended-base64``;
+    ``precision`` is ``float32`` or ``float64``; XML files have ``compression`` (``none``, ``zlib``, ``lz4``, ``lzma``),
+    ``byte_order`` (``little``, ``big``) and ``header_type`` (``UInt32``, ``UInt64``).
+
+    Raises
+    ------
+    FormatError
+        For unknown options, several blocks in a file for one, or a .vtm whose folder cannot be replaced.
+    """
+    path = Path(path)
+    kind = _KINDS[path.suffix.lower()]
+    if kind != "vtm" and grid.n_blocks > 1:
+        raise FormatError(f"cannot write {path}: it holds one block, the grid has {grid.n_blocks}; write a .vtm")
+    if kind == "vtm":
+        vtk_multiblock.require_replaceable(path)
+    own = grid.format if isinstance(grid.format, VtkFormat) else VtkFormat("vtk")
+    chosen = checked_options(path, options, _OPTIONS[kind])
+    switches = {**_DEFAULTS[kind], **(own.options if own.options.get("kind") == kind else {}), "kind": kind, **chosen}
+    precision = switches.pop("precision", grid.precision)
+    if switches["encoding"] == "ascii" and kind != "legacy":
+        if chosen.get("compression", "none") != "none":
+            raise FormatError(f"cannot write {path}: ascii is never compressed; choose encoding = appended or binary")
+        switches["compression"] = "none"
+    return VtkFormat("vtk", precision, {"kind": kind, **switches}, own.title, own.origins, own.field_data)
+
+
+def write(grid: Grid, path: Path, variant: VtkFormat) -> None:
+    """Write ``grid`` as :func:`variant` says, replacing ``path`` (and, for .vtm, the folder of its pieces) as a whole.
+
+    Raises
+    ------
+    FormatError
+        When the file cannot be written, or a field cannot be stored in a VTK file.
+    """
+    path = Path(path)
+    kind = variant.options["kind"]
+    if kind == "vtm":
+        vtk_multiblock.write(grid, path, variant)
+        return
+    write_block = vtk_legacy_write.write_block if kind == "legacy" else vtk_xml.write_block
+    with replacing(path) as partial:
+        write_block(grid, 0, partial, variant)

@@ -1,0 +1,153 @@
+"""Structured grids to legacy VTK files (.vtk), ASCII or big-endian binary.
+
+Written here and not by VTK, whose writer cuts the numbers of ASCII files to 11 digits: here all values are exact.
+"""
+
+from __future__ import annotations
+
+import string
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, BinaryIO
+from urllib.parse import quote
+
+from numpy.typing import NDArray
+
+from meshdeform_core.grid import Grid, Shape
+
+from .dataset import DataArray, VtkFormat, arrays_to_write, points_to_write
+
+_TYPE_NAMES = {
+    "i1": "char",
+    "u1": "unsigned_char",
+    "i2": "short",
+    "u2": "unsigned_short",
+    "i4": "int",
+    "u4": "unsigned_int",
+    "i8": "vtktypeint64",
+    "u8": "vtktypeuint64",
+    "f4": "float",
+    "f8": "double",
+}
+
+# Sections that give an array its role, and the numbers of components they can have.
+_SECTIONS = {
+    "Scalars": ("SCALARS", (1, 2, 3, 4)),
+    "Vectors": ("VECTORS", (3,)),
+    "Normals": ("NORMALS", (3,)),
+    "Tensors": ("TENSORS", (9,)),
+    "TCoords": ("TEXTURE_COORDINATES", (1, 2, 3)),
+}
+
+# VTK encodes blanks, quotation marks and per cent signs in names.
+_PLAIN = "".join(sorted(set(string.punctuation) - set('"%')))
+
+_VALUES_PER_LINE = 9
+_LINES_AT_ONCE = 10_000
+
+
+def write_block(grid: Grid, block: int, path: Path, variant: VtkFormat) -> None:
+    """Write one block; roles other than those of a legacy section are lost, values never are."""
+    arrays = arrays_to_write(grid, block, variant)
+    points = points_to_write(grid, block, variant.precision)
+    with path.open("wb") as stream:
+        output = _Output(stream, variant.options["encoding"])
+        output.line("# vtk DataFile Version 4.2")
+        output.line(variant.title[:255])
+        output.line(variant.options["encoding"].upper())
+        output.line("DATASET STRUCTURED_GRID")
+        output.fields([a for a in arrays if not a.location])
+        output.line(_extent(grid.shapes[block], variant.origins[block] if variant.origins else (0, 0, 0)))
+        output.line(f"POINTS {len(points)} {_type_name(points)}")
+        output.values(points)
+        for keyword, location in (("CELL_DATA", "cell"), ("POINT_DATA", "node")):
+            output.attributes(keyword, [a for a in arrays if a.location == location])
+
+
+def _extent(shape: Shape, origin: Shape) -> str:
+    if origin == (0, 0, 0):
+        return f"DIMENSIONS {shape[0]} {shape[1]} {shape[2]}"
+    return "EXTENT " + " ".join(f"{low} {low + n - 1}" for low, n in zip(origin, shape, strict=True))
+
+
+class _Output:
+    """A legacy file being written."""
+
+    def __init__(self, stream: BinaryIO, encoding: str) -> None:
+        self.stream = stream
+        self.binary = encoding == "binary"
+
+    def line(self, text: str) -> None:
+        self.stream.write(f"{text}\n".encode())
+
+    def values(self, run: NDArray[Any]) -> None:
+        if self.binary:
+            self.stream.write(run.astype(run.dtype.newbyteorder(">"), copy=False).data)
+            self.stream.write(b"\n")
+        else:
+            self._text(run.reshape(-1))
+
+    def _text(self, flat: NDArray[Any]) -> None:
+        number = {"f4": "%.9g", "f8": "%.17g"}.get(flat.dtype.str[1:], "%d")
+        line = " ".join([number] * _VALUES_PER_LINE) + "\n"
+        at_once = _LINES_AT_ONCE * _VALUES_PER_LINE
+        for start in range(0, flat.size, at_once):
+            part = flat[start : start + at_once].tolist()
+            full, rest = divmod(len(part), _VALUES_PER_LINE)
+            self.line((line * full + " ".join([number] * rest)) % tuple(part))
+
+    def attributes(self, keyword: str, arrays: Sequence[DataArray]) -> None:
+        """CELL_DATA or POINT_DATA: sections for the arrays with a role, the others as a FIELD."""
+        if not arrays:
+            return
+        self.line(f"{keyword} {len(arrays[0].values)}")
+        others = []
+        for array in arrays:
+            if section := _section_keyword(array):
+                self._section(section, array)
+            else:
+                others.append(array)
+        self.fields(others)
+
+    def _section(self, keyword: str, array: DataArray) -> None:
+        components = {"SCALARS": " {1} {0}", "TEXTURE_COORDINATES": " {0} {1}"}.get(keyword, " {1}")
+        words = components.format(_components(array), _type_name(array.values))
+        self.line(f"{keyword} {_encoded(array.name)}{words}")
+        if keyword == "SCALARS":
+            self.line("LOOKUP_TABLE default")
+        self._values_and_metadata(array)
+
+    def fields(self, arrays: Sequence[DataArray]) -> None:
+        """A FIELD of arrays."""
+        if arrays:
+            self.line(f"FIELD FieldData {len(arrays)}")
+        for array in arrays:
+            size = f"{_components(array)} {len(array.values)}"
+            self.line(f"{_encoded(array.name)} {size} {_type_name(array.values)}")
+            self._values_and_metadata(array)
+
+    def _values_and_metadata(self, array: DataArray) -> None:
+        self.values(array.values)
+        if array.components:
+            self.line("METADATA\nCOMPONENT_NAMES")
+            self.line("\n".join(map(_encoded, array.components)) + "\n")
+
+
+def _section_keyword(array: DataArray) -> str:
+    for role in array.roles:
+        keyword, components = _SECTIONS.get(role, ("", ()))
+        if _components(array) in components:
+            return keyword
+    return ""
+
+
+def _components(array: DataArray) -> int:
+    return array.values.shape[1] if array.values.ndim == 2 else 1
+
+
+def _type_name(values: NDArray[Any]) -> str:
+    return _TYPE_NAMES[values.dtype.str[1:]]
+
+
+def _encoded(name: str) -> str:
+    return quote(name, safe=_PLAIN)

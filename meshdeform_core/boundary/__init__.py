@@ -1,0 +1,5 @@
+"""What every boundary node does: classification, motions, constraints."""
+
+from .classification import UNSELECTED, Boundary, BoundarySpec, Kind, classify
+
+__all__ = ["UNSELECTED", "Boundary", "BoundarySpec", "Kind", "classify"]

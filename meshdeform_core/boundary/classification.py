@@ -1,0 +1,268 @@
+"""What the boundary does: which nodes move, stay, slide, repeat or are free, and where the moving ones go."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from ..errors import CaseError
+from ..grid import Grid, IntArray, Side
+from ..grid.planes import Plane
+from ..grid.selection import quads_of_patch, select_quads
+from ..grid.topology import Topology
+from ..numerics.coincidence import distinct
+from .expression import Expression
+from .motion import Motion, PreparedMotion
+from .periodic import Periodic, find_periodicity
+from .slip import Slip, find_sliding
+from .transfer import Nodes
+
+UNSELECTED = "(not selected)"
+
+
+class Kind(IntEnum):
+    """Kinds of boundary in ascending strength: a node on several patches takes the strongest."""
+
+    INTERFACE = 0
+    FREE = 1
+    PERIODIC = 2
+    SLIP = 3
+    SYMMETRY = 4
+    FIXED = 5
+    MOVING = 6
+
+    @property
+    def label(self) -> str:
+        return self.name.lower()
+
+
+@dataclass(frozen=True)
+class BoundarySpec:
+    """One ``[[boundary]]`` entry of a case.
+
+    Attributes
+    ----------
+    name : our name for it in reports
+    select : patterns, see :func:`meshdeform_core.grid.selection.select_quads`
+    kind : what its nodes do
+    where : optional filter on the undeformed coordinates of the selected faces' corner nodes
+    motion : required for ``MOVING``, absent otherwise
+    """
+
+    name: str
+    select: tuple[str, ...]
+    kind: Kind
+    where: Expression | None = None
+    motion: Motion | None = None
+
+
+@dataclass(frozen=True)
+class Patch:
+    """A classified boundary entry, for reports and for "nearest patch".
+
+    ``nodes`` are unique node numbers, ``quads`` face quads; both may also belong to stronger entries.
+    """
+
+    name: str
+    kind: Kind
+    nodes: IntArray
+    quads: IntArray
+
+
+@dataclass(frozen=True)
+class Boundary:
+    """The classified boundary of one undeformed grid.
+
+    Attributes
+    ----------
+    kind : (n_unique,) int8, :class:`Kind` of every unique face node
+    quad_kind : (n_quads,) int8, kind of every face quad (``INTERFACE`` for shared ones)
+    patches : the entries in the order of the case, then what nothing selected
+    slip, periodic : constraints on displacements
+    mirrors : symmetry planes
+    notes : decisions the report must mention
+    """
+
+    kind: np.ndarray
+    quad_kind: np.ndarray
+    patches: tuple[Patch, ...]
+    movers: tuple[tuple[IntArray, PreparedMotion], ...]
+    slip: Slip
+    periodic: Periodic
+    mirrors: tuple[Plane, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def known(self) -> np.ndarray:
+        """(n_unique,) bool: nodes with a prescribed displacement, moving or fixed (the sources)."""
+        return self.kind >= Kind.FIXED
+
+    def count(self, *kinds: Kind) -> int:
+        """Unique face nodes of the given kinds."""
+        return int(np.isin(self.kind, kinds).sum())
+
+
+def classify(
+    grid: Grid, topology: Topology, specs: Sequence[BoundarySpec], constants: Mapping[str, float]
+) -> tuple[Topology, Boundary]:
+    """Apply the boundary entries of a case to a grid.
+
+    Returns the topology with two-sided walls opened, and the boundary. External faces that no entry selects are
+    fixed; the end planes of a grid that is one cell thick slide instead, or nothing between them could move.
+
+    Raises
+    ------
+    CaseError, MotionError
+        For selections that match nothing and for tables that match no node.
+    """
+    topology, notes = _open_two_sided_walls(grid, topology)
+    selected = [_select(grid, topology, spec, constants) for spec in specs]
+    quad_kind = np.zeros(len(topology.partner), dtype=np.int8)
+    movers: list[tuple[IntArray, PreparedMotion]] = []
+    for index, spec in enumerate(specs):
+        if spec.motion is not None:
+            nodes = _nodes(grid, topology, selected[index])
+            prepared = spec.motion.prepare(nodes)
+            moved = nodes.numbers[prepared.moved]
+            movers.append((moved, prepared))
+            if not prepared.moved.all():
+                selected[index] = _fully_within(topology, selected[index], moved)
+        quads = selected[index]
+        quad_kind[quads] = np.maximum(quad_kind[quads], spec.kind)
+    defaults, more = _unselected(grid, topology, quad_kind, [s.name for s in specs])
+    entries = [*zip([s.name for s in specs], [s.kind for s in specs], selected, strict=True), *defaults]
+    for _, kind, quads in defaults:
+        quad_kind[quads] = kind
+    node_kind = _node_kinds(topology, entries, movers)
+    periodic = Periodic.none()
+    for spec, quads in zip(specs, selected, strict=True):
+        if spec.kind is Kind.PERIODIC:
+            sides = [select_quads(grid, topology, [pattern], spec.name) for pattern in spec.select]
+            periodic += find_periodicity(grid, topology, spec.name, quads, sides)
+    _spread_over_images(node_kind, periodic)
+    slipping = [(n, q, k is Kind.SYMMETRY) for n, k, q in entries if k in (Kind.SLIP, Kind.SYMMETRY)]
+    slip, mirrors = find_sliding(grid, topology, slipping, node_kind < Kind.FIXED)
+    patches = tuple(Patch(n, k, distinct(topology.quads.corners[q], topology.n_unique), q) for n, k, q in entries)
+    boundary = Boundary(node_kind, quad_kind, patches, tuple(movers), slip, periodic, mirrors, (*notes, *more))
+    return topology, boundary
+
+
+def _select(grid: Grid, topology: Topology, spec: BoundarySpec, constants: Mapping[str, float]) -> IntArray:
+    quads = select_quads(grid, topology, spec.select, spec.name)
+    if spec.where is None:
+        return quads
+    corners = topology.quads.corners[quads]
+    nodes = distinct(corners, topology.n_unique)
+    x, y, z = grid.points[topology.first[nodes]].T
+    holds = np.broadcast_to(np.asarray(spec.where({**constants, "x": x, "y": y, "z": z})), nodes.shape)
+    inside = np.zeros(topology.n_unique, dtype=bool)
+    inside[nodes[holds.astype(bool)]] = True
+    quads = quads[inside[corners].all(axis=1)]
+    if quads.size == 0:
+        ranges = ", ".join(f"{n} {c.min():.4g} to {c.max():.4g}" for n, c in zip("xyz", (x, y, z), strict=True))
+        raise CaseError(
+            f"boundary {spec.name!r}: where = {spec.where.text!r} holds at no face of the selection "
+            f"({int(holds.sum())} of {len(nodes)} nodes satisfy it; the selection spans {ranges})"
+        )
+    return quads
+
+
+def _nodes(grid: Grid, topology: Topology, quads: IntArray) -> Nodes:
+    """The nodes of face quads, with the shortest face edge at each."""
+    corners = topology.quads.corners[quads]
+    points = grid.points[topology.first]
+    edge = np.full(topology.n_unique, np.inf)
+    for one in range(corners.shape[1]):
+        a, b = corners[:, one], corners[:, (one + 1) % corners.shape[1]]
+        length = np.linalg.norm(points[a] - points[b], axis=1)
+        length[a == b] = np.inf
+        np.minimum.at(edge, a, length)
+        np.minimum.at(edge, b, length)
+    numbers = distinct(corners, topology.n_unique)
+    return Nodes(points[numbers], numbers, edge[numbers], grid, topology)
+
+
+def _fully_within(topology: Topology, quads: IntArray, nodes: IntArray) -> IntArray:
+    inside = np.zeros(topology.n_unique, dtype=bool)
+    inside[nodes] = True
+    return quads[inside[topology.quads.corners[quads]].all(axis=1)]
+
+
+def _open_two_sided_walls(grid: Grid, topology: Topology) -> tuple[Topology, list[str]]:
+    """A thin plate between two blocks: their faces coincide, but the file declares a wall on both sides."""
+    wall = np.zeros(len(topology.partner), dtype=bool)
+    for patch in grid.patches:
+        if any(word in patch.bc_type.lower() for word in ("wall", "solid")):
+            wall[quads_of_patch(topology.quads, patch)] = True
+    shared = np.flatnonzero(wall & (topology.partner >= 0))
+    both = shared[wall[topology.partner[shared]]]
+    if both.size == 0:
+        return topology, []
+    note = f"{both.size // 2} face quads are walls on both sides (a thin plate); they count as outside"
+    return topology.opened(both), [note]
+
+
+Entry = tuple[str, Kind, IntArray]
+
+
+def _unselected(
+    grid: Grid, topology: Topology, quad_kind: np.ndarray, names: list[str]
+) -> tuple[list[Entry], list[str]]:
+    rest = np.flatnonzero(topology.external & (quad_kind == 0))
+    if rest.size == 0:
+        return [], []
+    entries: list[Entry] = []
+    notes = []
+    ends = _end_planes(grid, topology)
+    sliding = rest[np.isin(topology.quads.block_side[rest], ends)]
+    fixed = rest[~np.isin(topology.quads.block_side[rest], ends)]
+    if sliding.size:
+        entries.append(("(end planes)", Kind.SLIP, sliding))
+        notes.append(
+            "the grid is one cell thick: its two end planes, which no boundary entry selects, slide (kind slip)"
+        )
+    if fixed.size:
+        entries.append((UNSELECTED, Kind.FIXED, fixed))
+        if names:
+            notes.append(f"{fixed.size} external face quads are selected by no boundary entry; they are fixed")
+    return entries, notes
+
+
+def _end_planes(grid: Grid, topology: Topology) -> list[int]:
+    """Block sides (``6 * block + side``) between which the whole grid is one cell thick; empty if it is not."""
+    ends = []
+    for block, shape in enumerate(grid.shapes):
+        for axis in range(3):
+            pair = (Side(2 * axis), Side(2 * axis + 1))
+            quads = [topology.quads.of_side(block, side) for side in pair]
+            if shape[axis] == 2 and all(topology.external[q].all() for q in quads):
+                ends += [6 * block + side for side in pair]
+                break
+        else:
+            return []
+    return ends
+
+
+def _node_kinds(topology: Topology, entries: list[Entry], movers: list[tuple[IntArray, PreparedMotion]]) -> np.ndarray:
+    kind = np.zeros(topology.n_unique, dtype=np.int8)
+    for strength in Kind:
+        for _, entry_kind, quads in entries:
+            if entry_kind == strength != Kind.MOVING:
+                kind[topology.quads.corners[quads]] = strength
+    for nodes, _ in movers:
+        kind[nodes] = Kind.MOVING
+    return kind
+
+
+def _spread_over_images(kind: np.ndarray, periodic: Periodic) -> None:
+    """Images of a moving or fixed node are moving or fixed: pairs move alike."""
+    if periodic.one.size == 0:
+        return
+    nodes, root, _ = periodic.frames(len(kind))
+    strongest = np.zeros(len(kind), dtype=np.int8)
+    np.maximum.at(strongest, root, kind[nodes])
+    known = strongest[root] >= Kind.FIXED
+    kind[nodes[known]] = strongest[root[known]]

@@ -1,0 +1,206 @@
+"""Prescribed motion of a boundary: rotate, translate, displace by formulas, or follow a table.
+
+A motion is a sequence of steps applied in order to the undeformed positions. Every step can be imposed in part
+(``fraction`` of it), so that a large motion can be marched along its own path: half of a rotation by 60 degrees is a
+rotation by 30 degrees, not the midpoint of the chord.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from ..errors import MotionError
+from ..grid import BoolArray, FloatArray, Grid
+from .expression import Expression
+from .transfer import Matching, Nodes, SurfaceData, Transfer, transfer
+
+VARIABLES = ("x", "y", "z", "t")
+
+
+class Step(Protocol):
+    """One entry of ``motion = [...]``."""
+
+    def prepare(self, nodes: Nodes) -> PreparedStep:
+        """Whatever depends on the undeformed nodes only."""
+        ...
+
+
+class PreparedStep(Protocol):
+    """A step that knows its nodes."""
+
+    def increment(self, current: FloatArray, values: Mapping[str, Any], fraction: float) -> FloatArray:
+        """Displacement (n, 3) from the ``current`` positions; ``values`` are the variables at the undeformed nodes."""
+        ...
+
+
+@dataclass(frozen=True)
+class Rotate:
+    """Rotation by ``angle`` (degrees, right-handed) about ``axis`` through ``center``; all may be formulas."""
+
+    angle: Expression
+    axis: tuple[float, float, float]
+    center: tuple[Expression, Expression, Expression]
+
+    def prepare(self, nodes: Nodes) -> PreparedStep:
+        return self
+
+    def increment(self, current: FloatArray, values: Mapping[str, Any], fraction: float) -> FloatArray:
+        arm = current - _vector(self.center, values, len(current))
+        angle = np.deg2rad(fraction * np.broadcast_to(self.angle(values), len(current)))[:, None]
+        axis = np.asarray(self.axis) / np.linalg.norm(self.axis)
+        # Rodrigues' formula as a displacement: no rotation moves nothing, exactly.
+        lift = np.cross(axis, arm)
+        return np.sin(angle) * lift + 2 * np.sin(angle / 2) ** 2 * np.cross(axis, lift)
+
+
+@dataclass(frozen=True)
+class Displace:
+    """Displacement by three formulas of the undeformed x, y, z and of t; a translation when they are constant."""
+
+    vector: tuple[Expression, Expression, Expression]
+
+    def prepare(self, nodes: Nodes) -> PreparedStep:
+        return self
+
+    def increment(self, current: FloatArray, values: Mapping[str, Any], fraction: float) -> FloatArray:
+        return fraction * _vector(self.vector, values, len(current))
+
+
+@dataclass(frozen=True)
+class Follow:
+    """Displacement from a table or from a grid that holds the deformed positions of the same nodes."""
+
+    data: SurfaceData | Grid
+    matching: Matching
+
+    def prepare(self, nodes: Nodes) -> PreparedStep:
+        return Imposed(transfer(self.data, self.matching, nodes))
+
+
+@dataclass(frozen=True)
+class Imposed:
+    """A displacement that has been transferred to the nodes."""
+
+    match: Transfer
+
+    def increment(self, current: FloatArray, values: Mapping[str, Any], fraction: float) -> FloatArray:
+        return fraction * self.match.displacement
+
+
+@dataclass(frozen=True)
+class FollowSequence:
+    """Displacement from one table per time, read when its time comes; one is in memory at a time.
+
+    ``times`` ascend; ``read(n)`` reads the table of ``times[n]``.
+    """
+
+    times: tuple[float, ...]
+    read: Callable[[int], SurfaceData | Grid]
+    matching: Matching
+
+    def prepare(self, nodes: Nodes) -> PreparedStep:
+        return ImposedSequence(self, nodes)
+
+
+class ImposedSequence:
+    """Tables that are transferred to the nodes one after the other; ``match`` is the transfer of the last one used."""
+
+    def __init__(self, sequence: FollowSequence, nodes: Nodes):
+        self._sequence, self._nodes = sequence, nodes
+        self._current = 0
+        self.match = self._transfer(0)
+
+    def increment(self, current: FloatArray, values: Mapping[str, Any], fraction: float) -> FloatArray:
+        wanted = self._index(values["t"])
+        if wanted != self._current:
+            match = self._transfer(wanted)
+            if (match.matched != self.match.matched).any():
+                raise MotionError(
+                    f"{match.label} matches {int(match.matched.sum())} boundary nodes, {self.match.label} other ones "
+                    f"({int(self.match.matched.sum())}); expected all tables of a sequence to cover the same nodes"
+                )
+            self._current, self.match = wanted, match
+        return fraction * self.match.displacement
+
+    def _transfer(self, index: int) -> Transfer:
+        return transfer(self._sequence.read(index), self._sequence.matching, self._nodes)
+
+    def _index(self, time: float) -> int:
+        times = np.asarray(self._sequence.times)
+        nearest = int(np.argmin(np.abs(times - time)))
+        spacing = np.diff(times).min() if len(times) > 1 else max(abs(time), abs(times[0]))
+        if abs(times[nearest] - time) > 1e-6 * spacing:
+            raise MotionError(
+                f"the sequence of displacement files has no level at t = {time:g}; it has {len(times)} levels from "
+                f"{times[0]:g} to {times[-1]:g}, the nearest at {times[nearest]:g}. Choose times that it has"
+            )
+        return nearest
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Steps in the order in which they are applied, with the constants that their formulas may use."""
+
+    steps: tuple[Step, ...]
+    constants: Mapping[str, float]
+
+    def prepare(self, nodes: Nodes) -> PreparedMotion:
+        """Bind the motion to its nodes: tables are matched here, once."""
+        return PreparedMotion(tuple(step.prepare(nodes) for step in self.steps), self.constants, nodes)
+
+
+@dataclass(frozen=True)
+class PreparedMotion:
+    """A motion that knows its nodes."""
+
+    steps: tuple[PreparedStep, ...]
+    constants: Mapping[str, float]
+    nodes: Nodes
+
+    @property
+    def matches(self) -> tuple[Transfer, ...]:
+        """What the tables matched, for the report."""
+        return tuple(step.match for step in self.steps if isinstance(step, Imposed | ImposedSequence))
+
+    @property
+    def moved(self) -> BoolArray:
+        """(n,) bool: nodes that the motion moves; all, unless its tables match a part of them only."""
+        moved = np.ones(len(self.nodes.numbers), dtype=bool)
+        for match in self.matches:
+            moved &= match.matched
+        return moved
+
+    def displacement(self, time: float = 0.0, fraction: float = 1.0) -> FloatArray:
+        """Displacement (n, 3) of the nodes at ``time``, imposed to ``fraction``.
+
+        Raises
+        ------
+        MotionError
+            When a formula is not finite at a node.
+        """
+        points = self.nodes.points
+        x, y, z = points.T
+        values = {**self.constants, "x": x, "y": y, "z": z, "t": time}
+        total = np.zeros_like(points)
+        for index, step in enumerate(self.steps):
+            total = total + step.increment(points + total, values, fraction)
+            self._require_finite(total, index, time)
+        return total
+
+    def _require_finite(self, total: FloatArray, index: int, time: float) -> None:
+        bad: BoolArray = np.asarray(~np.isfinite(total).all(axis=1))
+        if bad.any():
+            worst = int(np.argmax(bad))
+            raise MotionError(
+                f"motion step {index + 1} gives the displacement {total[worst].tolist()} at node "
+                f"{self.nodes.label(worst)} = {self.nodes.points[worst].tolist()}, "
+                f"t = {time:g} ({int(bad.sum())} of {len(bad)} nodes); expected finite numbers: check the formulas"
+            )
+
+
+def _vector(parts: tuple[Expression, Expression, Expression], values: Mapping[str, Any], n: int) -> FloatArray:
+    return np.stack([np.broadcast_to(np.asarray(part(values), dtype=np.float64), n) for part in parts], axis=1)

@@ -1,0 +1,162 @@
+"""Periodic boundaries: pairs of nodes that move alike."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import CaseError
+from ..grid import BoolArray, FloatArray, Grid, IntArray
+from ..grid.connectivity import connected_nodes, periodic_rotation
+from ..grid.topology import RELATIVE_TOLERANCE, Topology
+from ..numerics.coincidence import close_pairs
+
+
+@dataclass(frozen=True)
+class Periodic:
+    """Pairs of unique nodes that move alike up to a rotation: ``d[two] = rotation @ d[one]``.
+
+    Attributes
+    ----------
+    one, two : (n,) unique node numbers
+    rotation : (n, 3, 3)
+    """
+
+    one: IntArray
+    two: IntArray
+    rotation: FloatArray
+
+    @classmethod
+    def none(cls) -> Periodic:
+        empty = np.empty(0, dtype=np.int64)
+        return cls(empty, empty, np.empty((0, 3, 3)))
+
+    def __add__(self, other: Periodic) -> Periodic:
+        return Periodic(
+            np.concatenate([self.one, other.one]),
+            np.concatenate([self.two, other.two]),
+            np.concatenate([self.rotation, other.rotation]),
+        )
+
+    def frames(self, n_unique: int) -> tuple[IntArray, IntArray, FloatArray]:
+        """Nodes that take part, the smallest node of each one's ring of images, and the rotation from it.
+
+        Corner nodes have several images; they are reached by walking the pairs until nothing changes.
+        """
+        nodes = np.unique(np.r_[self.one, self.two])
+        root = np.arange(n_unique)
+        turn = np.tile(np.eye(3), (n_unique, 1, 1))
+        pairs = (
+            (self.one, self.two, self.rotation),
+            (self.two, self.one, self.rotation.transpose(0, 2, 1)),
+        )
+        changed = True
+        while changed:
+            changed = False
+            for source, target, rotation in pairs:
+                better = root[source] < root[target]
+                if better.any():
+                    s, t = source[better], target[better]
+                    root[t] = root[s]
+                    turn[t] = rotation[better] @ turn[s]
+                    changed = True
+        return nodes, root[nodes], turn[nodes]
+
+    def constrain(self, displacement: FloatArray, free: BoolArray) -> None:
+        """Give all images of a node the mean of their displacements, in place, where they are ``free`` (n_unique,).
+
+        The mean is taken in the frame of one image, so that it does not depend on which.
+        """
+        if self.one.size == 0:
+            return
+        nodes, root, turn = self.frames(len(displacement))
+        total = np.zeros_like(displacement)
+        count = np.zeros(len(displacement))
+        np.add.at(total, root, np.einsum("nji,nj->ni", turn, displacement[nodes]))
+        np.add.at(count, root, 1.0)
+        mean = np.einsum("nij,nj->ni", turn, total[root] / count[root, None])
+        displacement[nodes[free[nodes]]] = mean[free[nodes]]
+
+
+def periodic_pairs(grid: Grid, topology: Topology, one: IntArray, two: IntArray, owner: str) -> Periodic:
+    """Pair the nodes of two periodic boundaries by the translation or rotation that maps one onto the other.
+
+    Parameters
+    ----------
+    one, two : unique node numbers of the two sides
+
+    Raises
+    ------
+    CaseError
+        When no translation, and no rotation about a coordinate axis, maps one side onto the other.
+    """
+    p, q = grid.points[topology.first[one]], grid.points[topology.first[two]]
+    gap = np.inf
+    if len(one) == len(two):
+        for rotation in [np.eye(3), *_axis_rotations(p, q)]:
+            image = p @ rotation.T
+            shift = q.mean(axis=0) - image.mean(axis=0) if np.array_equal(rotation, np.eye(3)) else np.zeros(3)
+            tolerance = np.r_[topology.edge[one], topology.edge[two]] * RELATIVE_TOLERANCE
+            pairs = close_pairs(np.concatenate([image + shift, q]), tolerance)
+            pairs = np.sort(pairs, axis=1)
+            pairs = pairs[(pairs[:, 0] < len(one)) & (pairs[:, 1] >= len(one))]
+            if len(pairs) == len(one):
+                matched = two[pairs[:, 1] - len(one)]
+                return Periodic(one[pairs[:, 0]], matched, np.tile(rotation, (len(one), 1, 1)))
+            gap = min(gap, len(one) - len(pairs))
+    raise CaseError(
+        f"boundary {owner!r}: its two periodic sides ({len(one)} and {len(two)} nodes) do not match by a translation "
+        f"or by a rotation about a coordinate axis; expected select = [one side, other side] with equal node layouts"
+    )
+
+
+def _axis_rotations(p: FloatArray, q: FloatArray) -> list[FloatArray]:
+    """Rotations about x, y and z through the origin that carry the centroid of ``p`` over that of ``q``."""
+    rotations = []
+    for axis in range(3):
+        a, b = (axis + 1) % 3, (axis + 2) % 3
+        angles = [np.arctan2(c[b], c[a]) for c in (p.mean(axis=0), q.mean(axis=0))]
+        cos, sin = np.cos(angles[1] - angles[0]), np.sin(angles[1] - angles[0])
+        rotation = np.eye(3)
+        rotation[[a, a, b, b], [a, b, a, b]] = [cos, -sin, sin, cos]
+        rotations.append(rotation)
+    return rotations
+
+
+def find_periodicity(grid: Grid, topology: Topology, name: str, quads: IntArray, sides: Sequence[IntArray]) -> Periodic:
+    """Pairs of one periodic boundary: as the file declares them, else by matching its two sides.
+
+    Parameters
+    ----------
+    quads : all face quads of the boundary
+    sides : the quads of each of its ``select`` patterns
+
+    Raises
+    ------
+    CaseError
+        When the file declares nothing and the boundary does not select two sides that match.
+    """
+    nodes = np.unique(topology.quads.corners[quads])
+    declared = _declared_pairs(grid, topology, nodes)
+    if np.isin(nodes, np.r_[declared.one, declared.two]).all():
+        return declared
+    if len(sides) != 2:
+        raise CaseError(
+            f"boundary {name!r} is periodic but selects {len(sides)} things and the file declares no periodic "
+            f"connection for them; expected select = [one side, other side]"
+        )
+    one, two = (np.unique(topology.quads.corners[np.intersect1d(quads, side)]) for side in sides)
+    return periodic_pairs(grid, topology, one, two, name)
+
+
+def _declared_pairs(grid: Grid, topology: Topology, nodes: IntArray) -> Periodic:
+    pairs = Periodic.none()
+    for connection in grid.connections:
+        if connection.periodic is not None:
+            own, donor = (topology.numbers_of(flat) for flat in connected_nodes(grid, connection))
+            inside = np.isin(own, nodes) & np.isin(donor, nodes)
+            rotation = np.tile(periodic_rotation(connection.periodic), (int(inside.sum()), 1, 1))
+            pairs += Periodic(own[inside], donor[inside], rotation)
+    return pairs

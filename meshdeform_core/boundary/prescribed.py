@@ -1,0 +1,74 @@
+"""Where the boundary goes: the motions of all moving patches as one displacement, checked for contradictions."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..errors import MotionError
+from ..grid import FloatArray, Grid, IntArray
+from ..grid.planes import plane_normal
+from ..grid.topology import Topology
+from .classification import Boundary, Kind
+from .periodic import Periodic
+
+
+def prescribed_displacement(
+    grid: Grid, topology: Topology, boundary: Boundary, time: float = 0.0, fraction: float = 1.0
+) -> FloatArray:
+    """Displacement (n_unique, 3) of all face nodes: the motion at moving nodes, zero elsewhere.
+
+    Raises
+    ------
+    MotionError
+        When two moving patches disagree at a shared node, or a 2-D grid would leave its plane.
+    """
+    displacement = np.zeros((topology.n_unique, 3))
+    owner = np.full(topology.n_unique, -1)
+    for index, (nodes, motion) in enumerate(boundary.movers):
+        new = motion.displacement(time, fraction)[motion.moved]
+        _require_agreement(grid, topology, boundary, owner, displacement, nodes, new)
+        displacement[nodes] = new
+        owner[nodes] = index
+    if boundary.periodic.one.size:
+        _copy_to_images(boundary.periodic, displacement, owner)
+    normal = plane_normal(grid)
+    if normal is not None and np.abs(displacement @ normal).max() > 1e-9 * np.abs(displacement).max():
+        raise MotionError(
+            f"the motion leaves the plane of the 2-D grid by {np.abs(displacement @ normal).max():.3g}; "
+            f"expected displacements normal to {normal.tolist()}"
+        )
+    return displacement
+
+
+def _copy_to_images(periodic: Periodic, displacement: FloatArray, owner: np.ndarray) -> None:
+    nodes, root, turn = periodic.frames(len(displacement))
+    moving = owner[nodes] >= 0
+    home = np.zeros_like(displacement)
+    home[root[moving]] = np.einsum("nji,nj->ni", turn[moving], displacement[nodes[moving]])
+    image = np.isin(root, root[moving]) & ~moving
+    displacement[nodes[image]] = np.einsum("nij,nj->ni", turn[image], home[root[image]])
+
+
+def _require_agreement(
+    grid: Grid,
+    topology: Topology,
+    boundary: Boundary,
+    owner: np.ndarray,
+    displacement: FloatArray,
+    nodes: IntArray,
+    new: FloatArray,
+) -> None:
+    both = owner[nodes] >= 0
+    if not both.any():
+        return
+    gap = np.linalg.norm(displacement[nodes[both]] - new[both], axis=1)
+    edge = topology.edge[nodes[both]]
+    worst = int(np.argmax(gap / edge))
+    if gap[worst] > 1e-6 * edge[worst]:
+        node = nodes[both][worst]
+        movers = [p.name for p in boundary.patches if p.kind is Kind.MOVING and node in p.nodes]
+        raise MotionError(
+            f"moving patches {' and '.join(repr(name) for name in movers)} disagree at their shared node "
+            f"{grid.node_label(int(topology.first[node]))}: displacements {displacement[node].tolist()} and "
+            f"{new[both][worst].tolist()}; give both patches the same motion there"
+        )

@@ -1,0 +1,172 @@
+"""Nodes that slide: in planes, on curved surfaces, and in mirror planes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..errors import CaseError
+from ..grid import BoolArray, FloatArray, Grid, IntArray
+from ..grid.planes import FLATNESS, Plane, plane_normal, plane_of
+from ..grid.topology import Topology
+from ..numerics.coincidence import distinct
+
+if TYPE_CHECKING:
+    from ..numerics.surface import TriangleTree
+
+
+@dataclass(frozen=True)
+class CurvedSurface:
+    """A curved slip surface: triangles of its undeformed face quads, and the nodes that slide on it.
+
+    ``nodes`` (n,) are unique node numbers; ``points`` (m, 3) and ``triangles`` (k, 3) describe the surface.
+    """
+
+    nodes: IntArray
+    points: FloatArray
+    triangles: IntArray
+
+    @cached_property
+    def tree(self) -> TriangleTree:
+        """For the closest points of the surface."""
+        from ..numerics.surface import TriangleTree
+
+        return TriangleTree(self.points, self.triangles)
+
+
+@dataclass(frozen=True)
+class Slip:
+    """Nodes that slide: in planes (up to three at a node), on curved surfaces, or both.
+
+    Attributes
+    ----------
+    planes : slip and symmetry planes with all unique nodes that lie on them, sources included
+    groups : (node numbers (n,), removed directions (3, 3)) for each set of planes that meet at a node; the displacement
+        loses its components along the removed directions: ``d - d @ removed``
+    curved : curved slip surfaces
+    """
+
+    planes: tuple[tuple[Plane, IntArray], ...] = ()
+    groups: tuple[tuple[IntArray, FloatArray], ...] = ()
+    curved: tuple[CurvedSurface, ...] = ()
+
+    def constrain(self, displacement: FloatArray, points: FloatArray, first: IntArray) -> None:
+        """Make ``displacement`` (n_unique, 3) obey the constraints, in place.
+
+        Its nodes are the rows ``first`` (n_unique,) of the undeformed ``points`` (n_nodes, 3).
+        """
+        for surface in self.curved:
+            self._slide(surface, displacement, points, first)
+        if self.groups:
+            from ..numerics.rows import project_rows
+
+            for nodes, removed in self.groups:
+                project_rows(displacement, nodes, removed)
+
+    def departure(self, displacement: FloatArray) -> float:
+        """Largest displacement of a node out of a plane that it lies on (grid length unit)."""
+        return max((float(np.abs(displacement[nodes] @ p.normal).max()) for p, nodes in self.planes), default=0.0)
+
+    @staticmethod
+    def _slide(surface: CurvedSurface, displacement: FloatArray, points: FloatArray, first: IntArray) -> None:
+        moving = surface.nodes[(displacement[surface.nodes] != 0.0).any(axis=1)]
+        if moving.size:
+            start = points[first[moving]]
+            target = start + displacement[moving]
+            triangle, weights, _ = surface.tree.closest(target)
+            corners = surface.points[surface.triangles[triangle]]
+            displacement[moving] = np.einsum("nc,ncd->nd", weights, corners) - start
+
+
+def find_sliding(
+    grid: Grid, topology: Topology, slipping: Sequence[tuple[str, IntArray, bool]], free: BoolArray
+) -> tuple[Slip, tuple[Plane, ...]]:
+    """Slip constraints and symmetry planes.
+
+    Parameters
+    ----------
+    slipping : name, face quads and "is a symmetry" of every slip or symmetry boundary
+    free : (n_unique,) nodes that no stronger boundary holds
+
+    Raises
+    ------
+    CaseError
+        When a symmetry is not a plane.
+    """
+    planes: list[tuple[Plane, IntArray]] = []
+    curved: list[CurvedSurface] = []
+    mirrors: list[Plane] = []
+    normal = plane_normal(grid)
+    for name, quads, symmetry in slipping:
+        bent = []
+        for side in distinct(topology.quads.block_side[quads], 6 * grid.n_blocks):
+            part = quads[topology.quads.block_side[quads] == side]
+            nodes = distinct(topology.quads.corners[part], topology.n_unique)
+            plane = plane_of(grid.points[topology.first[nodes]], normal)
+            if plane is None:
+                bent.append(part)
+                continue
+            planes.append((plane, nodes))
+            mirrors += [plane] if symmetry else []
+        if bent and symmetry:
+            raise CaseError(f'boundary {name!r} is a symmetry but not a plane; use kind = "slip" for curved surfaces')
+        if bent:
+            curved.append(_curved_surface(grid, topology, np.concatenate(bent), free))
+    return Slip(tuple(planes), _groups(planes, free), tuple(curved)), _distinct(mirrors)
+
+
+def _curved_surface(grid: Grid, topology: Topology, quads: IntArray, free: BoolArray) -> CurvedSurface:
+    corners = topology.quads.corners[quads]
+    nodes, local = np.unique(corners, return_inverse=True)
+    local = local.reshape(corners.shape)
+    # In 2-D a cell edge is a triangle without width.
+    split = ([0, 1, 2], [0, 2, 3]) if corners.shape[1] == 4 else ([0, 1, 1],)
+    triangles = np.concatenate([local[:, which] for which in split])
+    return CurvedSurface(nodes[free[nodes]], grid.points[topology.first[nodes]], triangles)
+
+
+def _groups(planes: list[tuple[Plane, IntArray]], free: BoolArray) -> tuple[tuple[IntArray, FloatArray], ...]:
+    """Free nodes grouped by the set of slip directions that meet at them."""
+    normals: list[FloatArray] = []
+    member = []
+    for plane, nodes in planes:
+        same = [i for i, n in enumerate(normals) if abs(n @ plane.normal) > 1 - FLATNESS**2 * 8]
+        if not same:
+            normals.append(plane.normal)
+            same = [len(normals) - 1]
+        member.append((same[0], nodes))
+    on = np.zeros((len(free), len(normals)), dtype=bool)
+    for index, nodes in member:
+        on[nodes, index] = True
+    touched = np.flatnonzero(on.any(axis=1) & free)
+    if touched.size == 0:
+        return ()
+    sets, which = np.unique(on[touched], axis=0, return_inverse=True)
+    return tuple((touched[which == s], _span_projector(np.array(normals)[chosen])) for s, chosen in enumerate(sets))
+
+
+def _span_projector(normals: FloatArray) -> FloatArray:
+    """Orthogonal projector (3, 3) on the span of the rows of ``normals``."""
+    basis: list[FloatArray] = []
+    for normal in normals:
+        rest = normal - sum((b * (b @ normal) for b in basis), np.zeros(3))
+        length = float(np.linalg.norm(rest))
+        if length > 1e-6:
+            basis.append(rest / length)
+    return np.sum([np.outer(b, b) for b in basis], axis=0)
+
+
+def _distinct(planes: list[Plane]) -> tuple[Plane, ...]:
+    kept: list[Plane] = []
+    for plane in planes:
+        scale = max(float(np.abs(plane.point).max()), 1e-300)
+        if not any(
+            abs(p.normal @ plane.normal) > 1 - 1e-9 and abs(p.normal @ (p.point - plane.point)) < 1e-6 * scale
+            for p in kept
+        ):
+            kept.append(plane)
+    return tuple(kept)

@@ -1,0 +1,33 @@
+"""Grids: blocks of nodes, and what their coordinates say about which nodes and faces belong together."""
+
+from .blocks import (
+    BoolArray,
+    Connection,
+    Field,
+    FileFormat,
+    FloatArray,
+    Grid,
+    IntArray,
+    Patch,
+    Periodicity,
+    Shape,
+    Side,
+    Window,
+    whole_face,
+)
+
+__all__ = [
+    "BoolArray",
+    "Connection",
+    "Field",
+    "FileFormat",
+    "FloatArray",
+    "Grid",
+    "IntArray",
+    "Patch",
+    "Periodicity",
+    "Shape",
+    "Side",
+    "Window",
+    "whole_face",
+]

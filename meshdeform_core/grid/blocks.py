@@ -1,0 +1,289 @@
+"""The grid: blocks of nodes in one array, named patches on their faces, and what else the file held.
+
+All blocks share one coordinate array ``points`` of shape ``(n_nodes, 3)``; ``grid.block(b)`` is the view
+``(ni, nj, nk, 3)`` of block ``b`` in it, C-contiguous, so that node ``(i, j, k)`` of block ``b`` has the flat index
+``offsets[b] + (i * nj + j) * nk + k``. A 2-D grid has exactly one node along one index of every block.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import IntEnum
+from functools import cached_property
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import GridError
+from ..parallel import Shared, empty, for_items
+
+Shape = tuple[int, int, int]
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+
+class Side(IntEnum):
+    """The six faces of a block; ``side // 2`` is the index axis, ``side % 2`` is 1 at its far end."""
+
+    IMIN = 0
+    IMAX = 1
+    JMIN = 2
+    JMAX = 3
+    KMIN = 4
+    KMAX = 5
+
+    @property
+    def axis(self) -> int:
+        """Index axis (0, 1, 2) that is constant on this face."""
+        return self.value // 2
+
+    @property
+    def tangential(self) -> tuple[int, int]:
+        """The two index axes that vary on this face, ascending."""
+        first, second = (a for a in range(3) if a != self.axis)
+        return first, second
+
+    @property
+    def label(self) -> str:
+        """Name as written in case files and reports: ``imin`` ... ``kmax``."""
+        return self.name.lower()
+
+
+@dataclass(frozen=True)
+class Window:
+    """A rectangle of nodes on one face of one block.
+
+    ``low`` and ``high`` are the first and last node (0-based, both inclusive) along ``side.tangential``.
+    In a 2-D grid one of the two tangential extents is the single plane (low = high = 0).
+    """
+
+    block: int
+    side: Side
+    low: tuple[int, int]
+    high: tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Patch:
+    """A named boundary region as the file declares it.
+
+    ``family`` groups patches (CGNS FamilyName, else empty); ``bc_type`` is the file's own word for the boundary
+    condition (``BCWallViscous``, ``viscous_solid``, ...), empty when the file does not say.
+    """
+
+    name: str
+    windows: tuple[Window, ...]
+    family: str = ""
+    bc_type: str = ""
+
+
+@dataclass(frozen=True)
+class Periodicity:
+    """Rigid motion that carries this side of a periodic connection onto its donor side.
+
+    ``rotation_angle`` are degrees about the x, y and z axes in turn through ``rotation_center`` (CGNS convention),
+    ``translation`` is in grid length units.
+    """
+
+    rotation_center: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    rotation_angle: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    translation: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Connection:
+    """A one-to-one block connection as the file declares it (checked against the coordinates, never trusted).
+
+    ``begin`` and ``end`` are 0-based inclusive node indices (i, j, k) in ``block``; ``donor_begin`` is the donor node
+    that corresponds to ``begin``. ``transform`` is the CGNS short form: entry ``a`` is the signed, 1-based donor axis
+    that runs along axis ``a``; the donor of ``begin + n`` is ``donor_begin + T n``.
+    """
+
+    name: str
+    block: int
+    begin: Shape
+    end: Shape
+    donor_block: int
+    donor_begin: Shape
+    donor_end: Shape
+    transform: tuple[int, int, int]
+    periodic: Periodicity | None = None
+
+
+@dataclass(frozen=True)
+class Field:
+    """Values the file held beside the coordinates (IBLANK, VTK arrays); carried along unchanged.
+
+    ``location`` is ``"node"`` or ``"cell"``; ``values`` has the block's node or cell shape, with a trailing
+    component axis for vectors.
+    """
+
+    name: str
+    location: str
+    block: int
+    values: NDArray[Any]
+
+
+@dataclass(frozen=True)
+class FileFormat:
+    """Which format and variant a grid came from, so that it can be written the same way.
+
+    ``name`` is a key of ``meshdeform_formats.FORMATS``; ``precision`` is the coordinate type in the file
+    (``"float32"`` or ``"float64"``); ``options`` are the variant's own switches (byte order, record markers, ...).
+    """
+
+    name: str
+    precision: str = "float64"
+    options: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+
+    @property
+    def label(self) -> str:
+        """One line for people, e.g. ``plot3d (fortran, big endian, multi-block), float64``."""
+        words = ", ".join(f"{key}={value}" for key, value in self.options.items())
+        return f"{self.name} ({words}), {self.precision}" if words else f"{self.name}, {self.precision}"
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A block-structured grid.
+
+    Attributes
+    ----------
+    points : (n_nodes, 3) float64
+        Coordinates of all block nodes, block after block (grid length unit).
+    shapes : block shapes in nodes ``(ni, nj, nk)``
+    names : block names, unique
+    patches, connections, fields : what the file declared or carried
+    format, path : where the grid came from; ``None`` for grids made in memory
+    notes : remarks of the reader for the report's warnings
+    """
+
+    points: FloatArray
+    shapes: tuple[Shape, ...]
+    names: tuple[str, ...]
+    patches: tuple[Patch, ...] = ()
+    connections: tuple[Connection, ...] = ()
+    fields: tuple[Field, ...] = ()
+    format: FileFormat | None = None
+    path: Path | None = None
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.shapes:
+            raise GridError("the grid has no blocks; expected at least one")
+        expected = int(self.offsets[-1])
+        if self.points.shape != (expected, 3) or self.points.dtype != np.float64:
+            raise GridError(
+                f"coordinate array is {self.points.shape} {self.points.dtype}; "
+                f"blocks {self.shapes} need ({expected}, 3) float64"
+            )
+        if len(self.names) != len(self.shapes) or len(set(self.names)) != len(self.names):
+            raise GridError(f"need one unique name per block, found {list(self.names)} for {len(self.shapes)} blocks")
+        _check_dimension(self.shapes, self.names)
+
+    @classmethod
+    def allocate(cls, shapes: Sequence[Shape], names: Sequence[str] | None = None, **rest: Any) -> Grid:
+        """Make a grid with uninitialised coordinates, to be filled block by block through :meth:`fill`."""
+        sizes = tuple(tuple(int(n) for n in shape) for shape in shapes)
+        total = sum(ni * nj * nk for ni, nj, nk in sizes)
+        labels = tuple(names) if names is not None else tuple(f"block{b + 1}" for b in range(len(sizes)))
+        return cls(empty((total, 3)), sizes, labels, **rest)  # type: ignore[arg-type]
+
+    @classmethod
+    def from_blocks(cls, blocks: Sequence[FloatArray], names: Sequence[str] | None = None, **rest: Any) -> Grid:
+        """Make a grid from block coordinate arrays ``(ni, nj, nk, 3)`` (copied)."""
+        grid = cls.allocate([b.shape[:3] for b in blocks], names, **rest)
+
+        def put(index: int) -> None:
+            grid.block(index)[...] = blocks[index]
+
+        grid.fill(put)
+        return grid
+
+    @cached_property
+    def offsets(self) -> IntArray:
+        """Flat index of each block's first node; one more entry than blocks."""
+        return np.concatenate([[0], np.cumsum([ni * nj * nk for ni, nj, nk in self.shapes])]).astype(np.int64)
+
+    @property
+    def n_blocks(self) -> int:
+        return len(self.shapes)
+
+    @property
+    def n_nodes(self) -> int:
+        """Block nodes; coincident nodes of different blocks count once per block."""
+        return int(self.offsets[-1])
+
+    @cached_property
+    def cell_shapes(self) -> tuple[Shape, ...]:
+        """Cells of each block along i, j, k; the single plane of a 2-D block counts as one."""
+        return tuple((max(a - 1, 1), max(b - 1, 1), max(c - 1, 1)) for a, b, c in self.shapes)
+
+    @property
+    def n_cells(self) -> int:
+        return sum(a * b * c for a, b, c in self.cell_shapes)
+
+    @property
+    def dimension(self) -> int:
+        """2 if every block is one plane of nodes, else 3."""
+        return 2 if 1 in self.shapes[0] else 3
+
+    @property
+    def precision(self) -> str:
+        """Floating point type of the file the grid came from; float64 for grids made in memory."""
+        return self.format.precision if self.format else "float64"
+
+    def block(self, index: int, values: FloatArray | None = None) -> FloatArray:
+        """View ``(ni, nj, nk, ...)`` of block ``index`` in ``points``, or in any array with one row per node."""
+        array = self.points if values is None else values
+        lo, hi = self.offsets[index], self.offsets[index + 1]
+        return array[lo:hi].reshape(self.shapes[index] + array.shape[1:])
+
+    def fill(self, put: Callable[[int], None], *others: NDArray[Any]) -> None:
+        """Call ``put(b)`` for every block, in ascending order; of several processes each calls it for some.
+
+        ``put`` fills the block's rows of ``points`` and of the arrays ``others`` with one row per node. What it raises
+        in one process is raised in all.
+        """
+
+        def rows(first: int, last: int) -> range:
+            return range(self.offsets[first], self.offsets[last])
+
+        for_items(put, self.n_blocks, [Shared(array, rows) for array in (self.points, *others)])
+
+    def moved(self, points: FloatArray) -> Grid:
+        """The same grid with other coordinates."""
+        return dataclasses.replace(self, points=points)
+
+    def locate(self, flat: int) -> tuple[int, Shape]:
+        """Block and 0-based (i, j, k) of a flat node index."""
+        block = int(np.searchsorted(self.offsets, flat, side="right")) - 1
+        i, j, k = np.unravel_index(flat - self.offsets[block], self.shapes[block])
+        return block, (int(i), int(j), int(k))
+
+    def node_label(self, flat: int) -> str:
+        """Readable place of a node, 1-based: ``wing (3, 1, 17)``."""
+        block, (i, j, k) = self.locate(flat)
+        return f"{self.names[block]} ({i + 1}, {j + 1}, {k + 1})"
+
+
+def whole_face(shape: Shape, block: int, side: Side) -> Window:
+    """The window that covers a whole block face."""
+    a, b = side.tangential
+    return Window(block, side, (0, 0), (shape[a] - 1, shape[b] - 1))
+
+
+def _check_dimension(shapes: Sequence[Shape], names: Sequence[str]) -> None:
+    flat = [sum(n == 1 for n in shape) for shape in shapes]
+    for shape, name, ones in zip(shapes, names, flat, strict=True):
+        if min(shape) < 1 or ones > 1:
+            raise GridError(f"{name}: {shape} nodes is not a block; expected at least 2 nodes along two indices")
+    if len(set(flat)) > 1:
+        two, three = names[flat.index(1)], names[flat.index(0)]
+        raise GridError(f"the grid mixes 2-D and 3-D blocks ({two} is one plane of nodes, {three} is not)")

@@ -1,0 +1,116 @@
+"""Block-to-block connections: what the file declares, held against what the coordinates say."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import GridError
+from ..numerics.coincidence import distinct
+from .blocks import Connection, FloatArray, Grid, IntArray, Periodicity
+from .topology import RELATIVE_TOLERANCE, Topology
+
+
+def connected_nodes(grid: Grid, connection: Connection) -> tuple[IntArray, IntArray]:
+    """Flat indices of the nodes of a declared connection and of their donors, both (n,).
+
+    Raises
+    ------
+    GridError
+        When the ranges leave their blocks or do not have the same size.
+    """
+    begin, end = np.array(connection.begin), np.array(connection.end)
+    step = np.where(end >= begin, 1, -1)
+    counts = np.abs(end - begin) + 1
+    offset = np.stack(np.unravel_index(np.arange(counts.prod()), counts), axis=1) * step
+    matrix = transform_matrix(connection)
+    own = begin + offset
+    donor = np.array(connection.donor_begin) + offset @ matrix.T
+    for block, nodes, role in ((connection.block, own, "range"), (connection.donor_block, donor, "donor range")):
+        shape = grid.shapes[block]
+        if (nodes < 0).any() or (nodes >= shape).any():
+            raise GridError(
+                f"connection {connection.name!r} of {grid.names[connection.block]}: its {role} reaches node "
+                f"{(nodes.max(axis=0) + 1).tolist()}, but {grid.names[block]} has {list(shape)} nodes"
+            )
+    return _flat(grid, connection.block, own), _flat(grid, connection.donor_block, donor)
+
+
+def transform_matrix(connection: Connection) -> NDArray[np.int64]:
+    """The (3, 3) matrix T of the short-form transform: donor index step = T @ own index step (CGNS SIDS)."""
+    matrix = np.zeros((3, 3), dtype=np.int64)
+    for axis, signed in enumerate(connection.transform):
+        if signed:
+            matrix[abs(signed) - 1, axis] = np.sign(signed)
+    return matrix
+
+
+def periodic_rotation(periodic: Periodicity) -> FloatArray:
+    """Rotation matrix (3, 3) of a periodic connection: about x, then y, then z."""
+    rotation = np.eye(3)
+    for axis, angle in enumerate(np.deg2rad(periodic.rotation_angle)):
+        a, b = (axis + 1) % 3, (axis + 2) % 3
+        turn = np.eye(3)
+        turn[[a, a, b, b], [a, b, a, b]] = [np.cos(angle), -np.sin(angle), np.sin(angle), np.cos(angle)]
+        rotation = turn @ rotation
+    return rotation
+
+
+def check_connections(grid: Grid, topology: Topology) -> list[str]:
+    """Disagreements between the declared connections and the coordinates, one message each."""
+    messages = []
+    declared = np.zeros(topology.n_unique, dtype=bool)
+    for connection in grid.connections:
+        try:
+            own, donor = connected_nodes(grid, connection)
+        except GridError as error:
+            messages.append(str(error))
+            continue
+        declared[topology.numbers_of(own)] = True
+        declared[topology.numbers_of(donor)] = True
+        problem = _mismatch(grid, topology, connection, own, donor)
+        if problem:
+            messages.append(
+                f"connection {connection.name!r} of {grid.names[connection.block]} with "
+                f"{grid.names[connection.donor_block]}: {problem}"
+            )
+    if grid.connections:
+        messages += _undeclared(grid, topology, declared)
+    return messages
+
+
+def _mismatch(grid: Grid, topology: Topology, connection: Connection, own: IntArray, donor: IntArray) -> str:
+    a, b = topology.numbers_of(own), topology.numbers_of(donor)
+    if connection.periodic is None:
+        apart = a != b
+        if not apart.any():
+            return ""
+        gap = np.linalg.norm(grid.points[own] - grid.points[donor], axis=1)[apart]
+        relative = gap / np.minimum(topology.edge[a], topology.edge[b])[apart]
+        return (
+            f"{int(apart.sum())} of {len(own)} node pairs do not coincide (largest gap {gap.max():.3g}, "
+            f"{relative.max():.3g} of the local edge); the coordinates are followed, the faces count as outside"
+        )
+    p = connection.periodic
+    center = np.array(p.rotation_center)
+    image = (grid.points[own] - center) @ periodic_rotation(p).T + center + np.array(p.translation)
+    gap = np.linalg.norm(image - grid.points[donor], axis=1)
+    far = gap > 10 * RELATIVE_TOLERANCE * np.minimum(topology.edge[a], topology.edge[b])
+    if far.any():
+        return f"{int(far.sum())} of {len(own)} periodic node pairs differ, by up to {gap.max():.3g}"
+    return ""
+
+
+def _undeclared(grid: Grid, topology: Topology, declared: np.ndarray) -> list[str]:
+    shared = topology.partner >= 0
+    quads = shared & ~declared[topology.quads.corners].all(axis=1)
+    sides = distinct(topology.quads.block_side[quads], 6 * grid.n_blocks)
+    if sides.size == 0:
+        return []
+    names = ", ".join(f"{grid.names[s // 6]}" for s in sides[:6])
+    return [f"{int(quads.sum())} face quads coincide but no connection declares them (blocks {names}); they are joined"]
+
+
+def _flat(grid: Grid, block: int, ijk: IntArray) -> IntArray:
+    _, nj, nk = grid.shapes[block]
+    return np.asarray(grid.offsets[block] + (ijk[:, 0] * nj + ijk[:, 1]) * nk + ijk[:, 2], dtype=np.int64)

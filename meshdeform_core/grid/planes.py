@@ -1,0 +1,64 @@
+"""Planes: of 2-D grids, of slip and symmetry boundaries."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import GridError
+from .blocks import FloatArray, Grid
+
+FLATNESS = 1e-6
+"""Nodes that leave their mean plane by less than this fraction of their extent lie in a plane."""
+
+
+@dataclass(frozen=True)
+class Plane:
+    """A plane through ``point`` with unit ``normal``; normals along an axis are exact unit vectors."""
+
+    point: FloatArray
+    normal: FloatArray
+
+
+def plane_of(points: FloatArray, plane_normal: FloatArray | None) -> Plane | None:
+    """The plane that holds all ``points`` (n, 3), or ``None`` when they are curved.
+
+    In a 2-D grid (``plane_normal`` given) the "plane" is the straight line through the points.
+    """
+    center = points.mean(axis=0)
+    arms = points - center
+    size = float(np.abs(arms).max())
+    if size == 0.0:
+        return None
+    _, _, directions = np.linalg.svd(arms, full_matrices=False)
+    normal = directions[-1] if plane_normal is None else np.cross(plane_normal, directions[0])
+    normal = _snapped(normal / np.linalg.norm(normal))
+    if float(np.abs(arms @ normal).max()) > FLATNESS * size:
+        return None
+    return Plane(center, normal)
+
+
+def _snapped(normal: FloatArray) -> FloatArray:
+    axis = int(np.argmax(np.abs(normal)))
+    unit = np.zeros(3)
+    unit[axis] = 1.0
+    if np.linalg.norm(normal * np.sign(normal[axis]) - unit) < FLATNESS:
+        return unit
+    return normal * np.sign(normal[axis])
+
+
+def plane_normal(grid: Grid) -> FloatArray | None:
+    """Unit normal of the plane of a 2-D grid, ``None`` for a 3-D grid.
+
+    Raises
+    ------
+    GridError
+        When a 2-D grid is not flat.
+    """
+    if grid.dimension == 3:
+        return None
+    plane = plane_of(grid.points, None)
+    if plane is None:
+        raise GridError("the grid is one layer of nodes but not a plane; surface grids cannot be deformed")
+    return plane.normal

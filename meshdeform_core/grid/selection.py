@@ -1,0 +1,128 @@
+"""From the words of a case file to face quads: patch names, families, block faces, windows, wildcards."""
+
+from __future__ import annotations
+
+import difflib
+import fnmatch
+import re
+from collections.abc import Iterable
+
+import numpy as np
+
+from ..errors import CaseError
+from ..numerics.coincidence import distinct
+from .blocks import Grid, IntArray, Patch, Side, Window
+from .topology import FaceQuads, Topology
+
+_FACE = re.compile(r"(?P<block>.+)\.(?P<side>[ijk*?][a-z*?]*)(?:\[(?P<window>[^\]]*)\])?")
+
+
+def select_quads(grid: Grid, topology: Topology, patterns: Iterable[str], owner: str) -> IntArray:
+    """External face quads that any of ``patterns`` selects, ascending.
+
+    A pattern is a patch name, a family name, ``block/patch``, or a block face ``block.side`` with an optional window
+    ``[a:b,c:d]`` of nodes (1-based, inclusive); ``*`` and ``?`` are wildcards. ``owner`` names the boundary entry in
+    messages.
+
+    Raises
+    ------
+    CaseError
+        When a pattern matches nothing, or only faces that other blocks share.
+    """
+    chosen: list[IntArray] = []
+    for pattern in patterns:
+        quads = _matching(grid, topology.quads, pattern, owner)
+        chosen.append(quads)
+        if not topology.external[quads].any():
+            raise CaseError(
+                f"boundary {owner!r}: {pattern!r} selects only faces that are shared with other blocks; "
+                f"expected faces on the outside of the grid (see `meshdeform info`)"
+            )
+    selected = distinct(np.concatenate(chosen), len(topology.partner))
+    return selected[topology.external[selected]]
+
+
+def quads_of_window(quads: FaceQuads, window: Window) -> IntArray:
+    """Quads that lie within a window; none if it is only a line of nodes."""
+    columns_of_side = quads.counts[window.block, window.side, 1]
+    first = quads.start[window.block, window.side]
+    rows, columns = (np.arange(low, high) for low, high in zip(window.low, window.high, strict=True))
+    if quads.corners.shape[1] == 2 and window.low != window.high:
+        # A 2-D grid: across its single plane of nodes a window has no extent, yet holds one cell edge.
+        rows, columns = (r if r.size else np.zeros(1, dtype=np.int64) for r in (rows, columns))
+    inside = (rows[:, None] * columns_of_side + columns).ravel()
+    return np.asarray(first + inside, dtype=np.int64)
+
+
+def quads_of_patch(quads: FaceQuads, patch: Patch) -> IntArray:
+    """Quads of all windows of a patch."""
+    return np.concatenate([np.empty(0, dtype=np.int64), *(quads_of_window(quads, w) for w in patch.windows)])
+
+
+def _matching(grid: Grid, quads: FaceQuads, pattern: str, owner: str) -> IntArray:
+    if pattern == "*":
+        return np.arange(len(quads.corners))
+    patches = [patch for patch in grid.patches if _names_match(grid, patch, pattern)]
+    if patches:
+        return np.concatenate([quads_of_patch(quads, patch) for patch in patches])
+    windows = list(_face_windows(grid, pattern, owner))
+    if not windows:
+        raise CaseError(f"boundary {owner!r}: {pattern!r} matches no patch, family or block face{_hint(grid, pattern)}")
+    found = np.concatenate([quads_of_window(quads, window) for window in windows])
+    if found.size == 0:
+        raise CaseError(f"boundary {owner!r}: {pattern!r} holds no cell face (a window needs two nodes each way)")
+    return found
+
+
+def _names_match(grid: Grid, patch: Patch, pattern: str) -> bool:
+    names = [patch.name, patch.family, *(f"{grid.names[w.block]}/{patch.name}" for w in patch.windows)]
+    return any(name and fnmatch.fnmatchcase(name, pattern) for name in names)
+
+
+def _face_windows(grid: Grid, pattern: str, owner: str) -> Iterable[Window]:
+    match = _FACE.fullmatch(pattern)
+    if not match:
+        return
+    for block, name in enumerate(grid.names):
+        if not fnmatch.fnmatchcase(name, match["block"]):
+            continue
+        for side in Side:
+            a, b = side.tangential
+            shape = grid.shapes[block]
+            if fnmatch.fnmatchcase(side.label, match["side"]) and shape[side.axis] > 1:
+                size = (shape[a], shape[b])
+                low, high = _window_bounds(match["window"], size, f"boundary {owner!r}: {pattern!r} on {name}")
+                yield Window(block, side, low, high)
+
+
+def _window_bounds(text: str | None, size: tuple[int, int], where: str) -> tuple[tuple[int, int], tuple[int, int]]:
+    if text is None:
+        return (0, 0), (size[0] - 1, size[1] - 1)
+    parts = [part.strip() for part in text.split(",")]
+    if len(parts) == 1 and 1 in size:
+        parts.insert(size.index(1), "*")
+    if len(parts) != 2:
+        raise CaseError(f"{where}: window [{text}] has {len(parts)} ranges; expected two, like [1:65,*]")
+    bounds = [_range(part, n, where) for part, n in zip(parts, size, strict=True)]
+    return (bounds[0][0], bounds[1][0]), (bounds[0][1], bounds[1][1])
+
+
+def _range(text: str, n: int, where: str) -> tuple[int, int]:
+    match = re.fullmatch(r"(\d*|\*)(?::(\d*|\*))?", text)
+    if not match or (text not in ("*", ":") and ":" not in text):
+        raise CaseError(f"{where}: {text!r} is not a range of nodes; expected a:b, a:*, *:b or *")
+    low = int(match[1]) if match[1] not in ("", "*") else 1
+    high = int(match[2]) if match[2] not in (None, "", "*") else n
+    if not 1 <= low <= high <= n:
+        raise CaseError(f"{where}: range {text!r} lies outside the face; expected 1 <= first <= last <= {n}")
+    return low - 1, high - 1
+
+
+def _hint(grid: Grid, pattern: str) -> str:
+    known = sorted({name for patch in grid.patches for name in (patch.name, patch.family) if name})
+    faces = [f"{grid.names[0]}.{side.label}" for side in Side]
+    close = difflib.get_close_matches(pattern, [*known, *(f"{n}.{s.label}" for n in grid.names for s in Side)], 3)
+    if close:
+        return f"; did you mean {' or '.join(repr(c) for c in close)}?"
+    patches = f"patches are {', '.join(known[:12])}" if known else "the grid has no named patches"
+    return f"; {patches}, block faces are written like {faces[0]}"

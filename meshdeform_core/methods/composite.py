@@ -1,0 +1,188 @@
+"""The composite of two methods: one moves block interfaces, the other block interiors (Sen et al. section 4).
+
+Every method of the program is a composite, also those with one name: ``tfi`` is tfi-tfi, and a scattered-data method
+alone moves all nodes in the first step and has no second one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from ..grid import FloatArray, IntArray
+from ..numerics.rows import put_rows, spread_rows, take_rows
+from ..parallel import current_ranks, empty, for_chunks, for_rows
+from .base import Account, Interpolation, PreparedMethod, Problem, Progress
+from .periodic_steps import PreparedPeriodic, free_periodic, with_known_periodic
+from .transfinite.edge_graph import PreparedEdgeGraph
+from .transfinite.skeleton import Skeleton
+
+# Face nodes that one call puts in their places: enough to be worth a thread.
+_NODES = 100_000
+
+
+class Mover(Protocol):
+    """First step, bound to its nodes."""
+
+    account: Account
+
+    def foresee(self, motion: FloatArray, step: FloatArray) -> list[str]:
+        """What is bound to go wrong with a displacement (n_sources, 3) of which ``step`` is imposed first."""
+        ...
+
+    def move(self, displacement: FloatArray, out: FloatArray, progress: Progress | None = None) -> FloatArray:
+        """Displacement of its nodes from that of the sources (n_sources, 3).
+
+        Returns that of nodes on block faces (n_unique, 3); that of nodes inside blocks goes to ``out`` (n_nodes, 3).
+        """
+        ...
+
+
+class PreparedFiller(Protocol):
+    """Second step, bound to its blocks."""
+
+    account: Account
+
+    def fill(self, displacement: FloatArray, progress: Progress | None = None) -> None:
+        """Block interiors from what the first step moved, in place."""
+        ...
+
+
+class Filler(Protocol):
+    """A method that fills blocks."""
+
+    def skeleton(self, problem: Problem) -> Skeleton:
+        """What the first step has to move."""
+        ...
+
+    def prepare(self, problem: Problem, skeleton: Skeleton) -> PreparedFiller:
+        """Bind to the undeformed grid."""
+        ...
+
+
+@dataclass(frozen=True)
+class Composite:
+    """``mover`` for the interfaces (``None``: TFI on the edge graph), then ``filler`` for the interiors.
+
+    Without a filler the mover moves every node.
+    """
+
+    mover: Interpolation | None
+    filler: Filler | None
+
+    def prepare(self, problem: Problem) -> PreparedMethod:
+        """Bind both steps to the undeformed grid."""
+        periodic = free_periodic(problem)
+        if periodic.size == 0:
+            return PreparedComposite(self, problem)
+        first = _mover(self.mover, problem, problem.topology.first[periodic])
+        guided = with_known_periodic(problem)
+        return PreparedPeriodic(problem, first, PreparedComposite(self, guided), guided)
+
+
+def _mover(interpolation: Interpolation | None, problem: Problem, flat: IntArray) -> Mover:
+    """An interpolation for the nodes ``flat``, or TFI on the edge graph, which moves all face nodes."""
+    if interpolation is None:
+        return PreparedEdgeGraph(problem)
+    return _Scattered(interpolation, problem, flat)
+
+
+@dataclass
+class _Scattered:
+    """An interpolation as the first step: its nodes are those of the skeleton that are not sources."""
+
+    interpolation: Interpolation
+    problem: Problem
+    flat: IntArray
+    account: Account = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._bound = self.interpolation.bind(self.problem)
+        self._evaluator = self._bound.at(self.flat)
+        self.account = self._bound.account
+
+    def foresee(self, motion: FloatArray, step: FloatArray) -> list[str]:
+        return self._bound.foresee(motion, step)
+
+    def move(self, displacement: FloatArray, out: FloatArray, progress: Progress | None = None) -> FloatArray:
+        self._evaluator.evaluate(self._bound.fit(displacement, progress), out, progress)
+        face = _on_faces(out, self.problem)
+        put_rows(displacement, self.problem.source_numbers, face)
+        return face
+
+
+class PreparedComposite:
+    """Two prepared steps and the constraints between them."""
+
+    def __init__(self, method: Composite, problem: Problem):
+        self._problem = problem
+        skeleton = method.filler.skeleton(problem) if method.filler else None
+        nodes = current_ranks().once(lambda: first_step_nodes(problem, skeleton))
+        self._mover = _mover(method.mover, problem, nodes)
+        self._filler = method.filler.prepare(problem, skeleton) if method.filler and skeleton else None
+        self._left_out = skeleton is not None and bool(skeleton.left_out)
+
+    @property
+    def account(self) -> Account:
+        """Settings and warnings of both steps."""
+        parts = [self._mover.account] + ([self._filler.account] if self._filler else [])
+        merged = Account()
+        for part in parts:
+            merged.include(part)
+        return merged
+
+    def foresee(self, motion: FloatArray, step: FloatArray) -> list[str]:
+        """What is bound to go wrong with a displacement (n_sources, 3) of which ``step`` is imposed first."""
+        return self._mover.foresee(motion, step)
+
+    def apply(self, displacement: FloatArray, progress: Progress | None = None) -> FloatArray:
+        """Displacement (n_nodes, 3) of all block nodes from that of the sources (n_sources, 3)."""
+        problem = self._problem
+        # Every node lies on a block face, in the skeleton, or inside a block or sub-block: nothing stays unset.
+        out = empty((problem.grid.n_nodes, 3))
+        if self._left_out:
+            # These are read before the second step moves them.
+            for_rows(lambda rows: out[rows].fill(np.nan), out)
+        self._constrain(self._mover.move(displacement, out, progress), out)
+        if self._filler:
+            self._filler.fill(out, progress)
+            if self._left_out:
+                self._constrain(_on_faces(out, problem), out)
+        return out
+
+    def _constrain(self, face: FloatArray, out: FloatArray) -> None:
+        """Slip and periodicity, then one displacement for coincident nodes: from ``face`` (n_unique, 3) to ``out``."""
+        topology, boundary = self._problem.topology, self._problem.boundary
+        boundary.slip.constrain(face, self._problem.grid.points, topology.first)
+        boundary.periodic.constrain(face, ~boundary.known)
+
+        def work(lo: int, hi: int) -> None:
+            spread_rows(face, topology.number[lo:hi], topology.face_nodes[lo:hi], out)
+
+        for_chunks(work, len(topology.number), _NODES, common=[out])
+
+
+def _on_faces(displacement: FloatArray, problem: Problem) -> FloatArray:
+    """What nodes on block faces have in ``displacement`` (n_nodes, 3), (n_unique, 3)."""
+    face = np.empty((problem.topology.n_unique, 3))
+    take_rows(displacement, problem.topology.first, face)
+    return face
+
+
+def first_step_nodes(problem: Problem, skeleton: Skeleton | None) -> IntArray:
+    """Flat indices of the nodes that the first step moves: no sources, coincident nodes once."""
+    topology = problem.topology
+    chosen = np.zeros(problem.grid.n_nodes, dtype=bool)
+    if skeleton is None:
+        chosen[:] = True
+    else:
+        chosen[skeleton.nodes()] = True
+    # A node counts if any of its copies does: coincident faces may be cut at different places.
+    wanted = np.zeros(topology.n_unique, dtype=bool)
+    wanted[topology.number[chosen[topology.face_nodes]]] = True
+    wanted[problem.source_numbers] = False
+    chosen[topology.face_nodes] = False
+    chosen[topology.first[wanted]] = True
+    return np.flatnonzero(chosen)

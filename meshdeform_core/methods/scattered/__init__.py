@@ -1,0 +1,1 @@
+"""Scattered-data interpolation: IDW and RBF."""

@@ -1,0 +1,228 @@
+"""Inverse distance weighting of rigid motions (Sen et al. section 2.3; Luke et al. 2012; Witteveen 2010)."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...errors import MethodError
+from ...grid import FloatArray, IntArray
+from ...numerics import rotation as rot
+from ..base import Account, Problem, Progress, Setting
+from ..limits import LARGEST_ROTATION, PLAIN_ROTATION, warn_of_alpha, warn_of_rotation
+from ..options import choose, option, positive, used
+from .idw_sums import Bound, ExactSums, FastSums, Fit
+from .mirror import mirror_images
+from .summation import check_summation, fast_pays
+
+ROTATIONS = ("none", "quaternion", "division", "blend", "lie")
+WEIGHTS = ("luke", "shepard")
+ALPHA_CAP = 0.3
+
+
+@dataclass(frozen=True)
+class IDW:
+    """Weighted mean of the boundary's rigid motions; cost N_v x N_s, no system to solve.
+
+    Holds the near-wall grid rigidly to the wall and pushes the deformation outwards. Fails where a moving wall meets
+    a fixed one under large motion (``quaternion``), at rotations near 180 degrees, and cannot rotate with ``none``.
+
+    Attributes
+    ----------
+    rotation : what is averaged: ``none`` displacements (eq. 14); ``quaternion`` rotation and translation about the
+        origin of coordinates (eq. 20); ``division`` the same in ``divisions`` steps (eqs. 26-28); ``blend`` predicted
+        positions (Luke et al.); ``lie`` the twist, the limit of ``division`` in closed form, frame independent
+    weights : ``luke`` (eq. 16) or ``shepard`` (eq. 15)
+    alpha : weight of near against far sources in eq. 16, or ``"auto"``: eq. 18, at most 0.3
+    eta : factor of eq. 18
+    a, b : exponents of eq. 16
+    length : L_def of eq. 16 (grid length unit), or ``"auto"``: eq. 17
+    p_moving, p_fixed : exponents of ``shepard`` for moving and fixed sources
+    divisions : m of eq. 26
+    reweight : ``division`` finds its weights anew in every step, as in the paper; cost times m
+    remove_mean : take the mean displacement out first and add it back; ``"auto"``: only for ``lie``
+    summation : ``exact`` sums, or ``fast`` ones with clusters of sources, or ``"auto"``: fast from 2000
+        sources and 2e8 pairs of nodes
+    summation_tolerance : of fast sums: error of a node's displacement relative to its shortest cell edge, 1e-8 to 0.1
+    """
+
+    rotation: str = option("lie", "does not depend on the frame, holds walls best; the cost of one step")
+    weights: str = option("luke", "near and far field in one formula, nodal areas included")
+    alpha: float | str = option(0.1, "0.3 holds walls better at large rotations, but skews the cells farther away more")
+    eta: float = option(5.0, "Luke et al.")
+    a: float = option(3.0, "Luke et al.: the far field")
+    b: float = option(5.0, "Luke et al.: the near field")
+    length: float | str = option("auto", "eq. 17: farthest source from the centroid of all nodes")
+    p_moving: float = option(3.0, "as for fixed ones; a larger one lets the moving wall reach less far")
+    p_fixed: float = option(3.0, "as for moving ones")
+    divisions: int = option(25, "the paper's; the distance from lie falls as 1/m")
+    reweight: bool = option(False, "m times the cost")
+    remove_mean: bool | str = option("auto", "lie only: the paper's kinds do not")
+    summation: str = option("auto", "fast where it pays")
+    summation_tolerance: float = option(1e-2, "of the local cell: no quality measure sees it")
+
+    def __post_init__(self) -> None:
+        choose("idw.rotation", self.rotation, ROTATIONS)
+        choose("idw.weights", self.weights, WEIGHTS)
+        for name in ("alpha", "length"):
+            positive(f"idw.{name}", getattr(self, name), auto=True)
+        for name in ("eta", "a", "b", "p_moving", "p_fixed"):
+            positive(f"idw.{name}", getattr(self, name))
+        positive("idw.divisions", self.divisions, whole=True)
+        choose("idw.remove_mean", self.remove_mean, (True, False, "auto"))
+        check_summation("idw", self.summation, self.summation_tolerance)
+        choose("idw.reweight", self.reweight, (True, False))
+        if self.reweight and self.rotation != "division":
+            raise MethodError(f'method.idw.reweight belongs to rotation = "division", not {self.rotation!r}')
+
+    def bind(self, problem: Problem) -> PreparedIDW:
+        """Sources with their images at symmetry planes, nodal areas, L_def."""
+        return PreparedIDW(self, problem)
+
+
+class PreparedIDW:
+    """IDW bound to the sources of one undeformed grid."""
+
+    def __init__(self, options: IDW, problem: Problem):
+        self.options = options
+        self.account = Account()
+        self._problem = problem
+        self._images = mirror_images(problem)
+        self.area, self.points = self._images.area, self._images.points
+        self.length = self._length()
+        self.groups, self.strength = self._grouped()
+        auto = options.remove_mean == "auto"
+        self.remove_mean = options.rotation == "lie" if auto else bool(options.remove_mean)
+        self._record(auto)
+
+    def _length(self) -> float:
+        if self.options.length != "auto":
+            return float(self.options.length)
+        return float(np.linalg.norm(self._problem.source_points - self._problem.centroid, axis=1).max())
+
+    def _grouped(self) -> tuple[tuple[IntArray, ...], FloatArray]:
+        """Sources (index arrays) with the same weight function, and the strength (n,) of every source."""
+        o, moving = self.options, self._images.moving
+        everything = (np.arange(len(moving)),)
+        if o.weights == "luke":
+            return everything, self.area
+        if o.p_moving == o.p_fixed or moving.all() or not moving.any():
+            return everything, np.ones(len(moving))
+        # (L_def / r)^p: two exponents compare lengths, so the length has to be the grid's own.
+        strength = np.where(moving, self.length**o.p_moving, self.length**o.p_fixed)
+        return (np.flatnonzero(moving), np.flatnonzero(~moving)), strength
+
+    def _record(self, mean_is_auto: bool) -> None:
+        o, settings = self.options, self.account.settings
+        settings |= used(o, "rotation", "weights")
+        if o.weights == "luke":
+            settings |= used(o, "alpha", "a", "b")
+        else:
+            settings |= used(o, "p_moving", "p_fixed")
+        if o.alpha == "auto":
+            settings["alpha"] = Setting("auto", "eq. 18 at each displacement")
+            settings |= used(o, "eta")
+        settings["length"] = dataclasses.replace(used(o, "length")["length"], value=self.length)
+        if o.rotation == "division":
+            settings |= used(o, "divisions", "reweight")
+        exact = "a translation of the whole boundary is then reproduced exactly"
+        reason = exact if self.remove_mean else 'auto: only rotation = "lie" does'
+        settings["remove_mean"] = Setting(self.remove_mean, reason if mean_is_auto else "given")
+        if len(self.area) > len(self._problem.source_points):
+            settings["mirrored_sources"] = Setting(len(self.area), "images at symmetry planes take part")
+
+    def foresee(self, motion: FloatArray, step: FloatArray) -> list[str]:
+        """What is bound to go wrong with a displacement (n_sources, 3) of which ``step`` is imposed first."""
+        plain = self.options.rotation == "none"
+        limit = PLAIN_ROTATION if plain else LARGEST_ROTATION
+        what = 'rotation = "none" shears the cells beside them' if plain else "the way round becomes a matter of chance"
+        advice = "take more steps (--steps auto)" + (', or rotation = "lie"' if plain else "")
+        warnings = warn_of_rotation(self._problem, step, limit, what, advice)
+        if self.options.weights == "luke" and self.options.alpha == "auto":
+            warnings += warn_of_alpha(self._eq_18(self._images.displaced(step)), ALPHA_CAP)
+        return warnings
+
+    def fit(self, displacement: FloatArray, progress: Progress | None = None) -> Fit:
+        """Rigid motions of the sources for one displacement (n_sources, 3)."""
+        images = self._images
+        d = images.displaced(displacement)
+        q = np.tile([1.0, 0.0, 0.0, 0.0], (len(d), 1))
+        if self.options.rotation != "none":
+            normal = self._problem.plane_normal
+            q = rot.surface_rotations(images.points, images.points + d, images.corners, images.edges, normal)
+        mean = self.area / self.area.sum() @ d if self.remove_mean else np.zeros(3)
+        # Frame-independent kinds are computed about the centroid: smaller numbers, less round-off.
+        origin = np.zeros(3) if self.options.rotation in ("quaternion", "division") else self._problem.centroid
+        start = images.points - origin
+        values = _motion_values(self.options, start, d - mean, q)
+        path = _division_path(start, values, self.options.divisions) if self.options.reweight else (start,)
+        turn = np.linalg.norm(rot.rotation_vector(q), axis=1)
+        return Fit(path, values, self._weights(d), np.linalg.norm(d - mean, axis=1), turn, origin, mean)
+
+    def _weights(self, d: FloatArray) -> tuple[tuple[float, float, float], ...]:
+        """Weight function (a, b, kappa) of each group: r^-a + kappa r^-b.
+
+        Weights matter up to a factor: L_def^a is divided out, which keeps the numbers near one.
+        """
+        o = self.options
+        if o.weights == "shepard":
+            # The second exponent has no part in it; Luke's has the fastest loop.
+            return tuple((p, 5.0, 0.0) for p in (o.p_moving, o.p_fixed)[: len(self.groups)])
+        alpha = self._alpha(d) if o.alpha == "auto" else float(o.alpha)
+        return ((o.a, o.b, alpha**o.b * self.length ** (o.b - o.a)),)
+
+    def _eq_18(self, d: FloatArray) -> float:
+        mean = (self.area / self.area.sum()) @ d
+        return self.options.eta / self.length * float(np.linalg.norm(d - mean, axis=1).max())
+
+    def _alpha(self, d: FloatArray) -> float:
+        full = self._eq_18(d)
+        alpha = min(max(full, 1e-3), ALPHA_CAP)
+        reason = f"eq. 18 gives {full:.3g}" + (f", capped at {ALPHA_CAP} (crossed cells)" if full > alpha else "")
+        self.account.settings["alpha"] = Setting(alpha, reason)
+        return alpha
+
+    def at(self, flat: IntArray) -> ExactSums | FastSums:
+        """Bind to the target nodes ``flat``."""
+        o, grid = self.options, self._problem.grid
+        bound = Bound(grid, flat, self.points, self.strength, self.groups, o.rotation, o.divisions, o.reweight)
+        fast, self.account.settings["summation"] = fast_pays(o.summation, len(flat), len(self.points))
+        if not fast:
+            return ExactSums(bound)
+        self.account.settings |= used(o, "summation_tolerance")
+        return FastSums(bound, o.summation_tolerance, self.account)
+
+
+def _motion_values(options: IDW, x: FloatArray, d: FloatArray, q: FloatArray) -> FloatArray:
+    """What is averaged, (k, n), for sources at ``x`` with displacements ``d`` and rotations ``q``."""
+    if options.rotation == "none":
+        return np.ascontiguousarray(d.T)
+    w = rot.rotation_vector(q)
+    turned = rot.rotate(q, x) - x
+    translation = d - turned
+    if options.rotation == "lie":
+        return np.concatenate([w.T, rot.twist_velocity(w, translation).T])
+    if options.rotation == "blend":
+        columns = [rot.rotate(q, np.tile(e, (len(x), 1))) - e for e in np.eye(3)]
+        return np.concatenate([np.stack(columns, axis=2).reshape(len(x), 9).T, translation.T])
+    if options.rotation == "division":
+        part = rot.quaternion_of(w / options.divisions)
+        return np.concatenate([part.T, _divided_translation(w, translation, options.divisions).T])
+    return np.concatenate([q.T, translation.T])
+
+
+def _division_path(start: FloatArray, values: FloatArray, m: int) -> tuple[FloatArray, ...]:
+    """Where the sources are at the start of each of ``m`` steps (eq. 26): each repeats its own rigid motion."""
+    part, translation = np.ascontiguousarray(values[:4].T), values[4:].T
+    path = [start]
+    for _ in range(m - 1):
+        path.append(rot.rotate(part, path[-1]) + translation)
+    return tuple(path)
+
+
+def _divided_translation(w: FloatArray, translation: FloatArray, m: int) -> FloatArray:
+    """T_m = M^-1 T of eq. 27: one of ``m`` equal steps of a screw has the twist (w, v) / m."""
+    v = rot.twist_velocity(w, translation)
+    return rot.translation_of_twist(w / m, v / m)

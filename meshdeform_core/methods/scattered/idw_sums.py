@@ -1,0 +1,135 @@
+"""How IDW sums over its sources: exactly, or fast with clusters of sources."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from ...grid import FloatArray, Grid, IntArray
+from ...numerics.direct import weighted_sums
+from ...numerics.fastsum import sums as fastsum
+from ...numerics.rigid import finish
+from ...parallel import Shared, for_chunks
+from ..base import Account, Progress
+from .summation import largest_error, sum_accurately
+
+_CHUNK = 2048
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A displacement as the sums need it.
+
+    ``path`` source positions (n, 3) at the start of every step, relative to ``origin`` (3,): one step, unless the
+    weights are found anew on the way; ``values`` (k, n) per source; ``weights`` (a, b, kappa) per group; ``shift`` and
+    ``turn`` (n,) displacement and rotation angle of each source; ``mean`` (3,) displacement that was taken out.
+    """
+
+    path: tuple[FloatArray, ...]
+    values: FloatArray
+    weights: tuple[tuple[float, float, float], ...]
+    shift: FloatArray
+    turn: FloatArray
+    origin: FloatArray
+    mean: FloatArray
+
+
+@dataclass(frozen=True)
+class Bound:
+    """Sources and targets of one undeformed grid: ``flat`` nodes of ``grid``; sources (n, 3) with strength (n,)."""
+
+    grid: Grid
+    flat: IntArray
+    sources: FloatArray
+    strength: FloatArray
+    groups: tuple[IntArray, ...]
+    rotation: str
+    divisions: int
+    reweight: bool
+
+    @property
+    def repeats(self) -> int:
+        """How often the mean rigid motion of one set of sums is applied."""
+        return self.divisions if self.rotation == "division" and not self.reweight else 1
+
+
+@dataclass(frozen=True)
+class ExactSums:
+    """Every target with every source."""
+
+    bound: Bound
+
+    def evaluate(self, fit: Fit, out: FloatArray, progress: Progress | None) -> None:
+        """Write the displacement of the targets into ``out`` (n_nodes, 3)."""
+
+        def work(lo: int, hi: int) -> None:
+            flat = self.bound.flat[lo:hi]
+            out[flat] = self.displacement(fit, flat)
+
+        report = None if progress is None else (lambda done, total: progress("idw", done, total))
+        flat = self.bound.flat
+        for_chunks(work, len(flat), _CHUNK, report, [Shared(out, lambda lo, hi: flat[lo:hi])])
+
+    def displacement(self, fit: Fit, flat: IntArray) -> FloatArray:
+        """Displacement (n, 3) of the nodes ``flat``."""
+        bound = self.bound
+        x = bound.grid.points[flat] - fit.origin
+        moved, total = np.empty_like(x), np.zeros_like(x)
+        for sources in fit.path:
+            sums = np.zeros((len(x), 1 + len(fit.values)))
+            for group, weights in zip(bound.groups, fit.weights, strict=True):
+                near = sources[group], bound.strength[group]
+                sums += weighted_sums(x + total, *near, weights, fit.values[:, group])
+            finish(bound.rotation, sums, x + total, moved, bound.repeats)
+            total += moved
+        return np.asarray(total + fit.mean)
+
+
+class FastSums:
+    """Clusters of sources seen from bricks of targets; the error is checked against exact sums at the worst nodes."""
+
+    def __init__(self, bound: Bound, tolerance: float, account: Account):
+        self.bound = bound
+        self._tolerance = tolerance
+        self._account = account
+        self._sums = self._sorted(bound.sources, bound.grid.points)
+
+    def _sorted(self, sources: FloatArray, points: FloatArray) -> fastsum.FastSums:
+        grid, order = self.bound.grid, fastsum.interpolation_order(self._tolerance)
+        targets = fastsum.make_targets(points, grid.shapes, grid.offsets, self.bound.flat, order)
+        if points is not grid.points:
+            # Accuracy is relative to the undeformed cells; on the way only the targets have moved.
+            targets = targets.sized(grid.points, grid.shapes, grid.offsets)
+        return fastsum.FastSums(sources, self.bound.groups, targets, self._tolerance)
+
+    def evaluate(self, fit: Fit, out: FloatArray, progress: Progress | None) -> None:
+        """Write the displacement of the targets into ``out`` (n_nodes, 3)."""
+        exact = partial(ExactSums(self.bound).displacement, fit)
+
+        def once() -> float:
+            targets, risk = self._sum(fit, out, progress)
+            return largest_error(self.bound.grid, targets, risk, out, exact)
+
+        sum_accurately("idw", self._sums, once, self._tolerance, self._account)
+
+    def _sum(self, fit: Fit, out: FloatArray, progress: Progress | None) -> tuple[fastsum.Targets, FloatArray]:
+        """Displacements into ``out``; returns the last targets and a bound of the error of each brick, in any unit."""
+        report = None if progress is None else (lambda done, total: progress("idw", done, total))
+        bound, sums, points = self.bound, self._sums, self.bound.grid.points
+        for step, sources in enumerate(fit.path):
+            if step:
+                points = bound.grid.points.copy()
+                points[bound.flat] += out[bound.flat] - fit.mean
+                sums = self._sorted(sources + fit.origin, points)
+                sums.share = self._sums.share
+
+            def use(flat: IntArray, values: FloatArray, points: FloatArray = points, step: int = step) -> None:
+                x = points[flat] - fit.origin
+                moved = np.empty_like(x)
+                finish(bound.rotation, values, x, moved, bound.repeats)
+                out[flat] = moved + (out[flat] if step else fit.mean)
+
+            risk = sums.evaluate(bound.strength, fit.weights, fit.values, fit.shift, fit.turn, use, out, report)
+        return sums.targets, np.asarray(risk)

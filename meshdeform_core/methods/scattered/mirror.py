@@ -1,0 +1,70 @@
+"""Symmetry: the mirror images of the sources take part in every scattered-data method."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...boundary import Kind
+from ...grid import BoolArray, FloatArray, IntArray
+from ...grid.planes import Plane
+from ...grid.topology import RELATIVE_TOLERANCE
+from ..base import Problem
+
+
+@dataclass(frozen=True)
+class Images:
+    """Sources with their mirror images, as one surface that closes across symmetry planes.
+
+    ``owner`` (n,) is the source that each is an image of, ``reflection`` (n, 3, 3) the mirror that made it;
+    ``corners`` and ``edges`` as in :class:`.base.Surface`, into the images.
+    """
+
+    points: FloatArray
+    area: FloatArray
+    owner: IntArray
+    reflection: FloatArray
+    moving: BoolArray
+    corners: IntArray
+    edges: IntArray
+
+    def displaced(self, displacement: FloatArray) -> FloatArray:
+        """Displacements of all images from those of the sources."""
+        return np.einsum("nij,nj->ni", self.reflection, displacement[self.owner])
+
+
+def mirror_images(problem: Problem) -> Images:
+    """The sources of a problem with their images at all symmetry planes."""
+    n = len(problem.source_points)
+    moving = np.asarray(problem.boundary.kind[problem.source_numbers] == Kind.MOVING)
+    reflection = np.tile(np.eye(3), (n, 1, 1))
+    surface = problem.surface
+    images = Images(
+        problem.source_points, surface.area, np.arange(n), reflection, moving, surface.corners, surface.edges
+    )
+    for plane in problem.boundary.mirrors:
+        images = _reflected(images, plane, problem)
+    return images
+
+
+def _reflected(images: Images, plane: Plane, problem: Problem) -> Images:
+    """The images and their reflection; what lies on the plane is its own image, with both halves of its area."""
+    height = (images.points - plane.point) @ plane.normal
+    edge = problem.topology.edge[problem.source_numbers][images.owner]
+    on_plane = np.abs(height) <= RELATIVE_TOLERANCE * edge
+    off = ~on_plane
+    area = np.where(on_plane, 2 * images.area, images.area)
+    mirror = np.eye(3) - 2 * np.outer(plane.normal, plane.normal)
+    image_of = np.where(on_plane, np.arange(len(off)), len(off) + np.cumsum(off) - 1)
+    # A mirrored face runs the other way round: next and previous node change places.
+    order = [0, 2, 1] if images.corners.shape[1] == 3 else [1, 0]
+    return Images(
+        np.concatenate([images.points, images.points[off] - 2 * height[off, None] * plane.normal]),
+        np.concatenate([area, area[off]]),
+        np.concatenate([images.owner, images.owner[off]]),
+        np.concatenate([images.reflection, mirror @ images.reflection[off]]),
+        np.concatenate([images.moving, images.moving[off]]),
+        np.concatenate([images.corners, image_of[images.corners][:, order]]),
+        np.unique(np.concatenate([images.edges, image_of[images.edges]]), axis=0),
+    )

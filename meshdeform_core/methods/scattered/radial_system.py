@@ -1,0 +1,157 @@
+"""Solving for the coefficients of radial basis functions: which solver, and what it reports."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...grid import FloatArray
+from ...memory import UNLIMITED, MemoryLimit
+from ...numerics.basis import BASES
+from ...numerics.radial import radial_matrix, radial_sums
+from ...numerics.systems.greedy import independent
+from ...numerics.systems.krylov import KrylovSolver
+from ...numerics.systems.saddle import DirectSolver, minres
+from ...numerics.systems.sparse import sparse_radial_matrix
+from ...parallel import Shared, for_chunks
+from ..base import Account, Progress, Setting
+from .rbf_sums import Centres
+
+SOLVERS = ("auto", "direct", "minres", "krylov")
+DIRECT_CENTRES = 4000
+"""Most centres that ``auto`` solves directly; from there on a factorisation takes longer than GMRES with its set-up."""
+_CHUNK = 512
+_TOLERANCE = {"minres": 1e-10, "krylov": 1e-6}
+# Earlier solutions from which GMRES sets out: what a period of a motion with a few modes spans.
+_REMEMBERED = 12
+
+
+@dataclass(frozen=True)
+class SystemOptions:
+    """The options of :class:`.rbf.RBF` that concern its linear system."""
+
+    basis: str
+    solver: str
+    tolerance: float | str
+    max_iterations: int
+
+
+class RadialSystem:
+    """The linear system of one set of centres; factorisation or preconditioner are made when first needed and kept.
+
+    With GMRES a solution depends on those found before, within the solver's tolerance: see :class:`KrylovSolver`.
+    """
+
+    def __init__(self, options: SystemOptions, centres: Centres, limit: MemoryLimit = UNLIMITED):
+        self.options, self.centres = options, centres
+        self.kind = BASES[options.basis]
+        # Few kept centres (one, while nothing moves) may not determine all terms.
+        self.terms = independent(centres.polynomial(centres.points))
+        n = len(centres.points)
+        dense = 8 * n * n
+        self._direct_fits = dense <= limit.size
+        self.solver, self._reason = options.solver, ""
+        if options.solver == "auto":
+            self.solver = "direct" if n <= DIRECT_CENTRES and self._direct_fits else "krylov"
+            self._reason = f"{n:,} centres, direct up to {DIRECT_CENTRES:,} if they fit the memory"
+        krylov = self.solver == "krylov"
+        limit.require(
+            KrylovSolver.memory(n) if krylov else dense,
+            f"a radial basis function system of {n:,} centres",
+            f"use {'' if krylov else 'solver = krylov, '}greedy reduction (a compact basis), the hybrid idw-tfi, or "
+            "fewer boundary nodes",
+        )
+        self._memory = limit.size
+        self._tolerance = _TOLERANCE.get(self.solver, 0.0) if options.tolerance == "auto" else float(options.tolerance)
+        self._direct: DirectSolver | None = None
+        self._krylov: KrylovSolver | None = None
+        self._matrix: FloatArray | None = None
+
+    def solve(self, values: FloatArray, account: Account, progress: Progress | None) -> tuple[FloatArray, FloatArray]:
+        """Coefficients (n, 3) and polynomial (q, 3) for values at the centres (n, 3)."""
+        account.settings["solver"] = Setting(self.solver, self._reason)
+        if self.solver == "minres":
+            return self._solve_minres(values, account, progress)
+        if self.solver == "krylov":
+            return self._solve_krylov(values, account, progress)
+        return self._solve_direct(values, account)
+
+    def _solve_direct(self, values: FloatArray, account: Account) -> tuple[FloatArray, FloatArray]:
+        if self._direct is None:
+            self._direct = DirectSolver(lambda: radial_matrix(self.kind, *(self.centres.points,) * 2), self.terms)
+            account.settings["factorisation"] = Setting(self._direct.kind)
+        coefficients, polynomial = self._direct.solve(values)
+        # One step of iterative refinement: the matrix is gone, its product with a vector is a sum over centres.
+        rest = values - self._multiply(coefficients) - self.terms @ polynomial
+        more, shift = self._direct.solve(rest)
+        coefficients, polynomial = coefficients + more, polynomial + shift
+        rest = values - self._multiply(coefficients) - self.terms @ polynomial
+        account.settings["residual"] = Setting(float(np.abs(rest).max()), "largest error at a centre, length unit")
+        return coefficients, polynomial
+
+    def _multiply(self, coefficients: FloatArray) -> FloatArray:
+        points, result = self.centres.points, np.empty((len(self.centres.points), 3))
+
+        def work(lo: int, hi: int) -> None:
+            result[lo:hi] = radial_sums(self.kind, points[lo:hi], points, coefficients)
+
+        for_chunks(work, len(points), _CHUNK, shared=[Shared(result)])
+        return result
+
+    def _solve_krylov(
+        self, values: FloatArray, account: Account, progress: Progress | None
+    ) -> tuple[FloatArray, FloatArray]:
+        if self._krylov is None:
+            points = self.centres.points
+            sparse = sparse_radial_matrix(self.kind, points, self._memory)
+            product = self._multiply if sparse is None else sparse.dot
+            self._krylov = KrylovSolver(self.kind, points, self.terms, product, self._remembered())
+            if sparse is not None:
+                account.settings["nonzeros"] = Setting(sparse.nnz, "the support radius reaches few centres")
+        report = None if progress is None else (lambda done, total: progress("krylov", done, total))
+        found = self._krylov.solve(values, self._tolerance, self.options.max_iterations, report)
+        account.settings["iterations"] = Setting(found.iterations, "all components together")
+        account.settings["starting_residual"] = Setting(
+            float(found.started.max()), "of the nearest combination of earlier solutions; 1 without any"
+        )
+        self._report_residual(account, "GMRES", found.iterations, found.residual, found.stalled)
+        return found.coefficients, found.polynomial
+
+    def _remembered(self) -> int:
+        """How many earlier solutions fit the memory beside the solver."""
+        n = len(self.centres.points)
+        every = KrylovSolver.memory(n, 1) - KrylovSolver.memory(n)
+        return int(min(_REMEMBERED, (self._memory - KrylovSolver.memory(n)) // every))
+
+    def _solve_minres(
+        self, values: FloatArray, account: Account, progress: Progress | None
+    ) -> tuple[FloatArray, FloatArray]:
+        if self._matrix is None:
+            self._matrix = radial_matrix(self.kind, self.centres.points, self.centres.points)
+        matrix, terms = self._matrix, self.terms
+        n = len(terms)
+
+        def multiply(x: FloatArray) -> FloatArray:
+            return np.concatenate([matrix @ x[:n] + terms @ x[n:], terms.T @ x[:n]])
+
+        rhs = np.concatenate([values, np.zeros((terms.shape[1], values.shape[1]))])
+        report = None if progress is None else (lambda done, total: progress("minres", done, total))
+        solution, iterations, residual = minres(multiply, rhs, self._tolerance, self.options.max_iterations, report)
+        account.settings["iterations"] = Setting(iterations.tolist(), "one number per component")
+        self._report_residual(account, "MINRES", int(iterations.max()), residual)
+        return solution[:n], solution[n:]
+
+    def _report_residual(
+        self, account: Account, name: str, iterations: int, residual: FloatArray, stalled: bool = False
+    ) -> None:
+        account.settings["tolerance"] = Setting(self._tolerance)
+        account.settings["residual"] = Setting(residual.tolist(), "||b - K x|| / ||b||, computed from the solution")
+        # Smooth bases with a large radius have coefficients that nearly cancel: their sums have no more digits.
+        more = "round-off allows no less; " if stalled else "raise method.rbf.max_iterations, "
+        other = " or solver = direct" if self._direct_fits and not stalled else ""
+        failed = (
+            f"{name} stopped after {iterations} iterations with a residual of {residual.max():.2e} (asked for "
+            f"{self._tolerance:g}); {more}loosen tolerance, use a smaller radius{other}"
+        )
+        account.note("solver", failed if residual.max() > self._tolerance else None)

@@ -1,0 +1,236 @@
+"""Radial basis functions with a linear polynomial (Sen et al. section 2.2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...boundary import Kind
+from ...errors import MethodError
+from ...grid import FloatArray, IntArray
+from ...numerics.basis import BASES
+from ...numerics.radial import radial_sums
+from ...numerics.systems.greedy import Selection, select
+from ..base import Account, Problem, Progress, Setting
+from ..limits import warn_of_coarse_tolerance, warn_of_radius
+from ..options import choose, option, positive, used
+from .mirror import mirror_images
+from .radial_system import DIRECT_CENTRES, SOLVERS, RadialSystem, SystemOptions
+from .rbf_sums import Centres, Fit, RadialSums
+from .summation import check_summation
+
+GREEDY = ("none", "single", "hybrid", "double-edged")
+ERRORS = ("first-cell", "absolute")
+
+
+@dataclass(frozen=True)
+class RBF:
+    """Interpolation by radial basis functions: one linear system in N_s, then a sum of cost N_v x N_s.
+
+    Smooth over the whole domain and valid at larger rotations than the others, but it does not carry the near-wall
+    grid rigidly with the wall. The system grows as N_s^2 in memory and N_s^3 in time; greedy reduction keeps a part
+    of the centres.
+
+    Attributes
+    ----------
+    basis : ``tps`` (global), ``wendland-c0``, ``wendland-c2``, ``ctps-c1``, ``ctps-c2a``, ``ctps-c2b`` (Table I)
+    radius : support radius of the compact bases (grid length unit), or ``"auto"``: every node sees the whole moving
+        body
+    solver : ``direct`` (Cholesky on the null space of the side conditions), ``minres`` (the paper's), ``krylov``
+        (preconditioned GMRES, for any number of centres), or ``"auto"``: direct up to 4000 centres, then krylov
+    tolerance : of the iterative solvers: ||r|| <= tolerance ||b||; ``"auto"``: 1e-10 for ``minres`` (eps_c of the
+        paper), 1e-6 for ``krylov``
+    max_iterations : of the iterative solvers; not converging is a warning
+    greedy : ``none``, ``single`` (Rendall & Allen), ``hybrid`` (the paper's), ``double-edged`` (Wang et al.); compact
+        bases only
+    greedy_error : ``first-cell``: errors relative to the height of the first cell at each node; ``absolute``: lengths
+    greedy_tolerance : eps_g, largest error at any boundary node, in the unit of ``greedy_error``
+    greedy_start : number of the first source, counted from 0
+    greedy_updates : m, single-point updates between exact solutions; 0: as many as there are sources
+    greedy_max_points : most centres to keep; 0: all
+    greedy_correct : add the remaining error to the nodes near each wall node, so that walls land exactly
+    summation : ``exact`` sums at the nodes, or ``fast`` ones with clusters of centres, or ``"auto"``: fast from 2000
+        centres and 2e8 pairs of nodes
+    summation_tolerance : of fast sums: error of a node's displacement relative to its shortest cell edge, 1e-8 to 0.1
+    """
+
+    basis: str = option("tps", "has no radius to choose, and no basis has a better worst cell on the splitter plate")
+    radius: float | str = option("auto", "every node sees the whole moving body")
+    solver: str = option("auto", f"direct up to {DIRECT_CENTRES:,} centres, then krylov")
+    tolerance: float | str = option("auto", "minres 1e-10, krylov 1e-6")
+    max_iterations: int = option(10000, "far more than a sound system takes")
+    greedy: str = option("none", "all centres: exact at every boundary node")
+    greedy_error: str = option("first-cell", "an error matters where the cells are fine")
+    greedy_tolerance: float = option(0.1, "of the first cell: wall cells keep their shape")
+    greedy_start: int = option(0, "the number of points varies by a tenth with it")
+    greedy_updates: int = option(0, "as many as there are sources, as in the paper")
+    greedy_max_points: int = option(0, "no limit: the tolerance decides")
+    greedy_correct: bool = option(True, "walls land exactly where they are told")
+    summation: str = option("auto", "fast where it pays")
+    summation_tolerance: float = option(1e-2, "of the local cell: no quality measure sees it")
+
+    def __post_init__(self) -> None:
+        choose("rbf.basis", self.basis, tuple(BASES))
+        choose("rbf.solver", self.solver, SOLVERS)
+        choose("rbf.greedy", self.greedy, GREEDY)
+        choose("rbf.greedy_error", self.greedy_error, ERRORS)
+        positive("rbf.radius", self.radius, auto=True)
+        positive("rbf.tolerance", self.tolerance, auto=True)
+        positive("rbf.greedy_tolerance", self.greedy_tolerance)
+        positive("rbf.max_iterations", self.max_iterations, whole=True)
+        for name in ("greedy_start", "greedy_updates", "greedy_max_points"):
+            positive(f"rbf.{name}", getattr(self, name), whole=True, zero=True)
+        check_summation("rbf", self.summation, self.summation_tolerance)
+        choose("rbf.greedy_correct", self.greedy_correct, (True, False))
+        if self.basis == "tps" and self.greedy != "none":
+            raise MethodError(
+                "method.rbf.greedy does not work with the thin plate spline: its value at distance 0 is 0, so no "
+                'centre can correct its own error; choose a compact basis, like wendland-c2, or greedy = "none"'
+            )
+
+    @property
+    def system(self) -> SystemOptions:
+        """The options of the linear system."""
+        return SystemOptions(self.basis, self.solver, self.tolerance, self.max_iterations)
+
+    def bind(self, problem: Problem) -> PreparedRBF:
+        """Sources and their images at symmetry planes as centres; nothing is solved yet."""
+        return PreparedRBF(self, problem)
+
+
+class PreparedRBF:
+    """RBF bound to the sources of one undeformed grid."""
+
+    def __init__(self, options: RBF, problem: Problem):
+        self.options = options
+        self.account = Account()
+        self._problem = problem
+        self._images = mirror_images(problem)
+        self.centres = Centres.of(self._images.points, self._radius())
+        # Without reduction the size is known, and refused if it does not fit, before anything is computed.
+        self._system = None if options.greedy != "none" else RadialSystem(options.system, self.centres, problem.memory)
+        self._selection: Selection | None = None
+        self.account.settings |= used(options, "basis", "solver", "tolerance", "max_iterations", "greedy") | {
+            "centres": Setting(len(self._images.points)),
+            "polynomial": Setting(
+                f"linear in {len(self.centres.axes)} directions",
+                "" if len(self.centres.axes) == 3 else "the centres lie in a plane or a line",
+            ),
+        }
+        if options.greedy != "none":
+            self._announce_greedy()
+
+    def _announce_greedy(self) -> None:
+        o, problem = self.options, self._problem
+        names = ("error", "tolerance", "start", "updates", "max_points", "correct")
+        self.account.settings |= used(o, *(f"greedy_{name}" for name in names))
+        moving = problem.boundary.kind[problem.source_numbers] == Kind.MOVING
+        height = problem.first_cell_height[moving]
+        tolerance = o.greedy_tolerance * (height if o.greedy_error == "first-cell" else np.ones(len(height)))
+        self.account.note("greedy tolerance", warn_of_coarse_tolerance(tolerance, height, o.greedy_correct))
+
+    def _radius(self) -> float | None:
+        o = self.options
+        if o.basis == "tps":
+            return None
+        if o.radius != "auto":
+            self.account.settings |= used(o, "radius")
+            return float(o.radius)
+        problem = self._problem
+        moving = problem.source_points[problem.boundary.kind[problem.source_numbers] == Kind.MOVING]
+        center = moving.mean(axis=0)
+        body = float(np.linalg.norm(moving - center, axis=1).max())
+        face = problem.grid.points[problem.topology.first]
+        radius = body + float(np.linalg.norm(face - center, axis=1).max())
+        self.account.settings["radius"] = Setting(radius, "every node sees the whole moving body")
+        return radius
+
+    def foresee(self, motion: FloatArray, step: FloatArray) -> list[str]:
+        """What is bound to go wrong with a displacement (n_sources, 3) of which ``step`` is imposed first."""
+        if self.options.basis == "tps":
+            return []
+        terms = self.centres.polynomial(self.centres.points)
+        return warn_of_radius(self.centres.scale, terms, self._images.displaced(step))
+
+    def fit(self, displacement: FloatArray, progress: Progress | None = None) -> Fit:
+        """Solve for one displacement of the sources (n_sources, 3)."""
+        values = self._images.displaced(displacement)
+        if self.options.greedy != "none":
+            return self._fit_reduced(values, progress)
+        assert self._system is not None
+        return Fit(self.centres.points, *self._system.solve(values, self.account, progress))
+
+    def _fit_reduced(self, values: FloatArray, progress: Progress | None) -> Fit:
+        o, n = self.options, len(values)
+        scale = np.ones(n)
+        if o.greedy_error == "first-cell":
+            scale = self._problem.first_cell_height[self._images.owner]
+        if o.greedy_start >= n:
+            raise MethodError(f"method.rbf.greedy_start = {o.greedy_start}; there are {n} sources, counted from 0")
+        fit = self._refit(values, scale)
+        if fit is None:
+            report = None if progress is None else (lambda done, total: progress("greedy", done, total))
+            found = select(
+                BASES[o.basis], self.centres.points, self.centres.polynomial(self.centres.points), values, scale,
+                method=o.greedy, tolerance=o.greedy_tolerance, start=o.greedy_start,
+                per_round=o.greedy_updates or n, max_points=o.greedy_max_points or n, progress=report,
+            )  # fmt: skip
+            self._selection = found
+            self._record(found)
+            points = np.ascontiguousarray(self.centres.points[found.active])
+            fit = self._with_residual(points, found.coefficients, found.polynomial, values)
+        return fit
+
+    def _refit(self, values: FloatArray, scale: FloatArray) -> Fit | None:
+        """The kept selection with new values, unless its error has grown beyond the tolerance."""
+        found = self._selection
+        if found is None:
+            return None
+        points = np.ascontiguousarray(self.centres.points[found.active])
+        if self._system is None:
+            kept = Centres(points, self.centres.origin, self.centres.scale, self.centres.axes)
+            self._system = RadialSystem(self.options.system, kept)
+        fit = self._with_residual(points, *self._system.solve(values[found.active], self.account, None), values)
+        assert fit.residual is not None
+        error = float((np.abs(fit.residual).max(axis=1) / scale).max())
+        if error > self.options.greedy_tolerance:
+            self._system = None
+            return None
+        self.account.settings["greedy_error_reached"] = Setting(error, "with the selection of an earlier displacement")
+        return fit
+
+    def _with_residual(
+        self, points: FloatArray, coefficients: FloatArray, polynomial: FloatArray, values: FloatArray
+    ) -> Fit:
+        here = self.centres.points
+        residual = values - radial_sums(BASES[self.options.basis], here, points, coefficients)
+        residual -= self.centres.polynomial(here)[:, : len(polynomial)] @ polynomial
+        # Spread over a length on which the correction cannot fold cells: many times its own size.
+        reach = 20.0 * float(np.linalg.norm(residual, axis=1).max())
+        return Fit(points, coefficients, polynomial, residual, reach)
+
+    def _record(self, found: Selection) -> None:
+        unit = "first-cell heights" if self.options.greedy_error == "first-cell" else "length unit"
+        self.account.settings |= {
+            "greedy": Setting(self.options.greedy),
+            "greedy_points": Setting(len(found.active), f"of {len(found.error)} centres"),
+            "greedy_rounds": Setting(found.rounds),
+            "greedy_updates_done": Setting(found.updates),
+            "greedy_tolerance": Setting(self.options.greedy_tolerance, unit),
+            "greedy_error_reached": Setting(float(found.error.max()), unit),
+        }
+        failed = (
+            f"greedy reduction stopped with {len(found.active)} points and an error of {found.error.max():.3g} "
+            f"({unit}); asked for {self.options.greedy_tolerance:g}. Raise greedy_max_points or greedy_tolerance"
+        )
+        self.account.note("greedy", None if found.converged else failed)
+
+    def at(self, flat: IntArray) -> RadialSums:
+        """Bind to the target nodes ``flat``."""
+        o, grid = self.options, self._problem.grid
+        correct = o.greedy != "none" and o.greedy_correct
+        sums = RadialSums(grid, flat, self.centres, o.basis, o.summation, o.summation_tolerance, correct, self.account)
+        if o.greedy == "none":
+            sums.prepare(len(self.centres.points))
+        return sums

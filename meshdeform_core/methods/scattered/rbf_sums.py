@@ -1,0 +1,162 @@
+"""How radial basis functions are evaluated at the nodes: exactly, or fast with clusters of centres."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+import scipy
+
+from ...grid import FloatArray, Grid, IntArray
+from ...numerics.basis import BASES
+from ...numerics.fastsum import sums as fastsum
+from ...numerics.fastsum.radial import FastRadial
+from ...numerics.radial import radial_sums
+from ...parallel import Shared, empty, for_chunks, for_rows, thread_count
+from ..base import Account, Progress, Setting
+from .summation import fast_pays, largest_error, sum_accurately
+
+_CHUNK = 1024
+# Smooth coefficients of many centres cancel less well than the weights of a mean: one point more than there.
+_EXTRA_ORDER = 1
+
+
+@dataclass(frozen=True)
+class Centres:
+    """Centres in normalised coordinates with the polynomial terms that they determine.
+
+    Thin plate splines with a linear polynomial do not depend on the unit of length, and compact functions take
+    distances in radii; both are conditioned best near one. Directions in which all centres lie in a plane carry no
+    polynomial term: 2-D grids and planar patches then have a solution.
+    """
+
+    points: FloatArray
+    origin: FloatArray
+    scale: float
+    axes: FloatArray
+
+    @classmethod
+    def of(cls, points: FloatArray, radius: float | None) -> Centres:
+        origin = points.mean(axis=0)
+        arms = points - origin
+        extent = float(np.linalg.norm(arms, axis=1).max()) or 1.0
+        _, sizes, axes = np.linalg.svd(arms, full_matrices=False)
+        spread = axes[sizes > 1e-8 * extent * np.sqrt(len(points))]
+        scale = extent if radius is None else radius
+        return cls(np.ascontiguousarray(arms / scale), origin, scale, spread)
+
+    def normalised(self, points: FloatArray) -> FloatArray:
+        """Other points in the same coordinates."""
+        return (points - self.origin) / self.scale
+
+    def polynomial(self, normalised: FloatArray) -> FloatArray:
+        """Polynomial terms (n, q) at normalised points: the constant and the directions in which centres spread."""
+        return np.concatenate([np.ones((len(normalised), 1)), normalised @ self.axes.T], axis=1)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Solved coefficients: ``centres`` (k, 3) normalised, ``coefficients`` (k, 3), ``polynomial`` (q, 3).
+
+    ``residual`` (n, 3) what a greedy reduction left at all sources and ``reach`` how far it is spread; else ``None``.
+    """
+
+    centres: FloatArray
+    coefficients: FloatArray
+    polynomial: FloatArray
+    residual: FloatArray | None = None
+    reach: float = 0.0
+
+
+class RadialSums:
+    """Sums at the target nodes, with the greedy residual added near the walls if ``correct``."""
+
+    def __init__(
+        self,
+        grid: Grid,
+        flat: IntArray,
+        centres: Centres,
+        basis: str,
+        summation: str,
+        tolerance: float,
+        correct: bool,
+        account: Account,
+    ):
+        self._grid, self._flat, self._centres, self._basis = grid, flat, centres, basis
+        self._summation, self._tolerance = summation, tolerance
+        self._correct, self._account = correct, account
+        self._is_fast = False
+        self._targets: fastsum.Targets | None = None
+        self._tree: tuple[FloatArray, FastRadial] | None = None
+        self._nearest: tuple[FloatArray, IntArray] | None = None
+
+    def prepare(self, n_centres: int) -> None:
+        """Sort the target nodes for fast sums, if these pay for so many centres."""
+        self._is_fast, self._account.settings["summation"] = fast_pays(self._summation, len(self._flat), n_centres)
+        if not self._is_fast or self._targets is not None:
+            return
+        self._account.settings["summation_tolerance"] = Setting(self._tolerance, "error relative to the local cell")
+        grid, order = self._grid, fastsum.interpolation_order(self._tolerance) + _EXTRA_ORDER
+        points = empty(grid.points.shape)
+        for_rows(lambda rows: np.copyto(points[rows], self._centres.normalised(grid.points[rows])), points)
+        targets = fastsum.make_targets(points, grid.shapes, grid.offsets, self._flat, order)
+        self._targets = targets._replace(sizes=targets.sizes * self._centres.scale)
+
+    def evaluate(self, fit: Fit, out: FloatArray, progress: Progress | None) -> None:
+        """Write the displacement of the targets into ``out`` (n_nodes, 3)."""
+        report = None if progress is None else (lambda done, total: progress("rbf", done, total))
+        self.prepare(len(fit.centres))
+        if self._is_fast:
+            self._fast(fit, out, report)
+        else:
+            self._exact(fit, out, report)
+        if self._correct and fit.reach > 0:
+            self._add_residual(fit, out)
+
+    def _displacement(self, fit: Fit, flat: IntArray) -> FloatArray:
+        """Displacement (n, 3) of the nodes ``flat`` by exact sums."""
+        x = self._centres.normalised(self._grid.points[flat])
+        moved = radial_sums(BASES[self._basis], x, fit.centres, fit.coefficients)
+        return np.asarray(moved + self._centres.polynomial(x)[:, : len(fit.polynomial)] @ fit.polynomial)
+
+    def _exact(self, fit: Fit, out: FloatArray, report: fastsum.Report) -> None:
+        def work(lo: int, hi: int) -> None:
+            flat = self._flat[lo:hi]
+            out[flat] = self._displacement(fit, flat)
+
+        for_chunks(work, len(self._flat), _CHUNK, report, [Shared(out, lambda lo, hi: self._flat[lo:hi])])
+
+    def _fast(self, fit: Fit, out: FloatArray, report: fastsum.Report) -> None:
+        assert self._targets is not None
+        targets = self._targets
+        if self._tree is None or not np.array_equal(self._tree[0], fit.centres):
+            order = fastsum.interpolation_order(self._tolerance) + _EXTRA_ORDER
+            self._tree = fit.centres, FastRadial(BASES[self._basis], fit.centres, order)
+
+        def use(flat: IntArray, sums: FloatArray) -> None:
+            x = targets.points[flat]
+            out[flat] = sums + self._centres.polynomial(x)[:, : len(fit.polynomial)] @ fit.polynomial
+
+        sums = self._tree[1]
+
+        def once() -> float:
+            risk = sums.evaluate(fit.coefficients, targets, self._tolerance, use, out, report)
+            return largest_error(self._grid, targets, risk, out, partial(self._displacement, fit))
+
+        sum_accurately("rbf", sums, once, self._tolerance, self._account)
+
+    def _add_residual(self, fit: Fit, out: FloatArray) -> None:
+        """Residual of the nearest source, fading smoothly with the distance to it (Wendland C2)."""
+        assert fit.residual is not None
+        if self._nearest is None:
+            tree = scipy.spatial.cKDTree(self._centres.points * self._centres.scale + self._centres.origin)
+            self._nearest = tree.query(self._grid.points[self._flat], workers=thread_count())
+        distance, nearest = self._nearest
+        residual, flat = fit.residual, self._flat
+
+        def work(lo: int, hi: int) -> None:
+            r = np.minimum(distance[lo:hi] / fit.reach, 1.0)
+            out[flat[lo:hi]] += ((1 - r) ** 4 * (4 * r + 1))[:, None] * residual[nearest[lo:hi]]
+
+        for_chunks(work, len(flat), _CHUNK, common=[out])

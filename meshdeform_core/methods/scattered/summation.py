@@ -1,0 +1,76 @@
+"""Exact or fast sums: the choice, and the check of the fast ones; the same for all scattered-data methods."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+
+from ...errors import MethodError
+from ...grid import FloatArray, Grid, IntArray
+from ...numerics.fastsum.sums import Targets, node_sizes, shape_table
+from ..base import Account, Setting
+from ..options import choose, positive
+
+_FAST_PAIRS = 2e8
+_FAST_SOURCES = 2000
+_WORST_BRICKS, _RANDOM_NODES = 64, 256
+MAX_RETRIES = 3
+
+
+def check_summation(method: str, summation: str, tolerance: float) -> None:
+    """Refuse a wrong ``summation`` or ``summation_tolerance`` of a method."""
+    choose(f"{method}.summation", summation, ("auto", "exact", "fast"))
+    positive(f"{method}.summation_tolerance", tolerance)
+    if not 1e-8 <= tolerance <= 0.1:
+        raise MethodError(f"method.{method}.summation_tolerance = {tolerance:g}; expected 1e-8 to 0.1 of a cell")
+
+
+def fast_pays(summation: str, n_targets: int, n_sources: int) -> tuple[bool, Setting]:
+    """Whether to sum fast, and the setting to report; exact sums take about 0.2 s for the 2e8 pairs of the limit."""
+    pairs = n_targets * n_sources
+    pays = pairs > _FAST_PAIRS and n_sources > _FAST_SOURCES
+    fast = pairs > 0 and (summation == "fast" or (summation == "auto" and pays))
+    reason = f"{n_targets:,} nodes with {n_sources:,} sources" if summation == "auto" else ""
+    return fast, Setting("fast" if fast else "exact", reason)
+
+
+class HasShare(Protocol):
+    """Fast sums whose accuracy depends on how much one cluster may do: ``share``."""
+
+    share: float
+
+
+def sum_accurately(method: str, sums: HasShare, once: Callable[[], float], tolerance: float, account: Account) -> None:
+    """Call ``once``, which sums and returns the error that it finds, until the error is within the tolerance.
+
+    Reports the error (in cells), and warns if it stays too large.
+    """
+    for attempt in range(1 + MAX_RETRIES):
+        error = once()
+        if error <= tolerance or attempt == MAX_RETRIES or not np.isfinite(error):
+            break
+        # Rare: clusters whose errors add up. From now on each may cause less.
+        sums.share *= 0.25 * tolerance / error
+    account.settings["sampled_error"] = Setting(error, "against exact sums at the worst nodes, in cells")
+    failed = (
+        f"fast sums: an error of {error:.2g} of a cell was found, {tolerance:g} is allowed; "
+        f'use method.{method}.summation = "exact"'
+    )
+    account.note("summation", None if error <= tolerance else failed)
+
+
+def largest_error(
+    grid: Grid, targets: Targets, risk: FloatArray, found: FloatArray, exact: Callable[[IntArray], FloatArray]
+) -> float:
+    """Largest error in cells of the displacement ``found`` (n_nodes, 3).
+
+    Looked for at samples of the bricks with the largest bounds ``risk`` (b,) and at random nodes; ``exact`` gives the
+    displacement (n, 3) of the nodes it is given by exact sums.
+    """
+    worst = targets.samples[np.argsort(risk)[-_WORST_BRICKS:]].ravel()
+    every = targets.bricks.targets
+    flat = np.concatenate([worst, every[np.random.default_rng(0).integers(0, len(every), _RANDOM_NODES)]])
+    size = node_sizes(grid.points, shape_table(grid.shapes), grid.offsets, flat)
+    return float((np.linalg.norm(found[flat] - exact(flat), axis=1) / size).max())

@@ -1,0 +1,1 @@
+"""Transfinite interpolation of edges, faces and blocks."""

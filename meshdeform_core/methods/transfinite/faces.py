@@ -1,0 +1,77 @@
+"""Lines and faces of nodes that are blended from their ends and edges, in flat arrays for the compiled loops."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...grid import BoolArray, FloatArray, IntArray
+from ...numerics.faces import blend_faces, blend_lines, face_coordinates
+
+
+@dataclass(frozen=True)
+class Lines:
+    """Lines of nodes with their arc coordinates.
+
+    Attributes
+    ----------
+    start : (n + 1,) where each line begins in the others
+    nodes, arc : node numbers and coordinates from 0 to 1, ends included
+    """
+
+    start: IntArray
+    nodes: IntArray
+    arc: FloatArray
+
+    @classmethod
+    def of(cls, nodes: Sequence[IntArray], arc: Sequence[FloatArray]) -> Lines:
+        """One array per line."""
+        return cls(_starts(nodes), _joined(nodes, np.int64), _joined(arc, np.float64))
+
+    def blend(self, displacement: FloatArray) -> None:
+        """Displacement inside the lines from that of their ends, in place, one line after the other."""
+        blend_lines(displacement, self.start, self.nodes, self.arc)
+
+
+@dataclass(frozen=True)
+class Faces:
+    """Rectangles of nodes with their arc coordinates.
+
+    Attributes
+    ----------
+    start : (n + 1,) where each rectangle begins in the others
+    width : (n,) nodes along its second index
+    nodes : node numbers, C-ordered
+    wanted : which of them are to be moved, if they are inside
+    s, t : coordinates from 0 to 1 along the first and second index
+    """
+
+    start: IntArray
+    width: IntArray
+    nodes: IntArray
+    wanted: BoolArray
+    s: FloatArray
+    t: FloatArray
+
+    @classmethod
+    def of(cls, points: FloatArray, nodes: Sequence[IntArray], wanted: Sequence[BoolArray]) -> Faces:
+        """One array (na, nb) per rectangle; node numbers are rows of ``points``."""
+        start, joined = _starts(nodes), _joined(nodes, np.int64)
+        width = np.array([part.shape[1] for part in nodes], dtype=np.int64)
+        s, t = np.empty(len(joined)), np.empty(len(joined))
+        face_coordinates(points, start, width, joined, s, t)
+        return cls(start, width, joined, _joined(wanted, np.bool_), s, t)
+
+    def blend(self, displacement: FloatArray) -> None:
+        """Displacement inside the rectangles from that of their edges, in place, one after the other."""
+        blend_faces(displacement, self.start, self.width, self.nodes, self.wanted, self.s, self.t)
+
+
+def _starts(parts: Sequence[np.ndarray]) -> IntArray:
+    return np.cumsum([0] + [part.size for part in parts], dtype=np.int64)
+
+
+def _joined(parts: Sequence[np.ndarray], kind: type) -> np.ndarray:
+    return np.concatenate([np.empty(0, dtype=kind), *(part.ravel() for part in parts)])

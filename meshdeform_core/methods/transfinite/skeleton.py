@@ -1,0 +1,90 @@
+"""Which nodes the first step of a hybrid moves: block faces and the faces of virtual sub-blocks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...grid import Grid, IntArray, Shape, Side
+from ..base import Problem
+
+Cuts = tuple[IntArray, IntArray, IntArray]
+
+
+@dataclass(frozen=True)
+class SubBlock:
+    """A virtual sub-block: nodes ``low`` to ``high`` (inclusive) of one block."""
+
+    block: int
+    low: Shape
+    high: Shape
+
+
+@dataclass(frozen=True)
+class Skeleton:
+    """The index planes at which blocks are cut.
+
+    Attributes
+    ----------
+    cuts : for every block the node indices of the cutting planes along i, j, k, both ends included
+    left_out : block sides that the second step moves itself; only their rims belong to the skeleton
+    """
+
+    grid: Grid
+    cuts: tuple[Cuts, ...]
+    left_out: frozenset[tuple[int, Side]] = frozenset()
+
+    def sub_blocks(self) -> Iterator[SubBlock]:
+        """All sub-blocks of all blocks."""
+        for block, axes in enumerate(self.cuts):
+            spans = [list(zip(c[:-1].tolist(), c[1:].tolist(), strict=True)) or [(0, 0)] for c in axes]
+            for i in spans[0]:
+                for j in spans[1]:
+                    for k in spans[2]:
+                        yield SubBlock(block, (i[0], j[0], k[0]), (i[1], j[1], k[1]))
+
+    def nodes(self) -> IntArray:
+        """Flat indices of all nodes that the first step moves, coincident ones included, ascending."""
+        return np.concatenate([self._of_block(b) for b in range(self.grid.n_blocks)])
+
+    def _of_block(self, block: int) -> IntArray:
+        shape = self.grid.shapes[block]
+        on = [np.zeros(n, dtype=bool) for n in shape]
+        for axis, cut in enumerate(self.cuts[block]):
+            # The one plane of a 2-D block is not a cut: it holds the interior.
+            on[axis][cut if shape[axis] > 1 else []] = True
+        mask = on[0][:, None, None] | on[1][:, None] | on[2]
+        for side in (side for side in Side if (block, side) in self.left_out):
+            a, b = side.tangential
+            plane: list[slice | int] = [slice(None)] * 3
+            plane[side.axis] = shape[side.axis] - 1 if side % 2 else 0
+            mask[tuple(plane)] = on[a][:, None] | on[b]
+        return np.asarray(self.grid.offsets[block] + np.flatnonzero(mask), dtype=np.int64)
+
+
+def make_skeleton(problem: Problem, max_cells: int) -> Skeleton:
+    """Cut every block into sub-blocks of at most ``max_cells`` cells per direction; 0 cuts nothing.
+
+    A direction with more than half of ``max_cells`` is cut at least once.
+    """
+    cuts = tuple(_cuts(shape, max_cells) for shape in problem.grid.shapes)
+    return Skeleton(problem.grid, cuts)
+
+
+def _cuts(shape: Shape, max_cells: int) -> Cuts:
+    def along(n: int) -> IntArray:
+        if n == 1:
+            return np.zeros(1, dtype=np.int64)
+        cells = n - 1
+        parts = -(-cells // max_cells) if max_cells else 1
+        # A coarse block can span as large an angle of a body as a fine one: only short blocks stay whole.
+        if parts == 1 and max_cells and 2 * cells > max_cells:
+            parts = 2
+        # The same planes seen from either end: an odd number of cells has no middle plane to cut at.
+        parts += cells % 2 == 1 and parts % 2 == 0
+        return np.round(np.linspace(0, n - 1, parts + 1)).astype(np.int64)
+
+    i, j, k = (along(n) for n in shape)
+    return i, j, k

@@ -1,0 +1,120 @@
+"""Transfinite interpolation: block interiors from block faces, and faces from edges (Sen et al. section 2.1)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from ...grid import FloatArray, Grid, IntArray
+from ...numerics.blend import arc_coordinates, arc_numbers, blend_slabs
+from ...parallel import Shared, current_ranks, empty, for_chunks
+from ..base import Account, Problem, Progress, Setting
+from ..options import option, positive, used
+from .faces import Faces
+from .skeleton import Skeleton, SubBlock, make_skeleton
+
+DEFAULT_MAX_CELLS = 16
+# Planes and nodes filled by one call, and calls of a whole grid: enough to share evenly, few enough to cost nothing.
+_PLANES, _NODES, _CHUNKS = (8, 32), 65536, 64
+
+
+@dataclass(frozen=True)
+class TFI:
+    """Linear blending of face displacements by arc length; cost N_v, a few operations per node.
+
+    Keeps the clustering of the grid. Loses wall orthogonality and crosses cells when a body rotates by more than
+    some 40 degrees, and kinks grid lines at block interfaces when it moves the interfaces too.
+
+    Attributes
+    ----------
+    max_cells : as the second step of a hybrid: blocks are cut into virtual sub-blocks of at most this many cells per
+        direction, whose faces the first step moves; 0 never cuts
+    """
+
+    max_cells: int = option(DEFAULT_MAX_CELLS, "walls as with IDW alone (hemisphere: 2.6 degrees off, 10.3 uncut)")
+
+    def __post_init__(self) -> None:
+        positive("tfi.max_cells", self.max_cells, whole=True, zero=True)
+
+    def skeleton(self, problem: Problem) -> Skeleton:
+        """What the first step has to move for this second step."""
+        return make_skeleton(problem, self.max_cells)
+
+    def prepare(self, problem: Problem, skeleton: Skeleton) -> PreparedTFI:
+        """Arc-length coordinates of all sub-blocks."""
+        return PreparedTFI(self, problem, skeleton)
+
+
+class PreparedTFI:
+    """Arc-length coordinates of one undeformed grid: three numbers per node inside sub-blocks."""
+
+    def __init__(self, options: TFI, problem: Problem, skeleton: Skeleton):
+        grid = problem.grid
+        subs = list(skeleton.sub_blocks())
+        self.account = Account()
+        self.account.settings |= used(options, "max_cells")
+        self.account.settings["sub_blocks"] = Setting(len(subs))
+        planes = [_plane_nodes(grid, sub) for sub in subs] if grid.dimension == 2 else []
+        self._planes = Faces.of(grid.points, planes, [np.ones(nodes.shape, dtype=bool) for nodes in planes])
+        self._subs = _table(grid, subs if grid.dimension == 3 else [])
+        self._slabs = _slabs(self._subs)
+        self._arc = empty([int(arc_numbers(self._subs).sum())])
+
+        def work(lo: int, hi: int) -> None:
+            arc_coordinates(grid.points, self._subs, lo, hi, self._arc)
+
+        # One item per sub-block and direction.
+        count = 3 * len(self._subs)
+        for_chunks(work, count, 1 + count // _CHUNKS, common=[self._arc])
+
+    def fill(self, displacement: FloatArray, progress: Progress | None = None) -> None:
+        """Interior of every sub-block from its faces, in place in ``displacement`` (n_nodes, 3)."""
+        current_ranks().alter(displacement, partial(self._planes.blend, displacement))
+
+        def work(lo: int, hi: int) -> None:
+            blend_slabs(displacement, self._arc, self._subs, self._slabs[lo:hi])
+
+        report = None if progress is None else (lambda done, total: progress("tfi", done, total))
+        chunk = 1 + len(self._slabs) // _CHUNKS
+        for_chunks(work, len(self._slabs), chunk, report, [Shared(displacement, self._interior)])
+
+    def _interior(self, first: int, last: int) -> IntArray:
+        """Flat indices of the nodes inside some slabs."""
+        return np.concatenate([_nodes_of(self._subs[n], i0, i1) for n, i0, i1 in self._slabs[first:last].tolist()])
+
+
+def _table(grid: Grid, subs: list[SubBlock]) -> IntArray:
+    """Sub-blocks as the compiled loops want them, see :mod:`..numerics.blend`."""
+    rows = [(grid.offsets[sub.block], *grid.shapes[sub.block], *sub.low, *sub.high, 0) for sub in subs]
+    table = np.array(rows, dtype=np.int64).reshape(-1, 11)
+    numbers = arc_numbers(table)
+    table[:, 10] = np.cumsum(numbers) - numbers
+    return table
+
+
+def _slabs(subs: IntArray) -> IntArray:
+    """Sub-block and planes i0 <= i < i1 of its interior, at most some at a time so that threads can share."""
+    planes = np.clip(_NODES // np.prod(subs[:, 8:10] - subs[:, 5:7], axis=1), *_PLANES)
+    rows = [
+        (n, i, min(i + step, end))
+        for n, (low, end, step) in enumerate(np.column_stack([subs[:, [4, 7]], planes]).tolist())
+        for i in range(low + 1, end, step)
+    ]
+    return np.array(rows, dtype=np.int64).reshape(-1, 3)
+
+
+def _nodes_of(sub: IntArray, i0: int, i1: int) -> IntArray:
+    """Flat indices of the nodes that a slab moves."""
+    offset, shape, low, high = int(sub[0]), sub[1:4], sub[4:7], sub[7:10]
+    j, k = (np.arange(low[axis] + 1, high[axis]) for axis in (1, 2))
+    return np.asarray(offset + ((np.arange(i0, i1)[:, None, None] * shape[1] + j[:, None]) * shape[2] + k).ravel())
+
+
+def _plane_nodes(grid: Grid, sub: SubBlock) -> IntArray:
+    """Flat indices (na, nb) of a sub-block of a 2-D grid."""
+    shape = grid.shapes[sub.block]
+    numbers = np.arange(grid.offsets[sub.block], grid.offsets[sub.block + 1]).reshape(shape)
+    window = tuple(slice(lo, hi + 1) for lo, hi in zip(sub.low, sub.high, strict=True))
+    return np.asarray(numbers[window].squeeze(axis=shape.index(1)))

@@ -1,0 +1,1 @@
+"""Fast sums over clusters of sources: trees, boxes, acceptance, passes."""

@@ -1,0 +1,226 @@
+"""Bricks and regions of target nodes: the other half of what fast summation sorts once per undeformed grid."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ..jit import kernel
+from .boxes import box_points, fit_box, points_per_side
+
+REGION = 8
+"""Bricks of a region."""
+
+
+class Bricks(NamedTuple):
+    """Target nodes in compact groups that follow the grid's own order.
+
+    Attributes
+    ----------
+    start : (b + 1,) where each brick's targets begin
+    targets : (n,) flat node indices
+    center, axes, half, per_side : boxes as in :class:`SourceTree`
+    proxy : (b + 1,) where each brick's interpolation points begin
+    proxies : (total, 3) interpolation points
+    """
+
+    start: np.ndarray
+    targets: np.ndarray
+    center: np.ndarray
+    axes: np.ndarray
+    half: np.ndarray
+    per_side: np.ndarray
+    proxy: np.ndarray
+    proxies: np.ndarray
+
+
+class Regions(NamedTuple):
+    """Neighbouring bricks that see far clusters alike.
+
+    Attributes
+    ----------
+    first : (g + 1,) number of each region's first brick
+    center, axes, half, per_side : boxes around the targets and the interpolation points of the bricks
+    """
+
+    first: np.ndarray
+    center: np.ndarray
+    axes: np.ndarray
+    half: np.ndarray
+    per_side: np.ndarray
+
+
+def build_bricks(points, shapes, offsets, wanted, order, capacity):
+    """Cut every block's index box into bricks of at most about ``capacity`` targets, and group them into regions.
+
+    Boxes are halved along the index direction in which they are longest in space, so that bricks are compact although
+    cells are stretched. A region is such a box with about ``REGION`` bricks.
+
+    Parameters
+    ----------
+    points : (n_nodes, 3)
+    shapes : (n_blocks, 3) int64, nodes
+    offsets : (n_blocks + 1,) int64
+    wanted : (n_nodes,) bool, the target nodes
+
+    Returns
+    -------
+    bricks : :class:`Bricks`
+    first : (g + 1,) number of each region's first brick
+    """
+    starts, firsts, targets = [np.zeros(1, np.int64)], [np.zeros(1, np.int64)], [np.empty(0, np.int64)]
+    for block, shape in enumerate(shapes):
+        lo, hi = offsets[block], offsets[block + 1]
+        mask = wanted[lo:hi].reshape(shape)
+        inside = int(mask.sum())
+        if inside:
+            volume = capacity * mask.size / inside
+            start, first, flat = _cut_block(points[lo:hi].reshape(*shape, 3), mask, inside, volume)
+            firsts.append(first[1:] + sum(map(len, starts)) - 1)
+            starts.append(start[1:] + starts[-1][-1])
+            targets.append(flat + lo)
+    start, flat = np.concatenate(starts), np.concatenate(targets)
+    return make_bricks(points, start, flat, order), np.concatenate(firsts)
+
+
+def make_bricks(points, start, targets, order):
+    """Bricks of ``targets`` beginning at ``start`` (b + 1,), with up to ``order`` interpolation points per side."""
+    boxes = _fit_boxes(points, start, targets, order)
+    proxy = np.append(0, np.cumsum(boxes[-1].prod(axis=1)))
+    proxies = np.empty((proxy[-1], 3))
+    _place_proxies(*boxes, proxy, proxies)
+    return Bricks(start, targets, *boxes, proxy, proxies)
+
+
+def make_regions(points, bricks, first, order):
+    """Regions of the bricks beginning with number ``first`` (g + 1,)."""
+    regions = Regions(first, *_fit_boxes(bricks.proxies, bricks.proxy[first], np.arange(len(bricks.proxies)), order))
+    _widen(points, bricks.start[first], bricks.targets, order, regions)
+    return regions
+
+
+@kernel
+def _widen(points, start, targets, order, regions):
+    """Make boxes hold the targets too."""
+    for g in range(start.size - 1):
+        for t in targets[start[g] : start[g + 1]]:
+            for row in range(3):
+                at = 0.0
+                for d in range(3):
+                    at += regions.axes[g, row, d] * (points[t, d] - regions.center[g, d])
+                regions.half[g, row] = max(regions.half[g, row], abs(at))
+        points_per_side(regions.half[g], order, regions.per_side[g])
+
+
+@kernel
+def _place_proxies(center, axes, half, count, proxy, proxies):
+    for b in range(center.shape[0]):
+        box_points(center[b], axes[b], half[b], count[b], proxies[proxy[b] : proxy[b + 1]])
+
+
+@kernel
+def _cut_block(x, mask, count, capacity):
+    ni, nj, nk = mask.shape
+    # Ranges of indices, and whether the box lies in a region.
+    box = np.empty((4096, 7), dtype=np.int64)
+    box[0, 0] = box[0, 2] = box[0, 4] = box[0, 6] = 0
+    box[0, 1], box[0, 3], box[0, 5] = ni, nj, nk
+    depth = 1
+    starts, firsts = np.empty(count + 1, dtype=np.int64), np.empty(count + 1, dtype=np.int64)
+    starts[0] = firsts[0] = pieces = regions = 0
+    targets = np.empty(count, dtype=np.int64)
+    used = 0
+    while depth:
+        depth -= 1
+        b = box[depth].copy()
+        size = (b[1] - b[0]) * (b[3] - b[2]) * (b[5] - b[4])
+        if not b[6] and size <= REGION * capacity:
+            b[6] = 1
+            if firsts[regions] < pieces:
+                regions += 1
+                firsts[regions] = pieces
+        if size > capacity:
+            axis = _longest_side(x, b)
+            middle = (b[2 * axis] + b[2 * axis + 1]) // 2
+            box[depth] = box[depth + 1] = b
+            box[depth + 1, 2 * axis + 1] = middle
+            box[depth, 2 * axis] = middle
+            depth += 2
+            continue
+        before = used
+        for i in range(b[0], b[1]):
+            for j in range(b[2], b[3]):
+                for k in range(b[4], b[5]):
+                    if mask[i, j, k]:
+                        targets[used] = (i * nj + j) * nk + k
+                        used += 1
+        if used > before:
+            pieces += 1
+            starts[pieces] = used
+    if firsts[regions] < pieces:
+        regions += 1
+        firsts[regions] = pieces
+    return starts[: pieces + 1].copy(), firsts[: regions + 1].copy(), targets
+
+
+@kernel
+def _longest_side(x, b):
+    """Index axis along which an index box is longest: mean length of its edges, taken through their quarter points."""
+    best, axis = -1.0, 0
+    at, previous = np.empty(3, dtype=np.int64), np.empty(3)
+    for a in range(3):
+        lo, hi = b[2 * a], b[2 * a + 1] - 1
+        if hi == lo:
+            continue
+        total = 0.0
+        for corner in range(4):
+            other = 0
+            for d in range(3):
+                if d != a:
+                    at[d] = b[2 * d] if (corner >> other) & 1 == 0 else b[2 * d + 1] - 1
+                    other += 1
+            for quarter in range(5):
+                at[a] = lo + (hi - lo) * quarter // 4
+                length = 0.0
+                for d in range(3):
+                    here = x[at[0], at[1], at[2], d]
+                    length += (here - previous[d]) ** 2
+                    previous[d] = here
+                if quarter:
+                    total += math.sqrt(length)
+        if total > best:
+            best, axis = total, a
+    return axis
+
+
+@kernel
+def _fit_boxes(points, start, targets, order):
+    m = start.size - 1
+    center, axes, half = np.empty((m, 3)), np.empty((m, 3, 3)), np.empty((m, 3))
+    count = np.empty((m, 3), dtype=np.int64)
+    for b in range(m):
+        fit_box(points, targets[start[b] : start[b + 1]], center[b], axes[b], half[b])
+        points_per_side(half[b], order, count[b])
+    return center, axes, half, count
+
+
+@kernel
+def node_sizes(points, shapes, offsets, flat):
+    """Shortest edge (n,) at the nodes ``flat`` of a grid; edges without length, at poles, do not count."""
+    size = np.full(flat.size, np.inf)
+    step = np.empty(3, dtype=np.int64)
+    for n in range(flat.size):
+        block = np.searchsorted(offsets, flat[n], side="right") - 1
+        shape = shapes[block]
+        rest = flat[n] - offsets[block]
+        step[0], step[1], step[2] = shape[1] * shape[2], shape[2], 1
+        for axis in range(3):
+            at = rest // step[axis] % shape[axis]
+            for way in (-1, 1):
+                if 0 <= at + way < shape[axis]:
+                    edge = 0.0
+                    for d in range(3):
+                        edge += (points[flat[n] + way * step[axis], d] - points[flat[n], d]) ** 2
+                    if edge > 0.0:
+                        size[n] = min(size[n], math.sqrt(edge))
+    return size

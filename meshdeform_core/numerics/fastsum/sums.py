@@ -1,0 +1,194 @@
+"""Fast weighted sums as one object: trees, bricks and accuracy of one undeformed grid (see :mod:`.treesum`)."""
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from ...parallel import Shared, current_ranks, for_chunks
+from ..direct import N_VALUES
+from .acceptance import inverse_powers
+from .bricks import Bricks, Regions, build_bricks, make_bricks, make_regions, node_sizes
+from .tree import build_tree, gather_charges
+from .treesum import Charges, add_totals, cluster_reach, sum_regions
+
+Report = Callable[[int, int], None] | None
+"""``report(done, total)``, or nothing."""
+
+_SAMPLES = 9
+CHUNK = 2
+"""Regions per call."""
+# What one cluster may cause, as a multiple of what all together may, is this by the square of the interpolation order
+# less 2: errors of many clusters mostly cancel, the less the smaller they are. Measured on the sample cases.
+_SHARE = 16.0
+
+
+class Targets(NamedTuple):
+    """Target nodes in bricks, and where the accuracy of each brick is judged.
+
+    Attributes
+    ----------
+    points : (n_nodes, 3)
+    bricks, regions : :class:`.bricks.Bricks` and :class:`.bricks.Regions`
+    samples : (b, 9) targets spread over each brick in the grid's order
+    sizes : (b, 9) shortest edge at them
+    """
+
+    points: np.ndarray
+    bricks: Bricks
+    regions: Regions
+    samples: np.ndarray
+    sizes: np.ndarray
+
+    @property
+    def n_regions(self):
+        return len(self.regions.first) - 1
+
+    def places(self, first, last):
+        """Part of the list of targets that lies in the regions first <= g < last."""
+        start, stop = self.bricks.start[self.regions.first[[first, last]]]
+        return slice(start, stop)
+
+    def flat(self, first, last):
+        """Flat indices of the targets in the regions first <= g < last."""
+        return self.bricks.targets[self.places(first, last)]
+
+    def subset(self, chosen, order):
+        """Targets of some bricks, numbered and kept on their own, each brick a region."""
+        bricks = self.bricks
+        flat = [bricks.targets[bricks.start[b] : bricks.start[b + 1]] for b in chosen]
+        start = np.append(0, np.cumsum([len(each) for each in flat]))
+        points = self.points[np.concatenate(flat)]
+        own = make_bricks(points, start, np.arange(len(points)), order)
+        regions = make_regions(points, own, np.arange(len(start)), order)
+        return Targets(points, own, regions, sample_places(start), self.sizes[chosen])
+
+    def sized(self, points, shapes, offsets):
+        """The same, with the edges at the samples taken from other coordinates (n_nodes, 3)."""
+        return self._replace(sizes=_edges(points, shape_table(shapes), offsets, self.samples))
+
+    def numbers(self, first, last):
+        """Numbers of the bricks in these regions."""
+        return range(self.regions.first[first], self.regions.first[last])
+
+
+def interpolation_order(tolerance):
+    """Interpolation points per side of a cube for a tolerance: 4 for 1e-2, 5 for 1e-4, 7 for 1e-8."""
+    return 3 + math.ceil(-0.5 * math.log10(tolerance) - 1e-9)
+
+
+def shape_table(shapes):
+    """Block shapes (n_blocks, 3) as the loops want them."""
+    return np.asarray(shapes, dtype=np.int64).reshape(-1, 3)
+
+
+def make_targets(points, shapes, offsets, flat, order):
+    """Sort the target nodes ``flat`` of a grid into bricks of about eight times their interpolation points."""
+    shapes = shape_table(shapes)
+    return Targets(points, *current_ranks().once(lambda: _sorted(points, shapes, offsets, flat, order)))
+
+
+def _sorted(points, shapes, offsets, flat, order):
+    """All of :class:`Targets` but the points."""
+    wanted = np.zeros(len(points), dtype=bool)
+    wanted[flat] = True
+    bricks, first = build_bricks(points, shapes, offsets, wanted, order, 8 * order**3)
+    samples = bricks.targets[sample_places(bricks.start)]
+    return bricks, make_regions(points, bricks, first, order), samples, _edges(points, shapes, offsets, samples)
+
+
+def _edges(points, shapes, offsets, samples):
+    """Shortest edge at the samples, in their shape."""
+    return node_sizes(points, shapes, offsets, samples.ravel()).reshape(samples.shape)
+
+
+def sample_places(start):
+    """Places (b, 9) in the list of targets, spread over each brick; ``start`` (b + 1,) where bricks begin."""
+    count = np.diff(start)
+    return start[:-1, None] + (np.arange(_SAMPLES) * (count[:, None] - 1)) // (_SAMPLES - 1)
+
+
+class FastSums:
+    """Weighted sums over groups of sources, with an error per target that is small against its cells.
+
+    Parameters
+    ----------
+    sources : (n, 3)
+    groups : index arrays; the sources that have the same weight function
+    targets : from :func:`make_targets`
+    tolerance : error of the weighted mean displacement relative to the local cell size
+    """
+
+    def __init__(self, sources, groups, targets: Targets, tolerance):
+        self.targets = targets
+        self.tolerance = tolerance
+        order = interpolation_order(tolerance)
+        self.share = _SHARE / (order - 2) ** 2
+        self._groups = [(np.asarray(group), build_tree(sources[group], order)) for group in groups]
+
+    def evaluate(self, strength, weights, values, shift, turn, use, result, progress=None):
+        """Compute the sums brick by brick and hand each chunk to ``use``.
+
+        Parameters
+        ----------
+        strength : (n,) per source; values : (k, n)
+        weights : (a, b, kappa) per group
+        shift, turn : (n,) displacement and rotation angle of each source, against which errors are judged
+        use : called with flat indices (m,) and sums (m, 1 + k), the weight first, from several threads
+        result : (n_nodes, ...) array of which ``use`` fills these rows
+
+        Returns
+        -------
+        risk : (b,) bound of each brick's error, in units that only allow comparing
+        """
+        targets = self.targets
+        kinds = [inverse_powers(*each) for each in weights]
+        reaches = [cluster_reach(tree, strength[g], shift[g], turn[g]) for g, tree in self._groups]
+        allowed, mean = self._allowance(kinds, reaches)
+        risk = np.zeros(len(allowed))
+        passes = [self._charges(strength, values[k : k + N_VALUES]) for k in range(0, len(values), N_VALUES)]
+
+        where = targets.points, targets.bricks, targets.regions
+
+        def work(lo, hi):
+            flat = targets.flat(lo, hi)
+            sums = np.empty((len(flat), 1 + N_VALUES * len(passes)))
+            for number, charges in enumerate(passes):
+                part = np.zeros((len(flat), 1 + N_VALUES))
+                for (_, tree), reach, charge, kind in zip(self._groups, reaches, charges, kinds, strict=True):
+                    sum_regions(lo, hi, *where, tree, reach, charge, kind, allowed, mean, part, risk)
+                sums[:, 0] = part[:, 0]
+                sums[:, 1 + N_VALUES * number : 1 + N_VALUES * (number + 1)] = part[:, 1:]
+            use(flat, sums)
+
+        shared = [Shared(result, targets.flat), Shared(risk, targets.numbers)]
+        for_chunks(work, targets.n_regions, CHUNK, progress, shared)
+        return risk
+
+    def _charges(self, strength, values):
+        """Charges of one pass, per group."""
+        charges = []
+        for group, tree in self._groups:
+            source = np.zeros((len(group), 1 + N_VALUES))
+            members = group[tree.order]
+            source[:, 0] = strength[members]
+            source[:, 1 : 1 + len(values)] = (strength[members] * values[:, members]).T
+            proxy = np.empty((len(tree.proxies), 1 + N_VALUES))
+            gather_charges(tree, source, proxy)
+            charges.append(Charges(source, proxy))
+        return charges
+
+    def _allowance(self, kinds, reaches):
+        """Weighted displacement error that one cluster may cause in each brick, and the mean displacement there."""
+        points, samples = self.targets.points, self.targets.samples
+        total, moved = np.zeros(samples.shape), np.zeros(samples.shape)
+
+        def work(lo, hi):
+            at = points[samples[lo:hi].ravel()]
+            for (_, tree), reach, kind in zip(self._groups, reaches, kinds, strict=True):
+                add_totals(at, tree, reach, kind, total[lo:hi].reshape(-1), moved[lo:hi].reshape(-1))
+
+        for_chunks(work, len(samples), 64, shared=[Shared(total), Shared(moved)])
+        allowed = (total * self.targets.sizes).min(axis=1) * self.tolerance * self.share
+        return allowed, (moved / total).max(axis=1)

@@ -1,0 +1,1 @@
+"""Linear systems of radial basis functions: direct, greedy, Krylov."""

@@ -1,0 +1,175 @@
+"""Choosing few centres out of many: greedy reduction (Rendall & Allen 2009; Wang et al. 2015; Sen et al. 2.2)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..basis import apply_basis
+from ..jit import kernel
+from ..radial import radial_matrix
+from .saddle import DirectSolver
+
+
+@dataclass(frozen=True)
+class Selection:
+    """What a greedy reduction found.
+
+    Attributes
+    ----------
+    active : (k,) int64, chosen centres in the order in which they were first updated
+    coefficients, polynomial : (k, m), (q, m) of the reduced interpolation
+    error : (n,) largest error component at every centre in units of ``scale``
+    rounds, updates : exact solutions and single-point updates that it took
+    converged : whether the largest error is within the tolerance
+    """
+
+    active: np.ndarray
+    coefficients: np.ndarray
+    polynomial: np.ndarray
+    error: np.ndarray
+    rounds: int
+    updates: int
+    converged: bool
+
+
+def select(kind, centres, polynomial, values, scale, *, method, tolerance, start, per_round, max_points, progress=None):
+    """Choose centres until the error at all of them is within ``tolerance``.
+
+    ``single``: correct the centre with the largest error by its own basis function, again and again; every centre
+    that was ever corrected is chosen. ``hybrid``: ``per_round`` such updates, then an exact solution on the chosen
+    centres, and so on. ``double-edged``: like ``hybrid``, but every search also corrects the centre whose error points
+    farthest the opposite way.
+
+    Parameters
+    ----------
+    kind : basis number; its value at 0 must be 1 (compact bases)
+    centres : (n, 3) in units of the support radius
+    polynomial : (n, q)
+    values : (n, m) displacements at the centres
+    scale : (n,) lengths that errors are measured in
+    start : first centre
+    max_points : stop when so many are chosen
+    """
+    n = len(centres)
+    columns = np.ascontiguousarray(centres.T)
+    residual = np.array(values, dtype=np.float64)
+    weight = np.zeros_like(residual)
+    chosen = np.zeros(n, dtype=np.bool_)
+    order = np.empty(n, dtype=np.int64)
+    pairs = method == "double-edged"
+    count = rounds = updates = 0
+    solved = weight[:0], np.zeros((polynomial.shape[1], values.shape[1]))
+    while True:
+        # Between exact solutions all updates are made, whatever the error: it is only known after the solution.
+        limit, enough = (100 * n, tolerance) if method == "single" else (per_round, 0.0)
+        done, count = _update(
+            kind, columns, residual, weight, 1.0 / scale, chosen, order, count, max_points, limit, enough,
+            start if updates == 0 else -1, pairs,
+        )  # fmt: skip
+        updates += done
+        active = order[:count]
+        if method == "single":
+            solved = weight[active], solved[1]
+            break
+        rounds += 1
+        solved, residual = _solve_exactly(kind, centres, polynomial, values, active)
+        error = np.abs(residual).max(axis=1) / scale
+        if progress:
+            progress(count, max_points)
+        if error.max() <= tolerance or count >= max_points or done == 0:
+            break
+    error = np.abs(residual).max(axis=1) / scale
+    converged = bool(error.max() <= tolerance)
+    return Selection(active.copy(), *solved, error, rounds, updates, converged)
+
+
+def _solve_exactly(kind, centres, polynomial, values, active):
+    points = np.ascontiguousarray(centres[active])
+    solver = DirectSolver(lambda: radial_matrix(kind, points, points), independent(polynomial[active]))
+    coefficients, part = solver.solve(values[active])
+    terms = np.zeros((polynomial.shape[1], values.shape[1]))
+    terms[: len(part)] = part
+    # Few centres: the whole matrix between all nodes and them would still be larger than the grid's surface.
+    residual = values - polynomial @ terms
+    for first in range(0, len(centres), 4096):
+        rows = slice(first, first + 4096)
+        residual[rows] -= radial_matrix(kind, centres[rows], points) @ coefficients
+    return (coefficients, terms), residual
+
+
+def independent(polynomial):
+    """The leading columns of a polynomial (n, q) that n points determine: all of them, or the constant only."""
+    if len(polynomial) > polynomial.shape[1] and np.linalg.matrix_rank(polynomial) == polynomial.shape[1]:
+        return polynomial
+    return polynomial[:, :1]
+
+
+@kernel
+def _update(
+    kind, columns, residual, weight, inverse_scale, chosen, order, count, max_points, limit, tolerance, start, pairs
+):
+    """Single-point corrections; returns their number and the number of chosen centres."""
+    value = np.empty(residual.shape[0])
+    done = 0
+    while done < limit:
+        worst = start
+        if worst < 0 or done > 0:
+            worst = _largest(residual, inverse_scale)
+        if np.abs(residual[worst]).max() * inverse_scale[worst] <= tolerance and done > 0:
+            break
+        second = _opposite(residual, inverse_scale, worst) if pairs else -1
+        for point in (worst, second):
+            if point < 0 or (not chosen[point] and count >= max_points):
+                continue
+            if not chosen[point]:
+                chosen[point] = True
+                order[count] = point
+                count += 1
+            _correct(kind, columns, residual, weight, point, value)
+            done += 1
+        if count >= max_points:
+            break
+    return done, count
+
+
+@kernel
+def _largest(residual, inverse_scale):
+    """The centre with the largest error component (the paper's "maximum absolute error")."""
+    best, where = -1.0, 0
+    for i in range(residual.shape[0]):
+        for c in range(residual.shape[1]):
+            size = abs(residual[i, c]) * inverse_scale[i]
+            if size > best:
+                best, where = size, i
+    return where
+
+
+@kernel
+def _opposite(residual, inverse_scale, worst):
+    """The centre whose error points farthest against that of ``worst``; -1 if none does."""
+    lowest, where = 0.0, -1
+    for i in range(residual.shape[0]):
+        along = 0.0
+        for c in range(residual.shape[1]):
+            along += residual[i, c] * residual[worst, c]
+        along *= inverse_scale[i]
+        if along < lowest:
+            lowest, where = along, i
+    return where
+
+
+@kernel
+def _correct(kind, columns, residual, weight, point, value):
+    """Take the error at one centre away with its own basis function."""
+    n, m = residual.shape
+    for i in range(n):
+        dx = columns[0, i] - columns[0, point]
+        dy = columns[1, i] - columns[1, point]
+        dz = columns[2, i] - columns[2, point]
+        value[i] = dx * dx + dy * dy + dz * dz
+    apply_basis(kind, value, n)
+    for c in range(m):
+        change = residual[point, c]
+        weight[point, c] += change
+        for i in range(n):
+            residual[i, c] -= change * value[i]

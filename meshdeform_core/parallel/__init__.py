@@ -1,0 +1,29 @@
+"""Threads and ranks: loops over arrays that they share."""
+
+from .loops import (
+    OneRank,
+    Shared,
+    alone,
+    current_ranks,
+    empty,
+    for_chunks,
+    for_items,
+    for_rows,
+    set_ranks,
+    set_threads,
+    thread_count,
+)
+
+__all__ = [
+    "OneRank",
+    "Shared",
+    "alone",
+    "current_ranks",
+    "empty",
+    "for_chunks",
+    "for_items",
+    "for_rows",
+    "set_ranks",
+    "set_threads",
+    "thread_count",
+]
