@@ -9,8 +9,8 @@ import pytest
 from meshdeform_core.memory import MemoryLimit
 from meshdeform_core.methods import RBF
 from meshdeform_core.methods.base import Account
-from meshdeform_core.methods.radial_system import RadialSystem
-from meshdeform_core.methods.rbf_sums import Centres
+from meshdeform_core.methods.scattered.radial_system import RadialSystem
+from meshdeform_core.methods.scattered.rbf_sums import Centres
 from meshdeform_core.numerics.radial import radial_sums
 
 TOLERANCE = 1e-6
@@ -105,7 +105,7 @@ def test_copies_remember_on_their_own(twin):
 
 
 def test_little_memory_means_little_to_remember():
-    from meshdeform_core.numerics.krylov import KrylovSolver
+    from meshdeform_core.numerics.systems.krylov import KrylovSolver
 
     n = len(POINTS)
     system = prepared(MemoryLimit(KrylovSolver.memory(n, 2), "--max-memory allows"))
