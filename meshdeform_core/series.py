@@ -10,7 +10,7 @@ import numpy as np
 from .deform import Result, Setup, Start, Timing, impose
 from .errors import CaseError
 from .grid import FloatArray
-from .methods import PreparedMethod, Progress, make_method
+from .methods import PreparedMethod, Progress, make_method, remembering
 from .numerics.rotation import rotation_vector, surface_rotations
 from .parallel import empty, for_rows
 
@@ -129,7 +129,7 @@ class _Series:
     def _prepared(self, timing: Timing) -> PreparedMethod:
         if self._reference is None:
             with timing.stage("prepare"):
-                self._reference = make_method(self.setup.case.method).prepare(self.problem)
+                self._reference = remembering(make_method(self.setup.case.method).prepare(self.problem), self.problem)
         return self._reference
 
     def _drift(self, result: Result, displacement: FloatArray) -> Drift:

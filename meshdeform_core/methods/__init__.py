@@ -24,6 +24,7 @@ from .options import reason_of
 from .scattered.block_rbf import BlockRBF
 from .scattered.idw import IDW
 from .scattered.rbf import RBF
+from .superposition import Superposition, remembering
 from .transfinite.tfi import TFI
 
 __all__ = [
@@ -40,8 +41,10 @@ __all__ = [
     "Problem",
     "Progress",
     "Setting",
+    "Superposition",
     "make_method",
     "reason_of",
+    "remembering",
 ]
 
 ALIASES = {"tfi": "tfi-tfi", "rbf": "rbf-rbf", "idw": "idw-idw"}

@@ -167,6 +167,11 @@ class PreparedMethod(Protocol):
     """A method that knows the undeformed grid."""
 
     @property
+    def linear(self) -> bool:
+        """Whether the result is linear in the displacement, but for errors of solvers and of fast sums."""
+        ...
+
+    @property
     def account(self) -> Account:
         """Parameters as used, with reasons, and warnings."""
         ...
@@ -200,9 +205,10 @@ class Evaluator(Protocol):
 
 
 class PreparedInterpolation(Protocol):
-    """A scattered-data method (IDW, RBF) bound to its sources."""
+    """A scattered-data method (IDW, RBF) bound to its sources; ``linear`` as in :class:`PreparedMethod`."""
 
     account: Account
+    linear: bool
 
     def at(self, flat: IntArray) -> Evaluator:
         """Bind to the target nodes ``flat`` of the grid."""

@@ -24,9 +24,10 @@ _NODES = 100_000
 
 
 class Mover(Protocol):
-    """First step, bound to its nodes."""
+    """First step, bound to its nodes; ``linear`` as in :class:`.base.PreparedMethod`."""
 
     account: Account
+    linear: bool
 
     def foresee(self, motion: FloatArray, step: FloatArray) -> list[str]:
         """What is bound to go wrong with a displacement (n_sources, 3) of which ``step`` is imposed first."""
@@ -41,9 +42,10 @@ class Mover(Protocol):
 
 
 class PreparedFiller(Protocol):
-    """Second step, bound to its blocks."""
+    """Second step, bound to its blocks; ``linear`` as in :class:`.base.PreparedMethod`."""
 
     account: Account
+    linear: bool
 
     def fill(self, displacement: FloatArray, progress: Progress | None = None) -> None:
         """Block interiors from what the first step moved, in place."""
@@ -97,11 +99,12 @@ class _Scattered:
     problem: Problem
     flat: IntArray
     account: Account = field(init=False)
+    linear: bool = field(init=False)
 
     def __post_init__(self) -> None:
         self._bound = self.interpolation.bind(self.problem)
         self._evaluator = self._bound.at(self.flat)
-        self.account = self._bound.account
+        self.account, self.linear = self._bound.account, self._bound.linear
 
     def foresee(self, motion: FloatArray, step: FloatArray) -> list[str]:
         return self._bound.foresee(motion, step)
@@ -123,6 +126,12 @@ class PreparedComposite:
         self._mover = _mover(method.mover, problem, nodes)
         self._filler = method.filler.prepare(problem, skeleton) if method.filler and skeleton else None
         self._left_out = skeleton is not None and bool(skeleton.left_out)
+
+    @property
+    def linear(self) -> bool:
+        """Whether both steps and the constraints between them are linear; sliding on curved surfaces is not."""
+        filler = self._filler is None or self._filler.linear
+        return self._mover.linear and filler and not self._problem.boundary.slip.curved
 
     @property
     def account(self) -> Account:

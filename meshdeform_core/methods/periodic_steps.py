@@ -18,7 +18,9 @@ from .base import Account, PreparedMethod, Problem, Progress
 
 
 class FaceMover(Protocol):
-    """An interpolation bound to nodes of the boundary."""
+    """An interpolation bound to nodes of the boundary; ``linear`` as in :class:`.base.PreparedMethod`."""
+
+    linear: bool
 
     def foresee(self, motion: FloatArray, step: FloatArray) -> list[str]:
         """What is bound to go wrong with a displacement (n_sources, 3) of which ``step`` is imposed first."""
@@ -50,6 +52,11 @@ class PreparedPeriodic:
 
     def __init__(self, problem: Problem, first: FaceMover, rest: PreparedMethod, guided: Problem):
         self._problem, self._first, self._rest, self._guided = problem, first, rest, guided
+
+    @property
+    def linear(self) -> bool:
+        """Whether both are."""
+        return self._first.linear and self._rest.linear
 
     @property
     def account(self) -> Account:

@@ -104,6 +104,8 @@ class PreparedRBF:
 
     def __init__(self, options: RBF, problem: Problem):
         self.options = options
+        # A greedy reduction chooses its centres for one displacement.
+        self.linear = options.greedy == "none"
         self.account = Account()
         self._problem = problem
         self._images = mirror_images(problem)

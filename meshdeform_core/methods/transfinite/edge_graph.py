@@ -42,6 +42,7 @@ class PreparedEdgeGraph:
     """The block edges and faces of one undeformed grid, ready to move with the sources."""
 
     account: Account
+    linear = True
 
     def __init__(self, problem: Problem):
         self.account = Account()
