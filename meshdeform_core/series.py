@@ -25,8 +25,9 @@ class Schedule:
     Attributes
     ----------
     times : of the levels, ascending
-    origin : ``reference``: every level is made from the undeformed grid, so that equal boundaries give equal grids;
-        ``last``: each level from the one before (marching), which reaches larger motions but drifts
+    origin : ``reference``: every level is made from the undeformed grid, so that equal boundaries give equal grids (to
+        the tolerance of solvers and sums); ``last``: each level from the one before (marching), which reaches larger
+        motions but drifts
     velocity : order of the backward differences of the grid velocity, or ``none``
     steps : increments of each level, or ``"auto"``; see :func:`meshdeform_core.deform.deform`
     """

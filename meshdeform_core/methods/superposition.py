@@ -132,7 +132,7 @@ class Superposition:
     def _store(self, displacement: FloatArray, found: FloatArray) -> None:
         if not self._capacity or not displacement.any():
             return
-        del self._fields[: len(self._fields) + 1 - self._capacity]
+        del self._fields[: max(0, len(self._fields) + 1 - self._capacity)]
         nodes: FloatArray = empty(found.shape)
         for_rows(lambda rows: np.copyto(nodes[rows], found[rows]), nodes)
         self._fields = self._needed([_Field(displacement.copy(), nodes), *reversed(self._fields)])
