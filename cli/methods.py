@@ -8,8 +8,6 @@ import json
 
 import click
 
-from meshdeform_core.errors import MethodError
-
 
 @click.command("methods")
 @click.argument("name", required=False)
@@ -21,7 +19,7 @@ def command(name: str | None) -> int:
       meshdeform methods
       meshdeform methods idw-tfi
     """
-    from meshdeform_core.methods import ALIASES, CATALOGUE, reason_of
+    from meshdeform_core.methods import ALIASES, CATALOGUE, entry_of, reason_of
 
     if name is None:
         for key, entry in CATALOGUE.items():
@@ -29,11 +27,8 @@ def command(name: str | None) -> int:
             click.echo(f"{key}{alias}\n    {entry.summary}")
         click.echo("\nmeshdeform methods NAME explains one of them.")
         return 0
-    key = ALIASES.get(name, name)
-    if key not in CATALOGUE:
-        raise MethodError(f"method {name!r} is unknown; known are {', '.join([*ALIASES, *CATALOGUE])}")
-    entry = CATALOGUE[key]
-    click.echo(f"{key}: {entry.summary}\n\n{entry.advice}")
+    entry = entry_of(name)
+    click.echo(f"{ALIASES.get(name, name)}: {entry.summary}\n\n{entry.advice}")
     for part in entry.parts:
         click.echo(f"\n[method.{part.__name__.lower()}]\n{inspect.cleandoc(part.__doc__ or '')}\n\ndefaults")
         for field in dataclasses.fields(part):

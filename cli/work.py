@@ -11,7 +11,7 @@ from typing import Any
 
 import click
 
-from meshdeform_core.deform import Timing, impose, set_up
+from meshdeform_core.deform import deform, set_up
 from meshdeform_core.grid import Grid
 from meshdeform_core.memory import MemoryLimit
 from meshdeform_core.methods import make_method
@@ -91,9 +91,10 @@ def run(
 ) -> Report:
     """Deform, write, report. ``start`` is when the command began (``perf_counter``)."""
     precision = variant_of(job.grid, output, variant).precision
-    timing = Timing()
     grid = complete_for_export(job.grid, output)
-    result = impose(set_up(grid, job.case.case, timing, job.memory), time, steps, precision, timing, progress)
+    result = deform(
+        grid, job.case.case, time=time, steps=steps, precision=precision, memory=job.memory, progress=progress
+    )
     before = clock.perf_counter()
     current_ranks().on_first(lambda: write_grid(result.grid, output, variant))
     now = clock.perf_counter()

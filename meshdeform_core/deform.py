@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import time as clock
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -25,6 +25,9 @@ from .quality.validity import newly_invalid
 
 MAX_HALVINGS = 8
 
+BoundaryMotion = Callable[[float], FloatArray]
+"""``motion(fraction)``: displacement (n_unique, 3) of all face nodes with that fraction of the motion imposed."""
+
 
 @dataclass(frozen=True)
 class Case:
@@ -37,6 +40,12 @@ class Case:
     constants: Mapping[str, float] = field(default_factory=dict)
     method: Options = field(default_factory=Options)
     tolerance: float = RELATIVE_TOLERANCE
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.method, Options):
+            raise CaseError(f"method = {self.method!r} of a case; expected Options, like Options('idw-tfi')")
+        if not all(isinstance(spec, BoundarySpec) for spec in self.boundaries):
+            raise CaseError(f"boundaries = {self.boundaries!r} of a case; expected BoundarySpec entries")
 
 
 @dataclass
@@ -65,8 +74,9 @@ class Setup:
     warnings: tuple[str, ...]
     memory: MemoryLimit = UNLIMITED
 
-    @property
+    @cached_property
     def problem(self) -> Problem:
+        """What methods are prepared on."""
         return Problem(self.grid, self.topology, self.boundary, self.memory)
 
     @cached_property
@@ -77,6 +87,10 @@ class Setup:
     def displacement(self, time: float, fraction: float = 1.0) -> FloatArray:
         """Prescribed displacement of all unique face nodes (n_unique, 3)."""
         return prescribed_displacement(self.grid, self.topology, self.boundary, time, fraction)
+
+    def motion(self, time: float) -> BoundaryMotion:
+        """The case's motion as it is at ``time``."""
+        return partial(self.displacement, time)
 
 
 @dataclass(frozen=True)
@@ -145,6 +159,7 @@ def deform(
     time: float = 0.0,
     steps: int | str = 1,
     precision: str | None = None,
+    memory: MemoryLimit = UNLIMITED,
     progress: Progress | None = None,
 ) -> Result:
     """Deform ``grid`` as ``case`` says and judge the result.
@@ -155,6 +170,7 @@ def deform(
     steps : increments, each from the last grid; ``"auto"`` halves them until the grid stays valid
     precision : ``float32`` or ``float64`` of the file that will be written (default: the grid's own); the verdict is
         about the coordinates as written
+    memory : what the method may take beside the grid
 
     Raises
     ------
@@ -162,20 +178,21 @@ def deform(
         For anything that is the input's fault.
     """
     timing = Timing()
-    return impose(set_up(grid, case, timing), time, steps, precision or grid.precision, timing, progress)
+    setup = set_up(grid, case, timing, memory)
+    return impose(setup, setup.motion(time), steps, precision or grid.precision, timing, progress)
 
 
 def impose(
     setup: Setup,
-    time: float,
+    motion: BoundaryMotion,
     steps: int | str,
     precision: str,
     timing: Timing,
     progress: Progress | None = None,
     start: Start | None = None,
 ) -> Result:
-    """Impose the motion of a set-up case, from the undeformed grid or from ``start``; see :func:`deform`."""
-    march = _March(setup, time, precision, timing, progress, start)
+    """Impose a motion of the boundary, from the undeformed grid or from ``start``; see :func:`deform`."""
+    march = _March(setup, motion, precision, timing, progress, start)
     if steps == "auto":
         march.adaptively()
     elif isinstance(steps, int) and steps > 0:
@@ -191,13 +208,13 @@ class _March:
     def __init__(
         self,
         setup: Setup,
-        time: float,
+        motion: BoundaryMotion,
         precision: str,
         timing: Timing,
         progress: Progress | None,
         start: Start | None = None,
     ):
-        self.setup, self.time, self.precision = setup, time, precision
+        self.setup, self.motion, self.precision = setup, motion, precision
         self.timing, self.progress = timing, progress
         self.fraction, self.steps = 0.0, 0
         self.points = start.points if start else setup.grid.points
@@ -215,11 +232,11 @@ class _March:
         self._inspect_motion(alone=start is None)
 
     def _inspect_motion(self, alone: bool) -> None:
-        self.total = self.setup.displacement(self.time)
+        self.total = self.motion(1.0)
         self.max_displacement = float(np.linalg.norm(self.total, axis=1).max())
         # A level of a series may stand still.
         if alone and self.max_displacement == 0.0:
-            self.warnings.append(f"nothing moves: the displacement is zero everywhere at t = {self.time:g}")
+            self.warnings.append("nothing moves: the displacement is zero everywhere")
         departure = self.setup.boundary.slip.departure(self.total)
         # A motion that comes back to nothing leaves round-off in all directions.
         boundary = self.setup.grid.points[self.setup.topology.first]
@@ -275,7 +292,7 @@ class _March:
         if fraction == 1.0:
             return self.total
         if not self.begin.any():
-            return self.setup.displacement(self.time, fraction)
+            return self.motion(fraction)
         return self.begin + fraction * (self.total - self.begin)
 
     def _method(self) -> PreparedMethod:

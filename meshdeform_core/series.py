@@ -116,7 +116,7 @@ class _Series:
         reference = self._prepared(timing)
         marching = schedule.origin == "last" and bool(past)
         start = Start(past[-1]) if marching else Start(setup.grid.points, reference)
-        result = impose(setup, time, schedule.steps, self.precision, timing, self.progress, start)
+        result = impose(setup, setup.motion(time), schedule.steps, self.precision, timing, self.progress, start)
         displacement = setup.displacement(time)[self.problem.source_numbers]
         drift = velocity = None
         if schedule.origin == "last":

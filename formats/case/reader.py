@@ -221,7 +221,7 @@ def _options(table: Table) -> Options:
         raise fail("method.name", f"expected a name, found {name!r}")
     parts = {part: _build(kind, table_of(table, part, "method."), f"[method.{part}]")
              for part, kind in (("idw", IDW), ("rbf", RBF), ("tfi", TFI))}  # fmt: skip
-    return Options(name=name, **parts)
+    return Options.relevant(name, **parts)
 
 
 def _build(kind: type, table: Table, where: str) -> Any:

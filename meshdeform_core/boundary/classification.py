@@ -58,6 +58,17 @@ class BoundarySpec:
     where: Expression | None = None
     motion: Motion | None = None
 
+    def __post_init__(self) -> None:
+        where = f"boundary {self.name!r}"
+        if not isinstance(self.kind, Kind):
+            known = ", ".join(f"Kind.{kind.name}" for kind in Kind if kind > Kind.INTERFACE)
+            raise CaseError(f"{where}: kind = {self.kind!r}; expected one of {known}")
+        if isinstance(self.select, str) or not all(isinstance(pattern, str) for pattern in self.select):
+            raise CaseError(f"{where}: select = {self.select!r}; expected a sequence of patterns, like ('wing',)")
+        if (self.kind is Kind.MOVING) != (self.motion is not None):
+            found = "has no motion" if self.motion is None else f"is {self.kind.label} but has a motion"
+            raise CaseError(f"{where} {found}; expected a motion for moving boundaries and only there")
+
 
 @dataclass(frozen=True)
 class Patch:

@@ -42,6 +42,7 @@ __all__ = [
     "Progress",
     "Setting",
     "Superposition",
+    "entry_of",
     "make_method",
     "reason_of",
     "remembering",
@@ -59,6 +60,22 @@ class Options:
     idw: IDW = field(default_factory=IDW)
     rbf: RBF = field(default_factory=RBF)
     tfi: TFI = field(default_factory=TFI)
+
+    def __post_init__(self) -> None:
+        used = entry_of(self.name).parts
+        for part in (self.idw, self.rbf, self.tfi):
+            if type(part) not in used and part != type(part)():
+                known = " and ".join(kind.__name__ for kind in used) or "no options"
+                raise MethodError(
+                    f"method {self.name!r} does not use the options {part}; it takes {known}. Leave them out, or "
+                    f"choose another method"
+                )
+
+    @classmethod
+    def relevant(cls, name: str, **parts: IDW | RBF | TFI) -> Options:
+        """Only those of the parts ``idw``, ``rbf``, ``tfi`` that the method uses: a case file may serve several."""
+        used = entry_of(name).parts
+        return cls(name, **{key: part for key, part in parts.items() if type(part) in used})  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)
@@ -122,17 +139,22 @@ REFUSED = {
 """Combinations that make no sense, and what to use instead."""
 
 
-def make_method(options: Options) -> Method:
-    """The method that ``options.name`` stands for.
+def entry_of(name: str) -> Entry:
+    """The row of the catalogue that a name, or its short form, stands for.
 
     Raises
     ------
     MethodError
-        For an unknown name.
+        For an unknown name, with the known ones.
     """
-    name = ALIASES.get(options.name, options.name)
-    if name in REFUSED:
-        raise MethodError(f"method {options.name!r} is not offered: {REFUSED[name]}")
-    if name not in CATALOGUE:
-        raise MethodError(f"method {options.name!r} is unknown; known are {', '.join([*ALIASES, *CATALOGUE])}")
-    return CATALOGUE[name].make(options)
+    full = ALIASES.get(name, name)
+    if full in REFUSED:
+        raise MethodError(f"method {name!r} is not offered: {REFUSED[full]}")
+    if full not in CATALOGUE:
+        raise MethodError(f"method {name!r} is unknown; known are {', '.join([*ALIASES, *CATALOGUE])}")
+    return CATALOGUE[full]
+
+
+def make_method(options: Options) -> Method:
+    """The method that ``options`` describe."""
+    return entry_of(options.name).make(options)

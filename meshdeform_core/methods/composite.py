@@ -11,6 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
+from ..errors import MotionError
 from ..grid import FloatArray, IntArray
 from ..numerics.rows import put_rows, spread_rows, take_rows
 from ..parallel import current_ranks, empty, for_chunks, for_rows
@@ -149,6 +150,7 @@ class PreparedComposite:
     def apply(self, displacement: FloatArray, progress: Progress | None = None) -> FloatArray:
         """Displacement (n_nodes, 3) of all block nodes from that of the sources (n_sources, 3)."""
         problem = self._problem
+        check_displacement(displacement, len(problem.source_numbers))
         # Every node lies on a block face, in the skeleton, or inside a block or sub-block: nothing stays unset.
         out = empty((problem.grid.n_nodes, 3))
         if self._left_out:
@@ -171,6 +173,30 @@ class PreparedComposite:
             spread_rows(face, topology.number[lo:hi], topology.face_nodes[lo:hi], out)
 
         for_chunks(work, len(topology.number), _NODES, common=[out])
+
+
+def check_displacement(displacement: FloatArray, n_sources: int) -> None:
+    """Refuse what compiled loops would read beyond its end or spread over the grid.
+
+    Raises
+    ------
+    MotionError
+        Unless it is a finite float64 array (n_sources, 3).
+    """
+    expected = (
+        f"expected a finite float64 array ({n_sources}, 3): one row per source, ascending (problem.source_numbers)"
+    )
+    if not isinstance(displacement, np.ndarray):
+        raise MotionError(f"displacement is a {type(displacement).__name__}; {expected}")
+    if displacement.shape != (n_sources, 3) or displacement.dtype != np.float64:
+        raise MotionError(f"displacement is {displacement.shape} {displacement.dtype}; {expected}")
+    bad = ~np.isfinite(displacement).all(axis=1)
+    if bad.any():
+        first = int(bad.argmax())
+        raise MotionError(
+            f"displacement has {int(bad.sum())} rows that are not finite, the first is row {first} = "
+            f"{displacement[first].tolist()}; {expected}"
+        )
 
 
 def _on_faces(displacement: FloatArray, problem: Problem) -> FloatArray:

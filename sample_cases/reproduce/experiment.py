@@ -128,14 +128,15 @@ def _compile(options: Options, dimension: int) -> None:
     """Run a method on a small grid, so that compiling its loops counts for no row."""
     setup = prepare_sample(Sample("square", 21) if dimension == 2 else Sample("splitter-plate", 8))
     idw = dataclasses.replace(options.idw, summation="fast") if options.idw.summation == "auto" else options.idw
-    prepared = make_method(dataclasses.replace(options, idw=idw)).prepare(setup.problem)
+    relevant = Options.relevant(options.name, idw=idw, rbf=options.rbf, tfi=options.tfi)
+    prepared = make_method(relevant).prepare(setup.problem)
     prepared.apply(setup.displacement(0.0)[setup.problem.source_numbers])
 
 
 def _march(setup: Setup, trial: Trial) -> Outcome:
     timing = Timing()
     start_cpu = clock.process_time()
-    result = impose(setup, trial.sample.time, trial.steps, setup.grid.precision, timing)
+    result = impose(setup, setup.motion(trial.sample.time), trial.steps, setup.grid.precision, timing)
     wall = timing.seconds["prepare"] + timing.seconds["apply"]
     cpu = (clock.process_time() - start_cpu) * wall / sum(timing.seconds.values())
     return Outcome(setup, result.grid.points, result.assessment, result.account, cpu, cpu, wall, None)

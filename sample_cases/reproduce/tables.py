@@ -95,9 +95,12 @@ def table4(quick: bool) -> Table:
     """Section 4: the splitter plate by all six methods."""
     plate = Sample("splitter-plate", 8 if quick else 16)
     six = ("tfi-tfi", "rbf-rbf", "idw-idw", "rbf-tfi", "idw-rbf", "idw-tfi")
-    trials = [Trial(name, plate, Options(name, idw=IDW(**_PAPER_IDW), rbf=RBF(**_DIRECT), tfi=_WHOLE)) for name in six]
+    paper: dict[str, IDW | RBF | TFI] = {"idw": IDW(**_PAPER_IDW), "rbf": RBF(**_DIRECT), "tfi": _WHOLE}
+    trials = [Trial(name, plate, Options.relevant(name, **paper)) for name in six]
     lie = IDW(remove_mean=False, **_EXACT)
-    trials += [Trial(f"{name}-lie", plate, Options(name, idw=lie, tfi=_WHOLE)) for name in ("idw-idw", "idw-tfi")]
+    trials += [
+        Trial(f"{name}-lie", plate, Options.relevant(name, idw=lie, tfi=_WHOLE)) for name in ("idw-idw", "idw-tfi")
+    ]
     trials.append(Trial("default", plate, Options()))
     return Table("table4", tuple(trials), "tfi-tfi")
 
@@ -108,7 +111,7 @@ def table5(quick: bool) -> Table:
     split = Sample("hemisphere", size, (("max_cells", parts),), time=2.5e-4)
     less = Sample("hemisphere", small, time=2.5e-4)
     lie, quaternion = IDW(remove_mean=False, **_EXACT), IDW(**_PAPER_IDW)
-    trials = [Trial(name, split, Options(name, idw=lie, tfi=_WHOLE)) for name in ("tfi-tfi", "idw-tfi")]
+    trials = [Trial(name, split, Options.relevant(name, idw=lie, tfi=_WHOLE)) for name in ("tfi-tfi", "idw-tfi")]
     trials += [
         # 5e11 pairs take ten minutes; the tolerance changes nothing in the digits printed.
         Trial("idw-idw", split, Options("idw-idw", idw=IDW(remove_mean=False, summation="fast"))),

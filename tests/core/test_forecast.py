@@ -112,7 +112,7 @@ def test_periodic_problems_foresee_too():
 @pytest.mark.parametrize("name", CATALOGUE)
 def test_every_parameter_has_a_reason(name):
     problem = problem_of(frame(), body_specs(turning(10)))
-    prepared = make_method(Options(name, idw=IDW(alpha=0.2))).prepare(problem)
+    prepared = make_method(Options.relevant(name, idw=IDW(alpha=0.2))).prepare(problem)
     counts = {"sub_blocks", "centres", "polynomial"}
     settings = prepared.account.settings
     assert [key for key, setting in settings.items() if not setting.reason and key not in counts] == []

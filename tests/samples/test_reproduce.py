@@ -146,7 +146,7 @@ def test_pairs_of_the_split_hemisphere_are_those_of_its_faces():
     """Counted anew from coordinates: nodes of block faces by position, once and as often as blocks have them."""
     setup = prepare_sample(Sample("hemisphere", 12, (("max_cells", 6),)))
     problem, grid = setup.problem, setup.grid
-    whole, hybrid = (make_method(Options(name, tfi=TFI(max_cells=0))) for name in ("idw", "idw-tfi"))
+    whole, hybrid = (make_method(Options.relevant(name, tfi=TFI(max_cells=0))) for name in ("idw", "idw-tfi"))
     faces = []
     for block in range(grid.n_blocks):
         x = np.round(grid.block(block), 10)
