@@ -6,8 +6,8 @@ import io
 from pathlib import Path
 from typing import Any
 
+import meshio
 import numpy as np
-from meshio._helpers import reader_map
 
 from meshdeform_core.errors import FormatError
 
@@ -28,7 +28,7 @@ def read(path: Path, file_format: str) -> Table:
     """
     try:
         # Not meshio.read, which prints what goes wrong and ends the program.
-        mesh = reader_map[file_format](_source(path, file_format))
+        mesh = getattr(meshio, file_format).read(_source(path, file_format))
         triangles = [
             split_cells(np.asarray(block.data), _CORNERS.get(block.type, len(block.data[0])))
             for block in mesh.cells

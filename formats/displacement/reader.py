@@ -23,7 +23,7 @@ from meshdeform_core.grid import Grid
 from ..files import read_head, replacing
 from ..grids import FORMATS, read_grid
 from ..vtk.legacy_file import dataset_kind
-from ..vtk.xml_header import read_header
+from ..vtk.xml.tags import file_kind
 from .cells import grid_triangles
 from .table import VECTOR_NAMES, Table, checked_surface, pick_vector
 
@@ -97,7 +97,7 @@ def _read(path: Path, head: bytes) -> Table | Grid:
 
 
 def _module(name: str) -> ModuleType:
-    """A reader, imported when first needed: h5py, vtk and meshio take their time."""
+    """A reader, imported when first needed: h5py and meshio take their time."""
     return importlib.import_module(f"{__package__}.{name}")
 
 
@@ -135,7 +135,7 @@ def _read_vtk_legacy(path: Path) -> Table | Grid:
 
 
 def _read_vtk_xml(path: Path) -> Table | Grid:
-    kind = read_header(path).kind
+    kind = file_kind(path)
     if kind in ("PolyData", "UnstructuredGrid"):
         return _module("vtk").read_vtk_xml(path)
     if kind in ("PPolyData", "PUnstructuredGrid"):

@@ -7,18 +7,15 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from vtkmodules.util.numpy_support import vtk_to_numpy
-from vtkmodules.vtkCommonCore import vtkVersion
-from vtkmodules.vtkIOXML import vtkXMLPolyDataReader, vtkXMLUnstructuredGridReader
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import IntArray
 
 from ..vtk.legacy_attributes import Attributes
 from ..vtk.legacy_file import LegacyFile
-from ..vtk.messages import vtk_errors
-from ..vtk.xml import data_arrays
-from ..vtk.xml_header import read_header
+from ..vtk.xml.arrays import ArrayReader
+from ..vtk.xml.attributes import joined, put_together, read_section
+from ..vtk.xml.tags import Element, read_tags
 from .cells import fans, starts_of_list
 from .table import NO_TRIANGLES, Table, surface_table
 
@@ -35,50 +32,84 @@ def read_vtk_xml(path: Path) -> Table:
     FormatError
         When the file is truncated or damaged, or has no displacement.
     """
-    polygons = read_header(path).kind == "PolyData"
-    reader = vtkXMLPolyDataReader() if polygons else vtkXMLUnstructuredGridReader()
-    reader.SetFileName(str(path))
-    with vtk_errors() as errors:
-        reader.Update()
-    if errors:
-        raise FormatError(f"cannot read {path}: {errors[0]}")
-    data_set = reader.GetOutput()
-    if data_set.GetNumberOfPoints() == 0:
-        raise FormatError(f"{path} has no points")
-    arrays = {array.name: array.values for array in data_arrays(data_set, []) if array.location == "node"}
-    triangles = (_polygon_triangles if polygons else _cell_triangles)(path, data_set)
-    return surface_table(path, vtk_to_numpy(data_set.GetPoints().GetData()), arrays, triangles)
+    file = read_tags(path)
+    with path.open("rb") as stream:
+        reader = ArrayReader(file, stream)
+        read_piece = _polygons if file.kind == "PolyData" else _cells
+        pieces = file.data_set().all("Piece")
+        sizes = [reader.number(piece, "NumberOfPoints") for piece in pieces]
+        pieces, sizes = [p for p, n in zip(pieces, sizes, strict=True) if n], [n for n in sizes if n]
+        if not pieces:
+            raise FormatError(f"{path} has no points")
+        points = [_points(reader, piece, n) for piece, n in zip(pieces, sizes, strict=True)]
+        nodes = [read_section(reader, piece, "PointData", n, []) for piece, n in zip(pieces, sizes, strict=True)]
+        triangles = [read_piece(reader, piece) for piece in pieces]
+    for numbers, first in zip(triangles, np.cumsum([0, *sizes]), strict=False):
+        numbers += first
+    try:
+        arrays = {array.name: put_together(values) for array, values in joined(nodes)}
+    except ValueError as error:
+        raise FormatError(f"cannot read {path}: the node {error}") from error
+    return surface_table(path, put_together(points), arrays, np.concatenate(triangles))
 
 
-def _polygon_triangles(path: Path, data_set: Any) -> IntArray:
-    polygons, strips = (_cell_lists(path, cells) for cells in (data_set.GetPolys(), data_set.GetStrips()))
+def _points(reader: ArrayReader, piece: Element, number: int) -> NDArray[Any]:
+    arrays = [array for section in piece.all("Points") for array in section.arrays()]
+    if len(arrays) != 1:
+        raise reader.error(piece, f"has {len(arrays)} arrays of Points, expected 1")
+    return reader.values(arrays[0], number, 3)
+
+
+def _polygons(reader: ArrayReader, piece: Element) -> IntArray:
+    polygons = _cell_lists(reader, piece, "Polys", _count(reader, piece, "NumberOfPolys"))
+    strips = _cell_lists(reader, piece, "Strips", _count(reader, piece, "NumberOfStrips"))
     return np.concatenate([fans(*polygons), fans(*strips, strip=True)])
 
 
-def _cell_triangles(path: Path, data_set: Any) -> IntArray:
-    connectivity, first, size = _cell_lists(path, data_set.GetCells())
-    kind = vtk_to_numpy(_cell_types(data_set))
+def _cells(reader: ArrayReader, piece: Element) -> IntArray:
+    number = _count(reader, piece, "NumberOfCells")
+    connectivity, first, size = _cell_lists(reader, piece, "Cells", number)
+    if not number:
+        return NO_TRIANGLES.copy()
+    kind = reader.values(_named(reader, piece, "Cells", "types"), number, 1)
     corners = np.where(kind == _POLYGON, size, 0)
-    for number, count in _CORNERS.items():
-        corners[kind == number] = count
+    for code, count in _CORNERS.items():
+        corners[kind == code] = count
     if (corners > size).any():
-        raise FormatError(f"{path} has cells with fewer nodes than corners; the file is damaged")
+        raise FormatError(f"{reader.file.path} has cells with fewer nodes than corners; the file is damaged")
     strips = np.where(kind == _STRIP, size, 0)
     return np.concatenate([fans(connectivity, first, corners), fans(connectivity, first, strips, strip=True)])
 
 
-def _cell_types(data_set: Any) -> Any:
-    # VTK 9.6 gave the method a new name, which had been that of another one.
-    if (vtkVersion.GetVTKMajorVersion(), vtkVersion.GetVTKMinorVersion()) >= (9, 6):
-        return data_set.GetCellTypes()
-    return data_set.GetCellTypesArray()
+def _count(reader: ArrayReader, piece: Element, name: str) -> int:
+    return reader.number(piece, name) if piece.get(name) else 0
 
 
-def _cell_lists(path: Path, cells: Any) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-    """Node numbers of all cells, and first entry and size of each."""
-    offsets, connectivity = vtk_to_numpy(cells.GetOffsetsArray()), vtk_to_numpy(cells.GetConnectivityArray())
-    _check_offsets(path, offsets, len(connectivity))
-    return connectivity, offsets[:-1], np.diff(offsets)
+def _named(reader: ArrayReader, piece: Element, tag: str, name: str) -> Element:
+    for section in piece.all(tag):
+        for array in section.arrays():
+            if array.get("Name") == name:
+                return array
+    raise reader.error(piece, f"has no array {name} in {tag}")
+
+
+def _cell_lists(reader: ArrayReader, piece: Element, tag: str, number: int) -> tuple[IntArray, IntArray, IntArray]:
+    """Node numbers of all cells, and first entry and size of each; the file has the end of each cell."""
+    if not number:
+        none: IntArray = np.empty(0, dtype=np.int64)
+        return none, none, none
+    ends = reader.values(_named(reader, piece, tag, "offsets"), number, 1).astype(np.int64)
+    starts = np.append(0, ends)
+    _check_offsets(reader.file.path, starts, int(ends[-1]))
+    array = _named(reader, piece, tag, "connectivity")
+    connectivity = reader.values(array, int(ends[-1]), 1).astype(np.int64)
+    points = reader.number(piece, "NumberOfPoints")
+    if connectivity.size and not 0 <= connectivity.min() <= connectivity.max() < points:
+        raise FormatError(
+            f"{reader.file.path}, line {array.line}: triangles refer to points {connectivity.min()} to "
+            f"{connectivity.max()} of {points}"
+        )
+    return connectivity, starts[:-1], np.diff(starts)
 
 
 def _check_offsets(path: Path, offsets: NDArray[Any], size: int) -> None:

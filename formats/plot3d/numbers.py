@@ -21,6 +21,8 @@ from numpy.typing import NDArray
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray
 
+from .. import text_numbers
+
 # Bytes of text read at a time.
 _PIECE = 1 << 23
 # Numbers that a piece of text may stand for; more can only be a nonsensical repeat count.
@@ -85,11 +87,7 @@ def number_lines(values: NDArray[Any]) -> bytes | memoryview:
 
     The last one of real values shows that it is real: see :func:`ends_with_integer`.
     """
-    text = io.BytesIO()
-    scipy.io.mmwrite(text, values.reshape(-1, 1), symmetry="general")
-    sizes = b"\n%d 1\n" % values.size
-    buffer = text.getbuffer()
-    lines = buffer[bytes(buffer[:1000]).index(sizes) + len(sizes) :]
+    lines = text_numbers.number_lines(values)
     last = _WORD.findall(bytes(lines[-_LONGEST_NUMBER:]))[-1]
     return bytes(lines[:-1]) + b".\n" if values.dtype.kind == "f" and _INTEGER.fullmatch(last) else lines
 

@@ -5,7 +5,7 @@ VTK stores nodes with i fastest: a run of ``n`` values is ``(nk, nj, ni, ...)``.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -122,18 +122,83 @@ def _field(path: Path, array: DataArray, block: int, nodes: Shape) -> VtkField:
     return VtkField(array.name, array.location, block, native(ordered), array.roles, array.components)
 
 
+# Values are written in slabs of so many bytes, or of so many planes k = const where a plane is larger.
+_SLAB = 1 << 23
+_PLANES = 4
+
+# Nodes that a few axes or a spacing may stand for, whatever the size of the file, and per byte of a larger one.
+_LATTICE_NODES = 1_000_000
+_LATTICE_NODES_PER_BYTE = 10
+
+
+def require_plausible_lattice(path: Path, nodes: int, size: int) -> None:
+    """Refuse axes whose product needs memory out of all proportion to the ``size`` of the file in bytes.
+
+    Raises
+    ------
+    FormatError
+        With the number of nodes and how many are accepted.
+    """
+    most = max(_LATTICE_NODES, _LATTICE_NODES_PER_BYTE * size)
+    if nodes > most:
+        raise FormatError(
+            f"{path} stands for {nodes} nodes, but has only {size} bytes; a lattice of more than {most} nodes is read "
+            "only from a file that stores their coordinates: save it as a structured grid (.vts)"
+        )
+
+
 def lattice(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any]) -> NDArray[Any]:
     """Nodes of the product of three axes, ``(nk, nj, ni, 3)``."""
     along_z, along_y, along_x = np.meshgrid(z, y, x, indexing="ij")
     return np.stack([along_x, along_y, along_z], axis=-1)
 
 
-def points_to_write(grid: Grid, block: int, precision: str) -> NDArray[Any]:
-    """Coordinates of a block as VTK's run ``(n, 3)``."""
-    return _run(grid.block(block).astype(precision, copy=False))
+@dataclass(frozen=True)
+class StoredArray:
+    """An array on its way into a file.
+
+    ``values`` is ``(nk, nj, ni)`` for nodes and cells, ``(n,)`` for field data, with one more axis where there are
+    several components; it is a view of the grid's own memory, and ``precision`` the type in which it is written.
+    """
+
+    name: str
+    location: str
+    values: NDArray[Any]
+    precision: np.dtype[Any]
+    roles: tuple[str, ...] = ()
+    component_names: tuple[str, ...] = ()
+
+    @property
+    def components(self) -> int:
+        axes = 3 if self.location else 1
+        return int(np.prod(self.values.shape[axes:]))
+
+    @property
+    def tuples(self) -> int:
+        return self.values.size // max(self.components, 1)
+
+    @property
+    def nbytes(self) -> int:
+        return self.values.size * self.precision.itemsize
+
+    def slabs(self) -> Iterator[NDArray[Any]]:
+        """All values in the order of VTK, a few planes at a time, ``(n,)``."""
+        plane = max(self.nbytes // max(len(self.values), 1), 1)
+        planes = max(_SLAB // plane, _PLANES)
+        for first in range(0, len(self.values), planes):
+            yield self.values[first : first + planes].astype(self.precision, order="C", copy=False).reshape(-1)
+
+    def run(self) -> NDArray[Any]:
+        """All values in the order of VTK, ``(n,)``."""
+        return self.values.astype(self.precision, order="C", copy=False).reshape(-1)
 
 
-def arrays_to_write(grid: Grid, block: int, variant: VtkFormat) -> list[DataArray]:
+def points_to_write(grid: Grid, block: int, precision: str) -> StoredArray:
+    """Coordinates of a block."""
+    return StoredArray("Points", "node", grid.block(block).swapaxes(0, 2), np.dtype(precision))
+
+
+def arrays_to_write(grid: Grid, block: int, variant: VtkFormat) -> list[StoredArray]:
     """All arrays of a block: field data of the variant and fields of the grid.
 
     Raises
@@ -141,7 +206,7 @@ def arrays_to_write(grid: Grid, block: int, variant: VtkFormat) -> list[DataArra
     FormatError
         When two fields share a name and place, or one has the wrong shape or a type that VTK does not know.
     """
-    found: dict[tuple[str, str], DataArray] = {}
+    found: dict[tuple[str, str], StoredArray] = {}
     for field in grid.fields:
         if field.block != block:
             continue
@@ -151,25 +216,25 @@ def arrays_to_write(grid: Grid, block: int, variant: VtkFormat) -> list[DataArra
             raise FormatError(f"{label} has shape {field.values.shape}; expected {shape} and at most one more axis")
         if (field.location, field.name) in found:
             raise FormatError(f"{label} exists twice; a VTK data set needs unique names")
-        values = _run(storable(field.values, label))
+        values, precision = field.values.swapaxes(0, 2), storable_type(field.values, label)
         extra = (field.roles, field.components) if isinstance(field, VtkField) else ((), ())
-        found[field.location, field.name] = DataArray(field.name, field.location, values, *extra)
+        found[field.location, field.name] = StoredArray(field.name, field.location, values, precision, *extra)
     field_data = variant.field_data[block] if variant.field_data else ()
-    return [*field_data, *found.values()]
-
-
-def _run(values: NDArray[Any]) -> NDArray[Any]:
-    run = np.ascontiguousarray(values.swapaxes(0, 2))
-    return run.reshape(-1, *values.shape[3:])
+    return [*(StoredArray(a.name, "", a.values, a.values.dtype, *a[3:]) for a in field_data), *found.values()]
 
 
 def storable(values: NDArray[Any], label: str) -> NDArray[Any]:
-    """The values in native byte order and a type that mesh files know: integers, float32, float64; bool as uint8."""
+    """The values in native byte order and a type that mesh files know: see :func:`storable_type`."""
+    return values.astype(storable_type(values, label), copy=False)
+
+
+def storable_type(values: NDArray[Any], label: str) -> np.dtype[Any]:
+    """The type in which mesh files can hold the values: integers, float32, float64; bool as uint8."""
     if values.dtype.kind == "b":
-        return values.astype(np.uint8)
+        return np.dtype(np.uint8)
     if values.dtype.kind not in "iuf" or values.dtype.itemsize > 8 or values.dtype == np.float16:
         raise FormatError(f"{label} is of type {values.dtype}; expected integers, float32 or float64")
-    return values.astype(values.dtype.newbyteorder("="), copy=False)
+    return values.dtype.newbyteorder("=")
 
 
 def native(values: NDArray[Any]) -> NDArray[Any]:

@@ -18,10 +18,12 @@ from ..files import replacing
 from . import legacy as vtk_legacy
 from . import legacy_write as vtk_legacy_write
 from . import multiblock as vtk_multiblock
-from . import xml as vtk_xml
 from .dataset import VtkFormat, assemble
 from .options import checked_options
-from .xml_header import read_header
+from .xml import read as vtk_xml_read
+from .xml import write as vtk_xml_write
+from .xml.codecs import require_codec
+from .xml.tags import file_kind
 
 _KINDS = {".vtk": "legacy", ".vts": "vts", ".vtm": "vtm"}
 _XML_KINDS = {"StructuredGrid": "vts", "RectilinearGrid": "vtr", "ImageData": "vti"}
@@ -58,11 +60,11 @@ def read(path: Path) -> Grid:
         legacy = stream.read(14) == b"# vtk DataFile"
     if legacy:
         return assemble(path, "legacy", [vtk_legacy.read(path)])
-    kind = read_header(path).kind
+    kind = file_kind(path)
     if kind == "vtkMultiBlockDataSet":
         data_sets, names = vtk_multiblock.read(path)
         return assemble(path, "vtm", data_sets, names)
-    return assemble(path, _XML_KINDS.get(kind, kind), [vtk_xml.read(path)])
+    return assemble(path, _XML_KINDS.get(kind, kind), [vtk_xml_read.read(path)])
 
 
 def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> VtkFormat:
@@ -91,6 +93,7 @@ def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> VtkFormat:
         if chosen.get("compression", "none") != "none":
             raise FormatError(f"cannot write {path}: ascii is never compressed; choose encoding = appended or binary")
         switches["compression"] = "none"
+    require_codec(switches.get("compression", "none"), f"cannot write {path}")
     return VtkFormat("vtk", precision, {"kind": kind, **switches}, own.title, own.origins, own.field_data)
 
 
@@ -107,6 +110,6 @@ def write(grid: Grid, path: Path, variant: VtkFormat) -> None:
     if kind == "vtm":
         vtk_multiblock.write(grid, path, variant)
         return
-    write_block = vtk_legacy_write.write_block if kind == "legacy" else vtk_xml.write_block
+    write_block = vtk_legacy_write.write_block if kind == "legacy" else vtk_xml_write.write_block
     with replacing(path) as partial:
         write_block(grid, 0, partial, variant)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Shape
 
-from .dataset import DataSet, lattice
+from .dataset import DataSet, lattice, require_plausible_lattice
 from .legacy_attributes import Attributes
 from .legacy_file import LegacyFile
 
@@ -99,6 +99,7 @@ def _points(file: LegacyFile, geometry: dict[str, NDArray[Any]], shape: Shape) -
                 f"{file.path} has {len(run) // 3} points; its DIMENSIONS {ni} {nj} {nk} need {ni * nj * nk}"
             )
         return run.reshape(nk, nj, ni, 3)
+    require_plausible_lattice(file.path, ni * nj * nk, file.size)
     if file.kind == "STRUCTURED_POINTS":
         geometry.setdefault("SPACING", geometry.get("ASPECT_RATIO", np.ones(3)))
         origin, spacing = _required(file, geometry, ["ORIGIN", "SPACING"])

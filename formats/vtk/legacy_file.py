@@ -54,7 +54,8 @@ class LegacyFile:
         self.binary = False
         stream.readline(_LONGEST_LINE)
         self.title = self._line()
-        encoding = self._line().upper()
+        # VTK's readers pass over blank lines behind the title.
+        encoding = " ".join(self.words()).upper()
         if encoding not in ("ASCII", "BINARY"):
             raise self.error(f"expected ASCII or BINARY, found {encoding[:40]!r}")
         self.binary = encoding == "BINARY"

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from meshdeform_core.grid import Grid, Shape
 
-from .dataset import DataArray, VtkFormat, arrays_to_write, points_to_write
+from .dataset import StoredArray, VtkFormat, arrays_to_write, points_to_write
 
 _TYPE_NAMES = {
     "i1": "char",
@@ -58,7 +58,7 @@ def write_block(grid: Grid, block: int, path: Path, variant: VtkFormat) -> None:
         output.line("DATASET STRUCTURED_GRID")
         output.fields([a for a in arrays if not a.location])
         output.line(_extent(grid.shapes[block], variant.origins[block] if variant.origins else (0, 0, 0)))
-        output.line(f"POINTS {len(points)} {_type_name(points)}")
+        output.line(f"POINTS {points.tuples} {_type_name(points)}")
         output.values(points)
         for keyword, location in (("CELL_DATA", "cell"), ("POINT_DATA", "node")):
             output.attributes(keyword, [a for a in arrays if a.location == location])
@@ -80,12 +80,13 @@ class _Output:
     def line(self, text: str) -> None:
         self.stream.write(f"{text}\n".encode())
 
-    def values(self, run: NDArray[Any]) -> None:
-        if self.binary:
-            self.stream.write(run.astype(run.dtype.newbyteorder(">"), copy=False).data)
-            self.stream.write(b"\n")
-        else:
-            self._text(run.reshape(-1))
+    def values(self, array: StoredArray) -> None:
+        if not self.binary:
+            self._text(array.run())
+            return
+        for slab in array.slabs():
+            self.stream.write(slab.astype(slab.dtype.newbyteorder(">"), copy=False).data)
+        self.stream.write(b"\n")
 
     def _text(self, flat: NDArray[Any]) -> None:
         number = {"f4": "%.9g", "f8": "%.17g"}.get(flat.dtype.str[1:], "%d")
@@ -96,11 +97,11 @@ class _Output:
             full, rest = divmod(len(part), _VALUES_PER_LINE)
             self.line((line * full + " ".join([number] * rest)) % tuple(part))
 
-    def attributes(self, keyword: str, arrays: Sequence[DataArray]) -> None:
+    def attributes(self, keyword: str, arrays: Sequence[StoredArray]) -> None:
         """CELL_DATA or POINT_DATA: sections for the arrays with a role, the others as a FIELD."""
         if not arrays:
             return
-        self.line(f"{keyword} {len(arrays[0].values)}")
+        self.line(f"{keyword} {arrays[0].tuples}")
         others = []
         for array in arrays:
             if section := _section_keyword(array):
@@ -109,44 +110,40 @@ class _Output:
                 others.append(array)
         self.fields(others)
 
-    def _section(self, keyword: str, array: DataArray) -> None:
+    def _section(self, keyword: str, array: StoredArray) -> None:
         components = {"SCALARS": " {1} {0}", "TEXTURE_COORDINATES": " {0} {1}"}.get(keyword, " {1}")
-        words = components.format(_components(array), _type_name(array.values))
+        words = components.format(array.components, _type_name(array))
         self.line(f"{keyword} {_encoded(array.name)}{words}")
         if keyword == "SCALARS":
             self.line("LOOKUP_TABLE default")
         self._values_and_metadata(array)
 
-    def fields(self, arrays: Sequence[DataArray]) -> None:
+    def fields(self, arrays: Sequence[StoredArray]) -> None:
         """A FIELD of arrays."""
         if arrays:
             self.line(f"FIELD FieldData {len(arrays)}")
         for array in arrays:
-            size = f"{_components(array)} {len(array.values)}"
-            self.line(f"{_encoded(array.name)} {size} {_type_name(array.values)}")
+            size = f"{array.components} {array.tuples}"
+            self.line(f"{_encoded(array.name)} {size} {_type_name(array)}")
             self._values_and_metadata(array)
 
-    def _values_and_metadata(self, array: DataArray) -> None:
-        self.values(array.values)
-        if array.components:
+    def _values_and_metadata(self, array: StoredArray) -> None:
+        self.values(array)
+        if array.component_names:
             self.line("METADATA\nCOMPONENT_NAMES")
-            self.line("\n".join(map(_encoded, array.components)) + "\n")
+            self.line("\n".join(map(_encoded, array.component_names)) + "\n")
 
 
-def _section_keyword(array: DataArray) -> str:
+def _section_keyword(array: StoredArray) -> str:
     for role in array.roles:
         keyword, components = _SECTIONS.get(role, ("", ()))
-        if _components(array) in components:
+        if array.components in components:
             return keyword
     return ""
 
 
-def _components(array: DataArray) -> int:
-    return array.values.shape[1] if array.values.ndim == 2 else 1
-
-
-def _type_name(values: NDArray[Any]) -> str:
-    return _TYPE_NAMES[values.dtype.str[1:]]
+def _type_name(array: StoredArray) -> str:
+    return _TYPE_NAMES[array.precision.str[1:]]
 
 
 def _encoded(name: str) -> str:

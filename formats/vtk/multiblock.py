@@ -13,8 +13,9 @@ from meshdeform_core.grid import Grid
 
 from ..files import replacing
 from .dataset import DataSet, VtkFormat
-from .xml import read as read_piece
-from .xml import write_block
+from .xml.read import read as read_piece
+from .xml.tags import DEEPEST, Element, read_tags
+from .xml.write import write_block
 
 _SET = "vtkMultiBlockDataSet"
 
@@ -48,23 +49,28 @@ def read(path: Path) -> tuple[list[DataSet], list[str]]:
 
 def _files(path: Path) -> Iterator[tuple[str, Path]]:
     """Name, ending in ``/`` where the data set itself has none, and file of each data set."""
-    try:
-        root = ElementTree.parse(path).getroot().find(_SET)
-    except (ElementTree.ParseError, UnicodeError) as error:
-        raise FormatError(f"{path} is not a complete multi-block index: {error}") from error
-    if root is None:
-        raise FormatError(f"{path} has no {_SET} element; expected a multi-block index")
-    yield from _files_below(root, "", path.parent)
-
-
-def _files_below(group: ElementTree.Element, prefix: str, folder: Path) -> Iterator[tuple[str, Path]]:
-    for element in group:
-        name = prefix + element.get("name", "")
+    root = _root(path)
+    waiting = [(element, "") for element in reversed(root.children)]
+    while waiting:
+        element, prefix = waiting.pop()
+        name = prefix + element.get("name")
         if element.tag == "DataSet":
             if file := element.get("file"):
-                yield name, folder / file
+                yield name, path.parent / file
         else:
-            yield from _files_below(element, f"{name}/" if element.get("name") else prefix, folder)
+            below = f"{name}/" if element.get("name") else prefix
+            waiting.extend((child, below) for child in reversed(element.children))
+
+
+def _root(path: Path) -> Element:
+    try:
+        found = read_tags(path).root.all(_SET)
+    except FormatError as error:
+        reason = str(error).rpartition("Error parsing XML: ")[2]
+        raise FormatError(f"{path} is not a complete multi-block index: {reason}") from error
+    if not found:
+        raise FormatError(f"{path} has no {_SET} element; expected a multi-block index")
+    return found[0]
 
 
 def write(grid: Grid, path: Path, variant: VtkFormat) -> None:

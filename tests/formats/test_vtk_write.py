@@ -275,7 +275,7 @@ def test_a_full_disk(tmp_path, name, monkeypatch):
         path.symlink_to("/dev/full")
         write_block(grid, number, path, variant)
 
-    module = vtk.legacy_write if name == "a.vtk" else vtk.xml
+    module = vtk.legacy_write if name == "a.vtk" else vtk.xml.write
     original = module.write_block
     monkeypatch.setattr(module, "write_block", lambda *args: write_to_full(*args, original))
     with pytest.raises(FormatError, match=f"cannot write .*{name}: "):

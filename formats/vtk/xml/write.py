@@ -1,0 +1,151 @@
+"""Structured grids to VTK's XML files (.vts) in every variant that VTK writes."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from meshdeform_core.errors import FormatError
+from meshdeform_core.grid import Grid
+
+from ...text_numbers import number_lines
+from ..dataset import StoredArray, VtkFormat, arrays_to_write, points_to_write
+from .arrays import TYPES
+from .attributes import ID_ROLES, SECTIONS
+from .encode import ArrayEncoder
+
+_TYPE_NAMES = {code: name for name, code in TYPES.items()}
+_COMPRESSORS = {"zlib": "vtkZLibDataCompressor", "lz4": "vtkLZ4DataCompressor", "lzma": "vtkLZMADataCompressor"}
+_BYTE_ORDERS = {"little": "LittleEndian", "big": "BigEndian"}
+
+# Room for the offset of an array in the tag that is written before it is known.
+_OFFSET_DIGITS = 20
+
+_REPLACED = {"&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;", "\n": "&#10;", "\r": "&#13;", "\t": "&#9;"}
+_ESCAPES = str.maketrans(_REPLACED)
+_NOT_IN_XML = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
+
+
+def write_block(grid: Grid, block: int, path: Path, variant: VtkFormat) -> None:
+    """Write one block to a .vts file.
+
+    Raises
+    ------
+    FormatError
+        When a field cannot be stored in a VTK file.
+    OSError
+        When the file cannot be written.
+    """
+    arrays, points = arrays_to_write(grid, block, variant), points_to_write(grid, block, variant.precision)
+    low = variant.origins[block] if variant.origins else (0, 0, 0)
+    extent = " ".join(f"{a} {a + n - 1}" for a, n in zip(low, grid.shapes[block], strict=True))
+    header = variant.options["header_type"]
+    # The size of an array stands before it: 4 bytes hold sizes below 4 GiB only.
+    if max(array.nbytes for array in (points, *arrays)) >= 2**32:
+        header = "UInt64"
+    with path.open("wb") as stream:
+        _Output(stream, variant, header, str(path)).data_set(extent, points, arrays)
+
+
+def attribute(text: str) -> str:
+    """A text as the value of an XML attribute.
+
+    Raises
+    ------
+    FormatError
+        When it has characters that no XML file can hold.
+    """
+    if bad := _NOT_IN_XML.search(text):
+        raise FormatError(f"the name {text!r} holds the character {bad[0]!r}, which has no place in a VTK file")
+    return f'"{text.translate(_ESCAPES)}"'
+
+
+class _Output:
+    """A .vts file being written."""
+
+    def __init__(self, stream: BinaryIO, variant: VtkFormat, header: str, path: str) -> None:
+        self.stream, self.header, self.options = stream, header, variant.options
+        self.encoder = ArrayEncoder(stream, variant.options, header, path)
+        self.appended: list[tuple[StoredArray, int]] = []
+
+    def line(self, text: str) -> None:
+        self.stream.write(f"{text}\n".encode())
+
+    def data_set(self, extent: str, points: StoredArray, arrays: Sequence[StoredArray]) -> None:
+        # VTK counts the layout as version 1.0 from the wider sizes on.
+        version = "1.0" if self.header == "UInt64" else "0.1"
+        order, compression = _BYTE_ORDERS[self.options["byte_order"]], self.options["compression"]
+        compressor = f' compressor="{_COMPRESSORS[compression]}"' if compression != "none" else ""
+        self.line('<?xml version="1.0"?>')
+        self.line(
+            f'<VTKFile type="StructuredGrid" version="{version}" byte_order="{order}" header_type="{self.header}"'
+            f"{compressor}>"
+        )
+        self.line(f'  <StructuredGrid WholeExtent="{extent}">')
+        field_data = [array for array in arrays if not array.location]
+        if field_data:
+            self.section("FieldData", field_data)
+        self.line(f'    <Piece Extent="{extent}">')
+        for tag in ("PointData", "CellData"):
+            self.section(tag, [array for array in arrays if array.location == SECTIONS[tag]])
+        self.section("Points", [points])
+        self.line("    </Piece>\n  </StructuredGrid>")
+        if self.options["encoding"].startswith("appended"):
+            self.append()
+        self.line("</VTKFile>")
+
+    def section(self, tag: str, arrays: Sequence[StoredArray]) -> None:
+        active = {role: array.name for array in arrays for role in array.roles}
+        roles = "".join(f" {role}={attribute(name)}" for role, name in active.items())
+        self.line(f"      <{tag}{roles}>")
+        for array in arrays:
+            self.array(array)
+        self.line(f"      </{tag}>")
+
+    def array(self, array: StoredArray) -> None:
+        words = [f'type="{_TYPE_NAMES[array.precision.str[1:]]}"']
+        if array.precision == np.int64 and not set(ID_ROLES).isdisjoint(array.roles):
+            words.append('IdType="1"')
+        words.append(f"Name={attribute(array.name)}")
+        if array.components != 1:
+            words.append(f'NumberOfComponents="{array.components}"')
+        words += [f"ComponentName{index}={attribute(name)}" for index, name in enumerate(array.component_names)]
+        if not array.location:
+            words.append(f'NumberOfTuples="{array.tuples}"')
+        encoding = self.options["encoding"]
+        kind = encoding if encoding in ("ascii", "binary") else "appended"
+        self.stream.write(f'        <DataArray {" ".join(words)} format="{kind}"'.encode())
+        if kind == "appended":
+            self.stream.write(b' offset="')
+            self.appended.append((array, self.stream.tell()))
+            self.line(" " * (_OFFSET_DIGITS + 1) + "/>")
+            return
+        self.line(">")
+        if kind == "ascii":
+            self.text(array)
+        else:
+            self.encoder.write(array)
+        self.line("\n        </DataArray>")
+
+    def text(self, array: StoredArray) -> None:
+        for slab in array.slabs():
+            # The writer of numbers knows no integers of 8 or 16 bits.
+            wide = slab.astype(np.int64) if slab.dtype.itemsize < 4 else slab
+            self.stream.write(number_lines(wide))
+
+    def append(self) -> None:
+        """All arrays, one after the other, and their offsets in the tags."""
+        raw = self.options["encoding"] == "appended"
+        self.stream.write(f'  <AppendedData encoding="{"raw" if raw else "base64"}">\n   _'.encode())
+        start = self.stream.tell()
+        for array, place in self.appended:
+            offset = self.stream.tell() - start
+            self.stream.seek(place)
+            self.stream.write(f'{offset}"'.encode())
+            self.stream.seek(start + offset)
+            self.encoder.write(array)
+        self.line("\n  </AppendedData>")
