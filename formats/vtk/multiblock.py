@@ -15,9 +15,12 @@ from ..files import replacing
 from .dataset import DataSet, VtkFormat
 from .xml.read import read as read_piece
 from .xml.tags import DEEPEST, Element, read_tags
-from .xml.write import write_block
+from .xml.write import attribute, write_block
 
 _SET = "vtkMultiBlockDataSet"
+
+# Names that become groups which we can read again, below VTKFile and the set itself.
+_DEEPEST_NAME = DEEPEST - 3
 
 
 def read(path: Path) -> tuple[list[DataSet], list[str]]:
@@ -130,6 +133,9 @@ def _index(grid: Grid, path: Path, variant: VtkFormat) -> bytes:
     root = ElementTree.Element("VTKFile", type=_SET, version="1.0", **attributes)
     groups = {"": ElementTree.SubElement(root, _SET)}
     for block, name in enumerate(grid.names):
+        attribute(name)
+        if name.count("/") > _DEEPEST_NAME:
+            raise FormatError(f"cannot write {path}: the name {name[:40]!r}... is nested more than {_DEEPEST_NAME} deep")
         above, _, leaf = name.rpartition("/")
         parent = _group(groups, above)
         file = f"{path.stem}/{_piece_name(path, block)}"

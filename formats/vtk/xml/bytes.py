@@ -9,7 +9,7 @@ from typing import BinaryIO, Protocol
 _PIECE = 3 << 19
 
 
-class NotBase64(Exception):  # noqa: N818
+class NotBase64(Exception):
     """Something in the text is no base64."""
 
 

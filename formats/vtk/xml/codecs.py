@@ -20,7 +20,7 @@ _LZMA_MEMORY = 80 << 20
 _SMALLEST_DICTIONARY = 4096
 
 
-class DamagedBlock(Exception):  # noqa: N818
+class DamagedBlock(Exception):
     """A packed block is not what its header says; the message is the reason."""
 
 

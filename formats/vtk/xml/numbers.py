@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-class NotANumber(Exception):  # noqa: N818
+class NotANumber(Exception):
     """Something in a text is no number of the wanted type; the message names it."""
 
 

@@ -22,7 +22,7 @@ from ..dataset import DataArray, DataSet, lattice, require_plausible_lattice
 from .arrays import ArrayReader
 from .attributes import joined, read_field_data, read_section
 from .codecs import LARGEST_RATIO
-from .tags import Element, XmlFile, read_tags
+from .tags import Element, read_tags
 
 _KINDS = ("StructuredGrid", "RectilinearGrid", "ImageData")
 
@@ -210,8 +210,8 @@ def _require_all(path: Path, whole: Extent, given: NDArray[np.bool_], what: str)
     missing = ~given
     if missing.any():
         raise FormatError(
-            f"cannot read {path}: no Piece gives {missing.sum()} of the {given.size} {what}s of the WholeExtent {whole}; "
-            f"the first is the {what} at {_first(missing, whole.low)}"
+            f"cannot read {path}: no Piece gives {missing.sum()} of the {given.size} {what}s of the WholeExtent "
+            f"{whole}; the first is the {what} at {_first(missing, whole.low)}"
         )
 
 

@@ -77,7 +77,7 @@ class XmlFile:
     Attributes
     ----------
     kind : type of the VTKFile tag, e.g. ``StructuredGrid``
-    options : ``encoding`` (of the first array), ``compression``, ``byte_order`` and ``header_type`` as the writer has them
+    options : ``encoding`` (of the first array), ``compression``, ``byte_order``, ``header_type`` in the writer's words
     compression : how binary arrays are packed, also where the first array is text
     appended : first and last byte (exclusive) of the appended data
     """
@@ -185,11 +185,11 @@ def _appended_data(path: Path, stream: BinaryIO, start: int, size: int) -> tuple
     return start + opening.end(), tail + closing
 
 
-class _Appended(Exception):  # noqa: N818
+class _Appended(Exception):
     """The tag after which the file is no XML has been read."""
 
 
-class _Root(Exception):  # noqa: N818
+class _Root(Exception):
     """The first tag has been read."""
 
 
