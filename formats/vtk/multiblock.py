@@ -135,7 +135,9 @@ def _index(grid: Grid, path: Path, variant: VtkFormat) -> bytes:
     for block, name in enumerate(grid.names):
         attribute(name)
         if name.count("/") > _DEEPEST_NAME:
-            raise FormatError(f"cannot write {path}: the name {name[:40]!r}... is nested more than {_DEEPEST_NAME} deep")
+            raise FormatError(
+                f"cannot write {path}: the name {name[:40]!r}... is nested more than {_DEEPEST_NAME} deep"
+            )
         above, _, leaf = name.rpartition("/")
         parent = _group(groups, above)
         file = f"{path.stem}/{_piece_name(path, block)}"
