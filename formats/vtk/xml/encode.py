@@ -65,7 +65,8 @@ class ArrayEncoder:
     def _pieces(self, array: StoredArray) -> Iterator[memoryview]:
         """The values as bytes in the byte order of the file."""
         for slab in array.slabs():
-            yield memoryview(slab.astype(slab.dtype.newbyteorder(self._order), copy=False)).cast("B")
+            stored = slab.astype(np.dtype(self._order + slab.dtype.str[1:]), copy=False)
+            yield stored.data.cast("B")
 
     def _segment(self) -> _Segment:
         return _Segment(self._stream, self._encoded)

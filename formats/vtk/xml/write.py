@@ -129,13 +129,17 @@ class _Output:
             self.text(array)
         else:
             self.encoder.write(array)
-        self.line("\n        </DataArray>")
+        self.line(("" if kind == "ascii" else "\n") + "        </DataArray>")
 
     def text(self, array: StoredArray) -> None:
         for slab in array.slabs():
             # The writer of numbers knows no integers of 8 or 16 bits.
             wide = slab.astype(np.int64) if slab.dtype.itemsize < 4 else slab
-            self.stream.write(number_lines(wide))
+            lines = number_lines(wide)
+            if wide.dtype.kind == "f" and not np.isfinite(wide).all():
+                # VTK stumbles over longer words.
+                lines = memoryview(bytes(lines).replace(b"Infinity", b"inf").replace(b"NaN", b"nan"))
+            self.stream.write(lines)
 
     def append(self) -> None:
         """All arrays, one after the other, and their offsets in the tags."""

@@ -1,0 +1,570 @@
+"""Our own reader and writer of VTK's XML files: pieces, encodings, damage, and limits of memory; VTK is the witness."""
+
+import base64
+import itertools
+import lzma
+import re
+import subprocess
+import sys
+import time
+import tracemalloc
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+import vtk_witness
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from vtkmodules.util.numpy_support import vtk_to_numpy
+from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkUnstructuredGrid
+from vtkmodules.vtkIOXML import vtkXMLStructuredGridWriter, vtkXMLUnstructuredGridWriter
+
+from meshdeform_core.errors import FormatError, MeshDeformError
+from meshdeform_core.grid import Field, Grid
+from meshdeform_formats import read_grid, write_grid
+from meshdeform_formats.displacement import read_displacement
+from meshdeform_formats.vtk.xml import codecs
+
+HOSTILE = Path(__file__).parent.parent / "hostile"
+
+ENCODINGS = ("ascii", "binary", "appended", "appended-base64")
+COMPRESSIONS = ("none", "zlib", "lz4", "lzma")
+VARIANTS = [
+    {"encoding": encoding, "compression": compression, "byte_order": order, "header_type": header}
+    for encoding in ENCODINGS
+    for compression in (COMPRESSIONS if encoding != "ascii" else ("none",))
+    for order in ("little", "big")
+    for header in ("UInt32", "UInt64")
+]
+
+
+def needs(options):
+    if options.get("compression") == "lz4":
+        pytest.importorskip("lz4.block")
+
+
+@pytest.mark.parametrize("options", VARIANTS, ids=lambda o: "-".join(o.values()))
+def test_vtk_reads_every_variant_of_ours(tmp_path, options):
+    needs(options)
+    shape = (33, 17, 9)
+    rng = np.random.default_rng(0)
+    fields = (
+        Field("p", "node", 0, rng.normal(size=shape)),
+        Field("flag", "node", 0, rng.integers(0, 2, shape).astype(np.int8)),
+        Field("v", "cell", 0, rng.normal(size=(32, 16, 8, 3)).astype(np.float32)),
+    )
+    grid = Grid.from_blocks([rng.normal(size=(*shape, 3))], fields=fields)
+    write_grid(grid, tmp_path / "a.vts", options)
+    points, arrays, _ = vtk_witness.read(tmp_path / "a.vts")
+    np.testing.assert_array_equal(points, grid.block(0))
+    again = read_grid(tmp_path / "a.vts")
+    np.testing.assert_array_equal(again.points, grid.points)
+    for field, own in zip(fields, again.fields, strict=True):
+        np.testing.assert_array_equal(arrays[field.location, field.name], field.values)
+        np.testing.assert_array_equal(own.values, field.values)
+        assert own.values.dtype == field.values.dtype
+
+
+def test_slabs_and_blocks_of_every_length(tmp_path, monkeypatch):
+    monkeypatch.setattr("meshdeform_formats.vtk.dataset._SLAB", 100)
+    monkeypatch.setattr("meshdeform_formats.vtk.dataset._PLANES", 1)
+    monkeypatch.setattr("meshdeform_formats.vtk.xml.arrays._PIECE", 60)
+    rng = np.random.default_rng(3)
+    for block, (encoding, compression) in itertools.product(
+        (1, 7, 24, 25, 1000), itertools.product(ENCODINGS, ("none", "zlib"))
+    ):
+        if encoding == "ascii" and compression != "none":
+            continue
+        monkeypatch.setattr("meshdeform_formats.vtk.xml.encode._BLOCK", block)
+        grid = Grid.from_blocks([rng.normal(size=(2, 5, 3, 3))])
+        write_grid(grid, tmp_path / "a.vts", {"encoding": encoding, "compression": compression})
+        np.testing.assert_array_equal(read_grid(tmp_path / "a.vts").points, grid.points)
+        np.testing.assert_array_equal(vtk_witness.read(tmp_path / "a.vts")[0], grid.block(0))
+
+
+def test_values_that_are_not_finite_in_text(tmp_path):
+    values = np.array([1, np.nan, np.inf, -0.0, 1e-320, 7, 1e300, 3]).reshape(2, 2, 2)
+    grid = Grid.from_blocks(
+        [np.random.default_rng(0).normal(size=(2, 2, 2, 3))], fields=(Field("f", "node", 0, values),)
+    )
+    write_grid(grid, tmp_path / "a.vts", {"encoding": "ascii"})
+    assert read_grid(tmp_path / "a.vts").fields[0].values.tobytes() == values.tobytes()
+    np.testing.assert_array_equal(vtk_witness.read(tmp_path / "a.vts")[1]["node", "f"], values)
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+@pytest.mark.parametrize("n", [2, 5])
+def test_pieces_of_vtk_are_put_together(tmp_path, encoding, n):
+    rng = np.random.default_rng(1)
+    points = rng.normal(size=(6, 5, 4, 3))
+    vts = vtk_witness.structured_grid(points, origin=(-2, 3, 0))
+    node, cell = rng.normal(size=(6, 5, 4)), rng.integers(0, 9, (5, 4, 3))
+    vtk_witness.add_array(vts.GetPointData(), "p", node, "Scalars")
+    vtk_witness.add_array(vts.GetCellData(), "c", cell)
+    writer = vtkXMLStructuredGridWriter()
+    writer.SetInputData(vts)
+    writer.SetNumberOfPieces(n)
+    writer.SetDataMode({"ascii": 0, "binary": 1}.get(encoding, 2))
+    writer.SetEncodeAppendedData(encoding == "appended-base64")
+    writer.SetFileName(str(tmp_path / "a.vts"))
+    assert writer.Write()
+    assert (tmp_path / "a.vts").read_bytes().count(b"<Piece") == n
+    grid = read_grid(tmp_path / "a.vts")
+    np.testing.assert_array_equal(grid.block(0), points)
+    np.testing.assert_array_equal(grid.fields[0].values, node)
+    np.testing.assert_array_equal(grid.fields[1].values, cell)
+    assert grid.format.origins == ((-2, 3, 0),)
+
+
+def array(values, name="Points", kind="Float64", components=3, text=None, **attributes):
+    words = {"type": kind, "Name": name, "NumberOfComponents": components, "format": "ascii"} | attributes
+    tag = " ".join(f'{key}="{value}"' for key, value in words.items())
+    text = " ".join(map(str, np.ravel(values).tolist())) if text is None else text
+    return f"<DataArray {tag}>{text}</DataArray>"
+
+
+def piece(extent, points, data="", cells=""):
+    return (
+        f'<Piece Extent="{extent}"><PointData>{data}</PointData><CellData>{cells}</CellData>'
+        f"<Points>{points}</Points></Piece>"
+    )
+
+
+def vts(*pieces, whole="0 2 0 1 0 0", root=""):
+    return (
+        f'<VTKFile type="StructuredGrid" byte_order="LittleEndian"{root}><StructuredGrid WholeExtent="{whole}">'
+        + "".join(pieces)
+        + "</StructuredGrid></VTKFile>"
+    )
+
+
+PLANE = np.array([[x, y, 0.0] for y in range(2) for x in range(3)])
+LEFT, RIGHT = PLANE[[0, 1, 3, 4]], PLANE[[1, 2, 4, 5]]
+SHIFTED = RIGHT + [0, 1e-9, 0]
+
+
+def scalar(values, name="p", **attributes):
+    return array(values, name, components=1, **attributes)
+
+
+def base64_array(values, header="<u4"):
+    raw = np.asarray(values, "<f8").tobytes()
+    return base64.b64encode(np.array([len(raw)], header).tobytes() + raw).decode()
+
+
+GOOD = {
+    "one piece": vts(piece("0 2 0 1 0 0", array(PLANE))),
+    "two pieces": vts(piece("0 1 0 1 0 0", array(LEFT)), piece("1 2 0 1 0 0", array(RIGHT))),
+    "an empty piece": vts(piece("0 -1 0 -1 0 -1", array([])), piece("0 2 0 1 0 0", array(PLANE))),
+    "extended by a comment": "<!-- a <!DOCTYPE in a comment -->" + vts(piece("0 2 0 1 0 0", array(PLANE))),
+    "blanks around base64": vts(
+        piece("0 2 0 1 0 0", array([], text=f"\n  {base64_array(PLANE)}\t\r\n ", format="binary"))
+    ),
+    "wider sizes": vts(
+        piece("0 2 0 1 0 0", array([], text=base64_array(PLANE, "<u8"), format="binary")), root=' header_type="UInt64"'
+    ),
+    "blank lines behind the end": vts(piece("0 2 0 1 0 0", array(PLANE))) + "\n\r\n",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", GOOD)
+def test_good_files(tmp_path, name):
+    (tmp_path / "a.vts").write_text(GOOD[name])
+    grid = read_grid(tmp_path / "a.vts")
+    np.testing.assert_array_equal(grid.block(0), PLANE.reshape(1, 2, 3, 3).swapaxes(0, 2))
+
+
+ONE = piece("0 2 0 1 0 0", array(PLANE))
+LAUGHS = "".join(f'<!ENTITY l{n} "{f"&l{n - 1};" * 10}">' for n in range(1, 10))
+
+BAD = {
+    "a gap": (
+        vts(piece("0 1 0 1 0 0", array(LEFT))),
+        r"no Piece gives 2 of the 6 nodes of the WholeExtent 0 2 0 1 0 0; the first is the node at \(2, 0, 0\)",
+    ),
+    "a gap between the cells": (
+        vts(piece("0 1 0 1 0 0", array(LEFT)), piece("2 3 0 1 0 0", array(LEFT)), whole="0 3 0 1 0 0"),
+        r"no Piece gives 1 of the 3 cells .*\(1, 0, 0\)",
+    ),
+    "pieces that contradict each other": (
+        vts(piece("0 1 0 1 0 0", array(LEFT)), piece("1 2 0 1 0 0", array(SHIFTED))),
+        r"another Piece places node \(1, 0, 0\) elsewhere",
+    ),
+    "a piece outside": (vts(piece("0 3 0 1 0 0", array(PLANE))), "does not fit into the WholeExtent 0 2 0 1 0 0"),
+    "a flat piece": (vts(ONE, piece("1 1 0 1 0 0", array(LEFT[:2]))), "does not fit into the WholeExtent"),
+    "no piece": (vts(), "is an empty grid"),
+    "no points": (vts(piece("0 2 0 1 0 0", "")), "has 0 arrays of Points, expected 1"),
+    "an array in one piece only": (
+        vts(piece("0 1 0 1 0 0", array(LEFT), scalar(range(4))), piece("1 2 0 1 0 0", array(RIGHT))),
+        "node array 'p' is in one of Piece 1 and Piece 2 only",
+    ),
+    "an array of two types": (
+        vts(
+            piece("0 1 0 1 0 0", array(LEFT), scalar(range(4))),
+            piece("1 2 0 1 0 0", array(RIGHT), scalar(range(4), kind="Int32")),
+        ),
+        "has not the same type and number of components",
+    ),
+    "too many values": (
+        vts(piece("0 2 0 1 0 0", array([*PLANE.ravel(), 1]))), r"Points has 19 values, expected 18 values \(6 x 3\)"
+    ),
+    "too few values": (vts(piece("0 2 0 1 0 0", array(PLANE[:5]))), "Points has 15 values, expected 18"),
+    "values behind an element": (
+        vts(piece("0 2 0 1 0 0", array([], text="0 <InformationKey/> 1 2"))),
+        "Points goes on behind an element inside it: '1 2'",
+    ),
+    "values behind a comment": (vts(piece("0 2 0 1 0 0", array([], text="0 <!-- x --> 1"))), "holds '<!--'"),
+    "a character reference": (vts(piece("0 2 0 1 0 0", array([], text="&#48; 1"))), "holds '&#48;'"),
+    "a number that is cut": (vts(piece("0 2 0 1 0 0", array([], text="1.5e"))), "holds '1.5e', expected float64"),
+    "a number out of range": (vts(piece("0 2 0 1 0 0", array([], text="1e999"))), "a number out of range"),
+    "an integer that does not fit": (
+        vts(piece("0 2 0 1 0 0", array(PLANE), scalar([0, 0, 0, 0, 0, 256], kind="UInt8"))),
+        "p holds 256, expected uint8 numbers",
+    ),
+    "an integer beyond 64 bits": (
+        vts(piece("0 2 0 1 0 0", array(PLANE), scalar([], kind="Int64", text=f"1 2 3 4 5 {2**63}"))),
+        "p holds '9223372036854775808'",
+    ),
+    "a fraction for an integer": (
+        vts(piece("0 2 0 1 0 0", array(PLANE), scalar([0, 0, 0, 0, 0, 0.5], kind="Int32"))), "p holds '0.0'"
+    ),
+    "two components of points": (vts(piece("0 2 0 1 0 0", array(PLANE, components=2))), "has 2 components, expected 3"),
+    "no count of components": (vts(piece("0 2 0 1 0 0", array(PLANE, components=-3))), "NumberOfComponents '-3'"),
+    "very many components": (
+        vts(piece("0 2 0 1 0 0", array(PLANE), array([], "q", components=10**17))), "q has 0 values, expected 6000"
+    ),
+    "an unknown type": (vts(piece("0 2 0 1 0 0", array(PLANE, kind="Float128"))), "type 'Float128'; known are Int8"),
+    "an unknown format": (vts(piece("0 2 0 1 0 0", array(PLANE, format="hex"))), "format 'hex'; known are ascii"),
+    "no appended data": (
+        vts(piece("0 2 0 1 0 0", array([], format="appended", offset=0))),
+        "refers to appended data, but the file has none",
+    ),
+    "fewer bytes than values": (
+        vts(piece("0 2 0 1 0 0", array([], text=base64_array(PLANE[:5]), format="binary"))),
+        "has 120 bytes, expected 144",
+    ),
+    "more bytes than stated": (
+        vts(piece("0 2 0 1 0 0", array([], text=base64_array(PLANE) + "AAAA", format="binary"))),
+        "goes on behind its last",
+    ),
+    "no base64": (
+        vts(piece("0 2 0 1 0 0", array([], text=base64_array(PLANE)[:-4] + "?==A", format="binary"))), "no base64"
+    ),
+    "five numbers in an extent": (vts(piece("0 2 0 1 0", array(PLANE))), "has Extent '0 2 0 1 0', expected six whole"),
+    "no numbers in an extent": (vts(ONE, whole="0 2 0 1 0 x"), "has WholeExtent '0 2 0 1 0 x'"),
+    "a long extent": (vts(ONE, whole="0 2 0 1 0 99999999"), "cannot hold 600000000 entries"),
+    "no data set": ('<VTKFile type="StructuredGrid"></VTKFile>', "has no StructuredGrid element"),
+    "time steps": (vts(ONE).replace("WholeExtent", 'TimeValues="0 1" WholeExtent'), "holds 2 time steps"),
+    "entities": (
+        f'<!DOCTYPE VTKFile [<!ENTITY l0 "lol">{LAUGHS}]>' + vts(piece("0 2 0 1 0 0", array([], text="&l9;"))),
+        "a DOCTYPE has no place",
+    ),
+    "a file from elsewhere": ('<!DOCTYPE VTKFile SYSTEM "file:///etc/passwd">' + vts(ONE), "a DOCTYPE has no place"),
+    "another encoding": ('<?xml version="1.0" encoding="EBCDIC-CP-US"?>' + vts(ONE), "encoded as EBCDIC-CP-US"),
+    "deep": (vts("<a>" * 5000 + "</a>" * 5000), "elements are nested more than 100 deep"),
+    "another root": ("<a>" + vts(ONE) + "</a><!-- </VTKFile>", "its first element is not VTKFile"),
+    "a comment for a root": ("<a/><!-- " + vts(ONE), "its first element is not VTKFile"),
+    "text behind the end": (vts(ONE) + "<V", "does not end with </VTKFile>"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_files(tmp_path, capfd, name):
+    text, message = BAD[name]
+    (tmp_path / "a.vts").write_text(text)
+    with pytest.raises(FormatError, match=message) as error:
+        read_grid(tmp_path / "a.vts")
+    assert str(tmp_path / "a.vts") in str(error.value)
+    assert capfd.readouterr() == ("", "")
+
+
+def appended(data, encoding="raw", root="", offset=0, points=PLANE):
+    head = vts(piece("0 2 0 1 0 0", array([], text="", format="appended", offset=offset)), root=root)
+    head = head.removesuffix("</VTKFile>") + f'<AppendedData encoding="{encoding}">_'
+    return head.encode() + data + b"</AppendedData></VTKFile>"
+
+
+RAW = np.array([144], "<u4").tobytes() + PLANE.tobytes()
+ZLIB = ' compressor="vtkZLibDataCompressor"'
+LZMA = ' compressor="vtkLZMADataCompressor"'
+
+
+def packed(*blocks, sizes=(144, 0), pack=zlib.compress):
+    parts = [pack(block) for block in blocks]
+    return np.array([len(blocks), *sizes, *map(len, parts)], "<u4").tobytes() + b"".join(parts)
+
+
+def test_appended_data(tmp_path):
+    values = PLANE.tobytes()
+    good = [
+        appended(RAW),
+        appended(base64.b64encode(RAW), "base64"),
+        appended(b"xxxx" + RAW, offset=4),
+        appended(RAW + b"</VTKFile><Piece &"),
+        appended(packed(values), root=ZLIB),
+        appended(packed(values[:100], values[100:], sizes=(100, 44)), root=ZLIB),
+        appended(packed(values, pack=lzma.compress), root=LZMA),
+    ]
+    for data in good:
+        (tmp_path / "a.vts").write_bytes(data)
+        np.testing.assert_array_equal(read_grid(tmp_path / "a.vts").block(0), PLANE.reshape(1, 2, 3, 3).swapaxes(0, 2))
+
+
+BAD_APPENDED = {
+    "an offset behind the end": (appended(RAW, offset=999), "begins at byte .*, behind the appended data"),
+    "no offset": (appended(RAW, offset="x"), "has offset 'x', expected a count"),
+    "a wrong size": (appended(b"\x90\0\0\1" + RAW[4:]), "the size of array Points, at byte"),
+    "too little": (appended(RAW[:-1]), "the size of array Points, at byte"),
+    "another size": (appended(np.array([136], "<u4").tobytes() + RAW[4:]), "has 136 bytes, expected 144"),
+    "no underscore": (appended(RAW).replace(b">_", b"> "), "no '_' follows the AppendedData tag"),
+    "no end of the data": (appended(RAW).replace(b"</Appended", b"</appended"), "do not end with </AppendedData>"),
+    "an unknown encoding": (appended(RAW, "hex"), "has encoding 'hex'; known are base64 raw"),
+    "zlib that is none": (appended(packed(PLANE.tobytes(), pack=bytes), root=ZLIB), "damaged in block 1 of 1"),
+    "zlib that is cut": (
+        appended(packed(PLANE.tobytes(), pack=lambda b: zlib.compress(b)[:-4]), root=ZLIB), "unpacks to 144 bytes"
+    ),
+    "zlib of more": (appended(packed(PLANE.tobytes() + b"x"), root=ZLIB), "unpacks to more than 144 bytes"),
+    "zlib of less": (appended(packed(PLANE.tobytes()[:-1]), root=ZLIB), "unpacks to 143 bytes, expected 144"),
+    "other sizes of blocks": (appended(packed(PLANE.tobytes(), sizes=(144, 7)), root=ZLIB), "unpacks to 7 bytes"),
+    "more blocks than bytes": (
+        appended(np.array([2**30, 144, 0], "<u4").tobytes() + b"x" * 99, root=ZLIB), "the size of array Points"
+    ),
+    "lzma that needs memory": (
+        appended(
+            packed(
+                PLANE.tobytes(),
+                pack=lambda b: lzma.compress(b, filters=[{"id": lzma.FILTER_LZMA2, "preset": 1, "dict_size": 1 << 28}]),
+            ),
+            root=LZMA,
+        ),
+        "Memory usage limit",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BAD_APPENDED)
+def test_bad_appended_data(tmp_path, capfd, name):
+    data, message = BAD_APPENDED[name]
+    (tmp_path / "a.vts").write_bytes(data)
+    with pytest.raises(FormatError, match=message):
+        read_grid(tmp_path / "a.vts")
+    assert capfd.readouterr() == ("", "")
+
+
+def lattice_file(kind, body, attributes=""):
+    return (
+        f'<VTKFile type="{kind}" byte_order="LittleEndian"><{kind} WholeExtent="0 999 0 999 0 99" {attributes}>'
+        f'<Piece Extent="0 999 0 999 0 99">{body}</Piece></{kind}></VTKFile>'
+    )
+
+
+def repeated_array():
+    """Fields of 6 MB each that share one packed array of a few kB."""
+    shared = packed(bytes(6_000_000), sizes=(6_000_000, 0))
+    points = packed(np.zeros((250_000, 3)).tobytes(), sizes=(6_000_000, 0))
+    arrays = "".join(array([], f"f{n}", components=3, format="appended", offset=0) for n in range(300))
+    head = vts(
+        piece("0 249999 0 0 0 0", array([], format="appended", offset=len(shared)), arrays),
+        whole="0 249999 0 0 0 0",
+        root=ZLIB,
+    )
+    head = head.removesuffix("</VTKFile>") + '<AppendedData encoding="raw">_'
+    return head.encode() + shared + points + b"</AppendedData></VTKFile>"
+
+
+SMALL_BUT_LARGE = {
+    "an image": lattice_file("ImageData", "").encode(),
+    "three axes": lattice_file(
+        "RectilinearGrid",
+        "<Coordinates>" + "".join(scalar(range(n), "x") for n in (1000, 1000, 100)) + "</Coordinates>",
+    ).encode(),
+    "one array many times": repeated_array(),
+    "a bomb": appended(packed(bytes(100_000_000), sizes=(100_000_000, 0)), root=ZLIB),
+}
+
+
+@pytest.mark.parametrize("name", SMALL_BUT_LARGE)
+def test_small_files_take_little_memory_and_time(tmp_path, name):
+    (tmp_path / "a.vts").write_bytes(SMALL_BUT_LARGE[name])
+    tracemalloc.start()
+    start = time.process_time()
+    with pytest.raises(FormatError):
+        read_grid(tmp_path / "a.vts")
+    seconds, (_, peak) = time.process_time() - start, tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert seconds < 1
+    assert peak < 200e6
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        (
+            "e1_partial.vts",
+            r"no Piece gives 6 of the 15 nodes of the WholeExtent 0 4 0 2 0 0; the first .*\(3, 0, 0\)",
+        ),
+        ("e5_extra.vts", "array Points goes on behind an element inside it: '1 2 3'"),
+        ("d1_abort.vts", "no '_' follows the AppendedData tag"),
+        ("d2_abort.vts", "array Points has 2147483647 components, expected 3"),
+    ],
+)
+def test_hostile_files(name, message, capfd):
+    start = time.process_time()
+    with pytest.raises(FormatError, match=message):
+        read_grid(HOSTILE / name)
+    assert time.process_time() - start < 1
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_set_nested_5000_deep(tmp_path):
+    blocks = "<Block>" * 5000 + "</Block>" * 5000
+    text = f'<VTKFile type="vtkMultiBlockDataSet"><vtkMultiBlockDataSet>{blocks}</vtkMultiBlockDataSet></VTKFile>'
+    (tmp_path / "a.vtm").write_text(text)
+    with pytest.raises(FormatError, match="elements are nested more than 100 deep"):
+        read_grid(tmp_path / "a.vtm")
+
+
+def test_names_nested_too_deep_for_a_set(tmp_path):
+    for depth, good in ((97, True), (98, False), (5000, False)):
+        grid = Grid.from_blocks([np.zeros((2, 2, 2, 3))], ["a/" * depth + "b"])
+        if good:
+            write_grid(grid, tmp_path / "a.vtm")
+            assert read_grid(tmp_path / "a.vtm").names == grid.names
+        else:
+            with pytest.raises(FormatError, match="is nested more than 97 deep"):
+                write_grid(grid, tmp_path / "b.vtm")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a", "a.vtm"]
+
+
+NAMES = ["\"<&>'", "tab\tand\nline", "größe ∂", "]]>", "a  b "]
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("encoding", ["ascii", "appended"])
+def test_names_of_arrays(tmp_path, name, encoding):
+    fields = (Field(name, "node", 0, np.arange(8.0).reshape(2, 2, 2)),)
+    write_grid(Grid.from_blocks([np.zeros((2, 2, 2, 3))], fields=fields), tmp_path / "a.vts", {"encoding": encoding})
+    assert read_grid(tmp_path / "a.vts").fields[0].name == name
+    assert list(vtk_witness.read(tmp_path / "a.vts")[1]) == [("node", name)]
+
+
+@pytest.mark.parametrize("name", ["bell\a", "nul\0", "half\ud800"])
+@pytest.mark.parametrize("target", ["a.vts", "a.vtm"])
+def test_names_that_xml_cannot_hold(tmp_path, name, target):
+    fields = (Field(name, "node", 0, np.arange(8.0).reshape(2, 2, 2)),)
+    with pytest.raises(FormatError, match="which has no place in a VTK file"):
+        write_grid(Grid.from_blocks([np.zeros((2, 2, 2, 3))], fields=fields), tmp_path / target)
+    with pytest.raises(FormatError, match="which has no place in a VTK file"):
+        write_grid(Grid.from_blocks([np.zeros((2, 2, 2, 3))], [name]), tmp_path / "a.vtm")
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_array_that_exists_twice(tmp_path):
+    data = scalar(range(6)) + scalar(range(6, 12))
+    (tmp_path / "a.vts").write_text(vts(piece("0 2 0 1 0 0", array(PLANE), data)))
+    grid = read_grid(tmp_path / "a.vts")
+    assert grid.fields[0].values.max() == 11
+    assert "node array 'p' exists twice; the last one is carried along" in grid.notes[0]
+
+
+def test_without_the_package_lz4(tmp_path, monkeypatch):
+    grid = Grid.from_blocks([np.zeros((2, 2, 2, 3))])
+    monkeypatch.setitem(sys.modules, "lz4", None)
+    monkeypatch.setitem(sys.modules, "lz4.block", None)
+    with pytest.raises(FormatError, match="needs the package lz4, which is not installed; pip install lz4"):
+        write_grid(grid, tmp_path / "a.vts", {"compression": "lz4"})
+    assert not list(tmp_path.iterdir())
+    vtk_witness.write_xml(tmp_path / "b.vts", vtk_witness.structured_grid(np.zeros((2, 2, 2, 3))), compression="LZ4")
+    with pytest.raises(FormatError, match=r"b\.vts: compression lz4 needs the package lz4"):
+        read_grid(tmp_path / "b.vts")
+
+
+def test_blocks_unpack_to_what_they_were():
+    rng = np.random.default_rng(0)
+    for compression, size in itertools.product(("zlib", "lz4", "lzma"), (1, 100, 32768)):
+        if compression == "lz4":
+            pytest.importorskip("lz4.block")
+        block = rng.integers(0, 4, size).astype(np.uint8).tobytes()
+        data = codecs.packer(compression, "")(block)
+        unpack = codecs.unpacker(compression, "")
+        assert unpack(data, size) == block
+        for wrong in (size - 1, size + 1):
+            with pytest.raises(codecs.DamagedBlock):
+                unpack(data, wrong)
+
+
+def test_pieces_of_a_surface(tmp_path):
+    one = (
+        '<Piece NumberOfPoints="3" NumberOfCells="1"><PointData>{moves}</PointData><Points>{points}</Points><Cells>'
+        + array([0, 1, 2], "connectivity", "Int64", 1)
+        + array([3], "offsets", "Int64", 1)
+        + array([5], "types", "UInt8", 1)
+        + "</Cells></Piece>"
+    )
+    points = np.arange(18.0).reshape(6, 3)
+    pieces = "".join(one.format(points=array(p), moves=array(p + 0.5, "disp")) for p in (points[:3], points[3:]))
+    empty = '<Piece NumberOfPoints="0" NumberOfCells="0"></Piece>'
+    (tmp_path / "a.vtu").write_text(
+        '<VTKFile type="UnstructuredGrid" byte_order="LittleEndian"><UnstructuredGrid>'
+        f"{empty}{pieces}</UnstructuredGrid></VTKFile>"
+    )
+    data = read_displacement(tmp_path / "a.vtu")
+    np.testing.assert_array_equal(data.points, points)
+    np.testing.assert_array_equal(data.displacement, points + 0.5)
+    assert data.triangles.tolist() == [[0, 1, 2], [3, 4, 5]]
+
+
+def test_a_surface_of_vtk_in_every_encoding(tmp_path):
+    rng = np.random.default_rng(5)
+    grid, cells = vtkUnstructuredGrid(), vtkCellArray()
+    for corners in ([0, 1, 2], [1, 2, 3, 4]):
+        cells.InsertNextCell(len(corners), corners)
+    points = vtk_witness.structured_grid(rng.normal(size=(5, 1, 1, 3))).GetPoints()
+    grid.SetPoints(points)
+    grid.SetCells([5, 9], cells)
+    vtk_witness.add_array(grid.GetPointData(), "disp", rng.normal(size=(5, 3)))
+    for mode, encoded, packing in itertools.product((0, 1, 2), (0, 1), (0, 2, 3)):
+        writer = vtkXMLUnstructuredGridWriter()
+        writer.SetInputData(grid)
+        writer.SetDataMode(mode)
+        writer.SetEncodeAppendedData(encoded)
+        writer.SetCompressorType(packing)
+        writer.SetFileName(str(tmp_path / "a.vtu"))
+        assert writer.Write()
+        data = read_displacement(tmp_path / "a.vtu")
+        np.testing.assert_array_equal(data.points, vtk_to_numpy(points.GetData()))
+        assert data.triangles.tolist() == [[0, 1, 2], [1, 2, 3], [1, 3, 4]]
+
+
+@settings(max_examples=150, deadline=None, derandomize=True)
+@given(data=st.data())
+def test_damage_is_refused_or_harmless(tmp_path_factory, data):
+    """Whatever is read of a damaged file has finite coordinates and the shape that its extent says."""
+    path = tmp_path_factory.mktemp("damage") / "a.vts"
+    options = data.draw(st.sampled_from([o for o in VARIANTS if o["compression"] != "lz4"]))
+    write_grid(Grid.from_blocks([np.arange(24.0).reshape(2, 2, 2, 3)]), path, options)
+    content = bytearray(path.read_bytes())
+    for _ in range(data.draw(st.integers(1, 3))):
+        place = data.draw(st.integers(0, len(content) - 1))
+        length = data.draw(st.sampled_from([1, 1, 1, 5]))
+        content[place : place + length] = data.draw(st.binary(max_size=6))
+    path.write_bytes(content)
+    try:
+        grid = read_grid(path)
+    except MeshDeformError:
+        return
+    extent = re.search(rb'WholeExtent="([^"]*)"', content)
+    numbers = np.array(extent[1].split(), int).reshape(3, 2)
+    assert grid.shapes[0] == tuple(numbers[:, 1] - numbers[:, 0] + 1)
+
+
+def test_no_command_imports_vtk(tmp_path):
+    write_grid(Grid.from_blocks([np.zeros((2, 2, 2, 3))]), tmp_path / "a.vts")
+    code = (
+        "import sys\nfrom meshdeform_formats import read_grid, write_grid\n"
+        "write_grid(read_grid(sys.argv[1]), sys.argv[1].replace('a.vts', 'b.vtm'))\n"
+        "print([name for name in sys.modules if name.startswith('vtk')])"
+    )
+    done = subprocess.run([sys.executable, "-c", code, tmp_path / "a.vts"], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"
