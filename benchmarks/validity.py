@@ -1,0 +1,152 @@
+"""How many smooth motions give a valid grid: random flows of the samples and of third-party grids.
+
+python benchmarks/validity.py                                        200 flows, table on stdout, build/validity.json
+python benchmarks/validity.py --count 30 --grid wing --steps auto    a part of them
+python benchmarks/validity.py --method idw-tfi --method rbf-tfi      several methods
+python benchmarks/validity.py --write docs/validity.md               the page with the table
+
+A flow carries all nodes of a grid to a grid that is valid; the program is given the boundary only. Flow n belongs to
+grid n modulo the number of grids, whichever part of them is run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import string
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from flows import Terrain, available, case_of, flowed, terrain
+from tables import Row, Table
+
+from meshdeform_core.deform import Result, deform
+from meshdeform_core.grid import FloatArray
+from meshdeform_core.methods import Options
+
+TEMPLATE = Path(__file__).parent / "validity.md"
+
+
+@dataclass(frozen=True)
+class Setting:
+    """How the program is called; ``None``: as it is by default."""
+
+    method: str
+    steps: int | str | None
+    repair: str | None
+
+    @property
+    def label(self) -> str:
+        parts = [self.method]
+        parts += [f"{name} {value}" for name in ("steps", "repair") if (value := getattr(self, name)) is not None]
+        return ", ".join(parts)
+
+    def run(self, place: Terrain, seed: int, points: FloatArray) -> Result:
+        given = {name: value for name in ("steps", "repair") if (value := getattr(self, name)) is not None}
+        case = case_of(place, seed, points, Options(self.method))
+        return deform(place.grid, case, precision="float64", **given)
+
+
+def measure(numbers: range, grids: list[str], wanted: list[str], settings: list[Setting]) -> Iterator[Row]:
+    """One row per flow and setting; ``numbers`` count over all ``grids``, of which the ``wanted`` are run."""
+    for index, name in enumerate(grids):
+        mine = [n for n in numbers if n % len(grids) == index]
+        if name not in wanted or not mine:
+            continue
+        place = terrain(name)
+        for number in mine:
+            points, gentleness = flowed(place, number)
+            for setting in settings:
+                start = time.process_time()
+                result = setting.run(place, number, points)
+                seconds = time.process_time() - start
+                yield {
+                    "flow": number,
+                    "grid": name,
+                    "nodes": place.grid.n_nodes,
+                    "gentleness": gentleness,
+                    "setting": setting.label,
+                    **judge(result, points),
+                    "cpu_s": seconds,
+                }
+
+
+def judge(result: Result, points: FloatArray) -> dict[str, Any]:
+    """Whether the grid is valid and its boundary where it was told, ``points`` (n_nodes, 3)."""
+    setup, after = result.setup, result.grid.points
+    given = setup.topology.first[setup.boundary.known]
+    miss = float(np.abs(after[given] - points[given]).max()) / float(np.ptp(points, axis=0).max())
+    return {
+        "valid": bool(result.valid and miss < 1e-12),
+        "boundary_miss": miss,
+        "invalid_cells": result.assessment.after.invalid_cells,
+        "reached": result.reached,
+        "f_skew_min": result.assessment.after.f_skew.min,
+    }
+
+
+def summary(rows: list[Row], settings: list[Setting]) -> Table:
+    """Valid results of each setting by grid."""
+    table = Table("Valid grids by grid and setting")
+    for grid in [*dict.fromkeys(row["grid"] for row in rows), None]:
+        mine = [row for row in rows if grid in (None, row["grid"])]
+        line: Row = {"grid": grid or "all", "nodes": mine[0]["nodes"] if grid else ""}
+        line["flows"] = len({row["flow"] for row in mine})
+        for setting in settings:
+            line[setting.label] = sum(row["valid"] for row in mine if row["setting"] == setting.label)
+        table.rows.append(line)
+    return table
+
+
+def page(table: Table) -> str:
+    """The documentation page: the template with the table in its place."""
+    template = string.Template(TEMPLATE.read_text(encoding="utf-8"))
+    body = "\n".join(table.markdown().splitlines()[2:]).rstrip()
+    return template.substitute(table=body, date=time.strftime("%Y-%m-%d"))
+
+
+def main() -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--count", type=int, default=200, help="number of flows over all grids (%(default)s)")
+    parser.add_argument("--first", type=int, default=0, help="number of the first flow (%(default)s)")
+    parser.add_argument("--grid", action="append", choices=available(), help="only these grids")
+    parser.add_argument("--method", action="append", help="default: idw-tfi")
+    parser.add_argument("--steps", action="append", type=lambda text: text if text == "auto" else int(text))
+    parser.add_argument("--repair", action="append", choices=("off", "auto", "polish"))
+    parser.add_argument("--json", type=Path, default=Path("build/validity.json"), help="results (%(default)s)")
+    parser.add_argument("--write", type=Path, metavar="PAGE", help="write the page with the table")
+    options = parser.parse_args()
+    settings = [
+        Setting(method, steps, repair)
+        for method in options.method or ["idw-tfi"]
+        for steps in options.steps or [None]
+        for repair in options.repair or [None]
+    ]
+    rows = []
+    numbers = range(options.first, options.first + options.count)
+    for row in measure(numbers, available(), options.grid or available(), settings):
+        rows.append(row)
+        print(f"{row['grid']} {row['flow']} {row['setting']}: {_words(row)}", file=sys.stderr, flush=True)
+    table = summary(rows, settings)
+    print(table.markdown())
+    options.json.parent.mkdir(parents=True, exist_ok=True)
+    record = {"settings": [dataclasses.asdict(setting) for setting in settings], "flows": rows}
+    options.json.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
+    if options.write:
+        options.write.write_text(page(table), encoding="utf-8")
+
+
+def _words(row: Row) -> str:
+    verdict = "valid" if row["valid"] else f"{row['invalid_cells']} invalid cells"
+    return f"{verdict}, {row['cpu_s']:.1f} s"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,247 @@
+"""Where a boundary passes through itself once it has moved: no valid grid exists then, whatever the method.
+
+Only faces whose nodes all have a prescribed displacement are tested against each other, and against slip and symmetry
+faces in their undeformed place. Faces with a common node never count as crossing: thin plates, seams, collapsed faces
+and sharp edges are neighbours. Neither do faces that touched or crossed other ones before they moved, as those of
+abutting blocks do whose nodes do not match.
+
+Flat walls that pass through each other along their normals never cross in the strict sense; their neighbours come to
+lie in the same planes. So every node is displaced at random by 1e-7 of its shortest face edge (deterministically):
+faces that touch or overlap then cross somewhere. And walls that have passed each other altogether cross no more; that
+they lie outside is told by the solid angle of the whole boundary.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from .boundary import Boundary, Kind
+from .grid import BoolArray, FloatArray, Grid, IntArray
+from .numerics.crossing import BESIDE, ORDINARY, SLIDING, crossing_faces, near_faces, winding
+from .planes import plane_normal
+from .topology import Topology
+
+TOUCH = 1e-7
+"""Faces closer than this part of their shortest edge touch each other."""
+
+_HALVINGS = 20
+# How close undeformed faces of abutting blocks are to each other, relative to their shortest edge.
+_ABUTTING = 1e-4
+# Connected parts of what moves that are asked whether they are outside, places on each, and how far from their faces.
+_PARTS, _PLACES, _INSIDE = 16, 3, 1e-4
+
+
+@dataclass(frozen=True)
+class Crossing:
+    """Two patches, or two parts of one, that pass through each other.
+
+    Attributes
+    ----------
+    patches : their names; a face beside a moving patch, which that one carries along, counts as its part
+    point : a place that both have in common (grid length unit)
+    count : pairs of faces that cross
+    """
+
+    patches: tuple[str, str]
+    point: tuple[float, float, float]
+    count: int
+
+
+@dataclass(frozen=True)
+class Contact:
+    """How a boundary comes to cross itself.
+
+    Attributes
+    ----------
+    fraction : part of the motion up to which it does not
+    crossings : what meets there, most faces first
+    """
+
+    fraction: float
+    crossings: tuple[Crossing, ...]
+
+
+def find_contact(
+    grid: Grid, topology: Topology, boundary: Boundary, path: Callable[[float], FloatArray]
+) -> Contact | None:
+    """Where on its way the boundary meets itself; ``None`` if at the end of it there is no crossing.
+
+    Parameters
+    ----------
+    path : displacement (n_unique, 3) of the boundary at a fraction of the motion
+    """
+    last = path(1.0)
+    surface = _Surface(grid, topology, boundary, last)
+    found = surface.crossings(last)
+    if not found and not surface.outside(last):
+        return None
+    low, high = 0.0, 1.0
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        crossings = surface.crossings(path(middle))
+        if crossings or surface.outside(path(middle)):
+            high, found = middle, crossings or found
+        else:
+            low = middle
+    # What meets between the two is as close as they are: walls that are parallel cross there, too.
+    at = path(high)
+    gap = 2.0 * float(np.abs(at - path(low)).max())
+    return Contact(low, surface.crossings(at, gap) or found)
+
+
+def find_crossings(
+    grid: Grid, topology: Topology, boundary: Boundary, displacement: FloatArray
+) -> tuple[Crossing, ...]:
+    """Patches whose faces cross after a displacement (n_unique, 3) of the boundary but not before.
+
+    Sorted by the number of pairs of faces, most first. Walls that have passed each other altogether are not found
+    here but by :func:`find_contact`.
+    """
+    return _Surface(grid, topology, boundary, displacement).crossings(displacement)
+
+
+class _Surface:
+    """The boundary's faces (m, 4) between its unique nodes, and what is known about them.
+
+    A 2-D grid is given a thickness: strips stand for its edges.
+    """
+
+    def __init__(self, grid: Grid, topology: Topology, boundary: Boundary, displacement: FloatArray):
+        self.topology, self.boundary = topology, boundary
+        self.points = grid.points[topology.first]
+        kind, corners = boundary.quad_kind, topology.quads.corners
+        # A plane that nodes leave goes with them: nobody knows where its faces will be.
+        departs = boundary.slip.departure(displacement) > 1e-9 * float(np.ptp(self.points, axis=0).max())
+        sliding = np.isin(kind, (Kind.SLIP, Kind.SYMMETRY)) & (not departs)
+        self.quads = np.flatnonzero((kind >= Kind.FIXED) & boundary.known[corners].all(axis=1) | sliding)
+        self.faces = corners[self.quads]
+        on_slip = np.zeros(topology.n_unique, dtype=bool)
+        on_slip[corners[sliding]] = True
+        self.role = np.where(on_slip[self.faces].any(axis=1), BESIDE, ORDINARY).astype(np.int8)
+        self.role[sliding[self.quads]] = SLIDING
+        self.edge = _shortest_edge(self.points, self.faces)
+        self.all_faces = corners[topology.external]
+        self.normal = plane_normal(grid)
+        if self.normal is not None:
+            self._thicken(self.normal)
+
+    def _thicken(self, normal: FloatArray) -> None:
+        thickness, n = self.edge[np.isfinite(self.edge)].max(), self.topology.n_unique
+        self.points = np.concatenate([self.points, self.points + thickness * normal])
+        self.faces = np.concatenate([self.faces, self.faces[:, ::-1] + n], axis=1)
+        self.edge = np.tile(self.edge, 2)
+
+    def crossings(self, displacement: FloatArray, gap: float = 0.0) -> tuple[Crossing, ...]:
+        """What crosses after a displacement (n_unique, 3), or comes closer than ``gap``."""
+        copies = len(self.points) // self.topology.n_unique
+        moved = np.tile((displacement != 0.0).any(axis=1), copies)
+        asked = moved[self.faces].any(axis=1) & (self.role != SLIDING)
+        if not asked.any():
+            return ()
+        # Whether a part is outside is asked a little beside it: so much closer it may come.
+        reach = gap + 4.0 * _INSIDE * self.edge if gap else 0.0
+        amplitude = np.clip(reach, TOUCH * self.edge, 0.05 * self.edge)
+        after = self.points + np.tile(displacement, (copies, 1))
+        used = np.isfinite(amplitude)
+        after[used] += (np.random.default_rng(0).uniform(-1.0, 1.0, after.shape) * amplitude[:, None])[used]
+        pairs, places = crossing_faces(after, self.faces, asked, self.role)
+        if len(pairs):
+            new = self._new(pairs, amplitude)
+            pairs, places = pairs[new], places[new]
+        return _grouped(self._names(moved)[pairs], places)
+
+    def _new(self, pairs: IntArray, amplitude: FloatArray) -> BoolArray:
+        """Which pairs (c, 2) are not two faces that both touched other ones before they moved."""
+        crossing = np.zeros(len(self.faces), dtype=bool)
+        crossing[pairs] = True
+        close = np.maximum(_ABUTTING * self.edge, 4.0 * amplitude)[self.faces].min(axis=1)
+        return np.asarray(~near_faces(self.points, self.faces, crossing, close)[pairs].all(axis=1))
+
+    def _names(self, moved: BoolArray) -> np.ndarray:
+        """Name of the patch (m,) of every face; fixed faces that moving ones carry along belong to those."""
+        owner = np.zeros(len(self.topology.partner), dtype=np.int64)
+        carrier = np.full(self.topology.n_unique, -1)
+        patches = self.boundary.patches
+        # Ascending strength: the strongest of several patches of a face gives it its name.
+        for index in sorted(range(len(patches)), key=lambda n: patches[n].kind):
+            owner[patches[index].quads] = index
+            if patches[index].kind is Kind.MOVING:
+                carrier[patches[index].nodes] = index
+        corners = self.faces % self.topology.n_unique
+        carried = np.where(moved[corners], carrier[corners], -1).max(axis=1)
+        fixed = self.boundary.quad_kind[self.quads] == Kind.FIXED
+        name = np.where(fixed & (carried >= 0), carried, owner[self.quads])
+        return np.array([patch.name for patch in patches])[name]
+
+    def outside(self, displacement: FloatArray) -> bool:
+        """Whether a part of the boundary that moves has come to lie outside of the rest (or inside out)."""
+        faces = self.all_faces[(displacement[self.all_faces] != 0.0).any(axis=2).all(axis=1)]
+        if not len(faces):
+            return False
+        samples = faces[_samples(faces, self.topology.n_unique)]
+        before = self.points[: self.topology.n_unique]
+        inside = [self._winding(x, samples) for x in (before, before + displacement)]
+        # Only where the boundary is closed, before and after, the number tells.
+        sure = (np.abs(inside[0] - 1.0) < 0.02) & (np.abs(inside[1] - np.round(inside[1])) < 0.02)
+        return bool((sure & (np.round(inside[1]) != 1.0)).any())
+
+    def _winding(self, points: FloatArray, samples: IntArray) -> FloatArray:
+        """Winding number (k,) of the boundary about places just inside of the faces ``samples`` (k, 2 or 4)."""
+        if self.normal is not None:
+            return self._plane_winding(points, samples)
+        triangles = np.concatenate([self.all_faces[:, [0, 1, 2]], self.all_faces[:, [2, 3, 0]]])
+        a, b, c = (points[samples[:, k]] for k in range(3))
+        area = np.cross(b - a, c - a)
+        size = np.linalg.norm(area, axis=1, keepdims=True)
+        return winding(points, triangles, (a + b + c) / 3.0 - _INSIDE * area / np.sqrt(np.maximum(size, 1e-300)))
+
+    def _plane_winding(self, points: FloatArray, samples: IntArray) -> FloatArray:
+        """The same in a plane, where the outside lies to the right of an edge."""
+        assert self.normal is not None
+        a, b = points[samples[:, 0]], points[samples[:, 1]]
+        places = 0.5 * (a + b) + _INSIDE * np.cross(self.normal, b - a)
+        one, two = (points[self.all_faces[:, k]][None] - places[:, None] for k in (0, 1))
+        angle = np.arctan2(np.cross(one, two) @ self.normal, np.einsum("kmi,kmi->km", one, two))
+        return np.asarray(angle.sum(axis=1) / (2.0 * np.pi))
+
+
+def _shortest_edge(points: FloatArray, faces: IntArray) -> FloatArray:
+    edge = np.full(len(points), np.inf)
+    for corner in range(faces.shape[1]):
+        a, b = faces[:, corner], faces[:, (corner + 1) % faces.shape[1]]
+        length = np.linalg.norm(points[a] - points[b], axis=1)
+        length[a == b] = np.inf
+        np.minimum.at(edge, a, length)
+        np.minimum.at(edge, b, length)
+    return edge
+
+
+def _samples(faces: IntArray, n_nodes: int) -> IntArray:
+    """Some faces (indices) of each of the largest connected parts of ``faces`` (m, c)."""
+    a, b = faces[:, :-1].ravel(), faces[:, 1:].ravel()
+    links = scipy.sparse.coo_array((np.ones(len(a), dtype=np.int8), (a, b)), shape=(n_nodes, n_nodes))
+    part = scipy.sparse.csgraph.connected_components(links, directed=False)[1][faces[:, 0]]
+    size = np.bincount(part)
+    chosen = []
+    for largest in np.argsort(-size)[: min(_PARTS, np.count_nonzero(size))]:
+        members = np.flatnonzero(part == largest)
+        chosen.append(members[np.linspace(0, len(members) - 1, min(_PLACES + 2, len(members))).astype(np.int64)][1:-1])
+    return np.concatenate(chosen)
+
+
+def _grouped(names: np.ndarray, places: FloatArray) -> tuple[Crossing, ...]:
+    """One crossing per pair of names (c, 2), at the place (of c, 3) closest to the middle of them."""
+    groups: dict[tuple[str, str], list[int]] = {}
+    for index, pair in enumerate(names.tolist()):
+        one, two = sorted(pair)
+        groups.setdefault((one, two), []).append(index)
+    found = []
+    for patches, members in groups.items():
+        here = places[members]
+        x, y, z = here[np.argmin(np.linalg.norm(here - here.mean(axis=0), axis=1))]
+        found.append(Crossing(patches, (float(x), float(y), float(z)), len(members)))
+    return tuple(sorted(found, key=lambda crossing: -crossing.count))
