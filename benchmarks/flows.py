@@ -15,16 +15,16 @@ from pathlib import Path
 import numpy as np
 
 from meshdeform_core.boundary import BoundarySpec, Kind
+from meshdeform_core.boundary.motion import Follow, Motion
+from meshdeform_core.boundary.transfer import Matching
 from meshdeform_core.deform import Case
 from meshdeform_core.grid import FloatArray, Grid, Side
+from meshdeform_core.grid.planes import plane_normal
+from meshdeform_core.grid.topology import Topology, find_topology, side_nodes
 from meshdeform_core.methods import Options
-from meshdeform_core.motion import Follow, Motion
 from meshdeform_core.numerics.jit import kernel
-from meshdeform_core.planes import plane_normal
 from meshdeform_core.quality import Original
 from meshdeform_core.quality.validity import newly_invalid
-from meshdeform_core.topology import Topology, find_topology, side_nodes
-from meshdeform_core.transfer import Matching
 from meshdeform_formats.grids import read_grid
 from meshdeform_samples import load
 
@@ -173,7 +173,7 @@ def _extruded(grid: Grid, axis: int) -> bool:
 
 
 def flow_normal(place: Terrain, seed: int) -> int | None:
-    """The axis without motion: that of a plane grid or a single layer of cells; of thicker slices at every other seed."""
+    """The axis without motion: that of plane grids and single layers; of thicker slices at every other seed."""
     thick = place.normal is not None and min(n for shape in place.grid.shapes for n in shape) > 2
     return None if thick and seed % 2 else place.normal
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import click
 
+from meshdeform_core.boundary.crossing import find_contact
 from meshdeform_core.deform import deform, set_up
 from meshdeform_core.grid import Grid
 from meshdeform_core.memory import MemoryLimit
@@ -83,6 +84,8 @@ def describe(job: Job, output: Path | None, steps: int | str, time: float, varia
     first = setup.displacement(time, 1 / steps if isinstance(steps, int) else 0.0)
     sources = setup.problem.source_numbers
     report["warnings"] += prepared.foresee(motion[sources], first[sources])
+    contact = find_contact(setup.grid, setup.topology, setup.boundary, functools.partial(setup.displacement, time))
+    report["warnings"] += [contact.message] if contact else []
     return as_text(report) + "dry run   nothing written\n"
 
 

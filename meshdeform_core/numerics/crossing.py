@@ -11,16 +11,13 @@ from fractions import Fraction
 import numpy as np
 
 from .jit import kernel
+from .overlap import close_pairs
 
-_LEAF, _DEPTH = 8, 64
 # Bound of the round-off of a 3 x 3 determinant of differences, relative to its permanent (Shewchuk 1997, table 3).
 _ROUND_OFF = 8e-16
 
 # Ascending, so that the larger of two verdicts holds unless one is certain.
 _NO, _YES, _DOUBTFUL = 0, 1, 2
-
-ORDINARY, BESIDE, SLIDING = 0, 1, 2
-"""Roles of faces: those beside a sliding face touch it and are not tested against any sliding one."""
 
 
 def crossing_faces(points, faces, asked, role):
@@ -41,7 +38,7 @@ def crossing_faces(points, faces, asked, role):
     places : (c, 3) a point that both faces have in common
     """
     corners = points[faces]
-    pairs = _close_pairs(faces, corners.min(axis=1), corners.max(axis=1), asked, role)
+    pairs = close_pairs(faces, corners.min(axis=1), corners.max(axis=1), asked, role)
     verdict, places = np.empty(len(pairs), dtype=np.int8), np.empty((len(pairs), 3))
     _decide(points, faces, pairs, verdict, places)
     for index in np.flatnonzero(verdict == _DOUBTFUL):
@@ -66,7 +63,7 @@ def near_faces(points, faces, asked, tolerance):
     """
     corners, margin = points[faces], tolerance[:, None]
     low, high = corners.min(axis=1) - margin, corners.max(axis=1) + margin
-    pairs = _close_pairs(faces, low, high, asked, np.zeros(len(faces), dtype=np.int8))
+    pairs = close_pairs(faces, low, high, asked, np.zeros(len(faces), dtype=np.int8))
     verdict, places = np.empty(len(pairs), dtype=np.int8), np.empty((len(pairs), 3))
     _decide(points, faces, pairs, verdict, places)
     touching = verdict == _YES
@@ -96,137 +93,10 @@ def _over(points, corner, reach):
     return whole & inside & (height <= reach)
 
 
-def winding(points, triangles, places):
-    """How often a closed surface goes round points: 1 inside, 0 outside; turned round it counts negative.
-
-    Parameters
-    ----------
-    points : (n, 3); ``triangles`` (m, 3) int64, counter-clockwise seen from outside; ``places`` (k, 3), not on them
-
-    Returns
-    -------
-    winding : (k,) the solid angle (Van Oosterom & Strackee 1983) of the triangles as a part of the whole sphere; a
-        whole number if the surface is closed
-    """
-    result = np.empty(len(places))
-    for index, place in enumerate(places):
-        a, b, c = (points[triangles[:, k]] - place for k in range(3))
-        la, lb, lc = (np.sqrt(np.einsum("ki,ki->k", x, x)) for x in (a, b, c))
-        volume = np.einsum("ki,ki->k", a, np.cross(b, c))
-        base = la * lb * lc
-        for one, two, length in ((a, b, lc), (b, c, la), (c, a, lb)):
-            base += np.einsum("ki,ki->k", one, two) * length
-        result[index] = np.arctan2(volume, base).sum() / (2.0 * np.pi)
-    return result
-
-
-def _close_pairs(faces, low, high, asked, role):
-    """Pairs of faces, at least one of them ``asked``, whose boxes overlap and that have no node in common."""
-    order, box = _box_tree(low, high)
-    capacity = 4 * len(faces)
-    while True:
-        pairs = np.empty((capacity, 2), dtype=np.int64)
-        count = _search(faces, asked, role, low, high, order, box, pairs)
-        if count <= capacity:
-            return pairs[:count]
-        capacity = count
-
-
-def _box_tree(low, high):
-    """Balanced tree over boxes: their order (padded with -1), and the boxes (2 p, 6) of its nodes.
-
-    Node 1 is the root, 2 n and 2 n + 1 are the children of n, and leaf p + l holds the boxes ``_LEAF`` l and following.
-    The order is that of a curve that fills space (Morton), with coordinates that are finer where most faces are.
-    """
-    center = 0.5 * (low + high)
-    away = center - np.median(center, axis=0)
-    fine = 1e-3 * max(float(np.median(np.abs(away).max(axis=1))), 1e-300)
-    key = np.arcsinh(away / fine)
-    key -= key.min(axis=0)
-    order = np.argsort(_morton((key * ((1 << 21) - 1) / max(float(key.max()), 1e-300)).astype(np.uint64)))
-    leaves = 1 << max(0, int(len(order) - 1).bit_length() - (_LEAF.bit_length() - 1))
-    padded = np.full(leaves * _LEAF, -1, dtype=np.int64)
-    padded[: len(order)] = order
-    box = np.empty((2 * leaves, 6))
-    box[leaves:] = np.repeat([[np.inf] * 3 + [-np.inf] * 3], leaves, axis=0)
-    leaf = np.where(padded >= 0, padded, 0).reshape(leaves, _LEAF)
-    empty = (padded < 0).reshape(leaves, _LEAF, 1)
-    box[leaves:, :3] = np.where(empty, np.inf, low[leaf]).min(axis=1)
-    box[leaves:, 3:] = np.where(empty, -np.inf, high[leaf]).max(axis=1)
-    while leaves > 1:
-        children = box[leaves : 2 * leaves].reshape(-1, 2, 6)
-        leaves //= 2
-        box[leaves : 2 * leaves, :3] = children[:, :, :3].min(axis=1)
-        box[leaves : 2 * leaves, 3:] = children[:, :, 3:].max(axis=1)
-    return padded, box
-
-
-def _morton(index):
-    """Bits of three numbers (n, 3) below 2^21 interleaved."""
-    key = np.zeros(len(index), dtype=np.uint64)
-    for axis in range(3):
-        x = index[:, axis]
-        for shift, mask in (
-            (32, 0x1F00000000FFFF), (16, 0x1F0000FF0000FF), (8, 0x100F00F00F00F00F), (4, 0x10C30C30C30C30C3),
-            (2, 0x1249249249249249),
-        ):  # fmt: skip
-            x = (x | x << np.uint64(shift)) & np.uint64(mask)
-        key |= x << np.uint64(axis)
-    return key
-
-
-@kernel
-def _search(faces, asked, role, low, high, order, box, pairs):
-    count = 0
-    leaves = box.shape[0] // 2
-    stack = np.empty(_DEPTH, dtype=np.int64)
-    for one in range(faces.shape[0]):
-        if not asked[one]:
-            continue
-        stack[0] = 1
-        depth = 1
-        while depth:
-            depth -= 1
-            current = stack[depth]
-            if _apart(low[one], high[one], box[current, :3], box[current, 3:]):
-                continue
-            if current < leaves:
-                stack[depth], stack[depth + 1] = 2 * current, 2 * current + 1
-                depth += 2
-                continue
-            for slot in range((current - leaves) * _LEAF, (current - leaves + 1) * _LEAF):
-                two = order[slot]
-                if two < 0 or two == one or (asked[two] and two < one) or role[one] + role[two] == BESIDE + SLIDING:
-                    continue
-                if _apart(low[one], high[one], low[two], high[two]) or _share(faces[one], faces[two]):
-                    continue
-                if count < pairs.shape[0]:
-                    pairs[count, 0], pairs[count, 1] = min(one, two), max(one, two)
-                count += 1
-    return count
-
-
 @kernel
 def _decide(points, faces, pairs, verdict, places):
     for pair in range(pairs.shape[0]):
         verdict[pair] = _cross(points, faces[pairs[pair, 0]], faces[pairs[pair, 1]], places[pair])
-
-
-@kernel
-def _apart(low, high, other_low, other_high):
-    for axis in range(3):
-        if low[axis] > other_high[axis] or other_low[axis] > high[axis]:
-            return True
-    return False
-
-
-@kernel
-def _share(one, two):
-    for a in range(4):
-        for b in range(4):
-            if one[a] == two[b]:
-                return True
-    return False
 
 
 @kernel
@@ -298,7 +168,7 @@ def _sides(points, plane, corners, out):
 
 @kernel
 def _pierces(points, edges, k, volume, triangle, place):
-    """Whether edge ``k`` of a triangle pierces another one, given the ``volume`` of its corners over that one's plane."""
+    """Whether edge ``k`` of a triangle pierces another one; ``volume``: its corners over the plane of that one."""
     p, q = edges[k], edges[(k + 1) % 3]
     at, to = volume[k], volume[(k + 1) % 3]
     if at * to > 0.0:
@@ -368,6 +238,4 @@ def _pierced(one, two):
 
 def _volume(a, b, c, d):
     u, v, w = ([x - y for x, y in zip(corner, d, strict=True)] for corner in (a, b, c))
-    return (
-        u[0] * (v[1] * w[2] - v[2] * w[1]) + u[1] * (v[2] * w[0] - v[0] * w[2]) + u[2] * (v[0] * w[1] - v[1] * w[0])
-    )
+    return u[0] * (v[1] * w[2] - v[2] * w[1]) + u[1] * (v[2] * w[0] - v[0] * w[2]) + u[2] * (v[0] * w[1] - v[1] * w[0])

@@ -132,6 +132,16 @@ def test_dry_run_needs_no_output(bench, call):
     assert call("deform", "grid.xyz", "-c", "case.toml", "--dry-run").code == 0
 
 
+def test_dry_run_tells_that_the_boundary_crosses_itself(bench, call):
+    case = (bench / "case.toml").read_text().split("motion")[0] + 'motion = [{ displace = ["1.6", "0", "0"] }]\n'
+    (bench / "case.toml").write_text(case + '[[boundary]]\nname = "span"\nselect = ["*.k*"]\nkind = "slip"\n')
+    result = call("deform", "grid.xyz", "-c", "case.toml", "--dry-run")
+    assert result.code == 0
+    assert "crosses itself" in result.out
+    assert "'(not selected)' and 'body' meet at (2, " in result.out
+    assert "from 93.75% of the motion on" in result.out
+
+
 def test_force_overwrites_an_output(bench, call):
     result = call("deform", "grid.xyz", "-c", "case.toml", "-o", "old.xyz", "--report", "old.json", "--force")
     assert result.code == 0

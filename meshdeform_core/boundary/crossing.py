@@ -19,11 +19,13 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from .boundary import Boundary, Kind
-from .grid import BoolArray, FloatArray, Grid, IntArray
-from .numerics.crossing import BESIDE, ORDINARY, SLIDING, crossing_faces, near_faces, winding
-from .planes import plane_normal
-from .topology import Topology
+from ..grid import BoolArray, FloatArray, Grid, IntArray
+from ..grid.planes import plane_normal
+from ..grid.topology import Topology
+from ..numerics.crossing import crossing_faces, near_faces
+from ..numerics.overlap import BESIDE, ORDINARY, SLIDING
+from ..numerics.solid_angle import winding
+from .classification import Boundary, Kind
 
 TOUCH = 1e-7
 """Faces closer than this part of their shortest edge touch each other."""
@@ -32,7 +34,7 @@ _HALVINGS = 20
 # How close undeformed faces of abutting blocks are to each other, relative to their shortest edge.
 _ABUTTING = 1e-4
 # Connected parts of what moves that are asked whether they are outside, places on each, and how far from their faces.
-_PARTS, _PLACES, _INSIDE = 16, 3, 1e-4
+_PARTS, _PLACES, _INSIDE = 16, 3, 1e-6
 
 
 @dataclass(frozen=True)
@@ -63,6 +65,18 @@ class Contact:
 
     fraction: float
     crossings: tuple[Crossing, ...]
+
+    @property
+    def message(self) -> str:
+        """For people: what meets, where and when."""
+        first = self.crossings[0] if self.crossings else None
+        what = "it comes to lie outside of the grid"
+        if first:
+            one, two = first.patches
+            pair = f"{one!r} meets itself" if one == two else f"{one!r} and {two!r} meet"
+            place = ", ".join(f"{x:.6g}" for x in first.point)
+            what = f"{pair} at ({place}) ({first.count} pairs of faces)"
+        return f"the moved boundary crosses itself, so no valid grid exists: from {self.fraction:.2%} of the motion on {what}"
 
 
 def find_contact(

@@ -1,0 +1,27 @@
+"""How often a closed surface goes round a point."""
+
+import numpy as np
+
+
+def winding(points, triangles, places):
+    """How often a closed surface goes round points: 1 inside, 0 outside; turned round it counts negative.
+
+    Parameters
+    ----------
+    points : (n, 3); ``triangles`` (m, 3) int64, counter-clockwise seen from outside; ``places`` (k, 3), not on them
+
+    Returns
+    -------
+    winding : (k,) the solid angle (Van Oosterom & Strackee 1983) of the triangles as a part of the whole sphere; a
+        whole number if the surface is closed
+    """
+    result = np.empty(len(places))
+    for index, place in enumerate(places):
+        a, b, c = (points[triangles[:, k]] - place for k in range(3))
+        la, lb, lc = (np.sqrt(np.einsum("ki,ki->k", x, x)) for x in (a, b, c))
+        volume = np.einsum("ki,ki->k", a, np.cross(b, c))
+        base = la * lb * lc
+        for one, two, length in ((a, b, lc), (b, c, la), (c, a, lb)):
+            base += np.einsum("ki,ki->k", one, two) * length
+        result[index] = np.arctan2(volume, base).sum() / (2.0 * np.pi)
+    return result

@@ -1,0 +1,177 @@
+"""Boundaries that pass through themselves: pairs of faces against an exact twin, cases whose answer is known."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+from cases import INNER, constant, formulas, turning
+from grids import block_around, frame, frame_2d, polar
+
+from meshdeform_core.boundary import BoundarySpec, Kind
+from meshdeform_core.boundary.crossing import Contact, find_contact, find_crossings
+from meshdeform_core.boundary.expression import expression
+from meshdeform_core.boundary.motion import Motion
+from meshdeform_core.deform import Case, Setup, set_up
+from meshdeform_core.grid import Grid, Patch, Side, Window
+from meshdeform_core.numerics.crossing import cross_exactly, crossing_faces
+from meshdeform_core.numerics.solid_angle import winding
+
+NEAR = expression(INNER, {"x", "y", "z"})
+
+
+def contact(grid: Grid, *specs: BoundarySpec) -> Contact | None:
+    setup = set_up(grid, Case(specs))
+    return find_contact(grid, setup.topology, setup.boundary, lambda part: setup.displacement(0.0, part))
+
+
+def crossings(setup: Setup):
+    return find_crossings(setup.grid, setup.topology, setup.boundary, setup.displacement(0.0))
+
+
+def moving(name: str, select: str, motion: Motion, where=None) -> BoundarySpec:
+    return BoundarySpec(name, (select,), Kind.MOVING, where, motion)
+
+
+def channel(cells: int = 6) -> Grid:
+    line = np.linspace(0.0, 1.0, cells + 1)
+    return Grid.from_blocks([block_around(2.0 * line, line, line)])
+
+
+FLOOR = BoundarySpec("floor", ("*.kmin",), Kind.FIXED)
+SIDES = BoundarySpec("sides", ("*.i*", "*.j*"), Kind.SLIP)
+
+
+@pytest.mark.parametrize("lattice", [0, 3])
+def test_pairs_are_those_of_exact_arithmetic(lattice):
+    """Random quads, also on a coarse lattice where most tetrahedra are flat and corners coincide in space."""
+    random = np.random.default_rng(5)
+    middle = random.uniform(0, 3, (60, 1, 3))
+    points = (middle + random.uniform(-0.7, 0.7, (60, 4, 3))).reshape(-1, 3)
+    if lattice:
+        points = np.round(points * lattice) / lattice
+    faces = np.arange(240).reshape(60, 4)
+    faces[::7, 3] = faces[::7, 0]
+    faces[1::9, 0] = faces[::9, 1][: len(faces[1::9])]
+    asked = random.random(60) < 0.7
+    pairs, places = crossing_faces(points, faces, asked, np.zeros(60, dtype=np.int8))
+    wanted = [
+        (a, b)
+        for a, b in combinations(range(60), 2)
+        if (asked[a] or asked[b])
+        and not set(faces[a]) & set(faces[b])
+        and cross_exactly(points[faces[a]], points[faces[b]]) is not None
+    ]
+    assert [tuple(pair) for pair in pairs] == wanted
+    assert len(wanted) > 20
+    for (a, b), place in zip(pairs, places, strict=True):
+        for face in (a, b):
+            corners = points[faces[face]]
+            assert (place >= corners.min(axis=0) - 1e-9).all()
+            assert (place <= corners.max(axis=0) + 1e-9).all()
+
+
+def test_exact_decision_of_known_pairs():
+    square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=float)
+    upright = square[:, [0, 2, 1]] * [0.5, 1, 1] + [0.25, 0.5, -0.5]
+    assert cross_exactly(square, upright) is not None
+    assert cross_exactly(square, upright + [0, 0, 0.5]) is None, "touching is not crossing"
+    assert cross_exactly(square, upright + [0, 0, np.nextafter(0.5, 0)]) is not None
+    assert cross_exactly(square, square + [0.5, 0, 0]) is None, "overlapping in one plane is not crossing"
+
+
+def test_winding_number_of_a_box():
+    grid = channel(2)
+    setup = set_up(grid, Case((moving("all", "*", constant(1, 0, 0)),)))
+    faces = setup.topology.quads.corners
+    triangles = np.concatenate([faces[:, :3], faces[:, [2, 3, 0]]])
+    places = np.array([[1.1, 0.3, 0.4], [1.1, 0.3, 1.4], [0.01, 0.01, 0.01]])
+    points = grid.points[setup.topology.first]
+    np.testing.assert_allclose(winding(points, triangles, places), [1, 0, 1], atol=1e-12)
+    np.testing.assert_allclose(winding(points, triangles[:, ::-1], places), [-1, 0, -1], atol=1e-12)
+
+
+@pytest.mark.parametrize("shift", [-0.5, -0.99, -0.99999])
+def test_roof_above_the_floor_does_not_cross(shift):
+    assert contact(channel(), moving("roof", "*.kmax", constant(0, 0, shift)), FLOOR, SIDES) is None
+
+
+@pytest.mark.parametrize("shift", [-1.0, -1.01, -1.3, -5.0])
+def test_roof_through_the_floor(shift):
+    """Parallel planes cross nowhere; the roof lies outside."""
+    found = contact(channel(), moving("roof", "*.kmax", constant(0, 0, shift)), FLOOR, SIDES)
+    assert found is not None
+    assert found.crossings[0].patches == ("floor", "roof")
+    assert found.fraction == pytest.approx(-1.0 / shift, abs=1e-4)
+    assert found.crossings[0].point[2] == pytest.approx(0.0, abs=1e-4)
+
+
+def test_roof_with_fixed_ends_meets_the_neighbours_of_its_edge():
+    """The nodes of the ends stay: the roof cannot pass the row below it."""
+    ends = BoundarySpec("ends", ("*.i*", "*.j*"), Kind.FIXED)
+    found = contact(channel(), moving("roof", "*.kmax", constant(0, 0, -0.9)), FLOOR, ends)
+    assert found is not None
+    assert {name for crossing in found.crossings for name in crossing.patches} == {"roof", "ends"}
+    assert found.fraction < 0.3
+
+
+@pytest.mark.parametrize("make", [frame, frame_2d])
+@pytest.mark.parametrize(("shift", "crosses"), [(1.4, False), (1.6, True), (2.2, True), (2.6, True), (9.0, True)])
+def test_body_through_the_far_field(make, shift, crosses):
+    """The bar is one wide, the far field two away: it touches at 1.5; from 2.5 on it lies outside as a whole."""
+    span = [BoundarySpec("span", ("*.k*",), Kind.SLIP)] if make is frame else []
+    bar = BoundarySpec("bar", ("*.i*", "*.j*"), Kind.MOVING, NEAR, constant(shift, 0, 0))
+    found = contact(make(), bar, *span)
+    assert (found is not None) == crosses
+    if found is not None:
+        assert found.crossings[0].patches == ("(not selected)", "bar")
+        assert found.fraction == pytest.approx(1.5 / shift, abs=1e-3)
+        assert found.crossings[0].point[0] == pytest.approx(2.0, abs=1e-3)
+
+
+def test_turning_and_shifting_everything_is_no_crossing():
+    everything = moving("all", "*", turning(150.0))
+    assert contact(frame(), everything) is None
+    assert contact(frame_2d(), moving("all", "*", constant(1e3, 5, 0))) is None
+
+
+@pytest.mark.parametrize(("shift", "crosses"), [(1.9, False), (1.99, False), (2.3, True)])
+def test_ring_squeezed_to_a_narrow_gap(shift, crosses):
+    """Inner radius 1 and outer radius 3: curved walls of the same facets close to each other."""
+    ends = BoundarySpec("ends", ("*.k*",), Kind.SLIP)
+    found = contact(polar(48, 6, 2), moving("wall", "*.jmin", constant(shift, 0, 0)), ends)
+    assert (found is not None) == crosses
+
+
+def test_a_wall_that_folds_onto_itself():
+    """A floor that is bent into a loop: the same patch crosses itself."""
+    fold = formulas("where(x > 1, -1.6*(x - 1), 0)", "0", "where(x > 1, 0.8*sin(pi*(x - 1)), 0) - 0.7*(x > 1.7)")
+    setup = set_up(channel(20), Case((moving("floor", "*.kmin", fold), SIDES)))
+    assert [crossing.patches for crossing in crossings(setup)][:1] == [("floor", "floor")]
+
+
+def test_plate_without_thickness_does_not_cross_itself():
+    """Both sides of a plate within the grid have the same nodes, here strongly bent."""
+    line = np.linspace(0.0, 1.0, 7)
+    blocks = [block_around(line, line, line - 1.0), block_around(line, line, line)]
+    faces = [Window(0, Side.KMAX, (1, 1), (5, 5)), Window(1, Side.KMIN, (1, 1), (5, 5))]
+    walls = tuple(Patch(f"wall{n}", (face,), bc_type="BCWall") for n, face in enumerate(faces))
+    plate = moving("plate", "wall*", formulas("0", "0", "0.3*sin(9*x)*cos(7*y)"))
+    setup = set_up(Grid.from_blocks(blocks, patches=walls), Case((plate,)))
+    assert setup.boundary.count(Kind.MOVING) == 25
+    assert crossings(setup) == ()
+
+
+def test_faces_that_abut_without_matching_are_no_crossing():
+    """Two blocks side by side with other numbers of cells on a curved interface; both move alike, and differently."""
+
+    def block(cells, low, high):
+        line = np.linspace(0.0, 1.0, cells + 1)
+        x = block_around(np.linspace(low, high, 4), line, line)
+        x[..., 0] += 0.1 * np.sin(3.0 * x[..., 1])
+        return x
+
+    grid = Grid.from_blocks([block(8, 0.0, 1.0), block(13, 1.0, 2.0)])
+    setup = set_up(grid, Case((moving("all", "*", turning(40.0)),)))
+    assert crossings(setup) == ()
