@@ -76,7 +76,8 @@ class Contact:
             pair = f"{one!r} meets itself" if one == two else f"{one!r} and {two!r} meet"
             place = ", ".join(f"{x:.6g}" for x in first.point)
             what = f"{pair} at ({place}) ({first.count} pairs of faces)"
-        return f"the moved boundary crosses itself, so no valid grid exists: from {self.fraction:.2%} of the motion on {what}"
+        verdict = "the moved boundary crosses itself, so no valid grid exists"
+        return f"{verdict}: from {self.fraction:.2%} of the motion on {what}"
 
 
 def find_contact(
