@@ -1,5 +1,6 @@
 """VTK's own classes as witnesses for what we read and write."""
 
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,9 @@ from vtkmodules.vtkIOLegacy import vtkStructuredGridReader, vtkStructuredGridWri
 from vtkmodules.vtkIOXML import vtkXMLStructuredGridReader, vtkXMLStructuredGridWriter, vtkXMLWriter
 
 ROLES = {"Scalars": 0, "Vectors": 1, "Normals": 2, "TCoords": 3, "Tensors": 4, "GlobalIds": 5}
+
+# lz4 is an extra of the installation; with it all compressions are tested.
+COMPRESSIONS = ("none", "zlib", "lzma", *(("lz4",) if find_spec("lz4") else ()))
 
 
 def structured_grid(points, origin=(0, 0, 0)):

@@ -63,7 +63,7 @@ def check(grid, points, arrays):
 XML_VARIANTS = [
     (encoding, compression, header)
     for encoding in ("ascii", "binary", "appended", "appended-base64")
-    for compression in ("NONE", "ZLIB", "LZ4", "LZMA")
+    for compression in map(str.upper, vtk_witness.COMPRESSIONS)
     for header in ("UInt32", "UInt64")
     if encoding != "ascii" or (compression, header) == ("NONE", "UInt32")
 ]
