@@ -1,4 +1,4 @@
-"""``meshdeform info``: what is in a grid file."""
+"""``meshdeform info``: what is in a grid file, and where."""
 
 from __future__ import annotations
 
@@ -9,42 +9,53 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
+from .info_text import as_text
 from .options import GridInput, grid_options, json_option
 
 if TYPE_CHECKING:
-    from meshdeform_core.grid import Connection, Patch
+    from meshdeform_core.grid import Connection, Grid, Patch
+    from meshdeform_core.grid.faces import Face
+    from meshdeform_core.grid.roles import Role
+    from meshdeform_core.grid.surfaces import Outside, Surface
+    from meshdeform_core.grid.topology import Topology
 
 
 @click.command("info")
 @grid_options
+@click.option("-v", "--verbose", is_flag=True, help="Every patch and face on a line of its own.")
 @json_option
-def command(source: GridInput, as_json: bool) -> int:
-    """Show what GRID holds: format variant, blocks, patches, interfaces, handedness, collapsed edges.
+def command(source: GridInput, verbose: bool, as_json: bool) -> int:
+    """Show what GRID holds and where: blocks, walls and other boundaries, interfaces, what is odd about it.
 
     \b
     Examples:
       meshdeform info wing.cgns
       meshdeform info airfoil.p3dfmt --boundary-file airfoil.nmf
       meshdeform info grid.vts --json
+
+    The role of a boundary is what the file declares. Where it declares nothing it is guessed from the shape of the
+    grid (cells cluster towards walls and grow towards the far field) and marked with a question mark.
     """
-    facts = gather(source)
-    click.echo(json.dumps(facts, indent=2) if as_json else _text(facts))
+    facts = gather(source.read(), str(source.path))
+    click.echo(json.dumps(facts, indent=2) if as_json else as_text(facts, verbose))
     return 0
 
 
-def gather(source: GridInput) -> dict[str, Any]:
+def gather(grid: Grid, file: str) -> dict[str, Any]:
     """Everything ``info`` prints, as one dictionary; node indices are 1-based."""
     from meshdeform_core.grid.connectivity import check_connections
     from meshdeform_core.grid.interfaces import find_interfaces
+    from meshdeform_core.grid.surfaces import find_outside, thin_direction
     from meshdeform_core.grid.topology import find_topology
 
-    grid = source.read()
     topology = find_topology(grid)
+    outside = find_outside(grid, topology)
+    thin = thin_direction(grid)
     sides = [f"{name}.{side}" for name in grid.names for side in ("imin", "imax", "jmin", "jmax", "kmin", "kmax")]
     external = np.bincount(topology.quads.block_side[topology.external], minlength=len(sides))
     low, high = grid.points.min(axis=0), grid.points.max(axis=0)
     return {
-        "file": str(source.path),
+        "file": file,
         "format": grid.format.label if grid.format else None,
         "dimension": grid.dimension,
         "nodes": grid.n_nodes,
@@ -52,18 +63,93 @@ def gather(source: GridInput) -> dict[str, Any]:
         "cells": grid.n_cells,
         "bounding_box": [low.tolist(), high.tolist()],
         "shortest_face_edge": float(topology.edge.min()),
-        "blocks": [
-            {"name": n, "nodes": list(s), "handedness": "right" if h > 0 else "left"}
-            for n, s, h in zip(grid.names, grid.shapes, topology.handedness, strict=True)
-        ],
+        "thin_direction": None if thin is None else thin.tolist(),
+        "blocks": _blocks(grid, topology),
+        "surfaces": [_surface(each, grid) for each in outside.surfaces],
+        "faces": _faces(grid, outside),
         "patches": [_patch(patch, sides) for patch in grid.patches],
         "interfaces": [_interface(each, grid.names) for each in find_interfaces(grid, topology)],
         "declared_connections": len(grid.connections),
         "external_faces": {sides[s]: int(external[s]) for s in np.flatnonzero(external)},
         "collapsed": _collapsed(topology, sides),
         "fields": sorted({f"{f.name} ({f.location})" for f in grid.fields}),
-        "notes": [*grid.notes, *check_connections(grid, topology)],
+        "notes": [*grid.notes, *check_connections(grid, topology), *_remarks(grid, topology, outside)],
     }
+
+
+def _blocks(grid: Grid, topology: Topology) -> list[dict[str, Any]]:
+    return [
+        {
+            "name": name,
+            "nodes": list(shape),
+            "handedness": "right" if hand > 0 else "left",
+            "bbox": [grid.block(b).min(axis=(0, 1, 2)).tolist(), grid.block(b).max(axis=(0, 1, 2)).tolist()],
+        }
+        for b, (name, shape, hand) in enumerate(zip(grid.names, grid.shapes, topology.handedness, strict=True))
+    ]
+
+
+def _surface(surface: Surface, grid: Grid) -> dict[str, Any]:
+    return {
+        "name": surface.name,
+        "named": surface.named,
+        "role": surface.role.value,
+        "declared": surface.declared,
+        "patches": list(surface.patches),
+        "faces": [face.label(grid) for face in surface.faces],
+        "quads": len(surface.quads),
+        "area": surface.area,
+        "bbox": surface.box.tolist(),
+        "first_cell_height": {"min": surface.first_height, "median": surface.median_height},
+    }
+
+
+def _faces(grid: Grid, outside: Outside) -> list[dict[str, Any]]:
+    return [_face(grid, face, role) for face, role in zip(outside.faces, outside.roles, strict=True)]
+
+
+def _face(grid: Grid, face: Face, role: Role) -> dict[str, Any]:
+    from meshdeform_core.grid.roles import declared_role
+
+    return {
+        "block": grid.names[face.window.block],
+        "side": face.window.side.label,
+        "range": face.range_text,
+        "patch": face.patch.name if face.patch else None,
+        "family": (face.patch.family or None) if face.patch else None,
+        "outside": face.outside,
+        "quads": len(face.quads),
+        "bbox": face.box.tolist(),
+        "area": face.area,
+        "first_cell_height": {"min": face.first_height, "median": face.median_height},
+        "stretching": face.stretching,
+        "normal": None if face.plane is None else face.plane.normal.tolist(),
+        "role": role.value,
+        "declared": declared_role(face) is role,
+    }
+
+
+def _remarks(grid: Grid, topology: Topology, outside: Outside) -> list[str]:
+    """What the shape of the grid suggests and the file does not say."""
+    from meshdeform_core.grid.roles import Role, clusters
+
+    if outside.of_role(Role.WALL):
+        return []
+    shared = [
+        face
+        for face, role in zip(outside.faces, outside.roles, strict=True)
+        if role is Role.INTERFACE and clusters(face)
+    ]
+    fine = np.zeros(len(topology.partner), dtype=bool)
+    for face in shared:
+        fine[face.quads] = True
+    names = [face.label(grid) for face in shared if fine[topology.partner[face.quads]].all()]
+    if not names:
+        return []
+    return [
+        f"no wall was found, but cells cluster from both sides towards {', '.join(names[:6])}: a wake, or a thin plate "
+        f"(a neutral map file, --boundary-file, can declare both sides walls)"
+    ]
 
 
 def _patch(patch: Patch, sides: list[str]) -> dict[str, Any]:
@@ -86,7 +172,7 @@ def _interface(face: Connection, names: Sequence[str]) -> dict[str, Any]:
     }
 
 
-def _collapsed(topology: Any, sides: list[str]) -> list[dict[str, Any]]:
+def _collapsed(topology: Topology, sides: list[str]) -> list[dict[str, Any]]:
     """Block faces with quads that lost an edge (triangles) or their area (lines, points)."""
     corners = np.sort(topology.quads.corners, axis=1)
     distinct = 1 + np.count_nonzero(np.diff(corners, axis=1), axis=1)
@@ -98,42 +184,3 @@ def _collapsed(topology: Any, sides: list[str]) -> list[dict[str, Any]]:
         count = np.bincount(topology.quads.block_side[mask], minlength=len(sides))
         found += [{"face": sides[s], "what": what, "quads": int(count[s])} for s in np.flatnonzero(count)]
     return found
-
-
-def _text(facts: dict[str, Any]) -> str:
-    box = "  ".join(f"{a:.6g}..{b:.6g}" for a, b in zip(*facts["bounding_box"], strict=True))
-    lines = [
-        f"{facts['file']}: {facts['format']}",
-        f"{facts['dimension']}-D, {len(facts['blocks'])} blocks, {facts['nodes']:,} nodes "
-        f"({facts['unique_nodes']:,} unique), {facts['cells']:,} cells",
-        f"extent {box}, shortest edge on a block face {facts['shortest_face_edge']:.3g}",
-        "",
-        "blocks",
-    ]
-    width = max(len(b["name"]) for b in facts["blocks"])
-    for block in facts["blocks"]:
-        size = " x ".join(str(n) for n in block["nodes"])
-        lines.append(f"  {block['name']:{width}s}  {size:18s} {block['handedness']}-handed")
-    lines += ["", f"patches ({len(facts['patches'])})"]
-    for patch in facts["patches"]:
-        where = ", ".join(f"{w['face']}[{_window(w)}]" for w in patch["windows"])
-        kind = ", ".join(word for word in (patch["family"], patch["type"]) if word)
-        lines.append(f"  {patch['name']}  ({kind or 'no type'})  {where}")
-    lines += [
-        "",
-        f"interfaces ({len(facts['interfaces'])} found, {facts['declared_connections']} declared in the file)",
-    ]
-    for face in facts["interfaces"]:
-        lines.append(f"  {face['name']}  {face['first']}..{face['last']}  transform {face['transform']}")
-    lines += ["", "faces on the outside (quads)"]
-    lines += [f"  {face}: {count:,}" for face, count in facts["external_faces"].items()]
-    for entry in facts["collapsed"]:
-        lines.append(f"collapsed  {entry['face']}: {entry['quads']:,} quads with {entry['what']}")
-    if facts["fields"]:
-        lines.append(f"fields     {', '.join(facts['fields'])}")
-    lines += [f"note       {note}" for note in facts["notes"]]
-    return "\n".join(lines)
-
-
-def _window(window: dict[str, Any]) -> str:
-    return ",".join(f"{a}:{b}" for a, b in zip(window["first"], window["last"], strict=True))

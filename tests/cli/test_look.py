@@ -22,13 +22,15 @@ def test_info_for_people(bench, call):
         "grid.cgns: cgns (container=HDF5), float64",
         "3-D, 8 blocks, 1,152 nodes",
         "600 cells",
-        "block1  5 x 5 x 4          right-handed",
-        "body  (body, BCWall)",
+        "block1  5 x 5 x 4  right-handed  x -2..-0.5  y -2..-0.5  z 0..1",
         "block1.imax-block4.imin",
         "interfaces (8 found, 0 declared in the file)",
-        "block1.imin: 12",
     ):
         assert words in result.out, result.out
+    # Blocks meet the bar with 4 to 6 cells, three layers high.
+    assert re.search(r"^  body \(4 faces\) +wall +60 +4 +0\.\d+, 0\.\d+ +x -0\.5\.\.0\.5 +y", result.out, re.MULTILINE)
+    assert re.search(r"^  span \(\d+ \w+\) +symmetry +400 +30 ", result.out, re.MULTILINE)
+    assert "body  (body, BCWall)" in call("info", "grid.cgns", "-v").out
 
 
 def test_info_for_programs(bench, call):
@@ -36,10 +38,19 @@ def test_info_for_programs(bench, call):
     facts = json.loads(result.out)
     assert result.err == ""
     assert set(facts) == {
-        "file", "format", "dimension", "nodes", "unique_nodes", "cells", "bounding_box", "shortest_face_edge", "blocks",
-        "patches", "interfaces", "declared_connections", "external_faces", "collapsed", "fields", "notes",
+        "file", "format", "dimension", "nodes", "unique_nodes", "cells", "bounding_box", "shortest_face_edge",
+        "thin_direction", "blocks", "surfaces", "faces", "patches", "interfaces", "declared_connections",
+        "external_faces", "collapsed", "fields", "notes",
     }  # fmt: skip
-    assert facts["blocks"][0] == {"name": "block1", "nodes": [5, 5, 4], "handedness": "right"}
+    assert facts["blocks"][0] == {
+        "name": "block1", "nodes": [5, 5, 4], "handedness": "right", "bbox": [[-2.0, -2.0, 0.0], [-0.5, -0.5, 1.0]]
+    }  # fmt: skip
+    for face in facts["faces"]:
+        assert face["role"] == {None: "interface", "body": "wall", "outer": "far", "span": "symmetry"}[face["family"]]
+        assert face["outside"] is (face["role"] != "interface")
+    assert sum(f["area"] for f in facts["faces"] if f["family"] == "body") == pytest.approx(4.0)
+    assert {s["name"]: s["quads"] for s in facts["surfaces"]}.keys() == {"body", "outer", "span"}
+    assert sum(s["quads"] for s in facts["surfaces"]) == sum(facts["external_faces"].values())
     assert facts["bounding_box"] == [[-2.0, -2.0, 0.0], [2.0, 2.0, 1.0]]
     # 16 lines each way without the 4 x 4 inside the bar, four layers.
     assert facts["unique_nodes"] == (16 * 16 - 4 * 4) * 4

@@ -1,0 +1,211 @@
+"""What the faces of a grid most likely are: walls, symmetry planes, far field, end planes.
+
+What the file declares decides. Where it says nothing the coordinates do: grid lines cluster towards walls, a body that
+the grid surrounds is a wall, cells grow towards the far field, the end planes of an extruded grid are congruent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import Enum
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from .blocks import FloatArray, Grid, IntArray, Side
+from .faces import Face, QuadGeometry
+from .planes import FLATNESS
+from .topology import Topology
+
+
+class Role(Enum):
+    """Likely role of a face; the values are the words of ``meshdeform info --json``."""
+
+    WALL = "wall"
+    SYMMETRY = "symmetry"
+    FAR = "far"
+    END = "end"
+    INTERFACE = "interface"
+    UNKNOWN = "unknown"
+
+
+# In this order: a "symmetry wall" of a solver is a symmetry plane.
+_WORDS: tuple[tuple[Role, tuple[str, ...]], ...] = (
+    (Role.SYMMETRY, ("symm",)),
+    (Role.WALL, ("wall", "solid", "viscous", "noslip", "no_slip", "tangency")),
+    (Role.FAR, ("far", "inflow", "outflow", "inlet", "outlet", "extrap", "freestream", "riem", "pressure", "tunnel",
+                "characteristic")),
+)  # fmt: skip
+
+_CLUSTERED = 2.0
+"""Mean over first spacing from which a face counts as a wall."""
+_FIRST_IS_FINEST = 0.3
+"""Smallest over first spacing that a face needs to count as a wall: the cells are no finer elsewhere."""
+_COARSENED = 0.75
+"""Mean over first spacing below which cells grow towards a face."""
+_ENCLOSED = 0.02
+"""A body has at least this flux of (x - center) through its surface, relative to area times radius."""
+
+
+def guess_roles(grid: Grid, topology: Topology, geometry: QuadGeometry, faces: Sequence[Face]) -> list[Role]:
+    """The likely role of every face."""
+    return _Guess(grid, topology, geometry, faces).roles()
+
+
+def declared_role(face: Face) -> Role | None:
+    """What the file calls the patch of a face: its type decides, then family and name."""
+    if face.patch is None:
+        return None
+    for text in (face.patch.bc_type, face.patch.family, face.patch.name):
+        for role, words in _WORDS:
+            if any(word in text.lower() for word in words):
+                return role
+    return None
+
+
+def clusters(face: Face) -> bool:
+    """Whether grid lines cluster towards a face."""
+    return face.stretching >= _CLUSTERED and face.finest >= _FIRST_IS_FINEST
+
+
+class _Guess:
+    """What is known of all faces while their roles are guessed."""
+
+    def __init__(self, grid: Grid, topology: Topology, geometry: QuadGeometry, faces: Sequence[Face]):
+        self.grid, self.topology, self.geometry, self.faces = grid, topology, geometry, faces
+        self.size = float(np.ptp(grid.points, axis=0).max())
+        self.ends = _end_sides(grid, topology, faces)
+        self.outward = [self._bounding(face) for face in faces]
+
+    def roles(self) -> list[Role]:
+        self.bodies = self._bodies()
+        roles = [self._first_role(face) for face in self.faces]
+        near = np.zeros(self.topology.n_unique, dtype=bool)
+        for face, role in zip(self.faces, roles, strict=True):
+            if role is Role.WALL:
+                near[self.topology.quads.corners[face.quads]] = True
+        touched = [bool(near[self.topology.quads.corners[face.quads]].any()) for face in self.faces]
+        # Walls that run from border to border belong to a channel, whose ends are no mirrors.
+        borders = [out for out, touch, role in zip(self.outward, touched, roles, strict=True)
+                   if out is not None and touch and role is None]  # fmt: skip
+        return [
+            role or self._rest(face, out, touch, borders)
+            for face, role, out, touch in zip(self.faces, roles, self.outward, touched, strict=True)
+        ]
+
+    def _first_role(self, face: Face) -> Role | None:
+        """Roles that a face has whatever its neighbours are."""
+        declared = declared_role(face)
+        if not face.outside:
+            # Two faces on one place that the file calls walls are a thin plate.
+            return Role.WALL if declared is Role.WALL else Role.INTERFACE
+        if (face.window.block, face.window.side) in self.ends and declared in (None, Role.FAR):
+            return Role.END
+        if declared is not None:
+            return declared
+        return Role.WALL if clusters(face) or self.bodies.intersection(face.quads[:1].tolist()) else None
+
+    def _rest(self, face: Face, outward: FloatArray | None, touched: bool, borders: list[FloatArray]) -> Role:
+        """Faces without clustered cells: planes that a wall stands on may be mirrors, cells grow to the far field."""
+        if outward is not None and touched and face.stretching > _COARSENED**2:
+            channel = any(other @ outward < -0.99 for other in borders)
+            return Role.UNKNOWN if channel else Role.SYMMETRY
+        # What bounds a grid around a body, away from it.
+        if face.stretching < _COARSENED or (self.bodies and outward is not None and not touched):
+            return Role.FAR
+        # A step: plane, part of the same surface as a wall, and the grid goes on beyond its plane.
+        step = face.plane is not None and outward is None and touched
+        return Role.WALL if step else Role.UNKNOWN
+
+    def _bounding(self, face: Face) -> FloatArray | None:
+        """Outward normal of a face that is plane and has the whole grid on one side of it."""
+        if face.plane is None or not face.outside:
+            return None
+        outward = self.geometry.outward[face.quads].sum(axis=0)
+        normal = face.plane.normal * (1.0 if outward @ face.plane.normal >= 0 else -1.0)
+        beyond = float(((self.grid.points - face.plane.point) @ normal).max())
+        return normal if beyond <= 10 * FLATNESS * self.size else None
+
+    def _bodies(self) -> set[int]:
+        """Quads of the surfaces that the grid surrounds: closed except where they end on planes that bound it."""
+        inner = np.zeros(len(self.topology.partner), dtype=bool)
+        for face, outward in zip(self.faces, self.outward, strict=True):
+            if face.outside and outward is None:
+                inner[face.quads] = True
+        quads = np.flatnonzero(inner)
+        if quads.size == 0:
+            return set()
+        part = _connected(self.topology.quads.corners[quads], self.topology.n_unique)
+        found: set[int] = set()
+        for number in range(int(part.max()) + 1):
+            mine = quads[part == number]
+            if self._encloses(mine) and self._closed(mine):
+                found.update(mine.tolist())
+        return found
+
+    def _encloses(self, quads: IntArray) -> bool:
+        area = self.geometry.area[quads]
+        if area.sum() == 0.0:
+            return False
+        arm = self.geometry.center[quads] - np.average(self.geometry.center[quads], axis=0, weights=area)
+        flux = np.einsum("ni,ni->", arm, self.geometry.outward[quads])
+        return bool(flux < -_ENCLOSED * float(area @ np.linalg.norm(arm, axis=1)))
+
+    def _closed(self, quads: IntArray) -> bool:
+        """A body is smaller than the grid in some direction along each plane that bounds it."""
+        corners = self.topology.first[self.topology.quads.corners[quads]]
+        extent = np.ptp(self.grid.points[corners].reshape(-1, 3), axis=0)
+        whole = np.ptp(self.grid.points, axis=0)
+        varying = whole > FLATNESS * self.size
+        # A surface that reaches from border to border in two directions is a floor or a ceiling, not a body.
+        return int((extent[varying] > 0.999 * whole[varying]).sum()) <= int(varying.sum()) - 2
+
+
+def _connected(corners: IntArray, n_unique: int) -> IntArray:
+    """Number of the connected part of every quad (n,), from common corner nodes."""
+    n = len(corners)
+    rows = np.repeat(np.arange(n), corners.shape[1])
+    graph = coo_matrix((np.ones(corners.size, dtype=np.int8), (rows, n + corners.ravel())), shape=(n + n_unique,) * 2)
+    _, label = connected_components(graph, directed=False)
+    return np.asarray(np.unique(label[:n], return_inverse=True)[1])
+
+
+def _end_sides(grid: Grid, topology: Topology, faces: Sequence[Face]) -> set[tuple[int, Side]]:
+    """Sides of the end planes of a 3-D grid that is one plane grid, extruded: those across the fewest cells.
+
+    Faces to which cells cluster are no end planes; a grid that is extruded in several directions by equally many
+    cells, like a cube, has none.
+    """
+    if grid.dimension == 2:
+        return set()
+    clustered = {(f.window.block, f.window.side) for f in faces if f.outside and clusters(f)}
+    choices = []
+    for direction in np.eye(3):
+        axes = [_extruded_axis(grid.block(b), direction) for b in range(grid.n_blocks)]
+        if any(axis is None for axis in axes):
+            continue
+        sides = {(b, Side(2 * axis + far)) for b, axis in enumerate(axes) if axis is not None for far in (0, 1)}
+        outside = {key for key in sides if topology.external[topology.quads.of_side(*key)].all()}
+        cells = max(grid.cell_shapes[b][axis] for b, axis in enumerate(axes) if axis is not None)
+        if outside and not outside & clustered:
+            choices.append((cells, outside))
+    choices.sort(key=lambda choice: choice[0])
+    if not choices or (len(choices) > 1 and choices[0][0] == choices[1][0]):
+        return set()
+    return choices[0][1]
+
+
+def _extruded_axis(x: FloatArray, direction: FloatArray) -> int | None:
+    """Index axis along which all layers of a block (ni, nj, nk, 3) are the first one moved along ``direction``."""
+    for axis in range(3):
+        first, last = np.take(x, 0, axis=axis), np.take(x, -1, axis=axis)
+        shift = (last - first).reshape(-1, 3)
+        length = np.abs(shift @ direction).max()
+        if length == 0.0 or np.abs(shift - shift[0]).max() > FLATNESS * length:
+            continue
+        across = np.abs(shift[0] - direction * (shift[0] @ direction)).max()
+        flat = np.ptp((first @ direction).ravel())
+        if across <= FLATNESS * length and flat <= FLATNESS * max(length, 1.0):
+            return axis
+    return None

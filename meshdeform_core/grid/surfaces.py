@@ -1,0 +1,117 @@
+"""The outside of a grid as a user thinks of it: one surface per family, per patch without family, per nameless face."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .blocks import FloatArray, Grid, IntArray
+from .faces import Face, find_faces, quad_geometry
+from .planes import plane_normal, plane_of
+from .roles import Role, declared_role, guess_roles
+from .topology import Topology
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Faces that belong together.
+
+    Attributes
+    ----------
+    name : of the family or patch; the face's own label where the file has no name for it
+    named : the file has a name for it
+    role : that of the largest part of its area
+    declared : the file says so, it is no guess
+    faces : its pieces
+    """
+
+    name: str
+    named: bool
+    role: Role
+    declared: bool
+    faces: tuple[Face, ...]
+
+    @property
+    def quads(self) -> IntArray:
+        """Its face quads (n,)."""
+        return np.concatenate([face.quads for face in self.faces])
+
+    @property
+    def area(self) -> float:
+        return sum(face.area for face in self.faces)
+
+    @property
+    def box(self) -> FloatArray:
+        """Lowest and highest coordinates (2, 3)."""
+        low, high = (np.array([face.box[end] for face in self.faces]) for end in (0, 1))
+        return np.stack([low.min(axis=0), high.max(axis=0)])
+
+    @property
+    def first_height(self) -> float:
+        """Smallest height of its first cells (grid length unit)."""
+        return min(face.first_height for face in self.faces)
+
+    @property
+    def median_height(self) -> float:
+        """Median height of its first cells, by pieces weighted with their cells."""
+        heights = np.repeat([face.median_height for face in self.faces], [len(face.quads) for face in self.faces])
+        return float(np.median(heights))
+
+    @property
+    def patches(self) -> tuple[str, ...]:
+        """Names of its patches in the file."""
+        return tuple(dict.fromkeys(face.patch.name for face in self.faces if face.patch))
+
+
+@dataclass(frozen=True)
+class Outside:
+    """All faces of a grid with their roles, and its surfaces."""
+
+    faces: tuple[Face, ...]
+    roles: tuple[Role, ...]
+    surfaces: tuple[Surface, ...]
+
+    def of_role(self, *roles: Role) -> tuple[Surface, ...]:
+        return tuple(surface for surface in self.surfaces if surface.role in roles)
+
+
+def find_outside(grid: Grid, topology: Topology) -> Outside:
+    """Faces, roles and surfaces of a grid; thin plates that the file declares count as outside."""
+    geometry = quad_geometry(grid, topology)
+    faces = find_faces(grid, topology, geometry)
+    roles = guess_roles(grid, topology, geometry, faces)
+    groups: dict[tuple[str, bool], list[int]] = {}
+    for number, (face, role) in enumerate(zip(faces, roles, strict=True)):
+        if role is not Role.INTERFACE:
+            name = (face.patch.family or face.patch.name) if face.patch else ""
+            groups.setdefault((name or face.label(grid), bool(name)), []).append(number)
+    surfaces = tuple(_surface(name, named, members, faces, roles) for (name, named), members in groups.items())
+    return Outside(tuple(faces), tuple(roles), surfaces)
+
+
+def _surface(name: str, named: bool, members: list[int], faces: Sequence[Face], roles: Sequence[Role]) -> Surface:
+    weight: dict[Role, float] = {}
+    for n in members:
+        weight[roles[n]] = weight.get(roles[n], 0.0) + faces[n].area
+    role = max(weight, key=lambda each: weight[each])
+    declared = any(declared_role(faces[n]) is role for n in members)
+    return Surface(name, named, role, declared, tuple(faces[n] for n in members))
+
+
+def thin_direction(grid: Grid) -> FloatArray | None:
+    """Unit normal of the plane of which a grid is one: a 2-D grid, or one layer of cells between two planes."""
+    if grid.dimension == 2:
+        return plane_normal(grid)
+    axes = [shape.index(2) if 2 in shape else None for shape in grid.shapes]
+    normals = []
+    for block, axis in enumerate(axes):
+        if axis is None:
+            return None
+        layer = plane_of(np.take(grid.block(block), 0, axis=axis).reshape(-1, 3), None)
+        if layer is None:
+            return None
+        normals.append(layer.normal)
+    first = normals[0]
+    return first if all(abs(float(normal @ first)) > 1 - 1e-6 for normal in normals) else None

@@ -1,0 +1,166 @@
+"""Faces of blocks: geometry against exact values, roles against what the files and samples declare."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from grids import block_around, frame, frame_2d, permuted, polar
+
+from meshdeform_core.grid import Grid, Patch, Side, Window, whole_face
+from meshdeform_core.grid.faces import find_faces, quad_geometry
+from meshdeform_core.grid.roles import Role
+from meshdeform_core.grid.surfaces import find_outside, thin_direction
+from meshdeform_core.grid.topology import find_topology
+from meshdeform_formats import read_grid
+from meshdeform_samples import load
+
+GRIDS = Path(os.environ.get("MESHDEFORM_GRIDS", "../shared/grids"))
+
+
+def outside_of(grid):
+    return find_outside(grid, find_topology(grid))
+
+
+def roles_of(grid):
+    found = outside_of(grid)
+    return {face.label(grid): role for face, role in zip(found.faces, found.roles, strict=True)}
+
+
+# geometry
+
+
+@pytest.mark.parametrize("axes", [(0, 1, 2), (2, 0, 1), (1, 0, 2)])
+@pytest.mark.parametrize("flips", [(False, False, False), (True, False, True), (False, True, False)])
+def test_area_vectors_close_and_point_outwards(axes, flips):
+    grid = permuted(frame(), axes, flips)
+    topology = find_topology(grid)
+    geometry = quad_geometry(grid, topology)
+    outward = geometry.outward[topology.external]
+    np.testing.assert_allclose(outward.sum(axis=0), 0.0, atol=1e-12)
+    # Gauss: the flux of the position is three times the volume, 4 x 4 - 1 x 1.
+    flux = np.einsum("ni,ni->", geometry.center[topology.external], outward)
+    assert flux == pytest.approx(3 * 15.0)
+    assert (geometry.height > 0).all()
+
+
+def test_boxes_areas_and_first_cells_of_a_single_block():
+    x, y, z = np.array([0.0, 0.1, 0.5, 2.0]), np.linspace(0.0, 3.0, 4), np.array([0.0, 0.25, 1.0])
+    grid = Grid.from_blocks([block_around(x, y, z)])
+    faces = {face.label(grid): face for face in find_faces(grid, find_topology(grid))}
+    assert set(faces) == {f"block1.{side.label}" for side in Side}
+    first = faces["block1.imin"]
+    assert (first.area, first.first_height, first.median_height) == pytest.approx((3.0, 0.1, 0.1))
+    assert first.stretching == pytest.approx((2.0 / 3) / 0.1)
+    assert faces["block1.imax"].stretching == pytest.approx((2.0 / 3) / 1.5)
+    assert faces["block1.imax"].finest == pytest.approx(0.1 / 1.5)
+    np.testing.assert_array_equal(faces["block1.kmax"].box, [[0, 0, 1], [2, 3, 1]])
+    assert faces["block1.kmax"].plane is not None
+
+
+def test_pieces_are_windows_of_patches_and_of_what_is_left():
+    grid = Grid.from_blocks([block_around(*(np.linspace(0.0, 1.0, 5),) * 3)])
+    patch = Patch("hot", (Window(0, Side.KMIN, (0, 0), (2, 4)),))
+    grid = dataclasses.replace(grid, patches=(patch,))
+    found = [face for face in find_faces(grid, find_topology(grid)) if face.window.side is Side.KMIN]
+    assert {(face.patch and face.patch.name, face.range_text) for face in found} == {
+        ("hot", "1:3,1:5"), (None, "3:5,1:5")
+    }  # fmt: skip
+    assert sum(face.area for face in found) == pytest.approx(1.0)
+
+
+def test_lengths_of_the_edges_of_a_flat_grid():
+    found = outside_of(frame_2d())
+    body = [s for s in found.surfaces if np.abs(s.box[:, :2]).max() < 0.51]
+    assert sum(s.area for s in body) == pytest.approx(4.0)
+    assert {s.role for s in body} == {Role.WALL}
+
+
+# roles
+
+
+def test_a_body_without_clustered_cells_is_a_wall():
+    x = np.linspace(-2.0, 2.0, 4)
+    lines = [np.linspace(a, b, 4) for a, b in itertools.pairwise(x)]
+    blocks = [block_around(lines[i], lines[j], lines[k]) for i in range(3) for j in range(3) for k in range(3)
+              if (i, j, k) != (1, 1, 1)]  # fmt: skip
+    grid = Grid.from_blocks(blocks)
+    found = outside_of(grid)
+    inner = [s for s in found.surfaces if np.abs(s.box).max() < 1.0]
+    assert len(inner) == 6
+    assert {s.role for s in inner} == {Role.WALL}
+    assert {s.role for s in found.surfaces if s not in inner} == {Role.FAR}
+
+
+def test_a_ring_has_wall_far_field_and_end_planes():
+    assert roles_of(polar(n_radial=16)) == {
+        "block1.imin": Role.INTERFACE, "block1.imax": Role.INTERFACE, "block1.jmin": Role.WALL,
+        "block1.jmax": Role.FAR, "block1.kmin": Role.END, "block1.kmax": Role.END,
+    }  # fmt: skip
+
+
+def test_a_cube_says_nothing():
+    assert set(roles_of(Grid.from_blocks([block_around(*(np.linspace(0.0, 1.0, 5),) * 3)])).values()) == {Role.UNKNOWN}
+
+
+@pytest.mark.parametrize(
+    ("words", "role"),
+    [
+        (("BCWallViscous", "", "a"), Role.WALL),
+        (("viscous_solid", "", "a"), Role.WALL),
+        (("symmetry_y_strong", "", "wall"), Role.SYMMETRY),
+        (("BCFarfield", "", "wall"), Role.FAR),
+        (("FamilySpecified", "Wing_Wall", "a"), Role.WALL),
+        (("", "", "SYMM"), Role.SYMMETRY),
+        (("", "", "outlet_2"), Role.FAR),
+        (("UserDefined", "", "a"), Role.UNKNOWN),
+    ],
+)
+def test_what_the_file_declares_decides(words, role):
+    kind, family, name = words
+    grid = Grid.from_blocks([block_around(*(np.linspace(0.0, 1.0, 5),) * 3)])
+    patch = Patch(name, (whole_face(grid.shapes[0], 0, Side.JMAX),), family, kind)
+    surface = next(s for s in outside_of(dataclasses.replace(grid, patches=(patch,))).surfaces if s.named)
+    assert (surface.name, surface.role) == (family or name, role)
+    assert surface.declared is (role is not Role.UNKNOWN)
+
+
+def test_one_layer_of_cells_is_thin():
+    square = np.linspace(0.0, 1.0, 5)
+    assert thin_direction(Grid.from_blocks([block_around(square, square, square)])) is None
+    np.testing.assert_array_equal(
+        thin_direction(Grid.from_blocks([block_around(square, np.array([0.0, 9.0]), square)])), [0, 1, 0]
+    )
+    np.testing.assert_array_equal(thin_direction(frame_2d()), [0, 0, 1])
+
+
+SMALL = {"airfoil": 41, "splitter-plate": 8, "hemisphere": 8, "wing": 8, "valve": 8}
+
+
+@pytest.mark.parametrize("name", SMALL)
+def test_walls_of_samples_are_found_without_their_names(name):
+    _walls_are_found(load(name).generate(SMALL[name]))
+
+
+@pytest.mark.parametrize("name", ["717_wl_L2.cgns", "nak_a_141.cgns"])
+def test_walls_of_real_grids_are_found_without_their_names(name):
+    if not (GRIDS / name).exists():
+        pytest.skip(f"{GRIDS / name} is absent (MESHDEFORM_GRIDS)")
+    grid = read_grid(GRIDS / name)
+    _walls_are_found(grid)
+    nameless = dataclasses.replace(grid, patches=())
+    declared = {s.name: s.role for s in outside_of(grid).surfaces}
+    assert Role.SYMMETRY in declared.values()
+    assert {Role.SYMMETRY, Role.END} & set(roles_of(nameless).values())
+
+
+def _walls_are_found(grid):
+    declared = np.concatenate([s.quads for s in outside_of(grid).of_role(Role.WALL)])
+    guessed = np.concatenate([s.quads for s in outside_of(dataclasses.replace(grid, patches=())).of_role(Role.WALL)])
+    # All that is called a wall is one, and what is missed are floors, never the body that the grid surrounds.
+    assert np.isin(guessed, declared).all()
+    assert len(guessed) > 0.3 * len(declared)
