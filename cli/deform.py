@@ -62,11 +62,12 @@ def command(source: GridInput, output: Path | None, case: CaseInput, steps: str,
 
     job = work.load(source, case, limit, [path for path in (output, *run.reports) if path is not None])
     if run.dry_run or output is None:
-        click.echo(work.describe(job, output, count, at_time, options), nl=False)
+        work.print_plan(work.describe(job, output, count, at_time, options), run)
         return 0
     with ProgressBar(not run.quiet) as progress:
-        report = work.run(job, output, count, at_time, options, progress, start)
-    return work.conclude(report, run)
+        report, illustrate = work.run(job, output, count, at_time, options, progress)
+    files = [*source.roles, *case.roles(job.case), ("output", output)]
+    return work.conclude(report, run, work.Delivery(start, files, illustrate))
 
 
 def _check_target(output: Path, force: bool, *inputs: Path | None) -> None:

@@ -100,7 +100,9 @@ def run(args: Sequence[str] | None = None) -> int:
     from meshdeform_core.errors import MeshDeformError
 
     try:
-        result = cli.main(args=args, prog_name="meshdeform", standalone_mode=False)
+        arguments = list(sys.argv[1:] if args is None else args)
+        # Reports say how they came about: the object of the context are the arguments.
+        result = cli.main(args=arguments, prog_name="meshdeform", standalone_mode=False, obj=tuple(arguments))
         sys.stdout.flush()
         return result if isinstance(result, int) else 0
     except MeshDeformError as error:

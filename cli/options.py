@@ -48,8 +48,9 @@ variant_option = click.option(
     "dimension=2|3; vtk: encoding=ascii|binary|appended compression=none|zlib|lz4|lzma; cgns: precision (repeatable).",
 )  # fmt: skip
 report_option = click.option(
-    "--report", "reports", type=PATH, multiple=True, help="Report; the suffix picks .json .txt or .html (repeatable)."
-)
+    "--report", "reports", type=PATH, multiple=True,
+    help="Report; the suffix picks .json .txt .html or .md, - is JSON to stdout (repeatable).",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -72,6 +73,11 @@ class GridInput:
         """Files that no output may overwrite."""
         return self.path, self.boundary_file
 
+    @property
+    def roles(self) -> list[tuple[str, Path | None]]:
+        """Its files as a report names them."""
+        return [("grid", self.path), ("boundary file", self.boundary_file)]
+
 
 @dataclass(frozen=True)
 class CaseInput:
@@ -88,6 +94,10 @@ class CaseInput:
         from meshdeform_formats.case import read_case
 
         return read_case(self.file, self.overrides, self.method, self.displacement, self.times)
+
+    def roles(self, read: CaseFile) -> list[tuple[str, Path | None]]:
+        """Its files, and those that the case as ``read`` names, as a report names them."""
+        return [("case", self.file), *(("displacement", path) for path in read.files)]
 
     @property
     def empty(self) -> bool:
@@ -145,6 +155,7 @@ class RunInput:
     """How a command that makes grids runs, and what it tells."""
 
     reports: tuple[Path, ...]
+    as_json: bool
     threads: int | None
     max_memory: str | None
     variant: tuple[str, ...]
@@ -167,6 +178,7 @@ def run_options(command: Command) -> Command:
     """Options of the commands that make grids, handed over as ``run``."""
 
     @report_option
+    @click.option("--json", "as_json", is_flag=True, help="Print the report as JSON, all else goes to stderr.")
     @threads_option
     @click.option("--max-memory", metavar="SIZE", help="Refuse what needs more, like 2GiB.")
     @variant_option
@@ -236,5 +248,7 @@ def check_reports(reports: tuple[Path, ...], force: bool, *inputs: Path | None) 
     from meshdeform_formats.report import check_report_path
 
     for path in reports:
-        check_report_path(path)
-        check_output(path, force, *inputs)
+        # A single dash is stdout.
+        if str(path) != "-":
+            check_report_path(path)
+            check_output(path, force, *inputs)

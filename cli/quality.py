@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import json
+import time as clock
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -54,16 +54,15 @@ def command(
     With --reference a cell is invalid if a corner Jacobian that was positive became zero or negative (exit code 3).
     Alone, cells with such corners are counted as inherited. A case file (-c) tells where the moving walls are.
     """
+    start = clock.perf_counter()
     use_threads(threads)
     check_reports(reports, force, reference, *source.files, *case.files)
-    from meshdeform_formats.report import write_report
-    from meshdeform_formats.report.text import as_text
+    from .reporting import Delivery, deliver
 
     report = judge(source, reference, case)
-    for path in reports:
-        write_report(report, path)
-    if not quiet:
-        click.echo(json.dumps(report, indent=2) if as_json else as_text(report), nl=as_json)
+    files = [*source.roles, ("reference", reference), ("case", case.file)]
+    # The text would only repeat what --json prints.
+    deliver(report, reports, as_json, quiet or as_json, Delivery(start, files))
     return 0 if report["valid"] else EXIT_INVALID
 
 
@@ -84,7 +83,8 @@ def judge(source: GridInput, reference: Path | None, case: CaseInput) -> dict[st
     if what.case.boundaries:
         topology, boundary = classify(original, topology, what.case.boundaries, what.case.constants)
         notes += boundary.notes
-    return quality_report(grid, assess(Original(original, topology), grid.points, boundary), notes)
+    assessment = assess(Original(original, topology), grid.points, boundary)
+    return quality_report(grid, assessment, notes, str(reference) if reference else None)
 
 
 def _original(grid: Grid, reference: Path) -> Grid:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time as clock
+from functools import partial
 from pathlib import Path
 
 import click
@@ -73,9 +74,11 @@ def command(
     job = work.load(source, dataclasses.replace(case, times=times), limit, run.reports)
     plan = series_run.prepare(job, source, wanted)
     if run.dry_run:
-        click.echo(series_run.describe(plan), nl=False)
+        report, levels = series_run.describe(plan)
+        work.print_plan(report, run, levels)
         return 0
     plan.manifest = current_ranks().on_first(lambda: series_run.open_manifest(plan, resume, run.force))
     with ProgressBar(not run.quiet) as progress:
-        report = series_run.carry_out(plan, progress, start)
-    return work.conclude(report, run)
+        report = series_run.carry_out(plan, progress)
+    files = [*source.roles, *case.roles(job.case), ("index", plan.files.view)]
+    return work.conclude(report, run, work.Delivery(start, files, partial(series_run.illustrate, plan)))

@@ -17,8 +17,8 @@ from meshdeform_formats.case import CaseFile
 from meshdeform_formats.case.files import parse_times
 from meshdeform_formats.grids import FORMATS, complete_for_export
 from meshdeform_formats.report import Report, plan_report
+from meshdeform_formats.report.illustrations import Illustrations, level_thumbnails
 from meshdeform_formats.report.series import level_record, series_head, series_report
-from meshdeform_formats.report.text import as_text
 from meshdeform_formats.series.files import LevelFiles, SeriesFiles, SingleFile
 from meshdeform_formats.series.manifest import NAME, Manifest, ingredients_of
 
@@ -26,6 +26,8 @@ from .machine import peak_memory
 from .options import GridInput, keep_inputs
 from .progress import ProgressBar
 from .work import Job
+
+_PICTURES = 8
 
 
 @dataclass(frozen=True)
@@ -89,16 +91,15 @@ def _times_of_files(case: CaseFile) -> tuple[float, ...]:
     return found.pop()
 
 
-def describe(run: Run) -> str:
-    """What would be done: classification, parameters, node counts, levels."""
+def describe(run: Run) -> tuple[Report, str]:
+    """What would be done: classification, parameters, node counts; and the levels, as a line of text."""
     prepared = make_method(run.setup.case.method).prepare(run.setup.problem)
     times = run.schedule.times
     largest = max(float((run.setup.displacement(t) ** 2).sum(axis=1).max() ** 0.5) for t in times)
     last = run.files.path(len(times) - 1)
     return (
-        as_text(plan_report(run.setup, prepared.account, {"max_displacement": largest}))
-        + f"series    {len(times)} levels from t = {times[0]:g} to {times[-1]:g}: {run.files.path(0)} ... {last}\n"
-        + "dry run   nothing written\n"
+        plan_report(run.setup, prepared.account, {"max_displacement": largest}),
+        f"series    {len(times)} levels from t = {times[0]:g} to {times[-1]:g}: {run.files.path(0)} ... {last}\n",
     )
 
 
@@ -138,7 +139,7 @@ def _keep_what_exists(run: Run, manifest: Manifest) -> None:
     manifest.complete = False
 
 
-def carry_out(run: Run, progress: ProgressBar, start: float) -> Report:
+def carry_out(run: Run, progress: ProgressBar) -> Report:
     """Make, write and record the levels that are missing, then report over all."""
     count, first, ranks = len(run.schedule.times), len(run.manifest.levels), current_ranks()
     progress("levels", first, count)
@@ -146,10 +147,19 @@ def carry_out(run: Run, progress: ProgressBar, start: float) -> Report:
     for level in levels:
         ranks.on_first(partial(_record, run, level))
         progress("levels", level.number + 1, count)
-    return ranks.on_first(lambda: _complete(run, start))
+    return ranks.on_first(lambda: _complete(run))
 
 
-def _complete(run: Run, start: float) -> Report:
+def illustrate(run: Run) -> Illustrations:
+    """Small pictures of some levels, evenly spaced, as far as their files can be read."""
+    count = len(run.schedule.times)
+    shown = min(count, _PICTURES)
+    chosen = [round(n * (count - 1) / max(1, shown - 1)) for n in range(shown)]
+    levels = [(n, f"level {n}, t = {run.schedule.times[n]:g}", run.files.path(n).name) for n in chosen]
+    return level_thumbnails(run.setup, levels, run.files.read) if run.files.readable else Illustrations()
+
+
+def _complete(run: Run) -> Report:
     manifest, files, schedule = run.manifest, run.files, run.schedule
     if not manifest.complete:
         with run.timing.stage("publish"):
@@ -158,9 +168,8 @@ def _complete(run: Run, start: float) -> Report:
         manifest.save()
         files.clean(complete=True)
     seconds = {"read": run.job.read_seconds, **run.timing.seconds}
-    view = str(files.view) if files.view else None
-    total = clock.perf_counter() - start
-    return series_report(manifest.head, manifest.levels, schedule, view, seconds, total, peak_memory())
+    places = {"folder": str(manifest.path.parent), "view": str(files.view) if files.view else None}
+    return series_report(manifest.head, manifest.levels, schedule, places, seconds, peak_memory())
 
 
 def _record(run: Run, level: Level) -> None:

@@ -19,15 +19,17 @@ from meshdeform_core.methods import make_method
 from meshdeform_core.parallel import current_ranks, thread_count
 from meshdeform_formats.case import CaseFile
 from meshdeform_formats.grids import complete_for_export, variant_of, write_grid
-from meshdeform_formats.report import Report, deformation_report, plan_report, write_report
+from meshdeform_formats.report import Report, as_json, deformation_report, plan_report
+from meshdeform_formats.report.illustrations import Illustrate, deformation_figures
 from meshdeform_formats.report.text import as_text
 
 from .exit_codes import EXIT_INVALID
 from .machine import peak_memory
 from .options import CaseInput, GridInput, RunInput, keep_inputs
 from .progress import ProgressBar
+from .reporting import STDOUT, Delivery, deliver
 
-__all__ = ["Job", "conclude", "describe", "load", "run"]
+__all__ = ["Job", "conclude", "describe", "load", "print_plan", "run"]
 
 # Libraries, and coordinates before and after, displacement, arc lengths, topology, fast sums, quality: peaks of 5.4 to
 # 6.4 coordinate arrays were measured with tfi, idw and idw-tfi from 2.7 to 21 million nodes.
@@ -71,7 +73,7 @@ def _needed(grid: Grid) -> int:
     return _PROGRAM_BYTES + int(arrays * grid.points.nbytes)
 
 
-def describe(job: Job, output: Path | None, steps: int | str, time: float, variant: dict[str, str]) -> str:
+def describe(job: Job, output: Path | None, steps: int | str, time: float, variant: dict[str, str]) -> Report:
     """What would be done: classification, parameters, node counts, and what is bound to go wrong."""
     if output is not None:
         variant_of(job.grid, output, variant)
@@ -86,13 +88,22 @@ def describe(job: Job, output: Path | None, steps: int | str, time: float, varia
     report["warnings"] += prepared.foresee(motion[sources], first[sources])
     contact = find_contact(setup.grid, setup.topology, setup.boundary, functools.partial(setup.displacement, time))
     report["warnings"] += [contact.message] if contact else []
-    return as_text(report) + "dry run   nothing written\n"
+    return report
+
+
+def print_plan(report: Report, run: RunInput, more: str = "") -> None:
+    """Print what a dry run found: the report as json to stdout if asked for, the text, and that nothing is written."""
+    to_stdout = run.as_json or STDOUT in run.reports
+    if to_stdout:
+        click.echo(as_json(report), nl=False)
+    if not (to_stdout and run.quiet):
+        click.echo(f"{as_text(report)}{more}dry run   nothing written", err=to_stdout)
 
 
 def run(
-    job: Job, output: Path, steps: int | str, time: float, variant: dict[str, str], progress: ProgressBar, start: float
-) -> Report:
-    """Deform, write, report. ``start`` is when the command began (``perf_counter``)."""
+    job: Job, output: Path, steps: int | str, time: float, variant: dict[str, str], progress: ProgressBar
+) -> tuple[Report, Illustrate]:
+    """Deform and write; the report, and how to make its pictures."""
     precision = variant_of(job.grid, output, variant).precision
     grid = complete_for_export(job.grid, output)
     result = deform(
@@ -100,17 +111,14 @@ def run(
     )
     before = clock.perf_counter()
     current_ranks().on_first(lambda: write_grid(result.grid, output, variant))
-    now = clock.perf_counter()
-    seconds = {"read": job.read_seconds, "write": now - before, "total": now - start}
-    return deformation_report(result, seconds, peak_memory())
+    seconds = {"read": job.read_seconds, "write": clock.perf_counter() - before}
+    illustrate = functools.partial(deformation_figures, result.setup, result.grid, result.assessment.invalid)
+    return deformation_report(result, seconds, peak_memory()), illustrate
 
 
-def conclude(report: Report, run: RunInput) -> int:
+def conclude(report: Report, run: RunInput, delivery: Delivery) -> int:
     """Write the reports, print what is not to be missed; the exit code."""
-    for path in run.reports:
-        current_ranks().on_first(functools.partial(write_report, report, path))
-    if not run.quiet:
-        click.echo(as_text(report), nl=False)
+    deliver(report, run.reports, run.as_json, run.quiet, delivery)
     if not report["valid"]:
         click.echo(f"meshdeform: {_verdict(report)}", err=True)
     if run.verbose:

@@ -1,7 +1,18 @@
 """Reports: what they hold, and how they are written."""
 
-from .parts import Report
+from .parts import Report, with_other
 from .records import deformation_report, plan_report, quality_report
-from .write import check_report_path, write_report
+from .run import run_part
+from .write import as_json, check_report_path, write_report
 
-__all__ = ["Report", "check_report_path", "deformation_report", "plan_report", "quality_report", "write_report"]
+__all__ = [
+    "Report",
+    "as_json",
+    "check_report_path",
+    "deformation_report",
+    "plan_report",
+    "quality_report",
+    "run_part",
+    "with_other",
+    "write_report",
+]

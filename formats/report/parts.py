@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from importlib.metadata import version
 from typing import Any
 
@@ -90,3 +91,10 @@ def cell_part(cell: InvalidCell) -> Report:
         "center": list(cell.center),
         "step": cell.step,
     }
+
+
+def with_other(timing: Mapping[str, float], total: float) -> Report:
+    """Seconds by stage, with the rest of those that passed in ``total`` as ``other``, so that they add up."""
+    stages = {name: seconds for name, seconds in timing.items() if name not in ("other", "total")}
+    spent = sum(stages.values())
+    return {**stages, "other": max(0.0, total - spent), "total": max(total, spent)}

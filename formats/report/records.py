@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
@@ -18,17 +19,18 @@ def deformation_report(result: Result, timing: Mapping[str, float], peak_memory:
 
     Parameters
     ----------
-    timing : seconds of reading, writing and in total, which only the caller knows
+    timing : seconds of reading and writing, which only the caller knows; ``with_other`` completes them
     peak_memory : largest resident size of the process, bytes
     """
     setup = result.setup
     boundary = boundary_part(setup) | {"max_displacement": result.max_displacement}
-    seconds = dict.fromkeys(("read", "topology", "prepare", "apply", "quality", "write", "total"), 0.0)
+    seconds = dict.fromkeys(("read", "topology", "prepare", "apply", "quality", "write"), 0.0)
     return {
         **head_part(setup.grid),
         "method": method_part(setup.case.method.name, result.account),
         "boundary": boundary,
         **quality_part(result.assessment),
+        "blocks": [dataclasses.asdict(block) for block in result.assessment.blocks],
         "valid": result.valid,
         "invalid_cells": [cell_part(cell) for cell in result.assessment.invalid],
         "steps": result.steps,
@@ -39,11 +41,15 @@ def deformation_report(result: Result, timing: Mapping[str, float], peak_memory:
     }
 
 
-def quality_report(grid: Grid, assessment: Assessment, warnings: tuple[str, ...]) -> Report:
-    """The report of a grid on its own or against its original."""
+def quality_report(
+    grid: Grid, assessment: Assessment, warnings: tuple[str, ...], reference: str | None = None
+) -> Report:
+    """The report of a grid on its own or against its original, the file ``reference``."""
     return {
         **head_part(grid),
+        "reference": reference,
         **quality_part(assessment),
+        "blocks": [dataclasses.asdict(block) for block in assessment.blocks],
         "valid": assessment.valid,
         "invalid_cells": [cell_part(cell) for cell in assessment.invalid],
         "warnings": list(warnings),

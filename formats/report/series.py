@@ -62,18 +62,16 @@ def series_report(
     head: Report,
     levels: Sequence[Report],
     schedule: Schedule,
-    view: str | None,
+    places: Mapping[str, str | None],
     timing: Mapping[str, float],
-    total: float,
     peak_memory: int,
 ) -> Report:
     """The report over all levels.
 
     Parameters
     ----------
-    view : the file to open in ParaView
+    places : ``folder`` of the levels, and ``view``, the file to open in ParaView
     timing : seconds of this run that belong to no level (reading, topology, putting files together)
-    total : seconds of this run
     """
     stages = dict.fromkeys(key for level in levels for key in level["timing"] if key != "total")
     spent = {key: sum(level["timing"].get(key, 0.0) for level in levels) for key in stages}
@@ -89,12 +87,12 @@ def series_report(
             "levels": len(levels),
             "origin": schedule.origin,
             "velocity": schedule.velocity,
-            "view": view,
+            **places,
             "drift": levels[-1]["drift"],
         },
         "levels": list(levels),
         "valid": all(level["valid"] for level in levels),
-        "timing": {**timing, **spent, "total": total},
+        "timing": {**timing, **spent},
         "peak_memory_bytes": peak_memory,
         "warnings": warnings,
     }

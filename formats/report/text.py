@@ -7,45 +7,15 @@ from typing import Any
 
 from meshdeform_core.memory import readable
 
+from .measures import measure_rows
 from .series_text import series_lines
 
-_MEASURES = (
-    ("f_skew harmonic mean", ("f_skew", "harmonic_mean")),
-    ("f_skew mean", ("f_skew", "mean")),
-    ("f_skew 1 % quantile", ("f_skew", "p01")),
-    ("f_skew minimum", ("f_skew", "min")),
-    ("smallest scaled Jacobian", ("min_scaled_jacobian",)),
-    ("invalid cells", ("invalid_cells",)),
-    ("inherited invalid cells", ("inherited_invalid_cells",)),
-    ("negative volumes", ("negative_volumes",)),
-    ("wall-normal deviation rms [deg]", ("wall_normal_deviation_deg", "rms")),
-    ("wall-normal deviation max [deg]", ("wall_normal_deviation_deg", "max")),
-    ("first cell height ratio min", ("first_cell_height_ratio", "min")),
-    ("first cell height ratio max", ("first_cell_height_ratio", "max")),
-    ("interface kink rms [deg]", ("interface_kink_deg", "rms")),
-    ("interface kink max [deg]", ("interface_kink_deg", "max")),
-    ("interface spacing jump rms", ("interface_spacing_jump", "rms")),
-    ("volume ratio min", ("volume_ratio", "min")),
-    ("volume ratio max", ("volume_ratio", "max")),
-    ("total volume", ("total_volume",)),
-)
 _LISTED = 20
 
 
 def as_text(report: dict[str, Any]) -> str:
     """The whole report, one section after the other."""
     return "\n".join(_lines(report)) + "\n"
-
-
-def measure_rows(report: dict[str, Any]) -> list[tuple[str, str, str]]:
-    """Name, value before and value after of every quality measure that the report has."""
-    quality = report["quality"]
-    rows = []
-    for name, keys in _MEASURES:
-        before, after = (_pick(quality[when], keys) for when in ("before", "after"))
-        if after is not None:
-            rows.append((name, _number(before), _number(after)))
-    return rows
 
 
 def _lines(report: dict[str, Any]) -> Iterator[str]:
@@ -73,7 +43,7 @@ def _method(method: dict[str, Any]) -> Iterator[str]:
     for name, setting in method.items():
         if name != "name":
             reason = f"  ({setting['reason']})" if "reason" in setting else ""
-            yield f"          {name} = {_number(setting['value'])}{reason}"
+            yield f"          {name} = {number(setting['value'])}{reason}"
 
 
 def _boundary(boundary: dict[str, Any]) -> Iterator[str]:
@@ -96,8 +66,8 @@ def _boundary(boundary: dict[str, Any]) -> Iterator[str]:
 
 def _quality(report: dict[str, Any]) -> Iterator[str]:
     yield f"{'quality':9s} {'':34s} {'before':>14s} {'after':>14s}"
-    for name, before, after in measure_rows(report):
-        yield f"{'':9s} {name:34s} {before:>14s} {after:>14s}"
+    for row in measure_rows(report["quality"]):
+        yield f"{'':9s} {row.name:34s} {number(row.before):>14s} {number(row.after):>14s}"
     if "steps" in report:
         reached = "" if report["reached"] == 1.0 else f", the motion imposed to {report['reached']:.1%}"
         yield f"steps     {report['steps']}{reached}"
@@ -113,14 +83,8 @@ def _quality(report: dict[str, Any]) -> Iterator[str]:
         yield f"          ... {len(cells) - _LISTED} more in the json report"
 
 
-def _pick(quality: dict[str, Any], keys: tuple[str, ...]) -> Any:
-    value: Any = quality
-    for key in keys:
-        value = None if value is None else value[key]
-    return value
-
-
-def _number(value: Any) -> str:
+def number(value: Any) -> str:
+    """A value as people read it: six digits, thousands apart."""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         return str(value)
     return f"{value:,}" if isinstance(value, int) else f"{value:.6g}"

@@ -1,20 +1,22 @@
-"""Reports written as json, text or html."""
+"""Reports written as json, text, Markdown or html."""
 
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 from meshdeform_core.errors import FormatError
 
 from ..files import replacing
+from .illustrations import Illustrate, Illustrations
 from .parts import Report
 
-SUFFIXES = (".json", ".txt", ".html")
+SUFFIXES = (".json", ".txt", ".html", ".md")
 
 
-def write_report(report: Report, path: Path) -> None:
-    """Write a report; the suffix picks json, txt or html.
+def write_report(report: Report, path: Path, illustrate: Illustrate = Illustrations) -> None:
+    """Write a report; the suffix picks json, txt, html or md. Pictures are only made for html.
 
     Raises
     ------
@@ -22,18 +24,32 @@ def write_report(report: Report, path: Path) -> None:
         For another suffix, or when the file cannot be written.
     """
     check_report_path(path)
-    if path.suffix == ".json":
-        text = json.dumps(report, indent=2, allow_nan=False) + "\n"
-    elif path.suffix == ".txt":
-        from .text import as_text
-
-        text = as_text(report)
-    else:
-        from .html import as_html
-
-        text = as_html(report)
+    text = _render(report, path, illustrate)
     with replacing(path) as partial:
         partial.write_text(text, encoding="utf-8")
+
+
+def _render(report: Report, path: Path, illustrate: Illustrate) -> str:
+    if path.suffix == ".json":
+        return as_json(report)
+    if path.suffix == ".txt":
+        from .text import as_text
+
+        return as_text(report)
+    if path.suffix == ".md":
+        from .markdown import as_markdown
+
+        return as_markdown(report)
+    from .page import as_html
+
+    pictures = illustrate()
+    folder = os.path.relpath(report["series"]["folder"], path.parent) if "series" in report else ""
+    return as_html(report, pictures.figures, pictures.thumbnails, folder)
+
+
+def as_json(report: Report) -> str:
+    """The report as json."""
+    return json.dumps(report, indent=2, allow_nan=False) + "\n"
 
 
 def check_report_path(path: Path) -> None:

@@ -49,6 +49,11 @@ class SeriesFiles(Protocol):
         """Coordinates (n_nodes, 3) of a written level, in the order of the series' grid."""
         ...
 
+    @property
+    def readable(self) -> bool:
+        """Whether what :meth:`read` needs is there, also when the series is complete."""
+        ...
+
     def has(self, number: int) -> bool:
         """Whether a level has been written."""
         ...
@@ -113,7 +118,7 @@ class LevelFiles:
 
     def read(self, number: int) -> FloatArray:
         path = self.path(number)
-        if not hasattr(FORMATS[format_of(path)].load(), "read"):
+        if not self.readable:
             raise FormatError(
                 f"cannot go on after {path}: the next level needs its coordinates, and {self._suffix} files are not "
                 f"read; make the series anew (--force), or in a format that is read"
@@ -122,6 +127,10 @@ class LevelFiles:
         if grid.n_nodes != self._grid.n_nodes:
             raise FormatError(f"{path} has {grid.n_nodes:,} nodes; a level of this series has {self._grid.n_nodes:,}")
         return grid.points
+
+    @property
+    def readable(self) -> bool:
+        return hasattr(FORMATS[format_of(self.path(0))].load(), "read")
 
     def has(self, number: int) -> bool:
         return self.path(number).is_file()
@@ -180,6 +189,10 @@ class SingleFile:
 
     def read(self, number: int) -> FloatArray:
         return np.load(self._part(number), allow_pickle=False).astype(np.float64)
+
+    @property
+    def readable(self) -> bool:
+        return self._levels.is_dir()
 
     def has(self, number: int) -> bool:
         return self._part(number).is_file()

@@ -1,6 +1,7 @@
 """Quality of grids: cells, interfaces, walls, and the verdict on a deformed grid."""
 
 from .original import Original
+from .per_block import BlockQuality, BlockSkew
 from .report import Assessment, InvalidCell, Quality, assess
 
-__all__ = ["Assessment", "InvalidCell", "Original", "Quality", "assess"]
+__all__ = ["Assessment", "BlockQuality", "BlockSkew", "InvalidCell", "Original", "Quality", "assess"]

@@ -17,6 +17,7 @@ from .cells import measure_block
 from .comparison import Comparison
 from .lines import interface_lines, kink_and_jump, moving_walls, wall_lines
 from .original import Original
+from .per_block import BlockQuality, per_block
 from .tally import Range, Skew, Tally
 
 MAX_LISTED = 200
@@ -75,11 +76,12 @@ class InvalidCell:
 
 @dataclass(frozen=True)
 class Assessment:
-    """Quality before and after and the verdict."""
+    """Quality before and after, of the grid and of its blocks, and the verdict."""
 
     before: Quality
     after: Quality
     invalid: tuple[InvalidCell, ...]
+    blocks: tuple[BlockQuality, ...] = ()
 
     @property
     def valid(self) -> bool:
@@ -133,6 +135,7 @@ def assess(original: Original, after: FloatArray, boundary: Boundary | None) -> 
         _quality(original.tally, 0, original.tally.bad, walls[0], interfaces[0], Range(1.0, 1.0)),
         _quality(cells.after, len(broken), cells.inherited, walls[1], interfaces[1], cells.ratio),
         _with_nearest_patch(grid, topology, boundary, start, invalid),
+        per_block(original, cells),
     )
 
 

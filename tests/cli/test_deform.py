@@ -88,7 +88,7 @@ def test_quiet_prints_nothing(bench, call):
 def test_verbose_tells_the_stages_on_stderr(bench, call):
     result = call(*RUN, "-v")
     stages = [line.split()[1] for line in result.err.splitlines()]
-    assert stages == ["read", "topology", "prepare", "apply", "quality", "write", "total"]
+    assert stages == ["read", "topology", "prepare", "apply", "quality", "write", "other", "total"]
 
 
 def test_a_second_run_gives_the_same_bytes(bench, call):

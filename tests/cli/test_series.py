@@ -86,7 +86,7 @@ def test_text_and_page_have_a_line_per_level(swing, call):
     assert Path("r.txt").read_text() == result.out
     rows = [line for line in result.out.splitlines() if line.strip()[:1].isdigit() and "°" in line]
     assert [row.split()[1] for row in rows] == ["0", "0.25", "0.5", "0.75", "1"]
-    assert "All levels are valid" in Path("r.html").read_text()
+    assert "All 5 levels are valid" in Path("r.html").read_text()
 
 
 def test_marching_reports_its_drift(swing, call):

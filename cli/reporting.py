@@ -1,0 +1,52 @@
+"""Where reports go: files, stdout, the terminal."""
+
+from __future__ import annotations
+
+import functools
+import time as clock
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import click
+
+from meshdeform_core.parallel import current_ranks
+from meshdeform_formats.report import Report, as_json, run_part, with_other, write_report
+from meshdeform_formats.report.illustrations import Illustrate, Illustrations
+from meshdeform_formats.report.text import as_text
+
+STDOUT = Path("-")
+
+
+@dataclass(frozen=True)
+class Delivery:
+    """What a command knows about itself: when it began, the files it read and wrote, the pictures of its report.
+
+    ``start`` is a ``perf_counter``; ``files`` are roles and paths.
+    """
+
+    start: float
+    files: Sequence[tuple[str, Path | None]]
+    illustrate: Illustrate = field(default=Illustrations)
+
+
+def deliver(report: Report, reports: Iterable[Path], to_stdout: bool, quiet: bool, delivery: Delivery) -> None:
+    """Write the reports; json goes to stdout if asked for, the text for people then to stderr."""
+    files = [path for path in reports if path != STDOUT]
+    to_stdout = to_stdout or STDOUT in reports
+    if files or to_stdout:
+        report["run"] = current_ranks().on_first(lambda: run_part(_arguments(), delivery.files))
+    if "timing" in report:
+        report["timing"] = with_other(report["timing"], clock.perf_counter() - delivery.start)
+    for path in files:
+        current_ranks().on_first(functools.partial(write_report, report, path, delivery.illustrate))
+    if to_stdout:
+        click.echo(as_json(report), nl=False)
+    if not quiet:
+        click.echo(as_text(report), nl=False, err=to_stdout)
+
+
+def _arguments() -> Sequence[str]:
+    """The command line as it was given; see :func:`meshdeform_cli.main.run`."""
+    arguments: Sequence[str] = click.get_current_context().find_root().obj
+    return arguments

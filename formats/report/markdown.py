@@ -1,0 +1,110 @@
+"""Reports as GitHub-flavoured Markdown: short enough for the summary of a run of continuous integration."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+
+from .measures import measure_rows
+from .parts import Report
+from .places import places_of
+from .remedies import remedy_of
+from .text import number
+
+_SHOWN = 10
+
+
+def as_markdown(report: Report) -> str:
+    """Verdict, measures or levels, warnings, command."""
+    return "\n".join(_lines(report)) + "\n"
+
+
+def _lines(report: Report) -> Iterator[str]:
+    grid = report["grid"]
+    yield f"## {'✅' if report['valid'] else '❌'} {_escaped(grid['file'] or 'grid')}: {_verdict(report)}"
+    yield ""
+    yield f"{grid['dimension']}-D, {grid['blocks']:,} blocks, {grid['nodes']:,} nodes, {grid['cells']:,} cells"
+    if "levels" in report:
+        yield from _levels(report)
+    else:
+        yield from _quality(report)
+    if report["warnings"]:
+        yield from ("", "### Warnings", "")
+        for warning in report["warnings"]:
+            yield f"- {_escaped(warning)}{_advice(warning)}"
+    if report.get("run"):
+        yield from ("", "```sh", report["run"]["command"], "```")
+    if "timing" in report:
+        yield from ("", f"{report['timing']['total']:.1f} s, meshdeform {report['meshdeform']}")
+
+
+def _verdict(report: Report) -> str:
+    if report["valid"]:
+        return "valid"
+    if "levels" in report:
+        bad = sum(not level["valid"] for level in report["levels"])
+        return f"{bad} of {len(report['levels'])} levels are not valid"
+    if report.get("reached", 1.0) < 1.0:
+        return f"motion imposed to {report['reached']:.1%} only"
+    return f"{report['quality']['after']['invalid_cells']:,} cells became invalid"
+
+
+def _quality(report: Report) -> Iterator[str]:
+    places = places_of(report["invalid_cells"])
+    if places:
+        yield ""
+        yield from _table(
+            ("invalid cells listed", "block", "from", "to", "near", "around"),
+            [
+                (str(p.cells), p.block, str(p.low), str(p.high), p.patch, " ".join(f"{x:.4g}" for x in p.center))
+                for p in places[:_SHOWN]
+            ],
+            texts=5,
+        )
+    yield ""
+    rows = measure_rows(report["quality"])
+    yield from _table(
+        ("measure", "before", "after", "worst at"),
+        [(row.name, number(row.before), number(row.after), row.place) for row in rows],
+        texts=1,
+    )
+
+
+def _levels(report: Report) -> Iterator[str]:
+    yield ""
+    yield from _table(
+        ("level", "time", "file", "moved", "f_skew mean", "f_skew min", "invalid"),
+        [
+            (
+                f"{level['number']}",
+                f"{level['time']:.6g}",
+                level["file"],
+                f"{level['max_displacement']:.4g}",
+                f"{level['quality']['f_skew']['mean']:.4f}",
+                f"{level['quality']['f_skew']['min']:.4f}",
+                f"{level['quality']['invalid_cells']:,}",
+            )
+            for level in report["levels"]
+        ],
+        texts=0,
+    )
+
+
+def _table(heads: Sequence[str], rows: Iterable[Sequence[str]], texts: int) -> Iterator[str]:
+    """A table; beside the first column the last ``texts`` ones are texts."""
+    numbers = range(1, len(heads) - texts)
+    yield f"| {' | '.join(heads)} |"
+    yield f"|{'|'.join('---:' if n in numbers else '---' for n in range(len(heads)))}|"
+    for row in rows:
+        yield f"| {' | '.join(_escaped(cell) for cell in row)} |"
+
+
+def _advice(warning: str) -> str:
+    advice = remedy_of(warning)
+    return f"<br>{_escaped(advice)}" if advice else ""
+
+
+def _escaped(text: str) -> str:
+    """Text that Markdown shows as it is."""
+    for sign in "\\`*_|<>":
+        text = text.replace(sign, f"\\{sign}")
+    return text

@@ -1,0 +1,68 @@
+"""The quality measures by name, in the order in which all reports show them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+_MEASURES = (
+    ("f_skew harmonic mean", ("f_skew", "harmonic_mean")),
+    ("f_skew mean", ("f_skew", "mean")),
+    ("f_skew 1 % quantile", ("f_skew", "p01")),
+    ("f_skew minimum", ("f_skew", "min")),
+    ("smallest scaled Jacobian", ("min_scaled_jacobian",)),
+    ("smallest relative Jacobian", ("min_relative_jacobian",)),
+    ("invalid cells", ("invalid_cells",)),
+    ("inherited invalid cells", ("inherited_invalid_cells",)),
+    ("negative volumes", ("negative_volumes",)),
+    ("wall-normal deviation rms [deg]", ("wall_normal_deviation_deg", "rms")),
+    ("wall-normal deviation max [deg]", ("wall_normal_deviation_deg", "max")),
+    ("first cell height ratio min", ("first_cell_height_ratio", "min")),
+    ("first cell height ratio max", ("first_cell_height_ratio", "max")),
+    ("interface kink rms [deg]", ("interface_kink_deg", "rms")),
+    ("interface kink max [deg]", ("interface_kink_deg", "max")),
+    ("interface spacing jump rms", ("interface_spacing_jump", "rms")),
+    ("volume ratio min", ("volume_ratio", "min")),
+    ("volume ratio max", ("volume_ratio", "max")),
+    ("total volume", ("total_volume",)),
+)
+
+
+@dataclass(frozen=True)
+class MeasureRow:
+    """One measure: value before (``None`` if there is none) and after, and where the worst is, in words."""
+
+    name: str
+    before: float | None
+    after: float
+    place: str
+
+    @property
+    def change(self) -> float | None:
+        return None if self.before is None else self.after - self.before
+
+
+def measure_rows(quality: Mapping[str, Any]) -> list[MeasureRow]:
+    """Every measure that the ``quality`` of a report has."""
+    rows = []
+    for name, keys in _MEASURES:
+        before, after = (_pick(quality[when], keys) for when in ("before", "after"))
+        if after is not None:
+            rows.append(MeasureRow(name, before, after, _place(quality["after"], keys)))
+    return rows
+
+
+def _pick(quality: Mapping[str, Any], keys: tuple[str, ...]) -> Any:
+    value: Any = quality
+    for key in keys:
+        value = None if value is None else value.get(key)
+    return value
+
+
+def _place(quality: Mapping[str, Any], keys: tuple[str, ...]) -> str:
+    """Block and indices of the worst value, beside the extreme that it is."""
+    worst = (quality.get("worst") or {}).get("_".join(keys)) or (quality.get("worst") or {}).get(keys[0])
+    if not worst or keys[-1] in ("harmonic_mean", "mean", "p01", "rms"):
+        return ""
+    return f"{worst['block']} ({', '.join(map(str, worst['ijk']))})"

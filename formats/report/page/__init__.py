@@ -1,0 +1,6 @@
+"""Reports as one self-contained page: verdict, pictures, measures, what was asked, where the time went."""
+
+from .document import as_html
+from .figures import Figure
+
+__all__ = ["Figure", "as_html"]

@@ -1,0 +1,54 @@
+"""Pictures in a page: PNG embedded, a pair with a slider that is two pictures where scripts do not run."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterator
+from dataclasses import dataclass
+from html import escape
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A picture, or the same view before and after (both PNG, of one size).
+
+    ``caption`` says what is seen; it is what readers get who cannot see the picture.
+    """
+
+    title: str
+    caption: str
+    after: bytes
+    before: bytes | None = None
+
+
+def figure_lines(figure: Figure, number: int) -> Iterator[str]:
+    """The figure with its heading."""
+    yield f"<h3>{escape(figure.title)}</h3><figure>"
+    if figure.before is None:
+        yield f'<div class="single">{_image(figure.after, figure.title)}</div>'
+    else:
+        yield (
+            f'<div class="pair slider"><div><span>before</span>{_image(figure.before, figure.title + ", before")}</div>'
+            f"<div><span>after</span>{_image(figure.after, figure.title + ', after')}</div></div>"
+            f'<label class="slide" for="slide{number}">before<input type="range" min="0" max="100" value="50" '
+            f'id="slide{number}" aria-label="{escape(figure.title)}: share of the picture that shows the grid before">'
+            "after</label>"
+        )
+    yield f"<figcaption>{escape(figure.caption)}</figcaption></figure>"
+
+
+def thumbnail_lines(thumbnails: list[tuple[Figure, str]]) -> Iterator[str]:
+    """Small pictures side by side, each linked to a file."""
+    yield '<div class="thumbs">'
+    for figure, link in thumbnails:
+        yield (
+            f'<figure><a href="{escape(link)}">{_image(figure.after, figure.title)}</a>'
+            f"<figcaption>{escape(figure.caption)}</figcaption></figure>"
+        )
+    yield "</div>"
+
+
+def _image(png: bytes, text: str) -> str:
+    width, height = (int.from_bytes(png[at : at + 4], "big") for at in (16, 20))
+    data = base64.b64encode(png).decode("ascii")
+    return f'<img src="data:image/png;base64,{data}" width="{width}" height="{height}" alt="{escape(text)}">'

@@ -1,0 +1,78 @@
+"""A series in a page: curves over time, thumbnails, a table with every level linked."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+from pathlib import PurePath
+from typing import Any
+from urllib.parse import quote
+
+from ..parts import Report
+from .charts import curve
+from .figures import Figure, thumbnail_lines
+
+_HEADS = ("level", "time", "file", "moved", "turned [deg]", "f_skew mean", "f_skew min", "invalid", "steps", "seconds")
+
+
+def level_tiles(report: Report) -> list[tuple[str, Any]]:
+    """Worst over all levels."""
+    levels = report["levels"]
+    worst = min(levels, key=lambda level: level["quality"]["f_skew"]["min"])
+    return [
+        ("levels", f"{len(levels)}, t = {levels[0]['time']:g} to {levels[-1]['time']:g}"),
+        ("smallest f_skew", f"{worst['quality']['f_skew']['min']:.4f} (level {worst['number']})"),
+        ("largest displacement", f"{report['boundary']['max_displacement']:.5g}"),
+        ("method", report["method"]["name"]),
+        ("seconds", f"{report['timing']['total']:.2f}"),
+    ]
+
+
+def levels_section(report: Report, thumbnails: Sequence[tuple[Figure, str]], folder: str) -> str:
+    """Curves, pictures, table."""
+    html = _curves(report["levels"]) if len(report["levels"]) > 1 else ""
+    if thumbnails:
+        linked = [(figure, _link(folder, name)) for figure, name in thumbnails]
+        html += f"<h3>Pictures</h3>{''.join(thumbnail_lines(linked))}"
+    return html + "<h3>All levels</h3>" + _table(report, folder)
+
+
+def _link(folder: str, name: str) -> str:
+    return quote(PurePath(folder, name).as_posix())
+
+
+def _curves(levels: Sequence[Report]) -> str:
+    time, wrong = [level["time"] for level in levels], [not level["valid"] for level in levels]
+    values = {
+        "smallest f_skew": [level["quality"]["f_skew"]["min"] for level in levels],
+        "mean f_skew": [level["quality"]["f_skew"]["mean"] for level in levels],
+        "largest displacement": [level["max_displacement"] for level in levels],
+        "largest rotation [deg]": [level["max_rotation_deg"] for level in levels],
+    }
+    charts = "".join(
+        f"<div><h3>{name}</h3>{curve(time, data, 'time', name, wrong)}</div>"
+        for name, data in values.items()
+        if any(data)
+    )
+    return f'<div class="charts">{charts}</div>'
+
+
+def _table(report: Report, folder: str) -> str:
+    rows = "".join(_row(level, folder) for level in report["levels"])
+    heads = "".join(f'<th scope="col"{" class=text" if name == "file" else ""}>{name}</th>' for name in _HEADS)
+    return (
+        '<div class="scroll" tabindex="0" role="region" aria-label="All levels"><table class="sortable">'
+        f"<thead><tr>{heads}</tr></thead><tbody>{rows}</tbody></table></div>"
+    )
+
+
+def _row(level: Report, folder: str) -> str:
+    skew = level["quality"]["f_skew"]
+    cells = (
+        f"{level['number']}", f"{level['time']:.6g}", None, f"{level['max_displacement']:.4g}",
+        f"{level['max_rotation_deg']:.2f}", f"{skew['mean']:.4f}", f"{skew['min']:.4f}",
+        f"{level['quality']['invalid_cells']}", f"{level['steps']}", f"{level['timing']['total']:.2f}",
+    )  # fmt: skip
+    name = f'<td class="text"><a href="{escape(_link(folder, level["file"]))}">{escape(level["file"])}</a></td>'
+    body = "".join(name if cell is None else f"<td>{cell}</td>" for cell in cells)
+    return f"<tr{'' if level['valid'] else ' class=flagged'}>{body}</tr>"

@@ -1,0 +1,105 @@
+"""The verdict: is the grid usable, and if not, where and why, and what to do."""
+
+from __future__ import annotations
+
+from html import escape
+
+from ..parts import Report
+from ..places import Place, places_of
+from .tables import table
+
+_SHOWN = 12
+
+
+def verdict_section(report: Report) -> str:
+    """The banner at the top, with the places of invalid cells."""
+    if report["valid"]:
+        return f'<div class="verdict good"><strong>✓ {_good(report)}</strong></div>'
+    if "levels" in report:
+        return _bad_levels(report)
+    return _bad(report)
+
+
+def _good(report: Report) -> str:
+    if "levels" in report:
+        return f"All {len(report['levels'])} levels are valid."
+    quality = report["quality"]["after"]
+    if quality["inherited_invalid_cells"]:
+        return f"No cell became invalid; {quality['inherited_invalid_cells']:,} cells were invalid before."
+    return "The grid is valid."
+
+
+def _bad(report: Report) -> str:
+    quality, cells = report["quality"]["after"], report["invalid_cells"]
+    reached = report.get("reached", 1.0)
+    count = quality["invalid_cells"]
+    if reached < 1.0:
+        head = f"The motion was imposed to {reached:.1%} only; the next step would have made cells invalid."
+    else:
+        head = f"{count:,} of {report['grid']['cells']:,} cells became invalid."
+    places = places_of(cells)
+    of_all = f" (first {len(cells)} cells)" if count > len(cells) else ""
+    items = "".join(f"<li>{escape(_sentence(place))}</li>" for place in places[:_SHOWN])
+    where = f"<p>Where{of_all}:</p><ul>{items}</ul>" if items else ""
+    hit = [block for block in report.get("blocks", ()) if block["invalid_cells"]]
+    if len(hit) > 1 and reached == 1.0:
+        blocks = ", ".join(f"{escape(block['name'])} ({block['invalid_cells']:,})" for block in hit[:_SHOWN])
+        where += f"<p>Blocks with invalid cells: {blocks}{' and more' if len(hit) > _SHOWN else ''}.</p>"
+    advice = "".join(f"<li>{text}</li>" for text in _advice(report))
+    banner = f'<div class="verdict bad"><strong>✗ {escape(head)}</strong>{where}'
+    return f"{banner}<p>What to do:</p><ul>{advice}</ul></div>"
+
+
+def _sentence(place: Place) -> str:
+    count = f"{place.cells:,} cell{'s' if place.cells != 1 else ''}"
+    low, high = (", ".join(map(str, corner)) for corner in (place.low, place.high))
+    range_ = f"({low})" if low == high else f"({low}) to ({high})"
+    near = f", near {place.patch!r}" if place.patch else ""
+    at = ", ".join(f"{x:.4g}" for x in place.center)
+    return f"{count} in block {place.block}, cells {range_}{near}, around x, y, z = {at}; first in step {place.step}"
+
+
+def _advice(report: Report) -> list[str]:
+    """What helps, in the order of effort."""
+    if "method" not in report:
+        return ["The grid that made it: deform again with <code>--steps auto</code>, or with another method."]
+    advice = []
+    if report["steps"] == 1 and report.get("reached", 1.0) == 1.0:
+        advice.append("Let the motion be imposed in as many steps as validity needs: <code>--steps auto</code>.")
+    holds = "" if report["method"]["name"] == "idw-tfi" else "<code>-m idw-tfi</code> holds walls under rotation; "
+    advice.append(f"Try another method: {holds}<code>meshdeform methods</code> says where each one fails.")
+    advice.append(
+        "Let nodes slide on planes close to the motion that need not be fixed: <code>kind = &quot;slip&quot;</code>."
+    )
+    return advice
+
+
+def cells_section(report: Report) -> str:
+    """The worst of the invalid cells that the report lists."""
+    rows = [
+        (cell["block"], ", ".join(map(str, cell["ijk"])), ", ".join(f"{x:.5g}" for x in cell["center"]),
+         cell["min_jacobian"], cell["step"], cell["nearest_patch"])
+        for cell in sorted(report["invalid_cells"], key=lambda cell: cell["min_jacobian"])[:_SHOWN]
+    ]  # fmt: skip
+    heads = ("block", "i, j, k", "x, y, z", "smallest Jacobian", "in step", "nearest boundary")
+    return table("The worst invalid cells", heads, rows, text=(0, 1, 2, 5)) if rows else ""
+
+
+def _bad_levels(report: Report) -> str:
+    bad = [level for level in report["levels"] if not level["valid"]]
+    items = "".join(
+        f"<li>level {level['number']} (t = {level['time']:g}): "
+        + (
+            f"{level['quality']['invalid_cells']:,} cells became invalid"
+            if level["reached"] == 1.0
+            else f"motion imposed to {level['reached']:.1%} only"
+        )
+        + "</li>"
+        for level in bad[:_SHOWN]
+    )
+    more = f"<li>and {len(bad) - _SHOWN} more</li>" if len(bad) > _SHOWN else ""
+    return (
+        f'<div class="verdict bad"><strong>✗ {len(bad)} of {len(report["levels"])} levels are not valid.'
+        f"</strong><ul>{items}{more}</ul><p>What to do: <code>--steps auto</code>, <code>--from last</code>, or "
+        "another method.</p></div>"
+    )

@@ -1,0 +1,212 @@
+"""The report as a page: complete without anything else, true to the report in json, readable without scripts."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import html.parser
+import io
+import json
+import re
+import shlex
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from meshdeform_cli.main import run
+from meshdeform_core.grid.topology import find_topology
+from meshdeform_core.quality.cells import measure_block
+from meshdeform_formats import read_grid
+
+RUN = ("deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz")
+SERIES = ("series", "grid.xyz", "-c", "case.toml", "-s", "constants.turn=1", "--times", "0:1:0.5", "-o", "levels")
+_VOID = {"meta", "img", "input", "br"}
+
+
+class Page(html.parser.HTMLParser):
+    """Text, tags and attributes of a page; refuses tags that are not closed in order."""
+
+    def __init__(self, text: str):
+        super().__init__()
+        self.open: list[str] = []
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.text = ""
+        self.feed(text)
+        assert not self.open
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        if tag not in _VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if self.open[-1:] not in (["style"], ["script"]):
+            self.text += data + " "
+
+    def of(self, tag: str) -> list[dict[str, str | None]]:
+        return [attributes for name, attributes in self.tags if name == tag]
+
+    @property
+    def pictures(self) -> list[Image.Image]:
+        data = [image["src"].removeprefix("data:image/png;base64,") for image in self.of("img")]
+        return [Image.open(io.BytesIO(base64.b64decode(text))) for text in data]
+
+
+@pytest.fixture
+def far(bench, call):
+    """A deformation that breaks cells: report in json and as a page."""
+    result = call(*RUN, "-s", "constants.turn=80", "--report", "r.json", "--report", "r.html", "-q")
+    assert result.code == 3
+    return json.loads(Path("r.json").read_text()), Page(Path("r.html").read_text())
+
+
+def test_page_needs_nothing_but_itself(far):
+    text = Path("r.html").read_text()
+    for attributes in far[1].of("img"):
+        assert attributes["src"].startswith("data:image/png;base64,")
+        assert attributes["alt"]
+    assert not far[1].of("link")
+    assert not re.search(r"https?://|@import|url\(", text)
+    assert not any("src" in script for script in far[1].of("script"))
+
+
+def test_pairs_of_pictures_are_two_pictures_without_scripts(far):
+    pictures = far[1].pictures
+    assert len(pictures) >= 4
+    assert len(pictures) % 2 == 0
+    for before, after in zip(pictures[::2], pictures[1::2], strict=True):
+        assert before.size == after.size
+        assert np.asarray(before).std() > 10
+        assert (np.asarray(before) != np.asarray(after)).any()
+    # What hides one of the two under the other is the class that the script sets.
+    style = Path("r.html").read_text().split("</style>")[0]
+    assert ".js .slider" in style
+    assert not re.search(r"^\.slider", style, re.MULTILINE)
+
+
+def test_verdict_says_how_many_where_and_what_to_do(far):
+    report, page = far
+    count = report["quality"]["after"]["invalid_cells"]
+    assert count > 0
+    assert f"{count:,} of {report['grid']['cells']:,} cells became invalid" in page.text
+    cells = report["invalid_cells"]
+    for block in {cell["block"] for cell in cells}:
+        ijk = np.array([cell["ijk"] for cell in cells if cell["block"] == block])
+        assert f"block {block}" in page.text
+        assert ", ".join(map(str, ijk.min(axis=0))) in page.text
+    assert "--steps auto" in page.text
+
+
+def test_blocks_are_those_of_a_plain_count(far):
+    report, _ = far
+    before, after = read_grid("grid.xyz"), read_grid("out.xyz")
+    hand = find_topology(before).handedness
+    for number, block in enumerate(report["blocks"]):
+        new, old = (measure_block(grid.block(number), float(hand[number]), None) for grid in (after, before))
+        assert block["name"] == before.names[number]
+        assert block["cells"] == new.skew.size
+        assert block["invalid_cells"] == int(((new.bad & ~old.bad) != 0).sum())
+        for key, measures in (("before", old), ("after", new)):
+            assert block[key]["f_skew_min"] == pytest.approx(measures.skew.min(), abs=1e-12)
+            assert block[key]["f_skew_mean"] == pytest.approx(measures.skew.mean(), rel=1e-6)
+            assert block[key]["min_scaled_jacobian"] == pytest.approx(measures.scaled.min(), rel=1e-6)
+    assert sum(block["invalid_cells"] for block in report["blocks"]) == report["quality"]["after"]["invalid_cells"]
+
+
+def test_run_can_be_repeated_and_files_recognised(far, capsys):
+    report, page = far
+    for file in report["run"]["files"]:
+        data = Path(file["path"]).read_bytes()
+        assert file["sha256"] == hashlib.sha256(data).hexdigest()
+        assert file["sha256"] in page.text
+    assert {file["role"] for file in report["run"]["files"]} == {"grid", "case", "output"}
+    words = shlex.split(report["run"]["command"])
+    assert words[0] == "meshdeform"
+    again = Path("out.xyz").read_bytes()
+    assert run([*words[1:], "--force"]) == 3
+    assert Path("out.xyz").read_bytes() == again
+
+
+def test_seconds_add_up(far):
+    timing = dict(far[0]["timing"])
+    assert timing.pop("total") == pytest.approx(sum(timing.values()))
+
+
+def test_seconds_of_a_resumed_series_add_up(bench, call):
+    assert call(*SERIES, "--report", "a.json").code == 0
+    levels = json.loads(Path("levels/series.json").read_text())["levels"]
+    assert call(*SERIES, "--resume", "--report", "b.json").code == 0
+    timing = json.loads(Path("b.json").read_text())["timing"]
+    assert timing["apply"] == pytest.approx(sum(level["timing"]["apply"] for level in levels))
+    assert timing.pop("total") == pytest.approx(sum(timing.values()))
+
+
+def test_names_cannot_break_the_page(bench, call):
+    Path("grid.xyz").rename("<b>&'\".xyz")
+    arguments = ("deform", "<b>&'\".xyz", *RUN[2:], "--report", "r.html", "--report", "r.md", "-q")
+    assert call(*arguments).code == 0
+    assert "Deformation of <b>&'\".xyz" in Page(Path("r.html").read_text()).text
+    assert "\\<b\\>" in Path("r.md").read_text()
+
+
+def test_series_page_has_curves_pictures_and_links(bench, call):
+    assert call(*SERIES, "--report", "r.html").code == 0
+    page = Page(Path("r.html").read_text())
+    assert "All 3 levels are valid" in page.text
+    assert len(page.pictures) == 3
+    links = {a["href"] for a in page.of("a") if not a["href"].startswith("#")}
+    assert len(links) == 3
+    assert all(Path(link).is_file() for link in links)
+    curves = [svg for svg in page.of("svg") if "over time" in (svg["aria-label"] or "")]
+    assert len(curves) == 4
+
+
+def test_markdown_has_verdict_places_and_measures(bench, call):
+    call(*RUN, "-s", "constants.turn=80", "--report", "r.md", "--report", "r.json", "-q")
+    text, report = Path("r.md").read_text(), json.loads(Path("r.json").read_text())
+    assert text.startswith("## ❌ grid.xyz: ")
+    rows = [line for line in text.splitlines() if line.startswith("| f\\_skew minimum")]
+    cells = [cell.strip() for cell in rows[0].strip("|").split("|")]
+    assert float(cells[2]) == pytest.approx(report["quality"]["after"]["f_skew"]["min"], abs=1e-5)
+    widths = {line.count("|") - line.count("\\|") for line in text.splitlines() if line.startswith("| ")}
+    assert widths <= {5, 7}
+
+
+def test_json_goes_to_stdout_alone(bench, call):
+    for option in (("--json",), ("--report", "-")):
+        result = call(*RUN, *option, "--force")
+        assert json.loads(result.out)["valid"] is True
+        assert "verdict   valid" in result.err
+    assert call(*RUN, "--json", "--force", "-q").err == ""
+    plan = call(*RUN, "--json", "--dry-run", "-q")
+    assert json.loads(plan.out)["method"]["name"] == "idw-tfi"
+    assert json.loads(call("quality", "grid.xyz", "--report", "-").out)["valid"] is True
+    assert len(json.loads(call(*SERIES, "--json").out)["levels"]) == 3
+
+
+@pytest.mark.skipif(not shutil.which("chromium"), reason="chromium is not installed")
+def test_page_fits_a_phone(far, tmp_path):
+    text = Path("r.html").read_text()
+    probe = "<script>document.title = document.documentElement.scrollWidth + ' of ' + innerWidth</script></body>"
+    Path("frame.html").write_text(text.replace("</body>", probe))
+    dumped = subprocess.run(
+        [
+            "chromium", "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+            "--disable-background-networking", "--disable-component-update", "--disable-sync",
+            f"--user-data-dir={tmp_path / 'profile'}", "--window-size=500,900", "--dump-dom",
+            Path("frame.html").absolute().as_uri(),
+        ],
+        capture_output=True, text=True, timeout=60, check=True,
+    ).stdout  # fmt: skip
+    wide, window = re.search(r"<title>(\d+) of (\d+)</title>", dumped).groups()
+    assert int(wide) <= int(window)
