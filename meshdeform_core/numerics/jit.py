@@ -1,18 +1,87 @@
 """How loops are compiled: cached on disk, without the interpreter lock, with numpy's rules for division.
 
 Numpy's error model matters for speed: Python's would test every division for zero, which keeps loops scalar.
+
+Compiling is what the first run after installation waits for. It takes time by the number of functions and of different
+operations on arrays, not by the length of a loop: loops over numbers compile fastest; slices that are assigned, array
+expressions, ``zeros``, reductions and searches each bring functions of numba's own along.
 """
 
-from numba import njit
+from __future__ import annotations
 
-kernel = njit(cache=True, nogil=True, error_model="numpy")
+import time
+from collections.abc import Callable
+from typing import Any
+
+from numba import njit
+from numba.core import event
+
+_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
+
+
+def _compiled(**options: Any) -> Callable[[Callable], Any]:
+    """A decorator: numba with the options of all our loops and ``options``."""
+
+    def decorate(function: Callable) -> Any:
+        try:
+            return njit(cache=True, **_OPTIONS, **options)(function)
+        except RuntimeError:
+            # No folder for the cache can be written, neither beside the source nor in the user's home.
+            return njit(**_OPTIONS, **options)(function)
+
+    return decorate
+
+
+kernel = _compiled(no_cfunc_wrapper=True)
 """Decorator for loops whose results must not depend on the order of operations."""
 
-fast_kernel = njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
+fast_kernel = _compiled(no_cfunc_wrapper=True, fastmath=True)
 """Decorator for sums: additions may be reordered, so that they become vector instructions."""
 
-contracted_kernel = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"}, forceinline=True)
+contracted_kernel = _compiled(no_cfunc_wrapper=True, fastmath={"contract"}, forceinline=True)
 """Decorator for functions that may fuse multiplications with additions but must keep their order."""
 
-inlined = njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-"""Decorator for parts of a loop: the compiler sees them in their place, with the arrays of the caller."""
+inlined = _compiled(inline="always")
+"""Decorator for parts of a loop: put in their place before compiling, with the rules of the loop that uses them."""
+
+
+class _CompileClock(event.Listener):
+    """Counts what is compiled; what comes from the cache is not."""
+
+    def __init__(self) -> None:
+        self.seconds, self.loops = 0.0, 0
+        self.notice: Callable[[], None] | None = None
+        self._depth, self._start = 0, 0.0
+
+    # numba compiles under a lock of its own, one loop at a time: no two threads come here together.
+    def on_start(self, event: Any) -> None:
+        if self._depth == 0:
+            self._start = time.perf_counter()
+            if self.notice:
+                self.notice()
+        self._depth += 1
+
+    def on_end(self, event: Any) -> None:
+        self._depth -= 1
+        if self._depth == 0:
+            self.seconds += time.perf_counter() - self._start
+            self.loops += 1
+
+
+_clock = _CompileClock()
+event.register("numba:compile", _clock)
+
+
+def compile_seconds() -> float:
+    """Seconds that this process has spent on compiling so far."""
+    return _clock.seconds
+
+
+def compiled_loops() -> int:
+    """Loops that this process has compiled so far."""
+    return _clock.loops
+
+
+def on_compile(notice: Callable[[], None] | None) -> None:
+    """Call ``notice`` before every loop that is compiled because the cache does not have it."""
+    _clock.notice = notice
