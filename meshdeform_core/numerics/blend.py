@@ -5,9 +5,11 @@ coordinates run from 0 to 1 within every sub-block. A table ``subs`` (n, 11) lis
 the block, low and high node of the sub-block, start of its arc coordinates, see :func:`arc_numbers`.
 """
 
+import math
+
 import numpy as np
 
-from .jit import contracted_kernel, fast_kernel, inlined, kernel
+from .jit import fast_kernel, inlined, kernel
 
 # Nodes along k and lines along j that are filled together: what they share stays in the cache.
 _TILE, _LINES = 16, 64
@@ -16,20 +18,7 @@ _TILE, _LINES = 16, 64
 @inlined
 def _padded(count):
     """The next multiple of four, the numbers in a vector register: no loop along k ends with single numbers."""
-    return -(-count // 4) * 4
-
-
-@inlined
-def _block(values, sub):
-    """Values (n_nodes, 3) of the block of a sub-block, (ni, nj, nk, 3)."""
-    ni, nj, nk = sub[1], sub[2], sub[3]
-    return values[sub[0] : sub[0] + ni * nj * nk].reshape((ni, nj, nk, 3))
-
-
-@inlined
-def _ends(sub):
-    """Low and high node of a sub-block."""
-    return (sub[4], sub[5], sub[6]), (sub[7], sub[8], sub[9])
+    return (count + 3) // 4 * 4
 
 
 def arc_numbers(subs):
@@ -43,83 +32,125 @@ def arc_numbers(subs):
 
 
 @inlined
-def _arc_at(i, j, k, axis, nj, nk):
-    """Where the coordinate along ``axis`` of interior node (i, j, k), counted from 0, of nj nk in a plane, lies."""
-    first = k - k % _TILE
-    width = min(_TILE, _padded(nk) - first)
-    return 3 * (nj * (i * _padded(nk) + first) + j * width) + axis * width + k - first
+def _tile_start(i, j, first, nj, nk):
+    """Where the coordinates of the tile from k = ``first`` of line (i, j), counted from 0, of nj nk in a plane, lie."""
+    return 3 * (nj * (i * _padded(nk) + first) + j * min(_TILE, _padded(nk) - first))
+
+
+# Rows of the work array of a tile: coordinates of a node and of the one before, arc lengths, one over the whole length.
+_HERE, _BEFORE, _LENGTH, _INVERSE = 0, 3, 6, 7
+
+
+@inlined
+def _load(points, node, count, work, row):
+    """Coordinates of ``count`` consecutive nodes into three rows; what else they hold stays a number."""
+    x = points[node:]
+    for k in range(count):
+        for c in range(3):
+            work[row + c, k] = x[k, c]
+
+
+@inlined
+def _edge(work, k):
+    """Length of the edge between a node and the one before."""
+    dx, dy, dz = work[0, k] - work[3, k], work[1, k] - work[4, k], work[2, k] - work[5, k]
+    return math.sqrt(dx * dx + dy * dy + dz * dz)
 
 
 @kernel
 def arc_coordinates(points, subs, first, last, arc):
-    """Normalised arc lengths (eq. 10) of the interior nodes of sub-blocks.
+    """Normalised arc lengths (eq. 10) of the interior nodes of sub-blocks ``first`` to ``last``.
 
     A line without length (collapsed edge) gets a uniform coordinate.
 
     Parameters
     ----------
     points : (n_nodes, 3) of all blocks
-    first, last : which to compute: item 3 n + axis is those of sub-block n along i, j or k
     arc : where to put them, see :func:`arc_numbers`
     """
-    for item in range(first, last):
-        axis, sub = item % 3, subs[item // 3]
-        (ia, ja, ka), (ib, jb, kb) = _ends(sub)
-        x, out = _block(points, sub)[ia : ib + 1, ja : jb + 1, ka : kb + 1], arc[sub[10] :]
-        for a in range(1, jb - ja if axis == 0 else ib - ia):
-            if axis == 0:
-                plane = arcs_across(x[:, a, 1:-1])[1:-1]
-            elif axis == 1:
-                plane = arcs_across(x[a, :, 1:-1])[1:-1]
-            else:
-                plane = np.ascontiguousarray(arcs_across(x[a, 1:-1].transpose((1, 0, 2)))[1:-1].T)
-            for m in range(plane.shape[0]):
-                i, j = (m, a - 1) if axis == 0 else (a - 1, m)
-                for k in range(0, plane.shape[1], _TILE):
-                    at, part = _arc_at(i, j, k, axis, jb - ja - 1, kb - ka - 1), plane[m, k : k + _TILE]
-                    out[at : at + part.size] = part
+    # One array of fixed size, whose rows the compiler sees to be apart.
+    work = np.empty((8, _TILE))
+    for row in range(8):
+        for k in range(_TILE):
+            work[row, k] = 0.0
+    for number in range(first, last):
+        sub = subs[number]
+        si, sj = sub[2] * sub[3], sub[3]
+        corner = sub[0] + sub[4] * si + sub[5] * sj + sub[6]
+        ni, nj, nk = sub[7] - sub[4] - 1, sub[8] - sub[5] - 1, sub[9] - sub[6] - 1
+        for k0 in range(0, nk, _TILE):
+            count = min(_TILE, nk - k0)
+            plane, across = 3 * nj * _padded(nk), 3 * min(_TILE, _padded(nk) - k0)
+            at = sub[10] + 3 * nj * k0
+            for axis in range(2):
+                # Along i every line j, along j every line i.
+                step, beside, length, lines = (si, sj, ni, nj) if axis == 0 else (sj, si, nj, ni)
+                apart, next_line = (plane, across) if axis == 0 else (across, plane)
+                for line in range(lines):
+                    node, to = corner + (line + 1) * beside + k0 + 1, at + line * next_line + axis * across // 3
+                    _arcs_across(points, node, step, length, count, work, arc, to, apart)
+        for i in range(ni):
+            for j in range(nj):
+                _arcs_along(points, corner + (i + 1) * si + (j + 1) * sj, nk, work, arc, sub[10], i, j, nj)
 
 
-@kernel
-def arcs_across(x):
-    """Arc coordinates (m, n) along the first index of a plane of nodes (m, n, 3), all lines together."""
-    last = x.shape[0] - 1
-    out = np.zeros(x.shape[:2])
-    for m in range(1, last + 1):
-        for n in range(x.shape[1]):
-            dx, dy, dz = x[m, n, 0] - x[m - 1, n, 0], x[m, n, 1] - x[m - 1, n, 1], x[m, n, 2] - x[m - 1, n, 2]
-            out[m, n] = out[m - 1, n] + np.sqrt(dx * dx + dy * dy + dz * dz)
-    for m in range(1, last + 1):
-        # The total comes last: until then it is needed.
-        for n in range(x.shape[1]):
-            total = out[last, n]
-            out[m, n] = out[m, n] / total if total > 0.0 else m / last
-    return out
+@inlined
+def _arcs_across(points, node, step, n, count, work, arc, at, apart):
+    """Arc coordinates of ``n`` nodes inside each of ``count`` neighbouring lines, all lines together.
+
+    ``node`` is the first end of the first line; coordinates of consecutive nodes lie ``apart``, from ``at`` on.
+    """
+    width = _padded(count)
+    _load(points, node, count, work, _BEFORE)
+    for k in range(width):
+        work[_LENGTH, k] = 0.0
+    for m in range(n + 1):
+        _load(points, node + (m + 1) * step, count, work, _HERE)
+        for k in range(width):
+            work[_LENGTH, k] += _edge(work, k)
+            work[3, k], work[4, k], work[5, k] = work[0, k], work[1, k], work[2, k]
+        if m < n:
+            out = arc[at + m * apart :]
+            for k in range(count):
+                out[k] = work[_LENGTH, k]
+    for k in range(width):
+        work[_INVERSE, k] = 1.0 / work[_LENGTH, k] if work[_LENGTH, k] > 0.0 else 0.0
+    for m in range(n):
+        out, uniform = arc[at + m * apart :], (m + 1) / (n + 1)
+        for k in range(count):
+            out[k] = out[k] * work[_INVERSE, k] if work[_INVERSE, k] > 0.0 else uniform
+
+
+@inlined
+def _arcs_along(points, node, n, work, arc, first, i, j, nj):
+    """Arc coordinates along the line of nodes k that begins at ``node``, with ``n`` nodes inside."""
+    total = 0.0
+    for k0 in range(0, n + 1, _TILE):
+        count = min(_TILE, n + 1 - k0)
+        _load(points, node + k0, count, work, _BEFORE)
+        _load(points, node + k0 + 1, count, work, _HERE)
+        for k in range(_padded(count)):
+            work[_LENGTH, k] = _edge(work, k)
+        at = first + _tile_start(i, j, k0, nj, n) + 2 * min(_TILE, _padded(n) - k0)
+        out = arc[at:]
+        for k in range(count):
+            total += work[_LENGTH, k]
+            if k0 + k < n:
+                out[k] = total
+    inverse = 1.0 / total if total > 0.0 else 0.0
+    for k0 in range(0, n, _TILE):
+        out = arc[first + _tile_start(i, j, k0, nj, n) + 2 * min(_TILE, _padded(n) - k0) :]
+        for k in range(min(_TILE, n - k0)):
+            out[k] = out[k] * inverse if total > 0.0 else (k0 + k + 1) / (n + 1)
 
 
 # Rows of work arrays, three components each: coefficients of 1, y, x, x y, and results.
 _ONE, _BY_Y, _BY_X, _BY_XY, _OUT = 0, 3, 6, 9, 12
 
 
-@kernel
-def blend_slabs(d, arc, subs, slabs):
-    """Fill slabs of sub-blocks, see :func:`_blend_slab`.
-
-    Parameters
-    ----------
-    d : (n_nodes, 3) of all blocks
-    arc : arc coordinates, see :func:`arc_numbers`
-    slabs : (m, 3) row in ``subs`` and planes i0 <= i < i1
-    """
-    for n in range(slabs.shape[0]):
-        sub = subs[slabs[n, 0]]
-        low, high = _ends(sub)
-        _blend_slab(_block(d, sub), arc[sub[10] :], low, high, slabs[n, 1], slabs[n, 2])
-
-
 @fast_kernel
-def _blend_slab(d, arc, low, high, i0, i1):
-    """Displacement of planes of the interior of one sub-block from its faces, in place (eqs. 1, 3-9).
+def blend_slabs(d, arc, subs, slabs):
+    """Fill planes of the interior of sub-blocks from their faces, in place (eqs. 1, 3-9).
 
     With G the blending of the i and j faces at the node's arc coordinates x, y, z, the displacement is
     ``G + (1 - z) (d - G)(k low) + z (d - G)(k high)``. G is bilinear in x and y. The i faces make up its coefficients
@@ -127,93 +158,112 @@ def _blend_slab(d, arc, low, high, i0, i1):
 
     Parameters
     ----------
-    d : (ni, nj, nk, 3), known on the faces of the sub-block between the nodes ``low`` and ``high``
-    arc : arc coordinates of the sub-block
-    i0, i1 : planes i0 <= i < i1 of the interior
+    d : (n_nodes, 3) of all blocks, known on the faces of the sub-blocks
+    arc : arc coordinates, see :func:`arc_numbers`
+    slabs : (m, 3) row in ``subs`` and planes i0 <= i < i1 of the block
     """
-    (ia, ja, ka), (ib, jb, kb) = low, high
-    lines, slopes, sides = np.zeros((_LINES, 15, _TILE)), np.zeros((_LINES, 12)), np.zeros((6, _TILE))
-    js, ends = slice(ja, jb + 1), slice(ka, kb + 1, kb - ka)
-    for k0 in range(ka + 1, kb, _TILE):
-        tile = slice(k0, min(k0 + _TILE, kb))
-        for j0 in range(ja + 1, jb, _LINES):
-            part = slice(j0, min(j0 + _LINES, jb))
-            faces, edges = (d[ia, js, tile], d[ib, js, tile]), (d[ia, js, ends], d[ib, js, ends])
-            _prepare_lines(faces, edges, j0 - ja, part.stop - ja, lines, slopes)
-            for i in range(i0, i1):
-                at = _arc_at(i - ia - 1, j0 - ja - 1, k0 - ka - 1, 0, jb - ja - 1, kb - ka - 1)
-                faces, edges = (d[i, ja, tile], d[i, jb, tile]), (d[i, ja, ends], d[i, jb, ends])
-                _blend_lines(faces, edges, d[i, part, ends], arc[at:], lines, slopes, sides, d[i, part, tile])
+    lines, slopes, sides = np.empty((_LINES, 15, _TILE)), np.empty((_LINES, 12)), np.empty((6, _TILE))
+    # Vectors end beyond the last node: what is computed there must be numbers, whatever they are.
+    for k in range(_TILE):
+        for row in range(15):
+            for line in range(_LINES):
+                lines[line, row, k] = 0.0
+        for row in range(6):
+            sides[row, k] = 0.0
+    for n in range(slabs.shape[0]):
+        sub = subs[slabs[n, 0]]
+        si, sj = sub[2] * sub[3], sub[3]
+        corner = sub[0] + sub[4] * si + sub[5] * sj + sub[6]
+        nj, nk = sub[8] - sub[5] - 1, sub[9] - sub[6] - 1
+        for k0 in range(0, nk, _TILE):
+            count = min(_TILE, nk - k0)
+            for j0 in range(0, nj, _LINES):
+                j1 = min(j0 + _LINES, nj)
+                _prepare_lines(d, sub, corner, j0, j1, k0, count, lines, slopes)
+                for i in range(slabs[n, 1] - sub[4], slabs[n, 2] - sub[4]):
+                    plane, at = corner + i * si, sub[10] + _tile_start(i - 1, j0, k0, nj, nk)
+                    _blend_lines(d, plane, sj, (nj + 1) * sj, nk + 1, j0, j1, k0, count, arc, at, lines, slopes, sides)
 
 
 @inlined
-def _prepare_lines(faces, edges, first, last, lines, slopes):
-    """Coefficients along lines first <= j < last from two i ``faces`` (nj, n, 3) and their ``edges`` (nj, 2, 3).
+def _prepare_lines(d, sub, corner, j0, j1, k0, count, lines, slopes):
+    """Coefficients along lines j0 <= j < j1, counted inside, from the two i faces, and for the ends of the lines.
 
     ``lines`` gets them less those at the low end of the line, ``slopes`` those at the low end less the high end.
     """
-    for j in range(first, last):
-        line, slope = lines[j - first], slopes[j - first]
+    sj, up = sub[3], (sub[7] - sub[4]) * sub[2] * sub[3]
+    end, high = (sub[8] - sub[5]) * sj, sub[9] - sub[6]
+    for j in range(j0, j1):
+        line = j - j0
+        row = corner + (j + 1) * sj
         for c in range(3):
-            a0, a1, a2, a3 = _coefficients(edges, j, 0, c)
-            b0, b1, b2, b3 = _coefficients(edges, j, 1, c)
-            slope[_ONE + c], slope[_BY_Y + c], slope[_BY_X + c], slope[_BY_XY + c] = a0 - b0, a1 - b1, a2 - b2, a3 - b3
-            for k in range(faces[0].shape[1]):
-                e0, e1, e2, e3 = _coefficients(faces, j, k, c)
-                line[_ONE + c, k], line[_BY_Y + c, k] = e0 - a0, e1 - a1
-                line[_BY_X + c, k], line[_BY_XY + c, k] = e2 - a2, e3 - a3
+            a0, a1, a2, a3 = _coefficients(d, row, corner, corner + end, up, c)
+            b0, b1, b2, b3 = _coefficients(d, row + high, corner + high, corner + end + high, up, c)
+            slopes[line, _ONE + c], slopes[line, _BY_Y + c] = a0 - b0, a1 - b1
+            slopes[line, _BY_X + c], slopes[line, _BY_XY + c] = a2 - b2, a3 - b3
+            for k in range(count):
+                at = k0 + 1 + k
+                e0, e1, e2, e3 = _coefficients(d, row + at, corner + at, corner + end + at, up, c)
+                lines[line, _ONE + c, k], lines[line, _BY_Y + c, k] = e0 - a0, e1 - a1
+                lines[line, _BY_X + c, k], lines[line, _BY_XY + c, k] = e2 - a2, e3 - a3
 
 
 @inlined
-def _coefficients(faces, j, k, c):
-    """Of 1, y, x, x y at line j in the blending of two i faces (nj, n, 3), less their edges at both ends of j."""
-    low, high = faces
-    end = low.shape[0] - 1
-    first, second = low[j, k, c] - low[0, k, c], high[j, k, c] - high[0, k, c]
-    along_low, along_high = low[end, k, c] - low[0, k, c], high[end, k, c] - high[0, k, c]
+def _coefficients(d, node, low, high, up, c):
+    """Of 1, y, x, x y at a node of the low i face in the blending of both, less their edges at both ends of j.
+
+    ``low`` and ``high`` are the ends of the node's line along j, ``up`` the step to the other face.
+    """
+    first, second = d[node, c] - d[low, c], d[node + up, c] - d[low + up, c]
+    along_low, along_high = d[high, c] - d[low, c], d[high + up, c] - d[low + up, c]
     return first, -along_low, second - first, along_low - along_high
 
 
 @inlined
-def _blend_lines(faces, edges, ends, arc, lines, slopes, sides, out):
-    """Lines (m, n, 3) of a plane i from two j ``faces`` (n, 3), their ``edges`` (2, 3) and own ``ends`` (m, 2, 3)."""
-    low, high = faces
-    count = out.shape[1]
+def _blend_lines(d, plane, sj, end, far, j0, j1, k0, count, arc, start, lines, slopes, sides):
+    """Lines j0 <= j < j1 of a plane i from its sides along j and the ends of the lines.
+
+    ``plane`` is the node at both low ends, ``end`` the step to the other side, ``far`` to the other end of a line;
+    ``start`` where the coordinates begin.
+    """
     width = _padded(count)
+    low, high = d[plane + k0 + 1 :], d[plane + end + k0 + 1 :]
     for c in range(3):
+        edge = d[plane, c] - d[plane + end, c]
         for k in range(count):
             sides[_ONE + c, k] = low[k, c]
-            sides[_BY_Y + c, k] = high[k, c] - low[k, c] + edges[0][0, c] - edges[1][0, c]
-    for n in range(out.shape[0]):
-        line, start = lines[n], 3 * width * n
-        along_i, along_j, along_k = arc[start:], arc[start + width :], arc[start + 2 * width :]
-        ends0 = _at_ends(ends[n], edges, slopes[n], 0)
-        ends1 = _at_ends(ends[n], edges, slopes[n], 1)
-        ends2 = _at_ends(ends[n], edges, slopes[n], 2)
+            sides[_BY_Y + c, k] = high[k, c] - low[k, c] + edge
+    for n in range(j1 - j0):
+        row, at = plane + (j0 + n + 1) * sj, start + 3 * width * n
+        # Parts that begin at zero: an index that might be negative would keep the loop over k scalar, and so would a
+        # loop over components.
+        along_i, along_j, along_k = arc[at:], arc[at + width :], arc[at + 2 * width :]
+        p0, p1, p2, p3, p4 = _at_ends(d, row, plane, end, far, slopes, n, 0)
+        q0, q1, q2, q3, q4 = _at_ends(d, row, plane, end, far, slopes, n, 1)
+        r0, r1, r2, r3, r4 = _at_ends(d, row, plane, end, far, slopes, n, 2)
         for k in range(width):
-            # Components by name, a loop over them would keep this one scalar; coordinates once, before any is written.
             x, y, z = along_i[k], along_j[k], along_k[k]
-            line[_OUT, k] = _blend_node(x, y, z, line, sides, k, 0, ends0)
-            line[_OUT + 1, k] = _blend_node(x, y, z, line, sides, k, 1, ends1)
-            line[_OUT + 2, k] = _blend_node(x, y, z, line, sides, k, 2, ends2)
+            lines[n, _OUT, k] = _blend_node(x, y, z, lines, n, sides, k, 0, p0, p1, p2, p3, p4)
+            lines[n, _OUT + 1, k] = _blend_node(x, y, z, lines, n, sides, k, 1, q0, q1, q2, q3, q4)
+            lines[n, _OUT + 2, k] = _blend_node(x, y, z, lines, n, sides, k, 2, r0, r1, r2, r3, r4)
+        out = d[row + k0 + 1 :]
         for k in range(count):
-            out[n, k, 0], out[n, k, 1], out[n, k, 2] = line[_OUT, k], line[_OUT + 1, k], line[_OUT + 2, k]
+            out[k, 0], out[k, 1], out[k, 2] = lines[n, _OUT, k], lines[n, _OUT + 1, k], lines[n, _OUT + 2, k]
 
 
-@contracted_kernel
-def _at_ends(ends, edges, slope, c):
+@inlined
+def _at_ends(d, row, plane, end, far, slopes, n, c):
     """What the ends of a line add to the coefficient of 1, and the coefficients of z, y z, x z, x y z."""
-    low, high = edges
-    one = ends[0, c] - low[0, c]
-    by_z = ends[1, c] - low[1, c] - one + slope[_ONE + c]
-    by_yz = low[1, c] - high[1, c] - low[0, c] + high[0, c] + slope[_BY_Y + c]
-    return one, by_z, by_yz, slope[_BY_X + c], slope[_BY_XY + c]
+    one = d[row, c] - d[plane, c]
+    by_z = d[row + far, c] - d[plane + far, c] - one + slopes[n, _ONE + c]
+    by_yz = d[plane + far, c] - d[plane + end + far, c] - d[plane, c] + d[plane + end, c] + slopes[n, _BY_Y + c]
+    return one, by_z, by_yz, slopes[n, _BY_X + c], slopes[n, _BY_XY + c]
 
 
-@contracted_kernel
-def _blend_node(x, y, z, line, sides, k, c, ends):
-    one = line[_ONE + c, k] + sides[_ONE + c, k] + ends[0] + z * ends[1]
-    by_y = line[_BY_Y + c, k] + sides[_BY_Y + c, k] + z * ends[2]
-    by_x = line[_BY_X + c, k] + z * ends[3]
-    by_xy = line[_BY_XY + c, k] + z * ends[4]
-    return one + y * by_y + x * (by_x + y * by_xy)
+@inlined
+def _blend_node(x, y, z, lines, n, sides, k, c, one, by_z, by_yz, by_xz, by_xyz):
+    p = lines[n, _ONE + c, k] + sides[_ONE + c, k] + one + z * by_z
+    q = lines[n, _BY_Y + c, k] + sides[_BY_Y + c, k] + z * by_yz
+    r = lines[n, _BY_X + c, k] + z * by_xz
+    s = lines[n, _BY_XY + c, k] + z * by_xyz
+    return p + y * q + x * (r + y * s)

@@ -3,10 +3,11 @@
 Lines and faces are listed one after another in flat arrays: those of line n are ``start[n]`` to ``start[n + 1]``.
 """
 
+import math
+
 import numpy as np
 
-from .blend import arcs_across
-from .jit import contracted_kernel, fast_kernel, kernel
+from .jit import fast_kernel, inlined, kernel
 
 
 @kernel
@@ -33,10 +34,26 @@ def face_coordinates(points, start, width, nodes, s, t):
     nodes : rows of ``points``
     """
     for face in range(start.size - 1):
-        part = slice(start[face], start[face + 1])
-        plane = points[nodes[part]].reshape((-1, width[face], 3))
-        s[part] = arcs_across(plane).ravel()
-        t[part] = arcs_across(plane.transpose((1, 0, 2))).T.copy().ravel()
+        count = (start[face + 1] - start[face]) // width[face]
+        for m in range(width[face]):
+            _arcs(points, nodes, start[face] + m, width[face], count, s)
+        for m in range(count):
+            _arcs(points, nodes, start[face] + m * width[face], 1, width[face], t)
+
+
+@inlined
+def _arcs(points, nodes, first, step, count, arc):
+    """Arc coordinates of ``count`` nodes, every ``step``-th in the list from ``first`` on; uniform without length."""
+    total = 0.0
+    arc[first] = 0.0
+    for m in range(1, count):
+        p, q = nodes[first + m * step], nodes[first + (m - 1) * step]
+        dx, dy, dz = points[p, 0] - points[q, 0], points[p, 1] - points[q, 1], points[p, 2] - points[q, 2]
+        total += math.sqrt(dx * dx + dy * dy + dz * dz)
+        arc[first + m * step] = total
+    for m in range(1, count):
+        at = first + m * step
+        arc[at] = arc[at] / total if total > 0.0 else m / (count - 1)
 
 
 # Rows of work arrays, three components each: coefficients of 1 and of s.
@@ -49,35 +66,39 @@ def blend_faces(d, start, width, nodes, wanted, s, t):
 
     ``nodes`` are rows of ``d``, ``s`` and ``t`` their coordinates along the first and second index of their face.
     """
+    across, low, by_t, by_st = np.empty((_widest(width), 6)), np.empty(3), np.empty(3), np.empty(3)
     for face in range(start.size - 1):
-        n = width[face]
-        part = slice(start[face], start[face + 1])
-        _blend_face(d, nodes[part].reshape((-1, n)), wanted[part].reshape((-1, n)), s[part], t[part])
+        at, n = start[face], width[face] - 1
+        m = (start[face + 1] - at) // (n + 1) - 1
+        _blend_face(d, at, m, n, nodes, wanted, s, t, across, low, by_t, by_st)
 
 
-@fast_kernel
-def _blend_face(d, nodes, wanted, s, t):
-    m, n = nodes.shape[0] - 1, nodes.shape[1] - 1
-    across = np.empty((n, 6))
+@inlined
+def _widest(width):
+    widest = 0
+    for n in width:
+        widest = max(widest, n)
+    return widest
+
+
+@inlined
+def _blend_face(d, start, m, n, nodes, wanted, s, t, across, low, by_t, by_st):
+    corner, top = nodes[start], nodes[start + m * (n + 1)]
+    side, far = nodes[start + n], nodes[start + m * (n + 1) + n]
     for b in range(1, n):
+        first, last = nodes[start + b], nodes[start + m * (n + 1) + b]
         for c in range(3):
-            across[b, _ONE + c] = d[nodes[0, b], c] - d[nodes[0, 0], c]
-            across[b, _BY_S + c] = d[nodes[m, b], c] - d[nodes[m, 0], c] - across[b, _ONE + c]
-    along_low, along_high = d[nodes[0, n]] - d[nodes[0, 0]], d[nodes[m, n]] - d[nodes[m, 0]]
-    by_st = along_low - along_high
+            across[b, _ONE + c] = d[first, c] - d[corner, c]
+            across[b, _BY_S + c] = d[last, c] - d[top, c] - across[b, _ONE + c]
+    for c in range(3):
+        by_st[c] = d[side, c] - d[corner, c] - (d[far, c] - d[top, c])
     for a in range(1, m):
-        low, by_t = d[nodes[a, 0]], d[nodes[a, n]] - d[nodes[a, 0]] - along_low
+        row = start + a * (n + 1)
+        first, last = nodes[row], nodes[row + n]
+        for c in range(3):
+            low[c], by_t[c] = d[first, c], d[last, c] - d[first, c] - (d[side, c] - d[corner, c])
         for b in range(1, n):
-            if wanted[a, b]:
-                at, x, y = nodes[a, b], s[a * (n + 1) + b], t[a * (n + 1) + b]
-                # All three before any is written: the compiler cannot know that only d changes.
-                d[at, 0], d[at, 1], d[at, 2] = (
-                    _blend_node(x, y, across[b], low, by_t, by_st, 0),
-                    _blend_node(x, y, across[b], low, by_t, by_st, 1),
-                    _blend_node(x, y, across[b], low, by_t, by_st, 2),
-                )
-
-
-@contracted_kernel
-def _blend_node(x, y, across, low, by_t, by_st, c):
-    return low[c] + across[_ONE + c] + y * by_t[c] + x * (across[_BY_S + c] + y * by_st[c])
+            if wanted[row + b]:
+                at, x, y = nodes[row + b], s[row + b], t[row + b]
+                for c in range(3):
+                    d[at, c] = low[c] + across[b, _ONE + c] + y * by_t[c] + x * (across[b, _BY_S + c] + y * by_st[c])

@@ -67,8 +67,7 @@ class PreparedTFI:
         def work(lo: int, hi: int) -> None:
             arc_coordinates(grid.points, self._subs, lo, hi, self._arc)
 
-        # One item per sub-block and direction.
-        count = 3 * len(self._subs)
+        count = len(self._subs)
         for_chunks(work, count, 1 + count // _CHUNKS, common=[self._arc])
 
     def fill(self, displacement: FloatArray, progress: Progress | None = None) -> None:
