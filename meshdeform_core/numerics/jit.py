@@ -60,7 +60,7 @@ class _CompileClock(event.Listener):
             self._start = time.perf_counter()
             if self.notice:
                 self.notice()
-            # A compiler makes millions of small objects; looking through them again and again takes a sixth of its time.
+            # A compiler makes millions of small objects; searching them for garbage takes a sixth of its time.
             self._collecting = gc.isenabled()
             gc.disable()
         self._depth += 1
