@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,10 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from meshdeform_core.errors import CaseError, FormatError
-from meshdeform_core.memory import MemoryLimit
-
-from .machine import machine_memory
+from meshdeform_core.errors import FormatError
+from meshdeform_core.memory import MemoryLimit, machine_memory, parse_memory
 
 if TYPE_CHECKING:
     from meshdeform_core.grid import Grid
@@ -167,7 +164,7 @@ class RunInput:
 
     @property
     def memory(self) -> MemoryLimit:
-        return parse_memory(self.max_memory)
+        return machine_memory() if self.max_memory is None else parse_memory(self.max_memory, "--max-memory")
 
     @property
     def variant_options(self) -> dict[str, str]:
@@ -204,18 +201,6 @@ def parse_pairs(pairs: tuple[str, ...], option: str) -> dict[str, str]:
             raise FormatError(f"{option} {pair!r}: expected KEY=VALUE, like encoding=ascii")
         options[key.strip()] = value.strip()
     return options
-
-
-def parse_memory(text: str | None) -> MemoryLimit:
-    """``2GiB``, ``500 MB`` or plain bytes; the machine's memory when not given."""
-    if text is None:
-        return machine_memory()
-    match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([kmgt]?)(i?)b?\s*", text.lower())
-    if not match or float(match[1]) == 0:
-        raise CaseError(f"--max-memory {text!r}: expected a size like 2GiB, 500MB or 1000000 (bytes)")
-    base = 1024 if match[3] else 1000
-    size = int(float(match[1]) * base ** ("", "k", "m", "g", "t").index(match[2]))
-    return MemoryLimit(size, "--max-memory allows")
 
 
 def keep_inputs(path: Path, *inputs: Path | None) -> None:

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from .compare import require_same_blocks
 from .exit_codes import EXIT_INVALID
 from .machine import use_threads
 from .options import (  # fmt: skip
@@ -59,31 +58,21 @@ def command(
     check_reports(reports, force, reference, *source.files, *case.files)
     from .reporting import Delivery, deliver
 
-    report = judge(source, reference, case)
+    report = judged(source, reference, case)
     files = [*source.roles, ("reference", reference), ("case", case.file)]
     # The text would only repeat what --json prints.
     deliver(report, reports, as_json, quiet or as_json, Delivery(start, files))
     return 0 if report["valid"] else EXIT_INVALID
 
 
-def judge(source: GridInput, reference: Path | None, case: CaseInput) -> dict[str, Any]:
+def judged(source: GridInput, reference: Path | None, case: CaseInput) -> dict[str, Any]:
     """The quality report of a grid against ``reference``, or on its own."""
-    from meshdeform_core.boundary import classify
-    from meshdeform_core.grid.topology import find_topology
-    from meshdeform_core.quality import Original, assess
+    from meshdeform_core.judgement import judge
     from meshdeform_formats.report import quality_report
 
     what = case.read()
     grid = source.read(what.boundary_file)
-    original = grid if reference is None else _original(grid, reference)
-    require_same_blocks(grid, original, source.path, reference or source.path)
-    topology = find_topology(original, what.case.tolerance)
-    boundary = None
-    notes = original.notes
-    if what.case.boundaries:
-        topology, boundary = classify(original, topology, what.case.boundaries, what.case.constants)
-        notes += boundary.notes
-    assessment = assess(Original(original, topology), grid.points, boundary)
+    assessment, notes = judge(grid, grid if reference is None else _original(grid, reference), what.case)
     return quality_report(grid, assessment, notes, str(reference) if reference else None)
 
 

@@ -13,7 +13,6 @@ from meshdeform_core.errors import CaseError
 from .options import PATH, check_output, force_option, parse_pairs, variant_option
 
 if TYPE_CHECKING:
-    from meshdeform_core.boundary.transfer import SurfaceData
     from meshdeform_core.grid import Grid
 
 _BOUNDARY_FILE = "grid.nmf"
@@ -46,13 +45,12 @@ def command(
     from meshdeform_formats.displacement import write_displacement
     from meshdeform_formats.files import replacing
     from meshdeform_formats.grids import format_of, variant_of, write_grid
-    from meshdeform_samples import SAMPLES
+    from meshdeform_samples import generate, require_sample
 
     if name is None:
         click.echo(_catalogue())
         return 0
-    if name not in SAMPLES:
-        raise CaseError(f"sample {name!r} is unknown; known are {', '.join(SAMPLES)}")
+    require_sample(name)
     if output is None:
         raise click.UsageError("Missing option '-o' / '--output'.")
     target = output / f"grid{suffix if suffix.startswith('.') else '.' + suffix}"
@@ -60,7 +58,7 @@ def command(
     if kind == "meshio":
         raise CaseError(f"--suffix {suffix}: unstructured grids cannot be deformed; expected Plot3D, VTK or .cgns")
     options = parse_pairs(variant, "--variant")
-    grid, tables = _generate(name, size)
+    grid, tables = generate(name, size)
     variant_of(grid, target, options)
     boundary_file = None if kind == "cgns" else _BOUNDARY_FILE
     texts = _texts(name, boundary_file)
@@ -95,27 +93,6 @@ def _make_folder(output: Path) -> None:
     if output.exists() and not output.is_dir():
         raise CaseError(f"{output} is a file; expected a folder")
     output.mkdir(parents=True, exist_ok=True)
-
-
-def _generate(name: str, size: str | None) -> tuple[Grid, dict[str, SurfaceData]]:
-    """The grid and the tables of its motion, by file name."""
-    from meshdeform_samples import load
-
-    module = load(name)
-    number = module.DEFAULT_SIZE if size is None else _size(name, size, module.SIZES)
-    try:
-        return module.generate(number), module.tables(number) if hasattr(module, "tables") else {}
-    except ValueError as error:
-        raise CaseError(f"sample {name}: {error}") from error
-
-
-def _size(name: str, text: str, named: dict[str, int]) -> int:
-    if text in named:
-        return named[text]
-    # ASCII only: digits of other scripts are numbers to Python, but hardly meant.
-    if not (text.isascii() and text.lstrip("-").isdigit()):
-        raise CaseError(f"sample {name}: --size {text!r}; expected a whole number or one of {', '.join(named)}")
-    return int(text)
 
 
 def _texts(name: str, boundary_file: str | None) -> dict[str, str]:

@@ -10,6 +10,7 @@ from pathlib import Path
 from meshdeform_core.boundary.motion import FollowSequence
 from meshdeform_core.deform import Setup, Timing, set_up
 from meshdeform_core.errors import CaseError, FormatError
+from meshdeform_core.memory import peak_memory
 from meshdeform_core.methods import make_method
 from meshdeform_core.parallel import current_ranks
 from meshdeform_core.series import Level, Schedule, deform_series
@@ -22,7 +23,6 @@ from meshdeform_formats.report.series import level_record, series_head, series_r
 from meshdeform_formats.series.files import LevelFiles, SeriesFiles, SingleFile
 from meshdeform_formats.series.manifest import NAME, Manifest, ingredients_of
 
-from .machine import peak_memory
 from .options import GridInput, keep_inputs
 from .progress import ProgressBar
 from .work import Job

@@ -14,7 +14,7 @@ import click
 from meshdeform_core.boundary.crossing import find_contact
 from meshdeform_core.deform import deform, set_up
 from meshdeform_core.grid import Grid
-from meshdeform_core.memory import MemoryLimit
+from meshdeform_core.memory import MemoryLimit, left_for_method, peak_memory
 from meshdeform_core.methods import make_method
 from meshdeform_core.parallel import current_ranks, thread_count
 from meshdeform_formats.case import CaseFile
@@ -24,18 +24,11 @@ from meshdeform_formats.report.illustrations import Illustrate, deformation_figu
 from meshdeform_formats.report.text import as_text
 
 from .exit_codes import EXIT_INVALID
-from .machine import peak_memory
 from .options import CaseInput, GridInput, RunInput, keep_inputs
 from .progress import ProgressBar
 from .reporting import STDOUT, Delivery, deliver
 
 __all__ = ["Job", "conclude", "describe", "load", "print_plan", "run"]
-
-# Libraries, and coordinates before and after, displacement, arc lengths, topology, fast sums, quality: peaks of 5.4 to
-# 6.4 coordinate arrays were measured with tfi, idw and idw-tfi from 2.7 to 21 million nodes.
-_PROGRAM_BYTES, _COORDINATE_ARRAYS = 200 * 2**20, 7
-# What each of several ranks on a machine has of these for itself: 0.9 to 1.05 were measured.
-_OWN_ARRAYS = 1
 
 
 @dataclass(frozen=True)
@@ -59,18 +52,8 @@ def load(source: GridInput, case: CaseInput, memory: MemoryLimit, outputs: Seque
     make_method(what.case.method)
     start = clock.perf_counter()
     grid = source.read(what.boundary_file)
-    needed = _needed(grid)
-    memory.require(needed, f"deforming {grid.n_nodes:,} nodes", "allow more, or use a machine that has it")
-    return Job(grid, what, clock.perf_counter() - start, memory.after(needed, "program and grid"))
-
-
-def _needed(grid: Grid) -> int:
-    """Bytes for program and grid; of several ranks with memory in common, those of one with its part of it."""
-    ranks = current_ranks()
-    # Machines may have different numbers of ranks, but all ranks must come to the same size.
-    sharers = 1 if ranks.private else min(ranks.gather([ranks.on_machine]))
-    arrays = _OWN_ARRAYS + (_COORDINATE_ARRAYS - _OWN_ARRAYS) / sharers
-    return _PROGRAM_BYTES + int(arrays * grid.points.nbytes)
+    seconds = clock.perf_counter() - start
+    return Job(grid, what, seconds, left_for_method(memory, grid.n_nodes, grid.points.nbytes))
 
 
 def describe(job: Job, output: Path | None, steps: int | str, time: float, variant: dict[str, str]) -> Report:

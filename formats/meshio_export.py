@@ -68,6 +68,11 @@ def write(grid: Grid, path: Path, variant: FileFormat) -> None:
         _WRITERS[variant.options["kind"]](grid, mesh, partial, variant.options)
 
 
+def as_mesh(grid: Grid) -> meshio.Mesh:
+    """The cells of a grid as an unstructured mesh: coincident nodes merged, with the fields that all blocks have."""
+    return _with_fields(grid, _unstructured(grid, find_topology(grid)))
+
+
 @dataclass(frozen=True)
 class _Unstructured:
     """Cells and outside faces of a grid.

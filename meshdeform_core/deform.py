@@ -63,7 +63,7 @@ class Timing:
             self.seconds[name] = self.seconds.get(name, 0.0) + clock.perf_counter() - start
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Setup:
     """A grid with everything that is known before anything moves; what ``--dry-run`` shows."""
 
@@ -73,6 +73,9 @@ class Setup:
     boundary: Boundary
     warnings: tuple[str, ...]
     memory: MemoryLimit = UNLIMITED
+
+    def __repr__(self) -> str:
+        return f"Setup({self.grid!r}, {self.case.method.name})"
 
     @cached_property
     def problem(self) -> Problem:
@@ -105,7 +108,7 @@ class Start:
     prepared: PreparedMethod | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Result:
     """A deformed grid, how it was made and how good it is.
 
@@ -122,6 +125,9 @@ class Result:
     max_displacement: float
     timing: Timing
     warnings: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        return f"Result(valid={self.valid}, steps={self.steps}, reached={self.reached:g})"
 
     @property
     def valid(self) -> bool:

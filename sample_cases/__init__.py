@@ -7,9 +7,18 @@ one whose motion is a table also ``tables(size) -> {file name: SurfaceData}``.
 from __future__ import annotations
 
 import importlib
+import tomllib
+from collections.abc import Mapping
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+from meshdeform_core.errors import CaseError
+
+if TYPE_CHECKING:
+    from meshdeform_core.boundary.transfer import SurfaceData
+    from meshdeform_core.grid import Grid
 
 SAMPLES = {
     "square": "square",
@@ -25,10 +34,64 @@ SAMPLES = {
 
 
 def load(name: str) -> ModuleType:
-    """The generator module of a sample."""
+    """The generator module of a sample.
+
+    Raises
+    ------
+    CaseError
+        For an unknown sample, with the known ones.
+    """
+    require_sample(name)
     return importlib.import_module(f"{__package__}.{SAMPLES[name]}")
 
 
 def folder(name: str) -> Traversable:
     """Where a sample's README.md and case.toml lie."""
     return files(__package__) / SAMPLES[name]
+
+
+def require_sample(name: str) -> None:
+    """Refuse an unknown sample.
+
+    Raises
+    ------
+    CaseError
+        With the known ones.
+    """
+    if name not in SAMPLES:
+        raise CaseError(f"sample {name!r} is unknown; known are {', '.join(SAMPLES)}")
+
+
+def generate(name: str, size: int | str | None = None) -> tuple[Grid, dict[str, SurfaceData]]:
+    """The grid of a sample and the tables of its motion, by file name.
+
+    Raises
+    ------
+    CaseError
+        For an unknown sample or a size that it cannot have.
+    """
+    module = load(name)
+    number = module.DEFAULT_SIZE if size is None else _size(name, str(size), module.SIZES)
+    try:
+        return module.generate(number), module.tables(number) if hasattr(module, "tables") else {}
+    except ValueError as error:
+        raise CaseError(f"sample {name}: {error}") from error
+
+
+def _size(name: str, text: str, named: dict[str, int]) -> int:
+    if text in named:
+        return named[text]
+    # ASCII only: digits of other scripts are numbers to Python, but hardly meant.
+    if not (text.isascii() and text.lstrip("-").isdigit()):
+        raise CaseError(f"sample {name}: --size {text!r}; expected a whole number or one of {', '.join(named)}")
+    return int(text)
+
+
+def case_content(name: str, tables: Mapping[str, SurfaceData]) -> dict[str, Any]:
+    """The content of a sample's case file, with ``tables`` in the places of their files."""
+    content = tomllib.loads((folder(name) / "case.toml").read_text(encoding="utf-8"))
+    for entry in content["boundary"]:
+        for step in entry.get("motion", ()):
+            if step.get("file") in tables:
+                step["file"] = tables[step["file"]]
+    return content

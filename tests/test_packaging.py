@@ -74,3 +74,12 @@ def test_installed_program_runs_in_another_folder(installed, tmp_path):
     as_module = run(installed / "python", "-m", "meshdeform_cli", "--version", cwd=tmp_path)
     assert as_module.returncode == 0
     assert as_module.stdout.startswith("meshdeform")
+
+
+@pytest.mark.timeout(300)
+def test_installed_library_runs_a_coupled_solver(installed, tmp_path):
+    script = ROOT / "examples" / "coupling.py"
+    done = run(installed / "python", script, tmp_path, cwd=tmp_path, timeout=240)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.count("Step(valid") == 3
+    assert (tmp_path / "bent.cgns").is_file()

@@ -1,5 +1,5 @@
 """Case files."""
 
-from .reader import CaseFile, read_case
+from .reader import CaseFile, case_of, read_case
 
-__all__ = ["CaseFile", "read_case"]
+__all__ = ["CaseFile", "case_of", "read_case"]

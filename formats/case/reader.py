@@ -13,7 +13,7 @@ from typing import Any
 
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.boundary.motion import VARIABLES, Displace, Follow, Motion, Rotate, Step
-from meshdeform_core.boundary.transfer import Matching
+from meshdeform_core.boundary.transfer import Matching, SurfaceData
 from meshdeform_core.deform import Case
 from meshdeform_core.errors import CaseError, MethodError
 from meshdeform_core.grid.topology import RELATIVE_TOLERANCE
@@ -22,7 +22,7 @@ from meshdeform_core.methods import IDW, RBF, TFI, Options
 from ..displacement import read_displacement
 from .files import named_files, read_sequence, sequence_files
 from .toml import load, override
-from .values import Table, check_keys, fail, file_of, formula_of, nearest, number_of, table_of, three_of
+from .values import Table, check_keys, fail, file_of, formula_of, nearest, number_of, plain, table_of, three_of
 
 _KINDS = {kind.label: kind for kind in reversed(Kind) if kind is not Kind.INTERFACE}
 _STEPS = {
@@ -83,6 +83,20 @@ def read_case(
     except (CaseError, MethodError) as error:
         raise type(error)(f"{path or 'command line'}: {error}") from error
     return parsed if table is None else _with_table(parsed, Path(table), times)
+
+
+def case_of(content: Mapping[str, Any], folder: str | Path = ".") -> CaseFile:
+    """A case from the content of a case file, for cases made in Python.
+
+    Beside what TOML can say, ``file`` of a motion may be a :class:`SurfaceData` in memory. ``folder`` is where relative
+    file names begin.
+
+    Raises
+    ------
+    CaseError
+        Naming the key and the nearest known one.
+    """
+    return _parse(plain(content), Path(folder))
 
 
 def _with_table(parsed: CaseFile, table: Path, times: str | None) -> CaseFile:
@@ -177,8 +191,9 @@ def _step(step: Table, number: int, known: tuple[str, ...], where: str, folder: 
     check_keys(step, _STEPS[kinds[0]], where)
     value = step[kinds[0]]
     if kinds[0] == "file":
-        matching = _matching(step, where)
-        return Follow(read_displacement(file_of(value, folder, f"{where}: file")), matching)
+        in_memory = isinstance(value, SurfaceData)
+        data = value if in_memory else read_displacement(file_of(value, folder, f"{where}: file"))
+        return Follow(data, _matching(step, where))
     if kinds[0] == "files":
         return read_sequence(value, step.get("times"), folder, _matching(step, where), where)
     if kinds[0] == "rotate":

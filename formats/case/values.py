@@ -6,9 +6,11 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from meshdeform_core.boundary.expression import Expression, expression
 from meshdeform_core.errors import CaseError
@@ -19,6 +21,17 @@ Table = dict[str, Any]
 def fail(where: str, message: str) -> CaseError:
     """The error to raise for what stands at ``where``."""
     return CaseError(f"{where}: {message}")
+
+
+def plain(value: Any) -> Any:
+    """Tables made in Python in the types that TOML has: dictionaries, lists, numbers, texts."""
+    if isinstance(value, Mapping):
+        return {key: plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    return str(value) if isinstance(value, Path) else value
 
 
 def table_of(data: Table, key: str, prefix: str = "") -> Table:

@@ -83,7 +83,7 @@ class Patch:
     quads: IntArray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Boundary:
     """The classified boundary of one undeformed grid.
 
@@ -105,6 +105,9 @@ class Boundary:
     periodic: Periodic
     mirrors: tuple[Plane, ...]
     notes: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        return f"Boundary({', '.join(p.name for p in self.patches)})"
 
     @property
     def known(self) -> np.ndarray:

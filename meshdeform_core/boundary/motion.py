@@ -153,6 +153,10 @@ class Motion:
         return PreparedMotion(tuple(step.prepare(nodes) for step in self.steps), self.constants, nodes)
 
 
+GIVEN = Motion((), {})
+"""The motion of boundaries whose displacement the caller gives as arrays, step by step."""
+
+
 @dataclass(frozen=True)
 class PreparedMotion:
     """A motion that knows its nodes."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..errors import MotionError
-from ..grid import FloatArray, Grid, IntArray
+from ..grid import BoolArray, FloatArray, Grid, IntArray
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology
 from .classification import Boundary, Kind
@@ -29,8 +29,30 @@ def prescribed_displacement(
         _require_agreement(grid, topology, boundary, owner, displacement, nodes, new)
         displacement[nodes] = new
         owner[nodes] = index
+    return _completed(grid, boundary, displacement, owner >= 0)
+
+
+def given_displacement(
+    grid: Grid, topology: Topology, boundary: Boundary, nodes: IntArray, values: FloatArray
+) -> FloatArray:
+    """Displacement (n_unique, 3) of all face nodes from that of the unique ``nodes`` (n, 3), zero elsewhere.
+
+    Raises
+    ------
+    MotionError
+        When a 2-D grid would leave its plane.
+    """
+    displacement = np.zeros((topology.n_unique, 3))
+    displacement[nodes] = values
+    given = np.zeros(topology.n_unique, dtype=bool)
+    given[nodes] = True
+    return _completed(grid, boundary, displacement, given)
+
+
+def _completed(grid: Grid, boundary: Boundary, displacement: FloatArray, given: BoolArray) -> FloatArray:
+    """The displacement with that of periodic images; in 2-D it must stay in the plane."""
     if boundary.periodic.one.size:
-        _copy_to_images(boundary.periodic, displacement, owner)
+        _copy_to_images(boundary.periodic, displacement, given)
     normal = plane_normal(grid)
     if normal is not None and np.abs(displacement @ normal).max() > 1e-9 * np.abs(displacement).max():
         raise MotionError(
@@ -40,9 +62,9 @@ def prescribed_displacement(
     return displacement
 
 
-def _copy_to_images(periodic: Periodic, displacement: FloatArray, owner: np.ndarray) -> None:
+def _copy_to_images(periodic: Periodic, displacement: FloatArray, given: BoolArray) -> None:
     nodes, root, turn = periodic.frames(len(displacement))
-    moving = owner[nodes] >= 0
+    moving = given[nodes]
     home = np.zeros_like(displacement)
     home[root[moving]] = np.einsum("nji,nj->ni", turn[moving], displacement[nodes[moving]])
     image = np.isin(root, root[moving]) & ~moving

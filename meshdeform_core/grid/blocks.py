@@ -149,7 +149,7 @@ class FileFormat:
         return f"{self.name} ({words}), {self.precision}" if words else f"{self.name}, {self.precision}"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Grid:
     """A block-structured grid.
 
@@ -173,6 +173,9 @@ class Grid:
     format: FileFormat | None = None
     path: Path | None = None
     notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        return f"Grid({self.n_blocks} blocks, {self.n_nodes} nodes)"
 
     def __post_init__(self) -> None:
         if not self.shapes:

@@ -49,7 +49,7 @@ class FaceQuads:
         return np.repeat(np.arange(sizes.size), sizes)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Topology:
     """Nodes and faces of a grid with coincident nodes identified.
 
@@ -75,6 +75,9 @@ class Topology:
     partner: IntArray
     handedness: IntArray
     crowded: int
+
+    def __repr__(self) -> str:
+        return f"Topology({len(self.face_nodes)} face nodes, {self.n_unique} unique)"
 
     @property
     def n_unique(self) -> int:

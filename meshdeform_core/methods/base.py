@@ -40,7 +40,7 @@ class Surface:
     edges: IntArray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Problem:
     """One undeformed grid with its classified boundary: the data of ``prepare``.
 
@@ -52,6 +52,9 @@ class Problem:
     topology: Topology
     boundary: Boundary
     memory: MemoryLimit = UNLIMITED
+
+    def __repr__(self) -> str:
+        return f"Problem({self.grid!r})"
 
     @cached_property
     def source_numbers(self) -> IntArray:

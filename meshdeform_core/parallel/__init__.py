@@ -2,6 +2,7 @@
 
 from .loops import (
     OneRank,
+    Ranks,
     Shared,
     alone,
     current_ranks,
@@ -11,11 +12,13 @@ from .loops import (
     for_rows,
     set_ranks,
     set_threads,
+    sharing,
     thread_count,
 )
 
 __all__ = [
     "OneRank",
+    "Ranks",
     "Shared",
     "alone",
     "current_ranks",
@@ -25,5 +28,6 @@ __all__ = [
     "for_rows",
     "set_ranks",
     "set_threads",
+    "sharing",
     "thread_count",
 ]

@@ -20,7 +20,7 @@ import math
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from functools import partial
 from typing import Any, NamedTuple, Protocol, TypeVar
 
@@ -164,14 +164,21 @@ def current_ranks() -> Ranks:
 
 
 @contextmanager
-def alone() -> Iterator[None]:
-    """Share nothing while this lasts: for what a rank does by itself."""
-    others = _ranks
-    set_ranks(OneRank(others.cores))
+def sharing(ranks: Ranks, threads: int | None) -> Iterator[None]:
+    """Share the work with these ranks, on so many threads, while this lasts."""
+    before = _ranks, _limit
+    set_ranks(ranks)
+    set_threads(threads)
     try:
         yield
     finally:
-        set_ranks(others)
+        set_ranks(before[0])
+        set_threads(before[1])
+
+
+def alone() -> AbstractContextManager[None]:
+    """Share nothing while this lasts: for what a rank does by itself."""
+    return sharing(OneRank(_ranks.cores), _limit)
 
 
 def empty(shape: Sequence[int], dtype: Any = "float64") -> Any:

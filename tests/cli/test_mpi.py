@@ -38,10 +38,11 @@ LENIENT = {
 }
 
 FAILING = """
-from meshdeform_cli import mpi, ranks
+from meshdeform_cli import mpi
 from meshdeform_cli.main import main
 from meshdeform_core.errors import MethodError
-from meshdeform_core.methods import tfi
+from meshdeform_core.methods.transfinite import tfi
+from meshdeform_core.parallel import mpi as ranks
 
 ranks._GRACE = 0.5
 
@@ -56,7 +57,7 @@ main()
 COMMON = """
 import functools, os
 from mpi_witness import Witness
-from meshdeform_cli import ranks
+from meshdeform_core.parallel import mpi as ranks
 from meshdeform_cli.main import main
 
 ranks.MPIRanks = functools.partial(Witness, machines=int(os.environ.get("MACHINES", "1")))
@@ -228,6 +229,19 @@ def test_a_file_that_cannot_be_written_ends_all(bench, snapshot):
     assert "out.xyz: No space left on device" in done.stderr
     assert "MPI_ABORT" not in done.stderr
     assert snapshot(bench) == before
+
+
+@needs_mpi
+def test_a_coupled_solver_hands_over_its_communicator(tmp_path, compiled):
+    """The library on two ranks, without the command line: the same grid, to the bit, as on one."""
+    script = TESTS.parent / "examples" / "coupling.py"
+    for count in (1, 2):
+        (tmp_path / str(count)).mkdir()
+        done = on_ranks(count, tmp_path / str(count), "--mpi", program=(script,))
+        assert done.returncode == 0, done.stderr
+        assert done.stderr.count("Step(valid") == 3 * count
+    one, two = (read_grid(tmp_path / str(count) / "bent.cgns") for count in (1, 2))
+    np.testing.assert_array_equal(one.points, two.points)
 
 
 @needs_mpiexec

@@ -1,0 +1,60 @@
+"""Grids in files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from meshdeform_core.errors import FormatError
+
+from .grids import Grid, core_grid
+
+
+def read(path: str | Path, *, boundary_file: str | Path | None = None, **variant: str) -> Grid:
+    """Read a block-structured grid: Plot3D, CGNS or VTK, recognised by its content.
+
+    Parameters
+    ----------
+    boundary_file : NASA neutral map file with the boundaries, for formats that hold none
+    variant : how to read a Plot3D file that has several readings, like ``byte_order="big"`` (see docs/formats.md)
+
+    Raises
+    ------
+    FormatError, GridError
+        When the file is missing, damaged, ambiguous or not a block-structured grid.
+    """
+    from meshdeform_formats.grids import read_grid_with_boundaries
+
+    boundaries = None if boundary_file is None else _path(boundary_file)
+    return Grid._of(read_grid_with_boundaries(_path(path), boundaries, variant))
+
+
+def write(grid: Grid, path: str | Path, *, force: bool = False, **variant: str) -> None:
+    """Write a grid; the suffix chooses the format, which defaults to the variant that the grid was read from.
+
+    The file is replaced as a whole or, when anything fails, left alone.
+
+    Parameters
+    ----------
+    force : overwrite an existing file; the file that the grid was read from is never overwritten
+    variant : how to write, like ``encoding="ascii"`` (see docs/formats.md)
+
+    Raises
+    ------
+    FormatError
+        When the file exists, cannot be written, or the format has no such variant.
+    """
+    from meshdeform_formats.grids import complete_for_export, write_grid
+
+    target, own = _path(path), core_grid(grid)
+    if target.exists():
+        if own.path is not None and own.path.exists() and target.samefile(own.path):
+            raise FormatError(f"{target} is the file that the grid was read from; choose another name")
+        if not force:
+            raise FormatError(f"{target} exists; choose another name, or force=True to overwrite it")
+    write_grid(complete_for_export(own, target), target, variant)
+
+
+def _path(path: object) -> Path:
+    if not isinstance(path, str | Path):
+        raise FormatError(f"file name {path!r} is a {type(path).__name__}; expected a string or a Path")
+    return Path(path)

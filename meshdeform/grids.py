@@ -1,0 +1,202 @@
+"""Grids as users hold them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from meshdeform_core import grid as core
+from meshdeform_core.errors import GridError
+from meshdeform_core.grid import FloatArray
+
+from .gate import checked_array
+
+if TYPE_CHECKING:
+    import meshio
+    import pyvista
+
+
+class Grid:
+    """A block-structured grid.
+
+    Parameters
+    ----------
+    blocks : coordinates of each block, (ni, nj, nk, 3) or, for plane grids, (ni, nj, 2); any real type, copied
+        (grid length unit)
+    names : of the blocks; ``block1``, ``block2``, ... by default
+
+    Raises
+    ------
+    GridError
+        When a block is no array of finite numbers of such a shape, when plane and spatial blocks are mixed, or names
+        are missing or repeated.
+    """
+
+    def __init__(self, blocks: Sequence[ArrayLike], names: Sequence[str] | None = None):
+        if isinstance(blocks, np.ndarray):
+            raise GridError(f"blocks is one array {blocks.shape}; expected a sequence of arrays, like [block]")
+        labels = [f"block{n}" for n in range(1, len(blocks) + 1)] if names is None else list(names)
+        if len(labels) != len(blocks):
+            raise GridError(f"{len(labels)} names for {len(blocks)} blocks; expected one each")
+        arrays = [_checked_block(block, name) for block, name in zip(blocks, labels, strict=True)]
+        if len({array.ndim for array in arrays}) > 1:
+            raise GridError("plane (ni, nj, 2) and spatial (ni, nj, nk, 3) blocks are mixed; expected one kind")
+        self._plane = bool(arrays) and arrays[0].ndim == 3
+        self._core = core.Grid.from_blocks([_spatial(array) for array in arrays], labels)
+
+    @classmethod
+    def _of(cls, grid: core.Grid, plane: bool = False) -> Grid:
+        """A grid of the core as users hold it; ``plane`` if they gave its blocks as (ni, nj, 2)."""
+        self = cls.__new__(cls)
+        self._core, self._plane = grid, plane
+        return self
+
+    @property
+    def blocks(self) -> list[FloatArray]:
+        """Read-only views of the blocks' coordinates: (ni, nj, nk, 3), or (ni, nj, 2) if they were given so."""
+        views = [self._core.block(b)[:, :, 0, :2] if self._plane else self._core.block(b) for b in range(len(self))]
+        return [_read_only(view) for view in views]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the blocks."""
+        return self._core.names
+
+    @property
+    def shapes(self) -> tuple[tuple[int, int, int], ...]:
+        """Nodes (ni, nj, nk) of each block; one along the missing index of a 2-D grid."""
+        return self._core.shapes
+
+    @property
+    def patches(self) -> tuple[str, ...]:
+        """Names of the patches and families that the file declares; block faces can be selected as well."""
+        patches = self._core.patches
+        return tuple(dict.fromkeys(name for patch in patches for name in (patch.name, patch.family) if name))
+
+    @property
+    def n_nodes(self) -> int:
+        """Nodes of all blocks; coincident nodes count once per block."""
+        return self._core.n_nodes
+
+    @property
+    def n_cells(self) -> int:
+        """Cells of all blocks."""
+        return self._core.n_cells
+
+    @property
+    def dimension(self) -> int:
+        """2 if every block is one plane of nodes, else 3."""
+        return self._core.dimension
+
+    @property
+    def path(self) -> Path | None:
+        """The file that the grid was read from."""
+        return self._core.path
+
+    @property
+    def format(self) -> str | None:
+        """Format and variant of that file, in words."""
+        return self._core.format.label if self._core.format else None
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the reader found doubtful."""
+        return self._core.notes
+
+    def to_pyvista(self) -> pyvista.MultiBlock:
+        """The blocks as pyvista structured grids, by name.
+
+        Raises
+        ------
+        ImportError
+            Where pyvista is not installed.
+        """
+        import pyvista
+
+        blocks = pyvista.MultiBlock()
+        for b, name in enumerate(self.names):
+            blocks.append(pyvista.StructuredGrid(*np.moveaxis(self._core.block(b), 3, 0)), name)
+        return blocks
+
+    def to_meshio(self) -> meshio.Mesh:
+        """Unstructured hexahedra (2-D: quadrilaterals) with coincident nodes merged, and the fields of the file."""
+        from meshdeform_formats.meshio_export import as_mesh
+
+        return as_mesh(self._core)
+
+    def __len__(self) -> int:
+        """Number of blocks."""
+        return self._core.n_blocks
+
+    def __eq__(self, other: object) -> bool:
+        """The same blocks with the same names and coordinates."""
+        if not isinstance(other, Grid):
+            return NotImplemented
+        one, two = self._core, other._core
+        same = one.shapes == two.shapes and one.names == two.names and self._plane == other._plane
+        return same and np.array_equal(one.points, two.points)
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __repr__(self) -> str:
+        where = f", {self.path.name!r}" if self.path else ""
+        return (
+            f"Grid({len(self)} {'block' if len(self) == 1 else 'blocks'}, {self.n_nodes:,} nodes, "
+            f"{self.n_cells:,} cells, {self.dimension}-D{where})"
+        )
+
+    def _repr_html_(self) -> str:
+        rows = [
+            f"<tr><td>{escape(name)}</td><td>{' × '.join(map(str, shape))}</td></tr>"
+            for name, shape in zip(self.names[:12], self.shapes, strict=False)
+        ]
+        more = f"<tr><td colspan=2>and {len(self) - 12} more</td></tr>" if len(self) > 12 else ""
+        return f"<p>{escape(repr(self))}</p><table><tr><th>block</th><th>nodes</th></tr>{''.join(rows)}{more}</table>"
+
+
+def core_grid(grid: object) -> core.Grid:
+    """The core's grid behind a user's grid or file name.
+
+    Raises
+    ------
+    GridError
+        For anything else.
+    """
+    return user_grid(grid)._core
+
+
+def user_grid(grid: object) -> Grid:
+    """A user's grid, read if it is a file name."""
+    if isinstance(grid, Grid):
+        return grid
+    if isinstance(grid, str | Path):
+        from .files import read
+
+        return read(grid)
+    hint = "; wrap coordinate arrays in Grid([block, ...])" if isinstance(grid, np.ndarray | Sequence | Mapping) else ""
+    raise GridError(f"found a {type(grid).__name__}; expected a Grid or the name of a grid file{hint}")
+
+
+def _checked_block(block: Any, name: str) -> FloatArray:
+    plane = np.ndim(block) == 3
+    shape, meaning = ((None, None, 2), "(x, y) of plane blocks") if plane else ((None, None, None, 3), "(x, y, z)")
+    return checked_array(block, shape, f"block {name!r}", f"{meaning} by index, or (ni, nj, 2) in a plane", GridError)
+
+
+def _spatial(block: FloatArray) -> FloatArray:
+    if block.ndim == 4:
+        return block
+    spatial = np.zeros((*block.shape[:2], 1, 3))
+    spatial[:, :, 0, :2] = block
+    return spatial
+
+
+def _read_only(view: FloatArray) -> FloatArray:
+    view = view.view()
+    view.flags.writeable = False
+    return view

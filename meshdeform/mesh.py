@@ -1,0 +1,203 @@
+"""A grid that is ready to be deformed, as often as its boundary moves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import cached_property
+from types import MappingProxyType
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from meshdeform_core.boundary import Kind
+from meshdeform_core.boundary.prescribed import given_displacement
+from meshdeform_core.deform import BoundaryMotion, Setup, Start, Timing, impose
+from meshdeform_core.errors import MotionError
+from meshdeform_core.grid import BoolArray, FloatArray, IntArray
+from meshdeform_core.methods import PreparedMethod, Progress, make_method, remembering
+from meshdeform_core.parallel import Ranks, sharing
+
+from .gate import checked_array
+from .grids import Grid
+from .step import Step
+
+Displacement = ArrayLike | Mapping[str, ArrayLike] | Callable[[FloatArray, float], ArrayLike]
+
+
+class Mesh:
+    """A grid, its classified boundary and a prepared method; made by :func:`meshdeform.prepare`.
+
+    Every :meth:`deform` sets out from the undeformed grid: the same displacement gives the same step, whatever came
+    before (to the solver's tolerance where RBF systems are solved iteratively).
+    """
+
+    def __init__(self, setup: Setup, plane: bool, ranks: Ranks, threads: int | None):
+        self._setup, self._plane, self._ranks, self._threads = setup, plane, ranks, threads
+        self._prepared: PreparedMethod | None = None
+
+    @property
+    def grid(self) -> Grid:
+        """The undeformed grid."""
+        return Grid._of(self._setup.grid, self._plane)
+
+    @property
+    def method(self) -> str:
+        """Name of the method."""
+        return self._setup.case.method.name
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What was doubtful about the grid and its boundary."""
+        return self._setup.warnings
+
+    @cached_property
+    def points(self) -> FloatArray:
+        """Undeformed positions (n_moving, 3) of the nodes that move: coincident nodes once; read-only."""
+        points: FloatArray = self._setup.grid.points[self._setup.topology.first[self._numbers]]
+        points.flags.writeable = False
+        return points
+
+    @cached_property
+    def nodes(self) -> IntArray:
+        """Where each of them is in the grid, (n_moving, 4): block, i, j, k of one of its copies, counted from 0."""
+        grid, first = self._setup.grid, self._setup.topology.first[self._numbers]
+        block = np.searchsorted(grid.offsets, first, side="right") - 1
+        nodes = np.empty((len(first), 4), dtype=np.int64)
+        for b in np.unique(block):
+            rows = block == b
+            nodes[rows, 0] = b
+            nodes[rows, 1:] = np.stack(np.unravel_index(first[rows] - grid.offsets[b], grid.shapes[b]), axis=1)
+        return nodes
+
+    @property
+    def patches(self) -> Mapping[str, IntArray]:
+        """Rows of :attr:`points` of each moving patch; nodes shared by two patches belong to both."""
+        return MappingProxyType(self._patches)
+
+    @cached_property
+    def _patches(self) -> dict[str, IntArray]:
+        row_of = np.full(self._setup.topology.n_unique, -1, dtype=np.int64)
+        row_of[self._numbers] = np.arange(len(self._numbers))
+        moving = [patch for patch in self._setup.boundary.patches if patch.kind is Kind.MOVING]
+        return {patch.name: rows[rows >= 0] for patch in moving for rows in [row_of[patch.nodes]]}
+
+    def mask(self, patch: str) -> BoolArray:
+        """(n_moving,) bool: the rows of :attr:`points` that belong to a moving patch."""
+        if patch not in self.patches:
+            raise MotionError(f"no moving patch {patch!r}; expected one of {', '.join(map(repr, self.patches))}")
+        mask = np.zeros(len(self._numbers), dtype=bool)
+        mask[self.patches[patch]] = True
+        return mask
+
+    def rows(self, block: int) -> IntArray:
+        """For every node (ni, nj, nk) of a block the row of :attr:`points` that moves it, -1 where none does."""
+        grid, topology = self._setup.grid, self._setup.topology
+        if not 0 <= block < grid.n_blocks:
+            raise MotionError(f"block {block}; expected 0 to {grid.n_blocks - 1}")
+        row_of = np.full(topology.n_unique, -1, dtype=np.int64)
+        row_of[self._numbers] = np.arange(len(self._numbers))
+        lo, hi = np.searchsorted(topology.face_nodes, grid.offsets[block : block + 2])
+        rows = np.full(grid.shapes[block], -1, dtype=np.int64)
+        rows.ravel()[topology.face_nodes[lo:hi] - grid.offsets[block]] = row_of[topology.number[lo:hi]]
+        return rows
+
+    def deform(
+        self,
+        displacement: Displacement | None = None,
+        *,
+        time: float = 0.0,
+        steps: int | Literal["auto"] | None = None,
+        progress: Progress | None = None,
+    ) -> Step:
+        """Deform the undeformed grid and judge the result.
+
+        Parameters
+        ----------
+        displacement : of the moving nodes (grid length unit): an array like :attr:`points`; a mapping from the names of
+            all moving patches to arrays with a row per node of theirs; or a function of the undeformed points (n, 3)
+            and the time. ``None``: the motion that the case prescribes
+        time : handed to functions and to the case's motion
+        steps : impose it in so many increments, or in as many as validity needs (``"auto"``); one by default
+        progress : called as ``progress(stage, done, total)``
+
+        Raises
+        ------
+        MotionError
+            When an array has another shape, holds values that are not finite, or patches disagree at shared nodes.
+        """
+        with sharing(self._ranks, self._threads):
+            motion = self._motion(displacement, float(time))
+            timing = Timing()
+            start = Start(self._setup.grid.points, self._method(timing))
+            precision = self._setup.grid.precision
+            result = impose(self._setup, motion, 1 if steps is None else steps, precision, timing, progress, start)
+        return Step(result, self._plane)
+
+    @cached_property
+    def _numbers(self) -> IntArray:
+        """Unique numbers of the nodes that move on their own, ascending; images of periodic pairs follow them."""
+        movers = self._setup.boundary.movers
+        return np.unique(np.concatenate([nodes for nodes, _ in movers])).astype(np.int64)
+
+    def _method(self, timing: Timing) -> PreparedMethod:
+        if self._prepared is None:
+            with timing.stage("prepare"):
+                problem = self._setup.problem
+                self._prepared = remembering(make_method(self._setup.case.method).prepare(problem), problem)
+        return self._prepared
+
+    def _motion(self, displacement: Displacement | None, time: float) -> BoundaryMotion:
+        if displacement is None:
+            if not any(motion.steps for _, motion in self._setup.boundary.movers):
+                raise MotionError("no displacement is given, and no case prescribes one; expected deform(displacement)")
+            return self._setup.motion(time)
+        if isinstance(displacement, Mapping):
+            values = self._from_patches(displacement)
+        elif callable(displacement):
+            values = self._checked(displacement(self.points, time), "displacement(points, time)", len(self.points))
+        else:
+            values = self._checked(displacement, "displacement", len(self.points))
+        setup = self._setup
+        total = given_displacement(setup.grid, setup.topology, setup.boundary, self._numbers, values)
+        return lambda fraction: total if fraction == 1.0 else fraction * total
+
+    def _checked(self, values: Any, what: str, rows: int) -> FloatArray:
+        """An array (rows, 3), also from (rows, 2) where the grid was given in the plane."""
+        meaning = "one row per node of mesh.points" if rows == len(self.points) else "one row per node of the patch"
+        if self._plane and np.ndim(values) == 2 and np.shape(values)[1] == 2:
+            plane = checked_array(values, (rows, 2), what, meaning, MotionError)
+            return np.concatenate([plane, np.zeros((rows, 1))], axis=1)
+        return checked_array(values, (rows, 3), what, meaning, MotionError)
+
+    def _from_patches(self, displacement: Mapping[str, ArrayLike]) -> FloatArray:
+        if set(displacement) != set(self.patches):
+            names = [", ".join(map(repr, names)) or "none" for names in (displacement, self.patches)]
+            raise MotionError(f"displacement is given for the patches {names[0]}; expected all moving ones: {names[1]}")
+        total = np.full((len(self.points), 3), np.nan)
+        for name, rows in self.patches.items():
+            values = self._checked(displacement[name], f"displacement[{name!r}]", len(rows))
+            known = np.isfinite(total[rows, 0])
+            self._require_agreement(name, rows[known], total[rows[known]], values[known])
+            total[rows] = values
+        return total
+
+    def _require_agreement(self, name: str, rows: IntArray, before: FloatArray, values: FloatArray) -> None:
+        edge = self._setup.topology.edge[self._numbers[rows]]
+        gap = np.linalg.norm(values - before, axis=1)
+        if gap.size and (gap > 1e-6 * edge).any():
+            worst = int(np.argmax(gap / edge))
+            raise MotionError(
+                f"patch {name!r} gives its shared node {self.points[rows[worst]].tolist()} the displacement "
+                f"{values[worst].tolist()}, another patch {before[worst].tolist()}; expected the same"
+            )
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What a copy needs; it prepares its method anew."""
+        if self._ranks.count > 1:
+            raise TypeError("a Mesh of several MPI ranks cannot be copied or pickled; prepare it where it is needed")
+        return {**self.__dict__, "_prepared": None}
+
+    def __repr__(self) -> str:
+        patches = ", ".join(self.patches)
+        return f"Mesh({self.method}, {len(self.points):,} moving nodes of {patches}; {self.grid!r})"

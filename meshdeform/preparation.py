@@ -1,0 +1,166 @@
+"""From a grid and what its boundary does to a mesh that can be deformed again and again."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from meshdeform_core.boundary import BoundarySpec, Kind
+from meshdeform_core.boundary.motion import GIVEN
+from meshdeform_core.deform import Case, set_up
+from meshdeform_core.errors import CaseError
+from meshdeform_core.memory import MemoryLimit, left_for_method, machine_memory, parse_memory
+from meshdeform_core.parallel import OneRank, Ranks, sharing
+from meshdeform_formats.case import CaseFile, case_of, read_case
+
+from .choice import Method, options_of
+from .grids import Grid, user_grid
+from .mesh import Mesh
+
+if TYPE_CHECKING:
+    from mpi4py.MPI import Comm
+
+Selection = str | Sequence[str] | Mapping[str, str | Sequence[str]]
+CaseLike = str | Path | Mapping[str, Any]
+
+
+def prepare(
+    grid: Grid | str | Path,
+    case: CaseLike | None = None,
+    *,
+    moving: Selection | None = None,
+    fixed: Selection | None = None,
+    slip: Selection | None = None,
+    symmetry: Selection | None = None,
+    periodic: Selection | None = None,
+    method: Method | None = None,
+    comm: Comm | None = None,
+    threads: int | None = None,
+    max_memory: int | str | None = None,
+) -> Mesh:
+    """Find out everything about a grid that its displacements will need.
+
+    Parameters
+    ----------
+    grid : a grid, or the name of a grid file
+    case : a case file, or its content as a mapping; instead of the five selections
+    moving, fixed, slip, symmetry, periodic : patch names of the grid or block faces, like ``"wing"``,
+        ``["wing", "block2.jmin[1:65,*]"]`` (each a patch of its own) or ``{"body": ["wing", "tail"]}``. Outside faces
+        that nothing selects are fixed
+    method : ``"idw-tfi"`` and other names, :class:`IDW`, :class:`RBF`, :class:`TFI` or :class:`Hybrid`; by default that
+        of the case, which is ``"idw-tfi"`` if it says nothing
+    comm : mpi4py communicator whose ranks share the work; all of them must call everything in the same order
+    threads : at most so many; by default all cores of the process
+    max_memory : bytes, or a size like ``"2GiB"``; by default what the machine has
+
+    Raises
+    ------
+    MeshDeformError
+        When a selection matches nothing, no node would move, options do not belong to the method, or the grid does not
+        fit the memory.
+    """
+    ranks = _ranks(comm)
+    if threads is not None and (isinstance(threads, bool) or not isinstance(threads, int) or threads < 1):
+        raise CaseError(f"threads = {threads!r}; expected a whole number >= 1")
+    selections = {
+        Kind.MOVING: moving,
+        Kind.FIXED: fixed,
+        Kind.SLIP: slip,
+        Kind.SYMMETRY: symmetry,
+        Kind.PERIODIC: periodic,
+    }
+    with sharing(ranks, threads):
+        what = _case(case, selections)
+        held = user_grid(grid)
+        if what.boundary_file is not None:
+            from meshdeform_formats.neutral_map import read_neutral_map
+
+            held = Grid._of(read_neutral_map(what.boundary_file, held._core), held._plane)
+        chosen = what.case if method is None else dataclasses.replace(what.case, method=options_of(method))
+        own = held._core
+        memory = left_for_method(_memory(max_memory), own.n_nodes, own.points.nbytes)
+        setup = set_up(own, chosen, memory=memory)
+        return Mesh(setup, held._plane, ranks, threads)
+
+
+def _ranks(comm: Comm | None) -> Ranks:
+    if comm is None:
+        return OneRank()
+    from meshdeform_core.parallel.mpi import MPIRanks
+
+    return MPIRanks(comm)
+
+
+def _memory(size: int | str | None) -> MemoryLimit:
+    if size is None:
+        return machine_memory()
+    if isinstance(size, bool) or not isinstance(size, int | str) or (isinstance(size, int) and size <= 0):
+        raise CaseError(f'max_memory = {size!r}; expected bytes, or a size like "2GiB"')
+    return parse_memory(str(size), "max_memory")
+
+
+def _case(case: CaseLike | None, selections: Mapping[Kind, Selection | None]) -> CaseFile:
+    given = [kind.label for kind, selection in selections.items() if selection is not None]
+    if case is not None:
+        if given:
+            raise CaseError(f"found a case and {', '.join(given)}; expected either of them: the case says what moves")
+        return parsed_case(case)
+    if Kind.MOVING.label not in given:
+        raise CaseError('nothing moves; expected moving = ["patch", ...], or a case')
+    return CaseFile(Case(tuple(_specs(selections))))
+
+
+def parsed_case(case: CaseLike) -> CaseFile:
+    """A case from its file or from a mapping of the same content.
+
+    Raises
+    ------
+    CaseError
+        Naming the key and the nearest known one.
+    """
+    if isinstance(case, Mapping):
+        return _from_mapping(case)
+    if isinstance(case, str | Path):
+        return read_case(case)
+    raise CaseError(f"case is a {type(case).__name__}; expected the name of a case file, or a mapping like its content")
+
+
+def _from_mapping(case: Mapping[str, Any]) -> CaseFile:
+    method = case.get("method")
+    if method is None or isinstance(method, Mapping):
+        return case_of(case)
+    parsed = case_of({key: value for key, value in case.items() if key != "method"})
+    return dataclasses.replace(parsed, case=dataclasses.replace(parsed.case, method=options_of(method)))
+
+
+def _specs(selections: Mapping[Kind, Selection | None]) -> list[BoundarySpec]:
+    specs: list[BoundarySpec] = []
+    for kind, selection in selections.items():
+        for name, patterns in _entries(kind, selection).items():
+            if name in (spec.name for spec in specs):
+                raise CaseError(f"{kind.label}: {name!r} is selected twice; expected each patch once")
+            specs.append(BoundarySpec(name, patterns, kind, motion=GIVEN if kind is Kind.MOVING else None))
+    return specs
+
+
+def _entries(kind: Kind, selection: Selection | None) -> dict[str, tuple[str, ...]]:
+    """Patterns by the name of their patch."""
+    if selection is None:
+        return {}
+    if isinstance(selection, str):
+        return {selection: (selection,)}
+    if isinstance(selection, Mapping):
+        return {name: (one,) if isinstance(one, str) else tuple(one) for name, one in selection.items()}
+    if not isinstance(selection, Sequence) or not all(isinstance(pattern, str) for pattern in selection):
+        raise CaseError(
+            f"{kind.label} = {selection!r}; expected patch names or block faces, like 'wing', ['wing', 'block2.jmin'] "
+            f"or {{'body': ['wing', 'tail']}}"
+        )
+    # Both sides of a periodic pair belong to one entry.
+    if kind is Kind.PERIODIC:
+        return {" and ".join(selection): tuple(selection)}
+    if len(set(selection)) < len(selection):
+        raise CaseError(f"{kind.label} = {list(selection)} names a patch twice; expected each once")
+    return {pattern: (pattern,) for pattern in selection}

@@ -1,0 +1,72 @@
+"""What a deformation gives."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from html import escape
+from typing import Any
+
+from meshdeform_core.deform import Result
+from meshdeform_core.memory import peak_memory
+from meshdeform_core.quality import InvalidCell
+
+from .grids import Grid
+
+
+class Step:
+    """A deformed grid and the verdict on it; made by :meth:`Mesh.deform` and :func:`meshdeform.deform`."""
+
+    def __init__(self, result: Result, plane: bool):
+        self._result, self._plane = result, plane
+
+    @property
+    def valid(self) -> bool:
+        """The whole displacement was imposed and no cell became invalid."""
+        return self._result.valid
+
+    @cached_property
+    def grid(self) -> Grid:
+        """The deformed grid, with everything that the undeformed one carried."""
+        return Grid._of(self._result.grid, self._plane)
+
+    @property
+    def invalid_cells(self) -> tuple[InvalidCell, ...]:
+        """Cells that were sound before and are not any more: block, i, j, k (from 1), place, nearest patch."""
+        return self._result.assessment.invalid
+
+    @property
+    def steps(self) -> int:
+        """Increments in which the displacement was imposed."""
+        return self._result.steps
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Whatever was doubtful."""
+        return self._result.warnings
+
+    @cached_property
+    def report(self) -> dict[str, Any]:
+        """The report of the command line as a dictionary (see docs/report.md): quality, verdict, parameters, times."""
+        from meshdeform_formats.report import deformation_report
+
+        seconds = self._result.timing.seconds
+        return deformation_report(self._result, {"total": sum(seconds.values())}, peak_memory())
+
+    def __repr__(self) -> str:
+        invalid = self._result.assessment.after.invalid_cells
+        verdict = "valid" if self.valid else f"INVALID: {invalid:,} cells"
+        if self._result.reached < 1.0:
+            verdict += f", {self._result.reached:.1%} imposed"
+        count = f"{self.steps} {'step' if self.steps == 1 else 'steps'}"
+        return f"Step({verdict}; {count}, largest displacement {self._result.max_displacement:.6g})"
+
+    def _repr_html_(self) -> str:
+        quality = self._result.assessment.after
+        rows = (
+            ("f_skew mean", f"{quality.f_skew.harmonic_mean:.4f}"),
+            ("f_skew minimum", f"{quality.f_skew.min:.4f}"),
+            ("smallest scaled Jacobian", f"{quality.min_scaled_jacobian:.4f}"),
+            ("invalid cells", f"{quality.invalid_cells:,}"),
+        )
+        table = "".join(f"<tr><td>{name}</td><td>{value}</td></tr>" for name, value in rows)
+        return f"<p>{escape(repr(self))}</p><table>{table}</table>"

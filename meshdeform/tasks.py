@@ -1,0 +1,89 @@
+"""One function per task: deform once, judge, compare, sample."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+from meshdeform_core.errors import CaseError
+from meshdeform_core.judgement import judge
+from meshdeform_core.quality.difference import Difference, compare_points
+
+from .choice import Method
+from .grids import Grid, core_grid
+from .preparation import CaseLike, parsed_case, prepare
+from .step import Step
+
+__all__ = ["Difference", "Sample", "compare", "deform", "quality", "sample"]
+
+
+class Sample(NamedTuple):
+    """A sample case: its grid, and its case as :func:`deform` and :func:`prepare` take it."""
+
+    grid: Grid
+    case: dict[str, Any]
+
+
+def deform(
+    grid: Grid | str | Path,
+    case: CaseLike,
+    *,
+    time: float = 0.0,
+    steps: int | Literal["auto"] | None = None,
+    method: Method | None = None,
+    threads: int | None = None,
+    max_memory: int | str | None = None,
+) -> Step:
+    """Deform a grid once as a case says; see :func:`prepare` and :meth:`Mesh.deform` for the arguments."""
+    mesh = prepare(grid, case, method=method, threads=threads, max_memory=max_memory)
+    return mesh.deform(time=time, steps=steps)
+
+
+def quality(
+    grid: Grid | str | Path, reference: Grid | str | Path | None = None, case: CaseLike | None = None
+) -> dict[str, Any]:
+    """The quality report of a grid, alone or against its original (see docs/report.md).
+
+    Parameters
+    ----------
+    reference : the original grid, same blocks; cells that were sound there and are not in ``grid`` are invalid
+    case : where the moving walls are, for the measures at walls
+
+    Raises
+    ------
+    GridError
+        When the two have different blocks.
+    """
+    from meshdeform_formats.report import quality_report
+
+    own = core_grid(grid)
+    what = parsed_case({} if case is None else case)
+    assessment, notes = judge(own, own if reference is None else core_grid(reference), what.case)
+    return quality_report(own, assessment, notes)
+
+
+def compare(a: Grid | str | Path, b: Grid | str | Path) -> Difference:
+    """Distance of corresponding nodes: ``largest``, ``rms``, ``where``, and per block.
+
+    Raises
+    ------
+    GridError
+        When the two have different blocks.
+    """
+    return compare_points(core_grid(a), core_grid(b))
+
+
+def sample(name: str, size: int | str | None = None) -> Sample:
+    """A sample case; ``size`` is a number, whose meaning depends on the sample, or a name like ``"small"``.
+
+    Raises
+    ------
+    CaseError
+        For an unknown sample, with the known ones, or a size that it cannot have.
+    """
+    from meshdeform_samples import case_content, generate
+
+    if size is not None and (isinstance(size, bool) or not isinstance(size, int | str)):
+        raise CaseError(f"size = {size!r}; expected a whole number or a name")
+    grid, tables = generate(name, size)
+    return Sample(Grid._of(grid), case_content(name, tables))

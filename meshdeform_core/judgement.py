@@ -1,0 +1,30 @@
+"""The judgement of a grid that something else has deformed, or of a grid on its own."""
+
+from __future__ import annotations
+
+from .boundary import classify
+from .deform import Case
+from .grid import Grid
+from .grid.topology import find_topology
+from .quality import Assessment, Original, assess
+from .quality.difference import require_same_blocks
+
+
+def judge(grid: Grid, original: Grid, case: Case) -> tuple[Assessment, tuple[str, ...]]:
+    """Judge ``grid`` against ``original``, which may be the same; the case tells where the moving walls are.
+
+    Returns the assessment and what is doubtful about the original.
+
+    Raises
+    ------
+    GridError
+        When the two have different blocks.
+    """
+    require_same_blocks(grid, original)
+    topology = find_topology(original, case.tolerance)
+    boundary = None
+    notes = original.notes
+    if case.boundaries:
+        topology, boundary = classify(original, topology, case.boundaries, case.constants)
+        notes += boundary.notes
+    return assess(Original(original, topology), grid.points, boundary), notes

@@ -1,0 +1,80 @@
+"""How far the nodes of two grids are apart."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import GridError
+from ..grid import Grid
+
+
+@dataclass(frozen=True)
+class BlockDifference:
+    """Largest and root mean square distance of corresponding nodes of one block (grid length unit)."""
+
+    name: str
+    largest: float
+    rms: float
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Distance of corresponding nodes of two grids (grid length unit).
+
+    ``where`` is the node with the largest distance: block and 1-based i, j, k.
+    """
+
+    largest: float
+    rms: float
+    where: str
+    differing_nodes: int
+    nodes: int
+    blocks: tuple[BlockDifference, ...]
+
+
+def compare_points(a: Grid, b: Grid) -> Difference:
+    """Compare the coordinates of two grids with the same blocks.
+
+    Raises
+    ------
+    GridError
+        When the two have different blocks.
+    """
+    require_same_blocks(a, b)
+    distance = np.linalg.norm(a.points - b.points, axis=1)
+    worst = int(np.argmax(distance))
+    parts = [a.block(n, distance[:, None]) for n in range(a.n_blocks)]
+    return Difference(
+        float(distance[worst]),
+        _rms(distance),
+        a.node_label(worst),
+        int(np.count_nonzero(distance)),
+        a.n_nodes,
+        tuple(BlockDifference(name, float(part.max()), _rms(part)) for name, part in zip(a.names, parts, strict=True)),
+    )
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def require_same_blocks(a: Grid, b: Grid) -> None:
+    """Refuse two grids whose nodes do not correspond.
+
+    Raises
+    ------
+    GridError
+        With the number of blocks, or the first block that differs.
+    """
+    first, second = (str(grid.path or name) for grid, name in ((a, "the first grid"), (b, "the second grid")))
+    if a.n_blocks != b.n_blocks:
+        difference = f"{first} has {a.n_blocks} blocks, {second} has {b.n_blocks}"
+    elif a.shapes != b.shapes:
+        n = next(n for n, shapes in enumerate(zip(a.shapes, b.shapes, strict=True)) if shapes[0] != shapes[1])
+        one, two = (" x ".join(map(str, grid.shapes[n])) for grid in (a, b))
+        difference = f"{a.names[n]} of {first} has {one} nodes, block {n + 1} of {second} has {two}"
+    else:
+        return
+    raise GridError(f"{difference}; expected the same blocks in the same order")

@@ -1,0 +1,343 @@
+"""The public API: what a coupled solver writes, and what it gets when it writes something else."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+import meshdeform as md
+from meshdeform_cli.main import run
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def plate() -> md.Sample:
+    return md.sample("splitter-plate", 8)
+
+
+@pytest.fixture(scope="module")
+def mesh(plate: md.Sample) -> md.Mesh:
+    return md.prepare(plate.grid, moving=["body"], fixed="outer", slip=["span"])
+
+
+@pytest.fixture(scope="module")
+def bend(mesh: md.Mesh) -> np.ndarray:
+    displacement = np.zeros_like(mesh.points)
+    displacement[:, 1] = 0.02 * mesh.points[:, 0] ** 2
+    return displacement
+
+
+def square(n: int = 7) -> md.Grid:
+    line = np.linspace(0.0, 1.0, n)
+    return md.Grid([np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1)])
+
+
+def test_importing_loads_nothing_heavy():
+    code = "import sys, meshdeform; print(sorted({'numpy', 'numba', 'click', 'h5py'} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_every_public_name_is_there():
+    for name in md.__all__:
+        assert getattr(md, name) is not None
+    assert set(md.__all__) <= set(dir(md))
+    with pytest.raises(AttributeError, match="prepar"):
+        md.prepar  # noqa: B018
+
+
+def test_the_command_line_as_a_module():
+    done = subprocess.run([sys.executable, "-m", "meshdeform", "--version"], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout.strip()) == (0, f"meshdeform, version {md.__version__}")
+
+
+def test_the_library_gives_what_the_command_gives(plate, tmp_path):
+    md.write(plate.grid, tmp_path / "grid.cgns")
+    case = ROOT / "sample_cases" / "splitter_plate" / "case.toml"
+    assert run(["deform", str(tmp_path / "grid.cgns"), "-c", str(case), "-o", str(tmp_path / "out.cgns"), "-q"]) == 0
+    by_command = md.read(tmp_path / "out.cgns")
+    by_mapping, by_file = md.deform(plate.grid, plate.case), md.deform(tmp_path / "grid.cgns", case)
+    assert by_mapping.grid == by_command == by_file.grid
+    assert by_file.report["valid"]
+    assert by_file.report["quality"]["after"]["f_skew"]["min"] == pytest.approx(0.4635, abs=1e-3)
+
+
+def test_array_patches_and_function_say_the_same(mesh, bend):
+    steps = [mesh.deform(bend), mesh.deform({"body": bend}), mesh.deform(lambda x, t: t * 0.02 * bend, time=50.0)]
+    assert steps[0].grid == steps[1].grid
+    np.testing.assert_allclose(steps[2].grid.blocks[3], steps[0].grid.blocks[3], atol=1e-14)
+    assert steps[0].valid
+    assert steps[0].invalid_cells == ()
+
+
+def test_a_step_can_be_repeated_at_will(mesh, bend):
+    first = mesh.deform(bend)
+    other = mesh.deform(-2 * bend)
+    assert mesh.deform(bend).grid == first.grid != other.grid
+    assert mesh.grid != first.grid
+
+
+def test_the_wall_lands_exactly_where_it_was_told(mesh, bend):
+    after = mesh.deform(bend).grid.blocks
+    for b, before in enumerate(mesh.grid.blocks):
+        rows = mesh.rows(b)
+        moved = rows >= 0
+        np.testing.assert_array_equal(before[moved], mesh.points[rows[moved]])
+        np.testing.assert_array_equal(after[b][moved], before[moved] + bend[rows[moved]])
+    place = mesh.nodes
+    first = np.array([mesh.grid.blocks[b][i, j, k] for b, i, j, k in place])
+    np.testing.assert_array_equal(first, mesh.points)
+    assert mesh.mask("body").all()
+    assert len(mesh.patches["body"]) == len(mesh.points)
+
+
+def test_patches_that_share_nodes_must_agree():
+    grid = square()
+    mesh = md.prepare(grid, moving=["block1.jmin", "block1.imin"], method="tfi")
+    low, left = (np.zeros((len(rows), 3)) for rows in mesh.patches.values())
+    low[:, 1] = 0.1
+    with pytest.raises(md.MotionError, match="expected the same"):
+        mesh.deform({"block1.jmin": low, "block1.imin": left})
+    left[:, 1] = 0.1
+    assert mesh.deform({"block1.jmin": low, "block1.imin": left}).valid
+
+
+def test_plane_grids_take_and_give_two_coordinates():
+    mesh = md.prepare(square(), moving="block1.jmin", method="tfi")
+    displacement = np.zeros((len(mesh.points), 2))
+    displacement[:, 1] = 0.1
+    step = mesh.deform(displacement)
+    assert step.grid.blocks[0].shape == (7, 7, 2)
+    np.testing.assert_allclose(step.grid.blocks[0][:, 0, 1], 0.1)
+
+
+def test_periodic_images_follow():
+    mesh = md.prepare(square(), moving={"low": "block1.jmin"}, periodic=["block1.imin", "block1.imax"], method="idw")
+    displacement = np.zeros_like(mesh.points)
+    displacement[:, 1] = 0.1
+    after = mesh.deform(displacement).grid.blocks[0]
+    np.testing.assert_allclose(after[0, :, 1], after[-1, :, 1], atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("method", "name"),
+    [
+        (md.TFI(), "tfi"),
+        (md.IDW(alpha=0.2), "idw"),
+        (md.RBF(), "rbf"),
+        (md.Hybrid(md.RBF(), md.TFI(max_cells=8)), "rbf-tfi"),
+        ("idw-rbf", "idw-rbf"),
+    ],
+)
+def test_methods_are_objects_or_names(plate, method, name):
+    mesh = md.prepare(plate.grid, plate.case, method=method)
+    assert mesh.method == name
+    assert mesh.deform(time=0.0).report["method"]["name"] == name
+
+
+def test_a_case_may_be_made_of_python_objects():
+    case = {
+        "boundary": [{"name": "low", "select": "block1.jmin", "motion": [{"translate": np.array([0, 0.1, 0])}]}],
+        "method": md.Hybrid(md.IDW(), md.TFI()),
+    }
+    assert md.deform(square(), case).valid
+
+
+WRONG_DISPLACEMENTS = {
+    "rows": lambda d: d[:5],
+    "twice": lambda d: np.vstack([d, d]),
+    "columns": lambda d: d[:, :2],
+    "flat": lambda d: d.ravel(),
+    "nan": lambda d: d * np.nan,
+    "inf": lambda d: np.where(d == d.max(), np.inf, d),
+    "complex": lambda d: d.astype(complex),
+    "text": lambda d: d.astype(str),
+    "objects": lambda d: d.astype(object),
+    "masked": lambda d: np.ma.masked_where(d > 0, d),
+    "ragged": lambda d: [[0.0, 1.0, 2.0], [0.0]],
+    "nothing": lambda d: None,
+    "patch": lambda d: {"bodi": d},
+    "patch rows": lambda d: {"body": d[1:]},
+    "function": lambda d: lambda x, t: d[:3],
+    "bool": lambda d: d > 0,
+}
+
+
+@pytest.mark.parametrize("wrong", WRONG_DISPLACEMENTS.values(), ids=WRONG_DISPLACEMENTS.keys())
+def test_a_wrong_displacement_is_told(mesh, bend, wrong):
+    with pytest.raises(md.MotionError, match=r"expected .*(\(560, 3\)|finite|'body'|deform\(displacement\))"):
+        mesh.deform(wrong(bend))
+
+
+WRONG_CALLS = {
+    "nothing moves": (lambda g: md.prepare(g), "nothing moves"),
+    "unknown patch": (lambda g: md.prepare(g, moving=["bdy"]), "did you mean 'body'"),
+    "unknown method": (lambda g: md.prepare(g, moving="body", method="idw-tfy"), "known are"),
+    "a method that is a number": (lambda g: md.prepare(g, moving="body", method=3), "expected a name"),
+    "a hybrid not offered": (lambda g: md.Hybrid(md.TFI(), md.IDW()), "not offered"),
+    "a part that is no method": (lambda g: md.Hybrid("idw", md.TFI()), "mover = 'idw'"),
+    "an option out of range": (lambda g: md.IDW(rotation="li"), "known are none"),
+    "case and selection": (lambda g: md.prepare(g, {"boundary": []}, moving="body"), "either of them"),
+    "a case that is a list": (lambda g: md.prepare(g, [1]), "case is a list"),
+    "an unknown key": (lambda g: md.prepare(g, {"boundry": []}), "unknown key 'boundry'"),
+    "a list of arrays": (lambda g: md.prepare([np.zeros((3, 3, 3, 3))], moving="x"), r"wrap .* in Grid"),
+    "a file that is not there": (lambda g: md.prepare("missing.cgns", moving="x"), "does not exist"),
+    "a name that is a number": (lambda g: md.read(3), "file name 3"),
+    "one array for blocks": (lambda g: md.Grid(np.zeros((3, 3, 3, 3))), "expected a sequence"),
+    "a block with three indices": (lambda g: md.Grid([np.zeros((3, 4, 5))]), r"\(3, 4, 5\)"),
+    "a block with nan": (lambda g: md.Grid([np.full((3, 3, 3, 3), np.nan)]), "not finite"),
+    "no blocks": (lambda g: md.Grid([]), "no blocks"),
+    "names missing": (lambda g: md.Grid([np.zeros((2, 2, 2, 3))], ["a", "b"]), "2 names for 1 blocks"),
+    "mixed blocks": (lambda g: md.Grid([np.zeros((3, 3, 2)), np.zeros((3, 3, 3, 3))]), "mixed"),
+    "threads": (lambda g: md.prepare(g, moving="body", threads=0), "threads = 0"),
+    "memory": (lambda g: md.prepare(g, moving="body", max_memory="2 cats"), "2 cats"),
+    "too little memory": (lambda g: md.prepare(g, moving="body", max_memory=1000), "needs about"),
+    "moving and fixed": (lambda g: md.prepare(g, moving="body", fixed="body"), "selected twice"),
+    "selected twice": (lambda g: md.prepare(g, moving=["body", "body"]), "names a patch twice"),
+    "a selection of numbers": (lambda g: md.prepare(g, moving=[1]), "expected patch names"),
+    "other blocks": (lambda g: md.compare(g, square()), "expected the same blocks"),
+    "quality of other blocks": (lambda g: md.quality(g, square()), "expected the same blocks"),
+    "an unknown sample": (lambda g: md.sample("plate"), "known are"),
+    "a sample's size": (lambda g: md.sample("square", "enormous"), "expected a whole number"),
+}
+
+
+@pytest.mark.parametrize(("call", "message"), WRONG_CALLS.values(), ids=WRONG_CALLS.keys())
+def test_a_wrong_call_is_told(plate, call, message):
+    with pytest.raises(md.MeshDeformError, match=message):
+        call(plate.grid)
+
+
+NUMBERS = hnp.arrays(
+    dtype=st.one_of(
+        hnp.floating_dtypes(),
+        hnp.integer_dtypes(),
+        hnp.complex_number_dtypes(),
+        hnp.boolean_dtypes(),
+        hnp.unicode_string_dtypes(),
+    ),
+    shape=hnp.array_shapes(min_dims=0, max_dims=4, max_side=8),
+)
+
+
+@settings(max_examples=150, deadline=None)
+@given(NUMBERS)
+def test_any_array_gives_a_finite_grid_or_a_message(values):
+    """Whatever its shape, type and values: displacement and block coordinates are taken as they are, or refused."""
+    mesh = md.prepare(square(4), moving="block1.jmin", method="tfi")
+    try:
+        step = mesh.deform(values)
+    except md.MotionError:
+        return
+    assert values.shape in ((4, 3), (4, 2))
+    assert np.isfinite(values).all()
+    assert np.isfinite(step.grid.blocks[0]).all()
+
+
+@settings(max_examples=150, deadline=None)
+@given(NUMBERS)
+def test_any_block_is_a_grid_or_a_message(values):
+    try:
+        grid = md.Grid([values])
+    except md.GridError:
+        return
+    assert values.ndim in (3, 4)
+    np.testing.assert_array_equal(grid.blocks[0], values.astype(np.float64))
+
+
+def test_views_of_any_layout_are_taken(mesh, bend):
+    expected = mesh.deform(bend).grid
+    for same in (np.asfortranarray(bend), bend[::-1][::-1], bend.tolist(), np.pad(bend, ((0, 0), (1, 1)))[:, 1:4]):
+        assert mesh.deform(same).grid == expected
+    single = bend.astype(np.float32)
+    assert mesh.deform(single).grid == mesh.deform(single.astype(np.float64)).grid
+
+
+def test_what_is_given_is_not_touched_or_kept(mesh, bend):
+    given, before = bend.copy(), mesh.points.copy()
+    step = mesh.deform(given)
+    np.testing.assert_array_equal(given, bend)
+    given[:] = 1e9
+    assert mesh.deform(bend).grid == step.grid
+    block = np.random.default_rng(1).random((3, 3, 3, 3))
+    grid = md.Grid([block])
+    block[:] = 0.0
+    assert grid.blocks[0].any()
+    for array in (mesh.points, step.grid.blocks[0], grid.blocks[0]):
+        with pytest.raises(ValueError, match="read-only"):
+            array[...] = 0.0
+    np.testing.assert_array_equal(mesh.points, before)
+
+
+def test_objects_are_pleasant_at_a_prompt(plate, mesh, bend):
+    step = mesh.deform(bend)
+    for thing in (plate.grid, mesh, step, step._result, step._result.setup):
+        assert len(repr(thing)) < 200
+        assert "array" not in repr(thing)
+    assert repr(plate.grid) == "Grid(10 blocks, 52,480 nodes, 39,360 cells, 3-D)"
+    assert repr(step).startswith("Step(valid; 1 step, ")
+    assert "<table>" in step._repr_html_()
+    assert "upstream-top" in plate.grid._repr_html_()
+    with pytest.raises(TypeError, match="unhashable"):
+        hash(plate.grid)
+
+
+def test_objects_can_be_copied_and_pickled(mesh, bend):
+    step = mesh.deform(bend)
+    for again in (pickle.loads(pickle.dumps(step)), copy.deepcopy(step), copy.copy(step)):
+        assert again.grid == step.grid
+        assert again.report["quality"] == step.report["quality"]
+    assert pickle.loads(pickle.dumps(mesh)).deform(bend).grid == step.grid
+    assert copy.deepcopy(mesh.grid) == mesh.grid
+    assert pickle.loads(pickle.dumps(md.Hybrid(md.IDW(), md.TFI()))) == md.Hybrid(md.IDW(), md.TFI())
+
+
+def test_grids_become_those_of_other_packages(plate):
+    unstructured = plate.grid.to_meshio()
+    assert len(unstructured.cells[0].data) == plate.grid.n_cells
+    pyvista = pytest.importorskip("pyvista", reason="pyvista is not installed")
+    blocks = plate.grid.to_pyvista()
+    assert isinstance(blocks, pyvista.MultiBlock)
+    assert [blocks[n].n_cells for n in range(len(plate.grid))] == [
+        int(np.prod([n - 1 for n in shape])) for shape in plate.grid.shapes
+    ]
+
+
+def test_files_are_not_overwritten_unasked(plate, tmp_path):
+    path = tmp_path / "grid.xyz"
+    md.write(plate.grid, path, encoding="ascii")
+    with pytest.raises(md.FormatError, match="exists"):
+        md.write(plate.grid, path)
+    md.write(plate.grid, path, force=True)
+    with pytest.raises(md.FormatError, match="read from"):
+        md.write(md.read(path), path, force=True)
+    assert md.compare(plate.grid, path).largest == 0.0
+
+
+def test_quality_and_difference(plate, mesh, bend):
+    after = mesh.deform(bend).grid
+    report = md.quality(after, plate.grid)
+    assert report["valid"]
+    assert report["quality"]["after"]["invalid_cells"] == 0
+    difference = md.compare(plate.grid, after)
+    assert difference.largest >= np.abs(bend).max()
+    assert len(difference.blocks) == 10
+
+
+def test_the_example_runs(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "examples")
+    import coupling
+
+    steps = coupling.main(tmp_path)
+    assert all(step.valid for step in steps)
+    assert md.read(tmp_path / "bent.cgns") == steps[-1].grid
