@@ -48,17 +48,19 @@ def measure_block(
         measure_hexahedra(x, sign, first, last, *arrays)
         return measures
     flat = x.shape.index(1)
-    # The positive normal of (i, j) and (j, k) index planes follows their order, that of (i, k) is opposite.
-    normal = sign * (-1.0 if flat == 1 else 1.0) * _positive(plane_normal)
+    normal = side_of_good_quads(flat, sign, plane_normal)
     plane = np.ascontiguousarray(x.squeeze(axis=flat))
     rows = (0, plane.shape[0] - 1) if flat == 0 else (first, last)
     measure_quads(plane, normal, *rows, *(a.squeeze(axis=flat) for a in arrays))
     return measures
 
 
-def _positive(normal: FloatArray) -> FloatArray:
-    """The normal with a positive largest component: the side from which handedness is judged."""
-    return np.asarray(normal * np.sign(normal[int(np.argmax(np.abs(normal)))]))
+def side_of_good_quads(flat: int, sign: float, plane_normal: FloatArray) -> FloatArray:
+    """The unit normal to which the good cells of a 2-D block look, one node thick along ``flat``, in index order."""
+    # Handedness is judged from the side of a positive largest component. The positive normal of (i, j) and (j, k)
+    # index planes follows their order, that of (i, k) is opposite.
+    side = plane_normal * np.sign(plane_normal[int(np.argmax(np.abs(plane_normal)))])
+    return np.asarray(sign * (-1.0 if flat == 1 else 1.0) * side)
 
 
 @dataclass(frozen=True)
@@ -108,14 +110,29 @@ def measure_cells(
     use : called from several threads with the number of the slab, the slab and its measures; fills its cells of the
         arrays ``per_cell`` (n_cells, ...) and its row of the arrays ``per_slab`` (n_slabs, ...)
     """
-    parts, normal = slabs(grid), plane_normal(grid)
+    normal = plane_normal(grid)
 
-    def work(lo: int, hi: int) -> None:
+    def measure(number: int, slab: Slab) -> None:
+        x, sign = grid.block(slab.block, points), float(topology.handedness[slab.block])
+        use(number, slab, measure_block(x, sign, normal, slab.first, slab.last))
+
+    for_slabs(grid, measure, per_cell, per_slab)
+
+
+def for_slabs(
+    grid: Grid,
+    work: Callable[[int, Slab], None],
+    per_cell: Sequence[np.ndarray],
+    per_slab: Sequence[np.ndarray] = (),
+) -> None:
+    """Call ``work`` for every slab and its number, from several threads; it fills as in :func:`measure_cells`."""
+    parts = slabs(grid)
+
+    def some(lo: int, hi: int) -> None:
         for number, slab in enumerate(parts[lo:hi], lo):
-            x, sign = grid.block(slab.block, points), float(topology.handedness[slab.block])
-            use(number, slab, measure_block(x, sign, normal, slab.first, slab.last))
+            work(number, slab)
 
     def cells(lo: int, hi: int) -> IntArray:
         return np.arange(parts[lo].start, parts[hi - 1].stop)
 
-    for_chunks(work, len(parts), 1, shared=[*(Shared(a, cells) for a in per_cell), *map(Shared, per_slab)])
+    for_chunks(some, len(parts), 1, shared=[*(Shared(a, cells) for a in per_cell), *map(Shared, per_slab)])

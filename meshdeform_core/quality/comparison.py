@@ -5,34 +5,33 @@ from __future__ import annotations
 import numpy as np
 
 from ..grid import FloatArray
-from ..parallel import empty
 from .cells import CellMeasures, Slab, measure_cells, slabs
 from .original import Original
 from .tally import Range, Tally
-from .validity import newly_bad
+from .validity import Test, Verdict, judge_slab
 
 
 class Comparison:
-    """The cells with coordinates ``after`` (n_nodes, 3): ``broken`` (n_cells,) are newly invalid."""
+    """The cells with coordinates ``after`` (n_nodes, 3), measured, and the verdict on them."""
 
     def __init__(self, original: Original, after: FloatArray):
         grid, n_slabs = original.grid, len(slabs(original.grid))
         self._original, self.after = original, Tally(grid.n_cells, n_slabs)
-        self.broken = empty([grid.n_cells], bool)
+        self.verdict, self._points = Verdict.blank(grid.n_cells), after
         self._inherited, self._ratio = np.empty(n_slabs), np.empty((n_slabs, 2))
-        per_cell = [self.after.skews, self.broken]
+        per_cell = [self.after.skews, *self.verdict.arrays]
         per_slab = [*self.after.per_slab, self._inherited, self._ratio]
         measure_cells(grid, original.topology, after, self._put, per_cell, per_slab)
 
     def _put(self, number: int, slab: Slab, new: CellMeasures) -> None:
         self.after.put(number, slab, new)
         old, bad = self._original.bad[slab.cells], new.bad.ravel()
-        broken = newly_bad(old, bad)
-        self.broken[slab.cells] = broken
-        self._inherited[number] = ((old != 0) & (bad != 0) & ~broken).sum()
+        judge_slab(self._original, self._points, slab, self.verdict)
+        sound = self.verdict.failed[slab.cells] == Test.NONE
+        self._inherited[number] = ((old != 0) & (bad != 0) & sound).sum()
         volume = self._original.volume[slab.cells]
-        sound = volume > 0
-        change = new.volume.ravel()[sound] / volume[sound]
+        solid = volume > 0
+        change = new.volume.ravel()[solid] / volume[solid]
         self._ratio[number] = change.min(initial=np.inf), change.max(initial=-np.inf)
 
     @property

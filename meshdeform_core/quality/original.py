@@ -17,6 +17,8 @@ from .tally import Tally
 class Original:
     """An undeformed grid as the judgement needs it.
 
+    ``min_jacobian``: cells with a corner below this share of its undeformed Jacobian count as invalid.
+
     Attributes
     ----------
     tally : totals over its cells
@@ -26,6 +28,7 @@ class Original:
 
     grid: Grid
     topology: Topology
+    min_jacobian: float = 0.0
     tally: Tally = field(init=False)
     bad: np.ndarray = field(init=False)
     volume: FloatArray = field(init=False)
