@@ -87,6 +87,7 @@ def cell_part(cell: InvalidCell) -> Report:
         "ijk": list(cell.ijk),
         "f_skew": cell.f_skew,
         "min_jacobian": cell.min_jacobian,
+        "test": cell.test,
         "nearest_patch": cell.nearest_patch,
         "center": list(cell.center),
         "step": cell.step,

@@ -97,7 +97,11 @@ def _across(work, one, two, k):
 
 @inlined
 def _along(work, row, k):
-    return work[row, k + 1] - work[row, k], work[row + 1, k + 1] - work[row + 1, k], work[row + 2, k + 1] - work[row + 2, k]
+    return (
+        work[row, k + 1] - work[row, k],
+        work[row + 1, k + 1] - work[row + 1, k],
+        work[row + 2, k + 1] - work[row + 2, k],
+    )
 
 
 @inlined

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..grid import FloatArray
+from ..grid import BoolArray, FloatArray
 from .cells import CellMeasures, Slab, measure_cells, slabs
 from .original import Original
 from .tally import Range, Tally
@@ -33,6 +33,11 @@ class Comparison:
         solid = volume > 0
         change = new.volume.ravel()[solid] / volume[solid]
         self._ratio[number] = change.min(initial=np.inf), change.max(initial=-np.inf)
+
+    @property
+    def broken(self) -> BoolArray:
+        """(n_cells,) cells that became invalid."""
+        return np.asarray(self.verdict.failed != Test.NONE)
 
     @property
     def inherited(self) -> int:

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from ..boundary import Boundary
-from ..grid import FloatArray, Grid, IntArray, Shape
+from ..grid import FloatArray, Grid
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology
-from .cells import measure_block
 from .comparison import Comparison
 from .lines import interface_lines, kink_and_jump, moving_walls, wall_lines
+from .listed import InvalidCell, Worst, cell_starts, list_cells, with_nearest_patch, worst_cell
 from .original import Original
 from .per_block import BlockQuality, per_block
 from .tally import Range, Skew, Tally
@@ -42,7 +42,8 @@ class Quality:
     """Quality of one grid, as in the report's ``before`` and ``after``.
 
     Kink and spacing jump of a deformed grid are changes against its original. ``None`` where the grid has no moving
-    wall or no interface.
+    wall or no interface. ``min_relative_jacobian`` is the smallest corner Jacobian relative to the undeformed one,
+    collapsed corners aside; ``worst`` names the cells with the smallest f_skew and relative Jacobian.
     """
 
     f_skew: Skew
@@ -50,28 +51,14 @@ class Quality:
     inherited_invalid_cells: int
     negative_volumes: int
     min_scaled_jacobian: float
+    min_relative_jacobian: float
     wall_normal_deviation_deg: Spread | None
     first_cell_height_ratio: Range | None
     interface_kink_deg: Spread | None
     interface_spacing_jump: Spread | None
     volume_ratio: Range
     total_volume: float
-
-
-@dataclass(frozen=True)
-class InvalidCell:
-    """A cell with a corner Jacobian that was positive and is not any more.
-
-    ``ijk`` are 1-based; ``center`` is the mean of the corners; ``step`` the first step that broke it.
-    """
-
-    block: str
-    ijk: Shape
-    f_skew: float
-    min_jacobian: float
-    center: tuple[float, float, float]
-    nearest_patch: str = ""
-    step: int = 1
+    worst: Mapping[str, Worst]
 
 
 @dataclass(frozen=True)
@@ -90,11 +77,13 @@ class Assessment:
     @property
     def change(self) -> dict[str, Any]:
         """After minus before for every number that has both."""
-        return _difference(dataclasses.asdict(self.before), dataclasses.asdict(self.after))
+        change = _difference(dataclasses.asdict(self.before), dataclasses.asdict(self.after))
+        del change["worst"]
+        return change
 
     def with_steps(self, grid: Grid, first_bad: Mapping[int, int], otherwise: int) -> Assessment:
         """The same with the step that first broke each listed cell, by cell number (see ``newly_invalid``)."""
-        starts = _cell_starts(grid)
+        starts = cell_starts(grid)
 
         def number(cell: InvalidCell) -> int:
             block = grid.names.index(cell.block)
@@ -107,7 +96,7 @@ class Assessment:
 def _difference(before: dict[str, Any], after: dict[str, Any]) -> dict[str, Any]:
     change: dict[str, Any] = {}
     for key, value in after.items():
-        old = before[key]
+        old = before.get(key)
         if isinstance(value, dict) and isinstance(old, dict):
             change[key] = _difference(old, value)
         elif isinstance(value, (int, float)) and isinstance(old, (int, float)):
@@ -115,80 +104,58 @@ def _difference(before: dict[str, Any], after: dict[str, Any]) -> dict[str, Any]
     return change
 
 
-def assess(original: Original, after: FloatArray, boundary: Boundary | None) -> Assessment:
+def assess(
+    original: Original, after: FloatArray, boundary: Boundary | None, cells: Comparison | None = None
+) -> Assessment:
     """Judge coordinates ``after`` (n_nodes, 3) against the original grid.
 
-    A cell is invalid if a corner Jacobian that was positive became <= 0, where positive is relative to the handedness
-    of most cells of the block; cells that were bad before are inherited, not invalid.
+    A cell is invalid if it was sound and is not any more, see :mod:`.validity`; cells that were bad before are
+    inherited, not invalid.
 
     Parameters
     ----------
     boundary : for the moving walls and the nearest patch; without it the wall measures are ``None``
+    cells : the comparison of these coordinates, if there is one already
     """
     grid, topology = original.grid, original.topology
-    start, cells = grid.points, Comparison(original, after)
-    broken = np.flatnonzero(cells.broken)
-    invalid = list(_list_cells(grid, topology, after, broken[:MAX_LISTED]))
+    start, cells = grid.points, cells or Comparison(original, after)
+    broken = cells.verdict.invalid
+    invalid = list(list_cells(original, after, broken[:MAX_LISTED], cells.verdict))
     walls = _walls(grid, topology, boundary, start, after)
     interfaces = _interfaces(grid, topology, start, after)
+    worst_before = {"f_skew": worst_cell(grid, start, original.tally.skews)}
+    worst = {
+        "f_skew": worst_cell(grid, after, cells.after.skews),
+        "min_relative_jacobian": worst_cell(grid, after, cells.verdict.ratio),
+    }
     return Assessment(
-        _quality(original.tally, 0, original.tally.bad, walls[0], interfaces[0], Range(1.0, 1.0)),
-        _quality(cells.after, len(broken), cells.inherited, walls[1], interfaces[1], cells.ratio),
-        _with_nearest_patch(grid, topology, boundary, start, invalid),
+        _quality(original.tally, (0, original.tally.bad, 1.0), walls[0], interfaces[0], Range(1.0, 1.0), worst_before),
+        _quality(
+            cells.after,
+            (len(broken), cells.inherited, worst["min_relative_jacobian"].value),
+            walls[1],
+            interfaces[1],
+            cells.ratio,
+            worst,
+        ),
+        with_nearest_patch(grid, topology, boundary, start, invalid),
         per_block(original, cells),
     )
 
 
-def _quality(cells: Tally, invalid: int, inherited: int, walls: Walls, interfaces: Interfaces, ratio: Range) -> Quality:
-    return Quality(
-        cells.skew(), invalid, inherited, cells.negative, cells.scaled, *walls, *interfaces, ratio, cells.volume
-    )
-
-
-def _cell_starts(grid: Grid) -> IntArray:
-    """Number (n_blocks + 1,) of the first cell of every block."""
-    return np.concatenate([[0], np.cumsum([a * b * c for a, b, c in grid.cell_shapes])])
-
-
-def _list_cells(grid: Grid, topology: Topology, points: FloatArray, cells: IntArray) -> Iterator[InvalidCell]:
-    starts, normal = _cell_starts(grid), plane_normal(grid)
-    for cell in cells.tolist():
-        block = int(np.searchsorted(starts, cell, side="right")) - 1
-        i, j, k = (int(n) for n in np.unravel_index(cell - starts[block], grid.cell_shapes[block]))
-        x = np.ascontiguousarray(grid.block(block, points)[i : i + 2, j : j + 2, k : k + 2])
-        measures = measure_block(x, float(topology.handedness[block]), normal)
-        center = x.reshape(-1, 3).mean(axis=0)
-        yield InvalidCell(
-            grid.names[block],
-            (i + 1, j + 1, k + 1),
-            measures.skew.item(),
-            measures.jacobian.item(),
-            (float(center[0]), float(center[1]), float(center[2])),
-        )
-
-
-def _with_nearest_patch(
-    grid: Grid, topology: Topology, boundary: Boundary | None, points: FloatArray, cells: list[InvalidCell]
-) -> tuple[InvalidCell, ...]:
-    """Name the boundary patch closest to each cell, both undeformed."""
-    if not cells or boundary is None or not boundary.patches:
-        return tuple(cells)
-    centers = []
-    for cell in cells:
-        i, j, k = (n - 1 for n in cell.ijk)
-        x = grid.block(grid.names.index(cell.block), points)
-        centers.append(x[i : i + 2, j : j + 2, k : k + 2].reshape(-1, 3).mean(axis=0))
-    at = np.array(centers)
-    distance = np.stack([_distance(at, points[topology.first[p.nodes]]) for p in boundary.patches])
-    nearest = distance.argmin(axis=0)
-    return tuple(
-        dataclasses.replace(cell, nearest_patch=boundary.patches[int(n)].name)
-        for cell, n in zip(cells, nearest, strict=True)
-    )
-
-
-def _distance(at: FloatArray, nodes: FloatArray) -> FloatArray:
-    return np.array([float(np.sqrt(((nodes - x) ** 2).sum(axis=1).min(initial=np.inf))) for x in at])
+def _quality(
+    cells: Tally,
+    verdict: tuple[int, int, float],
+    walls: Walls,
+    interfaces: Interfaces,
+    ratio: Range,
+    worst: Mapping[str, Worst],
+) -> Quality:
+    """``verdict``: cells that are invalid, cells that were bad before, smallest relative Jacobian."""
+    invalid, inherited, relative = verdict
+    skew, scaled = cells.skew(), cells.scaled
+    counts = invalid, inherited, cells.negative
+    return Quality(skew, *counts, scaled, relative, *walls, *interfaces, ratio, cells.volume, worst)
 
 
 Walls = tuple[Spread | None, Range | None]

@@ -1,8 +1,8 @@
 """The verdict: which cells that were sound are not any more?
 
-A cell is sound if its Jacobian is positive everywhere. In 2-D the corners decide; in 3-D the corners and a proof for the
-inside (:mod:`..numerics.positivity`). Corners that are collapsed in the undeformed grid have no sign to judge; cells
-whose undeformed Jacobian is negative somewhere are judged by their other corners and by their volume.
+A cell is sound if its Jacobian is positive everywhere. In 2-D the corners decide; in 3-D the corners and a proof for
+the inside (:mod:`..numerics.positivity`). Corners that are collapsed in the undeformed grid have no sign to judge;
+cells whose undeformed Jacobian is negative somewhere are judged by their other corners and by their volume.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ def judge_slab(original: Original, after: FloatArray, slab: Slab, verdict: Verdi
         side = side_of_good_quads(flat, sign, normal)
         planes = [np.ascontiguousarray(b.squeeze(axis=flat)) for b in (before, x)]
         rows = (0, planes[0].shape[0] - 1) if flat == 0 else (slab.first, slab.last)
-        judge_quads(*planes, side, *rows, ratio.squeeze(axis=flat))
+        judge_quads(planes[0], planes[1], side, rows[0], rows[1], ratio.squeeze(axis=flat))
     low = (ratio <= 0.0) | (ratio < original.min_jacobian)
     failed[low.ravel()] = Test.CORNER
 

@@ -1,0 +1,109 @@
+"""Cells that a report names: the invalid ones and the worst ones, with their places."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..boundary import Boundary
+from ..grid import FloatArray, Grid, IntArray, Shape
+from ..grid.planes import plane_normal
+from ..grid.topology import Topology
+from .cells import measure_block
+from .original import Original
+from .validity import Test, Verdict
+
+
+@dataclass(frozen=True)
+class Worst:
+    """The cell with the smallest value of a measure; ``ijk`` are 1-based, ``center`` is the mean of the corners."""
+
+    value: float
+    block: str
+    ijk: Shape
+    center: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class InvalidCell:
+    """A cell that was sound and is not any more.
+
+    ``test`` is the one it failed, see :class:`.validity.Test`; ``ijk`` are 1-based; ``center`` is the mean of the
+    corners; ``step`` the first step that broke it.
+    """
+
+    block: str
+    ijk: Shape
+    f_skew: float
+    min_jacobian: float
+    center: tuple[float, float, float]
+    test: str = ""
+    nearest_patch: str = ""
+    step: int = 1
+
+
+def worst_cell(grid: Grid, points: FloatArray, values: FloatArray) -> Worst:
+    """The cell with the smallest of ``values`` (n_cells,)."""
+    cell = int(values.argmin())
+    block, ijk = place_of(grid, cell)
+    i, j, k = ijk
+    center = grid.block(block, points)[i : i + 2, j : j + 2, k : k + 2].reshape(-1, 3).mean(axis=0)
+    value = float(values[cell])
+    return Worst(value if np.isfinite(value) else 1.0, grid.names[block], (i + 1, j + 1, k + 1), tuple(center.tolist()))
+
+
+def place_of(grid: Grid, cell: int) -> tuple[int, Shape]:
+    """Block and 0-based (i, j, k) of a cell."""
+    starts = cell_starts(grid)
+    block = int(np.searchsorted(starts, cell, side="right")) - 1
+    i, j, k = (int(n) for n in np.unravel_index(cell - starts[block], grid.cell_shapes[block]))
+    return block, (i, j, k)
+
+
+def cell_starts(grid: Grid) -> IntArray:
+    """Number (n_blocks + 1,) of the first cell of every block."""
+    return np.concatenate([[0], np.cumsum([a * b * c for a, b, c in grid.cell_shapes])])
+
+
+def list_cells(original: Original, points: FloatArray, cells: IntArray, verdict: Verdict) -> Iterator[InvalidCell]:
+    grid, normal = original.grid, plane_normal(original.grid)
+    for cell in cells.tolist():
+        block, (i, j, k) = place_of(grid, cell)
+        x = np.ascontiguousarray(grid.block(block, points)[i : i + 2, j : j + 2, k : k + 2])
+        measures = measure_block(x, float(original.topology.handedness[block]), normal)
+        center = x.reshape(-1, 3).mean(axis=0)
+        yield InvalidCell(
+            grid.names[block],
+            (i + 1, j + 1, k + 1),
+            measures.skew.item(),
+            measures.jacobian.item(),
+            (float(center[0]), float(center[1]), float(center[2])),
+            Test(verdict.failed[cell]).label,
+        )
+
+
+def with_nearest_patch(
+    grid: Grid, topology: Topology, boundary: Boundary | None, points: FloatArray, cells: list[InvalidCell]
+) -> tuple[InvalidCell, ...]:
+    """Name the boundary patch closest to each cell, both undeformed."""
+    if not cells or boundary is None or not boundary.patches:
+        return tuple(cells)
+    centers = []
+    for cell in cells:
+        i, j, k = (n - 1 for n in cell.ijk)
+        x = grid.block(grid.names.index(cell.block), points)
+        centers.append(x[i : i + 2, j : j + 2, k : k + 2].reshape(-1, 3).mean(axis=0))
+    at = np.array(centers)
+    distance = np.stack([_distance(at, points[topology.first[p.nodes]]) for p in boundary.patches])
+    nearest = distance.argmin(axis=0)
+    return tuple(
+        dataclasses.replace(cell, nearest_patch=boundary.patches[int(n)].name)
+        for cell, n in zip(cells, nearest, strict=True)
+    )
+
+
+def _distance(at: FloatArray, nodes: FloatArray) -> FloatArray:
+    return np.array([float(np.sqrt(((nodes - x) ** 2).sum(axis=1).min(initial=np.inf))) for x in at])

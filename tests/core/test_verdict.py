@@ -1,0 +1,215 @@
+"""The verdict on cells, against samples of the Jacobian, exact rational arithmetic and motions that break nothing."""
+
+import itertools
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from meshdeform_core.grid import Grid
+from meshdeform_core.grid.topology import find_topology
+from meshdeform_core.numerics.positivity import decide
+from meshdeform_core.quality import Original, assess
+from meshdeform_core.quality.validity import Test as FailedTest
+from meshdeform_core.quality.validity import judge
+
+CORNERS = np.array(list(itertools.product((0.0, 1.0), repeat=3)))
+
+
+def sampled_jacobian(x, count=21):
+    """The Jacobian of hexahedra (m, 8, 3) at count^3 points each, (m, count^3)."""
+    corners = x.reshape(-1, 2, 2, 2, 3)
+    t = np.linspace(0.0, 1.0, count)
+    value, slope = np.stack([1.0 - t, t], axis=1), np.array([-1.0, 1.0])
+    ones = np.ones(count)
+    u = np.einsum("mabcd,a,r,sb,tc->mrstd", corners, slope, ones, value, value, optimize=True)
+    v = np.einsum("mabcd,ra,b,s,tc->mrstd", corners, value, slope, ones, value, optimize=True)
+    w = np.einsum("mabcd,ra,sb,c,t->mrstd", corners, value, value, slope, ones, optimize=True)
+    return np.einsum("mrstd,mrstd->mrst", np.cross(u, v), w).reshape(len(x), -1)
+
+
+def exact_coefficients(x):
+    """Bernstein coefficients of the Jacobian of one hexahedron, from its values at 27 points, in rational numbers."""
+    at = {c: [Fraction(float(v)) for v in p] for c, p in zip(itertools.product((0, 1), repeat=3), x, strict=True)}
+
+    def jacobian(r, s, t):
+        weight = {c: [(f if n else 1 - f) for n, f in zip(c, (r, s, t), strict=True)] for c in at}
+        rows = []
+        for axis in range(3):
+            a, b = (o for o in range(3) if o != axis)
+            rows.append(
+                [sum((1 if c[axis] else -1) * weight[c][a] * weight[c][b] * at[c][d] for c in at) for d in range(3)]
+            )
+        (a, b, c), (d, e, f), (g, h, i) = rows
+        return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+
+    half = Fraction(1, 2)
+    values = {n: jacobian(*(half * m for m in n)) for n in itertools.product(range(3), repeat=3)}
+    for axis in range(3):
+        for rest in itertools.product(range(3), repeat=2):
+            low, middle, high = (tuple(rest[:axis]) + (m,) + tuple(rest[axis:]) for m in range(3))
+            values[middle] = 2 * values[middle] - half * (values[low] + values[high])
+    return values
+
+
+def exactly_positive(b, depth=12):
+    """Is the polynomial with these coefficients positive on the whole cell? By exact subdivision."""
+    corners = [b[n] for n in itertools.product((0, 2), repeat=3)]
+    if min(corners) <= 0:
+        return False
+    if min(b.values()) > 0:
+        return True
+    assert depth, "not decided"
+    return all(exactly_positive(part, depth - 1) for part in halves(b))
+
+
+def halves(b):
+    parts = [b]
+    for axis in range(3):
+        split = []
+        for part in parts:
+            low, high = {}, {}
+            for rest in itertools.product(range(3), repeat=2):
+                key = [tuple(rest[:axis]) + (m,) + tuple(rest[axis:]) for m in range(3)]
+                first, middle, last = (part[k] for k in key)
+                one, two = (first + middle) / 2, (middle + last) / 2
+                center = (one + two) / 2
+                low |= dict(zip(key, (first, one, center), strict=True))
+                high |= dict(zip(key, (center, two, last), strict=True))
+            split += [low, high]
+        parts = split
+    return parts
+
+
+def distorted_cubes(sigma, count, seed=0):
+    return CORNERS + sigma * np.random.default_rng(seed).standard_normal((count, 8, 3))
+
+
+@pytest.mark.parametrize("sigma", [0.3, 0.5])
+def test_no_cell_passes_that_has_a_negative_sample_and_none_fails_without_reason(sigma):
+    x = distorted_cubes(sigma, 12000)
+    # Those with positive corners are of interest, and few of the others.
+    x = np.concatenate([x[:20], x[sampled_jacobian(x, 2).min(axis=1) > 0][:250]])
+    failed = decide(np.broadcast_to(CORNERS, x.shape).copy(), x, np.ones(len(x)))
+    lowest = np.concatenate([sampled_jacobian(part).min(axis=1) for part in np.array_split(x, 10)])
+    assert not ((lowest <= 0) & (failed == 0)).any()
+    # What fails has a negative sample, but for cells that are negative between the samples only.
+    assert ((failed != 0) & (lowest > 0.003)).sum() == 0
+    assert 0 < (failed != 0).sum() < len(x)
+
+
+def test_exact_arithmetic_agrees():
+    x = distorted_cubes(0.35, 3000, seed=1)
+    corners_positive = sampled_jacobian(x, 2).min(axis=1) > 0
+    near = np.argsort(np.abs(sampled_jacobian(x, 5).min(axis=1)) + 1e9 * ~corners_positive)[:12]
+    failed = decide(np.broadcast_to(CORNERS, x.shape).copy(), x, np.ones(len(x)))
+    exact = np.array([exactly_positive(exact_coefficients(x[n])) for n in near])
+    np.testing.assert_array_equal(failed[near] == 0, exact)
+    assert exact.any()
+    assert not exact.all()
+
+
+def block(n, twist=0.0):
+    x = np.stack(np.meshgrid(*[np.arange(n, dtype=float)] * 3, indexing="ij"), axis=-1)
+    return x + twist * np.sin(x[..., ::-1])
+
+
+def original_of(*blocks, **options):
+    grid = Grid.from_blocks(blocks)
+    return Original(grid, find_topology(grid), **options)
+
+
+def inside_negative():
+    """A cube that is positive at its corners and not inside."""
+    x = distorted_cubes(0.35, 6000, seed=2)
+    inside = (sampled_jacobian(x, 2).min(axis=1) > 0.02) & (sampled_jacobian(x, 3).min(axis=1) < -0.02)
+    return x[np.flatnonzero(inside)[0]]
+
+
+def test_a_cell_that_is_negative_between_positive_corners_is_invalid():
+    original = original_of(block(2))
+    after = inside_negative()
+    verdict = judge(original, after)
+    assert verdict.failed.tolist() == [FailedTest.INSIDE]
+    assessment = assess(original, after, None)
+    assert assessment.after.invalid_cells == 1
+    assert assessment.invalid[0].test == "inside"
+    assert assessment.invalid[0].min_jacobian > 0.0
+
+
+def test_a_cell_that_was_negative_inside_is_not_judged_there():
+    bad = inside_negative()
+    original = original_of(bad.reshape(2, 2, 2, 3))
+    assert judge(original, bad + 1.0).valid
+
+
+@pytest.mark.parametrize("flip", [False, True])
+def test_relative_jacobians_are_those_of_a_plain_loop(flip):
+    before = block(6, 0.1)
+    after = before + 0.12 * np.random.default_rng(3).standard_normal(before.shape)
+    if flip:
+        before, after = before[::-1].copy(), after[::-1].copy()
+    verdict = judge(original_of(before), after.reshape(-1, 3))
+    ratio = corner_jacobians(after) / corner_jacobians(before)
+    np.testing.assert_allclose(verdict.ratio, ratio.min(axis=-1).ravel(), rtol=1e-6)
+    np.testing.assert_array_equal(verdict.failed == FailedTest.CORNER, ratio.min(axis=-1).ravel() <= 0)
+
+
+def corner_jacobians(x):
+    cells = []
+    for a, b, c in itertools.product((0, 1), repeat=3):
+        at = [np.s_[n : n + x.shape[0] - 1] for n in (a, b, c)]
+        low = [np.s_[0 : x.shape[0] - 1]] * 3
+        edges = []
+        for axis in range(3):
+            one, two = list(at), list(at)
+            one[axis], two[axis] = np.s_[1 : x.shape[0]], low[axis]
+            edges.append(x[tuple(one)] - x[tuple(two)])
+        cells.append(np.einsum("...d,...d->...", np.cross(edges[0], edges[1]), edges[2]))
+    return np.stack(cells, axis=-1)
+
+
+def test_quadrilaterals_are_judged_by_their_corners_in_any_index_plane():
+    x, y = np.meshgrid(np.arange(4.0), np.arange(5.0), indexing="ij")
+    plane = np.stack([x, y, 0 * x], axis=-1)
+    for axis in range(3):
+        before = np.expand_dims(plane, axis)
+        after = before.copy()
+        moved = [1, 1]
+        moved.insert(axis, 0)
+        after[tuple(moved)] += [1.2, 1.2, 0.0]
+        verdict = judge(original_of(before), after.reshape(-1, 3))
+        # Node (1, 1) has passed node (2, 2): the cell between them is turned over, its two neighbours at (2, 1) and
+        # (1, 2) have a crossing edge, the fourth one grew.
+        assert verdict.invalid.tolist() == [1, 4, 5]
+        assert verdict.ratio[0] >= 1.0
+
+
+def test_smaller_jacobians_than_allowed_are_invalid():
+    before = block(3)
+    after = before * [1.0, 1.0, 0.05]
+    assert judge(original_of(before), after.reshape(-1, 3)).valid
+    verdict = judge(original_of(before, min_jacobian=0.1), after.reshape(-1, 3))
+    assert verdict.invalid.size == 8
+    assert judge(original_of(before, min_jacobian=0.04), after.reshape(-1, 3)).valid
+
+
+def wedge():
+    """A block whose edge along k is collapsed on an axis, with noise of single precision on it."""
+    r, phi, z = np.meshgrid(np.linspace(0, 1, 5), np.linspace(0, 1.2, 6), np.linspace(0, 2, 4), indexing="ij")
+    x = np.stack([r * np.cos(phi), r * np.sin(phi), z], axis=-1)
+    return x.astype(np.float32).astype(float)
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.3, 1e3])
+@pytest.mark.parametrize("angle", [0.0, 0.7, 3.0])
+def test_collapsed_edges_survive_translation_and_rotation(angle, shift):
+    before = wedge()
+    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1.0]])
+    turn = turn @ np.array([[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]])
+    verdict = judge(original_of(before), before.reshape(-1, 3) @ turn.T + shift)
+    assert verdict.valid
+    assert abs(verdict.ratio.min() - 1.0) < 1e-6
+    crushed = before.copy()
+    crushed[3, 2, 1] += [0.0, 0.0, 1.5]
+    assert not judge(original_of(before), crushed.reshape(-1, 3)).valid
