@@ -9,19 +9,17 @@ import numpy as np
 from ...grid import FloatArray
 from ...memory import UNLIMITED, MemoryLimit
 from ...numerics.basis import BASES
-from ...numerics.radial import radial_matrix, radial_sums
+from ...numerics.radial import radial_matrix
 from ...numerics.systems.greedy import independent
 from ...numerics.systems.krylov import KrylovSolver
+from ...numerics.systems.products import ExactProduct, product_of
 from ...numerics.systems.saddle import DirectSolver, minres
-from ...numerics.systems.sparse import sparse_radial_matrix
-from ...parallel import Shared, for_chunks
 from ..base import Account, Progress, Setting
 from .rbf_sums import Centres
 
 SOLVERS = ("auto", "direct", "minres", "krylov")
 DIRECT_CENTRES = 4000
 """Most centres that ``auto`` solves directly; from there on a factorisation takes longer than GMRES with its set-up."""
-_CHUNK = 512
 _TOLERANCE = {"minres": 1e-10, "krylov": 1e-6}
 # Earlier solutions from which GMRES sets out: what a period of a motion with a few modes spans.
 _REMEMBERED = 12
@@ -81,36 +79,28 @@ class RadialSystem:
         if self._direct is None:
             self._direct = DirectSolver(lambda: radial_matrix(self.kind, *(self.centres.points,) * 2), self.terms)
             account.settings["factorisation"] = Setting(self._direct.kind)
+        multiply = ExactProduct(self.kind, self.centres.points)
         coefficients, polynomial = self._direct.solve(values)
         # One step of iterative refinement: the matrix is gone, its product with a vector is a sum over centres.
-        rest = values - self._multiply(coefficients) - self.terms @ polynomial
+        rest = values - multiply(coefficients) - self.terms @ polynomial
         more, shift = self._direct.solve(rest)
         coefficients, polynomial = coefficients + more, polynomial + shift
-        rest = values - self._multiply(coefficients) - self.terms @ polynomial
+        rest = values - multiply(coefficients) - self.terms @ polynomial
         account.settings["residual"] = Setting(float(np.abs(rest).max()), "largest error at a centre, length unit")
         return coefficients, polynomial
-
-    def _multiply(self, coefficients: FloatArray) -> FloatArray:
-        points, result = self.centres.points, np.empty((len(self.centres.points), 3))
-
-        def work(lo: int, hi: int) -> None:
-            result[lo:hi] = radial_sums(self.kind, points[lo:hi], points, coefficients)
-
-        for_chunks(work, len(points), _CHUNK, shared=[Shared(result)])
-        return result
 
     def _solve_krylov(
         self, values: FloatArray, account: Account, progress: Progress | None
     ) -> tuple[FloatArray, FloatArray]:
         if self._krylov is None:
             points = self.centres.points
-            sparse = sparse_radial_matrix(self.kind, points, self._memory)
-            product = self._multiply if sparse is None else sparse.dot
-            self._krylov = KrylovSolver(self.kind, points, self.terms, product, self._remembered())
-            if sparse is not None:
-                account.settings["nonzeros"] = Setting(sparse.nnz, "the support radius reaches few centres")
+            left = self._memory - KrylovSolver.memory(len(points))
+            product = product_of(self.kind, points, self._tolerance, left)
+            remembered = self._remembered(left - product.memory)
+            self._krylov = KrylovSolver(self.kind, points, self.terms, product, remembered)
         report = None if progress is None else (lambda done, total: progress("krylov", done, total))
         found = self._krylov.solve(values, self._tolerance, self.options.max_iterations, report)
+        account.settings["products"] = Setting(self._krylov.product.how)
         account.settings["iterations"] = Setting(found.iterations, "all components together")
         account.settings["starting_residual"] = Setting(
             float(found.started.max()), "of the nearest combination of earlier solutions; 1 without any"
@@ -118,11 +108,11 @@ class RadialSystem:
         self._report_residual(account, "GMRES", found.iterations, found.residual, found.stalled)
         return found.coefficients, found.polynomial
 
-    def _remembered(self) -> int:
-        """How many earlier solutions fit the memory beside the solver."""
+    def _remembered(self, memory: int) -> int:
+        """How many earlier solutions fit into that many bytes."""
         n = len(self.centres.points)
         every = KrylovSolver.memory(n, 1) - KrylovSolver.memory(n)
-        return int(min(_REMEMBERED, (self._memory - KrylovSolver.memory(n)) // every))
+        return max(0, min(_REMEMBERED, memory // every))
 
     def _solve_minres(
         self, values: FloatArray, account: Account, progress: Progress | None

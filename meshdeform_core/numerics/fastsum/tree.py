@@ -37,9 +37,12 @@ class SourceTree(NamedTuple):
     proxies: np.ndarray
 
 
-def build_tree(points, order):
-    """Tree over sources (n, 3) whose clusters have up to ``order`` interpolation points per side."""
-    place, span, child, center, axes, half = _split_sources(np.ascontiguousarray(points))
+def build_tree(points, order, leaf=LEAF):
+    """Tree over sources (n, 3) whose clusters have up to ``order`` interpolation points per side.
+
+    Clusters of more than ``leaf`` sources are split.
+    """
+    place, span, child, center, axes, half = _split_sources(np.ascontiguousarray(points), leaf)
     count = np.empty((len(span), 3), dtype=np.int64)
     for node in range(len(span)):
         points_per_side(half[node], order, count[node])
@@ -53,9 +56,9 @@ def build_tree(points, order):
 
 
 @kernel
-def _split_sources(points):
+def _split_sources(points, leaf):
     n = points.shape[0]
-    limit = 4 * (n // LEAF + 1) + 3
+    limit = 4 * (n // leaf + 1) + 3
     place = np.arange(n)
     span = np.empty((limit, 2), dtype=np.int64)
     child = np.full(limit, -1)
@@ -67,7 +70,7 @@ def _split_sources(points):
         lo, hi = span[current]
         members = place[lo:hi]
         fit_box(points, members, center[current], axes[current], half[current])
-        if hi - lo > LEAF:
+        if hi - lo > leaf:
             longest = 0
             for d in range(1, 3):
                 if half[current, d] > half[current, longest]:

@@ -1,6 +1,6 @@
 """Systems of radial basis functions too large to factorise: block GMRES with fast products.
 
-GMRES (Saad & Schultz 1986) preconditioned from the right, in the block form (Simoncini & Gallopoulos 1996): all
+Flexible GMRES (Saad 1993) preconditioned from the right, in the block form (Simoncini & Gallopoulos 1996): all
 right-hand sides search one common space, so that one product with A serves them all and each profits from the others.
 """
 
@@ -14,6 +14,8 @@ from .schwarz import SchwarzPreconditioner
 
 _RESTART = 40
 _DEPENDENT = 1e-14
+# Part of the tolerance that errors of the product may take.
+_LARGEST_ERROR = 0.3
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,7 @@ class KrylovSolver:
     kind : basis number, see :data:`.basis.BASES`
     points : (n, 3) centres in units of the support radius
     polynomial : (n, q), full column rank
-    product : A times (n, 3), to an accuracy below the tolerance asked for
+    product : A times (n, 3), see :class:`.products.Product`
     remembered : how many earlier right-hand sides (n, 3) may be kept with their solutions
 
     Attributes
@@ -52,14 +54,14 @@ class KrylovSolver:
     """
 
     def __init__(self, kind, points, polynomial, product, remembered=0):
-        self._polynomial, self._product = polynomial, product
-        self.preconditioner = SchwarzPreconditioner(kind, points, polynomial)
+        self._polynomial, self.product = polynomial, product
+        self.preconditioner = SchwarzPreconditioner(kind, points, polynomial, product)
         self.earlier = EarlierSolutions(len(points), polynomial.shape[1], remembered * points.shape[1])
 
     @staticmethod
     def memory(n, remembered=0):
         """Bytes that it takes for ``n`` centres, the product not counted."""
-        return SchwarzPreconditioner.memory(n) + 8 * n * 3 * (_RESTART + 6 + 2 * remembered)
+        return SchwarzPreconditioner.memory(n) + 8 * n * 3 * (2 * _RESTART + 6 + 2 * remembered)
 
     def solve(self, values, tolerance, max_iterations, progress=None):
         """Solve for values (n, 3) until ``||r|| <= tolerance ||b||`` in every column.
@@ -73,36 +75,46 @@ class KrylovSolver:
         scale = np.where(norm > 0, norm, 1.0)
         right = values / scale
         coefficients, polynomial = self.earlier.nearest(right)
-        rest, iterations, stalled = right, 0, False
+        rest, error, iterations, stalled = right, np.zeros(right.shape[1]), 0, False
         if coefficients.any() or polynomial.any():
-            rest = right - self._image(coefficients, polynomial)
-        started = residual = np.linalg.norm(rest, axis=0)
+            rest, error = self._rest(right, coefficients, polynomial, tolerance)
+        started = residual = np.linalg.norm(rest, axis=0) + error
         while iterations < max_iterations and (residual > tolerance).any() and not stalled:
             report = None if progress is None else partial(_advance, progress, iterations, max_iterations)
             limit = min(_RESTART, max_iterations - iterations)
-            direction, steps = self._search(rest, tolerance, limit, report)
-            more, shift = self.preconditioner.solve(direction)
+            more, shift, steps = self._search(rest, tolerance - error.max(), limit, report)
             coefficients, polynomial, iterations = coefficients + more, polynomial + shift, iterations + steps
-            rest = right - self._image(coefficients, polynomial)
-            before, residual = residual, np.linalg.norm(rest, axis=0)
+            rest, error = self._rest(right, coefficients, polynomial, tolerance)
+            before, residual = residual, np.linalg.norm(rest, axis=0) + error
             stalled = bool(residual.max() > max(0.5 * before.max(), tolerance))
         if iterations:
             self.earlier.add(coefficients, polynomial, right - rest, tolerance)
         return Solution(coefficients * scale, polynomial * scale, iterations, residual, started, stalled)
 
-    def _image(self, coefficients, polynomial):
-        return self._product(coefficients) + self._polynomial @ polynomial
+    def _rest(self, right, coefficients, polynomial, tolerance):
+        """Residual (n, 3) of a solution and the norm (3,) of its error, if possible small against the tolerance."""
+        part, before = self._polynomial @ polynomial, np.inf
+        while True:
+            sums = self.product(coefficients)
+            error = self.product.error(coefficients, sums)
+            # What finer sums do not make smaller is round-off.
+            if error.max() <= _LARGEST_ERROR * tolerance or error.max() > 0.3 * before:
+                return right - sums - part, error
+            before = error.max()
+            self.product.refine()
 
     def _search(self, rest, tolerance, limit, report):
-        """One cycle: y (n, m) for which A M y is nearest to ``rest`` (n, m), and its number of iterations."""
+        """One cycle: the solution whose image is nearest to ``rest`` (n, m), and its number of iterations."""
         n, m = rest.shape
         space = np.empty((n, m * (limit + 1)), order="F")
         hessenberg = np.zeros((m * (limit + 1), m * limit))
         start = np.zeros((m * (limit + 1), m))
         space[:, :m], start[:m] = _orthonormal(rest, 1.0)
+        directions = []
         for step in range(1, limit + 1):
             old, new = slice(m * (step - 1), m * step), slice(m * step, m * (step + 1))
-            image = self._image(*self.preconditioner.solve(np.ascontiguousarray(space[:, old])))
+            directions.append(self.preconditioner.solve(np.ascontiguousarray(space[:, old])))
+            image = self.product(directions[-1][0]) + self._polynomial @ directions[-1][1]
             size = np.linalg.norm(image)
             # Twice is enough for full orthogonality (Giraud, Langou & Rozloznik 2005).
             for _ in range(2):
@@ -116,7 +128,8 @@ class KrylovSolver:
                 report(step)
             if (np.linalg.norm(start[: new.stop] - found @ y, axis=0) <= 0.9 * tolerance).all():
                 break
-        return space[:, : new.start] @ y, step
+        parts = [(c @ each, p @ each) for (c, p), each in zip(directions, y.reshape(-1, m, m), strict=True)]
+        return *(sum(part) for part in zip(*parts, strict=True)), step
 
 
 def _advance(progress, before, total, step):

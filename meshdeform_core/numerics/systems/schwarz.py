@@ -10,8 +10,9 @@ import numpy as np
 import scipy
 
 from ...parallel import Shared, for_chunks, thread_count
-from ..radial import radial_matrix, radial_sums
+from ..radial import radial_matrix
 from .cholesky import invert_last
+from .products import ExactProduct
 from .saddle import DirectSolver
 
 OWN = 60
@@ -38,19 +39,20 @@ class SchwarzPreconditioner:
     kind : basis number, see :data:`.basis.BASES`
     points : (n, 3) centres in units of the support radius
     polynomial : (n, q) polynomial terms at the centres, full column rank
+    product : A times coefficients (n, 3), see :class:`.products.Product`
     """
 
-    def __init__(self, kind, points, polynomial):
-        self._kind, self._points = kind, points
+    def __init__(self, kind, points, polynomial, product):
         self._side = np.linalg.qr(polynomial)[0]
         self._own = bisect(points, -(-len(points) // OWN))
         self._near = _with_overlap(points, self._own)
         self._rows = _restricted_inverses(kind, points, self._own, self._near)
         self._coarse = _coarse(points, polynomial)
-        self._centres = centres = np.ascontiguousarray(points[self._coarse])
+        self._at_coarse = product.roughly_at(self._coarse)
+        centres = np.ascontiguousarray(points[self._coarse])
         self._next: SchwarzPreconditioner | DirectSolver
         if len(centres) > _DIRECT:
-            self._next = SchwarzPreconditioner(kind, centres, polynomial[self._coarse])
+            self._next = SchwarzPreconditioner(kind, centres, polynomial[self._coarse], ExactProduct(kind, centres))
         else:
             self._next = DirectSolver(lambda: radial_matrix(kind, centres, centres), polynomial[self._coarse])
 
@@ -73,8 +75,7 @@ class SchwarzPreconditioner:
 
         for_chunks(work, len(self._own), _BOXES, shared=[Shared(coefficients, rows)])
         coefficients -= self._side @ (self._side.T @ coefficients)
-        rest = residual[self._coarse] - radial_sums(self._kind, self._centres, self._points, coefficients)
-        correction, polynomial = self._next.solve(rest)
+        correction, polynomial = self._next.solve(residual[self._coarse] - self._at_coarse(coefficients))
         coefficients[self._coarse] += correction
         return coefficients, polynomial
 

@@ -1,0 +1,324 @@
+"""Sums of radial basis functions at their own centres in nearly linear time: nested skeletons.
+
+Pairs of clusters far from each other act by their skeletons; charges go up the tree, from each cluster's children to
+its skeleton, potentials come down the same way, and neighbouring leaves act with all their centres. The structure is
+that of the fast multipole method (Greengard & Rokhlin 1987), with skeletons (see :mod:`.skeletons`) in the place of
+multipoles, which works for any function, and for centres on surfaces and clustered to one side as well as for others.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ...parallel import Shared, for_chunks
+from ..basis import BASES
+from ..jit import kernel
+from ..radial import radial_block
+from .skeletons import decompose, proxy_points
+from .tree import SourceTree, build_tree
+
+LEAF = 96
+# Others see a cluster from so many of its radii on.
+_REACH = 2.0
+_CHUNK = 16
+_STACK = 4096
+
+
+class Lists(NamedTuple):
+    """Which clusters act on which: those of cluster ``t`` are ``far[far_start[t] : far_start[t + 1]]``, etc."""
+
+    far_start: np.ndarray
+    far: np.ndarray
+    near_start: np.ndarray
+    near: np.ndarray
+
+
+class Bases(NamedTuple):
+    """Skeletons of all clusters.
+
+    Attributes
+    ----------
+    start : (m + 1,) where each cluster's skeleton begins
+    place : (total,) places in the tree's order
+    points : (total, 3)
+    first : (m + 1,) where the candidates of each cluster begin: its sources, or the skeletons of its children
+    order : candidates, counted from 0 in each cluster, those of the skeleton first
+    begin : (m + 1,) where the shares of each cluster begin
+    share : (others, skeleton) of each cluster, one after the other
+    """
+
+    start: np.ndarray
+    place: np.ndarray
+    points: np.ndarray
+    first: np.ndarray
+    order: np.ndarray
+    begin: np.ndarray
+    share: np.ndarray
+
+
+class NestedSums:
+    """The product of the matrix of basis values between centres with coefficients.
+
+    Parameters
+    ----------
+    kind : number of the basis function, see :data:`.basis.BASES`
+    centres : (n, 3) in units of the support radius
+    tolerance : error of what a unit charge does at the distance of its cluster's radius, relative to the function there
+    rows : where sums are wanted; everywhere by default
+    like : sums with the same centres, whose clusters are taken over
+    """
+
+    def __init__(self, kind, centres, tolerance, rows=None, like=None):
+        self._kind = kind
+        self._tree = like._tree if like else build_tree(centres, 1, LEAF)
+        radius = np.sqrt((self._tree.half**2).sum(axis=1))
+        compact = kind != BASES["tps"]
+        self._lists = like._lists if like else _pairs(self._tree, radius, compact)
+        self._bases = _bases(kind, self._tree, radius, self._lists, tolerance)
+        self._leaves = np.flatnonzero(self._tree.child < 0)
+        self._leaves = self._leaves[np.argsort(self._tree.span[self._leaves, 0])]
+        self._set_rows(rows)
+
+    def _set_rows(self, rows):
+        """Places in the tree where sums are wanted, which of them each leaf has, and where each row finds its own."""
+        wanted = np.full(len(self._tree.order), rows is None)
+        place = np.empty(len(wanted), dtype=np.int64)
+        place[self._tree.order] = np.arange(len(wanted))
+        if rows is not None:
+            wanted[place[rows]] = True
+        self._places = np.flatnonzero(wanted)
+        self._result = np.searchsorted(self._places, place if rows is None else place[rows])
+        ends = np.append(self._tree.span[self._leaves, 0], len(wanted))
+        self._of_leaf = np.searchsorted(self._places, ends)
+
+    @property
+    def order(self):
+        """Centres (n,) as they follow in the tree: neighbours in space."""
+        return self._tree.order
+
+    @property
+    def pairs(self):
+        """Pairs of points that one product sums."""
+        size, span, lists = np.diff(self._bases.start), np.diff(self._tree.span)[:, 0], self._lists
+        far, near = np.repeat(size, np.diff(lists.far_start)), np.repeat(span, np.diff(lists.near_start))
+        return int((far * size[lists.far]).sum() + (near * span[lists.near]).sum())
+
+    def __call__(self, coefficients):
+        """Sums (rows, 3) for coefficients (n, 3)."""
+        tree, bases, lists = self._tree, self._bases, self._lists
+        charges = coefficients[tree.order]
+        upper, sums = np.empty((len(bases.place), 3)), np.empty((len(self._places), 3))
+        _gather(tree.span, tree.child, bases, charges, upper)
+        far = np.zeros((len(bases.place), 3))
+
+        def act(lo, hi):
+            _act_far(self._kind, lo, hi, lists.far_start, lists.far, bases, upper, far)
+
+        def skeletons(lo, hi):
+            return range(bases.start[lo], bases.start[hi])
+
+        for_chunks(act, len(tree.span), _CHUNK, shared=[Shared(far, skeletons)])
+        _scatter_down(tree.child, bases, far)
+
+        def finish(lo, hi):
+            _act_near(self._kind, lo, hi, self._leaves, self._of_leaf, self._places, tree.span, tree.points, charges,
+                      lists.near_start, lists.near, bases, far, sums)  # fmt: skip
+
+        def places(lo, hi):
+            return range(*self._of_leaf[[lo, hi]])
+
+        for_chunks(finish, len(self._leaves), _CHUNK, shared=[Shared(sums, places)])
+        return sums[self._result]
+
+
+def _pairs(tree: SourceTree, radius, compact):
+    """:class:`Lists` of all clusters."""
+    none = np.empty(0, dtype=np.int64)
+    counts = np.zeros((2, len(radius)), dtype=np.int64)
+    _meet(tree.center, radius, tree.child, _REACH, compact, counts, False, none, none)
+    starts = [np.append(0, np.cumsum(count)) for count in counts]
+    far, near = (np.empty(start[-1], dtype=np.int64) for start in starts)
+    places = np.stack([start[:-1] for start in starts])
+    _meet(tree.center, radius, tree.child, _REACH, compact, places, True, far, near)
+    return Lists(starts[0], far, starts[1], near)
+
+
+@kernel
+def _meet(center, radius, child, reach, compact, places, fill, far, near):
+    """Walk pairs of clusters from the root; count the partners of each in ``places`` (2, m), or put them there."""
+    stack = np.empty((_STACK, 2), dtype=np.int64)
+    stack[0] = 0
+    depth = 1
+    while depth:
+        depth -= 1
+        a, b = stack[depth]
+        if a == b:
+            if child[a] < 0:
+                _join(1, a, b, places, fill, near)
+                continue
+            c = child[a]
+            stack[depth], stack[depth + 1] = c, c + 1
+            stack[depth + 2, 0], stack[depth + 2, 1] = c, c + 1
+            depth += 3
+            continue
+        d = np.sqrt(((center[a] - center[b]) ** 2).sum())
+        if compact and d - radius[a] - radius[b] >= 1.0:
+            continue
+        apart = d - radius[b] >= reach * radius[a] and d - radius[a] >= reach * radius[b]
+        if apart and not (compact and d + radius[a] + radius[b] > 1.0):
+            _join(0, a, b, places, fill, far)
+        elif child[a] < 0 and child[b] < 0:
+            _join(1, a, b, places, fill, near)
+        else:
+            if child[a] < 0 or (child[b] >= 0 and radius[b] > radius[a]):
+                a, b = b, a
+            for k in range(2):
+                stack[depth, 0], stack[depth, 1] = child[a] + k, b
+                depth += 1
+
+
+@kernel
+def _join(which, a, b, places, fill, partners):
+    if fill:
+        partners[places[which, a]] = b
+    places[which, a] += 1
+    if a != b:
+        if fill:
+            partners[places[which, b]] = a
+        places[which, b] += 1
+
+
+def _bases(kind, tree: SourceTree, radius, lists: Lists, tolerance):
+    """Skeletons of the clusters that act from afar, from the leaves upwards."""
+    m = len(radius)
+    depth, wanted = np.zeros(m, dtype=np.int64), np.diff(lists.far_start) > 0
+    for c in range(m):
+        if tree.child[c] >= 0:
+            both = slice(tree.child[c], tree.child[c] + 2)
+            depth[both], wanted[both] = depth[c] + 1, wanted[c] | wanted[both]
+    proxies = proxy_points(_REACH)
+    found: list = [(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 0)))] * m
+
+    def make(c):
+        child = tree.child[c]
+        places = np.arange(*tree.span[c]) if child < 0 else np.concatenate([found[child][0], found[child + 1][0]])
+        found[c] = _skeleton(kind, tree, places, c, radius[c], proxies, tolerance)
+
+    for level in range(depth.max(), -1, -1):
+        here = np.flatnonzero((depth == level) & wanted)
+
+        def work(lo, hi, here=here):
+            for c in here[lo:hi]:
+                make(c)
+
+        for_chunks(work, len(here), _CHUNK)
+    place, order, share = zip(*found, strict=True)
+    start, first, begin = (np.append(0, np.cumsum([each.size for each in part])) for part in (place, order, share))
+    places = np.concatenate(place)
+    shares = np.concatenate([each.ravel() for each in share])
+    return Bases(start, places, tree.points[places], first, np.concatenate(order), begin, shares)
+
+
+def _skeleton(kind, tree: SourceTree, places, c, radius, proxies, tolerance):
+    """Places of the skeleton of a cluster, the order of its candidates ``places``, and the shares of the others."""
+    n = len(places)
+    # Thin plate splines are the same in any unit but for polynomials, which few points reproduce.
+    unit = radius if kind == BASES["tps"] and radius > 0 else 1.0
+    points = (tree.points[places] - tree.center[c]) / unit
+    order, share = np.empty(n, dtype=np.int64), np.zeros((n, n))
+    rank = decompose(kind, points, proxies * (radius / unit), tolerance, order, share)
+    return places[order[:rank]], order, share[: n - rank, :rank].copy()
+
+
+@kernel
+def _gather(span, child, bases, charges, out):
+    """Charges of all skeletons, from the leaves up."""
+    for c in range(span.shape[0] - 1, -1, -1):
+        s, rank = bases.start[c], bases.start[c + 1] - bases.start[c]
+        o, n = bases.first[c], bases.first[c + 1] - bases.first[c]
+        at, source = span[c, 0], charges
+        if child[c] >= 0:
+            at, source = bases.start[child[c]], out
+        for j in range(rank):
+            for k in range(3):
+                out[s + j, k] = source[at + bases.order[o + j], k]
+        b = bases.begin[c]
+        for i in range(n - rank):
+            p = at + bases.order[o + rank + i]
+            x, y, z = source[p, 0], source[p, 1], source[p, 2]
+            for j in range(rank):
+                w = bases.share[b + j]
+                out[s + j, 0] += w * x
+                out[s + j, 1] += w * y
+                out[s + j, 2] += w * z
+            b += rank
+
+
+@kernel
+def _spread(c, at, bases, skeleton, out):
+    """Add what the skeleton of cluster ``c`` feels to its candidates, from row ``at`` of ``out`` on."""
+    s, rank = bases.start[c], bases.start[c + 1] - bases.start[c]
+    o, n = bases.first[c], bases.first[c + 1] - bases.first[c]
+    for j in range(rank):
+        for k in range(3):
+            out[at + bases.order[o + j], k] += skeleton[s + j, k]
+    b = bases.begin[c]
+    for i in range(n - rank):
+        x = y = z = 0.0
+        for j in range(rank):
+            w = bases.share[b + j]
+            x += w * skeleton[s + j, 0]
+            y += w * skeleton[s + j, 1]
+            z += w * skeleton[s + j, 2]
+        p = at + bases.order[o + rank + i]
+        out[p, 0] += x
+        out[p, 1] += y
+        out[p, 2] += z
+        b += rank
+
+
+@kernel
+def _scatter_down(child, bases, far):
+    """What skeletons feel, from the root to the leaves."""
+    for c in range(child.size):
+        if child[c] >= 0:
+            _spread(c, bases.start[child[c]], bases, far, far)
+
+
+@kernel
+def _act_far(kind, lo, hi, far_start, far, bases, charges, out):
+    """Add what the skeletons of the far clusters do at the skeletons of clusters ``lo`` to ``hi``."""
+    packed = np.empty((6, bases.points.shape[0]))
+    for t in range(lo, hi):
+        n = 0
+        for c in far[far_start[t] : far_start[t + 1]]:
+            n = _pack(bases.points, charges, bases.start[c], bases.start[c + 1], packed, n)
+        mine = slice(bases.start[t], bases.start[t + 1])
+        radial_block(kind, bases.points[mine], packed, n, out[mine])
+
+
+@kernel
+def _act_near(kind, lo, hi, leaves, of_leaf, places, span, points, charges, near_start, near, bases, far, out):
+    """Sums at places in leaves: what comes from afar by the skeletons, and the neighbours themselves."""
+    packed = np.empty((6, points.shape[0]))
+    for leaf in range(lo, hi):
+        t = leaves[leaf]
+        own = slice(of_leaf[leaf], of_leaf[leaf + 1])
+        mine = places[own]
+        felt = np.zeros((span[t, 1] - span[t, 0], 3))
+        _spread(t, 0, bases, far, felt)
+        out[own] = felt[mine - span[t, 0]]
+        n = 0
+        for c in near[near_start[t] : near_start[t + 1]]:
+            n = _pack(points, charges, span[c, 0], span[c, 1], packed, n)
+        radial_block(kind, points[mine], packed, n, out[own])
+
+
+@kernel
+def _pack(points, charges, first, last, packed, n):
+    for s in range(first, last):
+        for d in range(3):
+            packed[d, n] = points[s, d]
+            packed[3 + d, n] = charges[s, d]
+        n += 1
+    return n

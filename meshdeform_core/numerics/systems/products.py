@@ -1,0 +1,132 @@
+"""Products of the matrix of basis values between centres with coefficients, for solvers that need no more of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Protocol
+
+import numpy as np
+
+from ...parallel import Shared, for_chunks
+from ..fastsum.nested import NestedSums
+from ..radial import radial_sums
+from .sparse import sparse_radial_matrix
+
+_CHUNK = 512
+# Centres from which on nested sums are faster, and the largest part of all pairs that they may sum themselves.
+_FEWEST, _LARGEST_PART = 10_000, 0.5
+_SAMPLES = 512
+# Accuracy of nested sums below that of the solution; how much finer when that was not enough, and the finest.
+_FINER, _REFINEMENT, _FINEST = 3e-4, 1e-2, 1e-13
+# Enough for what a preconditioner makes of it: rough residuals have large coefficients, which nearly cancel.
+_ROUGH = 1e-7
+# Numbers per centre that nested sums keep: shares of skeletons, for fine and for rough sums.
+_NUMBERS = 250
+
+
+class Product(Protocol):
+    """A times coefficients (n, 3), and what is known of its error.
+
+    Attributes
+    ----------
+    memory : bytes that it takes
+    """
+
+    memory: int
+
+    @property
+    def how(self) -> str:
+        """Of which kind it is, for reports."""
+        ...
+
+    def __call__(self, coefficients: np.ndarray) -> np.ndarray:
+        """Sums (n, 3)."""
+        ...
+
+    def error(self, coefficients: np.ndarray, found: np.ndarray) -> np.ndarray:
+        """Norm (3,) of the error of what was ``found`` (n, 3) for these coefficients, round-off aside."""
+        ...
+
+    def refine(self) -> None:
+        """Be more accurate from now on."""
+        ...
+
+    def roughly_at(self, rows: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+        """The product at some centres only, to a few digits, as a function of coefficients (n, 3)."""
+        ...
+
+
+class ExactProduct:
+    """Every centre with every centre, or what a sparse matrix has of them."""
+
+    def __init__(self, kind, points, matrix=None):
+        self._kind, self._points, self._matrix = kind, points, matrix
+        self.how = "exact sums" if matrix is None else f"sparse matrix of {matrix.nnz:,} values"
+        self.memory = 0 if matrix is None else 16 * matrix.nnz
+
+    def __call__(self, coefficients):
+        if self._matrix is not None:
+            return self._matrix @ coefficients
+        result = np.empty_like(coefficients)
+
+        def work(lo, hi):
+            result[lo:hi] = radial_sums(self._kind, self._points[lo:hi], self._points, coefficients)
+
+        for_chunks(work, len(result), _CHUNK, shared=[Shared(result)])
+        return result
+
+    def error(self, coefficients, found):
+        return np.zeros(3)
+
+    def refine(self):
+        """Nothing is missing."""
+
+    def roughly_at(self, rows):
+        if self._matrix is not None:
+            return self._matrix[rows].dot
+        return partial(radial_sums, self._kind, self._points[rows], self._points)
+
+
+class NestedProduct:
+    """Nested sums, compared with exact ones at centres spread evenly over the tree."""
+
+    def __init__(self, kind, points, sums, tolerance):
+        self._kind, self._points, self._sums, self._tolerance = kind, points, sums, tolerance
+        self.memory = _needed(len(points))
+        self._rows = sums.order[np.linspace(0, len(points) - 1, min(_SAMPLES, len(points))).astype(np.int64)]
+
+    @property
+    def how(self):
+        return f"nested sums to {self._tolerance:.0e}"
+
+    def __call__(self, coefficients):
+        return self._sums(coefficients)
+
+    def error(self, coefficients, found):
+        exact = radial_sums(self._kind, self._points[self._rows], self._points, coefficients)
+        return np.sqrt(((found[self._rows] - exact) ** 2).mean(axis=0) * len(self._points))
+
+    def refine(self):
+        if self._tolerance > _FINEST:
+            self._tolerance *= _REFINEMENT
+            self._sums = NestedSums(self._kind, self._points, self._tolerance, like=self._sums)
+
+    def roughly_at(self, rows):
+        return NestedSums(self._kind, self._points, _ROUGH, rows, self._sums)
+
+
+def _needed(n):
+    """Bytes that nested sums of n centres take."""
+    return 8 * _NUMBERS * n
+
+
+def product_of(kind, points, tolerance, memory) -> Product:
+    """The cheapest product for centres (n, 3) and a solution with ``tolerance``, within ``memory`` bytes."""
+    sparse = sparse_radial_matrix(kind, points, memory)
+    if sparse is None and len(points) >= _FEWEST and _needed(len(points)) <= memory:
+        finer = max(_FINER * tolerance, _FINEST)
+        sums = NestedSums(kind, points, finer)
+        if sums.pairs <= _LARGEST_PART * len(points) ** 2:
+            return NestedProduct(kind, points, sums, finer)
+    return ExactProduct(kind, points, sparse)

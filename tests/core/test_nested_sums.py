@@ -1,0 +1,171 @@
+"""Products by nested skeletons against exact sums, and solutions whose products they are."""
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+from clouds import SETS, bend, sphere
+
+from meshdeform_core.memory import MemoryLimit
+from meshdeform_core.methods import RBF
+from meshdeform_core.methods.base import Account
+from meshdeform_core.methods.scattered.radial_system import RadialSystem
+from meshdeform_core.methods.scattered.rbf_sums import Centres
+from meshdeform_core.numerics.basis import BASES
+from meshdeform_core.numerics.fastsum.nested import NestedSums
+from meshdeform_core.numerics.fastsum.skeletons import decompose, proxy_points
+from meshdeform_core.numerics.radial import radial_matrix, radial_sums
+from meshdeform_core.numerics.systems import products
+from meshdeform_core.numerics.systems.krylov import KrylovSolver
+from meshdeform_core.numerics.systems.products import ExactProduct, NestedProduct, product_of
+from meshdeform_core.parallel import set_threads
+
+CLOUDS = SETS | {
+    "volume": np.random.default_rng(1).uniform(size=(3000, 3)),
+    "duplicates": np.repeat(sphere(700), 3, axis=0),
+    "one point": np.zeros((300, 3)),
+    "few": sphere(7),
+}
+RADIUS = {"tps": None, "wendland-c0": 5.0, "wendland-c2": 0.7, "ctps-c1": 2.0, "ctps-c2a": 5.0, "ctps-c2b": 1.0}
+
+
+def normalised(name, basis):
+    points = CLOUDS[name]
+    extent = np.linalg.norm(points - points.mean(axis=0), axis=1).max() or 1.0
+    radius = RADIUS[basis]
+    return Centres.of(points, None if radius is None else radius * extent).points
+
+
+def charges(n):
+    """Coefficients of random signs: what a cluster does nearly cancels, as with coefficients of an interpolation."""
+    return np.random.default_rng(n).standard_normal((n, 3))
+
+
+@pytest.mark.parametrize("basis", RADIUS)
+@pytest.mark.parametrize("name", CLOUDS)
+def test_sums_are_the_exact_ones_to_the_tolerance(name, basis):
+    points, kind = normalised(name, basis), BASES[basis]
+    c = charges(len(points))
+    exact = radial_sums(kind, points, points, c)
+    size = np.abs(radial_matrix(kind, points[:50], points)).max() * np.sqrt(len(points))
+    for tolerance in (1e-4, 1e-8):
+        found = NestedSums(kind, points, tolerance)(c)
+        # The singular part is up to 60 r^3 log r (see decompose), and a sum has a hundred clusters or so.
+        assert np.abs(found - exact).max() <= 100 * tolerance * size + 1e-12 * size
+
+
+def test_far_clusters_are_not_summed_centre_by_centre():
+    points = Centres.of(sphere(20000), None).points
+    sums = NestedSums(0, points, 1e-8)
+    assert sums.pairs < 0.2 * len(points) ** 2
+    c = charges(len(points))
+    rows = np.arange(0, len(points), 97)
+    np.testing.assert_allclose(sums(c)[rows], radial_sums(0, points[rows], points, c), atol=1e-5)
+
+
+def test_work_grows_about_linearly():
+    pairs = [NestedSums(0, Centres.of(sphere(n), None).points, 1e-6).pairs for n in (8000, 32000)]
+    assert pairs[1] < 4 * 1.4 * pairs[0]
+
+
+@pytest.mark.parametrize("name", ["sphere", "graded-plane", "volume"])
+def test_sums_at_some_centres_only(name):
+    points = normalised(name, "tps")
+    c, every = charges(len(points)), NestedSums(0, points, 1e-6)
+    rows = np.random.default_rng(0).permutation(len(points))[:111]
+    some = NestedSums(0, points, 1e-6, rows, every)
+    np.testing.assert_allclose(some(c), every(c)[rows], rtol=0, atol=1e-12)
+
+
+def test_threads_do_not_change_sums():
+    points = normalised("sphere", "tps")
+    c, found = charges(len(points)), []
+    try:
+        for threads in (1, 4):
+            set_threads(threads)
+            found.append(NestedSums(0, points, 1e-6)(c))
+    finally:
+        set_threads(None)
+    np.testing.assert_array_equal(*found)
+
+
+def test_a_skeleton_stands_for_its_cluster():
+    random = np.random.default_rng(5)
+    points = random.uniform(-1, 1, (150, 3)) / np.sqrt(3)
+    order, share = np.empty(150, dtype=np.int64), np.zeros((150, 150))
+    rank = decompose(0, points, proxy_points(2.0), 1e-6, order, share)
+    assert 30 < rank < 120
+    assert sorted(order) == list(range(150))
+    away = random.standard_normal((400, 3))
+    away *= (random.uniform(2, 20, 400) / np.linalg.norm(away, axis=1))[:, None]
+    values = radial_matrix(0, points, away)
+    expected, found = values[order[rank:]], share[: 150 - rank, :rank] @ values[order[:rank]]
+    near = np.linalg.norm(away, axis=1) < 4
+    assert np.abs(found - expected)[:, near].max() < 1e-4
+    assert np.abs(found - expected).max() < 1e-4
+
+
+@pytest.fixture
+def nested(monkeypatch):
+    monkeypatch.setattr(products, "_FEWEST", 100)
+    monkeypatch.setattr(products, "_LARGEST_PART", 10.0)
+
+
+def solved(points, basis="tps", radius=None, tolerance=1e-6, limit=2**40):
+    system = RadialSystem(RBF(solver="krylov", basis=basis, tolerance=tolerance), Centres.of(points, radius),
+                          MemoryLimit(limit, "the machine has"))  # fmt: skip
+    account, told = Account(), bend(points)
+    coefficients, polynomial = system.solve(told, account, None)
+    x = system.centres.points
+    rest = told - radial_sums(system.kind, x, x, coefficients) - system.terms @ polynomial
+    size = np.linalg.norm(told, axis=0)
+    return system, np.linalg.norm(rest, axis=0) / np.where(size > 0, size, 1.0), account
+
+
+@pytest.mark.parametrize(("basis", "radius"), [("tps", None), ("wendland-c0", 4.0), ("ctps-c1", 3.0)])
+@pytest.mark.parametrize("name", ["sphere", "graded-plane", "two-scales"])
+def test_solutions_have_the_residual_that_is_reported(nested, name, basis, radius):
+    points = SETS[name] / np.abs(SETS[name]).max()
+    system, residual, account = solved(points, basis, radius)
+    assert isinstance(system._krylov.product, NestedProduct)
+    assert residual.max() <= 1e-6
+    # Reported is the residual by nested sums and the norm of their error: an upper bound, not far off.
+    reported = np.array(account.settings["residual"].value)
+    assert (residual <= 1.1 * reported).all()
+    assert (reported <= 2 * residual + 3e-7).all()
+
+
+def test_sums_that_are_too_coarse_are_refined(nested, monkeypatch):
+    monkeypatch.setattr(products, "_FINER", 1e3)
+    system, residual, account = solved(sphere(3000))
+    assert residual.max() <= 1e-6
+    assert system._krylov.product._tolerance < 1e-4
+    assert "nested" in account.settings["products"].value
+
+
+def test_the_error_of_a_product_is_found(nested):
+    points = Centres.of(sphere(3000), None).points
+    c = charges(len(points))
+    product = product_of(0, points, 1.0, 2**40)
+    found, exact = product(c), ExactProduct(0, points)(c)
+    error = np.linalg.norm(found - exact, axis=0)
+    np.testing.assert_allclose(product.error(c, found), error, rtol=0.3)
+    product.refine()
+    finer = np.linalg.norm(product(c) - exact, axis=0)
+    assert (finer < 0.1 * error).all()
+
+
+def test_little_memory_means_exact_sums(nested):
+    points = sphere(3000)
+    tight, _, account = solved(points, limit=KrylovSolver.memory(3000) + 10_000)
+    assert isinstance(tight._krylov.product, ExactProduct)
+    assert account.settings["products"].value == "exact sums"
+
+
+@pytest.mark.parametrize("twin", [copy.deepcopy, lambda system: pickle.loads(pickle.dumps(system))])
+def test_copies_of_a_system_go_on(nested, twin):
+    system, _, _ = solved(sphere(2000))
+    told = bend(sphere(2000))[:, ::-1].copy()
+    one, two = (each.solve(told, Account(), None)[0] for each in (system, twin(system)))
+    np.testing.assert_array_equal(one, two)
