@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from .messages import tell
 from .options import (  # fmt: skip
     PATH,
     GridInput,
@@ -42,7 +43,7 @@ def command(source: GridInput, target: Path, variant: tuple[str, ...], force: bo
     grid = complete_for_export(source.read(), target)
     written = write_grid(grid, target, options)
     for note in grid.notes:
-        click.echo(f"meshdeform: note: {note}", err=True)
+        tell(f"warning: {note}")
     if not quiet:
         click.echo(f"{target}: {written.label}, {grid.n_blocks} blocks, {grid.n_nodes:,} nodes")
     return 0

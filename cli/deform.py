@@ -20,6 +20,7 @@ from .options import (
     check_output,
     check_reports,
     grid_options,
+    invalid_path,
     run_options,
 )
 from .progress import ProgressBar
@@ -44,8 +45,8 @@ def command(source: GridInput, output: Path | None, case: CaseInput, steps: str,
       meshdeform deform grid.cgns -c case.toml --steps auto -s method.idw.alpha=0.3 -o deformed.cgns
       meshdeform deform grid.cgns -c case.toml --dry-run
 
-    Nodes on the outside that no boundary entry selects stay fixed. The deformed grid is written even when cells became
-    invalid (exit code 3); the report lists them.
+    Nodes on the outside that no boundary entry selects stay fixed. A deformed grid with invalid cells (exit code 3) is
+    written beside OUT, as OUT with .invalid before the suffix; the report lists the cells.
     """
     start = clock.perf_counter()
     use_threads(run.threads)
@@ -54,27 +55,32 @@ def command(source: GridInput, output: Path | None, case: CaseInput, steps: str,
     if case.empty:
         raise click.UsageError("Nothing to do: give a case file (-c) or a displacement table (-d).")
     if not run.dry_run and output is not None:
-        _check_target(output, run.force, *source.files, *case.files)
+        _check_target(output, run, *source.files, *case.files)
     check_reports(run.reports, run.force, output, *source.files, *case.files)
     count, options, limit = parse_steps(steps), run.variant_options, run.memory
 
     from . import work
 
-    job = work.load(source, case, limit, [path for path in (output, *run.reports) if path is not None])
+    outputs = [output, *([] if output is None or run.allow_invalid else [invalid_path(output)]), *run.reports]
+    job = work.load(source, case, limit, [path for path in outputs if path is not None])
+    imposed = work.Imposed(count, at_time)
     if run.dry_run or output is None:
-        work.print_plan(work.describe(job, output, count, at_time, options), run)
+        work.print_plan(work.plan(job, output, imposed, options), run)
         return 0
     with ProgressBar(not run.quiet) as progress:
-        report, illustrate = work.run(job, output, count, at_time, options, progress)
-    files = [*source.roles, *case.roles(job.case), ("output", output)]
+        report, illustrate = work.run(job, output, imposed, options, run, progress)
+    files = [*source.roles, *case.roles(job.case), ("output", Path(report["output"]))]
     return work.conclude(report, run, work.Delivery(start, files, illustrate))
 
 
-def _check_target(output: Path, force: bool, *inputs: Path | None) -> None:
+def _check_target(output: Path, run: RunInput, *inputs: Path | None) -> None:
     from meshdeform_formats.grids import format_of
 
     format_of(output)
-    check_output(output, force, *inputs)
+    check_output(output, run.force, *inputs)
+    if not run.allow_invalid:
+        # What an earlier run left there is replaced, but no input is.
+        check_output(invalid_path(output), True, *inputs)
 
 
 def parse_steps(text: str) -> int | str:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
-import os
-import signal
 import sys
 import traceback
 from collections.abc import Sequence
@@ -13,10 +11,13 @@ from typing import NoReturn
 
 import click
 
+from meshdeform_core import interruption
 from meshdeform_core.parallel import current_ranks
 
 from .exit_codes import EXIT_BUG, EXIT_INPUT, EXIT_INTERRUPTED
+from .messages import drop_output, flush_output, open_streams, tell
 from .mpi import place, run_on_ranks
+from .signals import Handler, end_of
 
 _COMMANDS = (
     "deform", "series", "quality", "info", "convert", "compare", "plot", "methods", "sample", "reproduce",
@@ -70,7 +71,7 @@ def cli(context: click.Context) -> None:
       meshdeform quality case/deformed.cgns --reference case/grid.cgns
 
     Results go to stdout, messages to stderr. Exit codes: 0 done and valid, 1 internal error, 2 bad usage or input,
-    3 cells became invalid, 130 interrupted.
+    3 cells became invalid, 130, 143 or 129 ended by SIGINT, SIGTERM or SIGHUP.
     """
     if current_ranks().count > 1 and context.invoked_subcommand not in _ON_RANKS:
         raise click.UsageError(
@@ -81,29 +82,43 @@ def cli(context: click.Context) -> None:
 
 def main(args: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and exit."""
-    for name in ("SIGTERM", "SIGHUP"):
-        number = getattr(signal, name, None)
-        # What the caller ignores (nohup) stays ignored.
-        if number is not None and signal.getsignal(number) is signal.SIG_DFL:
-            signal.signal(number, _terminate)
+    open_streams()
+    handler = Handler()
+    handler.install()
     here = place()
-    sys.exit(run(args) if here is None else run_on_ranks(lambda: run(args), here))
-
-
-def _terminate(signum: int, frame: object) -> NoReturn:
-    # As an exception, so that half-written files are removed.
-    raise SystemExit(128 + signum)
+    code = run(args) if here is None else run_on_ranks(lambda: run(args), here)
+    handler.finish()
+    stopped = interruption.requested()
+    sys.exit(code if stopped is None else 128 + stopped)
 
 
 def run(args: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
+    try:
+        code = _invoke(args)
+    except BaseException as error:
+        # A signal's exception, or what a library made of it.
+        if interruption.requested() is None:
+            if not isinstance(error, Exception):
+                raise
+            code = _report_bug()
+    finally:
+        interruption.clean_up()
+    unwritten = flush_output()
+    if (stopped := interruption.requested()) is not None:
+        tell(end_of(stopped))
+        return 128 + stopped
+    return _fail(f"cannot write to stdout: {unwritten}") if unwritten else code
+
+
+def _invoke(args: Sequence[str] | None) -> int:
+    """Call the command; what is the input's or the system's fault becomes a message and exit code 2."""
     from meshdeform_core.errors import MeshDeformError
 
     try:
         arguments = list(sys.argv[1:] if args is None else args)
         # Reports say how they came about: the object of the context are the arguments.
         result = cli.main(args=arguments, prog_name="meshdeform", standalone_mode=False, obj=tuple(arguments))
-        sys.stdout.flush()
         return result if isinstance(result, int) else 0
     except MeshDeformError as error:
         return _fail(str(error))
@@ -114,25 +129,27 @@ def run(args: Sequence[str] | None = None) -> int:
         error.show()
         return EXIT_INPUT
     except (KeyboardInterrupt, click.Abort):
-        click.echo("meshdeform: interrupted; no output was left half-written", err=True)
+        tell("interrupted; no output was left half-written")
         return EXIT_INTERRUPTED
     except (BrokenPipeError, SystemExit) as stop:
         # The reader went away (`meshdeform info grid | head`), which click turns into exit code 1: nothing more to say.
         if isinstance(stop, SystemExit) and stop.code != 1:
             raise
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        drop_output()
         return 0
     except OSError as error:
         # Refused by the system: no permission, a name too long, a full disk.
         return _fail(f"{error.filename}: {error.strerror}" if error.filename else str(error))
     except MemoryError as error:
         return _fail(f"out of memory ({error}); see --max-memory, or use a smaller grid or method")
-    except Exception:
-        traceback.print_exc()
-        click.echo("meshdeform: internal error (a bug); please report it with the lines above", err=True)
-        return EXIT_BUG
+
+
+def _report_bug() -> int:
+    traceback.print_exc()
+    tell("internal error (a bug); please report it with the lines above")
+    return EXIT_BUG
 
 
 def _fail(message: str) -> int:
-    click.echo(f"meshdeform: error: {message}", err=True)
+    tell(f"error: {message}")
     return EXIT_INPUT

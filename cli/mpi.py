@@ -8,11 +8,10 @@ import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-import click
-
 from meshdeform_core.parallel import set_ranks
 
 from .exit_codes import EXIT_INPUT, EXIT_INVALID
+from .messages import tell
 
 # How launchers tell a process its number and how many there are.
 _LAUNCHERS = (
@@ -69,7 +68,7 @@ def _refuse(here: Place, reason: str) -> int:
     # Without MPI the ranks cannot speak to each other, but the launcher's numbers tell who speaks.
     if here.number:
         return 0
-    click.echo(f"meshdeform: error: a start on {here.count} ranks: {reason}", err=True)
+    tell(f"error: a start on {here.count} ranks: {reason}")
     return EXIT_INPUT
 
 

@@ -15,6 +15,8 @@ import click
 from meshdeform_core.errors import FormatError
 from meshdeform_core.memory import MemoryLimit, machine_memory, parse_memory
 
+from .messages import Warnings
+
 if TYPE_CHECKING:
     from meshdeform_core.grid import Grid
     from meshdeform_formats.case import CaseFile
@@ -36,7 +38,7 @@ class FiniteNumber(click.FloatRange):
 
 force_option = click.option("--force", is_flag=True, help="Overwrite an existing output (never the input).")
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-quiet_option = click.option("-q", "--quiet", is_flag=True, help="Print errors only.")
+quiet_option = click.option("-q", "--quiet", is_flag=True, help="Print errors and warnings only.")
 threads_option = click.option("--threads", type=click.IntRange(min=1), help="Use at most so many threads.")
 variant_option = click.option(
     "--variant", metavar="KEY=VALUE", multiple=True,
@@ -159,8 +161,14 @@ class RunInput:
     dry_run: bool
     force: bool
     allow_invalid: bool
+    strict: bool
     quiet: bool
     verbose: bool
+
+    @functools.cached_property
+    def warnings(self) -> Warnings:
+        """Where warnings go."""
+        return Warnings(self.strict)
 
     @property
     def memory(self) -> MemoryLimit:
@@ -181,7 +189,8 @@ def run_options(command: Command) -> Command:
     @variant_option
     @click.option("--dry-run", is_flag=True, help="Show what would be done; write nothing.")
     @force_option
-    @click.option("--allow-invalid", is_flag=True, help="Exit 0 even if cells became invalid.")
+    @click.option("--allow-invalid", is_flag=True, help="Write the grid and exit 0 even if cells became invalid.")
+    @click.option("--strict", is_flag=True, help="Treat warnings as errors: exit code 2, no grid is written.")
     @quiet_option
     @click.option("-v", "--verbose", is_flag=True, help="Tell more: stages and their times on stderr.")
     @functools.wraps(command)
@@ -226,6 +235,11 @@ def check_output(path: Path, force: bool, *inputs: Path | None) -> None:
     if not path.parent.is_dir():
         reason = "is a file" if path.parent.exists() else "does not exist; create it first"
         raise FormatError(f"cannot write {path}: the folder {path.parent} {reason}")
+
+
+def invalid_path(output: Path) -> Path:
+    """Where a grid with invalid cells is written: beside ``output``, so that make does not take it for that."""
+    return output.with_name(f"{output.stem}.invalid{output.suffix}")
 
 
 def check_reports(reports: tuple[Path, ...], force: bool, *inputs: Path | None) -> None:

@@ -7,6 +7,8 @@ import time
 from types import TracebackType
 from typing import TYPE_CHECKING
 
+from meshdeform_core import interruption
+
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
 
@@ -23,6 +25,7 @@ class ProgressBar:
         self._tasks: dict[str, int] = {}
 
     def __call__(self, stage: str, done: int, total: int) -> None:
+        interruption.check()
         if not self._enabled:
             return
         start = self._started.setdefault(stage, time.perf_counter())

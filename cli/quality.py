@@ -11,6 +11,7 @@ import click
 
 from .exit_codes import EXIT_INVALID
 from .machine import use_threads
+from .messages import Warnings
 from .options import (  # fmt: skip
     PATH,
     CaseInput,
@@ -59,6 +60,7 @@ def command(
     from .reporting import Delivery, deliver
 
     report = judged(source, reference, case)
+    Warnings().tell(report["warnings"])
     files = [*source.roles, ("reference", reference), ("case", case.file)]
     # The text would only repeat what --json prints.
     deliver(report, reports, as_json, quiet or as_json, Delivery(start, files))

@@ -43,7 +43,8 @@ def deliver(report: Report, reports: Iterable[Path], to_stdout: bool, quiet: boo
     if to_stdout:
         click.echo(as_json(report), nl=False)
     if not quiet:
-        click.echo(as_text(report), nl=False, err=to_stdout)
+        # Warnings have gone to stderr.
+        click.echo(as_text({**report, "warnings": []}), nl=False, err=to_stdout)
 
 
 def _arguments() -> Sequence[str]:

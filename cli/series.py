@@ -72,7 +72,8 @@ def command(
 
     wanted = series_run.Wanted(output, times, origin, velocity, count, suffix, single_file, options)
     job = work.load(source, dataclasses.replace(case, times=times), limit, run.reports)
-    plan = series_run.prepare(job, source, wanted)
+    plan = series_run.prepare(job, source, wanted, run.warnings)
+    run.warnings.tell(plan.setup.warnings)
     if run.dry_run:
         report, levels = series_run.describe(plan)
         work.print_plan(report, run, levels)

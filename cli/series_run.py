@@ -23,6 +23,7 @@ from meshdeform_formats.report.series import level_record, series_head, series_r
 from meshdeform_formats.series.files import LevelFiles, SeriesFiles, SingleFile
 from meshdeform_formats.series.manifest import NAME, Manifest, ingredients_of
 
+from .messages import Warnings
 from .options import GridInput, keep_inputs
 from .progress import ProgressBar
 from .work import Job
@@ -54,9 +55,10 @@ class Run:
     files: SeriesFiles
     manifest: Manifest
     timing: Timing
+    warnings: Warnings
 
 
-def prepare(job: Job, source: GridInput, wanted: Wanted) -> Run:
+def prepare(job: Job, source: GridInput, wanted: Wanted, warnings: Warnings) -> Run:
     """Decide on times and files, find topology and boundary; nothing is written."""
     times = parse_times(wanted.times, "--times") if wanted.times else _times_of_files(job.case)
     schedule = Schedule(times, wanted.origin, wanted.velocity, wanted.steps)
@@ -70,7 +72,8 @@ def prepare(job: Job, source: GridInput, wanted: Wanted) -> Run:
     output = {"output": name, "single file": wanted.single_file, "variant": files.variant.label}
     manifest.ingredients = ingredients_of(source.path, source.boundary_file, job.case, schedule, output)
     timing = Timing()
-    return Run(job, set_up(grid, job.case.case, timing, job.memory), schedule, files, manifest, timing)
+    setup = set_up(grid, job.case.case, timing, job.memory)
+    return Run(job, setup, schedule, files, manifest, timing, warnings)
 
 
 def _suffix(source: Path, wanted: Wanted) -> str:
@@ -145,9 +148,12 @@ def carry_out(run: Run, progress: ProgressBar) -> Report:
     progress("levels", first, count)
     levels = deform_series(run.setup, run.schedule, run.files.variant.precision, progress, first, run.files.read)
     for level in levels:
+        run.warnings.tell(level.result.warnings)
         ranks.on_first(partial(_record, run, level))
         progress("levels", level.number + 1, count)
-    return ranks.on_first(lambda: _complete(run))
+    report = ranks.on_first(lambda: _complete(run))
+    run.warnings.tell(text for text in report["warnings"] if not text.startswith("level "))
+    return report
 
 
 def illustrate(run: Run) -> Illustrations:

@@ -24,11 +24,12 @@ from meshdeform_formats.report.illustrations import Illustrate, deformation_figu
 from meshdeform_formats.report.text import as_text
 
 from .exit_codes import EXIT_INVALID
-from .options import CaseInput, GridInput, RunInput, keep_inputs
+from .messages import tell
+from .options import CaseInput, GridInput, RunInput, invalid_path, keep_inputs
 from .progress import ProgressBar
 from .reporting import STDOUT, Delivery, deliver
 
-__all__ = ["Job", "conclude", "describe", "load", "print_plan", "run"]
+__all__ = ["Imposed", "Job", "conclude", "load", "plan", "print_plan", "run"]
 
 
 @dataclass(frozen=True)
@@ -56,20 +57,31 @@ def load(source: GridInput, case: CaseInput, memory: MemoryLimit, outputs: Seque
     return Job(grid, what, seconds, left_for_method(memory, grid.n_nodes, grid.points.nbytes))
 
 
-def describe(job: Job, output: Path | None, steps: int | str, time: float, variant: dict[str, str]) -> Report:
+@dataclass(frozen=True)
+class Imposed:
+    """How a motion is imposed: in how many steps (or ``auto``), evaluated at which time."""
+
+    steps: int | str
+    time: float
+
+
+def plan(job: Job, output: Path | None, imposed: Imposed, variant: dict[str, str]) -> Report:
     """What would be done: classification, parameters, node counts, and what is bound to go wrong."""
     if output is not None:
         variant_of(job.grid, output, variant)
     setup = set_up(job.grid, job.case.case, memory=job.memory)
     prepared = make_method(job.case.case.method).prepare(setup.problem)
-    motion = setup.displacement(time)
+    motion = setup.displacement(imposed.time)
     largest = float((motion**2).sum(axis=1).max() ** 0.5)
     report = plan_report(setup, prepared.account, {"max_displacement": largest})
     # Steps that are halved until they succeed are never too large.
-    first = setup.displacement(time, 1 / steps if isinstance(steps, int) else 0.0)
+    part = 1 / imposed.steps if isinstance(imposed.steps, int) else 0.0
+    first = setup.displacement(imposed.time, part)
     sources = setup.problem.source_numbers
     report["warnings"] += prepared.foresee(motion[sources], first[sources])
-    contact = find_contact(setup.grid, setup.topology, setup.boundary, functools.partial(setup.displacement, time))
+    contact = find_contact(
+        setup.grid, setup.topology, setup.boundary, functools.partial(setup.displacement, imposed.time)
+    )
     report["warnings"] += [contact.message] if contact else []
     return report
 
@@ -80,44 +92,55 @@ def print_plan(report: Report, run: RunInput, more: str = "") -> None:
     if to_stdout:
         click.echo(as_json(report), nl=False)
     if not (to_stdout and run.quiet):
-        click.echo(f"{as_text(report)}{more}dry run   nothing written", err=to_stdout)
+        text = as_text({**report, "warnings": []})
+        click.echo(f"{text}{more}dry run   nothing written", err=to_stdout)
+    run.warnings.tell(report["warnings"])
 
 
 def run(
-    job: Job, output: Path, steps: int | str, time: float, variant: dict[str, str], progress: ProgressBar
+    job: Job, output: Path, imposed: Imposed, variant: dict[str, str], options: RunInput, progress: ProgressBar
 ) -> tuple[Report, Illustrate]:
     """Deform and write; the report, and how to make its pictures."""
     precision = variant_of(job.grid, output, variant).precision
     grid = complete_for_export(job.grid, output)
     result = deform(
-        grid, job.case.case, time=time, steps=steps, precision=precision, memory=job.memory, progress=progress
+        grid,
+        job.case.case,
+        time=imposed.time,
+        steps=imposed.steps,
+        precision=precision,
+        memory=job.memory,
+        progress=progress,
+        warn=options.warnings.tell,
     )
+    options.warnings.tell(result.warnings)
+    target = output if result.valid or options.allow_invalid else invalid_path(output)
     before = clock.perf_counter()
-    current_ranks().on_first(lambda: write_grid(result.grid, output, variant))
+    current_ranks().on_first(lambda: write_grid(result.grid, target, variant))
     seconds = {"read": job.read_seconds, "write": clock.perf_counter() - before}
     illustrate = functools.partial(deformation_figures, result.setup, result.grid, result.assessment.invalid)
-    return deformation_report(result, seconds, peak_memory()), illustrate
+    return deformation_report(result, seconds, peak_memory()) | {"output": str(target)}, illustrate
 
 
 def conclude(report: Report, run: RunInput, delivery: Delivery) -> int:
     """Write the reports, print what is not to be missed; the exit code."""
     deliver(report, run.reports, run.as_json, run.quiet, delivery)
     if not report["valid"]:
-        click.echo(f"meshdeform: {_verdict(report)}", err=True)
+        tell(_verdict(report))
     if run.verbose:
         ranks = current_ranks()
         if ranks.count > 1:
-            click.echo(f"meshdeform: {ranks.count} ranks, the first with {thread_count()} threads", err=True)
+            tell(f"{ranks.count} ranks, the first with {thread_count()} threads")
         if ranks.private:
-            click.echo(f"meshdeform: every rank has its own copy of the grid: {ranks.private}", err=True)
+            tell(f"every rank has its own copy of the grid: {ranks.private}")
         for stage, seconds in report["timing"].items():
-            click.echo(f"meshdeform: {stage} {seconds:.3f} s", err=True)
+            tell(f"{stage} {seconds:.3f} s")
     return 0 if report["valid"] or run.allow_invalid else EXIT_INVALID
 
 
 def _verdict(report: dict[str, Any]) -> str:
     if "levels" not in report:
-        return _flaw(report, report["quality"]["after"])
+        return f"{_flaw(report, report['quality']['after'])}. The grid is in {report['output']}"
     bad = [level for level in report["levels"] if not level["valid"]]
     first = bad[0]
     return (
@@ -128,7 +151,7 @@ def _verdict(report: dict[str, Any]) -> str:
 
 def _flaw(result: dict[str, Any], quality: dict[str, Any]) -> str:
     if result["reached"] < 1.0:
-        return f"the motion was imposed to {result['reached']:.1%} only; the grid written is the one reached"
+        return f"the motion was imposed to {result['reached']:.1%} only; the grid is the one reached"
     first = result["invalid_cells"][0]
     return (
         f"{quality['invalid_cells']} cells became invalid, first {first['block']} {tuple(first['ijk'])} near "

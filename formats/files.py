@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from meshdeform_core import interruption
 from meshdeform_core.errors import FormatError
 
 
@@ -30,13 +31,13 @@ def replacing(target: Path) -> Iterator[Path]:
         raise FormatError(f"cannot write {target}: it is a folder; give a file name")
     # The suffix is kept: some writers choose the format by it.
     partial = folder / f".{target.stem}.{os.getpid()}-{secrets.token_hex(4)}.partial{target.suffix}"
-    try:
-        yield partial
-        os.replace(partial, target)
-    except OSError as error:
-        raise FormatError(f"cannot write {target}: {error.strerror or error}") from error
-    finally:
-        partial.unlink(missing_ok=True)
+    with interruption.cleaned_up(lambda: partial.unlink(missing_ok=True)):
+        try:
+            yield partial
+            interruption.check()
+            os.replace(partial, target)
+        except OSError as error:
+            raise FormatError(f"cannot write {target}: {error.strerror or error}") from error
 
 
 def remove_partial(folder: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time as clock
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property, partial
@@ -167,6 +167,7 @@ def deform(
     precision: str | None = None,
     memory: MemoryLimit = UNLIMITED,
     progress: Progress | None = None,
+    warn: Callable[[Sequence[str]], object] | None = None,
 ) -> Result:
     """Deform ``grid`` as ``case`` says and judge the result.
 
@@ -177,6 +178,7 @@ def deform(
     precision : ``float32`` or ``float64`` of the file that will be written (default: the grid's own); the verdict is
         about the coordinates as written
     memory : what the method may take beside the grid
+    warn : called with the warnings of the set-up, which the result has too, before anything is computed
 
     Raises
     ------
@@ -185,6 +187,8 @@ def deform(
     """
     timing = Timing()
     setup = set_up(grid, case, timing, memory)
+    if warn:
+        warn(setup.warnings)
     return impose(setup, setup.motion(time), steps, precision or grid.precision, timing, progress)
 
 

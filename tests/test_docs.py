@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import importlib
+import os
 import re
 import shlex
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -62,6 +65,58 @@ def test_commands_and_code_do_what_the_page_says(page, tmp_path, monkeypatch, ca
                 assert_printed(lines, captured.out + captured.err)
         elif language == "python":
             exec(compile(text, str(page), "exec"), {"__name__": "page"})
+
+
+SHELLS = {"sh": ["sh"], "bash -e": ["bash", "-e"]}
+SCRIPTS = [(page, text) for page in PAGES for language, text in blocks(page) if language in ("sh", "bash")]
+MAKEFILES = [(page, text) for page in PAGES for language, text in blocks(page) if language == "make"]
+
+
+@pytest.fixture
+def workshop(tmp_path, monkeypatch):
+    """A folder with the files that the pages speak of, and ``meshdeform`` and ``python`` on the search path."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
+    assert run(["sample", "splitter-plate", "-o", ".", "--size", "4"]) == 0
+    return tmp_path
+
+
+def called(*command: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+
+
+@pytest.mark.parametrize("shell", SHELLS)
+@pytest.mark.parametrize(("page", "text"), SCRIPTS, ids=[f"{page.stem}-{n}" for n, (page, _) in enumerate(SCRIPTS)])
+def test_shell_scripts_run(page, text, shell, workshop):
+    done = called(*SHELLS[shell], "-c", text)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout
+    assert not list(workshop.glob("*.invalid.*"))
+
+
+@pytest.mark.parametrize("shell", SHELLS)
+def test_the_shell_idiom_tells_all_outcomes_apart(shell, workshop):
+    (text,) = (text for _, text in SCRIPTS if "case $code" in text)
+    assert "valid: new.cgns" in called(*SHELLS[shell], "-c", text).stdout
+    # A plate that turns by 170 degrees crosses its surroundings in one step.
+    far = text.replace("-c case.toml", "-c case.toml -m tfi --steps 1 -s constants.angle=170")
+    done = called(*SHELLS[shell], "-c", far)
+    assert (done.returncode, "new.invalid.cgns" in done.stdout) == (0, True), done.stderr
+    assert (workshop / "new.invalid.cgns").exists()
+    assert called(*SHELLS[shell], "-c", text.replace("grid.cgns", "missing.cgns")).returncode == 2
+
+
+@pytest.mark.parametrize(("page", "text"), MAKEFILES, ids=[page.stem for page, _ in MAKEFILES])
+def test_makefiles_do_not_take_an_invalid_grid_for_done(page, text, workshop):
+    (workshop / "Makefile").write_text(text)
+    assert called("make", "turned-10.cgns").returncode == 0
+    assert "up to date" in called("make", "turned-10.cgns").stdout
+    for _ in range(2):
+        failed = called("make", "turned-170.cgns")
+        assert failed.returncode == 2
+        assert "Error 3" in failed.stderr
+        assert not (workshop / "turned-170.cgns").exists()
+    assert (workshop / "turned-170.invalid.cgns").exists()
 
 
 @EACH_PAGE

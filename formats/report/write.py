@@ -26,7 +26,7 @@ def write_report(report: Report, path: Path, illustrate: Illustrate = Illustrati
     check_report_path(path)
     text = _render(report, path, illustrate)
     with replacing(path) as partial:
-        partial.write_text(text, encoding="utf-8")
+        partial.write_text(text, encoding="utf-8", errors="surrogateescape")
 
 
 def _render(report: Report, path: Path, illustrate: Illustrate) -> str:

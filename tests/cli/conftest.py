@@ -32,6 +32,12 @@ motion = [{ rotate = { angle = "turn", axis = [0, 0, 1], center = [0, 0, 0] } }]
 name = "span"
 select = ["*.kmin", "*.kmax"]
 kind = "slip"
+
+[[boundary]]
+name = "outer"
+select = ["*.i*", "*.j*"]
+where = "max(abs(x), abs(y)) > 1.99"
+kind = "fixed"
 """
 
 
@@ -42,6 +48,18 @@ class Outcome:
     code: int
     out: str
     err: str
+
+    @property
+    def warnings(self) -> list[str]:
+        """What it warned of."""
+        lead = "meshdeform: warning: "
+        return [line.removeprefix(lead) for line in self.err.splitlines() if line.startswith(lead)]
+
+    @property
+    def error(self) -> str:
+        """What else it told on stderr."""
+        lines = self.err.splitlines(keepends=True)
+        return "".join(line for line in lines if not line.startswith("meshdeform: warning: "))
 
 
 Call = Callable[..., Outcome]

@@ -194,7 +194,7 @@ def test_wrong_case_is_refused(name, bench, call, snapshot):
     assert snapshot(bench) == before
     assert result.code == 2
     assert result.out == ""
-    assert result.err.startswith("meshdeform: error: ")
-    assert result.err.count("\n") == 1
+    assert result.error.startswith("meshdeform: error: ")
+    assert result.error.count("\n") == 1
     missing = [fragment for fragment in fragments if fragment not in result.err]
     assert not missing, result.err

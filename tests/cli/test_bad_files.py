@@ -110,9 +110,9 @@ COMMANDS = {
 def assert_refused(result, fragments) -> None:
     assert result.code == 2, result.err
     assert result.out == ""
-    assert result.err.startswith("meshdeform: error: ")
-    assert result.err.count("\n") == 1, result.err
-    assert result.err.isprintable() or result.err[:-1].isprintable(), result.err
+    assert result.error.startswith("meshdeform: error: ")
+    assert result.error.count("\n") == 1, result.err
+    assert result.error[:-1].isprintable(), result.err
     missing = [fragment for fragment in fragments if fragment not in result.err]
     assert not missing, result.err
 

@@ -188,9 +188,12 @@ def test_invalid_cells_give_exit_code_3_and_are_listed(bench, call, angle):
     assert min(first["ijk"]) >= 1
     assert first["min_jacobian"] <= 0
     assert first["step"] == 1
-    assert first["nearest_patch"] in {"body", "span", "(not selected)"}
+    assert first["nearest_patch"] in {"body", "span", "outer"}
     assert len(report["invalid_cells"]) == min(count, 200)
-    assert read_grid("out.xyz").n_nodes == 1152
+    assert not (bench / "out.xyz").exists(), "make would take it for done"
+    assert report["output"] == "out.invalid.xyz"
+    assert read_grid("out.invalid.xyz").n_nodes == 1152
+    assert "The grid is in out.invalid.xyz" in result.err
     assert f"{count} cells became invalid" in result.err
     assert "--steps auto" in result.err
     assert "INVALID" in result.out
@@ -202,12 +205,28 @@ def test_allow_invalid_exits_0_and_still_says_so(bench, call, angle):
     assert result.code == 0
     assert result.out == ""
     assert "became invalid" in result.err
+    assert read_grid("out.xyz").n_nodes == 1152
+    assert not (bench / "out.invalid.xyz").exists()
+
+
+def test_an_invalid_grid_never_replaces_an_input_or_a_good_result(bench, call, angle):
+    assert call(*RUN).code == 0
+    good = (bench / "out.xyz").read_bytes()
+    angle(120.0)
+    for _ in range(2):
+        assert call(*RUN, "-m", "tfi", "--force", "-q").code == 3
+        assert (bench / "out.xyz").read_bytes() == good
+    bad = (bench / "out.invalid.xyz").read_bytes()
+    result = call("deform", "out.invalid.xyz", "-c", "case.toml", "-o", "out.xyz", "--force")
+    assert result.code == 2
+    assert "out.invalid.xyz is an input" in result.err
+    assert (bench / "out.invalid.xyz").read_bytes() == bad
 
 
 def test_quality_command_agrees_about_invalid_cells(bench, call, angle):
     angle(120.0)
     report = report_of(call, *RUN, "-m", "tfi", code=3)
-    result = call("quality", "out.xyz", "--reference", "grid.xyz", "-c", "case.toml", "--json")
+    result = call("quality", "out.invalid.xyz", "--reference", "grid.xyz", "-c", "case.toml", "--json")
     assert result.code == 3
     again = json.loads(result.out)
     assert again["quality"] == report["quality"]
@@ -244,7 +263,7 @@ def test_automatic_steps_stop_before_the_grid_breaks(bench, call, angle):
     assert report["quality"]["after"]["invalid_cells"] == 0
     assert report["invalid_cells"], "the cells that the next step would break"
     assert f"imposed to {report['reached']:.1%} only" in result.err
-    before, after = read_grid("grid.xyz").points, read_grid("out.xyz").points
+    before, after = read_grid("grid.xyz").points, read_grid("out.invalid.xyz").points
     near = body_nodes(before)
     np.testing.assert_allclose(after[near], rotated(before[near], 120.0 * report["reached"]), rtol=0, atol=1e-12)
 
@@ -261,7 +280,7 @@ def test_a_motion_that_is_zero_is_said_to_be_zero(bench, call, angle):
     angle("turn*t")
     result = call(*RUN)
     assert result.code == 0
-    assert "nothing moves" in result.out
+    assert "nothing moves" in result.err
     np.testing.assert_array_equal(read_grid("out.xyz").points, read_grid("grid.xyz").points)
 
 

@@ -1,0 +1,52 @@
+"""SIGINT, SIGTERM and SIGHUP end the program with 130, 143 and 129, whatever code they interrupt."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+
+from meshdeform_core import interruption
+
+# A second signal within this time (an impatient user, a process group) must not interrupt the cleaning up.
+_PATIENCE = 0.5
+
+
+class Handler:
+    """Handler of the signals that end the program."""
+
+    def __init__(self) -> None:
+        self._last = -_PATIENCE
+        self._finishing = False
+        self._numbers: list[int] = []
+
+    def install(self) -> None:
+        """Handle every signal that the caller does not ignore (as nohup ignores SIGHUP)."""
+        for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+            number = getattr(signal, name, None)
+            if number is not None and signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
+                signal.signal(number, self)
+                self._numbers.append(number)
+
+    def __call__(self, number: int, frame: object) -> None:
+        if self._finishing:
+            os._exit(128 + number)
+        interruption.request(number)
+        last, self._last = self._last, time.monotonic()
+        if self._last - last >= _PATIENCE:
+            # As an exception, so that half-written files are removed on the way out.
+            interruption.check()
+
+    def finish(self) -> None:
+        """Everything is written and flushed: an exception would be lost in the interpreter's shutdown."""
+        self._finishing = True
+        if interruption.requested() is not None:
+            # The exit code is settled.
+            for number in self._numbers:
+                signal.signal(number, signal.SIG_IGN)
+
+
+def end_of(number: int) -> str:
+    """What to tell when a signal ended the program."""
+    how = "interrupted" if number == signal.SIGINT else f"ended by {signal.Signals(number).name}"
+    return f"{how}; no output was left half-written"

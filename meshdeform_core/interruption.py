@@ -1,0 +1,46 @@
+"""A request to stop: set by a signal handler, honoured wherever the program can stop without harm.
+
+A signal handler raises an exception, but code that the signal happens to interrupt (callbacks of libraries,
+destructors) may swallow it. The request itself stays, and :func:`check` raises again.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+
+_requests: list[int] = []
+_pending: list[Callable[[], object]] = []
+
+
+def request(signal_number: int) -> None:
+    """Ask the program to stop because of a signal."""
+    _requests.append(signal_number)
+
+
+def requested() -> int | None:
+    """Number of the signal that asked first, or ``None``."""
+    return _requests[0] if _requests else None
+
+
+def check() -> None:
+    """Raise ``SystemExit`` with the exit code of the signal if the program was asked to stop."""
+    if _requests:
+        raise SystemExit(128 + _requests[0])
+
+
+@contextlib.contextmanager
+def cleaned_up(action: Callable[[], object]) -> Iterator[None]:
+    """Run ``action`` when the block ends; if a signal prevents that, :func:`clean_up` does it."""
+    _pending.append(action)
+    try:
+        yield
+    finally:
+        action()
+        _pending.remove(action)
+
+
+def clean_up() -> None:
+    """Run what interrupted blocks of :func:`cleaned_up` still owe."""
+    while _pending:
+        _pending.pop()()

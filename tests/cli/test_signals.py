@@ -1,0 +1,152 @@
+"""Signals end the program with 128 plus their number, also where a library swallows the exception they raise."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX systems")
+
+PROGRAM = Path(sys.executable).with_name("meshdeform")
+CODES = {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGHUP: 129}
+EACH_SIGNAL = pytest.mark.parametrize("number", CODES, ids=lambda number: number.name)
+
+# A command that is interrupted in the middle of writing a file, by code that does with the exception what it likes.
+SCRIPT = """\
+import os, sys, time
+from pathlib import Path
+import click
+from meshdeform_cli import main as entry
+from meshdeform_formats.files import replacing
+
+class Swallows:
+    def __del__(self):
+        print("ready", flush=True)
+        time.sleep(5)
+
+@click.command("info")
+@click.argument("how")
+def command(how):
+    with replacing(Path("out.txt")) as partial:
+        partial.write_text("half")
+        if how == "destructor":
+            Swallows()
+        elif how == "callback":
+            try:
+                print("ready", flush=True)
+                time.sleep(5)
+            except BaseException:
+                raise RuntimeError("a library lost it")
+        elif how == "bare":
+            try:
+                print("ready", flush=True)
+                time.sleep(5)
+            except:
+                pass
+        else:
+            print("ready", flush=True)
+            time.sleep(5)
+    return 0
+
+entry.LazyGroup.get_command = lambda self, context, name: command
+entry.main(["info", sys.argv[1]])
+"""
+
+
+@EACH_SIGNAL
+@pytest.mark.parametrize("how", ["plainly", "destructor", "callback", "bare"])
+def test_exit_code_is_that_of_the_signal_and_nothing_is_left(how, number, tmp_path):
+    with subprocess.Popen(
+        [sys.executable, "-c", SCRIPT, how], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout.readline() == "ready\n"
+        process.send_signal(number)
+        _, err = process.communicate(timeout=20)
+    assert process.returncode == CODES[number], err
+    assert "internal error" not in err
+    assert "no output was left half-written" in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_impatient_second_signal_does_not_disturb_the_cleaning_up(tmp_path):
+    with subprocess.Popen(
+        [sys.executable, "-c", SCRIPT, "plainly"], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as process:
+        process.stdout.readline()
+        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            process.send_signal(number)
+            time.sleep(0.002)
+        process.communicate(timeout=20)
+    assert process.returncode == 143
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_the_caller_ignores_stays_ignored(tmp_path):
+    with subprocess.Popen(
+        ["sh", "-c", 'trap "" HUP; exec "$0" -c "$1" bare', sys.executable, SCRIPT.replace("sleep(5)", "sleep(0.5)")],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    ) as process:
+        process.stdout.readline()
+        process.send_signal(signal.SIGHUP)
+        process.communicate(timeout=20)
+    assert process.returncode == 0
+    assert (tmp_path / "out.txt").read_text() == "half"
+
+
+# Streams
+
+
+def run_closed(redirection: str, *arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
+    words = " ".join(f"'{word}'" for word in (PROGRAM, *arguments))
+    return subprocess.run(
+        ["sh", "-c", f"{words} {redirection}"], cwd=cwd, capture_output=True, text=True, check=False, timeout=60
+    )
+
+
+@pytest.mark.parametrize("redirection", [">&-", "2>&-", "<&- >&- 2>&-", "2>/dev/full"])
+def test_closed_streams_change_nothing(redirection, bench):
+    done = run_closed(redirection, "deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz", cwd=bench)
+    assert done.returncode == 0, done.stderr
+    assert "Traceback" not in done.stderr
+    assert run_closed(redirection, "compare", "out.xyz", "grid.xyz", cwd=bench).returncode == 0
+    # An opened file must not have got the number of a closed stream.
+    assert b"verdict" not in (bench / "out.xyz").read_bytes()
+
+
+@pytest.mark.parametrize("redirection", [">&-", "2>&-", "2>/dev/full"])
+def test_closed_streams_do_not_turn_errors_into_tracebacks(redirection, bench):
+    done = run_closed(redirection, "info", "missing.xyz", cwd=bench)
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr + done.stdout
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_output_that_cannot_be_written_is_an_error(bench):
+    done = run_closed(">/dev/full", "info", "grid.xyz", cwd=bench)
+    assert done.returncode == 2
+    assert done.stderr.startswith("meshdeform: error: ")
+    assert done.stderr.endswith("No space left on device\n")
+    assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="file names are bytes on Linux")
+def test_file_names_need_not_be_text(bench):
+    name = b"gr\xffd.xyz"
+    os.rename("grid.xyz", name)
+    environment = {**os.environ, "PYTHONUTF8": "1"}
+    arguments = [PROGRAM, b"deform", name, "-c", "case.toml", "-o", b"\xfe.xyz", "--report", b"\xfe.txt"]
+    done = subprocess.run(arguments, capture_output=True, env=environment, check=False, timeout=60)
+    assert done.returncode == 0, done.stderr
+    assert name in done.stdout
+    assert os.path.exists(b"\xfe.xyz")
+    assert name in Path(os.fsdecode(b"\xfe.txt")).read_bytes()
+    missing = subprocess.run([PROGRAM, b"info", b"\xfd.xyz"], capture_output=True, env=environment, check=False)
+    assert (missing.returncode, b"\xfd.xyz does not exist" in missing.stderr) == (2, True)

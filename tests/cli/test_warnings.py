@@ -1,0 +1,67 @@
+"""Every doubt is said: on stderr, whatever -q says, in the report, and as an error with --strict."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+RUN = ("deform", "grid.xyz", "-c", "doubtful.toml", "-o", "out.xyz", "--report", "out.json")
+
+
+@pytest.fixture
+def doubtful(bench):
+    """A case that forgets some of the outer faces."""
+    case = (bench / "case.toml").read_text()
+    (bench / "doubtful.toml").write_text(case.replace('"max(abs(x), abs(y)) > 1.99"', '"x > 1.99"'))
+    return bench
+
+
+@pytest.mark.parametrize("options", [(), ("-q",)], ids=["loud", "quiet"])
+def test_warnings_go_to_stderr_and_into_the_report(options, doubtful, call):
+    result = call(*RUN, *options)
+    assert result.code == 0
+    assert any("selected by no boundary entry" in text for text in result.warnings)
+    assert json.loads((doubtful / "out.json").read_text())["warnings"] == result.warnings
+    assert "selected by no boundary entry" not in result.out
+
+
+def test_strict_refuses_and_writes_nothing(doubtful, call, snapshot):
+    before = snapshot(doubtful)
+    result = call(*RUN, "--strict")
+    assert result.code == 2
+    assert result.warnings
+    assert result.error == "meshdeform: error: a warning (see above) and --strict\n"
+    assert snapshot(doubtful) == before
+
+
+def test_strict_lets_a_case_without_doubt_pass(bench, call):
+    result = call("deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz", "--strict")
+    assert (result.code, result.err) == (0, "")
+
+
+def test_strict_counts_warnings_of_the_motion_as_well(bench, call):
+    result = call("deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz", "--strict", "-s", "constants.turn=0")
+    assert result.code == 2
+    assert "nothing moves" in result.err
+    assert not (bench / "out.xyz").exists()
+
+
+def test_dry_run_warns_and_is_strict_too(doubtful, call):
+    plain = call("deform", "grid.xyz", "-c", "doubtful.toml", "--dry-run")
+    assert plain.code == 0
+    assert plain.warnings
+    assert call("deform", "grid.xyz", "-c", "doubtful.toml", "--dry-run", "--strict").code == 2
+
+
+def test_strict_series_stops_before_it_writes(doubtful, call, snapshot):
+    before = snapshot(doubtful)
+    result = call("series", "grid.xyz", "-c", "doubtful.toml", "--times", "0:1:0.5", "-o", "out", "--strict")
+    assert result.code == 2
+    assert snapshot(doubtful) == before
+
+
+def test_quality_warns_on_stderr(doubtful, call):
+    result = call("quality", "grid.xyz", "-c", "doubtful.toml", "-q")
+    assert result.code == 0
+    assert result.warnings
