@@ -77,7 +77,7 @@ def workshop(tmp_path, monkeypatch):
     """A folder with the files that the pages speak of, and ``meshdeform`` and ``python`` on the search path."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
-    assert run(["sample", "splitter-plate", "-o", ".", "--size", "4"]) == 0
+    assert run(["sample", "cascade", "-o", ".", "--size", "4"]) == 0
     return tmp_path
 
 
@@ -98,7 +98,7 @@ def test_shell_scripts_run(page, text, shell, workshop):
 def test_the_shell_idiom_tells_all_outcomes_apart(shell, workshop):
     (text,) = (text for _, text in SCRIPTS if "case $code" in text)
     assert "valid: new.cgns" in called(*SHELLS[shell], "-c", text).stdout
-    # A plate that turns by 170 degrees crosses its surroundings in one step.
+    # A bar that turns by 170 degrees in one step crosses its surroundings.
     far = text.replace("-c case.toml", "-c case.toml -m tfi --steps 1 -s constants.angle=170")
     done = called(*SHELLS[shell], "-c", far)
     assert (done.returncode, "new.invalid.cgns" in done.stdout) == (0, True), done.stderr

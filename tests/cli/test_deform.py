@@ -137,7 +137,7 @@ def test_dry_run_tells_that_the_boundary_crosses_itself(bench, call):
     (bench / "case.toml").write_text(case + '[[boundary]]\nname = "span"\nselect = ["*.k*"]\nkind = "slip"\n')
     result = call("deform", "grid.xyz", "-c", "case.toml", "--dry-run")
     assert result.code == 0
-    assert "crosses itself" in result.out
+    assert "crosses itself" in result.err
     assert "'(not selected)' and 'body' meet at (2, " in result.out
     assert "from 93.75% of the motion on" in result.out
 
