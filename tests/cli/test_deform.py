@@ -138,8 +138,8 @@ def test_dry_run_tells_that_the_boundary_crosses_itself(bench, call):
     result = call("deform", "grid.xyz", "-c", "case.toml", "--dry-run")
     assert result.code == 0
     assert "crosses itself" in result.err
-    assert "'(not selected)' and 'body' meet at (2, " in result.out
-    assert "from 93.75% of the motion on" in result.out
+    assert "'(not selected)' and 'body' meet at (2, " in result.err
+    assert "from 93.75% of the motion on" in result.err
 
 
 def test_force_overwrites_an_output(bench, call):

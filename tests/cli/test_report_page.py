@@ -109,7 +109,7 @@ def test_verdict_says_how_many_where_and_what_to_do(far):
 
 def test_blocks_are_those_of_a_plain_count(far):
     report, _ = far
-    before, after = read_grid("grid.xyz"), read_grid("out.xyz")
+    before, after = read_grid("grid.xyz"), read_grid("out.invalid.xyz")
     hand = find_topology(before).handedness
     for number, block in enumerate(report["blocks"]):
         new, old = (measure_block(grid.block(number), float(hand[number]), None) for grid in (after, before))
@@ -132,9 +132,9 @@ def test_run_can_be_repeated_and_files_recognised(far, capsys):
     assert {file["role"] for file in report["run"]["files"]} == {"grid", "case", "output"}
     words = shlex.split(report["run"]["command"])
     assert words[0] == "meshdeform"
-    again = Path("out.xyz").read_bytes()
+    again = Path("out.invalid.xyz").read_bytes()
     assert run([*words[1:], "--force"]) == 3
-    assert Path("out.xyz").read_bytes() == again
+    assert Path("out.invalid.xyz").read_bytes() == again
 
 
 def test_seconds_add_up(far):
