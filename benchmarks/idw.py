@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from cases import Motion, inner_nodes, motion, shortest_edges
 from machine import PAIR_OPERATIONS, multiply_adds, roots_and_divisions
-from tables import Row, Table, best, exponent, timed
+from tables import MarkdownTable, Row, best, exponent, timed
 
 from meshdeform_core.grid import FloatArray, IntArray
 from meshdeform_core.methods import IDW, Options, make_method
@@ -25,7 +25,7 @@ _ALL_TOLERANCES = 3e6
 _SAMPLES = 4000
 
 
-def exact_loop(quick: bool) -> Table:
+def exact_loop(quick: bool) -> MarkdownTable:
     """Pairs per second of the exact loop on one core against the arithmetic limit, and of numpy."""
     rng = np.random.default_rng(1)
     targets, sources = rng.random((2000 if quick else 8000, 3)), rng.random((20000, 3)) + 2.0
@@ -40,7 +40,7 @@ def exact_loop(quick: bool) -> Table:
     numpy = len(few) * len(sources) / best(lambda: numpy_sums(few, sources, strength, 0.01, values))
     roots, fused = roots_and_divisions(), multiply_adds() / PAIR_OPERATIONS
     together = 1.0 / (1.0 / roots + 1.0 / fused)
-    return Table(
+    return MarkdownTable(
         "Exact IDW sums: pairs per second",
         [
             {
@@ -79,9 +79,9 @@ class Exact:
     displacement: FloatArray
 
 
-def fast_against_exact(quick: bool) -> Table:
+def fast_against_exact(quick: bool) -> MarkdownTable:
     """Whole applies at growing sizes, fast and exact, with the error of fast sums at random nodes."""
-    table = Table("IDW alone: fast sums against exact ones, whole apply")
+    table = MarkdownTable("IDW alone: fast sums against exact ones, whole apply")
     # Loops are compiled, or loaded, at their first use.
     _fast_row(*_compared("splitter-plate", 8), TOLERANCES[0])
     for sample, sizes in (QUICK if quick else SIZES).items():
@@ -151,7 +151,7 @@ def _growth(sample: str, rows: list[Row], tolerance: float) -> str:
     return f"{sample}, tolerance {tolerance:g}: fast apply grows as N^{apply:.2f}, exact as N^{exact:.2f}"
 
 
-def processor_time(quick: bool) -> Table:
+def processor_time(quick: bool) -> MarkdownTable:
     """CPU seconds of the splitter plate by IDW: topology, set-up and deformation."""
     size = 8 if quick else 32
     motion.cache_clear()
@@ -167,10 +167,10 @@ def processor_time(quick: bool) -> Table:
         "make grid and topology": read - start, "set-up": ready - read, "deformation": done - ready,
         "set-up + deformation": done - ready + ready - read,
     }  # fmt: skip
-    return Table("Splitter plate by IDW: CPU seconds, all threads together", [row])
+    return MarkdownTable("Splitter plate by IDW: CPU seconds, all threads together", [row])
 
 
-def threads(quick: bool) -> Table:
+def threads(quick: bool) -> MarkdownTable:
     """The same work with one thread and with all."""
     case = motion("splitter-plate", 16)
     some = inner_nodes(case.problem)[:: 50 if quick else 5]
@@ -195,4 +195,4 @@ def threads(quick: bool) -> Table:
             set_threads(None)
         rows.append({"work": name, "1 thread s": one, "all threads s": best(work, 2)})
         rows[-1]["ratio"] = rows[-1]["1 thread s"] / rows[-1]["all threads s"]
-    return Table(f"One thread against {thread_count()} ({case.label})", rows)
+    return MarkdownTable(f"One thread against {thread_count()} ({case.label})", rows)

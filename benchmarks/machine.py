@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numba
 import numpy as np
-from tables import Table, best
+from tables import MarkdownTable, best
 
 from meshdeform_core.parallel import for_chunks, thread_count
 
@@ -22,7 +22,7 @@ PAIR_OPERATIONS = 18
 """Additions, multiplications and multiply-adds of an IDW pair with seven values, beside one root and one division."""
 
 
-def description() -> Table:
+def description() -> MarkdownTable:
     """Processor, memory and versions."""
     versions = {name: importlib.metadata.version(name) for name in ("numpy", "scipy", "numba", "h5py")}
     rows = [
@@ -32,7 +32,7 @@ def description() -> Table:
         {"what": "system", "value": f"{platform.system()} {platform.release()}, Python {platform.python_version()}"},
         {"what": "libraries", "value": ", ".join(f"{name} {number}" for name, number in versions.items())},
     ]
-    return Table("Machine", rows)
+    return MarkdownTable("Machine", rows)
 
 
 def _processor() -> str:
@@ -44,12 +44,12 @@ def _processor() -> str:
     return platform.processor() or platform.machine()
 
 
-def limits() -> Table:
+def limits() -> MarkdownTable:
     """Copy bandwidth, and arithmetic per core as far as the IDW loop needs it."""
     rows = [{"limit": f"copy, {n} thread{'s' * (n > 1)}", "value": copy_bandwidth(n), "unit": "GB/s read and written"}
             for n in sorted({1, thread_count()})]  # fmt: skip
     fused, roots = multiply_adds(), roots_and_divisions()
-    return Table(
+    return MarkdownTable(
         "Limits of the machine",
         [
             *rows,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from cases import Motion, motion
 from machine import copy_seconds
-from tables import Row, Table, best
+from tables import MarkdownTable, Row, best
 
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.methods import Options, make_method
@@ -17,9 +17,9 @@ CASES = {"splitter-plate": (16, 32), "hemisphere": (48,)}
 QUICK = {"splitter-plate": (8,), "hemisphere": (16,)}
 
 
-def memory_speed(quick: bool) -> Table:
+def memory_speed(quick: bool) -> MarkdownTable:
     """Times per million nodes, and as multiples of copying the coordinate array with as many threads."""
-    table = Table("TFI, quality, topology against copying the coordinate array once")
+    table = MarkdownTable("TFI, quality, topology against copying the coordinate array once")
     for sample, sizes in (QUICK if quick else CASES).items():
         for size in sizes:
             table.rows += _rows(motion(sample, size))

@@ -14,14 +14,14 @@ import time
 from pathlib import Path
 
 from runs import make_sample
-from tables import Table
+from tables import MarkdownTable
 
 COUNTS = (1, 2, 4)
 PERIOD = 0.02
 
 
 def main(size, method, suffix=".cgns"):
-    table = Table(f"Splitter plate n = {size} ({suffix}), {method}: one thread per rank")
+    table = MarkdownTable(f"Splitter plate n = {size} ({suffix}), {method}: one thread per rank")
     with tempfile.TemporaryDirectory() as name:
         folder = make_sample(Path(name), "splitter-plate", size, suffix)
         command = [

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from cases import Motion, inner_nodes, motion, shortest_edges
 from scipy.interpolate import RBFInterpolator
-from tables import Row, Table, timed
+from tables import MarkdownTable, Row, timed
 
 from meshdeform_core.grid import FloatArray
 from meshdeform_core.methods import RBF
@@ -19,9 +19,9 @@ _NEIGHBOURS = 50
 _EPSILON = np.finfo(np.float64).eps
 
 
-def against_scipy(quick: bool) -> Table:
+def against_scipy(quick: bool) -> MarkdownTable:
     """Thin plate spline of all boundary nodes, evaluated at all others; set-up included."""
-    table = Table(
+    table = MarkdownTable(
         "RBF (thin plate spline): set-up and evaluation",
         notes=[
             "difference: largest distance from our exact sums, in units of the shortest cell edge",
@@ -97,9 +97,9 @@ def _solvers(case: Motion, neighbours: bool) -> dict[str, Callable[[], Callable[
     return solvers | ({f"scipy, neighbors={_NEIGHBOURS}": scipys(neighbors=_NEIGHBOURS)} if neighbours else {})
 
 
-def large_systems(quick: bool) -> Table:
+def large_systems(quick: bool) -> MarkdownTable:
     """Thin plate spline on the hemisphere's boundary nodes by preconditioned GMRES, and fast sums at all others."""
-    table = Table(
+    table = MarkdownTable(
         "RBF (thin plate spline): large systems",
         notes=["residual: largest of the three components, relative to the right-hand side"],
     )
@@ -128,9 +128,9 @@ def large_systems(quick: bool) -> Table:
     return table
 
 
-def compact_bases(quick: bool) -> Table:
+def compact_bases(quick: bool) -> MarkdownTable:
     """The same systems with compact bases, whose conditioning depends on the radius."""
-    table = Table(
+    table = MarkdownTable(
         "RBF (compact bases): large systems",
         notes=[
             "radius: in lengths of the grid, whose body has a radius of 0.5 and whose diagonal is 4.5",

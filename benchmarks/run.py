@@ -20,10 +20,10 @@ import machine
 import passes
 import rbf
 import runs
-from tables import Table
+from tables import MarkdownTable
 
 TEMPLATE = Path(__file__).parent / "performance.md"
-SECTIONS: dict[str, tuple[Callable[[bool], Table], ...]] = {
+SECTIONS: dict[str, tuple[Callable[[bool], MarkdownTable], ...]] = {
     "machine": (lambda quick: machine.description(), lambda quick: machine.limits()),
     "loop": (idw.exact_loop,),
     "idw": (idw.fast_against_exact, idw.processor_time),
@@ -37,9 +37,9 @@ SECTIONS: dict[str, tuple[Callable[[bool], Table], ...]] = {
 """What ``--only`` accepts; the names of the places in the template."""
 
 
-def measure(names: list[str], quick: bool) -> dict[str, list[Table]]:
+def measure(names: list[str], quick: bool) -> dict[str, list[MarkdownTable]]:
     """The tables of the named sections, printed as they are finished."""
-    results: dict[str, list[Table]] = {}
+    results: dict[str, list[MarkdownTable]] = {}
     for name in names:
         results[name] = []
         for section in SECTIONS[name]:
@@ -51,7 +51,7 @@ def measure(names: list[str], quick: bool) -> dict[str, list[Table]]:
     return results
 
 
-def page(results: dict[str, list[Table]], quick: bool) -> str:
+def page(results: dict[str, list[MarkdownTable]], quick: bool) -> str:
     """The documentation page: the template with the tables in their places."""
     texts = {name: "\n".join(table.markdown() for table in tables).rstrip() for name, tables in results.items()}
     unmeasured = dict.fromkeys(SECTIONS, "*Not measured in this run.*")

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from cases import TIMES
-from tables import Row, Table
+from tables import MarkdownTable, Row
 
 STAGES = ("read", "topology", "prepare", "apply", "quality", "write")
 RUNS = (
@@ -27,9 +27,9 @@ QUICK = (("splitter-plate", 8, "idw-tfi"), ("splitter-plate", 8, "idw"))
 _COMMAND = (sys.executable, "-m", "meshdeform_cli")
 
 
-def file_to_file(quick: bool) -> Table:
+def file_to_file(quick: bool) -> MarkdownTable:
     """``meshdeform deform`` with quality and report: wall, CPU, stages, peak memory in coordinate arrays."""
-    table = Table(
+    table = MarkdownTable(
         "Whole runs, file to file",
         notes=[
             "wall and CPU: the whole process, start of Python included; stages: as in its report, seconds",
@@ -47,9 +47,9 @@ def file_to_file(quick: bool) -> Table:
     return table
 
 
-def start_up(quick: bool) -> Table:
+def start_up(quick: bool) -> MarkdownTable:
     """Commands on a small grid after their first start: mostly imports."""
-    table = Table(
+    table = MarkdownTable(
         "Start-up, hemisphere 16 (28,152 nodes)",
         notes=[
             "best of several runs of each command, all output discarded",
@@ -128,9 +128,9 @@ def run(command: Sequence[str]) -> tuple[float, resource.struct_rusage]:
     return time.perf_counter() - start, usage
 
 
-def ranks(quick: bool) -> Table:
+def ranks(quick: bool) -> MarkdownTable:
     """Strong scaling of one run over MPI ranks, one thread each."""
-    table = Table("MPI ranks: the same run on more of them, one thread per rank")
+    table = MarkdownTable("MPI ranks: the same run on more of them, one thread per rank")
     missing = _missing_for_mpi()
     if missing:
         table.notes.append(f"not measured: {missing}")

@@ -14,7 +14,7 @@ Row = dict[str, Any]
 
 
 @dataclass
-class Table:
+class MarkdownTable:
     """One table; the keys of the rows are its column headings."""
 
     title: str

@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 from flows import Terrain, available, case_of, flowed, terrain
-from tables import Row, Table
+from tables import MarkdownTable, Row
 
 from meshdeform_core.deform import Result, deform
 from meshdeform_core.grid import FloatArray
@@ -91,9 +91,9 @@ def judge(result: Result, points: FloatArray) -> dict[str, Any]:
     }
 
 
-def summary(rows: list[Row], settings: list[Setting]) -> Table:
+def summary(rows: list[Row], settings: list[Setting]) -> MarkdownTable:
     """Valid results of each setting by grid."""
-    table = Table("Valid grids by grid and setting")
+    table = MarkdownTable("Valid grids by grid and setting")
     for grid in [*dict.fromkeys(row["grid"] for row in rows), None]:
         mine = [row for row in rows if grid in (None, row["grid"])]
         line: Row = {"grid": grid or "all", "nodes": mine[0]["nodes"] if grid else ""}
@@ -104,7 +104,7 @@ def summary(rows: list[Row], settings: list[Setting]) -> Table:
     return table
 
 
-def page(table: Table) -> str:
+def page(table: MarkdownTable) -> str:
     """The documentation page: the template with the table in its place."""
     template = string.Template(TEMPLATE.read_text(encoding="utf-8"))
     body = "\n".join(table.markdown().splitlines()[2:]).rstrip()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from meshdeform_core.grid import Grid
+from meshdeform_core.grid import Grid, Shape, Side, Window
 
 SPANS = ((-2.0, -0.5), (-0.5, 0.5), (0.5, 2.0))
 
@@ -62,3 +62,9 @@ def back(values: np.ndarray, axes: tuple[int, int, int], flips: tuple[bool, bool
     for axis, flip in enumerate(flips):
         values = np.flip(values, axis) if flip else values
     return np.transpose(values, (*np.argsort(axes), 3))
+
+
+def whole_face(shape: Shape, block: int, side: Side) -> Window:
+    """The window that covers a whole block face."""
+    a, b = side.tangential
+    return Window(block, side, (0, 0), (shape[a] - 1, shape[b] - 1))

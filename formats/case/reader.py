@@ -15,14 +15,14 @@ from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.boundary.motion import VARIABLES, Displace, Follow, Motion, Rotate, Step
 from meshdeform_core.boundary.transfer import Matching, SurfaceData
 from meshdeform_core.deform import Case
-from meshdeform_core.errors import CaseError, MethodError
+from meshdeform_core.errors import CaseError, MethodError, suggestion
 from meshdeform_core.grid.topology import RELATIVE_TOLERANCE
 from meshdeform_core.methods import IDW, RBF, TFI, Options
 
 from ..displacement import read_displacement
 from .files import named_files, read_sequence, sequence_files
 from .toml import load, override
-from .values import Table, check_keys, fail, file_of, formula_of, nearest, number_of, plain, table_of, three_of
+from .values import Table, check_keys, fail, file_of, formula_of, number_of, plain, table_of, three_of
 
 _KINDS = {kind.label: kind for kind in reversed(Kind) if kind is not Kind.INTERFACE}
 _STEPS = {
@@ -170,7 +170,7 @@ def _kind(entry: Table, where: str) -> Kind:
         raise fail(where, f"has no kind; {known}")
     kind = entry.get("kind", "moving")
     if not isinstance(kind, str) or kind not in _KINDS:
-        raise fail(where, f"kind = {kind!r}; {known}{nearest(kind, _KINDS)}")
+        raise fail(where, f"kind = {kind!r}; {known}{suggestion(kind, _KINDS)}")
     return _KINDS[kind]
 
 
@@ -226,7 +226,7 @@ def _rotation(value: Any, known: tuple[str, ...], where: str) -> Rotate:
 
 
 def _guess(step: Table) -> str:
-    return next((hint for key in step if (hint := nearest(key, _STEPS))), "")
+    return next((hint for key in step if (hint := suggestion(key, _STEPS))), "")
 
 
 def _options(table: Table) -> Options:

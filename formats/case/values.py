@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from meshdeform_core.boundary.expression import Expression, expression
-from meshdeform_core.errors import CaseError
+from meshdeform_core.errors import CaseError, suggestion
 
 Table = dict[str, Any]
 
@@ -47,14 +46,8 @@ def check_keys(table: Table, known: Iterable[str], where: str) -> None:
     known = list(known)
     for key in table:
         if key not in known:
-            hint = nearest(key, known) or f"; known are {', '.join(known)}"
+            hint = suggestion(key, known) or f"; known are {', '.join(known)}"
             raise fail(where, f"unknown key {key!r}{hint}")
-
-
-def nearest(word: Any, known: Iterable[str]) -> str:
-    """The end of a message that suggests the known word nearest to ``word``; empty if none is near."""
-    close = difflib.get_close_matches(str(word), list(known), 1)
-    return f"; did you mean {close[0]!r}?" if close else ""
 
 
 def three_of(value: Any, where: str) -> list[Any]:

@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from meshdeform_core.errors import FormatError
+from meshdeform_core.errors import FormatError, suggestion
 from meshdeform_core.grid import FileFormat, Grid
 
 from .adf import is_adf
@@ -61,7 +60,7 @@ def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
     """How ``grid`` will be written to ``path``: HDF5, in the precision of ``options`` or else of the grid's file."""
     for key in options:
         if key != "precision":
-            hint = "; did you mean precision?" if get_close_matches(key, ["precision"]) else ""
+            hint = suggestion(key, ["precision"])
             raise FormatError(f"CGNS has no option {key!r}; the only one is precision=float32|float64{hint}")
     if path.suffix.lower() == ".adf":
         raise FormatError(f"cannot write {path}: ADF is read only; give it the suffix .cgns, which is written as HDF5")

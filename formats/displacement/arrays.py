@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError
 
-from .table import DISPLACEMENT_NAMES, NO_TRIANGLES, POINT_NAMES, Table, pick_vector, row_place
+from .table import DISPLACEMENT_NAMES, NO_TRIANGLES, POINT_NAMES, DisplacementTable, pick_vector, row_place
 
 
-def read_npy(path: Path) -> Table:
+def read_npy(path: Path) -> DisplacementTable:
     """Read an array ``(n, 6)`` of ``x y z dx dy dz`` or ``(n, 4)`` of ``x y dx dy``.
 
     Raises
@@ -31,10 +31,10 @@ def read_npy(path: Path) -> Table:
     if values.ndim != 2 or values.shape[1] not in (4, 6) or values.dtype.kind not in "iuf":
         raise FormatError(f"{path} holds {values.dtype} numbers of shape {values.shape}; expected (n, 6) or (n, 4)")
     half = values.shape[1] // 2
-    return Table(values[:, :half], values[:, half:], NO_TRIANGLES, row_place)
+    return DisplacementTable(values[:, :half], values[:, half:], NO_TRIANGLES, row_place)
 
 
-def read_npz(path: Path) -> Table:
+def read_npz(path: Path) -> DisplacementTable:
     """Read arrays ``points`` and ``displacement`` (n, 3), or ``x y z dx dy dz`` (n,), and perhaps ``triangles`` (m, 3).
 
     Raises
@@ -53,7 +53,7 @@ def read_npz(path: Path) -> Table:
     return table
 
 
-def read_hdf5(path: Path) -> Table:
+def read_hdf5(path: Path) -> DisplacementTable:
     """Read datasets as in npz, in the root group or in the one group below it that has them.
 
     Raises
@@ -96,13 +96,13 @@ def _arrays(group: h5py.Group) -> dict[str, NDArray[Any]]:
     return {name: entry[()] for name, entry in sets.items() if entry.dtype.kind in "iuf" and entry.ndim in (1, 2)}
 
 
-def _table(arrays: Mapping[str, NDArray[Any]]) -> Table | None:
+def _table(arrays: Mapping[str, NDArray[Any]]) -> DisplacementTable | None:
     triangles = arrays.get("triangles", NO_TRIANGLES)
     columns = {name: values for name, values in arrays.items() if name != "triangles"}
     points, displacement = pick_vector(POINT_NAMES, columns), pick_vector(DISPLACEMENT_NAMES, columns)
     if points is None or displacement is None or triangles.ndim != 2 or triangles.shape[1] != 3:
         return None
-    return Table(points, displacement, triangles, row_place)
+    return DisplacementTable(points, displacement, triangles, row_place)
 
 
 def _list(arrays: Mapping[str, NDArray[Any]]) -> str:

@@ -12,13 +12,13 @@ import numpy as np
 from meshdeform_core.errors import FormatError
 
 from .cells import split_cells
-from .table import NO_TRIANGLES, Table, surface_table
+from .table import NO_TRIANGLES, DisplacementTable, surface_table
 
 # Corners of the cells with two dimensions; nodes on edges and inside come after them.
 _CORNERS = {"triangle": 3, "triangle6": 3, "triangle7": 3, "quad": 4, "quad8": 4, "quad9": 4}
 
 
-def read(path: Path, file_format: str) -> Table:
+def read(path: Path, file_format: str) -> DisplacementTable:
     """Read a surface with displacements as point data.
 
     Raises

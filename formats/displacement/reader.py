@@ -25,7 +25,7 @@ from ..grids import FORMATS, read_grid
 from ..vtk.legacy_file import dataset_kind
 from ..vtk.xml.tags import file_kind
 from .cells import grid_triangles
-from .table import VECTOR_NAMES, Table, checked_surface, pick_vector
+from .table import VECTOR_NAMES, DisplacementTable, checked_surface, pick_vector
 
 # meshio's formats that can hold a displacement at points, by suffix; those with a magic number are known by that.
 _MESHIO_FORMATS = {
@@ -78,7 +78,7 @@ def write_displacement(path: str | Path, data: SurfaceData) -> None:
             np.savetxt(partial, columns, fmt="%.17g", delimiter=",", header="x,y,z,dx,dy,dz", comments="")
 
 
-def _read(path: Path, head: bytes) -> Table | Grid:
+def _read(path: Path, head: bytes) -> DisplacementTable | Grid:
     if head.startswith(b"\x93NUMPY"):
         return _module("arrays").read_npy(path)
     if head.startswith(b"PK\x03\x04"):
@@ -116,7 +116,7 @@ def _meshio_format(path: Path) -> str:
     return _MESHIO_FORMATS[suffix]
 
 
-def _read_hdf5(path: Path) -> Table | Grid:
+def _read_hdf5(path: Path) -> DisplacementTable | Grid:
     entries = _module("arrays").hdf5_entries(path)
     if "CGNSLibraryVersion" in entries:
         return _read_structured(path)
@@ -125,7 +125,7 @@ def _read_hdf5(path: Path) -> Table | Grid:
     return _module("arrays").read_hdf5(path)
 
 
-def _read_vtk_legacy(path: Path) -> Table | Grid:
+def _read_vtk_legacy(path: Path) -> DisplacementTable | Grid:
     kind = dataset_kind(path)
     if kind == "POLYDATA":
         return _module("vtk").read_vtk_legacy(path)
@@ -134,7 +134,7 @@ def _read_vtk_legacy(path: Path) -> Table | Grid:
     return _read_structured(path)
 
 
-def _read_vtk_xml(path: Path) -> Table | Grid:
+def _read_vtk_xml(path: Path) -> DisplacementTable | Grid:
     kind = file_kind(path)
     if kind in ("PolyData", "UnstructuredGrid"):
         return _module("vtk").read_vtk_xml(path)
@@ -143,7 +143,7 @@ def _read_vtk_xml(path: Path) -> Table | Grid:
     return _read_structured(path)
 
 
-def _read_structured(path: Path) -> Table | Grid:
+def _read_structured(path: Path) -> DisplacementTable | Grid:
     grid = read_grid(path)
     displacements = [_block_displacement(grid, block) for block in range(grid.n_blocks)]
     known = [values for values in displacements if values is not None]
@@ -154,7 +154,7 @@ def _read_structured(path: Path) -> Table | Grid:
         grid_triangles(numbers[low:high].reshape(shape))
         for low, high, shape in zip(grid.offsets, grid.offsets[1:], grid.shapes, strict=False)
     ]
-    return Table(grid.points, np.concatenate(known), np.concatenate(triangles), grid.node_label)
+    return DisplacementTable(grid.points, np.concatenate(known), np.concatenate(triangles), grid.node_label)
 
 
 def _block_displacement(grid: Grid, block: int) -> NDArray[Any] | None:

@@ -26,7 +26,7 @@ _ALIKE = 1e-9
 
 
 @dataclass(frozen=True)
-class Table:
+class DisplacementTable:
     """A table as read.
 
     Attributes
@@ -85,7 +85,7 @@ def pick_vector(names: Sequence[str], arrays: Mapping[str, NDArray[Any]]) -> NDA
 
 def surface_table(
     path: Path, points: NDArray[Any], arrays: Mapping[str, NDArray[Any]], triangles: NDArray[Any]
-) -> Table:
+) -> DisplacementTable:
     """The table of a surface with arrays at its points: the one called displacement, or its only vector.
 
     Raises
@@ -100,10 +100,10 @@ def surface_table(
     if displacement is None:
         found = ", ".join(f"{name} {values.shape[1:] or 'scalar'}" for name, values in arrays.items()) or "none"
         raise FormatError(f"{path} has no vector called displacement (or disp, d, u) at its points; found {found}")
-    return Table(points, displacement, triangles, row_place)
+    return DisplacementTable(points, displacement, triangles, row_place)
 
 
-def checked_surface(table: Table, path: Path) -> SurfaceData:
+def checked_surface(table: DisplacementTable, path: Path) -> SurfaceData:
     """The table as surface data, with (n, 3) contiguous float64 arrays.
 
     Raises

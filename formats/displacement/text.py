@@ -11,7 +11,7 @@ import numpy as np
 
 from meshdeform_core.errors import FormatError
 
-from .table import DISPLACEMENT_NAMES, NO_TRIANGLES, POINT_NAMES, Table, vector_names
+from .table import DISPLACEMENT_NAMES, NO_TRIANGLES, POINT_NAMES, DisplacementTable, vector_names
 
 _BY_ORDER = {6: "x y z dx dy dz", 4: "x y dx dy"}
 
@@ -31,7 +31,7 @@ class _Layout:
     displacement: tuple[int, ...]
 
 
-def read(path: Path) -> Table:
+def read(path: Path) -> DisplacementTable:
     """Read a text table.
 
     Without header the columns are ``x y z dx dy dz``, or ``x y dx dy`` in 2-D. A header, also one in a comment, names
@@ -60,7 +60,7 @@ def read(path: Path) -> Table:
     if every:
         values = values[:, columns]
     split = len(layout.points)
-    return Table(
+    return DisplacementTable(
         values[:, :split], values[:, split:], NO_TRIANGLES, lambda row: f"line {_line_of_row(path, layout, row)}"
     )
 

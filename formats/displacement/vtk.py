@@ -17,14 +17,14 @@ from ..vtk.xml.arrays import ArrayReader
 from ..vtk.xml.attributes import joined, put_together, read_section
 from ..vtk.xml.tags import Element, read_tags
 from .cells import fans, starts_of_list
-from .table import NO_TRIANGLES, Table, surface_table
+from .table import NO_TRIANGLES, DisplacementTable, surface_table
 
 # Corners of VTK's cells with two dimensions, by type; nodes on edges and inside come after them.
 _CORNERS = {5: 3, 22: 3, 34: 3, 9: 4, 23: 4, 28: 4}
 _POLYGON, _STRIP = 7, 6
 
 
-def read_vtk_xml(path: Path) -> Table:
+def read_vtk_xml(path: Path) -> DisplacementTable:
     """Read polygons (.vtp) or unstructured cells (.vtu) of VTK.
 
     Raises
@@ -117,7 +117,7 @@ def _check_offsets(path: Path, offsets: NDArray[Any], size: int) -> None:
         raise FormatError(f"{path}: the offsets of the cells do not ascend from 0 to {size}; the file is damaged")
 
 
-def read_vtk_legacy(path: Path) -> Table:
+def read_vtk_legacy(path: Path) -> DisplacementTable:
     """Read the polygons of a legacy VTK file (DATASET POLYDATA).
 
     Raises

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
-from meshdeform_core.errors import FormatError
+from meshdeform_core.errors import FormatError, suggestion
 from meshdeform_core.grid import FileFormat
 
 CHOICES: dict[str, tuple[Any, ...]] = {
@@ -128,13 +127,12 @@ def parse_options(options: Mapping[str, Any]) -> dict[str, Any]:
 
 def _value(key: str, value: Any) -> Any:
     if key not in CHOICES:
-        raise FormatError(f"unknown Plot3D option {key!r}; {_nearest(key, list(CHOICES))}")
+        raise FormatError(f"unknown Plot3D option {key!r}{_known(key, list(CHOICES))}")
     words = {str(choice).lower(): choice for choice in CHOICES[key]}
     if str(value).lower() not in words:
-        raise FormatError(f"Plot3D option {key}={value} is not known; {_nearest(str(value), list(words))}")
+        raise FormatError(f"Plot3D option {key}={value} is not known{_known(str(value), list(words))}")
     return words[str(value).lower()]
 
 
-def _nearest(word: str, known: list[str]) -> str:
-    closest = difflib.get_close_matches(word.lower(), known, n=1, cutoff=0.0)[0]
-    return f"nearest is {closest!r}, known are {', '.join(known)}"
+def _known(word: str, known: list[str]) -> str:
+    return f"{suggestion(word.lower(), known)}; known are {', '.join(known)}"

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from meshdeform_core.errors import FormatError
+from meshdeform_core.errors import FormatError, suggestion
 
 
 def checked_options(path: Path, options: Mapping[str, Any], known: Mapping[str, Sequence[str]]) -> dict[str, str]:
@@ -27,6 +26,5 @@ def checked_options(path: Path, options: Mapping[str, Any], known: Mapping[str, 
 def _require_known(path: Path, what: str, word: str, known: Sequence[str]) -> None:
     if word in known:
         return
-    nearest = get_close_matches(word, known, n=1, cutoff=0.0)
-    hint = f" (did you mean {nearest[0]!r}?)" if nearest else ""
+    hint = suggestion(word, known)
     raise FormatError(f"cannot write {path}: unknown {what} {word!r}{hint}; known are: {' '.join(known) or 'none'}")

@@ -8,7 +8,6 @@ read, so a case file stays data.
 from __future__ import annotations
 
 import ast
-import difflib
 import operator
 import sys
 from collections.abc import Callable, Iterable, Mapping
@@ -18,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import CaseError
+from ..errors import CaseError, suggestion
 
 MAX_LENGTH = 1000
 
@@ -141,18 +140,14 @@ def _check_all(nodes: Iterable[ast.AST], owner: Expression) -> None:
 def _check_name(name: str, owner: Expression) -> None:
     known = [*owner.variables, *_CONSTANTS]
     if name not in known:
-        hint = difflib.get_close_matches(name, [*known, *_FUNCTIONS], 1)
-        raise CaseError(
-            f"expression {owner.text!r} uses the unknown name {name!r}"
-            + (f"; did you mean {hint[0]!r}?" if hint else f"; known are {', '.join(sorted(known))}")
-        )
+        hint = suggestion(name, [*known, *_FUNCTIONS]) or f"; known are {', '.join(sorted(known))}"
+        raise CaseError(f"expression {owner.text!r} uses the unknown name {name!r}{hint}")
 
 
 def _check_call(name: str, args: list[ast.expr], owner: Expression) -> None:
     if name not in _FUNCTIONS:
-        hint = difflib.get_close_matches(name, _FUNCTIONS, 1)
-        known = f"did you mean {hint[0]!r}?" if hint else f"known are {', '.join(sorted(_FUNCTIONS))}"
-        raise CaseError(f"expression {owner.text!r} calls the unknown function {name!r}; {known}")
+        hint = suggestion(name, _FUNCTIONS) or f"; known are {', '.join(sorted(_FUNCTIONS))}"
+        raise CaseError(f"expression {owner.text!r} calls the unknown function {name!r}{hint}")
     expected = _FUNCTIONS[name][0]
     if len(args) != expected:
         raise CaseError(f"expression {owner.text!r}: {name} takes {expected} arguments, found {len(args)}")

@@ -13,7 +13,6 @@ from .blocks import (
     Shape,
     Side,
     Window,
-    whole_face,
 )
 
 __all__ = [
@@ -29,5 +28,4 @@ __all__ = [
     "Shape",
     "Side",
     "Window",
-    "whole_face",
 ]

@@ -276,12 +276,6 @@ class Grid:
         return f"{self.names[block]} ({i + 1}, {j + 1}, {k + 1})"
 
 
-def whole_face(shape: Shape, block: int, side: Side) -> Window:
-    """The window that covers a whole block face."""
-    a, b = side.tangential
-    return Window(block, side, (0, 0), (shape[a] - 1, shape[b] - 1))
-
-
 def _check_dimension(shapes: Sequence[Shape], names: Sequence[str]) -> None:
     flat = [sum(n == 1 for n in shape) for shape in shapes]
     for shape, name, ones in zip(shapes, names, flat, strict=True):

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import difflib
 import fnmatch
 import re
 from collections.abc import Iterable
 
 import numpy as np
 
-from ..errors import CaseError
+from ..errors import CaseError, suggestion
 from ..numerics.coincidence import distinct
 from .blocks import Grid, IntArray, Patch, Side, Window
 from .topology import FaceQuads, Topology
@@ -121,8 +120,8 @@ def _range(text: str, n: int, where: str) -> tuple[int, int]:
 def _hint(grid: Grid, pattern: str) -> str:
     known = sorted({name for patch in grid.patches for name in (patch.name, patch.family) if name})
     faces = [f"{grid.names[0]}.{side.label}" for side in Side]
-    close = difflib.get_close_matches(pattern, [*known, *(f"{n}.{s.label}" for n in grid.names for s in Side)], 3)
-    if close:
-        return f"; did you mean {' or '.join(repr(c) for c in close)}?"
+    hint = suggestion(pattern, [*known, *(f"{n}.{s.label}" for n in grid.names for s in Side)], 3)
+    if hint:
+        return hint
     patches = f"patches are {', '.join(known[:12])}" if known else "the grid has no named patches"
     return f"; {patches}, block faces are written like {faces[0]}"

@@ -18,7 +18,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from ..errors import MethodError
-from .base import Account, Method, PreparedMethod, Problem, Progress, Setting
+from .base import Account, PreparedMethod, Problem, Progress, Setting
 from .composite import Composite
 from .options import reason_of
 from .scattered.block_rbf import BlockRBF
@@ -35,7 +35,6 @@ __all__ = [
     "TFI",
     "Account",
     "Composite",
-    "Method",
     "Options",
     "PreparedMethod",
     "Problem",
@@ -79,48 +78,48 @@ class Options:
 
 
 @dataclass(frozen=True)
-class Entry:
+class MethodEntry:
     """One row of the table of methods: what it is, what to know, whose options it has, how it is made."""
 
     summary: str
     advice: str
     parts: tuple[type, ...]
-    make: Callable[[Options], Method]
+    make: Callable[[Options], Composite]
 
 
-CATALOGUE: dict[str, Entry] = {
-    "tfi-tfi": Entry(
+CATALOGUE: dict[str, MethodEntry] = {
+    "tfi-tfi": MethodEntry(
         "transfinite interpolation everywhere: the fastest, for small motions of simple topologies",
         "Cost N_v. Keeps clustering, loses wall orthogonality, kinks grid lines at block interfaces; crosses cells "
         "when a body rotates by more than about 40 degrees. Has no options.",
         (),
         lambda options: Composite(None, TFI(max_cells=0)),
     ),
-    "rbf-rbf": Entry(
+    "rbf-rbf": MethodEntry(
         "radial basis functions for every node: smooth, valid at the largest rotations",
         "Cost N_s^3 + N_v x N_s. Does not carry the near-wall grid rigidly with the wall.",
         (RBF,),
         lambda options: Composite(options.rbf, None),
     ),
-    "idw-idw": Entry(
+    "idw-idw": MethodEntry(
         "inverse distance weighting of every node: the best walls, for large rotations and boundary layers",
         "Cost N_v x N_s. Carries the near-wall grid rigidly with the wall.",
         (IDW,),
         lambda options: Composite(options.idw, None),
     ),
-    "rbf-tfi": Entry(
+    "rbf-tfi": MethodEntry(
         "RBF for block interfaces and virtual sub-block faces, TFI inside",
         "Cost N_s^3 + N_s x N_v^(2/3) + N_v: the sum over all nodes is saved, the system is not.",
         (RBF, TFI),
         lambda options: Composite(options.rbf, options.tfi),
     ),
-    "idw-rbf": Entry(
+    "idw-rbf": MethodEntry(
         "IDW for block interfaces, RBF inside every block",
         "One system per block in its face nodes. Smooth inside blocks, kinks at their interfaces.",
         (IDW, RBF),
         lambda options: Composite(options.idw, BlockRBF(options.rbf)),
     ),
-    "idw-tfi": Entry(
+    "idw-tfi": MethodEntry(
         "IDW for block interfaces and virtual sub-block faces, TFI inside: the default, IDW's quality at a fraction of "
         "its cost",
         "Cost N_s x N_v^(2/3) + N_v. max_cells is the price: smaller sub-blocks come closer to IDW.",
@@ -139,7 +138,7 @@ REFUSED = {
 """Combinations that make no sense, and what to use instead."""
 
 
-def entry_of(name: str) -> Entry:
+def entry_of(name: str) -> MethodEntry:
     """The row of the catalogue that a name, or its short form, stands for.
 
     Raises
@@ -155,6 +154,6 @@ def entry_of(name: str) -> Entry:
     return CATALOGUE[full]
 
 
-def make_method(options: Options) -> Method:
+def make_method(options: Options) -> Composite:
     """The method that ``options`` describe."""
     return entry_of(options.name).make(options)

@@ -191,11 +191,21 @@ class PreparedMethod(Protocol):
         ...
 
 
-class Method(Protocol):
-    """A deformation method with its options."""
+class Mover(Protocol):
+    """First step, bound to its nodes; ``linear`` as in :class:`PreparedMethod`."""
 
-    def prepare(self, problem: Problem) -> PreparedMethod:
-        """Everything that depends on the undeformed grid only."""
+    account: Account
+    linear: bool
+
+    def foresee(self, motion: FloatArray, step: FloatArray) -> list[str]:
+        """What is bound to go wrong with a displacement (n_sources, 3) of which ``step`` is imposed first."""
+        ...
+
+    def move(self, displacement: FloatArray, out: FloatArray, progress: Progress | None = None) -> FloatArray:
+        """Displacement of its nodes from that of the sources (n_sources, 3).
+
+        Returns that of nodes on block faces (n_unique, 3); that of nodes inside blocks goes to ``out`` (n_nodes, 3).
+        """
         ...
 
 

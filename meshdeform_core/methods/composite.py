@@ -15,31 +15,13 @@ from ..errors import MotionError
 from ..grid import FloatArray, IntArray
 from ..numerics.rows import put_rows, spread_rows, take_rows
 from ..parallel import current_ranks, empty, for_chunks, for_rows
-from .base import Account, Interpolation, PreparedMethod, Problem, Progress
+from .base import Account, Interpolation, Mover, PreparedMethod, Problem, Progress
 from .periodic_steps import PreparedPeriodic, free_periodic, with_known_periodic
 from .transfinite.edge_graph import PreparedEdgeGraph
 from .transfinite.skeleton import Skeleton
 
 # Face nodes that one call puts in their places: enough to be worth a thread.
 _NODES = 100_000
-
-
-class Mover(Protocol):
-    """First step, bound to its nodes; ``linear`` as in :class:`.base.PreparedMethod`."""
-
-    account: Account
-    linear: bool
-
-    def foresee(self, motion: FloatArray, step: FloatArray) -> list[str]:
-        """What is bound to go wrong with a displacement (n_sources, 3) of which ``step`` is imposed first."""
-        ...
-
-    def move(self, displacement: FloatArray, out: FloatArray, progress: Progress | None = None) -> FloatArray:
-        """Displacement of its nodes from that of the sources (n_sources, 3).
-
-        Returns that of nodes on block faces (n_unique, 3); that of nodes inside blocks goes to ``out`` (n_nodes, 3).
-        """
-        ...
 
 
 class PreparedFiller(Protocol):

@@ -7,28 +7,13 @@ the images of the body beyond it.
 from __future__ import annotations
 
 import dataclasses
-from typing import Protocol
 
 import numpy as np
 
 from ..boundary import Kind
 from ..grid import FloatArray, IntArray
 from ..parallel import empty, for_rows
-from .base import Account, PreparedMethod, Problem, Progress
-
-
-class FaceMover(Protocol):
-    """An interpolation bound to nodes of the boundary; ``linear`` as in :class:`.base.PreparedMethod`."""
-
-    linear: bool
-
-    def foresee(self, motion: FloatArray, step: FloatArray) -> list[str]:
-        """What is bound to go wrong with a displacement (n_sources, 3) of which ``step`` is imposed first."""
-        ...
-
-    def move(self, displacement: FloatArray, out: FloatArray, progress: Progress | None = None) -> FloatArray:
-        """Displacement (n_unique, 3) on block faces from that of the sources (n_sources, 3); others into ``out``."""
-        ...
+from .base import Account, Mover, PreparedMethod, Problem, Progress
 
 
 def free_periodic(problem: Problem) -> IntArray:
@@ -50,7 +35,7 @@ def with_known_periodic(problem: Problem) -> Problem:
 class PreparedPeriodic:
     """A method that moves free periodic nodes before all others."""
 
-    def __init__(self, problem: Problem, first: FaceMover, rest: PreparedMethod, guided: Problem):
+    def __init__(self, problem: Problem, first: Mover, rest: PreparedMethod, guided: Problem):
         self._problem, self._first, self._rest, self._guided = problem, first, rest, guided
 
     @property

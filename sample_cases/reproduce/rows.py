@@ -9,7 +9,7 @@ from importlib.resources import files
 from typing import Any
 
 from .experiment import Outcome, Trial, asymmetry, greedy_range, quality_without_walls, run
-from .tables import Table
+from .tables import PaperTable
 
 Row = dict[str, Any]
 Tell = Callable[[str, int, int], None]
@@ -21,7 +21,7 @@ def paper() -> dict[str, Any]:
     return tomllib.loads((files(__package__) / "paper.toml").read_text(encoding="utf-8"))
 
 
-def reproduce_table(table: Table, tell: Tell, keep: Callable[[Trial, Outcome], None]) -> dict[str, Any]:
+def reproduce_table(table: PaperTable, tell: Tell, keep: Callable[[Trial, Outcome], None]) -> dict[str, Any]:
     """Run all trials of a table; ``keep`` sees each outcome (for figures) before it is let go."""
     printed = paper()[table.name]
     by_key = {row["key"]: row for row in printed["rows"]}

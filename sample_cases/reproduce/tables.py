@@ -19,7 +19,7 @@ _BASES = {"wc0": "wendland-c0", "wc2": "wendland-c2", "c1": "ctps-c1", "c2a": "c
 
 
 @dataclass(frozen=True)
-class Table:
+class PaperTable:
     """A table of the paper: its runs, and the row whose cost is 1."""
 
     name: str
@@ -43,7 +43,7 @@ def _greedy(basis: str, radius: float, **more: Any) -> RBF:
     return RBF(basis=basis, radius=radius, **(chosen | more))
 
 
-def table2(quick: bool) -> Table:
+def table2(quick: bool) -> PaperTable:
     """Problem 1: a square whose four sides move."""
     square = Sample("square", 61 if quick else 301)
     iterations, many, starts = (2000, 50, 2) if quick else (40_000, 500, 6)
@@ -67,10 +67,10 @@ def table2(quick: bool) -> Table:
         Trial("idw-marching-25", square, Options("idw", idw=IDW(**_PAPER_IDW)), steps=25),
     ]
     trials.append(Trial("tps-coarse", Sample("square", 21), Options("rbf", rbf=RBF(**_DIRECT))))
-    return Table("table2", tuple(trials), "tfi")
+    return PaperTable("table2", tuple(trials), "tfi")
 
 
-def table3(quick: bool) -> Table:
+def table3(quick: bool) -> PaperTable:
     """Problem 2: an ellipse turns into an airfoil."""
     airfoil = Sample("airfoil", 201 if quick else 401)
     starts = 1 if quick else 4
@@ -88,10 +88,10 @@ def table3(quick: bool) -> Table:
         Trial("idw-0.1", airfoil, _idw(rotation="quaternion")),
         Trial("idw-blend", airfoil, _idw(rotation="blend")),
     ]
-    return Table("table3", tuple(trials), "idw-0.1")
+    return PaperTable("table3", tuple(trials), "idw-0.1")
 
 
-def table4(quick: bool) -> Table:
+def table4(quick: bool) -> PaperTable:
     """Section 4: the splitter plate by all six methods."""
     plate = Sample("splitter-plate", 8 if quick else 16)
     six = ("tfi-tfi", "rbf-rbf", "idw-idw", "rbf-tfi", "idw-rbf", "idw-tfi")
@@ -102,10 +102,10 @@ def table4(quick: bool) -> Table:
         Trial(f"{name}-lie", plate, Options.relevant(name, idw=lie, tfi=_WHOLE)) for name in ("idw-idw", "idw-tfi")
     ]
     trials.append(Trial("default", plate, Options()))
-    return Table("table4", tuple(trials), "tfi-tfi")
+    return PaperTable("table4", tuple(trials), "tfi-tfi")
 
 
-def table5(quick: bool) -> Table:
+def table5(quick: bool) -> PaperTable:
     """Section 5: the hemisphere in 99 blocks; RBF on the largest grid whose matrix is factorised in a minute."""
     size, parts, small = (24, 12, 12) if quick else (92, 44, 32)
     split = Sample("hemisphere", size, (("max_cells", parts),), time=2.5e-4)
@@ -119,10 +119,10 @@ def table5(quick: bool) -> Table:
         Trial("default", split, Options()),
         Trial("rbf-rbf", less, Options("rbf", rbf=RBF(**_DIRECT))),
     ]
-    return Table("table5", tuple(trials), "idw-tfi")
+    return PaperTable("table5", tuple(trials), "idw-tfi")
 
 
-def figure_b(quick: bool) -> Table:
+def figure_b(quick: bool) -> PaperTable:
     """Appendix B: the beam, with the origin of coordinates at the centre and at the lower left corner; always quick."""
     shifted: dict[str, Any] = {"options": (("origin", (2.0, 1.0)),), "constants": (("center", 2.0),)}
     centre, corner, fine = Sample("beam", 40), Sample("beam", 40, **shifted), Sample("beam", 400, **shifted)
@@ -136,10 +136,10 @@ def figure_b(quick: bool) -> Table:
         Trial("one-corner-fine", fine, paper),
         Trial("lie-corner-fine", fine, _idw()),
     )
-    return Table("figB", trials, "one-centre")
+    return PaperTable("figB", trials, "one-centre")
 
 
-TABLES: dict[str, Callable[[bool], Table]] = {
+TABLES: dict[str, Callable[[bool], PaperTable]] = {
     "table2": table2, "table3": table3, "table4": table4, "table5": table5, "figB": figure_b,
 }  # fmt: skip
 """What can be reproduced, by its name on the command line."""

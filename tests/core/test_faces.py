@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from grids import block_around, frame, frame_2d, permuted, polar
+from grids import block_around, frame, frame_2d, permuted, polar, whole_face
 
-from meshdeform_core.grid import Grid, Patch, Side, Window, whole_face
+from meshdeform_core.grid import Grid, Patch, Side, Window
 from meshdeform_core.grid.faces import find_faces, quad_geometry
 from meshdeform_core.grid.roles import Role
 from meshdeform_core.grid.surfaces import find_outside, thin_direction

@@ -9,8 +9,9 @@ import h5py
 import numpy as np
 import pytest
 from cgns_witness import box
+from grids import whole_face
 
-from meshdeform_core.grid import Connection, Field, Grid, Patch, Periodicity, Side, Window, whole_face
+from meshdeform_core.grid import Connection, Field, Grid, Patch, Periodicity, Side, Window
 from meshdeform_formats import read_grid, write_grid
 from meshdeform_formats.cgns.names import unique_names
 from meshdeform_formats.cgns.new_boundary import bc_type

@@ -429,7 +429,7 @@ def test_source_that_is_gone_or_changed(tmp_path):
 @pytest.mark.parametrize(
     ("options", "name", "message"),
     [
-        ({"precison": "float32"}, "out.cgns", "no option 'precison'.*did you mean precision"),
+        ({"precison": "float32"}, "out.cgns", "no option 'precison'.*did you mean 'precision'"),
         ({"endian": "big"}, "out.cgns", "no option 'endian'; the only one is precision=float32|float64"),
         ({"precision": "float16"}, "out.cgns", "float32 or float64, not 'float16'"),
         ({}, "out.adf", "ADF is read only; give it the suffix .cgns"),

@@ -5,9 +5,10 @@ import dataclasses
 import meshio
 import numpy as np
 import pytest
+from grids import whole_face
 
 from meshdeform_core.errors import FormatError
-from meshdeform_core.grid import Field, Grid, Patch, Side, Window, whole_face
+from meshdeform_core.grid import Field, Grid, Patch, Side, Window
 from meshdeform_formats import meshio_export, read_grid, write_grid
 
 FORMATS = {".vtu": "vtu", ".xdmf": "xdmf", ".msh": "gmsh", ".med": "med", ".su2": "su2", ".inp": "abaqus"}

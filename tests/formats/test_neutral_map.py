@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from grids import whole_face
 
 from meshdeform_core.errors import FormatError
-from meshdeform_core.grid import Connection, Grid, Patch, Periodicity, Side, Window, whole_face
+from meshdeform_core.grid import Connection, Grid, Patch, Periodicity, Side, Window
 from meshdeform_formats import plot3d
 from meshdeform_formats.neutral_map import read_neutral_map, write_neutral_map
 

@@ -172,8 +172,8 @@ def test_iblank_is_written_when_carried_or_asked_for(tmp_path):
         ((3, 4, 5), {"multiblock": "false"}, "without block count: the grid has 2 blocks; use multiblock=true"),
         ((3, 4, 5), {"encoding": "ascii", "byte_order": "big"}, "byte_order means nothing with encoding=ascii.*binary"),
         ((3, 4, 5), {"encoding": "binary", "markers": 8}, "markers means nothing with encoding=binary.*fortran"),
-        ((3, 4, 5), {"bytorder": "big"}, "unknown Plot3D option 'bytorder'; nearest is 'byte_order'"),
-        ((3, 4, 5), {"encoding": "asci"}, "encoding=asci is not known; nearest is 'ascii'"),
+        ((3, 4, 5), {"bytorder": "big"}, "unknown Plot3D option 'bytorder'; did you mean 'byte_order'"),
+        ((3, 4, 5), {"encoding": "asci"}, "encoding=asci is not known; did you mean 'ascii'"),
     ],
 )
 def test_what_cannot_be_written(shape, options, message):
