@@ -20,7 +20,7 @@ from .mpi import place, run_on_ranks
 from .signals import Handler, end_of
 
 _COMMANDS = (
-    "deform", "series", "quality", "info", "convert", "compare", "plot", "methods", "sample", "reproduce",
+    "deform", "series", "quality", "info", "convert", "compare", "plot", "methods", "sample", "reproduce", "schema",
 )  # fmt: skip
 _ON_RANKS = ("deform", "series")
 
@@ -53,6 +53,7 @@ _SUMMARIES = {
     "plot": "Picture of a grid plane coloured by a quality metric.",
     "methods": "The methods, their parameters and what each is good for.",
     "sample": "Write a sample case: grid and case.toml.",
+    "schema": "JSON schema of case files or of reports.",
     "reproduce": "Rerun the tables and figures of the paper.",
 }
 

@@ -19,9 +19,12 @@ _WORST_BRICKS, _RANDOM_NODES = 64, 256
 MAX_RETRIES = 3
 
 
+SUMMATIONS = ("auto", "exact", "fast")
+
+
 def check_summation(method: str, summation: str, tolerance: float) -> None:
     """Refuse a wrong ``summation`` or ``summation_tolerance`` of a method."""
-    choose(f"{method}.summation", summation, ("auto", "exact", "fast"))
+    choose(f"{method}.summation", summation, SUMMATIONS)
     positive(f"{method}.summation_tolerance", tolerance)
     if not 1e-8 <= tolerance <= 0.1:
         raise MethodError(f"method.{method}.summation_tolerance = {tolerance:g}; expected 1e-8 to 0.1 of a cell")

@@ -1,0 +1,149 @@
+"""The JSON schema of case files, made from what the reader checks; editors complete and check ``case.toml`` with it."""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import re
+from typing import Any
+
+from meshdeform_core.boundary import Kind
+from meshdeform_core.boundary.transfer import HOW
+from meshdeform_core.methods import ALIASES, CATALOGUE, IDW, RBF, TFI, Options
+from meshdeform_core.methods.scattered.idw import ROTATIONS, WEIGHTS
+from meshdeform_core.methods.scattered.radial_system import SOLVERS
+from meshdeform_core.methods.scattered.rbf import ERRORS, GREEDY
+from meshdeform_core.methods.scattered.summation import SUMMATIONS
+from meshdeform_core.numerics.basis import BASES
+
+Schema = dict[str, Any]
+VERSION = 1
+_CHOICES = {
+    "rotation": ROTATIONS,
+    "weights": WEIGHTS,
+    "basis": tuple(BASES),
+    "solver": SOLVERS,
+    "greedy": GREEDY,
+    "greedy_error": ERRORS,
+    "summation": SUMMATIONS,
+    "remove_mean": (True, False, "auto"),
+}
+_FORMULA: Schema = {"type": ["number", "string"], "description": "a number, or a formula of x, y, z, t and constants"}
+_THREE_FORMULAS = {"type": "array", "items": {"$ref": "#/$defs/formula"}, "minItems": 3, "maxItems": 3}
+_THREE_NUMBERS = {"type": "array", "items": {"type": "number"}, "minItems": 3, "maxItems": 3}
+
+
+def case_schema() -> Schema:
+    """The schema (draft 2020-12) of a case file, as data."""
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "$id": f"urn:meshdeform:case:{VERSION}",
+        "title": "meshdeform case file",
+        **_table(
+            "",
+            grid=_table(
+                "How to read the grid.",
+                boundary_file=_text("NASA neutral map file (.nmf) with the boundaries, relative to the case file."),
+                tolerance=_number("Largest distance of coincident nodes, as a fraction of the local edge."),
+            ),
+            constants={
+                "type": "object",
+                "description": "Names for numbers, usable in every formula.",
+                "additionalProperties": {"type": "number"},
+            },
+            boundary={"type": "array", "items": _boundary(), "description": "What each part of the boundary does."},
+            method=_method(),
+        ),
+        "$defs": {"formula": _FORMULA, "motion": _motion()},
+    }
+
+
+def _table(description: str, **properties: Schema) -> Schema:
+    table: Schema = {"type": "object", "properties": properties, "additionalProperties": False}
+    return {**table, "description": description} if description else table
+
+
+def _text(description: str) -> Schema:
+    return {"type": "string", "description": description}
+
+
+def _number(description: str) -> Schema:
+    return {"type": "number", "description": description}
+
+
+def _boundary() -> Schema:
+    kinds = [kind.label for kind in reversed(Kind) if kind is not Kind.INTERFACE]
+    names = {"type": "array", "items": {"type": "string"}, "minItems": 1}
+    steps = {"type": "array", "items": {"$ref": "#/$defs/motion"}}
+    return _table(
+        "One part of the boundary.",
+        name=_text("Its name in reports."),
+        select={
+            "anyOf": [{"type": "string"}, names],
+            "description": 'Patch or family names, or block faces like "block3.jmin[1:65,*]"; default all outside.',
+        },
+        where=_text("Only faces all of whose corners satisfy this, e.g. x > 0.5 and abs(y) < 0.2."),
+        kind={"enum": kinds, "description": "What its nodes do; default moving if there is a motion."},
+        motion={"anyOf": [{"$ref": "#/$defs/motion"}, steps], "description": "Motions, applied in order."},
+    )
+
+
+def _motion() -> Schema:
+    match = {"enum": list(HOW), "description": "How table points find grid nodes."}
+    table = {"match": match, "tolerance": _number("Largest distance of a match, in the unit of the grid.")}
+    times = {
+        "description": 'Times of the files: "START:STOP:STEP" or ascending numbers.',
+        "anyOf": [{"type": "string"}, {"type": "array", "items": {"type": "number"}}],
+    }
+    pattern = {
+        "description": "Displacement tables over time: a pattern like surface_*.csv, or a list.",
+        "anyOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}}],
+    }
+    rotate = _table(
+        "Rotation about an axis.",
+        angle={"$ref": "#/$defs/formula", "description": "Degrees."},
+        axis={**_THREE_NUMBERS, "description": "Direction of the axis; default [0, 0, 1]."},
+        center={**_THREE_FORMULAS, "description": "A point on the axis; default the origin."},
+    )
+    kinds = (
+        _table("", rotate={**rotate, "required": ["angle"]}),
+        _table("", translate={**_THREE_FORMULAS, "description": "The same displacement for all nodes."}),
+        _table("", displace={**_THREE_FORMULAS, "description": "Displacement as formulas of x, y, z, t."}),
+        _table("", file=_text("Displacement table, relative to the case file."), **table),
+        _table("", files=pattern, times=times, **table),
+    )
+    return {"oneOf": [{**kind, "required": [next(iter(kind["properties"]))]} for kind in kinds]}
+
+
+def _method() -> Schema:
+    parts = {kind.__name__.lower(): _options(kind) for kind in (IDW, RBF, TFI)}
+    names = {"enum": [*CATALOGUE, *ALIASES], "default": Options().name, "description": "See `meshdeform methods`."}
+    return _table("The method and its options.", name=names, **parts)
+
+
+def _options(kind: type) -> Schema:
+    texts = _descriptions(inspect.cleandoc(kind.__doc__ or ""))
+    keys = {
+        field.name: {**_value(field), "default": field.default, "description": texts[field.name]}
+        for field in dataclasses.fields(kind)
+    }
+    return _table(f"Options of {kind.__name__}.", **keys)
+
+
+def _value(field: dataclasses.Field[Any]) -> Schema:
+    if field.name in _CHOICES:
+        return {"enum": list(_CHOICES[field.name])}
+    if isinstance(field.default, bool):
+        return {"type": "boolean"}
+    number = {"type": "integer" if isinstance(field.default, int) else "number", "minimum": 0}
+    return {"anyOf": [number, {"const": "auto"}]} if "str" in str(field.type) else number
+
+
+def _descriptions(text: str) -> dict[str, str]:
+    """The entries of the section ``Attributes`` of a docstring."""
+    found: dict[str, str] = {}
+    for entry in re.split(r"\n(?=\w)", text.split("----\n", 1)[1]):
+        names, _, meaning = entry.partition(" : ")
+        for name in names.split(", "):
+            found[name] = " ".join(meaning.replace("``", "").split())
+    return found

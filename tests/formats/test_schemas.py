@@ -1,0 +1,134 @@
+"""The JSON schemas: what the program reads and writes fits them, what it refuses does not."""
+
+from __future__ import annotations
+
+import copy
+import json
+import tomllib
+from pathlib import Path
+
+import jsonschema
+import pytest
+
+from meshdeform_cli.main import run
+from meshdeform_core.errors import MeshDeformError
+from meshdeform_formats.case import read_case
+from meshdeform_formats.case.schema import case_schema
+from meshdeform_formats.report.schema import report_schema
+
+SAMPLES = sorted((Path(__file__).parents[2] / "sample_cases").glob("*/case.toml"))
+CASE = """
+[grid]
+tolerance = 1e-3
+[constants]
+turn = 10
+[[boundary]]
+name = "a"
+select = "*.imin"
+where = "x > 0"
+motion = [{ rotate = { angle = "turn*t", axis = [0, 0, 1], center = [0, "turn", 0] } }, { translate = [0, "t", 1] }]
+[[boundary]]
+select = ["*.jmin"]
+kind = "slip"
+[method]
+name = "idw-tfi"
+[method.idw]
+alpha = "auto"
+rotation = "lie"
+[method.tfi]
+max_cells = 0
+"""
+WRONG = (
+    ("grid.tolerence = 0.1", lambda d: d["grid"].update(tolerence=0.1)),
+    ("constants are numbers", lambda d: d["constants"].update(turn="ten")),
+    ("kind", lambda d: d["boundary"][0].update(kind="movin")),
+    ("select is empty", lambda d: d["boundary"][0].update(select=[])),
+    ("three components", lambda d: d["boundary"][0].update(motion=[{"translate": [0, 1]}])),
+    ("rotate without angle", lambda d: d["boundary"][0].update(motion=[{"rotate": {"axis": [0, 0, 1]}}])),
+    ("two motions in one", lambda d: d["boundary"][0]["motion"][0].update(translate=[0, 0, 1])),
+    ("unknown method", lambda d: d["method"].update(name="idw-tif")),
+    ("unknown rotation", lambda d: d["method"]["idw"].update(rotation="lies")),
+    ("unknown option", lambda d: d["method"]["idw"].update(alfa=1)),
+    ("negative", lambda d: d["method"]["tfi"].update(max_cells=-1)),
+)
+
+
+def _valid(data, schema) -> bool:
+    return jsonschema.Draft202012Validator(schema).is_valid(data)
+
+
+def _read(data: dict, folder: Path) -> bool:
+    """Whether the program accepts a case given as data."""
+    path = folder / "case.toml"
+    path.write_text(_toml(data))
+    try:
+        read_case(path)
+    except MeshDeformError:
+        return False
+    return True
+
+
+def _toml(data: dict) -> str:
+    """Inline tables and json strings are TOML too."""
+    return "\n".join(f"{key} = {_inline(value)}" for key, value in data.items())
+
+
+def _inline(value) -> str:
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key} = {_inline(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_inline, value)) + "]"
+    return json.dumps(value)
+
+
+@pytest.mark.parametrize("schema", [case_schema(), report_schema()], ids=lambda schema: schema["$id"])
+def test_schemas_are_schemas(schema):
+    jsonschema.Draft202012Validator.check_schema(schema)
+
+
+@pytest.mark.parametrize("case", SAMPLES, ids=lambda path: path.parent.name)
+def test_sample_cases_fit(case):
+    jsonschema.validate(tomllib.loads(case.read_text()), case_schema())
+
+
+def test_program_and_schema_accept_the_same_case(tmp_path):
+    data = tomllib.loads(CASE)
+    assert _valid(data, case_schema())
+    assert _read(data, tmp_path)
+
+
+@pytest.mark.parametrize("spoil", [action for _, action in WRONG], ids=[name for name, _ in WRONG])
+def test_program_and_schema_refuse_the_same_mistake(spoil, tmp_path):
+    data = copy.deepcopy(tomllib.loads(CASE))
+    spoil(data)
+    assert not _valid(data, case_schema())
+    assert not _read(data, tmp_path)
+
+
+def test_every_kind_of_report_fits(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert run(["sample", "beam", "-o", "."]) == 0
+    deform = ["deform", "grid.cgns", "-c", "case.toml"]
+    commands = [
+        [*deform, "-o", "a.cgns"],
+        [*deform, "-m", "tfi", "-o", "b.cgns", "--allow-invalid"],
+        [*deform, "-m", "rbf", "--steps", "auto", "-o", "c.cgns"],
+        [*deform, "--dry-run"],
+        ["series", "grid.cgns", "-c", "case.toml", "--times", "0,1", "--from", "last", "-o", "levels"],
+        ["quality", "a.cgns", "--reference", "grid.cgns", "-c", "case.toml"],
+        ["quality", "grid.cgns"],
+    ]
+    for command in commands:
+        capsys.readouterr()
+        assert run([*command, "--json"]) == 0
+        jsonschema.validate(json.loads(capsys.readouterr().out), report_schema())
+
+
+def test_report_schema_refuses_what_is_no_report():
+    assert not _valid({"schema": 2}, report_schema())
+
+
+def test_command_prints_them(capsys):
+    for what, schema in (("case", case_schema()), ("report", report_schema())):
+        assert run(["schema", what]) == 0
+        assert json.loads(capsys.readouterr().out) == json.loads(json.dumps(schema))
