@@ -47,7 +47,7 @@ def run_on_ranks(run: Callable[[], int], here: Place) -> int:
         from mpi4py import MPI
     except (ImportError, RuntimeError) as error:
         # RuntimeError: mpi4py found no MPI library.
-        return _refuse(here, f"needs mpi4py ({error}); pip install 'meshdeform[mpi]', or start it without mpiexec")
+        return _refuse(here, f"needs mpi4py ({error}); pip install mpi4py, or start it without mpiexec")
     if MPI.COMM_WORLD.size != here.count:
         library = MPI.Get_library_version().split(",")[0]
         return _refuse(here, f"mpi4py uses {library}, which sees {MPI.COMM_WORLD.size}; use the mpiexec of that MPI")

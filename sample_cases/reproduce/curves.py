@@ -9,7 +9,9 @@ from typing import Any
 from meshdeform_formats.files import replacing
 from meshdeform_formats.picture import STYLE
 
-SUFFIX = ".svg"
+from .small_png import save_small
+
+SUFFIX = ".png"
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#8c564b", "#7f7f7f")
 _MARKERS = "osD^vP*Xh"
 
@@ -33,7 +35,7 @@ def draw_curves(parts: dict[str, Any], folder: Path) -> list[str]:
             figure = plt.figure(figsize=(6.8, 3.2), layout="constrained")
             drawer(figure, parts)
             with replacing(folder / f"{name}{SUFFIX}") as partial:
-                figure.savefig(partial, metadata={"Date": None})
+                save_small(figure, partial, 130)
             plt.close(figure)
         names.append(f"{name}{SUFFIX}")
     return names

@@ -14,10 +14,11 @@ from meshdeform_formats.files import replacing
 from meshdeform_formats.picture import STYLE, Facets, block_facets, draw, joined, view_directions
 
 from .experiment import Outcome, Trial
+from .small_png import save_small
 
-_SUFFIX = ".svg"
+_SUFFIX = ".png"
 _LINES = 30
-_VECTOR_CELLS, _DOTS = 800, 130
+_DOTS = 110
 Zoom = tuple[float, float, float, float]
 
 
@@ -212,7 +213,7 @@ def _draw(figure: Figure, slices: dict[str, Slice], folder: Path) -> str:
         bar = whole.colorbar(collection, ax=axes, label="$f_{skew}$ [-]", shrink=0.8, aspect=30, pad=0.015)
         bar.outline.set_linewidth(0.5)
         with replacing(folder / f"{figure.name}{_SUFFIX}") as partial:
-            whole.savefig(partial, dpi=_DOTS, metadata={"Date": None})
+            save_small(whole, partial, _DOTS)
         plt.close(whole)
     return f"{figure.name}{_SUFFIX}"
 
@@ -228,8 +229,6 @@ def _draw_panel(axes: Any, part: Slice, panel: Panel, figure: Figure) -> Any:
         seen = ((flat.max(axis=1) > [left, low]) & (flat.min(axis=1) < [far, high])).all(axis=1)
         facets = Facets(facets.corners[seen], facets.values[seen])
     collection = draw(axes, facets, view=part.view, limits=(figure.low, 1.0), lines=False)
-    # Thousands of cells as vectors make files that no viewer opens quickly; lines and letters stay vectors.
-    collection.set_rasterized(len(facets.values) > _VECTOR_CELLS)
     axes.add_collection(LineCollection(lines, colors="black", linewidths=0.18))
     if panel.zoom:
         axes.set_xlim(*panel.zoom[:2])
