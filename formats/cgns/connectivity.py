@@ -21,7 +21,7 @@ def refuse_overset(zones: Sequence[Zone]) -> None:
 
     Its blocks overlap instead of sharing nodes, so nothing would hold them together while they are deformed.
     """
-    kinds = [_kind(node) for zone in zones for group in _groups(zone) for node in group.target.children]
+    kinds = [_kind(node) for zone in zones for group in _groups(zone) for node in _members(group)]
     if len(zones) > 1 and "Overset" in kinds and not {"1to1", "Abutting1to1", "Abutting"} & set(kinds):
         raise FormatError(
             f"the {len(zones)} zones are connected by overset (Chimera) connectivity only; meshdeform moves blocks "
@@ -39,7 +39,7 @@ def zone_connections(base: Base, zones: Sequence[Zone], grid: Grid, notes: Notes
     connections = []
     for block, zone in enumerate(zones):
         for group in _groups(zone):
-            for node in group.target.children:
+            for node in _members(group):
                 kind, place = _kind(node), f"{zone.name}/{node.name}"
                 if kind == "1to1":
                     donor = blocks.get(_donor_name(node, base))
@@ -58,6 +58,12 @@ def zone_connections(base: Base, zones: Sequence[Zone], grid: Grid, notes: Notes
 
 def _groups(zone: Zone) -> list[Node]:
     return zone.node.labelled("ZoneGridConnectivity_t")
+
+
+def _members(group: Node) -> Sequence[Node]:
+    """Everything in a ZoneGridConnectivity_t, links that lead nowhere refused: they may be connections."""
+    group.labelled("GridConnectivity1to1_t")
+    return group.target.children
 
 
 def _kind(node: Node) -> str:

@@ -35,6 +35,8 @@ def condition_windows(condition: Node, zone: Zone, block: int, notes: Notes) -> 
     """
     place = f"{zone.name}/{condition.name}"
     sets = [child for name in _POINT_SETS for child in condition.target.children if child.name == name]
+    for child in sets:
+        child.require_target()
     if not sets:
         notes.add("boundary conditions without a point set are not used", place)
         return []

@@ -22,6 +22,28 @@ NAME_LENGTH = 32
 # Real trees are about ten levels deep; a file that nests more is damaged or made to harm.
 MAXIMUM_DEPTH = 64
 
+# Names of nodes that the standard prescribes (some with a number behind them); others are the user's choice.
+_PRESCRIBED = {
+    label: label.removesuffix("_t")
+    for label in (
+        "AdditionalFamilyName_t BaseIterativeData_t DataConversion_t DimensionalUnits_t FamilyBC_t FamilyName_t "
+        "GridConnectivityProperty_t GridConnectivityType_t GridCoordinates_t GridLocation_t Periodic_t Rind_t ZoneBC_t "
+        "ZoneGridConnectivity_t ZoneType_t"
+    ).split()
+}
+# What else lies beside zones and families, and beside boundary conditions, under names that say so.
+_BESIDE_ZONES = (
+    *("Axisymmetry", "BaseIterativeData", "ConvergenceHistory", "DataClass", "Descriptor", "DimensionalUnits"),
+    *("FlowEquationSet", "FlowSolution", "GlobalConvergenceHistory", "Gravity", "IntegralData", "ReferenceState"),
+    *("RotatingCoordinates", "UserDefinedData", "Information"),
+)
+_OTHERS = {
+    "CGNSBase_t": ("CGNSLibraryVersion",),
+    "Zone_t": _BESIDE_ZONES,
+    "Family_t": _BESIDE_ZONES,
+    "BC_t": ("DataClass", "Descriptor", "DimensionalUnits", "ReferenceState", "UserDefinedData"),
+}
+
 # What the two-letter data types are in memory.
 DTYPES: dict[str, np.dtype[Any]] = {
     "B1": np.dtype(np.uint8),
@@ -104,12 +126,39 @@ class Node:
         return self.link is not None and not self.target.label
 
     def child(self, name: str) -> Node | None:
-        """The child of that name, links followed; ``None`` if there is none."""
-        return next((child.target for child in self.target.children if child.name == name), None)
+        """The child of that name, links followed; ``None`` if there is none.
+
+        Raises
+        ------
+        FormatError
+            When it is a link that leads nowhere.
+        """
+        for child in self.target.children:
+            if child.name == name:
+                child.require_target()
+                return child.target
+        return None
 
     def labelled(self, label: str) -> list[Node]:
-        """Children of that label in file order, as they are named here (links not followed)."""
+        """Children of that label in file order, as they are named here (links not followed).
+
+        Raises
+        ------
+        FormatError
+            When a link that leads nowhere may have been one of them.
+        """
+        for child in self.target.children:
+            if child.dangling and _may_be(child.name, label):
+                child.require_target()
         return [child for child in self.target.children if child.target.label == label]
+
+    def require_target(self) -> None:
+        """Refuse a link that leads nowhere: what it stands for would be missing without a word."""
+        if self.dangling:
+            raise FormatError(
+                f"{self.path} is a link that leads nowhere, to {self.link}; put the file it names beside this one, or "
+                "remove the link from the file"
+            )
 
     @property
     def contents(self) -> str:
@@ -147,6 +196,12 @@ class Node:
                 f"asks for here"
             )
         return found.data().astype(np.int64)
+
+
+def _may_be(name: str, label: str) -> bool:
+    """Whether a node of that name can have that label, by the names that the standard prescribes."""
+    own = _PRESCRIBED.get(label)
+    return name.startswith(own) if own else not name.startswith(_OTHERS.get(label, ()))
 
 
 def make(

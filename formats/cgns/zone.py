@@ -93,7 +93,15 @@ def structured_zones(base: Base, notes: Notes) -> list[Zone]:
             f"{len(others)} of {len(nodes)} zones are not Structured, the first is {others[0][0]!r} ({others[0][1]}); "
             f"only block-structured grids can be deformed: export a grid of Structured zones"
         )
+    _note_dangling(base.node, notes)
     return [_zone(node, base, notes) for node in nodes]
+
+
+def _note_dangling(node: Node, notes: Notes) -> None:
+    """Note the links that lead nowhere and cannot be a part of the grid."""
+    for child in node.target.children:
+        if child.dangling:
+            notes.add("links that lead nowhere are kept as they are", f"{node.name}/{child.name} -> {child.link}")
 
 
 def _zone_type(node: Node) -> str:
@@ -116,6 +124,7 @@ def _zone(node: Node, base: Base, notes: Notes) -> Zone:
             notes.add(
                 "coordinates linked from another file become part of a written one", f"{node.name} ({linked.link})"
             )
+    _note_dangling(node, notes)
     _note_units((*coordinates[:1], grid, node, base.node), notes)
     for array in coordinates:
         if array.labelled("DataConversion_t"):
@@ -131,9 +140,7 @@ def _grid_coordinates(zone: Node, notes: Notes) -> Node:
     original = [node for node in grids if node.name == "GridCoordinates"] or grids[:1]
     if not original or (len(grids) > 1 and original[0].name != "GridCoordinates"):
         found = f"only {', '.join(node.name for node in grids)}" if grids else "no GridCoordinates_t"
-        broken = [f"{node.name} -> {node.link}" for node in zone.target.children if node.dangling]
-        links = f"; links that lead nowhere: {', '.join(broken)}" if broken else ""
-        raise FormatError(f"zone {zone.name} has {found}; expected its original grid, GridCoordinates{links}")
+        raise FormatError(f"zone {zone.name} has {found}; expected its original grid, GridCoordinates")
     for node in grids:
         if node is not original[0]:
             notes.add("further grids of a zone (of other times) are kept as they are", f"{zone.name}/{node.name}")

@@ -1,6 +1,7 @@
 """CGNS files that cannot be used: each is refused with a message that says what, where and what to do."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -11,6 +12,7 @@ from meshdeform_core.errors import FormatError, GridError
 from meshdeform_formats import cgns, read_grid
 
 SHAPE = (4, 3, 5)
+HOSTILE = Path(__file__).parent.parent / "hostile"
 
 
 def good() -> N:
@@ -170,7 +172,7 @@ def test_missing_file(tmp_path):
 )
 def test_links_that_lead_nowhere(tmp_path, link):
     broken = replace(good(), children=[N("GridCoordinates", "", link=link)])
-    with pytest.raises(FormatError, match=r"zone z has no GridCoordinates_t.*lead nowhere: GridCoordinates ->"):
+    with pytest.raises(FormatError, match=r"/Base/z/GridCoordinates is a link that leads nowhere, to "):
         read_grid(write_hdf5(tmp_path / "grid.cgns", tree(broken)))
 
 
@@ -180,3 +182,48 @@ def test_names_that_are_not_utf8(tmp_path):
         h5py.h5g.create(file["Base"].id, b"l\xfcft")
     with pytest.raises(FormatError, match=r"the name b'l\\xfcft' in /Base is not UTF-8"):
         read_grid(path)
+
+
+NOWHERE = ("gone.cgns", "/Base/somewhere")
+
+
+def without_target(*path):
+    """Two zones with boundary conditions, families and connections, of which the node at ``path`` is a dangling link."""
+    root = two_zones()
+    node = root["Base"]
+    for name in path[:-1]:
+        node = node[name]
+    node.children[[child.name for child in node.children].index(path[-1])] = N(path[-1], "", link=NOWHERE)
+    return root
+
+
+def paths(node, above=()):
+    for child in node.children:
+        yield (*above, child.name)
+        yield from paths(child, (*above, child.name))
+
+
+@pytest.mark.parametrize("path", list(paths(two_zones()["Base"])), ids="/".join)
+def test_whatever_belongs_to_the_grid_is_missed(tmp_path, path):
+    """Any node behind a dangling link is missed, unless the grid is the same without it."""
+    whole = read_grid(write_hdf5(tmp_path / "whole.cgns", two_zones()))
+    file = write_hdf5(tmp_path / "a.cgns", without_target(*path))
+    try:
+        grid = read_grid(file)
+    except FormatError as error:
+        assert "is a link that leads nowhere, to gone.cgns:/Base/somewhere" in str(error)  # noqa: PT017
+        return
+    assert (grid.names, grid.patches, grid.connections) == (whole.names, whole.patches, whole.connections)
+    np.testing.assert_array_equal(grid.points, whole.points)
+
+
+def test_a_missing_solution_is_noted(tmp_path):
+    root = two_zones()
+    root["Base"]["left"].children.append(N("FlowSolution#1", "", link=NOWHERE))
+    grid = read_grid(write_hdf5(tmp_path / "a.cgns", root))
+    assert "links that lead nowhere are kept as they are: left/FlowSolution#1 -> gone.cgns:/Base/somewhere" in grid.notes
+
+
+def test_a_link_to_a_zone_that_is_not_there():
+    with pytest.raises(FormatError, match=r"/Base/block2 is a link that leads nowhere, to part2\.cgns:/Base/block2"):
+        read_grid(HOSTILE / "e2_zone_link_missing.cgns")

@@ -224,7 +224,7 @@ def linked_case(folder: Path) -> Path:
     ]
     more = [
         N("Note", "", link=("mesh/other.cgns", "/CGNSLibraryVersion")),
-        N("Gone", "", link=("no/such.cgns", "/Base")),
+        N("ReferenceState", "", link=("no/such.cgns", "/Base")),
         N("Here", "", link=("", "/Base/own/ZoneType")),
     ]
     return write_hdf5(folder / "in.cgns", tree(whole, *linked, more=more))
@@ -248,7 +248,7 @@ def test_links_survive_and_linked_coordinates_become_local(tmp_path):
             link = file["Base/Note"].get(" link", getlink=True)
             assert file["Base/Note/ link"].attrs["name"] == b"CGNSLibraryVersion"
             assert file["Base/Note/ file"][()].tobytes().rstrip(b"\0").decode() == link.filename
-            assert file["Base/Gone"].get(" link", getlink=True).filename == "no/such.cgns"
+            assert file["Base/ReferenceState"].get(" link", getlink=True).filename == "no/such.cgns"
             assert file["Base/Here"].get(" link", getlink=True).path == "/Base/own/ZoneType"
     assert (listing(source), listing(tmp_path / "mesh" / "other.cgns")) == untouched
 
@@ -307,7 +307,7 @@ def test_links_of_adf_files(tmp_path):
     )
     more = [
         N("Whole base", "", link=("mesh/other.adf", "/Base")),
-        N("Gone", "", link=("no/such.adf", "/Base")),
+        N("ReferenceState", "", link=("no/such.adf", "/Base")),
         N("Here", "", link=("", "/Base/own/ZoneType")),
     ]
     source = AdfWriter().write(tmp_path / "in.adf", tree(whole, outer, more=more))
@@ -320,7 +320,7 @@ def test_links_of_adf_files(tmp_path):
             file["Base/Whole base/far/GridCoordinates/CoordinateX/ data"][()].T, points[..., 0]
         )
         assert file["Base/Whole base/shortcut/ data"][()].tobytes() == b"Structured"
-        assert file["Base/Gone"].get(" link", getlink=True).filename == "no/such.adf"
+        assert file["Base/ReferenceState"].get(" link", getlink=True).filename == "no/such.adf"
         assert file["Base/Here"].get(" link", getlink=True).path == "/Base/own/ZoneType"
 
 
