@@ -6,6 +6,7 @@ import os
 import re
 import secrets
 import shutil
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -37,7 +38,7 @@ def replacing(target: Path) -> Iterator[Path]:
             interruption.check()
             os.replace(partial, target)
         except OSError as error:
-            raise FormatError(f"cannot write {target}: {error.strerror or error}") from error
+            raise FormatError(f"cannot write {target}: {reason_of(error)}") from error
 
 
 def remove_partial(folder: Path) -> None:
@@ -51,6 +52,33 @@ def remove_partial(folder: Path) -> None:
             left.unlink()
 
 
+def reason_of(error: BaseException) -> str:
+    """Why a file cannot be read or written, in words: of the system where it gave an error number, else the error's."""
+    number = error.errno if isinstance(error, OSError) else None
+    if number is not None:
+        return os.strerror(number)
+    return str(error).strip() or f"{type(error).__name__}, the file is damaged"
+
+
+def require_regular(path: Path) -> None:
+    """Refuse what is no file on a disk before it is opened: opening a pipe without a writer would wait for ever.
+
+    Raises
+    ------
+    FormatError
+        When ``path`` does not exist or is a folder, a pipe, a socket or a device.
+    """
+    try:
+        mode = path.stat().st_mode
+    except (OSError, ValueError) as error:
+        raise FormatError(f"cannot read {path}: {reason_of(error)}") from error
+    if stat.S_ISDIR(mode):
+        raise FormatError(f"cannot read {path}: it is a folder, expected a file")
+    if not stat.S_ISREG(mode):
+        kind = "a pipe" if stat.S_ISFIFO(mode) else "a socket" if stat.S_ISSOCK(mode) else "a device"
+        raise FormatError(f"cannot read {path}: it is {kind}, expected a file; files are read more than once")
+
+
 def read_head(path: Path) -> bytes:
     """The first kilobyte of a file, by which formats are told apart.
 
@@ -59,11 +87,12 @@ def read_head(path: Path) -> bytes:
     FormatError
         When the file cannot be read or is empty.
     """
+    require_regular(path)
     try:
         with path.open("rb") as stream:
             head = stream.read(1024)
     except OSError as error:
-        raise FormatError(f"cannot read {path}: {error.strerror or error}") from error
+        raise FormatError(f"cannot read {path}: {reason_of(error)}") from error
     if not head:
         raise FormatError(f"{path} is empty")
     return head

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-import numpy as np
-
 from meshdeform_core.errors import FormatError, GridError
 from meshdeform_core.grid import FileFormat, Grid
-from meshdeform_core.parallel import current_ranks, empty, for_rows
+from meshdeform_core.parallel import current_ranks
 
 from .files import read_head
+from .plausible import require_plausible
 
 
 @dataclass(frozen=True)
@@ -80,15 +80,25 @@ def read_grid(path: str | Path, options: Mapping[str, Any] | None = None) -> Gri
         When it holds coordinates that are not finite.
     """
     path = Path(path)
-    if not path.exists():
-        raise FormatError(f"{path} does not exist")
-    if path.is_dir():
+    if os.path.islink(path) and not os.path.exists(path):
+        raise FormatError(f"{path} is a link that leads to no file")
+    try:
+        path.stat()
+    except FileNotFoundError as error:
+        raise FormatError(f"{path} does not exist") from error
+    except (OSError, ValueError):
+        # Whatever else is wrong with the name is said when the file is opened.
+        pass
+    if os.path.isdir(path):
         raise FormatError(f"{path} is a folder; expected a grid file")
     name = _recognise(read_head(path), path)
     if options and name != "plot3d":
         raise FormatError(f"{path} is a {name} file, whose variant is in the file; expected no {', '.join(options)}")
-    grid: Grid = FORMATS[name].load().read(path, **(options or {}))
-    _require_finite(grid, path)
+    try:
+        grid: Grid = FORMATS[name].load().read(path, **(options or {}))
+    except GridError as error:
+        raise error if str(path) in str(error) else GridError(f"{path}: {error}") from error
+    require_plausible(grid, path)
     return grid
 
 
@@ -153,14 +163,3 @@ def _recognise(head: bytes, path: Path) -> str:
         if text.startswith(magic):
             raise FormatError(f"{path} is {title}, not a block-structured grid (Plot3D, CGNS or VTK)")
     return "plot3d"
-
-
-def _require_finite(grid: Grid, path: Path) -> None:
-    bad = empty([grid.n_nodes], bool)
-    for_rows(lambda rows: np.copyto(bad[rows], ~np.isfinite(grid.points[rows]).all(axis=1)), bad)
-    if bad.any():
-        first = int(np.argmax(bad))
-        raise GridError(
-            f"{path} has {int(bad.sum())} nodes whose coordinates are not finite numbers; the first is "
-            f"{grid.node_label(first)} = {grid.points[first].tolist()}"
-        )

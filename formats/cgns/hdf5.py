@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError
 
+from ..files import reason_of
 from .tree import Link, Node, decoded
 
 # Members of a group that are no child nodes; CGNS names never begin with a blank.
@@ -42,7 +43,10 @@ def hdf5_errors(path: Path, action: str) -> Iterator[None]:
     """Turn what the HDF5 library raises into a FormatError about ``path``; ``action`` is ``read`` or ``write``."""
     try:
         yield
-    except (OSError, RuntimeError, KeyError) as error:
+    # A damaged file makes h5py raise ValueError and TypeError as well.
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
+        if isinstance(error, OSError) and error.errno:
+            raise FormatError(f"cannot {action} {path}: {reason_of(error)}") from error
         hint = "it is damaged, truncated or open in another program" if action == "read" else "is the disk full?"
         raise FormatError(f"cannot {action} {path} as HDF5: {hint} ({str(error).strip()})") from error
 

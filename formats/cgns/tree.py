@@ -26,10 +26,10 @@ MAXIMUM_DEPTH = 64
 _PRESCRIBED = {
     label: label.removesuffix("_t")
     for label in (
-        "AdditionalFamilyName_t BaseIterativeData_t DataConversion_t DimensionalUnits_t FamilyBC_t FamilyName_t "
-        "GridConnectivityProperty_t GridConnectivityType_t GridCoordinates_t GridLocation_t Periodic_t Rind_t ZoneBC_t "
-        "ZoneGridConnectivity_t ZoneType_t"
-    ).split()
+        *("AdditionalFamilyName_t", "BaseIterativeData_t", "DataConversion_t", "DimensionalUnits_t", "FamilyBC_t"),
+        *("FamilyName_t", "GridConnectivityProperty_t", "GridConnectivityType_t", "GridCoordinates_t"),
+        *("GridLocation_t", "Periodic_t", "Rind_t", "ZoneBC_t", "ZoneGridConnectivity_t", "ZoneType_t"),
+    )
 }
 # What else lies beside zones and families, and beside boundary conditions, under names that say so.
 _BESIDE_ZONES = (

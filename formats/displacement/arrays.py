@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import h5py
-import numpy as np
 from numpy.typing import NDArray
 
-from meshdeform_core.errors import FormatError
+from meshdeform_core.errors import FormatError, MeshDeformError
 
+from ..files import reason_of
+from .numpy_files import load_array, load_arrays
 from .table import DISPLACEMENT_NAMES, NO_TRIANGLES, POINT_NAMES, DisplacementTable, pick_vector, row_place
+
+# Deflate cannot pack tighter; a dataset that announces more was never written or is damaged.
+_MAXIMUM_COMPRESSION = 1100
 
 
 def read_npy(path: Path) -> DisplacementTable:
@@ -24,10 +28,7 @@ def read_npy(path: Path) -> DisplacementTable:
     FormatError
         When the file is truncated or holds something else.
     """
-    try:
-        values = np.load(path, allow_pickle=False)
-    except (ValueError, EOFError, OSError) as error:
-        raise FormatError(f"cannot read {path}: {error}") from error
+    values = load_array(path)
     if values.ndim != 2 or values.shape[1] not in (4, 6) or values.dtype.kind not in "iuf":
         raise FormatError(f"{path} holds {values.dtype} numbers of shape {values.shape}; expected (n, 6) or (n, 4)")
     half = values.shape[1] // 2
@@ -42,11 +43,7 @@ def read_npz(path: Path) -> DisplacementTable:
     FormatError
         When the file is truncated or has no such arrays; the message lists what it has.
     """
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-    except (ValueError, EOFError, OSError, zipfile.BadZipFile) as error:
-        raise FormatError(f"cannot read {path}: {error}") from error
+    arrays = load_arrays(path)
     table = _table({name: values for name, values in arrays.items() if values.dtype.kind in "iuf"})
     if table is None:
         raise FormatError(f"{path} needs arrays points and displacement, (n, 3) each; found {_list(arrays)}")
@@ -61,11 +58,8 @@ def read_hdf5(path: Path) -> DisplacementTable:
     FormatError
         When the file is damaged, or not exactly one group has the datasets; the message lists what it has.
     """
-    try:
-        with h5py.File(path, "r") as file:
-            groups = {name: _arrays(group) for name, group in _groups(file)}
-    except OSError as error:
-        raise FormatError(f"cannot read {path}: {error}") from error
+    with _opened(path) as file:
+        groups = {name: _arrays(group) for name, group in _groups(file)}
     tables = {name: table for name, arrays in groups.items() if (table := _table(arrays))}
     if len(tables) == 1:
         return next(iter(tables.values()))
@@ -77,23 +71,52 @@ def read_hdf5(path: Path) -> DisplacementTable:
 
 def hdf5_entries(path: Path) -> set[str]:
     """Names in the root group, which tell what wrote the file."""
+    with _opened(path) as file:
+        return set(file)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[h5py.File]:
     try:
         with h5py.File(path, "r") as file:
-            return set(file)
-    except OSError as error:
+            yield file
+    except MeshDeformError as error:
         raise FormatError(f"cannot read {path}: {error}") from error
+    # h5py raises whatever it stumbles over in a damaged file: OSError, RuntimeError, KeyError, ValueError, TypeError.
+    except Exception as error:
+        raise FormatError(f"cannot read {path} as HDF5: {reason_of(error)}") from error
 
 
 def _groups(file: h5py.File) -> Iterator[tuple[str, h5py.Group]]:
     yield "/", file
-    for name, entry in file.items():
+    for name, entry in _entries(file):
         if isinstance(entry, h5py.Group):
             yield f"/{name}", entry
 
 
+def _entries(group: h5py.Group) -> Iterator[tuple[str, Any]]:
+    """Members of a group, without those whose name is no text and links that lead nowhere or in a circle."""
+    for name in group:
+        try:
+            entry = group[name] if isinstance(name, str) else None
+        except (KeyError, OSError, RuntimeError):
+            continue
+        if entry is not None:
+            yield name, entry
+
+
 def _arrays(group: h5py.Group) -> dict[str, NDArray[Any]]:
-    sets = {name: entry for name, entry in group.items() if isinstance(entry, h5py.Dataset)}
-    return {name: entry[()] for name, entry in sets.items() if entry.dtype.kind in "iuf" and entry.ndim in (1, 2)}
+    sets = {name: entry for name, entry in _entries(group) if isinstance(entry, h5py.Dataset)}
+    numbers = {name: entry for name, entry in sets.items() if entry.dtype.kind in "iuf" and entry.ndim in (1, 2)}
+    return {name: _values(entry) for name, entry in numbers.items()}
+
+
+def _values(entry: h5py.Dataset) -> NDArray[Any]:
+    stored = entry.id.get_storage_size()
+    if entry.size * entry.dtype.itemsize > stored * _MAXIMUM_COMPRESSION:
+        raise FormatError(f"{entry.name} announces {entry.shape} {entry.dtype} values; only {stored} bytes are stored")
+    values: NDArray[Any] = entry[()]
+    return values
 
 
 def _table(arrays: Mapping[str, NDArray[Any]]) -> DisplacementTable | None:

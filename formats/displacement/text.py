@@ -89,6 +89,9 @@ def _layout(path: Path) -> _Layout:
             return _Layout(
                 number, separator, len(words), *_columns(path, number, separator, len(words), header, comment)
             )
+        if any(map(_is_number, words)):
+            wrong = next(word for word in words if not _is_number(word))
+            raise FormatError(f"{path}, line {number}: {wrong!r} is not a number")
         header = text
     below = f" below the header {header[:60]!r}" if header else ""
     raise FormatError(f"{path} has no rows of numbers{below}")

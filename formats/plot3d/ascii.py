@@ -14,8 +14,8 @@ from meshdeform_core.grid import FloatArray, Grid
 from meshdeform_core.parallel import current_ranks
 
 from .blocks import assemble, file_arrays
-from .detect import LONGEST_HEADER, Reading, UnknownFile, choose, header_variants, stream_readings
-from .numbers import ends_with_integer, number_lines, read_numbers
+from .detect import LONGEST_HEADER, Reading, UnknownFile, Writing, choose, header_variants, stream_readings
+from .numbers import count_integers, ends_with_integer, number_lines, read_numbers
 from .variant import Variant
 
 # Numbers written at a time.
@@ -26,7 +26,7 @@ def read_ascii(path: Path, options: Mapping[str, Any]) -> Grid:
     """Read a Plot3D text of any variant that ``options`` allow."""
     with path.open("rb") as stream:
         numbers = current_ranks().once(lambda: read_numbers(stream, path))
-        iblank_last = ends_with_integer(stream)
+        writing = Writing(ends_with_integer(stream), lambda: _count_integers(path))
 
     def load(reading: Reading) -> Grid:
         return assemble(reading, path, _Text(path, numbers, reading.segments[0][0]))
@@ -35,7 +35,7 @@ def read_ascii(path: Path, options: Mapping[str, Any]) -> Grid:
     integers = np.where((head == np.rint(head)) & (np.abs(head) < 2**31), head, 0).astype(np.int64)
     variants = header_variants(encoding="ascii", precision=options.get("precision", "float64"))
     readings = stream_readings(variants, integers, numbers.size)
-    return choose(readings, UnknownFile(path, numbers.size, "numbers", options, load, iblank_last))
+    return choose(readings, UnknownFile(path, numbers.size, "numbers", options, load, writing))
 
 
 def write_ascii(grid: Grid, stream: BinaryIO, variant: Variant) -> None:
@@ -47,7 +47,13 @@ def write_ascii(grid: Grid, stream: BinaryIO, variant: Variant) -> None:
     for index in range(grid.n_blocks):
         for array in file_arrays(grid, variant, index):
             for start in range(0, array.size, _LINES):
-                stream.write(number_lines(array[start : start + _LINES]))
+                # Where integers follow, what is written without a dot must be one of them.
+                stream.write(number_lines(array[start : start + _LINES], dotted=variant.iblank))
+
+
+def _count_integers(path: Path) -> int:
+    with path.open("rb") as stream:
+        return count_integers(stream)
 
 
 class _Text:

@@ -89,10 +89,25 @@ def stream_readings(variants: Iterable[Variant], integers: NDArray[np.int64], si
 
 
 @dataclass(frozen=True)
+class Writing:
+    """How the numbers of a text are written: whether the last one has no dot or exponent, and how many have none."""
+
+    ends_with_integer: bool
+    count_integers: Callable[[], int]
+
+    def shows(self, readings: list[Reading]) -> list[Reading]:
+        """The readings that the way of writing proves; it proves nothing where real numbers are written as integers."""
+        if not self.ends_with_integer:
+            return [reading for reading in readings if not reading.variant.iblank]
+        count = self.count_integers()
+        return [r for r in readings if r.variant.iblank and r.segments[0][0] + sum(map(math.prod, r.shapes)) == count]
+
+
+@dataclass(frozen=True)
 class UnknownFile:
     """A file whose variant is looked for: its size in ``unit``, the options given, how to load it in a reading.
 
-    ``ends_with_integer`` tells of a text whether its last number is written without dot and exponent.
+    ``writing`` is how the numbers of a text are written.
     """
 
     path: Path
@@ -100,7 +115,7 @@ class UnknownFile:
     unit: str
     options: Mapping[str, Any]
     load: Callable[[Reading], Grid]
-    ends_with_integer: bool | None = None
+    writing: Writing | None = None
 
     def agrees(self, reading: Reading) -> bool:
         """Whether the file has what this reading needs, no more and no less."""
@@ -111,7 +126,8 @@ def choose(readings: Iterable[Reading], file: UnknownFile) -> Grid:
     """Load the one reading that fits and that the options allow.
 
     Where the size leaves several, those whose content makes no sense fall out: IBLANK that is no small integer,
-    coordinates that are denormal. One that is left must make sense at large, unless its encoding was asked for.
+    coordinates that are denormal; so do those that the way of writing excludes. One that is left must make sense at
+    large, unless its encoding was asked for.
 
     Raises
     ------
@@ -124,7 +140,8 @@ def choose(readings: Iterable[Reading], file: UnknownFile) -> Grid:
     if not fitting:
         raise FormatError(_nothing_fits(tried, allowed, file))
     if len(fitting) > 1:
-        fitting = [reading for reading in fitting if _makes_sense(reading, file)] or fitting
+        shown = (file.writing.shows(fitting) if file.writing else []) or fitting
+        fitting = [reading for reading in shown if _makes_sense(reading, file)] or fitting
     if len(fitting) > 1:
         raise FormatError(_ambiguous(fitting, file.path))
     grid = file.load(fitting[0])
@@ -135,9 +152,6 @@ def choose(readings: Iterable[Reading], file: UnknownFile) -> Grid:
 
 def _makes_sense(reading: Reading, file: UnknownFile) -> bool:
     """Whether the numbers can be what this reading takes them for."""
-    # The last numbers of a file are IBLANK or z, and Fortran writes no real number without a dot.
-    if file.ends_with_integer not in (None, reading.variant.iblank):
-        return False
     try:
         grid = file.load(reading)
     except (FormatError, GridError):

@@ -51,6 +51,7 @@ _NEIGHBOURS = bytes(7 * kind + follower for kind, followers in _FOLLOWERS.items(
 _ONE_PER_LINE = bytes.maketrans(b" ,\t\r*DQdqe", b"\n\n\n\n\nEEEEE")
 
 _WORD = re.compile(rb"[^\s,]+")
+_WHOLE_LINE = re.compile(rb"^(-?\d+)$", re.MULTILINE)
 _INTEGER = re.compile(rb"(?:\d+\*)?[+-]?\d+")
 _NULL_VALUE = re.compile(rb"(?:\A|,)\s*,")
 _NUMBER = re.compile(
@@ -82,12 +83,32 @@ def ends_with_integer(stream: BinaryIO) -> bool:
     return bool(words) and _INTEGER.fullmatch(words[-1]) is not None
 
 
-def number_lines(values: NDArray[Any]) -> bytes | memoryview:
+def count_integers(stream: BinaryIO) -> int:
+    """How many numbers of a text are written without dot and exponent."""
+    stream.seek(0)
+    count, rest = 0, b""
+    while chunk := stream.read(_PIECE):
+        text = rest + chunk
+        cut = 1 + max(text.rfind(gap) for gap in (b" ", b",", b"\t", b"\r", b"\n"))
+        text, rest = text[:cut], text[cut:]
+        count += _count_integers(text)
+    return count + _count_integers(rest)
+
+
+def _count_integers(text: bytes) -> int:
+    integers = (word for word in _WORD.findall(text) if _INTEGER.fullmatch(word))
+    return sum(int(word.partition(b"*")[0]) if b"*" in word else 1 for word in integers)
+
+
+def number_lines(values: NDArray[Any], dotted: bool = False) -> bytes | memoryview:
     """The values one per line, each with the fewest digits that give it back exactly in its own type.
 
-    The last one of real values shows that it is real: see :func:`ends_with_integer`.
+    The last one of real values, or with ``dotted`` each, shows that it is real: see :func:`ends_with_integer` and
+    :func:`count_integers`.
     """
     lines = text_numbers.number_lines(values)
+    if dotted and values.dtype.kind == "f":
+        return _WHOLE_LINE.sub(rb"\1.", bytes(lines))
     last = _WORD.findall(bytes(lines[-_LONGEST_NUMBER:]))[-1]
     return bytes(lines[:-1]) + b".\n" if values.dtype.kind == "f" and _INTEGER.fullmatch(last) else lines
 

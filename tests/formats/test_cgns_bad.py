@@ -188,7 +188,7 @@ NOWHERE = ("gone.cgns", "/Base/somewhere")
 
 
 def without_target(*path):
-    """Two zones with boundary conditions, families and connections, of which the node at ``path`` is a dangling link."""
+    """Two zones with boundary conditions, families and connections; the node at ``path`` is a dangling link."""
     root = two_zones()
     node = root["Base"]
     for name in path[:-1]:
@@ -221,7 +221,9 @@ def test_a_missing_solution_is_noted(tmp_path):
     root = two_zones()
     root["Base"]["left"].children.append(N("FlowSolution#1", "", link=NOWHERE))
     grid = read_grid(write_hdf5(tmp_path / "a.cgns", root))
-    assert "links that lead nowhere are kept as they are: left/FlowSolution#1 -> gone.cgns:/Base/somewhere" in grid.notes
+    assert (
+        "links that lead nowhere are kept as they are: left/FlowSolution#1 -> gone.cgns:/Base/somewhere" in grid.notes
+    )
 
 
 def test_a_link_to_a_zone_that_is_not_there():

@@ -451,7 +451,7 @@ def test_a_disk_that_is_full_while_the_file_is_copied(tmp_path, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(shutil, "copyfile", fail)
-    with pytest.raises(FormatError, match=r"cannot write .*out\.cgns .*is the disk full"):
+    with pytest.raises(FormatError, match=r"cannot write .*out\.cgns: No space left on device"):
         write_grid(grid, tmp_path / "out.cgns")
     assert [path.name for path in tmp_path.iterdir()] == ["in.cgns"]
 
@@ -464,7 +464,7 @@ def test_a_failure_leaves_the_old_output_alone(tmp_path, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(h5py.Dataset, "__setitem__", fail)
-    with pytest.raises(FormatError, match=r"out\.cgns .*is the disk full\?.*No space left"):
+    with pytest.raises(FormatError, match=r"out\.cgns: No space left on device"):
         cgns.write(grid, tmp_path / "out.cgns", cgns.variant(grid, tmp_path / "out.cgns", {}))
     assert (tmp_path / "out.cgns").read_text() == "old"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["in.cgns", "out.cgns"]

@@ -1,5 +1,6 @@
 """Text as Fortran's list-directed input understands it."""
 
+import io
 import itertools
 from pathlib import Path
 
@@ -10,8 +11,8 @@ from hypothesis import strategies as st
 from plot3d_witness import ascii_file, sample_blocks, sample_iblank
 
 from meshdeform_core.errors import FormatError
-from meshdeform_core.grid import FileFormat, Grid
-from meshdeform_formats import plot3d
+from meshdeform_core.grid import Field, FileFormat, Grid
+from meshdeform_formats import plot3d, read_grid, write_grid
 from meshdeform_formats.plot3d import numbers as plot3d_numbers
 
 
@@ -146,8 +147,8 @@ def test_a_flat_block_that_we_write_is_not_taken_for_iblank(tmp_path):
 
 def test_what_neither_tells_must_be_chosen(tmp_path):
     flat = sample_blocks([(1, 3, 4)])
-    flat[0][..., 2] = 0.0
-    text = ascii_file(flat, multiblock=False).replace("0.0\n", "0\n")
+    flat[0][..., 2] = 1.0
+    text = ascii_file(flat, multiblock=False).replace("1.0\n", "1\n")
     path = put(tmp_path, text)
     with pytest.raises(FormatError, match=r"can be read in 2 ways.*dimension=2, iblank=true.*dimension=3"):
         plot3d.read(path)
@@ -172,3 +173,52 @@ def test_the_fast_way_takes_all_plain_numbers(words):
     fast = plot3d_numbers._plain_numbers("\n".join(words).encode())
     assert fast is not None
     assert np.array_equal(fast, plot3d_numbers._spelled_numbers(" ".join(words).encode(), 1, Path("grid")))
+
+
+HOSTILE = Path(__file__).parent.parent / "hostile"
+
+
+def test_a_text_of_integers_is_ambiguous():
+    """Three blocks of a plane grid or one block with IBLANK: both have the size, and no number shows what it is."""
+    with pytest.raises(
+        FormatError, match=r"can be read in 2 ways.*multiblock=true, dimension=2, iblank=false .*3 blocks"
+    ):
+        read_grid(HOSTILE / "e6_integers.fmt")
+    grid = read_grid(HOSTILE / "e6_integers.fmt", {"multiblock": "true"})
+    assert grid.shapes == ((2, 5, 1), (2, 8, 1), (8, 4, 1))
+    assert not grid.fields
+    assert read_grid(HOSTILE / "e6_integers.fmt", {"iblank": "true"}).shapes == ((3, 2, 5),)
+
+
+@pytest.mark.parametrize("number", ["{:g}", "{:.3f}"])
+@pytest.mark.parametrize("flags", [True, False])
+def test_the_way_of_writing_proves_iblank_or_nothing(tmp_path, number, flags):
+    """[1, 3, 4] begins a plane grid with IBLANK and a flat one in space; where all real numbers have a dot it shows."""
+    rng = np.random.default_rng(0)
+    x, y = rng.integers(0, 9, (2, 12)).astype(float) + 0.5 * (rng.random((2, 12)) < 0.3)
+    last = ["1"] * 12 if flags else [number.format(z) for z in rng.integers(0, 2, 12).astype(float)]
+    text = " ".join(["1 3 4", *map(number.format, x), *map(number.format, y), *last])
+    (tmp_path / "a.fmt").write_text(text)
+    if number == "{:g}":
+        with pytest.raises(FormatError, match="can be read in 2 ways"):
+            read_grid(tmp_path / "a.fmt")
+    else:
+        assert read_grid(tmp_path / "a.fmt").shapes == (((3, 4, 1),) if flags else ((1, 3, 4),))
+
+
+def test_iblank_that_we_write_is_never_taken_for_coordinates(tmp_path):
+    points = np.zeros((3, 4, 1, 3))
+    points[..., 0], points[..., 1] = np.arange(3)[:, None, None], np.arange(4)[:, None]
+    iblank = Field("iblank", "node", 0, np.ones((3, 4, 1), np.int32))
+    options = {"encoding": "ascii", "dimension": 2}
+    write_grid(Grid.from_blocks([points], fields=(iblank,)), tmp_path / "a.fmt", options)
+    grid = read_grid(tmp_path / "a.fmt")
+    assert grid.format.options["iblank"]
+    np.testing.assert_array_equal(grid.block(0), points)
+
+
+def test_integers_are_counted_across_pieces(monkeypatch):
+    text = b"2 3*1, 3.0\t-7 1e5 12 +4 4*2.5 2*0\r\n5."
+    for piece in range(1, len(text) + 1):
+        monkeypatch.setattr(plot3d_numbers, "_PIECE", piece)
+        assert plot3d_numbers.count_integers(io.BytesIO(text)) == 1 + 3 + 1 + 1 + 1 + 2

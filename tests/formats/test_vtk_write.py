@@ -112,7 +112,8 @@ def test_vtm_round_trip(tmp_path_factory, grid):
 def test_ascii_is_exact(tmp_path, name, precision):
     values = np.resize(EXTREMES, 24) if precision == "float64" else np.resize([0.1, 1e-45, 3.4e38, 1 / 3], 24)
     values = values.astype(precision)
-    points = np.stack([values] * 3, axis=-1).reshape(2, 3, 4, 3).astype(float)
+    points = np.resize(np.array([0.1, 1e-30, -0.0, 7e29, 1 / 3, -123456.789012345678, 5], precision), 72)
+    points = points.reshape(2, 3, 4, 3).astype(float)
     field = Field("f", "node", 0, values.reshape(2, 3, 4))
     grid = Grid.from_blocks([points], fields=(field,), format=FileFormat("plot3d", precision))
     write_grid(grid, tmp_path / name, {"encoding": "ascii"})

@@ -26,6 +26,7 @@ from meshdeform_formats import read_grid, write_grid
 from meshdeform_formats.displacement import read_displacement
 from meshdeform_formats.vtk.xml import codecs
 
+CUBE = np.stack(np.meshgrid([0.0, 1.0], [0.0, 1.0], [0.0, 1.0], indexing="ij"), axis=-1)
 HOSTILE = Path(__file__).parent.parent / "hostile"
 
 ENCODINGS = ("ascii", "binary", "appended", "appended-base64")
@@ -420,7 +421,7 @@ def test_a_set_nested_5000_deep(tmp_path):
 
 def test_names_nested_too_deep_for_a_set(tmp_path):
     for depth, good in ((97, True), (98, False), (5000, False)):
-        grid = Grid.from_blocks([np.zeros((2, 2, 2, 3))], ["a/" * depth + "b"])
+        grid = Grid.from_blocks([CUBE], ["a/" * depth + "b"])
         if good:
             write_grid(grid, tmp_path / "a.vtm")
             assert read_grid(tmp_path / "a.vtm").names == grid.names
@@ -437,7 +438,7 @@ NAMES = ["\"<&>'", "tab\tand\nline", "größe ∂", "]]>", "a  b "]
 @pytest.mark.parametrize("encoding", ["ascii", "appended"])
 def test_names_of_arrays(tmp_path, name, encoding):
     fields = (Field(name, "node", 0, np.arange(8.0).reshape(2, 2, 2)),)
-    write_grid(Grid.from_blocks([np.zeros((2, 2, 2, 3))], fields=fields), tmp_path / "a.vts", {"encoding": encoding})
+    write_grid(Grid.from_blocks([CUBE], fields=fields), tmp_path / "a.vts", {"encoding": encoding})
     assert read_grid(tmp_path / "a.vts").fields[0].name == name
     assert list(vtk_witness.read(tmp_path / "a.vts")[1]) == [("node", name)]
 
@@ -447,9 +448,9 @@ def test_names_of_arrays(tmp_path, name, encoding):
 def test_names_that_xml_cannot_hold(tmp_path, name, target):
     fields = (Field(name, "node", 0, np.arange(8.0).reshape(2, 2, 2)),)
     with pytest.raises(FormatError, match="which has no place in a VTK file"):
-        write_grid(Grid.from_blocks([np.zeros((2, 2, 2, 3))], fields=fields), tmp_path / target)
+        write_grid(Grid.from_blocks([CUBE], fields=fields), tmp_path / target)
     with pytest.raises(FormatError, match="which has no place in a VTK file"):
-        write_grid(Grid.from_blocks([np.zeros((2, 2, 2, 3))], [name]), tmp_path / "a.vtm")
+        write_grid(Grid.from_blocks([CUBE], [name]), tmp_path / "a.vtm")
     assert not list(tmp_path.iterdir())
 
 
@@ -462,7 +463,7 @@ def test_an_array_that_exists_twice(tmp_path):
 
 
 def test_without_the_package_lz4(tmp_path, monkeypatch):
-    grid = Grid.from_blocks([np.zeros((2, 2, 2, 3))])
+    grid = Grid.from_blocks([CUBE])
     monkeypatch.setitem(sys.modules, "lz4", None)
     monkeypatch.setitem(sys.modules, "lz4.block", None)
     with pytest.raises(FormatError, match="needs the package lz4, which is not installed; pip install lz4"):
@@ -551,7 +552,7 @@ def test_damage_is_refused_or_harmless(tmp_path_factory, data):
 
 
 def test_no_command_imports_vtk(tmp_path):
-    write_grid(Grid.from_blocks([np.zeros((2, 2, 2, 3))]), tmp_path / "a.vts")
+    write_grid(Grid.from_blocks([CUBE]), tmp_path / "a.vts")
     code = (
         "import sys\nfrom meshdeform_formats import read_grid, write_grid\n"
         "write_grid(read_grid(sys.argv[1]), sys.argv[1].replace('a.vts', 'b.vtm'))\n"

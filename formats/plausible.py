@@ -1,0 +1,67 @@
+"""Whether the coordinates of a grid can be what they are said to be, whatever format they come from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from meshdeform_core.errors import GridError
+from meshdeform_core.grid import FloatArray, Grid
+from meshdeform_core.parallel import empty, for_rows
+
+# Beyond this the square of a length is no number any more in single precision, and no grid is so large in any unit.
+LARGEST = 1e30
+# Nodes looked at first; and the share of them that may have coordinates too small to be normal numbers.
+_SAMPLE = 10_000
+_MOST_DENORMAL = 0.01
+# A node off the line through two others by less than this fraction of their distance lies on it.
+_ON_LINE = 1e-13
+
+
+def require_plausible(grid: Grid, path: Path) -> None:
+    """Refuse coordinates that are not finite, absurd, or those of a point or a line.
+
+    Raises
+    ------
+    GridError
+        With the first such node.
+    """
+    _require_bounded(grid, path)
+    sample = grid.points[:: max(grid.n_nodes // _SAMPLE, 1)]
+    size = np.abs(sample)
+    share = float(((size > 0) & (size < np.finfo(np.float64).tiny)).mean())
+    if share > _MOST_DENORMAL:
+        raise GridError(
+            f"{path}: {share:.0%} of the coordinates are smaller than any normal number ({size[size > 0].min():g}); "
+            "they are bits of something else, or in the other byte order"
+        )
+    if _on_one_line(sample) and _on_one_line(grid.points):
+        first, low, high = grid.points[0], grid.points.min(axis=0), grid.points.max(axis=0)
+        what = "on one line" if (low < high).any() else f"at one point, {first.tolist()}"
+        raise GridError(f"{path}: all {grid.n_nodes} nodes lie {what}; a grid needs at least a surface")
+
+
+def _require_bounded(grid: Grid, path: Path) -> None:
+    bad = empty([grid.n_nodes], bool)
+    for_rows(lambda rows: np.copyto(bad[rows], ~(np.abs(grid.points[rows]) <= LARGEST).all(axis=1)), bad)
+    if bad.any():
+        first = int(np.argmax(bad))
+        point = grid.points[first]
+        what = f"beyond {LARGEST:g}" if np.isfinite(point).all() else "not finite numbers"
+        raise GridError(
+            f"{path} has {int(bad.sum())} nodes whose coordinates are {what}; the first is "
+            f"{grid.node_label(first)} = {point.tolist()}"
+        )
+
+
+def _on_one_line(points: FloatArray) -> bool:
+    """Whether all points ``(n, 3)`` lie on the line through the first one and the one farthest from it."""
+    offsets = points - points[0]
+    lengths = np.linalg.norm(offsets, axis=1)
+    farthest = offsets[int(np.argmax(lengths))]
+    length = float(lengths.max())
+    if length == 0:
+        return True
+    off = np.linalg.norm(np.cross(offsets / length, farthest / length), axis=1)
+    return bool(off.max() < _ON_LINE)
