@@ -7,19 +7,25 @@ BIN := $(VENV)/bin
 
 help:
 	@echo "make demo       environment, install, the splitter plate deformed, report and picture in demo/"
-	@echo "make test       environment, install, all tests"
+	@echo "make test       environment, install, all tests (FAST=1 leaves out slow ones)"
 	@echo "make check      ruff, format, mypy, import contract"
 	@echo "make bench      speed and memory tables (see docs/performance.md)"
 	@echo "make reproduce  the paper's tables and figures (QUICK=1 for the small sizes)"
 
-$(VENV)/installed: pyproject.toml
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+
+# What runs the program; `installed` adds what tests and checks it.
+$(VENV)/program: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --upgrade pip
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[test,check]'
+	$(PIP) -e .
+	@touch $@
+
+$(VENV)/installed: $(VENV)/program
+	$(PIP) -e '.[test,check]'
 	@touch $@
 
 test: $(VENV)/installed
-	$(BIN)/pytest -n auto
+	$(BIN)/pytest -n auto $(if $(FAST),-m 'not slow')
 
 check: $(VENV)/installed
 	$(BIN)/ruff check .
@@ -32,7 +38,7 @@ check: $(VENV)/installed
 	$(BIN)/lint-imports
 
 # All sizes take about twenty minutes; make bench OPTIONS=--quick two.
-bench: $(VENV)/installed
+bench: $(VENV)/program
 	$(BIN)/python benchmarks/run.py $(OPTIONS)
 
 format: $(VENV)/installed
@@ -42,11 +48,11 @@ format: $(VENV)/installed
 clean:
 	rm -rf build dist demo reproduced .pytest_cache .mypy_cache .ruff_cache
 
-reproduce: $(VENV)/installed
+reproduce: $(VENV)/program
 	$(BIN)/meshdeform reproduce all -o reproduced --validation reproduced/validation.md --force $(if $(QUICK),--quick)
 	@echo "Look at reproduced/validation.md, reproduced/results.md and the figures beside them."
 
-demo: $(VENV)/installed
+demo: $(VENV)/program
 	rm -rf demo
 	$(BIN)/meshdeform sample splitter-plate -o demo --size 16
 	$(BIN)/meshdeform deform demo/grid.cgns -c demo/case.toml -o demo/deformed.cgns \
