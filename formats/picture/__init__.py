@@ -1,0 +1,47 @@
+"""Pictures of grids: an image from a depth buffer in matplotlib axes, as png, svg or pdf.
+
+``overview`` shows a grid when nothing else is asked for; ``page_png`` gives the bytes of a page of panels.
+"""
+
+from .comparison import Pair, apart, moved_walls, plane_around, quality_planes, worst_cells
+from .facets import Facets, block_facets, cut_facets, joined, plane_facets, surface_facets
+from .figure import STYLE, SUFFIXES, Page, Panel, check_picture_path, page_png, save_page
+from .overview import Choice, overview
+from .request import Request, numbered_blocks, picture, space_plane
+from .subject import METRICS, Subject
+from .vector import draw
+from .view import along
+from .worst import worst_cell
+
+__all__ = [
+    "METRICS",
+    "STYLE",
+    "SUFFIXES",
+    "Choice",
+    "Facets",
+    "Page",
+    "Pair",
+    "Panel",
+    "Request",
+    "Subject",
+    "along",
+    "apart",
+    "block_facets",
+    "check_picture_path",
+    "cut_facets",
+    "draw",
+    "joined",
+    "moved_walls",
+    "numbered_blocks",
+    "overview",
+    "page_png",
+    "picture",
+    "plane_around",
+    "plane_facets",
+    "quality_planes",
+    "save_page",
+    "space_plane",
+    "surface_facets",
+    "worst_cell",
+    "worst_cells",
+]

@@ -1,0 +1,115 @@
+"""Colours that colour-blind people can tell apart: of values and of groups."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from meshdeform_core.errors import CaseError
+from meshdeform_core.grid import FloatArray
+
+from .facets import Facets
+from .image import INVALID_COLOUR
+from .subject import METRICS
+
+SEQUENTIAL, DIVERGING = "viridis", "PuOr"
+GROUPS = (
+    (0.34, 0.71, 0.91), (0.90, 0.62, 0.00), (0.00, 0.62, 0.45), (0.94, 0.89, 0.26),
+    (0.80, 0.47, 0.65), (0.00, 0.45, 0.70), (0.84, 0.37, 0.00), (0.60, 0.60, 0.60),
+)  # fmt: skip
+"""Okabe and Ito's palette, the first colours those that go best with dark lines."""
+
+
+@dataclass(frozen=True)
+class Scale:
+    """How values become colours.
+
+    ``low`` and ``high`` are the ends, ``logarithmic`` how they are spaced between them, ``extended`` which ends values
+    leave (``neither``, ``min``, ``max``, ``both``, as matplotlib's colour bars have it).
+    """
+
+    metric: str
+    low: float
+    high: float
+    logarithmic: bool = False
+    extended: str = "neither"
+
+    @property
+    def label(self) -> str:
+        return METRICS[self.metric].label
+
+    @property
+    def map_name(self) -> str:
+        return DIVERGING if METRICS[self.metric].diverging else SEQUENTIAL
+
+    def norm(self):  # type: ignore[no-untyped-def]
+        """The matplotlib norm."""
+        from matplotlib.colors import LogNorm, Normalize
+
+        return (LogNorm if self.logarithmic else Normalize)(self.low, self.high, clip=True)
+
+    def colours(self, facets: Facets) -> FloatArray:
+        """RGB (n, 3) of polygons by value; invalid cells have a colour of their own."""
+        from matplotlib import colormaps
+
+        values = np.where(np.isfinite(facets.values), facets.values, self.low)
+        colours = np.array(colormaps[self.map_name](self.norm()(values)))[:, :3]
+        colours[facets.bad] = INVALID_COLOUR
+        return colours
+
+
+def scale_of(
+    metric: str, values: FloatArray, limits: tuple[float, float] | None = None, logarithmic: bool = False
+) -> Scale:
+    """The scale for values (n,): given limits, else the metric's own, else the range of the data.
+
+    Raises
+    ------
+    CaseError
+        When a logarithmic scale is asked for and no value is positive.
+    """
+    finite = values[np.isfinite(values)]
+    if logarithmic:
+        finite = finite[finite > 0]
+        if finite.size == 0 or (limits is not None and limits[0] <= 0):
+            raise CaseError(f"--log: {metric} has no positive value, or the range does not begin above zero")
+    known = METRICS[metric]
+    low, high = limits or _range(finite, known.limits if not logarithmic else None, known.diverging, logarithmic)
+    beyond = (finite < low - 1e-12 * abs(low)).any(), (finite > high + 1e-12 * abs(high)).any()
+    extended = {(False, False): "neither", (True, False): "min", (False, True): "max", (True, True): "both"}[beyond]
+    return Scale(metric, low, high, logarithmic, extended)
+
+
+def _range(
+    finite: FloatArray, fixed: tuple[float, float] | None, diverging: bool, logarithmic: bool
+) -> tuple[float, float]:
+    if fixed is not None:
+        # The good end stays; the other follows the data, in tenths.
+        lowest = float(finite.min()) if finite.size else 0.0
+        return min(max(np.floor(10 * lowest + 1e-9) / 10, fixed[0]), fixed[1] - 0.1), fixed[1]
+    low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
+    if diverging:
+        # The neutral value, 1, in the middle.
+        if logarithmic:
+            factor = max(high, 1.0 / low, 1.001)
+            return 1.0 / factor, factor
+        reach = max(abs(high - 1.0), abs(1.0 - low), 1e-3)
+        return 1.0 - reach, 1.0 + reach
+    if high - low <= 1e-12 * max(abs(low), abs(high)):
+        pad = 0.5 * abs(low) or 0.5
+        return (0.5 * low, 2 * low) if logarithmic else (low - pad, high + pad)
+    return low, high
+
+
+def group_colours(facets: Facets) -> FloatArray:
+    """RGB (n, 3) of polygons by group."""
+    colours = np.array([colour_of(n) for n in range(int(facets.group.max(initial=0)) + 1)])
+    return np.asarray(colours[facets.group])
+
+
+def colour_of(group: int) -> tuple[float, float, float]:
+    """RGB of a group; beyond eight the colours come again, lighter."""
+    red, green, blue = GROUPS[group % len(GROUPS)]
+    fade = min(0.35 * (group // len(GROUPS)), 0.7)
+    return red + (1 - red) * fade, green + (1 - green) * fade, blue + (1 - blue) * fade

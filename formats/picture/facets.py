@@ -1,0 +1,216 @@
+"""Polygons to draw, with the values they are coloured by: index planes, faces of the outside, cuts in space."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from meshdeform_core.errors import CaseError
+from meshdeform_core.grid import BoolArray, FloatArray, Grid, IntArray, Side
+from meshdeform_core.grid.planes import Plane
+from meshdeform_core.grid.topology import Topology, side_nodes
+
+from .subject import Cells, Subject
+
+
+@dataclass(frozen=True)
+class Facets:
+    """Polygons: corners (n, m, 3), one value each (n,), which are of invalid cells (n,), to which group each belongs.
+
+    Polygons with fewer than m corners repeat the last one. Groups are numbers of blocks or of surfaces.
+    """
+
+    corners: FloatArray
+    values: FloatArray
+    bad: BoolArray
+    group: IntArray
+
+    @classmethod
+    def plain(cls, corners: FloatArray, group: int = 0) -> Facets:
+        """Polygons without values."""
+        n = len(corners)
+        return cls(corners, np.full(n, np.nan), np.zeros(n, dtype=bool), np.full(n, group))
+
+    def where(self, mask: BoolArray) -> Facets:
+        """Some of them."""
+        return Facets(self.corners[mask], self.values[mask], self.bad[mask], self.group[mask])
+
+    @property
+    def centers(self) -> FloatArray:
+        return np.asarray(self.corners.mean(axis=1))
+
+    def __len__(self) -> int:
+        return len(self.corners)
+
+
+def joined(parts: Sequence[Facets]) -> Facets:
+    """Several sets of polygons as one."""
+    most = max(part.corners.shape[1] for part in parts)
+    corners = [np.pad(p.corners, ((0, 0), (0, most - p.corners.shape[1]), (0, 0)), mode="edge") for p in parts]
+    rest = ([getattr(part, name) for part in parts] for name in ("values", "bad", "group"))
+    return Facets(np.concatenate(corners), *(np.concatenate(arrays) for arrays in rest))
+
+
+def quads_of(x: FloatArray) -> FloatArray:
+    """The quads (n, 4, 3) of a layer of nodes (na, nb, 3)."""
+    return np.stack([x[:-1, :-1], x[1:, :-1], x[1:, 1:], x[:-1, 1:]], axis=2).reshape(-1, 4, 3)
+
+
+def plane_facets(
+    subject: Subject, axis: int, index: int | None, metric: str, blocks: Sequence[int] | None = None
+) -> Facets:
+    """The cells at the index plane ``index`` (0-based node, ``None``: the middle) along ``axis`` of ``blocks``.
+
+    Blocks that do not reach the index are left out; a 2-D grid is drawn whole.
+    """
+    grid, planes = subject.grid, []
+    for block in range(grid.n_blocks) if blocks is None else blocks:
+        shape = grid.shapes[block]
+        along = shape.index(1) if grid.dimension == 2 else axis
+        at = (shape[along] - 1) // 2 if index is None or grid.dimension == 2 else index
+        if at < shape[along]:
+            planes.append(block_facets(subject, block, along, at, metric))
+    if not planes:
+        longest = max(shape[axis] for shape in grid.shapes)
+        raise CaseError(f"no block has a node plane {'ijk'[axis]} = {(index or 0) + 1}; the largest is {longest}")
+    return joined(planes)
+
+
+def block_facets(subject: Subject, block: int, axis: int, index: int, metric: str) -> Facets:
+    """The cells behind the node plane ``index`` (0-based) along ``axis`` of one block."""
+    layer = min(index, subject.grid.cell_shapes[block][axis] - 1)
+    cells = _with_layer(subject.whole(block), axis, layer)
+    quads = quads_of(np.take(subject.grid.block(block), index, axis=axis))
+    return _facets(subject, block, cells, quads, metric, block)
+
+
+def _with_layer(cells: Cells, axis: int, layer: int) -> Cells:
+    changed = list(cells)
+    changed[axis] = slice(layer, layer + 1)
+    return changed[0], changed[1], changed[2]
+
+
+def _facets(subject: Subject, block: int, cells: Cells, quads: FloatArray, metric: str, group: int) -> Facets:
+    values = subject.values(metric, block, cells).ravel() if metric else np.full(len(quads), np.nan)
+    return Facets(quads, values, subject.bad(block, cells).ravel(), np.full(len(quads), group))
+
+
+def surface_facets(subject: Subject, quads: IntArray, metric: str = "", group: int = 0) -> Facets:
+    """Face quads of a 3-D grid, with the value of the cell behind each; without ``metric`` only their shape."""
+    topology, parts = subject.topology, []
+    for block_side in np.unique(topology.quads.block_side[quads]):
+        block, side = int(block_side) // 6, Side(int(block_side) % 6)
+        local = quads[topology.quads.block_side[quads] == block_side] - topology.quads.start[block, side]
+        corners = quads_of(subject.grid.points[side_nodes(subject.grid, block, side)])
+        if metric:
+            layer = subject.grid.cell_shapes[block][side.axis] - 1 if side % 2 else 0
+            cells = _with_layer(subject.whole(block), side.axis, layer)
+            parts.append(_facets(subject, block, cells, corners, metric, group).where(local))
+        else:
+            parts.append(Facets.plain(corners[local], group))
+    return joined(parts)
+
+
+def cut_facets(subject: Subject, plane: Plane, metric: str) -> Facets:
+    """The cells of all blocks of a 3-D grid where a plane in space cuts them, as polygons.
+
+    Raises
+    ------
+    CaseError
+        When the plane misses the grid.
+    """
+    grid = subject.grid
+    level = (grid.points - plane.point) @ plane.normal
+    low, high = float(level.min()), float(level.max())
+    tiny = 1e-9 * subject.size
+    if low > tiny or high < -tiny:
+        raise CaseError(f"the plane misses the grid, which lies {min(abs(low), abs(high)):.4g} away from it")
+    # A plane that runs along faces of cells is taken a little inside of them.
+    shift = -tiny if high <= 2 * tiny else tiny
+    parts = [_cut_block(subject, block, level - shift, metric) for block in range(grid.n_blocks)]
+    return joined(parts)
+
+
+def _cut_block(subject: Subject, block: int, level: FloatArray, metric: str) -> Facets:
+    x, value = subject.grid.block(block), subject.grid.block(block, level)
+    corner = [np.s_[a : a - 1 or None, b : b - 1 or None, c : c - 1 or None] for a, b, c in np.ndindex(2, 2, 2)]
+    above = sum((value[each] > 0).astype(np.int8) for each in corner)
+    at = np.nonzero((above > 0) & (above < 8))
+    if at[0].size == 0:
+        return Facets.plain(np.empty((0, 6, 3)), block)
+    values = np.stack([value[each][at] for each in corner], axis=1)
+    points = np.stack([x[each][at] for each in corner], axis=1)
+    cells = subject.whole(block)
+    polygons = _polygons(points, values)
+    return Facets(
+        polygons,
+        subject.values(metric, block, cells)[at] if metric else np.full(len(polygons), np.nan),
+        subject.bad(block, cells)[at],
+        np.full(len(polygons), block),
+    )
+
+
+# The twelve edges of a cell, between corners 4 a + 2 b + c.
+_EDGES = np.array([(n, n + step) for step in (1, 2, 4) for n in range(8) if not n & step])
+
+
+def _polygons(points: FloatArray, values: FloatArray) -> FloatArray:
+    """Where a plane cuts cells (n, 8, 3) with signed distances (n, 8): corners (n, 6, 3), in order around."""
+    one, two = values[:, _EDGES[:, 0]], values[:, _EDGES[:, 1]]
+    cut = (one > 0) != (two > 0)
+    share = np.where(cut, one / np.where(cut, one - two, 1.0), 0.0)
+    at = points[:, _EDGES[:, 0]] + share[..., None] * (points[:, _EDGES[:, 1]] - points[:, _EDGES[:, 0]])
+    center = (at * cut[..., None]).sum(axis=1) / cut.sum(axis=1)[:, None]
+    arms = at - center[:, None]
+    # Angles about the centre within the plane: axes from the first arm and the direction of steepest ascent.
+    first = np.take_along_axis(arms, np.argmax(cut, axis=1)[:, None, None], axis=1)[:, 0]
+    rise = np.einsum("ne,nex->nx", values[:, _EDGES[:, 1]] - values[:, _EDGES[:, 0]],
+                     points[:, _EDGES[:, 1]] - points[:, _EDGES[:, 0]])  # fmt: skip
+    second = np.cross(rise, first)
+    angle = np.arctan2(np.einsum("nex,nx->ne", arms, second) * np.linalg.norm(first, axis=1)[:, None],
+                       np.einsum("nex,nx->ne", arms, first) * np.linalg.norm(second, axis=1)[:, None])  # fmt: skip
+    order = np.argsort(np.where(cut, angle, np.inf), axis=1)[:, :6]
+    count = np.minimum(cut.sum(axis=1), 6)
+    last = np.minimum(np.arange(6)[None, :], count[:, None] - 1)
+    return np.asarray(np.take_along_axis(at, np.take_along_axis(order, last, axis=1)[..., None], axis=1))
+
+
+def block_outlines(grid: Grid, topology: Topology, quads: IntArray) -> FloatArray:
+    """Edges (n, 2, 3) of face quads along which blocks or their sides end."""
+    parts = []
+    for block_side in np.unique(topology.quads.block_side[quads]):
+        block, side = int(block_side) // 6, Side(int(block_side) % 6)
+        mask = np.zeros(tuple(topology.quads.counts[block, side]), dtype=bool)
+        mask.ravel()[quads[topology.quads.block_side[quads] == block_side] - topology.quads.start[block, side]] = True
+        parts.append(_outline(grid.points[side_nodes(grid, block, side)], mask))
+    return np.concatenate(parts) if parts else np.empty((0, 2, 3))
+
+
+def _outline(x: FloatArray, mask: BoolArray) -> FloatArray:
+    """Edges (n, 2, 3) between marked and other quads of a layer of nodes."""
+    padded = np.pad(mask, 1)
+    across = np.nonzero(padded[1:, 1:-1] != padded[:-1, 1:-1])
+    along = np.nonzero(padded[1:-1, 1:] != padded[1:-1, :-1])
+    return np.concatenate(
+        [
+            np.stack([x[across[0], across[1]], x[across[0], across[1] + 1]], axis=1),
+            np.stack([x[along[0], along[1]], x[along[0] + 1, along[1]]], axis=1),
+        ]
+    )
+
+
+def plane_outlines(
+    subject: Subject, axis: int, index: int | None, blocks: Sequence[int] | None = None
+) -> FloatArray:
+    """Edges (n, 2, 3) of the blocks in an index plane."""
+    parts = []
+    for block in range(subject.grid.n_blocks) if blocks is None else blocks:
+        shape = subject.grid.shapes[block]
+        along = shape.index(1) if subject.grid.dimension == 2 else axis
+        at = (shape[along] - 1) // 2 if index is None or subject.grid.dimension == 2 else index
+        if at < shape[along]:
+            x = np.take(subject.grid.block(block), at, axis=along)
+            parts.append(_outline(x, np.ones((x.shape[0] - 1, x.shape[1] - 1), dtype=bool)))
+    return np.concatenate(parts)

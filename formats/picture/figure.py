@@ -1,0 +1,245 @@
+"""Panels on a page: axes with equal scales, colour bar, legend, files of all kinds."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from meshdeform_core.errors import FormatError
+from meshdeform_core.grid import FloatArray
+
+from ..files import replacing
+from .colours import Scale
+from .image import INVALID_COLOUR, Scene, render
+from .view import View, Window
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+SUFFIXES = (".png", ".svg", ".pdf")
+STYLE: dict[Any, Any] = {
+    "font.size": 9,
+    "axes.labelsize": 9,
+    "axes.titlesize": 9.5,
+    "axes.linewidth": 0.6,
+    "xtick.labelsize": 8,
+    "ytick.labelsize": 8,
+    "legend.fontsize": 8,
+    "figure.dpi": 150,
+    "savefig.dpi": 220,
+    # The same picture is the same file.
+    "svg.hashsalt": "meshdeform",
+    "svg.fonttype": "none",
+}
+_VECTOR_POLYGONS = 6000
+"""Flat pictures of at most so many polygons are lines in .svg and .pdf files, larger ones an image."""
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One picture on a page.
+
+    Attributes
+    ----------
+    window : what is shown, in coordinates of the view
+    arrows : (k, 2, 3) points and displacements, drawn as arrows at their true length
+    frames : windows of close-ups, drawn as rectangles
+    under : another scene, drawn first and seen through this one
+    names : texts at points (k, 3)
+    """
+
+    scene: Scene
+    view: View
+    window: Window
+    title: str = ""
+    arrows: FloatArray = field(default_factory=lambda: np.empty((0, 2, 3)))
+    frames: tuple[Window, ...] = ()
+    under: Scene | None = None
+    names: tuple[tuple[str, FloatArray], ...] = ()
+
+    @property
+    def aspect(self) -> float:
+        """Height over width."""
+        left, right, bottom, top = self.window
+        return (top - bottom) / (right - left)
+
+
+@dataclass(frozen=True)
+class Page:
+    """Panels side by side, or below each other if they are flat, with what explains their colours.
+
+    ``legend`` are names and colours of groups.
+    """
+
+    panels: tuple[Panel, ...]
+    title: str = ""
+    scale: Scale | None = None
+    legend: tuple[tuple[str, tuple[float, float, float]], ...] = ()
+
+    @property
+    def invalid(self) -> int:
+        """Invalid cells in the panel that shows most of them."""
+        return max((int(panel.scene.facets.bad.sum()) for panel in self.panels), default=0)
+
+
+def check_picture_path(path: Path) -> None:
+    """Refuse an unknown suffix before anything is computed."""
+    if path.suffix.lower() not in SUFFIXES:
+        raise FormatError(f"picture {path}: suffix {path.suffix!r} is unknown; expected {', '.join(SUFFIXES)}")
+
+
+def save_page(page: Page, path: Path, width: float = 7.2) -> None:
+    """Write a page; the suffix picks png, svg or pdf, ``width`` is in inches."""
+    check_picture_path(path)
+    with replacing(path) as partial:
+        _save(page, partial, path.suffix.lower().lstrip("."), width, STYLE["savefig.dpi"])
+
+
+def page_png(page: Page, width: float = 7.2, dpi: int = 150) -> bytes:
+    """A page as the bytes of a PNG file."""
+    buffer = io.BytesIO()
+    _save(page, buffer, "png", width, dpi)
+    return buffer.getvalue()
+
+
+def _save(page: Page, target: Any, kind: str, width: float, dpi: int) -> None:
+    import matplotlib as mpl
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    with mpl.rc_context(STYLE | {"figure.dpi": dpi, "savefig.dpi": dpi}):
+        figure = Figure(figsize=_size(page, width), layout="constrained")
+        FigureCanvasAgg(figure)
+        axes = _frames(figure, page)
+        figure.canvas.draw()
+        figure.set_layout_engine("none")
+        for ax, panel in zip(axes, page.panels, strict=True):
+            _fill(ax, panel, vector=kind != "png")
+        metadata = {"png": {"Software": None}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}[kind]
+        figure.savefig(target, format=kind, metadata=metadata)
+
+
+def _stacked(page: Page) -> bool:
+    return len(page.panels) > 1 and all(panel.aspect < 0.45 for panel in page.panels[:1])
+
+
+def _size(page: Page, width: float) -> tuple[float, float]:
+    """Width and height of the page in inches."""
+    aspects = [panel.aspect for panel in page.panels]
+    side = 0.15 + (0.9 if page.scale else 0.1)
+    if _stacked(page):
+        height = sum((width - side - 0.5) * min(aspect, 0.8) + 0.6 for aspect in aspects)
+    else:
+        each = (width - side) / len(aspects) - 0.55
+        height = max(each * aspect for aspect in aspects) + 0.75
+    return width, min(max(height, 2.2), 1.4 * width) + (0.3 if page.title else 0.0) + (0.35 if page.legend else 0.0)
+
+
+def _frames(figure: Figure, page: Page) -> list[Axes]:
+    """Empty axes, colour bar, legend and titles: what decides how large the panels are."""
+    import matplotlib.pyplot as plt
+    from matplotlib.patches import Patch
+
+    n = len(page.panels)
+    if _stacked(page):
+        grid = figure.subplots(n, 1, squeeze=False, height_ratios=[min(p.aspect, 0.8) for p in page.panels])
+    else:
+        grid = figure.subplots(1, n, squeeze=False, width_ratios=[1 / max(p.aspect, 0.4) for p in page.panels])
+    axes = list(grid.ravel())
+    for ax, panel in zip(axes, page.panels, strict=True):
+        left, right, bottom, top = panel.window
+        ax.set(xlim=(left, right), ylim=(bottom, top), title=panel.title)
+        ax.set_aspect("equal")
+        if panel.view.flat:
+            ax.set(xlabel=panel.view.labels[0], ylabel=panel.view.labels[1])
+        else:
+            ax.set_axis_off()
+    if page.scale:
+        mappable = plt.cm.ScalarMappable(page.scale.norm(), page.scale.map_name)
+        bar = figure.colorbar(mappable, ax=axes, label=page.scale.label, shrink=0.85, aspect=28, pad=0.015,
+                              extend=page.scale.extended)  # fmt: skip
+        bar.outline.set_linewidth(0.5)
+    entries = [Patch(facecolor=colour, edgecolor="0.3", linewidth=0.4, label=name) for name, colour in page.legend]
+    if page.invalid:
+        entries.append(Patch(facecolor=INVALID_COLOUR, label="invalid cell"))
+    if entries:
+        figure.legend(handles=entries, loc="outside lower center", ncols=min(len(entries), 5), frameon=False)
+    if page.title:
+        figure.suptitle(page.title, fontsize=10.5, fontweight="bold")
+    return axes
+
+
+def _fill(ax: Axes, panel: Panel, vector: bool) -> None:
+    from matplotlib.patches import Rectangle
+
+    if panel.under is not None:
+        _paint(ax, panel.under, panel, vector)
+    _paint(ax, panel.scene, panel, vector, alpha=1.0 if panel.under is None else 0.75)
+    ax.set(xlim=panel.window[:2], ylim=panel.window[2:])
+    if not panel.view.flat:
+        _triad(ax, panel.view)
+    if len(panel.arrows):
+        at, shift = panel.view.project(panel.arrows[:, 0]), panel.view.project(panel.arrows[:, 1])
+        ax.quiver(at[:, 0], at[:, 1], shift[:, 0], shift[:, 1], angles="xy", scale_units="xy", scale=1.0,
+                  width=0.0028, facecolor="white", edgecolor="black", linewidth=0.35, zorder=4)  # fmt: skip
+    for left, right, bottom, top in panel.frames:
+        ax.add_patch(
+            Rectangle((left, bottom), right - left, top - bottom, fill=False, linewidth=1.0, edgecolor="#c03000",
+                      zorder=3)
+        )  # fmt: skip
+    _names(ax, panel)
+
+
+def _paint(ax: Axes, scene: Scene, panel: Panel, vector: bool, alpha: float = 1.0) -> None:
+    """The scene as lines where it is flat and small enough and the file can hold them, else as an image."""
+    if vector and panel.view.flat and not scene.lit and len(scene.facets) <= _VECTOR_POLYGONS:
+        from .vector import add_polygons
+
+        add_polygons(ax, scene, panel.view, panel.window, alpha)
+        return
+    width = round(ax.get_window_extent().width * (2 if vector else 1))
+    image = render(scene, panel.view, panel.window, max(64, width))
+    ax.imshow(image.pixels, extent=panel.window, interpolation="nearest", aspect="equal", zorder=1, alpha=alpha)
+
+
+def _names(ax: Axes, panel: Panel) -> None:
+    from matplotlib.patheffects import withStroke
+
+    left, right, bottom, top = panel.window
+    for name, point in panel.names:
+        x, y, _ = panel.view.project(point)
+        if left < x < right and bottom < y < top:
+            ax.text(x, y, name, ha="center", va="center", fontsize=7.5, zorder=6, clip_on=True,
+                    path_effects=[withStroke(linewidth=2.0, foreground="white")])  # fmt: skip
+
+
+def _triad(ax: Axes, view: View) -> None:
+    """The directions of x, y and z in the lower left corner."""
+    from matplotlib.patches import Circle
+    from matplotlib.transforms import Affine2D
+
+    box = ax.get_window_extent()
+    points = Affine2D().scale(ax.figure.dpi / 72) + Affine2D().translate(*box.min)
+    size = min(1.0, box.width * 72 / ax.figure.dpi / 260)
+    at = 32 * size
+    ax.add_patch(Circle((at, at), 31 * size, transform=points, facecolor="white", alpha=0.7, edgecolor="none", zorder=4))
+    for name, unit in zip("xyz", np.eye(3), strict=True):
+        right, up, _ = view.project(unit) * size
+        # Seen end on, an axis is a dot, which says nothing.
+        if np.hypot(right, up) < 0.15 * size:
+            continue
+        ax.annotate(
+            "", xy=(at + 20 * right, at + 20 * up), xytext=(at, at), xycoords="axes points", zorder=5,
+            textcoords="axes points", arrowprops={"arrowstyle": "-|>", "linewidth": 0.75, "color": "0.15",
+                                                  "shrinkA": 0, "shrinkB": 0, "mutation_scale": 6 * size},
+        )  # fmt: skip
+        ax.annotate(
+            name, xy=(at + 27 * right, at + 27 * up), xycoords="axes points", ha="center", va="center",
+            fontsize=5 + 3 * size, zorder=5,
+        )  # fmt: skip
