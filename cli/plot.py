@@ -90,16 +90,15 @@ def command(
 
 def _subject(source: GridInput, reference: Path | None) -> Subject:
     from meshdeform_core.grid.topology import find_topology
+    from meshdeform_core.quality.difference import require_same_blocks
     from meshdeform_formats import read_grid
     from meshdeform_formats.picture import Subject
-
-    from .compare import require_same_blocks
 
     grid = source.read()
     if reference is None:
         return Subject(grid, find_topology(grid))
     original = read_grid(reference)
-    require_same_blocks(grid, original, source.path, reference)
+    require_same_blocks(grid, original)
     if not original.patches:
         original = dataclasses.replace(original, patches=grid.patches)
     return Subject(grid, find_topology(original), original)

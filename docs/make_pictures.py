@@ -16,7 +16,7 @@ from PIL import Image
 from meshdeform_cli.main import run
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_formats import read_grid
-from meshdeform_formats.picture import STYLE, draw, plane_facets
+from meshdeform_formats.picture import STYLE, Subject, draw, plane_facets
 
 IMAGES = Path(__file__).parent / "images"
 Panel = tuple[str, str, tuple[str, ...]]
@@ -38,7 +38,7 @@ def picture(name: str, sample: str, size: int, panels: list[Panel], window: tupl
             call("deform", case / "grid.cgns", "-c", case / "case.toml", "-m", method, *options, "-o", output,
                  "--allow-invalid", "-q")  # fmt: skip
             grid = read_grid(output)
-            collection = draw(ax, plane_facets(grid, find_topology(grid), 2, 0, "f_skew"), limits=(0.0, 1.0))
+            collection = draw(ax, plane_facets(Subject(grid, find_topology(grid)), 2, 0, "f_skew"), limits=(0.0, 1.0))
             ax.set(xlim=window[:2], ylim=window[2:], title=title, ylabel="" if number else "y")
         figure.colorbar(collection, ax=axes, label="f_skew", shrink=0.8, pad=0.02)
         figure.savefig(case / "picture.png", dpi=100)

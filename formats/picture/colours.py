@@ -76,7 +76,7 @@ def scale_of(
             raise CaseError(f"--log: {metric} has no positive value, or the range does not begin above zero")
     known = METRICS[metric]
     low, high = limits or _range(finite, known.limits if not logarithmic else None, known.diverging, logarithmic)
-    beyond = (finite < low - 1e-12 * abs(low)).any(), (finite > high + 1e-12 * abs(high)).any()
+    beyond = bool((finite < low - 1e-12 * abs(low)).any()), bool((finite > high + 1e-12 * abs(high)).any())
     extended = {(False, False): "neither", (True, False): "min", (False, True): "max", (True, True): "both"}[beyond]
     return Scale(metric, low, high, logarithmic, extended)
 

@@ -136,7 +136,7 @@ def cut_facets(subject: Subject, plane: Plane, metric: str) -> Facets:
 def _cut_block(subject: Subject, block: int, level: FloatArray, metric: str) -> Facets:
     x, value = subject.grid.block(block), subject.grid.block(block, level)
     corner = [np.s_[a : a - 1 or None, b : b - 1 or None, c : c - 1 or None] for a, b, c in np.ndindex(2, 2, 2)]
-    above = sum((value[each] > 0).astype(np.int8) for each in corner)
+    above = np.sum([value[each] > 0 for each in corner], axis=0)
     at = np.nonzero((above > 0) & (above < 8))
     if at[0].size == 0:
         return Facets.plain(np.empty((0, 6, 3)), block)
@@ -201,9 +201,7 @@ def _outline(x: FloatArray, mask: BoolArray) -> FloatArray:
     )
 
 
-def plane_outlines(
-    subject: Subject, axis: int, index: int | None, blocks: Sequence[int] | None = None
-) -> FloatArray:
+def plane_outlines(subject: Subject, axis: int, index: int | None, blocks: Sequence[int] | None = None) -> FloatArray:
     """Edges (n, 2, 3) of the blocks in an index plane."""
     parts = []
     for block in range(subject.grid.n_blocks) if blocks is None else blocks:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -228,7 +227,9 @@ def _triad(ax: Axes, view: View) -> None:
     points = Affine2D().scale(ax.figure.dpi / 72) + Affine2D().translate(*box.min)
     size = min(1.0, box.width * 72 / ax.figure.dpi / 260)
     at = 32 * size
-    ax.add_patch(Circle((at, at), 31 * size, transform=points, facecolor="white", alpha=0.7, edgecolor="none", zorder=4))
+    ax.add_patch(
+        Circle((at, at), 31 * size, transform=points, facecolor="white", alpha=0.7, edgecolor="none", zorder=4)
+    )
     for name, unit in zip("xyz", np.eye(3), strict=True):
         right, up, _ = view.project(unit) * size
         # Seen end on, an axis is a dot, which says nothing.

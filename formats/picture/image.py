@@ -85,9 +85,7 @@ def _inside(points: FloatArray, shape: tuple[int, int]) -> np.ndarray:
     return np.asarray(((high >= 0) & (low <= (shape[1], shape[0]))).all(axis=1))
 
 
-def _composed(
-    scene: Scene, view: View, item: np.ndarray, line: np.ndarray, cover: np.ndarray, fine: int
-) -> FloatArray:
+def _composed(scene: Scene, view: View, item: np.ndarray, line: np.ndarray, cover: np.ndarray, fine: int) -> FloatArray:
     """Colours of the visible polygons with lines over them, averaged over the enlarged pixels."""
     colours = scene.colours * _light(scene, view)[:, None] if scene.lit else scene.colours
     height, width = item.shape

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from meshdeform_core.grid import FloatArray, IntArray
+from meshdeform_core.grid.faces import Face
 from meshdeform_core.grid.planes import Plane
 from meshdeform_core.grid.roles import Role
 from meshdeform_core.grid.surfaces import Surface
@@ -143,7 +144,7 @@ def _end_plane(subject: Subject) -> tuple[IntArray, FloatArray] | None:
     return np.concatenate([face.quads for face in chosen]), normal
 
 
-def _declared_ends(subject: Subject) -> list:  # type: ignore[type-arg]
+def _declared_ends(subject: Subject) -> list[Face]:
     """Faces in two parallel symmetry planes between which all walls stand upright."""
     found = subject.outside
     planes = [f for f, role in zip(found.faces, found.roles, strict=True) if role is Role.SYMMETRY and f.plane]

@@ -97,9 +97,7 @@ def picture(subject: Subject, request: Request, title: str = "") -> Page:
     return Page(_beside(subject, request, scale, panel, old), title, scale)
 
 
-def _beside(
-    subject: Subject, request: Request, scale: Scale, panel: Panel, old: _Part | None
-) -> tuple[Panel, ...]:
+def _beside(subject: Subject, request: Request, scale: Scale, panel: Panel, old: _Part | None) -> tuple[Panel, ...]:
     if old is None or not request.before:
         return (panel,)
     before = _scene(_undeformed(subject), request.choice, scale, old, panel.view)

@@ -15,8 +15,10 @@ from meshdeform_core.grid.roles import Role
 from meshdeform_core.grid.surfaces import Outside, find_outside, thin_direction
 from meshdeform_core.grid.topology import Topology
 from meshdeform_core.quality.cells import CellMeasures, measure_block
-from meshdeform_core.quality.validity import newly_bad
+from meshdeform_core.quality.original import Original
+from meshdeform_core.quality.validity import Verdict, judge
 
+_ROUND_OFF = 1e-9
 Cells = tuple[slice, slice, slice]
 """A box of cells of a block, with explicit first and last."""
 
@@ -118,11 +120,21 @@ class Subject:
         return _VALUES[metric](self, block, cells)
 
     def bad(self, block: int, cells: Cells) -> BoolArray:
-        """Invalid cells: newly so where there is an undeformed grid to compare with."""
-        new = self.measure(block, cells).bad
+        """Invalid cells: where there is an undeformed grid those that became so, else those turned inside out."""
         if self.reference is None:
-            return np.asarray(new != 0)
-        return newly_bad(self.measure(block, cells, self.reference).bad, new)
+            return np.asarray(self.measure(block, cells).scaled < -_ROUND_OFF)
+        return np.asarray(self.of_cells(self.verdict.failed, block, cells) != 0)
+
+    @cached_property
+    def verdict(self) -> Verdict:
+        """The verdict on all cells against the undeformed grid."""
+        return judge(Original(self.reference or self.grid, self.topology), self.grid.points)
+
+    def of_cells(self, values: np.ndarray, block: int, cells: Cells) -> np.ndarray:
+        """A box of cells of an array with one row per cell of the grid."""
+        sizes = [a * b * c for a, b, c in self.grid.cell_shapes]
+        start = sum(sizes[:block])
+        return values[start : start + sizes[block]].reshape(self.grid.cell_shapes[block])[cells]
 
 
 def cell_means(x: FloatArray) -> FloatArray:
@@ -147,13 +159,13 @@ def _wall_distance(subject: Subject, block: int, cells: Cells) -> FloatArray:
     return np.asarray(distance).reshape(centers.shape[:3])
 
 
-def _ratio(name: str) -> Callable[[Subject, int, Cells], FloatArray]:
-    def of(subject: Subject, block: int, cells: Cells) -> FloatArray:
-        new = getattr(subject.measure(block, cells), name)
-        old = getattr(subject.measure(block, cells, subject.reference), name)
-        return np.asarray(np.divide(new, old, out=np.full(new.shape, np.nan), where=old > 0))
+def _volume_ratio(subject: Subject, block: int, cells: Cells) -> FloatArray:
+    new, old = subject.measure(block, cells).volume, subject.measure(block, cells, subject.reference).volume
+    return np.asarray(np.divide(new, old, out=np.full(new.shape, np.nan), where=old > 0))
 
-    return of
+
+def _relative_jacobian(subject: Subject, block: int, cells: Cells) -> FloatArray:
+    return np.asarray(subject.of_cells(subject.verdict.ratio, block, cells), dtype=np.float64)
 
 
 def _measure(name: str) -> Callable[[Subject, int, Cells], FloatArray]:
@@ -165,8 +177,8 @@ _VALUES: dict[str, Callable[[Subject, int, Cells], FloatArray]] = {
     "scaled_jacobian": _measure("scaled"),
     "jacobian": _measure("jacobian"),
     "volume": _measure("volume"),
-    "volume_ratio": _ratio("volume"),
-    "relative_jacobian": _ratio("jacobian"),
+    "volume_ratio": _volume_ratio,
+    "relative_jacobian": _relative_jacobian,
     "displacement": _displacement,
     "wall_distance": _wall_distance,
 }

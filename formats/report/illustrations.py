@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -13,12 +12,20 @@ from meshdeform_core.deform import Setup
 from meshdeform_core.grid import FloatArray, Grid
 from meshdeform_core.quality import InvalidCell
 
-from ..picture import STYLE, Facets, draw, plane_facets
+from ..picture import (
+    Choice,
+    Page,
+    Pair,
+    Subject,
+    apart,
+    moved_walls,
+    page_png,
+    plane_around,
+    quality_planes,
+    worst_cell,
+    worst_cells,
+)
 from .page import Figure
-
-Window = tuple[float, float, float, float]
-_ROOM = 0.6
-_CELLS_SHOWN = 12
 
 
 @dataclass(frozen=True)
@@ -33,65 +40,32 @@ Illustrate = Callable[[], Illustrations]
 
 
 def deformation_figures(setup: Setup, after: Grid, invalid: Sequence[InvalidCell]) -> Illustrations:
-    """The grid around the moving walls and around its worst cells, coloured by f_skew."""
-    layer = _layer(after, invalid)
-    cuts = [plane_facets(grid, setup.topology, 2, layer, "f_skew") for grid in (setup.grid, after)]
-    whole = _window([_moving_nodes(setup, grid.points) for grid in (setup.grid, after)], _ROOM)
-    worst = _worst_window(cuts[1], invalid)
-    plane = "the grid" if after.dimension == 2 else f"the grid plane k = {layer + 1}"
-    return Illustrations(
-        (
-            _pair("Around the moving walls", f"Cells of {plane}, coloured by f_skew.", cuts, whole),
-            _pair("The worst cells", f"A close-up of {plane} where f_skew is smallest.", cuts, worst),
-        )
+    """The moving walls, a plane around them and the worst cells, before and after."""
+    pair = Pair(setup.grid, after, setup.topology)
+    figures = [_slider("Around the walls", "A plane through the grid, coloured by f_skew.", *quality_planes(pair))]
+    block, cell = worst_cell(pair.new, "f_skew")
+    where = f"{setup.grid.names[block]} ({', '.join(str(n + 1) for n in cell)})"
+    caption = (
+        f"A close-up of cell {where}, where f_skew is smallest{', and of other invalid cells' if invalid else ''}."
     )
+    figures.append(_slider("The worst cells", caption, *apart(worst_cells(pair, block, cell))))
+    moving = np.flatnonzero(setup.boundary.quad_kind == Kind.MOVING)
+    if after.dimension == 3 and moving.size:
+        page = moved_walls(pair, moving)
+        solid = page.scale is not None and page.scale.metric == "displacement"
+        if solid:
+            caption = "The moving walls before and after, coloured by their displacement."
+            figures.insert(0, Figure("The moving walls", caption, page_png(page)))
+    return Illustrations(tuple(figures))
 
 
-def _layer(grid: Grid, invalid: Sequence[InvalidCell]) -> int:
-    return invalid[0].ijk[2] - 1 if invalid and grid.dimension == 3 else 0
+def _slider(title: str, caption: str, before: Page, after: Page) -> Figure:
+    return Figure(title, caption, page_png(after), page_png(before))
 
 
 def _moving_nodes(setup: Setup, points: FloatArray) -> FloatArray:
     moving = np.flatnonzero(setup.boundary.kind == Kind.MOVING)
     return np.asarray(points[setup.topology.first[moving]])
-
-
-def _window(parts: Sequence[FloatArray], room: float) -> Window:
-    """Left, right, bottom, top of the points seen along z, with room around them."""
-    low = np.min([p.min(axis=0) for p in parts], axis=0)[:2]
-    high = np.max([p.max(axis=0) for p in parts], axis=0)[:2]
-    grow = room * float((high - low).max())
-    low, high = low - grow, high + grow
-    return float(low[0]), float(high[0]), float(low[1]), float(high[1])
-
-
-def _worst_window(cut: Facets, invalid: Sequence[InvalidCell]) -> Window:
-    worst = cut.corners[int(np.argmin(cut.values))]
-    size = float(np.ptp(worst, axis=0).max()) * _CELLS_SHOWN
-    center = np.array(invalid[0].center) if invalid else worst.mean(axis=0)
-    return _window([center[None] - size, center[None] + size], 0.0)
-
-
-def _pair(title: str, caption: str, cuts: Sequence[Facets], window: Window) -> Figure:
-    before, after = (_png(cut, window) for cut in cuts)
-    return Figure(title, caption, after, before)
-
-
-def _png(cut: Facets, window: Window, dpi: int = 150) -> bytes:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    with plt.rc_context(STYLE):
-        figure, axes = plt.subplots(figsize=(7.0, 5.0), layout="constrained")
-        collection = draw(axes, cut, view="z", limits=(0.0, 1.0))
-        axes.set(xlim=window[:2], ylim=window[2:])
-        figure.colorbar(collection, ax=axes, label="f_skew", shrink=0.8, pad=0.02)
-        stream = io.BytesIO()
-        figure.savefig(stream, format="png", dpi=dpi)
-        plt.close(figure)
-    return stream.getvalue()
 
 
 def level_thumbnails(
@@ -105,9 +79,10 @@ def level_thumbnails(
     read : gives the coordinates (n_nodes, 3) of a level
     """
     points = {number: read(number) for number, _, _ in levels}
-    window = _window([_moving_nodes(setup, x) for x in points.values()], _ROOM)
+    around = np.concatenate([_moving_nodes(setup, x) for x in points.values()])
     shown = []
     for number, caption, file in levels:
-        cut = plane_facets(setup.grid.moved(points[number]), setup.topology, 2, 0, "f_skew")
-        shown.append((Figure(caption, caption, _png(cut, window, 70)), file))
+        subject = Subject(setup.grid.moved(points[number]), setup.topology, setup.grid)
+        page = plane_around(subject, around, Choice(limits=(0.0, 1.0)))
+        shown.append((Figure(caption, caption, page_png(page, 4.2, 90)), file))
     return Illustrations(thumbnails=tuple(shown))

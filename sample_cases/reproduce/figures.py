@@ -11,7 +11,7 @@ import numpy as np
 from meshdeform_core.deform import Setup
 from meshdeform_core.grid import FloatArray, Grid
 from meshdeform_formats.files import replacing
-from meshdeform_formats.picture import STYLE, Facets, block_facets, draw, joined, view_directions
+from meshdeform_formats.picture import STYLE, Facets, Subject, along, block_facets, draw, joined
 
 from .experiment import Outcome, Trial
 from .small_png import save_small
@@ -148,7 +148,8 @@ class Slice:
         """A deformed 2-D grid whole; of a 3-D one its first k plane, or the ``middle`` plane y = 0."""
         grid = setup.grid.moved(points)
         planes = _planes(setup.grid, middle)
-        facets = [block_facets(grid, setup.topology, *plane, "f_skew") for plane in planes]
+        subject = Subject(grid, setup.topology)
+        facets = [block_facets(subject, *plane, "f_skew") for plane in planes]
         nodes = [np.take(grid.block(block), index, axis).squeeze() for block, axis, index in planes]
         every = -(-max(max(plane.shape[:2]) for plane in nodes) // _LINES)
         lines = [line for plane in nodes for line in _lines(plane, every)]
@@ -221,18 +222,18 @@ def _draw(figure: Figure, slices: dict[str, Slice], folder: Path) -> str:
 def _draw_panel(axes: Any, part: Slice, panel: Panel, figure: Figure) -> Any:
     from matplotlib.collections import LineCollection
 
-    right, up, _, labels = view_directions(part.facets, part.view)
-    facets, lines = part.facets, [np.stack([line @ right, line @ up], axis=1) for line in part.lines]
+    view = along(part.view)
+    facets, lines = part.facets, [view.project(line)[:, :2] for line in part.lines]
     if panel.zoom:
         left, far, low, high = panel.zoom
-        flat = np.stack([facets.corners @ right, facets.corners @ up], axis=-1)
+        flat = view.project(facets.corners)[..., :2]
         seen = ((flat.max(axis=1) > [left, low]) & (flat.min(axis=1) < [far, high])).all(axis=1)
-        facets = Facets(facets.corners[seen], facets.values[seen])
-    collection = draw(axes, facets, view=part.view, limits=(figure.low, 1.0), lines=False)
+        facets = facets.where(seen)
+    collection = draw(axes, facets, view=view, limits=(figure.low, 1.0), lines=False)
     axes.add_collection(LineCollection(lines, colors="black", linewidths=0.18))
     if panel.zoom:
         axes.set_xlim(*panel.zoom[:2])
         axes.set_ylim(*panel.zoom[2:])
-    axes.set_xlabel(f"{labels[0]} [{figure.unit}]", labelpad=1)
-    axes.set_ylabel(f"{labels[1]} [{figure.unit}]", labelpad=1)
+    axes.set_xlabel(f"{view.labels[0]} [{figure.unit}]", labelpad=1)
+    axes.set_ylabel(f"{view.labels[1]} [{figure.unit}]", labelpad=1)
     return collection

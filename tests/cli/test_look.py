@@ -165,6 +165,13 @@ def test_plot_formats(suffix, magic, bench, call):
         ("--select", "block1.imin", "--select", "block*.kmax[1:2,*]", "--view", "x"),
         ("--zoom", "-1,1,-0.5,0.5"),
         ("--zoom=-1,1,-0.5,0.5", "--title", "x < y & z"),
+        ("--plane", "z=0.4", "--zoom", "walls", "--range", "0.5,1", "--metric", "wall_distance"),
+        ("--plane", "x=-2", "--view", "1,1,0.5"),
+        ("--reference", "grid.xyz", "--metric", "volume_ratio", "--log", "--plane", "k=2", "--block", "block[12]"),
+        ("--reference", "grid.xyz", "--before", "side"),
+        ("--reference", "grid.xyz", "--before", "overlay", "--select", "body", "--metric", "displacement"),
+        ("--reference", "grid.xyz", "--arrows", "--metric", "relative_jacobian"),
+        ("--zoom", "worst"),
     ],
 )
 def test_plot_options(options, bench, call):
@@ -172,6 +179,30 @@ def test_plot_options(options, bench, call):
     text = (bench / "picture.svg").read_text()
     titles = {"--title": options[options.index("--title") + 1]} if "--title" in options else {"": "grid.cgns"}
     assert next(iter(titles.values())).replace("&", "&amp;").replace("<", "&lt;") in text
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--plane", "z=1.5"), "no part of the grid lies at z = 1.5; it spans z = 0 to 1"),
+        (("--plane", "k=9"), "no block has a node plane k = 9; the largest is 4"),
+        (("--plane", "q=1"), "expected a plane of nodes, like k=1 or k=mid, or one in space"),
+        (("--plane", "k=1", "--block", "wing"), "--block 'wing' matches no block; blocks are block1"),
+        (("--metric", "displacement"), "give --reference"),
+        (("--before", "side"), "give --reference"),
+        (("--range", "1,0"), "expected low < high"),
+        (("--view", "0,0,0"), "a direction has a length"),
+        (("--zoom", "2,1,0,1"), "left < right"),
+        (("--reference", "grid.xyz", "--arrows", "--plane", "x=0.6", "--metric", "volume", "--log", "--range", "0,1"),
+         "does not begin above zero"),
+        (("--reference", "flat.p2dfmt",), "blocks"),
+    ],
+)  # fmt: skip
+def test_plot_refuses_what_is_not_there(options, words, bench, call):
+    result = call("plot", "grid.cgns", "-o", "picture.png", *options)
+    assert (result.code, result.out) == (2, "")
+    assert words in result.err
+    assert not (bench / "picture.png").exists()
 
 
 def test_plot_of_a_flat_grid_and_force(bench, call):

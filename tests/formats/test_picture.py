@@ -1,0 +1,230 @@
+"""What pictures show: polygons against geometry, choices for every sample, colours that tell."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from grids import block_around, frame, frame_2d, polar
+
+from meshdeform_core.errors import CaseError
+from meshdeform_core.grid import Grid
+from meshdeform_core.grid.planes import Plane
+from meshdeform_core.grid.roles import Role
+from meshdeform_core.grid.topology import find_topology
+from meshdeform_core.quality.cells import measure_block
+from meshdeform_formats.picture import (
+    Choice,
+    Pair,
+    Subject,
+    cut_facets,
+    moved_walls,
+    overview,
+    page_png,
+    plane_facets,
+    quality_planes,
+    surface_facets,
+    worst_cell,
+    worst_cells,
+)
+from meshdeform_formats.picture.colours import group_colours, scale_of
+from meshdeform_formats.picture.image import INVALID_COLOUR, Scene, render
+from meshdeform_formats.picture.view import along, iso, towards, window_of
+from meshdeform_samples import load
+
+
+def subject(grid, reference=None):
+    return Subject(grid, find_topology(reference or grid), reference)
+
+
+def area(corners):
+    """Of polygons (n, m, 3), by the sum of cross products."""
+    arms = corners - corners[:, :1]
+    return 0.5 * np.linalg.norm(np.cross(arms[:, :-1], arms[:, 1:]).sum(axis=1), axis=1)
+
+
+def bent():
+    """``frame`` before and with one corner of the bar pulled through its neighbour."""
+    grid = frame()
+    points = grid.points.copy()
+    points[:, 2] *= 1.0 + 0.1 * np.sin(points[:, 0])
+    return grid, grid.moved(points)
+
+
+# polygons
+
+
+@pytest.mark.parametrize("normal", [(0, 0, 1), (1, 0, 0), (1, 1, 0), (1, 2, 3), (-3, 0.2, 0.7)])
+def test_a_cut_has_the_area_of_the_cross_section(normal):
+    grid = Grid.from_blocks([block_around(*(np.linspace(-1.0, 1.0, 7) ** 3 for _ in range(3)))])
+    unit = np.array(normal) / np.linalg.norm(normal)
+    facets = cut_facets(subject(grid), Plane(np.array([0.11, -0.07, 0.05]), unit), "f_skew")
+    level = (facets.corners - [0.11, -0.07, 0.05]) @ unit
+    assert np.abs(level).max() < 1e-7
+    # Cavalieri: the area is the derivative of the volume on one side, which a fine sample of the cube gives.
+    n, h = 160, 0.1
+    axis = (np.arange(n) + 0.5) / n * 2 - 1
+    samples = (axis[:, None, None] * unit[0] + axis[:, None] * unit[1] + axis * unit[2]) - unit @ [0.11, -0.07, 0.05]
+    expected = float((np.abs(samples) < h / 2).mean()) * 8 / h
+    assert area(facets.corners).sum() == pytest.approx(expected, rel=4e-2)
+
+
+def test_a_cut_goes_through_all_blocks_and_along_faces():
+    s = subject(frame())
+    for z in (0.0, 0.4, 1.0):
+        facets = cut_facets(s, Plane(np.array([0, 0, z]), np.array([0.0, 0.0, 1.0])), "volume")
+        assert area(facets.corners).sum() == pytest.approx(15.0)
+        assert set(facets.group) == set(range(8))
+    with pytest.raises(CaseError, match="misses the grid"):
+        cut_facets(s, Plane(np.array([0, 0, 1.5]), np.array([0.0, 0.0, 1.0])), "volume")
+
+
+def test_a_cut_carries_the_values_of_its_cells():
+    grid = bent()[1]
+    s = subject(grid)
+    facets = cut_facets(s, Plane(np.array([0.0, 0.0, 0.37]), np.array([0.0, 0.0, 1.0])), "f_skew")
+    skew = measure_block(grid.block(2), 1.0, None).skew
+    assert set(facets.values[facets.group == 2]) <= set(skew.ravel())
+
+
+def test_surfaces_and_planes_have_the_values_of_the_cells_behind():
+    grid = frame()
+    s = subject(grid)
+    volume = measure_block(grid.block(0), 1.0, None).volume
+    np.testing.assert_allclose(plane_facets(s, 2, 3, "volume", [0]).values, volume[:, :, -1].ravel())
+    quads = np.arange(*s.topology.quads.of_side(0, 1).indices(10**9)[:2])
+    np.testing.assert_allclose(surface_facets(s, quads, "volume").values, volume[-1].ravel())
+
+
+# what is chosen
+
+
+@pytest.mark.parametrize(("name", "size"), [("wing", 8), ("hemisphere", 8)])
+def test_walls_in_space_and_a_cut_of_bodies(name, size):
+    page = overview(subject(load(name).generate(size)), Choice())
+    solid, cut = page.panels
+    assert solid.scene.lit
+    assert not solid.view.flat
+    assert cut.view.flat
+    assert cut.title.startswith("cut ")
+
+
+@pytest.mark.parametrize("grid", [frame(), frame_2d(), polar()])
+def test_flat_and_extruded_grids_from_above(grid):
+    page = overview(subject(grid), Choice())
+    assert all(panel.view.flat and panel.view.labels == ("x", "y") for panel in page.panels)
+
+
+def test_a_small_body_has_a_close_up():
+    page = overview(subject(load("airfoil").generate(41)), Choice())
+    whole, near = page.panels
+    assert whole.frames == (near.window,)
+    assert near.window[1] - near.window[0] < 2.5 < whole.window[1] - whole.window[0]
+
+
+def test_symmetry_planes_are_behind_the_wing():
+    s = subject(load("wing").generate(8))
+    view = overview(s, Choice()).panels[0].view
+    (mirror,) = s.outside.of_role(Role.SYMMETRY)
+    corners = s.grid.points[s.topology.first[s.topology.quads.corners[mirror.quads]]]
+    outward = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1]).sum(axis=0)
+    assert outward @ view.towards < 0
+
+
+# colours
+
+
+def test_invalid_cells_have_their_own_colour_and_are_counted():
+    grid, other = bent()
+    points = other.points.copy()
+    grid.block(0, points)[2, 2, 2] += [0.0, 0.0, 0.9]
+    broken = subject(grid.moved(points), grid)
+    facets = plane_facets(broken, 2, 2, "f_skew")
+    assert facets.bad.any()
+    colours = scale_of("f_skew", facets.values).colours(facets)
+    assert (colours[facets.bad] == INVALID_COLOUR).all()
+    assert not (np.abs(colours[~facets.bad] - INVALID_COLOUR).max(axis=1) < 0.05).any()
+    block, cell = worst_cell(broken, "f_skew")
+    assert block == 0
+    assert broken.bad(0, broken.whole(0))[cell]
+
+
+def test_collapsed_edges_alone_are_not_invalid():
+    grid = polar()
+    points = grid.points.copy()
+    points[:, :2] *= (np.hypot(*grid.points[:, :2].T) > 1.0 + 1e-9)[:, None]
+    s = subject(grid.moved(points))
+    assert not s.bad(0, s.whole(0)).any()
+
+
+def test_ranges_follow_the_data():
+    values = np.array([0.87, 0.93, 0.99])
+    assert (scale_of("f_skew", values).low, scale_of("f_skew", values).high) == (0.8, 1.0)
+    assert (scale_of("volume", values).low, scale_of("volume", values).high) == (0.87, 0.99)
+    ratio = scale_of("volume_ratio", np.array([0.5, 1.2]))
+    assert (ratio.low, ratio.high) == (0.5, 1.5)
+    logarithmic = scale_of("volume_ratio", np.array([0.5, 4.0]), logarithmic=True)
+    assert (logarithmic.low, logarithmic.high) == (0.25, 4.0)
+    assert scale_of("volume", values, (0.9, 2.0)).extended == "min"
+    with pytest.raises(CaseError, match="no positive value"):
+        scale_of("displacement", np.zeros(3), logarithmic=True)
+
+
+def test_metrics_that_compare_need_the_undeformed_grid():
+    s = subject(frame())
+    with pytest.raises(CaseError, match="--reference"):
+        s.values("displacement", 0, s.whole(0))
+    before, after = bent()
+    moved = subject(after, before)
+    expected = np.linalg.norm((after.points - before.points), axis=1).max()
+    assert 0 < moved.values("displacement", 0, moved.whole(0)).max() <= expected
+    assert moved.values("volume_ratio", 0, moved.whole(0)).min() < 1
+
+
+# images
+
+
+def test_views_are_right_handed():
+    for view in (along("x"), along("y"), along("z"), iso(), towards(np.array([1.0, 2.0, -3.0]))):
+        np.testing.assert_allclose(np.cross(view.right, view.up), view.towards, atol=1e-15)
+
+
+def test_an_image_shows_the_near_side_of_a_cube():
+    grid = Grid.from_blocks([block_around(*(np.linspace(0.0, 1.0, 3),) * 3)])
+    s = subject(grid)
+    parts = [surface_facets(s, np.arange(4 * side, 4 * side + 4), group=side) for side in range(6)]
+    facets = dataclasses.replace(
+        parts[0],
+        **{name: np.concatenate([getattr(p, name) for p in parts]) for name in ("corners", "values", "bad", "group")},
+    )
+    view = towards(np.array([1.0, -2.0, 1.5]))
+    image = render(Scene(facets, group_colours(facets)), view, window_of(view, facets.corners), 120)
+    seen = {int(facets.group[n]) for n in np.unique(image.item) if n >= 0}
+    assert seen == {1, 2, 5}
+    assert 0.3 < image.pixels[..., 3].mean() < 0.95
+
+
+def test_pages_before_and_after_have_one_size_and_scale():
+    before, after = bent()
+    pair = Pair(before, after, find_topology(before))
+    one, two = quality_planes(pair)
+    assert one.scale == two.scale
+    assert one.panels[0].window == two.panels[0].window
+    pictures = [page_png(page, 4.0, 60) for page in (one, two, worst_cells(pair, 2, (1, 1, 1)))]
+    assert all(png.startswith(b"\x89PNG") for png in pictures)
+    assert pictures[0][16:24] == pictures[1][16:24]
+    assert pictures[0] != pictures[1]
+    assert page_png(one, 4.0, 60) == pictures[0]
+
+
+def test_moved_walls_are_coloured_by_their_motion():
+    before = load("wing").generate(8)
+    points = before.points + [0.0, 0.0, 0.25]
+    topology = find_topology(before)
+    pair = Pair(before, before.moved(points), topology)
+    walls = np.concatenate([w.quads for w in pair.old.outside.of_role(Role.WALL)])
+    page = moved_walls(pair, walls)
+    assert page.scale is not None
+    np.testing.assert_allclose(page.panels[1].scene.facets.values, 0.25)
+    assert page.panels[0].window == page.panels[1].window
