@@ -32,10 +32,12 @@ from .progress import ProgressBar
 @case_options
 @click.option("--steps", default="1", metavar="N|auto", help="Impose the motion in N steps, or as many as needed.")
 @click.option(
-    "--time", "at_time", type=FiniteNumber(), default=0.0, metavar="T", help="Evaluate the motion at this time."
+    "--time", "at_time", type=FiniteNumber(), metavar="T", help="Evaluate the motion at this time (default 0)."
 )
 @run_options
-def command(source: GridInput, output: Path | None, case: CaseInput, steps: str, at_time: float, run: RunInput) -> int:
+def command(
+    source: GridInput, output: Path | None, case: CaseInput, steps: str, at_time: float | None, run: RunInput
+) -> int:
     """Deform GRID, judge the result and write it.
 
     \b

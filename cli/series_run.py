@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time as clock
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -72,7 +72,10 @@ def prepare(job: Job, source: GridInput, wanted: Wanted, warnings: Warnings) -> 
     output = {"output": name, "single file": wanted.single_file, "variant": files.variant.label}
     manifest.ingredients = ingredients_of(source.path, source.boundary_file, job.case, schedule, output)
     timing = Timing()
-    setup = set_up(grid, job.case.case, timing, job.memory)
+    case = job.case.case
+    if not case.depends_on_time:
+        case = replace(case, notes=(*case.notes, "the motion does not depend on t: all levels are alike"))
+    setup = set_up(grid, case, timing, job.memory)
     return Run(job, setup, schedule, files, manifest, timing, warnings)
 
 
@@ -101,7 +104,7 @@ def describe(run: Run) -> tuple[Report, str]:
     largest = max(float((run.setup.displacement(t) ** 2).sum(axis=1).max() ** 0.5) for t in times)
     last = run.files.path(len(times) - 1)
     return (
-        plan_report(run.setup, prepared.account, {"max_displacement": largest}),
+        plan_report(run.setup, prepared.account, largest),
         f"series    {len(times)} levels from t = {times[0]:g} to {times[-1]:g}: {run.files.path(0)} ... {last}\n",
     )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import time as clock
 from collections.abc import Sequence
@@ -12,10 +13,11 @@ from typing import Any
 import click
 
 from meshdeform_core.boundary.crossing import find_contact
-from meshdeform_core.deform import deform, set_up
+from meshdeform_core.deform import Case, deform, set_up
 from meshdeform_core.grid import Grid
 from meshdeform_core.memory import MemoryLimit, left_for_method, peak_memory
 from meshdeform_core.methods import make_method
+from meshdeform_core.methods.limits import patch_motions
 from meshdeform_core.parallel import current_ranks, thread_count
 from meshdeform_formats.case import CaseFile
 from meshdeform_formats.grids import complete_for_export, variant_of, write_grid
@@ -59,21 +61,35 @@ def load(source: GridInput, case: CaseInput, memory: MemoryLimit, outputs: Seque
 
 @dataclass(frozen=True)
 class Imposed:
-    """How a motion is imposed: in how many steps (or ``auto``), evaluated at which time."""
+    """How a motion is imposed: in how many steps (or ``auto``), evaluated at which time (``--time``, if given)."""
 
     steps: int | str
-    time: float
+    at_time: float | None
+
+    @property
+    def time(self) -> float:
+        return 0.0 if self.at_time is None else self.at_time
+
+    def case(self, case: Case) -> Case:
+        """The case with a note when time and motion do not fit."""
+        if case.depends_on_time == (self.at_time is not None):
+            return case
+        if case.depends_on_time:
+            note = "the motion depends on t and was evaluated at t = 0; choose another time with --time"
+        else:
+            note = f"the motion does not depend on t: --time {self.at_time:g} changes nothing"
+        return dataclasses.replace(case, notes=(*case.notes, note))
 
 
 def plan(job: Job, output: Path | None, imposed: Imposed, variant: dict[str, str]) -> Report:
     """What would be done: classification, parameters, node counts, and what is bound to go wrong."""
     if output is not None:
         variant_of(job.grid, output, variant)
-    setup = set_up(job.grid, job.case.case, memory=job.memory)
+    setup = set_up(job.grid, imposed.case(job.case.case), memory=job.memory)
     prepared = make_method(job.case.case.method).prepare(setup.problem)
     motion = setup.displacement(imposed.time)
     largest = float((motion**2).sum(axis=1).max() ** 0.5)
-    report = plan_report(setup, prepared.account, {"max_displacement": largest})
+    report = plan_report(setup, prepared.account, largest, patch_motions(setup.problem, motion))
     # Steps that are halved until they succeed are never too large.
     part = 1 / imposed.steps if isinstance(imposed.steps, int) else 0.0
     first = setup.displacement(imposed.time, part)
@@ -105,7 +121,7 @@ def run(
     grid = complete_for_export(job.grid, output)
     result = deform(
         grid,
-        job.case.case,
+        imposed.case(job.case.case),
         time=imposed.time,
         steps=imposed.steps,
         precision=precision,

@@ -19,6 +19,7 @@ from .grid.connectivity import check_connections
 from .grid.topology import RELATIVE_TOLERANCE, Topology, find_topology
 from .memory import UNLIMITED, MemoryLimit
 from .methods import Account, Options, PreparedMethod, Problem, Progress, make_method
+from .methods.limits import patch_motions
 from .parallel import current_ranks, empty, for_rows
 from .quality import Assessment, Original, assess
 from .quality.validity import newly_invalid
@@ -33,19 +34,26 @@ BoundaryMotion = Callable[[float], FloatArray]
 class Case:
     """What to do with a grid: its boundary entries, the constants of their formulas, the method.
 
-    ``tolerance`` is the largest distance of coincident nodes, relative to the local edge.
+    ``tolerance`` is the largest distance of coincident nodes, relative to the local edge; ``notes`` are doubts that
+    came up when the case was made, for the report's warnings.
     """
 
     boundaries: tuple[BoundarySpec, ...]
     constants: Mapping[str, float] = field(default_factory=dict)
     method: Options = field(default_factory=Options)
     tolerance: float = RELATIVE_TOLERANCE
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not isinstance(self.method, Options):
             raise CaseError(f"method = {self.method!r} of a case; expected Options, like Options('idw-tfi')")
         if not all(isinstance(spec, BoundarySpec) for spec in self.boundaries):
             raise CaseError(f"boundaries = {self.boundaries!r} of a case; expected BoundarySpec entries")
+
+    @property
+    def depends_on_time(self) -> bool:
+        """Whether any motion uses t."""
+        return any("t" in spec.motion.names for spec in self.boundaries if spec.motion)
 
 
 @dataclass
@@ -146,7 +154,7 @@ def set_up(grid: Grid, case: Case, timing: Timing | None = None, memory: MemoryL
     timing = timing or Timing()
     with timing.stage("topology"):
         topology = current_ranks().once(lambda: find_topology(grid, case.tolerance))
-        warnings = [*grid.notes, *check_connections(grid, topology)]
+        warnings = [*grid.notes, *case.notes, *check_connections(grid, topology)]
         if topology.crowded:
             warnings.append(f"{topology.crowded} face quads are shared by more than two blocks")
         topology, boundary = classify(grid, topology, case.boundaries, case.constants)
@@ -352,4 +360,5 @@ class _March:
             self.max_displacement,
             self.timing,
             (*self.warnings, *self.notices.values()),
+            patch_motions(setup.problem, self.total),
         )

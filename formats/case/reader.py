@@ -6,7 +6,7 @@ A case is data: formulas go through :mod:`meshdeform_core.boundary.expression`, 
 from __future__ import annotations
 
 import keyword
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ from meshdeform_core.methods import IDW, RBF, TFI, Options
 
 from ..displacement import read_displacement
 from .files import named_files, read_sequence, sequence_files
+from .reach import unread
 from .toml import load, override
 from .values import Table, check_keys, fail, file_of, formula_of, number_of, plain, table_of, three_of
 
@@ -71,7 +72,7 @@ def read_case(
         Naming the file, the key and the nearest known one.
     """
     path = Path(path) if path else None
-    data = load(path)
+    data, overrides = load(path), tuple(overrides)
     for text in overrides:
         override(data, text)
     folder = path.parent if path else Path()
@@ -79,7 +80,7 @@ def read_case(
         if method:
             data.setdefault("method", {})
             table_of(data, "method")["name"] = method
-        parsed = _parse(data, folder)
+        parsed = _parse(data, folder, overrides)
     except (CaseError, MethodError) as error:
         raise type(error)(f"{path or 'command line'}: {error}") from error
     return parsed if table is None else _with_table(parsed, Path(table), times)
@@ -113,7 +114,7 @@ def _with_table(parsed: CaseFile, table: Path, times: str | None) -> CaseFile:
     return replace(parsed, case=case, files=(*parsed.files, *files))
 
 
-def _parse(data: Table, folder: Path) -> CaseFile:
+def _parse(data: Table, folder: Path, overrides: Sequence[str] = ()) -> CaseFile:
     check_keys(data, ("grid", "constants", "boundary", "method"), "case")
     grid = table_of(data, "grid")
     check_keys(grid, ("boundary_file", "tolerance"), "[grid]")
@@ -128,7 +129,8 @@ def _parse(data: Table, folder: Path) -> CaseFile:
     tolerance = number_of(grid.get("tolerance", RELATIVE_TOLERANCE), "grid.tolerance")
     if not 0 < tolerance < 0.5:
         raise fail("grid.tolerance", f"{tolerance} of the local edge; expected a fraction between 0 and 0.5")
-    case = Case(specs, constants, _options(table_of(data, "method")), tolerance)
+    options = _options(table_of(data, "method"))
+    case = Case(specs, constants, options, tolerance, unread(data, specs, options, overrides))
     boundary_file = file_of(grid["boundary_file"], folder, "[grid]: boundary_file") if "boundary_file" in grid else None
     return CaseFile(case, boundary_file, tuple(named_files(data, folder)), data)
 

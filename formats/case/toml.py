@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -53,13 +54,13 @@ def _require_64_bits(value: Any) -> None:
         raise ValueError(_TOO_LONG)
 
 
-def override(data: Table, text: str) -> None:
-    """Put the value of ``KEY=VALUE`` over what ``data`` has, in place; what is not TOML is taken as a text.
+def parsed_override(text: str) -> tuple[list[str], Any]:
+    """The names of KEY and the value of ``KEY=VALUE``; what is not TOML is taken as a text.
 
     Raises
     ------
     CaseError
-        When there is no ``=``, or the key leads through a value or to an entry that does not exist.
+        When there is no ``=`` or no key.
     """
     key, equals, value = text.partition("=")
     if not equals or not key.strip():
@@ -67,8 +68,19 @@ def override(data: Table, text: str) -> None:
     try:
         (parsed,) = _toml(f"value = {value}").values()
     except ValueError:
-        parsed = value.strip()
-    *path, last = key.strip().split(".")
+        parsed = _number_or_text(value.strip())
+    return key.strip().split("."), parsed
+
+
+def override(data: Table, text: str) -> None:
+    """Put the value of ``KEY=VALUE`` over what ``data`` has, in place.
+
+    Raises
+    ------
+    CaseError
+        When there is no ``=``, or the key leads through a value or to an entry that does not exist.
+    """
+    (*path, last), parsed = parsed_override(text)
     target: Any = data
     for name in path:
         target = target.setdefault(name, {}) if isinstance(target, dict) else _entry(target, name, text)
@@ -80,6 +92,11 @@ def override(data: Table, text: str) -> None:
             f'boundary.wing.kind="fixed", or give the list as a whole'
         )
     target[last] = parsed
+
+
+def _number_or_text(value: str) -> float | str:
+    """``.1`` and ``1.`` are numbers, though not in TOML."""
+    return float(value) if re.fullmatch(r"[+-]?(\d+\.|\.\d+)(e[+-]?\d+)?", value, re.IGNORECASE) else value
 
 
 def _entry(entries: list[Any], name: str, text: str) -> Any:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
 
 from meshdeform_core.deform import Result, Setup
 from meshdeform_core.grid import Grid
 from meshdeform_core.methods import Account
+from meshdeform_core.methods.limits import PatchMotion
 from meshdeform_core.quality import Assessment
 
 from .parts import Report, boundary_part, cell_part, head_part, method_part, quality_part
@@ -29,6 +29,7 @@ def deformation_report(result: Result, timing: Mapping[str, float], peak_memory:
         **head_part(setup.grid),
         "method": method_part(setup.case.method.name, result.account),
         "boundary": boundary,
+        "motion": [dataclasses.asdict(patch) for patch in result.motion],
         **quality_part(result.assessment),
         "blocks": [dataclasses.asdict(block) for block in result.assessment.blocks],
         "valid": result.valid,
@@ -56,11 +57,15 @@ def quality_report(
     }
 
 
-def plan_report(setup: Setup, account: Account, extra: Mapping[str, Any]) -> Report:
-    """What ``--dry-run`` prints: everything that is decided before anything moves."""
+def plan_report(setup: Setup, account: Account, largest: float, motion: Sequence[PatchMotion] = ()) -> Report:
+    """What ``--dry-run`` prints: everything that is decided before anything moves.
+
+    ``largest`` is the largest displacement, ``motion`` that of every moving boundary entry.
+    """
     return {
         **head_part(setup.grid),
         "method": method_part(setup.case.method.name, account),
-        "boundary": boundary_part(setup) | dict(extra),
+        "boundary": boundary_part(setup) | {"max_displacement": largest},
+        "motion": [dataclasses.asdict(patch) for patch in motion],
         "warnings": [*setup.warnings, *account.warnings],
     }

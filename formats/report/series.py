@@ -45,6 +45,7 @@ def level_record(level: Level, file: str, write_seconds: float, head: Report, wa
         "reached": result.reached,
         "max_displacement": result.max_displacement,
         "max_rotation_deg": level.rotation,
+        "motion": [dataclasses.asdict(patch) for patch in result.motion],
         "drift": dataclasses.asdict(level.drift) if level.drift else None,
         "quality": dataclasses.asdict(result.assessment.after),
         "invalid_cells": [cell_part(cell) for cell in result.assessment.invalid[:_LISTED]],

@@ -26,6 +26,7 @@ def _lines(report: dict[str, Any]) -> Iterator[str]:
         yield from _method(report["method"])
     if "boundary" in report:
         yield from _boundary(report["boundary"])
+        yield from _motion(report.get("motion", []))
     if "levels" in report:
         yield from series_lines(report)
     elif "quality" in report:
@@ -62,6 +63,16 @@ def _boundary(boundary: dict[str, Any]) -> Iterator[str]:
         )
     if "max_displacement" in boundary:
         yield f"motion    largest displacement {boundary['max_displacement']:.6g}"
+
+
+def _motion(patches: list[dict[str, Any]]) -> Iterator[str]:
+    """The motion as it was understood: radians given as degrees are seen here."""
+    for patch in patches:
+        mean = ", ".join(f"{part:.4g}" for part in patch["mean_displacement"])
+        yield (
+            f"          {patch['boundary']}: up to {patch['max_displacement']:.6g}, mean ({mean}), "
+            f"turned by up to {patch['max_rotation_deg']:.4g} degrees"
+        )
 
 
 def _quality(report: dict[str, Any]) -> Iterator[str]:

@@ -172,6 +172,13 @@ def _select(grid: Grid, topology: Topology, spec: BoundarySpec, constants: Mappi
     nodes = distinct(corners, topology.n_unique)
     x, y, z = grid.points[topology.first[nodes]].T
     holds = np.broadcast_to(np.asarray(spec.where({**constants, "x": x, "y": y, "z": z})), nodes.shape)
+    if np.isnan(holds).any():
+        node = int(topology.first[nodes[np.argmax(np.isnan(holds))]])
+        raise CaseError(
+            f"boundary {spec.name!r}: where = {spec.where.text!r} is not a number at {int(np.isnan(holds).sum())} of "
+            f"{len(nodes)} nodes, first at {grid.node_label(node)} = {grid.points[node].tolist()}; "
+            f"expected a condition, like x > 0.5"
+        )
     inside = np.zeros(topology.n_unique, dtype=bool)
     inside[nodes[holds.astype(bool)]] = True
     quads = quads[inside[corners].all(axis=1)]

@@ -96,6 +96,12 @@ class Expression:
         except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
             raise CaseError(f"expression {self.text!r} is not a formula: {getattr(error, 'msg', error)}") from None
 
+    @cached_property
+    def names(self) -> frozenset[str]:
+        """The variables that the formula uses."""
+        found = {node.id for node in ast.walk(self._tree) if isinstance(node, ast.Name)}
+        return frozenset(found & self.variables)
+
     def __call__(self, values: Mapping[str, Any]) -> Any:
         """Value of the formula; arrays in ``values`` broadcast. May hold NaN or inf: the caller knows where."""
         with np.errstate(all="ignore"):

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
@@ -23,6 +23,11 @@ VARIABLES = ("x", "y", "z", "t")
 
 class Step(Protocol):
     """One entry of ``motion = [...]``."""
+
+    @property
+    def names(self) -> frozenset[str]:
+        """Variables and constants that its formulas use."""
+        ...
 
     def prepare(self, nodes: Nodes) -> PreparedStep:
         """Whatever depends on the undeformed nodes only."""
@@ -45,6 +50,10 @@ class Rotate:
     axis: tuple[float, float, float]
     center: tuple[Expression, Expression, Expression]
 
+    @property
+    def names(self) -> frozenset[str]:
+        return self.angle.names.union(*(part.names for part in self.center))
+
     def prepare(self, nodes: Nodes) -> PreparedStep:
         return self
 
@@ -63,6 +72,10 @@ class Displace:
 
     vector: tuple[Expression, Expression, Expression]
 
+    @property
+    def names(self) -> frozenset[str]:
+        return frozenset().union(*(part.names for part in self.vector))
+
     def prepare(self, nodes: Nodes) -> PreparedStep:
         return self
 
@@ -76,6 +89,7 @@ class Follow:
 
     data: SurfaceData | Grid
     matching: Matching
+    names: ClassVar[frozenset[str]] = frozenset()
 
     def prepare(self, nodes: Nodes) -> PreparedStep:
         return Imposed(transfer(self.data, self.matching, nodes))
@@ -101,6 +115,7 @@ class FollowSequence:
     times: tuple[float, ...]
     read: Callable[[int], SurfaceData | Grid]
     matching: Matching
+    names: ClassVar[frozenset[str]] = frozenset({"t"})
 
     def prepare(self, nodes: Nodes) -> PreparedStep:
         return ImposedSequence(self, nodes)
@@ -147,6 +162,11 @@ class Motion:
 
     steps: tuple[Step, ...]
     constants: Mapping[str, float]
+
+    @property
+    def names(self) -> frozenset[str]:
+        """Variables and constants that the formulas use; ``t`` when the motion depends on time."""
+        return frozenset().union(*(step.names for step in self.steps))
 
     def prepare(self, nodes: Nodes) -> PreparedMotion:
         """Bind the motion to its nodes: tables are matched here, once."""

@@ -7,6 +7,7 @@ its body: one step is valid to a largest rotation of 54 degrees with TFI, of 34 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,6 +22,48 @@ LARGEST_ROTATION = 150.0
 """Largest rotations in one step, degrees: of TFI, of averaged displacements, and of averaged rigid motions."""
 
 
+@dataclass(frozen=True)
+class PatchMotion:
+    """The motion of a moving boundary entry as it was understood.
+
+    ``max_displacement`` and ``mean_displacement`` (grid length unit) are those of its nodes, ``max_rotation_deg`` the
+    largest rotation of its surface (degrees, at most 180).
+    """
+
+    boundary: str
+    max_displacement: float
+    mean_displacement: tuple[float, float, float]
+    max_rotation_deg: float
+
+
+def patch_motions(problem: Problem, displacement: FloatArray) -> tuple[PatchMotion, ...]:
+    """How every moving boundary entry moves.
+
+    Parameters
+    ----------
+    displacement : (n_unique, 3) of all face nodes
+    """
+    sources = problem.source_numbers
+    angle = np.degrees(np.linalg.norm(rotations(problem, displacement[sources]), axis=1))
+    names = [patch.name for patch in problem.boundary.patches if patch.kind is Kind.MOVING]
+    found = []
+    for name, (nodes, _) in zip(names, problem.boundary.movers, strict=True):
+        moved = displacement[nodes]
+        x, y, z = moved.mean(axis=0).tolist()
+        largest = float(np.linalg.norm(moved, axis=1).max(initial=0.0))
+        turned = float(angle[np.searchsorted(sources, nodes)].max(initial=0.0))
+        found.append(PatchMotion(name, largest, (x, y, z), turned))
+    return tuple(found)
+
+
+def rotations(problem: Problem, displacement: FloatArray) -> FloatArray:
+    """Rotation vectors (n_sources, 3) of the moving walls, radians; zero where nothing moves."""
+    surface, x = problem.surface, problem.source_points
+    turned = surface_rotations(x, x + displacement, surface.corners, surface.edges, problem.plane_normal)
+    vectors: FloatArray = rotation_vector(turned)
+    return vectors
+
+
 def largest_rotation(problem: Problem, displacement: FloatArray) -> float:
     """Largest rotation of a moving wall against what does not move, else against the mean (degrees).
 
@@ -28,9 +71,7 @@ def largest_rotation(problem: Problem, displacement: FloatArray) -> float:
     ----------
     displacement : (n_sources, 3)
     """
-    surface, x = problem.surface, problem.source_points
-    turned = surface_rotations(x, x + displacement, surface.corners, surface.edges, problem.plane_normal)
-    turn = rotation_vector(turned)
+    turn = rotations(problem, displacement)
     if not (problem.boundary.kind[problem.source_numbers] == Kind.FIXED).any():
         turn = turn - turn.mean(axis=0)
     return math.degrees(float(np.linalg.norm(turn, axis=1).max()))

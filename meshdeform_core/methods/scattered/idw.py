@@ -77,6 +77,21 @@ class IDW:
         if self.reweight and self.rotation != "division":
             raise MethodError(f'method.idw.reweight belongs to rotation = "division", not {self.rotation!r}')
 
+    @property
+    def idle(self) -> dict[str, str]:
+        """Options that have no effect beside the others, and why."""
+        shepard, luke = ("p_moving", "p_fixed"), ("alpha", "eta", "a", "b")
+        idle = dict.fromkeys(
+            shepard if self.weights == "luke" else luke, f'it is not read with method.idw.weights = "{self.weights}"'
+        )
+        if self.weights == "luke" and self.alpha != "auto":
+            idle["eta"] = 'it is only read with method.idw.alpha = "auto"'
+        if self.rotation != "division":
+            idle["divisions"] = 'it is only read with method.idw.rotation = "division"'
+        if self.summation == "exact":
+            idle["summation_tolerance"] = 'it is not read with method.idw.summation = "exact"'
+        return idle
+
     def bind(self, problem: Problem) -> PreparedIDW:
         """Sources with their images at symmetry planes, nodal areas, L_def."""
         return PreparedIDW(self, problem)

@@ -90,6 +90,22 @@ class RBF:
             )
 
     @property
+    def idle(self) -> dict[str, str]:
+        """Options that have no effect beside the others, and why."""
+        idle = {}
+        if self.basis == "tps":
+            idle["radius"] = 'method.rbf.basis = "tps" has no radius'
+        if self.solver == "direct":
+            iterative = 'it is not read with method.rbf.solver = "direct"'
+            idle |= {"tolerance": iterative, "max_iterations": iterative}
+        if self.greedy == "none":
+            greedy = [f.name for f in dataclasses.fields(self) if f.name.startswith("greedy_")]
+            idle |= dict.fromkeys(greedy, 'it is not read with method.rbf.greedy = "none"')
+        if self.summation == "exact":
+            idle["summation_tolerance"] = 'it is not read with method.rbf.summation = "exact"'
+        return idle
+
+    @property
     def system(self) -> SystemOptions:
         """The options of the linear system."""
         return SystemOptions(self.basis, self.solver, self.tolerance, self.max_iterations)
