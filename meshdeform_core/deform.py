@@ -19,7 +19,7 @@ from .grid.connectivity import check_connections
 from .grid.topology import RELATIVE_TOLERANCE, Topology, find_topology
 from .memory import UNLIMITED, MemoryLimit
 from .methods import Account, Options, PreparedMethod, Problem, Progress, make_method
-from .methods.limits import patch_motions
+from .methods.limits import PatchMotion, patch_motions
 from .parallel import current_ranks, empty, for_rows
 from .quality import Assessment, Original, assess
 from .quality.validity import newly_invalid
@@ -133,6 +133,7 @@ class Result:
     max_displacement: float
     timing: Timing
     warnings: tuple[str, ...]
+    motion: tuple[PatchMotion, ...] = ()
 
     def __repr__(self) -> str:
         return f"Result(valid={self.valid}, steps={self.steps}, reached={self.reached:g})"

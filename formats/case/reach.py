@@ -6,11 +6,11 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from meshdeform_core.boundary import BoundarySpec
-from meshdeform_core.errors import CaseError
+from meshdeform_core.errors import CaseError, suggestion
 from meshdeform_core.methods import IDW, RBF, Options, entry_of
 
 from .toml import parsed_override
-from .values import Table, nearest
+from .values import Table
 
 
 def unread(data: Table, specs: Sequence[BoundarySpec], options: Options, overrides: Iterable[str]) -> tuple[str, ...]:
@@ -31,12 +31,13 @@ def unread(data: Table, specs: Sequence[BoundarySpec], options: Options, overrid
     for text, path, value in given:
         for name in _constants_in(path, value):
             if name not in used:
-                known = nearest(name, used) or (f"; used are {', '.join(sorted(used))}" if used else "; none uses any")
+                others = f"; used are {', '.join(sorted(used))}" if used else "; none uses any"
+                known = suggestion(name, used) or others
                 raise CaseError(f"--set {text!r}: no formula uses the constant {name!r}{known}")
         if reason := _idle_option(path, options):
             raise CaseError(f"--set {text!r} changes nothing: {reason}")
     idle = [name for name in data.get("constants", {}) if name not in used]
-    return tuple(f"no formula uses the constant {name!r}{nearest(name, used)}" for name in idle)
+    return tuple(f"no formula uses the constant {name!r}{suggestion(name, used)}" for name in idle)
 
 
 def _names_used(specs: Sequence[BoundarySpec]) -> set[str]:

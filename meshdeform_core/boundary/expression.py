@@ -21,6 +21,42 @@ from ..errors import CaseError, suggestion
 
 MAX_LENGTH = 1000
 
+
+def _truth(value: Any) -> tuple[Any, Any]:
+    """Where a value is true, and where it is neither true nor false (NaN)."""
+    unknown = np.isnan(value)
+    return np.not_equal(value, 0) & ~unknown, unknown
+
+
+def _with_unknown(true: Any, unknown: Any) -> Any:
+    return np.where(unknown, np.nan, true) if np.any(unknown) else true
+
+
+def _and(one: Any, two: Any) -> Any:
+    """Three-valued: false if either is false, else NaN if either is."""
+    (a, unknown_a), (b, unknown_b) = _truth(one), _truth(two)
+    return _with_unknown(a & b, (unknown_a & (b | unknown_b)) | (unknown_b & (a | unknown_a)))
+
+
+def _not(one: Any) -> Any:
+    true, unknown = _truth(one)
+    return _with_unknown(~true, unknown)
+
+
+def _or(one: Any, two: Any) -> Any:
+    return _not(_and(_not(one), _not(two)))
+
+
+def _where(condition: Any, one: Any, two: Any) -> Any:
+    true, unknown = _truth(condition)
+    return _with_unknown(np.where(true, one, two), unknown)
+
+
+def _comparison(compare: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    """The comparison, NaN where either side is: numpy's is false, as if the condition did not hold."""
+    return lambda one, two: _with_unknown(compare(one, two), np.isnan(one) | np.isnan(two))
+
+
 _BINARY: dict[type[ast.AST], Callable[[Any, Any], Any]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
@@ -31,20 +67,20 @@ _BINARY: dict[type[ast.AST], Callable[[Any, Any], Any]] = {
     ast.FloorDiv: np.floor_divide,
 }
 _COMPARE: dict[type[ast.AST], Callable[[Any, Any], Any]] = {
-    ast.Lt: operator.lt,
-    ast.LtE: operator.le,
-    ast.Gt: operator.gt,
-    ast.GtE: operator.ge,
-    ast.Eq: operator.eq,
-    ast.NotEq: operator.ne,
+    ast.Lt: _comparison(operator.lt),
+    ast.LtE: _comparison(operator.le),
+    ast.Gt: _comparison(operator.gt),
+    ast.GtE: _comparison(operator.ge),
+    ast.Eq: _comparison(operator.eq),
+    ast.NotEq: _comparison(operator.ne),
 }
 _UNARY: dict[type[ast.AST], Callable[[Any], Any]] = {
     ast.USub: operator.neg,
     ast.UAdd: operator.pos,
-    ast.Not: np.logical_not,
+    ast.Not: _not,
 }
 _FUNCTIONS: dict[str, tuple[int, Callable[..., Any]]] = {
-    "where": (3, np.where),
+    "where": (3, _where),
     "min": (2, np.minimum),
     "max": (2, np.maximum),
     "atan2": (2, np.arctan2),
@@ -181,7 +217,7 @@ def _value(node: ast.AST, values: Mapping[str, Any]) -> Any:
         case ast.UnaryOp(op=op, operand=operand):
             return _UNARY[type(op)](_value(operand, values))
         case ast.BoolOp(op=op, values=parts):
-            combine = np.logical_and if isinstance(op, ast.And) else np.logical_or
+            combine = _and if isinstance(op, ast.And) else _or
             result = _value(parts[0], values)
             for part in parts[1:]:
                 result = combine(result, _value(part, values))
@@ -190,7 +226,7 @@ def _value(node: ast.AST, values: Mapping[str, Any]) -> Any:
             terms = [_value(term, values) for term in (left, *others)]
             result = _COMPARE[type(ops[0])](terms[0], terms[1])
             for compare, one, two in zip(ops[1:], terms[1:], terms[2:], strict=False):
-                result = np.logical_and(result, _COMPARE[type(compare)](one, two))
+                result = _and(result, _COMPARE[type(compare)](one, two))
             return result
         case ast.Call(func=ast.Name(id=name), args=args):
             return _FUNCTIONS[name][1](*(_value(arg, values) for arg in args))

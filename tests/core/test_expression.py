@@ -71,3 +71,21 @@ def test_hints():
 def test_any_text_is_a_formula_or_an_error(text):
     with contextlib.suppress(CaseError):
         expression(text, {"x"})({"x": X})
+
+
+@pytest.mark.parametrize(
+    ("formula", "expected"),
+    [
+        ("nan < 1", None), ("nan and 0", False), ("0 and nan", False), ("nan and 1", None), ("nan or 1", True),
+        ("1 or nan", True), ("nan or 0", None), ("not nan", None), ("0 < 1 < nan", None), ("1 < 0 < nan", False),
+        ("where(nan, 1, 2)", None), ("where(0 < 1, 1, nan)", True), ("nan == nan", None), ("nan", None),
+    ],
+)  # fmt: skip
+def test_what_is_not_a_number_is_neither_true_nor_false(formula, expected):
+    value = expression(formula.replace("nan", "v"), {"v"})({"v": np.array([np.nan, np.nan])})
+    value = np.broadcast_to(value, 2)
+    if expected is None:
+        assert np.isnan(value).all()
+    else:
+        assert (value.astype(bool) == expected).all()
+        assert not np.isnan(value).any()

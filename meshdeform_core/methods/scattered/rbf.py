@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -99,7 +99,7 @@ class RBF:
             iterative = 'it is not read with method.rbf.solver = "direct"'
             idle |= {"tolerance": iterative, "max_iterations": iterative}
         if self.greedy == "none":
-            greedy = [f.name for f in dataclasses.fields(self) if f.name.startswith("greedy_")]
+            greedy = [f.name for f in fields(self) if f.name.startswith("greedy_")]
             idle |= dict.fromkeys(greedy, 'it is not read with method.rbf.greedy = "none"')
         if self.summation == "exact":
             idle["summation_tolerance"] = 'it is not read with method.rbf.summation = "exact"'

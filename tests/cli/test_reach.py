@@ -1,0 +1,106 @@
+"""What the user says and nothing reads is an error or a warning; the report states the motion as it was understood."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+RUN = ("deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz")
+
+
+@pytest.mark.parametrize(
+    ("setting", "words"),
+    [
+        ("constants.trun=40", ["no formula uses the constant 'trun'", "did you mean 'turn'?"]),
+        ("constants={turn=1,trun=40}", ["no formula uses the constant 'trun'"]),
+        ("method.rbf.basis=wendland-c2", ["changes nothing", "'idw-tfi' reads method.idw, method.tfi only"]),
+        ("method.idw.eta=4", ["changes nothing", 'method.idw.alpha = "auto"']),
+        ("method.idw.p_fixed=4", ["changes nothing", 'method.idw.weights = "luke"']),
+        ("method.idw.divisions=4", ["changes nothing", 'method.idw.rotation = "division"']),
+    ],
+)
+def test_set_that_reaches_nothing_is_an_error(setting, words, bench, call):
+    result = call(*RUN, "-s", setting)
+    assert result.code == 2
+    assert not (bench / "out.xyz").exists()
+    assert [word for word in words if word not in result.err] == []
+
+
+@pytest.mark.parametrize(
+    ("method", "settings"),
+    [
+        ("idw", ["method.idw.weights=shepard", "method.idw.p_fixed=4"]),
+        ("idw", ["method.idw.rotation=division", "method.idw.divisions=4"]),
+        ("rbf", ["method.rbf.basis=wendland-c2", "method.rbf.radius=4.0"]),
+        ("idw-tfi", ["method.tfi.max_cells=2"]),
+    ],
+)
+def test_set_that_is_read_is_accepted_and_changes_the_grid(method, settings, bench, call):
+    options = [word for setting in settings for word in ("-s", setting)]
+    assert call(*RUN, "-m", method, "--allow-invalid").code == 0
+    plain = (bench / "out.xyz").read_bytes()
+    assert call(*RUN, "-m", method, *options, "--force", "--allow-invalid").code == 0
+    assert (bench / "out.xyz").read_bytes() != plain
+
+
+@pytest.mark.parametrize(("setting", "wanted"), [(".1", 0.1), ("1.", 1.0), ("-.5e1", -5.0), ("1e1", 10.0)])
+def test_numbers_without_a_leading_or_trailing_digit_are_numbers(setting, wanted, bench, call):
+    assert call(*RUN, "-s", f"constants.turn={setting}", "--report", "out.json").code == 0
+    report = json.loads((bench / "out.json").read_text())
+    assert report["motion"][0]["max_rotation_deg"] == pytest.approx(abs(wanted), rel=1e-9)
+
+
+def test_constant_in_the_file_that_no_formula_uses_is_a_warning(bench, call):
+    case = (bench / "case.toml").read_text().replace("turn = 10.0", "turn = 10.0\nturned = 20.0")
+    (bench / "case.toml").write_text(case)
+    result = call(*RUN)
+    assert result.code == 0
+    assert result.warnings == ["no formula uses the constant 'turned'; did you mean 'turn'?"]
+
+
+def test_time_that_the_motion_does_not_depend_on_is_a_warning(bench, call):
+    assert "--time 2 changes nothing" in call(*RUN, "--time", "2").err
+    result = call("series", "grid.xyz", "-c", "case.toml", "--times", "0,1", "-o", "levels")
+    assert any("does not depend on t" in text for text in result.warnings)
+
+
+def test_motion_in_time_without_a_time_says_which_it_was(bench, call):
+    case = (bench / "case.toml").read_text().replace('angle = "turn"', 'angle = "turn*(1+t)"')
+    (bench / "case.toml").write_text(case)
+    assert "evaluated at t = 0" in call(*RUN).err
+    assert call(*RUN, "--time", "0", "--force").err == ""
+
+
+def test_report_states_the_motion_of_every_boundary(bench, call):
+    case = (bench / "case.toml").read_text()
+    turn = '{ rotate = { angle = "turn", axis = [0, 0, 1], center = [0, 0, 0] } }'
+    step = f"motion = [{turn}, {{ translate = [0.1, 0.05, 0] }}]"
+    lines = [step if line.startswith("motion") else line for line in case.splitlines()]
+    (bench / "case.toml").write_text("\n".join(lines))
+    result = call(*RUN, "--report", "out.json", "-s", f"constants.turn={np.pi / 6}")
+    (motion,) = json.loads((bench / "out.json").read_text())["motion"]
+    assert motion["boundary"] == "body"
+    # Radians given as degrees are seen.
+    assert motion["max_rotation_deg"] == pytest.approx(np.pi / 6, rel=1e-9)
+    np.testing.assert_allclose(motion["mean_displacement"], [0.1, 0.05, 0.0], atol=2e-3)
+    assert "turned by up to 0.5236 degrees" in result.out
+
+
+@pytest.mark.parametrize(
+    "where", ["sqrt(x)", "sqrt(x) < 5 and abs(y) < 0.51", "not log(x)", "abs(x) < 0.51 and log(x)"]
+)
+def test_condition_that_is_not_a_number_is_refused(where, bench, call):
+    case = (bench / "case.toml").read_text().replace("abs(x) < 0.51 and abs(y) < 0.51", where)
+    (bench / "case.toml").write_text(case)
+    result = call(*RUN)
+    assert result.code == 2
+    assert "is not a number at" in result.err
+
+
+def test_condition_may_guard_what_is_not_a_number(bench, call):
+    case = (bench / "case.toml").read_text()
+    guarded = case.replace("abs(x) < 0.51 and", "abs(x) < 0.51 and (x <= 0 or sqrt(x) < 1) and")
+    (bench / "case.toml").write_text(guarded)
+    assert call(*RUN).code == 0
