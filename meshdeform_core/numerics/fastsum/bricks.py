@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..jit import kernel
-from .boxes import box_points, fit_box, points_per_side
+from ..jit import inlined, kernel
+from .boxes import fit_box, place_points, points_per_side
 
 REGION = 8
 """Bricks of a region."""
@@ -88,63 +88,63 @@ def make_bricks(points, start, targets, order):
     boxes = _fit_boxes(points, start, targets, order)
     proxy = np.append(0, np.cumsum(boxes[-1].prod(axis=1)))
     proxies = np.empty((proxy[-1], 3))
-    _place_proxies(*boxes, proxy, proxies)
+    place_points(*boxes, proxy, proxies)
     return Bricks(start, targets, *boxes, proxy, proxies)
 
 
 def make_regions(points, bricks, first, order):
     """Regions of the bricks beginning with number ``first`` (g + 1,)."""
     regions = Regions(first, *_fit_boxes(bricks.proxies, bricks.proxy[first], np.arange(len(bricks.proxies)), order))
-    _widen(points, bricks.start[first], bricks.targets, order, regions)
+    _widen(points, bricks.start[first], bricks.targets, regions)
+    points_per_side(regions.half, order, regions.per_side)
     return regions
 
 
 @kernel
-def _widen(points, start, targets, order, regions):
+def _widen(points, start, targets, regions):
     """Make boxes hold the targets too."""
     for g in range(start.size - 1):
-        for t in targets[start[g] : start[g + 1]]:
+        for n in range(start[g], start[g + 1]):
             for row in range(3):
                 at = 0.0
                 for d in range(3):
-                    at += regions.axes[g, row, d] * (points[t, d] - regions.center[g, d])
+                    at += regions.axes[g, row, d] * (points[targets[n], d] - regions.center[g, d])
                 regions.half[g, row] = max(regions.half[g, row], abs(at))
-        points_per_side(regions.half[g], order, regions.per_side[g])
 
 
-@kernel
-def _place_proxies(center, axes, half, count, proxy, proxies):
-    for b in range(center.shape[0]):
-        box_points(center[b], axes[b], half[b], count[b], proxies[proxy[b] : proxy[b + 1]])
-
-
-@kernel
 def _cut_block(x, mask, count, capacity):
-    ni, nj, nk = mask.shape
-    # Ranges of indices, and whether the box lies in a region.
-    box = np.empty((4096, 7), dtype=np.int64)
-    box[0, 0] = box[0, 2] = box[0, 4] = box[0, 6] = 0
-    box[0, 1], box[0, 3], box[0, 5] = ni, nj, nk
-    depth = 1
-    starts, firsts = np.empty(count + 1, dtype=np.int64), np.empty(count + 1, dtype=np.int64)
-    starts[0] = firsts[0] = pieces = regions = 0
+    starts, firsts = np.zeros(count + 1, dtype=np.int64), np.zeros(count + 1, dtype=np.int64)
     targets = np.empty(count, dtype=np.int64)
-    used = 0
+    # Ranges of indices, and whether the box lies in a region.
+    box = np.zeros((4096, 7), dtype=np.int64)
+    box[0, 1:6:2] = mask.shape
+    pieces, regions = _cut_boxes(x, mask, capacity, box, starts, firsts, targets)
+    return starts[: pieces + 1].copy(), firsts[: regions + 1].copy(), targets
+
+
+@kernel
+def _cut_boxes(x, mask, capacity, box, starts, firsts, targets):
+    """Halve the first of ``box`` and fill the others with its parts; returns the number of bricks and of regions."""
+    nj, nk = mask.shape[1], mask.shape[2]
+    at, previous = np.empty(3, np.int64), np.empty(3)
+    depth = 1
+    pieces = regions = used = 0
     while depth:
         depth -= 1
-        b = box[depth].copy()
+        b = box[depth]
         size = (b[1] - b[0]) * (b[3] - b[2]) * (b[5] - b[4])
-        if not b[6] and size <= REGION * capacity:
+        if b[6] == 0 and size <= REGION * capacity:
             b[6] = 1
             if firsts[regions] < pieces:
                 regions += 1
                 firsts[regions] = pieces
         if size > capacity:
-            axis = _longest_side(x, b)
+            axis = _longest_side(x, b, at, previous)
             middle = (b[2 * axis] + b[2 * axis + 1]) // 2
-            box[depth] = box[depth + 1] = b
+            for n in range(7):
+                box[depth + 1, n] = b[n]
             box[depth + 1, 2 * axis + 1] = middle
-            box[depth, 2 * axis] = middle
+            b[2 * axis] = middle
             depth += 2
             continue
         before = used
@@ -160,14 +160,13 @@ def _cut_block(x, mask, count, capacity):
     if firsts[regions] < pieces:
         regions += 1
         firsts[regions] = pieces
-    return starts[: pieces + 1].copy(), firsts[: regions + 1].copy(), targets
+    return pieces, regions
 
 
-@kernel
-def _longest_side(x, b):
+@inlined
+def _longest_side(x, b, at, previous):
     """Index axis along which an index box is longest: mean length of its edges, taken through their quarter points."""
     best, axis = -1.0, 0
-    at, previous = np.empty(3, dtype=np.int64), np.empty(3)
     for a in range(3):
         lo, hi = b[2 * a], b[2 * a + 1] - 1
         if hi == lo:
@@ -193,34 +192,41 @@ def _longest_side(x, b):
     return axis
 
 
-@kernel
 def _fit_boxes(points, start, targets, order):
-    m = start.size - 1
-    center, axes, half = np.empty((m, 3)), np.empty((m, 3, 3)), np.empty((m, 3))
+    m = len(start) - 1
+    boxes = np.empty((m, 3)), np.empty((m, 3, 3)), np.empty((m, 3))
+    _fit_all(points, start, targets, *boxes)
     count = np.empty((m, 3), dtype=np.int64)
-    for b in range(m):
-        fit_box(points, targets[start[b] : start[b + 1]], center[b], axes[b], half[b])
-        points_per_side(half[b], order, count[b])
-    return center, axes, half, count
+    points_per_side(boxes[2], order, count)
+    return *boxes, count
 
 
 @kernel
+def _fit_all(points, start, targets, center, axes, half):
+    for b in range(start.size - 1):
+        fit_box(points, targets, start[b], start[b + 1], center, axes, half, b)
+
+
 def node_sizes(points, shapes, offsets, flat):
     """Shortest edge (n,) at the nodes ``flat`` of a grid; edges without length, at poles, do not count."""
-    size = np.full(flat.size, np.inf)
-    step = np.empty(3, dtype=np.int64)
+    size = np.full(len(flat), np.inf)
+    _node_sizes(points, shapes, offsets, flat, np.searchsorted(offsets, flat, side="right") - 1, size)
+    return size
+
+
+@kernel
+def _node_sizes(points, shapes, offsets, flat, block, size):
+    step = np.empty(3, np.int64)
     for n in range(flat.size):
-        block = np.searchsorted(offsets, flat[n], side="right") - 1
-        shape = shapes[block]
-        rest = flat[n] - offsets[block]
+        shape = shapes[block[n]]
+        rest = flat[n] - offsets[block[n]]
         step[0], step[1], step[2] = shape[1] * shape[2], shape[2], 1
         for axis in range(3):
             at = rest // step[axis] % shape[axis]
-            for way in (-1, 1):
+            for way in range(-1, 2, 2):
                 if 0 <= at + way < shape[axis]:
                     edge = 0.0
                     for d in range(3):
                         edge += (points[flat[n] + way * step[axis], d] - points[flat[n], d]) ** 2
                     if edge > 0.0:
                         size[n] = min(size[n], math.sqrt(edge))
-    return size

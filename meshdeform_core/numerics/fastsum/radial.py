@@ -7,7 +7,8 @@ from ..radial import radial_sums
 from .acceptance import radial_basis
 from .sums import CHUNK, Targets
 from .tree import build_tree, gather_charges
-from .treesum import Charges, Reach, sum_regions
+from .treesum import Charges, sum_radial
+from .walk import Reach, list_clusters
 
 # Errors of clusters cancel as much as the coefficients do, which only a trial shows: this part of the tolerance is
 # aimed at on some bricks, because others can be worse.
@@ -89,12 +90,13 @@ class FastRadial:
         tree, m = self._tree, len(self._tree.span)
         reach = Reach(strength, np.ones(m), np.zeros(m))
         nothing, risk = np.zeros(len(allowed)), np.zeros(len(allowed))
-        where = targets.points, targets.bricks, targets.regions
+        points, bricks, regions = targets.points, targets.bricks, targets.regions
 
         def work(lo, hi):
             flat = targets.flat(lo, hi)
             sums = np.zeros((len(flat), 3))
-            sum_regions(lo, hi, *where, tree, reach, charges, self._function, allowed, nothing, sums, risk)
+            lists = list_clusters(lo, hi, regions, bricks, tree, reach, self._function, allowed, nothing, risk)
+            sum_radial(lo, hi, points, bricks, regions, tree, charges, lists, self._function, sums)
             use(flat, sums)
 
         shared = [Shared(result, targets.flat), Shared(risk, targets.numbers)]

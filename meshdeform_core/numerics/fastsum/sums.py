@@ -11,7 +11,8 @@ from ..direct import N_VALUES
 from .acceptance import inverse_powers
 from .bricks import Bricks, Regions, build_bricks, make_bricks, make_regions, node_sizes
 from .tree import build_tree, gather_charges
-from .treesum import Charges, add_totals, cluster_reach, sum_regions
+from .treesum import Charges, add_totals, cluster_reach, sum_weights
+from .walk import Lists, Reach, list_clusters
 
 Report = Callable[[int, int], None] | None
 """``report(done, total)``, or nothing."""
@@ -22,6 +23,10 @@ CHUNK = 2
 # What one cluster may cause, as a multiple of what all together may, is this by the square of the interpolation order
 # less 2: errors of many clusters mostly cancel, the less the smaller they are. Measured on the sample cases.
 _SHARE = 16.0
+# From this tolerance on single precision is enough; found to add less than a hundredth of it.
+_SINGLE_TOLERANCE = 1e-3
+# Room for larger displacements in lists that are made anew, so that a growing motion does not need new ones every time.
+_ROOM = 1.5
 
 
 class Targets(NamedTuple):
@@ -112,20 +117,30 @@ def sample_places(start):
 class FastSums:
     """Weighted sums over groups of sources, with an error per target that is small against its cells.
 
+    Which clusters act where is kept for later displacements, as long as none moves a cluster more.
+
     Parameters
     ----------
     sources : (n, 3)
     groups : index arrays; the sources that have the same weight function
     targets : from :func:`make_targets`
     tolerance : error of the weighted mean displacement relative to the local cell size
+    room : bytes that what is kept may take
+
+    Attributes
+    ----------
+    share : what one cluster may cause; once it has been made smaller, because the error was too large, sums are in
+        double precision
     """
 
-    def __init__(self, sources, groups, targets: Targets, tolerance):
+    def __init__(self, sources, groups, targets: Targets, tolerance, room=2**62):
         self.targets = targets
         self.tolerance = tolerance
         order = interpolation_order(tolerance)
-        self.share = _SHARE / (order - 2) ** 2
+        self.share = self._first_share = _SHARE / (order - 2) ** 2
         self._groups = [(np.asarray(group), build_tree(sources[group], order)) for group in groups]
+        self._room = room
+        self._plan: _Plan | None = None
 
     def evaluate(self, strength, weights, values, shift, turn, use, result, progress=None):
         """Compute the sums brick by brick and hand each chunk to ``use``.
@@ -142,29 +157,49 @@ class FastSums:
         -------
         risk : (b,) bound of each brick's error, in units that only allow comparing
         """
-        targets = self.targets
-        kinds = [inverse_powers(*each) for each in weights]
-        reaches = [cluster_reach(tree, strength[g], shift[g], turn[g]) for g, tree in self._groups]
-        allowed, mean = self._allowance(kinds, reaches)
-        risk = np.zeros(len(allowed))
-        passes = [self._charges(strength, values[k : k + N_VALUES]) for k in range(0, len(values), N_VALUES)]
-
-        where = targets.points, targets.bricks, targets.regions
+        targets, k = self.targets, len(values)
+        # Sums of numbers of the order of one; a motion that all sources have in common is added afterwards.
+        strength = strength / strength.max()
+        middle, spread, scaled = _centred(values, strength)
+        plan = self._planned(weights, [cluster_reach(tree, strength[g], shift[g], turn[g]) for g, tree in self._groups])
+        passes = [self._charges(strength, scaled[first : first + N_VALUES]) for first in range(0, k, N_VALUES)]
+        points, bricks, regions = targets.points, targets.bricks, targets.regions
 
         def work(lo, hi):
             flat = targets.flat(lo, hi)
-            sums = np.empty((len(flat), 1 + N_VALUES * len(passes)))
+            sums = np.empty((len(flat), 1 + k))
+            lists = plan.lists_of(lo, hi)
             for number, charges in enumerate(passes):
                 part = np.zeros((len(flat), 1 + N_VALUES))
-                for (_, tree), reach, charge, kind in zip(self._groups, reaches, charges, kinds, strict=True):
-                    sum_regions(lo, hi, *where, tree, reach, charge, kind, allowed, mean, part, risk)
+                for (_, tree), charge, kind, each in zip(self._groups, charges, plan.kinds, lists, strict=True):
+                    sum_weights(lo, hi, points, bricks, regions, tree, charge, each, kind, part)
+                columns = slice(number * N_VALUES, min(k, (number + 1) * N_VALUES))
+                here = sums[:, 1 + columns.start : 1 + columns.stop]
+                np.multiply(part[:, 1 : 1 + here.shape[1]], spread[columns], out=here)
+                here += part[:, :1] * middle[columns]
                 sums[:, 0] = part[:, 0]
-                sums[:, 1 + N_VALUES * number : 1 + N_VALUES * (number + 1)] = part[:, 1:]
             use(flat, sums)
 
-        shared = [Shared(result, targets.flat), Shared(risk, targets.numbers)]
+        shared = [Shared(result, targets.flat), Shared(plan.risk, targets.numbers)]
         for_chunks(work, targets.n_regions, CHUNK, progress, shared)
-        return risk
+        return plan.risk
+
+    def _planned(self, weights, reaches):
+        """The plan of the last evaluation if it holds for these weights and motions of clusters, or a new one."""
+        single = self.tolerance >= _SINGLE_TOLERANCE and self.share == self._first_share
+        kinds = [inverse_powers(*each, single and each[:2] == (3.0, 5.0)) for each in weights]
+        old = self._plan
+        if old is None or old.kinds != kinds or old.share != self.share:
+            self._plan = self._new_plan(kinds, reaches)
+        elif not all(_within(new, known) for new, known in zip(reaches, old.reaches, strict=True)):
+            wider = [_widened(new, known) for new, known in zip(reaches, old.reaches, strict=True)]
+            self._plan = self._new_plan(kinds, wider)
+        return self._plan
+
+    def _new_plan(self, kinds, reaches):
+        allowed, mean = self._allowance(kinds, reaches)
+        trees = [tree for _, tree in self._groups]
+        return _Plan(self.targets, trees, kinds, reaches, self.share, allowed, mean, self._room)
 
     def _charges(self, strength, values):
         """Charges of one pass, per group."""
@@ -192,3 +227,51 @@ class FastSums:
         for_chunks(work, len(samples), 64, shared=[Shared(total), Shared(moved)])
         allowed = (total * self.targets.sizes).min(axis=1) * self.tolerance * self.share
         return allowed, (moved / total).max(axis=1)
+
+
+class _Plan:
+    """Which clusters act where, for motions of the clusters up to ``reaches``; found when it is asked for, and kept."""
+
+    def __init__(self, targets, trees, kinds, reaches, share, allowed, mean, room):
+        self.kinds, self.reaches, self.share = kinds, reaches, share
+        self.risk = np.zeros(len(allowed))
+        self._targets, self._trees = targets, trees
+        self._allowed, self._mean = allowed, mean
+        self._kept: dict[int, list[Lists]] = {}
+        self._room = room
+
+    def lists_of(self, first, last):
+        """One of :class:`.walk.Lists` per group, of the regions first <= g < last; called from several threads."""
+        if first in self._kept:
+            return self._kept[first]
+        targets = self._targets
+        self.risk[targets.numbers(first, last)] = 0.0
+        where = targets.regions, targets.bricks
+        found = [
+            list_clusters(first, last, *where, tree, reach, kind, self._allowed, self._mean, self.risk)
+            for tree, reach, kind in zip(self._trees, self.reaches, self.kinds, strict=True)
+        ]
+        size = sum(lists.codes.nbytes + lists.stop.nbytes for lists in found)
+        if size <= self._room:
+            self._room -= size
+            self._kept[first] = found
+        return found
+
+
+def _centred(values, strength):
+    """Mean of each value over the sources, largest difference from it, and the values less one in units of the other."""
+    middle = values @ strength / strength.sum()
+    rest = values - middle[:, None]
+    spread = np.abs(rest).max(axis=1)
+    spread[spread == 0.0] = 1.0
+    return middle, spread, rest / spread[:, None]
+
+
+def _within(new: Reach, known: Reach):
+    return bool((new.shift <= known.shift).all() and (new.turn <= known.turn).all())
+
+
+def _widened(new: Reach, known: Reach):
+    """Bounds that hold for both, with room."""
+    shift, turn = np.maximum(known.shift, _ROOM * new.shift), np.maximum(known.turn, _ROOM * new.turn)
+    return Reach(known.strength, shift, turn)

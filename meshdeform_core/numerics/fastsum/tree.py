@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..jit import kernel
-from .boxes import box_coordinate, box_points, chebyshev, fit_box, lagrange, points_per_side
+from ..jit import inlined, kernel
+from .boxes import box_coordinate, chebyshev, fit_box, lagrange, place_points, points_per_side
 
 LEAF = 24
 
@@ -42,55 +42,55 @@ def build_tree(points, order, leaf=LEAF):
 
     Clusters of more than ``leaf`` sources are split.
     """
-    place, span, child, center, axes, half = _split_sources(np.ascontiguousarray(points), leaf)
-    count = np.empty((len(span), 3), dtype=np.int64)
-    for node in range(len(span)):
-        points_per_side(half[node], order, count[node])
+    points = np.ascontiguousarray(points)
+    n = len(points)
+    limit = 4 * (n // leaf + 1) + 3
+    place, span, child = np.arange(n), np.empty((limit, 2), dtype=np.int64), np.full(limit, -1)
+    boxes = np.empty((limit, 3)), np.empty((limit, 3, 3)), np.empty((limit, 3))
+    m = _split_sources(points, leaf, place, span, child, *boxes)
+    span, child, center, axes, half = (array[:m].copy() for array in (span, child, *boxes))
+    count = np.empty((m, 3), dtype=np.int64)
+    points_per_side(half, order, count)
     sizes = count.prod(axis=1)
     # A cluster with fewer sources than interpolation points is its sources.
     sizes[sizes >= span[:, 1] - span[:, 0]] = 0
     proxy = np.concatenate([[0], np.cumsum(sizes)])
     proxies = np.empty((proxy[-1], 3))
-    _place_proxies(center, axes, half, count, proxy, proxies)
+    place_points(center, axes, half, count, proxy, proxies)
     return SourceTree(place, points[place].copy(), span, child, center, axes, half, count, proxy, proxies)
 
 
 @kernel
-def _split_sources(points, leaf):
-    n = points.shape[0]
-    limit = 4 * (n // leaf + 1) + 3
-    place = np.arange(n)
-    span = np.empty((limit, 2), dtype=np.int64)
-    child = np.full(limit, -1)
-    center, axes, half = np.empty((limit, 3)), np.empty((limit, 3, 3)), np.empty((limit, 3))
-    span[0, 0], span[0, 1] = 0, n
-    used, current = 1, 0
-    along = np.empty(n)
+def _split_sources(points, leaf, place, span, child, center, axes, half):
+    """Halve clusters of more than ``leaf`` sources along their longest side; returns their number."""
+    span[0, 0], span[0, 1] = 0, points.shape[0]
+    # Not plain numbers, for which the functions that take them would be compiled apart.
+    used, current = np.int64(1), np.int64(0)
+    along = np.empty(points.shape[0])
     while current < used:
-        lo, hi = span[current]
-        members = place[lo:hi]
-        fit_box(points, members, center[current], axes[current], half[current])
+        lo, hi = span[current, 0], span[current, 1]
+        fit_box(points, place, lo, hi, center, axes, half, current)
         if hi - lo > leaf:
             longest = 0
             for d in range(1, 3):
                 if half[current, d] > half[current, longest]:
                     longest = d
-            for i in range(hi - lo):
-                along[i] = box_coordinate(points[members[i]], center[current], axes[current], half[current], longest)
-            middle = (hi - lo) // 2
-            _partition(members, along[: hi - lo], middle)
+            for i in range(lo, hi):
+                along[i] = box_coordinate(points, place[i], center, axes, half, current, longest)
+            middle = (lo + hi) // 2
+            _partition(place, along, lo, hi - 1, middle)
             child[current] = used
-            span[used, 0], span[used, 1] = lo, lo + middle
-            span[used + 1, 0], span[used + 1, 1] = lo + middle, hi
+            span[used, 0], span[used, 1] = lo, middle
+            span[used + 1, 0], span[used + 1, 1] = middle, hi
             used += 2
         current += 1
-    return place, span[:used].copy(), child[:used].copy(), center[:used].copy(), axes[:used].copy(), half[:used].copy()
+    return used
 
 
-@kernel
-def _partition(members, key, middle):
-    """Reorder so that the ``middle`` smallest keys come first (quickselect)."""
-    lo, hi = 0, members.size - 1
+@inlined
+def _partition(members, key, first, last, middle):
+    """Reorder ``first`` to ``last`` so that the smallest keys come before ``middle`` (quickselect)."""
+    lo, hi = first, last
     while lo < hi:
         pivot = key[(lo + hi) // 2]
         i, j = lo, hi
@@ -109,14 +109,7 @@ def _partition(members, key, middle):
         elif middle >= i:
             lo = i
         else:
-            return
-
-
-@kernel
-def _place_proxies(center, axes, half, count, proxy, proxies):
-    for node in range(center.shape[0]):
-        if proxy[node + 1] > proxy[node]:
-            box_points(center[node], axes[node], half[node], count[node], proxies[proxy[node] : proxy[node + 1]])
+            lo = hi
 
 
 @kernel
@@ -127,7 +120,9 @@ def gather_charges(tree, charges, out):
     """
     node, weight, value = np.empty((3, 32)), np.empty((3, 32)), np.empty((3, 32))
     columns = charges.shape[1]
-    out[:] = 0.0
+    for n in range(out.shape[0]):
+        for c in range(columns):
+            out[n, c] = 0.0
     for cluster in range(tree.span.shape[0]):
         first = tree.proxy[cluster]
         if tree.proxy[cluster + 1] == first:
@@ -137,7 +132,7 @@ def gather_charges(tree, charges, out):
             chebyshev(count[d], node[d], weight[d])
         for s in range(tree.span[cluster, 0], tree.span[cluster, 1]):
             for d in range(3):
-                t = box_coordinate(tree.points[s], tree.center[cluster], tree.axes[cluster], tree.half[cluster], d)
+                t = box_coordinate(tree.points, s, tree.center, tree.axes, tree.half, cluster, d)
                 lagrange(count[d], node[d], weight[d], t, value[d])
             n = first
             for i in range(count[0]):
