@@ -22,6 +22,10 @@ WEIGHTS = ("luke", "shepard")
 ALPHA_CAP = 0.3
 
 
+# What may be kept between displacements is this part of the memory that is left.
+_KEPT = 2
+
+
 @dataclass(frozen=True)
 class IDW:
     """Weighted mean of the boundary's rigid motions; cost N_v x N_s, no system to solve.
@@ -176,7 +180,9 @@ class PreparedIDW:
         values = _motion_values(self.options, start, d - mean, q)
         path = _division_path(start, values, self.options.divisions) if self.options.reweight else (start,)
         turn = np.linalg.norm(rot.rotation_vector(q), axis=1)
-        return Fit(path, values, self._weights(d), np.linalg.norm(d - mean, axis=1), turn, origin, mean)
+        at_rest = np.flatnonzero((turn == 0.0) & ~d.any(axis=1))
+        still = values[:, at_rest[0]] if at_rest.size else None
+        return Fit(path, values, self._weights(d), np.linalg.norm(d - mean, axis=1), turn, origin, mean, still)
 
     def _weights(self, d: FloatArray) -> tuple[tuple[float, float, float], ...]:
         """Weight function (a, b, kappa) of each group: r^-a + kappa r^-b.
@@ -203,8 +209,8 @@ class PreparedIDW:
 
     def at(self, flat: IntArray) -> ExactSums | FastSums:
         """Bind to the target nodes ``flat``."""
-        o, grid = self.options, self._problem.grid
-        bound = Bound(grid, flat, self.points, self.strength, self.groups, o.rotation, o.divisions, o.reweight)
+        o, grid, room = self.options, self._problem.grid, self._problem.memory.size // _KEPT
+        bound = Bound(grid, flat, self.points, self.strength, self.groups, o.rotation, o.divisions, o.reweight, room)
         fast, self.account.settings["summation"] = fast_pays(o.summation, len(flat), len(self.points))
         if not fast:
             return ExactSums(bound)

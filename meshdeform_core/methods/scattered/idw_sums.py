@@ -24,7 +24,8 @@ class Fit:
 
     ``path`` source positions (n, 3) at the start of every step, relative to ``origin`` (3,): one step, unless the
     weights are found anew on the way; ``values`` (k, n) per source; ``weights`` (a, b, kappa) per group; ``shift`` and
-    ``turn`` (n,) displacement and rotation angle of each source; ``mean`` (3,) displacement that was taken out.
+    ``turn`` (n,) displacement and rotation angle of each source; ``mean`` (3,) displacement that was taken out;
+    ``still`` (k,) the values of sources that do not move, if there are any.
     """
 
     path: tuple[FloatArray, ...]
@@ -34,11 +35,15 @@ class Fit:
     turn: FloatArray
     origin: FloatArray
     mean: FloatArray
+    still: FloatArray | None = None
 
 
 @dataclass(frozen=True)
 class Bound:
-    """Sources and targets of one undeformed grid: ``flat`` nodes of ``grid``; sources (n, 3) with strength (n,)."""
+    """Sources and targets of one undeformed grid: ``flat`` nodes of ``grid``; sources (n, 3) with strength (n,).
+
+    ``room`` bytes may be taken for what is kept between displacements.
+    """
 
     grid: Grid
     flat: IntArray
@@ -48,6 +53,7 @@ class Bound:
     rotation: str
     divisions: int
     reweight: bool
+    room: int
 
     @property
     def repeats(self) -> int:
@@ -102,7 +108,7 @@ class FastSums:
         if points is not grid.points:
             # Accuracy is relative to the undeformed cells; on the way only the targets have moved.
             targets = targets.sized(grid.points, grid.shapes, grid.offsets)
-        return fastsum.FastSums(sources, self.bound.groups, targets, self._tolerance)
+        return fastsum.FastSums(sources, self.bound.groups, targets, self._tolerance, self.bound.room)
 
     def evaluate(self, fit: Fit, out: FloatArray, progress: Progress | None) -> None:
         """Write the displacement of the targets into ``out`` (n_nodes, 3)."""
@@ -131,5 +137,5 @@ class FastSums:
                 finish(bound.rotation, values, x, moved, bound.repeats)
                 out[flat] = moved + (out[flat] if step else fit.mean)
 
-            risk = sums.evaluate(bound.strength, fit.weights, fit.values, fit.shift, fit.turn, use, out, report)
+            risk = sums.evaluate(bound.strength, fit.weights, fit.values, fit.shift, fit.turn, use, out, report, fit.still)
         return sums.targets, np.asarray(risk)

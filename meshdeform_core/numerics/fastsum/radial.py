@@ -6,8 +6,8 @@ from ...parallel import Shared, for_chunks
 from ..radial import radial_sums
 from .acceptance import radial_basis
 from .sums import CHUNK, Targets
-from .tree import build_tree, gather_charges
-from .treesum import Charges, sum_radial
+from .tree import build_tree
+from .treesum import gather, sum_radial
 from .walk import Reach, list_clusters
 
 # Errors of clusters cancel as much as the coefficients do, which only a trial shows: this part of the tolerance is
@@ -81,10 +81,7 @@ class FastRadial:
         return np.sqrt(squares[self._tree.span[:, 1]] - squares[self._tree.span[:, 0]])
 
     def _charges(self, coefficients):
-        source = coefficients[self._tree.order]
-        proxy = np.empty((len(self._tree.proxies), 3))
-        gather_charges(self._tree, source, proxy)
-        return Charges(source, proxy)
+        return gather(self._tree, coefficients[self._tree.order])
 
     def _sum(self, targets, charges, strength, allowed, use, result, progress=None):
         tree, m = self._tree, len(self._tree.span)

@@ -10,8 +10,8 @@ from ...parallel import Shared, current_ranks, for_chunks
 from ..direct import N_VALUES
 from .acceptance import inverse_powers
 from .bricks import Bricks, Regions, build_bricks, make_bricks, make_regions, node_sizes
-from .tree import build_tree, gather_charges
-from .treesum import Charges, add_totals, cluster_reach, sum_weights
+from .tree import build_tree
+from .treesum import add_totals, cluster_reach, gather, sum_weights
 from .walk import Lists, Reach, list_clusters
 
 Report = Callable[[int, int], None] | None
@@ -117,7 +117,8 @@ def sample_places(start):
 class FastSums:
     """Weighted sums over groups of sources, with an error per target that is small against its cells.
 
-    Which clusters act where is kept for later displacements, as long as none moves a cluster more.
+    Which clusters act where, and the weight of every target, are kept for later displacements, as long as none moves a
+    cluster more. With the weights known, sources that do not move need not be summed again.
 
     Parameters
     ----------
@@ -142,7 +143,7 @@ class FastSums:
         self._room = room
         self._plan: _Plan | None = None
 
-    def evaluate(self, strength, weights, values, shift, turn, use, result, progress=None):
+    def evaluate(self, strength, weights, values, shift, turn, use, result, progress=None, still=None):
         """Compute the sums brick by brick and hand each chunk to ``use``.
 
         Parameters
@@ -152,17 +153,21 @@ class FastSums:
         shift, turn : (n,) displacement and rotation angle of each source, against which errors are judged
         use : called with flat indices (m,) and sums (m, 1 + k), the weight first, from several threads
         result : (n_nodes, ...) array of which ``use`` fills these rows
+        still : (k,) values of the sources that do not move, if there are any
 
         Returns
         -------
         risk : (b,) bound of each brick's error, in units that only allow comparing
         """
         targets, k = self.targets, len(values)
-        # Sums of numbers of the order of one; a motion that all sources have in common is added afterwards.
+        # Sums of numbers of the order of one; what all sources, or those that do not move, have in common is added
+        # afterwards.
         strength = strength / strength.max()
-        middle, spread, scaled = _centred(values, strength)
+        middle = values @ strength / strength.sum() if still is None else still
+        spread, scaled = _scaled(values - middle[:, None])
         plan = self._planned(weights, [cluster_reach(tree, strength[g], shift[g], turn[g]) for g, tree in self._groups])
-        passes = [self._charges(strength, scaled[first : first + N_VALUES]) for first in range(0, k, N_VALUES)]
+        known = plan.weighed
+        passes = [self._charges(strength, scaled[first : first + N_VALUES], known) for first in range(0, k, N_VALUES)]
         points, bricks, regions = targets.points, targets.bricks, targets.regions
 
         def work(lo, hi):
@@ -173,15 +178,18 @@ class FastSums:
                 part = np.zeros((len(flat), 1 + N_VALUES))
                 for (_, tree), charge, kind, each in zip(self._groups, charges, plan.kinds, lists, strict=True):
                     sum_weights(lo, hi, points, bricks, regions, tree, charge, each, kind, part)
+                sums[:, 0] = plan.weight[targets.places(lo, hi)] if known else part[:, 0]
                 columns = slice(number * N_VALUES, min(k, (number + 1) * N_VALUES))
                 here = sums[:, 1 + columns.start : 1 + columns.stop]
                 np.multiply(part[:, 1 : 1 + here.shape[1]], spread[columns], out=here)
-                here += part[:, :1] * middle[columns]
-                sums[:, 0] = part[:, 0]
+                here += sums[:, :1] * middle[columns]
+            if plan.weight is not None:
+                plan.weight[targets.places(lo, hi)] = sums[:, 0]
             use(flat, sums)
 
         shared = [Shared(result, targets.flat), Shared(plan.risk, targets.numbers)]
         for_chunks(work, targets.n_regions, CHUNK, progress, shared)
+        plan.weighed = plan.weight is not None
         return plan.risk
 
     def _planned(self, weights, reaches):
@@ -201,17 +209,15 @@ class FastSums:
         trees = [tree for _, tree in self._groups]
         return _Plan(self.targets, trees, kinds, reaches, self.share, allowed, mean, self._room)
 
-    def _charges(self, strength, values):
-        """Charges of one pass, per group."""
+    def _charges(self, strength, values, weighed):
+        """Charges of one pass, per group; without the strength if the weights are known."""
         charges = []
         for group, tree in self._groups:
             source = np.zeros((len(group), 1 + N_VALUES))
             members = group[tree.order]
-            source[:, 0] = strength[members]
+            source[:, 0] = 0.0 if weighed else strength[members]
             source[:, 1 : 1 + len(values)] = (strength[members] * values[:, members]).T
-            proxy = np.empty((len(tree.proxies), 1 + N_VALUES))
-            gather_charges(tree, source, proxy)
-            charges.append(Charges(source, proxy))
+            charges.append(gather(tree, source))
         return charges
 
     def _allowance(self, kinds, reaches):
@@ -230,7 +236,10 @@ class FastSums:
 
 
 class _Plan:
-    """Which clusters act where, for motions of the clusters up to ``reaches``; found when it is asked for, and kept."""
+    """Which clusters act where, for motions of the clusters up to ``reaches``; found when it is asked for, and kept.
+
+    ``weight`` (n,) of every target in the order of the bricks, known once ``weighed``; ``None`` if there is no room.
+    """
 
     def __init__(self, targets, trees, kinds, reaches, share, allowed, mean, room):
         self.kinds, self.reaches, self.share = kinds, reaches, share
@@ -238,7 +247,10 @@ class _Plan:
         self._targets, self._trees = targets, trees
         self._allowed, self._mean = allowed, mean
         self._kept: dict[int, list[Lists]] = {}
-        self._room = room
+        size = 8 * len(targets.bricks.targets)
+        self.weight = np.empty(size // 8) if size <= room else None
+        self.weighed = False
+        self._room = room - size
 
     def lists_of(self, first, last):
         """One of :class:`.walk.Lists` per group, of the regions first <= g < last; called from several threads."""
@@ -258,13 +270,11 @@ class _Plan:
         return found
 
 
-def _centred(values, strength):
-    """Mean of each value over the sources, largest difference from it, and the values less one in units of the other."""
-    middle = values @ strength / strength.sum()
-    rest = values - middle[:, None]
-    spread = np.abs(rest).max(axis=1)
+def _scaled(values):
+    """Largest absolute value of each row, and the rows in units of it."""
+    spread = np.abs(values).max(axis=1)
     spread[spread == 0.0] = 1.0
-    return middle, spread, rest / spread[:, None]
+    return spread, values / spread[:, None]
 
 
 def _within(new: Reach, known: Reach):

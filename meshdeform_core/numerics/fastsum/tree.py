@@ -113,10 +113,11 @@ def _partition(members, key, first, last, middle):
 
 
 @kernel
-def gather_charges(tree, charges, out):
+def gather_charges(tree, charges, out, active):
     """Charges (m, c) of all interpolation points from the charges (n, c) of the sources in tree order.
 
     A source's charge is shared among the points of each cluster it belongs to by their Lagrange polynomials.
+    ``active`` (m,) clusters have sources with charges.
     """
     node, weight, value = np.empty((3, 32)), np.empty((3, 32)), np.empty((3, 32))
     columns = charges.shape[1]
@@ -125,7 +126,7 @@ def gather_charges(tree, charges, out):
             out[n, c] = 0.0
     for cluster in range(tree.span.shape[0]):
         first = tree.proxy[cluster]
-        if tree.proxy[cluster + 1] == first:
+        if tree.proxy[cluster + 1] == first or not active[cluster]:
             continue
         count = tree.per_side[cluster]
         for d in range(3):

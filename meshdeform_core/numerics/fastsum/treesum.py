@@ -21,17 +21,30 @@ from ..radial import radial_block
 from ..single import sum_block_single
 from .acceptance import distance2, square, weight
 from .boxes import box_points, chebyshev
-from .tree import SourceTree
+from .tree import SourceTree, gather_charges
 from .walk import Reach, few_nodes
 
 _STACK = 256
 
 
 class Charges(NamedTuple):
-    """Charges (columns: strength, strength times values) of sources in tree order and of interpolation points."""
+    """Charges (columns: strength, strength times values) of sources in tree order and of interpolation points.
+
+    ``active`` (m,): whether a cluster has a source with any charge at all; the others are passed over.
+    """
 
     source: np.ndarray
     proxy: np.ndarray
+    active: np.ndarray
+
+
+def gather(tree: SourceTree, source) -> Charges:
+    """:class:`Charges` from those of the sources in tree order (n, columns)."""
+    charged = np.append(0, np.cumsum(source.any(axis=1)))
+    active = charged[tree.span[:, 1]] > charged[tree.span[:, 0]]
+    proxy = np.empty((len(tree.proxies), source.shape[1]))
+    gather_charges(tree, source, proxy, active)
+    return Charges(source, proxy, active)
 
 
 def cluster_reach(tree: SourceTree, strength, shift, turn):
@@ -156,6 +169,8 @@ def _pack(lists, start, item, tree, charges, packed):
     n = 0
     for at in range(start, lists.stop[item]):
         c = lists.codes[at] >> 1
+        if not charges.active[c]:
+            continue
         if lists.codes[at] & 1:
             n = _append(tree.points, charges.source, tree.span[c, 0], tree.span[c, 1], packed, n)
         else:
@@ -168,9 +183,12 @@ def _append(points, charges, first, last, packed, n):
     for s in range(first, last):
         for d in range(3):
             packed[d, n] = points[s, d]
+        charged = False
         for k in range(charges.shape[1]):
             packed[3 + k, n] = charges[s, k]
-        n += 1
+            charged = charged or charges[s, k] != 0.0
+        # One without charge is overwritten by the next.
+        n += 1 if charged else 0
     return n
 
 
