@@ -137,5 +137,6 @@ class FastSums:
                 finish(bound.rotation, values, x, moved, bound.repeats)
                 out[flat] = moved + (out[flat] if step else fit.mean)
 
-            risk = sums.evaluate(bound.strength, fit.weights, fit.values, fit.shift, fit.turn, use, out, report, fit.still)
+            moving = fit.values, fit.shift, fit.turn
+            risk = sums.evaluate(bound.strength, fit.weights, *moving, use, out, report, fit.still)
         return sums.targets, np.asarray(risk)

@@ -132,6 +132,11 @@ def gather_charges(tree, charges, out, active):
         for d in range(3):
             chebyshev(count[d], node[d], weight[d])
         for s in range(tree.span[cluster, 0], tree.span[cluster, 1]):
+            charged = False
+            for c in range(columns):
+                charged = charged or charges[s, c] != 0.0
+            if not charged:
+                continue
             for d in range(3):
                 t = box_coordinate(tree.points, s, tree.center, tree.axes, tree.half, cluster, d)
                 lagrange(count[d], node[d], weight[d], t, value[d])

@@ -138,11 +138,11 @@ def _sum_lists(block, first, last, points, bricks, regions, tree, charges, lists
             n = _pack(lists, middle, item + 1, tree, charges, packed)
             block(x, packed, n, function, sums)
             if not few_nodes(bricks, b):
-                inner_place = bricks.proxies[bricks.proxy[b] : bricks.proxy[b + 1]]
-                inner = _zeros(inner_place.shape[0], columns)
+                spots = bricks.proxies[bricks.proxy[b] : bricks.proxy[b + 1]]
+                inner = _zeros(spots.shape[0], columns)
                 n = _pack(lists, start, item, tree, charges, packed)
-                block(inner_place, packed, n, function, inner)
-                _interpolate(regions.center, regions.axes, regions.half, regions.per_side, g, values, inner_place, inner)
+                block(spots, packed, n, function, inner)
+                _interpolate(regions.center, regions.axes, regions.half, regions.per_side, g, values, spots, inner)
                 _interpolate(bricks.center, bricks.axes, bricks.half, bricks.per_side, b, inner, x, sums)
             else:
                 _interpolate(regions.center, regions.axes, regions.half, regions.per_side, g, values, x, sums)
