@@ -55,7 +55,10 @@ def command(
     if output is None and not run.dry_run:
         raise click.UsageError("Missing option '-o' / '--output' (or --dry-run).")
     if case.empty:
-        raise click.UsageError("Nothing to do: give a case file (-c) or a displacement table (-d).")
+        raise click.UsageError(
+            "Nothing to do: give a case file (-c) or a displacement table (-d). A case to start from, with every "
+            f"boundary of the grid: meshdeform init {source.path} -o case.toml"
+        )
     if not run.dry_run and output is not None:
         _check_target(output, run, *source.files, *case.files)
     check_reports(run.reports, run.force, output, *source.files, *case.files)

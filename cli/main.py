@@ -20,7 +20,8 @@ from .mpi import place, run_on_ranks
 from .signals import Handler, end_of
 
 _COMMANDS = (
-    "deform", "series", "quality", "info", "convert", "compare", "plot", "methods", "sample", "reproduce", "schema",
+    "deform", "series", "quality", "info", "init", "convert", "compare", "plot", "methods", "sample", "reproduce",
+    "schema",
 )  # fmt: skip
 _ON_RANKS = ("deform", "series")
 
@@ -47,10 +48,11 @@ _SUMMARIES = {
     "deform": "Deform a grid: read, deform, judge, write.",
     "series": "Deform a grid over time, one grid per time level.",
     "quality": "Quality report of a grid, alone or against its original.",
-    "info": "Format, blocks, patches, interfaces, handedness, collapsed edges.",
+    "info": "What a grid holds and where: blocks, walls, interfaces.",
+    "init": "A case file to start from, with every boundary of a grid.",
     "convert": "Convert any readable grid to any writable format.",
     "compare": "Largest and rms coordinate difference of two grids.",
-    "plot": "Picture of a grid plane coloured by a quality metric.",
+    "plot": "Picture of a grid coloured by a measure of its cells.",
     "methods": "The methods, their parameters and what each is good for.",
     "sample": "Write a sample case: grid and case.toml.",
     "schema": "JSON schema of case files or of reports.",

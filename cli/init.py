@@ -1,0 +1,50 @@
+"""``meshdeform init``: a case file to start from."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import click
+
+from .options import PATH, GridInput, check_output, force_option, grid_options
+
+
+@click.command("init")
+@grid_options
+@click.option("-o", "--output", type=PATH, help="Case file to write (default: print it).")
+@force_option
+def command(source: GridInput, output: Path | None, force: bool) -> int:
+    """Write a case file for GRID to start from: every boundary with its place and likely role.
+
+    \b
+    Examples:
+      meshdeform init wing.cgns -o case.toml
+      meshdeform init airfoil.p3dfmt --boundary-file airfoil.nmf -o case.toml
+      meshdeform deform wing.cgns -c case.toml --dry-run
+
+    Boundaries are selected by family or patch, faces without a name one by one. Walls move, with a motion of zero to
+    fill in; symmetry planes stay symmetry planes, the end planes of extruded grids slide, the rest is fixed.
+    """
+    from meshdeform_core.grid.surfaces import find_outside
+    from meshdeform_core.grid.topology import find_topology
+    from meshdeform_formats.case.template import case_template
+    from meshdeform_formats.files import replacing
+
+    if output is not None:
+        check_output(output, force, *source.files)
+    grid = source.read()
+    map_file = _from(source.boundary_file, output) if source.boundary_file else None
+    text = case_template(grid, find_outside(grid, find_topology(grid)), str(source.path), map_file)
+    if output is None:
+        click.echo(text, nl=False)
+        return 0
+    with replacing(output) as partial:
+        partial.write_text(text, encoding="utf-8")
+    click.echo(f"{output}: fill in the motion, then: meshdeform deform {source.path} -c {output} --dry-run")
+    return 0
+
+
+def _from(file: Path, case: Path | None) -> str:
+    """A file as a case file names it: relative to its folder, unless it was given by its whole path."""
+    return str(file) if file.is_absolute() else os.path.relpath(file, case.parent if case else Path())

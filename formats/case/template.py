@@ -1,0 +1,151 @@
+"""A case file to start from: every boundary of a grid with its place and likely role, a motion to fill in."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from meshdeform_core.grid import Grid
+from meshdeform_core.grid.planes import FLATNESS
+from meshdeform_core.grid.roles import Role
+from meshdeform_core.grid.surfaces import Outside, Surface
+
+_MOTION = """\
+# what moves; motions are applied in order, formulas see the undeformed x, y, z and the time t, for example
+#   { rotate = { angle = 5.0, axis = [0, 0, 1], center = [0, 0, 0] } }
+#   { displace = ["0", "0.1*sin(pi*x)", "0"] }
+#   { file = "displacement.csv", match = "nearest" }
+motion = [
+    { translate = [0.0, 0.0, 0.0] },   # fill in
+]
+"""
+_METHOD = """\
+[method]
+name = "idw-tfi"   # or another of `meshdeform methods`
+"""
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """One ``[[boundary]]``: its surfaces are selected by family or patch, or face by face."""
+
+    name: str
+    kind: str
+    surfaces: tuple[Surface, ...]
+
+
+def case_template(grid: Grid, outside: Outside, source: str, boundary_file: str | None = None) -> str:
+    """The text of a case file for a grid.
+
+    Walls of bodies move, floors and far fields are fixed, symmetry planes stay symmetry planes, end planes slide. Of a
+    grid without a wall the largest face of unknown role moves, so that the case can be tried at once.
+
+    Parameters
+    ----------
+    source : the grid file, for the heading
+    boundary_file : neutral map file, relative to the case file
+    """
+    entries = list(_entries(grid, outside))
+    lines = [
+        f"# A case for {source}: fill in the motion, then",
+        f"#   meshdeform deform {source} -c CASE.toml --dry-run",
+        "# Roles with a question mark are guessed from the shape of the grid: check them.",
+        "",
+    ]
+    if boundary_file is not None:
+        lines += ["[grid]", f"boundary_file = {_text(boundary_file)}", ""]
+    if not any(surface.role is Role.WALL for entry in entries for surface in entry.surfaces):
+        lines += ['# No wall was found: give the boundary that moves kind = "moving".', ""]
+    for entry in entries:
+        lines += [*_entry_lines(grid, entry), ""]
+    return "\n".join([*lines, _METHOD])
+
+
+def _entries(grid: Grid, outside: Outside) -> Iterator[_Entry]:
+    moving = _moving(grid, outside.surfaces)
+    taken: set[str] = set()
+    groups: dict[tuple[str, str], list[Surface]] = {}
+    for surface in sorted(outside.surfaces, key=lambda s: list(Role).index(s.role)):
+        kind = "moving" if surface in moving else _kind(grid, surface)
+        name = surface.name if surface.named else surface.role.value
+        groups.setdefault((name, kind), []).append(surface)
+    for (name, kind), surfaces in groups.items():
+        unique = name
+        while unique in taken:
+            unique = f"{unique}-{kind}" if unique == name else f"{unique}+"
+        taken.add(unique)
+        yield _Entry(unique, kind, tuple(surfaces))
+
+
+def _moving(grid: Grid, surfaces: Sequence[Surface]) -> list[Surface]:
+    """Walls of bodies; without any, all walls; without a wall the largest unknown, else the largest face."""
+    walls = [s for s in surfaces if s.role is Role.WALL]
+    whole = np.ptp(grid.points, axis=0)
+    bodies = [s for s in walls if int((np.ptp(s.box, axis=0) > 0.6 * whole).sum()) < 2]
+    if bodies or walls:
+        return bodies or walls
+    unknown = [s for s in surfaces if s.role is Role.UNKNOWN] or list(surfaces)
+    return [max(unknown, key=lambda s: s.area)] if unknown else []
+
+
+def _kind(grid: Grid, surface: Surface) -> str:
+    if surface.role is Role.END:
+        return "slip"
+    if surface.role is Role.SYMMETRY:
+        return "symmetry" if _in_one_plane(grid, surface) else "slip"
+    return "fixed"
+
+
+def _in_one_plane(grid: Grid, surface: Surface) -> bool:
+    """A mirror: its faces lie in one plane, and the grid is more than one cell thick there."""
+    planes = [face.plane for face in surface.faces]
+    first = planes[0]
+    size = float(np.ptp(grid.points, axis=0).max())
+    if first is None or any(grid.cell_shapes[f.window.block][f.window.side.axis] == 1 for f in surface.faces):
+        return False
+    return all(
+        plane is not None
+        and abs(plane.normal @ first.normal) > 1 - FLATNESS
+        and abs((plane.point - first.point) @ first.normal) <= FLATNESS * size
+        for plane in planes
+    )
+
+
+def _entry_lines(grid: Grid, entry: _Entry) -> Iterator[str]:
+    first = entry.surfaces[0]
+    mark = "" if first.declared or first.role is Role.UNKNOWN else "?"
+    yield "[[boundary]]"
+    yield f"name = {_text(entry.name)}   # role: {first.role.value}{mark}"
+    if first.named:
+        yield f"# {_place(first)}"
+        yield f"select = [{_text(_pattern(first.name))}]"
+    else:
+        yield "select = ["
+        for surface in entry.surfaces:
+            yield f"    {_text(surface.name)},   # {_place(surface)}"
+        yield "]"
+    yield f'kind = "{entry.kind}"'
+    if entry.kind == "moving":
+        yield from _MOTION.splitlines()
+
+
+def _pattern(name: str) -> str:
+    """A pattern that matches a name: what would be a wildcard stands for any letter."""
+    return re.sub(r"[\[\]]", "?", name)
+
+
+def _place(surface: Surface) -> str:
+    box = "  ".join(
+        f"{name} {low:.5g}" if np.isclose(low, high) else f"{name} {low:.5g}..{high:.5g}"
+        for name, low, high in zip("xyz", *surface.box.tolist(), strict=True)
+    )
+    return f"{box}, first cells {surface.first_height:.3g}, {len(surface.quads)} cell faces"
+
+
+def _text(value: str) -> str:
+    """A TOML string; JSON's escapes are TOML's."""
+    return json.dumps(value, ensure_ascii=False)

@@ -1,0 +1,90 @@
+"""Case files to start from: they name every boundary, and they run."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from meshdeform_core.boundary import Kind
+from meshdeform_core.deform import set_up
+from meshdeform_core.grid.surfaces import find_outside
+from meshdeform_core.grid.topology import find_topology
+from meshdeform_formats import read_grid
+from meshdeform_formats.case import read_case
+from meshdeform_formats.case.template import case_template
+
+GRIDS = Path(os.environ.get("MESHDEFORM_GRIDS", "../shared/grids")).resolve()
+REAL = [
+    ("717_wl_L2.cgns", None), ("nak_a_141.cgns", None), ("nak_a_141.p3dfmt", None),
+    ("nak_a_141.p3dfmt", "nak_a_141.nmf"), ("backstep5_4levdn.p3dbin", None),
+    ("backstep5_4levdn.p3dbin", "backstep5_4levdn.nmf"), ("cylinder_ring_4blk.x", None), ("StructuredGrid.vts", None),
+    ("SampleStructGrid.vtk", None), ("shear_3blk_2d.p2dfmt", None), ("shear_3blk_2d.p2dfmt", "shear_3blk.nmf"),
+]  # fmt: skip
+
+
+def test_a_case_for_a_grid_with_patches(bench, call):
+    result = call("init", "grid.cgns", "-o", "new.toml")
+    assert (result.code, result.err) == (0, "")
+    assert "meshdeform deform grid.cgns -c new.toml --dry-run" in result.out
+    content = tomllib.loads((bench / "new.toml").read_text())
+    assert {(b["name"], b["kind"]) for b in content["boundary"]} == {
+        ("body", "moving"), ("outer", "fixed"), ("span", "slip")
+    }  # fmt: skip
+    assert "# x -0.5..0.5  y -0.5..0.5  z 0..1" in (bench / "new.toml").read_text()
+    plan = call("deform", "grid.cgns", "-c", "new.toml", "--dry-run")
+    assert (plan.code, plan.err) == (0, "")
+    assert "not selected" not in plan.out
+
+
+def test_a_case_for_a_grid_without_names_covers_all_faces(bench, call):
+    text = call("init", "grid.xyz").out
+    assert 'name = "wall"   # role: wall?' in text
+    (bench / "new.toml").write_text(text)
+    selected = [face for entry in tomllib.loads(text)["boundary"] for face in entry["select"]]
+    facts = json.loads(call("info", "grid.xyz", "--json").out)
+    assert sorted(selected) == sorted(facts["external_faces"])
+    moved = text.replace("{ translate = [0.0, 0.0, 0.0] }", "{ rotate = { angle = 3.0, axis = [0, 0, 1] } }")
+    (bench / "new.toml").write_text(moved)
+    assert call("deform", "grid.xyz", "-c", "new.toml", "-o", "turned.xyz").code == 0
+
+
+def test_names_that_toml_and_patterns_find_difficult(bench):
+    grid = read_grid("grid.cgns")
+    odd = {"body": 'the "wing" [1] \\ é', "outer": "a # b", "span": "*?"}
+    patches = [dataclasses.replace(p, name=odd[p.family], family="") for p in grid.patches]
+    grid = dataclasses.replace(grid, patches=tuple(patches))
+    text = case_template(grid, find_outside(grid, find_topology(grid)), "grid.cgns")
+    (bench / "odd.toml").write_text(text, encoding="utf-8")
+    case = read_case("odd.toml").case
+    assert odd["body"] in {spec.name for spec in case.boundaries}
+    setup = set_up(grid, case)
+    assert setup.boundary.count(Kind.MOVING) == 4 * 4 * (4 + 1)
+
+
+def test_init_overwrites_only_by_force_and_keeps_the_grid(bench, call):
+    assert call("init", "grid.xyz", "-o", "case.toml").code == 2
+    assert call("init", "grid.xyz", "-o", "grid.xyz", "--force").code == 2
+    assert call("init", "grid.xyz", "-o", "case.toml", "--force").code == 0
+
+
+def test_deform_without_a_case_says_where_to_go_on(bench, call):
+    result = call("deform", "grid.xyz", "-o", "out.xyz")
+    assert result.code == 2
+    assert "meshdeform init grid.xyz -o case.toml" in " ".join(result.err.split())
+
+
+@pytest.mark.parametrize(("name", "boundaries"), REAL)
+def test_cases_for_real_grids_run(name, boundaries, tmp_path, monkeypatch, call):
+    if not (GRIDS / name).exists():
+        pytest.skip(f"{GRIDS / name} is absent (MESHDEFORM_GRIDS)")
+    monkeypatch.chdir(tmp_path)
+    more = ("--boundary-file", GRIDS / boundaries) if boundaries else ()
+    assert call("init", GRIDS / name, *more, "-o", "case.toml").code == 0
+    result = call("deform", GRIDS / name, "-c", "case.toml", "--dry-run")
+    assert result.code == 0, result.err
+    assert "not selected" not in result.out
