@@ -87,12 +87,21 @@ class CaseInput:
     method: str | None
     overrides: tuple[str, ...]
     times: str | None = None
+    match: str | None = None
+    tolerance: float | None = None
 
     def read(self) -> CaseFile:
         """The case file with everything that the command line adds."""
         from meshdeform_formats.case import read_case
 
-        return read_case(self.file, self.overrides, self.method, self.displacement, self.times)
+        matching = None
+        if self.match is not None or self.tolerance is not None:
+            from meshdeform_core.boundary.transfer import Matching
+
+            if self.displacement is None:
+                raise click.UsageError("--match and --tolerance belong to --displacement; in a case they are keys.")
+            matching = Matching(self.match or "nearest", self.tolerance, partial=True)
+        return read_case(self.file, self.overrides, self.method, self.displacement, self.times, matching)
 
     def roles(self, read: CaseFile) -> list[tuple[str, Path | None]]:
         """Its files, and those that the case as ``read`` names, as a report names them."""
@@ -131,6 +140,8 @@ def case_options(command: Command) -> Command:
 
     @click.option("-c", "--case", "case_file", type=PATH, help="Case file (TOML).")
     @click.option("-d", "--displacement", type=PATH, help="Surface displacement table.")
+    @click.option("--match", metavar="HOW", help="For -d: exact, nearest (the default) or interpolate.")
+    @click.option("--tolerance", type=FiniteNumber(), metavar="T", help="For -d: largest distance of a match.")
     @click.option("-m", "--method", metavar="NAME", help="tfi, idw, rbf or a hybrid like idw-tfi (the default).")
     @click.option(
         "-s",
@@ -141,10 +152,9 @@ def case_options(command: Command) -> Command:
         help="Override a key of the case, like method.idw.alpha=0.3 (repeatable).",
     )
     @functools.wraps(command)
-    def packed(
-        case_file: Path | None, displacement: Path | None, method: str | None, overrides: tuple[str, ...], **rest: Any
-    ) -> Any:
-        return command(case=CaseInput(case_file, displacement, method, overrides), **rest)
+    def packed(case_file: Path | None, **options: Any) -> Any:
+        own = {name: options.pop(name) for name in ("displacement", "method", "overrides", "match", "tolerance")}
+        return command(case=CaseInput(case_file, **own), **options)
 
     return packed
 

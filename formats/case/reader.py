@@ -55,6 +55,7 @@ def read_case(
     method: str | None = None,
     table: str | Path | None = None,
     times: str | None = None,
+    matching: Matching | None = None,
 ) -> CaseFile:
     """Read a case file and apply what the command line adds.
 
@@ -65,6 +66,7 @@ def read_case(
     method : replaces ``method.name``
     table : displacement table; the boundary nodes that it matches move, all others stay
     times : if given, ``table`` is a pattern of files, one for each of these times (see :func:`parse_times`)
+    matching : how ``table`` is matched
 
     Raises
     ------
@@ -83,7 +85,7 @@ def read_case(
         parsed = _parse(data, folder, overrides)
     except (CaseError, MethodError) as error:
         raise type(error)(f"{path or 'command line'}: {error}") from error
-    return parsed if table is None else _with_table(parsed, Path(table), times)
+    return parsed if table is None else _with_table(parsed, Path(table), times, matching or Matching(partial=True))
 
 
 def case_of(content: Mapping[str, Any], folder: str | Path = ".") -> CaseFile:
@@ -100,9 +102,9 @@ def case_of(content: Mapping[str, Any], folder: str | Path = ".") -> CaseFile:
     return _parse(plain(content), Path(folder))
 
 
-def _with_table(parsed: CaseFile, table: Path, times: str | None) -> CaseFile:
+def _with_table(parsed: CaseFile, table: Path, times: str | None, matching: Matching) -> CaseFile:
     """The case with one more boundary entry: what a table, or a sequence of tables, matches."""
-    matching, where = Matching(partial=True), f"--displacement {table}"
+    where = f"--displacement {table}"
     step: Step
     if times is None:
         step, files = Follow(read_displacement(table), matching), [table]

@@ -54,19 +54,32 @@ def vector_names(
 
     Case, units in brackets and punctuation do not matter. The components of ``u`` are ``u_x u_y u_z``, ``u0 u1 u2``,
     ``u1 u2 u3`` or ``x-u y-u z-u``; a missing third one makes the vector plane.
+
+    Raises
+    ------
+    FormatError
+        When two columns have the name of a component.
     """
     whole = {_plain(name): name for name in reversed(list(vectors))}
     parts = {_plain(name): name for name in reversed(list(scalars))}
     for name in names:
         if name in whole:
-            return (whole[name],)
+            return _single((whole[name],), vectors)
         patterns = ["{name}{axis}", "{axis}{name}"] if name else ["{axis}"]
         for pattern in patterns:
             for axes in ("xyz", "012", "123") if pattern == "{name}{axis}" else ("xyz",):
                 found = [parts.get(pattern.format(name=name, axis=axis)) for axis in axes]
                 if found[0] and found[1]:
-                    return tuple(word for word in found if word)
+                    return _single(tuple(word for word in found if word), scalars)
     return None
+
+
+def _single(found: tuple[str, ...], names: Collection[str]) -> tuple[str, ...]:
+    for name in found:
+        same = [other for other in names if _plain(other) == _plain(name)]
+        if len(same) > 1:
+            raise FormatError(f"a table has several columns for the same component: {' '.join(map(repr, same))}")
+    return found
 
 
 def _plain(name: str) -> str:

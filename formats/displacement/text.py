@@ -104,7 +104,10 @@ def _columns(
     names = _words(header or comment, separator)
     if len(names) != width:
         names = _words(header or comment, None)
-    found = [vector_names(wanted, names) for wanted in (POINT_NAMES, DISPLACEMENT_NAMES)]
+    try:
+        found = [vector_names(wanted, names) for wanted in (POINT_NAMES, DISPLACEMENT_NAMES)]
+    except FormatError as error:
+        raise FormatError(f"{path}: {error}") from None
     if len(names) == width and found[0] and found[1]:
         points, displacement = (tuple(map(names.index, columns)) for columns in found if columns)
         return points, displacement

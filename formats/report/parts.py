@@ -7,7 +7,11 @@ from collections.abc import Mapping
 from importlib.metadata import version
 from typing import Any
 
+import numpy as np
+
 from meshdeform_core.boundary import Kind
+from meshdeform_core.boundary.motion import PreparedMotion
+from meshdeform_core.boundary.transfer import Transfer
 from meshdeform_core.deform import Setup
 from meshdeform_core.grid import Grid
 from meshdeform_core.methods import Account
@@ -52,7 +56,7 @@ def boundary_part(setup: Setup) -> Report:
         "interface_nodes": boundary.count(*(kind for kind in Kind if kind < Kind.FIXED)),
         "interior_nodes": setup.grid.n_nodes - len(topology.face_nodes),
     }
-    matches = [match for _, motion in boundary.movers for match in motion.matches]
+    matches = [(match, motion) for _, motion in boundary.movers for match in motion.matches]
     if matches:
         part["matches"] = [
             {
@@ -63,10 +67,21 @@ def boundary_part(setup: Setup) -> Report:
                 "table_points": m.used[1],
                 "table_points_used": m.used[0],
                 "max_distance": float(m.distance[m.matched].max(initial=0.0)),
+                "max_extrapolation": float(m.beyond[m.matched].max(initial=0.0)),
+                "size_ratio": _size_ratio(m, motion),
             }
-            for m in matches
+            for m, motion in matches
         ]
     return part
+
+
+def _size_ratio(match: Transfer, motion: PreparedMotion) -> float | None:
+    """Size of a table relative to that of the wall it moves: 1000 when their length units differ."""
+    wall = motion.nodes.points[match.matched]
+    if not len(match.points) or not len(wall):
+        return None
+    table, moved = (float(np.linalg.norm(np.ptp(points, axis=0))) for points in (match.points, wall))
+    return table / moved if moved > 0 else None
 
 
 def quality_part(assessment: Assessment) -> Report:

@@ -14,6 +14,7 @@ from ..grid.planes import Plane
 from ..grid.selection import quads_of_patch, select_quads
 from ..grid.topology import Topology
 from ..numerics.coincidence import distinct
+from .coverage import table_doubts
 from .expression import Expression
 from .motion import Motion, PreparedMotion
 from .periodic import Periodic, find_periodicity
@@ -135,16 +136,8 @@ def classify(
     topology, notes = _open_two_sided_walls(grid, topology)
     selected = [_select(grid, topology, spec, constants) for spec in specs]
     quad_kind = np.zeros(len(topology.partner), dtype=np.int8)
-    movers: list[tuple[IntArray, PreparedMotion]] = []
-    for index, spec in enumerate(specs):
-        if spec.motion is not None:
-            nodes = _nodes(grid, topology, selected[index])
-            prepared = spec.motion.prepare(nodes)
-            moved = nodes.numbers[prepared.moved]
-            movers.append((moved, prepared))
-            if not prepared.moved.all():
-                selected[index] = _fully_within(topology, selected[index], moved)
-        quads = selected[index]
+    movers, doubts = _bind_motions(grid, topology, specs, selected)
+    for spec, quads in zip(specs, selected, strict=True):
         quad_kind[quads] = np.maximum(quad_kind[quads], spec.kind)
     defaults, more = _unselected(grid, topology, quad_kind, [s.name for s in specs])
     entries = [*zip([s.name for s in specs], [s.kind for s in specs], selected, strict=True), *defaults]
@@ -160,8 +153,30 @@ def classify(
     slipping = [(n, q, k is Kind.SYMMETRY) for n, k, q in entries if k in (Kind.SLIP, Kind.SYMMETRY)]
     slip, mirrors = find_sliding(grid, topology, slipping, node_kind < Kind.FIXED)
     patches = tuple(Patch(n, k, distinct(topology.quads.corners[q], topology.n_unique), q) for n, k, q in entries)
-    boundary = Boundary(node_kind, quad_kind, patches, tuple(movers), slip, periodic, mirrors, (*notes, *more))
+    boundary = Boundary(node_kind, quad_kind, patches, tuple(movers), slip, periodic, mirrors, (*notes, *doubts, *more))
     return topology, boundary
+
+
+def _bind_motions(
+    grid: Grid, topology: Topology, specs: Sequence[BoundarySpec], selected: list[IntArray]
+) -> tuple[list[tuple[IntArray, PreparedMotion]], list[str]]:
+    """Unique nodes and motion of every moving entry, and doubts about tables.
+
+    What a table does not match is taken out of ``selected``.
+    """
+    movers: list[tuple[IntArray, PreparedMotion]] = []
+    asked: list[tuple[IntArray, PreparedMotion]] = []
+    for index, spec in enumerate(specs):
+        if spec.motion is None:
+            continue
+        nodes = _nodes(grid, topology, selected[index])
+        prepared = spec.motion.prepare(nodes)
+        moved = nodes.numbers[prepared.moved]
+        movers.append((moved, prepared))
+        asked.append((selected[index], prepared))
+        if not prepared.moved.all():
+            selected[index] = _fully_within(topology, selected[index], moved)
+    return movers, table_doubts(topology, asked)
 
 
 def _select(grid: Grid, topology: Topology, spec: BoundarySpec, constants: Mapping[str, float]) -> IntArray:
@@ -192,18 +207,18 @@ def _select(grid: Grid, topology: Topology, spec: BoundarySpec, constants: Mappi
 
 
 def _nodes(grid: Grid, topology: Topology, quads: IntArray) -> Nodes:
-    """The nodes of face quads, with the shortest face edge at each."""
+    """The nodes of face quads, with the shortest and longest face edge at each."""
     corners = topology.quads.corners[quads]
     points = grid.points[topology.first]
-    edge = np.full(topology.n_unique, np.inf)
+    edge, longest = np.full(topology.n_unique, np.inf), np.zeros(topology.n_unique)
     for one in range(corners.shape[1]):
         a, b = corners[:, one], corners[:, (one + 1) % corners.shape[1]]
         length = np.linalg.norm(points[a] - points[b], axis=1)
-        length[a == b] = np.inf
-        np.minimum.at(edge, a, length)
-        np.minimum.at(edge, b, length)
+        for end in (a, b):
+            np.minimum.at(edge, end, np.where(a == b, np.inf, length))
+            np.maximum.at(longest, end, length)
     numbers = distinct(corners, topology.n_unique)
-    return Nodes(points[numbers], numbers, edge[numbers], grid, topology)
+    return Nodes(points[numbers], numbers, edge[numbers], longest[numbers], grid, topology)
 
 
 def _fully_within(topology: Topology, quads: IntArray, nodes: IntArray) -> IntArray:

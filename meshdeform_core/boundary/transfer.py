@@ -12,7 +12,8 @@ from ..grid import BoolArray, FloatArray, Grid, IntArray, Side
 from ..grid.topology import RELATIVE_TOLERANCE, Topology, side_nodes
 
 HOW = ("exact", "nearest", "interpolate")
-_NEIGHBOURS = 12
+# Two displacements at one place are the same up to this fraction of the largest one.
+_ALIKE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -40,13 +41,14 @@ class Nodes:
     ----------
     points : (n, 3), grid length unit
     numbers : (n,) unique node numbers
-    edge : (n,) shortest edge of the boundary's faces at each node: the scale of matching tolerances
+    edge, longest : (n,) shortest and longest edge of the boundary's faces at each node: scales of matching
     grid, topology : where they come from
     """
 
     points: FloatArray
     numbers: IntArray
     edge: FloatArray
+    longest: FloatArray
     grid: Grid
     topology: Topology
 
@@ -62,9 +64,10 @@ class Matching:
     Attributes
     ----------
     how : ``exact`` (the same points), ``nearest`` (the closest point's value) or ``interpolate`` (the closest point of
-        the table's surface; without a surface a local linear fit)
+        the table's surface; without a surface a thin plate spline through the nearest points)
     tolerance : largest distance, grid length unit; ``None`` for 1e-3 of the shortest surface edge at the node (exact),
-        half of it (nearest) or a tenth of the table's diagonal (interpolate)
+        half of it (nearest, and interpolate if ``partial``) or a tenth of the diagonal of the table or of the nodes,
+        whichever is smaller (interpolate)
     partial : nodes without a match are allowed; they are not moved by the table
     """
 
@@ -89,6 +92,9 @@ class Transfer:
     matched : (n,) bool
     distance : (n,) from each node to the point or surface that gave its displacement
     label, how, used : the table's name, the matching, and how many of its points were used of how many
+    points : (m, 3) of the table; (0, 3) for a grid of the same nodes
+    beyond : (n,) how far the node lies beyond the rim of the table
+    partial : whether nodes without a match are allowed
     """
 
     displacement: FloatArray
@@ -97,6 +103,9 @@ class Transfer:
     label: str
     how: str
     used: tuple[int, int]
+    points: FloatArray
+    beyond: FloatArray
+    partial: bool
 
 
 def transfer(data: SurfaceData | Grid, matching: Matching, nodes: Nodes) -> Transfer:
@@ -108,9 +117,9 @@ def transfer(data: SurfaceData | Grid, matching: Matching, nodes: Nodes) -> Tran
         When no node matches, or some do not although ``matching.partial`` does not allow it.
     """
     if isinstance(data, Grid):
-        result = _from_deformed_grid(data, nodes)
+        result = _from_deformed_grid(data, matching, nodes)
     elif matching.how == "interpolate":
-        result = _interpolate(data, matching, nodes.points)
+        result = _interpolate(data, matching, nodes)
     else:
         result = _from_points(data, matching, nodes)
     _require_matches(result, matching, nodes, data)
@@ -121,47 +130,95 @@ def _from_points(data: SurfaceData, matching: Matching, nodes: Nodes) -> Transfe
     reach = nodes.edge * (RELATIVE_TOLERANCE if matching.how == "exact" else 0.5)
     if matching.tolerance is not None:
         reach = np.full(len(nodes.points), matching.tolerance)
-    distance, nearest = scipy.spatial.cKDTree(data.points).query(nodes.points)
+    tree = scipy.spatial.cKDTree(data.points)
+    distance, nearest = tree.query(nodes.points)
     matched = distance <= reach
+    _require_one_displacement(data, nodes, tree)
     displacement = np.where(matched[:, None], data.displacement[nearest], 0.0)
     used = len(np.unique(nearest[matched])), len(data.points)
-    return Transfer(displacement, matched, distance, data.label, matching.how, used)
+    beyond = np.zeros(len(distance))
+    return Transfer(
+        displacement, matched, distance, data.label, matching.how, used, data.points, beyond, matching.partial
+    )
 
 
-def _interpolate(data: SurfaceData, matching: Matching, points: FloatArray) -> Transfer:
-    reach = matching.tolerance or 0.1 * float(np.linalg.norm(np.ptp(data.points, axis=0)))
+def _require_one_displacement(data: SurfaceData, nodes: Nodes, tree: scipy.spatial.cKDTree) -> None:
+    """Refuse a table with different displacements within a small fraction of an edge of one node."""
+    if len(data.points) < 2:
+        return
+    distance, pair = tree.query(nodes.points, k=2)
+    apart = np.abs(data.displacement[pair[:, 0]] - data.displacement[pair[:, 1]]).max(axis=1)
+    both = distance[:, 1] <= RELATIVE_TOLERANCE * nodes.edge
+    conflict = both & (apart > _ALIKE * np.abs(data.displacement).max())
+    if conflict.any():
+        node = int(np.argmax(conflict))
+        one, other = pair[node]
+        raise MotionError(
+            f"{data.label} has two displacements at {nodes.label(node)} = {nodes.points[node].tolist()}, "
+            f"{data.displacement[one].tolist()} and {data.displacement[other].tolist()} ({int(conflict.sum())} such "
+            f"nodes); expected one"
+        )
+
+
+def _interpolate(data: SurfaceData, matching: Matching, nodes: Nodes) -> Transfer:
     if len(data.triangles):
-        from ..numerics.surface import TriangleTree
-
-        triangle, weights, distance = TriangleTree(data.points, data.triangles).closest(points)
-        corners = data.displacement[data.triangles[triangle]]
-        displacement = np.einsum("nc,ncd->nd", weights, corners)
+        displacement, distance, beyond = _on_triangles(data, nodes.points)
     else:
-        displacement, distance = _local_fit(data, points)
-    matched = distance <= reach
+        displacement, distance, beyond = _between_points(data, nodes.points)
+    matched = distance <= _reach(data, matching, nodes)
     displacement = np.where(matched[:, None], displacement, 0.0)
-    return Transfer(displacement, matched, distance, data.label, matching.how, (len(data.points),) * 2)
+    count = (len(data.points),) * 2
+    return Transfer(
+        displacement, matched, distance, data.label, matching.how, count, data.points, beyond, matching.partial
+    )
 
 
-def _local_fit(data: SurfaceData, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Moving least squares: a linear function fitted to the nearest table points, close ones weighing more.
-
-    Directions in which the neighbours do not spread (the surface normal) are left out of the fit.
-    """
-    k = min(_NEIGHBOURS, len(data.points))
-    distance, near = scipy.spatial.cKDTree(data.points).query(points, k=k)
-    distance, near = distance.reshape(len(points), k), near.reshape(len(points), k)
-    scale = np.maximum(distance[:, -1:], np.finfo(float).tiny)
-    weight = np.sqrt(1.0 / ((distance / scale) ** 2 + 1e-12))
-    arm = (data.points[near] - points[:, None]) / scale[..., None]
-    design = np.concatenate([np.ones((len(points), k, 1)), arm], axis=2) * weight[..., None]
-    # Truncated pseudo-inverse: a flat patch of neighbours says nothing about the normal direction.
-    inverse = np.linalg.pinv(design, rcond=1e-3)
-    displacement = np.einsum("nk,nkd->nd", inverse[:, 0], weight[..., None] * data.displacement[near])
-    return displacement, distance[:, 0]
+def _reach(data: SurfaceData, matching: Matching, nodes: Nodes) -> FloatArray | float:
+    if matching.tolerance is not None:
+        return matching.tolerance
+    if matching.partial:
+        # All of the boundary is asked: what is not on the table must not be caught.
+        return 0.5 * nodes.edge
+    return 0.1 * min(float(np.linalg.norm(np.ptp(points, axis=0))) for points in (data.points, nodes.points))
 
 
-def _from_deformed_grid(deformed: Grid, nodes: Nodes) -> Transfer:
+def _on_triangles(data: SurfaceData, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Displacement, distance, and distance beyond the rim, at the closest points of the table's surface."""
+    from ..numerics.surface import TriangleTree
+
+    triangle, weights, distance = TriangleTree(data.points, data.triangles).closest(points)
+    corners = data.triangles[triangle]
+    displacement = np.einsum("nc,ncd->nd", weights, data.displacement[corners])
+    a, b, c = (data.points[corners[:, n]] for n in range(3))
+    normal = np.cross(b - a, c - a)
+    size = np.linalg.norm(normal, axis=1, keepdims=True)
+    normal /= np.where(size > 0, size, 1.0)
+    gap = points - np.einsum("nc,ncd->nd", weights, data.points[corners])
+    aside = gap - (gap * normal).sum(axis=1, keepdims=True) * normal
+    on_rim = ((weights <= 0) & _rim(data.triangles)[triangle]).any(axis=1)
+    return displacement, distance, np.where(on_rim, np.linalg.norm(aside, axis=1), 0.0)
+
+
+def _rim(triangles: IntArray) -> BoolArray:
+    """(m, 3) bool: the edge opposite to that corner belongs to one triangle only."""
+    edges = np.sort(np.stack([triangles[:, [1, 2]], triangles[:, [2, 0]], triangles[:, [0, 1]]], axis=1), axis=2)
+    _, number, count = np.unique(edges.reshape(-1, 2), axis=0, return_inverse=True, return_counts=True)
+    return np.asarray(count[number.reshape(-1)].reshape(-1, 3) == 1)
+
+
+def _between_points(data: SurfaceData, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Displacement from a spline through the nearest points, distance to the nearest, and beyond their spacing."""
+    from ..numerics.local_spline import local_spline
+
+    known, first = np.unique(data.points, axis=0, return_index=True)
+    displacement, distance = local_spline(known, data.displacement[first], points)
+    tree = scipy.spatial.cKDTree(known)
+    nearest = tree.query(points)[1]
+    spacing = tree.query(known, k=min(5, len(known)))[0].reshape(len(known), -1)[:, -1]
+    return displacement, distance, np.maximum(distance - spacing[nearest], 0.0)
+
+
+def _from_deformed_grid(deformed: Grid, matching: Matching, nodes: Nodes) -> Transfer:
     label = deformed.path.name if deformed.path else "deformed grid"
     if deformed.shapes == nodes.grid.shapes:
         displacement = deformed.points[nodes.topology.first[nodes.numbers]] - nodes.points
@@ -169,7 +226,8 @@ def _from_deformed_grid(deformed: Grid, nodes: Nodes) -> Transfer:
     else:
         displacement, matched = _from_surface_blocks(deformed, nodes)
     used = int(matched.sum()), deformed.n_nodes
-    return Transfer(displacement, matched, np.zeros(len(displacement)), label, "same nodes", used)
+    zero = np.zeros(len(displacement))
+    return Transfer(displacement, matched, zero, label, "same nodes", used, np.empty((0, 3)), zero, matching.partial)
 
 
 def _from_surface_blocks(surface: Grid, nodes: Nodes) -> tuple[FloatArray, BoolArray]:
@@ -225,7 +283,7 @@ def _require_matches(result: Transfer, matching: Matching, nodes: Nodes, data: S
         f"{result.label}: {len(missing)} of {len(nodes.points)} selected nodes have no match ({result.how}); the "
         f"farthest is {nodes.label(worst)} = {nodes.points[worst].tolist()}, {result.distance[worst]:.3g} away. "
         f"The table spans {_span(data.points)}, the nodes {_span(nodes.points)}"
-        f"{_unit_hint(data.points, nodes.points)}. "
+        f"{other_frame(data.points, nodes)}. "
         f'Set a larger tolerance, match = "interpolate", or a selection that the table covers'
     )
 
@@ -235,8 +293,35 @@ def _span(points: FloatArray) -> str:
     return " x ".join(f"[{a:.4g}, {b:.4g}]" for a, b in zip(low, high, strict=True))
 
 
-def _unit_hint(table: FloatArray, points: FloatArray) -> str:
-    one, two = (float(np.linalg.norm(np.ptp(p, axis=0))) for p in (table, points))
-    if min(one, two) > 0 and not 0.03 < one / two < 30:
-        return f" (sizes differ by a factor {max(one / two, two / one):.3g}: different length units?)"
+# Lengths in one unit as numbers of another: m and mm, cm, km, inch, foot, and inch in mm.
+_FACTORS = (1e-3, 1e3, 1e-2, 1e2, 1e-6, 1e6, 0.0254, 1 / 0.0254, 25.4, 1 / 25.4, 0.3048, 1 / 0.3048)
+_ORDERS = ((0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0))
+_SAMPLE = 5000
+
+
+def far_points(points: FloatArray, nodes: Nodes) -> BoolArray:
+    """(n,) bool: points that are farther from every node than the longest face edge there."""
+    distance, nearest = scipy.spatial.cKDTree(nodes.points).query(points)
+    return np.asarray(distance > nodes.longest[nearest])
+
+
+def other_frame(points: FloatArray, nodes: Nodes) -> str:
+    """What would put table points that miss the nodes onto them: another length unit or order of coordinates.
+
+    The end of a message, empty if nothing does.
+    """
+    some = points[:: max(1, len(points) // _SAMPLE)]
+    here = 1.0 - far_points(some, nodes).mean()
+    tried = {f"multiplied by {factor:.6g}, {{}}: different length units?": some * factor for factor in _FACTORS}
+    tried |= {
+        f"with its coordinates in the order {' '.join('xyz'[axis] for axis in order)}, {{}}": some[:, order]
+        for order in _ORDERS
+    }
+    for text, there in tried.items():
+        hit = 1.0 - far_points(there, nodes).mean()
+        if hit >= 0.9 and here < 0.5:
+            return f" ({text.format(f'{hit:.0%} of its points would lie on the nodes')})"
+    sizes = [float(np.linalg.norm(np.ptp(p, axis=0))) for p in (points, nodes.points)]
+    if min(sizes) > 0 and not 1 / 30 < sizes[0] / sizes[1] < 30:
+        return f" (sizes differ by a factor {max(sizes) / min(sizes):.3g}: different length units?)"
     return ""

@@ -250,3 +250,11 @@ def test_a_grid_with_two_displacements_of_a_node(tmp_path):
     write_grid(dataclasses.replace(grid, points=bad), tmp_path / "a.vtm")
     with pytest.raises(GridError, match="not finite"):
         read_displacement(tmp_path / "a.vtm")
+
+
+@pytest.mark.parametrize("header", ["x,y,z,dx,dx,dz", "x,y,y,dx,dy,dz", "x,y,z,dx [m],dx,dy"])
+def test_a_column_twice_is_refused(header, tmp_path):
+    path = tmp_path / "twice.csv"
+    path.write_text(f"{header}\n0,0,0,1,2,3\n")
+    with pytest.raises(FormatError, match=r"twice\.csv"):
+        read_displacement(path)

@@ -1,0 +1,202 @@
+"""Tables that do not fit their walls are refused or warned of; splines pass through the table's own points."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from cases import body_specs
+from grids import frame
+from scipy.interpolate import RBFInterpolator
+
+from meshdeform_core.boundary import BoundarySpec, Kind
+from meshdeform_core.boundary.motion import Follow, Motion
+from meshdeform_core.boundary.transfer import Matching, SurfaceData
+from meshdeform_core.deform import Case, set_up
+from meshdeform_core.errors import MotionError
+from meshdeform_core.numerics.local_spline import local_spline
+
+FRAME = frame(cells=6, layers=6)
+NO_TRIANGLES = np.empty((0, 3), np.int64)
+SHIFT = np.array([0.02, 0.01, 0.0])
+
+
+def bar() -> np.ndarray:
+    """Nodes of the bar, each once."""
+    points = FRAME.points
+    return np.unique(points[np.abs(points[:, :2]).max(axis=1) < 0.51], axis=0)
+
+
+def data(points: np.ndarray, displacement: np.ndarray | None = None) -> SurfaceData:
+    moved = np.tile(SHIFT, (len(points), 1)) if displacement is None else displacement
+    return SurfaceData(np.ascontiguousarray(points), moved, NO_TRIANGLES, "table.csv")
+
+
+def whole_table(table: SurfaceData, **matching) -> tuple[str, ...]:
+    """Warnings when the table says alone what moves, as -d does."""
+    motion = Motion((Follow(table, Matching(partial=True, **matching)),), {})
+    entries = (
+        BoundarySpec("table.csv", ("*",), Kind.MOVING, None, motion),
+        BoundarySpec("rest", ("*",), Kind.SLIP),
+    )
+    return set_up(FRAME, Case(entries)).boundary.notes
+
+
+def on_body(table: SurfaceData, **matching) -> tuple[str, ...]:
+    """Warnings when the bar follows the table."""
+    specs = body_specs(Motion((Follow(table, Matching(**matching)),), {}))
+    return set_up(FRAME, Case((*specs, BoundarySpec("rest", ("*",), Kind.SLIP)))).boundary.notes
+
+
+def test_a_table_of_the_wall_gives_no_warning():
+    assert whole_table(data(bar())) == ()
+    for how in ("exact", "nearest", "interpolate"):
+        assert on_body(data(bar()), how=how) == ()
+
+
+@pytest.mark.parametrize("factor", [1000.0, 1e-3, 100.0, 0.3048, 25.4])
+@pytest.mark.parametrize("match", ["nearest", "interpolate"])
+def test_other_length_units_are_refused(factor, match):
+    table = data(bar() / factor)
+    # Only what could lie on the wall is matched at all; on its corner at the origin this table does.
+    corner = np.array([2.0, 2.0, 0.0])
+    shifted = dataclasses.replace(FRAME, points=FRAME.points + corner)
+    points = bar() + corner
+    motion = Motion((Follow(data(points / factor), Matching(match, partial=True)),), {})
+    with pytest.raises(MotionError, match=r"multiplied by|sizes differ by a factor|no match"):
+        set_up(shifted, Case((BoundarySpec("t", ("*",), Kind.MOVING, None, motion),)))
+    with pytest.raises(MotionError, match=r"different length units\?"):
+        on_body(table, how=match)
+
+
+def test_a_table_a_thousand_times_larger_is_refused_where_it_covers_the_wall():
+    """A plate in m and its table in mm, both from the origin: every node lies on the table."""
+    plate = SurfaceData(
+        np.array([[x, y, 0.0] for x in (0, 500, 1000, 1500, 2000) for y in (0, 500, 1000, 1500, 2000)], dtype=float),
+        np.zeros((25, 3)) + [0.0, 0.0, 10.0],
+        NO_TRIANGLES,
+        "plate_mm.csv",
+    )
+    x = np.linspace(0, 2, 9)
+    block = np.stack(np.meshgrid(x, x, np.linspace(0, 1, 5), indexing="ij"), axis=-1)
+    grid = type(FRAME).from_blocks([block])
+    motion = Motion((Follow(plate, Matching("interpolate", tolerance=1e4)),), {})
+    with pytest.raises(MotionError, match=r"plate_mm.csv: 24 of 25 table points.*multiplied by 0.001"):
+        set_up(grid, Case((BoundarySpec("plate", ("block1.kmin",), Kind.MOVING, None, motion),)))
+
+
+@pytest.mark.parametrize("order", [(1, 0, 2), (2, 1, 0), (1, 2, 0)])
+def test_swapped_columns_are_refused(order):
+    points = bar() * [1.0, 1.0, 3.0] + [4.0, 0.0, 0.0]
+    grid = FRAME.moved(FRAME.points * [1.0, 1.0, 3.0] + [4.0, 0.0, 0.0])
+    motion = Motion((Follow(data(points[:, order]), Matching(partial=True, tolerance=9.0)),), {})
+    with pytest.raises(MotionError, match="with its coordinates in the order"):
+        set_up(grid, Case((BoundarySpec("t", ("*",), Kind.MOVING, None, motion),)))
+
+
+def test_two_displacements_at_one_place_are_refused():
+    points = bar()
+    twice = np.concatenate([points, points[5:6] + 1e-13])
+    moved = np.tile(SHIFT, (len(twice), 1))
+    assert on_body(data(twice, moved)) == ()
+    moved[-1] *= 2
+    with pytest.raises(MotionError, match="has two displacements at block"):
+        on_body(data(twice, moved))
+
+
+def test_every_second_row_is_refused():
+    with pytest.raises(MotionError, match="belong to no face that moves as a whole"):
+        whole_table(data(bar()[::2]))
+
+
+def test_a_coarser_surface_is_refused():
+    points = bar()
+    heights = np.unique(points[:, 2])
+    with pytest.raises(MotionError, match="belong to no face that moves as a whole"):
+        whole_table(data(points[np.isin(points[:, 2], heights[::2])]))
+
+
+def test_half_of_the_wall_ends_abruptly():
+    points = bar()
+    (note,) = whole_table(data(points[points[:, 2] < 0.6]))
+    assert "the motion ends abruptly" in note
+    assert f"{np.linalg.norm(SHIFT):.3g}" in note
+    fading = np.maximum(0.0, 0.5 - points[:, 2:]) * SHIFT
+    inside = points[:, 2] < 0.6
+    assert whole_table(data(points[inside], fading[inside])) == ()
+
+
+def test_points_off_the_wall_are_counted():
+    points = bar()
+    away = np.array([[7.0, 7.0, 7.0], [8.0, 7.0, 7.0]])
+    (note,) = whole_table(data(np.concatenate([points, away])))
+    assert f"2 of {len(points) + 2} table points lie on no face that the table moves" in note
+    with pytest.raises(MotionError, match="table points lie on no face"):
+        whole_table(data(np.concatenate([points, np.arange(3.0 * 500).reshape(500, 3) + 50])))
+
+
+def test_one_table_for_several_entries_is_used_as_a_whole():
+    table = data(bar())
+    entries = [
+        BoundarySpec(name, (face,), Kind.MOVING, None, Motion((Follow(table, Matching()),), {}))
+        for name, face in (("a", "block2.imax"), ("b", "block7.imin"), ("c", "block4.jmax"), ("d", "block5.jmin"))
+    ]
+    assert set_up(FRAME, Case((*entries, BoundarySpec("rest", ("*",), Kind.SLIP)))).boundary.notes == ()
+
+
+def test_a_shifted_table_is_said():
+    edge = 1.0 / 6
+    (note,) = on_body(data(bar() + [0.0, 0.0, 0.3 * edge]), tolerance=0.5)
+    assert "away from the table point whose displacement they take" in note
+
+
+def test_nodes_that_share_points_are_said():
+    points = bar()
+    notes = on_body(data(points[::3]), tolerance=2.0)
+    assert any("share the displacements of" in note for note in notes)
+
+
+def test_extrapolation_is_said_with_its_distance():
+    points = bar()
+    notes = on_body(data(points[points[:, 2] < 0.6]), how="interpolate", tolerance=2.0)
+    assert any("lie beyond the table" in note for note in notes)
+    top = np.array([[x, y, z] for z in (0.0, 0.5) for x, y in ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5))])
+    sides = [(a, (a + 1) % 4, (a + 1) % 4 + 4, a + 4) for a in range(4)]
+    triangles = np.array([t for a, b, c, d in sides for t in ((a, b, c), (a, c, d))])
+    table = SurfaceData(top, np.tile(SHIFT, (8, 1)), triangles, "half.vtp")
+    (note,) = on_body(table, how="interpolate", tolerance=2.0)
+    assert "by up to 0.5; their displacement is extrapolated" in note
+
+
+@pytest.mark.parametrize("flat", [True, False])
+def test_splines_pass_through_the_points_and_reproduce_linear_fields(flat):
+    rng = np.random.default_rng(3)
+    points = rng.random((200, 3))
+    points[:, 2] = 0.5 if flat else 0.3 * np.sin(3 * points[:, 0]) + points[:, 1] ** 2
+    values = rng.random((200, 3))
+    got, distance = local_spline(points, values, points + 0.0)
+    np.testing.assert_array_equal(got, values)
+    assert (distance == 0).all()
+    # A step beside a point is a step beside its value.
+    near, _ = local_spline(points, values, points + 1e-9)
+    np.testing.assert_allclose(near, values, atol=1e-5)
+    targets = points[:50] + 0.01 * rng.random((50, 3)) * [1, 1, not flat]
+    matrix = rng.random((3, 3))
+    linear, _ = local_spline(points, points @ matrix, targets)
+    np.testing.assert_allclose(linear, targets @ matrix, atol=1e-9)
+
+
+def test_splines_equal_those_of_scipy():
+    rng = np.random.default_rng(5)
+    points, values, targets = rng.random((60, 3)), rng.random((60, 2)), rng.random((20, 3))
+    expected = RBFInterpolator(points, values, neighbors=16, kernel="thin_plate_spline", degree=1)(targets)
+    np.testing.assert_allclose(local_spline(points, values, targets)[0], expected, rtol=1e-8, atol=1e-10)
+
+
+def test_splines_of_points_on_a_line_or_at_one_place():
+    line = np.stack([np.linspace(0, 1, 7), np.zeros(7), np.zeros(7)], axis=1)
+    got, _ = local_spline(line, line * [2.0, 0, 0], line[:3] + [0.01, 0.0, 0.0])
+    np.testing.assert_allclose(got[:, 0], 2 * (line[:3, 0] + 0.01), atol=1e-9)
+    one, _ = local_spline(line[:1], np.ones((1, 3)), line)
+    np.testing.assert_array_equal(one, np.ones((7, 3)))
