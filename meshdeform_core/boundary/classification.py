@@ -12,7 +12,7 @@ from ..errors import CaseError
 from ..grid import Grid, IntArray, Side
 from ..grid.planes import Plane
 from ..grid.selection import quads_of_patch, select_quads
-from ..grid.topology import Topology
+from ..grid.topology import Topology, end_planes
 from ..numerics.coincidence import distinct
 from .coverage import table_doubts
 from .expression import Expression
@@ -252,7 +252,7 @@ def _unselected(
         return [], []
     entries: list[Entry] = []
     notes = []
-    ends = _end_planes(grid, topology)
+    ends = end_planes(grid, topology)
     sliding = rest[np.isin(topology.quads.block_side[rest], ends)]
     fixed = rest[~np.isin(topology.quads.block_side[rest], ends)]
     if sliding.size:
@@ -265,21 +265,6 @@ def _unselected(
         if names:
             notes.append(f"{fixed.size} external face quads are selected by no boundary entry; they are fixed")
     return entries, notes
-
-
-def _end_planes(grid: Grid, topology: Topology) -> list[int]:
-    """Block sides (``6 * block + side``) between which the whole grid is one cell thick; empty if it is not."""
-    ends = []
-    for block, shape in enumerate(grid.shapes):
-        for axis in range(3):
-            pair = (Side(2 * axis), Side(2 * axis + 1))
-            quads = [topology.quads.of_side(block, side) for side in pair]
-            if shape[axis] == 2 and all(topology.external[q].all() for q in quads):
-                ends += [6 * block + side for side in pair]
-                break
-        else:
-            return []
-    return ends
 
 
 def _node_kinds(topology: Topology, entries: list[Entry], movers: list[tuple[IntArray, PreparedMotion]]) -> np.ndarray:

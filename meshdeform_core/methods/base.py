@@ -16,7 +16,7 @@ import numpy as np
 from ..boundary import Boundary, Kind
 from ..grid import FloatArray, Grid, IntArray, Side
 from ..grid.planes import plane_normal
-from ..grid.topology import Topology, inward_step, side_nodes
+from ..grid.topology import Topology, end_planes, inward_step, side_nodes
 from ..memory import UNLIMITED, MemoryLimit
 from ..numerics.coincidence import distinct
 
@@ -75,6 +75,11 @@ class Problem:
     def plane_normal(self) -> FloatArray | None:
         """Unit normal of a 2-D grid, ``None`` in 3-D."""
         return plane_normal(self.grid)
+
+    @cached_property
+    def plane(self) -> bool:
+        """The grid is 2-D or a single layer of cells: its sources lie along curves."""
+        return self.grid.dimension == 2 or bool(end_planes(self.grid, self.topology))
 
     @cached_property
     def surface(self) -> Surface:

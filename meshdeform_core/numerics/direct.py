@@ -109,6 +109,14 @@ def _add_luke(targets, t0, t1, packed, s0, s1, kappa, out):
 def _weights(target, packed, s0, s1, a, b, kappa, weight):
     x, y, z = packed[0, s0:s1], packed[1, s0:s1], packed[2, s0:s1]
     px, py, pz = target
+    if a == 2.5 and b == 5.0:
+        # As in plane grids: square roots take a fraction of the time of logarithms and exponentials.
+        for s in range(s1 - s0):
+            dx, dy, dz = px - x[s], py - y[s], pz - z[s]
+            r = 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz)
+            half = r * r * math.sqrt(r)
+            weight[s] = half * (1.0 + kappa * half)
+        return
     for s in range(s1 - s0):
         dx, dy, dz = px - x[s], py - y[s], pz - z[s]
         log_r = 0.5 * log(dx * dx + dy * dy + dz * dz)

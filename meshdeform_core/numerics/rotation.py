@@ -5,6 +5,9 @@ Arrays of n rotation vectors, matrices (n, 3, 3), unit quaternions (n, 4, scalar
 
 import numpy as np
 
+SHARP = 0.9
+"""Mean of the unit normals at a node, below which its faces make a sharp edge."""
+
 
 def surface_rotations(before, after, corners, edges, plane_normal=None):
     """Rotation of every node of a deforming surface, fitted to its faces (eqs. 21-25).
@@ -40,8 +43,50 @@ def surface_rotations(before, after, corners, edges, plane_normal=None):
     return multiply(second, first)
 
 
+def near_sharp_edges(points, corners, edges, plane_normal, rounds):
+    """Nodes (n,) bool within ``rounds`` edges of a sharp one, where the faces at a node turn away from each other.
+
+    Faces that make a ridge of more than about 50 degrees have a mean normal shorter than 0.9; arguments as in
+    :func:`surface_rotations`.
+    """
+    total, count = _sum_of_normals(points, corners, plane_normal)
+    near = (count > 0) & (np.linalg.norm(total, axis=1) < SHARP * count)
+    here, there = neighbours(corners, edges, plane_normal).T
+    for _ in range(rounds):
+        near |= np.bincount(here, near[there], minlength=len(points)) > 0
+    return near
+
+
+def neighbours(corners, edges, plane_normal):
+    """Pairs (e, 2) of node and neighbour along the surface; in 2-D those of its curve."""
+    return edges if plane_normal is None else np.concatenate([corners, corners[:, ::-1]])
+
+
+def smoothed(q, pairs, rounds):
+    """Quaternions (n, 4) of which the nodes ``pairs[:, 0]`` take half of their neighbours' mean, ``rounds`` times."""
+    here, there = pairs.T
+    nodes, place = np.unique(here, return_inverse=True)
+    count = np.bincount(place)[:, None]
+    q = q.copy()
+    for _ in range(rounds):
+        other = q[there] * np.where(np.einsum("ek,ek->e", q[here], q[there]) < 0.0, -1.0, 1.0)[:, None]
+        mean = np.stack([np.bincount(place, other[:, k]) for k in range(4)], axis=1) / count
+        mixed = q[nodes] + mean
+        q[nodes] = mixed / np.linalg.norm(mixed, axis=1, keepdims=True)
+    q[q[:, 0] < 0.0] *= -1.0
+    return q
+
+
 def _node_normals(x, corners, plane_normal):
     """Mean of the unit normals of the faces at each node, normalised; zero where it is undefined."""
+    total, _ = _sum_of_normals(x, corners, plane_normal)
+    # Faces that cancel (both sides of a plate without thickness) or collapse leave round-off: no direction.
+    total[np.linalg.norm(total, axis=1) < 1e-6] = 0.0
+    return _unit(total)
+
+
+def _sum_of_normals(x, corners, plane_normal):
+    """Sum (n, 3) of the unit normals of the faces at each node, and their number (n,)."""
     if plane_normal is None:
         node, following, previous = corners.T
         normal = _unit(np.cross(_unit(x[following] - x[node]), _unit(x[previous] - x[node])))
@@ -49,13 +94,12 @@ def _node_normals(x, corners, plane_normal):
     else:
         normal = np.cross(_unit(x[corners[:, 1]] - x[corners[:, 0]]), plane_normal)
         owners = [corners[:, 0], corners[:, 1]]
-    total = np.zeros_like(x)
+    total, count = np.zeros_like(x), np.zeros(len(x))
     for owner in owners:
+        count += np.bincount(owner, minlength=len(x))
         for axis in range(3):
             total[:, axis] += np.bincount(owner, normal[:, axis], minlength=len(x))
-    # Faces that cancel (both sides of a plate without thickness) or collapse leave round-off: no direction.
-    total[np.linalg.norm(total, axis=1) < 1e-6] = 0.0
-    return _unit(total)
+    return total, count
 
 
 def _aligning(start, end):

@@ -18,6 +18,9 @@ def slow_idw(problem: Problem, displacement: np.ndarray, targets: np.ndarray, op
     mean = shift if remove else np.zeros(3)
     y = x + displacement - mean
     turns = [np.eye(3)] * n if options.rotation == "none" else node_rotations(problem, x, y)
+    rounds = (8 if options.rotation == "lie" else 0) if options.smoothing == "auto" else options.smoothing
+    if rounds and options.rotation != "none":
+        turns = smoothed(problem, turns, rounds)
 
     def weights(at, sources):
         return weights_of(problem, at, sources, area, shift, displacement, options)
@@ -78,7 +81,11 @@ def weights_of(problem, p, x, area, shift, displacement, options):
         alpha = options.alpha
         if alpha == "auto":
             alpha = min(0.3, options.eta / length * np.linalg.norm(displacement - shift, axis=1).max())
-        w = area * ((length / r) ** options.a + (alpha * length / r) ** options.b)
+        far = options.a
+        if far == "auto":
+            # No grid of these tests is a single layer of cells.
+            far = 2.5 if problem.grid.dimension == 2 and options.rotation == "lie" else 3.0
+        w = area * ((length / r) ** far + (alpha * length / r) ** options.b)
     return w / w.sum()
 
 
@@ -133,6 +140,38 @@ def _node_rotation(problem, node, quads, x, y):
         arm, target = (v - normals[1] * (normals[1] @ v) for v in (arm, target))
         angles.append(np.arctan2(normals[1] @ np.cross(arm, target), arm @ target))
     return Rotation.from_rotvec(normals[1] * np.mean(angles)).as_matrix() @ first
+
+
+def smoothed(problem, turns, rounds):
+    """Nodes within ``rounds`` edges of a sharp one take half of their neighbours' mean quaternion, ``rounds`` times."""
+    x, quads = problem.source_points, source_quads(problem, (Kind.MOVING,))
+    around = {node: set() for quad in quads for node in quad}
+    for quad in quads:
+        for a, b in zip(quad, quad[1:] + quad[:1], strict=True):
+            around[a] |= {b} - {a}
+            around[b] |= {a} - {b}
+
+    def is_sharp(node):
+        normals = [_normal_at(problem, x, node, quad) for quad in quads if node in quad]
+        return np.linalg.norm(np.mean(normals, axis=0)) < 0.9
+
+    near = {node for node in around if is_sharp(node)}
+    for _ in range(rounds):
+        near |= {other for node in near for other in around[node]}
+    q = Rotation.from_matrix(turns).as_quat(canonical=True)
+    for _ in range(rounds):
+        new = q.copy()
+        for node in near:
+            others = [q[o] if q[o] @ q[node] >= 0 else -q[o] for o in around[node]]
+            new[node] = _unit(q[node] + np.mean(others, axis=0))
+        q = new
+    return list(Rotation.from_quat(q).as_matrix())
+
+
+def _normal_at(problem, x, node, quad):
+    if problem.grid.dimension == 2:
+        return np.cross(_unit(x[quad[1]] - x[quad[0]]), [0.0, 0.0, 1.0])
+    return _corner_normal(x, node, quad)
 
 
 def _corner_normal(p, node, quad):

@@ -20,6 +20,14 @@ from .summation import check_summation, fast_pays
 ROTATIONS = ("none", "quaternion", "division", "blend", "lie")
 WEIGHTS = ("luke", "shepard")
 ALPHA_CAP = 0.3
+FAR, FAR_IN_PLANES = 3.0, 2.5
+"""Exponent a of eq. 16: Luke's, and that of ``lie`` in plane grids.
+
+The weights of a surface fall as r^(2 - a), those of a curve as r^(1 - a): what Luke's exponent spreads evenly between two
+walls in space, it piles up half-way between two curves.
+"""
+ROUNDS = 8
+"""Rounds of smoothing near sharp edges with ``lie``."""
 
 
 # What may be kept between displacements is this part of the memory that is left.
@@ -41,7 +49,9 @@ class IDW:
     weights : ``luke`` (eq. 16) or ``shepard`` (eq. 15)
     alpha : weight of near against far sources in eq. 16, or ``"auto"``: eq. 18, at most 0.3
     eta : factor of eq. 18
-    a, b : exponents of eq. 16
+    a, b : exponents of eq. 16; a may be ``"auto"``: 3, but 2.5 for ``lie`` in plane grids
+    smoothing : rounds of averaging the rotations of nodes within as many edges of a sharp one, or ``"auto"``: 8 for
+        ``lie``, none for the others
     length : L_def of eq. 16 (grid length unit), or ``"auto"``: eq. 17
     p_moving, p_fixed : exponents of ``shepard`` for moving and fixed sources
     divisions : m of eq. 26
@@ -56,8 +66,9 @@ class IDW:
     weights: str = option("luke", "near and far field in one formula, nodal areas included")
     alpha: float | str = option(0.1, "0.3 holds walls better at large rotations, but skews the cells farther away more")
     eta: float = option(5.0, "Luke et al.")
-    a: float = option(3.0, "Luke et al.: the far field")
+    a: float | str = option("auto", "Luke et al.: 3; less where sources lie along curves")
     b: float = option(5.0, "Luke et al.: the near field")
+    smoothing: int | str = option("auto", "lie only: the paper's kinds do not; smooth walls are left alone")
     length: float | str = option("auto", "eq. 17: farthest source from the centroid of all nodes")
     p_moving: float = option(3.0, "as for fixed ones; a larger one lets the moving wall reach less far")
     p_fixed: float = option(3.0, "as for moving ones")
@@ -70,9 +81,10 @@ class IDW:
     def __post_init__(self) -> None:
         choose("idw.rotation", self.rotation, ROTATIONS)
         choose("idw.weights", self.weights, WEIGHTS)
-        for name in ("alpha", "length"):
+        for name in ("alpha", "length", "a"):
             positive(f"idw.{name}", getattr(self, name), auto=True)
-        for name in ("eta", "a", "b", "p_moving", "p_fixed"):
+        positive("idw.smoothing", self.smoothing, auto=True, whole=True, zero=True)
+        for name in ("eta", "b", "p_moving", "p_fixed"):
             positive(f"idw.{name}", getattr(self, name))
         positive("idw.divisions", self.divisions, whole=True)
         choose("idw.remove_mean", self.remove_mean, (True, False, "auto"))
@@ -113,6 +125,8 @@ class PreparedIDW:
         self._images = mirror_images(problem)
         self.area, self.points = self._images.area, self._images.points
         self.length = self._length()
+        self.far = self._far()
+        self._blunt = self._near_edges()
         self.groups, self.strength = self._grouped()
         auto = options.remove_mean == "auto"
         self.remove_mean = options.rotation == "lie" if auto else bool(options.remove_mean)
@@ -122,6 +136,26 @@ class PreparedIDW:
         if self.options.length != "auto":
             return float(self.options.length)
         return float(np.linalg.norm(self._problem.source_points - self._problem.centroid, axis=1).max())
+
+    def _far(self) -> float:
+        """Exponent a of eq. 16."""
+        if self.options.a != "auto":
+            return float(self.options.a)
+        return FAR_IN_PLANES if self._problem.plane and self.options.rotation == "lie" else FAR
+
+    @property
+    def _rounds(self) -> int:
+        auto = ROUNDS if self.options.rotation == "lie" else 0
+        return auto if self.options.smoothing == "auto" else int(self.options.smoothing)
+
+    def _near_edges(self) -> IntArray:
+        """Pairs (e, 2) of neighbouring sources, the first of which is close to a sharp edge."""
+        images, normal = self._images, self._problem.plane_normal
+        pairs = rot.neighbours(images.corners, images.edges, normal)
+        if not self._rounds or not len(pairs):
+            return np.empty((0, 2), dtype=np.int64)
+        near = rot.near_sharp_edges(images.points, images.corners, images.edges, normal, self._rounds)
+        return np.asarray(pairs[near[pairs[:, 0]]])
 
     def _grouped(self) -> tuple[tuple[IntArray, ...], FloatArray]:
         """Sources (index arrays) with the same weight function, and the strength (n,) of every source."""
@@ -139,12 +173,18 @@ class PreparedIDW:
         o, settings = self.options, self.account.settings
         settings |= used(o, "rotation", "weights")
         if o.weights == "luke":
-            settings |= used(o, "alpha", "a", "b")
+            settings |= used(o, "alpha", "b")
+            why = "lie in a plane grid" if self.far == FAR_IN_PLANES else "Luke et al.: the far field"
+            settings["a"] = Setting(self.far, why if o.a == "auto" else "given")
         else:
             settings |= used(o, "p_moving", "p_fixed")
         if o.alpha == "auto":
             settings["alpha"] = Setting("auto", "eq. 18 at each displacement")
             settings |= used(o, "eta")
+        if o.rotation != "none":
+            nodes = len(np.unique(self._blunt[:, 0]))
+            why = "given" if o.smoothing != "auto" else "lie" if self._rounds else 'auto: only for rotation = "lie"'
+            settings["smoothing"] = Setting(self._rounds, f"{why}; {nodes} nodes are close to sharp edges")
         settings["length"] = dataclasses.replace(used(o, "length")["length"], value=self.length)
         if o.rotation == "division":
             settings |= used(o, "divisions", "reweight")
@@ -173,6 +213,7 @@ class PreparedIDW:
         if self.options.rotation != "none":
             normal = self._problem.plane_normal
             q = rot.surface_rotations(images.points, images.points + d, images.corners, images.edges, normal)
+            q = rot.smoothed(q, self._blunt, self._rounds)
         mean = self.area / self.area.sum() @ d if self.remove_mean else np.zeros(3)
         # Frame-independent kinds are computed about the centroid: smaller numbers, less round-off.
         origin = np.zeros(3) if self.options.rotation in ("quaternion", "division") else self._problem.centroid
@@ -194,7 +235,7 @@ class PreparedIDW:
             # The second exponent has no part in it; Luke's has the fastest loop.
             return tuple((p, 5.0, 0.0) for p in (o.p_moving, o.p_fixed)[: len(self.groups)])
         alpha = self._alpha(d) if o.alpha == "auto" else float(o.alpha)
-        return ((o.a, o.b, alpha**o.b * self.length ** (o.b - o.a)),)
+        return ((self.far, o.b, alpha**o.b * self.length ** (o.b - self.far)),)
 
     def _eq_18(self, d: FloatArray) -> float:
         mean = (self.area / self.area.sum()) @ d

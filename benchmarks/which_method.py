@@ -1,0 +1,96 @@
+"""Which method wins where: one step of large motions, without repair.
+
+python benchmarks/which_method.py                       the table on stdout
+python benchmarks/which_method.py --only beam           some of the motions
+python benchmarks/which_method.py --write docs/methods.md    put the table in its place on the page
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from motions import JOBS, Job
+from tables import Row, Table
+
+from meshdeform_core.methods import IDW, Options, make_method
+from meshdeform_core.quality import assess
+
+METHODS: dict[str, Options] = {
+    "idw-tfi": Options("idw-tfi"),
+    "idw": Options("idw-idw"),
+    "rbf-tfi": Options("rbf-tfi"),
+    "tfi": Options("tfi-tfi"),
+    "idw, none": Options("idw-idw", idw=IDW(rotation="none")),
+    "idw, blend": Options("idw-idw", idw=IDW(rotation="blend")),
+    "idw, quaternion": Options("idw-idw", idw=IDW(rotation="quaternion")),
+}
+_BEGIN, _END = "<!-- which_method.py begin -->", "<!-- which_method.py end -->"
+
+
+def measure(jobs: list[Job], methods: dict[str, Options]) -> Iterator[Row]:
+    """Smallest relative Jacobian and wall deviation of every motion and method."""
+    for job in jobs:
+        setup, displacement = job.make()
+        for name, options in methods.items():
+            prepared = make_method(options).prepare(setup.problem)
+            after = assess(setup.original, setup.grid.points + prepared.apply(displacement), setup.boundary).after
+            walls = after.wall_normal_deviation_deg
+            yield {
+                "motion": job.label,
+                "method": name,
+                "invalid": after.invalid_cells,
+                "relative_jacobian": after.min_relative_jacobian,
+                "wall_deg": walls.rms if walls else np.nan,
+                "f_skew": after.f_skew.harmonic_mean,
+            }
+
+
+def table(rows: list[Row]) -> Table:
+    """One line per motion: ``smallest relative Jacobian / wall deviation``; the best valid Jacobian in bold."""
+    result = Table("Which method wins where")
+    for motion in dict.fromkeys(row["motion"] for row in rows):
+        mine = [row for row in rows if row["motion"] == motion]
+        best = max((row["relative_jacobian"] for row in mine if not row["invalid"]), default=np.inf)
+        line: Row = {"motion": motion}
+        for row in mine:
+            line[row["method"]] = _cell(row, best)
+        result.rows.append(line)
+    return result
+
+
+def _cell(row: Row, best: float) -> str:
+    if row["invalid"]:
+        return f"{row['invalid']} invalid"
+    ratio = f"{row['relative_jacobian']:.2f}"
+    bold = f"**{ratio}**" if row["relative_jacobian"] >= 0.97 * best else ratio
+    return f"{bold} / {row['wall_deg']:.1f}"
+
+
+def main() -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", metavar="TEXT", default="", help="motions whose name contains this")
+    parser.add_argument("--method", action="append", choices=METHODS, help="only these methods")
+    parser.add_argument("--write", type=Path, metavar="PAGE", help="put the table between its marks on a page")
+    options = parser.parse_args()
+    jobs = [job for job in JOBS if job.possible and options.only in job.label]
+    rows = []
+    for row in measure(jobs, {name: METHODS[name] for name in options.method or METHODS}):
+        rows.append(row)
+        print(f"{row['motion']}; {row['method']}: {_cell(row, np.inf)} {row['f_skew']:.4f}", file=sys.stderr, flush=True)
+    text = table(rows).markdown()
+    print(text)
+    if options.write:
+        page = options.write.read_text(encoding="utf-8")
+        body = "\n".join(text.splitlines()[2:]).rstrip()
+        marked = re.sub(f"{_BEGIN}.*?{_END}", f"{_BEGIN}\n{body}\n{_END}", page, flags=re.DOTALL)
+        options.write.write_text(marked, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
