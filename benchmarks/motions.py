@@ -37,7 +37,9 @@ class Job:
 def _sample(name: str, label: str, time: float = 0.0, scale: float = 1.0, **constants: float) -> Job:
     def make() -> tuple[Setup, FloatArray]:
         given = tuple(f"constants.{key}={value}" for key, value in constants.items())
-        setup = set_up(load(name).generate(SAMPLES[name]), read_case(folder(name) / "case.toml", given, None, None).case)
+        setup = set_up(
+            load(name).generate(SAMPLES[name]), read_case(folder(name) / "case.toml", given, None, None).case
+        )
         return setup, scale * setup.displacement(time)[setup.problem.source_numbers]
 
     return Job(f"{name}, {label}", make)
@@ -93,4 +95,3 @@ JOBS: tuple[Job, ...] = (
     _third_party("backstep5_4levdn.p3dbin", "roof down to a half", _LOWERED, "*.kmax"),
 )
 """In the order of the table."""
-

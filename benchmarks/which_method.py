@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 from motions import JOBS, Job
-from tables import Row, Table
+from tables import MarkdownTable, Row
 
 from meshdeform_core.methods import IDW, Options, make_method
 from meshdeform_core.quality import assess
@@ -50,9 +50,9 @@ def measure(jobs: list[Job], methods: dict[str, Options]) -> Iterator[Row]:
             }
 
 
-def table(rows: list[Row]) -> Table:
+def table(rows: list[Row]) -> MarkdownTable:
     """One line per motion: ``smallest relative Jacobian / wall deviation``; the best valid Jacobian in bold."""
-    result = Table("Which method wins where")
+    result = MarkdownTable("Which method wins where")
     for motion in dict.fromkeys(row["motion"] for row in rows):
         mine = [row for row in rows if row["motion"] == motion]
         best = max((row["relative_jacobian"] for row in mine if not row["invalid"]), default=np.inf)
@@ -82,7 +82,9 @@ def main() -> None:
     rows = []
     for row in measure(jobs, {name: METHODS[name] for name in options.method or METHODS}):
         rows.append(row)
-        print(f"{row['motion']}; {row['method']}: {_cell(row, np.inf)} {row['f_skew']:.4f}", file=sys.stderr, flush=True)
+        print(
+            f"{row['motion']}; {row['method']}: {_cell(row, np.inf)} {row['f_skew']:.4f}", file=sys.stderr, flush=True
+        )
     text = table(rows).markdown()
     print(text)
     if options.write:

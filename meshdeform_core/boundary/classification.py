@@ -9,7 +9,7 @@ from enum import IntEnum
 import numpy as np
 
 from ..errors import CaseError
-from ..grid import Grid, IntArray, Side
+from ..grid import Grid, IntArray
 from ..grid.planes import Plane
 from ..grid.selection import quads_of_patch, select_quads
 from ..grid.topology import Topology, end_planes

@@ -23,8 +23,8 @@ ALPHA_CAP = 0.3
 FAR, FAR_IN_PLANES = 3.0, 2.5
 """Exponent a of eq. 16: Luke's, and that of ``lie`` in plane grids.
 
-The weights of a surface fall as r^(2 - a), those of a curve as r^(1 - a): what Luke's exponent spreads evenly between two
-walls in space, it piles up half-way between two curves.
+The weights of a surface fall as r^(2 - a), those of a curve as r^(1 - a): what Luke's exponent spreads evenly between
+two walls in space, it piles up half-way between two curves.
 """
 ROUNDS = 8
 """Rounds of smoothing near sharp edges with ``lie``."""
