@@ -173,9 +173,9 @@ class PreparedIDW:
         o, settings = self.options, self.account.settings
         settings |= used(o, "rotation", "weights")
         if o.weights == "luke":
-            settings |= used(o, "alpha", "b")
             why = "lie in a plane grid" if self.far == FAR_IN_PLANES else "Luke et al.: the far field"
-            settings["a"] = Setting(self.far, why if o.a == "auto" else "given")
+            a = Setting(self.far, why if o.a == "auto" else "given")
+            settings |= used(o, "alpha") | {"a": a} | used(o, "b")
         else:
             settings |= used(o, "p_moving", "p_fixed")
         if o.alpha == "auto":
