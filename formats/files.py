@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
 import os
+import platform
 import re
 import secrets
 import shutil
@@ -30,8 +33,9 @@ def replacing(target: Path) -> Iterator[Path]:
         raise FormatError(f"cannot write {target}: the folder {folder} does not exist; create it first")
     if target.is_dir():
         raise FormatError(f"cannot write {target}: it is a folder; give a file name")
+    _remove_stale(target)
     # The suffix is kept: some writers choose the format by it.
-    partial = folder / f".{target.stem}.{os.getpid()}-{secrets.token_hex(4)}.partial{target.suffix}"
+    partial = folder / f".{target.stem}.{os.getpid()}-{_host()}{secrets.token_hex(2)}.partial{target.suffix}"
     with interruption.cleaned_up(lambda: partial.unlink(missing_ok=True)):
         try:
             yield partial
@@ -39,6 +43,33 @@ def replacing(target: Path) -> Iterator[Path]:
             os.replace(partial, target)
         except OSError as error:
             raise FormatError(f"cannot write {target}: {reason_of(error)}") from error
+
+
+def _host() -> str:
+    """Four digits that stand for this machine, whose process numbers say nothing elsewhere."""
+    return hashlib.sha256(platform.node().encode()).hexdigest()[:4]
+
+
+def _remove_stale(target: Path) -> None:
+    """Remove the temporary paths of runs that were killed on this machine while they wrote ``target``."""
+    pattern = re.compile(
+        rf"\.{re.escape(target.stem)}\.(\d+)-{_host()}[0-9a-f]{{4}}\.partial{re.escape(target.suffix)}"
+    )
+    with contextlib.suppress(OSError):
+        for name in os.listdir(target.parent):
+            if (found := pattern.fullmatch(name)) and not _runs(int(found[1])):
+                (target.parent / name).unlink(missing_ok=True)
+
+
+def _runs(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (OSError, OverflowError):
+        # It belongs to somebody else.
+        return True
+    return True
 
 
 def remove_partial(folder: Path) -> None:

@@ -147,7 +147,10 @@ class LevelFiles:
                 self._remove_lone_pieces(self.path(number))
 
     def _remove_lone_pieces(self, index: Path) -> None:
-        """Remove the pieces of a multi-block set whose index was not reached."""
+        """Remove what a killed run left of a multi-block set, and the pieces of one whose index was removed."""
+        from ..vtk.multiblock import clean
+
+        clean(index)
         folder = index.with_suffix("")
         if folder.is_dir() and not index.exists():
             for piece in folder.glob(f"{index.stem}_*.vts"):

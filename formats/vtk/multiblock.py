@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
-import shutil
-from collections.abc import Iterator
+import os
+import re
+from collections.abc import Iterator, Sequence
+from itertools import count
 from pathlib import Path
 from xml.etree import ElementTree
 
+from meshdeform_core import interruption
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Grid
 
@@ -18,6 +22,10 @@ from .xml.tags import DEEPEST, Element, read_tags
 from .xml.write import attribute, write_block
 
 _SET = "vtkMultiBlockDataSet"
+
+# In the folder of the pieces while a set is written; and what it may list.
+_JOURNAL = ".meshdeform-unfinished"
+_PIECE = re.compile(r"[^/\0]+\.vts")
 
 # Names that become groups which we can read again, below VTKFile and the set itself.
 _DEEPEST_NAME = DEEPEST - 3
@@ -79,9 +87,9 @@ def _root(path: Path) -> Element:
 def write(grid: Grid, path: Path, variant: VtkFormat) -> None:
     """Write the index ``NAME.vtm`` and its pieces ``NAME/NAME_0.vts``, ...; a ``/`` in a block name makes a group.
 
-    The new set is complete beside the old one before anything changes. Then the old index is moved away, the old
-    pieces, the new pieces into their place and, last, the new index: an index never refers to pieces that are not its
-    own. An error puts the old set back; a kill between two renames leaves no index.
+    The set changes in one step, when the new index takes the place of the old one: the new pieces have names that the
+    old set does not use, and the old pieces are removed afterwards. A journal in the folder of the pieces says which
+    files come and go, so that whatever a killed run leaves is recognised and removed by the next one.
 
     Raises
     ------
@@ -89,45 +97,98 @@ def write(grid: Grid, path: Path, variant: VtkFormat) -> None:
         When the folder of the pieces holds anything that is not of the old set, or the disk is full.
     """
     require_replaceable(path)
-    with replacing(path) as partial:
-        staging = partial.with_suffix("")
-        new = staging / "new"
-        try:
-            new.mkdir(parents=True)
-            for block in range(grid.n_blocks):
-                write_block(grid, block, new / _piece_name(path, block), variant)
-            partial.write_bytes(_index(grid, path, variant))
-            _exchange([(path, staging / "old.vtm"), (_folder(path), staging / "old"), (new, _folder(path))])
-        finally:
-            if staging.exists():
-                shutil.rmtree(staging)
+    clean(path)
+    pieces = _new_names(path, grid.n_blocks)
+    index = _index(grid, path, pieces, variant)
+    with interruption.cleaned_up(lambda: clean(path)), replacing(path) as partial:
+        _begin(path, pieces)
+        for block, name in enumerate(pieces):
+            write_block(grid, block, _folder(path) / name, variant)
+        partial.write_bytes(index)
+
+
+def replaced_files(path: Path) -> list[Path]:
+    """The files that writing the set ``path`` replaces or removes: its index and the pieces in its folder."""
+    return [path, *(_folder(path) / name for name in _own_pieces(path))]
 
 
 def require_replaceable(path: Path) -> None:
-    """Refuse to replace a folder that holds anything but the pieces of the index ``path``."""
+    """Refuse to replace a folder that holds anything but the pieces of the index ``path``.
+
+    Raises
+    ------
+    FormatError
+        With the name of a file that does not belong to the set.
+    """
     folder = _folder(path)
     if not folder.exists():
         return
     if not folder.is_dir():
         raise FormatError(f"cannot write {path}: its pieces go to the folder {folder}, but that is a file")
-    pieces = {piece for _, piece in _files(path)} if path.exists() else set()
-    strangers = sorted(set(folder.iterdir()) - pieces)
+    known = {_JOURNAL, *_own_pieces(path), *(_journal(folder) if (folder / _JOURNAL).exists() else ())}
+    strangers = sorted(name for name in os.listdir(folder) if name not in known)
     if strangers:
         raise FormatError(
-            f"cannot write {path}: its pieces go to the folder {folder}, which holds {strangers[0].name} and is not "
+            f"cannot write {path}: its pieces go to the folder {folder}, which holds {strangers[0]} and is not "
             "replaced; choose another name or move it away"
         )
+
+
+def clean(path: Path) -> None:
+    """Remove what the journal of the set lists and the index does not refer to, then the journal.
+
+    That are the new pieces as long as the old index is in place, and the old ones as soon as the new one is. What the
+    system does not allow to remove stays in the journal for the next run.
+    """
+    folder = _folder(path)
+    if not (folder / _JOURNAL).exists():
+        return
+    with contextlib.suppress(OSError, FormatError):
+        for name in _journal(folder) - _own_pieces(path):
+            (folder / name).unlink(missing_ok=True)
+        (folder / _JOURNAL).unlink()
+        if not os.listdir(folder):
+            folder.rmdir()
+
+
+def _begin(path: Path, pieces: Sequence[str]) -> None:
+    """Write the journal: the pieces that come, and those that the present index will not need any more."""
+    folder = _folder(path)
+    folder.mkdir(exist_ok=True)
+    # Half a journal does no harm: there are no new pieces yet.
+    (folder / _JOURNAL).write_text("\n".join([*pieces, *sorted(_own_pieces(path))]), encoding="utf-8")
+
+
+def _journal(folder: Path) -> set[str]:
+    """Names that the journal lists: plain names of files in its folder."""
+    lines = (folder / _JOURNAL).read_text(encoding="utf-8", errors="replace").split("\n")
+    return {name for name in lines if _PIECE.fullmatch(name)}
+
+
+def _own_pieces(path: Path) -> set[str]:
+    """Names of the files in the folder of the pieces to which the present index refers."""
+    if not path.exists():
+        return set()
+    folder = _folder(path)
+    return {piece.name for _, piece in _files(path) if piece.parent == folder}
+
+
+def _new_names(path: Path, number: int) -> list[str]:
+    """Names of pieces that no file in the folder has."""
+    folder = _folder(path)
+    taken = set(os.listdir(folder)) if folder.is_dir() else set()
+    for turn in count():
+        names = [f"{path.stem}_{block}{f'.{turn}' if turn else ''}.vts" for block in range(number)]
+        if taken.isdisjoint(names):
+            return names
+    raise AssertionError("unreachable")
 
 
 def _folder(path: Path) -> Path:
     return path.with_suffix("")
 
 
-def _piece_name(path: Path, block: int) -> str:
-    return f"{path.stem}_{block}.vts"
-
-
-def _index(grid: Grid, path: Path, variant: VtkFormat) -> bytes:
+def _index(grid: Grid, path: Path, pieces: Sequence[str], variant: VtkFormat) -> bytes:
     byte_order = "BigEndian" if variant.options["byte_order"] == "big" else "LittleEndian"
     attributes = {"byte_order": byte_order, "header_type": variant.options["header_type"]}
     root = ElementTree.Element("VTKFile", type=_SET, version="1.0", **attributes)
@@ -140,7 +201,7 @@ def _index(grid: Grid, path: Path, variant: VtkFormat) -> bytes:
             )
         above, _, leaf = name.rpartition("/")
         parent = _group(groups, above)
-        file = f"{path.stem}/{_piece_name(path, block)}"
+        file = f"{path.stem}/{pieces[block]}"
         ElementTree.SubElement(parent, "DataSet", index=str(len(parent)), name=leaf, file=file)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n"
@@ -152,17 +213,3 @@ def _group(groups: dict[str, ElementTree.Element], name: str) -> ElementTree.Ele
         parent = _group(groups, above)
         groups[name] = ElementTree.SubElement(parent, "Block", index=str(len(parent)), name=leaf)
     return groups[name]
-
-
-def _exchange(moves: list[tuple[Path, Path]]) -> None:
-    """Rename each file or folder that exists to its target; all or, after an error, none."""
-    done: list[tuple[Path, Path]] = []
-    try:
-        for source, target in moves:
-            if source.exists():
-                source.rename(target)
-                done.append((source, target))
-    except BaseException:
-        for source, target in reversed(done):
-            target.rename(source)
-        raise

@@ -160,7 +160,7 @@ main(sys.argv[2:])
 """
 
 
-# Renames come in the order: manifest; pieces and index of level 0; manifest; ParaView's index; and so on.
+# Renames come in the order: manifest; index of level 0; manifest; ParaView's index; and so on.
 @pytest.mark.parametrize(("at", "extra"), [
     (1, ("--suffix", ".vtm")), (2, ("--suffix", ".vtm")), (3, ("--suffix", ".vtm")),
     (13, ("--suffix", ".vtm", "--from", "last", "--velocity", "second")),

@@ -1,7 +1,10 @@
 """Multi-block sets: nested names, whole sets or none, and foreign pieces."""
 
+import errno
+import itertools
 import os
-import subprocess
+import shutil
+import signal
 import sys
 from pathlib import Path
 
@@ -106,8 +109,10 @@ def content(folder):
 def test_a_new_set_replaces_the_old_one_as_a_whole(tmp_path):
     write_grid(grid_of("a", "b", "c"), tmp_path / "set.vtm")
     write_grid(grid_of("x", "y", seed=1), tmp_path / "set.vtm")
-    assert set(content(tmp_path)) == {"set.vtm", "set/set_0.vts", "set/set_1.vts"}
+    assert set(content(tmp_path)) == {"set.vtm", "set/set_0.1.vts", "set/set_1.1.vts"}
     assert read_grid(tmp_path / "set.vtm").names == ("x", "y")
+    write_grid(grid_of("a", "b", "c"), tmp_path / "set.vtm")
+    assert set(content(tmp_path)) == {"set.vtm", "set/set_0.vts", "set/set_1.vts", "set/set_2.vts"}
 
 
 def test_an_error_while_writing_leaves_the_old_set(tmp_path, monkeypatch):
@@ -127,55 +132,80 @@ def test_an_error_while_writing_leaves_the_old_set(tmp_path, monkeypatch):
     assert len(list(tmp_path.iterdir())) == 2
 
 
-@pytest.mark.parametrize("failing_rename", [1, 2, 3])
-@pytest.mark.parametrize("error", [OSError("gone"), KeyboardInterrupt()])
-def test_an_error_between_the_renames_puts_the_old_set_back(tmp_path, monkeypatch, failing_rename, error):
+OPERATIONS = ("open", "os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.listdir")
+
+
+def in_a_child(folder, number, action, write):
+    """Write in a process of its own in which ``action`` happens before its ``number``-th access to the folder.
+
+    Exit code 0 when there was no such access, 3 after an error, 4 when writing went on behind it.
+    """
+    child = os.fork()
+    if child == 0:
+        accesses, done = itertools.count(1), []
+
+        def hook(event, args):
+            if event in OPERATIONS and str(args[0]).startswith(str(folder)) and next(accesses) == number:
+                done.append(number)
+                action()
+
+        sys.addaudithook(hook)
+        try:
+            write()
+        except BaseException:
+            os._exit(3)
+        os._exit(4 if done else 0)
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+
+def kill():
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def fail():
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
+@pytest.mark.parametrize("old_names", [None, "abc", "a"])
+@pytest.mark.parametrize("action", [kill, fail])
+def test_a_set_is_replaced_as_a_whole_or_not_at_all(tmp_path, action, old_names):
+    """A kill or an error at any access to the disk leaves the old or the new set; the next run finds nothing else."""
+    target, new = tmp_path / "set.vtm", grid_of("x", "y", seed=1)
+    for number in itertools.count(1):
+        for path in tmp_path.iterdir():
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
+        old = grid_of(*old_names) if old_names else None
+        if old:
+            write_grid(old, target)
+        done = in_a_child(tmp_path, number, action, lambda: write_grid(new, target))
+        if target.exists():
+            found = read_grid(target)
+            assert found.names in ((old.names if old else new.names), new.names)
+            np.testing.assert_array_equal(found.points, (new if found.names == new.names else old).points)
+        else:
+            assert old is None
+        if done == 0:
+            break
+        assert done in ((-signal.SIGKILL,) if action is kill else (3, 4))
+        assert done != 4 or read_grid(target).names == new.names
+        if action is fail and not target.exists():
+            assert not [path for path in tmp_path.rglob("*") if path.suffix == ".vtm"]
+        write_grid(grid_of("p", "q", "r", "s", seed=2), target)
+        assert len(content(tmp_path)) == 5
+        assert read_grid(target).names == ("p", "q", "r", "s")
+    assert number > 10
+    assert len(content(tmp_path)) == 3
+
+
+def test_a_journal_is_no_licence(tmp_path):
+    """What a journal lists is removed only from the folder itself, and never a piece of the present set."""
+    (tmp_path / "mine.vts").write_text("mine")
     write_grid(grid_of("a", "b"), tmp_path / "set.vtm")
-    before = content(tmp_path)
-    original, calls = Path.rename, []
-
-    def rename(self, target):
-        calls.append(target)
-        if len(calls) == failing_rename:
-            raise error
-        return original(self, target)
-
-    monkeypatch.setattr(Path, "rename", rename)
-    with pytest.raises((FormatError, KeyboardInterrupt)):
-        write_grid(grid_of("x", "y", seed=1), tmp_path / "set.vtm")
-    assert content(tmp_path) == before
-    assert len(list(tmp_path.iterdir())) == 2
-
-
-KILLED = """
-import os, signal, sys
-from pathlib import Path
-import numpy as np
-from meshdeform_core.grid import Grid
-from meshdeform_formats import write_grid
-
-number, target, original, calls = int(sys.argv[1]), sys.argv[2], Path.rename, []
-
-def rename(self, to):
-    calls.append(to)
-    if len(calls) == number:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return original(self, to)
-
-Path.rename = rename
-write_grid(Grid.from_blocks([np.random.rand(2, 2, 2, 3)] * 2), target)
-"""
-
-
-@pytest.mark.parametrize("number", [1, 2, 3])
-def test_a_kill_between_the_renames_never_mixes_two_sets(tmp_path, number):
-    grid = grid_of("a", "b", "c")
-    write_grid(grid, tmp_path / "set.vtm")
-    result = subprocess.run([sys.executable, "-c", KILLED, str(number), str(tmp_path / "set.vtm")], timeout=60)
-    assert result.returncode == -9
-    if (tmp_path / "set.vtm").exists():
-        assert number == 1
-        np.testing.assert_array_equal(read_grid(tmp_path / "set.vtm").points, grid.points)
+    journal = tmp_path / "set" / ".meshdeform-unfinished"
+    journal.write_text("../mine.vts\nset_0.vts\nset_7.vts\n/etc/passwd\n")
+    (tmp_path / "set" / "set_7.vts").write_text("half")
+    write_grid(grid_of("x", seed=1), tmp_path / "set.vtm")
+    assert set(content(tmp_path)) == {"mine.vts", "set.vtm", "set/set_0.1.vts"}
 
 
 def test_a_folder_that_is_not_ours_is_left_alone(tmp_path):
