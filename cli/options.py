@@ -223,10 +223,12 @@ def parse_pairs(pairs: tuple[str, ...], option: str) -> dict[str, str]:
 
 
 def keep_inputs(path: Path, *inputs: Path | None) -> None:
-    """Refuse an output that is one of the inputs, by whatever name."""
-    for source in inputs:
-        if source is not None and path.exists() and source.exists() and path.samefile(source):
-            raise FormatError(f"{path} is an input; the output must be another file (even with --force)")
+    """Refuse an output that would replace a file which the run reads, by whatever name."""
+    # Nothing is replaced where nothing is: no need to look into the inputs.
+    if path.exists():
+        from meshdeform_formats.inputs import require_no_input
+
+        require_no_input(path, inputs)
 
 
 def check_output(path: Path, force: bool, *inputs: Path | None) -> None:

@@ -21,6 +21,7 @@ from .options import (  # fmt: skip
     force_option,
     grid_options,
     json_option,
+    keep_inputs,
     quiet_option,
     report_option,
     threads_option,
@@ -28,6 +29,7 @@ from .options import (  # fmt: skip
 
 if TYPE_CHECKING:
     from meshdeform_core.grid import Grid
+    from meshdeform_formats.case import CaseFile
 
 
 @click.command("quality")
@@ -59,7 +61,10 @@ def command(
     check_reports(reports, force, reference, *source.files, *case.files)
     from .reporting import Delivery, deliver
 
-    report = judged(source, reference, case)
+    what = case.read()
+    for path in reports:
+        keep_inputs(path, *what.files)
+    report = judged(source, reference, what)
     Warnings().tell(report["warnings"])
     files = [*source.roles, ("reference", reference), ("case", case.file)]
     # The text would only repeat what --json prints.
@@ -67,12 +72,11 @@ def command(
     return 0 if report["valid"] else EXIT_INVALID
 
 
-def judged(source: GridInput, reference: Path | None, case: CaseInput) -> dict[str, Any]:
+def judged(source: GridInput, reference: Path | None, what: CaseFile) -> dict[str, Any]:
     """The quality report of a grid against ``reference``, or on its own."""
     from meshdeform_core.judgement import judge
     from meshdeform_formats.report import quality_report
 
-    what = case.read()
     grid = source.read(what.boundary_file)
     assessment, notes = judge(grid, grid if reference is None else _original(grid, reference), what.case)
     return quality_report(grid, assessment, notes, str(reference) if reference else None)

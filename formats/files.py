@@ -22,12 +22,14 @@ from meshdeform_core.errors import FormatError
 def replacing(target: Path) -> Iterator[Path]:
     """Yield a temporary path beside ``target``; rename it over ``target`` if the block succeeds, delete it if not.
 
+    A symbolic link stays, the file that it leads to is replaced.
+
     Raises
     ------
     FormatError
         When the folder is missing or not writable, or the disk is full; ``target`` is then as it was.
     """
-    target = Path(target)
+    target = followed(Path(target))
     folder = target.parent
     if not folder.is_dir():
         raise FormatError(f"cannot write {target}: the folder {folder} does not exist; create it first")
@@ -43,6 +45,11 @@ def replacing(target: Path) -> Iterator[Path]:
             os.replace(partial, target)
         except OSError as error:
             raise FormatError(f"cannot write {target}: {reason_of(error)}") from error
+
+
+def followed(path: Path) -> Path:
+    """The path itself or, for a symbolic link, the file it leads to, which need not exist."""
+    return Path(os.path.realpath(path)) if path.is_symlink() else path
 
 
 def _host() -> str:

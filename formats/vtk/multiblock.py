@@ -107,6 +107,11 @@ def write(grid: Grid, path: Path, variant: VtkFormat) -> None:
         partial.write_bytes(index)
 
 
+def referenced_files(path: Path) -> list[Path]:
+    """The files of the data sets to which an index refers."""
+    return [piece for _, piece in _files(path)]
+
+
 def replaced_files(path: Path) -> list[Path]:
     """The files that writing the set ``path`` replaces or removes: its index and the pieces in its folder."""
     return [path, *(_folder(path) / name for name in _own_pieces(path))]
@@ -120,6 +125,11 @@ def require_replaceable(path: Path) -> None:
     FormatError
         With the name of a file that does not belong to the set.
     """
+    if path.is_symlink():
+        raise FormatError(
+            f"cannot write {path}: it is a link, beside which nobody would look for the pieces of the set; give the "
+            f"file that it leads to, {path.resolve()}"
+        )
     folder = _folder(path)
     if not folder.exists():
         return

@@ -1,0 +1,109 @@
+"""Which files stand behind an input and which an output replaces, so that no input is ever overwritten."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from meshdeform_core.errors import FormatError
+
+from .files import read_head
+
+# Real files have some ten thousand.
+_MOST_NODES = 100_000
+
+
+def require_no_input(output: Path, inputs: Iterable[Path | None]) -> None:
+    """Refuse an output that would replace a file which the run reads, by whatever name.
+
+    The pieces of multi-block sets and the files behind links of CGNS files count on both sides.
+
+    Raises
+    ------
+    FormatError
+        With both names.
+    """
+    replaced = {identity: path for path in _replaced(output) if (identity := _identity(path))}
+    if not replaced:
+        return
+    for source in inputs:
+        for file in files_behind(source) if source is not None else ():
+            if (identity := _identity(file)) not in replaced:
+                continue
+            if replaced[identity] == output and file == source:
+                raise FormatError(f"{output} is an input; the output must be another file (even with --force)")
+            raise FormatError(
+                f"writing {output} would replace {replaced[identity]}, which {source} needs; the output must be "
+                "another file (even with --force)"
+            )
+
+
+def files_behind(path: Path) -> Iterator[Path]:
+    """A file that is read and the files it refers to: the data sets of a .vtm, the targets of CGNS links."""
+    yield path
+    # What is wrong with the file is said when it is read.
+    try:
+        head = read_head(path)
+        if b"<VTKFile" in head:
+            yield from _pieces(path)
+        elif head.startswith(b"\x89HDF\r\n\x1a\n") or b"ADF Database Version" in head[:64]:
+            yield from _linked_files(path)
+    except FormatError:
+        return
+
+
+def _replaced(output: Path) -> Iterable[Path]:
+    if output.suffix.lower() != ".vtm":
+        return [output]
+    from .vtk.multiblock import replaced_files
+
+    try:
+        return replaced_files(output)
+    except FormatError:
+        return [output]
+
+
+def _pieces(path: Path) -> Iterator[Path]:
+    from .vtk.multiblock import referenced_files
+    from .vtk.xml.tags import file_kind
+
+    if file_kind(path) == "vtkMultiBlockDataSet":
+        yield from referenced_files(path)
+
+
+def _linked_files(path: Path) -> Iterator[Path]:
+    """The files that links lead to, those behind links in these included."""
+    found, waiting = {_identity(path)}, [path]
+    while waiting:
+        for target in _targets(waiting.pop()):
+            if _identity(target) not in found:
+                found.add(_identity(target))
+                waiting.append(target)
+                yield target
+
+
+def _targets(path: Path) -> Iterator[Path]:
+    """The files to which the links of one file lead; links are not followed, so that a circle has an end."""
+    from .cgns.file import opened_cgns
+    from .cgns.tree import MAXIMUM_DEPTH
+
+    with opened_cgns(path) as root:
+        waiting, count = [(root, 0)], 0
+        while waiting:
+            node, depth = waiting.pop()
+            for child in node.children:
+                count += 1
+                if count > _MOST_NODES or depth > MAXIMUM_DEPTH:
+                    raise FormatError(f"{path} has more nodes than any CGNS file; it is damaged")
+                if child.link is None:
+                    waiting.append((child, depth + 1))
+                elif child.link.file and not child.dangling:
+                    yield child.target.file
+
+
+def _identity(path: Path) -> tuple[int, int] | None:
+    try:
+        found = path.stat()
+    except (OSError, ValueError):
+        return None
+    return found.st_dev, found.st_ino
