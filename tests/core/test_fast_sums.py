@@ -18,7 +18,7 @@ from meshdeform_core.numerics.elementary import exp, log
 from meshdeform_core.numerics.fastsum import boxes
 from meshdeform_core.numerics.fastsum import sums as fastsum
 from meshdeform_core.numerics.fastsum.bricks import build_bricks, make_regions, node_sizes
-from meshdeform_core.numerics.fastsum.radial import FastRadial
+from meshdeform_core.numerics.fastsum.radial import FastRadial, make_radial_targets
 from meshdeform_core.numerics.fastsum.tree import build_tree, gather_charges
 from meshdeform_core.numerics.radial import radial_sums
 
@@ -221,21 +221,22 @@ def test_compact_sums_reach_every_target_of_a_region():
     rng = np.random.default_rng(0)
     sources = -0.98 / np.sqrt(3) + 1e-4 * rng.standard_normal((400, 3))
     kind, coefficients = BASES["wendland-c0"], np.ones((400, 3))
-    targets = fastsum.make_targets(points, [(9, 9, 9)], np.array([0, 729]), np.arange(729), 4)
+    targets = make_radial_targets(points, [(9, 9, 9)], np.array([0, 729]), np.arange(729))
     out = np.zeros((729, 3))
 
     def use(flat, sums):
         out[flat] = sums
 
-    FastRadial(kind, sources, 4).evaluate(coefficients, targets, 1e-6, use, out)
+    FastRadial(kind, sources).evaluate(coefficients, targets, 1e-6, use, out)
     np.testing.assert_allclose(out, radial_sums(kind, points, sources, coefficients), atol=1e-6)
     assert out.max() > 0.01
 
 
 def test_an_error_that_is_no_number_is_told_and_spoils_nothing():
-    account, sums = Account(), types.SimpleNamespace(share=1.0)
+    account, refined = Account(), []
+    sums = types.SimpleNamespace(refine=refined.append)
     sum_accurately("idw", sums, lambda: float("nan"), 1e-2, account)
-    assert sums.share == 1.0
+    assert refined == []
     assert "fast sums" in account.warnings[0]
     sum_accurately("idw", sums, lambda: 1e-3, 1e-2, account)
     assert account.warnings == []

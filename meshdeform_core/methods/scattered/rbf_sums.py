@@ -10,16 +10,14 @@ import scipy
 
 from ...grid import FloatArray, Grid, IntArray
 from ...numerics.basis import BASES
-from ...numerics.fastsum import sums as fastsum
-from ...numerics.fastsum.radial import FastRadial
+from ...numerics.fastsum.radial import FastRadial, RadialTargets, make_radial_targets
+from ...numerics.fastsum.sums import Report
 from ...numerics.radial import radial_sums
 from ...parallel import Shared, empty, for_chunks, for_rows, thread_count
 from ..base import Account, Progress, Setting
 from .summation import fast_pays, largest_error, sum_accurately
 
 _CHUNK = 1024
-# Smooth coefficients of many centres cancel less well than the weights of a mean: one point more than there.
-_EXTRA_ORDER = 1
 
 
 @dataclass(frozen=True)
@@ -87,7 +85,7 @@ class RadialSums:
         self._summation, self._tolerance = summation, tolerance
         self._correct, self._account = correct, account
         self._is_fast = False
-        self._targets: fastsum.Targets | None = None
+        self._targets: RadialTargets | None = None
         self._tree: tuple[FloatArray, FastRadial] | None = None
         self._nearest: tuple[FloatArray, IntArray] | None = None
 
@@ -97,10 +95,10 @@ class RadialSums:
         if not self._is_fast or self._targets is not None:
             return
         self._account.settings["summation_tolerance"] = Setting(self._tolerance, "error relative to the local cell")
-        grid, order = self._grid, fastsum.interpolation_order(self._tolerance) + _EXTRA_ORDER
+        grid = self._grid
         points = empty(grid.points.shape)
         for_rows(lambda rows: np.copyto(points[rows], self._centres.normalised(grid.points[rows])), points)
-        targets = fastsum.make_targets(points, grid.shapes, grid.offsets, self._flat, order)
+        targets = make_radial_targets(points, grid.shapes, grid.offsets, self._flat)
         self._targets = targets._replace(sizes=targets.sizes * self._centres.scale)
 
     def evaluate(self, fit: Fit, out: FloatArray, progress: Progress | None) -> None:
@@ -120,19 +118,18 @@ class RadialSums:
         moved = radial_sums(BASES[self._basis], x, fit.centres, fit.coefficients)
         return np.asarray(moved + self._centres.polynomial(x)[:, : len(fit.polynomial)] @ fit.polynomial)
 
-    def _exact(self, fit: Fit, out: FloatArray, report: fastsum.Report) -> None:
+    def _exact(self, fit: Fit, out: FloatArray, report: Report) -> None:
         def work(lo: int, hi: int) -> None:
             flat = self._flat[lo:hi]
             out[flat] = self._displacement(fit, flat)
 
         for_chunks(work, len(self._flat), _CHUNK, report, [Shared(out, lambda lo, hi: self._flat[lo:hi])])
 
-    def _fast(self, fit: Fit, out: FloatArray, report: fastsum.Report) -> None:
+    def _fast(self, fit: Fit, out: FloatArray, report: Report) -> None:
         assert self._targets is not None
         targets = self._targets
         if self._tree is None or not np.array_equal(self._tree[0], fit.centres):
-            order = fastsum.interpolation_order(self._tolerance) + _EXTRA_ORDER
-            self._tree = fit.centres, FastRadial(BASES[self._basis], fit.centres, order)
+            self._tree = fit.centres, FastRadial(BASES[self._basis], fit.centres)
 
         def use(flat: IntArray, sums: FloatArray) -> None:
             x = targets.points[flat]

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...errors import MethodError
 from ...grid import FloatArray, Grid, IntArray
-from ...numerics.fastsum.sums import Targets, node_sizes, shape_table
+from ...numerics.fastsum.sums import node_sizes, shape_table
 from ..base import Account, Setting
 from ..options import choose, positive
 
@@ -39,13 +39,29 @@ def fast_pays(summation: str, n_targets: int, n_sources: int) -> tuple[bool, Set
     return fast, Setting("fast" if fast else "exact", reason)
 
 
-class HasShare(Protocol):
-    """Fast sums whose accuracy depends on how much one cluster may do: ``share``."""
+class Refinable(Protocol):
+    """Fast sums that can be made more accurate."""
 
-    share: float
+    def refine(self, excess: float) -> None:
+        """Be more accurate from now on: the error was ``excess`` times too large."""
+        ...
 
 
-def sum_accurately(method: str, sums: HasShare, once: Callable[[], float], tolerance: float, account: Account) -> None:
+class HasSamples(Protocol):
+    """Targets in groups."""
+
+    @property
+    def samples(self) -> IntArray:
+        """Some targets (b, 9) of each group."""
+        ...
+
+    @property
+    def every(self) -> IntArray:
+        """Flat indices of all targets."""
+        ...
+
+
+def sum_accurately(method: str, sums: Refinable, once: Callable[[], float], tolerance: float, account: Account) -> None:
     """Call ``once``, which sums and returns the error that it finds, until the error is within the tolerance.
 
     Reports the error (in cells), and warns if it stays too large.
@@ -54,8 +70,8 @@ def sum_accurately(method: str, sums: HasShare, once: Callable[[], float], toler
         error = once()
         if error <= tolerance or attempt == MAX_RETRIES or not np.isfinite(error):
             break
-        # Rare: clusters whose errors add up. From now on each may cause less.
-        sums.share *= 0.25 * tolerance / error
+        # Rare: clusters whose errors add up.
+        sums.refine(error / tolerance)
     account.settings["sampled_error"] = Setting(error, "against exact sums at the worst nodes, in cells")
     failed = (
         f"fast sums: an error of {error:.2g} of a cell was found, {tolerance:g} is allowed; "
@@ -65,7 +81,7 @@ def sum_accurately(method: str, sums: HasShare, once: Callable[[], float], toler
 
 
 def largest_error(
-    grid: Grid, targets: Targets, risk: FloatArray, found: FloatArray, exact: Callable[[IntArray], FloatArray]
+    grid: Grid, targets: HasSamples, risk: FloatArray, found: FloatArray, exact: Callable[[IntArray], FloatArray]
 ) -> float:
     """Largest error in cells of the displacement ``found`` (n_nodes, 3).
 
@@ -73,7 +89,7 @@ def largest_error(
     displacement (n, 3) of the nodes it is given by exact sums.
     """
     worst = targets.samples[np.argsort(risk)[-_WORST_BRICKS:]].ravel()
-    every = targets.bricks.targets
+    every = targets.every
     flat = np.concatenate([worst, every[np.random.default_rng(0).integers(0, len(every), _RANDOM_NODES)]])
     size = node_sizes(grid.points, shape_table(grid.shapes), grid.offsets, flat)
     return float((np.linalg.norm(found[flat] - exact(flat), axis=1) / size).max())

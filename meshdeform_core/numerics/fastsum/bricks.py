@@ -139,7 +139,7 @@ def _cut_boxes(x, mask, capacity, box, starts, firsts, targets):
                 regions += 1
                 firsts[regions] = pieces
         if size > capacity:
-            axis = _longest_side(x, b, at, previous)
+            axis = longest_side(x, b, at, previous)
             middle = (b[2 * axis] + b[2 * axis + 1]) // 2
             for n in range(7):
                 box[depth + 1, n] = b[n]
@@ -164,7 +164,7 @@ def _cut_boxes(x, mask, capacity, box, starts, firsts, targets):
 
 
 @inlined
-def _longest_side(x, b, at, previous):
+def longest_side(x, b, at, previous):
     """Index axis along which an index box is longest: mean length of its edges, taken through their quarter points."""
     best, axis = -1.0, 0
     for a in range(3):

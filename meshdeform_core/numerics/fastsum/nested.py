@@ -18,8 +18,8 @@ from .skeletons import decompose, proxy_points
 from .tree import SourceTree, build_tree
 
 LEAF = 96
-# Others see a cluster from so many of its radii on.
-_REACH = 2.0
+REACH = 2.0
+"""Others see a cluster from so many of its radii on."""
 _CHUNK = 16
 _STACK = 4096
 
@@ -74,7 +74,8 @@ class NestedSums:
         radius = np.sqrt((self._tree.half**2).sum(axis=1))
         compact = kind != BASES["tps"]
         self._lists = like._lists if like else _pairs(self._tree, radius, compact)
-        self._bases = _bases(kind, self._tree, radius, self._lists, tolerance)
+        acting = np.diff(self._lists.far_start) > 0
+        self._bases = find_bases(kind, self._tree, radius, acting, tolerance)
         self._leaves = np.flatnonzero(self._tree.child < 0)
         self._leaves = self._leaves[np.argsort(self._tree.span[self._leaves, 0])]
         self._set_rows(rows)
@@ -108,7 +109,7 @@ class NestedSums:
         tree, bases, lists = self._tree, self._bases, self._lists
         charges = coefficients[tree.order]
         upper, sums = np.empty((len(bases.place), 3)), np.empty((len(self._places), 3))
-        _gather(tree.span, tree.child, bases, charges, upper)
+        gather_up(tree.span, tree.child, bases, charges, upper)
         far = np.zeros((len(bases.place), 3))
 
         def act(lo, hi):
@@ -135,11 +136,11 @@ def _pairs(tree: SourceTree, radius, compact):
     """:class:`Lists` of all clusters."""
     none = np.empty(0, dtype=np.int64)
     counts = np.zeros((2, len(radius)), dtype=np.int64)
-    _meet(tree.center, radius, tree.child, _REACH, compact, counts, False, none, none)
+    _meet(tree.center, radius, tree.child, REACH, compact, counts, False, none, none)
     starts = [np.append(0, np.cumsum(count)) for count in counts]
     far, near = (np.empty(start[-1], dtype=np.int64) for start in starts)
     places = np.stack([start[:-1] for start in starts])
-    _meet(tree.center, radius, tree.child, _REACH, compact, places, True, far, near)
+    _meet(tree.center, radius, tree.child, REACH, compact, places, True, far, near)
     return Lists(starts[0], far, starts[1], near)
 
 
@@ -188,15 +189,15 @@ def _join(which, a, b, places, fill, partners):
         places[which, b] += 1
 
 
-def _bases(kind, tree: SourceTree, radius, lists: Lists, tolerance):
-    """Skeletons of the clusters that act from afar, from the leaves upwards."""
+def find_bases(kind, tree: SourceTree, radius, acting, tolerance):
+    """:class:`Bases` of clusters that are ``acting`` (m,) from afar, and of those in them, from the leaves upwards."""
     m = len(radius)
-    depth, wanted = np.zeros(m, dtype=np.int64), np.diff(lists.far_start) > 0
+    depth, wanted = np.zeros(m, dtype=np.int64), acting.copy()
     for c in range(m):
         if tree.child[c] >= 0:
             both = slice(tree.child[c], tree.child[c] + 2)
             depth[both], wanted[both] = depth[c] + 1, wanted[c] | wanted[both]
-    proxies = proxy_points(_REACH)
+    proxies = proxy_points(REACH)
     found: list = [(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 0)))] * m
 
     def make(c):
@@ -231,7 +232,7 @@ def _skeleton(kind, tree: SourceTree, places, c, radius, proxies, tolerance):
 
 
 @kernel
-def _gather(span, child, bases, charges, out):
+def gather_up(span, child, bases, charges, out):
     """Charges of all skeletons, from the leaves up."""
     for c in range(span.shape[0] - 1, -1, -1):
         s, rank = bases.start[c], bases.start[c + 1] - bases.start[c]
@@ -292,7 +293,7 @@ def _act_far(kind, lo, hi, far_start, far, bases, charges, out):
     for t in range(lo, hi):
         n = 0
         for c in far[far_start[t] : far_start[t + 1]]:
-            n = _pack(bases.points, charges, bases.start[c], bases.start[c + 1], packed, n)
+            n = pack(bases.points, charges, bases.start[c], bases.start[c + 1], packed, n)
         mine = slice(bases.start[t], bases.start[t + 1])
         radial_block(kind, bases.points[mine], packed, n, out[mine])
 
@@ -310,12 +311,12 @@ def _act_near(kind, lo, hi, leaves, of_leaf, places, span, points, charges, near
         out[own] = felt[mine - span[t, 0]]
         n = 0
         for c in near[near_start[t] : near_start[t + 1]]:
-            n = _pack(points, charges, span[c, 0], span[c, 1], packed, n)
+            n = pack(points, charges, span[c, 0], span[c, 1], packed, n)
         radial_block(kind, points[mine], packed, n, out[own])
 
 
 @kernel
-def _pack(points, charges, first, last, packed, n):
+def pack(points, charges, first, last, packed, n):
     for s in range(first, last):
         for d in range(3):
             packed[d, n] = points[s, d]

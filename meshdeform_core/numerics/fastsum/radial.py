@@ -1,19 +1,144 @@
-"""Fast sums of radial basis functions at target nodes."""
+"""Fast sums of radial basis functions at target nodes.
+
+Clusters of centres act by their skeletons (:mod:`.skeletons`); a group of targets far from them takes what they do as a
+polynomial on its box, which its parts inherit (:mod:`.polynomials`). What is too near for that acts on the nodes.
+"""
+
+from typing import NamedTuple
 
 import numpy as np
 
-from ...parallel import Shared, for_chunks
-from ..radial import radial_sums
-from .acceptance import radial_basis
-from .sums import CHUNK, Targets
+from ...parallel import Shared, current_ranks, for_chunks
+from ..basis import BASES
+from ..jit import kernel
+from ..radial import radial_block, radial_sums
+from .acceptance import distance2, square
+from .bricks import node_sizes
+from .nested import REACH, Bases, find_bases, gather_up, pack
+from .polynomials import GROWTH, NEAREST, Spaces, add_polynomial, place_points, spaces_of, to_coefficients
+from .sums import sample_places, shape_table
+from .target_tree import TargetTree, build_target_tree
 from .tree import build_tree
-from .treesum import gather, sum_radial
-from .walk import Reach, list_clusters
 
+LEAF = 48
+_CAPACITY = 350
+# Accuracy of polynomials and of skeletons, relative to the function at the radius of the box or cluster.
+_TERMS, _SKELETONS = 1e-7, 1e-6
 # Errors of clusters cancel as much as the coefficients do, which only a trial shows: this part of the tolerance is
-# aimed at on some bricks, because others can be worse.
+# aimed at on some leaves, because others can be worse.
 _TRIALS, _AIM = 6, 0.25
-_TRIAL_BRICKS = 24
+_TRIAL_LEAVES = 24
+_CHUNK = 1
+_DEPTH = 32
+# Singular part of each function at the origin: power of the distance, and size relative to r^2 log r.
+_SINGULAR = {0: (2.0, 1.0), 1: (1.0, 0.5), 2: (3.0, 15.0), 3: (2.0, 20.0), 4: (3.0, 60.0), 5: (4.0, 60.0)}
+_STACK = 512
+
+
+class RadialTargets(NamedTuple):
+    """Target nodes in trees, and where the accuracy of each leaf is judged.
+
+    Attributes
+    ----------
+    points : (n_nodes, 3)
+    tree : of the targets
+    leaves : (b,) nodes of the tree that are leaves and hold targets
+    places : (b, 9) places in the tree spread over each leaf
+    samples : (b, 9) the targets there
+    sizes : (b, 9) shortest edge at them
+    spaces : of the polynomials on the boxes of the tree, and which of them (m,) each has
+    """
+
+    points: np.ndarray
+    tree: TargetTree
+    leaves: np.ndarray
+    places: np.ndarray
+    samples: np.ndarray
+    sizes: np.ndarray
+    spaces: tuple[Spaces, np.ndarray]
+
+    @property
+    def every(self):
+        """Flat indices of all targets."""
+        return self.tree.targets
+
+    def permitted(self, kind):
+        """What errors of a basis function in each node of the tree (m,) are measured with.
+
+        The shortest edge at the samples in it, by the size of the function's singular part at the radius of its box.
+        """
+        size, child = np.full(len(self.tree.span), np.inf), self.tree.child
+        size[self.leaves] = self.sizes.min(axis=1)
+        for n in range(len(size) - 1, -1, -1):
+            if child[n, 0] >= 0:
+                size[n] = size[child[n]].min()
+        power, factor = _SINGULAR[kind]
+        return size / (factor * np.maximum((self.tree.half**2).sum(axis=1), 1e-300) ** (0.5 * power))
+
+    def flat(self, first, last):
+        """Flat indices of the targets in regions."""
+        roots = self.tree.region[[first, last - 1]]
+        return self.tree.targets[self.tree.span[roots[0], 0] : self.tree.span[roots[1], 1]]
+
+    def nodes(self, first, last):
+        """Numbers of the nodes of the trees of regions."""
+        return range(self.tree.region[first], self.tree.region[last])
+
+
+def make_radial_targets(points, shapes, offsets, flat):
+    """Sort the target nodes ``flat`` of a grid."""
+    shapes = shape_table(shapes)
+    return RadialTargets(points, *current_ranks().once(lambda: _sorted(points, shapes, offsets, flat)))
+
+
+def _sorted(points, shapes, offsets, flat):
+    wanted = np.zeros(len(points), dtype=bool)
+    wanted[flat] = True
+    tree = build_target_tree(points, shapes, offsets, wanted, _CAPACITY)
+    leaves = np.flatnonzero((tree.child[:, 0] < 0) & (tree.span[:, 1] > tree.span[:, 0]))
+    leaves = leaves[np.argsort(tree.span[leaves, 0])]
+    places = sample_places(np.append(tree.span[leaves, 0], len(tree.targets)))
+    samples = tree.targets[places]
+    sizes = node_sizes(points, shapes, offsets, samples.ravel()).reshape(samples.shape)
+    return tree, leaves, places, samples, sizes, spaces_of(tree.half, _TERMS)
+
+
+class Boxes(NamedTuple):
+    """The boxes of a target tree with their spaces of polynomials.
+
+    ``allowed`` (m,) is what one cluster may cause in each, in the unit of the spaces' errors; those not ``wanted`` (m,)
+    are left out.
+    """
+
+    tree: TargetTree
+    spaces: Spaces
+    space: np.ndarray
+    allowed: np.ndarray
+    wanted: np.ndarray
+
+
+class Clusters(NamedTuple):
+    """Clusters of centres with their skeletons.
+
+    Attributes
+    ----------
+    compact : the basis function vanishes from distance 1 on
+    center, radius, child, span, points : of the tree, see :class:`.tree.SourceTree`
+    bases : skeletons
+    charges, upper : (n, 3) of the centres in the tree's order, and of the skeletons
+    strength : (m,) root of the summed squares of the charges of each skeleton
+    """
+
+    compact: bool
+    center: np.ndarray
+    radius: np.ndarray
+    child: np.ndarray
+    span: np.ndarray
+    points: np.ndarray
+    bases: Bases
+    charges: np.ndarray
+    upper: np.ndarray
+    strength: np.ndarray
 
 
 class FastRadial:
@@ -23,23 +148,22 @@ class FastRadial:
     ----------
     kind : number of the basis function, see :data:`.basis.BASES`
     centres : (n, 3) in units of the support radius
-    order : interpolation points per side of a cube
-
-    Attributes
-    ----------
-    share : what one cluster may cause, as a multiple of the tolerance; found by trial, kept for later coefficients
     """
 
-    def __init__(self, kind, centres, order):
-        self._kind = kind
-        self._function = radial_basis(kind)
-        self._centres = centres
-        self._order = order
-        self._tree = build_tree(centres, order)
+    def __init__(self, kind, centres):
+        self._kind, self._centres = kind, centres
+        self._tree = build_tree(centres, 1, LEAF)
+        self._radius = np.sqrt((self._tree.half**2).sum(axis=1))
+        acting = np.ones(len(self._radius), dtype=bool)
+        self._bases = find_bases(kind, self._tree, self._radius, acting, _SKELETONS)
         self.share = 1.0
 
-    def evaluate(self, coefficients, targets: Targets, tolerance, use, result, progress=None):
-        """Sums at target nodes, handed chunk by chunk to ``use`` with their flat indices.
+    def refine(self, excess):
+        """Be more accurate from now on: the error was ``excess`` times too large."""
+        self.share *= max(0.03, 0.6 * _AIM / excess)
+
+    def evaluate(self, coefficients, targets: RadialTargets, tolerance, use, result, progress=None):
+        """Sums at target nodes, handed region by region to ``use`` with their flat indices.
 
         Parameters
         ----------
@@ -50,52 +174,175 @@ class FastRadial:
 
         Returns
         -------
-        risk : (b,) bound of each brick's error, in units that only allow comparing
+        risk : (b,) of each leaf's error, in units that only allow comparing
         """
-        strength, charges = self._rms(coefficients), self._charges(coefficients)
-        chosen = np.unique(np.linspace(0, len(targets.sizes) - 1, _TRIAL_BRICKS).astype(int))
-        trial = targets.subset(chosen, self._order)
-        exact = radial_sums(self._kind, trial.points[trial.samples.ravel()], self._centres, coefficients)
-        limit = tolerance * targets.sizes.min(axis=1)
+        chosen = np.unique(np.linspace(0, len(targets.leaves) - 1, _TRIAL_LEAVES).astype(int))
+        samples = targets.samples[chosen]
+        exact = radial_sums(self._kind, targets.points[samples.ravel()], self._centres, coefficients)
+        exact = exact.reshape(*samples.shape, 3)
+        clusters, permitted = self._clusters(coefficients), tolerance * targets.permitted(self._kind)
+        every = np.ones(len(permitted), dtype=bool)
         for _ in range(_TRIALS):
-            found = self._trial_sums(trial, charges, strength, self.share * limit[chosen])
-            error = (np.linalg.norm(found - exact, axis=1) / trial.sizes.ravel()).max() / tolerance
+            boxes = Boxes(targets.tree, *targets.spaces, self.share * permitted, every)
+            found = self._on_leaves(chosen, targets, boxes, clusters)
+            error = (np.linalg.norm(found - exact, axis=2) / targets.sizes[chosen]).max() / tolerance
             if error <= _AIM:
                 break
-            self.share *= max(0.03, 0.6 * _AIM / error)
-        return self._sum(targets, charges, strength, self.share * limit, use, result, progress)
-
-    def _trial_sums(self, trial, charges, strength, allowed):
-        """Sums at the samples of the trial's bricks."""
-        found = np.zeros((len(trial.points), 3))
-
-        def use(flat, sums):
-            found[flat] = sums
-
-        self._sum(trial, charges, strength, allowed, use, found)
-        return found[trial.samples.ravel()]
-
-    def _rms(self, coefficients):
-        """Root of the summed squares of each cluster's coefficients: what they do if their signs are random."""
-        squares = np.append(0.0, np.cumsum((coefficients[self._tree.order] ** 2).sum(axis=1)))
-        return np.sqrt(squares[self._tree.span[:, 1]] - squares[self._tree.span[:, 0]])
-
-    def _charges(self, coefficients):
-        return gather(self._tree, coefficients[self._tree.order])
-
-    def _sum(self, targets, charges, strength, allowed, use, result, progress=None):
-        tree, m = self._tree, len(self._tree.span)
-        reach = Reach(strength, np.ones(m), np.zeros(m))
-        nothing, risk = np.zeros(len(allowed)), np.zeros(len(allowed))
-        points, bricks, regions = targets.points, targets.bricks, targets.regions
+            self.refine(error)
+        risk = np.zeros(len(permitted))
 
         def work(lo, hi):
-            flat = targets.flat(lo, hi)
-            sums = np.zeros((len(flat), 3))
-            lists = list_clusters(lo, hi, regions, bricks, tree, reach, self._function, allowed, nothing, risk)
-            sum_radial(lo, hi, points, bricks, regions, tree, charges, lists, self._function, sums)
-            use(flat, sums)
+            use(targets.flat(lo, hi), self._of_regions(lo, hi, targets, boxes, clusters, risk))
 
-        shared = [Shared(result, targets.flat), Shared(risk, targets.numbers)]
-        for_chunks(work, targets.n_regions, CHUNK, progress, shared)
-        return risk
+        shared = [Shared(result, targets.flat), Shared(risk, targets.nodes)]
+        for_chunks(work, len(targets.tree.region) - 1, _CHUNK, progress, shared)
+        return risk[targets.leaves]
+
+    def _clusters(self, coefficients):
+        """:class:`Clusters` with these charges (n, 3)."""
+        tree, bases = self._tree, self._bases
+        charges, upper = coefficients[tree.order], np.empty((len(bases.place), 3))
+        gather_up(tree.span, tree.child, bases, charges, upper)
+        squares = np.append(0.0, np.cumsum((upper**2).sum(axis=1)))
+        strength = np.sqrt(np.diff(squares[bases.start]))
+        where = tree.center, self._radius, tree.child, tree.span, tree.points
+        return Clusters(self._kind != BASES["tps"], *where, bases, charges, upper, strength)
+
+    def _on_leaves(self, chosen, targets, boxes, clusters):
+        """Sums at the samples of some leaves, by the same way as for all."""
+        tree, leaves = targets.tree, targets.leaves[chosen]
+        wanted = np.zeros(len(tree.span), dtype=bool)
+        for leaf in leaves:
+            wanted |= (tree.span[:, 0] <= tree.span[leaf, 0]) & (tree.span[leaf, 1] <= tree.span[:, 1])
+        regions = np.searchsorted(tree.region, leaves, side="right") - 1
+        found, boxes = np.empty((*targets.samples[chosen].shape, 3)), boxes._replace(wanted=wanted)
+        for region in np.unique(regions):
+            sums = self._of_regions(region, region + 1, targets, boxes, clusters, np.zeros(len(wanted)))
+            here = regions == region
+            found[here] = sums[targets.places[chosen[here]] - tree.span[tree.region[region], 0]]
+        return found
+
+    def _of_regions(self, lo, hi, targets, boxes, clusters, risk):
+        """Sums (n, 3) at the targets of some regions, as far as boxes are wanted."""
+        sums = np.zeros((len(targets.flat(lo, hi)), 3))
+        sum_regions(self._kind, lo, hi, targets.points, boxes, clusters, sums, risk)
+        return sums
+
+
+@kernel
+def sum_regions(kind, lo, hi, points, boxes, clusters, out, risk):
+    """Sums (n, 3) at the targets of regions ``lo`` to ``hi``, added to ``out``."""
+    tree, spaces = boxes.tree, boxes.spaces
+    total = clusters.points.shape[0] + clusters.bases.points.shape[0]
+    far, near = np.empty((6, total)), np.empty((6, total))
+    left = np.empty((_DEPTH, clusters.child.size), dtype=np.int64)
+    n_left, known = np.zeros(_DEPTH, dtype=np.int64), np.zeros(_DEPTH, dtype=np.bool_)
+    polynomial = np.empty((_DEPTH, np.diff(spaces.start).max(), 3))
+    stack = np.empty((_DEPTH, 3), dtype=np.int64)
+    origin = tree.span[tree.region[lo], 0]
+    # Level 0 is before the root: the cluster of all centres is left to it.
+    left[0, 0], n_left[0] = 0, 1
+    for g in range(lo, hi):
+        stack[0, 0], stack[0, 1], stack[0, 2] = tree.region[g], 1, -1
+        depth = 1
+        while depth:
+            depth -= 1
+            n, level, parent = stack[depth]
+            if not boxes.wanted[n] or tree.span[n, 0] == tree.span[n, 1]:
+                continue
+            tops = left[level - 1, : n_left[level - 1]]
+            n_far, n_near, n_left[level] = _look(n, boxes, tops, clusters, far, near, left[level], risk)
+            known[level] = n_far > 0 or known[level - 1]
+            if known[level]:
+                if not known[level - 1]:
+                    parent = -1
+                _fill(kind, n, boxes, far, n_far, parent, polynomial[level - 1], polynomial[level])
+            if tree.child[n, 0] < 0:
+                x = points[tree.targets[tree.span[n, 0] : tree.span[n, 1]]]
+                sums = out[tree.span[n, 0] - origin : tree.span[n, 1] - origin]
+                radial_block(kind, x, near, n_near, sums)
+                if known[level]:
+                    _add(n, boxes, polynomial[level], x, sums)
+                continue
+            for c in range(2):
+                stack[depth, 0], stack[depth, 1], stack[depth, 2] = tree.child[n, 1 - c], level + 1, n
+                depth += 1
+
+
+@kernel
+def _fill(kind, n, boxes, far, n_far, parent, inherited, polynomial):
+    """Coefficients of the polynomial of a node of the target tree: what it inherits, if any, and its far clusters."""
+    tree, spaces, s = boxes.tree, boxes.spaces, boxes.space[n]
+    first, last = spaces.start[s], spaces.start[s + 1]
+    place, value = np.empty((last - first, 3)), np.zeros((last - first, 3))
+    place_points(tree.center[n], tree.axes[n], tree.half[n], spaces.points[first:last], place)
+    radial_block(kind, place, far, n_far, value)
+    if parent >= 0:
+        _add(parent, boxes, inherited, place, value)
+    to_coefficients(spaces.matrix, spaces.begin[s], value, polynomial)
+
+
+@kernel
+def _add(n, boxes, polynomial, x, out):
+    """Add the polynomial of a node of the target tree at points (k, 3)."""
+    tree, spaces, s = boxes.tree, boxes.spaces, boxes.space[n]
+    degree = spaces.degree[spaces.start[s] : spaces.start[s + 1]]
+    add_polynomial(tree.center[n], tree.axes[n], tree.half[n], degree, polynomial, x, out)
+
+
+@kernel
+def _error(error, distance, radius):
+    """Error of the polynomial of a box for a unit charge at a distance from its middle, in the table's unit."""
+    if distance <= NEAREST * radius:
+        return np.inf
+    n = int(np.log(distance / (NEAREST * max(radius, 1e-300))) / np.log(GROWTH))
+    return error[min(n, error.size - 1)]
+
+
+@kernel
+def _look(n, boxes, tops, clusters, far, near, left, risk):
+    """Go through what the parent of a node left: what acts on its polynomial (far), on its targets (near, for leaves)
+    and what is left to its children."""
+    tree, child = boxes.tree, clusters.child
+    stack = np.empty(_STACK, dtype=np.int64)
+    n_far = n_near = n_left = 0
+    s = boxes.space[n]
+    leaf = tree.child[n, 0] < 0
+    # Few targets need no polynomial of their own.
+    few = leaf and tree.span[n, 1] - tree.span[n, 0] <= boxes.spaces.start[s + 1] - boxes.spaces.start[s]
+    own = np.sqrt(square(tree.half, n))
+    for top in tops:
+        stack[0] = top
+        depth = 1
+        while depth:
+            depth -= 1
+            c = stack[depth]
+            radius, d = clusters.radius[c], np.sqrt(distance2(tree.center, n, clusters.center, c))
+            if clusters.compact and d >= 1.0 + own + radius:
+                continue
+            smooth = not clusters.compact or d + own + radius <= 1.0
+            seen = smooth and d - own >= REACH * radius
+            pull = np.inf
+            if smooth and not few:
+                pull = clusters.strength[c] * _error(boxes.spaces.error[s], d - radius, own) / boxes.allowed[n]
+            if pull <= 1.0 and (seen or child[c] < 0):
+                risk[n] += pull
+                n_far = _act(c, seen, clusters, far, n_far)
+            elif leaf and (seen or child[c] < 0):
+                n_near = _act(c, seen, clusters, near, n_near)
+            elif child[c] >= 0 and (leaf or radius > own):
+                stack[depth], stack[depth + 1] = child[c], child[c] + 1
+                depth += 2
+            else:
+                left[n_left] = c
+                n_left += 1
+    return n_far, n_near, n_left
+
+
+@kernel
+def _act(c, seen, clusters, packed, n):
+    """Append the skeleton of a cluster that is seen from afar, or its centres."""
+    if seen:
+        start = clusters.bases.start
+        return pack(clusters.bases.points, clusters.upper, start[c], start[c + 1], packed, n)
+    return pack(clusters.points, clusters.charges, clusters.span[c, 0], clusters.span[c, 1], packed, n)

@@ -47,6 +47,11 @@ class Targets(NamedTuple):
     sizes: np.ndarray
 
     @property
+    def every(self):
+        """Flat indices of all targets."""
+        return self.bricks.targets
+
+    @property
     def n_regions(self):
         return len(self.regions.first) - 1
 
@@ -191,6 +196,10 @@ class FastSums:
         for_chunks(work, targets.n_regions, CHUNK, progress, shared)
         plan.weighed = plan.weight is not None
         return plan.risk
+
+    def refine(self, excess):
+        """Be more accurate from now on: the error was ``excess`` times too large."""
+        self.share *= 0.25 / excess
 
     def _planned(self, weights, reaches):
         """The plan of the last evaluation if it holds for these weights and motions of clusters, or a new one."""
