@@ -23,7 +23,7 @@ from .tree import build_tree
 LEAF = 48
 _CAPACITY = 350
 # Accuracy of polynomials and of skeletons, relative to the function at the radius of the box or cluster.
-_TERMS, _SKELETONS = 1e-7, 1e-6
+_TERMS, _SKELETONS, _FINEST = 1e-7, 1e-6, 1e-13
 # Errors of clusters cancel as much as the coefficients do, which only a trial shows: this part of the tolerance is
 # aimed at on some leaves, because others can be worse.
 _TRIALS, _AIM = 6, 0.25
@@ -154,13 +154,18 @@ class FastRadial:
         self._kind, self._centres = kind, centres
         self._tree = build_tree(centres, 1, LEAF)
         self._radius = np.sqrt((self._tree.half**2).sum(axis=1))
-        acting = np.ones(len(self._radius), dtype=bool)
-        self._bases = find_bases(kind, self._tree, self._radius, acting, _SKELETONS)
+        self._tolerance, self._bases, self._excess = _SKELETONS, None, np.inf
         self.share = 1.0
 
     def refine(self, excess):
-        """Be more accurate from now on: the error was ``excess`` times too large."""
+        """Be more accurate from now on: the error was ``excess`` times too large.
+
+        If the last time did not help much, it is the skeletons.
+        """
+        if excess > 0.5 * self._excess:
+            self._tolerance, self._bases = max(0.01 * self._tolerance, _FINEST), None
         self.share *= max(0.03, 0.6 * _AIM / excess)
+        self._excess = excess
 
     def evaluate(self, coefficients, targets: RadialTargets, tolerance, use, result, progress=None):
         """Sums at target nodes, handed region by region to ``use`` with their flat indices.
@@ -180,9 +185,10 @@ class FastRadial:
         samples = targets.samples[chosen]
         exact = radial_sums(self._kind, targets.points[samples.ravel()], self._centres, coefficients)
         exact = exact.reshape(*samples.shape, 3)
-        clusters, permitted = self._clusters(coefficients), tolerance * targets.permitted(self._kind)
+        permitted = tolerance * targets.permitted(self._kind)
         every = np.ones(len(permitted), dtype=bool)
         for _ in range(_TRIALS):
+            clusters = self._clusters(coefficients)
             boxes = Boxes(targets.tree, *targets.spaces, self.share * permitted, every)
             found = self._on_leaves(chosen, targets, boxes, clusters)
             error = (np.linalg.norm(found - exact, axis=2) / targets.sizes[chosen]).max() / tolerance
@@ -200,7 +206,11 @@ class FastRadial:
 
     def _clusters(self, coefficients):
         """:class:`Clusters` with these charges (n, 3)."""
-        tree, bases = self._tree, self._bases
+        tree = self._tree
+        if self._bases is None:
+            acting = np.ones(len(self._radius), dtype=bool)
+            self._bases = find_bases(self._kind, tree, self._radius, acting, self._tolerance)
+        bases = self._bases
         charges, upper = coefficients[tree.order], np.empty((len(bases.place), 3))
         gather_up(tree.span, tree.child, bases, charges, upper)
         squares = np.append(0.0, np.cumsum((upper**2).sum(axis=1)))
