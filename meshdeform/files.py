@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from meshdeform_core.errors import FormatError
+from meshdeform_core.errors import FormatError, GridError
 
-from .grids import Grid, core_grid
+from .grids import Grid
 
 
 def read(path: str | Path, *, boundary_file: str | Path | None = None, **variant: str) -> Grid:
@@ -45,7 +45,9 @@ def write(grid: Grid, path: str | Path, *, force: bool = False, **variant: str) 
     """
     from meshdeform_formats.grids import complete_for_export, write_grid
 
-    target, own = _path(path), core_grid(grid)
+    if not isinstance(grid, Grid):
+        raise GridError(f"found a {type(grid).__name__}; expected a Grid to write")
+    target, own = _path(path), grid._core
     if target.exists():
         if own.path is not None and own.path.exists() and target.samefile(own.path):
             raise FormatError(f"{target} is the file that the grid was read from; choose another name")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -157,29 +157,6 @@ class Grid:
         ]
         more = f"<tr><td colspan=2>and {len(self) - 12} more</td></tr>" if len(self) > 12 else ""
         return f"<p>{escape(repr(self))}</p><table><tr><th>block</th><th>nodes</th></tr>{''.join(rows)}{more}</table>"
-
-
-def core_grid(grid: object) -> core.Grid:
-    """The core's grid behind a user's grid or file name.
-
-    Raises
-    ------
-    GridError
-        For anything else.
-    """
-    return user_grid(grid)._core
-
-
-def user_grid(grid: object) -> Grid:
-    """A user's grid, read if it is a file name."""
-    if isinstance(grid, Grid):
-        return grid
-    if isinstance(grid, str | Path):
-        from .files import read
-
-        return read(grid)
-    hint = "; wrap coordinate arrays in Grid([block, ...])" if isinstance(grid, np.ndarray | Sequence | Mapping) else ""
-    raise GridError(f"found a {type(grid).__name__}; expected a Grid or the name of a grid file{hint}")
 
 
 def _checked_block(block: Any, name: str) -> FloatArray:

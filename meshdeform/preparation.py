@@ -16,7 +16,8 @@ from meshdeform_core.parallel import OneRank, Ranks, sharing
 from meshdeform_formats.case import CaseFile, case_of, read_case
 
 from .choice import Method, options_of
-from .grids import Grid, user_grid
+from .grids import Grid
+from .inputs import user_grid
 from .mesh import Mesh
 
 if TYPE_CHECKING:

@@ -10,7 +10,8 @@ from meshdeform_core.judgement import judge
 from meshdeform_core.quality.difference import Difference, compare_points
 
 from .choice import Method
-from .grids import Grid, core_grid
+from .grids import Grid
+from .inputs import core_grid
 from .preparation import CaseLike, parsed_case, prepare
 from .step import Step
 

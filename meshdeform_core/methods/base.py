@@ -185,7 +185,7 @@ class PreparedMethod(Protocol):
         ...
 
     def foresee(self, motion: FloatArray, step: FloatArray) -> list[str]:
-        """What is bound to go wrong with a displacement (n_sources, 3) of which ``step`` is imposed first."""
+        """Warnings for a displacement (n_sources, 3) before it is applied; ``step`` is the first increment."""
         ...
 
     def apply(self, displacement: FloatArray, progress: Progress | None = None) -> FloatArray:
@@ -203,7 +203,7 @@ class Mover(Protocol):
     linear: bool
 
     def foresee(self, motion: FloatArray, step: FloatArray) -> list[str]:
-        """What is bound to go wrong with a displacement (n_sources, 3) of which ``step`` is imposed first."""
+        """Warnings for a displacement (n_sources, 3) before it is applied; ``step`` is the first increment."""
         ...
 
     def move(self, displacement: FloatArray, out: FloatArray, progress: Progress | None = None) -> FloatArray:
@@ -233,7 +233,7 @@ class PreparedInterpolation(Protocol):
         ...
 
     def foresee(self, motion: FloatArray, step: FloatArray) -> list[str]:
-        """What is bound to go wrong with a displacement (n_sources, 3) of which ``step`` is imposed first."""
+        """Warnings for a displacement (n_sources, 3) before it is applied; ``step`` is the first increment."""
         ...
 
     def fit(self, displacement: FloatArray, progress: Progress | None = None) -> Any:

@@ -1,4 +1,4 @@
-"""What is bound to go wrong with a displacement, told before anything is computed.
+"""Warnings for a displacement before it is applied.
 
 The limits are measured on the splitter plate (Sen et al. section 4), whose plate turns by up to 14 degrees more than
 its body: one step is valid to a largest rotation of 54 degrees with TFI, of 34 with IDW of displacements.

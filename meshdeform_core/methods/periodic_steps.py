@@ -49,7 +49,7 @@ class PreparedPeriodic:
         return self._rest.account
 
     def foresee(self, motion: FloatArray, step: FloatArray) -> list[str]:
-        """What is bound to go wrong with a displacement (n_sources, 3) of which ``step`` is imposed first."""
+        """Warnings for a displacement (n_sources, 3) before it is applied; ``step`` is the first increment."""
         return self._first.foresee(motion, step)
 
     def apply(self, displacement: FloatArray, progress: Progress | None = None) -> FloatArray:

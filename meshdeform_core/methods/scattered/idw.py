@@ -195,10 +195,10 @@ class PreparedIDW:
             settings["mirrored_sources"] = Setting(len(self.area), "images at symmetry planes take part")
 
     def foresee(self, motion: FloatArray, step: FloatArray) -> list[str]:
-        """What is bound to go wrong with a displacement (n_sources, 3) of which ``step`` is imposed first."""
+        """Warnings for a displacement (n_sources, 3) before it is applied; ``step`` is the first increment."""
         plain = self.options.rotation == "none"
         limit = PLAIN_ROTATION if plain else LARGEST_ROTATION
-        what = 'rotation = "none" shears the cells beside them' if plain else "the way round becomes a matter of chance"
+        what = 'rotation = "none" shears the cells beside them' if plain else "the direction of rotation is ambiguous"
         advice = "take more steps (--steps auto)" + (', or rotation = "lie"' if plain else "")
         warnings = warn_of_rotation(self._problem, step, limit, what, advice)
         if self.options.weights == "luke" and self.options.alpha == "auto":

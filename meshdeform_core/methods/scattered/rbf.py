@@ -59,7 +59,7 @@ class RBF:
     radius: float | str = option("auto", "every node sees the whole moving body")
     solver: str = option("auto", f"direct up to {DIRECT_CENTRES:,} centres, then krylov")
     tolerance: float | str = option("auto", "minres 1e-10, krylov 1e-6")
-    max_iterations: int = option(10000, "far more than a sound system takes")
+    max_iterations: int = option(10000, "well above what a well-posed system needs")
     greedy: str = option("none", "all centres: exact at every boundary node")
     greedy_error: str = option("first-cell", "an error matters where the cells are fine")
     greedy_tolerance: float = option(0.1, "of the first cell: wall cells keep their shape")
@@ -165,7 +165,7 @@ class PreparedRBF:
         return radius
 
     def foresee(self, motion: FloatArray, step: FloatArray) -> list[str]:
-        """What is bound to go wrong with a displacement (n_sources, 3) of which ``step`` is imposed first."""
+        """Warnings for a displacement (n_sources, 3) before it is applied; ``step`` is the first increment."""
         if self.options.basis == "tps":
             return []
         terms = self.centres.polynomial(self.centres.points)

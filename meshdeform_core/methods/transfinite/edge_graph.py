@@ -67,7 +67,7 @@ class PreparedEdgeGraph:
         self._faces = Faces.of(points, nodes, wanted)
 
     def foresee(self, motion: FloatArray, step: FloatArray) -> list[str]:
-        """What is bound to go wrong with a displacement (n_sources, 3) of which ``step`` is imposed first."""
+        """Warnings for a displacement (n_sources, 3) before it is applied; ``step`` is the first increment."""
         # Steps do not help: blending is linear, they lead to the same grid.
         return warn_of_rotation(self._problem, motion, TFI_ROTATION, "TFI crosses cells", "use idw-tfi")
 
