@@ -155,7 +155,7 @@ WRONG = {
     "select-window-one": (SHIFT.replace('"*"]', '"block1.imin[1:2]"]'), ("1 ranges", "expected two")),
     "select-window-line": (SHIFT.replace('"*"]', '"block1.imin[1:1,*]"]'), ("no cell face", "two nodes")),
     "where-nothing": (SHIFT.replace("abs(x) < 0.51", "x > 99"), ("where", "no face", "x -2 to 2")),
-    "where-nan": (SHIFT.replace("abs(x) < 0.51", "sqrt(-1) > 0"), ("where", "no face")),
+    "where-nan": (SHIFT.replace("abs(x) < 0.51", "sqrt(-1) > 0"), ("where", "is not a number")),
     # motions that cannot be
     "nothing-moves": ('[[boundary]]\nname = "all"\nkind = "fixed"', ("no node moves", 'kind = "moving"')),
     "empty": ("", ("no node moves",)),
@@ -179,7 +179,7 @@ WRONG = {
     "boundary-file-null": ('[grid]\nboundary_file = "a\\u0000b"\n' + SHIFT, ("boundary_file", "expected a file name")),
     "boundary-file-empty": ("[grid]\nboundary_file = ''\n" + SHIFT, ("boundary_file", "expected a file name")),
     "table-missing": (body("motion = [{ file = 'no.csv' }]"), ("no.csv", "No such file")),
-    "table-folder": (body("motion = [{ file = '.' }]"), ("Is a directory",)),
+    "table-folder": (body("motion = [{ file = '.' }]"), ("is a folder",)),
     "table-null": (body('motion = [{ file = "a\\u0000b" }]'), ("file", "expected a file name")),
     "table-is-case": (body("motion = [{ file = 'case.toml' }]"), ("case.toml", "no table of displacements")),
 }

@@ -92,7 +92,8 @@ def test_the_wing(third_party):
 def test_adf_and_hdf5_give_the_same_grid(third_party):
     adf, hdf5 = read_grid(third_party / WING), read_grid(third_party / WING_HDF5)
     np.testing.assert_array_equal(adf.points, hdf5.points)
-    assert replace(adf, points=hdf5.points, format=None, path=None) == replace(hdf5, format=None, path=None)
+    for name in ("shapes", "names", "patches", "connections", "notes"):
+        assert getattr(adf, name) == getattr(hdf5, name)
     assert (adf.format.options["container"], hdf5.format.options["container"]) == ("ADF", "HDF5")
 
 
