@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 
@@ -32,11 +33,11 @@ class Pair:
     after: Grid
     topology: Topology
 
-    @property
+    @cached_property
     def old(self) -> Subject:
         return Subject(self.before, self.topology)
 
-    @property
+    @cached_property
     def new(self) -> Subject:
         return Subject(self.after, self.topology, self.before)
 

@@ -14,7 +14,7 @@ from meshdeform_core.grid import FloatArray
 
 from ..files import replacing
 from .colours import Scale
-from .image import INVALID_COLOUR, Scene, render
+from .image import FINE, INVALID_COLOUR, Scene, render
 from .view import View, Window
 
 if TYPE_CHECKING:
@@ -103,11 +103,11 @@ def save_page(page: Page, path: Path, width: float = 7.2) -> None:
 def page_png(page: Page, width: float = 7.2, dpi: int = 150) -> bytes:
     """A page as the bytes of a PNG file."""
     buffer = io.BytesIO()
-    _save(page, buffer, "png", width, dpi)
+    _save(page, buffer, "png", width, dpi, fine=2)
     return buffer.getvalue()
 
 
-def _save(page: Page, target: Any, kind: str, width: float, dpi: int) -> None:
+def _save(page: Page, target: Any, kind: str, width: float, dpi: int, fine: int = FINE) -> None:
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -119,7 +119,7 @@ def _save(page: Page, target: Any, kind: str, width: float, dpi: int) -> None:
         figure.canvas.draw()
         figure.set_layout_engine("none")
         for ax, panel in zip(axes, page.panels, strict=True):
-            _fill(ax, panel, vector=kind != "png")
+            _fill(ax, panel, fine, vector=kind != "png")
         metadata = {"png": {"Software": None}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}[kind]
         figure.savefig(target, format=kind, metadata=metadata)
 
@@ -174,12 +174,12 @@ def _frames(figure: Figure, page: Page) -> list[Axes]:
     return axes
 
 
-def _fill(ax: Axes, panel: Panel, vector: bool) -> None:
+def _fill(ax: Axes, panel: Panel, fine: int, vector: bool) -> None:
     from matplotlib.patches import Rectangle
 
     if panel.under is not None:
-        _paint(ax, panel.under, panel, vector)
-    _paint(ax, panel.scene, panel, vector, alpha=1.0 if panel.under is None else 0.75)
+        _paint(ax, panel.under, panel, fine, vector)
+    _paint(ax, panel.scene, panel, fine, vector, alpha=1.0 if panel.under is None else 0.75)
     ax.set(xlim=panel.window[:2], ylim=panel.window[2:])
     if not panel.view.flat:
         _triad(ax, panel.view)
@@ -195,7 +195,7 @@ def _fill(ax: Axes, panel: Panel, vector: bool) -> None:
     _names(ax, panel)
 
 
-def _paint(ax: Axes, scene: Scene, panel: Panel, vector: bool, alpha: float = 1.0) -> None:
+def _paint(ax: Axes, scene: Scene, panel: Panel, fine: int, vector: bool, alpha: float = 1.0) -> None:
     """The scene as lines where it is flat and small enough and the file can hold them, else as an image."""
     if vector and panel.view.flat and not scene.lit and len(scene.facets) <= _VECTOR_POLYGONS:
         from .vector import add_polygons
@@ -203,7 +203,7 @@ def _paint(ax: Axes, scene: Scene, panel: Panel, vector: bool, alpha: float = 1.
         add_polygons(ax, scene, panel.view, panel.window, alpha)
         return
     width = round(ax.get_window_extent().width * (2 if vector else 1))
-    image = render(scene, panel.view, panel.window, max(64, width))
+    image = render(scene, panel.view, panel.window, max(64, width), fine)
     ax.imshow(image.pixels, extent=panel.window, interpolation="nearest", aspect="equal", zorder=1, alpha=alpha)
 
 

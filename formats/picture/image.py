@@ -12,7 +12,8 @@ from meshdeform_core.numerics.raster import draw_polygons, draw_segments
 from .facets import Facets
 from .view import View, Window
 
-SUPERSAMPLING = 3
+FINE = 3
+"""Pixels are drawn so many times as small each way, then averaged."""
 LINE_COLOUR = np.array([0.10, 0.11, 0.14])
 INVALID_COLOUR = (0.90, 0.00, 0.42)
 """Not in any of the colour maps, and told from all their colours by colour-blind people by its lightness or hue."""
@@ -51,10 +52,9 @@ class Image:
     item: np.ndarray
 
 
-def render(scene: Scene, view: View, window: Window, width: int) -> Image:
+def render(scene: Scene, view: View, window: Window, width: int, fine: int = FINE) -> Image:
     """The image of a scene, ``width`` pixels wide, as high as the window asks for."""
     left, right, bottom, top = window
-    fine = SUPERSAMPLING
     scale = fine * width / (right - left)
     height = max(1, round(width * (top - bottom) / (right - left)))
     shape = (height * fine, width * fine)
@@ -87,20 +87,21 @@ def _inside(points: FloatArray, shape: tuple[int, int]) -> np.ndarray:
 
 def _composed(scene: Scene, view: View, item: np.ndarray, line: np.ndarray, cover: np.ndarray, fine: int) -> FloatArray:
     """Colours of the visible polygons with lines over them, averaged over the enlarged pixels."""
-    colours = scene.colours * _light(scene, view)[:, None] if scene.lit else scene.colours
+    colours = (scene.colours * _light(scene, view)[:, None] if scene.lit else scene.colours).astype(np.float32)
     height, width = item.shape
-    result = np.empty((height // fine, width // fine, 4))
+    result = np.empty((height // fine, width // fine, 4), dtype=np.float32)
     # Strip by strip: the enlarged image is large.
     rows = max(fine, fine * (2_000_000 // (width * fine)))
     for start in range(0, height, rows):
         part = slice(start, min(start + rows, height))
         there = item[part] >= 0
         colour = colours[np.maximum(item[part], 0)]
-        dark = _LINE_STRENGTH * line[part] * scene.lines
-        dark = np.maximum(dark, _OUTLINE_STRENGTH * cover[part])[..., None]
-        colour = colour * (1 - dark) + LINE_COLOUR * dark
-        alpha = np.maximum(there, cover[part])
-        stack = np.concatenate([colour * alpha[..., None], alpha[..., None]], axis=-1)
+        dark = np.float32(_LINE_STRENGTH * scene.lines) * line[part]
+        dark = np.maximum(dark, np.float32(_OUTLINE_STRENGTH) * cover[part])[..., None]
+        alpha = np.maximum(there, cover[part])[..., None]
+        stack = np.empty((*alpha.shape[:2], 4), dtype=np.float32)
+        stack[..., 3:] = alpha
+        np.multiply(colour + (LINE_COLOUR.astype(np.float32) - colour) * dark, alpha, out=stack[..., :3])
         mean = stack.reshape(-1, fine, width // fine, fine, 4).mean(axis=(1, 3))
         mean[..., :3] /= np.maximum(mean[..., 3:], 1e-9)
         result[part.start // fine : part.stop // fine] = mean
