@@ -15,6 +15,7 @@ import click
 from meshdeform_core.errors import FormatError
 from meshdeform_core.memory import MemoryLimit, machine_memory, parse_memory
 
+from . import completion
 from .messages import Warnings
 
 if TYPE_CHECKING:
@@ -28,6 +29,10 @@ PATH = click.Path(path_type=Path)
 
 class FiniteNumber(click.FloatRange):
     """A number without nan and inf, which compare with nothing and would pass every check."""
+
+    def _describe_range(self) -> str:
+        # Without limits click would describe the range as x<=None.
+        return "" if self.min is None and self.max is None else super()._describe_range()
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         number = super().convert(value, param, ctx)
@@ -142,13 +147,20 @@ def case_options(command: Command) -> Command:
     @click.option("-d", "--displacement", type=PATH, help="Surface displacement table.")
     @click.option("--match", metavar="HOW", help="For -d: exact, nearest (the default) or interpolate.")
     @click.option("--tolerance", type=FiniteNumber(), metavar="T", help="For -d: largest distance of a match.")
-    @click.option("-m", "--method", metavar="NAME", help="tfi, idw, rbf or a hybrid like idw-tfi (the default).")
+    @click.option(
+        "-m",
+        "--method",
+        metavar="NAME",
+        shell_complete=completion.methods,
+        help="tfi, idw, rbf or a hybrid like idw-tfi (the default).",
+    )
     @click.option(
         "-s",
         "--set",
         "overrides",
         metavar="KEY=VALUE",
         multiple=True,
+        shell_complete=completion.settings,
         help="Override a key of the case, like method.idw.alpha=0.3 (repeatable).",
     )
     @functools.wraps(command)

@@ -12,6 +12,7 @@ import click
 
 from meshdeform_core.errors import CaseError
 
+from . import completion
 from .options import PATH, GridInput, check_output, force_option, grid_options
 
 if TYPE_CHECKING:
@@ -47,8 +48,20 @@ class PlotInput:
 @click.option("--reference", type=PATH, help="The undeformed grid, for what compares with it.")
 @click.option("--metric", type=click.Choice(_METRICS), default="f_skew", show_default=True, help="Colour by this.")
 @click.option("--plane", metavar="AXIS=N", help="Plane of nodes (k=1, j=mid) or cut in space (z=0.25).")
-@click.option("--block", multiple=True, metavar="PATTERN", help="Only these blocks of a plane of nodes (repeatable).")
-@click.option("--select", multiple=True, metavar="PATTERN", help="Patches or block faces (repeatable).")
+@click.option(
+    "--block",
+    multiple=True,
+    metavar="PATTERN",
+    shell_complete=completion.blocks,
+    help="Only these blocks of a plane of nodes (repeatable).",
+)
+@click.option(
+    "--select",
+    multiple=True,
+    metavar="PATTERN",
+    shell_complete=completion.patches,
+    help="Patches or block faces (repeatable).",
+)
 @click.option("--view", default="auto", show_default=True, metavar="auto|x|y|z|iso|X,Y,Z",
               help="Look along an axis, or from a direction.")  # fmt: skip
 @click.option("--zoom", metavar="worst|walls|L,R,B,T", help="Close-up, or window: left, right, bottom, top.")

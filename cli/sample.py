@@ -10,6 +10,7 @@ import click
 
 from meshdeform_core.errors import CaseError
 
+from . import completion
 from .options import PATH, check_output, force_option, parse_pairs, variant_option
 
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ _BOUNDARY_FILE = "grid.nmf"
 
 
 @click.command("sample")
-@click.argument("name", required=False)
+@click.argument("name", required=False, shell_complete=completion.samples)
 @click.option("-o", "--output", type=PATH, help="Folder for grid and case.toml; made if missing.")
 @click.option("--size", help="Size of the grid: a number, whose meaning depends on the sample, or a name like small.")
 @click.option(

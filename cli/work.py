@@ -23,6 +23,7 @@ from meshdeform_formats.case import CaseFile
 from meshdeform_formats.grids import complete_for_export, variant_of, write_grid
 from meshdeform_formats.report import Report, as_json, deformation_report, plan_report
 from meshdeform_formats.report.illustrations import Illustrate, deformation_figures
+from meshdeform_formats.report.places import Place, places_of
 from meshdeform_formats.report.text import as_text
 
 from .exit_codes import EXIT_INVALID
@@ -168,8 +169,21 @@ def _verdict(report: dict[str, Any]) -> str:
 def _flaw(result: dict[str, Any], quality: dict[str, Any]) -> str:
     if result["reached"] < 1.0:
         return f"the motion was imposed to {result['reached']:.1%} only; the grid is the one reached"
-    first = result["invalid_cells"][0]
+    places = places_of(result["invalid_cells"])
+    where = "; ".join(_place(place) for place in places[:_PLACES])
+    more = f"; and {len(places) - _PLACES} more groups" if len(places) > _PLACES else ""
     return (
-        f"{quality['invalid_cells']} cells became invalid, first {first['block']} {tuple(first['ijk'])} near "
-        f"{first['nearest_patch']!r}; try --steps auto, or another method (see `meshdeform methods`)"
+        f"{quality['invalid_cells']:,} cells became invalid: {where}{more}; "
+        "try --steps auto, or another method (see `meshdeform methods`)"
     )
+
+
+_PLACES = 3
+
+
+def _place(place: Place) -> str:
+    """One group of invalid cells: what it is near, where it is in the grid and in space."""
+    ranges = ", ".join(str(a) if a == b else f"{a}..{b}" for a, b in zip(place.low, place.high, strict=True))
+    center = ", ".join(f"{x:.4g}" for x in place.center)
+    near = f" near {place.patch!r}" if place.patch else ""
+    return f"{place.cells:,} of {place.block} ({ranges}){near} around ({center})"

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..boundary import Boundary
+from ..boundary import Boundary, Kind
 from ..grid import FloatArray, Grid, IntArray, Shape
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology
@@ -88,20 +88,23 @@ def list_cells(original: Original, points: FloatArray, cells: IntArray, verdict:
 def with_nearest_patch(
     grid: Grid, topology: Topology, boundary: Boundary | None, points: FloatArray, cells: list[InvalidCell]
 ) -> tuple[InvalidCell, ...]:
-    """Name the boundary patch closest to each cell, both undeformed."""
+    """Name the moving boundary closest to each cell, both undeformed; without moving ones any boundary.
+
+    On grids of one or few layers of cells the side planes would be closest everywhere, and tell nothing.
+    """
     if not cells or boundary is None or not boundary.patches:
         return tuple(cells)
+    patches = [patch for patch in boundary.patches if patch.kind is Kind.MOVING] or list(boundary.patches)
     centers = []
     for cell in cells:
         i, j, k = (n - 1 for n in cell.ijk)
         x = grid.block(grid.names.index(cell.block), points)
         centers.append(x[i : i + 2, j : j + 2, k : k + 2].reshape(-1, 3).mean(axis=0))
     at = np.array(centers)
-    distance = np.stack([_distance(at, points[topology.first[p.nodes]]) for p in boundary.patches])
+    distance = np.stack([_distance(at, points[topology.first[p.nodes]]) for p in patches])
     nearest = distance.argmin(axis=0)
     return tuple(
-        dataclasses.replace(cell, nearest_patch=boundary.patches[int(n)].name)
-        for cell, n in zip(cells, nearest, strict=True)
+        dataclasses.replace(cell, nearest_patch=patches[int(n)].name) for cell, n in zip(cells, nearest, strict=True)
     )
 
 

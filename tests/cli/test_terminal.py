@@ -1,0 +1,73 @@
+"""On the terminal: completion, versions, methods as text."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from click.shell_completion import ShellComplete
+
+from meshdeform_cli.main import cli
+
+
+def completed(*args):
+    *before, typed = args
+    found = ShellComplete(cli, {}, "meshdeform", "_MESHDEFORM_COMPLETE").get_completions(list(before), typed)
+    return [item.value for item in found]
+
+
+def test_commands_and_names_are_completed(bench):
+    assert {"info", "init"} <= set(completed("in"))
+    assert {"idw-tfi", "idw-rbf"} <= set(completed("methods", "idw-"))
+    assert completed("sample", "spl") == ["splitter-plate"]
+    assert "rbf-tfi" in completed("deform", "grid.xyz", "-m", "rbf")
+    assert completed("deform", "grid.xyz", "-s", "method.idw.al") == ["method.idw.alpha="]
+
+
+def test_patches_and_blocks_of_the_grid_are_completed(bench):
+    assert completed("plot", "grid.cgns", "--select", "b")[0] == "body"
+    assert completed("plot", "grid.cgns", "--select", "block1.i") == ["block1.imin", "block1.imax"]
+    assert completed("plot", "grid.cgns", "--block", "block8") == ["block8"]
+    assert completed("plot", "missing.cgns", "--select", "") == []
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_shells_get_a_script(shell, monkeypatch, capsys):
+    monkeypatch.setenv("_MESHDEFORM_COMPLETE", f"{shell}_source")
+    with pytest.raises(SystemExit) as stop:
+        cli.main(args=[], prog_name="meshdeform")
+    assert stop.value.code == 0
+    assert "_MESHDEFORM_COMPLETE" in capsys.readouterr().out
+
+
+def test_the_version_tells_what_it_runs_on(call):
+    short = call("--version")
+    assert (short.code, len(short.out.splitlines())) == (0, 1)
+    for arguments in (("--version", "-v"), ("-v", "--version")):
+        result = call(*arguments)
+        assert result.code == 0
+        assert result.out.startswith(short.out)
+        for name in ("numpy", "numba", "h5py", "hdf5", "threads", "loops"):
+            assert f"\n{name}" in result.out
+
+
+def test_methods_are_text_for_people(call):
+    text = call("methods", "idw-tfi").out
+    for markup in ("``", "----", "Attributes"):
+        assert markup not in text
+    assert max(map(len, text.splitlines())) <= 160
+    assert '  rotation = "lie"\n      what is averaged: none displacements' in text
+    assert "default: does not depend on the frame" in text
+
+
+def test_help_of_a_time_has_no_range(call):
+    assert "x<=" not in call("deform", "--help").out
+
+
+def test_invalid_cells_are_told_by_group(bench, call):
+    turned = ("-s", "constants.turn=80")
+    result = call("deform", "grid.xyz", "-c", "case.toml", *turned, "-o", "out.xyz", "--report", "r.json")
+    assert result.code == 3
+    report = json.loads((bench / "r.json").read_text())
+    assert {cell["nearest_patch"] for cell in report["invalid_cells"]} == {"body"}
+    assert "near 'body' around (" in " ".join(result.err.split())
