@@ -3,12 +3,13 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 
-.PHONY: help demo test check format bench reproduce clean
+.PHONY: help demo test check docs format bench reproduce clean
 
 help:
 	@echo "make demo       environment, install, the splitter plate deformed, report and picture in demo/"
 	@echo "make test       environment, install, all tests (FAST=1 leaves out slow ones)"
 	@echo "make check      ruff, format, mypy, import contract"
+	@echo "make docs       the documentation as a site in build/site"
 	@echo "make bench      speed and memory tables (see docs/performance.md)"
 	@echo "make reproduce  the paper's tables and figures (QUICK=1 for the small sizes)"
 
@@ -40,6 +41,12 @@ check: $(VENV)/installed
 # All sizes take about twenty minutes; make bench OPTIONS=--quick two.
 bench: $(VENV)/program
 	$(BIN)/python benchmarks/run.py $(OPTIONS)
+
+# The site in build/site, readable without a network; OPTIONS=--quick leaves the gallery out.
+docs: $(VENV)/installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[docs]'
+	PYTHONPATH=docs $(BIN)/python docs/build.py $(OPTIONS)
+	@echo "Open build/site/index.html."
 
 format: $(VENV)/installed
 	$(BIN)/ruff check --fix .

@@ -5,12 +5,12 @@ from __future__ import annotations
 import importlib
 import os
 import re
-import shlex
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from site_pages import blocks, expected_outcomes, made, pictures
 
 from meshdeform_cli.main import cli, run
 from meshdeform_formats.case import read_case
@@ -20,27 +20,8 @@ OWN_URL = re.compile(
 )
 """The README has absolute links, which also lead somewhere from a package index."""
 ROOT = Path(__file__).parents[1]
-PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
+PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
 EACH_PAGE = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-_BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-
-
-def blocks(page: Path) -> list[tuple[str, str]]:
-    """Language and text of all fenced blocks."""
-    return _BLOCK.findall(page.read_text(encoding="utf-8"))
-
-
-def expected_outcomes(text: str) -> list[tuple[list[str], int, list[str]]]:
-    """Arguments, exit code and printed lines of every command in a console block."""
-    outcomes: list[tuple[list[str], int, list[str]]] = []
-    for line in text.splitlines():
-        if line.startswith("$ meshdeform"):
-            outcomes.append((shlex.split(line)[2:], 0, []))
-        elif code := re.fullmatch(r"\[exit code (\d+)\]", line):
-            outcomes[-1] = (outcomes[-1][0], int(code[1]), outcomes[-1][2])
-        else:
-            outcomes[-1][2].append(line)
-    return outcomes
 
 
 def assert_printed(expected: list[str], printed: str) -> None:
@@ -61,6 +42,7 @@ def assert_printed(expected: list[str], printed: str) -> None:
 @pytest.mark.timeout(60)
 def test_commands_and_code_do_what_the_page_says(page, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
+    names = {"__name__": "page"}
     for language, text in blocks(page):
         if language == "console":
             for arguments, code, lines in expected_outcomes(text):
@@ -68,7 +50,9 @@ def test_commands_and_code_do_what_the_page_says(page, tmp_path, monkeypatch, ca
                 captured = capsys.readouterr()
                 assert_printed(lines, captured.out + captured.err)
         elif language == "python":
-            exec(compile(text, str(page), "exec"), {"__name__": "page"})
+            exec(compile(text, str(page), "exec"), names)
+    for picture in pictures(page):
+        assert len(made(picture, tmp_path)) == 1, f"no command of {page.name} draws {picture.name}"
 
 
 SHELLS = {"sh": ["sh"], "bash -e": ["bash", "-e"]}

@@ -1,0 +1,60 @@
+"""Build the site (`make docs`): pages, generated reference, gallery; then mkdocs, which fails on a dead link.
+
+``--quick`` leaves out the gallery, which deforms every sample; ``--pictures`` runs the commands of the pages first and
+renews the pictures that they show.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+from site_gallery import gallery_page
+from site_pages import renew_pictures
+from site_reference import command_page, python_page, schema_page
+
+ROOT = Path(__file__).parents[1]
+DOCS, TARGET = ROOT / "docs", ROOT / "build" / "docs"
+FROM_ROOT = ("ARCHITECTURE.md", "CHANGELOG.md", "CONTRIBUTING.md")
+
+
+def main(options: list[str]) -> int:
+    """Put everything together; returns the exit code of mkdocs."""
+    if "--pictures" in options:
+        renew_pictures(DOCS)
+    shutil.rmtree(TARGET, ignore_errors=True)
+    TARGET.mkdir(parents=True)
+    for source in [*DOCS.rglob("*.md"), *DOCS.rglob("*.png"), *DOCS.rglob("*.css"), *DOCS.rglob("*.json")]:
+        copy(source, TARGET / source.relative_to(DOCS))
+    for name in FROM_ROOT:
+        copy(ROOT / name, TARGET / name)
+    generated = {
+        "reference/commands.md": command_page(),
+        "reference/python.md": python_page(),
+        "reference/report_schema.md": schema_page(),
+        "gallery.md": gallery_page(TARGET / "gallery", quick="--quick" in options),
+    }
+    for name, text in generated.items():
+        (TARGET / name).parent.mkdir(parents=True, exist_ok=True)
+        (TARGET / name).write_text(text, encoding="utf-8")
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "-f", str(DOCS / "mkdocs.yml")]
+    return subprocess.run(command, check=False).returncode
+
+
+def copy(source: Path, target: Path) -> None:
+    """Copy a file; in pages, links to the root of the repository lead to where its pages are on the site."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    if source.suffix != ".md":
+        shutil.copyfile(source, target)
+        return
+    text = source.read_text(encoding="utf-8")
+    text = re.sub(r"\]\(\.\./(ARCHITECTURE|CHANGELOG|CONTRIBUTING)\.md", r"](\1.md", text)
+    text = re.sub(r"\]\(docs/", "](", text)
+    target.write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,120 @@
+"""Reference pages made from the program itself: options of all commands, the Python interface, the report's keys."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Iterator
+from typing import Any
+
+import click
+
+import meshdeform
+from meshdeform_cli.main import cli
+from meshdeform_formats.report.schema import report_schema
+
+
+def command_page() -> str:
+    """``--help`` of every command."""
+    parts = ["# All options", "What `meshdeform COMMAND --help` prints."]
+    with click.Context(cli, info_name="meshdeform") as top:
+        for name in cli.list_commands(top):
+            command = cli.get_command(top, name)
+            with click.Context(command, info_name=name, parent=top, max_content_width=100) as context:
+                parts.append(f"## {name}\n\n```text\n{command.get_help(context)}\n```")
+    return "\n\n".join(parts) + "\n"
+
+
+def python_page() -> str:
+    """Every public name of ``import meshdeform`` with its docstring."""
+    parts = ["# Python", "```python\nimport meshdeform as md\n```", _text(meshdeform.__doc__ or "")]
+    for name in meshdeform.__all__:
+        if not name.startswith("__"):
+            parts += _object(name, getattr(meshdeform, name), "##")
+    return "\n\n".join(parts) + "\n"
+
+
+def _object(name: str, thing: Any, level: str) -> Iterator[str]:
+    yield f"{level} {name}"
+    if callable(thing) and not (inspect.isclass(thing) and issubclass(thing, Exception)):
+        yield f"```python\n{name}{_signature(thing)}\n```"
+    yield _text(inspect.getdoc(thing) or "")
+    if inspect.isclass(thing) and thing.__module__.startswith("meshdeform."):
+        for member, value in vars(thing).items():
+            if not member.startswith("_") and inspect.getdoc(value):
+                yield from _member(f"{name}.{member}", value)
+
+
+def _member(name: str, value: Any) -> Iterator[str]:
+    yield f"### {name}"
+    function = value.__func__ if isinstance(value, classmethod | staticmethod) else value
+    if inspect.isfunction(function):
+        yield f"```python\n{name}{_signature(function)}\n```"
+    yield _text(inspect.getdoc(function) or "")
+
+
+def _signature(thing: Any) -> str:
+    """The parameters, one a line where they are many."""
+    signature = inspect.signature(thing)
+    kept = [p for p in signature.parameters.values() if p.name not in ("self", "cls")]
+    text = str(signature.replace(parameters=kept))
+    parameters = [str(p) for p in kept]
+    if len(text) <= 90:
+        return text
+    stars = [n for n, p in enumerate(kept) if p.kind is p.KEYWORD_ONLY]
+    if stars:
+        parameters.insert(stars[0], "*")
+    return "(\n    " + ",\n    ".join(parameters) + ",\n)"
+
+
+def _text(docstring: str) -> str:
+    """A docstring as Markdown: sections become bold, their entries a list, roles code."""
+    text = re.sub(r":\w+:`~?([^`]+)`", r"`\1`", docstring.replace("``", "`"))
+    text = re.sub(r"^(\w[\w ]*)\n-{3,}$", r"\n**\1**\n", text, flags=re.MULTILINE)
+    text = re.sub(r"^([*\w][\w, *.]*) : (.*(?:\n    .*)*)", _entry, text, flags=re.MULTILINE)
+    return re.sub(r"((?:^    \S.*\n?)+)", _code, text, flags=re.MULTILINE)
+
+
+def _entry(match: re.Match[str]) -> str:
+    return f"- `{match[1]}`: {' '.join(match[2].split())}"
+
+
+def _code(match: re.Match[str]) -> str:
+    """Indented lines are code, unless they explain a name of a section."""
+    lines = inspect.cleandoc(match[1])
+    return f"```python\n{lines}\n```\n" if re.search(r"[=(]", lines) else f"    {lines}\n"
+
+
+def schema_page() -> str:
+    """Keys of the JSON report."""
+    schema = report_schema()
+    parts = ["# Report schema", schema["description"], "`meshdeform schema report` prints it as JSON schema."]
+    parts.append(_keys(schema))
+    for name, definition in schema["$defs"].items():
+        parts.append(f"## {name}\n\n{definition.get('description', '')}\n\n{_keys(definition)}")
+    return "\n\n".join(parts) + "\n"
+
+
+def _keys(definition: dict[str, Any]) -> str:
+    rows = [
+        f"| `{key}` | {_type(value)} | {'yes' if key in definition.get('required', ()) else ''} "
+        f"| {value.get('description', '')} |"
+        for key, value in definition.get("properties", {}).items()
+    ]
+    return "\n".join(["| key | type | always | meaning |", "|---|---|---|---|", *rows]) if rows else ""
+
+
+def _type(value: dict[str, Any]) -> str:
+    if "$ref" in value:
+        name = value["$ref"].rsplit("/", 1)[1]
+        return f"[{name}](#{name})"
+    if "anyOf" in value:
+        return " or ".join(_type(each) for each in value["anyOf"])
+    if "enum" in value:
+        return ", ".join(f"`{each}`" for each in value["enum"])
+    if "const" in value:
+        return f"`{value['const']}`"
+    if value.get("type") == "array":
+        return f"list of {_type(value['items'])}"
+    kind = value.get("type", "any")
+    return " or ".join(kind) if isinstance(kind, list) else str(kind)
