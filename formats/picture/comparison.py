@@ -185,8 +185,9 @@ def quality_planes(pair: Pair, choice: Choice | None = None, title: str = "") ->
 
 
 def apart(page: Page) -> tuple[Page, Page]:
-    """The two panels of a page as pages of the same size, axes and colour bar."""
-    one, two = (dataclasses.replace(page, panels=(panel,)) for panel in page.panels)
+    """The two panels of a page as pages of the same size, axes, colour bar and legend, without their titles."""
+    panels = [dataclasses.replace(panel, title="") for panel in page.panels]
+    one, two = (dataclasses.replace(page, panels=(panel,), explained=page.invalid > 0) for panel in panels)
     return one, two
 
 

@@ -73,13 +73,14 @@ class Panel:
 class Page:
     """Panels side by side, or below each other if they are flat, with what explains their colours.
 
-    ``legend`` are names and colours of groups.
+    ``legend`` are names and colours of groups; ``explained``: it has the colour of invalid cells even if no panel has.
     """
 
     panels: tuple[Panel, ...]
     title: str = ""
     scale: Scale | None = None
     legend: tuple[tuple[str, tuple[float, float, float]], ...] = ()
+    explained: bool = False
 
     @property
     def invalid(self) -> int:
@@ -165,7 +166,7 @@ def _frames(figure: Figure, page: Page) -> list[Axes]:
                               extend=page.scale.extended)  # fmt: skip
         bar.outline.set_linewidth(0.5)
     entries = [Patch(facecolor=colour, edgecolor="0.3", linewidth=0.4, label=name) for name, colour in page.legend]
-    if page.invalid:
+    if page.invalid or page.explained:
         entries.append(Patch(facecolor=INVALID_COLOUR, label="invalid cell"))
     if entries:
         figure.legend(handles=entries, loc="outside lower center", ncols=min(len(entries), 5), frameon=False)

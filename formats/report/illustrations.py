@@ -48,7 +48,9 @@ def deformation_figures(setup: Setup, after: Grid, invalid: Sequence[InvalidCell
     caption = (
         f"A close-up of cell {where}, where f_skew is smallest{', and of other invalid cells' if invalid else ''}."
     )
-    figures.append(_slider("The worst cells", caption, *apart(worst_cells(pair, block, cell))))
+    old, new = map(page_png, apart(worst_cells(pair, block, cell)))
+    # The windows follow the cell.
+    figures.append(Figure("The worst cells", caption, new, old, slider=False))
     moving = np.flatnonzero(setup.boundary.quad_kind == Kind.MOVING)
     if after.dimension == 3 and moving.size:
         page = moved_walls(pair, moving)

@@ -12,13 +12,15 @@ from html import escape
 class Figure:
     """A picture, or the same view before and after (both PNG, of one size).
 
-    ``caption`` says what is seen; it is what readers get who cannot see the picture.
+    ``caption`` says what is seen; it is what readers get who cannot see the picture. Only a pair in one window can have
+    a ``slider``; others stay beside each other.
     """
 
     title: str
     caption: str
     after: bytes
     before: bytes | None = None
+    slider: bool = True
 
 
 def figure_lines(figure: Figure, number: int) -> Iterator[str]:
@@ -27,9 +29,11 @@ def figure_lines(figure: Figure, number: int) -> Iterator[str]:
     if figure.before is None:
         yield f'<div class="single">{_image(figure.after, figure.title)}</div>'
     else:
+        shown = (("before", figure.before), ("after", figure.after))
+        sides = (f"<div><span>{name}</span>{_image(png, f'{figure.title}, {name}')}</div>" for name, png in shown)
+        yield f'<div class="pair{" slider" if figure.slider else ""}">{"".join(sides)}</div>'
+    if figure.before is not None and figure.slider:
         yield (
-            f'<div class="pair slider"><div><span>before</span>{_image(figure.before, figure.title + ", before")}</div>'
-            f"<div><span>after</span>{_image(figure.after, figure.title + ', after')}</div></div>"
             f'<label class="slide" for="slide{number}">before<input type="range" min="0" max="100" value="50" '
             f'id="slide{number}" aria-label="{escape(figure.title)}: share of the picture that shows the grid before">'
             "after</label>"
