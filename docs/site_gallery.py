@@ -58,7 +58,7 @@ def _entry(name: str, folder: Path) -> str:
         for grid in ("grid", "deformed")
     )
     return (
-        f'## {name}\n\n<div class='gallery'>{images}</div>\n\n'
+        f'## {name}\n\n<div class="gallery">{images}</div>\n\n'
         f"{report['grid']['nodes']:,} nodes; f_skew after: mean {skew['harmonic_mean']:.3f}, minimum {skew['min']:.3f}."
         f"\n\n```sh\n{lines}\n```"
     )
