@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from .messages import tell
-from .options import (  # fmt: skip
+from .options import (
     PATH,
     GridInput,
     check_output,

@@ -12,7 +12,7 @@ import click
 from .exit_codes import EXIT_INVALID
 from .machine import use_threads
 from .messages import Warnings
-from .options import (  # fmt: skip
+from .options import (
     PATH,
     CaseInput,
     GridInput,

@@ -84,8 +84,8 @@ def _linked_files(path: Path) -> Iterator[Path]:
 
 def _targets(path: Path) -> Iterator[Path]:
     """The files to which the links of one file lead; links are not followed, so that a circle has an end."""
-    from .cgns.file import opened_cgns
-    from .cgns.tree import MAXIMUM_DEPTH
+    from .cgns.storage.file import opened_cgns
+    from .cgns.storage.tree import MAXIMUM_DEPTH
 
     with opened_cgns(path) as root:
         waiting, count = [(root, 0)], 0

@@ -12,7 +12,7 @@ from meshdeform_core.grid import Connection, Grid, IntArray
 
 from .notes import Notes
 from .periodic import periodicity
-from .tree import Node
+from .storage.tree import Node
 from .zone import Base, Zone
 
 

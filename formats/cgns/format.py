@@ -15,11 +15,11 @@ from typing import Any
 from meshdeform_core.errors import FormatError, suggestion
 from meshdeform_core.grid import FileFormat, Grid
 
-from .adf import is_adf
 from .boundary import family_conditions, zone_patches
 from .connectivity import refuse_overset, zone_connections
-from .file import naming, opened_cgns
 from .notes import Notes
+from .storage.adf import is_adf
+from .storage.file import naming, opened_cgns
 from .zone import Zone, find_base, structured_zones
 
 _PRECISIONS = ("float32", "float64")

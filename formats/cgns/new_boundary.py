@@ -6,8 +6,8 @@ import numpy as np
 
 from meshdeform_core.grid import Grid, Patch, Shape, Window
 
-from .names import unique_names
-from .tree import Node, make
+from .storage.names import unique_names
+from .storage.tree import Node, make
 
 _BC_TYPES = (
     "UserDefined",

@@ -8,10 +8,10 @@ import numpy as np
 
 from meshdeform_core.grid import Connection, Grid, Periodicity, Shape
 
-from .names import unique_names
 from .new_boundary import point_range
 from .periodic import inverse_motion
-from .tree import Node, make
+from .storage.names import unique_names
+from .storage.tree import Node, make
 
 
 def connectivity_nodes(grid: Grid, zones: tuple[str, ...]) -> list[list[Node]]:

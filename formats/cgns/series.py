@@ -17,11 +17,11 @@ from meshdeform_core.grid import FileFormat, Grid
 
 from ..files import replacing
 from . import format as cgns
-from .file import opened_cgns
-from .hdf5 import hdf5_errors
-from .hdf5_write import own_group, put_node
 from .notes import Notes
-from .tree import NAME_LENGTH, Node, make
+from .storage.file import opened_cgns
+from .storage.hdf5 import hdf5_errors
+from .storage.hdf5_write import own_group, put_node
+from .storage.tree import NAME_LENGTH, Node, make
 from .write_new import solution_nodes
 from .zone import Zone, find_base, structured_zones
 

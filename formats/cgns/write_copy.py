@@ -18,13 +18,13 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray, Grid
 
 from ..files import replacing
-from .adf import is_adf
-from .file import naming, opened_cgns
-from .hdf5 import DATA, LINK, LINK_FILE, hdf5_errors
-from .hdf5_write import characters, own_group, put_node, write_hdf5
-from .names import unique_names
 from .notes import Notes
-from .tree import Node, data_type_of
+from .storage.adf import is_adf
+from .storage.file import naming, opened_cgns
+from .storage.hdf5 import DATA, LINK, LINK_FILE, hdf5_errors
+from .storage.hdf5_write import characters, own_group, put_node, write_hdf5
+from .storage.names import unique_names
+from .storage.tree import Node, data_type_of
 from .write_new import solution_nodes
 from .zone import Base, Zone, find_base, structured_zones
 

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from meshdeform_core.grid import Field, Grid
 
 from ..files import replacing
-from .hdf5 import hdf5_errors
-from .hdf5_write import write_hdf5
-from .names import unique_names
 from .new_boundary import boundary_nodes, family_names, family_nodes
 from .new_connectivity import connectivity_nodes
-from .tree import Node, make
+from .storage.hdf5 import hdf5_errors
+from .storage.hdf5_write import write_hdf5
+from .storage.names import unique_names
+from .storage.tree import Node, make
 
 # The version of the standard whose readers know everything written here.
 _LIBRARY_VERSION = 3.2

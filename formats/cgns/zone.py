@@ -10,7 +10,7 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray, Shape
 
 from .notes import Notes
-from .tree import Node
+from .storage.tree import Node
 
 _COORDINATES = ("CoordinateX", "CoordinateY", "CoordinateZ")
 _FLOATS = (np.dtype(np.float32), np.dtype(np.float64))

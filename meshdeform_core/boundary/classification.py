@@ -13,7 +13,7 @@ from ..grid import Grid, IntArray
 from ..grid.planes import Plane
 from ..grid.selection import quads_of_patch, select_quads
 from ..grid.topology import Topology, end_planes
-from ..numerics.coincidence import distinct
+from ..numerics.geometry.coincidence import distinct
 from .coverage import table_doubts
 from .expression import Expression
 from .motion import Motion, PreparedMotion

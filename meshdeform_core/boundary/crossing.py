@@ -22,9 +22,9 @@ import scipy
 from ..grid import BoolArray, FloatArray, Grid, IntArray
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology
-from ..numerics.crossing import crossing_faces, near_faces
-from ..numerics.overlap import BESIDE, ORDINARY, SLIDING
-from ..numerics.solid_angle import winding
+from ..numerics.geometry.crossing import crossing_faces, near_faces
+from ..numerics.geometry.overlap import BESIDE, ORDINARY, SLIDING
+from ..numerics.geometry.solid_angle import winding
 from .classification import Boundary, Kind
 
 TOUCH = 1e-7

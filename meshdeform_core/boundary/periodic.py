@@ -11,7 +11,7 @@ from ..errors import CaseError
 from ..grid import BoolArray, FloatArray, Grid, IntArray
 from ..grid.connectivity import connected_nodes, periodic_rotation
 from ..grid.topology import RELATIVE_TOLERANCE, Topology
-from ..numerics.coincidence import close_pairs
+from ..numerics.geometry.coincidence import close_pairs
 
 
 @dataclass(frozen=True)

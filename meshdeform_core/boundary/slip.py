@@ -13,10 +13,10 @@ from ..errors import CaseError
 from ..grid import BoolArray, FloatArray, Grid, IntArray
 from ..grid.planes import FLATNESS, Plane, plane_normal, plane_of
 from ..grid.topology import Topology
-from ..numerics.coincidence import distinct
+from ..numerics.geometry.coincidence import distinct
 
 if TYPE_CHECKING:
-    from ..numerics.surface import TriangleTree
+    from ..numerics.geometry.surface import TriangleTree
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class CurvedSurface:
     @cached_property
     def tree(self) -> TriangleTree:
         """For the closest points of the surface."""
-        from ..numerics.surface import TriangleTree
+        from ..numerics.geometry.surface import TriangleTree
 
         return TriangleTree(self.points, self.triangles)
 

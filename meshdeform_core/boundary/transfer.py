@@ -184,7 +184,7 @@ def _reach(data: SurfaceData, matching: Matching, nodes: Nodes) -> FloatArray | 
 
 def _on_triangles(data: SurfaceData, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Displacement, distance, and distance beyond the rim, at the closest points of the table's surface."""
-    from ..numerics.surface import TriangleTree
+    from ..numerics.geometry.surface import TriangleTree
 
     triangle, weights, distance = TriangleTree(data.points, data.triangles).closest(points)
     corners = data.triangles[triangle]

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import GridError
-from ..numerics.coincidence import distinct
+from ..numerics.geometry.coincidence import distinct
 from .blocks import Connection, FloatArray, Grid, IntArray, Periodicity
 from .topology import RELATIVE_TOLERANCE, Topology
 

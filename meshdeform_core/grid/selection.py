@@ -9,7 +9,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from ..errors import CaseError, suggestion
-from ..numerics.coincidence import distinct
+from ..numerics.geometry.coincidence import distinct
 from .blocks import Grid, IntArray, Patch, Side, Window
 from .topology import FaceQuads, Topology
 

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..numerics.coincidence import coincident_groups, distinct, equal_rows
+from ..numerics.geometry.coincidence import coincident_groups, distinct, equal_rows
 from .blocks import FloatArray, Grid, IntArray, Shape, Side
 
 RELATIVE_TOLERANCE = 1e-3

@@ -18,7 +18,7 @@ from ..grid import FloatArray, Grid, IntArray, Side
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology, end_planes, inward_step, side_nodes
 from ..memory import UNLIMITED, MemoryLimit
-from ..numerics.coincidence import distinct
+from ..numerics.geometry.coincidence import distinct
 
 Progress = Callable[[str, int, int], None]
 """``progress(stage, done, total)``; called from the computing threads' owner only."""

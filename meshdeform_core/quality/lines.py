@@ -9,7 +9,7 @@ import numpy as np
 from ..boundary import Boundary, Kind
 from ..grid import FloatArray, Grid, IntArray, Side
 from ..grid.topology import Topology, inward_step, side_nodes
-from ..numerics.coincidence import distinct
+from ..numerics.geometry.coincidence import distinct
 
 
 @dataclass(frozen=True)

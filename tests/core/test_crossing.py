@@ -15,8 +15,8 @@ from meshdeform_core.boundary.expression import expression
 from meshdeform_core.boundary.motion import Motion
 from meshdeform_core.deform import Case, Setup, set_up
 from meshdeform_core.grid import Grid, Patch, Side, Window
-from meshdeform_core.numerics.crossing import cross_exactly, crossing_faces
-from meshdeform_core.numerics.solid_angle import winding
+from meshdeform_core.numerics.geometry.crossing import cross_exactly, crossing_faces
+from meshdeform_core.numerics.geometry.solid_angle import winding
 
 NEAR = expression(INNER, {"x", "y", "z"})
 

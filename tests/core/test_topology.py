@@ -10,7 +10,7 @@ from meshdeform_core.grid import Connection, Grid, Side
 from meshdeform_core.grid.connectivity import check_connections, connected_nodes
 from meshdeform_core.grid.interfaces import find_interfaces
 from meshdeform_core.grid.topology import COLLAPSED, find_topology
-from meshdeform_core.numerics.coincidence import close_pairs, coincident_groups
+from meshdeform_core.numerics.geometry.coincidence import close_pairs, coincident_groups
 
 LINE = np.linspace(0.0, 1.0, 5)
 

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from meshdeform_core.errors import FormatError, GridError
 from meshdeform_core.grid import Grid
 from meshdeform_formats import read_grid
-from meshdeform_formats.cgns.adf import read_adf
-from meshdeform_formats.cgns.tree import Node
+from meshdeform_formats.cgns.storage.adf import read_adf
+from meshdeform_formats.cgns.storage.tree import Node
 
 
 def assert_same(node: Node, expected: N, order: str = "<") -> None:

@@ -13,9 +13,9 @@ from grids import whole_face
 
 from meshdeform_core.grid import Connection, Field, Grid, Patch, Periodicity, Side, Window
 from meshdeform_formats import read_grid, write_grid
-from meshdeform_formats.cgns.names import unique_names
 from meshdeform_formats.cgns.new_boundary import bc_type
 from meshdeform_formats.cgns.periodic import inverse_motion, rotation_matrix
+from meshdeform_formats.cgns.storage.names import unique_names
 
 
 def assert_cgnscheck_finds_no_error(path: Path) -> None:

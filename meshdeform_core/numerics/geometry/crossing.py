@@ -10,7 +10,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from .jit import kernel
+from ..jit import kernel
 from .overlap import close_pairs
 
 # Bound of the round-off of a 3 x 3 determinant of differences, relative to its permanent (Shewchuk 1997, table 3).

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from .jit import kernel
+from ..jit import kernel
 
 _LEAF = 8
 _DEPTH = 64

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError
 
-from ..files import reason_of
+from ...files import reason_of
 from .tree import Link, Node, decoded
 
 # Members of a group that are no child nodes; CGNS names never begin with a blank.
