@@ -27,7 +27,7 @@ def generate(size: int = DEFAULT_SIZE, max_cells: int = 0) -> Grid:
         raise ValueError(f"size = {size} cells across the top; expected a multiple of 4, at least 8")
     radius = DIAMETER / 2 + geometric(_WALL_CELL, round(131 / 92 * size), _OUTER - DIAMETER / 2)
     grid = Grid.from_blocks(
-        [_shell(directions, radius) for directions in _panels(size)], ["top", "east", "north", "west", "south"]
+        [_shell(directions, radius) for directions in panels(size)], ["top", "east", "north", "west", "south"]
     )
     if max_cells:
         grid = split(grid, max_cells)
@@ -41,7 +41,7 @@ def generate(size: int = DEFAULT_SIZE, max_cells: int = 0) -> Grid:
     )
 
 
-def _panels(n: int) -> list[FloatArray]:
+def panels(n: int) -> list[FloatArray]:
     """Unit directions of the nodes of the five panels of half a cubed sphere (equal angles across each panel)."""
     tangent = np.tan(np.linspace(-np.pi / 4, np.pi / 4, n + 1))
     # Exactly antisymmetric, so that panels share their edge nodes to the last bit.
