@@ -110,7 +110,7 @@ def large_systems(quick: bool) -> MarkdownTable:
         "RBF (thin plate spline): large systems, CPU seconds of all threads",
         notes=[
             "next solution: of another displacement, whose components are no combinations of the first one's",
-            "residual: of the first solution, largest of the three components, relative to the right-hand side, with the "
+            "residual: of the first solution, largest of the components, relative to the right-hand side, with the "
             "errors of the products",
             "ferreus-rbf: tolerance 1e-6, the same points and values; measured where it is installed",
         ],

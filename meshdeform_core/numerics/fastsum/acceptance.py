@@ -5,22 +5,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..basis import BASES
 from ..jit import inlined, kernel
 
 
 class Kernel(NamedTuple):
-    """A function of distance: a radial basis function by its number, or r^-a + kappa r^-b for ``basis`` -1.
+    """The weight r^-a + kappa r^-b of inverse distance weighting.
 
-    Attributes
-    ----------
-    basis : see :data:`..basis.BASES`; distances are in units of the support radius
-    compact : the basis function vanishes from distance 1 on
-    single : sums of weights may be computed in single precision
+    ``single``: sums of weights may be computed in single precision.
     """
 
-    basis: int
-    compact: bool
     a: float
     b: float
     kappa: float
@@ -29,12 +22,7 @@ class Kernel(NamedTuple):
 
 def inverse_powers(a, b, kappa, single=False):
     """Kernel r^-a + kappa r^-b of inverse distance weighting; ``single`` where that precision is enough."""
-    return Kernel(-1, False, float(a), float(b), float(kappa), bool(single))
-
-
-def radial_basis(kind):
-    """Kernel of a radial basis function by its number."""
-    return Kernel(kind, kind != BASES["tps"], 0.0, 0.0, 0.0, False)
+    return Kernel(float(a), float(b), float(kappa), bool(single))
 
 
 @inlined
@@ -59,8 +47,6 @@ def distance2(x, i, y, j):
 @kernel
 def box_error(half, count, b, gap, distance, function):
     """Error of interpolating the function over a box: its shape judged at ``gap``, its size at ``distance``."""
-    if function.basis >= 0:
-        return _radial_error(function.basis, half, count, b, gap)
     ratio = function.kappa * gap ** (function.a - function.b)
     steep = ratio / (1.0 + ratio)
     error = 0.0
@@ -97,27 +83,4 @@ def _power_error(half, count, b, distance, power):
                 term *= (n + k) / k
             total += term
         result = total / (1.0 - longest / reach) ** power
-    return result
-
-
-@inlined
-def _radial_error(basis, half, count, b, distance):
-    """Error of interpolating a radial basis function over a box inside its support, for a source at ``distance``.
-
-    The function's singular part at the origin decides: r^2 log r, r or r^3 (numbers of :data:`..basis.BASES`). The
-    remaining polynomial is exact from five points on.
-    """
-    longest = max(half[b, 0], half[b, 1], half[b, 2])
-    reach = _nearest_reach(half, b, longest, distance)
-    result = np.inf
-    if reach > longest * 1.05:
-        power = 1.0 if basis == 1 else 2.0 if basis == 0 or basis == 3 else 3.0
-        factor = 1.0 if basis == 0 else 0.5 if basis == 1 else 15.0 if basis == 2 else 20.0 if basis == 3 else 60.0
-        growth = 1.0 / (1.0 - longest / reach)
-        total = 0.0
-        for d in range(3):
-            n, x = count[b, d], half[b, d] / reach
-            term = (x * 0.5) ** n * factor * growth ** max(n - power, 0.0)
-            total += 4.0 * term / (n * (n - 1) * (n - 2)) if n > 2 and power == 2.0 else term
-        result = total * reach**power
     return result

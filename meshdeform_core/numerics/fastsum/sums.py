@@ -9,7 +9,7 @@ import numpy as np
 from ...parallel import Shared, current_ranks, for_chunks
 from ..direct import N_VALUES
 from .acceptance import inverse_powers
-from .bricks import Bricks, Regions, build_bricks, make_bricks, make_regions, node_sizes
+from .bricks import Bricks, Regions, build_bricks, make_regions, node_sizes
 from .tree import build_tree
 from .treesum import add_totals, cluster_reach, gather, sum_weights
 from .walk import Lists, Reach, list_clusters
@@ -63,16 +63,6 @@ class Targets(NamedTuple):
     def flat(self, first, last):
         """Flat indices of the targets in the regions first <= g < last."""
         return self.bricks.targets[self.places(first, last)]
-
-    def subset(self, chosen, order):
-        """Targets of some bricks, numbered and kept on their own, each brick a region."""
-        bricks = self.bricks
-        flat = [bricks.targets[bricks.start[b] : bricks.start[b + 1]] for b in chosen]
-        start = np.append(0, np.cumsum([len(each) for each in flat]))
-        points = self.points[np.concatenate(flat)]
-        own = make_bricks(points, start, np.arange(len(points)), order)
-        regions = make_regions(points, own, np.arange(len(start)), order)
-        return Targets(points, own, regions, sample_places(start), self.sizes[chosen])
 
     def sized(self, points, shapes, offsets):
         """The same, with the edges at the samples taken from other coordinates (n_nodes, 3)."""

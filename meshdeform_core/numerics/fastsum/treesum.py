@@ -17,7 +17,6 @@ import numpy as np
 
 from ..direct import sum_block
 from ..jit import inlined, kernel
-from ..radial import radial_block
 from ..single import sum_block_single
 from .acceptance import distance2, square, weight
 from .boxes import box_points, chebyshev
@@ -93,30 +92,6 @@ def sum_weights(first, last, points, bricks, regions, tree, charges, lists, func
 
     ``points`` (n_nodes, 3); ``lists`` from :func:`.walk.list_clusters`.
     """
-    _sum_lists(_weights, first, last, points, bricks, regions, tree, charges, lists, function, out)
-
-
-@kernel
-def sum_radial(first, last, points, bricks, regions, tree, charges, lists, function, out):
-    """The same (n, 3) for a radial basis function."""
-    _sum_lists(_radial, first, last, points, bricks, regions, tree, charges, lists, function, out)
-
-
-@kernel
-def _weights(targets, packed, n, function, out):
-    if function.single:
-        sum_block_single(targets, packed, n, function.kappa, out)
-    else:
-        sum_block(targets, packed, n, function.a, function.b, function.kappa, out)
-
-
-@kernel
-def _radial(targets, packed, n, function, out):
-    radial_block(function.basis, targets, packed, n, out)
-
-
-@inlined
-def _sum_lists(block, first, last, points, bricks, regions, tree, charges, lists, function, out):
     columns = charges.source.shape[1]
     packed = np.empty((3 + columns, _longest(lists, tree)))
     # Not plain zeros, for which the functions that take them would be compiled apart.
@@ -127,7 +102,7 @@ def _sum_lists(block, first, last, points, bricks, regions, tree, charges, lists
         place, values = np.empty((local, 3)), _zeros(local, columns)
         if n:
             box_points(regions.center, regions.axes, regions.half, regions.per_side, g, place)
-            block(place, packed, n, function, values)
+            _weights(place, packed, n, function, values)
         start = lists.stop[item]
         item += 1
         for b in range(regions.first[g], regions.first[g + 1]):
@@ -136,18 +111,26 @@ def _sum_lists(block, first, last, points, bricks, regions, tree, charges, lists
             row += x.shape[0]
             middle = lists.stop[item]
             n = _pack(lists, middle, item + 1, tree, charges, packed)
-            block(x, packed, n, function, sums)
+            _weights(x, packed, n, function, sums)
             if not few_nodes(bricks, b):
                 spots = bricks.proxies[bricks.proxy[b] : bricks.proxy[b + 1]]
                 inner = _zeros(spots.shape[0], columns)
                 n = _pack(lists, start, item, tree, charges, packed)
-                block(spots, packed, n, function, inner)
+                _weights(spots, packed, n, function, inner)
                 _interpolate(regions.center, regions.axes, regions.half, regions.per_side, g, values, spots, inner)
                 _interpolate(bricks.center, bricks.axes, bricks.half, bricks.per_side, b, inner, x, sums)
             else:
                 _interpolate(regions.center, regions.axes, regions.half, regions.per_side, g, values, x, sums)
             start = lists.stop[item + 1]
             item += 2
+
+
+@kernel
+def _weights(targets, packed, n, function, out):
+    if function.single:
+        sum_block_single(targets, packed, n, function.kappa, out)
+    else:
+        sum_block(targets, packed, n, function.a, function.b, function.kappa, out)
 
 
 @inlined

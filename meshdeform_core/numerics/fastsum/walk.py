@@ -137,14 +137,10 @@ def _walk(
             c = stack[depth]
             d2 = distance2(center, b, tree.center, c)
             distance, extent = math.sqrt(d2), math.sqrt(square(tree.half, c))
-            if function.compact and d2 >= (1.0 + radius + extent) ** 2:
-                # No node in the box is in the support of the cluster's sources.
-                continue
             raw = tree.proxy[c + 1] == tree.proxy[c]
             # What a cluster does to the mean if its weights are wrong by one, relative to what it may do.
             pull = reach.strength[c] * (reach.shift[c] + reach.turn[c] * distance + mean) / allowed
-            rim = function.compact and distance + radius + extent > 1.0
-            if not few and not rim and distance > extent and (raw or distance > radius):
+            if not few and distance > extent and (raw or distance > radius):
                 error = box_error(half, count, b, distance - extent, distance, function)
                 if not raw:
                     error = max(error, box_error(tree.half, tree.per_side, c, distance, distance, function))
@@ -153,7 +149,7 @@ def _walk(
                     codes[at] = 2 * c + (1 if raw else 0)
                     at += 1
                     continue
-            if not region and not raw and not rim and distance > radius:
+            if not region and not raw and distance > radius:
                 gap = distance - radius
                 error = box_error(tree.half, tree.per_side, c, gap, gap, function)
                 if pull * error < 0.5:
