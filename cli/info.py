@@ -45,6 +45,7 @@ def gather(grid: Grid, file: str) -> dict[str, Any]:
     """Everything ``info`` prints, as one dictionary; node indices are 1-based."""
     from meshdeform_core.grid.connectivity import check_connections
     from meshdeform_core.grid.interfaces import find_interfaces
+    from meshdeform_core.grid.openings import find_openings
     from meshdeform_core.grid.surfaces import find_outside, thin_direction
     from meshdeform_core.grid.topology import find_topology
 
@@ -73,7 +74,12 @@ def gather(grid: Grid, file: str) -> dict[str, Any]:
         "external_faces": {sides[s]: int(external[s]) for s in np.flatnonzero(external)},
         "collapsed": _collapsed(topology, sides),
         "fields": sorted({f"{f.name} ({f.location})" for f in grid.fields}),
-        "notes": [*grid.notes, *check_connections(grid, topology), *_remarks(grid, topology, outside)],
+        "notes": [
+            *grid.notes,
+            *check_connections(grid, topology),
+            *(opening.describe(grid) for opening in find_openings(grid, topology)),
+            *_remarks(grid, topology, outside),
+        ],
     }
 
 

@@ -12,10 +12,13 @@ from functools import cached_property, partial
 import numpy as np
 
 from .boundary import Boundary, BoundarySpec, Kind, classify
+from .boundary.classification import UNSELECTED
 from .boundary.prescribed import prescribed_displacement
+from .boundary.unselected import opening_notes
 from .errors import CaseError, MotionError
 from .grid import FloatArray, Grid
 from .grid.connectivity import check_connections
+from .grid.openings import find_openings
 from .grid.topology import RELATIVE_TOLERANCE, Topology, find_topology
 from .memory import UNLIMITED, MemoryLimit
 from .methods import Account, Options, PreparedMethod, Problem, Progress, make_method
@@ -35,7 +38,8 @@ class Case:
     """What to do with a grid: its boundary entries, the constants of their formulas, the method.
 
     ``tolerance`` is the largest distance of coincident nodes, relative to the local edge; ``notes`` are doubts that
-    came up when the case was made, for the report's warnings.
+    came up when the case was made, for the report's warnings; ``open_faces`` are outside faces (``True``: all) that are
+    meant to lie close to others.
     """
 
     boundaries: tuple[BoundarySpec, ...]
@@ -43,6 +47,7 @@ class Case:
     method: Options = field(default_factory=Options)
     tolerance: float = RELATIVE_TOLERANCE
     notes: tuple[str, ...] = ()
+    open_faces: bool | tuple[str, ...] = False
 
     def __post_init__(self) -> None:
         if not isinstance(self.method, Options):
@@ -158,7 +163,11 @@ def set_up(grid: Grid, case: Case, timing: Timing | None = None, memory: MemoryL
         warnings = [*grid.notes, *case.notes, *check_connections(grid, topology)]
         if topology.crowded:
             warnings.append(f"{topology.crowded} face quads are shared by more than two blocks")
+        openings = current_ranks().once(lambda: find_openings(grid, topology))
         topology, boundary = classify(grid, topology, case.boundaries, case.constants)
+        unselected = boundary.quads_of(lambda patch: patch.name == UNSELECTED)
+        moving = boundary.quads_of(lambda patch: patch.kind is Kind.MOVING)
+        warnings += opening_notes(grid, topology, openings, unselected, moving, case.open_faces)
     if not boundary.count(Kind.MOVING):
         raise MotionError(
             "no node moves: no boundary entry of kind moving selects any node; "

@@ -119,7 +119,7 @@ def _with_table(parsed: CaseFile, table: Path, times: str | None, matching: Matc
 def _parse(data: Table, folder: Path, overrides: Sequence[str] = ()) -> CaseFile:
     check_keys(data, ("grid", "constants", "boundary", "method"), "case")
     grid = table_of(data, "grid")
-    check_keys(grid, ("boundary_file", "tolerance"), "[grid]")
+    check_keys(grid, ("boundary_file", "tolerance", "open"), "[grid]")
     constants = _constants(table_of(data, "constants"))
     entries = data.get("boundary", [])
     if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
@@ -132,9 +132,19 @@ def _parse(data: Table, folder: Path, overrides: Sequence[str] = ()) -> CaseFile
     if not 0 < tolerance < 0.5:
         raise fail("grid.tolerance", f"{tolerance} of the local edge; expected a fraction between 0 and 0.5")
     options = _options(table_of(data, "method"))
-    case = Case(specs, constants, options, tolerance, unread(data, specs, options, overrides))
+    case = Case(specs, constants, options, tolerance, unread(data, specs, options, overrides), _open_faces(grid))
     boundary_file = file_of(grid["boundary_file"], folder, "[grid]: boundary_file") if "boundary_file" in grid else None
     return CaseFile(case, boundary_file, tuple(named_files(data, folder)), data)
+
+
+def _open_faces(grid: Table) -> bool | tuple[str, ...]:
+    """``grid.open``: true, or a list of faces."""
+    value = grid.get("open", False)
+    if isinstance(value, bool):
+        return value
+    if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
+        raise fail("grid.open", f'expected true, or faces like ["block1.imax"], found {value!r}')
+    return tuple(value)
 
 
 def _constants(table: Table) -> dict[str, float]:

@@ -45,6 +45,11 @@ def case_schema() -> Schema:
                 "How to read the grid.",
                 boundary_file=_text("NASA neutral map file (.nmf) with the boundaries, relative to the case file."),
                 tolerance=_number("Largest distance of coincident nodes, as a fraction of the local edge."),
+                open={
+                    "type": ["boolean", "array"],
+                    "items": {"type": "string"},
+                    "description": "Outside faces that are meant to lie close to others (true: all).",
+                },
             ),
             constants={
                 "type": "object",

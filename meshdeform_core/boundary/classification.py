@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -20,6 +20,7 @@ from .motion import Motion, PreparedMotion
 from .periodic import Periodic, find_periodicity
 from .slip import Slip, find_sliding
 from .transfer import Nodes
+from .unselected import unselected_notes
 
 UNSELECTED = "(not selected)"
 
@@ -115,6 +116,11 @@ class Boundary:
         """(n_unique,) bool: nodes with a prescribed displacement, moving or fixed (the sources)."""
         return self.kind >= Kind.FIXED
 
+    def quads_of(self, chosen: Callable[[Patch], bool]) -> IntArray:
+        """Face quads of the chosen patches."""
+        found = [patch.quads for patch in self.patches if chosen(patch)]
+        return np.concatenate([np.empty(0, dtype=np.int64), *found])
+
     def count(self, *kinds: Kind) -> int:
         """Unique face nodes of the given kinds."""
         return int(np.isin(self.kind, kinds).sum())
@@ -139,7 +145,7 @@ def classify(
     movers, doubts = _bind_motions(grid, topology, specs, selected)
     for spec, quads in zip(specs, selected, strict=True):
         quad_kind[quads] = np.maximum(quad_kind[quads], spec.kind)
-    defaults, more = _unselected(grid, topology, quad_kind, [s.name for s in specs])
+    defaults, more = _unselected(grid, topology, quad_kind, specs, movers)
     entries = [*zip([s.name for s in specs], [s.kind for s in specs], selected, strict=True), *defaults]
     for _, kind, quads in defaults:
         quad_kind[quads] = kind
@@ -245,7 +251,11 @@ Entry = tuple[str, Kind, IntArray]
 
 
 def _unselected(
-    grid: Grid, topology: Topology, quad_kind: np.ndarray, names: list[str]
+    grid: Grid,
+    topology: Topology,
+    quad_kind: np.ndarray,
+    specs: Sequence[BoundarySpec],
+    movers: Sequence[tuple[IntArray, PreparedMotion]],
 ) -> tuple[list[Entry], list[str]]:
     rest = np.flatnonzero(topology.external & (quad_kind == 0))
     if rest.size == 0:
@@ -262,8 +272,10 @@ def _unselected(
         )
     if fixed.size:
         entries.append((UNSELECTED, Kind.FIXED, fixed))
-        if names:
-            notes.append(f"{fixed.size} external face quads are selected by no boundary entry; they are fixed")
+        if specs:
+            moving = np.concatenate([np.empty(0, dtype=np.int64), *(nodes for nodes, _ in movers)])
+            table_alone = all(spec.motion and spec.motion.partial for spec in specs)
+            notes += unselected_notes(grid, topology, fixed, moving, table_alone)
     return entries, notes
 
 

@@ -168,6 +168,11 @@ class Motion:
         """Variables and constants that the formulas use; ``t`` when the motion depends on time."""
         return frozenset().union(*(step.names for step in self.steps))
 
+    @property
+    def partial(self) -> bool:
+        """It is a table that moves what it matches and lets the rest stay."""
+        return any(isinstance(step, Follow | FollowSequence) and step.matching.partial for step in self.steps)
+
     def prepare(self, nodes: Nodes) -> PreparedMotion:
         """Bind the motion to its nodes: tables are matched here, once."""
         return PreparedMotion(tuple(step.prepare(nodes) for step in self.steps), self.constants, nodes)

@@ -94,3 +94,21 @@ def test_hostile_archive(hostile, call):
     result = call("deform", "g3.xyz", "-d", "t_bad.npz", "-o", "out.xyz")
     assert result.code == 2
     assert "t_bad.npz" in result.err
+
+
+def test_hostile_gap(hostile, call):
+    moved = "boundary=[{select=['block1.jmin','block2.jmin'],motion=[{translate=[0,0.002,0]}]}]"
+    assert call("deform", "e4_closed.xyz", "-s", moved, "-o", "closed.xyz").code == 0
+    result = call("deform", "e4_gap.xyz", "-s", moved, "-o", "gap.xyz")
+    assert result.code == 2
+    assert "block1.imax[1:4,1:5] (12 quads) and block2.imin nearly coincide" in result.err
+    assert "grid.tolerance = 0.0021 closes it" in result.err
+    assert call("deform", "e4_gap.xyz", "-s", moved, "-s", "grid.tolerance=0.0021", "-o", "gap.xyz").code == 0
+    assert call("compare", "gap.xyz", "closed.xyz", "--tolerance", "2e-4").code == 0
+    assert "nearly coincide" in call("info", "e4_gap.xyz").out
+
+
+def test_hostile_point(hostile, call):
+    result = call("info", "c_const.xyz")
+    assert result.code == 2
+    assert "Traceback" not in result.err

@@ -1,0 +1,121 @@
+"""Faces that no boundary entry selects: where they are, and whether they should have been fixed without a word."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..errors import CaseError
+from ..grid import Grid, IntArray, Side, Window
+from ..grid.openings import Opening
+from ..grid.planes import plane_normal, plane_of
+from ..grid.selection import quads_of_window, select_quads
+from ..grid.topology import Topology
+from ..grid.windows import windows_of_quads
+
+_LISTED = 6
+
+Region = tuple[Window, IntArray]
+
+
+def regions(grid: Grid, topology: Topology, quads: IntArray) -> list[Region]:
+    """Rectangles of nodes that cover ``quads``, with the quads in each, largest first."""
+    found: list[Region] = []
+    for own in np.unique(topology.quads.block_side[quads]):
+        block, side = int(own) // 6, Side(int(own) % 6)
+        span = topology.quads.of_side(block, side)
+        counts = tuple(int(n) for n in topology.quads.counts[block, side])
+        marked = np.isin(np.arange(span.start, span.stop), quads).reshape(counts)
+        windows = windows_of_quads(grid.shapes[block], block, side, marked)
+        found += [(window, quads_of_window(topology.quads, window)) for window in windows]
+    return sorted(found, key=lambda region: -len(region[1]))
+
+
+def range_label(grid: Grid, window: Window) -> str:
+    """``block1.jmin``, with its nodes where it is a part of the face."""
+    name = f"{grid.names[window.block]}.{window.side.label}"
+    a, b = window.side.tangential
+    shape = grid.shapes[window.block]
+    if window.low == (0, 0) and window.high == (shape[a] - 1, shape[b] - 1):
+        return name
+    ranges = ",".join(f"{low + 1}:{high + 1}" for low, high in zip(window.low, window.high, strict=True))
+    return f"{name}[{ranges}]"
+
+
+def unselected_notes(grid: Grid, topology: Topology, quads: IntArray, moving: IntArray, expected: bool) -> list[str]:
+    """Warnings about faces ``quads`` that stay fixed because nothing selects them.
+
+    Parameters
+    ----------
+    moving : unique numbers of the nodes that move
+    expected : the case is a table alone, whose other faces are meant to stay
+    """
+    places = regions(grid, topology, quads)
+    notes = []
+    if not expected:
+        listed = ", ".join(f"{range_label(grid, window)} ({len(found)})" for window, found in places[:_LISTED])
+        more = f" and {len(places) - _LISTED} more ranges" if len(places) > _LISTED else ""
+        notes.append(
+            f"{quads.size} external face quads are selected by no boundary entry; they are fixed: {listed}{more}"
+        )
+    moves = np.zeros(topology.n_unique, dtype=bool)
+    moves[moving] = True
+    touching = [window for window, found in places if moves[topology.quads.corners[found]].any()]
+    if touching:
+        normal = plane_normal(grid)
+        flat = all(plane_of(_points(grid, topology, window), normal) is not None for window in touching)
+        remedy = (
+            'they are flat: symmetry planes and end planes need kind = "symmetry" or "slip"'
+            if flat
+            else 'give them a kind: "slip" lets their nodes follow, "fixed" says that they stay'
+        )
+        names = ", ".join(range_label(grid, window) for window in touching[:_LISTED])
+        notes.append(
+            f"faces that no boundary entry selects touch moving nodes and are fixed beside them: {names}; {remedy}"
+        )
+    return notes
+
+
+def _points(grid: Grid, topology: Topology, window: Window) -> np.ndarray:
+    corners = topology.quads.corners[quads_of_window(topology.quads, window)]
+    return grid.points[topology.first[np.unique(corners)]]
+
+
+def opening_notes(
+    grid: Grid,
+    topology: Topology,
+    openings: Sequence[Opening],
+    unselected: IntArray,
+    moving: IntArray,
+    declared: bool | Sequence[str],
+) -> list[str]:
+    """Warnings about outside faces that nearly coincide with others.
+
+    Parameters
+    ----------
+    unselected, moving : face quads that nothing selects, and those of moving entries
+    declared : what ``grid.open`` says: faces that are meant to be open (``True``: all)
+
+    Raises
+    ------
+    CaseError
+        When no boundary entry selects such a face: it would be a fixed wall at which the grid tears.
+    """
+    if declared is True or not openings:
+        return []
+    meant = select_quads(grid, topology, declared, "grid.open") if declared else np.empty(0, dtype=np.int64)
+    notes = []
+    for opening in openings:
+        if np.isin(opening.quads, meant).all() or np.isin(opening.quads, moving).all():
+            continue
+        text = opening.describe(grid)
+        if np.isin(opening.quads, unselected).any():
+            count = f" ({len(openings)} such places, see `meshdeform info`)" if len(openings) > 1 else ""
+            close = "Close the gap with that tolerance, or say" if opening.matching else "Say"
+            raise CaseError(
+                f"{text}{count}. Nothing selects them, so they would be fixed walls, at which the grid tears. {close} "
+                f"that they are walls: [grid] open = true, or a list of faces; or select them in a boundary entry"
+            )
+        notes.append(text)
+    return notes

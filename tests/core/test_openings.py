@@ -1,0 +1,119 @@
+"""Outside faces that nearly coincide with others: found with their place, refused unless the case says so."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from cases import formulas
+from grids import block_around, frame, polar
+
+from meshdeform_core.boundary import BoundarySpec, Kind
+from meshdeform_core.deform import Case, set_up
+from meshdeform_core.errors import CaseError
+from meshdeform_core.grid import Grid
+from meshdeform_core.grid.openings import find_openings
+from meshdeform_core.grid.topology import find_topology
+
+MOVE = formulas("0", "0.01*x", "0")
+WALL = BoundarySpec("wall", ("*.jmin",), Kind.MOVING, None, MOVE)
+
+
+def pair(gap: float = 0.0, cells: int = 4, other: int = 4, flat: bool = False) -> Grid:
+    """Two boxes side by side, ``gap`` apart, with so many cells along the interface."""
+    one = np.linspace(0.0, 1.0, 5)
+    z = np.zeros(1) if flat else np.linspace(0.0, 1.0, 4)
+    left = block_around(one, np.linspace(0.0, 1.0, cells + 1), z)
+    right = block_around(one + 1.0 + gap, np.linspace(0.0, 1.0, other + 1), z)
+    return Grid.from_blocks([left, right])
+
+
+def openings(grid: Grid):
+    return find_openings(grid, find_topology(grid))
+
+
+@pytest.mark.parametrize("grid", [frame(), polar(), pair(), pair(flat=True)], ids=["frame", "polar", "pair", "2-D"])
+def test_closed_grids_have_none(grid):
+    assert openings(grid) == ()
+
+
+@pytest.mark.parametrize("flat", [False, True], ids=["3-D", "2-D"])
+@pytest.mark.parametrize("part", [0.002, 0.05, 0.2])
+def test_a_gap_is_found_with_its_size_and_what_closes_it(part, flat):
+    grid = pair(0.25 * part, flat=flat)
+    (found,) = openings(grid)
+    assert (found.block, found.side.label, found.other, found.other_side.label) == (0, "imax", 1, "imin")
+    assert found.matching
+    assert found.gap == pytest.approx(0.25 * part)
+    assert found.relative == pytest.approx(part)
+    assert len(found.quads) == (4 if flat else 12)
+    assert find_topology(grid, found.tolerance).external.sum() == find_topology(pair(flat=flat)).external.sum()
+    assert f"block1.imax[1:5,1:{1 if flat else 4}]" in found.describe(grid)
+
+
+def test_a_single_node_out_of_place_opens_the_quads_around_it():
+    grid = pair()
+    points = grid.points.copy()
+    grid.block(1, points)[0, 2, 1, 0] += 0.02
+    found = openings(grid.moved(points))
+    assert sum(len(each.quads) for each in found) == 4
+    assert {each.describe(grid).split("[")[0] for each in found} == {"block1.imax"}
+
+
+def test_a_seam_of_one_block_may_be_open_too():
+    grid = polar()
+    points = grid.points.copy()
+    grid.block(0, points)[-1, :, :, 1] += 1e-3
+    (found,) = openings(grid.moved(points))
+    assert (found.side.label, found.other_side.label) == ("imin", "imax")
+
+
+@pytest.mark.parametrize("flat", [False, True], ids=["3-D", "2-D"])
+def test_faces_that_touch_with_other_nodes_are_found(flat):
+    found = openings(pair(0.0, 4, 8, flat))
+    assert {(each.block, each.side.label) for each in found} >= {(1, "imin")}
+    assert not any(each.matching for each in found)
+    assert "do not match" in found[0].describe(pair(0.0, 4, 8, flat))
+
+
+def test_a_gap_that_nothing_selects_is_refused_and_can_be_settled():
+    grid = pair(0.001)
+    with pytest.raises(CaseError, match=r"block1.imax.*nearly coincide.*grid.tolerance = 0.0042 closes it"):
+        set_up(grid, Case((WALL,)))
+    assert set_up(grid, Case((WALL,), tolerance=0.0042)).topology.external.sum() < find_topology(grid).external.sum()
+    set_up(grid, Case((WALL,), open_faces=True))
+    set_up(grid, Case((WALL,), open_faces=("block1.imax", "block2.imin")))
+    with pytest.raises(CaseError, match="nearly coincide"):
+        set_up(grid, Case((WALL,), open_faces=("block2.jmax",)))
+
+
+def test_a_gap_that_the_case_selects_is_a_warning_and_a_thin_moving_wall_is_none():
+    grid = pair(0.001)
+    fixed = BoundarySpec("rest", ("*",), Kind.FIXED)
+    assert any("nearly coincide" in text for text in set_up(grid, Case((WALL, fixed))).warnings)
+    plate = BoundarySpec("plate", ("block1.imax", "block2.imin"), Kind.MOVING, None, MOVE)
+    assert not any("nearly coincide" in text for text in set_up(grid, Case((plate, fixed))).warnings)
+
+
+def test_patched_blocks_are_refused_unless_the_case_says_so():
+    grid = pair(0.0, 4, 8)
+    with pytest.raises(CaseError, match="their nodes do not match"):
+        set_up(grid, Case((WALL,)))
+    set_up(grid, Case((WALL,), open_faces=True))
+
+
+def test_unselected_faces_are_named_largest_first():
+    notes = set_up(pair(), Case((WALL,))).warnings
+    listed = next(text for text in notes if "selected by no boundary entry" in text)
+    assert listed.startswith("112 external face quads")
+    names = listed.split(": ")[1]
+    assert names.split(", ")[0] in {f"block{b}.{side} (16)" for b in (1, 2) for side in ("kmin", "kmax")}
+    assert names.index("(12)") > names.rindex("(16)")
+    assert names.endswith("and 2 more ranges")
+
+
+def test_a_forgotten_symmetry_plane_is_named_with_the_remedy():
+    span = BoundarySpec("far", ("*.jmax", "*.i*"), Kind.FIXED)
+    notes = set_up(pair(), Case((WALL, span))).warnings
+    (touching,) = [text for text in notes if "touch moving nodes" in text]
+    assert "block1.kmin" in touching
+    assert 'kind = "symmetry" or "slip"' in touching
