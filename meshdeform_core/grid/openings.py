@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..numerics.coincidence import close_pairs, distinct, equal_rows
+from ..numerics.geometry.coincidence import close_pairs, distinct, equal_rows
 from .blocks import FloatArray, Grid, IntArray, Side, Window
 from .topology import Topology
 from .windows import windows_of_quads
