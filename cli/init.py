@@ -7,6 +7,8 @@ from pathlib import Path
 
 import click
 
+from meshdeform_core.errors import CaseError
+
 from .options import PATH, GridInput, check_output, force_option, grid_options
 
 
@@ -29,13 +31,15 @@ def command(source: GridInput, output: Path | None, force: bool) -> int:
     from meshdeform_core.grid.surfaces import find_outside
     from meshdeform_core.grid.topology import find_topology
     from meshdeform_formats.case.template import case_template
-    from meshdeform_formats.files import replacing
+    from meshdeform_formats.files import replacing, shown
 
     if output is not None:
         check_output(output, force, *source.files)
     grid = source.read()
     map_file = _from(source.boundary_file, output) if source.boundary_file else None
-    text = case_template(grid, find_outside(grid, find_topology(grid)), str(source.path), map_file)
+    if map_file is not None and shown(Path(map_file)) != map_file:
+        raise CaseError(f"{shown(Path(map_file))}: its name is not UTF-8, a case file cannot name it; rename it")
+    text = case_template(grid, find_outside(grid, find_topology(grid)), shown(source.path), map_file)
     if output is None:
         click.echo(text, nl=False)
         return 0

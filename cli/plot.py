@@ -89,6 +89,7 @@ def command(
     space and a cut; what is small beside the whole has a close-up. Invalid cells have a colour of their own: with
     --reference those that became invalid, without it all that are.
     """
+    from meshdeform_formats.files import shown
     from meshdeform_formats.picture import check_picture_path, picture, save_page
 
     asked = PlotInput(**options)  # type: ignore[arg-type]
@@ -97,7 +98,7 @@ def command(
     request = _request(asked)
     subject = _subject(source, reference)
     request = _complete(request, asked, subject.grid)
-    save_page(picture(subject, request, source.path.name if title is None else title), output)
+    save_page(picture(subject, request, shown(Path(source.path.name)) if title is None else title), output)
     return 0
 
 

@@ -98,23 +98,31 @@ def reason_of(error: BaseException) -> str:
     return str(error).strip() or f"{type(error).__name__}, the file is damaged"
 
 
-def require_regular(path: Path) -> None:
+def require_regular(path: Path, what: str = "") -> None:
     """Refuse what is no file on a disk before it is opened: opening a pipe without a writer would wait for ever.
+
+    ``what`` are words for the file in messages, such as ``the case file``.
 
     Raises
     ------
     FormatError
         When ``path`` does not exist or is a folder, a pipe, a socket or a device.
     """
+    label = f"{what} {path}".lstrip()
     try:
         mode = path.stat().st_mode
     except (OSError, ValueError) as error:
-        raise FormatError(f"cannot read {path}: {reason_of(error)}") from error
+        raise FormatError(f"cannot read {label}: {reason_of(error)}") from error
     if stat.S_ISDIR(mode):
-        raise FormatError(f"cannot read {path}: it is a folder, expected a file")
+        raise FormatError(f"cannot read {label}: it is a folder, expected a file")
     if not stat.S_ISREG(mode):
         kind = "a pipe" if stat.S_ISFIFO(mode) else "a socket" if stat.S_ISSOCK(mode) else "a device"
-        raise FormatError(f"cannot read {path}: it is {kind}, expected a file; files are read more than once")
+        raise FormatError(f"cannot read {label}: it is {kind}, expected a file; files are read more than once")
+
+
+def shown(path: Path) -> str:
+    """A path as text; bytes of its name that are no UTF-8 are replaced."""
+    return os.fsencode(path).decode("utf-8", "replace")
 
 
 def read_head(path: Path) -> bytes:

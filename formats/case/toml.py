@@ -7,8 +7,9 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from meshdeform_core.errors import CaseError
+from meshdeform_core.errors import CaseError, FormatError
 
+from ..files import require_regular
 from .values import Table
 
 _TOO_LONG = "it has an integer of more than 64 bits; write large numbers like 1e30"
@@ -24,6 +25,10 @@ def load(path: Path | None) -> Table:
     """
     if path is None:
         return {}
+    try:
+        require_regular(path, "the case file")
+    except FormatError as error:
+        raise CaseError(str(error)) from error
     try:
         return _toml(path.read_text(encoding="utf-8"))
     except OSError as error:

@@ -9,6 +9,8 @@ from pathlib import Path
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Shape, Side
 
+from ..files import require_regular
+
 Face = tuple[Side, tuple[int, int]]
 
 # Face number: side, primary and secondary index.
@@ -76,6 +78,7 @@ def parse_neutral_map(path: Path) -> NeutralMap:
     FormatError
         When the file cannot be read or a line is not what the format has there.
     """
+    require_regular(path)
     try:
         text = path.read_text(encoding="utf-8", errors="replace")
     except OSError as error:

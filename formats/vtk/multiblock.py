@@ -15,7 +15,7 @@ from meshdeform_core import interruption
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Grid
 
-from ..files import replacing
+from ..files import replacing, shown
 from .dataset import DataSet, VtkFormat
 from .xml.read import read as read_piece
 from .xml.tags import DEEPEST, Element, read_tags
@@ -130,6 +130,8 @@ def require_replaceable(path: Path) -> None:
             f"cannot write {path}: it is a link, beside which nobody would look for the pieces of the set; give the "
             f"file that it leads to, {path.resolve()}"
         )
+    if shown(path) != str(path):
+        raise FormatError(f"cannot write {shown(path)}: its name is not UTF-8, and an index names its pieces in UTF-8")
     folder = _folder(path)
     if not folder.exists():
         return

@@ -260,3 +260,13 @@ def test_third_party_grids_to_the_last_bit(third_party, name):
     assert {(f.location, f.name) for f in grid.fields} == arrays.keys()
     for field in grid.fields:
         np.testing.assert_array_equal(field.values, arrays[field.location, field.name])
+
+
+@pytest.mark.parametrize("blank", ["", "\n", "  \n\n"])
+def test_blank_lines_behind_the_title(tmp_path, blank):
+    points = "0 0 0 1 0 0 0 1 0 1 1 0"
+    head = f"# vtk DataFile Version 3.0\ntitle\n{blank}ASCII\n\nDATASET STRUCTURED_GRID\n"
+    (tmp_path / "a.vtk").write_text(f"{head}DIMENSIONS 2 2 1\nPOINTS 4 float\n{points}\n")
+    grid = read_grid(tmp_path / "a.vtk")
+    assert grid.format.title == "title"
+    np.testing.assert_array_equal(grid.block(0)[:, :, 0, :2], [[[0, 0], [0, 1]], [[1, 0], [1, 1]]])
