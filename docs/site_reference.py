@@ -54,35 +54,51 @@ def _member(name: str, value: Any) -> Iterator[str]:
 
 
 def _signature(thing: Any) -> str:
-    """The parameters, one a line where they are many."""
+    """The parameters, one a line where they are many; annotations as they are written."""
     signature = inspect.signature(thing)
     kept = [p for p in signature.parameters.values() if p.name not in ("self", "cls")]
-    text = str(signature.replace(parameters=kept))
-    parameters = [str(p) for p in kept]
+    text = _unquoted(str(signature.replace(parameters=kept)))
     if len(text) <= 90:
         return text
-    stars = [n for n, p in enumerate(kept) if p.kind is p.KEYWORD_ONLY]
-    if stars:
-        parameters.insert(stars[0], "*")
+    parameters = [_unquoted(str(p)) for p in kept]
+    named = [n for n, p in enumerate(kept) if p.kind is p.KEYWORD_ONLY]
+    if named:
+        parameters.insert(named[0], "*")
     return "(\n    " + ",\n    ".join(parameters) + ",\n)"
 
 
+def _unquoted(text: str) -> str:
+    return re.sub(r"(: |-> )'([^']*)'", r"\1\2", text)
+
+
 def _text(docstring: str) -> str:
-    """A docstring as Markdown: sections become bold, their entries a list, roles code."""
+    """A docstring as Markdown: sections become bold, their entries a list, roles code, examples code."""
     text = re.sub(r":\w+:`~?([^`]+)`", r"`\1`", docstring.replace("``", "`"))
-    text = re.sub(r"^(\w[\w ]*)\n-{3,}$", r"\n**\1**\n", text, flags=re.MULTILINE)
-    text = re.sub(r"^([*\w][\w, *.]*) : (.*(?:\n    .*)*)", _entry, text, flags=re.MULTILINE)
-    return re.sub(r"((?:^    \S.*\n?)+)", _code, text, flags=re.MULTILINE)
+    head, *sections = re.split(r"^(?=\w[\w ]*\n-{3,}$)", text, flags=re.MULTILINE)
+    return "\n".join([_example(head), *map(_section, sections)])
+
+
+def _section(text: str) -> str:
+    """``Parameters``, ``Raises`` and the like."""
+    title, _, *lines = text.splitlines()
+    body = inspect.cleandoc("\n".join(["", *lines]))
+    body = re.sub(r"^(\S.*?) : (.*(?:\n    .*)*)", _entry, body, flags=re.MULTILINE)
+    body = re.sub(r"^(\w[\w, ]*)\n((?:    .*\n?)+)", _entry, body, flags=re.MULTILINE)
+    return f"\n**{title}**\n\n{body}\n"
 
 
 def _entry(match: re.Match[str]) -> str:
-    return f"- `{match[1]}`: {' '.join(match[2].split())}"
+    return f"- `{match[1]}`: {' '.join(match[2].split())}\n"
 
 
-def _code(match: re.Match[str]) -> str:
-    """Indented lines are code, unless they explain a name of a section."""
-    lines = inspect.cleandoc(match[1])
-    return f"```python\n{lines}\n```\n" if re.search(r"[=(]", lines) else f"    {lines}\n"
+def _example(text: str) -> str:
+    """Indented lines, with the empty lines between them, are code."""
+    return re.sub(
+        r"^    .*(?:\n(?: {4}.*|(?=\n {4})))*",
+        lambda match: f"```python\n{inspect.cleandoc(match[0])}\n```",
+        text,
+        flags=re.MULTILINE,
+    )
 
 
 def schema_page() -> str:

@@ -92,6 +92,10 @@ def _sections(
     else:
         yield "cells", "Invalid cells", cells_section(report)
         yield "quality", "Quality", sections.quality_section(report)
+    if report.get("shape"):
+        yield "shape", "Shape of cells", sections.shape_section(report)
+    if len(report.get("attempts") or ()) > 1 or report.get("repair"):
+        yield "attempts", "Attempts", sections.attempts_section(report)
     if report.get("blocks"):
         yield "blocks", "Blocks", sections.blocks_section(report)
     if report["warnings"]:

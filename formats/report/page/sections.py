@@ -80,6 +80,37 @@ def blocks_section(report: Report) -> str:
     return table(f"{len(rows)} blocks, the one with the worst cell first", heads, rows, sortable=True, flagged=flagged)
 
 
+def attempts_section(report: Report) -> str:
+    """What was tried until the grid was valid, and what a repair did."""
+    rows = [
+        (a["method"], a["steps"], "yes" if a["repair"] else "no", a["invalid_cells"], f"{a['reached']:.1%}")
+        for a in report["attempts"]
+    ]
+    heads = ("method", "steps", "with repair", "invalid cells", "motion imposed")
+    html = table("Attempts, in their order; the last one is the grid that was written", heads, rows, text=(0, 2))
+    repair = report.get("repair")
+    if repair:
+        html += (
+            f"<p>Repair: {repair['cells']:,} cells made valid or better by moving {repair['nodes']:,} nodes, none by more "
+            f"than {repair['max_movement']:.4g}; {repair['newton_steps']} Newton steps, {repair['seconds']:.1f} s. "
+            "Nodes of the boundary stay where the motion put them.</p>"
+        )
+    return html
+
+
+def shape_section(report: Report) -> str:
+    """What flow solvers complain about."""
+    shape = report["shape"]
+    rows = []
+    for name, after in shape["after"].items():
+        before = (shape["before"] or {}).get(name)
+        place = after.get("worst")
+        where = f"{place['block']} ({', '.join(map(str, place['ijk']))})" if place else ""
+        rows.append((name, before["max"] if before else None, after["max"], after["mean"], where))
+    heads = ("measure", "largest before", "largest", "mean", "largest at")
+    return table("What flow solvers complain about", heads, rows, text=(0, 4))
+
+
 def boundary_section(report: Report) -> str:
     """Who moves, who stays; what tables matched."""
     boundary = report["boundary"]
