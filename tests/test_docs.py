@@ -10,10 +10,13 @@ import sys
 from pathlib import Path
 
 import pytest
+import site_reference
 from site_pages import blocks, expected_outcomes, made, pictures
 
+import meshdeform
 from meshdeform_cli.main import cli, run
 from meshdeform_formats.case import read_case
+from meshdeform_formats.report.schema import report_schema
 
 OWN_URL = re.compile(
     r"https://(github\.com/meshdeform/meshdeform/blob|raw\.githubusercontent\.com/meshdeform/meshdeform)/main/"
@@ -138,3 +141,23 @@ def test_links_lead_somewhere(page):
             assert (ROOT / target[own.end() :]).exists(), f"{page.name}: {target}"
         elif not target.startswith("http"):
             assert (page.parent / target).exists(), f"{page.name}: {target}"
+
+
+def test_generated_reference_has_every_name_command_and_key():
+    page = site_reference.python_page()
+    for name in meshdeform.__all__:
+        assert name.startswith("__") or f"\n## {name}\n" in page
+    assert "### Mesh.deform" in page
+    commands = site_reference.command_page()
+    for name in cli.list_commands(None):
+        assert f"\n## {name}\n" in commands
+    schema = site_reference.schema_page()
+    for key in report_schema()["properties"]:
+        assert f"| `{key}` |" in schema
+
+
+def test_pages_are_in_the_table_of_contents():
+    contents = (ROOT / "docs" / "mkdocs.yml").read_text()
+    for page in (ROOT / "docs").rglob("*.md"):
+        name = page.relative_to(ROOT / "docs").as_posix()
+        assert f": {name}" in contents or name.startswith("reproduced/"), name

@@ -21,6 +21,7 @@ from meshdeform_cli.main import run
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.quality.cells import measure_block
 from meshdeform_formats import read_grid
+from meshdeform_formats.report.page import as_html
 
 RUN = ("deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz")
 SERIES = ("series", "grid.xyz", "-c", "case.toml", "-s", "constants.turn=1", "--times", "0:1:0.5", "-o", "levels")
@@ -150,6 +151,18 @@ def test_seconds_of_a_resumed_series_add_up(bench, call):
     timing = json.loads(Path("b.json").read_text())["timing"]
     assert timing["apply"] == pytest.approx(sum(level["timing"]["apply"] for level in levels))
     assert timing.pop("total") == pytest.approx(sum(timing.values()))
+
+
+def test_attempts_and_repair_are_told(far):
+    report = far[0] | {
+        "attempts": [
+            {"method": "idw-tfi", "steps": 1, "repair": False, "invalid_cells": 581, "reached": 1.0},
+            {"method": "idw-tfi", "steps": 2, "repair": True, "invalid_cells": 0, "reached": 0.5},
+        ],
+        "repair": {"cells": 603, "nodes": 8121, "max_movement": 1.25, "newton_steps": 16, "seconds": 7.0},
+    }
+    text = Page(as_html(report)).text
+    assert all(part in text for part in ("581", "50.0%", "603 cells", "8,121 nodes", "1.25", "16 Newton steps"))
 
 
 def test_names_cannot_break_the_page(bench, call):

@@ -91,9 +91,9 @@ def attempts_section(report: Report) -> str:
     repair = report.get("repair")
     if repair:
         html += (
-            f"<p>Repair: {repair['cells']:,} cells made valid or better by moving {repair['nodes']:,} nodes, none by more "
-            f"than {repair['max_movement']:.4g}; {repair['newton_steps']} Newton steps, {repair['seconds']:.1f} s. "
-            "Nodes of the boundary stay where the motion put them.</p>"
+            f"<p>Repair: {repair['cells']:,} cells made valid or better by moving {repair['nodes']:,} nodes, "
+            f"none by more than {repair['max_movement']:.4g}; {repair['newton_steps']} Newton steps, "
+            f"{repair['seconds']:.1f} s. Nodes of the boundary stay where the motion put them.</p>"
         )
     return html
 
