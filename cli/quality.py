@@ -78,8 +78,9 @@ def judged(source: GridInput, reference: Path | None, what: CaseFile) -> dict[st
     from meshdeform_formats.report import quality_report
 
     grid = source.read(what.boundary_file)
-    assessment, notes = judge(grid, grid if reference is None else _original(grid, reference), what.case)
-    return quality_report(grid, assessment, notes, str(reference) if reference else None)
+    original = None if reference is None else _original(grid, reference)
+    assessment, notes = judge(grid, original or grid, what.case)
+    return quality_report(grid, assessment, notes, str(reference) if reference else None, original)
 
 
 def _original(grid: Grid, reference: Path) -> Grid:

@@ -23,7 +23,6 @@ from meshdeform_formats.case import CaseFile
 from meshdeform_formats.grids import complete_for_export, variant_of, write_grid
 from meshdeform_formats.report import Report, as_json, deformation_report, plan_report
 from meshdeform_formats.report.illustrations import Illustrate, deformation_figures
-from meshdeform_formats.report.places import Place, places_of
 from meshdeform_formats.report.text import as_text
 
 from .exit_codes import EXIT_INVALID
@@ -155,6 +154,9 @@ def conclude(report: Report, run: RunInput, delivery: Delivery) -> int:
     return 0 if report["valid"] or run.allow_invalid else EXIT_INVALID
 
 
+_GROUPS_TOLD = 3
+
+
 def _verdict(report: dict[str, Any]) -> str:
     if "levels" not in report:
         return f"{_flaw(report, report['quality']['after'])}. The grid is in {report['output']}"
@@ -169,21 +171,21 @@ def _verdict(report: dict[str, Any]) -> str:
 def _flaw(result: dict[str, Any], quality: dict[str, Any]) -> str:
     if result["reached"] < 1.0:
         return f"the motion was imposed to {result['reached']:.1%} only; the grid is the one reached"
-    places = places_of(result["invalid_cells"])
-    where = "; ".join(_place(place) for place in places[:_PLACES])
-    more = f"; and {len(places) - _PLACES} more groups" if len(places) > _PLACES else ""
+    groups = result["invalid_groups"]
+    if len(groups) == 1:
+        where = f" {_place(groups[0])}"
+    else:
+        largest = ", the largest" if len(groups) > _GROUPS_TOLD else ""
+        each = (f"{group['cells']} {_place(group)}" for group in groups[:_GROUPS_TOLD])
+        where = f" in {len(groups)} groups{largest}: {'; '.join(each)}"
     return (
-        f"{quality['invalid_cells']:,} cells became invalid: {where}{more}; "
+        f"{quality['invalid_cells']} cells became invalid{where}; "
         "try --steps auto, or another method (see `meshdeform methods`)"
     )
 
 
-_PLACES = 3
-
-
-def _place(place: Place) -> str:
-    """One group of invalid cells: what it is near, where it is in the grid and in space."""
-    ranges = ", ".join(str(a) if a == b else f"{a}..{b}" for a, b in zip(place.low, place.high, strict=True))
-    center = ", ".join(f"{x:.4g}" for x in place.center)
-    near = f" near {place.patch!r}" if place.patch else ""
-    return f"{place.cells:,} of {place.block} ({ranges}){near} around ({center})"
+def _place(group: dict[str, Any]) -> str:
+    """Where a group of invalid cells is: near what, around which point, the worst of them."""
+    center = ", ".join(f"{x:.4g}" for x in group["center"])
+    near = f"near {group['nearest_patch']!r} " if group["nearest_patch"] else ""
+    return f"{near}around ({center}), worst {group['block']} {tuple(group['ijk'])}"

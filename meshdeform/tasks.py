@@ -59,8 +59,9 @@ def quality(
 
     own = core_grid(grid)
     what = parsed_case({} if case is None else case)
-    assessment, notes = judge(own, own if reference is None else core_grid(reference), what.case)
-    return quality_report(own, assessment, notes)
+    original = None if reference is None else core_grid(reference)
+    assessment, notes = judge(own, original or own, what.case)
+    return quality_report(own, assessment, notes, original=original)
 
 
 def compare(a: Grid | str | Path, b: Grid | str | Path) -> Difference:

@@ -358,7 +358,7 @@ class _March:
             if self.failed is not None:
                 # The kept grid is valid; what the user needs to know is which cells the next step would break.
                 broken = assess(setup.original, self._rounded(self.failed), setup.boundary)
-                assessment = dataclasses.replace(assessment, invalid=broken.invalid)
+                assessment = dataclasses.replace(assessment, invalid=broken.invalid, groups=broken.groups)
             assessment = assessment.with_steps(setup.grid, self.first_bad, self.steps + (self.failed is not None))
         return Result(
             setup,

@@ -10,6 +10,7 @@ from meshdeform_core.grid import Grid
 from meshdeform_core.methods import Account
 from meshdeform_core.methods.limits import PatchMotion
 from meshdeform_core.quality import Assessment
+from meshdeform_core.quality.shape import shape_measures
 
 from .parts import Report, boundary_part, cell_part, head_part, method_part, quality_part
 
@@ -34,6 +35,7 @@ def deformation_report(result: Result, timing: Mapping[str, float], peak_memory:
         "blocks": [dataclasses.asdict(block) for block in result.assessment.blocks],
         "valid": result.valid,
         "invalid_cells": [cell_part(cell) for cell in result.assessment.invalid],
+        "invalid_groups": [dataclasses.asdict(group) for group in result.assessment.groups],
         "steps": result.steps,
         "reached": result.reached,
         "timing": seconds | result.timing.seconds | dict(timing),
@@ -43,18 +45,29 @@ def deformation_report(result: Result, timing: Mapping[str, float], peak_memory:
 
 
 def quality_report(
-    grid: Grid, assessment: Assessment, warnings: tuple[str, ...], reference: str | None = None
+    grid: Grid,
+    assessment: Assessment,
+    warnings: tuple[str, ...],
+    reference: str | None = None,
+    original: Grid | None = None,
 ) -> Report:
-    """The report of a grid on its own or against its original, the file ``reference``."""
+    """The report of a grid on its own or against its ``original``, the file ``reference``."""
     return {
         **head_part(grid),
         "reference": reference,
         **quality_part(assessment),
+        "shape": {"before": None if original is None else _shape_part(original), "after": _shape_part(grid)},
         "blocks": [dataclasses.asdict(block) for block in assessment.blocks],
         "valid": assessment.valid,
         "invalid_cells": [cell_part(cell) for cell in assessment.invalid],
+        "invalid_groups": [dataclasses.asdict(group) for group in assessment.groups],
         "warnings": list(warnings),
     }
+
+
+def _shape_part(grid: Grid) -> Report:
+    """What solvers complain about, with the worst cell of each."""
+    return {name: dataclasses.asdict(measure) for name, measure in shape_measures(grid).items()}
 
 
 def plan_report(setup: Setup, account: Account, largest: float, motion: Sequence[PatchMotion] = ()) -> Report:

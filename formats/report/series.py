@@ -49,6 +49,7 @@ def level_record(level: Level, file: str, write_seconds: float, head: Report, wa
         "drift": dataclasses.asdict(level.drift) if level.drift else None,
         "quality": dataclasses.asdict(result.assessment.after),
         "invalid_cells": [cell_part(cell) for cell in result.assessment.invalid[:_LISTED]],
+        "invalid_groups": [dataclasses.asdict(group) for group in result.assessment.groups],
         "method": {key: value for key, value in method.items() if head["method"].get(key) != value},
         "timing": {**seconds, "total": sum(seconds.values())},
         "warnings": [text for key, text in warnings.items() if key not in known],

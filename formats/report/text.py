@@ -11,6 +11,12 @@ from .measures import measure_rows
 from .series_text import series_lines
 
 _LISTED = 20
+_SHAPE_NAMES = {"non_orthogonality_deg": "non-orthogonality [deg]"}
+# What is measured against another grid.
+_COMPARED = (
+    "smallest relative Jacobian", "first cell height ratio min", "first cell height ratio max", "volume ratio min",
+    "volume ratio max",
+)  # fmt: skip
 
 
 def as_text(report: dict[str, Any]) -> str:
@@ -76,9 +82,17 @@ def _motion(patches: list[dict[str, Any]]) -> Iterator[str]:
 
 
 def _quality(report: dict[str, Any]) -> Iterator[str]:
-    yield f"{'quality':9s} {'':34s} {'before':>14s} {'after':>14s}"
+    # A grid on its own has nothing to compare with: one column.
+    alone = "reference" in report and report["reference"] is None
+    heads = ("",) if alone else ("before", "after")
+    yield f"{'quality':9s} {'':34s}" + "".join(f" {head:>14s}" for head in heads)
     for row in measure_rows(report["quality"]):
-        yield f"{'':9s} {row.name:34s} {number(row.before):>14s} {number(row.after):>14s}"
+        if alone and row.name in _COMPARED:
+            continue
+        values = (row.after,) if alone else (row.before, row.after)
+        yield f"{'':9s} {row.name:34s}" + "".join(f" {number(value):>14s}" for value in values)
+    if "shape" in report:
+        yield from _shape(report["shape"], alone)
     if "steps" in report:
         reached = "" if report["reached"] == 1.0 else f", the motion imposed to {report['reached']:.1%}"
         yield f"steps     {report['steps']}{reached}"
@@ -92,6 +106,17 @@ def _quality(report: dict[str, Any]) -> Iterator[str]:
         )
     if len(cells) > _LISTED:
         yield f"          ... {len(cells) - _LISTED} more in the json report"
+
+
+def _shape(shape: dict[str, Any], alone: bool) -> Iterator[str]:
+    """Largest value of every measure of shape, and where it is."""
+    for name, after in shape["after"].items():
+        before = (shape["before"] or {}).get(name)
+        values = (after,) if alone else (before, after)
+        place = after["worst"]
+        label = f"largest {_SHAPE_NAMES.get(name, name.replace('_', ' '))}"
+        columns = "".join(f" {number(v['max']) if v else '':>14s}" for v in values)
+        yield f"{'':9s} {label:34s}{columns}  at {place['block']} ({', '.join(map(str, place['ijk']))})"
 
 
 def number(value: Any) -> str:

@@ -88,24 +88,28 @@ def list_cells(original: Original, points: FloatArray, cells: IntArray, verdict:
 def with_nearest_patch(
     grid: Grid, topology: Topology, boundary: Boundary | None, points: FloatArray, cells: list[InvalidCell]
 ) -> tuple[InvalidCell, ...]:
-    """Name the moving boundary closest to each cell, both undeformed; without moving ones any boundary.
-
-    On grids of one or few layers of cells the side planes would be closest everywhere, and tell nothing.
-    """
-    if not cells or boundary is None or not boundary.patches:
-        return tuple(cells)
-    patches = [patch for patch in boundary.patches if patch.kind is Kind.MOVING] or list(boundary.patches)
+    """Name the boundary nearest to each cell, both undeformed, see :func:`nearest_patches`."""
+    if not cells:
+        return ()
     centers = []
     for cell in cells:
         i, j, k = (n - 1 for n in cell.ijk)
         x = grid.block(grid.names.index(cell.block), points)
         centers.append(x[i : i + 2, j : j + 2, k : k + 2].reshape(-1, 3).mean(axis=0))
-    at = np.array(centers)
-    distance = np.stack([_distance(at, points[topology.first[p.nodes]]) for p in patches])
-    nearest = distance.argmin(axis=0)
-    return tuple(
-        dataclasses.replace(cell, nearest_patch=patches[int(n)].name) for cell, n in zip(cells, nearest, strict=True)
-    )
+    near = nearest_patches(grid.moved(points), topology, boundary, np.array(centers))
+    return tuple(dataclasses.replace(cell, nearest_patch=name) for cell, name in zip(cells, near, strict=True))
+
+
+def nearest_patches(grid: Grid, topology: Topology, boundary: Boundary | None, at: FloatArray) -> list[str]:
+    """Names of the moving boundaries nearest to points (n, 3); without moving ones of any; empty without a boundary.
+
+    On grids of one or few layers of cells the side planes would be nearest everywhere, and tell nothing.
+    """
+    if boundary is None or not boundary.patches:
+        return [""] * len(at)
+    patches = [patch for patch in boundary.patches if patch.kind is Kind.MOVING] or list(boundary.patches)
+    distance = np.stack([_distance(at, grid.points[topology.first[p.nodes]]) for p in patches])
+    return [patches[int(n)].name for n in distance.argmin(axis=0)]
 
 
 def _distance(at: FloatArray, nodes: FloatArray) -> FloatArray:

@@ -14,6 +14,7 @@ from ..grid import FloatArray, Grid
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology
 from .comparison import Comparison
+from .groups import InvalidGroup, group_cells
 from .lines import interface_lines, kink_and_jump, moving_walls, wall_lines
 from .listed import InvalidCell, Worst, cell_starts, list_cells, with_nearest_patch, worst_cell
 from .original import Original
@@ -69,6 +70,7 @@ class Assessment:
     after: Quality
     invalid: tuple[InvalidCell, ...]
     blocks: tuple[BlockQuality, ...] = ()
+    groups: tuple[InvalidGroup, ...] = ()
 
     @property
     def valid(self) -> bool:
@@ -140,6 +142,7 @@ def assess(
         ),
         with_nearest_patch(grid, topology, boundary, start, invalid),
         per_block(original, cells),
+        group_cells(grid, topology, boundary, after, broken, cells.verdict.ratio),
     )
 
 

@@ -1,0 +1,119 @@
+"""Invalid cells put together by place: those that touch each other, across blocks too."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from ..boundary import Boundary
+from ..grid import FloatArray, Grid, IntArray, Shape
+from ..grid.topology import Topology
+from .listed import cell_starts, nearest_patches
+
+MAX_GROUPS = 20
+
+
+@dataclass(frozen=True)
+class InvalidGroup:
+    """Invalid cells that share nodes.
+
+    Attributes
+    ----------
+    cells : how many
+    blocks : names of the blocks they lie in
+    box : lowest and highest coordinates of the deformed cells
+    center : mean of the centres of the deformed cells
+    block, ijk : the worst of them (1-based), with the smallest Jacobian relative to the undeformed one
+    nearest_patch : the moving boundary nearest to it in the undeformed grid
+    """
+
+    cells: int
+    blocks: tuple[str, ...]
+    box: tuple[tuple[float, ...], tuple[float, ...]]
+    center: tuple[float, ...]
+    block: str
+    ijk: Shape
+    nearest_patch: str = ""
+
+
+def group_cells(
+    grid: Grid, topology: Topology, boundary: Boundary | None, after: FloatArray, cells: IntArray, ratio: np.ndarray
+) -> tuple[InvalidGroup, ...]:
+    """The groups of ``cells`` (numbers), the largest first, at most ``MAX_GROUPS``.
+
+    Parameters
+    ----------
+    after : coordinates of the deformed grid (n_nodes, 3)
+    ratio : (n_cells,) smallest relative Jacobian of every cell
+    """
+    if cells.size == 0:
+        return ()
+    block, ijk = _places(grid, cells)
+    nodes = _corners(grid, block, ijk)
+    part = _touching(_unique(topology, nodes))
+    order = np.argsort(-np.bincount(part), kind="stable")[:MAX_GROUPS]
+    worst = [members[int(np.argmin(ratio[cells[members]]))] for members in (np.flatnonzero(part == n) for n in order)]
+    before = grid.points[nodes[worst]].mean(axis=1)
+    near = nearest_patches(grid, topology, boundary, before)
+    return tuple(
+        _group(grid, after, block, ijk, nodes, np.flatnonzero(part == n), at, patch)
+        for n, at, patch in zip(order, worst, near, strict=True)
+    )
+
+
+def _group(
+    grid: Grid, after: FloatArray, block: IntArray, ijk: IntArray, nodes: IntArray, members: IntArray, worst: int,
+    patch: str,
+) -> InvalidGroup:  # fmt: skip
+    x = after[nodes[members]]
+    box = tuple(x.min(axis=(0, 1)).tolist()), tuple(x.max(axis=(0, 1)).tolist())
+    i, j, k = (int(n) + 1 for n in ijk[worst])
+    return InvalidGroup(
+        len(members),
+        tuple(grid.names[b] for b in np.unique(block[members])),
+        box,
+        tuple(x.mean(axis=(0, 1)).tolist()),
+        grid.names[block[worst]],
+        (i, j, k),
+        patch,
+    )
+
+
+def _places(grid: Grid, cells: IntArray) -> tuple[IntArray, IntArray]:
+    """Block (n,) and 0-based i, j, k (n, 3) of cells."""
+    starts = cell_starts(grid)
+    block = np.searchsorted(starts, cells, side="right") - 1
+    shapes = np.array(grid.cell_shapes)[block]
+    local = cells - starts[block]
+    i, rest = np.divmod(local, shapes[:, 1] * shapes[:, 2])
+    j, k = np.divmod(rest, shapes[:, 2])
+    return block, np.stack([i, j, k], axis=1)
+
+
+def _corners(grid: Grid, block: IntArray, ijk: IntArray) -> IntArray:
+    """Flat node indices (n, 8) of cells; in a 2-D grid every corner twice."""
+    shapes = np.array(grid.shapes)[block]
+    corner = np.stack(np.meshgrid(*[[0, 1]] * 3, indexing="ij"), axis=-1).reshape(1, 8, 3)
+    at = np.minimum(ijk[:, None] + corner, shapes[:, None] - 1)
+    flat = (at[..., 0] * shapes[:, None, 1] + at[..., 1]) * shapes[:, None, 2] + at[..., 2]
+    return np.asarray(grid.offsets[block][:, None] + flat)
+
+
+def _unique(topology: Topology, nodes: IntArray) -> IntArray:
+    """Nodes with coincident ones replaced by the first of them."""
+    at = np.minimum(np.searchsorted(topology.face_nodes, nodes), len(topology.face_nodes) - 1)
+    shared = topology.face_nodes[at] == nodes
+    return np.where(shared, topology.first[topology.number[at]], nodes)
+
+
+def _touching(nodes: IntArray) -> IntArray:
+    """Number of the connected group of every row of nodes (n,)."""
+    _, local = np.unique(nodes, return_inverse=True)
+    n = len(nodes)
+    rows = np.repeat(np.arange(n), nodes.shape[1])
+    graph = coo_matrix((np.ones(nodes.size, np.int8), (rows, n + local.ravel())), shape=(n + int(local.max()) + 1,) * 2)
+    _, label = connected_components(graph, directed=False)
+    return np.asarray(np.unique(label[:n], return_inverse=True)[1])

@@ -1,0 +1,73 @@
+"""Measures that flow solvers complain about: aspect ratio, growth, non-orthogonality, skewness."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..grid import FloatArray, Grid, IntArray
+from ..grid.planes import plane_normal
+from ..numerics.shape import measure_shape
+from .listed import Worst
+
+DEFINITIONS = {
+    "aspect_ratio": "longest over shortest mean edge of a cell, over the index directions with more than one cell",
+    "growth_ratio": "larger over smaller mean edge of two neighbours, along the grid line that joins them",
+    "non_orthogonality_deg": "angle between the line of two cell centres and the normal of their face (as checkMesh)",
+    "skewness": "where that line meets the face: distance to the face's centre over the line's length",
+}
+"""What is measured; neighbours are those within a block."""
+
+
+@dataclass(frozen=True)
+class ShapeMeasure:
+    """A measure of a whole grid: its mean, its largest value and the cell where that is."""
+
+    mean: float
+    max: float
+    worst: Worst
+
+
+def shape_measures(grid: Grid, points: FloatArray | None = None) -> dict[str, ShapeMeasure]:
+    """All measures of :data:`DEFINITIONS` of a grid with coordinates ``points`` (n_nodes, 3; default its own).
+
+    Collapsed edges and faces have no ratio or direction and are passed over.
+    """
+    points = grid.points if points is None else points
+    best = np.full(4, -1.0)
+    cells: list[tuple[int, IntArray]] = [(0, np.zeros(3, dtype=np.int64))] * 4
+    total, count = np.zeros(4), np.zeros(4, dtype=np.int64)
+    for block in range(grid.n_blocks):
+        worst, place = np.full(4, -1.0), np.zeros((4, 3), dtype=np.int64)
+        x, resolved = _solid(grid, block, points)
+        measure_shape(x, resolved, worst, place, total, count)
+        for m in np.flatnonzero(worst > best):
+            best[m], cells[m] = worst[m], (block, place[m])
+    return {
+        name: ShapeMeasure(float(total[m] / count[m]), float(best[m]), _worst(grid, points, float(best[m]), *cells[m]))
+        for m, name in enumerate(DEFINITIONS)
+        if count[m]
+    }
+
+
+def _solid(grid: Grid, block: int, points: FloatArray) -> tuple[FloatArray, IntArray]:
+    """The nodes of a block, of a 2-D one extruded by one layer, and its index axes with more than one cell."""
+    x = grid.block(block, points)
+    resolved = np.array([n > 1 for n in grid.cell_shapes[block]], dtype=np.int64)
+    if grid.dimension == 2:
+        flat = grid.shapes[block].index(1)
+        normal = plane_normal(grid)
+        assert normal is not None
+        x = np.concatenate([x, x + normal * float(np.ptp(grid.points, axis=0).max())], axis=flat)
+    if not resolved.any():
+        resolved[:] = 1
+    return np.ascontiguousarray(x), resolved
+
+
+def _worst(grid: Grid, points: FloatArray, value: float, block: int, cell: IntArray) -> Worst:
+    i, j, k = (int(n) for n in cell)
+    center = grid.block(block, points)[i : i + 2, j : j + 2, k : k + 2].reshape(-1, 3).mean(axis=0)
+    return Worst(
+        value, grid.names[block], (i + 1, j + 1, k + 1), (float(center[0]), float(center[1]), float(center[2]))
+    )
