@@ -20,38 +20,12 @@ from numba.core import event
 _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 
 
-def _compiled(**options: Any) -> Callable[[Callable], Any]:
-    """A decorator: numba with the options of all our loops and ``options``."""
-
-    def decorate(function: Callable) -> Any:
-        try:
-            return njit(cache=True, **_OPTIONS, **options)(function)
-        except RuntimeError:
-            # No folder for the cache can be written, neither beside the source nor in the user's home.
-            return njit(**_OPTIONS, **options)(function)
-
-    return decorate
-
-
-kernel = _compiled(no_cfunc_wrapper=True)
-"""Decorator for loops whose results must not depend on the order of operations."""
-
-fast_kernel = _compiled(no_cfunc_wrapper=True, fastmath=True)
-"""Decorator for sums: additions may be reordered, so that they become vector instructions."""
-
-contracted_kernel = _compiled(no_cfunc_wrapper=True, fastmath={"contract"}, forceinline=True)
-"""Decorator for functions that may fuse multiplications with additions but must keep their order."""
-
-inlined = _compiled(inline="always")
-"""Decorator for parts of a loop: put in their place before compiling, with the rules of the loop that uses them."""
-
-
 class _CompileClock(event.Listener):
     """Counts what is compiled; what comes from the cache is not."""
 
     def __init__(self) -> None:
-        self.seconds, self.loops = 0.0, 0
-        self.notice: Callable[[], None] | None = None
+        self.seconds, self.loops, self.cached = 0.0, 0, True
+        self.notice: Callable[[int], None] | None = None
         self._depth, self._start, self._collecting = 0, 0.0, True
 
     # numba compiles under a lock of its own, one loop at a time: no two threads come here together.
@@ -59,7 +33,7 @@ class _CompileClock(event.Listener):
         if self._depth == 0:
             self._start = time.perf_counter()
             if self.notice:
-                self.notice()
+                self.notice(self.loops)
             # A compiler makes millions of small objects; searching them for garbage takes a sixth of its time.
             self._collecting = gc.isenabled()
             gc.disable()
@@ -78,6 +52,33 @@ _clock = _CompileClock()
 event.register("numba:compile", _clock)
 
 
+def _compiled(**options: Any) -> Callable[[Callable], Any]:
+    """A decorator: numba with the options of all our loops and ``options``."""
+
+    def decorate(function: Callable) -> Any:
+        try:
+            return njit(cache=True, **_OPTIONS, **options)(function)
+        except RuntimeError:
+            # No folder for the cache can be written, neither beside the source nor in the user's home.
+            _clock.cached = False
+            return njit(**_OPTIONS, **options)(function)
+
+    return decorate
+
+
+kernel = _compiled(no_cfunc_wrapper=True)
+"""Decorator for loops whose results must not depend on the order of operations."""
+
+fast_kernel = _compiled(no_cfunc_wrapper=True, fastmath=True)
+"""Decorator for sums: additions may be reordered, so that they become vector instructions."""
+
+contracted_kernel = _compiled(no_cfunc_wrapper=True, fastmath={"contract"}, forceinline=True)
+"""Decorator for functions that may fuse multiplications with additions but must keep their order."""
+
+inlined = _compiled(inline="always")
+"""Decorator for parts of a loop: put in their place before compiling, with the rules of the loop that uses them."""
+
+
 def compile_seconds() -> float:
     """Seconds that this process has spent on compiling so far."""
     return _clock.seconds
@@ -88,6 +89,11 @@ def compiled_loops() -> int:
     return _clock.loops
 
 
-def on_compile(notice: Callable[[], None] | None) -> None:
-    """Call ``notice`` before every loop that is compiled because the cache does not have it."""
+def is_cached() -> bool:
+    """Whether compiled loops are kept on disk; otherwise every start compiles what it needs."""
+    return _clock.cached
+
+
+def on_compile(notice: Callable[[int], None] | None) -> None:
+    """Call ``notice``, with the number of those before, for every loop that is compiled because no cache has it."""
     _clock.notice = notice

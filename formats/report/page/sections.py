@@ -19,6 +19,7 @@ STAGES = {
     "topology": "coincident nodes, boundary",
     "prepare": "preparing the method",
     "apply": "moving the nodes",
+    "compile": "compiling loops, once per installation",
     "repair": "repairing cells",
     "quality": "judging the cells",
     "write": "writing the grid",
