@@ -21,21 +21,26 @@ from .signals import Handler, end_of
 
 _COMMANDS = (
     "deform", "series", "quality", "info", "init", "convert", "compare", "plot", "methods", "sample", "reproduce",
-    "schema",
+    "schema", "warm-up",
 )  # fmt: skip
 _ON_RANKS = ("deform", "series")
+
+
+def _module(name: str) -> str:
+    """The file of a command."""
+    return name.replace("-", "_")
 
 
 class LazyGroup(click.Group):
     """A group whose commands live one file each and are imported on demand: ``--help`` stays fast."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return [name for name in _COMMANDS if importlib.util.find_spec(f"{__package__}.{name}")]
+        return [name for name in _COMMANDS if importlib.util.find_spec(f"{__package__}.{_module(name)}")]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in self.list_commands(ctx):
             return None
-        command: click.Command = importlib.import_module(f"{__package__}.{cmd_name}").command
+        command: click.Command = importlib.import_module(f"{__package__}.{_module(cmd_name)}").command
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -57,6 +62,7 @@ _SUMMARIES = {
     "sample": "Write a sample case: grid and case.toml.",
     "schema": "JSON schema of case files or of reports.",
     "reproduce": "Rerun the tables and figures of the paper.",
+    "warm-up": "Compile all loops now (container images).",
 }
 
 

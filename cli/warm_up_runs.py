@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator
 
-
 from meshdeform_core.deform import deform
 from meshdeform_core.methods import IDW, RBF, Options, Progress
 from meshdeform_formats.case import read_case

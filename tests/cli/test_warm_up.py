@@ -1,0 +1,81 @@
+"""Compiling: told once, timed apart, done ahead, or done without a cache."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+from meshdeform_core import deform
+from meshdeform_core.numerics import jit
+
+CHECK = """
+import importlib, pkgutil, meshdeform_core
+from numba.core.dispatcher import Dispatcher
+from meshdeform_cli.main import run
+assert run(["warm-up"]) == 0
+for module in pkgutil.walk_packages(meshdeform_core.__path__, "meshdeform_core."):
+    for name, loop in vars(importlib.import_module(module.name)).items():
+        if isinstance(loop, Dispatcher) and loop.targetoptions.get("inline") != "always":
+            assert len(loop.signatures) <= 1, (module.name, name, loop.signatures)
+"""
+
+
+def _started(*command, cache):
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(cache)}
+    return subprocess.run([sys.executable, *command], env=environment, capture_output=True, text=True)
+
+
+@pytest.mark.slow
+def test_the_first_run_says_that_it_compiles_and_counts_it_apart(bench, tmp_path):
+    command = ["-m", "meshdeform_cli", "deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz", "--force", "-m", "tfi"]
+    runs = [_started(*command, "--report", "out.json", cache=tmp_path / "loops") for _ in range(2)]
+    assert [run.returncode for run in runs] == [0, 0]
+    assert runs[0].stderr.count("compiling loops, once per installation") == 1
+    assert "compiling" not in runs[1].stderr
+    first = json.loads((bench / "out.json").read_text())["timing"]
+    assert "compile" not in first  # of the second run
+
+
+@pytest.mark.slow
+def test_every_loop_has_one_signature_after_warm_up(tmp_path):
+    # Loops that come from the cache would not show the functions inside them.
+    result = _started("-c", CHECK, cache=tmp_path / "loops")
+    assert result.returncode == 0, result.stderr
+    assert "loops compiled" in result.stdout
+
+
+def test_compiling_is_a_stage_of_its_own(monkeypatch):
+    seconds = iter([10.0, 10.0])
+    monkeypatch.setattr(deform, "compile_seconds", lambda: next(seconds))
+    timing = deform.Timing()
+    with timing.stage("apply"):
+        pass
+    assert list(timing.seconds) == ["apply"]
+    now, spent = iter([0.0, 7.0]), iter([1.0, 5.0])
+    monkeypatch.setattr(deform.clock, "perf_counter", lambda: next(now))
+    monkeypatch.setattr(deform, "compile_seconds", lambda: next(spent))
+    with timing.stage("prepare"):
+        pass
+    assert timing.seconds["prepare"] == 3.0
+    assert timing.seconds["compile"] == 4.0
+
+
+def test_without_a_folder_for_the_cache_loops_are_compiled_all_the_same(monkeypatch):
+    def refuse(self):
+        raise RuntimeError("cannot cache function: no locator available")
+
+    monkeypatch.setattr("numba.core.dispatcher.Dispatcher.enable_caching", refuse)
+    monkeypatch.setattr(jit._clock, "cached", True)
+    before, heard = jit.compiled_loops(), []
+    monkeypatch.setattr(jit._clock, "notice", heard.append)
+
+    @jit.kernel
+    def twice(x):
+        return 2 * x
+
+    assert not jit.is_cached()
+    assert twice(3) == 6
+    assert jit.compiled_loops() == before + 1
+    assert heard == [before]
