@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator
+from pathlib import Path
 
 from meshdeform_core.deform import deform
 from meshdeform_core.methods import IDW, RBF, Options, Progress
@@ -31,7 +32,7 @@ def run_everything(progress: Progress) -> None:
     """Deform small grids by every method and throw the results away."""
     done = list(options())
     for number, (sample, size, method) in enumerate(done):
-        case = read_case(folder(sample) / "case.toml", (), None, None).case
+        case = read_case(Path(str(folder(sample))) / "case.toml", (), None, None).case
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             deform(load(sample).generate(size), type(case)(case.boundaries, case.constants, method), time=2.5e-4)
