@@ -168,23 +168,23 @@ def _handedness(x: FloatArray) -> int:
         flat = x.shape.index(1)
         a, b = (axis for axis in range(3) if axis != flat)
         plane = x.squeeze(axis=flat)
-        normal = np.cross(_mean_edges(plane, 0, 2), _mean_edges(plane, 1, 2))
-        signs = np.sign(normal[..., int(np.argmax(np.abs(normal).sum(axis=(0, 1))))])
+        normal = np.cross(*_mean_edges(plane, 2))
+        signs = np.sign(normal[..., int(np.argmax(np.abs(normal).sum(axis=0)))])
         # Index order (a, b) is cyclic for a flat i or k axis and reversed for a flat j axis.
         return -1 if (signs.sum() < 0) != ((b - a) == 2) else 1
-    edges = [_mean_edges(x, axis, 3) for axis in range(3)]
+    edges = _mean_edges(x, 3)
     signs = np.sign(np.einsum("...i,...i->...", edges[0], np.cross(edges[1], edges[2])))
     return -1 if signs.sum() < 0 else 1
 
 
-def _mean_edges(x: FloatArray, axis: int, dimension: int) -> FloatArray:
-    """Mean edge vector along ``axis`` of every sampled cell."""
+def _mean_edges(x: FloatArray, dimension: int) -> list[FloatArray]:
+    """Mean edge vectors of every sampled cell along each of its directions."""
     samples = [np.unique(np.linspace(0, n - 2, min(n - 1, 16)).astype(int)) for n in x.shape[:dimension]]
-    total = np.zeros(1)
-    for corner in np.ndindex(*(2,) * dimension):
-        picked = x[np.ix_(*(s + c for s, c in zip(samples, corner, strict=True)))]
-        total = total + (picked if corner[axis] else -picked)
-    return total / 2 ** (dimension - 1)
+    picked = np.stack(
+        [x[np.ix_(*(s + c for s, c in zip(samples, corner, strict=True)))] for corner in np.ndindex(*(2,) * dimension)]
+    ).reshape(*(2,) * dimension, -1, 3)
+    means = [picked.mean(axis=tuple(a for a in range(dimension) if a != axis)) for axis in range(dimension)]
+    return [mean[1] - mean[0] for mean in means]
 
 
 def _has_quads(shape: Shape, side: Side) -> bool:
@@ -236,15 +236,16 @@ def _face_quads(
             start[block, side] = total
             if (block, side) not in on_side:
                 continue
-            corners = _side_corners(on_side[block, side], side, grid.dimension, int(handedness[block]))
+            own = number[np.searchsorted(face_nodes, on_side[block, side])]
+            corners = _side_corners(own, side, grid.dimension, int(handedness[block]))
             counts[block, side] = [max(n - 1, 1) for n in on_side[block, side].shape]
-            parts.append(number[np.searchsorted(face_nodes, corners)])
+            parts.append(corners)
             total += len(corners)
     return FaceQuads(start, counts, np.concatenate(parts))
 
 
 def _side_corners(nodes: IntArray, side: Side, dimension: int, handedness: int) -> IntArray:
-    """Flat corner indices of a side's quads, counter-clockwise seen from outside; in 2-D the two end nodes.
+    """Corners, of ``nodes`` of any numbering, of a side's quads, counter-clockwise seen from outside; in 2-D the two end nodes.
 
     In 2-D the direction is such that the outside lies to the right, seen against the plane's positive normal.
     """

@@ -28,14 +28,23 @@ def coincident_groups(points, tolerance):
     -------
     labels : (n,) int64 in ``0 ... n_groups - 1``, numbered by first occurrence
     """
-    order = np.argsort(_key(points), kind="stable")
+    key = _key(points)
+    order = np.argsort(key)
     ordered = points[order]
-    copy_of = np.cumsum(np.r_[False, (ordered[1:] != ordered[:-1]).any(axis=1)])
-    first = np.r_[0, np.flatnonzero(np.diff(copy_of)) + 1]
-    pairs = close_pairs(ordered[first], np.maximum.reduceat(tolerance[order], first))
+    new = np.r_[True, _differ(ordered)]
+    first = np.flatnonzero(new)
+    pairs = _sweep(key[order[first]], ordered[first], np.maximum.reduceat(tolerance[order], first))
     exact = np.empty(len(points), dtype=np.int64)
-    exact[order] = copy_of
-    return _by_first_occurrence(_components(len(first), pairs)[exact])
+    exact[order] = np.cumsum(new) - 1
+    return _by_first_occurrence(_components(len(first), pairs)[exact], len(first))
+
+
+def _differ(rows):
+    """Which rows (n, m) differ from the one before, (n - 1,); a reduction over so short an axis would be slow."""
+    differ = rows[1:, 0] != rows[:-1, 0]
+    for column in range(1, rows.shape[1]):
+        differ |= rows[1:, column] != rows[:-1, column]
+    return differ
 
 
 def close_pairs(points, tolerance):
@@ -45,24 +54,29 @@ def close_pairs(points, tolerance):
     plane are few if only points of at least that tolerance take part, however strongly the grid is clustered.
     """
     key = _key(points)
-    order = np.argsort(key, kind="stable")
-    key, points, tolerance = key[order], points[order], tolerance[order]
+    order = np.argsort(key)
+    return order[_sweep(key[order], points[order], tolerance[order])]
+
+
+def _sweep(key, points, tolerance):
+    """The same for points in the order of their keys."""
     level = np.frexp(tolerance)[1]
     found = []
     for current in np.unique(level)[::-1]:
         members = np.flatnonzero(level >= current)
         keys, reach = key[members], np.ldexp(1.0, int(current))
-        active = np.arange(len(members) - 1)
+        active = np.flatnonzero(keys[1:] - keys[:-1] <= reach)
         shift = 1
         while active.size:
-            active = active[active + shift < len(members)]
-            active = active[keys[active + shift] - keys[active] <= reach]
             a, b = members[active], members[active + shift]
-            near = (np.minimum(level[a], level[b]) == current) & _within(points, tolerance, a, b)
+            here = np.minimum(level[a], level[b]) == current
+            a, b = a[here], b[here]
+            near = _within(points, tolerance, a, b)
             found.append(np.stack([a[near], b[near]], axis=1))
             shift += 1
-    pairs = np.concatenate(found) if found else np.empty((0, 2), dtype=np.int64)
-    return order[pairs]
+            active = active[active + shift < len(members)]
+            active = active[keys[active + shift] - keys[active] <= reach]
+    return np.concatenate(found) if found else np.empty((0, 2), dtype=np.int64)
 
 
 def _within(points, tolerance, a, b):
@@ -84,11 +98,13 @@ def _components(n, pairs):
     return labels
 
 
-def _by_first_occurrence(labels):
-    _, first, inverse = np.unique(labels, return_index=True, return_inverse=True)
-    rank = np.empty(len(first), dtype=np.int64)
-    rank[np.argsort(first, kind="stable")] = np.arange(len(first))
-    return rank[inverse]
+def _by_first_occurrence(labels, count):
+    """Labels below ``count`` numbered anew, in the order in which they come."""
+    n = len(labels)
+    first = np.empty(count, dtype=np.int64)
+    first[labels[::-1]] = np.arange(n - 1, -1, -1)
+    leads = first[labels] == np.arange(n)
+    return (np.cumsum(leads) - 1)[first[labels]]
 
 
 def equal_rows(rows):
@@ -103,13 +119,15 @@ def equal_rows(rows):
     partner : (n,) int64, ``-1`` where no other row is equal; in groups of more than two the rows point in a ring
     count : (n,) int64, size of each row's group
     """
-    if rows.shape[1] == 4:
-        keys = (rows[:, 2] << 32 | rows[:, 3], rows[:, 0] << 32 | rows[:, 1])
-    else:
-        keys = (rows[:, 1], rows[:, 0])
-    order = np.lexsort(keys)
+    order = np.argsort(_mixed(rows), kind="stable")
     ordered = rows[order]
-    start = np.flatnonzero(np.r_[True, (ordered[1:] != ordered[:-1]).any(axis=1)])
+    differ = _differ(ordered)
+    if np.count_nonzero(differ) > np.count_nonzero(np.diff(_mixed(ordered))):
+        # Two different rows have the same key.
+        order = np.lexsort(rows.T[::-1])
+        ordered = rows[order]
+        differ = _differ(ordered)
+    start = np.flatnonzero(np.r_[True, differ])
     size = np.diff(np.r_[start, len(rows)])
     count = np.empty(len(rows), dtype=np.int64)
     count[order] = np.repeat(size, size)
@@ -118,6 +136,17 @@ def equal_rows(rows):
     partner = np.empty(len(rows), dtype=np.int64)
     partner[order] = order[following]
     return np.where(count > 1, partner, -1), count
+
+
+def _mixed(rows):
+    """One key per row of integers, hardly ever the same for different rows."""
+    factors = np.array(
+        [0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9, 0x27D4EB2F165667C5], dtype=np.uint64
+    )
+    key = np.zeros(len(rows), dtype=np.uint64)
+    for column in range(rows.shape[1]):
+        key = (key ^ (key >> np.uint64(29))) + rows[:, column].astype(np.uint64) * factors[column]
+    return key
 
 
 def distinct(numbers, size):
