@@ -245,7 +245,7 @@ def _face_quads(
 
 
 def _side_corners(nodes: IntArray, side: Side, dimension: int, handedness: int) -> IntArray:
-    """Corners, of ``nodes`` of any numbering, of a side's quads, counter-clockwise seen from outside; in 2-D the two end nodes.
+    """Corners of a side's quads in the numbering of ``nodes``, counter-clockwise seen from outside; in 2-D both ends.
 
     In 2-D the direction is such that the outside lies to the right, seen against the plane's positive normal.
     """
