@@ -168,7 +168,8 @@ def _handedness(x: FloatArray) -> int:
         flat = x.shape.index(1)
         a, b = (axis for axis in range(3) if axis != flat)
         plane = x.squeeze(axis=flat)
-        normal = np.cross(*_mean_edges(plane, 2))
+        first, second = _mean_edges(plane, 2)
+        normal = np.cross(first, second)
         signs = np.sign(normal[..., int(np.argmax(np.abs(normal).sum(axis=0)))])
         # Index order (a, b) is cyclic for a flat i or k axis and reversed for a flat j axis.
         return -1 if (signs.sum() < 0) != ((b - a) == 2) else 1
