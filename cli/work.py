@@ -11,8 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import click
+import numpy as np
 
 from meshdeform_core.boundary.crossing import find_contact
+from meshdeform_core.boundary.motion import Follow
+from meshdeform_core.boundary.transfer import SurfaceData
 from meshdeform_core.deform import Case, deform, set_up
 from meshdeform_core.grid import Grid
 from meshdeform_core.memory import MemoryLimit, left_for_method, peak_memory
@@ -56,7 +59,17 @@ def load(source: GridInput, case: CaseInput, memory: MemoryLimit, outputs: Seque
     start = clock.perf_counter()
     grid = source.read(what.boundary_file)
     seconds = clock.perf_counter() - start
-    return Job(grid, what, seconds, left_for_method(memory, grid.n_nodes, grid.points.nbytes))
+    return Job(grid, what, seconds, left_for_method(memory, grid.n_nodes, grid.points.nbytes, _other_bytes(grid, what)))
+
+
+def _other_bytes(grid: Grid, case: CaseFile) -> int:
+    """What the grid file holds beside coordinates, and the tables of the case."""
+    steps = [step for spec in case.case.boundaries if spec.motion for step in spec.motion.steps]
+    tables = [step.data for step in steps if isinstance(step, Follow)]
+    arrays = [array for table in tables if isinstance(table, SurfaceData) for array in vars(table).values()]
+    arrays += [table.points for table in tables if isinstance(table, Grid)]
+    arrays += [field.values for field in grid.fields]
+    return sum(array.nbytes for array in arrays if isinstance(array, np.ndarray))
 
 
 @dataclass(frozen=True)

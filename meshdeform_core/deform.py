@@ -18,6 +18,7 @@ from .boundary.unselected import opening_notes
 from .errors import CaseError, MotionError
 from .grid import FloatArray, Grid
 from .grid.connectivity import check_connections
+from .grid.extent import require_extent
 from .grid.openings import find_openings
 from .grid.topology import RELATIVE_TOLERANCE, Topology, find_topology
 from .memory import UNLIMITED, MemoryLimit
@@ -165,6 +166,7 @@ def set_up(grid: Grid, case: Case, timing: Timing | None = None, memory: MemoryL
         When a boundary entry matches nothing or no node would move.
     """
     timing = timing or Timing()
+    require_extent(grid)
     with timing.stage("topology"):
         topology = current_ranks().once(lambda: find_topology(grid, case.tolerance))
         warnings = [*grid.notes, *case.notes, *check_connections(grid, topology)]

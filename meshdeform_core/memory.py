@@ -16,6 +16,7 @@ _UNITS = ("B", "KiB", "MiB", "GiB", "TiB")
 # 6.4 coordinate arrays were measured with tfi, idw and idw-tfi from 2.7 to 21 million nodes.
 _PROGRAM_BYTES, _COORDINATE_ARRAYS = 200 * 2**20, 7
 # What each of several ranks on a machine has of these for itself: 0.9 to 1.05 were measured.
+_OTHER_COPIES = 3
 _OWN_ARRAYS = 1
 
 
@@ -72,8 +73,10 @@ def parse_memory(text: str, name: str) -> MemoryLimit:
     return MemoryLimit(size, f"{name} allows")
 
 
-def left_for_method(limit: MemoryLimit, nodes: int, coordinate_bytes: int) -> MemoryLimit:
+def left_for_method(limit: MemoryLimit, nodes: int, coordinate_bytes: int, other_bytes: int = 0) -> MemoryLimit:
     """What program and grid leave of ``limit``; of several ranks with memory in common each has its part of them.
+
+    ``other_bytes`` are those of point and cell data and of displacement tables, which are read, kept and written again.
 
     Raises
     ------
@@ -84,7 +87,7 @@ def left_for_method(limit: MemoryLimit, nodes: int, coordinate_bytes: int) -> Me
     # Machines may have different numbers of ranks, but all ranks must come to the same size.
     sharers = 1 if ranks.private else min(ranks.gather([ranks.on_machine]))
     arrays = _OWN_ARRAYS + (_COORDINATE_ARRAYS - _OWN_ARRAYS) / sharers
-    needed = _PROGRAM_BYTES + int(arrays * coordinate_bytes)
+    needed = _PROGRAM_BYTES + int(arrays * coordinate_bytes) + _OTHER_COPIES * other_bytes
     limit.require(needed, f"deforming {nodes:,} nodes", "allow more, or use a machine that has it")
     return limit.after(needed, "program and grid")
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from pathlib import Path
+from typing import Any
 
 from meshdeform_core.errors import FormatError
 
@@ -48,8 +50,18 @@ def _render(report: Report, path: Path, illustrate: Illustrate) -> str:
 
 
 def as_json(report: Report) -> str:
-    """The report as json."""
-    return json.dumps(report, indent=2, allow_nan=False) + "\n"
+    """The report as json; numbers that are not finite, which json does not have, are null."""
+    return json.dumps(_finite(report), indent=2, allow_nan=False) + "\n"
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(item) for item in value]
+    return value
 
 
 def check_report_path(path: Path) -> None:

@@ -66,7 +66,16 @@ def _copy_to_images(periodic: Periodic, displacement: FloatArray, given: BoolArr
     nodes, root, turn = periodic.frames(len(displacement))
     moving = given[nodes]
     home = np.zeros_like(displacement)
-    home[root[moving]] = np.einsum("nji,nj->ni", turn[moving], displacement[nodes[moving]])
+    told = np.einsum("nji,nj->ni", turn[moving], displacement[nodes[moving]])
+    home[root[moving]] = told
+    apart = np.linalg.norm(told - home[root[moving]], axis=1)
+    if apart.max(initial=0.0) > 1e-6 * np.abs(displacement).max():
+        worst = int(np.argmax(apart))
+        raise MotionError(
+            f"two images of a periodic boundary move differently: {told[worst].tolist()} and "
+            f"{home[root[moving]][worst].tolist()} seen from the first of them; give both "
+            f"the same motion, or let one of them move only"
+        )
     image = np.isin(root, root[moving]) & ~moving
     displacement[nodes[image]] = np.einsum("nij,nj->ni", turn[image], home[root[image]])
 

@@ -5,6 +5,9 @@ Arrays of n rotation vectors, matrices (n, 3, 3), unit quaternions (n, 4, scalar
 
 import numpy as np
 
+_HALF_TURN = 1e-6
+"""Cosine of half the angle below which the direction of a rotation by 180 degrees is a matter of round-off."""
+
 SHARP = 0.9
 """Mean of the unit normals at a node, below which its faces make a sharp edge."""
 
@@ -29,7 +32,7 @@ def surface_rotations(before, after, corners, edges, plane_normal=None):
     quaternions : (n, 4), identity at nodes without faces
     """
     normals = [_node_normals(x, corners, plane_normal) for x in (before, after)]
-    first = _aligning(*normals)
+    first = _aligning(*normals, plane_normal)
     if plane_normal is not None:
         return first
     arm = rotate(first[edges[:, 0]], before[edges[:, 1]] - before[edges[:, 0]])
@@ -102,16 +105,29 @@ def _sum_of_normals(x, corners, plane_normal):
     return total, count
 
 
-def _aligning(start, end):
-    """Shortest rotation that carries unit vectors onto others; about any normal when they are opposite."""
+def _aligning(start, end, plane_normal=None):
+    """Shortest rotation that carries unit vectors onto others; about any normal (of the plane) when opposite."""
     axis = np.cross(start, end)
     sine = np.linalg.norm(axis, axis=1)
     cosine = _dot(start, end)
     opposite = (sine < 1e-12) & (cosine < 0)
     if opposite.any():
-        least = np.eye(3)[np.argmin(np.abs(start[opposite]), axis=1)]
-        axis[opposite] = np.cross(start[opposite], least)
+        axis[opposite] = _half_turn_axes(start[opposite]) if plane_normal is None else plane_normal
     return _quaternion(_unit(axis), np.arctan2(sine, cosine))
+
+
+def _half_turn_axes(normals):
+    """Axes (n, 3) of half turns that reverse ``normals``: as far as possible that of the whole surface.
+
+    A body that turns by 180 degrees reverses all normals that are perpendicular to its axis. Any other axis would need
+    half a turn about the normal as well, whose sign is a matter of round-off.
+    """
+    common = np.linalg.eigh(normals.T @ normals)[1][:, 0]
+    axes = common - _dot(normals, np.broadcast_to(common, normals.shape))[:, None] * normals
+    poor = np.linalg.norm(axes, axis=1) < 1e-3
+    least = np.eye(3)[np.argmin(np.abs(normals), axis=1)]
+    axes[poor] = np.cross(normals, least)[poor]
+    return axes
 
 
 def _quaternion(axis, angle):
@@ -134,12 +150,25 @@ def rotate(q, v):
 
 
 def rotation_vector(q):
-    """Axis times angle (radians, at most pi) of unit quaternions with non-negative scalar part."""
+    """Axis times angle (radians, at most pi) of unit quaternions with non-negative scalar part.
+
+    Half a turn one way is half a turn the other way, and round-off would choose for every node alone: all take the
+    direction of those that turn a little less, or of the largest component of the axis.
+    """
     sine = np.linalg.norm(q[:, 1:], axis=1)
     angle = 2 * np.arctan2(sine, q[:, 0])
     # angle / sine tends to 2 for small angles.
     ratio = np.where(sine > 1e-150, angle / np.maximum(sine, 1e-150), 2.0)
-    return q[:, 1:] * ratio[:, None]
+    vector = q[:, 1:] * ratio[:, None]
+    half = q[:, 0] < _HALF_TURN
+    if half.any():
+        leading = vector[~half & (angle > 0.5 * np.pi)].sum(axis=0)
+        if np.linalg.norm(leading) < 1e-6:
+            leading = vector[np.argmax(half)]
+            leading = leading * np.sign(leading[np.argmax(np.abs(leading))])
+        back = half & (vector @ leading < 0)
+        vector[back] *= ((angle[back] - 2 * np.pi) / angle[back])[:, None]
+    return vector
 
 
 def quaternion_of(w):

@@ -121,6 +121,6 @@ class PreparedBlockRBF:
         coefficients, polynomial = system.solve(displacement[block.known], account, None)
         x = block.centres.normalised(self._problem.grid.points[block.targets])
         moved = radial_sums(BASES[self._options.basis], x, block.centres.points, coefficients)
-        displacement[block.targets] = moved + block.centres.polynomial(x) @ polynomial
+        displacement[block.targets] = moved + block.centres.polynomial(x)[:, : len(polynomial)] @ polynomial
         block.system = system if self._keep else None
         return account

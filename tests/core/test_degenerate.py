@@ -1,0 +1,109 @@
+"""Degenerate grids and motions: a message or a right result, never a traceback."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from cases import ALL_METHODS, INNER, apply, formulas, problem_of, turning
+from grids import block_around, frame, frame_2d
+
+from meshdeform_cli.main import run
+from meshdeform_core.boundary import BoundarySpec, Kind, expression
+from meshdeform_core.boundary.prescribed import prescribed_displacement
+from meshdeform_core.deform import Case, deform, set_up
+from meshdeform_core.errors import GridError, MotionError
+from meshdeform_core.grid import Grid
+from meshdeform_core.numerics.rotation import rotation_vector
+from meshdeform_formats import write_grid
+from meshdeform_formats.report.write import as_json
+
+LINE = np.linspace(0.0, 1.0, 3)
+CUBE = block_around(LINE, LINE, LINE)
+NOTHING = {
+    "point": (CUBE * 0.0, "all nodes lie within 0 of"),
+    "line": (CUBE[..., :1] + np.zeros(3), "lie on a line"),
+    "plane": (CUBE * [1.0, 1.0, 0.0], "lie in a plane"),
+    "tiny": (CUBE * 1e-150, "all nodes lie within 1e-150"),
+    "2-D line": (CUBE[:, :, :1] * [1.0, 0.0, 0.0], "lie on a line"),
+}
+
+
+@pytest.mark.parametrize("name", NOTHING)
+def test_grids_without_extent_are_refused(name):
+    block, words = NOTHING[name]
+    wall = BoundarySpec("wall", ("*.jmin",), Kind.MOVING, None, turning(1.0))
+    with pytest.raises(GridError, match=words):
+        set_up(Grid.from_blocks([block]), Case((wall,)))
+
+
+@pytest.mark.parametrize("method", ["tfi", "rbf", "idw-rbf", "idw-auto"])
+@pytest.mark.parametrize("cells", [(1, 1, 1), (1, 4, 4), (4, 4, 1), (4, 1, 0), (1, 1, 0)])
+@pytest.mark.parametrize("slip", [False, True])
+def test_tiny_grids_end_with_a_message_or_a_grid(method, cells, slip, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    lines = [np.linspace(0.0, 1.0, n + 1) if n else np.zeros(1) for n in cells]
+    blocks = [block_around(lines[0] + shift, lines[1], lines[2]) for shift in (0.0, 1.0)]
+    write_grid(Grid.from_blocks(blocks), tmp_path / "g.xyz", {"precision": "float64"})
+    faces = "'*.kmin','*.kmax'" if cells[2] else "'*.imin','*.imax'"
+    more = f",{{name='s',select=[{faces}],kind='slip'}}" if slip else ""
+    entry = f"boundary=[{{name='w',select=['*.jmin'],motion=[{{displace=['0','0.01*x','0']}}]}}{more}]"
+    auto = ["-s", 'method.idw.alpha="auto"'] if method == "idw-auto" else []
+    name = method.removesuffix("-auto")
+    code = run(["deform", "g.xyz", "-s", entry, "-m", name, *auto, "-o", "o.xyz", "--report", "r.json", "-q"])
+    assert code in (0, 2, 3)
+    if code != 2:
+        json.loads((tmp_path / "r.json").read_text(), parse_constant=lambda text: pytest.fail(f"{text} in the report"))
+
+
+def test_json_has_no_numbers_that_json_does_not_have():
+    assert json.loads(as_json({"a": float("nan"), "b": [1.0, float("inf")]})) == {"a": None, "b": [1.0, None]}
+
+
+@pytest.mark.parametrize("flat", [False, True], ids=["3-D", "2-D"])
+def test_half_a_turn_is_the_limit_of_a_little_less(flat):
+    """At exactly 180 degrees round-off must not choose the direction node by node."""
+    grid = frame_2d() if flat else frame()
+    near = expression.expression(INNER, {"x", "y", "z"})
+    far = expression.expression("max(abs(x), abs(y)) > 1.99", {"x", "y", "z"})
+    moved = []
+    for angle in (180.0, 180.0 - 1e-9):
+        specs = [BoundarySpec("body", ("*.i*", "*.j*"), Kind.MOVING, near, turning(angle))]
+        specs += [BoundarySpec("outer", ("*.i*", "*.j*"), Kind.FIXED, far)]
+        specs += [] if flat else [BoundarySpec("span", ("*.k*",), Kind.SLIP)]
+        problem = problem_of(grid, specs)
+        told = prescribed_displacement(problem.grid, problem.topology, problem.boundary)
+        moved.append(apply(ALL_METHODS["idw-lie"], problem, told[problem.source_numbers]))
+    np.testing.assert_allclose(moved[0], moved[1], atol=1e-6)
+
+
+def test_images_of_a_periodic_pair_must_move_alike():
+    """The moving bars at both ends of a period get different motions."""
+    line, z = np.linspace(0.0, 1.0, 5), np.linspace(0.0, 1.0, 3)
+    grid = Grid.from_blocks([block_around(line, line, z)])
+    near = expression.expression("y < 0.6", {"x", "y", "z"})
+
+    def case(left: str, right: str) -> Case:
+        return Case(
+            (
+                BoundarySpec("left", ("block1.imin",), Kind.MOVING, near, formulas("0", "0", left)),
+                BoundarySpec("right", ("block1.imax",), Kind.MOVING, near, formulas("0", "0", right)),
+                BoundarySpec("pair", ("block1.imin", "block1.imax"), Kind.PERIODIC),
+                BoundarySpec("rest", ("*.j*", "*.k*"), Kind.FREE),
+            )
+        )
+
+    deform(grid, case("0.01", "0.01"))
+    with pytest.raises(MotionError, match="move differently"):
+        deform(grid, case("0.01", "0.02"))
+
+
+def test_rotation_vectors_of_half_a_turn_agree():
+    tiny = 1e-17
+    q = np.array([[tiny, 0, 0, 1.0], [tiny, 0, 0, -1.0], [0.0, 0, 0, -1.0]])
+    np.testing.assert_allclose(rotation_vector(q), np.tile([0, 0, np.pi], (3, 1)), atol=1e-12)
+    lead = np.array([[np.cos(1.5), 0, 0, -np.sin(1.5)]])
+    np.testing.assert_allclose(
+        rotation_vector(np.concatenate([lead, q]))[1:], np.tile([0, 0, -np.pi], (3, 1)), atol=1e-9
+    )
