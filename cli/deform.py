@@ -30,13 +30,13 @@ from .progress import ProgressBar
 @grid_options
 @click.option("-o", "--output", type=PATH, help="Deformed grid; the suffix chooses the format.")
 @case_options
-@click.option("--steps", default="1", metavar="N|auto", help="Impose the motion in N steps, or as many as needed.")
+@click.option("--steps", metavar="N|auto", help="Impose the motion in N steps; by default in as many as needed.")
 @click.option(
     "--time", "at_time", type=FiniteNumber(), metavar="T", help="Evaluate the motion at this time (default 0)."
 )
 @run_options
 def command(
-    source: GridInput, output: Path | None, case: CaseInput, steps: str, at_time: float | None, run: RunInput
+    source: GridInput, output: Path | None, case: CaseInput, steps: str | None, at_time: float | None, run: RunInput
 ) -> int:
     """Deform GRID, judge the result and write it.
 
@@ -88,9 +88,9 @@ def _check_target(output: Path, run: RunInput, *inputs: Path | None) -> None:
         check_output(invalid_path(output), True, *inputs)
 
 
-def parse_steps(text: str) -> int | str:
-    """``auto`` or a positive whole number."""
-    if text == "auto":
+def parse_steps(text: str | None) -> int | str | None:
+    """``auto``, a positive whole number, or nothing."""
+    if text is None or text == "auto":
         return text
     if not text.isascii() or not text.isdigit() or int(text) == 0:
         raise CaseError(f'--steps {text!r}: expected a whole number >= 1 or "auto"')

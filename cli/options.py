@@ -163,9 +163,26 @@ def case_options(command: Command) -> Command:
         shell_complete=completion.settings,
         help="Override a key of the case, like method.idw.alpha=0.3 (repeatable).",
     )
+    @click.option(
+        "--repair",
+        type=click.Choice(["auto", "off", "polish"]),
+        help="Repair invalid cells (auto, the default), never, or improve the worst cells of a valid grid too.",
+    )
+    @click.option(
+        "--min-jacobian",
+        type=float,
+        metavar="R",
+        help="Count a cell as invalid below R times its undeformed Jacobian.",
+    )
     @functools.wraps(command)
-    def packed(case_file: Path | None, **options: Any) -> Any:
+    def packed(
+        case_file: Path | None, repair: str | None, min_jacobian: float | None, **options: Any
+    ) -> Any:
         own = {name: options.pop(name) for name in ("displacement", "method", "overrides", "match", "tolerance")}
+        if repair is not None:
+            own["overrides"] += (f'repair.mode="{repair}"',)
+        if min_jacobian is not None:
+            own["overrides"] += (f"repair.min_jacobian={min_jacobian!r}",)
         return command(case=CaseInput(case_file, **own), **options)
 
     return packed

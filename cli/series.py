@@ -29,7 +29,7 @@ from .progress import ProgressBar
     "--from", "origin", type=click.Choice(("reference", "last")), default="reference", show_default=True,
     help="Make each level from the undeformed grid, or from the level before (marching).",
 )  # fmt: skip
-@click.option("--steps", default="1", metavar="N|auto", help="Impose each level in N steps, or as many as needed.")
+@click.option("--steps", metavar="N|auto", help="Impose each level in N steps; by default in as many as needed.")
 @click.option(
     "--velocity", type=click.Choice(("none", "first", "second")), default="none", show_default=True,
     help="Write the grid velocity, by backward differences of this order (VTK and CGNS).",
@@ -39,8 +39,8 @@ from .progress import ProgressBar
 @click.option("--resume", is_flag=True, help="Go on where an interrupted run of the same series stopped.")
 @run_options
 def command(
-    source: GridInput, output: Path | None, case: CaseInput, times: str | None, origin: str, steps: str, velocity: str,
-    suffix: str | None, single_file: bool, resume: bool, run: RunInput,
+    source: GridInput, output: Path | None, case: CaseInput, times: str | None, origin: str, steps: str | None,
+    velocity: str, suffix: str | None, single_file: bool, resume: bool, run: RunInput,
 ) -> int:  # fmt: skip
     """Deform GRID at every time level and write one grid per level, with an index for ParaView.
 

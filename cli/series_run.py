@@ -39,7 +39,7 @@ class Wanted:
     times: str | None
     origin: str
     velocity: str
-    steps: int | str
+    steps: int | str | None
     suffix: str | None
     single_file: bool
     variant: dict[str, str]

@@ -74,9 +74,9 @@ def _other_bytes(grid: Grid, case: CaseFile) -> int:
 
 @dataclass(frozen=True)
 class Imposed:
-    """How a motion is imposed: in how many steps (or ``auto``), evaluated at which time (``--time``, if given)."""
+    """How a motion is imposed: in how many steps (``None``: as needed), at which time (``--time``, if given)."""
 
-    steps: int | str
+    steps: int | str | None
     at_time: float | None
 
     @property
@@ -191,9 +191,11 @@ def _flaw(result: dict[str, Any], quality: dict[str, Any]) -> str:
         largest = ", the largest" if len(groups) > _GROUPS_TOLD else ""
         each = (f"{group['cells']} {_place(group)}" for group in groups[:_GROUPS_TOLD])
         where = f" in {len(groups)} groups{largest}: {'; '.join(each)}"
+    repaired = any(attempt["repair"] for attempt in result.get("attempts", ()))
+    advice = "a smaller motion" if repaired else "--repair auto, --steps auto"
     return (
         f"{quality['invalid_cells']} cells became invalid{where}; "
-        "try --steps auto, or another method (see `meshdeform methods`)"
+        f"try {advice}, or another method (see `meshdeform methods`)"
     )
 
 

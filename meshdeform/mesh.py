@@ -131,7 +131,7 @@ class Mesh:
             timing = Timing()
             start = Start(self._setup.grid.points, self._method(timing))
             precision = self._setup.grid.precision
-            result = impose(self._setup, motion, 1 if steps is None else steps, precision, timing, progress, start)
+            result = impose(self._setup, motion, steps, precision, timing, progress, start)
         return Step(result, self._plane)
 
     @cached_property

@@ -35,7 +35,7 @@ class Schedule:
     times: tuple[float, ...]
     origin: str = "reference"
     velocity: str = "none"
-    steps: int | str = 1
+    steps: int | str | None = None
 
     def __post_init__(self) -> None:
         for name, value, known in (("origin", self.origin, ORIGINS), ("velocity", self.velocity, VELOCITIES)):

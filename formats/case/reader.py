@@ -18,6 +18,7 @@ from meshdeform_core.deform import Case
 from meshdeform_core.errors import CaseError, MethodError, suggestion
 from meshdeform_core.grid.topology import RELATIVE_TOLERANCE
 from meshdeform_core.methods import IDW, RBF, TFI, Options
+from meshdeform_core.repair import RepairOptions
 
 from ..displacement import read_displacement
 from .files import named_files, read_sequence, sequence_files
@@ -117,7 +118,7 @@ def _with_table(parsed: CaseFile, table: Path, times: str | None, matching: Matc
 
 
 def _parse(data: Table, folder: Path, overrides: Sequence[str] = ()) -> CaseFile:
-    check_keys(data, ("grid", "constants", "boundary", "method"), "case")
+    check_keys(data, ("grid", "constants", "boundary", "method", "repair"), "case")
     grid = table_of(data, "grid")
     check_keys(grid, ("boundary_file", "tolerance", "open"), "[grid]")
     constants = _constants(table_of(data, "constants"))
@@ -132,7 +133,8 @@ def _parse(data: Table, folder: Path, overrides: Sequence[str] = ()) -> CaseFile
     if not 0 < tolerance < 0.5:
         raise fail("grid.tolerance", f"{tolerance} of the local edge; expected a fraction between 0 and 0.5")
     options = _options(table_of(data, "method"))
-    case = Case(specs, constants, options, tolerance, unread(data, specs, options, overrides), _open_faces(grid))
+    notes, repair = unread(data, specs, options, overrides), _repair(table_of(data, "repair"))
+    case = Case(specs, constants, options, tolerance, notes, _open_faces(grid), repair)
     boundary_file = file_of(grid["boundary_file"], folder, "[grid]: boundary_file") if "boundary_file" in grid else None
     return CaseFile(case, boundary_file, tuple(named_files(data, folder)), data)
 
@@ -145,6 +147,15 @@ def _open_faces(grid: Table) -> bool | tuple[str, ...]:
     if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
         raise fail("grid.open", f'expected true, or faces like ["block1.imax"], found {value!r}')
     return tuple(value)
+
+
+def _repair(table: Table) -> RepairOptions:
+    check_keys(table, ("mode", "min_jacobian"), "[repair]")
+    smallest = number_of(table.get("min_jacobian", 0.0), "repair.min_jacobian")
+    try:
+        return RepairOptions(table.get("mode", "auto"), smallest)
+    except CaseError as error:
+        raise fail("repair", str(error)) from None
 
 
 def _constants(table: Table) -> dict[str, float]:

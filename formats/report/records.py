@@ -38,6 +38,8 @@ def deformation_report(result: Result, timing: Mapping[str, float], peak_memory:
         "invalid_groups": [dataclasses.asdict(group) for group in result.assessment.groups],
         "steps": result.steps,
         "reached": result.reached,
+        "attempts": [dataclasses.asdict(attempt) for attempt in result.attempts],
+        "repair": None if result.repair is None else dataclasses.asdict(result.repair),
         "timing": seconds | result.timing.seconds | dict(timing),
         "peak_memory_bytes": peak_memory,
         "warnings": list(result.warnings),

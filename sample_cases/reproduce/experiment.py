@@ -18,6 +18,7 @@ from meshdeform_core.grid import FloatArray
 from meshdeform_core.methods import Account, Options, make_method
 from meshdeform_core.methods.composite import Composite
 from meshdeform_core.quality import Assessment, assess
+from meshdeform_core.repair import RepairOptions
 from meshdeform_formats.case import read_case
 from meshdeform_formats.displacement import write_displacement
 
@@ -91,7 +92,7 @@ def prepare_sample(sample: Sample) -> Setup:
 def run(trial: Trial) -> Outcome:
     """Deform and judge. Costs are the least of several runs when they are short; topology and quality do not count."""
     setup = prepare_sample(trial.sample)
-    case = dataclasses.replace(setup.case, method=trial.method)
+    case = dataclasses.replace(setup.case, method=trial.method, repair=RepairOptions("off"))
     setup = dataclasses.replace(setup, case=case)
     return _once(setup, trial) if trial.steps == 1 else _march(setup, trial)
 

@@ -176,7 +176,7 @@ def test_method_option_wins_over_the_case(bench, call):
 
 def test_invalid_cells_give_exit_code_3_and_are_listed(bench, call, angle):
     angle(120.0)
-    result = call(*RUN, "-m", "tfi", "--report", "out.json")
+    result = call(*RUN, "-m", "tfi", "--repair", "off", "--report", "out.json")
     assert result.code == 3
     report = json.loads((bench / "out.json").read_text())
     assert report["valid"] is False
@@ -201,7 +201,7 @@ def test_invalid_cells_give_exit_code_3_and_are_listed(bench, call, angle):
 
 def test_allow_invalid_exits_0_and_still_says_so(bench, call, angle):
     angle(120.0)
-    result = call(*RUN, "-m", "tfi", "--allow-invalid", "-q")
+    result = call(*RUN, "-m", "tfi", "--repair", "off", "--allow-invalid", "-q")
     assert result.code == 0
     assert result.out == ""
     assert "became invalid" in result.err
@@ -214,7 +214,7 @@ def test_an_invalid_grid_never_replaces_an_input_or_a_good_result(bench, call, a
     good = (bench / "out.xyz").read_bytes()
     angle(120.0)
     for _ in range(2):
-        assert call(*RUN, "-m", "tfi", "--force", "-q").code == 3
+        assert call(*RUN, "-m", "tfi", "--repair", "off", "--force", "-q").code == 3
         assert (bench / "out.xyz").read_bytes() == good
     bad = (bench / "out.invalid.xyz").read_bytes()
     result = call("deform", "out.invalid.xyz", "-c", "case.toml", "-o", "out.xyz", "--force")
@@ -225,7 +225,7 @@ def test_an_invalid_grid_never_replaces_an_input_or_a_good_result(bench, call, a
 
 def test_quality_command_agrees_about_invalid_cells(bench, call, angle):
     angle(120.0)
-    report = report_of(call, *RUN, "-m", "tfi", code=3)
+    report = report_of(call, *RUN, "-m", "tfi", "--repair", "off", code=3)
     result = call("quality", "out.invalid.xyz", "--reference", "grid.xyz", "-c", "case.toml", "--json")
     assert result.code == 3
     again = json.loads(result.out)
@@ -248,15 +248,15 @@ def test_steps_follow_the_path_of_the_motion(bench, call, angle):
 
 def test_automatic_steps_make_an_invalid_motion_valid(bench, call, angle):
     angle(85.0)
-    assert report_of(call, *RUN, "-m", "rbf", code=3)["valid"] is False
-    report = report_of(call, *RUN, "-m", "rbf", "--steps", "auto")
+    assert report_of(call, *RUN, "-m", "rbf", "--repair", "off", code=3)["valid"] is False
+    report = report_of(call, *RUN, "-m", "rbf", "--repair", "off", "--steps", "auto")
     assert report["valid"] is True
     assert report["steps"] > 1
 
 
 def test_automatic_steps_stop_before_the_grid_breaks(bench, call, angle):
     angle(120.0)
-    result = call(*RUN, "-m", "tfi", "--steps", "auto", "--report", "out.json")
+    result = call(*RUN, "-m", "tfi", "--repair", "off", "--steps", "auto", "--report", "out.json")
     report = json.loads((bench / "out.json").read_text())
     assert result.code == 3
     assert 0.0 < report["reached"] < 1.0

@@ -127,14 +127,14 @@ def test_displacement_files_alone_are_enough(swing, call):
 
 def test_a_broken_level_is_written_and_gives_exit_3(swing, call):
     (swing / "swing.toml").write_text(SWING.replace("20*sin(2*pi*t)", "150*sin(pi*t)"))
-    result = call("series", *RUN[1:-1], "0:1:0.5", "--report", "r.json")
+    result = call("series", *RUN[1:-1], "0:1:0.5", "--repair", "off", "--report", "r.json")
     assert result.code == 3
     assert "1 of 3 levels are not valid, first level 1 (t = 0.5)" in result.err
     report = json.loads(Path("r.json").read_text())
     assert [level["valid"] for level in report["levels"]] == [True, False, True]
     assert report["levels"][1]["invalid_cells"][0]["nearest_patch"] in ("body", "span")
     assert Path("out/grid_0001.xyz").exists()
-    assert call("series", *RUN[1:-1], "0:1:0.5", "--force", "--allow-invalid").code == 0
+    assert call("series", *RUN[1:-1], "0:1:0.5", "--repair", "off", "--force", "--allow-invalid").code == 0
 
 
 def test_a_dry_run_writes_nothing(swing, call, snapshot):

@@ -14,14 +14,16 @@ from meshdeform_core.errors import CaseError
 from meshdeform_core.methods import IDW, RBF, Options, make_method
 from meshdeform_core.numerics.systems import greedy
 from meshdeform_core.quality.validity import newly_invalid
+from meshdeform_core.repair import RepairOptions
 from meshdeform_core.series import Schedule, deform_series, grid_velocity
 
 SWING = turning("20*sin(2*pi*t)")
 QUARTERS = (0.0, 0.25, 0.5, 0.75, 1.0)
 
 
-def setup_of(motion=SWING, options=None):
-    return set_up(frame(), Case(tuple(body_specs(motion)), method=options or Options()))
+def setup_of(motion=SWING, options=None, repair="auto"):
+    repairs = RepairOptions(repair)
+    return set_up(frame(), Case(tuple(body_specs(motion)), method=options or Options(), repair=repairs))
 
 
 def levels_of(setup, schedule, **more):
@@ -115,12 +117,12 @@ def test_second_order_begins_with_zero_and_first_order():
 
 
 def test_an_invalid_level_does_not_stop_the_series():
-    levels = levels_of(setup_of(turning("150*sin(pi*t)")), Schedule((0.0, 0.5, 1.0)))
+    levels = levels_of(setup_of(turning("150*sin(pi*t)"), repair="off"), Schedule((0.0, 0.5, 1.0)))
     assert [level.result.valid for level in levels] == [True, False, True]
 
 
 def test_marching_goes_on_from_what_automatic_steps_reached():
-    setup = setup_of(turning("90*sin(pi*t)"))
+    setup = setup_of(turning("90*sin(pi*t)"), repair="off")
     levels = levels_of(setup, Schedule((0.5, 1.0), "last", steps="auto"))
     assert levels[0].result.reached < 1.0
     assert not newly_invalid(setup.original, levels[0].result.grid.points).size

@@ -1,0 +1,110 @@
+"""How a motion is imposed: in steps that were asked for, or by whatever keeps the grid valid."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from .boundary.crossing import find_contact
+from .errors import MethodError
+from .march import March, Trial
+from .methods import Options
+
+MAX_HALVINGS = 8
+# Of steps with a repair in each, which cost much more.
+MAX_REPAIRED_HALVINGS = 4
+RESCUE = "rbf-tfi"
+"""The method that is tried when the chosen one finds no valid grid: it rescues most."""
+
+
+def in_equal_steps(march: March, count: int) -> None:
+    """In as many steps as the user asked for, valid or not."""
+    march.foresee(1 / count)
+    for step in range(1, count + 1):
+        march.accept(march.trial(step / count))
+
+
+def adaptively(march: March) -> None:
+    """In one step if that keeps the grid valid; a step that breaks cells, and all that follow, are halved.
+
+    The grid is left where no step succeeds any more.
+    """
+    # Steps that are halved until they succeed are never too large.
+    march.foresee(0.0)
+    increment, smallest = 1.0, 0.5**MAX_HALVINGS
+    while march.fraction < 1.0:
+        trial = march.trial(min(1.0, march.fraction + increment))
+        if trial.verdict.valid:
+            march.accept(trial)
+        elif increment > smallest:
+            increment /= 2
+        else:
+            march.failed = trial
+            march.warnings.append(
+                f"the motion was imposed to {march.fraction:.1%} only; a step of {increment:.2%} more makes cells "
+                f"invalid. The grid reached so far is kept"
+            )
+            return
+
+
+def until_valid(march: March) -> None:
+    """In one step, with a repair; else in smaller ones with a repair in each; else all of this with another method.
+
+    When nothing helps, the grid with the fewest invalid cells is kept, its boundary where it was told, and the
+    warnings say why and up to which part of the motion a valid grid was found.
+    """
+    march.foresee(0.0)
+    best, options = march.trial(1.0), march.options
+    setup = march.setup
+    contact = None
+    if not best.verdict.valid:
+        contact = find_contact(setup.grid, setup.topology, setup.boundary, march.motion)
+    if contact:
+        march.warnings.append(contact.message)
+    elif not best.verdict.valid:
+        if _in_smaller_steps(march):
+            return
+        for trial in _with_another_method(march):
+            if len(trial.verdict.invalid) < len(best.verdict.invalid):
+                best, options = trial, march.options
+            if not best.verdict.valid and _in_smaller_steps(march):
+                return
+    march.restart(options)
+    march.accept(best)
+    if not best.verdict.valid:
+        _give_up(march)
+
+
+def _in_smaller_steps(march: March) -> bool:
+    """The largest steps that succeed, grown again afterwards; whether the whole motion was imposed."""
+    increment, smallest = 0.5, 0.5**MAX_REPAIRED_HALVINGS
+    while march.fraction < 1.0:
+        trial = march.trial(min(1.0, march.fraction + increment))
+        if trial.verdict.valid:
+            march.accept(trial)
+            increment *= 2
+        elif increment > smallest:
+            increment /= 2
+        else:
+            return False
+    return True
+
+
+def _with_another_method(march: March) -> Iterator[Trial]:
+    """One step with the method that rescues most, where it fits the memory and is another one."""
+    if march.options.name == RESCUE:
+        return
+    march.restart(Options(RESCUE))
+    try:
+        trial = march.trial(1.0)
+    except MethodError as error:
+        march.warnings.append(f"{RESCUE} was not tried: {error}")
+        return
+    yield trial
+
+
+def _give_up(march: March) -> None:
+    reached = max((a.reached for a in march.attempts if not a.invalid_cells), default=0.0)
+    march.warnings.append(
+        f"no valid grid was found for the whole motion, but for {reached:.1%} of it. The grid kept has the whole "
+        f"motion and the fewest invalid cells of {len(march.attempts)} attempts"
+    )

@@ -1,0 +1,189 @@
+"""A motion imposed step by step, each step from the last grid."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from .grid import FloatArray
+from .methods import Account, Options, PreparedMethod, Progress, make_method
+from .parallel import empty, for_rows
+from .quality.comparison import Comparison
+from .quality.validity import Verdict, judge
+from .repair.repair import Repair, Repairer
+from .setup import BoundaryMotion, Setup, Start, Timing
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """What was tried: a step of the motion with a method, with or without a repair, and what came of it.
+
+    ``steps`` taken until then, this one included; ``reached``, the part of the motion at its end.
+    """
+
+    method: str
+    steps: int
+    repair: bool
+    invalid_cells: int
+    reached: float
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Coordinates (n_nodes, 3) of a step, the verdict on them, and their measures if those are known already."""
+
+    fraction: float
+    points: FloatArray
+    verdict: Verdict
+    cells: Comparison | None = None
+
+
+class March:
+    """The state of a motion: the grid reached, the method prepared on it, and what has happened so far."""
+
+    def __init__(
+        self,
+        setup: Setup,
+        motion: BoundaryMotion,
+        precision: str,
+        timing: Timing,
+        progress: Progress | None,
+        start: Start | None = None,
+    ):
+        self.setup, self.motion, self.precision = setup, motion, precision
+        self.timing, self.progress = timing, progress
+        self.start = start or Start(setup.grid.points)
+        self.warnings = list(setup.warnings)
+        self.notices: dict[str, str] = {}
+        self.attempts: list[Attempt] = []
+        self.repairs: list[Repair] = []
+        self._prepared: tuple[FloatArray, Options, PreparedMethod] | None = None
+        if start and start.prepared:
+            self._prepared = start.points, setup.case.method, start.prepared
+        self.restart(setup.case.method)
+        self._inspect_motion(alone=start is None)
+
+    def restart(self, options: Options) -> None:
+        """Go back to the grid from which the motion set out, and on with a method."""
+        self.options = options
+        self.fraction, self.steps = 0.0, 0
+        self.points = self.start.points
+        # Exactly zero from the undeformed grid.
+        first = self.setup.topology.first
+        self.begin = self.points[first] - self.setup.grid.points[first]
+        self.moved = self.begin
+        self.last: Trial | None = None
+        self.failed: Trial | None = None
+        self.first_bad: dict[int, int] = {}
+
+    def _inspect_motion(self, alone: bool) -> None:
+        self.total = self.motion(1.0)
+        self.max_displacement = float(np.linalg.norm(self.total, axis=1).max())
+        # A level of a series may stand still.
+        if alone and self.max_displacement == 0.0:
+            self.warnings.append("nothing moves: the displacement is zero everywhere")
+        departure = self.setup.boundary.slip.departure(self.total)
+        # A motion that comes back to nothing leaves round-off in all directions.
+        boundary = self.setup.grid.points[self.setup.topology.first]
+        round_off = 1e-12 * float(np.ptp(boundary, axis=0).max())
+        if departure > max(1e-6 * self.max_displacement, round_off):
+            self.warnings.append(
+                f"the motion carries nodes out of a slip or symmetry plane by up to {departure:.3g}; "
+                f"the plane follows there, its other nodes stay in it"
+            )
+
+    @property
+    def account(self) -> Account:
+        """Of the method on the last grid."""
+        return self._method().account if self.last is None else self._account
+
+    @cached_property
+    def repairer(self) -> Repairer:
+        """Repairs against the undeformed grid."""
+        setup = self.setup
+        return Repairer(setup.original, setup.boundary, self.rounded, setup.memory, self.progress)
+
+    def foresee(self, first: float) -> None:
+        """Warn of what is bound to go wrong when the motion begins with that part of it."""
+        sources = self.setup.problem.source_numbers
+        motion, step = ((self._prescribed(part) - self.moved)[sources] for part in (1.0, first))
+        self.warnings += self._method().foresee(motion, step)
+
+    def trial(self, fraction: float) -> Trial:
+        """Go from the current grid to ``fraction`` of the motion, and repair that if the case says so."""
+        trial = self._noted(self._judged(fraction, self._moved(fraction)), repaired=False)
+        mode = self.setup.case.repair.mode
+        if mode == "off" or not (mode == "polish" or self.repairer.needed(trial.verdict)):
+            return trial
+        if self.start.correction is not None and (correction := self.start.correction()) is not None:
+            trial = self._judged(fraction, self._sum(trial.points, correction))
+        with self.timing.stage("repair"):
+            outcome = self.repairer.repair(trial.points, trial.verdict, polish=mode == "polish")
+        if outcome.repair.newton_steps:
+            self.repairs.append(outcome.repair)
+            trial = Trial(fraction, outcome.points, outcome.verdict)
+        return self._noted(trial, repaired=True)
+
+    def accept(self, trial: Trial) -> None:
+        """Go on from the grid of a trial."""
+        self._account = self._method().account
+        self.notices |= self._account.notices
+        self.moved = self._prescribed(trial.fraction)
+        self.points, self.fraction, self.steps, self.last = trial.points, trial.fraction, self.steps + 1, trial
+        for cell in trial.verdict.invalid.tolist():
+            self.first_bad.setdefault(cell, self.steps)
+
+    def rounded(self, points: FloatArray) -> FloatArray:
+        """Coordinates as they will be written."""
+        if self.precision != "float32":
+            return points
+        result: FloatArray = empty(points.shape)
+        for_rows(lambda rows: np.copyto(result[rows], points[rows].astype(np.float32)), result)
+        return result
+
+    def _moved(self, fraction: float) -> FloatArray:
+        prepared = self._method()
+        increment = (self._prescribed(fraction) - self.moved)[self.setup.problem.source_numbers]
+        with self.timing.stage("apply"):
+            moved = prepared.apply(increment, self.progress)
+            for_rows(lambda rows: np.add(self.points[rows], moved[rows], out=moved[rows]), moved)
+            return moved
+
+    def _judged(self, fraction: float, points: FloatArray) -> Trial:
+        """At the end of the motion everything is measured at once; most often that grid stays."""
+        original, final = self.setup.original, self.rounded(points)
+        with self.timing.stage("quality"):
+            if fraction < 1.0:
+                return Trial(fraction, points, judge(original, final))
+            cells = Comparison(original, final)
+            return Trial(fraction, points, cells.verdict, cells)
+
+    def _noted(self, trial: Trial, repaired: bool) -> Trial:
+        invalid = int(np.count_nonzero(trial.verdict.failed))
+        self.attempts.append(Attempt(self.options.name, self.steps + 1, repaired, invalid, trial.fraction))
+        return trial
+
+    @staticmethod
+    def _sum(one: FloatArray, two: FloatArray) -> FloatArray:
+        result: FloatArray = empty(one.shape)
+        for_rows(lambda rows: np.add(one[rows], two[rows], out=result[rows]), result)
+        return result
+
+    def _prescribed(self, fraction: float) -> FloatArray:
+        """Boundary displacement part of the way: on the motion's own path from the undeformed grid, else straight."""
+        if fraction == 1.0:
+            return self.total
+        if not self.begin.any():
+            return self.motion(fraction)
+        return self.begin + fraction * (self.total - self.begin)
+
+    def _method(self) -> PreparedMethod:
+        """The method prepared on the current grid; kept while trials start from the same grid."""
+        if self._prepared is None or self._prepared[0] is not self.points or self._prepared[1] is not self.options:
+            with self.timing.stage("prepare"):
+                problem = dataclasses.replace(self.setup.problem, grid=self.setup.grid.moved(self.points))
+                self._prepared = self.points, self.options, make_method(self.options).prepare(problem)
+        return self._prepared[2]

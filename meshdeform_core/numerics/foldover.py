@@ -1,0 +1,312 @@
+"""The foldover-free energy of a deformed grid, its gradient and the convex part of its second derivatives.
+
+At sample points of every cell (corners; in weak hexahedra also the middles of edges, faces and cell) A is the Jacobian
+matrix of the map from the undeformed cell to the deformed one, D = det A, and
+
+    f = |A|^2 / (3 chi^(2/3)) + (D^2 + 1) / (2 chi),    chi = (D + sqrt(eps^2 + D^2)) / 2
+
+(Garanzha, Kaporin, Kudryavtseva, Protais, Ray, Sokolov: Foldover-free maps in 50 lines of code, ACM TOG 40(4), 2021,
+eqs. 3 and 4 with lambda = 1). A cell that only turns has the smallest value, 2, whatever its aspect ratio. All samples
+count alike. With t > 0 the sum is over f / (1 - t f) - a barrier that keeps every f below 1 / t (Garanzha et al.:
+Practical lowest distortion mapping, arXiv 2201.12112). Quadrilaterals are taken as cells of constant thickness, so that
+2-D grids and grids one cell thick deform alike.
+"""
+
+import itertools
+from typing import NamedTuple
+
+import numpy as np
+
+from .jit import inlined, kernel
+
+
+class Samples(NamedTuple):
+    """Sample points of the reference cell.
+
+    ``used`` (s,) number of nodes that the Jacobian matrix at each depends on, ``node`` (s, m) which ones, ``slope``
+    (s, m, 3) derivatives of their shape functions. The corners come first.
+    """
+
+    used: np.ndarray
+    node: np.ndarray
+    slope: np.ndarray
+
+
+def cell_samples(dimension):
+    """The 27 sample points of a hexahedron, or the 4 corners of a quadrilateral.
+
+    Node a of a cell is the corner (a >> 2, a >> 1 & 1, a & 1), in 2-D (a >> 1, a & 1).
+    """
+    corners = list(itertools.product((0.0, 1.0), repeat=dimension))
+    points = corners + [p for p in itertools.product((0.0, 0.5, 1.0), repeat=3) if 0.5 in p and dimension == 3]
+    shape = len(points), len(corners)
+    count, node, slope = np.zeros(shape[0], np.int64), np.zeros(shape, np.int64), np.zeros((*shape, 3))
+    for s, point in enumerate(points):
+        slopes = np.zeros((len(corners), 3))
+        for a, corner in enumerate(corners):
+            factor = [x if c else 1.0 - x for c, x in zip(corner, point, strict=True)]
+            for axis in range(dimension):
+                rest = np.prod([f for other, f in enumerate(factor) if other != axis])
+                slopes[a, axis] = rest if corner[axis] else -rest
+        used = np.flatnonzero(slopes.any(axis=1))
+        count[s], node[s, : used.size], slope[s, : used.size] = used.size, used, slopes[used]
+    return Samples(count, node, slope)
+
+
+@inlined
+def _map(x, start, cell, count, node, slope, normal, inverse, b, a):
+    """Jacobian matrix ``a`` (3, 3) of the map at a sample point, and ``b`` (m, 3): a = sum of x_n b_n + n n^T.
+
+    Returns its determinant. n is the ``normal``.
+    """
+    e = a
+    for d in range(3):
+        for k in range(3):
+            e[d, k] = normal[d] if k == 2 else 0.0
+    for n in range(count):
+        p = cell[node[n]]
+        for d in range(3):
+            for k in range(3):
+                e[d, k] += start[p, d] * slope[n, k]
+    _invert(e, inverse)
+    for n in range(count):
+        for k in range(3):
+            b[n, k] = slope[n, 0] * inverse[0, k] + slope[n, 1] * inverse[1, k] + slope[n, 2] * inverse[2, k]
+    for d in range(3):
+        for k in range(3):
+            a[d, k] = normal[d] * normal[k]
+    for n in range(count):
+        p = cell[node[n]]
+        for d in range(3):
+            for k in range(3):
+                a[d, k] += x[p, d] * b[n, k]
+    return (
+        a[0, 0] * (a[1, 1] * a[2, 2] - a[1, 2] * a[2, 1])
+        + a[0, 1] * (a[1, 2] * a[2, 0] - a[1, 0] * a[2, 2])
+        + a[0, 2] * (a[1, 0] * a[2, 1] - a[1, 1] * a[2, 0])
+    )
+
+
+@inlined
+def _invert(e, inverse):
+    _cofactors(e, inverse)
+    det = e[0, 0] * inverse[0, 0] + e[0, 1] * inverse[0, 1] + e[0, 2] * inverse[0, 2]
+    for d in range(3):
+        for k in range(d, 3):
+            upper, lower = inverse[d, k], inverse[k, d]
+            inverse[d, k], inverse[k, d] = lower / det, upper / det
+
+
+@inlined
+def _cofactors(a, k):
+    """The derivative of the determinant."""
+    for i in range(3):
+        m, n = (i + 1) % 3, (i + 2) % 3
+        for j in range(3):
+            p, q = (j + 1) % 3, (j + 2) % 3
+            k[i, j] = a[m, p] * a[n, q] - a[m, q] * a[n, p]
+
+
+@inlined
+def _square(a):
+    total = 0.0
+    for d in range(3):
+        for k in range(3):
+            total += a[d, k] * a[d, k]
+    return total
+
+
+@inlined
+def _regular(det, eps):
+    """chi and sqrt(eps^2 + D^2), without cancellation."""
+    root = np.sqrt(eps * eps + det * det)
+    return 0.5 * (det + root) if det > 0.0 else 0.5 * eps * eps / (root - det), root
+
+
+@kernel
+def energy_of_cells(x, start, cells, mask, samples, normal, eps, t, low, high):
+    """Sum of the energy over the cells low <= c < high, smallest D, and largest f.
+
+    Parameters
+    ----------
+    x, start : (n, 3) deformed and undeformed coordinates
+    cells : (m, 8) or (m, 4) nodes
+    mask : (m,) int64, bit s set where sample point s counts
+    samples : see :class:`Samples`
+    normal : (3,) unit normal of a 2-D grid's plane, else zero
+    eps, t : of the energy; with eps = 0 it is infinite where D <= 0, and with t > 0 where f >= 1 / t
+    """
+    count, node, slope = samples
+    inverse, b, a = np.empty((3, 3)), np.empty((8, 3)), np.empty((3, 3))
+    total, lowest, highest = 0.0, np.inf, 0.0
+    for c in range(low, high):
+        for s in range(count.size):
+            if not mask[c] >> s & 1:
+                continue
+            det = _map(x, start, cells[c], count[s], node[s], slope[s], normal, inverse, b, a)
+            chi, _ = _regular(det, eps)
+            lowest = min(lowest, det)
+            f = np.inf
+            if chi > 0.0:
+                f = _square(a) / 3.0 * chi ** (-2.0 / 3.0) + 0.5 * (det * det + 1.0) / chi
+            highest = max(highest, f)
+            total += f / (1.0 - t * f) if t * f < 1.0 else np.inf
+    return total, lowest, highest
+
+
+@inlined
+def _coefficients(g, det, eps, t):
+    """Derivatives of the energy of one sample, g = |A|^2: gradient u A + v K, Hessian
+    w I + p A A^T + q (A K^T + K A^T) + r K K^T with the cofactors K.
+
+    In the 2 x 2 matrix of second derivatives along A and D the entry of D is raised until it has no negative
+    eigenvalue; what is left out is the derivative of K.
+    """
+    chi, root = _regular(det, eps)
+    h = chi ** (-2.0 / 3.0)
+    h1 = -2.0 / 3.0 * h / root
+    h2 = 2.0 / 3.0 * h * (2.0 / 3.0 + det / root) / (root * root)
+    whole = det * det + 1.0
+    q1 = (2.0 * det - whole / root) / chi
+    q2 = (2.0 - 2.0 * det / root + whole * det / (root * root * root)) / chi - q1 / root
+    f = g * h / 3.0 + 0.5 * whole / chi
+    u, v = 2.0 * h / 3.0, g * h1 / 3.0 + 0.5 * q1
+    w, q, r = u, 2.0 * h1 / 3.0, max(g * h2 / 3.0 + 0.5 * q2, 2.0 / 3.0 * h1 * h1 / h * g)
+    one = 1.0 / (1.0 - t * f) ** 2
+    two = 2.0 * t * one / (1.0 - t * f)
+    return u * one, v * one, w * one, two * u * u, q * one + two * u * v, r * one + two * v * v
+
+
+@kernel
+def add_derivatives(x, start, cells, mask, samples, normal, eps, t, which, unknowns, rows, matrix, gradient):
+    """Add the derivatives of the energy of the cells ``which`` to rows of the gradient and of the Hessian.
+
+    Parameters
+    ----------
+    which : (k,) cells that touch the rows
+    unknowns : (number (n,), frame (n, 3, 3), plain (n,)) of every node: its unknown or -1, and how it follows it,
+        ``d = frame @ u``, the identity where ``plain``
+    rows : (first row, one past the last row, start (n_unknowns + 1,) of each row of blocks, columns)
+    matrix : (n_blocks, 3, 3) in the sense of BSR, gradient : (n_unknowns, 3); only the given rows are written
+    """
+    count, node, slope = samples
+    number, frame, plain = unknowns
+    first, last, starts, columns = rows
+    inverse, b, a, k = np.empty((3, 3)), np.empty((8, 3)), np.empty((3, 3)), np.empty((3, 3))
+    along, across, force = np.empty((8, 3)), np.empty((8, 3)), np.empty(3)
+    block, work = np.empty((3, 3)), np.empty((3, 3))
+    for c in which:
+        for s in range(count.size):
+            if not mask[c] >> s & 1:
+                continue
+            m = count[s]
+            det = _map(x, start, cells[c], m, node[s], slope[s], normal, inverse, b, a)
+            _cofactors(a, k)
+            u, v, w, p, q, r = _coefficients(_square(a), det, eps, t)
+            for n in range(m):
+                for d in range(3):
+                    along[n, d] = a[d, 0] * b[n, 0] + a[d, 1] * b[n, 1] + a[d, 2] * b[n, 2]
+                    across[n, d] = k[d, 0] * b[n, 0] + k[d, 1] * b[n, 1] + k[d, 2] * b[n, 2]
+            for n in range(m):
+                one = cells[c, node[s, n]]
+                row = number[one]
+                if row < first or row >= last:
+                    continue
+                for d in range(3):
+                    force[d] = u * along[n, d] + v * across[n, d]
+                for d in range(3):
+                    if plain[one]:
+                        gradient[row, d] += force[d]
+                    else:
+                        for e in range(3):
+                            gradient[row, d] += frame[one, e, d] * force[e]
+                for o in range(m):
+                    two = cells[c, node[s, o]]
+                    if number[two] < 0:
+                        continue
+                    dot = w * (b[n, 0] * b[o, 0] + b[n, 1] * b[o, 1] + b[n, 2] * b[o, 2])
+                    for d in range(3):
+                        left = p * along[n, d] + q * across[n, d]
+                        right = q * along[n, d] + r * across[n, d]
+                        for e in range(3):
+                            block[d, e] = left * along[o, e] + right * across[o, e]
+                        block[d, d] += dot
+                    if not (plain[one] and plain[two]):
+                        _turn(frame[one], frame[two], block, work)
+                    at = _find(columns, starts[row], starts[row + 1], number[two])
+                    for d in range(3):
+                        for e in range(3):
+                            matrix[at, d, e] += block[d, e]
+
+
+@inlined
+def _turn(one, two, block, work):
+    """``block = one^T block two``."""
+    for d in range(3):
+        for e in range(3):
+            work[d, e] = one[0, d] * block[0, e] + one[1, d] * block[1, e] + one[2, d] * block[2, e]
+    for d in range(3):
+        for e in range(3):
+            block[d, e] = work[d, 0] * two[0, e] + work[d, 1] * two[1, e] + work[d, 2] * two[2, e]
+
+
+@inlined
+def _find(columns, low, high, wanted):
+    """Place of ``wanted`` in the ascending ``columns[low:high]``."""
+    while high - low > 1:
+        middle = (low + high) // 2
+        if columns[middle] <= wanted:
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+@kernel
+def sound_samples(start, cells, samples, normal, sign, tolerance):
+    """Sample points at which undeformed cells are sound: (m,) int64, bit s for sample point s.
+
+    The determinant there has the ``sign`` (m,) of the cell and is more than ``tolerance`` of the product of the edges.
+    """
+    count, node, slope = samples
+    e = np.empty((3, 3))
+    mask = np.zeros(len(cells), dtype=np.int64)
+    for c in range(len(cells)):
+        for s in range(count.size):
+            for d in range(3):
+                for k in range(3):
+                    e[d, k] = normal[d] if k == 2 else 0.0
+            for n in range(count[s]):
+                p = cells[c, node[s, n]]
+                for d in range(3):
+                    for k in range(3):
+                        e[d, k] += start[p, d] * slope[s, n, k]
+            det = (
+                e[0, 0] * (e[1, 1] * e[2, 2] - e[1, 2] * e[2, 1])
+                + e[0, 1] * (e[1, 2] * e[2, 0] - e[1, 0] * e[2, 2])
+                + e[0, 2] * (e[1, 0] * e[2, 1] - e[1, 1] * e[2, 0])
+            )
+            size = 1.0
+            for k in range(3):
+                size *= np.sqrt(e[0, k] * e[0, k] + e[1, k] * e[1, k] + e[2, k] * e[2, k])
+            if sign[c] * det > tolerance * size:
+                mask[c] |= 1 << s
+    return mask
+
+
+@kernel
+def measure_samples(x, start, cells, mask, samples, normal):
+    """Smallest D and largest f, without regularisation, of every cell over its sample points: two arrays (m,)."""
+    count, node, slope = samples
+    inverse, b, a = np.empty((3, 3)), np.empty((8, 3)), np.empty((3, 3))
+    lowest, highest = np.full(len(cells), np.inf), np.zeros(len(cells))
+    for c in range(len(cells)):
+        for s in range(count.size):
+            if mask[c] >> s & 1:
+                det = _map(x, start, cells[c], count[s], node[s], slope[s], normal, inverse, b, a)
+                lowest[c] = min(lowest[c], det)
+                f = np.inf
+                if det > 0.0:
+                    f = _square(a) / 3.0 * det ** (-2.0 / 3.0) + 0.5 * (det * det + 1.0) / det
+                highest[c] = max(highest[c], f)
+    return lowest, highest

@@ -1,0 +1,32 @@
+"""What a user chooses about repairs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..errors import CaseError
+
+MODES = ("auto", "off", "polish")
+
+
+@dataclass(frozen=True)
+class RepairOptions:
+    """When a deformed grid is repaired.
+
+    Attributes
+    ----------
+    mode : ``auto``: when cells are invalid or nearly collapsed; ``off``: never; ``polish``: also the worst cells of a
+        valid grid
+    min_jacobian : cells with a corner below this share of its undeformed Jacobian count as invalid; 0 <= R < 1
+    """
+
+    mode: str = "auto"
+    min_jacobian: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.mode not in MODES:
+            raise CaseError(f"repair = {self.mode!r} is unknown; known are {', '.join(MODES)}")
+        if not 0.0 <= self.min_jacobian < 1.0:
+            raise CaseError(
+                f"min_jacobian = {self.min_jacobian!r}; expected a share of the undeformed Jacobian, 0 <= R < 1"
+            )

@@ -1,0 +1,154 @@
+"""A grid and what to do with it: everything that is known before anything moves."""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import cached_property, partial
+
+from .boundary import Boundary, BoundarySpec, Kind, classify
+from .boundary.classification import UNSELECTED
+from .boundary.prescribed import prescribed_displacement
+from .boundary.unselected import opening_notes
+from .errors import CaseError, MotionError
+from .grid import FloatArray, Grid
+from .grid.connectivity import check_connections
+from .grid.extent import require_extent
+from .grid.openings import find_openings
+from .grid.topology import RELATIVE_TOLERANCE, Topology, find_topology
+from .memory import UNLIMITED, MemoryLimit
+from .methods import Options, PreparedMethod, Problem
+from .numerics.jit import compile_seconds
+from .parallel import current_ranks
+from .quality import Original
+from .repair import RepairOptions
+
+BoundaryMotion = Callable[[float], FloatArray]
+"""``motion(fraction)``: displacement (n_unique, 3) of all face nodes with that fraction of the motion imposed."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """What to do with a grid: its boundary entries, the constants of their formulas, the method, repairs.
+
+    ``tolerance`` is the largest distance of coincident nodes, relative to the local edge; ``notes`` are doubts that
+    came up when the case was made, for the report's warnings; ``open_faces`` are outside faces (``True``: all) that are
+    meant to lie close to others.
+    """
+
+    boundaries: tuple[BoundarySpec, ...]
+    constants: Mapping[str, float] = field(default_factory=dict)
+    method: Options = field(default_factory=Options)
+    tolerance: float = RELATIVE_TOLERANCE
+    notes: tuple[str, ...] = ()
+    open_faces: bool | tuple[str, ...] = False
+    repair: RepairOptions = field(default_factory=RepairOptions)
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.method, Options):
+            raise CaseError(f"method = {self.method!r} of a case; expected Options, like Options('idw-tfi')")
+        if not all(isinstance(spec, BoundarySpec) for spec in self.boundaries):
+            raise CaseError(f"boundaries = {self.boundaries!r} of a case; expected BoundarySpec entries")
+
+    @property
+    def depends_on_time(self) -> bool:
+        """Whether any motion uses t."""
+        return any("t" in spec.motion.names for spec in self.boundaries if spec.motion)
+
+
+@dataclass
+class Timing:
+    """Seconds spent per stage; compiling loops, once per installation, is the stage ``compile`` wherever it happens."""
+
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        start, before = clock.perf_counter(), compile_seconds()
+        try:
+            yield
+        finally:
+            compiling = compile_seconds() - before
+            self._add(name, clock.perf_counter() - start - compiling)
+            if compiling:
+                self._add("compile", compiling)
+
+    def _add(self, name: str, seconds: float) -> None:
+        self.seconds[name] = self.seconds.get(name, 0.0) + max(seconds, 0.0)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Setup:
+    """A grid with everything that is known before anything moves; what ``--dry-run`` shows."""
+
+    grid: Grid
+    case: Case
+    topology: Topology
+    boundary: Boundary
+    warnings: tuple[str, ...]
+    memory: MemoryLimit = UNLIMITED
+
+    def __repr__(self) -> str:
+        return f"Setup({self.grid!r}, {self.case.method.name})"
+
+    @cached_property
+    def problem(self) -> Problem:
+        """What methods are prepared on."""
+        return Problem(self.grid, self.topology, self.boundary, self.memory)
+
+    @cached_property
+    def original(self) -> Original:
+        """The undeformed cells, against which every result is judged."""
+        return Original(self.grid, self.topology, self.case.repair.min_jacobian)
+
+    def displacement(self, time: float, fraction: float = 1.0) -> FloatArray:
+        """Prescribed displacement of all unique face nodes (n_unique, 3)."""
+        return prescribed_displacement(self.grid, self.topology, self.boundary, time, fraction)
+
+    def motion(self, time: float) -> BoundaryMotion:
+        """The case's motion as it is at ``time``."""
+        return partial(self.displacement, time)
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where a motion sets out when it is a level of a series.
+
+    ``points`` (n_nodes, 3) are the undeformed coordinates or those of an earlier level; ``prepared`` is the method
+    prepared on them, if it already is. ``correction`` gives by how much repairs moved the nodes (n_nodes, 3) at the
+    level before, or ``None``: a repair sets out from there.
+    """
+
+    points: FloatArray
+    prepared: PreparedMethod | None = None
+    correction: Callable[[], FloatArray | None] | None = None
+
+
+def set_up(grid: Grid, case: Case, timing: Timing | None = None, memory: MemoryLimit = UNLIMITED) -> Setup:
+    """Find the topology and classify the boundary; ``memory`` is what the method may take beside the grid.
+
+    Raises
+    ------
+    CaseError, MotionError
+        When a boundary entry matches nothing or no node would move.
+    """
+    timing = timing or Timing()
+    require_extent(grid)
+    with timing.stage("topology"):
+        topology = current_ranks().once(lambda: find_topology(grid, case.tolerance))
+        warnings = [*grid.notes, *case.notes, *check_connections(grid, topology)]
+        if topology.crowded:
+            warnings.append(f"{topology.crowded} face quads are shared by more than two blocks")
+        openings = current_ranks().once(lambda: find_openings(grid, topology))
+        topology, boundary = classify(grid, topology, case.boundaries, case.constants)
+        unselected = boundary.quads_of(lambda patch: patch.name == UNSELECTED)
+        moving = boundary.quads_of(lambda patch: patch.kind is Kind.MOVING)
+        warnings += opening_notes(grid, topology, openings, unselected, moving, case.open_faces)
+    if not boundary.count(Kind.MOVING):
+        raise MotionError(
+            "no node moves: no boundary entry of kind moving selects any node; "
+            'expected a [[boundary]] with kind = "moving" and a motion, or a displacement table'
+        )
+    return Setup(grid, case, topology, boundary, (*warnings, *boundary.notes), memory)

@@ -1,0 +1,208 @@
+"""Repair of deformed grids: the energy against differences, constraints to the last bit, motions that need it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from cases import ALL_METHODS, body_specs, formulas, turning
+from grids import frame, frame_2d
+
+from meshdeform_core.boundary import BoundarySpec, Kind
+from meshdeform_core.boundary.expression import expression
+from meshdeform_core.deform import Case, deform, set_up
+from meshdeform_core.errors import CaseError
+from meshdeform_core.grid import Grid
+from meshdeform_core.numerics.systems.newton import NewtonSystem
+from meshdeform_core.parallel import set_threads
+from meshdeform_core.quality.validity import judge, newly_invalid
+from meshdeform_core.repair import RepairOptions
+from meshdeform_core.repair.neighbourhood import Neighbourhood
+from meshdeform_core.repair.repair import Repairer
+from meshdeform_core.repair.untangle import Untangler
+
+
+def cube(n, dimension=3):
+    axes = [np.linspace(0.0, 1.0, n) ** 1.3 for _ in range(dimension)] + [np.zeros(1)] * (3 - dimension)
+    return Grid.from_blocks([np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)])
+
+
+def fixed_setup(grid, *more):
+    moving = BoundarySpec("all", ("*",), Kind.MOVING, None, formulas("0", "0", "0"))
+    return set_up(grid, Case((moving, *more)))
+
+
+def whole_region(setup):
+    near = Neighbourhood(setup.grid, setup.topology, setup.boundary)
+    return near.plot(near.around(np.arange(setup.grid.n_cells), 1))
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize(("eps", "t"), [(1.0, 0.0), (0.05, 0.0), (0.5, 1e-3)])
+def test_gradient_is_that_of_differences_and_matrix_is_symmetric_and_positive(dimension, eps, t):
+    setup = fixed_setup(cube(5, dimension))
+    plot, random = whole_region(setup), np.random.default_rng(0)
+    shake = 0.05 * random.standard_normal(plot.region.start.shape)
+    x = plot.region.start + shake * ([1, 1, dimension == 3])
+    untangler, system = Untangler(plot.region, x), NewtonSystem(plot.region)
+    system.fill(x, eps, t)
+    for _ in range(3):
+        step = random.standard_normal((plot.region.n_unknowns, 3))
+        ends = [untangler.state(plot.region.moved(x, step, h), eps, t).energy for h in (-1e-6, 1e-6)]
+        assert (ends[1] - ends[0]) / 2e-6 == pytest.approx(np.vdot(system.gradient, step), rel=1e-4)
+    dense = system.dense()
+    np.testing.assert_allclose(dense, dense.T, atol=2e-6)
+    assert np.linalg.eigvalsh(dense).min() > 1e-6
+
+
+def test_an_undeformed_cell_that_only_turns_has_the_smallest_energy():
+    setup = fixed_setup(cube(4))
+    plot = whole_region(setup)
+    angle = 0.8
+    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+    state = Untangler(plot.region, plot.region.start).state(plot.region.start @ turn.T * 1.0, 0.0)
+    assert state.lowest == pytest.approx(1.0)
+    assert state.highest == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_a_node_thrown_out_of_its_cells_comes_back(dimension):
+    setup = fixed_setup(cube(7, dimension))
+    points = setup.grid.points.copy()
+    middle = setup.grid.n_nodes // 2
+    points[middle, :dimension] += 0.6
+    verdict = judge(setup.original, points)
+    assert not verdict.valid
+    outcome = Repairer(setup.original, setup.boundary).repair(points, verdict)
+    assert outcome.verdict.valid
+    assert not newly_invalid(setup.original, outcome.points).size
+    assert outcome.repair.cells == verdict.invalid.size
+    assert 0 < outcome.repair.nodes < setup.grid.n_nodes
+    assert outcome.repair.max_movement > 0.1
+    held = setup.topology.first[setup.boundary.known]
+    np.testing.assert_array_equal(outcome.points[held], points[held])
+
+
+def turned(grid, angle, method="idw-tfi", mode="auto", span=Kind.SLIP, **options):
+    specs = body_specs(turning(str(angle)), span) if grid.dimension == 3 else body_specs(turning(str(angle)))[:1]
+    return deform(grid, Case(tuple(specs), method=ALL_METHODS[method], repair=RepairOptions(mode)), **options)
+
+
+def test_constraints_hold_to_the_last_bit():
+    result = turned(frame(6, 2), 110, steps=1)
+    assert not turned(frame(6, 2), 110, mode="off").valid
+    assert result.valid
+    grid, setup = result.grid, result.setup
+    assert result.repair is not None
+    assert result.repair.newton_steps > 0
+    # The walls are where they were told, the end planes plane, coincident nodes one.
+    wall = setup.topology.first[setup.boundary.known]
+    told = setup.grid.points[wall] + setup.displacement(0.0)[setup.boundary.known]
+    np.testing.assert_array_equal(grid.points[wall], told)
+    ends = (setup.grid.points[:, 2] == 0.0) | (setup.grid.points[:, 2] == 1.0)
+    np.testing.assert_array_equal(grid.points[ends, 2], setup.grid.points[ends, 2])
+    topology = setup.topology
+    np.testing.assert_array_equal(grid.points[topology.face_nodes], grid.points[topology.first[topology.number]])
+
+
+def test_attempts_are_told_and_options_mean_what_they_say():
+    result = turned(frame(6, 2), 110)
+    assert [(a.repair, a.steps, a.reached) for a in result.attempts[:2]] == [(False, 1, 1.0), (True, 1, 1.0)]
+    assert result.attempts[0].invalid_cells > 0
+    assert result.attempts[-1].invalid_cells == 0
+    off = turned(frame(6, 2), 110, mode="off")
+    assert (off.steps, off.repair, len(off.attempts)) == (1, None, 1)
+    assert off.assessment.after.invalid_cells == result.attempts[0].invalid_cells
+    assert turned(frame(6, 2), 110, steps=3).steps == 3
+    easy = turned(frame(6, 2), 20)
+    assert (easy.repair, len(easy.attempts)) == (None, 1)
+    np.testing.assert_array_equal(easy.grid.points, turned(frame(6, 2), 20, mode="off").grid.points)
+
+
+def test_2d_grids_and_grids_one_cell_thick_are_repaired_alike():
+    flat = turned(frame_2d(6), 110, steps=1)
+    assert flat.valid
+    assert not turned(frame_2d(6), 110, mode="off").valid
+    assert not flat.grid.points[:, 2].any()
+
+
+def test_a_grid_in_an_inclined_plane_stays_in_it():
+    grid = frame_2d(6)
+    a = 0.6
+    turn = np.array([[1, 0, 0], [0, np.cos(a), -np.sin(a)], [0, np.sin(a), np.cos(a)]])
+    tilted = grid.moved(np.ascontiguousarray(grid.points @ turn.T))
+    axis = turn @ [0.0, 0.0, 1.0]
+    near = expression("abs(x) < 0.51 and sqrt(y*y + z*z) < 0.51", {"x", "y", "z"})
+    spec = BoundarySpec("body", ("*",), Kind.MOVING, near, turning("110", axis=tuple(axis)))
+    result = deform(tilted, Case((spec,)), steps=1)
+    assert result.repair is not None
+    assert result.valid
+    assert np.abs(result.grid.points @ axis).max() < 1e-12
+
+
+def test_periodic_sides_move_alike():
+    n = 9
+    grid = cube(n)
+    specs = (
+        BoundarySpec("floor", ("*.kmin",), Kind.MOVING, None, formulas("0", "0", "0.9*exp(-40*(y-0.4)**2)")),
+        BoundarySpec("sides", ("*.imin", "*.imax"), Kind.PERIODIC),
+        BoundarySpec("rest", ("*.jmin", "*.jmax"), Kind.SLIP),
+    )
+    setup = set_up(grid, Case(specs))
+    points = grid.points.copy()
+    block = grid.block(0, points)
+    # A cell on each side of the period is turned over.
+    block[0, 4, 4, 2] += 0.5
+    block[-1, 4, 4, 2] += 0.5
+    verdict = judge(setup.original, points)
+    assert not verdict.valid
+    outcome = Repairer(setup.original, setup.boundary).repair(points, verdict)
+    assert outcome.verdict.valid
+    moved = grid.block(0, outcome.points - grid.points)
+    np.testing.assert_allclose(moved[0], moved[-1], rtol=0, atol=1e-15)
+    assert np.abs(moved[0]).max() > 0.01
+
+
+def test_threads_do_not_matter():
+    results = []
+    for threads in (1, 2):
+        set_threads(threads)
+        try:
+            results.append(turned(frame(6, 2), 110, steps=1).grid.points)
+        finally:
+            set_threads(None)
+    np.testing.assert_allclose(results[0], results[1], rtol=0, atol=1e-12)
+
+
+def test_cells_of_a_boundary_layer_that_only_turn_keep_their_heights():
+    """Cells of aspect ratio 1e4 at a wall that turns with them, broken cells further out."""
+    x = np.linspace(0.0, 1.0, 9)
+    z = np.concatenate([[0.0], 1e-5 * 2.2 ** np.arange(12), [0.3, 0.5, 0.75, 1.0]])
+    block = np.stack(np.meshgrid(x, x, z, indexing="ij"), axis=-1)
+    setup = fixed_setup(Grid.from_blocks([block]))
+    points = setup.grid.points.copy()
+    inner = setup.grid.block(0, points)
+    inner[4, 4, 14] += [0.3, 0.3, 0.4]
+    outcome = Repairer(setup.original, setup.boundary).repair(points, judge(setup.original, points))
+    assert outcome.verdict.valid
+    ratio = outcome.verdict.ratio.reshape(8, 8, -1)
+    assert ratio[:, :, :6].min() > 0.7
+
+
+def test_when_nothing_helps_the_boundary_is_where_it_was_told():
+    """The bar is pushed through the outer boundary: no valid grid exists."""
+    specs = body_specs(formulas("0", "6", "0"))
+    result = deform(frame(4, 1), Case(tuple(specs)))
+    assert not result.valid
+    assert result.reached == 1.0
+    setup = result.setup
+    wall = setup.topology.first[setup.boundary.known]
+    told = setup.grid.points[wall] + setup.displacement(0.0)[setup.boundary.known]
+    np.testing.assert_array_equal(result.grid.points[wall], told)
+    assert any("body" in warning for warning in result.warnings)
+    assert any("no valid grid was found" in warning for warning in result.warnings)
+
+
+@pytest.mark.parametrize("wrong", [{"mode": "maybe"}, {"min_jacobian": -0.1}, {"min_jacobian": 1.0}])
+def test_options_are_checked(wrong):
+    with pytest.raises(CaseError):
+        RepairOptions(**wrong)
