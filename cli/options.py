@@ -175,9 +175,7 @@ def case_options(command: Command) -> Command:
         help="Count a cell as invalid below R times its undeformed Jacobian.",
     )
     @functools.wraps(command)
-    def packed(
-        case_file: Path | None, repair: str | None, min_jacobian: float | None, **options: Any
-    ) -> Any:
+    def packed(case_file: Path | None, repair: str | None, min_jacobian: float | None, **options: Any) -> Any:
         own = {name: options.pop(name) for name in ("displacement", "method", "overrides", "match", "tolerance")}
         if repair is not None:
             own["overrides"] += (f'repair.mode="{repair}"',)

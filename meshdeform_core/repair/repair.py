@@ -24,13 +24,13 @@ WEAK = 0.2
 """Cells with a corner below this share of its undeformed Jacobian are the middle of what a repair moves."""
 COLLAPSING = 0.01
 """Valid cells below this share are nearly collapsed: they are repaired too, and what stays is a warning."""
-_LAYERS = (8, 16, 32, 1 << 30)
+_LAYERS = (8, 32, 1 << 30)
 _STEPS, _IMPROVING = 40, 16
 _ROUNDS = 2
 # A region of n nodes takes at most _WORK / n Newton steps, so that time is bounded on large grids.
 _WORK, _FEWEST = 20_000_000, 6
-# More layers are tried while the largest density is above this, and as long as they lower it by a tenth.
-_ENOUGH, _GAIN = 10.0, 0.9
+# More layers are tried while the largest density is above this; of valid grids, if the first ones lower it by a tenth.
+_ENOUGH, _GAIN = 6.0, 0.9
 # Regions of more nodes than this are not improved beyond validity: of the largest grids that would take minutes.
 _LARGE = 300_000
 _CORNERS = (1 << 8) - 1
@@ -120,7 +120,10 @@ class Repairer:
                 now = self._moved(now, found)
                 if now.verdict.valid or not found.untangled:
                     break
-            if found is None or (now.verdict.valid and found.density > _GAIN * min(density, found.before)):
+            if found is None:
+                break
+            if start.verdict.valid and found.density > _GAIN * found.before:
+                # Weak cells that are not to be helped.
                 break
             if now.count < best.count or (now.count == best.count and found.density < density):
                 best, density = now, found.density
