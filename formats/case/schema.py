@@ -58,6 +58,14 @@ def case_schema() -> Schema:
             },
             boundary={"type": "array", "items": _boundary(), "description": "What each part of the boundary does."},
             method=_method(),
+            repair=_table(
+                "What happens when cells become invalid.",
+                mode={
+                    "enum": ["auto", "off", "polish"],
+                    "description": "auto: repair them; off: never; polish: improve.",
+                },
+                min_jacobian=_number("Cells with a corner below this share of its undeformed Jacobian are invalid."),
+            ),
         ),
         "$defs": {"formula": _FORMULA, "motion": _motion()},
     }
