@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -17,6 +19,9 @@ from .options import (
     quiet_option,
     variant_option,
 )
+
+if TYPE_CHECKING:
+    from meshdeform_core.grid import Grid
 
 
 @click.command("convert")
@@ -34,16 +39,40 @@ def command(source: GridInput, target: Path, variant: tuple[str, ...], force: bo
       meshdeform convert grid.xyz grid.p3dfmt
       meshdeform convert grid.xyz big.xyz --variant byte_order=big --variant precision=float32
       meshdeform convert airfoil.p3dfmt airfoil.cgns --boundary-file airfoil.nmf
+
+    Plot3D and VTK files have no place for boundaries: they are written beside OUT as a neutral map file (.nmf) whose
+    types are the names of families or patches.
     """
     from meshdeform_formats.grids import complete_for_export, format_of, write_grid
 
-    format_of(target)
+    kind = format_of(target)
     options = parse_pairs(variant, "--variant")
     check_output(target, force, *source.files)
     grid = complete_for_export(source.read(), target)
+    boundaries = _beside(grid, kind, target)
+    if boundaries is not None:
+        check_output(boundaries, force, *source.files)
     written = write_grid(grid, target, options)
+    if boundaries is not None:
+        _write_boundaries(grid, boundaries)
     for note in grid.notes:
         tell(f"warning: {note}")
+    if kind == "meshio" and (grid.patches or grid.connections):
+        tell(f"warning: {target.suffix} files have no place for the {len(grid.patches)} patches of the grid: lost")
     if not quiet:
-        click.echo(f"{target}: {written.label}, {grid.n_blocks} blocks, {grid.n_nodes:,} nodes")
+        beside = f"; boundaries in {boundaries}" if boundaries is not None else ""
+        click.echo(f"{target}: {written.label}, {grid.n_blocks} blocks, {grid.n_nodes:,} nodes{beside}")
     return 0
+
+
+def _beside(grid: Grid, kind: str, target: Path) -> Path | None:
+    """Where boundaries go that the format of the grid has no place for."""
+    return target.with_suffix(".nmf") if kind in ("plot3d", "vtk") and (grid.patches or grid.connections) else None
+
+
+def _write_boundaries(grid: Grid, path: Path) -> None:
+    """Boundaries as a neutral map file whose types are families or names, so that case files select them as before."""
+    from meshdeform_formats.neutral_map import write_neutral_map
+
+    named = (dataclasses.replace(patch, bc_type=patch.family or patch.name) for patch in grid.patches)
+    write_neutral_map(dataclasses.replace(grid, patches=tuple(named)), path)

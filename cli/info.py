@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
 
 from .info_text import as_text
-from .options import GridInput, grid_options, json_option
+from .options import PATH, GridInput, check_output, force_option, grid_options, json_option
 
 if TYPE_CHECKING:
     from meshdeform_core.grid import Connection, Grid, Patch
@@ -23,8 +24,10 @@ if TYPE_CHECKING:
 @click.command("info")
 @grid_options
 @click.option("-v", "--verbose", is_flag=True, help="Every patch and face on a line of its own.")
+@click.option("--picture", type=PATH, help="Draw the boundaries by name (.png .svg .pdf).")
+@force_option
 @json_option
-def command(source: GridInput, verbose: bool, as_json: bool) -> int:
+def command(source: GridInput, verbose: bool, picture: Path | None, force: bool, as_json: bool) -> int:
     """Show what GRID holds and where: blocks, walls and other boundaries, interfaces, what is odd about it.
 
     \b
@@ -32,13 +35,33 @@ def command(source: GridInput, verbose: bool, as_json: bool) -> int:
       meshdeform info wing.cgns
       meshdeform info airfoil.p3dfmt --boundary-file airfoil.nmf
       meshdeform info grid.vts --json
+      meshdeform info wing.cgns --picture wing.png
 
     The role of a boundary is what the file declares. Where it declares nothing it is guessed from the shape of the
     grid (cells cluster towards walls and grow towards the far field) and marked with a question mark.
     """
-    facts = gather(source.read(), str(source.path))
+    if picture is not None:
+        _check_picture(picture, force, source)
+    grid = source.read()
+    facts = gather(grid, str(source.path))
+    if picture is not None:
+        _draw(grid, picture, source.path.name)
     click.echo(json.dumps(facts, indent=2) if as_json else as_text(facts, verbose))
     return 0
+
+
+def _check_picture(path: Path, force: bool, source: GridInput) -> None:
+    from meshdeform_formats.picture import check_picture_path
+
+    check_picture_path(path)
+    check_output(path, force, *source.files)
+
+
+def _draw(grid: Grid, path: Path, title: str) -> None:
+    from meshdeform_core.grid.topology import find_topology
+    from meshdeform_formats.picture import Subject, boundaries, save_page
+
+    save_page(boundaries(Subject(grid, find_topology(grid)), title), path)
 
 
 def gather(grid: Grid, file: str) -> dict[str, Any]:

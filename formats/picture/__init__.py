@@ -3,6 +3,7 @@
 ``overview`` shows a grid when nothing else is asked for; ``page_png`` gives the bytes of a page of panels.
 """
 
+from .boundaries import boundaries
 from .comparison import Pair, apart, moved_walls, plane_around, quality_planes, worst_cells
 from .facets import Facets, block_facets, cut_facets, joined, plane_facets, surface_facets
 from .figure import STYLE, SUFFIXES, Page, Panel, check_picture_path, page_png, save_page
@@ -27,6 +28,7 @@ __all__ = [
     "along",
     "apart",
     "block_facets",
+    "boundaries",
     "check_picture_path",
     "cut_facets",
     "draw",

@@ -51,6 +51,7 @@ class Panel:
     frames : windows of close-ups, drawn as rectangles
     under : another scene, drawn first and seen through this one
     names : texts at points (k, 3)
+    strokes : thick lines (k, 2, 3) in colours of their own
     """
 
     scene: Scene
@@ -61,6 +62,7 @@ class Panel:
     frames: tuple[Window, ...] = ()
     under: Scene | None = None
     names: tuple[tuple[str, FloatArray], ...] = ()
+    strokes: tuple[tuple[FloatArray, tuple[float, float, float]], ...] = ()
 
     @property
     def aspect(self) -> float:
@@ -193,6 +195,11 @@ def _fill(ax: Axes, panel: Panel, fine: int, vector: bool) -> None:
             Rectangle((left, bottom), right - left, top - bottom, fill=False, linewidth=1.0, edgecolor="#c03000",
                       zorder=3)
         )  # fmt: skip
+    from matplotlib.collections import LineCollection
+
+    for edges, colour in panel.strokes:
+        lines = list(panel.view.project(edges)[..., :2])
+        ax.add_collection(LineCollection(lines, colors=[colour], linewidths=2.2, capstyle="round", zorder=3))
     _names(ax, panel)
 
 

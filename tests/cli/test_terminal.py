@@ -71,3 +71,38 @@ def test_invalid_cells_are_told_by_group(bench, call):
     report = json.loads((bench / "r.json").read_text())
     assert {cell["nearest_patch"] for cell in report["invalid_cells"]} == {"body"}
     assert "near 'body' around (" in " ".join(result.err.split())
+
+
+def test_convert_keeps_boundaries_beside_what_has_no_place_for_them(bench, call):
+    result = call("convert", "grid.cgns", "new.xyz")
+    assert (result.code, result.err) == (0, "")
+    assert result.out.rstrip().endswith("boundaries in new.nmf")
+    before, after = (
+        json.loads(call("info", *source, "--json").out)["surfaces"]
+        for source in (("grid.cgns",), ("new.xyz", "--boundary-file", "new.nmf"))
+    )
+    assert {s["name"]: (s["quads"], s["role"]) for s in before}.keys() == {s["name"] for s in after}
+    assert {s["name"]: s["quads"] for s in before} == {s["name"]: s["quads"] for s in after}
+    assert call("convert", "grid.cgns", "new.vtm").code == 2
+    assert call("convert", "grid.cgns", "new.vtm", "--force").code == 0
+    assert call("convert", "new.xyz", "back.cgns", "--boundary-file", "new.nmf").code == 0
+    assert not (bench / "back.nmf").exists()
+
+
+def test_convert_says_what_is_lost(bench, call):
+    result = call("convert", "grid.cgns", "new.vtu")
+    assert result.code == 0
+    assert "no place for the" in result.err
+    assert not (bench / "new.nmf").exists()
+
+
+@pytest.mark.parametrize("grid", ["grid.cgns", "flat.p2dfmt"])
+def test_info_draws_the_boundaries_by_name(grid, bench, call):
+    plain = call("info", grid)
+    result = call("info", grid, "--picture", "boundaries.svg")
+    assert (result.code, result.out, result.err) == (0, plain.out, "")
+    text = (bench / "boundaries.svg").read_text()
+    for name in ("body (wall)", "outer (far)", "span (symmetry)") if grid == "grid.cgns" else ("wall?", "far?"):
+        assert name in text
+    assert call("info", grid, "--picture", "boundaries.svg").code == 2
+    assert call("info", grid, "--picture", "boundaries.bmp").code == 2

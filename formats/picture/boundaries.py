@@ -1,0 +1,90 @@
+"""The boundaries of a grid by name, each in its colour."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from meshdeform_core.grid import FloatArray
+from meshdeform_core.grid.roles import Role
+from meshdeform_core.grid.surfaces import Surface
+
+from .colours import colour_of, group_colours
+from .facets import Facets, block_outlines, joined, surface_facets
+from .figure import Page, Panel
+from .image import Scene
+from .overview import Choice, body_walls, onto_walls, overview
+from .subject import Subject
+from .view import View, shaped, window_of
+
+_MOST = 14
+
+
+def boundaries(subject: Subject, title: str = "") -> Page:
+    """All outside faces coloured by family, patch, or role where they have no name.
+
+    Of a grid in space those that would hide the rest (far field and planes that face the viewer) are left out; small
+    walls have a close-up. Of a plane grid the edges are coloured.
+    """
+    groups = _groups(subject)
+    legend = tuple((name, colour_of(number)) for number, name in enumerate(groups))[:_MOST]
+    if subject.grid.dimension == 2:
+        page = overview(subject, Choice(), title)
+        strokes = tuple(
+            (np.concatenate([_corners(subject, s) for s in surfaces]), colour_of(number))
+            for number, surfaces in enumerate(groups.values())
+        )
+        flat = tuple(dataclasses.replace(panel, scene=_pale(panel.scene), strokes=strokes) for panel in page.panels)
+        return dataclasses.replace(page, panels=flat, scale=None, legend=legend)
+    view = onto_walls(subject)
+    whole = _solid(subject, groups, view)
+    panels = [whole]
+    walls = body_walls(subject)
+    if walls:
+        corners = np.concatenate([surface_facets(subject, wall.quads).corners for wall in walls])
+        near = shaped(window_of(view, corners, 0.1), (0.7, 1.0))
+        if near[1] - near[0] < 0.5 * (whole.window[1] - whole.window[0]):
+            panels.append(dataclasses.replace(whole, window=near, title="walls"))
+    return Page(tuple(panels), title, None, legend)
+
+
+def _pale(scene: Scene) -> Scene:
+    """The cells without colours, so that those of the boundaries are seen."""
+    return dataclasses.replace(scene, colours=np.full_like(scene.colours, 0.95))
+
+
+def _groups(subject: Subject) -> dict[str, list[Surface]]:
+    """Surfaces by the name that the legend shows, walls first."""
+    groups: dict[str, list[Surface]] = {}
+    for surface in sorted(subject.outside.surfaces, key=lambda s: list(Role).index(s.role)):
+        guessed = "" if surface.declared or surface.role is Role.UNKNOWN else "?"
+        name = f"{surface.name} ({surface.role.value}{guessed})" if surface.named else f"{surface.role.value}{guessed}"
+        groups.setdefault(name, []).append(surface)
+    return groups
+
+
+def _solid(subject: Subject, groups: dict[str, list[Surface]], view: View) -> Panel:
+    parts, quads = [], []
+    for number, surfaces in enumerate(groups.values()):
+        for surface in surfaces:
+            corners = _corners(subject, surface)
+            keep = np.ones(len(corners), bool) if surface.role is Role.WALL else _away(corners, view)
+            parts.append(Facets.plain(corners[keep], number))
+            quads.append(surface.quads[keep])
+    facets = joined(parts)
+    outlines = block_outlines(subject.grid, subject.topology, np.concatenate(quads))
+    scene = Scene(facets, group_colours(facets), outlines, lit=True)
+    return Panel(scene, view, shaped(window_of(view, facets.corners), (0.5, 1.1)), "outside")
+
+
+def _corners(subject: Subject, surface: Surface) -> FloatArray:
+    """Corners (n, 4, 3) of its quads, counter-clockwise from outside; in 2-D the ends (n, 2, 3) of its edges."""
+    topology = subject.topology
+    return np.asarray(subject.grid.points[topology.first[topology.quads.corners[surface.quads]]])
+
+
+def _away(corners: FloatArray, view: View) -> np.ndarray:
+    """Quads (n, 4, 3) whose outer side faces away from the viewer: they hide nothing."""
+    normal = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
+    return np.asarray(normal @ view.towards < 0)
