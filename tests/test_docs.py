@@ -42,7 +42,7 @@ def assert_printed(expected: list[str], printed: str) -> None:
 
 
 @EACH_PAGE
-@pytest.mark.timeout(60)
+@pytest.mark.timeout(240)
 def test_commands_and_code_do_what_the_page_says(page, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     names = {"__name__": "page"}
