@@ -10,12 +10,16 @@ from functools import partial
 import numpy as np
 
 from .earlier import EarlierSolutions
+from .products import product_of
 from .schwarz import SchwarzPreconditioner
 
 _RESTART = 40
 _DEPENDENT = 1e-14
 # Part of the tolerance that errors of the product may take.
 _LARGEST_ERROR = 0.3
+# Tolerance, iterations, accuracy of the product and memory of a large coarse system, a twenty-fifth of the centres.
+_COARSE_TOLERANCE, _COARSE_ITERATIONS = 0.02, 6
+_COARSE_PRODUCT, _COARSE_MEMORY = 1e-4, 2**30
 
 
 @dataclass(frozen=True)
@@ -55,7 +59,7 @@ class KrylovSolver:
 
     def __init__(self, kind, points, polynomial, product, remembered=0):
         self._polynomial, self.product = polynomial, product
-        self.preconditioner = SchwarzPreconditioner(kind, points, polynomial, product)
+        self.preconditioner = SchwarzPreconditioner(kind, points, polynomial, product, _CoarseSolver)
         self.earlier = EarlierSolutions(len(points), polynomial.shape[1], remembered * points.shape[1])
 
     @staticmethod
@@ -130,6 +134,18 @@ class KrylovSolver:
                 break
         parts = [(c @ each, p @ each) for (c, p), each in zip(directions, y.reshape(-1, m, m), strict=True)]
         return *(sum(part) for part in zip(*parts, strict=True)), step
+
+
+class _CoarseSolver:
+    """A large coarse system, solved by the same method to two digits: errors there cost iterations on all centres."""
+
+    def __init__(self, kind, centres, polynomial):
+        product = product_of(kind, centres, _COARSE_PRODUCT, _COARSE_MEMORY)
+        self._solver = KrylovSolver(kind, centres, polynomial, product)
+
+    def solve(self, values):
+        found = self._solver.solve(values, _COARSE_TOLERANCE, _COARSE_ITERATIONS)
+        return found.coefficients, found.polynomial
 
 
 def _advance(progress, before, total, step):

@@ -12,7 +12,6 @@ import scipy
 from ...parallel import Shared, for_chunks, thread_count
 from ..radial import radial_matrix
 from .cholesky import invert_last
-from .products import ExactProduct
 from .saddle import DirectSolver
 
 OWN = 60
@@ -26,13 +25,13 @@ _BOXES = 8
 
 
 class SchwarzPreconditioner:
-    """Approximate inverse of the system ``A c + P p = r, P^T c = 0``, a fixed linear operator.
+    """Approximate inverse of the system ``A c + P p = r, P^T c = 0``; linear if its coarse solver is.
 
     Boxes of at most ``OWN`` centres come from repeated bisection across the direction of largest spread, so that they
     follow clustered nodes; they are widened to ``OVERLAP`` centres. One centre in ``COARSENING`` is a coarse one, the
     middle of a smaller box. Both must follow the clustering: with coarse centres spread evenly in space, or an overlap
     measured as a length, a wall-clustered surface takes 4 to 10 times the iterations. The coarse system is factorised,
-    or, if it is large, solved approximately by the same method.
+    or, if it is large, solved roughly by another solver.
 
     Parameters
     ----------
@@ -40,9 +39,11 @@ class SchwarzPreconditioner:
     points : (n, 3) centres in units of the support radius
     polynomial : (n, q) polynomial terms at the centres, full column rank
     product : A times coefficients (n, 3), see :class:`.products.Product`
+    coarse_solver : makes a solver, as a function of kind, coarse centres and their polynomial, for a coarse system too
+        large to factorise; it need not be accurate
     """
 
-    def __init__(self, kind, points, polynomial, product):
+    def __init__(self, kind, points, polynomial, product, coarse_solver):
         self._side = np.linalg.qr(polynomial)[0]
         self._own = bisect(points, -(-len(points) // OWN))
         self._near = _with_overlap(points, self._own)
@@ -50,9 +51,8 @@ class SchwarzPreconditioner:
         self._coarse = _coarse(points, polynomial)
         self._at_coarse = product.roughly_at(self._coarse)
         centres = np.ascontiguousarray(points[self._coarse])
-        self._next: SchwarzPreconditioner | DirectSolver
         if len(centres) > _DIRECT:
-            self._next = SchwarzPreconditioner(kind, centres, polynomial[self._coarse], ExactProduct(kind, centres))
+            self._next = coarse_solver(kind, centres, polynomial[self._coarse])
         else:
             self._next = DirectSolver(lambda: radial_matrix(kind, centres, centres), polynomial[self._coarse])
 
