@@ -10,6 +10,7 @@ help:
 	@echo "make test       environment, install, all tests (FAST=1 leaves out slow ones)"
 	@echo "make check      ruff, format, mypy, import contract"
 	@echo "make docs       the documentation as a site in build/site"
+	@echo "make fuzz       mutated files and random grids, judged independently (N=20000, SEED=1)"
 	@echo "make bench      speed and memory tables (see docs/performance.md)"
 	@echo "make reproduce  the paper's tables and figures (QUICK=1 for the small sizes)"
 
@@ -47,6 +48,10 @@ docs: $(VENV)/installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[docs]'
 	PYTHONPATH=docs $(BIN)/python docs/build.py $(OPTIONS)
 	@echo "Open build/site/index.html."
+
+# Mutated files, tables, formulas and grids, judged independently; SEED=1 repeats a campaign.
+fuzz: $(VENV)/installed
+	PYTHONPATH=tests $(BIN)/python -P -m fuzz.campaign $(or $(N),2000) $(SEED)
 
 format: $(VENV)/installed
 	$(BIN)/ruff check --fix .

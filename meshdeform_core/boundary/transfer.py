@@ -14,6 +14,7 @@ from ..grid.topology import RELATIVE_TOLERANCE, Topology, side_nodes
 HOW = ("exact", "nearest", "interpolate")
 # Two displacements at one place are the same up to this fraction of the largest one.
 _ALIKE = 1e-6
+_LARGEST = 1e100
 
 
 @dataclass(frozen=True)
@@ -116,6 +117,8 @@ def transfer(data: SurfaceData | Grid, matching: Matching, nodes: Nodes) -> Tran
     MotionError
         When no node matches, or some do not although ``matching.partial`` does not allow it.
     """
+    if not isinstance(data, Grid):
+        _require_plausible(data)
     if isinstance(data, Grid):
         result = _from_deformed_grid(data, matching, nodes)
     elif matching.how == "interpolate":
@@ -124,6 +127,14 @@ def transfer(data: SurfaceData | Grid, matching: Matching, nodes: Nodes) -> Tran
         result = _from_points(data, matching, nodes)
     _require_matches(result, matching, nodes, data)
     return result
+
+
+def _require_plausible(data: SurfaceData) -> None:
+    """Refuse numbers whose squares overflow: they are no lengths."""
+    for what, values in (("coordinates", data.points), ("displacements", data.displacement)):
+        largest = float(np.abs(values).max(initial=0.0))
+        if largest > _LARGEST:
+            raise MotionError(f"{data.label} has {what} of {largest:.3g}; expected lengths below {_LARGEST:g}")
 
 
 def _from_points(data: SurfaceData, matching: Matching, nodes: Nodes) -> Transfer:

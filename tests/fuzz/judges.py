@@ -1,0 +1,111 @@
+"""Independent readings of files and results: numpy, struct, h5py and the XML parser of Python, none of our readers."""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import h5py
+import numpy as np
+from plot3d_witness import binary_file
+
+from meshdeform_core.grid import Grid
+
+
+def plot3d_binary(path: Path, grid: Grid) -> str:
+    """The bytes of the file, written again from what was read."""
+    options = {key: value for key, value in grid.format.options.items() if key != "iblank"}
+    if any(field.name.lower() == "iblank" for field in grid.fields):
+        flags = [next(f.values for f in grid.fields if f.block == b).astype(np.int32) for b in range(grid.n_blocks)]
+    else:
+        flags = None
+    blocks = [np.asarray(grid.block(b)) for b in range(grid.n_blocks)]
+    again = binary_file(blocks, flags, **options, precision=grid.precision)
+    return "" if again == path.read_bytes() else "the file is not what was read"
+
+
+def plot3d_ascii(path: Path, grid: Grid) -> str:
+    """All numbers of the text, in the order of the format."""
+    values: list[float] = []
+    for word in re.split(r"[\s,]+", path.read_text(errors="replace").strip()):
+        count, star, value = word.rpartition("*")
+        values += [float(re.sub("[dDqQ]", "e", value) or "nan")] * (int(count) if star else 1)
+    read = [grid.block(b)[..., c].ravel(order="F") for b in range(grid.n_blocks) for c in range(3)]
+    expected = np.concatenate(read)
+    found = np.array(values)[-len(expected) :]
+    return "" if np.array_equal(found, expected) else "the numbers are not those of the text"
+
+
+def cgns(path: Path, grid: Grid) -> str:
+    """Coordinate arrays as h5py finds them."""
+    with h5py.File(path) as file:
+        for base in (node for node in file.values() if isinstance(node, h5py.Group)):
+            for name, zone in base.items():
+                coordinates = zone.get("GridCoordinates") if isinstance(zone, h5py.Group) else None
+                if coordinates is None or name not in grid.names:
+                    continue
+                block = grid.block(grid.names.index(name))
+                for axis, letter in enumerate("XYZ"):
+                    data = coordinates.get(f"Coordinate{letter}")
+                    if data is not None and not np.array_equal(data[" data"][()].T, block[..., axis]):
+                        return f"{name}: Coordinate{letter} is not what was read"
+    return ""
+
+
+def vts(path: Path, grid: Grid) -> str:
+    """The text of the points of an ascii file."""
+    root = ElementTree.fromstring(path.read_bytes())
+    data = root.find(".//Points/DataArray")
+    found = np.array((data.text or "").split(), dtype=float).reshape(-1, 3)
+    expected = np.transpose(grid.block(0), (2, 1, 0, 3)).reshape(-1, 3)
+    return "" if np.array_equal(found, expected) else "the points are not those of the text"
+
+
+def vtk(path: Path, grid: Grid) -> str:
+    """The numbers behind POINTS of an ascii file."""
+    words = path.read_bytes().split()
+    at = [word.upper() for word in words].index(b"POINTS")
+    found = np.array([float(word) for word in words[at + 3 : at + 3 + 3 * int(words[at + 1])]]).reshape(-1, 3)
+    expected = np.transpose(grid.block(0), (2, 1, 0, 3)).reshape(-1, 3)
+    return "" if np.array_equal(found, expected) else "the points are not those of the text"
+
+
+def table(path: Path, before: Grid, after: Grid) -> str:
+    """Every node at a point of the table moves as the table says."""
+    rows = []
+    for line in path.read_text().splitlines():
+        try:
+            rows.append([float(word) for word in re.split(r"[,;\s]+", line.partition("#")[0].strip())])
+        except ValueError:
+            continue
+    known = {tuple(row[:3]): row[3:6] for row in rows if len(row) == 6}
+    for old, new in zip(before.points.tolist(), after.points.tolist(), strict=True):
+        told = known.get(tuple(old))
+        if told is not None and np.abs(np.subtract(new, old) - told).max() > 1e-12 * max(1.0, np.abs(new).max()):
+            return f"the node {old} moved by {np.subtract(new, old).tolist()}, the table says {told}"
+    return ""
+
+
+def newly_bad(before: Grid, after: Grid) -> int:
+    """Cells with a corner that had a positive volume and has none."""
+    count = 0
+    for b in range(before.n_blocks):
+        old, new = (_corner_volumes(grid.block(b)) for grid in (before, after))
+        sign = np.sign(np.sign(old).sum()) or 1.0
+        count += int(((sign * old > 0) & (sign * new <= 0)).any(axis=0).sum())
+    return count
+
+
+def _corner_volumes(x: np.ndarray) -> np.ndarray:
+    """(8, cells) triple products of the edges at the corners."""
+    found = []
+    for corner in np.ndindex(2, 2, 2):
+        pick = tuple(slice(c, n - 1 + c) for c, n in zip(corner, x.shape, strict=False))
+        edges = []
+        for axis in range(3):
+            other = list(pick)
+            other[axis] = slice(1 - corner[axis], x.shape[axis] - corner[axis])
+            edges.append((x[tuple(other)] - x[pick]) * (1 if corner[axis] == 0 else -1))
+        found.append(np.einsum("...i,...i->...", edges[0], np.cross(edges[1], edges[2])).ravel())
+    return np.array(found)
