@@ -15,6 +15,7 @@ import numpy as np
 
 from meshdeform_core.boundary.crossing import find_contact
 from meshdeform_core.boundary.motion import Follow
+from meshdeform_core.boundary.pinned import find_pinned
 from meshdeform_core.boundary.transfer import SurfaceData
 from meshdeform_core.deform import Case, deform, set_up
 from meshdeform_core.grid import Grid
@@ -111,7 +112,8 @@ def plan(job: Job, output: Path | None, imposed: Imposed, variant: dict[str, str
     contact = find_contact(
         setup.grid, setup.topology, setup.boundary, functools.partial(setup.displacement, imposed.time)
     )
-    report["warnings"] += [contact.message] if contact else []
+    pinned = find_pinned(setup.grid, setup.topology, setup.boundary, motion)
+    report["warnings"] += [found.message for found in (contact, pinned) if found]
     return report
 
 
