@@ -29,6 +29,7 @@ from tables import MarkdownTable, Row
 from meshdeform_core.deform import Result, deform
 from meshdeform_core.grid import FloatArray
 from meshdeform_core.methods import Options
+from meshdeform_core.repair.options import RepairOptions
 
 TEMPLATE = Path(__file__).parent / "validity.md"
 
@@ -48,9 +49,10 @@ class Setting:
         return ", ".join(parts)
 
     def run(self, place: Terrain, seed: int, points: FloatArray) -> Result:
-        given = {name: value for name in ("steps", "repair") if (value := getattr(self, name)) is not None}
         case = case_of(place, seed, points, Options(self.method))
-        return deform(place.grid, case, precision="float64", **given)
+        if self.repair is not None:
+            case = dataclasses.replace(case, repair=RepairOptions(self.repair))
+        return deform(place.grid, case, steps=self.steps, precision="float64")
 
 
 def measure(numbers: range, grids: list[str], wanted: list[str], settings: list[Setting]) -> Iterator[Row]:
