@@ -3,7 +3,7 @@
 python benchmarks/validity.py                                        200 flows, table on stdout, build/validity.json
 python benchmarks/validity.py --count 30 --grid wing --steps auto    a part of them
 python benchmarks/validity.py --method idw-tfi --method rbf-tfi      several methods
-python benchmarks/validity.py --write docs/validity.md               the page with the table
+python benchmarks/validity.py --write docs/random_flows.md               the page with the table
 
 A flow carries all nodes of a grid to a grid that is valid; the program is given the boundary only. Flow n belongs to
 grid n modulo the number of grids, whichever part of them is run.
