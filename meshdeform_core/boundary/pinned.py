@@ -70,7 +70,7 @@ def find_pinned(grid: Grid, topology: Topology, boundary: Boundary, displacement
     return PinnedCells(count, *first) if first else None
 
 
-def _cells_of(known: BoolArray) -> IntArray:
+def _cells_of(known: np.ndarray) -> IntArray:
     """Cells (c, 3) of a block (ni, nj, nk) with known nodes only; across the plane of a 2-D grid they count as one."""
     for axis in range(3):
         if known.shape[axis] > 1:
