@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from meshdeform_core.boundary.motion import FollowSequence
+from meshdeform_core.boundary.prescribed import largest_displacement
 from meshdeform_core.deform import Setup, Timing, set_up
 from meshdeform_core.errors import CaseError, FormatError
 from meshdeform_core.memory import peak_memory
@@ -101,7 +102,7 @@ def describe(run: Run) -> tuple[Report, str]:
     """What would be done: classification, parameters, node counts; and the levels, as a line of text."""
     prepared = make_method(run.setup.case.method).prepare(run.setup.problem)
     times = run.schedule.times
-    largest = max(float((run.setup.displacement(t) ** 2).sum(axis=1).max() ** 0.5) for t in times)
+    largest = max(largest_displacement(run.setup.displacement(t)) for t in times)
     last = run.files.path(len(times) - 1)
     return (
         plan_report(run.setup, prepared.account, largest),

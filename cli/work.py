@@ -16,6 +16,7 @@ import numpy as np
 from meshdeform_core.boundary.crossing import find_contact
 from meshdeform_core.boundary.motion import Follow
 from meshdeform_core.boundary.pinned import find_pinned
+from meshdeform_core.boundary.prescribed import largest_displacement
 from meshdeform_core.boundary.transfer import SurfaceData
 from meshdeform_core.deform import Case, deform, set_up
 from meshdeform_core.grid import Grid
@@ -102,7 +103,7 @@ def plan(job: Job, output: Path | None, imposed: Imposed, variant: dict[str, str
     setup = set_up(job.grid, imposed.case(job.case.case), memory=job.memory)
     prepared = make_method(job.case.case.method).prepare(setup.problem)
     motion = setup.displacement(imposed.time)
-    largest = float((motion**2).sum(axis=1).max() ** 0.5)
+    largest = largest_displacement(motion)
     report = plan_report(setup, prepared.account, largest, patch_motions(setup.problem, motion))
     # Steps that are halved until they succeed are never too large.
     part = 1 / imposed.steps if isinstance(imposed.steps, int) else 0.0

@@ -25,7 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError
-from meshdeform_core.grid import Field, FileFormat, FloatArray, Grid, IntArray, Side, Window
+from meshdeform_core.grid import Field, FileFormat, FloatArray, Grid, IntArray, Side
+from meshdeform_core.grid.selection import quads_of_window
 from meshdeform_core.grid.topology import Topology, find_topology
 
 from .files import replacing
@@ -140,22 +141,10 @@ def _patches(grid: Grid, topology: Topology) -> tuple[tuple[str, ...], IntArray]
     patch = np.array([index[side] for side in sides])[topology.quads.block_side]
     for declared in grid.patches:
         for window in declared.windows:
-            patch[_window_quads(grid, topology, window)] = index[declared.name]
+            patch[quads_of_window(topology.quads, window)] = index[declared.name]
     used, patch = np.unique(patch[topology.external], return_inverse=True)
     labels = tuple(index)
     return tuple(labels[number] for number in used), patch.reshape(-1)
-
-
-def _window_quads(grid: Grid, topology: Topology, window: Window) -> IntArray:
-    """The face quads in a window; none where a 2-D grid has no faces."""
-    quads = topology.quads.of_side(window.block, window.side)
-    counts = topology.quads.counts[window.block, window.side]
-    shape = [grid.shapes[window.block][axis] for axis in window.side.tangential]
-    ranges = (
-        slice(low, high) if nodes > 1 else slice(None)
-        for low, high, nodes in zip(window.low, window.high, shape, strict=True)
-    )
-    return np.arange(quads.start, quads.stop).reshape(counts)[tuple(ranges)].ravel()
 
 
 def _write_vtu(grid: Grid, mesh: _Unstructured, path: Path, options: Mapping[str, Any]) -> None:

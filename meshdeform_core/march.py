@@ -81,7 +81,7 @@ class March:
 
     def _inspect_motion(self, alone: bool) -> None:
         self.total = self.motion(1.0)
-        self.max_displacement = float(np.linalg.norm(self.total, axis=1).max())
+        self.max_displacement = largest_displacement(self.total)
         # A level of a series may stand still.
         if alone and self.max_displacement == 0.0:
             self.warnings.append("nothing moves: the displacement is zero everywhere")

@@ -149,7 +149,7 @@ def _value(field: dataclasses.Field[Any]) -> Schema:
     if isinstance(field.default, bool):
         return {"type": "boolean"}
     number = {"type": "integer" if isinstance(field.default, int) else "number", "minimum": 0}
-    return {"anyOf": [number, {"const": "auto"}]} if "str" in str(field.type) else number
+    return {"anyOf": [number, {"const": "auto"}]} if "auto" in str(field.type) else number
 
 
 def _descriptions(text: str) -> dict[str, str]:

@@ -73,7 +73,7 @@ class BoundarySpec:
 
 
 @dataclass(frozen=True)
-class Patch:
+class ClassifiedPatch:
     """A classified boundary entry, for reports and for "nearest patch".
 
     ``nodes`` are unique node numbers, ``quads`` face quads; both may also belong to stronger entries.
@@ -101,7 +101,7 @@ class Boundary:
 
     kind: np.ndarray
     quad_kind: np.ndarray
-    patches: tuple[Patch, ...]
+    patches: tuple[ClassifiedPatch, ...]
     movers: tuple[tuple[IntArray, PreparedMotion], ...]
     slip: Slip
     periodic: Periodic
@@ -116,7 +116,7 @@ class Boundary:
         """(n_unique,) bool: nodes with a prescribed displacement, moving or fixed (the sources)."""
         return self.kind >= Kind.FIXED
 
-    def quads_of(self, chosen: Callable[[Patch], bool]) -> IntArray:
+    def quads_of(self, chosen: Callable[[ClassifiedPatch], bool]) -> IntArray:
         """Face quads of the chosen patches."""
         found = [patch.quads for patch in self.patches if chosen(patch)]
         return np.concatenate([np.empty(0, dtype=np.int64), *found])
@@ -158,7 +158,9 @@ def classify(
     _spread_over_images(node_kind, periodic)
     slipping = [(n, q, k is Kind.SYMMETRY) for n, k, q in entries if k in (Kind.SLIP, Kind.SYMMETRY)]
     slip, mirrors = find_sliding(grid, topology, slipping, node_kind < Kind.FIXED)
-    patches = tuple(Patch(n, k, distinct(topology.quads.corners[q], topology.n_unique), q) for n, k, q in entries)
+    patches = tuple(
+        ClassifiedPatch(n, k, distinct(topology.quads.corners[q], topology.n_unique), q) for n, k, q in entries
+    )
     boundary = Boundary(node_kind, quad_kind, patches, tuple(movers), slip, periodic, mirrors, (*notes, *doubts, *more))
     return topology, boundary
 

@@ -32,6 +32,11 @@ def prescribed_displacement(
     return _completed(grid, boundary, displacement, owner >= 0)
 
 
+def largest_displacement(displacement: FloatArray) -> float:
+    """Largest length of the rows of ``displacement`` (n, 3)."""
+    return float(np.linalg.norm(displacement, axis=1).max())
+
+
 def given_displacement(
     grid: Grid, topology: Topology, boundary: Boundary, nodes: IntArray, values: FloatArray
 ) -> FloatArray:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -22,6 +22,11 @@ from ..numerics.geometry.coincidence import distinct
 
 Progress = Callable[[str, int, int], None]
 """``progress(stage, done, total)``; called from the computing threads' owner only."""
+
+
+def of_stage(progress: Progress | None, stage: str) -> Callable[[int, int], None] | None:
+    """What reports the progress of one stage, for loops that know only items."""
+    return None if progress is None else partial(progress, stage)
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from meshdeform_core.methods import IDW, RBF, TFI, Options
+from meshdeform_core.methods.scattered.rbf import Basis
 
 from .experiment import Sample, Trial
 
@@ -16,7 +17,13 @@ _EXACT: dict[str, Any] = {"summation": "exact", "a": 3.0, "smoothing": 0}
 _DIRECT: dict[str, Any] = {"solver": "direct", "summation": "exact"}
 _PAPER_IDW: dict[str, Any] = {"rotation": "quaternion", "alpha": 0.1, **_EXACT}
 _WHOLE = TFI(max_cells=0)
-_BASES = {"wc0": "wendland-c0", "wc2": "wendland-c2", "c1": "ctps-c1", "c2a": "ctps-c2a", "c2b": "ctps-c2b"}
+_BASES: dict[str, Basis] = {
+    "wc0": "wendland-c0",
+    "wc2": "wendland-c2",
+    "c1": "ctps-c1",
+    "c2a": "ctps-c2a",
+    "c2b": "ctps-c2b",
+}
 
 
 @dataclass(frozen=True)
@@ -32,7 +39,7 @@ def _idw(**options: Any) -> Options:
     return Options("idw", idw=IDW(**{**_EXACT, **options}))
 
 
-def _greedy(basis: str, radius: float, **more: Any) -> RBF:
+def _greedy(basis: Basis, radius: float, **more: Any) -> RBF:
     """The paper's hybrid greedy: lengths as errors, eps_g = 1e-2, no correction of what is left."""
     chosen: dict[str, Any] = {
         "greedy": "hybrid",

@@ -13,7 +13,7 @@ from ...grid.topology import side_nodes
 from ...numerics.basis import BASES
 from ...numerics.radial import radial_sums
 from ...parallel import Shared, alone, current_ranks, for_items
-from ..base import Account, Problem, Progress, Setting
+from ..base import Account, Problem, Progress, Setting, of_stage
 from ..options import used
 from ..transfinite.skeleton import Skeleton, make_skeleton
 from .radial_system import RadialSystem
@@ -106,7 +106,7 @@ class PreparedBlockRBF:
         def rows(first: int, last: int) -> IntArray:
             return np.concatenate([block.targets for block in self._blocks[first:last]])
 
-        report = None if progress is None else (lambda done, total: progress("rbf blocks", done, total))
+        report = of_stage(progress, "rbf blocks")
         for_items(work, len(self._blocks), [Shared(displacement, rows)], report)
         if accounts := current_ranks().gather(accounts):
             # Of all blocks the one that was solved worst: not at all, or with the largest residual.

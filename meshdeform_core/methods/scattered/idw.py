@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -13,12 +14,14 @@ from ...numerics import rotation as rot
 from ..base import Account, Problem, Progress, Setting
 from ..limits import LARGEST_ROTATION, PLAIN_ROTATION, warn_of_alpha, warn_of_rotation
 from ..options import choose, option, positive, used
-from .idw_sums import Bound, ExactSums, FastSums, Fit
+from .idw_sums import Bound, ExactEvaluator, FastEvaluator, SourceValues
 from .mirror import mirror_images
-from .summation import check_summation, fast_pays
+from .summation import Summation, check_summation, fast_pays
 
-ROTATIONS = ("none", "quaternion", "division", "blend", "lie")
-WEIGHTS = ("luke", "shepard")
+Rotation = Literal["none", "quaternion", "division", "blend", "lie"]
+Weights = Literal["luke", "shepard"]
+ROTATIONS: tuple[str, ...] = get_args(Rotation)
+WEIGHTS: tuple[str, ...] = get_args(Weights)
 ALPHA_CAP = 0.3
 FAR, FAR_IN_PLANES = 3.0, 2.5
 """Exponent a of eq. 16: Luke's, and that of ``lie`` in plane grids.
@@ -62,20 +65,22 @@ class IDW:
     summation_tolerance : of fast sums: error of a node's displacement relative to its shortest cell edge, 1e-8 to 0.1
     """
 
-    rotation: str = option("lie", "does not depend on the frame, holds walls best; the cost of one step")
-    weights: str = option("luke", "near and far field in one formula, nodal areas included")
-    alpha: float | str = option(0.1, "0.3 holds walls better at large rotations, but skews the cells farther away more")
+    rotation: Rotation = option("lie", "does not depend on the frame, holds walls best; the cost of one step")
+    weights: Weights = option("luke", "near and far field in one formula, nodal areas included")
+    alpha: float | Literal["auto"] = option(
+        0.1, "0.3 holds walls better at large rotations, but skews the cells farther away more"
+    )
     eta: float = option(5.0, "Luke et al.")
     a: float | str = option("auto", "Luke et al.: 3; less where sources lie along curves")
     b: float = option(5.0, "Luke et al.: the near field")
     smoothing: int | str = option("auto", "lie only: the paper's kinds do not; smooth walls are left alone")
-    length: float | str = option("auto", "eq. 17: farthest source from the centroid of all nodes")
+    length: float | Literal["auto"] = option("auto", "eq. 17: farthest source from the centroid of all nodes")
     p_moving: float = option(3.0, "as for fixed ones; a larger one lets the moving wall reach less far")
     p_fixed: float = option(3.0, "as for moving ones")
     divisions: int = option(25, "the paper's; the distance from lie falls as 1/m")
     reweight: bool = option(False, "m times the cost")
-    remove_mean: bool | str = option("auto", "lie only: the paper's kinds do not")
-    summation: str = option("auto", "fast where it pays")
+    remove_mean: bool | Literal["auto"] = option("auto", "lie only: the paper's kinds do not")
+    summation: Summation = option("auto", "fast where it pays")
     summation_tolerance: float = option(1e-2, "of the local cell: no quality measure sees it")
 
     def __post_init__(self) -> None:
@@ -205,7 +210,7 @@ class PreparedIDW:
             warnings += warn_of_alpha(self._eq_18(self._images.displaced(step)), ALPHA_CAP)
         return warnings
 
-    def fit(self, displacement: FloatArray, progress: Progress | None = None) -> Fit:
+    def fit(self, displacement: FloatArray, progress: Progress | None = None) -> SourceValues:
         """Rigid motions of the sources for one displacement (n_sources, 3)."""
         images = self._images
         d = images.displaced(displacement)
@@ -223,7 +228,7 @@ class PreparedIDW:
         turn = np.linalg.norm(rot.rotation_vector(q), axis=1)
         at_rest = np.flatnonzero((turn == 0.0) & ~d.any(axis=1))
         still = values[:, at_rest[0]] if at_rest.size else None
-        return Fit(path, values, self._weights(d), np.linalg.norm(d - mean, axis=1), turn, origin, mean, still)
+        return SourceValues(path, values, self._weights(d), np.linalg.norm(d - mean, axis=1), turn, origin, mean, still)
 
     def _weights(self, d: FloatArray) -> tuple[tuple[float, float, float], ...]:
         """Weight function (a, b, kappa) of each group: r^-a + kappa r^-b.
@@ -248,15 +253,15 @@ class PreparedIDW:
         self.account.settings["alpha"] = Setting(alpha, reason)
         return alpha
 
-    def at(self, flat: IntArray) -> ExactSums | FastSums:
+    def at(self, flat: IntArray) -> ExactEvaluator | FastEvaluator:
         """Bind to the target nodes ``flat``."""
         o, grid, room = self.options, self._problem.grid, self._problem.memory.size // _KEPT
         bound = Bound(grid, flat, self.points, self.strength, self.groups, o.rotation, o.divisions, o.reweight, room)
         fast, self.account.settings["summation"] = fast_pays(o.summation, len(flat), len(self.points))
         if not fast:
-            return ExactSums(bound)
+            return ExactEvaluator(bound)
         self.account.settings |= used(o, "summation_tolerance")
-        return FastSums(bound, o.summation_tolerance, self.account)
+        return FastEvaluator(bound, o.summation_tolerance, self.account)
 
 
 def _motion_values(options: IDW, x: FloatArray, d: FloatArray, q: FloatArray) -> FloatArray:

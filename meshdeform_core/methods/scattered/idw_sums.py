@@ -12,14 +12,14 @@ from ...numerics.direct import weighted_sums
 from ...numerics.fastsum import sums as fastsum
 from ...numerics.rigid import finish
 from ...parallel import Shared, for_chunks
-from ..base import Account, Progress
+from ..base import Account, Progress, of_stage
 from .summation import largest_error, sum_accurately
 
 _CHUNK = 2048
 
 
 @dataclass(frozen=True)
-class Fit:
+class SourceValues:
     """A displacement as the sums need it.
 
     ``path`` source positions (n, 3) at the start of every step, relative to ``origin`` (3,): one step, unless the
@@ -62,23 +62,23 @@ class Bound:
 
 
 @dataclass(frozen=True)
-class ExactSums:
+class ExactEvaluator:
     """Every target with every source."""
 
     bound: Bound
 
-    def evaluate(self, fit: Fit, out: FloatArray, progress: Progress | None) -> None:
+    def evaluate(self, fit: SourceValues, out: FloatArray, progress: Progress | None) -> None:
         """Write the displacement of the targets into ``out`` (n_nodes, 3)."""
 
         def work(lo: int, hi: int) -> None:
             flat = self.bound.flat[lo:hi]
             out[flat] = self.displacement(fit, flat)
 
-        report = None if progress is None else (lambda done, total: progress("idw", done, total))
+        report = of_stage(progress, "idw")
         flat = self.bound.flat
         for_chunks(work, len(flat), _CHUNK, report, [Shared(out, lambda lo, hi: flat[lo:hi])])
 
-    def displacement(self, fit: Fit, flat: IntArray) -> FloatArray:
+    def displacement(self, fit: SourceValues, flat: IntArray) -> FloatArray:
         """Displacement (n, 3) of the nodes ``flat``."""
         bound = self.bound
         x = bound.grid.points[flat] - fit.origin
@@ -93,7 +93,7 @@ class ExactSums:
         return np.asarray(total + fit.mean)
 
 
-class FastSums:
+class FastEvaluator:
     """Clusters of sources seen from bricks of targets; the error is checked against exact sums at the worst nodes."""
 
     def __init__(self, bound: Bound, tolerance: float, account: Account):
@@ -110,9 +110,9 @@ class FastSums:
             targets = targets.sized(grid.points, grid.shapes, grid.offsets)
         return fastsum.FastSums(sources, self.bound.groups, targets, self._tolerance, self.bound.room)
 
-    def evaluate(self, fit: Fit, out: FloatArray, progress: Progress | None) -> None:
+    def evaluate(self, fit: SourceValues, out: FloatArray, progress: Progress | None) -> None:
         """Write the displacement of the targets into ``out`` (n_nodes, 3)."""
-        exact = partial(ExactSums(self.bound).displacement, fit)
+        exact = partial(ExactEvaluator(self.bound).displacement, fit)
 
         def once() -> float:
             targets, risk = self._sum(fit, out, progress)
@@ -120,9 +120,9 @@ class FastSums:
 
         sum_accurately("idw", self._sums, once, self._tolerance, self._account)
 
-    def _sum(self, fit: Fit, out: FloatArray, progress: Progress | None) -> tuple[fastsum.Targets, FloatArray]:
+    def _sum(self, fit: SourceValues, out: FloatArray, progress: Progress | None) -> tuple[fastsum.Targets, FloatArray]:
         """Displacements into ``out``; returns the last targets and a bound of the error of each brick, in any unit."""
-        report = None if progress is None else (lambda done, total: progress("idw", done, total))
+        report = of_stage(progress, "idw")
         bound, sums, points = self.bound, self._sums, self.bound.grid.points
         for step, sources in enumerate(fit.path):
             if step:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -14,10 +15,11 @@ from ...numerics.systems.greedy import independent
 from ...numerics.systems.krylov import KrylovSolver
 from ...numerics.systems.products import ExactProduct, product_of
 from ...numerics.systems.saddle import DirectSolver, minres
-from ..base import Account, Progress, Setting
+from ..base import Account, Progress, Setting, of_stage
 from .rbf_sums import Centres
 
-SOLVERS = ("auto", "direct", "minres", "krylov")
+Solver = Literal["auto", "direct", "minres", "krylov"]
+SOLVERS: tuple[str, ...] = get_args(Solver)
 DIRECT_CENTRES = 4000
 """Most centres that ``auto`` solves directly; from there on a factorisation takes longer than GMRES with its set-up."""
 _TOLERANCE = {"minres": 1e-10, "krylov": 1e-6}
@@ -98,7 +100,7 @@ class RadialSystem:
             product = product_of(self.kind, points, self._tolerance, left)
             remembered = self._remembered(left - product.memory)
             self._krylov = KrylovSolver(self.kind, points, self.terms, product, remembered)
-        report = None if progress is None else (lambda done, total: progress("krylov", done, total))
+        report = of_stage(progress, "krylov")
         found = self._krylov.solve(values, self._tolerance, self.options.max_iterations, report)
         account.settings["products"] = Setting(self._krylov.product.how)
         account.settings["iterations"] = Setting(found.iterations, "all components together")
@@ -126,7 +128,7 @@ class RadialSystem:
             return np.concatenate([matrix @ x[:n] + terms @ x[n:], terms.T @ x[:n]])
 
         rhs = np.concatenate([values, np.zeros((terms.shape[1], values.shape[1]))])
-        report = None if progress is None else (lambda done, total: progress("minres", done, total))
+        report = of_stage(progress, "minres")
         solution, iterations, residual = minres(multiply, rhs, self._tolerance, self.options.max_iterations, report)
         account.settings["iterations"] = Setting(iterations.tolist(), "one number per component")
         self._report_residual(account, "MINRES", int(iterations.max()), residual)

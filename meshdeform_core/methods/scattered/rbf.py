@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -12,16 +13,19 @@ from ...grid import FloatArray, IntArray
 from ...numerics.basis import BASES
 from ...numerics.radial import radial_sums
 from ...numerics.systems.greedy import Selection, select
-from ..base import Account, Problem, Progress, Setting
+from ..base import Account, Problem, Progress, Setting, of_stage
 from ..limits import warn_of_coarse_tolerance, warn_of_radius
 from ..options import choose, option, positive, used
 from .mirror import mirror_images
-from .radial_system import DIRECT_CENTRES, SOLVERS, RadialSystem, SystemOptions
-from .rbf_sums import Centres, Fit, RadialSums
-from .summation import check_summation
+from .radial_system import DIRECT_CENTRES, SOLVERS, RadialSystem, Solver, SystemOptions
+from .rbf_sums import Centres, Coefficients, RadialSums
+from .summation import Summation, check_summation
 
-GREEDY = ("none", "single", "hybrid", "double-edged")
-ERRORS = ("first-cell", "absolute")
+Basis = Literal["tps", "wendland-c0", "wendland-c2", "ctps-c1", "ctps-c2a", "ctps-c2b"]
+Greedy = Literal["none", "single", "hybrid", "double-edged"]
+GreedyError = Literal["first-cell", "absolute"]
+GREEDY: tuple[str, ...] = get_args(Greedy)
+ERRORS: tuple[str, ...] = get_args(GreedyError)
 
 
 @dataclass(frozen=True)
@@ -55,19 +59,19 @@ class RBF:
     summation_tolerance : of fast sums: error of a node's displacement relative to its shortest cell edge, 1e-8 to 0.1
     """
 
-    basis: str = option("tps", "has no radius to choose, and no basis has a better worst cell on the splitter plate")
-    radius: float | str = option("auto", "every node sees the whole moving body")
-    solver: str = option("auto", f"direct up to {DIRECT_CENTRES:,} centres, then krylov")
-    tolerance: float | str = option("auto", "minres 1e-10, krylov 1e-6")
+    basis: Basis = option("tps", "has no radius to choose, and no basis has a better worst cell on the splitter plate")
+    radius: float | Literal["auto"] = option("auto", "every node sees the whole moving body")
+    solver: Solver = option("auto", f"direct up to {DIRECT_CENTRES:,} centres, then krylov")
+    tolerance: float | Literal["auto"] = option("auto", "minres 1e-10, krylov 1e-6")
     max_iterations: int = option(10000, "well above what a well-posed system needs")
-    greedy: str = option("none", "all centres: exact at every boundary node")
-    greedy_error: str = option("first-cell", "an error matters where the cells are fine")
+    greedy: Greedy = option("none", "all centres: exact at every boundary node")
+    greedy_error: GreedyError = option("first-cell", "an error matters where the cells are fine")
     greedy_tolerance: float = option(0.1, "of the first cell: wall cells keep their shape")
     greedy_start: int = option(0, "the number of points varies by a tenth with it")
     greedy_updates: int = option(0, "as many as there are sources, as in the paper")
     greedy_max_points: int = option(0, "no limit: the tolerance decides")
     greedy_correct: bool = option(True, "walls land exactly where they are told")
-    summation: str = option("auto", "fast where it pays")
+    summation: Summation = option("auto", "fast where it pays")
     summation_tolerance: float = option(1e-2, "of the local cell: no quality measure sees it")
 
     def __post_init__(self) -> None:
@@ -171,15 +175,15 @@ class PreparedRBF:
         terms = self.centres.polynomial(self.centres.points)
         return warn_of_radius(self.centres.scale, terms, self._images.displaced(step))
 
-    def fit(self, displacement: FloatArray, progress: Progress | None = None) -> Fit:
+    def fit(self, displacement: FloatArray, progress: Progress | None = None) -> Coefficients:
         """Solve for one displacement of the sources (n_sources, 3)."""
         values = self._images.displaced(displacement)
         if self.options.greedy != "none":
             return self._fit_reduced(values, progress)
         assert self._system is not None
-        return Fit(self.centres.points, *self._system.solve(values, self.account, progress))
+        return Coefficients(self.centres.points, *self._system.solve(values, self.account, progress))
 
-    def _fit_reduced(self, values: FloatArray, progress: Progress | None) -> Fit:
+    def _fit_reduced(self, values: FloatArray, progress: Progress | None) -> Coefficients:
         o, n = self.options, len(values)
         scale = np.ones(n)
         if o.greedy_error == "first-cell":
@@ -188,7 +192,7 @@ class PreparedRBF:
             raise MethodError(f"method.rbf.greedy_start = {o.greedy_start}; there are {n} sources, counted from 0")
         fit = self._refit(values, scale)
         if fit is None:
-            report = None if progress is None else (lambda done, total: progress("greedy", done, total))
+            report = of_stage(progress, "greedy")
             found = select(
                 BASES[o.basis], self.centres.points, self.centres.polynomial(self.centres.points), values, scale,
                 method=o.greedy, tolerance=o.greedy_tolerance, start=o.greedy_start,
@@ -200,7 +204,7 @@ class PreparedRBF:
             fit = self._with_residual(points, found.coefficients, found.polynomial, values)
         return fit
 
-    def _refit(self, values: FloatArray, scale: FloatArray) -> Fit | None:
+    def _refit(self, values: FloatArray, scale: FloatArray) -> Coefficients | None:
         """The kept selection with new values, unless its error has grown beyond the tolerance."""
         found = self._selection
         if found is None:
@@ -220,13 +224,13 @@ class PreparedRBF:
 
     def _with_residual(
         self, points: FloatArray, coefficients: FloatArray, polynomial: FloatArray, values: FloatArray
-    ) -> Fit:
+    ) -> Coefficients:
         here = self.centres.points
         residual = values - radial_sums(BASES[self.options.basis], here, points, coefficients)
         residual -= self.centres.polynomial(here)[:, : len(polynomial)] @ polynomial
         # Spread over a length on which the correction cannot fold cells: many times its own size.
         reach = 20.0 * float(np.linalg.norm(residual, axis=1).max())
-        return Fit(points, coefficients, polynomial, residual, reach)
+        return Coefficients(points, coefficients, polynomial, residual, reach)
 
     def _record(self, found: Selection) -> None:
         unit = "first-cell heights" if self.options.greedy_error == "first-cell" else "length unit"

@@ -11,10 +11,10 @@ import scipy
 from ...grid import FloatArray, Grid, IntArray
 from ...numerics.basis import BASES
 from ...numerics.fastsum.radial import FastRadial, RadialTargets, make_radial_targets
-from ...numerics.fastsum.sums import Report
+from ...numerics.fastsum.sums import Counter
 from ...numerics.radial import radial_sums
 from ...parallel import Shared, empty, for_chunks, for_rows, thread_count
-from ..base import Account, Progress, Setting
+from ..base import Account, Progress, Setting, of_stage
 from .summation import fast_pays, largest_error, sum_accurately
 
 _CHUNK = 1024
@@ -54,7 +54,7 @@ class Centres:
 
 
 @dataclass(frozen=True)
-class Fit:
+class Coefficients:
     """Solved coefficients: ``centres`` (k, 3) normalised, ``coefficients`` (k, 3), ``polynomial`` (q, 3).
 
     ``residual`` (n, 3) what a greedy reduction left at all sources and ``reach`` how far it is spread; else ``None``.
@@ -101,9 +101,9 @@ class RadialSums:
         targets = make_radial_targets(points, grid.shapes, grid.offsets, self._flat)
         self._targets = targets._replace(sizes=targets.sizes * self._centres.scale)
 
-    def evaluate(self, fit: Fit, out: FloatArray, progress: Progress | None) -> None:
+    def evaluate(self, fit: Coefficients, out: FloatArray, progress: Progress | None) -> None:
         """Write the displacement of the targets into ``out`` (n_nodes, 3)."""
-        report = None if progress is None else (lambda done, total: progress("rbf", done, total))
+        report = of_stage(progress, "rbf")
         self.prepare(len(fit.centres))
         if self._is_fast:
             self._fast(fit, out, report)
@@ -112,20 +112,20 @@ class RadialSums:
         if self._correct and fit.reach > 0:
             self._add_residual(fit, out)
 
-    def _displacement(self, fit: Fit, flat: IntArray) -> FloatArray:
+    def _displacement(self, fit: Coefficients, flat: IntArray) -> FloatArray:
         """Displacement (n, 3) of the nodes ``flat`` by exact sums."""
         x = self._centres.normalised(self._grid.points[flat])
         moved = radial_sums(BASES[self._basis], x, fit.centres, fit.coefficients)
         return np.asarray(moved + self._centres.polynomial(x)[:, : len(fit.polynomial)] @ fit.polynomial)
 
-    def _exact(self, fit: Fit, out: FloatArray, report: Report) -> None:
+    def _exact(self, fit: Coefficients, out: FloatArray, report: Counter) -> None:
         def work(lo: int, hi: int) -> None:
             flat = self._flat[lo:hi]
             out[flat] = self._displacement(fit, flat)
 
         for_chunks(work, len(self._flat), _CHUNK, report, [Shared(out, lambda lo, hi: self._flat[lo:hi])])
 
-    def _fast(self, fit: Fit, out: FloatArray, report: Report) -> None:
+    def _fast(self, fit: Coefficients, out: FloatArray, report: Counter) -> None:
         assert self._targets is not None
         targets = self._targets
         if self._tree is None or not np.array_equal(self._tree[0], fit.centres):
@@ -143,7 +143,7 @@ class RadialSums:
 
         sum_accurately("rbf", sums, once, self._tolerance, self._account)
 
-    def _add_residual(self, fit: Fit, out: FloatArray) -> None:
+    def _add_residual(self, fit: Coefficients, out: FloatArray) -> None:
         """Residual of the nearest source, fading smoothly with the distance to it (Wendland C2)."""
         assert fit.residual is not None
         if self._nearest is None:

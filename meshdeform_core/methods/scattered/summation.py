@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import Literal, Protocol, get_args
 
 import numpy as np
 
@@ -19,7 +19,8 @@ _WORST_BRICKS, _RANDOM_NODES = 64, 256
 MAX_RETRIES = 3
 
 
-SUMMATIONS = ("auto", "exact", "fast")
+Summation = Literal["auto", "exact", "fast"]
+SUMMATIONS: tuple[str, ...] = get_args(Summation)
 
 
 def check_summation(method: str, summation: str, tolerance: float) -> None:

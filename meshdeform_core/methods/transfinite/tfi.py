@@ -10,7 +10,7 @@ import numpy as np
 from ...grid import FloatArray, Grid, IntArray
 from ...numerics.blend import arc_coordinates, arc_numbers, blend_slabs
 from ...parallel import Shared, current_ranks, empty, for_chunks
-from ..base import Account, Problem, Progress, Setting
+from ..base import Account, Problem, Progress, Setting, of_stage
 from ..options import option, positive, used
 from .faces import Faces
 from .skeleton import Skeleton, SubBlock, make_skeleton
@@ -79,7 +79,7 @@ class PreparedTFI:
         def work(lo: int, hi: int) -> None:
             blend_slabs(displacement, self._arc, self._subs, self._slabs[lo:hi])
 
-        report = None if progress is None else (lambda done, total: progress("tfi", done, total))
+        report = of_stage(progress, "tfi")
         chunk = 1 + len(self._slabs) // _CHUNKS
         for_chunks(work, len(self._slabs), chunk, report, [Shared(displacement, self._interior)])
 

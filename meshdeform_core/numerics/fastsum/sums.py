@@ -14,7 +14,7 @@ from .tree import build_tree
 from .treesum import add_totals, cluster_reach, gather, sum_weights
 from .walk import Lists, Reach, list_clusters
 
-Report = Callable[[int, int], None] | None
+Counter = Callable[[int, int], None] | None
 """``report(done, total)``, or nothing."""
 
 _SAMPLES = 9
