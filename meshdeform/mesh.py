@@ -17,6 +17,7 @@ from meshdeform_core.errors import MotionError
 from meshdeform_core.grid import BoolArray, FloatArray, IntArray
 from meshdeform_core.methods import PreparedMethod, Progress, make_method, remembering
 from meshdeform_core.parallel import Ranks, sharing
+from meshdeform_core.repair.options import Mode
 
 from .gate import checked_array
 from .grids import Grid
@@ -108,6 +109,7 @@ class Mesh:
         *,
         time: float = 0.0,
         steps: int | Literal["auto"] | None = None,
+        repair: Mode | None = None,
         progress: Progress | None = None,
     ) -> Step:
         """Deform the undeformed grid and judge the result.
@@ -119,6 +121,8 @@ class Mesh:
             and the time. ``None``: the motion that the case prescribes
         time : handed to functions and to the case's motion
         steps : impose it in so many increments, or in as many as validity needs (``"auto"``); one by default
+        repair : ``"auto"`` repairs invalid and nearly collapsed cells, ``"polish"`` also the worst cells of a valid
+            grid, ``"off"`` nothing; by default as the case says, which is ``"auto"`` if it says nothing
         progress : called as ``progress(stage, done, total)``
 
         Raises
@@ -129,9 +133,9 @@ class Mesh:
         with sharing(self._ranks, self._threads):
             motion = self._motion(displacement, float(time))
             timing = Timing()
-            start = Start(self._setup.grid.points, self._method(timing))
-            precision = self._setup.grid.precision
-            result = impose(self._setup, motion, steps, precision, timing, progress, start)
+            setup = self._setup if repair is None else self._setup.with_repair(repair)
+            start = Start(setup.grid.points, self._method(timing))
+            result = impose(setup, motion, steps, setup.grid.precision, timing, progress, start)
         return Step(result, self._plane)
 
     @cached_property

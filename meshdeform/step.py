@@ -9,6 +9,7 @@ from typing import Any
 from meshdeform_core.deform import Result
 from meshdeform_core.memory import peak_memory
 from meshdeform_core.quality import InvalidCell
+from meshdeform_core.repair.repair import Repair
 
 from .grids import Grid
 
@@ -38,6 +39,11 @@ class Step:
     def steps(self) -> int:
         """Increments in which the displacement was imposed."""
         return self._result.steps
+
+    @property
+    def repair(self) -> Repair | None:
+        """What repairs did to get here: cells, nodes, largest movement; ``None`` if nothing was repaired."""
+        return self._result.repair
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -8,6 +8,7 @@ from typing import Any, Literal, NamedTuple
 from meshdeform_core.errors import CaseError
 from meshdeform_core.judgement import judge
 from meshdeform_core.quality.difference import Difference, compare_points
+from meshdeform_core.repair.options import Mode
 
 from .choice import Method
 from .grids import Grid
@@ -31,13 +32,14 @@ def deform(
     *,
     time: float = 0.0,
     steps: int | Literal["auto"] | None = None,
+    repair: Mode | None = None,
     method: Method | None = None,
     threads: int | None = None,
     max_memory: int | str | None = None,
 ) -> Step:
     """Deform a grid once as a case says; see :func:`prepare` and :meth:`Mesh.deform` for the arguments."""
     mesh = prepare(grid, case, method=method, threads=threads, max_memory=max_memory)
-    return mesh.deform(time=time, steps=steps)
+    return mesh.deform(time=time, steps=steps, repair=repair)
 
 
 def quality(

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from .boundary.prescribed import largest_displacement
 from .grid import FloatArray
 from .methods import Account, Options, PreparedMethod, Progress, make_method
 from .parallel import empty, for_rows

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time as clock
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -23,7 +24,7 @@ from .methods import Options, PreparedMethod, Problem
 from .numerics.jit import compile_seconds
 from .parallel import current_ranks
 from .quality import Original
-from .repair import RepairOptions
+from .repair import Mode, RepairOptions
 
 BoundaryMotion = Callable[[float], FloatArray]
 """``motion(fraction)``: displacement (n_unique, 3) of all face nodes with that fraction of the motion imposed."""
@@ -102,6 +103,16 @@ class Setup:
     def original(self) -> Original:
         """The undeformed cells, against which every result is judged."""
         return Original(self.grid, self.topology, self.case.repair.min_jacobian)
+
+    def with_repair(self, mode: Mode) -> Setup:
+        """The same with another repair mode; what is known of the undeformed grid is shared."""
+        if mode == self.case.repair.mode:
+            return self
+        repair = dataclasses.replace(self.case.repair, mode=mode)
+        other = dataclasses.replace(self, case=dataclasses.replace(self.case, repair=repair))
+        # The values of cached properties lie in the instance's dictionary.
+        vars(other).update(problem=self.problem, original=self.original)
+        return other
 
     def displacement(self, time: float, fraction: float = 1.0) -> FloatArray:
         """Prescribed displacement of all unique face nodes (n_unique, 3)."""

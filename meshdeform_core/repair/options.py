@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 from ..errors import CaseError
 
-MODES = ("auto", "off", "polish")
+Mode = Literal["auto", "off", "polish"]
+MODES: tuple[str, ...] = get_args(Mode)
 
 
 @dataclass(frozen=True)
@@ -20,7 +22,7 @@ class RepairOptions:
     min_jacobian : cells with a corner below this share of its undeformed Jacobian count as invalid; 0 <= R < 1
     """
 
-    mode: str = "auto"
+    mode: Mode = "auto"
     min_jacobian: float = 0.0
 
     def __post_init__(self) -> None:

@@ -341,3 +341,19 @@ def test_the_example_runs(tmp_path, monkeypatch):
     steps = coupling.main(tmp_path)
     assert all(step.valid for step in steps)
     assert md.read(tmp_path / "bent.cgns") == steps[-1].grid
+
+
+def test_repairs_are_made_unless_they_are_declined(plate):
+    mesh = md.prepare(plate.grid, {**plate.case, "constants": {**plate.case["constants"], "angle": 60.0}})
+    broken = mesh.deform(steps=1, repair="off")
+    assert not broken.valid
+    assert broken.repair is None
+    assert broken.invalid_cells
+    mended = mesh.deform()
+    assert mended.valid
+    assert mended.repair is not None
+    for b in range(len(plate.grid)):
+        moved = mesh.rows(b) >= 0
+        np.testing.assert_array_equal(mended.grid.blocks[b][moved], broken.grid.blocks[b][moved])
+    with pytest.raises(md.CaseError, match="known are auto"):
+        mesh.deform(repair="always")  # type: ignore[arg-type]
