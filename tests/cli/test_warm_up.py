@@ -10,17 +10,6 @@ import pytest
 from meshdeform_core import deform
 from meshdeform_core.numerics import jit
 
-CHECK = """
-import importlib, pkgutil, meshdeform_core
-from numba.core.dispatcher import Dispatcher
-from meshdeform_cli.main import run
-assert run(["warm-up"]) == 0
-for module in pkgutil.walk_packages(meshdeform_core.__path__, "meshdeform_core."):
-    for name, loop in vars(importlib.import_module(module.name)).items():
-        if isinstance(loop, Dispatcher) and loop.targetoptions.get("inline") != "always":
-            assert len(loop.signatures) <= 1, (module.name, name, loop.signatures)
-"""
-
 
 def _started(*command, cache):
     environment = os.environ | {"NUMBA_CACHE_DIR": str(cache)}
@@ -36,14 +25,6 @@ def test_the_first_run_says_that_it_compiles_and_counts_it_apart(bench, tmp_path
     assert "compiling" not in runs[1].stderr
     first = json.loads((bench / "out.json").read_text())["timing"]
     assert "compile" not in first  # of the second run
-
-
-@pytest.mark.slow
-def test_every_loop_has_one_signature_after_warm_up(tmp_path):
-    # Loops that come from the cache would not show the functions inside them.
-    result = _started("-c", CHECK, cache=tmp_path / "loops")
-    assert result.returncode == 0, result.stderr
-    assert "loops compiled" in result.stdout
 
 
 def test_compiling_is_a_stage_of_its_own(monkeypatch):
