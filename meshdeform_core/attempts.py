@@ -12,6 +12,8 @@ from .methods import Options
 MAX_HALVINGS = 8
 # Of steps with a repair in each, which cost much more.
 MAX_REPAIRED_HALVINGS = 4
+MAX_ATTEMPTS = 24
+"""Steps that are tried at most, with repairs, until the whole motion is imposed: so that hopeless cases end."""
 RESCUE = "rbf-tfi"
 """The method that is tried when the chosen one finds no valid grid: it rescues most."""
 
@@ -78,6 +80,8 @@ def _in_smaller_steps(march: March) -> bool:
     """The largest steps that succeed, grown again afterwards; whether the whole motion was imposed."""
     increment, smallest = 0.5, 0.5**MAX_REPAIRED_HALVINGS
     while march.fraction < 1.0:
+        if len(march.attempts) >= MAX_ATTEMPTS:
+            return False
         trial = march.trial(min(1.0, march.fraction + increment))
         if trial.verdict.valid:
             march.accept(trial)
@@ -91,7 +95,7 @@ def _in_smaller_steps(march: March) -> bool:
 
 def _with_another_method(march: March) -> Iterator[Trial]:
     """One step with the method that rescues most, where it fits the memory and is another one."""
-    if march.options.name == RESCUE:
+    if march.options.name == RESCUE or len(march.attempts) >= MAX_ATTEMPTS:
         return
     march.restart(Options(RESCUE))
     try:
