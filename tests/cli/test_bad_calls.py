@@ -116,7 +116,7 @@ WRONG = {
     "grid-folder": (("info", "folder.xyz"), ("folder.xyz is a folder", "expected a grid file")),
     "grid-name-too-long": (("info", "a" * 300), ("File name too long",)),
     "case-missing": (("deform", "grid.xyz", "-c", "no.toml", "-o", "out.xyz"), ("no.toml", "No such file")),
-    "case-folder": (("deform", "grid.xyz", "-c", ".", "-o", "out.xyz"), ("case file", "Is a directory")),
+    "case-folder": (("deform", "grid.xyz", "-c", ".", "-o", "out.xyz"), ("case file", "is a folder")),
     "case-binary": (("deform", "grid.xyz", "-c", "grid.xyz", "-o", "out.xyz"), ("grid.xyz", "not a TOML file")),
     "case-cgns": (("deform", "grid.xyz", "-c", "grid.cgns", "-o", "out.xyz"), ("grid.cgns", "not a TOML file")),
     "table-missing": (("deform", "grid.xyz", "-d", "no.csv", "-o", "out.xyz"), ("no.csv", "No such file")),
@@ -163,7 +163,7 @@ WRONG = {
     "plot-zoom-three": (("plot", "grid.xyz", "-o", "out.png", "--zoom", "1,2,3"), ("--zoom '1,2,3'", "left,right")),
     "plot-zoom-text": (("plot", "grid.xyz", "-o", "out.png", "--zoom", "a,b,c,d"), ("--zoom", "left,right")),
     "plot-zoom-order": (("plot", "grid.xyz", "-o", "out.png", "--zoom", "1,0,0,1"), ("--zoom", "left < right")),
-    "plot-zoom-nan": (("plot", "grid.xyz", "-o", "out.png", "--zoom", "nan,1,0,1"), ("--zoom", "left < right")),
+    "plot-zoom-nan": (("plot", "grid.xyz", "-o", "out.png", "--zoom", "nan,1,0,1"), ("--zoom", "left,right")),
     "plot-zoom-inf": (("plot", "grid.xyz", "-o", "out.png", "--zoom", "0,inf,0,1"), ("--zoom", "left,right")),
 }
 

@@ -179,7 +179,7 @@ TABLES: dict[str, tuple[Callable[[np.ndarray], str], tuple[str, ...]]] = {
         ("bad.csv", "line 1", "line 2"),
     ),
     "matches-nothing": (rows("9 9 9 0.1 0 0", "9 9 8 0.1 0 0"), ("no match", "bad.csv")),
-    "millimetres": (scaled(1000.0), ("no match", "factor", "different length units?")),
+    "millimetres": (scaled(1000.0), ("no match", "multiplied by 0.001", "different length units?")),
     "metres": (scaled(0.001), ("different length units?",)),
     "binary": (lambda good: "\x00\x01\x02", ("bad.csv",)),
 }

@@ -65,7 +65,7 @@ def test_help_of_a_time_has_no_range(call):
 
 
 def test_invalid_cells_are_told_by_group(bench, call):
-    turned = ("-s", "constants.turn=80")
+    turned = ("-s", "constants.turn=80", "--repair", "off")
     result = call("deform", "grid.xyz", "-c", "case.toml", *turned, "-o", "out.xyz", "--report", "r.json")
     assert result.code == 3
     report = json.loads((bench / "r.json").read_text())
