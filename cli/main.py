@@ -15,7 +15,7 @@ from meshdeform_core import interruption
 from meshdeform_core.parallel import current_ranks
 
 from .exit_codes import EXIT_BUG, EXIT_INPUT, EXIT_INTERRUPTED
-from .messages import drop_output, flush_output, open_streams, tell
+from .messages import drop_output, flush_messages, flush_output, open_streams, tell
 from .mpi import place, run_on_ranks
 from .signals import Handler, end_of
 
@@ -116,6 +116,7 @@ def main(args: Sequence[str] | None = None) -> NoReturn:
     code = run(args) if here is None else run_on_ranks(lambda: run(args), here)
     handler.finish()
     stopped = interruption.requested()
+    flush_messages()
     sys.exit(code if stopped is None else 128 + stopped)
 
 
@@ -135,7 +136,8 @@ def run(args: Sequence[str] | None = None) -> int:
     if (stopped := interruption.requested()) is not None:
         tell(end_of(stopped))
         return 128 + stopped
-    return _fail(f"cannot write to stdout: {unwritten}") if unwritten else code
+    # A failure that was told already may be this one.
+    return _fail(f"cannot write to stdout: {unwritten}") if unwritten and code == 0 else code
 
 
 def _invoke(args: Sequence[str] | None) -> int:

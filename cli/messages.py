@@ -8,6 +8,7 @@ import os
 import re
 import sys
 from collections.abc import Iterable
+from typing import TextIO
 
 import click
 
@@ -76,7 +77,19 @@ def flush_output() -> str | None:
     return None
 
 
+def flush_messages() -> None:
+    """Write out messages; what cannot be written is dropped."""
+    try:
+        sys.stderr.flush()
+    except (OSError, ValueError):
+        _send_nowhere(sys.stderr)
+
+
 def drop_output() -> None:
     """Send what stdout still holds nowhere, or the interpreter complains about it on its way out."""
+    _send_nowhere(sys.stdout)
+
+
+def _send_nowhere(stream: TextIO) -> None:
     with contextlib.suppress(OSError, ValueError):
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())

@@ -83,7 +83,8 @@ def test_an_impatient_second_signal_does_not_disturb_the_cleaning_up(tmp_path):
             process.send_signal(number)
             time.sleep(0.002)
         process.communicate(timeout=20)
-    assert process.returncode == 143
+    # Of signals that arrive between two bytecodes Python handles those with smaller numbers first.
+    assert process.returncode in (143, 130, 129)
     assert list(tmp_path.iterdir()) == []
 
 
