@@ -69,6 +69,7 @@ def cell_starts(grid: Grid) -> IntArray:
 
 
 def list_cells(original: Original, points: FloatArray, cells: IntArray, verdict: Verdict) -> Iterator[InvalidCell]:
+    """The invalid ones among ``cells``, by number, with coordinates ``points`` (n_nodes, 3)."""
     grid, normal = original.grid, plane_normal(original.grid)
     for cell in cells.tolist():
         block, (i, j, k) = place_of(grid, cell)

@@ -317,6 +317,7 @@ def _act_near(kind, lo, hi, leaves, of_leaf, places, span, points, charges, near
 
 @kernel
 def pack(points, charges, first, last, packed, n):
+    """Copy points and charges first <= s < last to the columns of ``packed`` (6, m) from ``n`` on; the next column."""
     for s in range(first, last):
         for d in range(3):
             packed[d, n] = points[s, d]
