@@ -13,7 +13,7 @@ from tables import MarkdownTable, Row, best, exponent, timed
 
 from meshdeform_core.grid import FloatArray, IntArray
 from meshdeform_core.methods import IDW, Options, make_method
-from meshdeform_core.numerics.direct import N_VALUES, weighted_sums
+from meshdeform_core.numerics.exact.direct import N_VALUES, weighted_sums
 from meshdeform_core.parallel import set_threads, thread_count
 
 TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8)

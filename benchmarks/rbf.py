@@ -17,8 +17,8 @@ from meshdeform_core.grid import FloatArray
 from meshdeform_core.methods import RBF, Account
 from meshdeform_core.methods.scattered.radial_system import RadialSystem
 from meshdeform_core.methods.scattered.rbf_sums import Centres, Fit
-from meshdeform_core.numerics.basis import BASES
-from meshdeform_core.numerics.radial import radial_sums
+from meshdeform_core.numerics.exact.basis import BASES
+from meshdeform_core.numerics.exact.radial import radial_sums
 
 _NEIGHBOURS = 50
 # Largest hemispheres: whose grid is made, and that the other program is given.

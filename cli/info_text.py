@@ -10,7 +10,7 @@ _MAX_LISTED = 24
 
 
 def as_text(facts: dict[str, Any], verbose: bool = False) -> str:
-    """The facts of :func:`meshdeform_cli.info.gather` as lines; ``verbose``: every patch and face."""
+    """The facts of :func:`meshdeform_cli.commands.info.gather` as lines; ``verbose``: every patch and face."""
     lines = [*_head(facts), "", *_blocks(facts, verbose), "", *_surfaces(facts["surfaces"], verbose)]
     if verbose and facts["patches"]:
         lines += ["", f"patches ({len(facts['patches'])})", *(f"  {_patch(patch)}" for patch in facts["patches"])]

@@ -35,12 +35,12 @@ class LazyGroup(click.Group):
     """A group whose commands live one file each and are imported on demand: ``--help`` stays fast."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return [name for name in _COMMANDS if importlib.util.find_spec(f"{__package__}.{_module(name)}")]
+        return [name for name in _COMMANDS if importlib.util.find_spec(f"{__package__}.commands.{_module(name)}")]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in self.list_commands(ctx):
             return None
-        command: click.Command = importlib.import_module(f"{__package__}.{_module(cmd_name)}").command
+        command: click.Command = importlib.import_module(f"{__package__}.commands.{_module(cmd_name)}").command
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

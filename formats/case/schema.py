@@ -14,7 +14,7 @@ from meshdeform_core.methods.scattered.idw import ROTATIONS, WEIGHTS
 from meshdeform_core.methods.scattered.radial_system import SOLVERS
 from meshdeform_core.methods.scattered.rbf import ERRORS, GREEDY
 from meshdeform_core.methods.scattered.summation import SUMMATIONS
-from meshdeform_core.numerics.basis import BASES
+from meshdeform_core.numerics.exact.basis import BASES
 
 Schema = dict[str, Any]
 VERSION = 1

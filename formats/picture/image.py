@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from meshdeform_core.grid import FloatArray
-from meshdeform_core.numerics.raster import draw_polygons, draw_segments
+from meshdeform_core.numerics.geometry.raster import draw_polygons, draw_segments
 
 from .facets import Facets
 from .view import View, Window

@@ -219,7 +219,7 @@ def _rim(triangles: IntArray) -> BoolArray:
 
 def _between_points(data: SurfaceData, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Displacement from a spline through the nearest points, distance to the nearest, and beyond their spacing."""
-    from ..numerics.local_spline import local_spline
+    from ..numerics.geometry.local_spline import local_spline
 
     known, first = np.unique(data.points, axis=0, return_index=True)
     displacement, distance = local_spline(known, data.displacement[first], points)

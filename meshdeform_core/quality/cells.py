@@ -10,7 +10,7 @@ import numpy as np
 from ..grid import FloatArray, Grid, IntArray
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology
-from ..numerics.cells import measure_hexahedra, measure_quads
+from ..numerics.cell.measures import measure_hexahedra, measure_quads
 from ..parallel import Shared, for_chunks
 
 _SLAB_CELLS = 16384

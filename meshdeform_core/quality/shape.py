@@ -8,7 +8,7 @@ import numpy as np
 
 from ..grid import FloatArray, Grid, IntArray
 from ..grid.planes import plane_normal
-from ..numerics.shape import measure_shape
+from ..numerics.cell.shape import measure_shape
 from .listed import Worst
 
 DEFINITIONS = {

@@ -1,7 +1,7 @@
 """The verdict: which cells that were sound are not any more?
 
 A cell is sound if its Jacobian is positive everywhere. In 2-D the corners decide; in 3-D the corners and a proof for
-the inside (:mod:`..numerics.positivity`). Corners that are collapsed in the undeformed grid have no sign to judge;
+the inside (:mod:`..numerics.cell.positivity`). Corners that are collapsed in the undeformed grid have no sign to judge;
 cells whose undeformed Jacobian is negative somewhere are judged by their other corners and by their volume.
 """
 
@@ -15,7 +15,7 @@ import numpy as np
 
 from ..grid import FloatArray, Grid, IntArray
 from ..grid.planes import plane_normal
-from ..numerics.positivity import decide, judge_hexahedra, judge_quads
+from ..numerics.cell.positivity import decide, judge_hexahedra, judge_quads
 from ..parallel import empty
 from .cells import Slab, for_slabs, side_of_good_quads
 from .original import Original

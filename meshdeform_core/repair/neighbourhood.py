@@ -12,8 +12,8 @@ from ..boundary import Boundary, Kind
 from ..grid import BoolArray, FloatArray, Grid, IntArray
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology
-from ..numerics.foldover import cell_samples, sound_samples
-from ..numerics.layers import cells_at, grow
+from ..numerics.cell.foldover import cell_samples, sound_samples
+from ..numerics.cell.layers import cells_at, grow
 from .untangle import Region
 
 _COLLAPSED = 1e-10

@@ -12,7 +12,7 @@ import numpy as np
 from ..boundary import Boundary
 from ..grid import FloatArray, IntArray
 from ..memory import UNLIMITED, MemoryLimit
-from ..numerics.foldover import measure_samples
+from ..numerics.cell.foldover import measure_samples
 from ..numerics.systems.newton import NewtonSystem
 from ..parallel import alone, current_ranks, empty, for_rows
 from ..quality import Original

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..numerics.foldover import Samples, energy_of_cells
+from ..numerics.cell.foldover import Samples, energy_of_cells
 from ..numerics.systems.newton import NewtonSystem
 from ..parallel import for_chunks
 
@@ -33,7 +33,7 @@ class Region:
     ----------
     numbers : (m,) cell numbers of the grid
     start : (n, 3) undeformed coordinates
-    cells : (m, 8) nodes of hexahedra, (m, 4) of quadrilaterals, as in :func:`..numerics.foldover.cell_samples`
+    cells : (m, 8) nodes of hexahedra, (m, 4) of quadrilaterals, as in :func:`..numerics.cell.foldover.cell_samples`
     mask : (m,) int64, bit s set where sample point s counts
     samples : the sample points
     normal : (3,) unit normal of the plane of a 2-D grid, else zero
@@ -57,7 +57,7 @@ class Region:
 
     @property
     def energy(self) -> tuple:
-        """The arguments of the loops of :mod:`..numerics.foldover` that do not change."""
+        """The arguments of the loops of :mod:`..numerics.cell.foldover` that do not change."""
         return self.start, self.cells, self.mask, self.samples, self.normal
 
     def moved(self, x: np.ndarray, step: np.ndarray, length: float) -> np.ndarray:

@@ -16,7 +16,7 @@ from meshdeform_core.methods.scattered.idw import IDW
 from meshdeform_core.methods.scattered.rbf import RBF
 from meshdeform_core.methods.transfinite.skeleton import Skeleton
 from meshdeform_core.methods.transfinite.tfi import TFI
-from meshdeform_core.numerics.direct import N_VALUES
+from meshdeform_core.numerics.exact.direct import N_VALUES
 from meshdeform_core.numerics.rigid import finish_width
 
 _LOG = 29

@@ -5,8 +5,8 @@ import itertools
 import numpy as np
 import pytest
 
-from meshdeform_core.numerics.cells import measure_hexahedra
-from meshdeform_core.numerics.elementary import cube_root
+from meshdeform_core.numerics.cell.measures import measure_hexahedra
+from meshdeform_core.numerics.exact.elementary import cube_root
 from meshdeform_core.numerics.jit import kernel
 
 

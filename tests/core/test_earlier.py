@@ -11,7 +11,7 @@ from meshdeform_core.methods import RBF
 from meshdeform_core.methods.base import Account
 from meshdeform_core.methods.scattered.radial_system import RadialSystem
 from meshdeform_core.methods.scattered.rbf_sums import Centres
-from meshdeform_core.numerics.radial import radial_sums
+from meshdeform_core.numerics.exact.radial import radial_sums
 
 TOLERANCE = 1e-6
 

@@ -13,14 +13,14 @@ from meshdeform_core.boundary.prescribed import prescribed_displacement
 from meshdeform_core.errors import MethodError
 from meshdeform_core.methods import IDW, RBF, Account, Options, make_method
 from meshdeform_core.methods.scattered.summation import sum_accurately
-from meshdeform_core.numerics.basis import BASES
-from meshdeform_core.numerics.elementary import exp, log
+from meshdeform_core.numerics.exact.basis import BASES
+from meshdeform_core.numerics.exact.elementary import exp, log
+from meshdeform_core.numerics.exact.radial import radial_sums
 from meshdeform_core.numerics.fastsum import boxes
 from meshdeform_core.numerics.fastsum import sums as fastsum
 from meshdeform_core.numerics.fastsum.bricks import build_bricks, make_regions, node_sizes
 from meshdeform_core.numerics.fastsum.radial import FastRadial, make_radial_targets
 from meshdeform_core.numerics.fastsum.tree import build_tree, gather_charges
-from meshdeform_core.numerics.radial import radial_sums
 
 VARIANTS = {
     "none": {"rotation": "none"},

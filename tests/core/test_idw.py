@@ -12,7 +12,7 @@ from meshdeform_core.boundary.prescribed import prescribed_displacement
 from meshdeform_core.errors import MethodError
 from meshdeform_core.methods import IDW, Options, make_method
 from meshdeform_core.numerics import rotation as rot
-from meshdeform_core.numerics.direct import weighted_sums
+from meshdeform_core.numerics.exact.direct import weighted_sums
 
 VARIANTS = {
     "none": IDW(rotation="none"),

@@ -12,10 +12,10 @@ from meshdeform_core.methods import RBF
 from meshdeform_core.methods.base import Account
 from meshdeform_core.methods.scattered.radial_system import RadialSystem
 from meshdeform_core.methods.scattered.rbf_sums import Centres
-from meshdeform_core.numerics.basis import BASES
+from meshdeform_core.numerics.exact.basis import BASES
+from meshdeform_core.numerics.exact.radial import radial_matrix, radial_sums
 from meshdeform_core.numerics.fastsum.nested import NestedSums
 from meshdeform_core.numerics.fastsum.skeletons import decompose, proxy_points
-from meshdeform_core.numerics.radial import radial_matrix, radial_sums
 from meshdeform_core.numerics.systems import products
 from meshdeform_core.numerics.systems.krylov import KrylovSolver
 from meshdeform_core.numerics.systems.products import ExactProduct, NestedProduct, product_of

@@ -15,7 +15,7 @@ from meshdeform_core.boundary.motion import Follow, Motion
 from meshdeform_core.boundary.transfer import Matching, SurfaceData
 from meshdeform_core.deform import Case, set_up
 from meshdeform_core.errors import MotionError
-from meshdeform_core.numerics.local_spline import local_spline
+from meshdeform_core.numerics.geometry.local_spline import local_spline
 
 FRAME = frame(cells=6, layers=6)
 NO_TRIANGLES = np.empty((0, 3), np.int64)

@@ -8,7 +8,7 @@ import pytest
 
 from meshdeform_core.grid import Grid
 from meshdeform_core.grid.topology import find_topology
-from meshdeform_core.numerics.positivity import decide
+from meshdeform_core.numerics.cell.positivity import decide
 from meshdeform_core.quality import Original, assess
 from meshdeform_core.quality.validity import Test as FailedTest
 from meshdeform_core.quality.validity import judge

@@ -10,8 +10,8 @@ import numpy as np
 from ...boundary import Kind
 from ...grid import FloatArray, IntArray, Side
 from ...grid.topology import side_nodes
-from ...numerics.basis import BASES
-from ...numerics.radial import radial_sums
+from ...numerics.exact.basis import BASES
+from ...numerics.exact.radial import radial_sums
 from ...parallel import Shared, alone, current_ranks, for_items
 from ..base import Account, Problem, Progress, Setting, of_stage
 from ..options import used

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from ...grid import FloatArray, Grid, IntArray
-from ...numerics.direct import weighted_sums
+from ...numerics.exact.direct import weighted_sums
 from ...numerics.fastsum import sums as fastsum
 from ...numerics.rigid import finish
 from ...parallel import Shared, for_chunks

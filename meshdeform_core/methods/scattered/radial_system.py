@@ -9,8 +9,8 @@ import numpy as np
 
 from ...grid import FloatArray
 from ...memory import UNLIMITED, MemoryLimit
-from ...numerics.basis import BASES
-from ...numerics.radial import radial_matrix
+from ...numerics.exact.basis import BASES
+from ...numerics.exact.radial import radial_matrix
 from ...numerics.systems.greedy import independent
 from ...numerics.systems.krylov import KrylovSolver
 from ...numerics.systems.products import ExactProduct, product_of

@@ -10,8 +10,8 @@ import numpy as np
 from ...boundary import Kind
 from ...errors import MethodError
 from ...grid import FloatArray, IntArray
-from ...numerics.basis import BASES
-from ...numerics.radial import radial_sums
+from ...numerics.exact.basis import BASES
+from ...numerics.exact.radial import radial_sums
 from ...numerics.systems.greedy import Selection, select
 from ..base import Account, Problem, Progress, Setting, of_stage
 from ..limits import warn_of_coarse_tolerance, warn_of_radius

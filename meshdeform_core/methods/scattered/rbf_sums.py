@@ -9,10 +9,10 @@ import numpy as np
 import scipy
 
 from ...grid import FloatArray, Grid, IntArray
-from ...numerics.basis import BASES
+from ...numerics.exact.basis import BASES
+from ...numerics.exact.radial import radial_sums
 from ...numerics.fastsum.radial import FastRadial, RadialTargets, make_radial_targets
 from ...numerics.fastsum.sums import Counter
-from ...numerics.radial import radial_sums
 from ...parallel import Shared, empty, for_chunks, for_rows, thread_count
 from ..base import Account, Progress, Setting, of_stage
 from .summation import fast_pays, largest_error, sum_accurately

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...grid import BoolArray, FloatArray, IntArray
-from ...numerics.faces import blend_faces, blend_lines, face_coordinates
+from ...numerics.transfinite.faces import blend_faces, blend_lines, face_coordinates
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from ...grid import FloatArray, Grid, IntArray
-from ...numerics.blend import arc_coordinates, arc_numbers, blend_slabs
+from ...numerics.transfinite.blend import arc_coordinates, arc_numbers, blend_slabs
 from ...parallel import Shared, current_ranks, empty, for_chunks
 from ..base import Account, Problem, Progress, Setting, of_stage
 from ..options import option, positive, used
@@ -89,7 +89,7 @@ class PreparedTFI:
 
 
 def _table(grid: Grid, subs: list[SubBlock]) -> IntArray:
-    """Sub-blocks as the compiled loops want them, see :mod:`..numerics.blend`."""
+    """Sub-blocks as the compiled loops want them, see :mod:`..numerics.transfinite.blend`."""
     rows = [(grid.offsets[sub.block], *grid.shapes[sub.block], *sub.low, *sub.high, 0) for sub in subs]
     table = np.array(rows, dtype=np.int64).reshape(-1, 11)
     numbers = arc_numbers(table)

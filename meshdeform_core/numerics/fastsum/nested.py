@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ...parallel import Shared, for_chunks
-from ..basis import BASES
+from ..exact.basis import BASES
+from ..exact.radial import radial_block
 from ..jit import kernel
-from ..radial import radial_block
 from .skeletons import decompose, proxy_points
 from .tree import SourceTree, build_tree
 

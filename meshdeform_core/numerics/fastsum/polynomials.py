@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
-from ..basis import BASES
+from ..exact.basis import BASES
+from ..exact.radial import radial_matrix
 from ..jit import fast_kernel
-from ..radial import radial_matrix
 
 # Distance, in radii of the box, for which terms are chosen, and the highest degree.
 _REFERENCE, _MOST = 2.5, 14

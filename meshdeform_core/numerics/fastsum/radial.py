@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ...parallel import Shared, current_ranks, for_chunks
-from ..basis import BASES
+from ..exact.basis import BASES
+from ..exact.radial import radial_block, radial_sums
 from ..jit import kernel
-from ..radial import radial_block, radial_sums
 from .acceptance import distance2, square
 from .bricks import node_sizes
 from .nested import REACH, Bases, find_bases, gather_up, pack

@@ -11,8 +11,8 @@ import math
 
 import numpy as np
 
+from ..exact.radial import fill_rows
 from ..jit import fast_kernel
-from ..radial import fill_rows
 
 # Spheres of proxy points: radius in those of the cluster and number of points.
 _SPHERES = ((1.0, 120), (1.4, 60), (2.5, 40), (6.0, 30))

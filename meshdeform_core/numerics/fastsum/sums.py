@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...parallel import Shared, current_ranks, for_chunks
-from ..direct import N_VALUES
+from ..exact.direct import N_VALUES
 from .acceptance import inverse_powers
 from .bricks import Bricks, Regions, build_bricks, make_regions, node_sizes
 from .tree import build_tree

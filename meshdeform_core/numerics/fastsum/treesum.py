@@ -15,9 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..direct import sum_block
+from ..exact.direct import sum_block
+from ..exact.single import sum_block_single
 from ..jit import inlined, kernel
-from ..single import sum_block_single
 from .acceptance import distance2, square, weight
 from .boxes import box_points, chebyshev
 from .tree import SourceTree, gather_charges

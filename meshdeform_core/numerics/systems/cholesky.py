@@ -7,8 +7,8 @@ import math
 
 import numpy as np
 
+from ..exact.radial import fill_rows
 from ..jit import fast_kernel
-from ..radial import fill_rows
 
 
 @fast_kernel

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..basis import apply_basis
+from ..exact.basis import apply_basis
+from ..exact.radial import radial_matrix
 from ..jit import kernel
-from ..radial import radial_matrix
 from .saddle import DirectSolver
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import scipy
 
 from ...parallel import for_chunks
-from ..foldover import add_derivatives
+from ..cell.foldover import add_derivatives
 from ..jit import kernel
 
 _ROWS = 2048

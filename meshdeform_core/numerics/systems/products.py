@@ -9,8 +9,8 @@ from typing import Protocol
 import numpy as np
 
 from ...parallel import Shared, for_chunks
+from ..exact.radial import radial_sums
 from ..fastsum.nested import NestedSums
-from ..radial import radial_sums
 from .sparse import sparse_radial_matrix
 
 _CHUNK = 512

@@ -10,7 +10,7 @@ import numpy as np
 import scipy
 
 from ...parallel import Shared, for_chunks, thread_count
-from ..radial import radial_matrix
+from ..exact.radial import radial_matrix
 from .cholesky import invert_last
 from .saddle import DirectSolver
 

@@ -3,7 +3,7 @@
 import numpy as np
 import scipy
 
-from ..basis import BASES, apply_basis
+from ..exact.basis import BASES, apply_basis
 
 _MOST_NEIGHBOURS = 500
 _LARGEST_SHARE = 0.05

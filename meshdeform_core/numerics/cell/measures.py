@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from .elementary import cube_root
-from .jit import inlined, kernel
+from ..exact.elementary import cube_root
+from ..jit import inlined, kernel
 
 # Rows of the work array of a line of cells: coordinates of the four lines of nodes around it (3 r + axis for the line
 # r = 2 a + b at i + a, j + b), area vectors of the corners between the lines, squared edge lengths multiplied, results.

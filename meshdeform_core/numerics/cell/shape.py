@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from .jit import inlined, kernel
+from ..jit import inlined, kernel
 
 ASPECT, GROWTH, NONORTHOGONALITY, SKEWNESS = 0, 1, 2, 3
 

@@ -10,8 +10,8 @@ import click
 
 from meshdeform_core.errors import CaseError
 
-from . import completion
-from .options import PATH, check_output, force_option, parse_pairs, variant_option
+from .. import completion
+from ..options import PATH, check_output, force_option, parse_pairs, variant_option
 
 if TYPE_CHECKING:
     from meshdeform_core.grid import Grid

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from .jit import fast_kernel, inlined, kernel
+from ..jit import fast_kernel, inlined, kernel
 
 # Nodes along k and lines along j that are filled together: what they share stays in the cache.
 _TILE, _LINES = 16, 64

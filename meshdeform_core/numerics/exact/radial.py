@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from ..parallel import for_chunks
+from ...parallel import for_chunks
+from ..jit import fast_kernel
 from .basis import apply_basis
-from .jit import fast_kernel
 
 _TILE = 256
 _TARGETS = 64

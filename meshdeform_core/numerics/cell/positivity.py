@@ -9,7 +9,7 @@ a mean of triple products u x v . w.
 
 import numpy as np
 
-from .jit import inlined, kernel
+from ..jit import inlined, kernel
 
 # Rows of the work array of a line of cells: coordinates of the four lines of nodes around it (3 r + axis for the line
 # r = 2 a + b at i + a, j + b), area vectors of the corners on a plane of nodes and those between two planes, corner

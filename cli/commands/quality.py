@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from .exit_codes import EXIT_INVALID
-from .machine import use_threads
-from .messages import Warnings
-from .options import (
+from ..exit_codes import EXIT_INVALID
+from ..machine import use_threads
+from ..messages import Warnings
+from ..options import (
     PATH,
     CaseInput,
     GridInput,
@@ -59,7 +59,7 @@ def command(
     start = clock.perf_counter()
     use_threads(threads)
     check_reports(reports, force, reference, *source.files, *case.files)
-    from .reporting import Delivery, deliver
+    from ..reporting import Delivery, deliver
 
     what = case.read()
     for path in reports:

@@ -25,8 +25,8 @@ def command(quiet: bool) -> int:
     start = clock.perf_counter()
     from meshdeform_core.numerics.jit import compile_seconds, compiled_loops, is_cached
 
-    from .progress import ProgressBar
-    from .warm_up_runs import run_everything
+    from ..progress import ProgressBar
+    from ..warm_up_runs import run_everything
 
     if not is_cached():
         raise CaseError("no folder for compiled loops can be written; name one in NUMBA_CACHE_DIR")

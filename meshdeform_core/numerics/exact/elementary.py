@@ -4,7 +4,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from .jit import contracted_kernel
+from ..jit import contracted_kernel
 
 
 @intrinsic

@@ -5,8 +5,8 @@ One integer names the function: functions passed as arguments would be compiled 
 
 import math
 
+from ..jit import fast_kernel
 from .elementary import log
-from .jit import fast_kernel
 
 BASES = {"tps": 0, "wendland-c0": 1, "wendland-c2": 2, "ctps-c1": 3, "ctps-c2a": 4, "ctps-c2b": 5}
 """Names and kernel numbers; all but ``tps`` have compact support."""

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 
 import click
 
-from . import completion
+from .. import completion
 
 _WIDTH = 100
 

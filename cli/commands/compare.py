@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from .options import PATH, FiniteNumber, json_option
+from ..options import PATH, FiniteNumber, json_option
 
 if TYPE_CHECKING:
     from meshdeform_core.quality.difference import Difference

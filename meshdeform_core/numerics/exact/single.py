@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from .jit import fast_kernel, inlined
+from ..jit import fast_kernel, inlined
 
 _TILE = 128
 

@@ -9,7 +9,7 @@ import click
 
 from meshdeform_core.errors import CaseError
 
-from .options import PATH, GridInput, check_output, force_option, grid_options
+from ..options import PATH, GridInput, check_output, force_option, grid_options
 
 
 @click.command("init")

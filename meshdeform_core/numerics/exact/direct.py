@@ -8,9 +8,9 @@ import math
 
 import numpy as np
 
-from ..parallel import for_chunks
+from ...parallel import for_chunks
+from ..jit import fast_kernel
 from .elementary import exp, log
-from .jit import fast_kernel
 
 N_VALUES = 7
 """Values that one pass accumulates beside the weight; shorter sets are padded with zeros."""

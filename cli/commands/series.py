@@ -11,10 +11,10 @@ import click
 
 from meshdeform_core.parallel import current_ranks
 
+from ..machine import use_threads
+from ..options import PATH, CaseInput, GridInput, RunInput, case_options, check_reports, grid_options, run_options
+from ..progress import ProgressBar
 from .deform import parse_steps
-from .machine import use_threads
-from .options import PATH, CaseInput, GridInput, RunInput, case_options, check_reports, grid_options, run_options
-from .progress import ProgressBar
 
 
 @click.command("series")
@@ -68,7 +68,7 @@ def command(
     check_reports(run.reports, run.force or resume, *source.files, *case.files)
     count, options, limit = parse_steps(steps), run.variant_options, run.memory
 
-    from . import series_run, work
+    from .. import series_run, work
 
     wanted = series_run.Wanted(output, times, origin, velocity, count, suffix, single_file, options)
     job = work.load(source, dataclasses.replace(case, times=times), limit, run.reports)

@@ -12,8 +12,8 @@ import click
 
 from meshdeform_core.errors import CaseError
 
-from . import completion
-from .options import PATH, GridInput, check_output, force_option, grid_options
+from .. import completion
+from ..options import PATH, GridInput, check_output, force_option, grid_options
 
 if TYPE_CHECKING:
     from meshdeform_core.grid import Grid

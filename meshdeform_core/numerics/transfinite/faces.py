@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from .jit import fast_kernel, inlined, kernel
+from ..jit import fast_kernel, inlined, kernel
 
 
 @kernel

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .jit import inlined, kernel
+from ..jit import inlined, kernel
 
 
 class Samples(NamedTuple):

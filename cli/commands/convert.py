@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from .messages import tell
-from .options import (
+from ..messages import tell
+from ..options import (
     PATH,
     GridInput,
     check_output,

@@ -9,8 +9,8 @@ import click
 
 from meshdeform_core.errors import CaseError
 
-from .machine import use_threads
-from .options import (
+from ..machine import use_threads
+from ..options import (
     PATH,
     CaseInput,
     FiniteNumber,
@@ -23,7 +23,7 @@ from .options import (
     invalid_path,
     run_options,
 )
-from .progress import ProgressBar
+from ..progress import ProgressBar
 
 
 @click.command("deform")
@@ -64,7 +64,7 @@ def command(
     check_reports(run.reports, run.force, output, *source.files, *case.files)
     count, options, limit = parse_steps(steps), run.variant_options, run.memory
 
-    from . import work
+    from .. import work
 
     outputs = [output, *([] if output is None or run.allow_invalid else [invalid_path(output)]), *run.reports]
     job = work.load(source, case, limit, [path for path in outputs if path is not None])

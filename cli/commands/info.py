@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
-from .info_text import as_text
-from .options import PATH, GridInput, check_output, force_option, grid_options, json_option
+from ..info_text import as_text
+from ..options import PATH, GridInput, check_output, force_option, grid_options, json_option
 
 if TYPE_CHECKING:
     from meshdeform_core.grid import Connection, Grid, Patch

@@ -1,0 +1,1 @@
+"""Loops over cells: measures, proof of positive Jacobians, energy of the repair."""

@@ -1,0 +1,1 @@
+"""Exact sums over sources, every target with every source, and the basis functions in them."""

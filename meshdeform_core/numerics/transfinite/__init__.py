@@ -1,0 +1,1 @@
+"""Loops of transfinite interpolation: lines, faces, block interiors."""
