@@ -97,7 +97,7 @@ class Imposed:
 
 
 def plan(job: Job, output: Path | None, imposed: Imposed, variant: dict[str, str]) -> Report:
-    """What would be done: classification, parameters, node counts, and what is bound to go wrong."""
+    """What would be done: classification, parameters, node counts and early warnings."""
     if output is not None:
         variant_of(job.grid, output, variant)
     setup = set_up(job.grid, imposed.case(job.case.case), memory=job.memory)
@@ -109,7 +109,7 @@ def plan(job: Job, output: Path | None, imposed: Imposed, variant: dict[str, str
     part = 1 / imposed.steps if isinstance(imposed.steps, int) else 0.0
     first = setup.displacement(imposed.time, part)
     sources = setup.problem.source_numbers
-    report["warnings"] += prepared.foresee(motion[sources], first[sources])
+    report["warnings"] += prepared.warnings_for(motion[sources], first[sources])
     contact = find_contact(
         setup.grid, setup.topology, setup.boundary, functools.partial(setup.displacement, imposed.time)
     )

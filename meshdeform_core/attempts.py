@@ -20,7 +20,7 @@ RESCUE = "rbf-tfi"
 
 def in_equal_steps(march: March, count: int) -> None:
     """In as many steps as the user asked for, valid or not."""
-    march.foresee(1 / count)
+    march.warn_ahead(1 / count)
     for step in range(1, count + 1):
         march.accept(march.trial(step / count))
 
@@ -31,7 +31,7 @@ def adaptively(march: March) -> None:
     The grid is left where no step succeeds any more.
     """
     # Steps that are halved until they succeed are never too large.
-    march.foresee(0.0)
+    march.warn_ahead(0.0)
     increment, smallest = 1.0, 0.5**MAX_HALVINGS
     while march.fraction < 1.0:
         trial = march.trial(min(1.0, march.fraction + increment))
@@ -54,7 +54,7 @@ def until_valid(march: March) -> None:
     When nothing helps, the grid with the fewest invalid cells is kept, its boundary where it was told, and the
     warnings say why and up to which part of the motion a valid grid was found.
     """
-    march.foresee(0.0)
+    march.warn_ahead(0.0)
     best, options = march.trial(1.0), march.options
     setup = march.setup
     contact = None

@@ -107,11 +107,11 @@ class March:
         setup = self.setup
         return Repairer(setup.original, setup.boundary, self.rounded, setup.memory, self.progress)
 
-    def foresee(self, first: float) -> None:
-        """Warn of what is bound to go wrong when the motion begins with that part of it."""
+    def warn_ahead(self, first: float) -> None:
+        """Collect the warnings for a motion whose first increment is the fraction ``first``."""
         sources = self.setup.problem.source_numbers
         motion, step = ((self._prescribed(part) - self.moved)[sources] for part in (1.0, first))
-        self.warnings += self._method().foresee(motion, step)
+        self.warnings += self._method().warnings_for(motion, step)
 
     def trial(self, fraction: float) -> Trial:
         """Go from the current grid to ``fraction`` of the motion, and repair that if the case says so."""

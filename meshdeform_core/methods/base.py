@@ -189,7 +189,7 @@ class PreparedMethod(Protocol):
         """Parameters as used, with reasons, and warnings."""
         ...
 
-    def foresee(self, motion: FloatArray, step: FloatArray) -> list[str]:
+    def warnings_for(self, motion: FloatArray, step: FloatArray) -> list[str]:
         """Warnings for a displacement (n_sources, 3) before it is applied; ``step`` is the first increment."""
         ...
 
@@ -207,7 +207,7 @@ class Mover(Protocol):
     account: Account
     linear: bool
 
-    def foresee(self, motion: FloatArray, step: FloatArray) -> list[str]:
+    def warnings_for(self, motion: FloatArray, step: FloatArray) -> list[str]:
         """Warnings for a displacement (n_sources, 3) before it is applied; ``step`` is the first increment."""
         ...
 
@@ -237,7 +237,7 @@ class PreparedInterpolation(Protocol):
         """Bind to the target nodes ``flat`` of the grid."""
         ...
 
-    def foresee(self, motion: FloatArray, step: FloatArray) -> list[str]:
+    def warnings_for(self, motion: FloatArray, step: FloatArray) -> list[str]:
         """Warnings for a displacement (n_sources, 3) before it is applied; ``step`` is the first increment."""
         ...
 

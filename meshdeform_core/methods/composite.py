@@ -89,8 +89,8 @@ class _Scattered:
         self._evaluator = self._bound.at(self.flat)
         self.account, self.linear = self._bound.account, self._bound.linear
 
-    def foresee(self, motion: FloatArray, step: FloatArray) -> list[str]:
-        return self._bound.foresee(motion, step)
+    def warnings_for(self, motion: FloatArray, step: FloatArray) -> list[str]:
+        return self._bound.warnings_for(motion, step)
 
     def move(self, displacement: FloatArray, out: FloatArray, progress: Progress | None = None) -> FloatArray:
         self._evaluator.evaluate(self._bound.fit(displacement, progress), out, progress)
@@ -125,9 +125,9 @@ class PreparedComposite:
             merged.include(part)
         return merged
 
-    def foresee(self, motion: FloatArray, step: FloatArray) -> list[str]:
+    def warnings_for(self, motion: FloatArray, step: FloatArray) -> list[str]:
         """Warnings for a displacement (n_sources, 3) before it is applied; ``step`` is the first increment."""
-        return self._mover.foresee(motion, step)
+        return self._mover.warnings_for(motion, step)
 
     def apply(self, displacement: FloatArray, progress: Progress | None = None) -> FloatArray:
         """Displacement (n_nodes, 3) of all block nodes from that of the sources (n_sources, 3)."""

@@ -48,9 +48,9 @@ class PreparedPeriodic:
         """Settings and warnings of the method itself."""
         return self._rest.account
 
-    def foresee(self, motion: FloatArray, step: FloatArray) -> list[str]:
+    def warnings_for(self, motion: FloatArray, step: FloatArray) -> list[str]:
         """Warnings for a displacement (n_sources, 3) before it is applied; ``step`` is the first increment."""
-        return self._first.foresee(motion, step)
+        return self._first.warnings_for(motion, step)
 
     def apply(self, displacement: FloatArray, progress: Progress | None = None) -> FloatArray:
         """Displacement (n_nodes, 3) of all block nodes from that of the sources (n_sources, 3)."""

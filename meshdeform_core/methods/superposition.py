@@ -81,9 +81,9 @@ class Superposition:
         """Always."""
         return True
 
-    def foresee(self, motion: FloatArray, step: FloatArray) -> list[str]:
+    def warnings_for(self, motion: FloatArray, step: FloatArray) -> list[str]:
         """Warnings for a displacement (n_sources, 3) before it is applied; ``step`` is the first increment."""
-        return self._method.foresee(motion, step)
+        return self._method.warnings_for(motion, step)
 
     def apply(self, displacement: FloatArray, progress: Progress | None = None) -> FloatArray:
         """Displacement (n_nodes, 3) of all block nodes from that of the sources (n_sources, 3)."""

@@ -199,7 +199,7 @@ class PreparedIDW:
         if len(self.area) > len(self._problem.source_points):
             settings["mirrored_sources"] = Setting(len(self.area), "images at symmetry planes take part")
 
-    def foresee(self, motion: FloatArray, step: FloatArray) -> list[str]:
+    def warnings_for(self, motion: FloatArray, step: FloatArray) -> list[str]:
         """Warnings for a displacement (n_sources, 3) before it is applied; ``step`` is the first increment."""
         plain = self.options.rotation == "none"
         limit = PLAIN_ROTATION if plain else LARGEST_ROTATION

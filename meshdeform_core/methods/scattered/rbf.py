@@ -168,7 +168,7 @@ class PreparedRBF:
         self.account.settings["radius"] = Setting(radius, "every node sees the whole moving body")
         return radius
 
-    def foresee(self, motion: FloatArray, step: FloatArray) -> list[str]:
+    def warnings_for(self, motion: FloatArray, step: FloatArray) -> list[str]:
         """Warnings for a displacement (n_sources, 3) before it is applied; ``step`` is the first increment."""
         if self.options.basis == "tps":
             return []

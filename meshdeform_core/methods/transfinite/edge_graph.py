@@ -66,7 +66,7 @@ class PreparedEdgeGraph:
         self._lines = Lines.of([segment.nodes for segment in segments], [segment.arc for segment in segments])
         self._faces = Faces.of(points, nodes, wanted)
 
-    def foresee(self, motion: FloatArray, step: FloatArray) -> list[str]:
+    def warnings_for(self, motion: FloatArray, step: FloatArray) -> list[str]:
         """Warnings for a displacement (n_sources, 3) before it is applied; ``step`` is the first increment."""
         # Steps do not help: blending is linear, they lead to the same grid.
         return warn_of_rotation(self._problem, motion, TFI_ROTATION, "TFI crosses cells", "use idw-tfi")

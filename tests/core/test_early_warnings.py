@@ -1,4 +1,4 @@
-"""Warnings before it happens: each comes where the deformation then fails, and stays away where it does not."""
+"""Warnings before the deformation: each is given where the deformation then fails, and nowhere else."""
 
 import dataclasses
 from pathlib import Path
@@ -56,10 +56,10 @@ def test_linear_part_of_the_motion_needs_no_radius():
     problem = problem_of(frame(), everything_moves())
     prepared = make_method(Options("rbf", rbf=RBF(basis="wendland-c2", radius=0.5))).prepare(problem)
     linear = 3.0 + problem.source_points @ np.array([[1.0, 2, 0], [0, 1, 0], [-1, 0, 1]])
-    assert prepared.foresee(linear, linear) == []
+    assert prepared.warnings_for(linear, linear) == []
     bent = linear + 2.0 * (problem.source_points > 0)
-    assert len(prepared.foresee(bent, bent)) == 1
-    assert prepared.foresee(bent, bent / 10) == []
+    assert len(prepared.warnings_for(bent, bent)) == 1
+    assert prepared.warnings_for(bent, bent / 10) == []
 
 
 def test_square_sample_is_not_warned_of_its_radius():
@@ -101,14 +101,14 @@ def test_largest_rotation_is_relative():
     assert largest_rotation(everything, told[everything.source_numbers]) < 1e-10
 
 
-def test_periodic_problems_foresee_too():
+def test_periodic_problems_warn_too():
     specs = [
         *body_specs(turning(70)),
         BoundarySpec("sides", ("block[123].imin", "block[678].imax"), Kind.PERIODIC),
     ]
     problem = problem_of(frame(), specs)
     told = prescribed_displacement(problem.grid, problem.topology, problem.boundary)[problem.source_numbers]
-    assert len(make_method(Options("tfi")).prepare(problem).foresee(told, told)) == 1
+    assert len(make_method(Options("tfi")).prepare(problem).warnings_for(told, told)) == 1
 
 
 @pytest.mark.parametrize("name", CATALOGUE)
