@@ -1,8 +1,8 @@
 """Deform block-structured grids and judge the result.
 
 One function per task: :func:`read` and :func:`write` grids, :func:`prepare` a grid and a method for many displacements,
-:func:`deform` once as a case file says, judge with :func:`quality`, :func:`compare` two grids, make a :func:`sample`
-case. Grids in memory are :class:`Grid` objects; methods are :class:`TFI`, :class:`RBF`, :class:`IDW` and
+:func:`deform` once according to a case file, judge with :func:`quality`, :func:`compare` two grids, make a
+:func:`sample` case. Grids in memory are :class:`Grid` objects; methods are :class:`TFI`, :class:`RBF`, :class:`IDW` and
 :class:`Hybrid`, or their names.
 
     import meshdeform as md
@@ -85,7 +85,7 @@ if not TYPE_CHECKING:
         elif name in _HOME:
             value = getattr(importlib.import_module(_HOME[name], __package__), name)
         else:
-            raise AttributeError(f"module {__name__!r} has no attribute {name!r}; it offers {', '.join(_HOME)}")
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}; available: {', '.join(_HOME)}")
         globals()[name] = value
         return value
 

@@ -33,7 +33,7 @@ class Hybrid:
 
     @property
     def options(self) -> Options:
-        """The options of a case that say the same."""
+        """The equivalent options of a case."""
         return _options(f"{_name(self.mover)}-{_name(self.filler)}", self.mover, self.filler)
 
 
@@ -41,12 +41,12 @@ Method = str | IDW | RBF | TFI | Hybrid
 
 
 def options_of(method: Method) -> Options:
-    """What a user chose, as the options of a case.
+    """The user's choice of method as the options of a case.
 
     Raises
     ------
     MethodError
-        For an unknown name, a combination that is not offered, or anything that is no method.
+        For an unknown name, a combination that is not offered, or an object that is not a method.
     """
     if isinstance(method, str):
         return Options(method)

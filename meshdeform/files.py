@@ -15,7 +15,7 @@ def read(path: str | Path, *, boundary_file: str | Path | None = None, **variant
     Parameters
     ----------
     boundary_file : NASA neutral map file with the boundaries, for formats that hold none
-    variant : how to read a Plot3D file that has several readings, like ``byte_order="big"`` (see docs/formats.md)
+    variant : how to read an ambiguous Plot3D file, like ``byte_order="big"`` (see docs/formats.md)
 
     Raises
     ------
@@ -29,14 +29,14 @@ def read(path: str | Path, *, boundary_file: str | Path | None = None, **variant
 
 
 def write(grid: Grid, path: str | Path, *, force: bool = False, **variant: str) -> None:
-    """Write a grid; the suffix chooses the format, which defaults to the variant that the grid was read from.
+    """Write a grid; the suffix selects the format. By default the variant is that of the file the grid was read from.
 
-    The file is replaced as a whole or, when anything fails, left alone.
+    The file is replaced as a whole or, if anything fails, left untouched.
 
     Parameters
     ----------
     force : overwrite an existing file; the file that the grid was read from is never overwritten
-    variant : how to write, like ``encoding="ascii"`` (see docs/formats.md)
+    variant : format variant, like ``encoding="ascii"`` (see docs/formats.md)
 
     Raises
     ------

@@ -16,17 +16,17 @@ _NUMBERS = "iuf"
 def checked_array(
     values: ArrayLike, shape: Sequence[int | None], what: str, meaning: str, error: type[MeshDeformError]
 ) -> FloatArray:
-    """``values`` as a C-contiguous float64 array of its own.
+    """``values`` as a new C-contiguous float64 array.
 
     Parameters
     ----------
-    shape : expected extents; ``None`` where any is fine
-    what, meaning : name of the array and what its rows are, for messages
+    shape : expected extents; ``None`` where any extent is accepted
+    what, meaning : name of the array and meaning of its rows, for messages
 
     Raises
     ------
     error
-        When it is no array of real numbers, has another shape, or holds values that are not finite.
+        When it is not an array of real numbers, has the wrong shape, or contains non-finite values.
     """
     expected = f"expected ({', '.join('n' if n is None else str(n) for n in shape)}): {meaning}"
     try:

@@ -1,4 +1,4 @@
-"""Grids as users hold them."""
+"""The public grid object."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ class Grid:
     Raises
     ------
     GridError
-        When a block is no array of finite numbers of such a shape, when plane and spatial blocks are mixed, or names
-        are missing or repeated.
+        When a block is not an array of finite numbers with such a shape, when plane and spatial blocks are mixed, or
+        when names are missing or repeated.
     """
 
     def __init__(self, blocks: Sequence[ArrayLike], names: Sequence[str] | None = None):
@@ -51,14 +51,14 @@ class Grid:
 
     @classmethod
     def _of(cls, grid: core.Grid, plane: bool = False) -> Grid:
-        """A grid of the core as users hold it; ``plane`` if they gave its blocks as (ni, nj, 2)."""
+        """Wrap a grid of the core; ``plane`` if the user gave its blocks as (ni, nj, 2)."""
         self = cls.__new__(cls)
         self._core, self._plane = grid, plane
         return self
 
     @property
     def blocks(self) -> list[FloatArray]:
-        """Read-only views of the blocks' coordinates: (ni, nj, nk, 3), or (ni, nj, 2) if they were given so."""
+        """Read-only views of the blocks' coordinates: (ni, nj, nk, 3), or (ni, nj, 2) if given in that form."""
         views = [self._core.block(b)[:, :, 0, :2] if self._plane else self._core.block(b) for b in range(len(self))]
         return [_read_only(view) for view in views]
 
@@ -105,7 +105,7 @@ class Grid:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What the reader found doubtful."""
+        """Warnings of the reader."""
         return self._core.notes
 
     def to_pyvista(self) -> pyvista.MultiBlock:

@@ -1,4 +1,4 @@
-"""Grids as arguments: in memory, or by the name of their file."""
+"""Grids as arguments: in memory, or by file name."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .grids import Grid
 
 
 def user_grid(grid: object) -> Grid:
-    """A user's grid, read if it is a file name.
+    """The argument as a :class:`Grid`; a file name is read.
 
     Raises
     ------
@@ -31,5 +31,5 @@ def user_grid(grid: object) -> Grid:
 
 
 def core_grid(grid: object) -> core.Grid:
-    """The core's grid behind it."""
+    """The core grid of the argument."""
     return user_grid(grid)._core

@@ -1,4 +1,4 @@
-"""A grid that is ready to be deformed, as often as its boundary moves."""
+"""A grid prepared for any number of deformations."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ Displacement = ArrayLike | Mapping[str, ArrayLike] | Callable[[FloatArray, float
 class Mesh:
     """A grid, its classified boundary and a prepared method; made by :func:`meshdeform.prepare`.
 
-    Every :meth:`deform` sets out from the undeformed grid: the same displacement gives the same step, whatever came
-    before (to the solver's tolerance where RBF systems are solved iteratively).
+    Every :meth:`deform` starts from the undeformed grid: the same displacement gives the same step, independent of
+    earlier calls (to the solver's tolerance where RBF systems are solved iteratively).
     """
 
     def __init__(self, setup: Setup, plane: bool, ranks: Ranks, threads: int | None):
@@ -49,7 +49,7 @@ class Mesh:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What was doubtful about the grid and its boundary."""
+        """Warnings about the grid and its boundary."""
         return self._setup.warnings
 
     @cached_property
@@ -61,7 +61,7 @@ class Mesh:
 
     @cached_property
     def nodes(self) -> IntArray:
-        """Where each of them is in the grid, (n_moving, 4): block, i, j, k of one of its copies, counted from 0."""
+        """Grid index of each row of :attr:`points`, (n_moving, 4): block, i, j, k of one copy of the node, from 0."""
         grid, first = self._setup.grid, self._setup.topology.first[self._numbers]
         block = np.searchsorted(grid.offsets, first, side="right") - 1
         nodes = np.empty((len(first), 4), dtype=np.int64)
@@ -92,7 +92,7 @@ class Mesh:
         return mask
 
     def rows(self, block: int) -> IntArray:
-        """For every node (ni, nj, nk) of a block the row of :attr:`points` that moves it, -1 where none does."""
+        """For every node (ni, nj, nk) of a block, its row in :attr:`points`, or -1 if it is not a moving node."""
         grid, topology = self._setup.grid, self._setup.topology
         if not 0 <= block < grid.n_blocks:
             raise MotionError(f"block {block}; expected 0 to {grid.n_blocks - 1}")
@@ -117,18 +117,18 @@ class Mesh:
         Parameters
         ----------
         displacement : of the moving nodes (grid length unit): an array like :attr:`points`; a mapping from the names of
-            all moving patches to arrays with a row per node of theirs; or a function of the undeformed points (n, 3)
-            and the time. ``None``: the motion that the case prescribes
-        time : handed to functions and to the case's motion
-        steps : impose it in so many increments, or in as many as validity needs (``"auto"``); one by default
+            all moving patches to arrays with one row per node of the patch; or a function of the undeformed points
+            (n, 3) and the time. ``None``: the motion prescribed by the case
+        time : passed to functions and to the case's motion
+        steps : number of increments, or ``"auto"``: as many as a valid grid requires; one by default
         repair : ``"auto"`` repairs invalid and nearly collapsed cells, ``"polish"`` also the worst cells of a valid
-            grid, ``"off"`` nothing; by default as the case says, which is ``"auto"`` if it says nothing
+            grid, ``"off"`` nothing; by default the case's setting, ``"auto"`` if it has none
         progress : called as ``progress(stage, done, total)``
 
         Raises
         ------
         MotionError
-            When an array has another shape, holds values that are not finite, or patches disagree at shared nodes.
+            When an array has the wrong shape or contains non-finite values, or patches disagree at shared nodes.
         """
         with sharing(self._ranks, self._threads):
             motion = self._motion(displacement, float(time))
@@ -140,7 +140,7 @@ class Mesh:
 
     @cached_property
     def _numbers(self) -> IntArray:
-        """Unique numbers of the nodes that move on their own, ascending; images of periodic pairs follow them."""
+        """Unique numbers of the independently moving nodes, ascending; their periodic partners follow them."""
         movers = self._setup.boundary.movers
         return np.unique(np.concatenate([nodes for nodes, _ in movers])).astype(np.int64)
 
@@ -167,7 +167,7 @@ class Mesh:
         return lambda fraction: total if fraction == 1.0 else fraction * total
 
     def _checked(self, values: Any, what: str, rows: int) -> FloatArray:
-        """An array (rows, 3), also from (rows, 2) where the grid was given in the plane."""
+        """An array (rows, 3); (rows, 2) is accepted for a grid given in the plane."""
         meaning = "one row per node of mesh.points" if rows == len(self.points) else "one row per node of the patch"
         if self._plane and np.ndim(values) == 2 and np.shape(values)[1] == 2:
             plane = checked_array(values, (rows, 2), what, meaning, MotionError)
@@ -197,7 +197,7 @@ class Mesh:
             )
 
     def __getstate__(self) -> dict[str, Any]:
-        """What a copy needs; it prepares its method anew."""
+        """The state of a copy, without the prepared method: the copy prepares it again."""
         if self._ranks.count > 1:
             raise TypeError("a Mesh of several MPI ranks cannot be copied or pickled; prepare it where it is needed")
         return {**self.__dict__, "_prepared": None}

@@ -1,4 +1,4 @@
-"""From a grid and what its boundary does to a mesh that can be deformed again and again."""
+"""Prepare a grid with given boundary kinds for repeated deformation."""
 
 from __future__ import annotations
 
@@ -41,26 +41,26 @@ def prepare(
     threads: int | None = None,
     max_memory: int | str | None = None,
 ) -> Mesh:
-    """Find out everything about a grid that its displacements will need.
+    """Compute everything that does not depend on the displacement.
 
     Parameters
     ----------
     grid : a grid, or the name of a grid file
-    case : a case file, or its content as a mapping; instead of the five selections
+    case : a case file, or its content as a mapping; replaces the five selections
     moving, fixed, slip, symmetry, periodic : patch names of the grid or block faces, like ``"wing"``,
-        ``["wing", "block2.jmin[1:65,*]"]`` (each a patch of its own) or ``{"body": ["wing", "tail"]}``. Outside faces
-        that nothing selects are fixed
-    method : ``"idw-tfi"`` and other names, :class:`IDW`, :class:`RBF`, :class:`TFI` or :class:`Hybrid`; by default that
-        of the case, which is ``"idw-tfi"`` if it says nothing
-    comm : mpi4py communicator whose ranks share the work; all of them must call everything in the same order
-    threads : at most so many; by default all cores of the process
-    max_memory : bytes, or a size like ``"2GiB"``; by default what the machine has
+        ``["wing", "block2.jmin[1:65,*]"]`` (each a separate patch) or ``{"body": ["wing", "tail"]}``. Outside faces
+        that are not selected are fixed
+    method : a name like ``"idw-tfi"``, :class:`IDW`, :class:`RBF`, :class:`TFI` or :class:`Hybrid`; by default the
+        case's method, ``"idw-tfi"`` if it has none
+    comm : mpi4py communicator whose ranks share the work; every rank must make the same calls in the same order
+    threads : largest number of threads; by default all cores available to the process
+    max_memory : bytes, or a size like ``"2GiB"``; by default the available memory of the machine
 
     Raises
     ------
     MeshDeformError
         When a selection matches nothing, no node would move, options do not belong to the method, or the grid does not
-        fit the memory.
+        fit into memory.
     """
     ranks = _ranks(comm)
     if threads is not None and (isinstance(threads, bool) or not isinstance(threads, int) or threads < 1):
@@ -106,7 +106,7 @@ def _case(case: CaseLike | None, selections: Mapping[Kind, Selection | None]) ->
     given = [kind.label for kind, selection in selections.items() if selection is not None]
     if case is not None:
         if given:
-            raise CaseError(f"found a case and {', '.join(given)}; expected either of them: the case says what moves")
+            raise CaseError(f"found a case and {', '.join(given)}; expected only one of them: the case says what moves")
         return parsed_case(case)
     if Kind.MOVING.label not in given:
         raise CaseError('nothing moves; expected moving = ["patch", ...], or a case')
@@ -114,18 +114,18 @@ def _case(case: CaseLike | None, selections: Mapping[Kind, Selection | None]) ->
 
 
 def parsed_case(case: CaseLike) -> CaseFile:
-    """A case from its file or from a mapping of the same content.
+    """The case from a file or from a mapping with the same content.
 
     Raises
     ------
     CaseError
-        Naming the key and the nearest known one.
+        For an unknown key, with the nearest known one, or an invalid value.
     """
     if isinstance(case, Mapping):
         return _from_mapping(case)
     if isinstance(case, str | Path):
         return read_case(case)
-    raise CaseError(f"case is a {type(case).__name__}; expected the name of a case file, or a mapping like its content")
+    raise CaseError(f"case is a {type(case).__name__}; expected the name of a case file, or a mapping with its content")
 
 
 def _from_mapping(case: Mapping[str, Any]) -> CaseFile:
@@ -147,7 +147,7 @@ def _specs(selections: Mapping[Kind, Selection | None]) -> list[BoundarySpec]:
 
 
 def _entries(kind: Kind, selection: Selection | None) -> dict[str, tuple[str, ...]]:
-    """Patterns by the name of their patch."""
+    """Selection patterns by patch name."""
     if selection is None:
         return {}
     if isinstance(selection, str):
@@ -159,7 +159,7 @@ def _entries(kind: Kind, selection: Selection | None) -> dict[str, tuple[str, ..
             f"{kind.label} = {selection!r}; expected patch names or block faces, like 'wing', ['wing', 'block2.jmin'] "
             f"or {{'body': ['wing', 'tail']}}"
         )
-    # Both sides of a periodic pair belong to one entry.
+    # Both sides of a periodic pair belong in one entry.
     if kind is Kind.PERIODIC:
         return {" and ".join(selection): tuple(selection)}
     if len(set(selection)) < len(selection):

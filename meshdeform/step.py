@@ -1,4 +1,4 @@
-"""What a deformation gives."""
+"""The result of one deformation."""
 
 from __future__ import annotations
 
@@ -22,32 +22,32 @@ class Step:
 
     @property
     def valid(self) -> bool:
-        """The whole displacement was imposed and no cell became invalid."""
+        """Whether the whole displacement was imposed and no cell became invalid."""
         return self._result.valid
 
     @cached_property
     def grid(self) -> Grid:
-        """The deformed grid, with everything that the undeformed one carried."""
+        """The deformed grid, with all data that came with the undeformed one."""
         return Grid._of(self._result.grid, self._plane)
 
     @property
     def invalid_cells(self) -> tuple[InvalidCell, ...]:
-        """Cells that were sound before and are not any more: block, i, j, k (from 1), place, nearest patch."""
+        """Cells that were valid and no longer are: block, i, j, k (from 1), position, nearest patch."""
         return self._result.assessment.invalid
 
     @property
     def steps(self) -> int:
-        """Increments in which the displacement was imposed."""
+        """Number of increments in which the displacement was imposed."""
         return self._result.steps
 
     @property
     def repair(self) -> Repair | None:
-        """What repairs did to get here: cells, nodes, largest movement; ``None`` if nothing was repaired."""
+        """Summary of the repairs made: cells, nodes, largest movement; ``None`` if nothing was repaired."""
         return self._result.repair
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Whatever was doubtful."""
+        """All warnings of this deformation."""
         return self._result.warnings
 
     @cached_property

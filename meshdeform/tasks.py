@@ -20,7 +20,7 @@ __all__ = ["Difference", "Sample", "compare", "deform", "quality", "sample"]
 
 
 class Sample(NamedTuple):
-    """A sample case: its grid, and its case as :func:`deform` and :func:`prepare` take it."""
+    """A sample case: its grid, and its case in the form that :func:`deform` and :func:`prepare` accept."""
 
     grid: Grid
     case: dict[str, Any]
@@ -37,7 +37,7 @@ def deform(
     threads: int | None = None,
     max_memory: int | str | None = None,
 ) -> Step:
-    """Deform a grid once as a case says; see :func:`prepare` and :meth:`Mesh.deform` for the arguments."""
+    """Deform a grid once according to a case; see :func:`prepare` and :meth:`Mesh.deform` for the arguments."""
     mesh = prepare(grid, case, method=method, threads=threads, max_memory=max_memory)
     return mesh.deform(time=time, steps=steps, repair=repair)
 
@@ -45,12 +45,12 @@ def deform(
 def quality(
     grid: Grid | str | Path, reference: Grid | str | Path | None = None, case: CaseLike | None = None
 ) -> dict[str, Any]:
-    """The quality report of a grid, alone or against its original (see docs/report.md).
+    """The quality report of a grid, by itself or against its original (see docs/report.md).
 
     Parameters
     ----------
-    reference : the original grid, same blocks; cells that were sound there and are not in ``grid`` are invalid
-    case : where the moving walls are, for the measures at walls
+    reference : the original grid, with the same blocks; cells that are valid there but not in ``grid`` are invalid
+    case : defines the moving walls, for the measures at walls
 
     Raises
     ------
@@ -67,7 +67,7 @@ def quality(
 
 
 def compare(a: Grid | str | Path, b: Grid | str | Path) -> Difference:
-    """Distance of corresponding nodes: ``largest``, ``rms``, ``where``, and per block.
+    """Distance between corresponding nodes: ``largest``, ``rms``, ``where``, and per block.
 
     Raises
     ------
@@ -83,7 +83,7 @@ def sample(name: str, size: int | str | None = None) -> Sample:
     Raises
     ------
     CaseError
-        For an unknown sample, with the known ones, or a size that it cannot have.
+        For an unknown sample, with the known ones, or an unsupported size.
     """
     from meshdeform_samples import case_content, generate
 

@@ -1,4 +1,4 @@
-"""How a motion is imposed: in steps that were asked for, or by whatever keeps the grid valid."""
+"""How a motion is imposed: in a given number of steps, or adaptively so that the grid stays valid."""
 
 from __future__ import annotations
 
@@ -10,25 +10,25 @@ from .march import March, Trial
 from .methods import Options
 
 MAX_HALVINGS = 8
-# Of steps with a repair in each, which cost much more.
+# The same for steps with a repair in each, which cost much more.
 MAX_REPAIRED_HALVINGS = 4
 MAX_ATTEMPTS = 24
-"""Steps that are tried at most, with repairs, until the whole motion is imposed: so that hopeless cases end."""
+"""Most steps tried with repairs, so that hopeless cases end."""
 RESCUE = "rbf-tfi"
-"""The method that is tried when the chosen one finds no valid grid: it rescues most."""
+"""The method tried when the chosen one finds no valid grid: it succeeds most often."""
 
 
 def in_equal_steps(march: March, count: int) -> None:
-    """In as many steps as the user asked for, valid or not."""
+    """Impose the motion in as many steps as the user asked for, valid or not."""
     march.warn_ahead(1 / count)
     for step in range(1, count + 1):
         march.accept(march.trial(step / count))
 
 
 def adaptively(march: March) -> None:
-    """In one step if that keeps the grid valid; a step that breaks cells, and all that follow, are halved.
+    """Impose the motion in one step if that keeps the grid valid; else halve this step and all that follow.
 
-    The grid is left where no step succeeds any more.
+    Stops at the last valid grid when no step succeeds any more.
     """
     # Steps that are halved until they succeed are never too large.
     march.warn_ahead(0.0)
@@ -42,17 +42,17 @@ def adaptively(march: March) -> None:
         else:
             march.failed = trial
             march.warnings.append(
-                f"the motion was imposed to {march.fraction:.1%} only; a step of {increment:.2%} more makes cells "
+                f"only {march.fraction:.1%} of the motion was imposed; a further step of {increment:.2%} makes cells "
                 f"invalid. The grid reached so far is kept"
             )
             return
 
 
 def until_valid(march: March) -> None:
-    """In one step, with a repair; else in smaller ones with a repair in each; else all of this with another method.
+    """Try one step with a repair, then smaller steps with a repair in each, then the same with another method.
 
-    When nothing helps, the grid with the fewest invalid cells is kept, its boundary where it was told, and the
-    warnings say why and up to which part of the motion a valid grid was found.
+    If nothing helps, the grid with the fewest invalid cells is kept, with its boundary where it was prescribed; the
+    warnings say why, and for what part of the motion a valid grid was found.
     """
     march.warn_ahead(0.0)
     best, options = march.trial(1.0), march.options
@@ -77,7 +77,7 @@ def until_valid(march: March) -> None:
 
 
 def _in_smaller_steps(march: March) -> bool:
-    """The largest steps that succeed, grown again afterwards; whether the whole motion was imposed."""
+    """Take the largest steps that succeed, growing them again; return whether the whole motion was imposed."""
     increment, smallest = 0.5, 0.5**MAX_REPAIRED_HALVINGS
     while march.fraction < 1.0:
         if len(march.attempts) >= MAX_ATTEMPTS:
@@ -94,7 +94,7 @@ def _in_smaller_steps(march: March) -> bool:
 
 
 def _with_another_method(march: March) -> Iterator[Trial]:
-    """One step with the method that rescues most, where it fits the memory and is another one."""
+    """One step with the rescue method, if it fits into memory and is not the chosen one."""
     if march.options.name == RESCUE or len(march.attempts) >= MAX_ATTEMPTS:
         return
     march.restart(Options(RESCUE))
@@ -109,6 +109,6 @@ def _with_another_method(march: March) -> Iterator[Trial]:
 def _give_up(march: March) -> None:
     reached = max((a.reached for a in march.attempts if not a.invalid_cells), default=0.0)
     march.warnings.append(
-        f"no valid grid was found for the whole motion, but for {reached:.1%} of it. The grid kept has the whole "
+        f"no valid grid was found for the whole motion, only for {reached:.1%} of it. The grid kept has the whole "
         f"motion and the fewest invalid cells of {len(march.attempts)} attempts"
     )

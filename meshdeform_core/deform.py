@@ -37,8 +37,8 @@ class Result:
     """A deformed grid, how it was made and how good it is.
 
     ``reached`` is the fraction of the motion that was imposed: below 1 only when marching stopped before a step that
-    would have made cells invalid; the invalid cells of the assessment are then those of that step. ``attempts`` are
-    the steps that were tried, in their order; ``repair``, what repairs did to get here, or ``None``.
+    would have made cells invalid; the invalid cells of the assessment are then those of that step. ``attempts`` lists
+    the steps that were tried, in order; ``repair`` summarises the repairs made, or is ``None``.
     """
 
     setup: Setup
@@ -59,7 +59,7 @@ class Result:
 
     @property
     def valid(self) -> bool:
-        """The whole motion was imposed and no cell became invalid."""
+        """Whether the whole motion was imposed and no cell became invalid."""
         return self.reached == 1.0 and self.assessment.valid
 
 
@@ -74,22 +74,22 @@ def deform(
     progress: Progress | None = None,
     warn: Callable[[Sequence[str]], object] | None = None,
 ) -> Result:
-    """Deform ``grid`` as ``case`` says and judge the result.
+    """Deform ``grid`` according to ``case`` and judge the result.
 
     Parameters
     ----------
     time : at which motions are evaluated
-    steps : increments, each from the last grid; ``"auto"``: as many as it takes. ``None`` is one step if
+    steps : number of increments, each from the last grid; ``"auto"``: as many as it takes. ``None`` is one step if
         ``case.repair`` is off and ``"auto"`` otherwise
-    precision : ``float32`` or ``float64`` of the file that will be written (default: the grid's own); the verdict is
-        about the coordinates as written
-    memory : what the method may take beside the grid
-    warn : called with the warnings of the set-up, which the result has too, before anything is computed
+    precision : ``float32`` or ``float64`` of the file that will be written (default: the grid's own); the verdict
+        applies to the coordinates as written
+    memory : limit for the method, in addition to the grid
+    warn : called with the warnings of the set-up (also part of the result) before anything is computed
 
     Raises
     ------
     MeshDeformError
-        For anything that is the input's fault.
+        For any fault of the input.
     """
     timing = Timing()
     setup = set_up(grid, case, timing, memory)
@@ -127,7 +127,7 @@ def _result(march: March) -> Result:
     with march.timing.stage("quality"):
         assessment = assess(setup.original, final, setup.boundary, last.cells if last else None)
         if march.failed is not None:
-            # The kept grid is valid; what the user needs to know is which cells the next step would break.
+            # The kept grid is valid; the user needs to know which cells the next step would break.
             broken = assess(setup.original, march.rounded(march.failed.points), setup.boundary, march.failed.cells)
             assessment = dataclasses.replace(assessment, invalid=broken.invalid, groups=broken.groups)
         assessment = assessment.with_steps(setup.grid, march.first_bad, march.steps + (march.failed is not None))
@@ -154,5 +154,5 @@ def _nearly_collapsed(assessment: Assessment) -> list[str]:
     x, y, z = worst.center
     return [
         f"cell {worst.block} {worst.ijk} at ({x:.6g}, {y:.6g}, {z:.6g}) is valid but nearly collapsed: a Jacobian is "
-        f"{worst.value:.2g} of what it was"
+        f"{worst.value:.2g} of its original value"
     ]

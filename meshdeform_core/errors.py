@@ -7,13 +7,13 @@ from collections.abc import Iterable
 
 
 def suggestion(word: object, known: Iterable[str], most: int = 1) -> str:
-    """The end of a message about an unknown word: the known ones nearest to it; empty if none is near."""
+    """A "did you mean" clause for an unknown word; empty if no known word is similar."""
     close = difflib.get_close_matches(str(word), list(known), most)
     return f"; did you mean {' or '.join(map(repr, close))}?" if close else ""
 
 
 class MeshDeformError(Exception):
-    """Base of all errors that are the input's fault, not the program's (exit code 2)."""
+    """Base of all errors caused by the input rather than the program (exit code 2)."""
 
 
 class GridError(MeshDeformError):
@@ -21,7 +21,7 @@ class GridError(MeshDeformError):
 
 
 class FormatError(MeshDeformError):
-    """A file is not what it should be: unknown, truncated, ambiguous, not block-structured."""
+    """A file cannot be read as expected: unknown format, truncated, ambiguous, not block-structured."""
 
 
 class CaseError(MeshDeformError):
@@ -29,8 +29,8 @@ class CaseError(MeshDeformError):
 
 
 class MotionError(MeshDeformError):
-    """The prescribed motion cannot be imposed: conflicts, nothing moves, unmatched points."""
+    """The prescribed motion cannot be imposed: conflicting values, nothing moves, unmatched points."""
 
 
 class MethodError(MeshDeformError):
-    """The deformation method cannot do what is asked: unknown name, parameter out of range."""
+    """The deformation method cannot be used: unknown name, parameter out of range, not enough memory."""

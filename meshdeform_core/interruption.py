@@ -1,7 +1,7 @@
-"""A request to stop: set by a signal handler, honoured wherever the program can stop without harm.
+"""A request to stop: set by a signal handler, honoured wherever the program can stop safely.
 
-A signal handler raises an exception, but code that the signal happens to interrupt (callbacks of libraries,
-destructors) may swallow it. The request itself stays, and :func:`check` raises again.
+A signal handler raises an exception, but code that the signal happens to interrupt (library callbacks, destructors)
+may swallow it. The request itself persists, and :func:`check` raises again.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ def request(signal_number: int) -> None:
 
 
 def requested() -> int | None:
-    """Number of the signal that asked first, or ``None``."""
+    """Number of the first signal received, or ``None``."""
     return _requests[0] if _requests else None
 
 
@@ -41,6 +41,6 @@ def cleaned_up(action: Callable[[], object]) -> Iterator[None]:
 
 
 def clean_up() -> None:
-    """Run what interrupted blocks of :func:`cleaned_up` still owe."""
+    """Run the outstanding actions of interrupted :func:`cleaned_up` blocks."""
     while _pending:
         _pending.pop()()

@@ -1,4 +1,4 @@
-"""The judgement of a grid that something else has deformed, or of a grid on its own."""
+"""The judgement of a grid that another program deformed, or of a grid on its own."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from .quality.difference import require_same_blocks
 
 
 def judge(grid: Grid, original: Grid, case: Case) -> tuple[Assessment, tuple[str, ...]]:
-    """Judge ``grid`` against ``original``, which may be the same; the case tells where the moving walls are.
+    """Judge ``grid`` against ``original``, which may be the same; the case defines the moving walls.
 
-    Returns the assessment and what is doubtful about the original.
+    Returns the assessment and the warnings about the original.
 
     Raises
     ------

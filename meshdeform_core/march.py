@@ -20,9 +20,9 @@ from .setup import BoundaryMotion, Setup, Start, Timing
 
 @dataclass(frozen=True)
 class Attempt:
-    """What was tried: a step of the motion with a method, with or without a repair, and what came of it.
+    """One attempted step of the motion: method, with or without repair, and outcome.
 
-    ``steps`` taken until then, this one included; ``reached``, the part of the motion at its end.
+    ``steps`` counts the steps up to and including this one; ``reached`` is the fraction of the motion at its end.
     """
 
     method: str
@@ -34,7 +34,7 @@ class Attempt:
 
 @dataclass(frozen=True)
 class Trial:
-    """Coordinates (n_nodes, 3) of a step, the verdict on them, and their measures if those are known already."""
+    """Coordinates (n_nodes, 3) of a step, the verdict on them, and their quality measures if already computed."""
 
     fraction: float
     points: FloatArray
@@ -68,7 +68,7 @@ class March:
         self._inspect_motion(alone=start is None)
 
     def restart(self, options: Options) -> None:
-        """Go back to the grid from which the motion set out, and on with a method."""
+        """Start again from the initial grid of the motion, with another method."""
         self.options = options
         self.fraction, self.steps = 0.0, 0
         self.points = self.start.points
@@ -83,27 +83,27 @@ class March:
     def _inspect_motion(self, alone: bool) -> None:
         self.total = self.motion(1.0)
         self.max_displacement = largest_displacement(self.total)
-        # A level of a series may stand still.
+        # In a series, a level may have no displacement.
         if alone and self.max_displacement == 0.0:
             self.warnings.append("nothing moves: the displacement is zero everywhere")
         departure = self.setup.boundary.slip.departure(self.total)
-        # A motion that comes back to nothing leaves round-off in all directions.
+        # A motion that returns to zero leaves round-off in all directions.
         boundary = self.setup.grid.points[self.setup.topology.first]
         round_off = 1e-12 * float(np.ptp(boundary, axis=0).max())
         if departure > max(1e-6 * self.max_displacement, round_off):
             self.warnings.append(
                 f"the motion carries nodes out of a slip or symmetry plane by up to {departure:.3g}; "
-                f"the plane follows there, its other nodes stay in it"
+                f"the plane follows there; its other nodes stay in it"
             )
 
     @property
     def account(self) -> Account:
-        """Of the method on the last grid."""
+        """Settings and warnings of the method on the last grid."""
         return self._method().account if self.last is None else self._account
 
     @cached_property
     def repairer(self) -> Repairer:
-        """Repairs against the undeformed grid."""
+        """Repairs cells relative to the undeformed grid."""
         setup = self.setup
         return Repairer(setup.original, setup.boundary, self.rounded, setup.memory, self.progress)
 
@@ -114,7 +114,7 @@ class March:
         self.warnings += self._method().warnings_for(motion, step)
 
     def trial(self, fraction: float) -> Trial:
-        """Go from the current grid to ``fraction`` of the motion, and repair that if the case says so."""
+        """Move from the current grid to ``fraction`` of the motion, and repair the result if the case asks for it."""
         trial = self._noted(self._judged(fraction, self._moved(fraction)), repaired=False)
         mode = self.setup.case.repair.mode
         if mode == "off" or not (mode == "polish" or self.repairer.needed(trial.verdict)):
@@ -129,7 +129,7 @@ class March:
         return self._noted(trial, repaired=True)
 
     def accept(self, trial: Trial) -> None:
-        """Go on from the grid of a trial."""
+        """Continue from the grid of a trial."""
         self._account = self._method().account
         self.notices |= self._account.notices
         self.moved = self._prescribed(trial.fraction)
@@ -154,7 +154,7 @@ class March:
             return moved
 
     def _judged(self, fraction: float, points: FloatArray) -> Trial:
-        """At the end of the motion everything is measured at once; most often that grid stays."""
+        """At the end of the motion all quality measures are taken at once: usually this grid is the result."""
         original, final = self.setup.original, self.rounded(points)
         with self.timing.stage("quality"):
             if fraction < 1.0:
@@ -174,7 +174,7 @@ class March:
         return result
 
     def _prescribed(self, fraction: float) -> FloatArray:
-        """Boundary displacement part of the way: on the motion's own path from the undeformed grid, else straight."""
+        """Boundary displacement at a fraction: along the motion's path from the undeformed grid, else linear."""
         if fraction == 1.0:
             return self.total
         if not self.begin.any():

@@ -1,4 +1,4 @@
-"""Memory: what there is, what was taken, and refusing work that does not fit before it takes any."""
+"""Memory: available, used, and refusing work that does not fit before it starts."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def readable(size: float) -> str:
 class MemoryLimit:
     """How much memory a run may take.
 
-    ``size`` in bytes; ``source`` says whose limit it is, like ``--max-memory allows`` or ``the machine has``.
+    ``size`` in bytes; ``source`` names the limit, like ``--max-memory allows`` or ``the machine has``.
     """
 
     size: int
@@ -50,7 +50,7 @@ class MemoryLimit:
             raise MethodError(f"{what} needs about {readable(needed)}, {self.source} {readable(self.size)}; {instead}")
 
     def after(self, taken: int, what: str) -> MemoryLimit:
-        """What is left of the limit for methods when ``what`` has taken its part."""
+        """The limit that remains for methods after ``what`` has taken its share."""
         return MemoryLimit(max(self.size - taken, 0), f"{self.source}, after {readable(taken)} for {what},")
 
 
@@ -58,7 +58,7 @@ UNLIMITED = MemoryLimit(2**62, "the machine has")
 
 
 def parse_memory(text: str, name: str) -> MemoryLimit:
-    """``2GiB``, ``500 MB`` or plain bytes, as a limit that messages call ``name``.
+    """A limit from ``2GiB``, ``500 MB`` or plain bytes; messages call it ``name``.
 
     Raises
     ------
@@ -74,9 +74,9 @@ def parse_memory(text: str, name: str) -> MemoryLimit:
 
 
 def left_for_method(limit: MemoryLimit, nodes: int, coordinate_bytes: int, other_bytes: int = 0) -> MemoryLimit:
-    """What program and grid leave of ``limit``; of several ranks with memory in common each has its part of them.
+    """The part of ``limit`` that program and grid leave; ranks that share memory each count their share of the grid.
 
-    ``other_bytes`` are those of point and cell data and of displacement tables, which are read, kept and written again.
+    ``other_bytes`` is the size of point and cell data and displacement tables, which are read, kept and written again.
 
     Raises
     ------
@@ -84,7 +84,7 @@ def left_for_method(limit: MemoryLimit, nodes: int, coordinate_bytes: int, other
         When they leave nothing.
     """
     ranks = current_ranks()
-    # Machines may have different numbers of ranks, but all ranks must come to the same size.
+    # Machines may run different numbers of ranks, but all ranks must arrive at the same size.
     sharers = 1 if ranks.private else min(ranks.gather([ranks.on_machine]))
     arrays = _OWN_ARRAYS + (_COORDINATE_ARRAYS - _OWN_ARRAYS) / sharers
     needed = _PROGRAM_BYTES + int(arrays * coordinate_bytes) + _OTHER_COPIES * other_bytes
@@ -93,9 +93,9 @@ def left_for_method(limit: MemoryLimit, nodes: int, coordinate_bytes: int, other
 
 
 def machine_memory() -> MemoryLimit:
-    """Memory that can be taken without swapping, as far as the system tells; of several ranks each has its share.
+    """Memory available without swapping, as far as the system reports it; several ranks share it equally.
 
-    The smallest share counts, on all ranks: what fits decides what they do, and they must do the same.
+    The smallest share applies to all ranks: it decides what they do, and they must all do the same.
     """
     ranks = current_ranks()
     source = "the machine has" if ranks.on_machine == 1 else f"each of {ranks.on_machine} ranks on the machine has"
@@ -111,7 +111,7 @@ def _available_memory() -> int:
 
 
 def peak_memory() -> int:
-    """Largest resident size of this process so far, bytes; 0 where the system does not tell."""
+    """Largest resident size of this process so far, bytes; 0 where the system does not report it."""
     # Linux counts the size of the parent at the start of a process into ru_maxrss, but not into VmHWM.
     status = _first_number(Path("/proc/self/status"), "VmHWM:")
     if status is not None:
@@ -125,7 +125,7 @@ def peak_memory() -> int:
 
 
 def _first_number(path: Path, key: str) -> int | None:
-    """The number (KiB) behind ``key`` in a file of the system; ``None`` where there is no such file or key."""
+    """The number (KiB) after ``key`` in a system file; ``None`` if there is no such file or key."""
     try:
         lines = path.read_text(encoding="ascii", errors="replace").splitlines()
     except OSError:

@@ -20,13 +20,13 @@ VELOCITIES = ("none", "first", "second")
 
 @dataclass(frozen=True)
 class Schedule:
-    """When, and from which grid.
+    """The time levels and the grid from which each is made.
 
     Attributes
     ----------
     times : of the levels, ascending
     origin : ``reference``: every level is made from the undeformed grid, so that equal boundaries give equal grids (to
-        the tolerance of solvers and sums); ``last``: each level from the one before (marching), which reaches larger
+        the tolerance of solvers and sums); ``last``: each level from the previous one (marching), which reaches larger
         motions but drifts
     velocity : order of the backward differences of the grid velocity, or ``none``
     steps : increments of each level, or ``"auto"``; see :func:`meshdeform_core.deform.deform`
@@ -45,14 +45,14 @@ class Schedule:
             raise CaseError(f"the times of a series must ascend; found {_shortened(self.times)}")
 
     def past(self, number: int) -> int:
-        """How many levels before level ``number`` are needed to make it."""
+        """Number of levels before level ``number`` that are needed to make it."""
         wanted = max(VELOCITIES.index(self.velocity), int(self.origin == "last"))
         return min(number, wanted)
 
 
 @dataclass(frozen=True)
 class Drift:
-    """Distance (grid length unit) of a marched grid from the one made in one step from the undeformed grid."""
+    """Distance (grid length unit) between a marched grid and the one made in one step from the undeformed grid."""
 
     max: float
     rms: float
@@ -83,14 +83,14 @@ def deform_series(
     first: int = 0,
     finished: Callable[[int], FloatArray] | None = None,
 ) -> Iterator[Level]:
-    """Make the levels ``first``, ``first + 1``, ... one after the other; only what the next one needs is kept.
+    """Make the levels ``first``, ``first + 1``, ... in order; only the data that the next one needs are kept.
 
-    A level that is not valid does not stop the series: its result says so.
+    An invalid level does not stop the series; its result says so.
 
     Parameters
     ----------
     precision : of the files that will be written. Marching and velocities use the coordinates as written, so that
-        they are those of the files, and a continued series equals an uninterrupted one
+        they match the files and a continued series equals an uninterrupted one
     finished : coordinates (n_nodes, 3) as written of a level before ``first``; required if ``first`` needs any
     """
     series = _Series(setup, schedule, precision, progress)
@@ -103,7 +103,7 @@ def deform_series(
 
 
 class _Series:
-    """What all levels share: the set-up and the method prepared on the undeformed grid."""
+    """Shared by all levels: the set-up and the method prepared on the undeformed grid."""
 
     def __init__(self, setup: Setup, schedule: Schedule, precision: str, progress: Progress | None):
         self.setup, self.schedule, self.precision, self.progress = setup, schedule, precision, progress
@@ -165,7 +165,7 @@ def grid_velocity(times: tuple[float, ...], points: list[FloatArray], order: str
 
 
 def _slope(times: tuple[float, ...], points: list[FloatArray], known: int) -> FloatArray | float:
-    """Velocity at the last of ``points`` from that many levels."""
+    """Velocity at the last of ``points`` from the last ``known`` levels."""
     if known == 1:
         return 0.0
     h = times[-1] - times[-2]
@@ -174,7 +174,7 @@ def _slope(times: tuple[float, ...], points: list[FloatArray], known: int) -> Fl
         return slope
     before = times[-2] - times[-3]
     earlier = (points[-2] - points[-3]) / before
-    # The derivative, at the newest, of the parabola through three levels.
+    # The derivative at the newest level of the parabola through three levels.
     return slope + (slope - earlier) * (h / (h + before))
 
 

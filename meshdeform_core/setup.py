@@ -1,4 +1,4 @@
-"""A grid and what to do with it: everything that is known before anything moves."""
+"""A grid and its case: everything that is known before the boundary moves."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ BoundaryMotion = Callable[[float], FloatArray]
 
 @dataclass(frozen=True)
 class Case:
-    """What to do with a grid: its boundary entries, the constants of their formulas, the method, repairs.
+    """Boundary entries, the constants of their formulas, the method and the repair options.
 
-    ``tolerance`` is the largest distance of coincident nodes, relative to the local edge; ``notes`` are doubts that
-    came up when the case was made, for the report's warnings; ``open_faces`` are outside faces (``True``: all) that are
-    meant to lie close to others.
+    ``tolerance`` is the largest distance between coincident nodes, relative to the local edge; ``notes`` are warnings
+    from reading the case, for the report; ``open_faces`` are outside faces (``True``: all) that are meant to lie close
+    to others.
     """
 
     boundaries: tuple[BoundarySpec, ...]
@@ -82,7 +82,7 @@ class Timing:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Setup:
-    """A grid with everything that is known before anything moves; what ``--dry-run`` shows."""
+    """A grid with everything that is known before the boundary moves; ``--dry-run`` shows it."""
 
     grid: Grid
     case: Case
@@ -96,7 +96,7 @@ class Setup:
 
     @cached_property
     def problem(self) -> Problem:
-        """What methods are prepared on."""
+        """The input of a method's ``prepare``."""
         return Problem(self.grid, self.topology, self.boundary, self.memory)
 
     @cached_property
@@ -105,7 +105,7 @@ class Setup:
         return Original(self.grid, self.topology, self.case.repair.min_jacobian)
 
     def with_repair(self, mode: Mode) -> Setup:
-        """The same with another repair mode; what is known of the undeformed grid is shared."""
+        """A copy with another repair mode; data of the undeformed grid are shared."""
         if mode == self.case.repair.mode:
             return self
         repair = dataclasses.replace(self.case.repair, mode=mode)
@@ -119,17 +119,17 @@ class Setup:
         return prescribed_displacement(self.grid, self.topology, self.boundary, time, fraction)
 
     def motion(self, time: float) -> BoundaryMotion:
-        """The case's motion as it is at ``time``."""
+        """The case's motion at ``time``."""
         return partial(self.displacement, time)
 
 
 @dataclass(frozen=True)
 class Start:
-    """Where a motion sets out when it is a level of a series.
+    """Starting point of a motion that is one level of a series.
 
     ``points`` (n_nodes, 3) are the undeformed coordinates or those of an earlier level; ``prepared`` is the method
-    prepared on them, if it already is. ``correction`` gives by how much repairs moved the nodes (n_nodes, 3) at the
-    level before, or ``None``: a repair sets out from there.
+    prepared on them, if available. ``correction`` is the movement of the nodes (n_nodes, 3) by repairs at the previous
+    level, or ``None``; a repair starts from it.
     """
 
     points: FloatArray
@@ -138,7 +138,7 @@ class Start:
 
 
 def set_up(grid: Grid, case: Case, timing: Timing | None = None, memory: MemoryLimit = UNLIMITED) -> Setup:
-    """Find the topology and classify the boundary; ``memory`` is what the method may take beside the grid.
+    """Find the topology and classify the boundary; ``memory`` is the method's limit in addition to the grid.
 
     Raises
     ------

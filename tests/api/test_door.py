@@ -187,7 +187,7 @@ WRONG_CALLS = {
     "a hybrid not offered": (lambda g: md.Hybrid(md.TFI(), md.IDW()), "not offered"),
     "a part that is no method": (lambda g: md.Hybrid("idw", md.TFI()), "mover = 'idw'"),
     "an option out of range": (lambda g: md.IDW(rotation="li"), "known are none"),
-    "case and selection": (lambda g: md.prepare(g, {"boundary": []}, moving="body"), "either of them"),
+    "case and selection": (lambda g: md.prepare(g, {"boundary": []}, moving="body"), "only one of them"),
     "a case that is a list": (lambda g: md.prepare(g, [1]), "case is a list"),
     "an unknown key": (lambda g: md.prepare(g, {"boundry": []}), "unknown key 'boundry'"),
     "a list of arrays": (lambda g: md.prepare([np.zeros((3, 3, 3, 3))], moving="x"), r"wrap .* in Grid"),
