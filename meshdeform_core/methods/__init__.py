@@ -72,14 +72,14 @@ class Options:
 
     @classmethod
     def relevant(cls, name: str, **parts: IDW | RBF | TFI) -> Options:
-        """Only those of the parts ``idw``, ``rbf``, ``tfi`` that the method uses: a case file may serve several."""
+        """Keep only the parts ``idw``, ``rbf``, ``tfi`` that the method uses: a case file may serve several methods."""
         used = entry_of(name).parts
         return cls(name, **{key: part for key, part in parts.items() if type(part) in used})  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)
 class MethodEntry:
-    """One row of the table of methods: what it is, what to know, whose options it has, how it is made."""
+    """One row of the table of methods: summary, advice, options, factory."""
 
     summary: str
     advice: str
@@ -109,20 +109,20 @@ CATALOGUE: dict[str, MethodEntry] = {
     ),
     "rbf-tfi": MethodEntry(
         "RBF for block interfaces and virtual sub-block faces, TFI inside",
-        "Cost N_s^3 + N_s x N_v^(2/3) + N_v: the sum over all nodes is saved, the system is not.",
+        "Cost N_s^3 + N_s x N_v^(2/3) + N_v: saves the sum over all nodes, but not the system.",
         (RBF, TFI),
         lambda options: Composite(options.rbf, options.tfi),
     ),
     "idw-rbf": MethodEntry(
         "IDW for block interfaces, RBF inside every block",
-        "One system per block in its face nodes. Smooth inside blocks, kinks at their interfaces.",
+        "One system per block in its face nodes. Smooth inside blocks, kinked at their interfaces.",
         (IDW, RBF),
         lambda options: Composite(options.idw, BlockRBF(options.rbf)),
     ),
     "idw-tfi": MethodEntry(
         "IDW for block interfaces and virtual sub-block faces, TFI inside: the default, IDW's quality at a fraction of "
         "its cost",
-        "Cost N_s x N_v^(2/3) + N_v. max_cells is the price: smaller sub-blocks come closer to IDW.",
+        "Cost N_s x N_v^(2/3) + N_v. max_cells trades cost for quality: smaller sub-blocks are closer to IDW.",
         (IDW, TFI),
         lambda options: Composite(options.idw, options.tfi),
     ),
@@ -132,14 +132,14 @@ CATALOGUE: dict[str, MethodEntry] = {
 
 REFUSED = {
     "tfi-idw": "TFI cannot rotate interfaces, and IDW inside every block costs as much as IDW everywhere; use idw-idw",
-    "tfi-rbf": "TFI kinks the interfaces, which no second step can mend; use idw-rbf",
+    "tfi-rbf": "TFI kinks the interfaces, and no second step can correct that; use idw-rbf",
     "rbf-idw": "it combines the costs of both (Sen et al. section 6); use rbf-tfi or idw-rbf",
 }
 """Combinations that make no sense, and what to use instead."""
 
 
 def entry_of(name: str) -> MethodEntry:
-    """The row of the catalogue that a name, or its short form, stands for.
+    """The catalogue row of a method name or its short form.
 
     Raises
     ------

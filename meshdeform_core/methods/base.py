@@ -1,7 +1,7 @@
-"""What a deformation method is given, and what it must offer.
+"""The interface of deformation methods: their input and the protocols they implement.
 
 A method is a frozen dataclass of the user's options. ``prepare(problem)`` does everything that depends on the
-undeformed grid only; ``apply(displacement)`` of the prepared method is what every time step pays.
+undeformed grid only; ``apply(displacement)`` of the prepared method is the cost of every time step.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from ..memory import UNLIMITED, MemoryLimit
 from ..numerics.geometry.coincidence import distinct
 
 Progress = Callable[[str, int, int], None]
-"""``progress(stage, done, total)``; called from the computing threads' owner only."""
+"""``progress(stage, done, total)``; called only by the thread that started the computation."""
 
 
 def of_stage(progress: Progress | None, stage: str) -> Callable[[int, int], None] | None:
-    """What reports the progress of one stage, for loops that know only items."""
+    """A callback ``(done, total)`` that reports the progress of one stage."""
     return None if progress is None else partial(progress, stage)
 
 
 @dataclass(frozen=True)
 class Surface:
-    """The faces between the sources: where areas and rotations come from. All indices are into the sources.
+    """The faces between the sources, from which areas and rotations are computed. All indices are into the sources.
 
     Attributes
     ----------
@@ -47,10 +47,10 @@ class Surface:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Problem:
-    """One undeformed grid with its classified boundary: the data of ``prepare``.
+    """One undeformed grid with its classified boundary: the input of ``prepare``.
 
-    The sources are the unique nodes with known displacement (moving and fixed), N_s in the paper. ``memory`` is what
-    methods may take.
+    The sources are the unique nodes with known displacement (moving and fixed), N_s in the paper. ``memory`` limits
+    what methods may allocate.
     """
 
     grid: Grid
@@ -83,7 +83,7 @@ class Problem:
 
     @cached_property
     def plane(self) -> bool:
-        """The grid is 2-D or a single layer of cells: its sources lie along curves."""
+        """Whether the grid is 2-D or a single layer of cells, so that its sources lie along curves."""
         return self.grid.dimension == 2 or bool(end_planes(self.grid, self.topology))
 
     @cached_property
@@ -99,7 +99,7 @@ class Problem:
 
     @cached_property
     def first_cell_height(self) -> FloatArray:
-        """Distance (n_sources,) from each source to the next node off the boundary face; the smallest of its faces."""
+        """Distance (n_sources,) from each source to the next node off the face; the smallest over its faces."""
         topology, grid = self.topology, self.grid
         height = np.full(topology.n_unique, np.inf)
         known = self.boundary.quad_kind >= Kind.FIXED
@@ -147,7 +147,7 @@ def _rings(quads: IntArray) -> tuple[IntArray, IntArray]:
 
 @dataclass(frozen=True)
 class Setting:
-    """One parameter as it was used: its value and, when the program chose it, why."""
+    """One parameter as used: its value and, if the program chose it, the reason."""
 
     value: Any
     reason: str = ""
@@ -155,13 +155,13 @@ class Setting:
 
 @dataclass
 class Account:
-    """What a prepared method reports: parameters with reasons, counts, and the last warning of each kind."""
+    """The report of a prepared method: parameters with reasons, counts, and the last warning of each kind."""
 
     settings: dict[str, Setting] = field(default_factory=dict)
     notices: dict[str, str] = field(default_factory=dict)
 
     def note(self, kind: str, warning: str | None) -> None:
-        """Warn, or take back the warning of that kind that an earlier displacement gave."""
+        """Set the warning of a kind, or with ``None`` withdraw the one from an earlier displacement."""
         self.notices.pop(kind, None)
         if warning:
             self.notices[kind] = warning
@@ -171,17 +171,17 @@ class Account:
         return list(self.notices.values())
 
     def include(self, other: Account) -> None:
-        """Add what another part of the method reports."""
+        """Add the report of another part of the method."""
         self.settings |= other.settings
         self.notices |= other.notices
 
 
 class PreparedMethod(Protocol):
-    """A method that knows the undeformed grid."""
+    """A method prepared on one undeformed grid."""
 
     @property
     def linear(self) -> bool:
-        """Whether the result is linear in the displacement, but for errors of solvers and of fast sums."""
+        """Whether the result is linear in the displacement, up to errors of solvers and fast sums."""
         ...
 
     @property
@@ -196,7 +196,7 @@ class PreparedMethod(Protocol):
     def apply(self, displacement: FloatArray, progress: Progress | None = None) -> FloatArray:
         """Displacement (n_nodes, 3) of all block nodes from that of the sources (n_sources, 3).
 
-        A new array from :func:`meshdeform_core.parallel.empty`, which becomes the caller's.
+        A new array from :func:`meshdeform_core.parallel.empty`, owned by the caller.
         """
         ...
 
@@ -214,7 +214,8 @@ class Mover(Protocol):
     def move(self, displacement: FloatArray, out: FloatArray, progress: Progress | None = None) -> FloatArray:
         """Displacement of its nodes from that of the sources (n_sources, 3).
 
-        Returns that of nodes on block faces (n_unique, 3); that of nodes inside blocks goes to ``out`` (n_nodes, 3).
+        Returns the displacement of nodes on block faces (n_unique, 3) and writes that of nodes inside blocks to ``out``
+        (n_nodes, 3).
         """
         ...
 
@@ -242,7 +243,7 @@ class PreparedInterpolation(Protocol):
         ...
 
     def fit(self, displacement: FloatArray, progress: Progress | None = None) -> Any:
-        """Whatever the evaluation needs to know of the displacement (n_sources, 3) of the sources."""
+        """The data that the evaluation needs, from the displacement (n_sources, 3) of the sources."""
         ...
 
 

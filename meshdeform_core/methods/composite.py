@@ -1,7 +1,7 @@
 """The composite of two methods: one moves block interfaces, the other block interiors (Sen et al. section 4).
 
-Every method of the program is a composite, also those with one name: ``tfi`` is tfi-tfi, and a scattered-data method
-alone moves all nodes in the first step and has no second one.
+Every method of the program is a composite, including those with a single name: ``tfi`` is tfi-tfi, and a scattered-data
+method alone moves all nodes in the first step and has no second one.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from .periodic_steps import PreparedPeriodic, free_periodic, with_known_periodic
 from .transfinite.edge_graph import PreparedEdgeGraph
 from .transfinite.skeleton import Skeleton
 
-# Face nodes that one call puts in their places: enough to be worth a thread.
+# Face nodes written by one call: enough to be worth a thread.
 _NODES = 100_000
 
 
@@ -31,7 +31,7 @@ class PreparedFiller(Protocol):
     linear: bool
 
     def fill(self, displacement: FloatArray, progress: Progress | None = None) -> None:
-        """Block interiors from what the first step moved, in place."""
+        """Fill block interiors, in place, from the nodes that the first step moved."""
         ...
 
 
@@ -39,7 +39,7 @@ class Filler(Protocol):
     """A method that fills blocks."""
 
     def skeleton(self, problem: Problem) -> Skeleton:
-        """What the first step has to move."""
+        """The nodes that the first step has to move."""
         ...
 
     def prepare(self, problem: Problem, skeleton: Skeleton) -> PreparedFiller:
@@ -76,7 +76,7 @@ def _mover(interpolation: Interpolation | None, problem: Problem, flat: IntArray
 
 @dataclass
 class _Scattered:
-    """An interpolation as the first step: its nodes are those of the skeleton that are not sources."""
+    """An interpolation as the first step: it moves the nodes of the skeleton that are not sources."""
 
     interpolation: Interpolation
     problem: Problem
@@ -133,7 +133,7 @@ class PreparedComposite:
         """Displacement (n_nodes, 3) of all block nodes from that of the sources (n_sources, 3)."""
         problem = self._problem
         check_displacement(displacement, len(problem.source_numbers))
-        # Every node lies on a block face, in the skeleton, or inside a block or sub-block: nothing stays unset.
+        # Every node lies on a block face, in the skeleton, or inside a block or sub-block: none is left unset.
         out = empty((problem.grid.n_nodes, 3))
         if self._left_out:
             # These are read before the second step moves them.
@@ -158,7 +158,7 @@ class PreparedComposite:
 
 
 def check_displacement(displacement: FloatArray, n_sources: int) -> None:
-    """Refuse what compiled loops would read beyond its end or spread over the grid.
+    """Refuse arrays that compiled loops would read out of bounds, and non-finite values.
 
     Raises
     ------
@@ -182,14 +182,14 @@ def check_displacement(displacement: FloatArray, n_sources: int) -> None:
 
 
 def _on_faces(displacement: FloatArray, problem: Problem) -> FloatArray:
-    """What nodes on block faces have in ``displacement`` (n_nodes, 3), (n_unique, 3)."""
+    """The rows (n_unique, 3) of ``displacement`` (n_nodes, 3) at nodes on block faces."""
     face = np.empty((problem.topology.n_unique, 3))
     take_rows(displacement, problem.topology.first, face)
     return face
 
 
 def first_step_nodes(problem: Problem, skeleton: Skeleton | None) -> IntArray:
-    """Flat indices of the nodes that the first step moves: no sources, coincident nodes once."""
+    """Flat indices of the nodes that the first step moves: without sources, coincident nodes once."""
     topology = problem.topology
     chosen = np.zeros(problem.grid.n_nodes, dtype=bool)
     if skeleton is None:

@@ -1,7 +1,7 @@
 """Warnings for a displacement before it is applied.
 
-The limits are measured on the splitter plate (Sen et al. section 4), whose plate turns by up to 14 degrees more than
-its body: one step is valid to a largest rotation of 54 degrees with TFI, of 34 with IDW of displacements.
+The limits were measured on the splitter plate (Sen et al. section 4), whose plate turns by up to 14 degrees more than
+its body: one step is valid up to a rotation of 54 degrees with TFI, and of 34 with IDW of displacements.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ LARGEST_ROTATION = 150.0
 
 @dataclass(frozen=True)
 class PatchMotion:
-    """The motion of a moving boundary entry as it was understood.
+    """The motion of a moving boundary entry, as evaluated.
 
     ``max_displacement`` and ``mean_displacement`` (grid length unit) are those of its nodes, ``max_rotation_deg`` the
     largest rotation of its surface (degrees, at most 180).
@@ -37,7 +37,7 @@ class PatchMotion:
 
 
 def patch_motions(problem: Problem, displacement: FloatArray) -> tuple[PatchMotion, ...]:
-    """How every moving boundary entry moves.
+    """The motion of every moving boundary entry.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def patch_motions(problem: Problem, displacement: FloatArray) -> tuple[PatchMoti
 
 
 def rotations(problem: Problem, displacement: FloatArray) -> FloatArray:
-    """Rotation vectors (n_sources, 3) of the moving walls, radians; zero where nothing moves."""
+    """Rotation vectors (n_sources, 3) of the moving walls, radians; zero elsewhere."""
     surface, x = problem.surface, problem.source_points
     turned = surface_rotations(x, x + displacement, surface.corners, surface.edges, problem.plane_normal)
     vectors: FloatArray = rotation_vector(turned)
@@ -65,7 +65,7 @@ def rotations(problem: Problem, displacement: FloatArray) -> FloatArray:
 
 
 def largest_rotation(problem: Problem, displacement: FloatArray) -> float:
-    """Largest rotation of a moving wall against what does not move, else against the mean (degrees).
+    """Largest rotation of a moving wall relative to the fixed boundary, or to the mean if nothing is fixed (degrees).
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def largest_rotation(problem: Problem, displacement: FloatArray) -> float:
 
 
 def warn_of_rotation(problem: Problem, displacement: FloatArray, limit: float, what: str, advice: str) -> list[str]:
-    """A warning if walls turn by more than ``limit`` degrees: ``what`` happens then and what to do about it."""
+    """A warning if walls turn by more than ``limit`` degrees; ``what`` happens then, ``advice`` on what to do."""
     angle = largest_rotation(problem, displacement)
     if angle <= limit:
         return []
@@ -99,9 +99,9 @@ def warn_of_alpha(full: float, cap: float) -> list[str]:
 def warn_of_radius(radius: float, terms: FloatArray, values: FloatArray) -> list[str]:
     """A warning if a support radius is too small for a step.
 
-    A compact function falls from 1 to 0 within its radius R with a slope of up to about 2/R: a displacement d of more
-    than R/2 folds the space beside the centre. The linear part of the displacement does not count, the polynomial
-    ``terms`` (n, q) reproduce it.
+    A compact function falls from 1 to 0 within its radius R with a slope of up to about 2/R: a displacement of more
+    than R/2 folds the space around the centre. The linear part of the displacement does not count, because the
+    polynomial ``terms`` (n, q) reproduce it.
     """
     linear = terms @ np.linalg.lstsq(terms, values, rcond=None)[0]
     largest = float(np.linalg.norm(values - linear, axis=1).max())
@@ -109,7 +109,7 @@ def warn_of_radius(radius: float, terms: FloatArray, values: FloatArray) -> list
         return []
     return [
         f"the support radius {radius:.4g} is less than twice the largest displacement {largest:.4g} of a step (linear "
-        f'part taken out): cells will cross around it; use a larger method.rbf.radius, or "auto", or more steps'
+        f'part removed): cells will cross around it; use a larger method.rbf.radius, or "auto", or more steps'
     ]
 
 
@@ -119,7 +119,7 @@ def warn_of_coarse_tolerance(tolerance: FloatArray, height: FloatArray, correcte
     if not coarse.any():
         return None
     worst = int(np.argmax(tolerance / height))
-    rest = "the correction moves them by as much" if corrected else "they miss their place by as much"
+    rest = "the correction moves them by as much" if corrected else "they miss their position by as much"
     return (
         f"greedy_tolerance is coarser than the first cell at {int(coarse.sum()):,} of {len(height):,} moving nodes (up "
         f"to {tolerance[worst]:.3g}, the cell is {height[worst]:.3g} high; {rest}): wall cells may invert; use a "

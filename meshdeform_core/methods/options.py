@@ -1,4 +1,4 @@
-"""Option values: their defaults with reasons, and their checks with what was found and what was expected."""
+"""Option values: defaults with reasons, and checks."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from .base import Setting
 
 
 def option(default: Any, why: str) -> Any:
-    """A field of a method's options; ``why`` says in a few words why it has this default."""
+    """A field of a method's options; ``why`` is a short reason for the default."""
     return field(default=default, metadata={"why": why})
 
 
 def reason_of(parameter: Field[Any]) -> str:
-    """Why an option has its default."""
+    """The reason for an option's default."""
     return str(parameter.metadata["why"])
 
 
 def used(options: Any, *names: str) -> dict[str, Setting]:
-    """The named options with their values, and why they have them."""
+    """The named options with their values and the reasons for them."""
     known = {parameter.name: parameter for parameter in fields(options)}
     settings = {}
     for name in names:

@@ -1,7 +1,7 @@
-"""Periodic boundaries in two steps: their nodes first, alike; then everything else, which they guide like walls.
+"""Periodic boundaries in two steps: first their nodes, pairwise alike; then the rest, with them as known boundary.
 
-Making pairs alike after everything has moved would leave a jump beside the boundary: an interpolation does not see
-the images of the body beyond it.
+Equalising the pairs after everything has moved would leave a jump beside the boundary, because an interpolation does
+not see the images of the body beyond it.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from .base import Account, Mover, PreparedMethod, Problem, Progress
 
 
 def free_periodic(problem: Problem) -> IntArray:
-    """Unique numbers of the periodic nodes that nothing else moves or holds."""
+    """Unique numbers of the periodic nodes that no stronger boundary moves or fixes."""
     periodic = problem.boundary.periodic
     nodes = np.unique(np.r_[periodic.one, periodic.two])
     return np.asarray(nodes[~problem.boundary.known[nodes]])
 
 
 def with_known_periodic(problem: Problem) -> Problem:
-    """The problem whose free periodic nodes have a prescribed displacement."""
+    """The problem with its free periodic nodes as sources."""
     boundary = problem.boundary
     kind, quad_kind = boundary.kind.copy(), boundary.quad_kind.copy()
     kind[free_periodic(problem)] = Kind.MOVING
@@ -40,7 +40,7 @@ class PreparedPeriodic:
 
     @property
     def linear(self) -> bool:
-        """Whether both are."""
+        """Whether both steps are."""
         return self._first.linear and self._rest.linear
 
     @property
@@ -61,7 +61,7 @@ class PreparedPeriodic:
         return self._rest.apply(face[self._guided.source_numbers], progress)
 
     def _on_faces(self, displacement: FloatArray, progress: Progress | None) -> FloatArray:
-        """Displacement (n_unique, 3) of the periodic nodes; of the other face nodes that nothing moves yet, zero."""
+        """Displacement (n_unique, 3) of the periodic nodes; zero at other face nodes that are not sources."""
         out = empty((self._problem.grid.n_nodes, 3))
         for_rows(lambda rows: out[rows].fill(0.0), out)
         return self._first.move(displacement, out, progress)

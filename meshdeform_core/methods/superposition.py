@@ -1,7 +1,7 @@
-"""Motions of few shapes: displacements that are combinations of earlier ones are not computed again.
+"""Displacements that are combinations of earlier ones are combined instead of computed.
 
-A mode times a function of time is one shape; for methods that treat the components alike, a rigid motion is four (the
-coordinates of the body and a constant), whatever its angle.
+A mode times a function of time spans one dimension; for methods that treat the components alike, a rigid motion of any
+angle spans four (the coordinates of the body and a constant).
 """
 
 from __future__ import annotations
@@ -29,31 +29,31 @@ _PATIENCE = 12
 
 @dataclasses.dataclass(frozen=True)
 class _Field:
-    """Displacement (n_sources, 3) of the sources and what it gave, (n_nodes, 3)."""
+    """Displacement (n_sources, 3) of the sources and the resulting field (n_nodes, 3)."""
 
     sources: FloatArray
     nodes: FloatArray
 
 
 class Superposition:
-    """A prepared method that keeps what it has computed and combines it where that gives the same.
+    """A prepared method that stores computed fields and combines them where the result is the same.
 
     A displacement of the sources that is a combination of stored ones, to round-off and with coefficients whose sum is
-    at most 2, gives the same combination of the stored fields; so the error, that of a solver or of fast sums, is at
-    most twice that of computing it. All others are computed and stored. Results depend on what was applied before only
-    within that error.
+    at most 2, gives the same combination of the stored fields; so the error of solvers and fast sums is at most twice
+    that of computing it. All others are computed and stored. Results depend on earlier displacements only within that
+    error.
 
     Parameters
     ----------
-    method : whose fields these are
-    problem : the undeformed grid; its memory limits what is stored, down to nothing
+    method : computes the fields
+    problem : the undeformed grid; its memory limits the number of stored fields, possibly to none
     """
 
     def __init__(self, method: PreparedMethod, problem: Problem):
         self._method, self._problem = method, problem
         self._capacity = int(min(_MOST_LEVELS, _SHARE * problem.memory.size // problem.grid.points.nbytes))
         boundary = problem.boundary
-        # Planes and turned pairs treat the components differently: then only whole displacements are combined.
+        # Slip planes and rotated periodic pairs treat the components differently: combine only whole displacements.
         self._columns = 1 if boundary.slip.planes or boundary.mirrors or boundary.periodic.one.size else 3
         self._size = float(np.abs(problem.source_points).max())
         self._misses = 0
@@ -67,7 +67,7 @@ class Superposition:
 
     @property
     def account(self) -> Account:
-        """Of the method, and whether the last field was computed or combined."""
+        """Report of the method, and whether the last field was computed or combined."""
         account = Account()
         account.include(self._method.account)
         if self._combined:
@@ -96,14 +96,14 @@ class Superposition:
         found = self._method.apply(displacement, progress)
         self._misses += 1
         if self._misses > _PATIENCE:
-            # This motion has no few shapes.
+            # This motion does not repeat itself.
             self._capacity = 0
             self.clear()
         self._store(displacement, found)
         return found
 
     def _shares(self, displacement: FloatArray) -> FloatArray | None:
-        """Coefficients (fields, 3, 3) that make ``displacement`` of the stored ones; ``None`` if they cannot."""
+        """Coefficients (fields, 3, 3) that give ``displacement`` from the stored ones; ``None`` if there are none."""
         if self._basis is None:
             return None
         left, back = self._basis
@@ -142,7 +142,7 @@ class Superposition:
         return field.sources if self._columns == 3 else field.sources.reshape(-1, 1)
 
     def _needed(self, fields: list[_Field]) -> list[_Field]:
-        """Of fields, the newest first, those that are no combinations of newer ones; the oldest first."""
+        """From fields, newest first, those that are not combinations of newer ones; returned oldest first."""
         kept: list[_Field] = []
         basis = np.empty((len(self._columns_of(fields[0])), 0))
         for field in fields:
@@ -157,7 +157,7 @@ class Superposition:
 
 
 def _factors(stored: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """Orthonormal columns that span the stored ones, and what takes their coefficients to those of the stored."""
+    """An orthonormal basis of the stored columns, and the map from its coefficients to those of the stored columns."""
     columns = np.concatenate(stored, axis=1)
     size = np.linalg.norm(columns, axis=0)
     size[size == 0] = 1.0
@@ -167,5 +167,5 @@ def _factors(stored: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
 
 
 def remembering(method: PreparedMethod, problem: Problem) -> PreparedMethod:
-    """The method as one that combines what it has computed, if it is linear; else itself."""
+    """The method wrapped in a :class:`Superposition` if it is linear; else the method itself."""
     return Superposition(method, problem) if method.linear else method

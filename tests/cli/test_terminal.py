@@ -57,7 +57,7 @@ def test_methods_are_text_for_people(call):
         assert markup not in text
     assert max(map(len, text.splitlines())) <= 160
     assert '  rotation = "lie"\n      what is averaged: none displacements' in text
-    assert "default: does not depend on the frame" in text
+    assert "default: independent of the frame" in text
 
 
 def test_help_of_a_time_has_no_range(call):

@@ -60,7 +60,7 @@ class PreparedBlockRBF:
         blocks = (self._block(n, skeleton.left_out) for n in range(problem.grid.n_blocks))
         self._blocks = [block for block in blocks if block.targets.size]
         sizes = [len(block.known) for block in self._blocks]
-        # Each rank keeps those of the blocks that it is dealt.
+        # Each rank keeps those of its own blocks.
         ranks = current_ranks().count
         self._keep = 8 * max(sum(n * n for n in sizes[r::ranks]) for r in range(ranks)) < problem.memory.size // 2
         self.account = Account()
@@ -75,7 +75,7 @@ class PreparedBlockRBF:
         shape = grid.shapes[block]
         sides = [side for side in Side if shape[side.axis] > 1 and (block, side) not in left_out]
         faces = np.unique(np.concatenate([side_nodes(grid, block, side).ravel() for side in sides]))
-        # Coincident nodes (seams, collapsed edges) would make the system singular: one of each.
+        # Coincident nodes (seams, collapsed edges) would make the system singular: only one of each is used.
         _, once = np.unique(problem.topology.numbers_of(faces), return_index=True)
         centres = Centres.of(grid.points[faces[once]], self._radius(faces))
         every = np.arange(grid.offsets[block], grid.offsets[block + 1])
@@ -109,7 +109,7 @@ class PreparedBlockRBF:
         report = of_stage(progress, "rbf blocks")
         for_items(work, len(self._blocks), [Shared(displacement, rows)], report)
         if accounts := current_ranks().gather(accounts):
-            # Of all blocks the one that was solved worst: not at all, or with the largest residual.
+            # The worst solution of all blocks: not converged, or with the largest residual.
             self.account.notices.clear()
             self.account.include(
                 max(accounts, key=lambda each: (bool(each.notices), np.max(each.settings["residual"].value)))

@@ -26,14 +26,14 @@ ALPHA_CAP = 0.3
 FAR, FAR_IN_PLANES = 3.0, 2.5
 """Exponent a of eq. 16: Luke's, and that of ``lie`` in plane grids.
 
-The weights of a surface fall as r^(2 - a), those of a curve as r^(1 - a): what Luke's exponent spreads evenly between
-two walls in space, it piles up half-way between two curves.
+The weights of a surface fall off as r^(2 - a), those of a curve as r^(1 - a): between two surfaces Luke's exponent
+spreads the deformation evenly, between two curves it concentrates it half-way.
 """
 ROUNDS = 8
 """Rounds of smoothing near sharp edges with ``lie``."""
 
 
-# What may be kept between displacements is this part of the memory that is left.
+# Fraction of the remaining memory for data kept between displacements.
 _KEPT = 2
 
 
@@ -41,8 +41,8 @@ _KEPT = 2
 class IDW:
     """Weighted mean of the boundary's rigid motions; cost N_v x N_s, no system to solve.
 
-    Holds the near-wall grid rigidly to the wall and pushes the deformation outwards. Fails where a moving wall meets
-    a fixed one under large motion (``quaternion``), at rotations near 180 degrees, and cannot rotate with ``none``.
+    Moves the near-wall grid rigidly with the wall and pushes the deformation outwards. Fails where a moving wall meets
+    a fixed one under large motion (``quaternion``) and at rotations near 180 degrees; ``none`` cannot rotate cells.
 
     Attributes
     ----------
@@ -53,35 +53,35 @@ class IDW:
     alpha : weight of near against far sources in eq. 16, or ``"auto"``: eq. 18, at most 0.3
     eta : factor of eq. 18
     a, b : exponents of eq. 16; a may be ``"auto"``: 3, but 2.5 for ``lie`` in plane grids
-    smoothing : rounds of averaging the rotations of nodes within as many edges of a sharp one, or ``"auto"``: 8 for
-        ``lie``, none for the others
+    smoothing : number of times that rotations of nodes within as many edges of a sharp edge are averaged, or
+        ``"auto"``: 8 for ``lie``, none for the others
     length : L_def of eq. 16 (grid length unit), or ``"auto"``: eq. 17
     p_moving, p_fixed : exponents of ``shepard`` for moving and fixed sources
     divisions : m of eq. 26
-    reweight : ``division`` finds its weights anew in every step, as in the paper; cost times m
-    remove_mean : take the mean displacement out first and add it back; ``"auto"``: only for ``lie``
+    reweight : ``division`` recomputes its weights in every step, as in the paper; m times the cost
+    remove_mean : subtract the mean displacement first and add it back; ``"auto"``: only for ``lie``
     summation : ``exact`` sums, or ``fast`` ones with clusters of sources, or ``"auto"``: fast from 2000
         sources and 2e8 pairs of nodes
     summation_tolerance : of fast sums: error of a node's displacement relative to its shortest cell edge, 1e-8 to 0.1
     """
 
-    rotation: Rotation = option("lie", "does not depend on the frame, holds walls best; the cost of one step")
+    rotation: Rotation = option("lie", "independent of the frame, keeps walls best, costs one step")
     weights: Weights = option("luke", "near and far field in one formula, nodal areas included")
     alpha: float | Literal["auto"] = option(
-        0.1, "0.3 holds walls better at large rotations, but skews the cells farther away more"
+        0.1, "0.3 keeps walls better at large rotations, but skews the cells farther away more"
     )
     eta: float = option(5.0, "Luke et al.")
     a: float | str = option("auto", "Luke et al.: 3; less where sources lie along curves")
     b: float = option(5.0, "Luke et al.: the near field")
-    smoothing: int | str = option("auto", "lie only: the paper's kinds do not; smooth walls are left alone")
+    smoothing: int | str = option("auto", "only for lie, not for the paper's kinds; smooth walls are unaffected")
     length: float | Literal["auto"] = option("auto", "eq. 17: farthest source from the centroid of all nodes")
-    p_moving: float = option(3.0, "as for fixed ones; a larger one lets the moving wall reach less far")
-    p_fixed: float = option(3.0, "as for moving ones")
+    p_moving: float = option(3.0, "as for fixed nodes; a larger value reduces the reach of the moving wall")
+    p_fixed: float = option(3.0, "as for moving nodes")
     divisions: int = option(25, "the paper's; the distance from lie falls as 1/m")
     reweight: bool = option(False, "m times the cost")
-    remove_mean: bool | Literal["auto"] = option("auto", "lie only: the paper's kinds do not")
+    remove_mean: bool | Literal["auto"] = option("auto", "only for lie, not for the paper's kinds")
     summation: Summation = option("auto", "fast where it pays")
-    summation_tolerance: float = option(1e-2, "of the local cell: no quality measure sees it")
+    summation_tolerance: float = option(1e-2, "of the local cell: too small to affect any quality measure")
 
     def __post_init__(self) -> None:
         choose("idw.rotation", self.rotation, ROTATIONS)
@@ -100,17 +100,17 @@ class IDW:
 
     @property
     def idle(self) -> dict[str, str]:
-        """Options that have no effect beside the others, and why."""
+        """Options that have no effect in combination with the others, and why."""
         shepard, luke = ("p_moving", "p_fixed"), ("alpha", "eta", "a", "b")
         idle = dict.fromkeys(
-            shepard if self.weights == "luke" else luke, f'it is not read with method.idw.weights = "{self.weights}"'
+            shepard if self.weights == "luke" else luke, f'it is not used with method.idw.weights = "{self.weights}"'
         )
         if self.weights == "luke" and self.alpha != "auto":
-            idle["eta"] = 'it is only read with method.idw.alpha = "auto"'
+            idle["eta"] = 'it is only used with method.idw.alpha = "auto"'
         if self.rotation != "division":
-            idle["divisions"] = 'it is only read with method.idw.rotation = "division"'
+            idle["divisions"] = 'it is only used with method.idw.rotation = "division"'
         if self.summation == "exact":
-            idle["summation_tolerance"] = 'it is not read with method.idw.summation = "exact"'
+            idle["summation_tolerance"] = 'it is not used with method.idw.summation = "exact"'
         return idle
 
     def bind(self, problem: Problem) -> PreparedIDW:
@@ -123,7 +123,7 @@ class PreparedIDW:
 
     def __init__(self, options: IDW, problem: Problem):
         self.options = options
-        # Rotations and eq. 18 follow the displacement.
+        # Rotations and eq. 18 depend on the displacement.
         self.linear = options.rotation == "none" and (options.weights == "shepard" or options.alpha != "auto")
         self.account = Account()
         self._problem = problem
@@ -170,7 +170,7 @@ class PreparedIDW:
             return everything, self.area
         if o.p_moving == o.p_fixed or moving.all() or not moving.any():
             return everything, np.ones(len(moving))
-        # (L_def / r)^p: two exponents compare lengths, so the length has to be the grid's own.
+        # (L_def / r)^p: with two exponents the reference length matters, so it has to be that of the grid.
         strength = np.where(moving, self.length**o.p_moving, self.length**o.p_fixed)
         return (np.flatnonzero(moving), np.flatnonzero(~moving)), strength
 
@@ -220,7 +220,7 @@ class PreparedIDW:
             q = rot.surface_rotations(images.points, images.points + d, images.corners, images.edges, normal)
             q = rot.smoothed(q, self._blunt, self._rounds)
         mean = self.area / self.area.sum() @ d if self.remove_mean else np.zeros(3)
-        # Frame-independent kinds are computed about the centroid: smaller numbers, less round-off.
+        # Frame-independent kinds are computed relative to the centroid: smaller numbers, less round-off.
         origin = np.zeros(3) if self.options.rotation in ("quaternion", "division") else self._problem.centroid
         start = images.points - origin
         values = _motion_values(self.options, start, d - mean, q)
@@ -233,11 +233,11 @@ class PreparedIDW:
     def _weights(self, d: FloatArray) -> tuple[tuple[float, float, float], ...]:
         """Weight function (a, b, kappa) of each group: r^-a + kappa r^-b.
 
-        Weights matter up to a factor: L_def^a is divided out, which keeps the numbers near one.
+        Weights matter only up to a factor: dividing by L_def^a keeps the numbers near one.
         """
         o = self.options
         if o.weights == "shepard":
-            # The second exponent has no part in it; Luke's has the fastest loop.
+            # The second exponent has no effect here; Luke's has the fastest loop.
             return tuple((p, 5.0, 0.0) for p in (o.p_moving, o.p_fixed)[: len(self.groups)])
         alpha = self._alpha(d) if o.alpha == "auto" else float(o.alpha)
         return ((self.far, o.b, alpha**o.b * self.length ** (o.b - self.far)),)
@@ -265,7 +265,7 @@ class PreparedIDW:
 
 
 def _motion_values(options: IDW, x: FloatArray, d: FloatArray, q: FloatArray) -> FloatArray:
-    """What is averaged, (k, n), for sources at ``x`` with displacements ``d`` and rotations ``q``."""
+    """The quantities to average, (k, n), for sources at ``x`` with displacements ``d`` and rotations ``q``."""
     if options.rotation == "none":
         return np.ascontiguousarray(d.T)
     w = rot.rotation_vector(q)
@@ -283,7 +283,7 @@ def _motion_values(options: IDW, x: FloatArray, d: FloatArray, q: FloatArray) ->
 
 
 def _division_path(start: FloatArray, values: FloatArray, m: int) -> tuple[FloatArray, ...]:
-    """Where the sources are at the start of each of ``m`` steps (eq. 26): each repeats its own rigid motion."""
+    """Source positions at the start of each of ``m`` steps (eq. 26): each source repeats its own rigid motion."""
     part, translation = np.ascontiguousarray(values[:4].T), values[4:].T
     path = [start]
     for _ in range(m - 1):

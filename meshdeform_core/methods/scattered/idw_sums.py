@@ -20,11 +20,11 @@ _CHUNK = 2048
 
 @dataclass(frozen=True)
 class SourceValues:
-    """A displacement as the sums need it.
+    """A displacement in the form that the sums need.
 
     ``path`` source positions (n, 3) at the start of every step, relative to ``origin`` (3,): one step, unless the
-    weights are found anew on the way; ``values`` (k, n) per source; ``weights`` (a, b, kappa) per group; ``shift`` and
-    ``turn`` (n,) displacement and rotation angle of each source; ``mean`` (3,) displacement that was taken out;
+    weights are recomputed on the way; ``values`` (k, n) per source; ``weights`` (a, b, kappa) per group; ``shift`` and
+    ``turn`` (n,) displacement and rotation angle of each source; ``mean`` (3,) displacement that was subtracted;
     ``still`` (k,) the values of sources that do not move, if there are any.
     """
 
@@ -42,7 +42,7 @@ class SourceValues:
 class Bound:
     """Sources and targets of one undeformed grid: ``flat`` nodes of ``grid``; sources (n, 3) with strength (n,).
 
-    ``room`` bytes may be taken for what is kept between displacements.
+    ``room`` is the memory (bytes) for data kept between displacements.
     """
 
     grid: Grid
@@ -106,7 +106,7 @@ class FastEvaluator:
         grid, order = self.bound.grid, fastsum.interpolation_order(self._tolerance)
         targets = fastsum.make_targets(points, grid.shapes, grid.offsets, self.bound.flat, order)
         if points is not grid.points:
-            # Accuracy is relative to the undeformed cells; on the way only the targets have moved.
+            # Accuracy is relative to the undeformed cells; in later steps only the targets have moved.
             targets = targets.sized(grid.points, grid.shapes, grid.offsets)
         return fastsum.FastSums(sources, self.bound.groups, targets, self._tolerance, self.bound.room)
 
@@ -121,7 +121,7 @@ class FastEvaluator:
         sum_accurately("idw", self._sums, once, self._tolerance, self._account)
 
     def _sum(self, fit: SourceValues, out: FloatArray, progress: Progress | None) -> tuple[fastsum.Targets, FloatArray]:
-        """Displacements into ``out``; returns the last targets and a bound of the error of each brick, in any unit."""
+        """Write displacements to ``out``; return the last targets and an error bound for each brick, up to a factor."""
         report = of_stage(progress, "idw")
         bound, sums, points = self.bound, self._sums, self.bound.grid.points
         for step, sources in enumerate(fit.path):

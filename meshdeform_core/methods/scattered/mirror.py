@@ -1,4 +1,4 @@
-"""Symmetry: the mirror images of the sources take part in every scattered-data method."""
+"""Symmetry: every scattered-data method includes the mirror images of the sources."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ..base import Problem
 class Images:
     """Sources with their mirror images, as one surface that closes across symmetry planes.
 
-    ``owner`` (n,) is the source that each is an image of, ``reflection`` (n, 3, 3) the mirror that made it;
+    ``owner`` (n,) is the source of each image, ``reflection`` (n, 3, 3) the reflection that made it;
     ``corners`` and ``edges`` as in :class:`.base.Surface`, into the images.
     """
 
@@ -49,7 +49,7 @@ def mirror_images(problem: Problem) -> Images:
 
 
 def _reflected(images: Images, plane: Plane, problem: Problem) -> Images:
-    """The images and their reflection; what lies on the plane is its own image, with both halves of its area."""
+    """The images and their reflection; a node on the plane is its own image, with both halves of its area."""
     height = (images.points - plane.point) @ plane.normal
     edge = problem.topology.edge[problem.source_numbers][images.owner]
     on_plane = np.abs(height) <= RELATIVE_TOLERANCE * edge
@@ -57,7 +57,7 @@ def _reflected(images: Images, plane: Plane, problem: Problem) -> Images:
     area = np.where(on_plane, 2 * images.area, images.area)
     mirror = np.eye(3) - 2 * np.outer(plane.normal, plane.normal)
     image_of = np.where(on_plane, np.arange(len(off)), len(off) + np.cumsum(off) - 1)
-    # A mirrored face runs the other way round: next and previous node change places.
+    # A mirrored face has the opposite orientation: next and previous node are exchanged.
     order = [0, 2, 1] if images.corners.shape[1] == 3 else [1, 0]
     return Images(
         np.concatenate([images.points, images.points[off] - 2 * height[off, None] * plane.normal]),

@@ -1,4 +1,4 @@
-"""Solving for the coefficients of radial basis functions: which solver, and what it reports."""
+"""Solving for the coefficients of radial basis functions: choice of solver, and report."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from .rbf_sums import Centres
 Solver = Literal["auto", "direct", "minres", "krylov"]
 SOLVERS: tuple[str, ...] = get_args(Solver)
 DIRECT_CENTRES = 4000
-"""Most centres that ``auto`` solves directly; from there on a factorisation takes longer than GMRES with its set-up."""
+"""Most centres that ``auto`` solves directly; beyond, a factorisation takes longer than GMRES with its set-up."""
 _TOLERANCE = {"minres": 1e-10, "krylov": 1e-6}
-# Earlier solutions from which GMRES sets out: what a period of a motion with a few modes spans.
+# Number of earlier solutions from which GMRES starts: they span a period of a motion with a few modes.
 _REMEMBERED = 12
 
 
@@ -46,7 +46,7 @@ class RadialSystem:
     def __init__(self, options: SystemOptions, centres: Centres, limit: MemoryLimit = UNLIMITED):
         self.options, self.centres = options, centres
         self.kind = BASES[options.basis]
-        # Few kept centres (one, while nothing moves) may not determine all terms.
+        # A few kept centres (one, while nothing moves) may not determine all terms.
         self.terms = independent(centres.polynomial(centres.points))
         n = len(centres.points)
         dense = 8 * n * n
@@ -83,7 +83,7 @@ class RadialSystem:
             account.settings["factorisation"] = Setting(self._direct.kind)
         multiply = ExactProduct(self.kind, self.centres.points)
         coefficients, polynomial = self._direct.solve(values)
-        # One step of iterative refinement: the matrix is gone, its product with a vector is a sum over centres.
+        # One step of iterative refinement: the matrix was overwritten; its product with a vector is a sum over centres.
         rest = values - multiply(coefficients) - self.terms @ polynomial
         more, shift = self._direct.solve(rest)
         coefficients, polynomial = coefficients + more, polynomial + shift
@@ -105,13 +105,13 @@ class RadialSystem:
         account.settings["products"] = Setting(self._krylov.product.how)
         account.settings["iterations"] = Setting(found.iterations, "all components together")
         account.settings["starting_residual"] = Setting(
-            float(found.started.max()), "of the nearest combination of earlier solutions; 1 without any"
+            float(found.started.max()), "of the best combination of earlier solutions; 1 if there are none"
         )
         self._report_residual(account, "GMRES", found.iterations, found.residual, found.stalled)
         return found.coefficients, found.polynomial
 
     def _remembered(self, memory: int) -> int:
-        """How many earlier solutions fit into that many bytes."""
+        """Number of earlier solutions that fit into ``memory`` bytes."""
         n = len(self.centres.points)
         every = KrylovSolver.memory(n, 1) - KrylovSolver.memory(n)
         return max(0, min(_REMEMBERED, memory // every))
@@ -139,8 +139,8 @@ class RadialSystem:
     ) -> None:
         account.settings["tolerance"] = Setting(self._tolerance)
         account.settings["residual"] = Setting(residual.tolist(), "||b - K x|| / ||b||, computed from the solution")
-        # Smooth bases with a large radius have coefficients that nearly cancel: their sums have no more digits.
-        more = "round-off allows no less; " if stalled else "raise method.rbf.max_iterations, "
+        # With smooth bases of a large radius, coefficients nearly cancel, which limits the accuracy of their sums.
+        more = "the limit of round-off; " if stalled else "raise method.rbf.max_iterations, "
         other = " or solver = direct" if self._direct_fits and not stalled else ""
         failed = (
             f"{name} stopped after {iterations} iterations with a residual of {residual.max():.2e} (asked for "

@@ -32,8 +32,8 @@ ERRORS: tuple[str, ...] = get_args(GreedyError)
 class RBF:
     """Interpolation by radial basis functions: one linear system in N_s, then a sum of cost N_v x N_s.
 
-    Smooth over the whole domain and valid at larger rotations than the others, but it does not carry the near-wall
-    grid rigidly with the wall. The system grows as N_s^2 in memory and N_s^3 in time; greedy reduction keeps a part
+    Smooth over the whole domain and valid at larger rotations than the other methods, but does not move the near-wall
+    grid rigidly with the wall. The system grows as N_s^2 in memory and N_s^3 in time; greedy reduction keeps a subset
     of the centres.
 
     Attributes
@@ -51,28 +51,28 @@ class RBF:
     greedy_error : ``first-cell``: errors relative to the height of the first cell at each node; ``absolute``: lengths
     greedy_tolerance : eps_g, largest error at any boundary node, in the unit of ``greedy_error``
     greedy_start : number of the first source, counted from 0
-    greedy_updates : m, single-point updates between exact solutions; 0: as many as there are sources
+    greedy_updates : m, number of single-point updates between exact solutions; 0: the number of sources
     greedy_max_points : most centres to keep; 0: all
-    greedy_correct : add the remaining error to the nodes near each wall node, so that walls land exactly
+    greedy_correct : add the remaining error to the nodes near each wall node, so that walls are matched exactly
     summation : ``exact`` sums at the nodes, or ``fast`` ones with clusters of centres, or ``"auto"``: fast from 2000
         centres and 2e8 pairs of nodes
     summation_tolerance : of fast sums: error of a node's displacement relative to its shortest cell edge, 1e-8 to 0.1
     """
 
-    basis: Basis = option("tps", "has no radius to choose, and no basis has a better worst cell on the splitter plate")
+    basis: Basis = option("tps", "no radius to choose; no other basis has a better worst cell on the splitter plate")
     radius: float | Literal["auto"] = option("auto", "every node sees the whole moving body")
     solver: Solver = option("auto", f"direct up to {DIRECT_CENTRES:,} centres, then krylov")
     tolerance: float | Literal["auto"] = option("auto", "minres 1e-10, krylov 1e-6")
     max_iterations: int = option(10000, "well above what a well-posed system needs")
-    greedy: Greedy = option("none", "all centres: exact at every boundary node")
-    greedy_error: GreedyError = option("first-cell", "an error matters where the cells are fine")
-    greedy_tolerance: float = option(0.1, "of the first cell: wall cells keep their shape")
-    greedy_start: int = option(0, "the number of points varies by a tenth with it")
-    greedy_updates: int = option(0, "as many as there are sources, as in the paper")
+    greedy: Greedy = option("none", "all centres are kept: exact at every boundary node")
+    greedy_error: GreedyError = option("first-cell", "errors matter most where cells are thin")
+    greedy_tolerance: float = option(0.1, "of the first-cell height: wall cells keep their shape")
+    greedy_start: int = option(0, "changes the number of points by only about 10 %")
+    greedy_updates: int = option(0, "the number of sources, as in the paper")
     greedy_max_points: int = option(0, "no limit: the tolerance decides")
-    greedy_correct: bool = option(True, "walls land exactly where they are told")
+    greedy_correct: bool = option(True, "walls are matched exactly")
     summation: Summation = option("auto", "fast where it pays")
-    summation_tolerance: float = option(1e-2, "of the local cell: no quality measure sees it")
+    summation_tolerance: float = option(1e-2, "of the local cell: too small to affect any quality measure")
 
     def __post_init__(self) -> None:
         choose("rbf.basis", self.basis, tuple(BASES))
@@ -95,18 +95,18 @@ class RBF:
 
     @property
     def idle(self) -> dict[str, str]:
-        """Options that have no effect beside the others, and why."""
+        """Options that have no effect in combination with the others, and why."""
         idle = {}
         if self.basis == "tps":
             idle["radius"] = 'method.rbf.basis = "tps" has no radius'
         if self.solver == "direct":
-            iterative = 'it is not read with method.rbf.solver = "direct"'
+            iterative = 'it is not used with method.rbf.solver = "direct"'
             idle |= {"tolerance": iterative, "max_iterations": iterative}
         if self.greedy == "none":
             greedy = [f.name for f in fields(self) if f.name.startswith("greedy_")]
-            idle |= dict.fromkeys(greedy, 'it is not read with method.rbf.greedy = "none"')
+            idle |= dict.fromkeys(greedy, 'it is not used with method.rbf.greedy = "none"')
         if self.summation == "exact":
-            idle["summation_tolerance"] = 'it is not read with method.rbf.summation = "exact"'
+            idle["summation_tolerance"] = 'it is not used with method.rbf.summation = "exact"'
         return idle
 
     @property
@@ -137,7 +137,7 @@ class PreparedRBF:
             "centres": Setting(len(self._images.points)),
             "polynomial": Setting(
                 f"linear in {len(self.centres.axes)} directions",
-                "" if len(self.centres.axes) == 3 else "the centres lie in a plane or a line",
+                "" if len(self.centres.axes) == 3 else "the centres lie in a plane or on a line",
             ),
         }
         if options.greedy != "none":
@@ -189,7 +189,7 @@ class PreparedRBF:
         if o.greedy_error == "first-cell":
             scale = self._problem.first_cell_height[self._images.owner]
         if o.greedy_start >= n:
-            raise MethodError(f"method.rbf.greedy_start = {o.greedy_start}; there are {n} sources, counted from 0")
+            raise MethodError(f"method.rbf.greedy_start = {o.greedy_start}; expected 0 to {n - 1}")
         fit = self._refit(values, scale)
         if fit is None:
             report = of_stage(progress, "greedy")
@@ -205,7 +205,7 @@ class PreparedRBF:
         return fit
 
     def _refit(self, values: FloatArray, scale: FloatArray) -> Coefficients | None:
-        """The kept selection with new values, unless its error has grown beyond the tolerance."""
+        """Refit the kept selection to new values; ``None`` if its error exceeds the tolerance."""
         found = self._selection
         if found is None:
             return None
@@ -228,7 +228,7 @@ class PreparedRBF:
         here = self.centres.points
         residual = values - radial_sums(BASES[self.options.basis], here, points, coefficients)
         residual -= self.centres.polynomial(here)[:, : len(polynomial)] @ polynomial
-        # Spread over a length on which the correction cannot fold cells: many times its own size.
+        # Spread over many times the size of the correction, so that it cannot fold cells.
         reach = 20.0 * float(np.linalg.norm(residual, axis=1).max())
         return Coefficients(points, coefficients, polynomial, residual, reach)
 

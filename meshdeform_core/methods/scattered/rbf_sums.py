@@ -1,4 +1,4 @@
-"""How radial basis functions are evaluated at the nodes: exactly, or fast with clusters of centres."""
+"""Evaluation of radial basis functions at the nodes: exactly, or fast with clusters of centres."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ class Centres:
     """Centres in normalised coordinates with the polynomial terms that they determine.
 
     Thin plate splines with a linear polynomial do not depend on the unit of length, and compact functions take
-    distances in radii; both are conditioned best near one. Directions in which all centres lie in a plane carry no
-    polynomial term: 2-D grids and planar patches then have a solution.
+    distances in radii; both are conditioned best with distances near one. A direction normal to a plane that holds all
+    centres has no polynomial term, so that 2-D grids and planar patches have a solution.
     """
 
     points: FloatArray
@@ -45,7 +45,7 @@ class Centres:
         return cls(np.ascontiguousarray(arms / scale), origin, scale, spread)
 
     def normalised(self, points: FloatArray) -> FloatArray:
-        """Other points in the same coordinates."""
+        """Points in the normalised coordinates."""
         return (points - self.origin) / self.scale
 
     def polynomial(self, normalised: FloatArray) -> FloatArray:
@@ -57,7 +57,8 @@ class Centres:
 class Coefficients:
     """Solved coefficients: ``centres`` (k, 3) normalised, ``coefficients`` (k, 3), ``polynomial`` (q, 3).
 
-    ``residual`` (n, 3) what a greedy reduction left at all sources and ``reach`` how far it is spread; else ``None``.
+    ``residual`` (n, 3) is the error that a greedy reduction left at the sources (else ``None``), ``reach`` the length
+    over which it is spread.
     """
 
     centres: FloatArray
@@ -90,7 +91,7 @@ class RadialSums:
         self._nearest: tuple[FloatArray, IntArray] | None = None
 
     def prepare(self, n_centres: int) -> None:
-        """Sort the target nodes for fast sums, if these pay for so many centres."""
+        """Sort the target nodes for fast sums, if these pay off for this number of centres."""
         self._is_fast, self._account.settings["summation"] = fast_pays(self._summation, len(self._flat), n_centres)
         if not self._is_fast or self._targets is not None:
             return

@@ -1,4 +1,4 @@
-"""Exact or fast sums: the choice, and the check of the fast ones; the same for all scattered-data methods."""
+"""Choice between exact and fast sums, and the check of the fast ones; common to all scattered-data methods."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SUMMATIONS: tuple[str, ...] = get_args(Summation)
 
 
 def check_summation(method: str, summation: str, tolerance: float) -> None:
-    """Refuse a wrong ``summation`` or ``summation_tolerance`` of a method."""
+    """Refuse an invalid ``summation`` or ``summation_tolerance`` of a method."""
     choose(f"{method}.summation", summation, SUMMATIONS)
     positive(f"{method}.summation_tolerance", tolerance)
     if not 1e-8 <= tolerance <= 0.1:
@@ -32,7 +32,7 @@ def check_summation(method: str, summation: str, tolerance: float) -> None:
 
 
 def fast_pays(summation: str, n_targets: int, n_sources: int) -> tuple[bool, Setting]:
-    """Whether to sum fast, and the setting to report; exact sums take about 0.2 s for the 2e8 pairs of the limit."""
+    """Whether to sum fast, and the setting to report; at the limit of 2e8 pairs exact sums take about 0.2 s."""
     pairs = n_targets * n_sources
     pays = pairs > _FAST_PAIRS and n_sources > _FAST_SOURCES
     fast = pairs > 0 and (summation == "fast" or (summation == "auto" and pays))
@@ -44,7 +44,7 @@ class Refinable(Protocol):
     """Fast sums that can be made more accurate."""
 
     def refine(self, excess: float) -> None:
-        """Be more accurate from now on: the error was ``excess`` times too large."""
+        """Increase the accuracy: the error was ``excess`` times too large."""
         ...
 
 
@@ -63,7 +63,7 @@ class HasSamples(Protocol):
 
 
 def sum_accurately(method: str, sums: Refinable, once: Callable[[], float], tolerance: float, account: Account) -> None:
-    """Call ``once``, which sums and returns the error that it finds, until the error is within the tolerance.
+    """Call ``once``, which sums and returns the error found, until the error is within the tolerance.
 
     Reports the error (in cells), and warns if it stays too large.
     """
@@ -71,11 +71,11 @@ def sum_accurately(method: str, sums: Refinable, once: Callable[[], float], tole
         error = once()
         if error <= tolerance or attempt == MAX_RETRIES or not np.isfinite(error):
             break
-        # Rare: clusters whose errors add up.
+        # Rare: the errors of several clusters add up.
         sums.refine(error / tolerance)
     account.settings["sampled_error"] = Setting(error, "against exact sums at the worst nodes, in cells")
     failed = (
-        f"fast sums: an error of {error:.2g} of a cell was found, {tolerance:g} is allowed; "
+        f"fast sums: found an error of {error:.2g} of a cell, {tolerance:g} is allowed; "
         f'use method.{method}.summation = "exact"'
     )
     account.note("summation", None if error <= tolerance else failed)
@@ -86,8 +86,8 @@ def largest_error(
 ) -> float:
     """Largest error in cells of the displacement ``found`` (n_nodes, 3).
 
-    Looked for at samples of the bricks with the largest bounds ``risk`` (b,) and at random nodes; ``exact`` gives the
-    displacement (n, 3) of the nodes it is given by exact sums.
+    Searched at samples of the bricks with the largest bounds ``risk`` (b,) and at random nodes; ``exact`` computes the
+    displacement (n, 3) of given nodes by exact sums.
     """
     worst = targets.samples[np.argsort(risk)[-_WORST_BRICKS:]].ravel()
     every = targets.every

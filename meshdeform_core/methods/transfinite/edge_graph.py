@@ -1,7 +1,7 @@
 """TFI of block interfaces: vertices from the graph of block edges, edges from vertices, faces from edges.
 
-The paper does not say how TFI-TFI moves block vertices that lie on no wall; here they are harmonic on the graph of
-block edges with weights 1/length (spec section 2).
+The paper does not say how TFI-TFI moves block vertices that are not on a wall; here their displacement is harmonic on
+the graph of block edges with weights 1/length.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Segment:
-    """A stretch of a block edge between two nodes that are known before its inside is.
+    """A part of a block edge between two nodes whose displacement is known before that of the nodes in between.
 
     ``nodes`` (n,) unique node numbers, ends included; ``arc`` (n,) from 0 to 1; ``length`` in grid length units.
     """
@@ -60,7 +60,7 @@ class PreparedEdgeGraph:
             reached[segment.nodes] = True
         nodes, wanted = _face_parts(problem, reached)
         for part in nodes:
-            # A rectangle of an L-shaped face has a border that is no block edge.
+            # A rectangle of an L-shaped face has a border that is not a block edge.
             borders = [b for b in (part[0], part[-1], part[:, 0], part[:, -1]) if not reached[b].all()]
             segments += _segments(points, borders, reached, reached)
         self._lines = Lines.of([segment.nodes for segment in segments], [segment.arc for segment in segments])
@@ -68,12 +68,12 @@ class PreparedEdgeGraph:
 
     def warnings_for(self, motion: FloatArray, step: FloatArray) -> list[str]:
         """Warnings for a displacement (n_sources, 3) before it is applied; ``step`` is the first increment."""
-        # Steps do not help: blending is linear, they lead to the same grid.
+        # Steps do not help: blending is linear, so they lead to the same grid.
         return warn_of_rotation(self._problem, motion, TFI_ROTATION, "TFI crosses cells", "use idw-tfi")
 
     def move(self, displacement: FloatArray, out: FloatArray, progress: Progress | None = None) -> FloatArray:
         """Displacement (n_unique, 3) of all face nodes from that of the sources (n_sources, 3); nothing to ``out``."""
-        # Not-a-number, so that a node that is not reached cannot pass for one that does not move.
+        # NaN, so that a node that is not reached cannot be mistaken for one that does not move.
         face = np.full((self._problem.topology.n_unique, 3), np.nan)
         put_rows(displacement, self._problem.source_numbers, face)
         if self._graph:
@@ -106,9 +106,9 @@ def _numbers(problem: Problem, block: int, side: Side) -> IntArray:
 
 
 def _segments(points: FloatArray, lines: list[IntArray], knot: BoolArray, known: BoolArray) -> list[Segment]:
-    """Stretches of ``lines`` between the nodes where ``knot`` holds; ``points`` (n_unique, 3).
+    """Segments of ``lines`` between the nodes where ``knot`` holds; ``points`` (n_unique, 3).
 
-    Neighbours that are both ``known`` are no stretch: there is nothing between them to fill and nothing to pull.
+    Two ``known`` neighbours form no segment: there is nothing between them to fill.
     """
     found: dict[tuple[int, int, int], Segment] = {}
     for line in lines:
@@ -148,7 +148,7 @@ class _Graph:
         one, two = index[np.r_[ends[:, 0], ends[:, 1]]], np.r_[ends[:, 1], ends[:, 0]]
         inner, outer = (one >= 0) & (index[two] >= 0), (one >= 0) & (index[two] < 0)
         diagonal = np.bincount(one[one >= 0], weight[one >= 0], n)
-        # Vertices that are tied to nothing known stay where they are.
+        # Vertices without a path to a known node do not move.
         ties = scipy.sparse.csc_array((weight[inner], (one[inner], index[two[inner]])), shape=(n, n))
         part = scipy.sparse.csgraph.connected_components(ties)[1]
         diagonal = diagonal + np.where(np.isin(part, part[one[outer]]), 0.0, 1.0)
@@ -165,7 +165,7 @@ class _Graph:
 
 
 def _face_parts(problem: Problem, reached: BoolArray) -> tuple[list[IntArray], list[BoolArray]]:
-    """Rectangles of each face with one neighbour: their nodes (na, nb), and which of them no other one moves."""
+    """Rectangles of each face with one neighbour: their nodes (na, nb), and which of them only this one moves."""
     grid, topology = problem.grid, problem.topology
     done, parts, wanted = reached.copy(), [], []
     for block, side in product(range(grid.n_blocks), Side) if grid.dimension == 3 else ():

@@ -1,4 +1,4 @@
-"""Lines and faces of nodes that are blended from their ends and edges, in flat arrays for the compiled loops."""
+"""Lines and faces of nodes, blended from their ends and edges; stored in flat arrays for the compiled loops."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Lines:
 
     Attributes
     ----------
-    start : (n + 1,) where each line begins in the others
+    start : (n + 1,) index at which each line begins in the other arrays
     nodes, arc : node numbers and coordinates from 0 to 1, ends included
     """
 
@@ -31,7 +31,7 @@ class Lines:
         return cls(_starts(nodes), _joined(nodes, np.int64), _joined(arc, np.float64))
 
     def blend(self, displacement: FloatArray) -> None:
-        """Displacement inside the lines from that of their ends, in place, one line after the other."""
+        """Displacement inside the lines from that of their ends, in place, line by line."""
         blend_lines(displacement, self.start, self.nodes, self.arc)
 
 
@@ -41,10 +41,10 @@ class Faces:
 
     Attributes
     ----------
-    start : (n + 1,) where each rectangle begins in the others
+    start : (n + 1,) index at which each rectangle begins in the other arrays
     width : (n,) nodes along its second index
     nodes : node numbers, C-ordered
-    wanted : which of them are to be moved, if they are inside
+    wanted : which of them are to be moved, if they are interior nodes
     s, t : coordinates from 0 to 1 along the first and second index
     """
 
@@ -65,7 +65,7 @@ class Faces:
         return cls(start, width, joined, _joined(wanted, np.bool_), s, t)
 
     def blend(self, displacement: FloatArray) -> None:
-        """Displacement inside the rectangles from that of their edges, in place, one after the other."""
+        """Displacement inside the rectangles from that of their edges, in place, rectangle by rectangle."""
         blend_faces(displacement, self.start, self.width, self.nodes, self.wanted, self.s, self.t)
 
 

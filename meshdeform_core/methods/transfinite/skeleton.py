@@ -28,8 +28,8 @@ class Skeleton:
 
     Attributes
     ----------
-    cuts : for every block the node indices of the cutting planes along i, j, k, both ends included
-    left_out : block sides that the second step moves itself; only their rims belong to the skeleton
+    cuts : for every block the node indices of the cutting planes along i, j, k, including both ends
+    left_out : block sides that the second step moves itself; only their edges belong to the skeleton
     """
 
     grid: Grid
@@ -46,7 +46,7 @@ class Skeleton:
                         yield SubBlock(block, (i[0], j[0], k[0]), (i[1], j[1], k[1]))
 
     def nodes(self) -> IntArray:
-        """Flat indices of all nodes that the first step moves, coincident ones included, ascending."""
+        """Flat indices of all nodes that the first step moves, including coincident ones, ascending."""
         return np.concatenate([self._of_block(b) for b in range(self.grid.n_blocks)])
 
     def _of_block(self, block: int) -> IntArray:

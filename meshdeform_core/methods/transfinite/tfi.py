@@ -16,7 +16,7 @@ from .faces import Faces
 from .skeleton import Skeleton, SubBlock, make_skeleton
 
 DEFAULT_MAX_CELLS = 16
-# Planes and nodes filled by one call, and calls of a whole grid: enough to share evenly, few enough to cost nothing.
+# Planes and nodes filled per call, and calls per grid: enough to balance the load, few enough to cost nothing.
 _PLANES, _NODES, _CHUNKS = (8, 32), 65536, 64
 
 
@@ -24,8 +24,8 @@ _PLANES, _NODES, _CHUNKS = (8, 32), 65536, 64
 class TFI:
     """Linear blending of face displacements by arc length; cost N_v, a few operations per node.
 
-    Keeps the clustering of the grid. Loses wall orthogonality and crosses cells when a body rotates by more than
-    some 40 degrees, and kinks grid lines at block interfaces when it moves the interfaces too.
+    Keeps the clustering of the grid. Loses wall orthogonality, crosses cells when a body rotates by more than about 40
+    degrees, and kinks grid lines at block interfaces if it also moves the interfaces.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class TFI:
         positive("tfi.max_cells", self.max_cells, whole=True, zero=True)
 
     def skeleton(self, problem: Problem) -> Skeleton:
-        """What the first step has to move for this second step."""
+        """The nodes that the first step has to move."""
         return make_skeleton(problem, self.max_cells)
 
     def prepare(self, problem: Problem, skeleton: Skeleton) -> PreparedTFI:
@@ -89,7 +89,7 @@ class PreparedTFI:
 
 
 def _table(grid: Grid, subs: list[SubBlock]) -> IntArray:
-    """Sub-blocks as the compiled loops want them, see :mod:`..numerics.transfinite.blend`."""
+    """Sub-blocks in the form of the compiled loops, see :mod:`..numerics.transfinite.blend`."""
     rows = [(grid.offsets[sub.block], *grid.shapes[sub.block], *sub.low, *sub.high, 0) for sub in subs]
     table = np.array(rows, dtype=np.int64).reshape(-1, 11)
     numbers = arc_numbers(table)
@@ -98,7 +98,7 @@ def _table(grid: Grid, subs: list[SubBlock]) -> IntArray:
 
 
 def _slabs(subs: IntArray) -> IntArray:
-    """Sub-block and planes i0 <= i < i1 of its interior, at most some at a time so that threads can share."""
+    """Sub-block and planes i0 <= i < i1 of its interior, a few at a time so that threads can share the work."""
     planes = np.clip(_NODES // np.prod(subs[:, 8:10] - subs[:, 5:7], axis=1), *_PLANES)
     rows = [
         (n, i, min(i + step, end))
