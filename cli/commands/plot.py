@@ -13,16 +13,12 @@ import click
 from meshdeform_core.errors import CaseError
 
 from .. import completion
+from ..measures import MEASURES
 from ..options import PATH, GridInput, check_output, force_option, grid_options
 
 if TYPE_CHECKING:
     from meshdeform_core.grid import Grid
     from meshdeform_formats.picture import Request, Subject
-
-_METRICS = (
-    "f_skew", "scaled_jacobian", "jacobian", "volume", "volume_ratio", "relative_jacobian", "displacement",
-    "wall_distance",
-)  # fmt: skip
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,7 +42,8 @@ class PlotInput:
 @grid_options
 @click.option("-o", "--output", type=PATH, required=True, help="Picture, .png .svg or .pdf.")
 @click.option("--reference", type=PATH, help="The undeformed grid, for what compares with it.")
-@click.option("--metric", type=click.Choice(_METRICS), default="f_skew", show_default=True, help="Colour by this.")
+@click.option("--metric", type=click.Choice(MEASURES), default="f_skew", show_default=True, metavar="MEASURE",
+              help=f"Colour by this: {', '.join(MEASURES)}.")  # fmt: skip
 @click.option("--plane", metavar="AXIS=N", help="Plane of nodes (k=1, j=mid) or cut in space (z=0.25).")
 @click.option(
     "--block",

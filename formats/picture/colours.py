@@ -14,6 +14,7 @@ from .image import INVALID_COLOUR
 from .subject import METRICS
 
 SEQUENTIAL, DIVERGING = "viridis", "PuOr"
+NO_VALUE = (0.86, 0.86, 0.87)
 GROUPS = (
     (0.34, 0.71, 0.91), (0.90, 0.62, 0.00), (0.00, 0.62, 0.45), (0.94, 0.89, 0.26),
     (0.80, 0.47, 0.65), (0.00, 0.45, 0.70), (0.84, 0.37, 0.00), (0.60, 0.60, 0.60),
@@ -50,11 +51,13 @@ class Scale:
         return (LogNorm if self.logarithmic else Normalize)(self.low, self.high, clip=True)
 
     def colours(self, facets: Facets) -> FloatArray:
-        """RGB (n, 3) of polygons by value; invalid cells have a colour of their own."""
+        """RGB (n, 3) of polygons by value; invalid cells have a colour of their own, those without a value are grey."""
         from matplotlib import colormaps
 
-        values = np.where(np.isfinite(facets.values), facets.values, self.low)
+        known = np.isfinite(facets.values)
+        values = np.where(known, facets.values, self.low)
         colours = np.array(colormaps[self.map_name](self.norm()(values)))[:, :3]
+        colours[~known] = NO_VALUE
         colours[facets.bad] = INVALID_COLOUR
         return colours
 

@@ -8,21 +8,19 @@ from meshdeform_core.grid import Shape
 
 from .subject import METRICS, Subject
 
-_HIGH_IS_BAD = ("volume_ratio", "displacement")
-
 
 def worst_cell(subject: Subject, metric: str) -> tuple[int, Shape]:
     """Block and cell (0-based) where a metric is worst; of invalid cells the one with the worst corner.
 
-    Worst is the smallest value, of displacement the largest, of ratios what is farthest from 1.
+    Worst is the smallest value, of rising measures the largest, of ratios what is farthest from 1.
     """
+    known = METRICS[metric]
     best = (np.inf, 0, (0, 0, 0))
     for block in range(subject.grid.n_blocks):
         cells = subject.whole(block)
         values = subject.values(metric, block, cells)
-        rank = -np.abs(np.log(np.maximum(values, 1e-300))) if METRICS[metric].diverging else values
-        rank = np.where(np.isfinite(rank), -rank if metric in _HIGH_IS_BAD and not METRICS[metric].diverging else rank,
-                        np.inf)  # fmt: skip
+        rank = -np.abs(np.log(np.maximum(values, 1e-300))) if known.diverging else -values if known.rising else values
+        rank = np.where(np.isfinite(values), rank, np.inf)
         bad = subject.bad(block, cells)
         if bad.any():
             # Below all that is valid, by how far the corner is turned inside out.

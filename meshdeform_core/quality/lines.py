@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..boundary import Boundary, Kind
-from ..grid import FloatArray, Grid, IntArray, Side
+from ..grid import BoolArray, FloatArray, Grid, IntArray, Side
 from ..grid.topology import Topology, inward_step, side_nodes
 from ..numerics.geometry.coincidence import distinct
 
 
 @dataclass(frozen=True)
 class InterfaceLines:
-    """Grid lines that cross block interfaces: flat indices (n,) of the interface node in each block and its neighbour.
+    """Grid lines that cross block interfaces: flat indices (...) of the interface node in each block and its neighbour.
 
     The line runs ``before -> here | there -> beyond``; ``here`` and ``there`` coincide.
     """
@@ -28,20 +28,27 @@ class InterfaceLines:
 def interface_lines(grid: Grid, topology: Topology) -> InterfaceLines:
     """All grid lines across shared faces, each once."""
     quads = np.flatnonzero(topology.partner > np.arange(len(topology.partner)))
-    own, own_side = _corners(grid, topology, quads)
-    other, other_side = _corners(grid, topology, topology.partner[quads])
-    number, partner_number = topology.numbers_of(own), topology.numbers_of(other)
-    match = np.argmax(partner_number[:, None, :] == number[:, :, None], axis=2)
-    there = np.take_along_axis(other, match, axis=1)
-    here_key = own * 6 + own_side[:, None] % 6
-    there_key = there * 6 + other_side[:, None] % 6
-    _, once = np.unique(here_key.ravel() * (6 * grid.n_nodes) + there_key.ravel(), return_index=True)
-    width = own.shape[1]
-    here, beyond = own.ravel()[once], there.ravel()[once]
-    steps = _inward_steps(grid)
-    return InterfaceLines(
-        here + steps[np.repeat(own_side, width)[once]], here, beyond, beyond + steps[np.repeat(other_side, width)[once]]
+    lines, sides = lines_across(grid, topology, quads)
+    here_key, there_key = (
+        nodes.ravel() * 6 + np.repeat(side % 6, nodes.shape[1])
+        for nodes, side in zip((lines.here, lines.there), sides, strict=True)
     )
+    _, once = np.unique(here_key * (6 * grid.n_nodes) + there_key, return_index=True)
+    return InterfaceLines(*(getattr(lines, name).ravel()[once] for name in ("before", "here", "there", "beyond")))
+
+
+def lines_across(grid: Grid, topology: Topology, quads: IntArray) -> tuple[InterfaceLines, tuple[IntArray, IntArray]]:
+    """The grid lines across shared face ``quads`` (n,), four (in 2-D two) of each, as arrays (n, 4).
+
+    Returns the lines and the block sides of the quads and of their partners.
+    """
+    here, side = _corners(grid, topology, quads)
+    other, other_side = _corners(grid, topology, topology.partner[quads])
+    number, partner_number = topology.numbers_of(here), topology.numbers_of(other)
+    match = np.argmax(partner_number[:, None, :] == number[:, :, None], axis=2)
+    there, steps = np.take_along_axis(other, match, axis=1), _inward_steps(grid)
+    before, beyond = here + steps[side][:, None], there + steps[other_side][:, None]
+    return InterfaceLines(before, here, there, beyond), (side, other_side)
 
 
 def _inward_steps(grid: Grid) -> IntArray:
@@ -73,9 +80,9 @@ def kink_and_jump(lines: InterfaceLines, points: FloatArray) -> tuple[FloatArray
     """Angle (degrees) between the two segments that meet at an interface, and ln of the ratio of their lengths."""
     inner = points[lines.here] - points[lines.before]
     outer = points[lines.beyond] - points[lines.there]
-    lengths = np.linalg.norm(inner, axis=1), np.linalg.norm(outer, axis=1)
-    sine = np.linalg.norm(np.cross(inner, outer), axis=1)
-    angle = np.rad2deg(np.arctan2(sine, np.einsum("ni,ni->n", inner, outer)))
+    lengths = np.linalg.norm(inner, axis=-1), np.linalg.norm(outer, axis=-1)
+    sine = np.linalg.norm(np.cross(inner, outer), axis=-1)
+    angle = np.rad2deg(np.arctan2(sine, np.einsum("...i,...i->...", inner, outer)))
     with np.errstate(divide="ignore", invalid="ignore"):
         jump = np.log(lengths[1] / lengths[0])
     return angle, np.where(np.isfinite(jump), jump, 0.0)
@@ -83,29 +90,44 @@ def kink_and_jump(lines: InterfaceLines, points: FloatArray) -> tuple[FloatArray
 
 @dataclass(frozen=True)
 class WallFace:
-    """The part of one block face that is a moving wall.
+    """The part of one face of a block that is a wall.
 
-    ``nodes`` (na, nb) flat indices of the whole face, ``wall`` (qa, qb) which of its quads move, ``step`` to the first
-    node off the wall, ``inward`` +1 if the face's index order gives normals into the block, -1 if out of it.
+    ``nodes`` (na, nb) flat indices of the whole face, ``wall`` (qa, qb) which of its quads are wall, ``step`` to the
+    first node off the wall, ``inward`` +1 if the face's index order gives normals into the block, -1 if out of it.
     """
 
     nodes: IntArray
     wall: np.ndarray
     step: int
     inward: float
+    block: int
+    side: Side
+
+    @property
+    def touched(self) -> BoolArray:
+        """Nodes (na, nb) of its wall quads."""
+        touched = np.zeros(self.nodes.shape, dtype=bool)
+        for a in range(min(2, touched.shape[0])):
+            for b in range(min(2, touched.shape[1])):
+                touched[a : a + self.wall.shape[0], b : b + self.wall.shape[1]] |= self.wall
+        return touched
 
 
 def moving_walls(grid: Grid, topology: Topology, boundary: Boundary) -> list[WallFace]:
     """All block faces with moving quads."""
-    moving = boundary.quad_kind == Kind.MOVING
+    return wall_faces(grid, topology, boundary.quad_kind == Kind.MOVING)
+
+
+def wall_faces(grid: Grid, topology: Topology, chosen: BoolArray) -> list[WallFace]:
+    """All block faces with ``chosen`` face quads (n_quads,)."""
     faces = []
-    for block_side in distinct(topology.quads.block_side[moving], 6 * grid.n_blocks):
+    for block_side in distinct(topology.quads.block_side[chosen], 6 * grid.n_blocks):
         block, side = int(block_side) // 6, Side(int(block_side) % 6)
         counts = topology.quads.counts[block, side]
-        wall = moving[topology.quads.of_side(block, side)].reshape(counts)
+        wall = chosen[topology.quads.of_side(block, side)].reshape(counts)
         nodes = side_nodes(grid, block, side)
         inward = _inward_sign(topology, block, side, nodes)
-        faces.append(WallFace(nodes, wall, inward_step(grid.shapes[block], side), inward))
+        faces.append(WallFace(nodes, wall, inward_step(grid.shapes[block], side), inward, block, side))
     return faces
 
 
@@ -123,7 +145,7 @@ def _inward_sign(topology: Topology, block: int, side: Side, nodes: IntArray) ->
 def wall_lines(face: WallFace, points: FloatArray, plane_normal: FloatArray | None) -> tuple[FloatArray, FloatArray]:
     """Angle (degrees) of the first grid line to the wall normal and wall-normal height of the first cell.
 
-    One value per node of the moving quads of the face, always in the same order.
+    One value per node of the wall quads of the face, ``face.touched``, in their order.
     """
     x = points[face.nodes]
     if plane_normal is None:
@@ -135,12 +157,10 @@ def wall_lines(face: WallFace, points: FloatArray, plane_normal: FloatArray | No
     length = np.linalg.norm(quad_normal, axis=-1, keepdims=True)
     unit = np.divide(quad_normal, length, out=np.zeros_like(quad_normal), where=length > 0) * face.wall[..., None]
     normal = np.zeros_like(x)
-    touched = np.zeros(face.nodes.shape, dtype=bool)
+    touched = face.touched
     for a in range(min(2, x.shape[0])):
         for b in range(min(2, x.shape[1])):
-            window = np.s_[a : a + unit.shape[0], b : b + unit.shape[1]]
-            normal[window] += unit
-            touched[window] |= face.wall
+            normal[a : a + unit.shape[0], b : b + unit.shape[1]] += unit
     n = normal[touched]
     size = np.linalg.norm(n, axis=1, keepdims=True)
     n = np.divide(n, size, out=np.zeros_like(n), where=size > 0)

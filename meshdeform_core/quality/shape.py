@@ -20,6 +20,9 @@ DEFINITIONS = {
 """What is measured; neighbours are those within a block."""
 
 
+_NO_CELLS = np.empty((0, 0, 0, 4))
+
+
 @dataclass(frozen=True)
 class ShapeMeasure:
     """A measure of a whole grid: its mean, its largest value and the cell where that is."""
@@ -41,7 +44,7 @@ def shape_measures(grid: Grid, points: FloatArray | None = None) -> dict[str, Sh
     for block in range(grid.n_blocks):
         worst, place = np.full(4, -1.0), np.zeros((4, 3), dtype=np.int64)
         x, resolved = _solid(grid, block, points)
-        measure_shape(x, resolved, worst, place, total, count)
+        measure_shape(x, resolved, worst, place, total, count, _NO_CELLS)
         for m in np.flatnonzero(worst > best):
             best[m], cells[m] = worst[m], (block, place[m])
     return {
@@ -49,6 +52,22 @@ def shape_measures(grid: Grid, points: FloatArray | None = None) -> dict[str, Sh
         for m, name in enumerate(DEFINITIONS)
         if count[m]
     }
+
+
+def shape_of_cells(grid: Grid, block: int, cells: tuple[slice, slice, slice]) -> FloatArray:
+    """The measures of :data:`DEFINITIONS` of a box of cells with explicit ends, (ci, cj, ck, 4).
+
+    Of measures between neighbours a cell has the largest of its faces.
+    """
+    x, resolved = _solid(grid, block, grid.points)
+    # Neighbours around the box have a say in its outer cells.
+    low = [max(c.start - 1, 0) for c in cells]
+    high = [min(c.stop + 1, n - 1) for c, n in zip(cells, x.shape[:3], strict=True)]
+    around = np.ascontiguousarray(x[tuple(slice(a, b + 1) for a, b in zip(low, high, strict=True))])
+    values = np.zeros((*(n - 1 for n in around.shape[:3]), 4))
+    extremes = np.full(4, -1.0), np.zeros((4, 3), dtype=np.int64), np.zeros(4), np.zeros(4, dtype=np.int64)
+    measure_shape(around, resolved, *extremes, values)
+    return np.asarray(values[tuple(slice(c.start - a, c.stop - a) for c, a in zip(cells, low, strict=True))])
 
 
 def _solid(grid: Grid, block: int, points: FloatArray) -> tuple[FloatArray, IntArray]:

@@ -10,7 +10,7 @@ ASPECT, GROWTH, NONORTHOGONALITY, SKEWNESS = 0, 1, 2, 3
 
 
 @kernel
-def measure_shape(x, resolved, worst, place, total, count):
+def measure_shape(x, resolved, worst, place, total, count, cells):
     """Extremes and sums of four measures over the cells of a block.
 
     Parameters
@@ -20,9 +20,11 @@ def measure_shape(x, resolved, worst, place, total, count):
     worst : (4,) in and out: largest aspect ratio, growth ratio, non-orthogonality (degrees), skewness
     place : (4, 3) in and out, the cell of each; of measures between two cells the first
     total, count : (4,) in and out, for the means
+    cells : (ni - 1, nj - 1, nk - 1, 4) in and out, largest value of every cell; not filled if it is empty
     """
     size, other = np.empty(3), np.empty(3)
     center, beyond, face, area = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    found, each = np.empty(4), cells.size > 0
     for i in range(x.shape[0] - 1):
         for j in range(x.shape[1] - 1):
             for k in range(x.shape[2] - 1):
@@ -31,18 +33,23 @@ def measure_shape(x, resolved, worst, place, total, count):
                 for a in range(3):
                     if resolved[a]:
                         low, high = min(low, size[a]), max(high, size[a])
-                _note(worst, place, total, count, 0, _ratio(high, low), i, j, k)
+                found[0] = _ratio(high, low)
+                _note(worst, place, total, count, 0, found[0], i, j, k)
+                if each:
+                    cells[i, j, k, 0] = found[0]
                 for a in range(3):
                     n = (i + (a == 0), j + (a == 1), k + (a == 2))
                     if n[a] >= x.shape[a] - 1:
                         continue
                     _cell(x, n[0], n[1], n[2], beyond, other)
-                    growth = _ratio(max(size[a], other[a]), min(size[a], other[a]))
-                    _note(worst, place, total, count, 1, growth, i, j, k)
+                    found[1] = _ratio(max(size[a], other[a]), min(size[a], other[a]))
                     _face(x, n, a, face, area)
-                    angle, skewness = _across(center, beyond, face, area)
-                    _note(worst, place, total, count, 2, angle, i, j, k)
-                    _note(worst, place, total, count, 3, skewness, i, j, k)
+                    found[2], found[3] = _across(center, beyond, face, area)
+                    for m in range(1, 4):
+                        _note(worst, place, total, count, m, found[m], i, j, k)
+                        if each:
+                            cells[i, j, k, m] = max(cells[i, j, k, m], found[m])
+                            cells[n[0], n[1], n[2], m] = max(cells[n[0], n[1], n[2], m], found[m])
 
 
 @inlined

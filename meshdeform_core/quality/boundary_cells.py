@@ -1,0 +1,93 @@
+"""Measures of grid lines at walls and interfaces, given to the cells beside them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..grid import FloatArray, Grid, IntArray, Side
+from ..grid.planes import plane_normal
+from ..grid.topology import Topology
+from .lines import WallFace, kink_and_jump, lines_across, wall_faces, wall_lines
+from .listed import cell_starts
+
+
+def wall_cells(before: Grid, topology: Topology, after: FloatArray, quads: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Deviation (degrees) and height ratio (n_cells,) of the cells at wall ``quads``, NaN elsewhere.
+
+    A cell has the largest deviation of its grid lines off the wall in coordinates ``after`` (n_nodes, 3), and of the
+    ratios of their heights to those before the one that is farthest from 1.
+    """
+    deviation, ratio = np.full(before.n_cells, np.nan), np.full(before.n_cells, np.nan)
+    chosen = np.zeros(len(topology.partner), dtype=bool)
+    chosen[quads] = True
+    normal, starts = plane_normal(before), cell_starts(before)
+    for face in wall_faces(before, topology, chosen):
+        angle, height = wall_lines(face, after, normal)
+        old = wall_lines(face, before.points, normal)[1]
+        change = np.divide(height, old, out=np.full(height.shape, np.nan), where=old > 0)
+        cells = starts[face.block] + _layer(before, face.block, face.side)[face.wall]
+        deviation[cells] = np.fmax(deviation[cells], _corners(face, angle).max(axis=1))
+        ratio[cells] = _farthest(ratio[cells], _corners(face, change))
+    return deviation, ratio
+
+
+def _corners(face: WallFace, values: FloatArray) -> FloatArray:
+    """Values of the touched nodes of a face at the corners (n, 2 or 4) of its wall quads."""
+    at_nodes = np.full(face.nodes.shape, np.nan)
+    at_nodes[face.touched] = values
+    qa, qb = face.wall.shape
+    corners = [
+        at_nodes[a : a + qa, b : b + qb][face.wall]
+        for a in range(min(2, at_nodes.shape[0]))
+        for b in range(min(2, at_nodes.shape[1]))
+    ]
+    return np.stack(corners, axis=1)
+
+
+def _farthest(known: FloatArray, ratios: FloatArray) -> FloatArray:
+    """Of ratios (n, m) and those known already (n,) the ones farthest from 1."""
+    all_ratios = np.concatenate([known[:, None], ratios], axis=1)
+    with np.errstate(divide="ignore"):
+        reach = np.abs(np.log(np.maximum(all_ratios, 0.0)))
+    at = np.argmax(np.where(np.isnan(reach), -1.0, reach), axis=1)
+    return np.asarray(np.take_along_axis(all_ratios, at[:, None], axis=1)[:, 0])
+
+
+def _layer(grid: Grid, block: int, side: Side) -> IntArray:
+    """Numbers within the block of the cells at one of its faces, shaped like the face's quads."""
+    shape = grid.cell_shapes[block]
+    cells = np.arange(int(np.prod(shape))).reshape(shape)
+    return np.asarray(np.take(cells, shape[side.axis] - 1 if side % 2 else 0, axis=side.axis))
+
+
+def interface_cells(
+    grid: Grid, topology: Topology, after: FloatArray, before: FloatArray | None
+) -> tuple[FloatArray, FloatArray]:
+    """Kink (degrees) and spacing jump (n_cells,) of the cells beside shared faces, NaN elsewhere.
+
+    Of the grid lines through a face the largest magnitude; changes against coordinates ``before`` (n_nodes, 3) if there
+    are any.
+    """
+    kink, jump = np.full(grid.n_cells, np.nan), np.full(grid.n_cells, np.nan)
+    quads = np.flatnonzero(topology.partner > np.arange(len(topology.partner)))
+    if quads.size == 0:
+        return kink, jump
+    lines, _ = lines_across(grid, topology, quads)
+    new = kink_and_jump(lines, after)
+    old = (0.0, 0.0) if before is None else kink_and_jump(lines, before)
+    for target, now, then in zip((kink, jump), new, old, strict=True):
+        worst = np.abs(now - then).max(axis=1)
+        for sides in (quads, topology.partner[quads]):
+            np.fmax.at(target, _cells_behind(grid, topology, sides), worst)
+    return kink, jump
+
+
+def _cells_behind(grid: Grid, topology: Topology, quads: IntArray) -> IntArray:
+    """Numbers (n,) in the whole grid of the cells behind face quads (n,)."""
+    starts, cells = cell_starts(grid), np.empty(len(quads), dtype=np.int64)
+    for block_side in np.unique(topology.quads.block_side[quads]):
+        block, side = int(block_side) // 6, Side(int(block_side) % 6)
+        mine = topology.quads.block_side[quads] == block_side
+        local = quads[mine] - topology.quads.start[block, side]
+        cells[mine] = starts[block] + _layer(grid, block, side).ravel()[local]
+    return cells

@@ -1,0 +1,219 @@
+"""What is measured of a grid, cell by cell: for pictures, and for files that other programs colour."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ..errors import CaseError, suggestion
+from ..grid import BoolArray, FloatArray, Grid, IntArray
+from ..grid.planes import plane_normal
+from ..grid.roles import Role
+from ..grid.surfaces import Outside, find_outside
+from ..grid.topology import Topology
+from .boundary_cells import interface_cells, wall_cells
+from .cells import CellMeasures, measure_block
+from .listed import cell_starts
+from .original import Original
+from .shape import shape_of_cells
+from .validity import Verdict, judge
+
+_ROUND_OFF = 1e-9
+Cells = tuple[slice, slice, slice]
+"""A box of cells of a block, with explicit first and last."""
+
+
+@dataclass(frozen=True)
+class CellMeasure:
+    """What one value per cell means; ``from_reference`` ones compare with the undeformed grid."""
+
+    definition: str
+    from_reference: bool = False
+
+
+CELL_MEASURES = {
+    "f_skew": CellMeasure("f_skew (1: orthogonal, 0: invalid)"),
+    "scaled_jacobian": CellMeasure("smallest scaled corner Jacobian"),
+    "jacobian": CellMeasure("smallest corner Jacobian"),
+    "relative_jacobian": CellMeasure("smallest corner Jacobian over the undeformed one", from_reference=True),
+    "volume": CellMeasure("cell volume"),
+    "volume_ratio": CellMeasure("cell volume over undeformed volume", from_reference=True),
+    "aspect_ratio": CellMeasure("aspect ratio"),
+    "growth_ratio": CellMeasure("growth ratio to the neighbours"),
+    "non_orthogonality_deg": CellMeasure("non-orthogonality [deg]"),
+    "skewness": CellMeasure("skewness"),
+    "wall_normal_deviation_deg": CellMeasure("grid line to wall normal [deg]"),
+    "first_cell_height_ratio": CellMeasure("first cell height over the undeformed one", from_reference=True),
+    "interface_kink_deg": CellMeasure("kink of grid lines at block interfaces [deg]"),
+    "interface_spacing_jump": CellMeasure("spacing jump at block interfaces, ln"),
+    "wall_distance": CellMeasure("distance to the nearest wall node"),
+    "displacement": CellMeasure("displacement", from_reference=True),
+}
+"""All measures by name. Those of walls have no value (NaN) but in the cells at walls, those of interfaces but beside
+interfaces. Kinks and jumps are changes where there is an undeformed grid."""
+
+_SHAPE = ("aspect_ratio", "growth_ratio", "non_orthogonality_deg", "skewness")
+
+
+@dataclass(frozen=True)
+class CellFields:
+    """The cells of a grid as they are measured.
+
+    Attributes
+    ----------
+    topology : of the undeformed grid
+    reference : the undeformed grid; cells that became invalid are judged against it
+    walls : numbers of the face quads of walls; by default those that the file declares or that look like walls
+    """
+
+    grid: Grid
+    topology: Topology
+    reference: Grid | None = None
+    walls: IntArray | None = None
+
+    @cached_property
+    def outside(self) -> Outside:
+        """Faces and roles, of the undeformed grid where there is one."""
+        return find_outside(self.reference or self.grid, self.topology)
+
+    def whole(self, block: int) -> Cells:
+        """All cells of a block."""
+        ci, cj, ck = self.grid.cell_shapes[block]
+        return slice(0, ci), slice(0, cj), slice(0, ck)
+
+    def values(self, measure: str, block: int, cells: Cells) -> FloatArray:
+        """A measure of a box of cells.
+
+        Raises
+        ------
+        CaseError
+            When the measure is unknown, needs the undeformed grid and there is none, or needs walls and none is known.
+        """
+        self.require(measure)
+        return _VALUES[measure](self, block, cells)
+
+    def require(self, measure: str) -> None:
+        """Refuse, before anything is computed, a measure that this grid has not; see :meth:`values`."""
+        if measure not in CELL_MEASURES:
+            near = suggestion(measure, CELL_MEASURES)
+            raise CaseError(f"measure {measure!r} is unknown{near or '; known are ' + ', '.join(CELL_MEASURES)}")
+        if CELL_MEASURES[measure].from_reference and self.reference is None:
+            raise CaseError(f"{measure} compares with the undeformed grid; give --reference")
+
+    def bad(self, block: int, cells: Cells) -> BoolArray:
+        """Invalid cells: where there is an undeformed grid those that became so, else those turned inside out."""
+        if self.reference is None:
+            return np.asarray(self.measure(block, cells).scaled < -_ROUND_OFF)
+        return np.asarray(self._box(self.verdict.failed, block, cells) != 0)
+
+    def nodes(self, block: int, cells: Cells, grid: Grid | None = None) -> FloatArray:
+        """The nodes (ni, nj, nk, 3) of a box of cells."""
+        x = (grid or self.grid).block(block)
+        window = tuple(slice(c.start, c.stop + (n > 1)) for c, n in zip(cells, x.shape[:3], strict=True))
+        return np.ascontiguousarray(x[window])
+
+    def measure(self, block: int, cells: Cells, grid: Grid | None = None) -> CellMeasures:
+        """Corner Jacobians and volumes of a box of cells."""
+        return measure_block(self.nodes(block, cells, grid), float(self.topology.handedness[block]), self._normal)
+
+    @cached_property
+    def verdict(self) -> Verdict:
+        """The verdict on all cells against the undeformed grid."""
+        return judge(Original(self.reference or self.grid, self.topology), self.grid.points)
+
+    @cached_property
+    def wall_quads(self) -> IntArray:
+        """Numbers of the face quads of walls."""
+        if self.walls is not None:
+            return self.walls
+        quads = [surface.quads for surface in self.outside.of_role(Role.WALL)]
+        if not quads:
+            raise CaseError("no wall is known, which wall measures need; see `meshdeform info`")
+        return np.concatenate(quads)
+
+    @cached_property
+    def at_walls(self) -> tuple[FloatArray, FloatArray]:
+        """Deviation from the wall normal (degrees) and height ratio (n_cells,) of the cells at walls, else NaN."""
+        return wall_cells(self.reference or self.grid, self.topology, self.grid.points, self.wall_quads)
+
+    @cached_property
+    def at_interfaces(self) -> tuple[FloatArray, FloatArray]:
+        """Kink (degrees) and spacing jump (n_cells,) of the cells beside block interfaces, else NaN."""
+        before = None if self.reference is None else self.reference.points
+        return interface_cells(self.grid, self.topology, self.grid.points, before)
+
+    @cached_property
+    def _normal(self) -> FloatArray | None:
+        return plane_normal(self.grid)
+
+    @cached_property
+    def _wall_tree(self) -> cKDTree:
+        nodes = np.unique(self.topology.quads.corners[self.wall_quads])
+        return cKDTree(self.grid.points[self.topology.first[nodes]])
+
+    def _box(self, values: np.ndarray, block: int, cells: Cells) -> np.ndarray:
+        """A box of cells of an array with one row per cell of the grid."""
+        starts = cell_starts(self.grid)
+        return values[starts[block] : starts[block + 1]].reshape(self.grid.cell_shapes[block])[cells]
+
+
+def cell_means(x: FloatArray) -> FloatArray:
+    """Mean over the corners of every cell of node values (ni, nj, nk, ...)."""
+    for axis in range(3):
+        if x.shape[axis] > 1:
+            low, high = (np.take(x, np.arange(x.shape[axis] - 1) + shift, axis=axis) for shift in (0, 1))
+            x = 0.5 * (low + high)
+    return x
+
+
+def _displacement(fields: CellFields, block: int, cells: Cells) -> FloatArray:
+    moved = fields.nodes(block, cells) - fields.nodes(block, cells, fields.reference)
+    return np.asarray(np.linalg.norm(cell_means(moved), axis=-1))
+
+
+def _wall_distance(fields: CellFields, block: int, cells: Cells) -> FloatArray:
+    centers = cell_means(fields.nodes(block, cells))
+    distance, _ = fields._wall_tree.query(centers.reshape(-1, 3))
+    return np.asarray(distance).reshape(centers.shape[:3])
+
+
+def _volume_ratio(fields: CellFields, block: int, cells: Cells) -> FloatArray:
+    new, old = fields.measure(block, cells).volume, fields.measure(block, cells, fields.reference).volume
+    return np.asarray(np.divide(new, old, out=np.full(new.shape, np.nan), where=old > 0))
+
+
+def _relative_jacobian(fields: CellFields, block: int, cells: Cells) -> FloatArray:
+    return np.asarray(fields._box(fields.verdict.ratio, block, cells), dtype=np.float64)
+
+
+def _corner(name: str) -> Callable[[CellFields, int, Cells], FloatArray]:
+    return lambda fields, block, cells: np.asarray(getattr(fields.measure(block, cells), name))
+
+
+def _shape(number: int) -> Callable[[CellFields, int, Cells], FloatArray]:
+    return lambda fields, block, cells: shape_of_cells(fields.grid, block, cells)[..., number]
+
+
+def _beside(name: str, number: int) -> Callable[[CellFields, int, Cells], FloatArray]:
+    return lambda fields, block, cells: fields._box(getattr(fields, name)[number], block, cells)
+
+
+_VALUES: dict[str, Callable[[CellFields, int, Cells], FloatArray]] = {
+    "f_skew": _corner("skew"),
+    "scaled_jacobian": _corner("scaled"),
+    "jacobian": _corner("jacobian"),
+    "relative_jacobian": _relative_jacobian,
+    "volume": _corner("volume"),
+    "volume_ratio": _volume_ratio,
+    **{name: _shape(number) for number, name in enumerate(_SHAPE)},
+    "wall_normal_deviation_deg": _beside("at_walls", 0),
+    "first_cell_height_ratio": _beside("at_walls", 1),
+    "interface_kink_deg": _beside("at_interfaces", 0),
+    "interface_spacing_jump": _beside("at_interfaces", 1),
+    "wall_distance": _wall_distance,
+    "displacement": _displacement,
+}

@@ -1,0 +1,120 @@
+"""Measures cell by cell: against the totals of the report and against plain geometry."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from grids import block_around, frame, frame_2d, polar
+
+from meshdeform_cli.measures import MEASURES
+from meshdeform_core.boundary import BoundarySpec, Kind, classify
+from meshdeform_core.boundary.expression import expression
+from meshdeform_core.boundary.motion import Displace, Motion
+from meshdeform_core.errors import CaseError
+from meshdeform_core.grid import Grid, Side
+from meshdeform_core.grid.topology import find_topology
+from meshdeform_core.quality import Original, assess
+from meshdeform_core.quality.fields import CELL_MEASURES, CellFields
+from meshdeform_core.quality.shape import shape_measures
+
+STILL = Motion((Displace(tuple(expression("0", ()) for _ in range(3))),), {})
+
+
+def waved(grid: Grid) -> Grid:
+    """The grid with all nodes moved by a smooth function."""
+    x = grid.points
+    shift = 0.05 * np.sin(2 * x[:, [1, 2, 0]] + x)
+    return grid.moved(x + shift * (np.ptp(x, axis=0) > 0))
+
+
+def everything(fields: CellFields, measure: str) -> np.ndarray:
+    """A measure of all cells of the grid, block after block."""
+    blocks = range(fields.grid.n_blocks)
+    return np.concatenate([fields.values(measure, b, fields.whole(b)).ravel() for b in blocks])
+
+
+def test_the_command_line_knows_all_measures():
+    assert tuple(CELL_MEASURES) == MEASURES
+
+
+@pytest.mark.parametrize("grid", [frame(), frame_2d()], ids=["3-D", "2-D"])
+def test_extremes_are_those_of_the_report(grid):
+    after = waved(grid)
+    topology = find_topology(grid)
+    fields = CellFields(after, topology, grid)
+    quality = assess(Original(grid, topology), after.points, None).after
+    assert everything(fields, "f_skew").min() == quality.f_skew.min
+    assert everything(fields, "scaled_jacobian").min() == quality.min_scaled_jacobian
+    assert everything(fields, "relative_jacobian").min() == pytest.approx(quality.min_relative_jacobian, rel=1e-6)
+    assert everything(fields, "volume").sum() == pytest.approx(quality.total_volume)
+    ratio = everything(fields, "volume_ratio")
+    assert (ratio.min(), ratio.max()) == (quality.volume_ratio.min, quality.volume_ratio.max)
+    assert np.nanmax(everything(fields, "interface_kink_deg")) == quality.interface_kink_deg.max
+    assert np.nanmax(everything(fields, "interface_spacing_jump")) == quality.interface_spacing_jump.max
+    for name, measure in shape_measures(after).items():
+        values = everything(fields, name)
+        assert values.max() == measure.max
+        block = after.names.index(measure.worst.block)
+        at = tuple(n - 1 for n in measure.worst.ijk)
+        assert fields.values(name, block, fields.whole(block))[at] == measure.max
+
+
+@pytest.mark.parametrize("make", [frame, frame_2d, polar])
+def test_wall_measures_are_those_of_the_report(make):
+    grid = make()
+    topology = find_topology(grid)
+    walls = ["block1.jmax"] if make is polar else ["block4.jmax", "block2.imax"]
+    specs = (BoundarySpec("wall", tuple(walls), Kind.MOVING, None, STILL),)
+    topology, boundary = classify(grid, topology, specs, {})
+    after = waved(grid)
+    quality = assess(Original(grid, topology), after.points, boundary).after
+    moving = np.flatnonzero(boundary.quad_kind == Kind.MOVING)
+    fields = CellFields(after, topology, grid, moving)
+    angle, ratio = everything(fields, "wall_normal_deviation_deg"), everything(fields, "first_cell_height_ratio")
+    assert np.nanmax(angle) == pytest.approx(quality.wall_normal_deviation_deg.max, rel=1e-12)
+    extremes = quality.first_cell_height_ratio
+    assert max(1 / np.nanmin(ratio), np.nanmax(ratio)) == pytest.approx(max(1 / extremes.min, extremes.max))
+    # One layer of cells has values, as many as there are quads.
+    assert np.isfinite(angle).sum() == np.isfinite(ratio).sum() == len(moving)
+
+
+def test_an_orthogonal_wall_has_no_deviation_and_stretched_cells_a_height_ratio():
+    x = block_around(np.arange(4.0), np.arange(3.0), np.array([0.0, 1.0, 2.0]))
+    grid, taller = Grid.from_blocks([x]), Grid.from_blocks([x * [1.0, 1.0, 3.0]])
+    topology = find_topology(grid)
+    low = np.arange(topology.quads.of_side(0, Side.KMIN).start, topology.quads.of_side(0, Side.KMIN).stop)
+    fields = CellFields(taller, topology, grid, low)
+    angle = fields.values("wall_normal_deviation_deg", 0, fields.whole(0))
+    ratio = fields.values("first_cell_height_ratio", 0, fields.whole(0))
+    np.testing.assert_allclose(angle[:, :, 0], 0.0, atol=1e-12)
+    np.testing.assert_allclose(ratio[:, :, 0], 3.0)
+    assert np.isnan(angle[:, :, 1]).all()
+    assert np.isnan(ratio[:, :, 1]).all()
+
+
+def test_a_box_has_the_values_of_the_whole():
+    grid = frame()
+    fields = CellFields(waved(grid), find_topology(grid), grid, np.arange(5))
+    box = slice(1, 3), slice(0, 2), slice(2, 3)
+    for measure in MEASURES:
+        np.testing.assert_allclose(
+            fields.values(measure, 4, box), fields.values(measure, 4, fields.whole(4))[box], rtol=1e-12, err_msg=measure
+        )
+
+
+def test_displacement_and_distance():
+    grid = frame()
+    fields = CellFields(grid.moved(grid.points + [3.0, 0.0, 4.0]), find_topology(grid), grid, np.arange(5))
+    np.testing.assert_allclose(everything(fields, "displacement"), 5.0)
+    assert everything(fields, "wall_distance").min() > 0
+
+
+def test_what_cannot_be_measured_is_refused():
+    fields = CellFields(frame(), find_topology(frame()))
+    with pytest.raises(CaseError, match="compares with the undeformed grid"):
+        fields.require("displacement")
+    with pytest.raises(CaseError, match="did you mean 'f_skew'"):
+        fields.require("fskew")
+    cube = Grid.from_blocks([block_around(*(np.arange(3.0),) * 3)])
+    with pytest.raises(CaseError, match="no wall is known"):
+        CellFields(cube, find_topology(cube)).values("wall_distance", 0, (slice(0, 1),) * 3)
