@@ -8,6 +8,8 @@ from pathlib import Path
 import click
 from click.shell_completion import CompletionItem
 
+from .measures import MEASURES
+
 
 def methods(context: click.Context, parameter: click.Parameter, typed: str) -> list[CompletionItem]:
     """Names of methods."""
@@ -32,6 +34,11 @@ def settings(context: click.Context, parameter: click.Parameter, typed: str) -> 
     parts = {"idw": IDW, "rbf": RBF, "tfi": TFI}
     keys = [f"method.{name}.{field.name}=" for name, part in parts.items() for field in dataclasses.fields(part)]
     return _items(["method.name=", *keys], typed)
+
+
+def fields(context: click.Context, parameter: click.Parameter, typed: str) -> list[CompletionItem]:
+    """What can be written into files beside coordinates."""
+    return _items((*MEASURES, "invalid", "all"), typed)
 
 
 def patches(context: click.Context, parameter: click.Parameter, typed: str) -> list[CompletionItem]:

@@ -51,6 +51,12 @@ variant_option = click.option(
     "precision=float32|float64 markers=4|8 records=block|array|plane multiblock=true|false iblank=true|false "
     "dimension=2|3; vtk: encoding=ascii|binary|appended compression=none|zlib|lz4|lzma; cgns: precision (repeatable).",
 )  # fmt: skip
+field_option = click.option(
+    "--field", "fields", metavar="NAME", multiple=True,
+    shell_complete=completion.fields,
+    help="Write this into VTK and CGNS files too: displacement, invalid, a measure of `meshdeform plot`, or all "
+    "(repeatable).",
+)  # fmt: skip
 report_option = click.option(
     "--report", "reports", type=PATH, multiple=True,
     help="Report; the suffix picks .json .txt .html or .md, - is JSON to stdout (repeatable).",
@@ -195,6 +201,7 @@ class RunInput:
     threads: int | None
     max_memory: str | None
     variant: tuple[str, ...]
+    fields: tuple[str, ...]
     dry_run: bool
     force: bool
     allow_invalid: bool
@@ -224,6 +231,7 @@ def run_options(command: Command) -> Command:
     @threads_option
     @click.option("--max-memory", metavar="SIZE", help="Refuse what needs more, like 2GiB.")
     @variant_option
+    @field_option
     @click.option("--dry-run", is_flag=True, help="Show what would be done; write nothing.")
     @force_option
     @click.option("--allow-invalid", is_flag=True, help="Write the grid and exit 0 even if cells became invalid.")

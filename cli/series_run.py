@@ -17,6 +17,7 @@ from meshdeform_core.parallel import current_ranks
 from meshdeform_core.series import Level, Schedule, deform_series
 from meshdeform_formats.case import CaseFile
 from meshdeform_formats.case.files import parse_times
+from meshdeform_formats.fields import check_fields, with_fields
 from meshdeform_formats.grids import FORMATS, complete_for_export
 from meshdeform_formats.report import Report, plan_report
 from meshdeform_formats.report.illustrations import Illustrations, level_thumbnails
@@ -27,7 +28,7 @@ from meshdeform_formats.series.manifest import NAME, Manifest, ingredients_of
 from .messages import Warnings
 from .options import GridInput, keep_inputs
 from .progress import ProgressBar
-from .work import Job
+from .work import Job, cells_of
 
 _PICTURES = 8
 
@@ -44,6 +45,7 @@ class Wanted:
     suffix: str | None
     single_file: bool
     variant: dict[str, str]
+    fields: tuple[str, ...] = ()
 
 
 @dataclass
@@ -64,6 +66,7 @@ def prepare(job: Job, source: GridInput, wanted: Wanted, warnings: Warnings) -> 
     times = parse_times(wanted.times, "--times") if wanted.times else _times_of_files(job.case)
     schedule = Schedule(times, wanted.origin, wanted.velocity, wanted.steps)
     name = source.path.stem + _suffix(source.path, wanted)
+    check_fields(wanted.fields, Path(name), True)
     grid = complete_for_export(job.grid, Path(name))
     kind = SingleFile if wanted.single_file else LevelFiles
     files = kind(grid, wanted.folder, name, times, wanted.variant, wanted.velocity)
@@ -71,12 +74,14 @@ def prepare(job: Job, source: GridInput, wanted: Wanted, warnings: Warnings) -> 
     for path in [*files.outputs, manifest.path]:
         keep_inputs(path, *source.files, *job.case.files)
     output = {"output": name, "single file": wanted.single_file, "variant": files.variant.label}
+    output |= {"fields": list(wanted.fields)} if wanted.fields else {}
     manifest.ingredients = ingredients_of(source.path, source.boundary_file, job.case, schedule, output)
     timing = Timing()
     case = job.case.case
     if not case.depends_on_time:
         case = replace(case, notes=(*case.notes, "the motion does not depend on t: all levels are alike"))
     setup = set_up(grid, case, timing, job.memory)
+    files.dress = lambda level: with_fields(cells_of(setup, level), wanted.fields)
     return Run(job, setup, schedule, files, manifest, timing, warnings)
 
 

@@ -13,18 +13,21 @@ from typing import Any
 import click
 import numpy as np
 
+from meshdeform_core.boundary import Kind
 from meshdeform_core.boundary.crossing import find_contact
 from meshdeform_core.boundary.motion import Follow
 from meshdeform_core.boundary.pinned import find_pinned
 from meshdeform_core.boundary.prescribed import largest_displacement
 from meshdeform_core.boundary.transfer import SurfaceData
-from meshdeform_core.deform import Case, deform, set_up
+from meshdeform_core.deform import Case, Setup, deform, set_up
 from meshdeform_core.grid import Grid
 from meshdeform_core.memory import MemoryLimit, left_for_method, peak_memory
 from meshdeform_core.methods import make_method
 from meshdeform_core.methods.limits import patch_motions
 from meshdeform_core.parallel import current_ranks, thread_count
+from meshdeform_core.quality.fields import CellFields
 from meshdeform_formats.case import CaseFile
+from meshdeform_formats.fields import with_fields
 from meshdeform_formats.grids import complete_for_export, variant_of, write_grid
 from meshdeform_formats.report import Report, as_json, deformation_report, plan_report
 from meshdeform_formats.report.illustrations import Illustrate, deformation_figures
@@ -148,10 +151,18 @@ def run(
     options.warnings.tell(result.warnings)
     target = output if result.valid or options.allow_invalid else invalid_path(output)
     before = clock.perf_counter()
-    current_ranks().on_first(lambda: write_grid(result.grid, target, variant))
+    current_ranks().on_first(
+        lambda: write_grid(with_fields(cells_of(result.setup, result.grid), options.fields), target, variant)
+    )
     seconds = {"read": job.read_seconds, "write": clock.perf_counter() - before}
     illustrate = functools.partial(deformation_figures, result.setup, result.grid, result.assessment.invalid)
     return deformation_report(result, seconds, peak_memory()) | {"output": str(target)}, illustrate
+
+
+def cells_of(setup: Setup, after: Grid) -> CellFields:
+    """The cells of a deformed grid as they are measured against the original."""
+    moving = np.flatnonzero(setup.boundary.quad_kind == Kind.MOVING)
+    return CellFields(after, setup.topology, setup.grid, moving)
 
 
 def conclude(report: Report, run: RunInput, delivery: Delivery) -> int:

@@ -6,7 +6,9 @@ A tree is nested :class:`N`; data are strings or arrays with the fastest index f
 from __future__ import annotations
 
 import itertools
+import shutil
 import struct
+import subprocess
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -306,3 +308,12 @@ def differences(a: Path, b: Path, ignore: Callable[[tuple[Any, ...]], bool]) -> 
     first, second = listing(a), listing(b)
     assert [entry[:2] for entry in first] == [entry[:2] for entry in second]
     return [x for x, y in zip(first, second, strict=True) if x != y and not ignore(x)]
+
+
+def assert_cgnscheck_finds_no_error(path: Path) -> None:
+    """Let the CGNS library's own tool judge a file, where it is installed."""
+    if shutil.which("cgnscheck") is None:
+        return
+    report = subprocess.run(["cgnscheck", str(path)], capture_output=True, text=True, timeout=60, check=True).stdout
+    assert "checking complete" in report
+    assert "ERROR" not in report

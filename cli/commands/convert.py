@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING
 
 import click
 
+from ..measured import measured
 from ..messages import tell
 from ..options import (
     PATH,
     GridInput,
     check_output,
+    field_option,
     force_option,
     grid_options,
     parse_pairs,
@@ -27,10 +29,15 @@ if TYPE_CHECKING:
 @click.command("convert")
 @grid_options
 @click.argument("target", metavar="OUT", type=PATH)
+@field_option
+@click.option("--reference", type=PATH, help="The undeformed grid, for fields that compare with it.")
 @variant_option
 @force_option
 @quiet_option
-def command(source: GridInput, target: Path, variant: tuple[str, ...], force: bool, quiet: bool) -> int:
+def command(
+    source: GridInput, target: Path, fields: tuple[str, ...], reference: Path | None, variant: tuple[str, ...],
+    force: bool, quiet: bool,
+) -> int:  # fmt: skip
     """Convert GRID to the format that the suffix of OUT stands for.
 
     \b
@@ -39,16 +46,21 @@ def command(source: GridInput, target: Path, variant: tuple[str, ...], force: bo
       meshdeform convert grid.xyz grid.p3dfmt
       meshdeform convert grid.xyz big.xyz --variant byte_order=big --variant precision=float32
       meshdeform convert airfoil.p3dfmt airfoil.cgns --boundary-file airfoil.nmf
+      meshdeform convert bent.cgns bent.vtm --reference wing.cgns --field displacement --field f_skew
 
     Plot3D and VTK files have no place for boundaries: they are written beside OUT as a neutral map file (.nmf) whose
     types are the names of families or patches.
     """
+    from meshdeform_formats.fields import check_fields, with_fields
     from meshdeform_formats.grids import complete_for_export, format_of, write_grid
 
     kind = format_of(target)
     options = parse_pairs(variant, "--variant")
-    check_output(target, force, *source.files)
+    check_output(target, force, *source.files, reference)
+    check_fields(fields, target, reference is not None)
     grid = complete_for_export(source.read(), target)
+    if fields:
+        grid = with_fields(measured(grid, reference), fields)
     boundaries = _beside(grid, kind, target)
     if boundaries is not None:
         check_output(boundaries, force, *source.files)

@@ -45,6 +45,7 @@ def command(
       meshdeform deform wing.cgns -c wing.toml -o bent.cgns
       meshdeform deform grid.xyz -d displacement.csv -o deformed.xyz -m idw-tfi --report report.json
       meshdeform deform grid.cgns -c case.toml --steps auto -s method.idw.alpha=0.3 -o deformed.cgns
+      meshdeform deform grid.cgns -c case.toml -o deformed.vtm --field displacement --field f_skew
       meshdeform deform grid.cgns -c case.toml --dry-run
 
     Nodes on the outside that no boundary entry selects stay fixed. A deformed grid with invalid cells (exit code 3) is
@@ -79,9 +80,11 @@ def command(
 
 
 def _check_target(output: Path, run: RunInput, *inputs: Path | None) -> None:
+    from meshdeform_formats.fields import check_fields
     from meshdeform_formats.grids import format_of
 
     format_of(output)
+    check_fields(run.fields, output, True)
     check_output(output, run.force, *inputs)
     if not run.allow_invalid:
         # What an earlier run left there is replaced, but no input is.

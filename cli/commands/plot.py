@@ -13,6 +13,7 @@ import click
 from meshdeform_core.errors import CaseError
 
 from .. import completion
+from ..measured import measured
 from ..measures import MEASURES
 from ..options import PATH, GridInput, check_output, force_option, grid_options
 
@@ -100,19 +101,10 @@ def command(
 
 
 def _subject(source: GridInput, reference: Path | None) -> Subject:
-    from meshdeform_core.grid.topology import find_topology
-    from meshdeform_core.quality.difference import require_same_blocks
-    from meshdeform_formats import read_grid
     from meshdeform_formats.picture import Subject
 
-    grid = source.read()
-    if reference is None:
-        return Subject(grid, find_topology(grid))
-    original = read_grid(reference)
-    require_same_blocks(grid, original)
-    if not original.patches:
-        original = dataclasses.replace(original, patches=grid.patches)
-    return Subject(grid, find_topology(original), original)
+    cells = measured(source.read(), reference)
+    return Subject(cells.grid, cells.topology, cells.reference)
 
 
 def _request(asked: PlotInput) -> Request:

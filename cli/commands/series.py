@@ -70,7 +70,7 @@ def command(
 
     from .. import series_run, work
 
-    wanted = series_run.Wanted(output, times, origin, velocity, count, suffix, single_file, options)
+    wanted = series_run.Wanted(output, times, origin, velocity, count, suffix, single_file, options, run.fields)
     job = work.load(source, dataclasses.replace(case, times=times), limit, run.reports)
     plan = series_run.prepare(job, source, wanted, run.warnings)
     run.warnings.tell(plan.setup.warnings)

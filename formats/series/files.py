@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -14,18 +14,28 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Field, FileFormat, FloatArray, Grid
 from meshdeform_core.series import grid_velocity
 
+from ..fields import WITH_FIELDS
 from ..files import remove_partial, replacing
 from ..grids import FORMATS, format_of, read_grid, variant_of, write_grid
 from .index import index_path, write_index
 
 VELOCITY = "GridVelocity"
-_WITH_FIELDS = (*FORMATS["vtk"].suffixes, *FORMATS["cgns"].suffixes, ".vtu", ".xdmf")
+Dress = Callable[[Grid], Grid]
+"""A level with fields added."""
+
+
+def _as_it_is(grid: Grid) -> Grid:
+    return grid
 
 
 class SeriesFiles(Protocol):
-    """How levels lie on disk. Every file is whole or absent, whenever the program is stopped."""
+    """How levels lie on disk. Every file is whole or absent, whenever the program is stopped.
+
+    ``dress`` adds fields to a level on its way to its file.
+    """
 
     variant: FileFormat
+    dress: Dress
 
     @property
     def outputs(self) -> list[Path]:
@@ -96,12 +106,12 @@ class LevelFiles:
         self._grid, self._folder, self._times = grid, folder, times
         self._stem, self._suffix = Path(name).stem, Path(name).suffix.lower()
         format_of(Path(name))
-        if velocity != "none" and self._suffix not in _WITH_FIELDS:
+        if velocity != "none" and self._suffix not in WITH_FIELDS:
             raise FormatError(
-                f"{self._suffix} files hold no grid velocity; choose one of {' '.join(dict.fromkeys(_WITH_FIELDS))}, "
+                f"{self._suffix} files hold no grid velocity; choose one of {' '.join(dict.fromkeys(WITH_FIELDS))}, "
                 f"or leave the velocity out"
             )
-        self._options = options
+        self._options, self.dress = options, _as_it_is
         self.variant = variant_of(grid, folder / name, options)
         self.view = index_path(folder, self._stem, self._suffix)
 
@@ -114,7 +124,7 @@ class LevelFiles:
         return self._folder / level_name(self._stem, number, len(self._times), self._suffix)
 
     def write(self, number: int, grid: Grid, velocity: FloatArray | None) -> None:
-        write_grid(with_velocity(grid, velocity, self.variant.precision), self.path(number), self._options)
+        write_grid(with_velocity(self.dress(grid), velocity, self.variant.precision), self.path(number), self._options)
 
     def read(self, number: int) -> FloatArray:
         path = self.path(number)
@@ -171,6 +181,7 @@ class SingleFile:
         if format_of(self.view) != "cgns":
             raise FormatError(f"{self.view}: only a CGNS file can hold all levels; choose the suffix .cgns")
         require_steady(grid)
+        self.dress = _as_it_is
         self.variant = variant_of(grid, self.view, options)
         self._levels = folder / f"{self.view.stem}.levels"
 
@@ -207,7 +218,7 @@ class SingleFile:
             write_series(self._grid, self.view, self.variant, self._times, self._level)
 
     def _level(self, number: int) -> Grid:
-        grid = dataclasses.replace(self._grid, points=self.read(number), fields=())
+        grid = self.dress(dataclasses.replace(self._grid, points=self.read(number), fields=()))
         if self._velocity == "none":
             return grid
         past = [self.read(n) for n in range(max(0, number - 2), number)]

@@ -29,10 +29,14 @@ Cells = tuple[slice, slice, slice]
 
 @dataclass(frozen=True)
 class CellMeasure:
-    """What one value per cell means; ``from_reference`` ones compare with the undeformed grid."""
+    """What one value per cell means.
+
+    ``from_reference`` ones compare with the undeformed grid, ``of_walls`` ones need to know where walls are.
+    """
 
     definition: str
     from_reference: bool = False
+    of_walls: bool = False
 
 
 CELL_MEASURES = {
@@ -46,11 +50,11 @@ CELL_MEASURES = {
     "growth_ratio": CellMeasure("growth ratio to the neighbours"),
     "non_orthogonality_deg": CellMeasure("non-orthogonality [deg]"),
     "skewness": CellMeasure("skewness"),
-    "wall_normal_deviation_deg": CellMeasure("grid line to wall normal [deg]"),
-    "first_cell_height_ratio": CellMeasure("first cell height over the undeformed one", from_reference=True),
+    "wall_normal_deviation_deg": CellMeasure("grid line to wall normal [deg]", of_walls=True),
+    "first_cell_height_ratio": CellMeasure("first cell height over the undeformed one", True, of_walls=True),
     "interface_kink_deg": CellMeasure("kink of grid lines at block interfaces [deg]"),
     "interface_spacing_jump": CellMeasure("spacing jump at block interfaces, ln"),
-    "wall_distance": CellMeasure("distance to the nearest wall node"),
+    "wall_distance": CellMeasure("distance to the nearest wall node", of_walls=True),
     "displacement": CellMeasure("displacement", from_reference=True),
 }
 """All measures by name. Those of walls have no value (NaN) but in the cells at walls, those of interfaces but beside
@@ -67,13 +71,13 @@ class CellFields:
     ----------
     topology : of the undeformed grid
     reference : the undeformed grid; cells that became invalid are judged against it
-    walls : numbers of the face quads of walls; by default those that the file declares or that look like walls
+    moving : numbers of face quads that move, which are walls whatever they look like
     """
 
     grid: Grid
     topology: Topology
     reference: Grid | None = None
-    walls: IntArray | None = None
+    moving: IntArray | None = None
 
     @cached_property
     def outside(self) -> Outside:
@@ -103,6 +107,8 @@ class CellFields:
             raise CaseError(f"measure {measure!r} is unknown{near or '; known are ' + ', '.join(CELL_MEASURES)}")
         if CELL_MEASURES[measure].from_reference and self.reference is None:
             raise CaseError(f"{measure} compares with the undeformed grid; give --reference")
+        if CELL_MEASURES[measure].of_walls and not len(self.walls):
+            raise CaseError(f"{measure}: no wall is known; see `meshdeform info`")
 
     def bad(self, block: int, cells: Cells) -> BoolArray:
         """Invalid cells: where there is an undeformed grid those that became so, else those turned inside out."""
@@ -126,19 +132,17 @@ class CellFields:
         return judge(Original(self.reference or self.grid, self.topology), self.grid.points)
 
     @cached_property
-    def wall_quads(self) -> IntArray:
-        """Numbers of the face quads of walls."""
-        if self.walls is not None:
-            return self.walls
+    def walls(self) -> IntArray:
+        """Numbers of the face quads of walls: what the file declares or what looks like one, and what moves."""
         quads = [surface.quads for surface in self.outside.of_role(Role.WALL)]
-        if not quads:
-            raise CaseError("no wall is known, which wall measures need; see `meshdeform info`")
-        return np.concatenate(quads)
+        if self.moving is not None:
+            quads.append(self.moving)
+        return np.unique(np.concatenate([np.empty(0, np.int64), *quads]))
 
     @cached_property
     def at_walls(self) -> tuple[FloatArray, FloatArray]:
         """Deviation from the wall normal (degrees) and height ratio (n_cells,) of the cells at walls, else NaN."""
-        return wall_cells(self.reference or self.grid, self.topology, self.grid.points, self.wall_quads)
+        return wall_cells(self.reference or self.grid, self.topology, self.grid.points, self.walls)
 
     @cached_property
     def at_interfaces(self) -> tuple[FloatArray, FloatArray]:
@@ -152,7 +156,7 @@ class CellFields:
 
     @cached_property
     def _wall_tree(self) -> cKDTree:
-        nodes = np.unique(self.topology.quads.corners[self.wall_quads])
+        nodes = np.unique(self.topology.quads.corners[self.walls])
         return cKDTree(self.grid.points[self.topology.first[nodes]])
 
     def _box(self, values: np.ndarray, block: int, cells: Cells) -> np.ndarray:

@@ -1,14 +1,11 @@
 """New CGNS files from grids of other formats or made in memory, checked by cgnscheck, vtk and our own reader."""
 
-import shutil
-import subprocess
 from dataclasses import replace
-from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
-from cgns_witness import box
+from cgns_witness import assert_cgnscheck_finds_no_error, box
 from grids import whole_face
 
 from meshdeform_core.grid import Connection, Field, Grid, Patch, Periodicity, Side, Window
@@ -16,14 +13,6 @@ from meshdeform_formats import read_grid, write_grid
 from meshdeform_formats.cgns.new_boundary import bc_type
 from meshdeform_formats.cgns.periodic import inverse_motion, rotation_matrix
 from meshdeform_formats.cgns.storage.names import unique_names
-
-
-def assert_cgnscheck_finds_no_error(path: Path) -> None:
-    if shutil.which("cgnscheck") is None:
-        pytest.skip("cgnscheck is not installed")
-    report = subprocess.run(["cgnscheck", str(path)], capture_output=True, text=True, timeout=60, check=True).stdout
-    assert "checking complete" in report
-    assert "ERROR" not in report
 
 
 def two_blocks(**more: object) -> Grid:

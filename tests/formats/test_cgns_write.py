@@ -12,6 +12,7 @@ import pytest
 from cgns_witness import (
     AdfWriter,
     N,
+    assert_cgnscheck_finds_no_error,
     box,
     connectivity,
     differences,
@@ -53,12 +54,6 @@ def run(tool: str, *arguments: Path) -> str:
     if shutil.which(tool) is None:
         pytest.skip(f"{tool} is not installed")
     return subprocess.run([tool, *map(str, arguments)], capture_output=True, text=True, timeout=60, check=True).stdout
-
-
-def assert_cgnscheck_finds_no_error(path: Path) -> None:
-    report = run("cgnscheck", path)
-    assert "checking complete" in report
-    assert "ERROR" not in report
 
 
 def full_file() -> N:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
-import subprocess
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -13,6 +11,7 @@ import meshio
 import numpy as np
 import pytest
 import vtk_witness
+from cgns_witness import assert_cgnscheck_finds_no_error
 from grids import frame, frame_2d
 from vtkmodules.util.numpy_support import vtk_to_numpy
 from vtkmodules.vtkCommonDataModel import vtkCompositeDataSet
@@ -257,11 +256,3 @@ def test_what_a_killed_program_left_is_removed_and_nothing_else(tmp_path):
     # Pieces without their index would be in the way of the level that is made anew.
     assert [files.has(n) for n in range(3)] == [True, True, False]
     assert [files.path(n).with_suffix("").exists() for n in range(3)] == [True, True, False]
-
-
-def assert_cgnscheck_finds_no_error(path: Path) -> None:
-    if shutil.which("cgnscheck") is None:
-        return
-    report = subprocess.run(["cgnscheck", str(path)], capture_output=True, text=True, timeout=60, check=True).stdout
-    assert "checking complete" in report
-    assert "ERROR" not in report

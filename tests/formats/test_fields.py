@@ -1,0 +1,105 @@
+"""Measures and displacements in files, read back by vtk, h5py and cgnscheck."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import h5py
+import numpy as np
+import pytest
+import vtk_witness
+from cgns_witness import assert_cgnscheck_finds_no_error
+from grids import frame, polar
+
+from meshdeform_core.errors import CaseError, FormatError
+from meshdeform_core.grid import Field, Grid
+from meshdeform_core.grid.topology import find_topology
+from meshdeform_core.quality.fields import CELL_MEASURES, CellFields
+from meshdeform_formats.fields import WITH_FIELDS, check_fields, with_fields
+from meshdeform_formats.grids import write_grid
+from meshdeform_formats.series.files import SingleFile
+
+
+def moved(grid: Grid) -> CellFields:
+    x = grid.points
+    after = grid.moved(x + 0.03 * np.sin(3 * x[:, [1, 2, 0]]))
+    return CellFields(after, find_topology(grid), grid)
+
+
+def test_vtk_reads_them(tmp_path):
+    cells = moved(polar())
+    write_grid(with_fields(cells, ["all"]), tmp_path / "polar.vts")
+    points, arrays, _ = vtk_witness.read(tmp_path / "polar.vts")
+    np.testing.assert_array_equal(arrays["node", "displacement"], points - polar().block(0))
+    for name in CELL_MEASURES:
+        if name != "displacement":
+            expected = cells.values(name, 0, cells.whole(0)).astype(np.float32)
+            np.testing.assert_array_equal(arrays["cell", name], expected, err_msg=name)
+    assert not arrays["cell", "invalid"].any()
+
+
+def test_invalid_cells_are_marked(tmp_path):
+    grid = frame()
+    points = grid.points.copy()
+    inside = int(grid.offsets[3]) + np.ravel_multi_index((2, 2, 1), grid.shapes[3])
+    points[inside] += [1.5, 0.0, 0.0]
+    cells = CellFields(grid.moved(points), find_topology(grid), grid)
+    write_grid(with_fields(cells, ["invalid"]), tmp_path / "frame.vtm")
+    _, arrays, _ = vtk_witness.read(tmp_path / "frame" / "frame_3.vts")
+    marked = np.argwhere(arrays["cell", "invalid"])
+    assert len(marked) > 0
+    # Only cells that have the node are.
+    assert ((marked >= (1, 1, 0)) & (marked <= (2, 2, 1))).all()
+
+
+def test_cgns_holds_them_as_flow_solutions(tmp_path):
+    cells = moved(frame())
+    write_grid(with_fields(cells, ["displacement", "f_skew", "interface_spacing_jump"]), tmp_path / "frame.cgns")
+    with h5py.File(tmp_path / "frame.cgns") as file:
+        zone = file["Base"]["block3"]
+        stored = np.stack([zone[f"FlowSolutionVertex/displacement{c}/ data"][()].T for c in "XYZ"], axis=-1)
+        np.testing.assert_array_equal(stored, cells.grid.block(2) - frame().block(2))
+        skew = zone["FlowSolutionCellCenter/f_skew/ data"][()].T
+        np.testing.assert_array_equal(skew, cells.values("f_skew", 2, cells.whole(2)).astype(np.float32))
+    assert_cgnscheck_finds_no_error(tmp_path / "frame.cgns")
+
+
+def test_levels_in_one_file_have_them(tmp_path):
+    grid = frame()
+    files = SingleFile(grid, tmp_path, "frame.cgns", (0.0, 1.0), {}, "none")
+    files.dress = lambda level: with_fields(CellFields(level, find_topology(grid), grid), ["displacement"])
+    files.write(0, grid, None)
+    files.write(1, grid.moved(grid.points + [0.0, 0.25, 0.0]), None)
+    files.publish(2)
+    assert_cgnscheck_finds_no_error(tmp_path / "frame.cgns")
+    found = []
+    with h5py.File(tmp_path / "frame.cgns") as file:
+        file.visititems(lambda name, node: found.append(node[()]) if name.endswith("displacementY/ data") else None)
+    assert sorted({float(values.mean()) for values in found}) == [0.0, 0.25]
+
+
+def test_fields_of_the_same_name_are_replaced_and_others_stay():
+    grid = frame()
+    old = [Field(name, "cell", b, np.zeros(grid.cell_shapes[b])) for name in ("f_skew", "T") for b in range(8)]
+    dressed = with_fields(CellFields(dataclasses.replace(grid, fields=tuple(old)), find_topology(grid)), ["f_skew"])
+    assert sorted({field.name for field in dressed.fields}) == ["T", "f_skew"]
+    assert len(dressed.fields) == 16
+    np.testing.assert_array_equal([field.values.max() for field in dressed.fields if field.name == "f_skew"], 1.0)
+
+
+def test_all_are_those_that_the_grid_has():
+    alone = with_fields(CellFields(frame(), find_topology(frame())), ["all"])
+    names = {field.name for field in alone.fields}
+    assert "aspect_ratio" in names
+    assert not names & {name for name, measure in CELL_MEASURES.items() if measure.from_reference}
+
+
+def test_refusals(tmp_path):
+    with pytest.raises(CaseError, match="did you mean 'displacement'"):
+        check_fields(["displacment"], tmp_path / "a.vtm", True)
+    with pytest.raises(CaseError, match="give --reference"):
+        check_fields(["volume_ratio"], tmp_path / "a.vtm", False)
+    with pytest.raises(FormatError, match=r"\.xyz files hold no fields"):
+        check_fields(["f_skew"], tmp_path / "a.xyz", True)
+    for suffix in WITH_FIELDS:
+        check_fields(["all", "f_skew"], tmp_path / f"a{suffix}", False)
