@@ -69,7 +69,7 @@ def prepare(job: Job, source: GridInput, wanted: Wanted, warnings: Warnings) -> 
     check_fields(wanted.fields, Path(name), True)
     grid = complete_for_export(job.grid, Path(name))
     kind = SingleFile if wanted.single_file else LevelFiles
-    files = kind(grid, wanted.folder, name, times, wanted.variant, wanted.velocity)
+    files: SeriesFiles = kind(grid, wanted.folder, name, times, wanted.variant, wanted.velocity)
     manifest = Manifest(wanted.folder / NAME, {})
     for path in [*files.outputs, manifest.path]:
         keep_inputs(path, *source.files, *job.case.files)

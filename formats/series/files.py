@@ -111,7 +111,8 @@ class LevelFiles:
                 f"{self._suffix} files hold no grid velocity; choose one of {' '.join(dict.fromkeys(WITH_FIELDS))}, "
                 f"or leave the velocity out"
             )
-        self._options, self.dress = options, _as_it_is
+        self._options = options
+        self.dress: Dress = _as_it_is
         self.variant = variant_of(grid, folder / name, options)
         self.view = index_path(folder, self._stem, self._suffix)
 
@@ -181,7 +182,7 @@ class SingleFile:
         if format_of(self.view) != "cgns":
             raise FormatError(f"{self.view}: only a CGNS file can hold all levels; choose the suffix .cgns")
         require_steady(grid)
-        self.dress = _as_it_is
+        self.dress: Dress = _as_it_is
         self.variant = variant_of(grid, self.view, options)
         self._levels = folder / f"{self.view.stem}.levels"
 

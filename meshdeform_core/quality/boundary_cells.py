@@ -35,13 +35,7 @@ def _corners(face: WallFace, values: FloatArray) -> FloatArray:
     """Values of the touched nodes of a face at the corners (n, 2 or 4) of its wall quads."""
     at_nodes = np.full(face.nodes.shape, np.nan)
     at_nodes[face.touched] = values
-    qa, qb = face.wall.shape
-    corners = [
-        at_nodes[a : a + qa, b : b + qb][face.wall]
-        for a in range(min(2, at_nodes.shape[0]))
-        for b in range(min(2, at_nodes.shape[1]))
-    ]
-    return np.stack(corners, axis=1)
+    return np.stack([at_nodes[window][face.wall] for window in face.corners], axis=1)
 
 
 def _farthest(known: FloatArray, ratios: FloatArray) -> FloatArray:
@@ -73,10 +67,11 @@ def interface_cells(
     if quads.size == 0:
         return kink, jump
     lines, _ = lines_across(grid, topology, quads)
-    new = kink_and_jump(lines, after)
-    old = (0.0, 0.0) if before is None else kink_and_jump(lines, before)
-    for target, now, then in zip((kink, jump), new, old, strict=True):
-        worst = np.abs(now - then).max(axis=1)
+    found = list(kink_and_jump(lines, after))
+    if before is not None:
+        found = [now - then for now, then in zip(found, kink_and_jump(lines, before), strict=True)]
+    for target, values in zip((kink, jump), found, strict=True):
+        worst = np.abs(values).max(axis=1)
         for sides in (quads, topology.partner[quads]):
             np.fmax.at(target, _cells_behind(grid, topology, sides), worst)
     return kink, jump

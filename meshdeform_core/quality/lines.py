@@ -107,10 +107,15 @@ class WallFace:
     def touched(self) -> BoolArray:
         """Nodes (na, nb) of its wall quads."""
         touched = np.zeros(self.nodes.shape, dtype=bool)
-        for a in range(min(2, touched.shape[0])):
-            for b in range(min(2, touched.shape[1])):
-                touched[a : a + self.wall.shape[0], b : b + self.wall.shape[1]] |= self.wall
+        for window in self.corners:
+            touched[window] |= self.wall
         return touched
+
+    @property
+    def corners(self) -> list[tuple[slice, slice]]:
+        """The windows of ``nodes`` that hold the first, second, ... corner of every quad."""
+        (na, nb), (qa, qb) = self.nodes.shape, self.wall.shape
+        return [(slice(a, a + qa), slice(b, b + qb)) for a in range(min(2, na)) for b in range(min(2, nb))]
 
 
 def moving_walls(grid: Grid, topology: Topology, boundary: Boundary) -> list[WallFace]:
@@ -158,9 +163,8 @@ def wall_lines(face: WallFace, points: FloatArray, plane_normal: FloatArray | No
     unit = np.divide(quad_normal, length, out=np.zeros_like(quad_normal), where=length > 0) * face.wall[..., None]
     normal = np.zeros_like(x)
     touched = face.touched
-    for a in range(min(2, x.shape[0])):
-        for b in range(min(2, x.shape[1])):
-            normal[a : a + unit.shape[0], b : b + unit.shape[1]] += unit
+    for window in face.corners:
+        normal[window] += unit
     n = normal[touched]
     size = np.linalg.norm(n, axis=1, keepdims=True)
     n = np.divide(n, size, out=np.zeros_like(n), where=size > 0)
