@@ -30,6 +30,7 @@ from meshdeform_core.grid.selection import quads_of_window
 from meshdeform_core.grid.topology import Topology, find_topology
 
 from .files import replacing
+from .hdf5_output import target
 from .vtk.dataset import storable
 from .vtk.options import checked_options
 
@@ -193,7 +194,9 @@ def _write_med(grid: Grid, mesh: _Unstructured, path: Path, options: Mapping[str
     tags = [-(mesh.block + 1 + len(mesh.names)), -(mesh.patch + 1)]
     med = meshio.Mesh(mesh.points, _cells_and_faces(mesh), cell_data={"cell_tags": tags})
     med.cell_tags = {-(1 + number): [name] for number, name in enumerate([*mesh.names, *grid.names])}
-    med.write(path, file_format="med")
+    # meshio opens the file by a name only; its writer takes what h5py takes.
+    with target(path, "w") as sink:
+        meshio.med.write(sink, med)
 
 
 def _write_inp(grid: Grid, mesh: _Unstructured, path: Path, options: Mapping[str, Any]) -> None:

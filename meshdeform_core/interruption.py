@@ -10,6 +10,7 @@ import contextlib
 from collections.abc import Callable, Iterator
 
 _requests: list[int] = []
+_deferrals: list[None] = []
 _pending: list[Callable[[], object]] = []
 
 
@@ -25,8 +26,19 @@ def requested() -> int | None:
 
 def check() -> None:
     """Raise ``SystemExit`` with the exit code of the signal if the program was asked to stop."""
-    if _requests:
+    if _requests and not _deferrals:
         raise SystemExit(128 + _requests[0])
+
+
+@contextlib.contextmanager
+def deferred() -> Iterator[None]:
+    """Let :func:`check` raise when the block has ended only, for libraries that no exception may pass through."""
+    _deferrals.append(None)
+    try:
+        yield
+    finally:
+        _deferrals.pop()
+    check()
 
 
 @contextlib.contextmanager

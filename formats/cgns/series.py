@@ -16,6 +16,7 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FileFormat, Grid
 
 from ..files import replacing
+from ..hdf5_output import hdf5_output
 from . import format as cgns
 from .notes import Notes
 from .storage.file import opened_cgns
@@ -58,7 +59,7 @@ def write_series(
         with opened_cgns(partial) as root:
             base = find_base(root, Notes())
             zones = structured_zones(base, Notes())
-        with hdf5_errors(path, "write"), h5py.File(partial, "r+") as file:
+        with hdf5_errors(path, "write"), hdf5_output(partial, "r+") as file:
             group = own_group(file, base.node)
             groups = [own_group(group, zone.node) for zone in zones]
             pointers = [_add_level(groups, zones, level(n), n, variant.precision) for n in range(len(times))]

@@ -18,6 +18,7 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray, Grid
 
 from ..files import replacing
+from ..hdf5_output import hdf5_output
 from .notes import Notes
 from .storage.adf import is_adf
 from .storage.file import naming, opened_cgns
@@ -47,7 +48,7 @@ def write_copy(grid: Grid, path: Path, precision: str | None) -> None:
                 write_hdf5(root, partial)
             else:
                 shutil.copyfile(source, partial)
-            with h5py.File(partial, "r+") as file:
+            with hdf5_output(partial, "r+") as file:
                 _adapt_links(file, source.parent, path.parent)
                 group = own_group(file, base.node)
                 for block, zone in enumerate(zones):

@@ -99,8 +99,11 @@ def check_picture_path(path: Path) -> None:
 def save_page(page: Page, path: Path, width: float = 7.2) -> None:
     """Write a page; the suffix picks png, svg or pdf, ``width`` is in inches."""
     check_picture_path(path)
+    # In memory first: matplotlib cannot close a file on a full disk.
+    buffer = io.BytesIO()
+    _save(page, buffer, path.suffix.lower().lstrip("."), width, STYLE["savefig.dpi"])
     with replacing(path) as partial:
-        _save(page, partial, path.suffix.lower().lstrip("."), width, STYLE["savefig.dpi"])
+        partial.write_bytes(buffer.getbuffer())
 
 
 def page_png(page: Page, width: float = 7.2, dpi: int = 150) -> bytes:

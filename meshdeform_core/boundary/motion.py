@@ -19,6 +19,8 @@ from .expression import Expression
 from .transfer import Matching, Nodes, SurfaceData, Transfer, transfer
 
 VARIABLES = ("x", "y", "z", "t")
+LARGEST = 1e30
+"""No coordinate is larger (``formats.plausible``), and so no displacement: squares of it are finite."""
 
 
 class Step(Protocol):
@@ -60,7 +62,9 @@ class Rotate:
     def increment(self, current: FloatArray, values: Mapping[str, Any], fraction: float) -> FloatArray:
         arm = current - _vector(self.center, values, len(current))
         angle = np.deg2rad(fraction * np.broadcast_to(self.angle(values), len(current)))[:, None]
-        axis = np.asarray(self.axis) / np.linalg.norm(self.axis)
+        # Scaled first: squares of lengths beyond 1e154 are not finite.
+        axis = np.asarray(self.axis) / np.abs(self.axis).max()
+        axis /= np.linalg.norm(axis)
         # Rodrigues' formula as a displacement: no rotation moves nothing, exactly.
         lift = np.cross(axis, arm)
         return np.sin(angle) * lift + 2 * np.sin(angle / 2) ** 2 * np.cross(axis, lift)
@@ -209,7 +213,7 @@ class PreparedMotion:
         Raises
         ------
         MotionError
-            When a formula is not finite at a node.
+            When a displacement is not finite, or larger than any length.
         """
         points = self.nodes.points
         x, y, z = points.T
@@ -221,13 +225,14 @@ class PreparedMotion:
         return total
 
     def _require_finite(self, total: FloatArray, index: int, time: float) -> None:
-        bad: BoolArray = np.asarray(~np.isfinite(total).all(axis=1))
+        bad: BoolArray = np.asarray(~(np.abs(total) <= LARGEST).all(axis=1))
         if bad.any():
             worst = int(np.argmax(bad))
             raise MotionError(
                 f"motion step {index + 1} gives the displacement {total[worst].tolist()} at node "
                 f"{self.nodes.label(worst)} = {self.nodes.points[worst].tolist()}, "
-                f"t = {time:g} ({int(bad.sum())} of {len(bad)} nodes); expected finite numbers: check the formulas"
+                f"t = {time:g} ({int(bad.sum())} of {len(bad)} nodes); expected finite numbers up to "
+                f"{LARGEST:g}: check the formulas"
             )
 
 

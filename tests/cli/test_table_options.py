@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import json
-import shutil
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-HOSTILE = Path(__file__).parents[3] / "shared" / "hostile"
 RUN = ("deform", "grid.xyz", "-d", "table.csv", "-o", "out.xyz", "--report", "out.json")
 
 
@@ -61,54 +58,3 @@ def test_half_of_the_rows_is_refused(bench, call):
     result = call(*RUN)
     assert result.code == 2
     assert "belong to no face that moves as a whole" in result.err
-
-
-# The files that showed the defects, where they are at hand.
-
-
-@pytest.fixture
-def hostile(tmp_path, monkeypatch):
-    if not HOSTILE.is_dir():
-        pytest.skip("the hostile files are not part of the repository")
-    monkeypatch.chdir(tmp_path)
-    for path in HOSTILE.iterdir():
-        shutil.copy(path, tmp_path)
-    return tmp_path
-
-
-def test_hostile_table_in_mm(hostile, call):
-    result = call("deform", "g3.xyz", "-d", "e3_table_mm.csv", "-m", "tfi", "-o", "out.xyz")
-    assert result.code == 2
-    assert "11 of 12 table points" in result.err
-    assert "multiplied by 0.001" in result.err
-
-
-def test_hostile_wall_in_mm(hostile, call):
-    entry = "boundary=[{select=['block1.jmin','block2.jmin'],motion=[{file='e3b_wall_mm.csv',match='interpolate'}]}]"
-    result = call("deform", "e4_closed.xyz", "-s", entry, "-o", "out.xyz")
-    assert result.code == 2
-    assert "different length units?" in result.err
-
-
-def test_hostile_archive(hostile, call):
-    result = call("deform", "g3.xyz", "-d", "t_bad.npz", "-o", "out.xyz")
-    assert result.code == 2
-    assert "t_bad.npz" in result.err
-
-
-def test_hostile_gap(hostile, call):
-    moved = "boundary=[{select=['block1.jmin','block2.jmin'],motion=[{translate=[0,0.002,0]}]}]"
-    assert call("deform", "e4_closed.xyz", "-s", moved, "-o", "closed.xyz").code == 0
-    result = call("deform", "e4_gap.xyz", "-s", moved, "-o", "gap.xyz")
-    assert result.code == 2
-    assert "block1.imax[1:4,1:5] (12 quads) and block2.imin nearly coincide" in result.err
-    assert "grid.tolerance = 0.0021 closes it" in result.err
-    assert call("deform", "e4_gap.xyz", "-s", moved, "-s", "grid.tolerance=0.0021", "-o", "gap.xyz").code == 0
-    assert call("compare", "gap.xyz", "closed.xyz", "--tolerance", "2e-4").code == 0
-    assert "nearly coincide" in call("info", "e4_gap.xyz").out
-
-
-def test_hostile_point(hostile, call):
-    result = call("info", "c_const.xyz")
-    assert result.code == 2
-    assert "Traceback" not in result.err

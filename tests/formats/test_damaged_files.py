@@ -6,7 +6,6 @@ import stat
 import time
 import warnings
 import zipfile
-from pathlib import Path
 
 import h5py
 import numpy as np
@@ -18,7 +17,6 @@ from meshdeform_core.grid import Field, Grid
 from meshdeform_formats import read_grid, write_grid
 from meshdeform_formats.displacement import read_displacement
 
-HOSTILE = Path(__file__).parent.parent / "hostile"
 POINTS = np.random.default_rng(0).random((10, 3))
 
 
@@ -154,11 +152,6 @@ def test_archives_that_are_no_tables(tmp_path):
         read_displacement(tmp_path / "b.npy")
 
 
-def test_an_archive_whose_content_is_damaged():
-    with pytest.raises(FormatError, match=r"t_bad\.npz: .*decompress"):
-        read_displacement(HOSTILE / "t_bad.npz")
-
-
 def test_hdf5_tables_that_announce_too_much_or_lead_in_circles(tmp_path):
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file.create_dataset("points", (10**9, 3), "f8", chunks=(1000, 3))
@@ -174,11 +167,6 @@ def test_hdf5_tables_that_announce_too_much_or_lead_in_circles(tmp_path):
         file["table/displacement"] = POINTS
         file["table/again"] = h5py.SoftLink("/table")
     np.testing.assert_array_equal(read_displacement(tmp_path / "b.h5").points, POINTS)
-
-
-def test_a_damaged_root_of_hdf5():
-    with pytest.raises(FormatError, match=r"c_root\.cgns as HDF5: it is damaged.*checksum"):
-        read_grid(HOSTILE / "c_root.cgns")
 
 
 @pytest.mark.parametrize("name", ["a.xyz", "a.fmt", "a.vts", "a.vtk", "a.cgns"])

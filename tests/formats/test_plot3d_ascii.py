@@ -175,21 +175,6 @@ def test_the_fast_way_takes_all_plain_numbers(words):
     assert np.array_equal(fast, plot3d_numbers._spelled_numbers(" ".join(words).encode(), 1, Path("grid")))
 
 
-HOSTILE = Path(__file__).parent.parent / "hostile"
-
-
-def test_a_text_of_integers_is_ambiguous():
-    """Three blocks of a plane grid or one block with IBLANK: both have the size, and no number shows what it is."""
-    with pytest.raises(
-        FormatError, match=r"can be read in 2 ways.*multiblock=true, dimension=2, iblank=false .*3 blocks"
-    ):
-        read_grid(HOSTILE / "e6_integers.fmt")
-    grid = read_grid(HOSTILE / "e6_integers.fmt", {"multiblock": "true"})
-    assert grid.shapes == ((2, 5, 1), (2, 8, 1), (8, 4, 1))
-    assert not grid.fields
-    assert read_grid(HOSTILE / "e6_integers.fmt", {"iblank": "true"}).shapes == ((3, 2, 5),)
-
-
 @pytest.mark.parametrize("number", ["{:g}", "{:.3f}"])
 @pytest.mark.parametrize("flags", [True, False])
 def test_the_way_of_writing_proves_iblank_or_nothing(tmp_path, number, flags):

@@ -1,4 +1,4 @@
-"""Write CGNS trees in HDF5 as the CGNS library would; :mod:`.cgns_hdf5` describes the layout."""
+"""Write CGNS trees in HDF5 as the CGNS library would; :mod:`.hdf5` describes the layout."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError
 
+from ...hdf5_output import hdf5_output
 from .hdf5 import DATA, LINK, LINK_FILE, LINK_PATH, attribute
 from .tree import DTYPES, MAXIMUM_DEPTH, NAME_LENGTH, Node
 
@@ -44,7 +45,7 @@ def write_hdf5(tree: Node, path: Path) -> None:
     Links inside the file stay links. What a link to another file leads to is copied into the new file, because the
     other file may be of a kind that HDF5 links cannot reach; if it is missing, the link is kept.
     """
-    with h5py.File(path, "w", libver=("earliest", "v108"), track_order=True) as file:
+    with hdf5_output(path, "w", libver=("earliest", "v108"), track_order=True) as file:
         root = h5g.open(file.id, b"/")
         _describe(root, "HDF5 MotherNode", "Root Node of HDF5 File", "MT")
         file[_FORMAT] = characters(f"IEEE_{sys.byteorder.upper()}_32")
@@ -74,7 +75,8 @@ def own_group(parent: h5py.Group, node: Node) -> h5py.Group:
 
 def put_node(parent: h5py.Group, node: Node) -> None:
     """Add a node to a file being written, in the place of any node of the same name."""
-    if node.name in parent:
+    # Whether there is a link of this name; where it leads does not matter.
+    if parent.id.links.exists(node.name.encode()):
         del parent[node.name]
     _write(parent.id, node, Path(), 0)
 

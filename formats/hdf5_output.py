@@ -1,0 +1,123 @@
+"""HDF5 files on disks that fill up.
+
+The HDF5 library cannot close a file whose last bytes it failed to write: it complains on stderr, keeps the file open
+and may end the process when the interpreter exits. So it writes through an object that never fails towards it; the
+first failure is kept, what comes after it is dropped, and the failure is raised when the file is closed.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import h5py
+from h5py import h5f
+
+from meshdeform_core import interruption
+
+
+@contextmanager
+def hdf5_output(path: Path, mode: str, **options: Any) -> Iterator[h5py.File]:
+    """An HDF5 file to be written: ``mode`` is ``w`` or ``r+``, ``options`` are those of ``h5py.File``.
+
+    Raises
+    ------
+    OSError
+        When anything could not be written, once the block has ended.
+    FormatError
+        When the block failed for another reason that the library gives.
+    """
+    with target(path, mode) as sink, h5py.File(sink, mode, **options) as file:
+        yield file
+
+
+@contextmanager
+def target(path: Path, mode: str) -> Iterator[Sink]:
+    """What ``h5py.File`` takes in the place of a path, for libraries that open the file themselves."""
+    sink = Sink(path, mode)
+    try:
+        # An exception out of a signal handler must not pass through the library either.
+        with interruption.deferred():
+            yield sink
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
+        raise sink.failure or error from error
+    finally:
+        _close(sink)
+    if sink.failure is not None:
+        raise sink.failure
+
+
+def _close(sink: Sink) -> None:
+    """Close the file, and first the HDF5 files that somebody left open on it."""
+    # h5py names a file by what it was opened with.
+    name = repr(sink).encode()
+    for left in h5f.get_obj_ids(h5f.OBJ_ALL, h5f.OBJ_FILE):
+        if left.valid and left.name == name:
+            h5py.File(left).close()
+    sink.close()
+
+
+class Sink:
+    """A file as ``h5py.File`` takes it; after ``failure``, the first error of the system, nothing is written."""
+
+    def __init__(self, path: Path, mode: str):
+        flags = os.O_RDWR | getattr(os, "O_BINARY", 0) | (os.O_CREAT | os.O_TRUNC if mode == "w" else 0)
+        self._file = os.open(path, flags, 0o666)
+        self._at = 0
+        self.failure: OSError | None = None
+
+    def close(self) -> None:
+        os.close(self._file)
+
+    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
+        start = {os.SEEK_SET: 0, os.SEEK_CUR: self._at}.get(whence)
+        self._at = offset + (os.fstat(self._file).st_size if start is None else start)
+        return self._at
+
+    def tell(self) -> int:
+        return self._at
+
+    def readinto(self, buffer: Any) -> int:
+        """Fill ``buffer``; what was dropped reads as zeros."""
+        view = memoryview(buffer).cast("B")
+        done = 0
+        os.lseek(self._file, self._at, os.SEEK_SET)
+        while done < len(view) and (data := os.read(self._file, len(view) - done)):
+            view[done : done + len(data)] = data
+            done += len(data)
+        view[done:] = bytes(len(view) - done)
+        self._at += len(view)
+        return len(view)
+
+    def write(self, buffer: Any) -> int:
+        view = memoryview(buffer).cast("B")
+        if self.failure is None and interruption.requested() is None:
+            try:
+                os.lseek(self._file, self._at, os.SEEK_SET)
+                done = 0
+                while done < len(view):
+                    done += os.write(self._file, view[done:])
+            except OSError as error:
+                self.failure = error
+        self._at += len(view)
+        return len(view)
+
+    def truncate(self, size: int | None = None) -> int:
+        size = self._at if size is None else size
+        if self.failure is None:
+            try:
+                os.ftruncate(self._file, size)
+            except OSError as error:
+                self.failure = error
+        return size
+
+    def flush(self) -> None:
+        pass
+
+    def read(self, size: int) -> bytes:
+        data = bytearray(size)
+        self.readinto(data)
+        return bytes(data)

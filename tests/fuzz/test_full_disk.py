@@ -1,0 +1,166 @@
+"""A disk that fills up at any byte of any output: one message, exit code 2, everything as it was, nothing beside it.
+
+A limit on the size of files stands for the full disk: the system refuses to write in the same way.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from grids import frame
+
+from fuzz.campaign import CASE, called
+from meshdeform_core.grid import Field, Grid
+from meshdeform_formats import read_grid, write_grid
+
+resource = pytest.importorskip("resource")
+PARTS = (0.0, 0.3, 0.95, 1.0)
+"""Of the size of the largest file that the command writes."""
+ONE_BLOCK = (".vts", ".vtk")
+MANY_BLOCKS = (".xyz", ".p3dfmt", ".cgns", ".vtm", ".vtu", ".xdmf", ".msh", ".med", ".su2", ".inp")
+REPORTS = (".json", ".txt", ".md", ".html")
+PICTURES = (".png", ".svg", ".pdf")
+SERIES = (".xyz", ".cgns", ".vtm")
+
+
+@contextlib.contextmanager
+def full_after(size: int):
+    """No file grows beyond ``size`` bytes."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    grid = frame(4, 3)
+    Path("case.toml").write_text(CASE)
+    write_grid(grid, "grid.xyz")
+    write_grid(grid, "grid.cgns")
+    rng = np.random.default_rng(0)
+    write_grid(
+        Grid.from_blocks([rng.random((5, 4, 3, 3))], fields=(Field("p", "node", 0, rng.random((5, 4, 3))),)), "one.vts"
+    )
+    return tmp_path
+
+
+def state(folder: Path) -> dict[Path, bytes | None]:
+    return {path: path.read_bytes() if path.is_file() else None for path in folder.rglob("*")}
+
+
+def fills_up(folder: Path, capfd, *arguments: str, parts: tuple[float, ...] = PARTS) -> None:
+    """The command succeeds with room enough, and fails as promised wherever the room ends before."""
+    old = state(folder)
+    assert called(*arguments)[0] == 0
+    new = state(folder)
+    written = [len(data) for path, data in new.items() if data is not None and data != old.get(path)]
+    for path in sorted(set(new) - set(old), reverse=True):
+        path.rmdir() if path.is_dir() else path.unlink()
+    for path, data in old.items():
+        if data is not None:
+            path.write_bytes(data)
+    capfd.readouterr()
+    for part in parts:
+        with full_after(max(0, round(part * max(written)) - 1)):
+            code, told = called(*arguments)
+        assert code == 2, (part, told)
+        assert told.count("meshdeform: error: ") == 1, (part, told)
+        assert "Traceback" not in told
+        assert "File too large" in told or "written" in told, told
+        # What libraries write past Python, and what they say when they are cleaned up.
+        gc.collect()
+        assert capfd.readouterr() == ("", "")
+        assert state(folder) == old, part
+
+
+@pytest.mark.parametrize("source", ["grid.xyz", "grid.cgns"])
+@pytest.mark.parametrize("suffix", MANY_BLOCKS)
+def test_converted(suffix, source, folder, capfd):
+    fills_up(folder, capfd, "convert", source, f"out{suffix}", "-q")
+
+
+@pytest.mark.parametrize("suffix", [*ONE_BLOCK, ".cgns", ".xyz"])
+def test_converted_with_fields(suffix, folder, capfd):
+    fills_up(folder, capfd, "convert", "one.vts", f"out{suffix}", "-q")
+
+
+@pytest.mark.parametrize("suffix", [".cgns", ".xyz", ".vtm"])
+def test_an_old_output_stays(suffix, folder, capfd):
+    write_grid(frame(3, 3), f"out{suffix}")
+    arguments = ("deform", "grid.xyz", "-c", "case.toml", "-m", "tfi", "-o", f"out{suffix}", "--force", "-q")
+    before = state(folder)
+    with full_after(200):
+        code, told = called(*arguments)
+    assert (code, told.count("error: ")) == (2, 1), told
+    assert state(folder) == before
+    assert called(*arguments)[0] == 0
+    assert read_grid(f"out{suffix}").n_nodes == frame(4, 3).n_nodes
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("suffix", REPORTS)
+def test_reports(suffix, folder, capfd):
+    fills_up(folder, capfd, "quality", "grid.xyz", "--report", f"report{suffix}", "-q")
+
+
+@pytest.mark.parametrize("suffix", PICTURES)
+def test_pictures(suffix, folder, capfd):
+    fills_up(folder, capfd, "plot", "grid.xyz", "-o", f"picture{suffix}", parts=(0.5, 1.0))
+
+
+def test_a_case_to_start_from(folder, capfd):
+    fills_up(folder, capfd, "init", "grid.xyz", "-o", "new.toml")
+
+
+@pytest.mark.parametrize("single", [False, True], ids=["levels", "single"])
+@pytest.mark.parametrize("suffix", SERIES)
+def test_a_series_goes_on_once_there_is_room(suffix, single, folder, capfd):
+    if single and suffix != ".cgns":
+        pytest.skip("one file for all levels is CGNS")
+    moving = Path("case.toml").read_text().replace('angle = "turn"', 'angle = "turn * t"')
+    Path("case.toml").write_text(moving)
+    options = ["--single-file"] if single else ["--suffix", suffix]
+    arguments = ("series", "grid.xyz", "-c", "case.toml", "-m", "tfi", "--times", "0:1:0.5", *options, "-q")
+    assert called(*arguments, "-o", "whole")[0] == 0
+    capfd.readouterr()
+    for size in (100, 2000, 5000, 20000, 40000):
+        with full_after(size):
+            code, told = called(*arguments, "-o", "part", "--resume")
+        assert code in (0, 2), told
+        assert told.count("meshdeform: error: ") == (code == 2), told
+        assert capfd.readouterr() == ("", "")
+        assert not list(Path("part").rglob("*.partial*"))
+    assert called(*arguments, "-o", "part", "--resume")[0] == 0
+    whole, part = ({p.name for p in Path(name).rglob("*") if p.is_file()} for name in ("whole", "part"))
+    assert {name for name in whole if not name.endswith(".vts")} == {n for n in part if not n.endswith(".vts")}
+    for name in whole:
+        if name.endswith(suffix):
+            np.testing.assert_array_equal(read_grid(f"part/{name}").points, read_grid(f"whole/{name}").points)
+
+
+def test_the_process_ends_quietly(folder):
+    """What is left of a file that could not be closed shows when the interpreter exits."""
+    code = (
+        "import resource, sys; from meshdeform_cli.main import main; "
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (5000, resource.RLIM_INFINITY)); main(sys.argv[1:])"
+    )
+    for suffix in (".cgns", ".med"):
+        done = subprocess.run(
+            [sys.executable, "-c", code, "convert", "grid.xyz", f"out{suffix}"],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 2
+        assert done.stderr == f"meshdeform: error: cannot write out{suffix}: File too large\n"
+        assert not list(folder.glob("*out*"))
