@@ -15,10 +15,12 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Grid
 
 from ..files import replacing
-from . import legacy as vtk_legacy
-from . import legacy_write as vtk_legacy_write
-from . import multiblock as vtk_multiblock
 from .dataset import VtkFormat, assemble
+from .legacy import read as read_legacy
+from .legacy_write import write_block as write_legacy_block
+from .multiblock import read as read_multiblock
+from .multiblock import require_replaceable
+from .multiblock import write as write_multiblock
 from .options import checked_options
 from .xml import read as vtk_xml_read
 from .xml import write as vtk_xml_write
@@ -59,10 +61,10 @@ def read(path: Path) -> Grid:
     with path.open("rb") as stream:
         legacy = stream.read(14) == b"# vtk DataFile"
     if legacy:
-        return assemble(path, "legacy", [vtk_legacy.read(path)])
+        return assemble(path, "legacy", [read_legacy(path)])
     kind = file_kind(path)
     if kind == "vtkMultiBlockDataSet":
-        data_sets, names = vtk_multiblock.read(path)
+        data_sets, names = read_multiblock(path)
         return assemble(path, "vtm", data_sets, names)
     return assemble(path, _XML_KINDS.get(kind, kind), [vtk_xml_read.read(path)])
 
@@ -84,7 +86,7 @@ def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> VtkFormat:
     if kind != "vtm" and grid.n_blocks > 1:
         raise FormatError(f"cannot write {path}: it holds one block, the grid has {grid.n_blocks}; write a .vtm")
     if kind == "vtm":
-        vtk_multiblock.require_replaceable(path)
+        require_replaceable(path)
     own = grid.format if isinstance(grid.format, VtkFormat) else VtkFormat("vtk")
     chosen = checked_options(path, options, _OPTIONS[kind])
     switches = {**_DEFAULTS[kind], **(own.options if own.options.get("kind") == kind else {}), "kind": kind, **chosen}
@@ -108,8 +110,8 @@ def write(grid: Grid, path: Path, variant: VtkFormat) -> None:
     path = Path(path)
     kind = variant.options["kind"]
     if kind == "vtm":
-        vtk_multiblock.write(grid, path, variant)
+        write_multiblock(grid, path, variant)
         return
-    write_block = vtk_legacy_write.write_block if kind == "legacy" else vtk_xml_write.write_block
+    write_block = write_legacy_block if kind == "legacy" else vtk_xml_write.write_block
     with replacing(path) as partial:
         write_block(grid, 0, partial, variant)

@@ -7,9 +7,20 @@ from html import escape
 from importlib.resources import files
 
 from ..parts import Report
-from . import sections
 from .figures import Figure, figure_lines
 from .levels import level_tiles, levels_section
+from .sections import (
+    attempts_section,
+    blocks_section,
+    boundary_section,
+    method_section,
+    quality_section,
+    run_section,
+    shape_section,
+    tiles,
+    timing_section,
+    warnings_section,
+)
 from .verdict import cells_section, verdict_section
 
 Section = tuple[str, str, str]
@@ -65,11 +76,11 @@ def _about(report: Report) -> str:
 
 def _tiles(report: Report) -> str:
     if "levels" in report:
-        return sections.tiles(level_tiles(report))
+        return tiles(level_tiles(report))
     before, after = (report["quality"][when]["f_skew"] for when in ("before", "after"))
     if "method" not in report:
-        return sections.tiles([("f_skew minimum", f"{after['min']:.4f}"), ("f_skew mean", f"{after['mean']:.4f}")])
-    return sections.tiles(
+        return tiles([("f_skew minimum", f"{after['min']:.4f}"), ("f_skew mean", f"{after['mean']:.4f}")])
+    return tiles(
         [
             ("f_skew minimum", f"{before['min']:.3f} → {after['min']:.3f}"),
             ("f_skew mean", f"{before['mean']:.3f} → {after['mean']:.3f}"),
@@ -91,20 +102,20 @@ def _sections(
         yield "levels", "Levels", levels_section(report, thumbnails, folder)
     else:
         yield "cells", "Invalid cells", cells_section(report)
-        yield "quality", "Quality", sections.quality_section(report)
+        yield "quality", "Quality", quality_section(report)
     if report.get("shape"):
-        yield "shape", "Shape of cells", sections.shape_section(report)
+        yield "shape", "Shape of cells", shape_section(report)
     if len(report.get("attempts") or ()) > 1 or report.get("repair"):
-        yield "attempts", "Attempts", sections.attempts_section(report)
+        yield "attempts", "Attempts", attempts_section(report)
     if report.get("blocks"):
-        yield "blocks", "Blocks", sections.blocks_section(report)
+        yield "blocks", "Blocks", blocks_section(report)
     if report["warnings"]:
-        yield "warnings", "Warnings", sections.warnings_section(report)
+        yield "warnings", "Warnings", warnings_section(report)
     if "boundary" in report:
-        yield "boundary", "Boundary and motion", sections.boundary_section(report)
+        yield "boundary", "Boundary and motion", boundary_section(report)
     if "method" in report:
-        yield "method", "Method", sections.method_section(report)
+        yield "method", "Method", method_section(report)
     if "timing" in report:
-        yield "time", "Time and memory", sections.timing_section(report)
+        yield "time", "Time and memory", timing_section(report)
     if report.get("run"):
-        yield "run", "What was asked", sections.run_section(report)
+        yield "run", "What was asked", run_section(report)
