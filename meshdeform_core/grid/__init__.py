@@ -1,13 +1,11 @@
 """Grids: blocks of nodes, and what their coordinates say about which nodes and faces belong together."""
 
+from ..numerics.arrays import BoolArray, FloatArray, IntArray
 from .blocks import (
-    BoolArray,
     Connection,
     Field,
     FileFormat,
-    FloatArray,
     Grid,
-    IntArray,
     Patch,
     Periodicity,
     Shape,

@@ -20,12 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import GridError
+from ..numerics.arrays import FloatArray, IntArray
 from ..parallel import Shared, empty, for_items
 
 Shape = tuple[int, int, int]
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 
 class Side(IntEnum):

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .blocks import BoolArray, Connection, Grid, IntArray, Shape, Side, Window
+from ..numerics.arrays import BoolArray
+from .blocks import Connection, Grid, IntArray, Shape, Side, Window
 from .topology import Topology, side_nodes
 from .windows import windows_of_quads
 

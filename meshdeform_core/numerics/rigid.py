@@ -4,8 +4,11 @@ Every loop takes weighted sums (n, 1 + k), weight first, divides by the weight a
 relative to the origin that the translations refer to.
 """
 
+from __future__ import annotations
+
 import math
 
+from .arrays import FloatArray
 from .jit import kernel
 
 
@@ -71,7 +74,7 @@ def finish_twist(sums, points, out):
         out[n, 2] = u2 + b * e2 + c * (w0 * e1 - w1 * e0)
 
 
-def finish(kind, sums, points, out, steps=1):
+def finish(kind: str, sums: FloatArray, points: FloatArray, out: FloatArray, steps: int = 1) -> None:
     """Displacement (n, 3) into ``out`` for one of the kinds ``none quaternion division blend lie``."""
     if kind == "none":
         finish_displacement(sums, out)
@@ -83,6 +86,6 @@ def finish(kind, sums, points, out, steps=1):
         finish_twist(sums, points, out)
 
 
-def finish_width(kind):
+def finish_width(kind: str) -> int:
     """Number of values per source that :func:`finish` needs for a kind."""
     return {"none": 3, "quaternion": 7, "division": 7, "blend": 12, "lie": 6}[kind]

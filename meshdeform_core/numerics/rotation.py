@@ -3,7 +3,11 @@
 Arrays of n rotation vectors, matrices (n, 3, 3), unit quaternions (n, 4, scalar first) and translations (n, 3).
 """
 
+from __future__ import annotations
+
 import numpy as np
+
+from .arrays import BoolArray, FloatArray, IntArray
 
 _HALF_TURN = 1e-6
 """Cosine of half the angle below which the direction of a rotation by 180 degrees is a matter of round-off."""
@@ -12,7 +16,9 @@ SHARP = 0.9
 """Mean of the unit normals at a node, below which its faces make a sharp edge."""
 
 
-def surface_rotations(before, after, corners, edges, plane_normal=None):
+def surface_rotations(
+    before: FloatArray, after: FloatArray, corners: IntArray, edges: IntArray, plane_normal: FloatArray | None = None
+) -> FloatArray:
     """Rotation of every node of a deforming surface, fitted to its faces (eqs. 21-25).
 
     The first turn carries the mean unit normal of the node's faces onto the deformed one; the second turns the edges
@@ -32,7 +38,7 @@ def surface_rotations(before, after, corners, edges, plane_normal=None):
     quaternions : (n, 4), identity at nodes without faces
     """
     normals = [_node_normals(x, corners, plane_normal) for x in (before, after)]
-    first = _aligning(*normals, plane_normal)
+    first = _aligning(normals[0], normals[1], plane_normal)
     if plane_normal is not None:
         return first
     arm = rotate(first[edges[:, 0]], before[edges[:, 1]] - before[edges[:, 0]])
@@ -46,7 +52,9 @@ def surface_rotations(before, after, corners, edges, plane_normal=None):
     return multiply(second, first)
 
 
-def near_sharp_edges(points, corners, edges, plane_normal, rounds):
+def near_sharp_edges(
+    points: FloatArray, corners: IntArray, edges: IntArray, plane_normal: FloatArray | None, rounds: int
+) -> BoolArray:
     """Nodes (n,) bool within ``rounds`` edges of a sharp one, where the faces at a node turn away from each other.
 
     Faces that make a ridge of more than about 50 degrees have a mean normal shorter than 0.9; arguments as in
@@ -60,12 +68,12 @@ def near_sharp_edges(points, corners, edges, plane_normal, rounds):
     return near
 
 
-def neighbours(corners, edges, plane_normal):
+def neighbours(corners: IntArray, edges: IntArray, plane_normal: FloatArray | None) -> IntArray:
     """Pairs (e, 2) of node and neighbour along the surface; in 2-D those of its curve."""
     return edges if plane_normal is None else np.concatenate([corners, corners[:, ::-1]])
 
 
-def smoothed(q, pairs, rounds):
+def smoothed(q: FloatArray, pairs: IntArray, rounds: int) -> FloatArray:
     """Quaternions (n, 4) of which the nodes ``pairs[:, 0]`` take half of their neighbours' mean, ``rounds`` times."""
     here, there = pairs.T
     nodes, place = np.unique(here, return_inverse=True)
@@ -80,7 +88,7 @@ def smoothed(q, pairs, rounds):
     return q
 
 
-def _node_normals(x, corners, plane_normal):
+def _node_normals(x: FloatArray, corners: IntArray, plane_normal: FloatArray | None) -> FloatArray:
     """Mean of the unit normals of the faces at each node, normalised; zero where it is undefined."""
     total, _ = _sum_of_normals(x, corners, plane_normal)
     # Faces that cancel (both sides of a plate without thickness) or collapse leave round-off: no direction.
@@ -88,7 +96,7 @@ def _node_normals(x, corners, plane_normal):
     return _unit(total)
 
 
-def _sum_of_normals(x, corners, plane_normal):
+def _sum_of_normals(x: FloatArray, corners: IntArray, plane_normal: FloatArray | None) -> tuple[FloatArray, FloatArray]:
     """Sum (n, 3) of the unit normals of the faces at each node, and their number (n,)."""
     if plane_normal is None:
         node, following, previous = corners.T
@@ -105,7 +113,7 @@ def _sum_of_normals(x, corners, plane_normal):
     return total, count
 
 
-def _aligning(start, end, plane_normal=None):
+def _aligning(start: FloatArray, end: FloatArray, plane_normal: FloatArray | None = None) -> FloatArray:
     """Shortest rotation that carries unit vectors onto others; about any normal (of the plane) when opposite."""
     axis = np.cross(start, end)
     sine = np.linalg.norm(axis, axis=1)
@@ -116,7 +124,7 @@ def _aligning(start, end, plane_normal=None):
     return _quaternion(_unit(axis), np.arctan2(sine, cosine))
 
 
-def _half_turn_axes(normals):
+def _half_turn_axes(normals: FloatArray) -> FloatArray:
     """Axes (n, 3) of half turns that reverse ``normals``: as far as possible that of the whole surface.
 
     A body that turns by 180 degrees reverses all normals that are perpendicular to its axis. Any other axis would need
@@ -130,11 +138,11 @@ def _half_turn_axes(normals):
     return axes
 
 
-def _quaternion(axis, angle):
+def _quaternion(axis: FloatArray, angle: FloatArray) -> FloatArray:
     return np.concatenate([np.cos(angle / 2)[:, None], np.sin(angle / 2)[:, None] * axis], axis=1)
 
 
-def multiply(p, q):
+def multiply(p: FloatArray, q: FloatArray) -> FloatArray:
     """Quaternion product: first ``q``, then ``p``; the scalar part is made non-negative (rotation at most 180 deg)."""
     scalar = p[:, 0] * q[:, 0] - _dot(p[:, 1:], q[:, 1:])
     vector = p[:, :1] * q[:, 1:] + q[:, :1] * p[:, 1:] + np.cross(p[:, 1:], q[:, 1:])
@@ -143,13 +151,13 @@ def multiply(p, q):
     return product
 
 
-def rotate(q, v):
+def rotate(q: FloatArray, v: FloatArray) -> FloatArray:
     """Vectors (n, 3) turned by quaternions (n, 4)."""
     lift = np.cross(q[:, 1:], v)
     return v + 2 * (q[:, :1] * lift + np.cross(q[:, 1:], lift))
 
 
-def rotation_vector(q):
+def rotation_vector(q: FloatArray) -> FloatArray:
     """Axis times angle (radians, at most pi) of unit quaternions with non-negative scalar part.
 
     Half a turn one way is half a turn the other way, and round-off would choose for every node alone: all take the
@@ -171,21 +179,21 @@ def rotation_vector(q):
     return vector
 
 
-def quaternion_of(w):
+def quaternion_of(w: FloatArray) -> FloatArray:
     """Unit quaternions of rotation vectors (n, 3)."""
     angle = np.linalg.norm(w, axis=1)
     half_sinc = np.where(angle > 1e-150, np.sin(angle / 2) / np.maximum(angle, 1e-150), 0.5)
     return np.concatenate([np.cos(angle / 2)[:, None], half_sinc[:, None] * w], axis=1)
 
 
-def translation_of_twist(w, v):
+def translation_of_twist(w: FloatArray, v: FloatArray) -> FloatArray:
     """V(w) v: the translation of the rigid motion exp(w, v)."""
     _, b, c = _coefficients(w)
     cross = np.cross(w, v)
     return v + b[:, None] * cross + c[:, None] * np.cross(w, cross)
 
 
-def twist_velocity(w, t):
+def twist_velocity(w: FloatArray, t: FloatArray) -> FloatArray:
     """Inverse of V(w) applied to translations: the v of log (R, t)."""
     a, b, _ = _coefficients(w)
     angle2 = _dot(w, w)
@@ -198,7 +206,7 @@ def twist_velocity(w, t):
     return t - 0.5 * cross + factor[:, None] * np.cross(w, cross)
 
 
-def _coefficients(w):
+def _coefficients(w: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """sin(x)/x, (1 - cos x)/x^2 and (x - sin x)/x^3 for x = |w|."""
     x2 = _dot(w, w)
     x = np.sqrt(x2)
@@ -211,11 +219,11 @@ def _coefficients(w):
     return a, b, c
 
 
-def _unit(v):
+def _unit(v: FloatArray) -> FloatArray:
     """Unit vectors; zero where there is no direction (edges without length, collapsed faces)."""
     length = np.linalg.norm(v, axis=1, keepdims=True)
     return np.divide(v, length, out=np.zeros_like(v), where=length > 1e-100)
 
 
-def _dot(u, v):
+def _dot(u: FloatArray, v: FloatArray) -> FloatArray:
     return np.einsum("ni,ni->n", u, v)

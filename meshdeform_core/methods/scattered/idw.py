@@ -11,6 +11,7 @@ import numpy as np
 from ...errors import MethodError
 from ...grid import FloatArray, IntArray
 from ...numerics import rotation as rot
+from ...numerics.paper.division import division_path
 from ..base import Account, Problem, Progress, Setting
 from ..limits import LARGEST_ROTATION, PLAIN_ROTATION, warn_of_alpha, warn_of_rotation
 from ..options import choose, option, positive, used
@@ -58,7 +59,7 @@ class IDW:
     length : L_def of eq. 16 (grid length unit), or ``"auto"``: eq. 17
     p_moving, p_fixed : exponents of ``shepard`` for moving and fixed sources
     divisions : m of eq. 26
-    reweight : ``division`` recomputes its weights in every step, as in the paper; m times the cost
+    reweight : paper only: ``division`` recomputes its weights in every step; m times the cost
     remove_mean : subtract the mean displacement first and add it back; ``"auto"``: only for ``lie``
     summation : ``exact`` sums, or ``fast`` ones with clusters of sources, or ``"auto"``: fast from 2000
         sources and 2e8 pairs of nodes
@@ -224,7 +225,7 @@ class PreparedIDW:
         origin = np.zeros(3) if self.options.rotation in ("quaternion", "division") else self._problem.centroid
         start = images.points - origin
         values = _motion_values(self.options, start, d - mean, q)
-        path = _division_path(start, values, self.options.divisions) if self.options.reweight else (start,)
+        path = division_path(start, values, self.options.divisions) if self.options.reweight else (start,)
         turn = np.linalg.norm(rot.rotation_vector(q), axis=1)
         at_rest = np.flatnonzero((turn == 0.0) & ~d.any(axis=1))
         still = values[:, at_rest[0]] if at_rest.size else None
@@ -280,15 +281,6 @@ def _motion_values(options: IDW, x: FloatArray, d: FloatArray, q: FloatArray) ->
         part = rot.quaternion_of(w / options.divisions)
         return np.concatenate([part.T, _divided_translation(w, translation, options.divisions).T])
     return np.concatenate([q.T, translation.T])
-
-
-def _division_path(start: FloatArray, values: FloatArray, m: int) -> tuple[FloatArray, ...]:
-    """Source positions at the start of each of ``m`` steps (eq. 26): each source repeats its own rigid motion."""
-    part, translation = np.ascontiguousarray(values[:4].T), values[4:].T
-    path = [start]
-    for _ in range(m - 1):
-        path.append(rot.rotate(part, path[-1]) + translation)
-    return tuple(path)
 
 
 def _divided_translation(w: FloatArray, translation: FloatArray, m: int) -> FloatArray:

@@ -11,10 +11,11 @@ from ...grid import FloatArray
 from ...memory import UNLIMITED, MemoryLimit
 from ...numerics.exact.basis import BASES
 from ...numerics.exact.radial import radial_matrix
+from ...numerics.paper.minres import minres
 from ...numerics.systems.greedy import independent
 from ...numerics.systems.krylov import KrylovSolver
 from ...numerics.systems.products import ExactProduct, product_of
-from ...numerics.systems.saddle import DirectSolver, minres
+from ...numerics.systems.saddle import DirectSolver
 from ..base import Account, Progress, Setting, of_stage
 from .rbf_sums import Centres
 

@@ -41,13 +41,13 @@ class RBF:
     basis : ``tps`` (global), ``wendland-c0``, ``wendland-c2``, ``ctps-c1``, ``ctps-c2a``, ``ctps-c2b`` (Table I)
     radius : support radius of the compact bases (grid length unit), or ``"auto"``: every node sees the whole moving
         body
-    solver : ``direct`` (Cholesky on the null space of the side conditions), ``minres`` (the paper's), ``krylov``
-        (preconditioned GMRES, for any number of centres), or ``"auto"``: direct up to 4000 centres, then krylov
+    solver : ``direct`` (Cholesky on the null space of the side conditions), ``krylov`` (preconditioned GMRES,
+        for any number of centres), or ``"auto"``: direct up to 4000 centres, then krylov; paper only: ``minres``
     tolerance : of the iterative solvers: ||r|| <= tolerance ||b||; ``"auto"``: 1e-10 for ``minres`` (eps_c of the
         paper), 1e-6 for ``krylov``
     max_iterations : of the iterative solvers; not converging is a warning
-    greedy : ``none``, ``single`` (Rendall & Allen), ``hybrid`` (the paper's), ``double-edged`` (Wang et al.); compact
-        bases only
+    greedy : ``none`` or ``hybrid`` (the paper's choice); paper only, for comparison: ``single`` (Rendall & Allen),
+        ``double-edged`` (Wang et al.); compact bases only
     greedy_error : ``first-cell``: errors relative to the height of the first cell at each node; ``absolute``: lengths
     greedy_tolerance : eps_g, largest error at any boundary node, in the unit of ``greedy_error``
     greedy_start : number of the first source, counted from 0

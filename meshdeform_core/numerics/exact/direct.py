@@ -4,11 +4,14 @@ The inner loop runs over sources in separate arrays, so that the compiler turns 
 machines it is bound by the square root and the division, which leaves room for eight accumulated columns.
 """
 
+from __future__ import annotations
+
 import math
 
 import numpy as np
 
 from ...parallel import for_chunks
+from ..arrays import FloatArray, Report
 from ..jit import fast_kernel
 from .elementary import exp, log
 
@@ -20,7 +23,14 @@ _TARGETS = 64
 _CHUNK = 2048
 
 
-def weighted_sums(targets, sources, strength, weights, values, progress=None):
+def weighted_sums(
+    targets: FloatArray,
+    sources: FloatArray,
+    strength: FloatArray,
+    weights: tuple[float, float, float],
+    values: FloatArray,
+    progress: Report | None = None,
+) -> FloatArray:
     """Sums over all sources of w and w * value, with w = strength (r^-a + kappa r^-b) (Sen et al. eqs. 14-16).
 
     Parameters
@@ -43,7 +53,7 @@ def weighted_sums(targets, sources, strength, weights, values, progress=None):
         packed[:3], packed[3], packed[4 : 4 + len(some)] = sources.T, strength, strength * some
         sums = np.zeros((len(targets), 1 + N_VALUES))
 
-        def work(lo, hi, packed=packed, sums=sums):
+        def work(lo: int, hi: int, packed: FloatArray = packed, sums: FloatArray = sums) -> None:
             sum_block(targets[lo:hi], packed, packed.shape[1], a, b, kappa, sums[lo:hi])
 
         for_chunks(work, len(targets), _CHUNK, progress)

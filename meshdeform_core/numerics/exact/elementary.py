@@ -1,5 +1,9 @@
 """Logarithm, exponential and cube root without branches, so that loops over them become vector code."""
 
+from __future__ import annotations
+
+from typing import Any
+
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
@@ -11,7 +15,7 @@ from ..jit import contracted_kernel
 def _bits(typing_context, value):
     """The 64 bits of a float64 as an integer."""
 
-    def generate(context, builder, signature, arguments):
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.bitcast(arguments[0], ir.IntType(64))
 
     return types.int64(types.float64), generate
@@ -21,7 +25,7 @@ def _bits(typing_context, value):
 def _from_bits(typing_context, value):
     """The float64 with the given 64 bits."""
 
-    def generate(context, builder, signature, arguments):
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.bitcast(arguments[0], ir.DoubleType())
 
     return types.float64(types.int64), generate

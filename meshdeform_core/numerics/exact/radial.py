@@ -1,8 +1,11 @@
 """Exact sums and matrices of radial basis functions: every target with every centre."""
 
+from __future__ import annotations
+
 import numpy as np
 
 from ...parallel import for_chunks
+from ..arrays import FloatArray, Report
 from ..jit import fast_kernel
 from .basis import apply_basis
 
@@ -11,7 +14,9 @@ _TARGETS = 64
 _CHUNK = 1024
 
 
-def radial_sums(kind, targets, centres, coefficients, progress=None):
+def radial_sums(
+    kind: int, targets: FloatArray, centres: FloatArray, coefficients: FloatArray, progress: Report | None = None
+) -> FloatArray:
     """Sums over all centres of coefficient * phi(distance), eq. 11 without its polynomial.
 
     Parameters
@@ -27,19 +32,19 @@ def radial_sums(kind, targets, centres, coefficients, progress=None):
     packed = np.ascontiguousarray(np.concatenate([centres.T, coefficients.T]))
     sums = np.zeros((len(targets), 3))
 
-    def work(lo, hi):
+    def work(lo: int, hi: int) -> None:
         radial_block(kind, targets[lo:hi], packed, packed.shape[1], sums[lo:hi])
 
     for_chunks(work, len(targets), _CHUNK, progress)
     return sums
 
 
-def radial_matrix(kind, targets, centres):
+def radial_matrix(kind: int, targets: FloatArray, centres: FloatArray) -> FloatArray:
     """Basis values (n, m) between targets (n, 3) and centres (m, 3), in units of the support radius."""
     matrix = np.empty((len(targets), len(centres)))
     columns = np.ascontiguousarray(centres.T)
 
-    def work(lo, hi):
+    def work(lo: int, hi: int) -> None:
         fill_rows(kind, targets[lo:hi], columns, matrix[lo:hi])
 
     for_chunks(work, len(targets), 64)

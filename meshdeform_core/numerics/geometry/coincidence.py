@@ -3,18 +3,22 @@
 Plain numpy (``meshdeform info`` must start fast and imports no numba).
 """
 
+from __future__ import annotations
+
 import numpy as np
+
+from ..arrays import BoolArray, FloatArray, IntArray, KeyArray
 
 # A direction that no grid line is aligned with: projected on it, distinct nodes hardly ever share a key.
 _GENERIC = np.array([0.5403023058681398, 0.6427876096865393, 0.5446390350150271])
 
 
-def _key(points):
+def _key(points: FloatArray) -> FloatArray:
     # Not a matrix product: equal points must get equal keys, whatever order a BLAS sums in.
     return points[:, 0] * _GENERIC[0] + points[:, 1] * _GENERIC[1] + points[:, 2] * _GENERIC[2]
 
 
-def coincident_groups(points, tolerance):
+def coincident_groups(points: FloatArray, tolerance: FloatArray) -> IntArray:
     """Number points so that coincident ones share a number.
 
     Two points coincide when their distance is at most the *smaller* of their tolerances; coincidence is transitive.
@@ -39,7 +43,7 @@ def coincident_groups(points, tolerance):
     return _by_first_occurrence(_components(len(first), pairs)[exact], len(first))
 
 
-def _differ(rows):
+def _differ(rows: FloatArray | IntArray) -> BoolArray:
     """Which rows (n, m) differ from the one before, (n - 1,); a reduction over so short an axis would be slow."""
     differ = rows[1:, 0] != rows[:-1, 0]
     for column in range(1, rows.shape[1]):
@@ -47,7 +51,7 @@ def _differ(rows):
     return differ
 
 
-def close_pairs(points, tolerance):
+def close_pairs(points: FloatArray, tolerance: FloatArray) -> IntArray:
     """All pairs of points closer than the smaller of their tolerances, ``(m, 2)`` int64.
 
     A sweep along one direction, from the coarsest tolerance to the finest: the points within one tolerance of a
@@ -58,7 +62,7 @@ def close_pairs(points, tolerance):
     return order[_sweep(key[order], points[order], tolerance[order])]
 
 
-def _sweep(key, points, tolerance):
+def _sweep(key: FloatArray, points: FloatArray, tolerance: FloatArray) -> IntArray:
     """The same for points in the order of their keys."""
     level = np.frexp(tolerance)[1]
     found = []
@@ -79,12 +83,12 @@ def _sweep(key, points, tolerance):
     return np.concatenate(found) if found else np.empty((0, 2), dtype=np.int64)
 
 
-def _within(points, tolerance, a, b):
+def _within(points: FloatArray, tolerance: FloatArray, a: IntArray, b: IntArray) -> BoolArray:
     gap = np.linalg.norm(points[a] - points[b], axis=1)
     return gap <= np.minimum(tolerance[a], tolerance[b])
 
 
-def _components(n, pairs):
+def _components(n: int, pairs: IntArray) -> IntArray:
     """Smallest member of each connected component, by label propagation with pointer jumping."""
     labels = np.arange(n)
     while len(pairs):
@@ -98,7 +102,7 @@ def _components(n, pairs):
     return labels
 
 
-def _by_first_occurrence(labels, count):
+def _by_first_occurrence(labels: IntArray, count: int) -> IntArray:
     """Labels below ``count`` numbered anew, in the order in which they come."""
     n = len(labels)
     first = np.empty(count, dtype=np.int64)
@@ -107,7 +111,7 @@ def _by_first_occurrence(labels, count):
     return (np.cumsum(leads) - 1)[first[labels]]
 
 
-def equal_rows(rows):
+def equal_rows(rows: IntArray) -> tuple[IntArray, IntArray]:
     """Partner of each row of a small-integer table: the other row that is equal to it.
 
     Parameters
@@ -138,7 +142,7 @@ def equal_rows(rows):
     return np.where(count > 1, partner, -1), count
 
 
-def _mixed(rows):
+def _mixed(rows: IntArray) -> KeyArray:
     """One key per row of integers, hardly ever the same for different rows."""
     factors = np.array(
         [0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9, 0x27D4EB2F165667C5], dtype=np.uint64
@@ -149,7 +153,7 @@ def _mixed(rows):
     return key
 
 
-def distinct(numbers, size):
+def distinct(numbers: IntArray, size: int) -> IntArray:
     """The different ones of ``numbers`` (any shape, integers in 0 ... size - 1), ascending, int64.
 
     By marks instead of sorting or hashing, as there are few numbers to choose from.

@@ -6,10 +6,14 @@ inside of the other (touching is not crossing; see :mod:`meshdeform_core.boundar
 those of exact arithmetic: where round-off could turn one, the pair is decided again with fractions.
 """
 
+from __future__ import annotations
+
 from fractions import Fraction
 
 import numpy as np
+from numpy.typing import NDArray
 
+from ..arrays import BoolArray, FloatArray, IntArray
 from ..jit import kernel
 from .overlap import close_pairs
 
@@ -19,8 +23,13 @@ _ROUND_OFF = 8e-16
 # Ascending, so that the larger of two verdicts holds unless one is certain.
 _NO, _YES, _DOUBTFUL = 0, 1, 2
 
+_Point = list[Fraction]
+_Triangle = tuple[_Point, _Point, _Point]
 
-def crossing_faces(points, faces, asked, role):
+
+def crossing_faces(
+    points: FloatArray, faces: IntArray, asked: BoolArray, role: NDArray[np.int8]
+) -> tuple[IntArray, FloatArray]:
     """Pairs of faces that cross and have no node in common, of which at least one is ``asked``.
 
     Cost is near-linear in the number of faces, however different their sizes.
@@ -50,7 +59,7 @@ def crossing_faces(points, faces, asked, role):
     return pairs[found], places[found]
 
 
-def near_faces(points, faces, asked, tolerance):
+def near_faces(points: FloatArray, faces: IntArray, asked: BoolArray, tolerance: FloatArray) -> BoolArray:
     """Faces among ``asked`` that another one comes close to without having a node in common.
 
     Parameters
@@ -78,7 +87,7 @@ def near_faces(points, faces, asked, tolerance):
     return near & asked
 
 
-def _over(points, corner, reach):
+def _over(points: FloatArray, corner: FloatArray, reach: FloatArray) -> BoolArray:
     """Which points (k, 3) lie within ``reach`` (k,) of a triangle (k, 3, 3), above or below it."""
     u, v, w = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0], points - corner[:, 0]
     normal = np.cross(u, v)
@@ -203,7 +212,7 @@ def _orient(points, a, b, c, d):
     return value, _ROUND_OFF * size
 
 
-def cross_exactly(one, two):
+def cross_exactly(one: FloatArray, two: FloatArray) -> list[float] | None:
     """The same decision for two faces, (4, 3) corners each, on rational numbers: a common point or ``None``."""
     place = None
     for first in _halves(one):
@@ -215,13 +224,13 @@ def cross_exactly(one, two):
     return place
 
 
-def _halves(face):
+def _halves(face: FloatArray) -> tuple[tuple[_Triangle, _Triangle], tuple[_Triangle, _Triangle]]:
     """Both pairs of triangles of a face, with rational coordinates."""
     a, b, c, d = ([Fraction(float(x)) for x in corner] for corner in face)
     return ((a, b, c), (c, d, a)), ((b, c, d), (d, a, b))
 
 
-def _pierced(one, two):
+def _pierced(one: _Triangle, two: _Triangle) -> list[float] | None:
     """Where an edge of one triangle pierces the other, if it does."""
     for edges, triangle in ((one, two), (two, one)):
         for k in range(3):
@@ -236,6 +245,6 @@ def _pierced(one, two):
     return None
 
 
-def _volume(a, b, c, d):
+def _volume(a: _Point, b: _Point, c: _Point, d: _Point) -> Fraction:
     u, v, w = ([x - y for x, y in zip(corner, d, strict=True)] for corner in (a, b, c))
     return u[0] * (v[1] * w[2] - v[2] * w[1]) + u[1] * (v[2] * w[0] - v[0] * w[2]) + u[2] * (v[0] * w[1] - v[1] * w[0])

@@ -4,14 +4,20 @@ The spline r^2 ln r with a linear polynomial (Duchon 1977) passes through the da
 Directions in which the neighbours do not spread, such as the normal of a flat surface, have no linear term.
 """
 
+from __future__ import annotations
+
 import numpy as np
 import scipy
+
+from ..arrays import BoolArray, FloatArray
 
 _FLAT = 1e-6
 _CHUNK = 4096
 
 
-def local_spline(points, values, targets, neighbours=16):
+def local_spline(
+    points: FloatArray, values: FloatArray, targets: FloatArray, neighbours: int = 16
+) -> tuple[FloatArray, FloatArray]:
     """Values at ``targets`` (k, 3) from those (n, c) at distinct ``points`` (n, 3).
 
     Returns
@@ -32,7 +38,7 @@ def local_spline(points, values, targets, neighbours=16):
     return result, distance[:, 0]
 
 
-def _splines(points, values, targets):
+def _splines(points: FloatArray, values: FloatArray, targets: FloatArray) -> FloatArray:
     """One spline per target through its own ``points`` (k, m, 3) with ``values`` (k, m, c)."""
     middle = points.mean(axis=1, keepdims=True)
     size = np.linalg.norm(points - middle, axis=2).max(axis=1)[:, None, None]
@@ -57,21 +63,21 @@ def _splines(points, values, targets):
     return (basis @ coefficients)[:, 0]
 
 
-def _terms(arm, axes, kept):
+def _terms(arm: FloatArray, axes: FloatArray, kept: BoolArray) -> FloatArray:
     """The linear polynomial (k, m, 4) in the principal directions, zero in those left out."""
     linear = (arm @ axes.transpose(0, 2, 1)) * kept[:, None, :]
     return np.concatenate([np.ones((*arm.shape[:2], 1)), linear], axis=2)
 
 
-def _thin_plate(a, b):
+def _thin_plate(a: FloatArray, b: FloatArray) -> FloatArray:
     r2 = ((a[:, :, None] - b[:, None]) ** 2).sum(axis=3)
     return 0.5 * r2 * np.log(np.where(r2 > 0, r2, 1.0))
 
 
-def _solved(system, right):
+def _solved(system: FloatArray, right: FloatArray) -> FloatArray:
     """Solutions of small systems; least squares where neighbours are so placed that a term is not determined."""
     try:
-        solution = np.linalg.solve(system, right)
+        solution: FloatArray = np.asarray(np.linalg.solve(system, right), dtype=np.float64)
     except np.linalg.LinAlgError:
         return np.linalg.pinv(system) @ right
     residual = np.abs(system @ solution - right).max(axis=(1, 2))

@@ -1,7 +1,11 @@
 """Which of many boxes overlap: a tree of boxes in the order of a curve that fills space."""
 
-import numpy as np
+from __future__ import annotations
 
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import BoolArray, FloatArray, IntArray, KeyArray
 from ..jit import kernel
 
 _LEAF, _DEPTH = 8, 64
@@ -10,7 +14,9 @@ ORDINARY, BESIDE, SLIDING = 0, 1, 2
 """Roles of faces: those beside a sliding face touch it and are not tested against any sliding one."""
 
 
-def close_pairs(faces, low, high, asked, role):
+def close_pairs(
+    faces: IntArray, low: FloatArray, high: FloatArray, asked: BoolArray, role: NDArray[np.int8]
+) -> IntArray:
     """Pairs of faces, at least one of them ``asked``, whose boxes overlap and that have no node in common.
 
     Parameters
@@ -34,7 +40,7 @@ def close_pairs(faces, low, high, asked, role):
         capacity = count
 
 
-def _box_tree(low, high):
+def _box_tree(low: FloatArray, high: FloatArray) -> tuple[IntArray, FloatArray]:
     """Balanced tree over boxes: their order (padded with -1), and the boxes (2 p, 6) of its nodes.
 
     Node 1 is the root, 2 n and 2 n + 1 are the children of n, and leaf p + l holds the boxes ``_LEAF`` l and following.
@@ -63,7 +69,7 @@ def _box_tree(low, high):
     return padded, box
 
 
-def _morton(index):
+def _morton(index: KeyArray) -> KeyArray:
     """Bits of three numbers (n, 3) below 2^21 interleaved."""
     key = np.zeros(len(index), dtype=np.uint64)
     for axis in range(3):

@@ -1,9 +1,13 @@
 """How often a closed surface goes round a point."""
 
+from __future__ import annotations
+
 import numpy as np
 
+from ..arrays import FloatArray, IntArray
 
-def winding(points, triangles, places):
+
+def winding(points: FloatArray, triangles: IntArray, places: FloatArray) -> FloatArray:
     """How often a closed surface goes round points: 1 inside, 0 outside; turned round it counts negative.
 
     Parameters

@@ -1,7 +1,10 @@
 """Closest points on a triangulated surface: a tree of boxes, searched nearest box first."""
 
+from __future__ import annotations
+
 import numpy as np
 
+from ..arrays import FloatArray, IntArray
 from ..jit import kernel
 
 _LEAF = 8
@@ -17,13 +20,13 @@ class TriangleTree:
     triangles : (m, 3) int64, m >= 1; degenerate triangles are allowed
     """
 
-    def __init__(self, points, triangles):
+    def __init__(self, points: FloatArray, triangles: IntArray) -> None:
         self.triangles = triangles
         corners = np.ascontiguousarray(points[triangles])
         self._order, self._node, self._box = _build(corners.min(axis=1), corners.max(axis=1))
         self._corners = corners[self._order]
 
-    def closest(self, targets):
+    def closest(self, targets: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
         """Closest surface points of ``targets`` (k, 3).
 
         Returns

@@ -6,7 +6,11 @@ is a projection. Every component is a right-hand side of its own: the coordinate
 three functions, whatever its angle.
 """
 
+from __future__ import annotations
+
 import numpy as np
+
+from ..arrays import FloatArray
 
 # How much an earlier use counts beside one a right-hand side later.
 _FADING = 0.7
@@ -21,20 +25,20 @@ class EarlierSolutions:
     capacity : how many of them, single components, are kept; those that recent right-hand sides used least give way
     """
 
-    def __init__(self, n, terms, capacity):
+    def __init__(self, n: int, terms: int, capacity: int) -> None:
         self._n, self._terms, self.capacity = n, terms, capacity
         self.clear()
 
-    def __len__(self):
+    def __len__(self) -> int:
         return self._images.shape[1]
 
-    def clear(self):
+    def clear(self) -> None:
         """Forget everything."""
         self._images = np.empty((self._n, 0), order="F")
         self._solutions = np.empty((self._n + self._terms, 0), order="F")
         self._used = np.empty(0)
 
-    def nearest(self, right):
+    def nearest(self, right: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Coefficients (n, m) and polynomial (q, m) of the combinations whose images are nearest to ``right`` (n, m).
 
         Nothing promises that they are near, or that their images are exactly what they were taken for: the residual
@@ -45,13 +49,13 @@ class EarlierSolutions:
         found = self._solutions @ part
         return found[: self._n], found[self._n :]
 
-    def add(self, coefficients, polynomial, images, least):
+    def add(self, coefficients: FloatArray, polynomial: FloatArray, images: FloatArray, least: float) -> None:
         """Keep solutions, columns of about unit image, in as far as they are new: by more than ``least``."""
         solutions = np.concatenate([coefficients, polynomial])
         for column in range(images.shape[1]):
             self._add(solutions[:, column], images[:, column], least)
 
-    def _add(self, solution, image, least):
+    def _add(self, solution: FloatArray, image: FloatArray, least: float) -> None:
         if not self.capacity:
             return
         # Once more for what round-off left of the first time.

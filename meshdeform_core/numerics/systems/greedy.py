@@ -1,9 +1,12 @@
 """Choosing few centres out of many: greedy reduction (Rendall & Allen 2009; Wang et al. 2015; Sen et al. 2.2)."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np
 
+from ..arrays import FloatArray, IntArray, Report
 from ..exact.basis import apply_basis
 from ..exact.radial import radial_matrix
 from ..jit import kernel
@@ -32,7 +35,20 @@ class Selection:
     converged: bool
 
 
-def select(kind, centres, polynomial, values, scale, *, method, tolerance, start, per_round, max_points, progress=None):
+def select(
+    kind: int,
+    centres: FloatArray,
+    polynomial: FloatArray,
+    values: FloatArray,
+    scale: FloatArray,
+    *,
+    method: str,
+    tolerance: float,
+    start: int,
+    per_round: int,
+    max_points: int,
+    progress: Report | None = None,
+) -> Selection:
     """Choose centres until the error at all of them is within ``tolerance``.
 
     ``single``: correct the centre with the largest error by its own basis function, again and again; every centre
@@ -83,7 +99,9 @@ def select(kind, centres, polynomial, values, scale, *, method, tolerance, start
     return Selection(active.copy(), *solved, error, rounds, updates, converged)
 
 
-def _solve_exactly(kind, centres, polynomial, values, active):
+def _solve_exactly(
+    kind: int, centres: FloatArray, polynomial: FloatArray, values: FloatArray, active: IntArray
+) -> tuple[tuple[FloatArray, FloatArray], FloatArray]:
     points = np.ascontiguousarray(centres[active])
     solver = DirectSolver(lambda: radial_matrix(kind, points, points), independent(polynomial[active]))
     coefficients, part = solver.solve(values[active])
@@ -97,7 +115,7 @@ def _solve_exactly(kind, centres, polynomial, values, active):
     return (coefficients, terms), residual
 
 
-def independent(polynomial):
+def independent(polynomial: FloatArray) -> FloatArray:
     """The leading columns of a polynomial (n, q) that n points determine: all of them, or the constant only."""
     if len(polynomial) > polynomial.shape[1] and np.linalg.matrix_rank(polynomial) == polynomial.shape[1]:
         return polynomial

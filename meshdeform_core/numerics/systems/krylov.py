@@ -4,13 +4,17 @@ Flexible GMRES (Saad 1993) preconditioned from the right, in the block form (Sim
 right-hand sides search one common space, so that one product with A serves them all and each profits from the others.
 """
 
+from __future__ import annotations
+
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
+from ..arrays import FloatArray, Report
 from .earlier import EarlierSolutions
-from .products import product_of
+from .products import Product, product_of
 from .schwarz import SchwarzPreconditioner
 
 _RESTART = 40
@@ -57,17 +61,21 @@ class KrylovSolver:
     earlier : the solutions kept; ``earlier.clear()`` forgets them
     """
 
-    def __init__(self, kind, points, polynomial, product, remembered=0):
+    def __init__(
+        self, kind: int, points: FloatArray, polynomial: FloatArray, product: Product, remembered: int = 0
+    ) -> None:
         self._polynomial, self.product = polynomial, product
         self.preconditioner = SchwarzPreconditioner(kind, points, polynomial, product, _CoarseSolver)
         self.earlier = EarlierSolutions(len(points), polynomial.shape[1], remembered * points.shape[1])
 
     @staticmethod
-    def memory(n, remembered=0):
+    def memory(n: int, remembered: int = 0) -> int:
         """Bytes that it takes for ``n`` centres, the product not counted."""
         return SchwarzPreconditioner.memory(n) + 8 * n * 3 * (2 * _RESTART + 6 + 2 * remembered)
 
-    def solve(self, values, tolerance, max_iterations, progress=None):
+    def solve(
+        self, values: FloatArray, tolerance: float, max_iterations: int, progress: Report | None = None
+    ) -> Solution:
         """Solve for values (n, 3) until ``||r|| <= tolerance ||b||`` in every column.
 
         Stops without that after ``max_iterations``, or when a whole cycle between restarts has not halved the residual:
@@ -95,7 +103,9 @@ class KrylovSolver:
             self.earlier.add(coefficients, polynomial, right - rest, tolerance)
         return Solution(coefficients * scale, polynomial * scale, iterations, residual, started, stalled)
 
-    def _rest(self, right, coefficients, polynomial, tolerance):
+    def _rest(
+        self, right: FloatArray, coefficients: FloatArray, polynomial: FloatArray, tolerance: float
+    ) -> tuple[FloatArray, FloatArray]:
         """Residual (n, 3) of a solution and the norm (3,) of its error, if possible small against the tolerance."""
         part, before = self._polynomial @ polynomial, np.inf
         while True:
@@ -107,7 +117,9 @@ class KrylovSolver:
             before = error.max()
             self.product.refine()
 
-    def _search(self, rest, tolerance, limit, report):
+    def _search(
+        self, rest: FloatArray, tolerance: float, limit: int, report: Callable[[int], None] | None
+    ) -> tuple[FloatArray, FloatArray, int]:
         """One cycle: the solution whose image is nearest to ``rest`` (n, m), and its number of iterations."""
         n, m = rest.shape
         space = np.empty((n, m * (limit + 1)), order="F")
@@ -139,20 +151,20 @@ class KrylovSolver:
 class _CoarseSolver:
     """A large coarse system, solved by the same method to two digits: errors there cost iterations on all centres."""
 
-    def __init__(self, kind, centres, polynomial):
+    def __init__(self, kind: int, centres: FloatArray, polynomial: FloatArray) -> None:
         product = product_of(kind, centres, _COARSE_PRODUCT, _COARSE_MEMORY)
         self._solver = KrylovSolver(kind, centres, polynomial, product)
 
-    def solve(self, values):
+    def solve(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
         found = self._solver.solve(values, _COARSE_TOLERANCE, _COARSE_ITERATIONS)
         return found.coefficients, found.polynomial
 
 
-def _advance(progress, before, total, step):
+def _advance(progress: Report, before: int, total: int, step: int) -> None:
     progress(before + step, total)
 
 
-def _orthonormal(block, size):
+def _orthonormal(block: FloatArray, size: np.floating | float) -> tuple[FloatArray, FloatArray]:
     """Factors Q (n, m), R (m, m) of a block; columns of Q that add nothing above round-off of ``size`` are zero."""
     left, length, right = np.linalg.svd(block, full_matrices=False)
     length[length <= _DEPENDENT * size] = 0.0

@@ -6,8 +6,14 @@
 A (n, n) holds the basis values between centres, P (n, q) the polynomial terms.
 """
 
+from __future__ import annotations
+
+from collections.abc import Callable
+
 import numpy as np
 import scipy
+
+from ..arrays import FloatArray
 
 
 class DirectSolver:
@@ -24,7 +30,7 @@ class DirectSolver:
     polynomial : (n, q), full column rank
     """
 
-    def __init__(self, matrix, polynomial):
+    def __init__(self, matrix: Callable, polynomial: FloatArray) -> None:
         self._polynomial = polynomial
         self.kind = "cholesky"
         if not self._factorise(matrix()):
@@ -36,7 +42,7 @@ class DirectSolver:
             system[:n, n:], system[n:, :n] = polynomial, polynomial.T
             self._lu = scipy.linalg.lu_factor(system, overwrite_a=True, check_finite=False)
 
-    def _factorise(self, a):
+    def _factorise(self, a: FloatArray) -> bool:
         # The transpose of a symmetric C-ordered matrix is itself in Fortran order: LAPACK works in place.
         a, p = a.T, self._polynomial.copy()
         n, q = p.shape
@@ -59,7 +65,7 @@ class DirectSolver:
         self._factor, info = scipy.linalg.lapack.dpotrf(a, lower=1, overwrite_a=1, clean=0)
         return info == 0
 
-    def solve(self, values):
+    def solve(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Coefficients (n, m) and polynomial (q, m) for boundary values (n, m)."""
         n, q = self._polynomial.shape
         if self.kind == "lu":
@@ -75,91 +81,8 @@ class DirectSolver:
         return self._reflect(y, self._reflectors[::-1]), polynomial
 
     @staticmethod
-    def _reflect(values, reflectors):
+    def _reflect(values: FloatArray, reflectors: list[FloatArray]) -> FloatArray:
         result = np.array(values, dtype=np.float64)
         for v in reflectors:
             result -= np.outer(v, v @ result)
         return result
-
-
-def minres(multiply, rhs, tolerance, max_iterations, progress=None):
-    """Minimum residual method for a symmetric operator, all right-hand sides side by side (Paige & Saunders 1975).
-
-    Stops when ||r|| <= tolerance ||b|| for every column; the residual norm is the recurrence's own, which is the
-    test of the paper (scipy's stops 10 to 1000 times earlier).
-
-    Parameters
-    ----------
-    multiply : operator on (n, m) arrays
-    rhs : (n, m)
-
-    Returns
-    -------
-    solution : (n, m)
-    iterations : (m,) int64 until each column met the tolerance
-    residual : (m,) ||b - K x|| / ||b||, computed anew from the solution
-    """
-    norm_b = np.linalg.norm(rhs, axis=0)
-    live = np.flatnonzero(norm_b > 0)
-    x = np.zeros_like(rhs)
-    iterations = np.zeros(rhs.shape[1], dtype=np.int64)
-    state = _Lanczos(rhs[:, live], norm_b[live])
-    solution = np.zeros((len(rhs), live.size))
-    active = np.arange(live.size)
-    for count in range(1, max_iterations + 1):
-        if active.size == 0:
-            break
-        solution[:, active] += state.step(multiply)
-        iterations[live[active]] = count
-        keep = state.residual > tolerance * norm_b[live[active]]
-        active = active[keep]
-        state.keep(keep)
-        if progress and count % 20 == 0:
-            progress(count, max_iterations)
-    x[:, live] = solution
-    residual = np.zeros(rhs.shape[1])
-    if live.size:
-        true = rhs[:, live] - multiply(solution)
-        residual[live] = np.linalg.norm(true, axis=0) / norm_b[live]
-    return x, iterations, residual
-
-
-class _Lanczos:
-    """The three-term recurrences of MINRES for several columns."""
-
-    def __init__(self, rhs, norm):
-        self.v, self.v_old = rhs / norm, np.zeros_like(rhs)
-        self.w, self.w_old = np.zeros_like(rhs), np.zeros_like(rhs)
-        self.beta = np.zeros(len(norm))
-        self.c, self.c_old = np.ones(len(norm)), np.ones(len(norm))
-        self.s, self.s_old = np.zeros(len(norm)), np.zeros(len(norm))
-        self.eta, self.residual = norm.copy(), norm.copy()
-
-    def step(self, multiply):
-        """One iteration; returns the update of the solution."""
-        p = multiply(self.v)
-        alpha = np.einsum("nm,nm->m", self.v, p)
-        p -= alpha * self.v + self.beta * self.v_old
-        beta = np.linalg.norm(p, axis=0)
-        # Givens rotations on the new column of the tridiagonal matrix.
-        rho0 = self.c * alpha - self.c_old * self.s * self.beta
-        rho1 = np.hypot(rho0, beta)
-        rho2 = self.s * alpha + self.c_old * self.c * self.beta
-        rho3 = self.s_old * self.beta
-        safe = np.where(rho1 > 0, rho1, 1.0)
-        c, s = rho0 / safe, beta / safe
-        w = (self.v - rho3 * self.w_old - rho2 * self.w) / safe
-        update = c * self.eta * w
-        self.w_old, self.w = self.w, w
-        self.v_old, self.v = self.v, p / np.where(beta > 0, beta, 1.0)
-        self.c_old, self.s_old, self.c, self.s, self.beta = self.c, self.s, c, s, beta
-        self.residual = np.abs(s) * self.residual
-        self.eta = -s * self.eta
-        return update
-
-    def keep(self, mask):
-        """Go on with some of the columns."""
-        if mask.all():
-            return
-        for name, value in vars(self).items():
-            setattr(self, name, value[..., mask])

@@ -6,12 +6,19 @@ interpolation problem with an overlap, keeps the coefficients of its own centres
 the boxes cannot see, the smooth part, is taken over by an interpolation of the remaining residual on few centres.
 """
 
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
 import numpy as np
 import scipy
 
 from ...parallel import Shared, for_chunks, thread_count
+from ..arrays import FloatArray, IntArray
 from ..exact.radial import radial_matrix
 from .cholesky import invert_last
+from .products import Product
 from .saddle import DirectSolver
 
 OWN = 60
@@ -22,6 +29,14 @@ _FEWEST = 500
 _SPACING = 20
 _SHIFT = 1e-13
 _BOXES = 8
+
+
+class CoarseSolver(Protocol):
+    """What solves the system of the coarse centres."""
+
+    def solve(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Coefficients (n, m) and polynomial (q, m) for values (n, m)."""
+        ...
 
 
 class SchwarzPreconditioner:
@@ -43,7 +58,14 @@ class SchwarzPreconditioner:
         large to factorise; it need not be accurate
     """
 
-    def __init__(self, kind, points, polynomial, product, coarse_solver):
+    def __init__(
+        self,
+        kind: int,
+        points: FloatArray,
+        polynomial: FloatArray,
+        product: Product,
+        coarse_solver: Callable[[int, FloatArray, FloatArray], CoarseSolver],
+    ) -> None:
         self._side = np.linalg.qr(polynomial)[0]
         self._own = bisect(points, -(-len(points) // OWN))
         self._near = _with_overlap(points, self._own)
@@ -57,20 +79,20 @@ class SchwarzPreconditioner:
             self._next = DirectSolver(lambda: radial_matrix(kind, centres, centres), polynomial[self._coarse])
 
     @staticmethod
-    def memory(n):
+    def memory(n: int) -> int:
         """Bytes that it takes for ``n`` centres."""
         coarse = min(n // COARSENING + _FEWEST, _DIRECT)
         return 8 * (n * OVERLAP + coarse * coarse)
 
-    def solve(self, residual):
+    def solve(self, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Coefficients (n, 3), with P^T c = 0, and polynomial (q, 3) for a residual (n, 3)."""
         coefficients = np.empty_like(residual)
 
-        def work(lo, hi):
+        def work(lo: int, hi: int) -> None:
             for box in range(lo, hi):
                 coefficients[self._own[box]] = self._rows[box] @ residual[self._near[box]]
 
-        def rows(lo, hi):
+        def rows(lo: int, hi: int) -> IntArray:
             return np.concatenate(self._own[lo:hi])
 
         for_chunks(work, len(self._own), _BOXES, shared=[Shared(coefficients, rows)])
@@ -80,7 +102,7 @@ class SchwarzPreconditioner:
         return coefficients, polynomial
 
 
-def bisect(points, parts):
+def bisect(points: FloatArray, parts: int) -> list[IntArray]:
     """``parts`` boxes of nearly equal numbers of points (n, 3): indices that together hold every point once."""
     boxes, pending = [], [(np.arange(len(points)), parts)]
     while pending:
@@ -97,7 +119,7 @@ def bisect(points, parts):
     return boxes
 
 
-def _coarse(points, polynomial):
+def _coarse(points: FloatArray, polynomial: FloatArray) -> IntArray:
     """The node nearest to the mean of each small box, and nodes that determine the polynomial; no two coincide."""
     boxes = bisect(points, min(len(points), max(_FEWEST, len(points) // COARSENING)))
     arms = (np.linalg.norm(points[box] - points[box].mean(axis=0), axis=1) for box in boxes)
@@ -107,7 +129,7 @@ def _coarse(points, polynomial):
     return chosen[np.unique(points[chosen], axis=0, return_index=True)[1]]
 
 
-def _with_overlap(points, boxes):
+def _with_overlap(points: FloatArray, boxes: list[IntArray]) -> list[IntArray]:
     """Each box with the points nearest to it, ``OVERLAP`` in all, its own last.
 
     Near is measured in spacings of the nodes of the box: where the grid is graded, the coarse end of a box would get
@@ -116,7 +138,7 @@ def _with_overlap(points, boxes):
     tree = scipy.spatial.cKDTree(points)
     candidates = np.arange(1, min(len(points), OVERLAP // 3) + 1)
 
-    def widened(box):
+    def widened(box: IntArray) -> IntArray:
         distance, around = tree.query(points[box], candidates, workers=thread_count())
         spacing = distance[:, min(len(candidates) - 1, _SPACING)][:, None]
         around = around.ravel()[np.argsort((distance / np.where(spacing > 0, spacing, 1.0)).ravel(), kind="stable")]
@@ -128,11 +150,11 @@ def _with_overlap(points, boxes):
     return [widened(box) for box in boxes]
 
 
-def _restricted_inverses(kind, points, own, near):
+def _restricted_inverses(kind: int, points: FloatArray, own: list[IntArray], near: list[IntArray]) -> list[FloatArray]:
     """For each box the rows (own, near) that take values at its points to the coefficients of its own centres."""
     rows = [np.empty((0, 0))] * len(own)
 
-    def work(lo, hi):
+    def work(lo: int, hi: int) -> None:
         for box in range(lo, hi):
             x = points[near[box]]
             rows[box] = _last_rows(kind, x, _polynomial_basis(x), len(own[box]))
@@ -142,7 +164,7 @@ def _restricted_inverses(kind, points, own, near):
     return rows
 
 
-def _last_rows(kind, points, basis, count):
+def _last_rows(kind: int, points: FloatArray, basis: FloatArray, count: int) -> FloatArray:
     matrix = np.empty((len(points), len(points)))
     rows = np.empty((count, len(points)))
     shift = 0.0
@@ -152,7 +174,7 @@ def _last_rows(kind, points, basis, count):
     return rows
 
 
-def _polynomial_basis(points):
+def _polynomial_basis(points: FloatArray) -> FloatArray:
     """Orthonormal linear polynomials (n, q) on points, without the directions in which they do not spread."""
     arms = points - points.mean(axis=0)
     left, size, _ = np.linalg.svd(arms, full_matrices=False)

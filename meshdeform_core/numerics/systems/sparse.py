@@ -1,8 +1,13 @@
 """Matrices of compact radial basis functions whose support reaches few centres."""
 
+from __future__ import annotations
+
+from typing import Any
+
 import numpy as np
 import scipy
 
+from ..arrays import FloatArray
 from ..exact.basis import BASES, apply_basis
 
 _MOST_NEIGHBOURS = 500
@@ -10,7 +15,7 @@ _LARGEST_SHARE = 0.05
 _BYTES = 64
 
 
-def sparse_radial_matrix(kind, points, memory):
+def sparse_radial_matrix(kind: int, points: FloatArray, memory: int) -> Any:
     """The matrix (n, n) of a compact basis without its zeros, in CSR format, or ``None`` if that does not pay.
 
     It pays when centres have on average at most 500 neighbours and a twentieth of all centres, and when the work

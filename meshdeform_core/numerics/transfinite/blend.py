@@ -5,10 +5,13 @@ coordinates run from 0 to 1 within every sub-block. A table ``subs`` (n, 11) lis
 the block, low and high node of the sub-block, start of its arc coordinates, see :func:`arc_numbers`.
 """
 
+from __future__ import annotations
+
 import math
 
 import numpy as np
 
+from ..arrays import IntArray
 from ..jit import fast_kernel, inlined, kernel
 
 # Nodes along k and lines along j that are filled together: what they share stays in the cache.
@@ -21,7 +24,7 @@ def _padded(count):
     return (count + 3) // 4 * 4
 
 
-def arc_numbers(subs):
+def arc_numbers(subs: IntArray) -> IntArray:
     """How many numbers the arc coordinates of each sub-block take.
 
     They are kept for interior nodes, in the order of use: for every plane along i tiles along k, for every line of a

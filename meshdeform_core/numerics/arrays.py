@@ -1,0 +1,16 @@
+"""Types of arrays, and of what reports progress."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+KeyArray = NDArray[np.uint64]
+BoolArray = NDArray[np.bool_]
+
+Report = Callable[[int, int], None]
+"""``report(done, total)``, called while a loop runs."""
