@@ -25,7 +25,7 @@ def main(size, method, suffix=".cgns"):
     with tempfile.TemporaryDirectory() as name:
         folder = make_sample(Path(name), "splitter-plate", size, suffix)
         command = [
-            sys.executable, "-m", "meshdeform_cli", "deform", f"{folder}/grid{suffix}", "-c", f"{folder}/case.toml",
+            sys.executable, "-m", "meshdeform", "deform", f"{folder}/grid{suffix}", "-c", f"{folder}/case.toml",
             "-m", method, "-o", f"{folder}/deformed{suffix}", "--force", "--allow-invalid", "-q", "--threads", "1",
         ]  # fmt: skip
         for count in COUNTS:

@@ -24,7 +24,7 @@ RUNS = (
     ("hemisphere", 92, "idw-tfi"), ("hemisphere", 92, "idw"), ("hemisphere", 152, "idw-tfi"),
 )  # fmt: skip
 QUICK = (("splitter-plate", 8, "idw-tfi"), ("splitter-plate", 8, "idw"))
-_COMMAND = (sys.executable, "-m", "meshdeform_cli")
+_COMMAND = (sys.executable, "-m", "meshdeform")
 
 
 def file_to_file(quick: bool) -> MarkdownTable:
