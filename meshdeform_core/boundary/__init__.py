@@ -1,4 +1,4 @@
-"""What every boundary node does: classification, motions, constraints."""
+"""Boundary conditions of the deformation: classification, motions, constraints."""
 
 from .classification import UNSELECTED, Boundary, BoundarySpec, Kind, classify
 

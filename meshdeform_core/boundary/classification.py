@@ -1,4 +1,4 @@
-"""What the boundary does: which nodes move, stay, slide, repeat or are free, and where the moving ones go."""
+"""Classification of the boundary: which nodes move, are fixed, slide, are periodic or free, and the motions."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ..grid.planes import Plane
 from ..grid.selection import quads_of_patch, select_quads
 from ..grid.topology import Topology, end_planes
 from ..numerics.geometry.coincidence import distinct
-from .coverage import table_doubts
+from .coverage import table_warnings
 from .expression import Expression
 from .motion import Motion, PreparedMotion
 from .periodic import Periodic, find_periodicity
@@ -26,7 +26,7 @@ UNSELECTED = "(not selected)"
 
 
 class Kind(IntEnum):
-    """Kinds of boundary in ascending strength: a node on several patches takes the strongest."""
+    """Kinds of boundary in ascending strength: a node on several patches has the strongest."""
 
     INTERFACE = 0
     FREE = 1
@@ -47,9 +47,9 @@ class BoundarySpec:
 
     Attributes
     ----------
-    name : our name for it in reports
+    name : used in reports and messages
     select : patterns, see :func:`meshdeform_core.grid.selection.select_quads`
-    kind : what its nodes do
+    kind : kind of its nodes
     where : optional filter on the undeformed coordinates of the selected faces' corner nodes
     motion : required for ``MOVING``, absent otherwise
     """
@@ -69,12 +69,12 @@ class BoundarySpec:
             raise CaseError(f"{where}: select = {self.select!r}; expected a sequence of patterns, like ('wing',)")
         if (self.kind is Kind.MOVING) != (self.motion is not None):
             found = "has no motion" if self.motion is None else f"is {self.kind.label} but has a motion"
-            raise CaseError(f"{where} {found}; expected a motion for moving boundaries and only there")
+            raise CaseError(f"{where} {found}; expected a motion for moving boundaries, and only for these")
 
 
 @dataclass(frozen=True)
 class ClassifiedPatch:
-    """A classified boundary entry, for reports and for "nearest patch".
+    """A classified boundary entry, for reports and for finding the nearest patch.
 
     ``nodes`` are unique node numbers, ``quads`` face quads; both may also belong to stronger entries.
     """
@@ -93,10 +93,10 @@ class Boundary:
     ----------
     kind : (n_unique,) int8, :class:`Kind` of every unique face node
     quad_kind : (n_quads,) int8, kind of every face quad (``INTERFACE`` for shared ones)
-    patches : the entries in the order of the case, then what nothing selected
+    patches : the entries in the order of the case, then the unselected faces
     slip, periodic : constraints on displacements
     mirrors : symmetry planes
-    notes : decisions the report must mention
+    notes : warnings for the report
     """
 
     kind: np.ndarray
@@ -132,12 +132,12 @@ def classify(
     """Apply the boundary entries of a case to a grid.
 
     Returns the topology with two-sided walls opened, and the boundary. External faces that no entry selects are
-    fixed; the end planes of a grid that is one cell thick slide instead, or nothing between them could move.
+    fixed; but the end planes of a grid that is one cell thick slide, because otherwise nothing could move.
 
     Raises
     ------
     CaseError, MotionError
-        For selections that match nothing and for tables that match no node.
+        When a selection matches nothing or a table matches no node.
     """
     topology, notes = _open_two_sided_walls(grid, topology)
     selected = [_select(grid, topology, spec, constants) for spec in specs]
@@ -168,9 +168,9 @@ def classify(
 def _bind_motions(
     grid: Grid, topology: Topology, specs: Sequence[BoundarySpec], selected: list[IntArray]
 ) -> tuple[list[tuple[IntArray, PreparedMotion]], list[str]]:
-    """Unique nodes and motion of every moving entry, and doubts about tables.
+    """Unique nodes and motion of every moving entry, and warnings about tables.
 
-    What a table does not match is taken out of ``selected``.
+    Faces that a table does not match are removed from ``selected``.
     """
     movers: list[tuple[IntArray, PreparedMotion]] = []
     asked: list[tuple[IntArray, PreparedMotion]] = []
@@ -184,7 +184,7 @@ def _bind_motions(
         asked.append((selected[index], prepared))
         if not prepared.moved.all():
             selected[index] = _fully_within(topology, selected[index], moved)
-    return movers, table_doubts(topology, asked)
+    return movers, table_warnings(topology, asked)
 
 
 def _select(grid: Grid, topology: Topology, spec: BoundarySpec, constants: Mapping[str, float]) -> IntArray:
@@ -208,7 +208,7 @@ def _select(grid: Grid, topology: Topology, spec: BoundarySpec, constants: Mappi
     if quads.size == 0:
         ranges = ", ".join(f"{n} {c.min():.4g} to {c.max():.4g}" for n, c in zip("xyz", (x, y, z), strict=True))
         raise CaseError(
-            f"boundary {spec.name!r}: where = {spec.where.text!r} holds at no face of the selection "
+            f"boundary {spec.name!r}: where = {spec.where.text!r} is not satisfied on any face of the selection "
             f"({int(holds.sum())} of {len(nodes)} nodes satisfy it; the selection spans {ranges})"
         )
     return quads
@@ -236,7 +236,7 @@ def _fully_within(topology: Topology, quads: IntArray, nodes: IntArray) -> IntAr
 
 
 def _open_two_sided_walls(grid: Grid, topology: Topology) -> tuple[Topology, list[str]]:
-    """A thin plate between two blocks: their faces coincide, but the file declares a wall on both sides."""
+    """Open thin plates between two blocks: the faces coincide, but the file declares a wall on both sides."""
     wall = np.zeros(len(topology.partner), dtype=bool)
     for patch in grid.patches:
         if any(word in patch.bc_type.lower() for word in ("wall", "solid")):
@@ -245,7 +245,7 @@ def _open_two_sided_walls(grid: Grid, topology: Topology) -> tuple[Topology, lis
     both = shared[wall[topology.partner[shared]]]
     if both.size == 0:
         return topology, []
-    note = f"{both.size // 2} face quads are walls on both sides (a thin plate); they count as outside"
+    note = f"{both.size // 2} face quads are walls on both sides (a thin plate); they are treated as outside faces"
     return topology.opened(both), [note]
 
 
@@ -270,7 +270,7 @@ def _unselected(
     if sliding.size:
         entries.append(("(end planes)", Kind.SLIP, sliding))
         notes.append(
-            "the grid is one cell thick: its two end planes, which no boundary entry selects, slide (kind slip)"
+            "the grid is one cell thick: its two end planes, which no boundary entry selects, are slip planes"
         )
     if fixed.size:
         entries.append((UNSELECTED, Kind.FIXED, fixed))
@@ -293,7 +293,7 @@ def _node_kinds(topology: Topology, entries: list[Entry], movers: list[tuple[Int
 
 
 def _spread_over_images(kind: np.ndarray, periodic: Periodic) -> None:
-    """Images of a moving or fixed node are moving or fixed: pairs move alike."""
+    """Periodic images of a moving or fixed node are moving or fixed too: pairs move alike."""
     if periodic.one.size == 0:
         return
     nodes, root, _ = periodic.frames(len(kind))

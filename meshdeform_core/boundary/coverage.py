@@ -1,4 +1,4 @@
-"""Whether displacement tables and the walls they move fit each other: units, unused points, gaps, extrapolation."""
+"""Consistency of displacement tables with the walls they move: units, unused points, gaps, extrapolation."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from .motion import PreparedMotion
 from .transfer import Nodes, Transfer, far_points, other_frame
 
 _MOST = 0.5
-"""A table of which more than this part lies off the walls was not made for them."""
+"""A table with more than this fraction of its points off the walls was not made for them."""
 _OFFSET = 0.1
-"""Matched points farther away than this part of the shortest edge are not those of the wall."""
+"""Matched points farther away than this fraction of the shortest edge are not points of the wall."""
 _SMOOTH = 0.85
 """Faces whose normals have at least this cosine belong to one smooth surface."""
 _ABRUPT = 1e-2
-"""A displacement that ends at more than this part of the shortest edge tears the wall."""
+"""A jump of the displacement by more than this fraction of the shortest edge tears the wall."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class _Use:
     quads: IntArray
 
 
-def table_doubts(topology: Topology, movers: Sequence[tuple[IntArray, PreparedMotion]]) -> list[str]:
+def table_warnings(topology: Topology, movers: Sequence[tuple[IntArray, PreparedMotion]]) -> list[str]:
     """Warnings about tables and the walls that they move.
 
     Parameters
@@ -42,7 +42,7 @@ def table_doubts(topology: Topology, movers: Sequence[tuple[IntArray, PreparedMo
     Raises
     ------
     MotionError
-        When most of a table lies off the walls, or it moves single nodes between others that stay.
+        When most of a table lies off the walls, or it moves single nodes among others that stay.
     """
     uses = [_Use(match, motion.nodes, quads) for quads, motion in movers for match in motion.matches]
     tables: dict[tuple[str, int, float], list[_Use]] = {}
@@ -101,7 +101,7 @@ def _gaps(topology: Topology, use: _Use) -> list[str]:
 
 
 def _abrupt_end(use: _Use, corners: IntArray, whole: BoolArray, mixed: BoolArray) -> list[str]:
-    """Whether the motion ends in the middle of a smooth wall, with a step."""
+    """A warning if the motion ends with a jump in the middle of a smooth wall."""
     nodes, match = use.nodes, use.match
     direction = _directions(nodes.points[corners])
     along = np.zeros((len(nodes.points), 3))
@@ -134,7 +134,7 @@ def _directions(points: FloatArray) -> FloatArray:
 
 
 def _distances(use: _Use) -> list[str]:
-    """Nodes that took the value of a point that is not theirs, or of a surface that does not reach them."""
+    """Warnings about nodes that take the value of a distant point, or that lie beyond the table's surface."""
     match, nodes = use.match, use.nodes
     if match.how == "interpolate":
         out = match.matched & (match.beyond > nodes.edge)
@@ -150,12 +150,12 @@ def _distances(use: _Use) -> list[str]:
         notes.append(
             f"{match.label}: {int(off.sum())} of {int(match.matched.sum())} nodes lie up to "
             f"{match.distance[off].max():.3g} away from the table point whose displacement they take "
-            f'(match = "{match.how}"); "interpolate" would follow the table between its points'
+            f'(match = "{match.how}"); "interpolate" interpolates between the table points'
         )
     taken = match.used[0]
     if match.how == "nearest" and taken < 0.9 * match.matched.sum():
         notes.append(
-            f"{match.label}: {int(match.matched.sum())} nodes share the displacements of {taken} table points, in "
-            f'steps; use match = "interpolate"'
+            f"{match.label}: {int(match.matched.sum())} nodes share the displacements of {taken} table points, "
+            f'stepwise; use match = "interpolate"'
         )
     return notes

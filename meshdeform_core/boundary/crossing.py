@@ -1,14 +1,14 @@
-"""Where a boundary passes through itself once it has moved: no valid grid exists then, whatever the method.
+"""Self-intersection of the moved boundary: no valid grid exists then, whatever the method.
 
-Only faces whose nodes all have a prescribed displacement are tested against each other, and against slip and symmetry
-faces in their undeformed place. Faces with a common node never count as crossing: thin plates, seams, collapsed faces
-and sharp edges are neighbours. Neither do faces that touched or crossed other ones before they moved, as those of
-abutting blocks do whose nodes do not match.
+Faces whose nodes all have a prescribed displacement are tested against each other, and against slip and symmetry
+faces in their undeformed position. Faces with a common node never count as crossing: thin plates, seams, collapsed
+faces and sharp edges are neighbours. Nor do faces that touched or crossed others before they moved, such as those of
+abutting blocks with non-matching nodes.
 
-Flat walls that pass through each other along their normals never cross in the strict sense; their neighbours come to
-lie in the same planes. So every node is displaced at random by 1e-7 of its shortest face edge (deterministically):
-faces that touch or overlap then cross somewhere. And walls that have passed each other altogether cross no more; that
-they lie outside is told by the solid angle of the whole boundary.
+Flat walls that pass through each other along their normals never cross in the strict sense, because their neighbours
+end up in the same planes. So every node is shifted by a pseudo-random 1e-7 of its shortest face edge: faces that touch
+or overlap then cross somewhere. Walls that have passed each other completely no longer cross; the solid angle of the
+whole boundary shows that they lie outside.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ TOUCH = 1e-7
 _HALVINGS = 20
 # How close undeformed faces of abutting blocks are to each other, relative to their shortest edge.
 _ABUTTING = 1e-4
-# Connected parts of what moves that are asked whether they are outside, places on each, and how far from their faces.
+# Largest number of connected moving parts tested for lying outside, of samples on each, and their distance to the face.
 _PARTS, _PLACES, _INSIDE = 16, 3, 1e-6
 
 
@@ -43,8 +43,8 @@ class Crossing:
 
     Attributes
     ----------
-    patches : their names; a face beside a moving patch, which that one carries along, counts as its part
-    point : a place that both have in common (grid length unit)
+    patches : their names; a fixed face that a moving patch drags along counts as part of that patch
+    point : a point of their intersection (grid length unit)
     count : pairs of faces that cross
     """
 
@@ -55,12 +55,12 @@ class Crossing:
 
 @dataclass(frozen=True)
 class Contact:
-    """How a boundary comes to cross itself.
+    """When and where a moving boundary begins to cross itself.
 
     Attributes
     ----------
-    fraction : part of the motion up to which it does not
-    crossings : what meets there, most faces first
+    fraction : of the motion, up to which it does not
+    crossings : the patches that meet there, most faces first
     """
 
     fraction: float
@@ -68,22 +68,22 @@ class Contact:
 
     @property
     def message(self) -> str:
-        """For people: what meets, where and when."""
+        """Warning text: which patches meet, where and when."""
         first = self.crossings[0] if self.crossings else None
-        what = "it comes to lie outside of the grid"
+        what = "a part of it lies outside the grid"
         if first:
             one, two = first.patches
             pair = f"{one!r} meets itself" if one == two else f"{one!r} and {two!r} meet"
             place = ", ".join(f"{x:.6g}" for x in first.point)
             what = f"{pair} at ({place}) ({first.count} pairs of faces)"
         verdict = "the moved boundary crosses itself, so no valid grid exists"
-        return f"{verdict}: from {self.fraction:.2%} of the motion on {what}"
+        return f"{verdict}: from {self.fraction:.2%} of the motion onwards {what}"
 
 
 def find_contact(
     grid: Grid, topology: Topology, boundary: Boundary, path: Callable[[float], FloatArray]
 ) -> Contact | None:
-    """Where on its way the boundary meets itself; ``None`` if at the end of it there is no crossing.
+    """First contact of the boundary with itself; ``None`` if there is no crossing at the end of the motion.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def find_contact(
             high, found = middle, crossings or found
         else:
             low = middle
-    # What meets between the two is as close as they are: walls that are parallel cross there, too.
+    # Faces that meet between the two fractions are at most that far apart: parallel walls count as crossing, too.
     at = path(high)
     gap = 2.0 * float(np.abs(at - path(low)).max())
     return Contact(low, surface.crossings(at, gap) or found)
@@ -113,23 +113,23 @@ def find_crossings(
 ) -> tuple[Crossing, ...]:
     """Patches whose faces cross after a displacement (n_unique, 3) of the boundary but not before.
 
-    Sorted by the number of pairs of faces, most first. Walls that have passed each other altogether are not found
+    Sorted by the number of pairs of faces, most first. Walls that have passed each other completely are not found
     here but by :func:`find_contact`.
     """
     return _Surface(grid, topology, boundary, displacement).crossings(displacement)
 
 
 class _Surface:
-    """The boundary's faces (m, 4) between its unique nodes, and what is known about them.
+    """The boundary's faces (m, 4) between its unique nodes.
 
-    A 2-D grid is given a thickness: strips stand for its edges.
+    A 2-D grid is given a thickness: its edges become strips.
     """
 
     def __init__(self, grid: Grid, topology: Topology, boundary: Boundary, displacement: FloatArray):
         self.topology, self.boundary = topology, boundary
         self.points = grid.points[topology.first]
         kind, corners = boundary.quad_kind, topology.quads.corners
-        # A plane that nodes leave goes with them: nobody knows where its faces will be.
+        # A plane that nodes leave moves with them: the position of its faces is unknown.
         departs = boundary.slip.departure(displacement) > 1e-9 * float(np.ptp(self.points, axis=0).max())
         sliding = np.isin(kind, (Kind.SLIP, Kind.SYMMETRY)) & (not departs)
         self.quads = np.flatnonzero((kind >= Kind.FIXED) & boundary.known[corners].all(axis=1) | sliding)
@@ -151,13 +151,13 @@ class _Surface:
         self.edge = np.tile(self.edge, 2)
 
     def crossings(self, displacement: FloatArray, gap: float = 0.0) -> tuple[Crossing, ...]:
-        """What crosses after a displacement (n_unique, 3), or comes closer than ``gap``."""
+        """Faces that cross after a displacement (n_unique, 3), or come closer than ``gap``."""
         copies = len(self.points) // self.topology.n_unique
         moved = np.tile((displacement != 0.0).any(axis=1), copies)
         asked = moved[self.faces].any(axis=1) & (self.role != SLIDING)
         if not asked.any():
             return ()
-        # Whether a part is outside is asked a little beside it: so much closer it may come.
+        # Parts are tested for lying outside at a small distance from their faces, by which they may come closer.
         reach = gap + 4.0 * _INSIDE * self.edge if gap else 0.0
         amplitude = np.clip(reach, TOUCH * self.edge, 0.05 * self.edge)
         after = self.points + np.tile(displacement, (copies, 1))
@@ -170,18 +170,18 @@ class _Surface:
         return _grouped(self._names(moved)[pairs], places)
 
     def _new(self, pairs: IntArray, amplitude: FloatArray) -> BoolArray:
-        """Which pairs (c, 2) are not two faces that both touched other ones before they moved."""
+        """Which pairs (c, 2) contain a face that touched no other one before it moved."""
         crossing = np.zeros(len(self.faces), dtype=bool)
         crossing[pairs] = True
         close = np.maximum(_ABUTTING * self.edge, 4.0 * amplitude)[self.faces].min(axis=1)
         return np.asarray(~near_faces(self.points, self.faces, crossing, close)[pairs].all(axis=1))
 
     def _names(self, moved: BoolArray) -> np.ndarray:
-        """Name of the patch (m,) of every face; fixed faces that moving ones carry along belong to those."""
+        """Name of the patch (m,) of every face; fixed faces that moving patches drag along belong to these."""
         owner = np.zeros(len(self.topology.partner), dtype=np.int64)
         carrier = np.full(self.topology.n_unique, -1)
         patches = self.boundary.patches
-        # Ascending strength: the strongest of several patches of a face gives it its name.
+        # Ascending strength: a face on several patches is named after the strongest.
         for index in sorted(range(len(patches)), key=lambda n: patches[n].kind):
             owner[patches[index].quads] = index
             if patches[index].kind is Kind.MOVING:
@@ -205,7 +205,7 @@ class _Surface:
         return bool((sure & (np.round(inside[1]) != 1.0)).any())
 
     def _winding(self, points: FloatArray, samples: IntArray) -> FloatArray:
-        """Winding number (k,) of the boundary about places just inside of the faces ``samples`` (k, 2 or 4)."""
+        """Winding number (k,) of the boundary about points just inside the faces ``samples`` (k, 2 or 4)."""
         if self.normal is not None:
             return self._plane_winding(points, samples)
         triangles = np.concatenate([self.all_faces[:, [0, 1, 2]], self.all_faces[:, [2, 3, 0]]])
@@ -215,7 +215,7 @@ class _Surface:
         return winding(points, triangles, (a + b + c) / 3.0 - _INSIDE * area / np.sqrt(np.maximum(size, 1e-300)))
 
     def _plane_winding(self, points: FloatArray, samples: IntArray) -> FloatArray:
-        """The same in a plane, where the outside lies to the right of an edge."""
+        """The same in 2-D, where the outside lies to the right of an edge."""
         assert self.normal is not None
         a, b = points[samples[:, 0]], points[samples[:, 1]]
         places = 0.5 * (a + b) + _INSIDE * np.cross(self.normal, b - a)
@@ -249,7 +249,7 @@ def _samples(faces: IntArray, n_nodes: int) -> IntArray:
 
 
 def _grouped(names: np.ndarray, places: FloatArray) -> tuple[Crossing, ...]:
-    """One crossing per pair of names (c, 2), at the place (of c, 3) closest to the middle of them."""
+    """One crossing per pair of names (c, 2), at the one of ``places`` (c, 3) closest to their mean."""
     groups: dict[tuple[str, str], list[int]] = {}
     for index, pair in enumerate(names.tolist()):
         one, two = sorted(pair)

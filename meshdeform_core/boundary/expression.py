@@ -1,8 +1,8 @@
 """Formulas in case files: arithmetic on coordinates and time, and nothing else.
 
-The text is parsed into Python's syntax tree and that tree is walked by hand. Only the operators, functions and names
+The text is parsed into Python's syntax tree, which is evaluated by this module. Only the operators, functions and names
 listed here exist; attributes, indexing, strings, comprehensions, lambdas and assignments are refused when the case is
-read, so a case file stays data.
+read, so that a case file remains pure data.
 """
 
 from __future__ import annotations
@@ -111,7 +111,7 @@ class Expression:
     Raises
     ------
     CaseError
-        When the text is not a formula or uses anything that does not exist here.
+        When the text is not a formula or uses an unknown name or function.
     """
 
     text: str
@@ -139,7 +139,7 @@ class Expression:
         return frozenset(found & self.variables)
 
     def __call__(self, values: Mapping[str, Any]) -> Any:
-        """Value of the formula; arrays in ``values`` broadcast. May hold NaN or inf: the caller knows where."""
+        """Value of the formula; arrays in ``values`` broadcast. May contain NaN or inf, which the caller reports."""
         with np.errstate(all="ignore"):
             return _value(self._tree, values)
 
@@ -208,7 +208,7 @@ def _refuse(node: ast.AST, owner: Expression) -> None:
 def _value(node: ast.AST, values: Mapping[str, Any]) -> Any:
     match node:
         case ast.Constant(value=int() | float() as value):
-            # Float arithmetic only: integers would make 9**9**9 an endless computation.
+            # Float arithmetic only: with integers 9**9**9 would never finish.
             return np.float64(value)
         case ast.Name(id=name):
             return values[name] if name in values else _CONSTANTS[name]

@@ -1,8 +1,8 @@
 """Prescribed motion of a boundary: rotate, translate, displace by formulas, or follow a table.
 
-A motion is a sequence of steps applied in order to the undeformed positions. Every step can be imposed in part
-(``fraction`` of it), so that a large motion can be marched along its own path: half of a rotation by 60 degrees is a
-rotation by 30 degrees, not the midpoint of the chord.
+A motion is a sequence of steps applied in order to the undeformed positions. A ``fraction`` of every step can be
+imposed, so that a large motion is marched along its own path: half of a rotation by 60 degrees is a rotation by 30
+degrees, not the midpoint of the chord.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ class Step(Protocol):
         ...
 
     def prepare(self, nodes: Nodes) -> PreparedStep:
-        """Whatever depends on the undeformed nodes only."""
+        """Compute everything that depends only on the undeformed nodes."""
         ...
 
 
 class PreparedStep(Protocol):
-    """A step that knows its nodes."""
+    """A step bound to its nodes."""
 
     def increment(self, current: FloatArray, values: Mapping[str, Any], fraction: float) -> FloatArray:
         """Displacement (n, 3) from the ``current`` positions; ``values`` are the variables at the undeformed nodes."""
@@ -65,14 +65,14 @@ class Rotate:
         # Scaled first: squares of lengths beyond 1e154 are not finite.
         axis = np.asarray(self.axis) / np.abs(self.axis).max()
         axis /= np.linalg.norm(axis)
-        # Rodrigues' formula as a displacement: no rotation moves nothing, exactly.
+        # Rodrigues' formula as a displacement: exactly zero for a zero rotation.
         lift = np.cross(axis, arm)
         return np.sin(angle) * lift + 2 * np.sin(angle / 2) ** 2 * np.cross(axis, lift)
 
 
 @dataclass(frozen=True)
 class Displace:
-    """Displacement by three formulas of the undeformed x, y, z and of t; a translation when they are constant."""
+    """Displacement by three formulas of the undeformed x, y, z and t; a translation if they are constant."""
 
     vector: tuple[Expression, Expression, Expression]
 
@@ -111,7 +111,7 @@ class Imposed:
 
 @dataclass(frozen=True)
 class FollowSequence:
-    """Displacement from one table per time, read when its time comes; one is in memory at a time.
+    """Displacement from one table per time, read when needed; only one is in memory at a time.
 
     ``times`` ascend; ``read(n)`` reads the table of ``times[n]``.
     """
@@ -126,7 +126,7 @@ class FollowSequence:
 
 
 class ImposedSequence:
-    """Tables that are transferred to the nodes one after the other; ``match`` is the transfer of the last one used."""
+    """Tables transferred to the nodes one at a time; ``match`` is the transfer of the last one used."""
 
     def __init__(self, sequence: FollowSequence, nodes: Nodes):
         self._sequence, self._nodes = sequence, nodes
@@ -139,7 +139,7 @@ class ImposedSequence:
             match = self._transfer(wanted)
             if (match.matched != self.match.matched).any():
                 raise MotionError(
-                    f"{match.label} matches {int(match.matched.sum())} boundary nodes, {self.match.label} other ones "
+                    f"{match.label} matches {int(match.matched.sum())} boundary nodes, {self.match.label} others "
                     f"({int(self.match.matched.sum())}); expected all tables of a sequence to cover the same nodes"
                 )
             self._current, self.match = wanted, match
@@ -155,7 +155,7 @@ class ImposedSequence:
         if abs(times[nearest] - time) > 1e-6 * spacing:
             raise MotionError(
                 f"the sequence of displacement files has no level at t = {time:g}; it has {len(times)} levels from "
-                f"{times[0]:g} to {times[-1]:g}, the nearest at {times[nearest]:g}. Choose times that it has"
+                f"{times[0]:g} to {times[-1]:g}, the nearest at {times[nearest]:g}. Choose one of its times"
             )
         return nearest
 
@@ -174,11 +174,11 @@ class Motion:
 
     @property
     def partial(self) -> bool:
-        """It is a table that moves what it matches and lets the rest stay."""
+        """Whether it is a table that moves only the nodes it matches."""
         return any(isinstance(step, Follow | FollowSequence) and step.matching.partial for step in self.steps)
 
     def prepare(self, nodes: Nodes) -> PreparedMotion:
-        """Bind the motion to its nodes: tables are matched here, once."""
+        """Bind the motion to its nodes; tables are matched here, once."""
         return PreparedMotion(tuple(step.prepare(nodes) for step in self.steps), self.constants, nodes)
 
 
@@ -188,7 +188,7 @@ GIVEN = Motion((), {})
 
 @dataclass(frozen=True)
 class PreparedMotion:
-    """A motion that knows its nodes."""
+    """A motion bound to its nodes."""
 
     steps: tuple[PreparedStep, ...]
     constants: Mapping[str, float]
@@ -196,19 +196,19 @@ class PreparedMotion:
 
     @property
     def matches(self) -> tuple[Transfer, ...]:
-        """What the tables matched, for the report."""
+        """The matches of all tables, for the report."""
         return tuple(step.match for step in self.steps if isinstance(step, Imposed | ImposedSequence))
 
     @property
     def moved(self) -> BoolArray:
-        """(n,) bool: nodes that the motion moves; all, unless its tables match a part of them only."""
+        """(n,) bool: nodes that the motion moves; all, unless its tables match only some of them."""
         moved = np.ones(len(self.nodes.numbers), dtype=bool)
         for match in self.matches:
             moved &= match.matched
         return moved
 
     def displacement(self, time: float = 0.0, fraction: float = 1.0) -> FloatArray:
-        """Displacement (n, 3) of the nodes at ``time``, imposed to ``fraction``.
+        """Displacement (n, 3) of the nodes for ``fraction`` of the motion at ``time``.
 
         Raises
         ------

@@ -41,9 +41,9 @@ class Periodic:
         )
 
     def frames(self, n_unique: int) -> tuple[IntArray, IntArray, FloatArray]:
-        """Nodes that take part, the smallest node of each one's ring of images, and the rotation from it.
+        """Periodic nodes, the smallest node in each one's set of images, and the rotation from it.
 
-        Corner nodes have several images; they are reached by walking the pairs until nothing changes.
+        Corner nodes have several images; they are found by following the pairs until nothing changes.
         """
         nodes = np.unique(np.r_[self.one, self.two])
         root = np.arange(n_unique)
@@ -67,7 +67,7 @@ class Periodic:
     def constrain(self, displacement: FloatArray, free: BoolArray) -> None:
         """Give all images of a node the mean of their displacements, in place, where they are ``free`` (n_unique,).
 
-        The mean is taken in the frame of one image, so that it does not depend on which.
+        The mean is taken in the frame of one image; the choice of image does not matter.
         """
         if self.one.size == 0:
             return
@@ -113,7 +113,7 @@ def periodic_pairs(grid: Grid, topology: Topology, one: IntArray, two: IntArray,
 
 
 def _axis_rotations(p: FloatArray, q: FloatArray) -> list[FloatArray]:
-    """Rotations about x, y and z through the origin that carry the centroid of ``p`` over that of ``q``."""
+    """Rotations about x, y and z through the origin that map the centroid of ``p`` onto that of ``q``."""
     rotations = []
     for axis in range(3):
         a, b = (axis + 1) % 3, (axis + 2) % 3
@@ -144,8 +144,8 @@ def find_periodicity(grid: Grid, topology: Topology, name: str, quads: IntArray,
         return declared
     if len(sides) != 2:
         raise CaseError(
-            f"boundary {name!r} is periodic but selects {len(sides)} things and the file declares no periodic "
-            f"connection for them; expected select = [one side, other side]"
+            f"boundary {name!r} is periodic but has {len(sides)} select patterns, and the file declares no "
+            f"periodic connection for them; expected select = [one side, other side]"
         )
     one, two = (np.unique(topology.quads.corners[np.intersect1d(quads, side)]) for side in sides)
     return periodic_pairs(grid, topology, one, two, name)

@@ -1,4 +1,4 @@
-"""Cells that the boundary's motion alone decides: all of their nodes are prescribed, no method can save them."""
+"""Cells whose nodes are all prescribed: the boundary's motion alone determines them, and no method can help."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from ..grid.planes import plane_normal
 from ..grid.topology import Topology
 from .classification import Boundary
 
-# Corners of undeformed cells flatter than this, relative to the product of their edges, are collapsed: not judged.
+# Corners of undeformed cells flatter than this, relative to the product of their edges, are collapsed and not judged.
 _COLLAPSED = 1e-10
 
 
 @dataclass(frozen=True)
 class PinnedCells:
-    """Cells that become inverted because all of their nodes are told to go where they go.
+    """Cells that the prescribed displacements of all of their nodes invert.
 
     Attributes
     ----------
@@ -33,7 +33,7 @@ class PinnedCells:
 
     @property
     def message(self) -> str:
-        """For people: what is wrong and where."""
+        """Warning text: what is wrong and where."""
         place = ", ".join(f"{x:.6g}" for x in self.center)
         cells = (
             "1 cell, whose nodes are all prescribed, is"
@@ -47,9 +47,9 @@ class PinnedCells:
 
 
 def find_pinned(grid: Grid, topology: Topology, boundary: Boundary, displacement: FloatArray) -> PinnedCells | None:
-    """Cells with prescribed nodes only that a displacement (n_unique, 3) of the boundary inverts, or ``None``.
+    """Cells with only prescribed nodes that a displacement (n_unique, 3) of the boundary inverts, or ``None``.
 
-    Inverted means that a corner Jacobian that was not collapsed changes its sign or vanishes.
+    Inverted means that the Jacobian at a corner that was not collapsed changes sign or vanishes.
     """
     known = np.zeros(grid.n_nodes, dtype=bool)
     known[topology.face_nodes] = boundary.known[topology.number]
@@ -71,7 +71,7 @@ def find_pinned(grid: Grid, topology: Topology, boundary: Boundary, displacement
 
 
 def _cells_of(known: np.ndarray) -> IntArray:
-    """Cells (c, 3) of a block (ni, nj, nk) with known nodes only; across the plane of a 2-D grid they count as one."""
+    """Cells (c, 3) of a block (ni, nj, nk) with only known nodes; a 2-D block counts as one layer of cells."""
     for axis in range(3):
         if known.shape[axis] > 1:
             low, high = (np.take(known, range(n, known.shape[axis] - 1 + n), axis=axis) for n in (0, 1))
@@ -90,7 +90,7 @@ def _corners(grid: Grid, block: int, cells: IntArray) -> IntArray:
 
 
 def _inverted(before: FloatArray, after: FloatArray, normal: FloatArray | None) -> BoolArray:
-    """Which cells (c, 2, 2, 2, 3) have a corner whose Jacobian changes its sign."""
+    """Which cells (c, 2, 2, 2, 3) have a corner whose Jacobian changes sign."""
     old, size = _jacobians(before, normal)
     new, _ = _jacobians(after, normal)
     sound = np.abs(old) > _COLLAPSED * size

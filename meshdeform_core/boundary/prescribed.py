@@ -1,4 +1,4 @@
-"""Where the boundary goes: the motions of all moving patches as one displacement, checked for contradictions."""
+"""The motions of all moving patches as one displacement of the boundary, checked for contradictions."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def given_displacement(
 
 
 def _completed(grid: Grid, boundary: Boundary, displacement: FloatArray, given: BoolArray) -> FloatArray:
-    """The displacement with that of periodic images; in 2-D it must stay in the plane."""
+    """The displacement completed at periodic images; in 2-D it must stay in the plane."""
     if boundary.periodic.one.size:
         _copy_to_images(boundary.periodic, displacement, given)
     normal = plane_normal(grid)
@@ -77,9 +77,9 @@ def _copy_to_images(periodic: Periodic, displacement: FloatArray, given: BoolArr
     if apart.max(initial=0.0) > 1e-6 * np.abs(displacement).max():
         worst = int(np.argmax(apart))
         raise MotionError(
-            f"two images of a periodic boundary move differently: {told[worst].tolist()} and "
-            f"{home[root[moving]][worst].tolist()} seen from the first of them; give both "
-            f"the same motion, or let one of them move only"
+            f"two periodic images of a node move differently: {told[worst].tolist()} and "
+            f"{home[root[moving]][worst].tolist()} in the frame of the first; give both "
+            f"the same motion, or move only one of them"
         )
     image = np.isin(root, root[moving]) & ~moving
     displacement[nodes[image]] = np.einsum("nij,nj->ni", turn[image], home[root[image]])

@@ -1,4 +1,4 @@
-"""Nodes that slide: in planes, on curved surfaces, and in mirror planes."""
+"""Nodes that slide: in planes, on curved surfaces, and in symmetry planes."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class CurvedSurface:
 
     @cached_property
     def tree(self) -> TriangleTree:
-        """For the closest points of the surface."""
+        """Search tree for closest points of the surface."""
         from ..numerics.geometry.surface import TriangleTree
 
         return TriangleTree(self.points, self.triangles)
@@ -57,7 +57,7 @@ class Slip:
     def constrain(self, displacement: FloatArray, points: FloatArray, first: IntArray) -> None:
         """Make ``displacement`` (n_unique, 3) obey the constraints, in place.
 
-        Its nodes are the rows ``first`` (n_unique,) of the undeformed ``points`` (n_nodes, 3).
+        The nodes are the rows ``first`` (n_unique,) of the undeformed ``points`` (n_nodes, 3).
         """
         for surface in self.curved:
             self._slide(surface, displacement, points, first)
@@ -90,12 +90,12 @@ def find_sliding(
     Parameters
     ----------
     slipping : name, face quads and "is a symmetry" of every slip or symmetry boundary
-    free : (n_unique,) nodes that no stronger boundary holds
+    free : (n_unique,) nodes that belong to no stronger boundary
 
     Raises
     ------
     CaseError
-        When a symmetry is not a plane.
+        When a symmetry boundary is not plane.
     """
     planes: list[tuple[Plane, IntArray]] = []
     curved: list[CurvedSurface] = []
@@ -113,7 +113,7 @@ def find_sliding(
             planes.append((plane, nodes))
             mirrors += [plane] if symmetry else []
         if bent and symmetry:
-            raise CaseError(f'boundary {name!r} is a symmetry but not a plane; use kind = "slip" for curved surfaces')
+            raise CaseError(f'boundary {name!r} is a symmetry but not plane; use kind = "slip" for curved surfaces')
         if bent:
             curved.append(_curved_surface(grid, topology, np.concatenate(bent), free))
     return Slip(tuple(planes), _groups(planes, free), tuple(curved)), _distinct(mirrors)

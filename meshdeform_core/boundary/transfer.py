@@ -1,4 +1,4 @@
-"""From a surface displacement to the boundary nodes of the grid: exact, nearest, or interpolated."""
+"""Transfer of a surface displacement to the boundary nodes of the grid: exact, nearest, or interpolated."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..grid import BoolArray, FloatArray, Grid, IntArray, Side
 from ..grid.topology import RELATIVE_TOLERANCE, Topology, side_nodes
 
 HOW = ("exact", "nearest", "interpolate")
-# Two displacements at one place are the same up to this fraction of the largest one.
+# Two displacements at one point are the same up to this fraction of the largest one.
 _ALIKE = 1e-6
 _LARGEST = 1e100
 
@@ -25,7 +25,7 @@ class SurfaceData:
     ----------
     points, displacement : (n, 3) float64, grid length unit
     triangles : (m, 3) int64, indices into ``points``; (0, 3) when the file has points only
-    label : what to call it in messages, usually the file name
+    label : name for messages, usually the file name
     """
 
     points: FloatArray
@@ -36,14 +36,14 @@ class SurfaceData:
 
 @dataclass(frozen=True)
 class Nodes:
-    """Undeformed boundary nodes that want a displacement.
+    """Undeformed boundary nodes that need a displacement.
 
     Attributes
     ----------
     points : (n, 3), grid length unit
     numbers : (n,) unique node numbers
     edge, longest : (n,) shortest and longest edge of the boundary's faces at each node: scales of matching
-    grid, topology : where they come from
+    grid, topology : to which they belong
     """
 
     points: FloatArray
@@ -54,7 +54,7 @@ class Nodes:
     topology: Topology
 
     def label(self, index: int) -> str:
-        """Readable place of one node."""
+        """Name of one node: block and 1-based indices."""
         return self.grid.node_label(int(self.topology.first[self.numbers[index]]))
 
 
@@ -92,9 +92,9 @@ class Transfer:
     displacement : (n, 3), zero where nothing matched
     matched : (n,) bool
     distance : (n,) from each node to the point or surface that gave its displacement
-    label, how, used : the table's name, the matching, and how many of its points were used of how many
+    label, how, used : name of the table, the matching, and the number of its points that were used, of how many
     points : (m, 3) of the table; (0, 3) for a grid of the same nodes
-    beyond : (n,) how far the node lies beyond the rim of the table
+    beyond : (n,) distance of the node beyond the edge of the table's surface
     partial : whether nodes without a match are allowed
     """
 
@@ -115,7 +115,7 @@ def transfer(data: SurfaceData | Grid, matching: Matching, nodes: Nodes) -> Tran
     Raises
     ------
     MotionError
-        When no node matches, or some do not although ``matching.partial`` does not allow it.
+        When no node matches, or when some do not and ``matching.partial`` is false.
     """
     if not isinstance(data, Grid):
         _require_plausible(data)
@@ -130,7 +130,7 @@ def transfer(data: SurfaceData | Grid, matching: Matching, nodes: Nodes) -> Tran
 
 
 def _require_plausible(data: SurfaceData) -> None:
-    """Refuse numbers whose squares overflow: they are no lengths."""
+    """Refuse numbers whose squares overflow."""
     for what, values in (("coordinates", data.points), ("displacements", data.displacement)):
         largest = float(np.abs(values).max(initial=0.0))
         if largest > _LARGEST:
@@ -188,13 +188,13 @@ def _reach(data: SurfaceData, matching: Matching, nodes: Nodes) -> FloatArray | 
     if matching.tolerance is not None:
         return matching.tolerance
     if matching.partial:
-        # All of the boundary is asked: what is not on the table must not be caught.
+        # The table alone selects the nodes, from the whole boundary: those that are not on it must not match.
         return 0.5 * nodes.edge
     return 0.1 * min(float(np.linalg.norm(np.ptp(points, axis=0))) for points in (data.points, nodes.points))
 
 
 def _on_triangles(data: SurfaceData, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Displacement, distance, and distance beyond the rim, at the closest points of the table's surface."""
+    """Displacement, distance, and distance beyond the edge, at the closest points of the table's surface."""
     from ..numerics.geometry.surface import TriangleTree
 
     triangle, weights, distance = TriangleTree(data.points, data.triangles).closest(points)
@@ -211,7 +211,7 @@ def _on_triangles(data: SurfaceData, points: FloatArray) -> tuple[FloatArray, Fl
 
 
 def _rim(triangles: IntArray) -> BoolArray:
-    """(m, 3) bool: the edge opposite to that corner belongs to one triangle only."""
+    """(m, 3) bool: whether the edge opposite that corner belongs to only one triangle."""
     edges = np.sort(np.stack([triangles[:, [1, 2]], triangles[:, [2, 0]], triangles[:, [0, 1]]], axis=1), axis=2)
     _, number, count = np.unique(edges.reshape(-1, 2), axis=0, return_inverse=True, return_counts=True)
     return np.asarray(count[number.reshape(-1)].reshape(-1, 3) == 1)
@@ -242,7 +242,7 @@ def _from_deformed_grid(deformed: Grid, matching: Matching, nodes: Nodes) -> Tra
 
 
 def _from_surface_blocks(surface: Grid, nodes: Nodes) -> tuple[FloatArray, BoolArray]:
-    """Each block of the surface grid is the block face of the same size that lies closest to it."""
+    """Match each block of the surface grid with the closest block face of the same size."""
     moved = np.full((nodes.topology.n_unique, 3), np.nan)
     taken: set[tuple[int, Side]] = set()
     for index, shape in enumerate(surface.shapes):
@@ -304,7 +304,7 @@ def _span(points: FloatArray) -> str:
     return " x ".join(f"[{a:.4g}, {b:.4g}]" for a, b in zip(low, high, strict=True))
 
 
-# Lengths in one unit as numbers of another: m and mm, cm, km, inch, foot, and inch in mm.
+# Conversion factors between length units: m and mm, cm, km, inch, foot, and inch in mm.
 _FACTORS = (1e-3, 1e3, 1e-2, 1e2, 1e-6, 1e6, 0.0254, 1 / 0.0254, 25.4, 1 / 25.4, 0.3048, 1 / 0.3048)
 _ORDERS = ((0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0))
 _SAMPLE = 5000
@@ -317,9 +317,9 @@ def far_points(points: FloatArray, nodes: Nodes) -> BoolArray:
 
 
 def other_frame(points: FloatArray, nodes: Nodes) -> str:
-    """What would put table points that miss the nodes onto them: another length unit or order of coordinates.
+    """A hint on what would make table points match the nodes: another length unit or order of coordinates.
 
-    The end of a message, empty if nothing does.
+    The end of a message, empty if neither helps.
     """
     some = points[:: max(1, len(points) // _SAMPLE)]
     here = 1.0 - far_points(some, nodes).mean()

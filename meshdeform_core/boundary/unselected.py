@@ -1,4 +1,4 @@
-"""Faces that no boundary entry selects: where they are, and whether they should have been fixed without a word."""
+"""Faces that no boundary entry selects: where they are, and whether fixing them deserves a warning."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def regions(grid: Grid, topology: Topology, quads: IntArray) -> list[Region]:
 
 
 def range_label(grid: Grid, window: Window) -> str:
-    """``block1.jmin``, with its nodes where it is a part of the face."""
+    """``block1.jmin``, with a window of nodes if it is only a part of the face."""
     name = f"{grid.names[window.block]}.{window.side.label}"
     a, b = window.side.tangential
     shape = grid.shapes[window.block]
@@ -44,12 +44,12 @@ def range_label(grid: Grid, window: Window) -> str:
 
 
 def unselected_notes(grid: Grid, topology: Topology, quads: IntArray, moving: IntArray, expected: bool) -> list[str]:
-    """Warnings about faces ``quads`` that stay fixed because nothing selects them.
+    """Warnings about faces ``quads`` that are fixed because nothing selects them.
 
     Parameters
     ----------
     moving : unique numbers of the nodes that move
-    expected : the case is a table alone, whose other faces are meant to stay
+    expected : the case is only a table, and the other faces are meant to be fixed
     """
     places = regions(grid, topology, quads)
     notes = []
@@ -57,7 +57,7 @@ def unselected_notes(grid: Grid, topology: Topology, quads: IntArray, moving: In
         listed = ", ".join(f"{range_label(grid, window)} ({len(found)})" for window, found in places[:_LISTED])
         more = f" and {len(places) - _LISTED} more ranges" if len(places) > _LISTED else ""
         notes.append(
-            f"{quads.size} external face quads are selected by no boundary entry; they are fixed: {listed}{more}"
+            f"{quads.size} external face quads are not selected by any boundary entry; they are fixed: {listed}{more}"
         )
     moves = np.zeros(topology.n_unique, dtype=bool)
     moves[moving] = True
@@ -68,11 +68,11 @@ def unselected_notes(grid: Grid, topology: Topology, quads: IntArray, moving: In
         remedy = (
             'they are flat: symmetry planes and end planes need kind = "symmetry" or "slip"'
             if flat
-            else 'give them a kind: "slip" lets their nodes follow, "fixed" says that they stay'
+            else 'give them a kind: "slip" lets their nodes follow, "fixed" confirms that they stay'
         )
         names = ", ".join(range_label(grid, window) for window in touching[:_LISTED])
         notes.append(
-            f"faces that no boundary entry selects touch moving nodes and are fixed beside them: {names}; {remedy}"
+            f"faces that no boundary entry selects touch moving nodes but are fixed: {names}; {remedy}"
         )
     return notes
 
@@ -95,12 +95,12 @@ def opening_notes(
     Parameters
     ----------
     unselected, moving : face quads that nothing selects, and those of moving entries
-    declared : what ``grid.open`` says: faces that are meant to be open (``True``: all)
+    declared : the value of ``grid.open``: faces that are meant to be open (``True``: all)
 
     Raises
     ------
     CaseError
-        When no boundary entry selects such a face: it would be a fixed wall at which the grid tears.
+        When no boundary entry selects such a face, as the grid would tear at this fixed wall.
     """
     if declared is True or not openings:
         return []

@@ -1,4 +1,4 @@
-"""Grids: blocks of nodes, and what their coordinates say about which nodes and faces belong together."""
+"""Grids: blocks of nodes, and the topology that follows from their coordinates."""
 
 from ..numerics.arrays import BoolArray, FloatArray, IntArray
 from .blocks import (

@@ -1,4 +1,4 @@
-"""The grid: blocks of nodes in one array, named patches on their faces, and what else the file held.
+"""The grid: blocks of nodes in one array, named patches on their faces, and other data from the file.
 
 All blocks share one coordinate array ``points`` of shape ``(n_nodes, 3)``; ``grid.block(b)`` is the view
 ``(ni, nj, nk, 3)`` of block ``b`` in it, C-contiguous, so that node ``(i, j, k)`` of block ``b`` has the flat index
@@ -71,8 +71,8 @@ class Window:
 class Patch:
     """A named boundary region as the file declares it.
 
-    ``family`` groups patches (CGNS FamilyName, else empty); ``bc_type`` is the file's own word for the boundary
-    condition (``BCWallViscous``, ``viscous_solid``, ...), empty when the file does not say.
+    ``family`` groups patches (CGNS FamilyName, else empty); ``bc_type`` is the boundary condition as the file names it
+    (``BCWallViscous``, ``viscous_solid``, ...), or empty.
     """
 
     name: str
@@ -83,7 +83,7 @@ class Patch:
 
 @dataclass(frozen=True)
 class Periodicity:
-    """Rigid motion that carries this side of a periodic connection onto its donor side.
+    """Rigid motion that maps this side of a periodic connection onto its donor side.
 
     ``rotation_angle`` are degrees about the x, y and z axes in turn through ``rotation_center`` (CGNS convention),
     ``translation`` is in grid length units.
@@ -116,7 +116,7 @@ class Connection:
 
 @dataclass(frozen=True)
 class Field:
-    """Values the file held beside the coordinates (IBLANK, VTK arrays); carried along unchanged.
+    """Values from the file other than coordinates (IBLANK, VTK arrays); written again unchanged.
 
     ``location`` is ``"node"`` or ``"cell"``; ``values`` has the block's node or cell shape, with a trailing
     component axis for vectors.
@@ -130,7 +130,7 @@ class Field:
 
 @dataclass(frozen=True)
 class FileFormat:
-    """Which format and variant a grid came from, so that it can be written the same way.
+    """Format and variant of a grid's file, so that it can be written the same way.
 
     ``name`` is a key of ``meshdeform_formats.FORMATS``; ``precision`` is the coordinate type in the file
     (``"float32"`` or ``"float64"``); ``options`` are the variant's own switches (byte order, record markers, ...).
@@ -142,7 +142,7 @@ class FileFormat:
 
     @property
     def label(self) -> str:
-        """One line for people, e.g. ``plot3d (fortran, big endian, multi-block), float64``."""
+        """One line of text, e.g. ``plot3d (fortran, big endian, multi-block), float64``."""
         words = ", ".join(f"{key}={value}" for key, value in self.options.items())
         return f"{self.name} ({words}), {self.precision}" if words else f"{self.name}, {self.precision}"
 
@@ -157,9 +157,9 @@ class Grid:
         Coordinates of all block nodes, block after block (grid length unit).
     shapes : block shapes in nodes ``(ni, nj, nk)``
     names : block names, unique
-    patches, connections, fields : what the file declared or carried
-    format, path : where the grid came from; ``None`` for grids made in memory
-    notes : remarks of the reader for the report's warnings
+    patches, connections, fields : declarations and data from the file
+    format, path : of the file; ``None`` for grids made in memory
+    notes : warnings of the reader, for the report
     """
 
     points: FloatArray
@@ -237,7 +237,7 @@ class Grid:
 
     @property
     def precision(self) -> str:
-        """Floating point type of the file the grid came from; float64 for grids made in memory."""
+        """Floating point type of the grid's file; float64 for grids made in memory."""
         return self.format.precision if self.format else "float64"
 
     def block(self, index: int, values: FloatArray | None = None) -> FloatArray:
@@ -247,10 +247,10 @@ class Grid:
         return array[lo:hi].reshape(self.shapes[index] + array.shape[1:])
 
     def fill(self, put: Callable[[int], None], *others: NDArray[Any]) -> None:
-        """Call ``put(b)`` for every block, in ascending order; of several processes each calls it for some.
+        """Call ``put(b)`` for every block, in ascending order; several ranks share the blocks.
 
-        ``put`` fills the block's rows of ``points`` and of the arrays ``others`` with one row per node. What it raises
-        in one process is raised in all.
+        ``put`` fills the block's rows of ``points`` and of the arrays ``others`` with one row per node. An exception on
+        one rank is raised on all.
         """
 
         def rows(first: int, last: int) -> range:
@@ -269,7 +269,7 @@ class Grid:
         return block, (int(i), int(j), int(k))
 
     def node_label(self, flat: int) -> str:
-        """Readable place of a node, 1-based: ``wing (3, 1, 17)``."""
+        """Name of a node, block and 1-based indices: ``wing (3, 1, 17)``."""
         block, (i, j, k) = self.locate(flat)
         return f"{self.names[block]} ({i + 1}, {j + 1}, {k + 1})"
 

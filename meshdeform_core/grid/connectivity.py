@@ -1,4 +1,4 @@
-"""Block-to-block connections: what the file declares, held against what the coordinates say."""
+"""Block-to-block connections: the file's declarations, checked against the coordinates."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def connected_nodes(grid: Grid, connection: Connection) -> tuple[IntArray, IntAr
     Raises
     ------
     GridError
-        When the ranges leave their blocks or do not have the same size.
+        When a range exceeds its block, or the two differ in size.
     """
     begin, end = np.array(connection.begin), np.array(connection.end)
     step = np.where(end >= begin, 1, -1)
@@ -89,7 +89,7 @@ def _mismatch(grid: Grid, topology: Topology, connection: Connection, own: IntAr
         relative = gap / np.minimum(topology.edge[a], topology.edge[b])[apart]
         return (
             f"{int(apart.sum())} of {len(own)} node pairs do not coincide (largest gap {gap.max():.3g}, "
-            f"{relative.max():.3g} of the local edge); the coordinates are followed, the faces count as outside"
+            f"{relative.max():.3g} of the local edge); the coordinates decide, the faces count as outside"
         )
     p = connection.periodic
     center = np.array(p.rotation_center)

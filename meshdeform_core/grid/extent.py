@@ -1,4 +1,4 @@
-"""Whether a grid fills any space at all."""
+"""Check that a grid has an extent in all its dimensions."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ _SAMPLE = 100_000
 
 
 def require_extent(grid: Grid) -> None:
-    """Refuse a grid whose nodes are all at one place, on one line or, in 3-D, in one plane.
+    """Refuse a grid whose nodes are all at one point, on one line or, in 3-D, in one plane.
 
     Raises
     ------
     GridError
-        Naming how far they spread.
+        With the extent of the nodes.
     """
     some = grid.points[:: max(1, grid.n_nodes // _SAMPLE)]
     low, high = grid.points.min(axis=0), grid.points.max(axis=0)
     size = float((high - low).max())
     if not size > _SMALLEST:
-        raise GridError(f"all nodes lie within {size:.3g} of {low.tolist()}; expected a grid of some size")
+        raise GridError(f"all nodes lie within {size:.3g} of {low.tolist()}; expected a grid with a larger extent")
     spread = np.linalg.svd((some - 0.5 * (low + high)) / size, compute_uv=False)
     rank = int((spread > _FLAT * spread[0]).sum())
     if rank < grid.dimension:

@@ -1,7 +1,7 @@
-"""The faces of the blocks as pieces: where each lies, how large it is, how its cells begin.
+"""The block faces in pieces: position, size and first cell heights of each.
 
-A piece is a rectangle of face quads on one block side that is of one kind: part of a patch, part of an interface, or
-outside without a name. What each is likely to be is told by :mod:`meshdeform_core.grid.roles`.
+A piece is a rectangle of face quads of one kind on one block side: part of a patch, part of an interface, or an
+unnamed outside face. :mod:`meshdeform_core.grid.roles` guesses the role of each.
 """
 
 from __future__ import annotations
@@ -48,14 +48,14 @@ class Face:
     ----------
     window : its nodes
     quads : (n,) its face quads
-    patch : the patch that names it, if any
-    outside : no other block shares it
+    patch : the patch that it belongs to, if any
+    outside : whether no other block shares it
     box : (2, 3) lowest and highest coordinates
     area : in 2-D the length
     first_height, median_height : smallest and median height of the first cells (grid length unit)
-    stretching : mean over first spacing of the grid lines that begin here: large at walls, small at far fields
-    finest : smallest over first spacing of these lines: 1 where the first cell is the smallest
-    plane : the plane (in 2-D the line) that holds it, ``None`` if it is curved
+    stretching : ratio of mean to first spacing of the grid lines that begin here: large at walls, small at far fields
+    finest : ratio of smallest to first spacing of these lines: 1 where the first cell is the smallest
+    plane : the plane (in 2-D the line) that contains it, ``None`` if it is curved
     """
 
     window: Window
@@ -71,7 +71,7 @@ class Face:
     plane: Plane | None
 
     def label(self, grid: Grid) -> str:
-        """``block1.jmin``, with the window of nodes (1-based) where the piece is not the whole side."""
+        """``block1.jmin``, with a window of nodes (1-based) if the piece is not the whole side."""
         side = self.window.side
         a, b = side.tangential
         shape = grid.shapes[self.window.block]
@@ -91,7 +91,7 @@ def quad_geometry(grid: Grid, topology: Topology) -> QuadGeometry:
     if grid.dimension == 2:
         normal = plane_normal(grid)
         assert normal is not None
-        # The outside lies to the right of the corner order, seen against the plane's positive normal.
+        # The outside lies to the right of the corner order, looking against the plane's positive normal.
         outward = np.cross(corners[:, 1] - corners[:, 0], normal * np.sign(normal[int(np.argmax(np.abs(normal)))]))
     else:
         outward = 0.5 * np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
@@ -122,7 +122,7 @@ def _quad_means(x: FloatArray) -> FloatArray:
 
 
 def find_faces(grid: Grid, topology: Topology, geometry: QuadGeometry | None = None) -> list[Face]:
-    """All block sides as pieces: of patches, of interfaces, and what is left; collapsed quads are left out."""
+    """All block sides as pieces: of patches, of interfaces, and the rest; without collapsed quads."""
     geometry = geometry or quad_geometry(grid, topology)
     flat = plane_normal(grid)
     return [
@@ -182,7 +182,7 @@ def _slices(window: Window) -> tuple[slice, slice]:
 
 
 def _spacing(grid: Grid, window: Window) -> tuple[float, float]:
-    """Mean and smallest over first spacing, medians over a sample of the grid lines that begin in a window."""
+    """Ratios of mean and smallest to first spacing; medians over a sample of the grid lines that begin in a window."""
     x = np.moveaxis(grid.block(window.block), window.side.axis, 0)
     if window.side % 2:
         x = x[::-1]

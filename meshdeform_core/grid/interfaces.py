@@ -13,7 +13,7 @@ from .windows import windows_of_quads
 
 
 def find_interfaces(grid: Grid, topology: Topology) -> tuple[Connection, ...]:
-    """One connection per rectangle of shared faces, each interface once (seen from its lower block side)."""
+    """One connection per rectangle of shared faces, each interface once (from its lower block side)."""
     found: list[Connection] = []
     for block in range(grid.n_blocks):
         for side in Side:
@@ -48,7 +48,7 @@ def _connections(grid: Grid, topology: Topology, pair: _Pair, mine: BoolArray) -
     found: list[Connection] = []
     left = mine.copy()
     while left.any():
-        # Faces with a collapsed edge fit several transformations: take one that a sound quad dictates, if any.
+        # Faces with a collapsed edge fit several transformations: prefer that of a quad that is not collapsed.
         seed = _seed(grid, topology, pair, left, local, donor_local)
         if seed is None:
             break
@@ -65,7 +65,7 @@ def _connections(grid: Grid, topology: Topology, pair: _Pair, mine: BoolArray) -
 def _seed(
     grid: Grid, topology: Topology, pair: _Pair, left: BoolArray, local: IntArray, donor_local: IntArray
 ) -> tuple[IntArray, IntArray] | None:
-    """Index matrix (2, 2) and quad offset (2,) from a quad in ``left``, one without collapsed edges if there is."""
+    """Index matrix (2, 2) and quad offset (2,) from a quad in ``left``, if possible one without collapsed edges."""
     own = _numbers(grid, topology, pair.block, pair.side)
     donor = _numbers(grid, topology, pair.donor, pair.donor_side)
     corners = np.sort(topology.quads.corners[topology.quads.of_side(pair.block, pair.side)], axis=1)
@@ -86,7 +86,7 @@ def _numbers(grid: Grid, topology: Topology, block: int, side: Side) -> IntArray
     return topology.numbers_of(nodes.ravel()).reshape(nodes.shape)
 
 
-# The eight ways to lay one rectangle on another: donor (p, q) = M (u, v) up to an offset.
+# The eight ways to map one rectangle onto another: donor (p, q) = M (u, v) up to an offset.
 _ORIENTATIONS = [
     np.array(m).reshape(2, 2)
     for s in (1, -1)
@@ -130,7 +130,7 @@ def _connection(grid: Grid, pair: _Pair, window: Window, matrix: IntArray, offse
 
 
 def _complete_2d(transform: list[int]) -> None:
-    """Across the plane of a 2-D grid both blocks have one node: give that axis the donor axis that is left."""
+    """Normal to the plane of a 2-D grid both blocks have one node: assign the remaining donor axis to that axis."""
     used = {abs(t) for t in transform}
     for axis in range(3):
         if transform[axis] == 0:

@@ -1,6 +1,6 @@
 """Outside faces close to others without coinciding: interfaces with a gap, and interfaces that do not match.
 
-Nothing is welded by proximity (spec section 1), so such a face is a wall, and a motion would tear the grid there.
+Nothing is welded by mere proximity, so such a face is a wall, and a motion would tear the grid there.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ class Opening:
     ----------
     quads : (n,) face quads of the side
     window : their nodes
-    block, side, other, other_side : which sides they are
+    block, side, other, other_side : the two block sides
     gap : largest distance (grid length unit)
     relative : the same relative to the local edge
-    matching : the nodes pair up one to one, so that a tolerance closes the gap; else the faces touch with other nodes
+    matching : whether the nodes match one to one, so that a tolerance closes the gap
     """
 
     quads: IntArray
@@ -49,11 +49,11 @@ class Opening:
 
     @property
     def tolerance(self) -> float | None:
-        """The ``grid.tolerance`` that closes it, if any does."""
+        """The ``grid.tolerance`` that closes it, or ``None``."""
         return float(f"{1.05 * self.relative:.1e}") if self.matching else None
 
     def describe(self, grid: Grid) -> str:
-        """One line: where, how far apart, what closes it."""
+        """One line: position, gap, and the tolerance that closes it."""
         low, high = self.window.low, self.window.high
         ranges = ",".join(f"{a + 1}:{b + 1}" for a, b in zip(low, high, strict=True))
         one, two = f"{grid.names[self.block]}.{self.side.label}", f"{grid.names[self.other]}.{self.other_side.label}"
@@ -85,7 +85,7 @@ def _near_partners(grid: Grid, topology: Topology, outside: IntArray) -> tuple[I
     one, two = close_pairs(points, NEAR * edge).T
     distance = np.linalg.norm(points[one] - points[two], axis=1)
     label = np.arange(topology.n_unique)
-    # Interfaces have two sides: a pair is enough, and the smaller number stands for both.
+    # Interfaces have two sides; each pair is represented by its smaller number.
     np.minimum.at(label, nodes[np.maximum(one, two)], nodes[np.minimum(one, two)])
     gap, relative = np.zeros(topology.n_unique), np.zeros(topology.n_unique)
     for end in (one, two):
@@ -135,7 +135,7 @@ def _windows(grid: Grid, topology: Topology, block: int, side: Side, mine: np.nd
 
 
 def _abutting(grid: Grid, topology: Topology, paired: IntArray) -> list[Opening]:
-    """Block sides that touch others with different nodes, found from samples of their quads."""
+    """Block sides that touch others with non-matching nodes, found from samples of their quads."""
     rest = topology.external & (paired < 0)
     sides = np.unique(topology.quads.block_side[rest])
     points = grid.points[topology.first]
@@ -177,7 +177,7 @@ def _touching(own: FloatArray, other: FloatArray) -> tuple[IntArray, float, floa
     if inside.sum() >= _FEWEST:
         distance[inside] = _distances(middle[inside], other, centers)
     hit = distance < _ABUTTING * edge
-    # Two walls that meet in a sharp edge come close to each other in a few quads only.
+    # Two walls that meet in a sharp edge are close to each other in only a few quads.
     if hit.sum() < max(_FEWEST, 0.1 * len(sample)):
         return np.empty(0, dtype=np.int64), 0.0, 0.0
     return sample[hit], float(distance[hit].max()), float((distance / edge)[hit].max())
@@ -205,7 +205,7 @@ def _to_segments(x: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def _to_triangles(x: FloatArray, a: FloatArray, b: FloatArray, c: FloatArray) -> FloatArray:
-    """Distance to triangles into whose inside the point projects; inf for others."""
+    """Distance to triangles whose interior contains the projection of the point; inf for others."""
     normal = np.cross(b - a, c - a)
     size = (normal**2).sum(axis=-1)
     inside = size > 0

@@ -1,4 +1,4 @@
-"""Planes: of 2-D grids, of slip and symmetry boundaries."""
+"""Planes of 2-D grids and of slip and symmetry boundaries."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ..errors import GridError
 from .blocks import FloatArray, Grid
 
 FLATNESS = 1e-6
-"""Nodes that leave their mean plane by less than this fraction of their extent lie in a plane."""
+"""Nodes that deviate from their mean plane by less than this fraction of their extent lie in a plane."""
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class Plane:
 
 
 def plane_of(points: FloatArray, plane_normal: FloatArray | None) -> Plane | None:
-    """The plane that holds all ``points`` (n, 3), or ``None`` when they are curved.
+    """The plane that contains all ``points`` (n, 3), or ``None`` if there is none.
 
     In a 2-D grid (``plane_normal`` given) the "plane" is the straight line through the points.
     """

@@ -1,7 +1,7 @@
-"""What the faces of a grid most likely are: walls, symmetry planes, far field, end planes.
+"""The likely roles of the faces of a grid: walls, symmetry planes, far field, end planes.
 
-What the file declares decides. Where it says nothing the coordinates do: grid lines cluster towards walls, a body that
-the grid surrounds is a wall, cells grow towards the far field, the end planes of an extruded grid are congruent.
+The declarations of the file decide. Where there are none the coordinates do: grid lines cluster towards walls, a body
+surrounded by the grid is a wall, cells grow towards the far field, the end planes of an extruded grid are congruent.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from .topology import Topology
 
 
 class Role(Enum):
-    """Likely role of a face; the values are the words of ``meshdeform info --json``."""
+    """Likely role of a face; the values appear in ``meshdeform info --json``."""
 
     WALL = "wall"
     SYMMETRY = "symmetry"
@@ -30,7 +30,7 @@ class Role(Enum):
     UNKNOWN = "unknown"
 
 
-# In this order: a "symmetry wall" of a solver is a symmetry plane.
+# The order matters: a solver's "symmetry wall" is a symmetry plane.
 _WORDS: tuple[tuple[Role, tuple[str, ...]], ...] = (
     (Role.SYMMETRY, ("symm",)),
     (Role.WALL, ("wall", "solid", "viscous", "noslip", "no_slip", "tangency")),
@@ -39,13 +39,13 @@ _WORDS: tuple[tuple[Role, tuple[str, ...]], ...] = (
 )  # fmt: skip
 
 _CLUSTERED = 2.0
-"""Mean over first spacing from which a face counts as a wall."""
+"""Ratio of mean to first spacing above which a face counts as a wall."""
 _FIRST_IS_FINEST = 0.3
-"""Smallest over first spacing that a face needs to count as a wall: the cells are no finer elsewhere."""
+"""Least ratio of smallest to first spacing for a wall: cells must not be finer elsewhere."""
 _COARSENED = 0.75
-"""Mean over first spacing below which cells grow towards a face."""
+"""Ratio of mean to first spacing below which cells grow towards a face."""
 _ENCLOSED = 0.02
-"""A body has at least this flux of (x - center) through its surface, relative to area times radius."""
+"""Least flux of (x - center) through the surface of a body, relative to area times radius."""
 
 
 def guess_roles(grid: Grid, topology: Topology, geometry: QuadGeometry, faces: Sequence[Face]) -> list[Role]:
@@ -54,7 +54,7 @@ def guess_roles(grid: Grid, topology: Topology, geometry: QuadGeometry, faces: S
 
 
 def declared_role(face: Face) -> Role | None:
-    """What the file calls the patch of a face: its type decides, then family and name."""
+    """The role that the file declares for a face: by type, then by family and name."""
     if face.patch is None:
         return None
     for text in (face.patch.bc_type, face.patch.family, face.patch.name):
@@ -70,7 +70,7 @@ def clusters(face: Face) -> bool:
 
 
 class _Guess:
-    """What is known of all faces while their roles are guessed."""
+    """Data on all faces while their roles are guessed."""
 
     def __init__(self, grid: Grid, topology: Topology, geometry: QuadGeometry, faces: Sequence[Face]):
         self.grid, self.topology, self.geometry, self.faces = grid, topology, geometry, faces
@@ -86,7 +86,7 @@ class _Guess:
             if role is Role.WALL:
                 near[self.topology.quads.corners[face.quads]] = True
         touched = [bool(near[self.topology.quads.corners[face.quads]].any()) for face in self.faces]
-        # Walls that run from border to border belong to a channel, whose ends are no mirrors.
+        # Walls that extend from border to border belong to a channel, whose ends are not symmetry planes.
         borders = [out for out, touch, role in zip(self.outward, touched, roles, strict=True)
                    if out is not None and touch and role is None]  # fmt: skip
         return [
@@ -119,7 +119,7 @@ class _Guess:
         return Role.WALL if step else Role.UNKNOWN
 
     def _bounding(self, face: Face) -> FloatArray | None:
-        """Outward normal of a face that is plane and has the whole grid on one side of it."""
+        """Outward normal of a plane face that has the whole grid on one side; else ``None``."""
         if face.plane is None or not face.outside:
             return None
         outward = self.geometry.outward[face.quads].sum(axis=0)
@@ -128,7 +128,7 @@ class _Guess:
         return normal if beyond <= 10 * FLATNESS * self.size else None
 
     def _bodies(self) -> set[int]:
-        """Quads of the surfaces that the grid surrounds: closed except where they end on planes that bound it."""
+        """Quads of the surfaces surrounded by the grid: closed except where they end on its bounding planes."""
         inner = np.zeros(len(self.topology.partner), dtype=bool)
         for face, outward in zip(self.faces, self.outward, strict=True):
             if face.outside and outward is None:
@@ -158,12 +158,12 @@ class _Guess:
         extent = np.ptp(self.grid.points[corners].reshape(-1, 3), axis=0)
         whole = np.ptp(self.grid.points, axis=0)
         varying = whole > FLATNESS * self.size
-        # A surface that reaches from border to border in two directions is a floor or a ceiling, not a body.
+        # A surface that extends from border to border in two directions is a floor or a ceiling, not a body.
         return int((extent[varying] > 0.999 * whole[varying]).sum()) <= int(varying.sum()) - 2
 
 
 def _connected(corners: IntArray, n_unique: int) -> IntArray:
-    """Number of the connected part of every quad (n,), from common corner nodes."""
+    """Label of the connected component of every quad (n,), by common corner nodes."""
     n = len(corners)
     rows = np.repeat(np.arange(n), corners.shape[1])
     graph = coo_matrix((np.ones(corners.size, dtype=np.int8), (rows, n + corners.ravel())), shape=(n + n_unique,) * 2)
@@ -172,9 +172,9 @@ def _connected(corners: IntArray, n_unique: int) -> IntArray:
 
 
 def _end_sides(grid: Grid, topology: Topology, faces: Sequence[Face]) -> set[tuple[int, Side]]:
-    """Sides of the end planes of a 3-D grid that is one plane grid, extruded: those across the fewest cells.
+    """Block sides on the end planes of an extruded 3-D grid, in the direction with the fewest cells.
 
-    Faces to which cells cluster are no end planes; a grid that is extruded in several directions by equally many
+    Faces towards which cells cluster are not end planes; a grid that is extruded in several directions by equally many
     cells, like a cube, has none.
     """
     if grid.dimension == 2:
@@ -197,7 +197,7 @@ def _end_sides(grid: Grid, topology: Topology, faces: Sequence[Face]) -> set[tup
 
 
 def _extruded_axis(x: FloatArray, direction: FloatArray) -> int | None:
-    """Index axis along which all layers of a block (ni, nj, nk, 3) are the first one moved along ``direction``."""
+    """Index axis along which all layers of a block (ni, nj, nk, 3) are the first one shifted along ``direction``."""
     for axis in range(3):
         first, last = np.take(x, 0, axis=axis), np.take(x, -1, axis=axis)
         shift = (last - first).reshape(-1, 3)

@@ -1,4 +1,4 @@
-"""From the words of a case file to face quads: patch names, families, block faces, windows, wildcards."""
+"""Selection of face quads by the patterns of a case file: patch names, families, block faces, windows, wildcards."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def quads_of_window(quads: FaceQuads, window: Window) -> IntArray:
     first = quads.start[window.block, window.side]
     rows, columns = (np.arange(low, high) for low, high in zip(window.low, window.high, strict=True))
     if quads.corners.shape[1] == 2 and window.low != window.high:
-        # A 2-D grid: across its single plane of nodes a window has no extent, yet holds one cell edge.
+        # In a 2-D grid a window has no extent across the single plane of nodes, yet contains one cell edge.
         rows, columns = (r if r.size else np.zeros(1, dtype=np.int64) for r in (rows, columns))
     inside = (rows[:, None] * columns_of_side + columns).ravel()
     return np.asarray(first + inside, dtype=np.int64)
@@ -69,7 +69,7 @@ def _matching(grid: Grid, quads: FaceQuads, pattern: str, owner: str) -> IntArra
         raise CaseError(f"boundary {owner!r}: {pattern!r} matches no patch, family or block face{_hint(grid, pattern)}")
     found = np.concatenate([quads_of_window(quads, window) for window in windows])
     if found.size == 0:
-        raise CaseError(f"boundary {owner!r}: {pattern!r} holds no cell face (a window needs two nodes each way)")
+        raise CaseError(f"boundary {owner!r}: {pattern!r} contains no cell face (a window needs two nodes each way)")
     return found
 
 

@@ -1,4 +1,4 @@
-"""The outside of a grid as a user thinks of it: one surface per family, per patch without family, per nameless face."""
+"""The outer surfaces of a grid: one per family, per patch without family, and per unnamed face."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ class Surface:
 
     Attributes
     ----------
-    name : of the family or patch; the face's own label where the file has no name for it
-    named : the file has a name for it
+    name : of the family or patch; the label of the face if the file has no name for it
+    named : whether the file has a name for it
     role : that of the largest part of its area
-    declared : the file says so, it is no guess
+    declared : whether the file declares the role; else it is a guess
     faces : its pieces
     """
 
@@ -55,7 +55,7 @@ class Surface:
 
     @property
     def median_height(self) -> float:
-        """Median height of its first cells, by pieces weighted with their cells."""
+        """Median height of its first cells; pieces are weighted by their number of cells."""
         heights = np.repeat([face.median_height for face in self.faces], [len(face.quads) for face in self.faces])
         return float(np.median(heights))
 
@@ -78,7 +78,7 @@ class Outside:
 
 
 def find_outside(grid: Grid, topology: Topology) -> Outside:
-    """Faces, roles and surfaces of a grid; thin plates that the file declares count as outside."""
+    """Faces, roles and surfaces of a grid; thin plates declared in the file count as outside."""
     geometry = quad_geometry(grid, topology)
     faces = find_faces(grid, topology, geometry)
     roles = guess_roles(grid, topology, geometry, faces)
@@ -101,7 +101,7 @@ def _surface(name: str, named: bool, members: list[int], faces: Sequence[Face], 
 
 
 def thin_direction(grid: Grid) -> FloatArray | None:
-    """Unit normal of the plane of which a grid is one: a 2-D grid, or one layer of cells between two planes."""
+    """Unit normal of the plane of a 2-D grid, or of one layer of cells between two parallel planes; else ``None``."""
     if grid.dimension == 2:
         return plane_normal(grid)
     axes = [shape.index(2) if 2 in shape else None for shape in grid.shapes]

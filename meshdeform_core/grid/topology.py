@@ -1,6 +1,6 @@
-"""Which block nodes are one node, which face quads are shared, and which are the outside of the grid.
+"""Topology: which block nodes coincide, which face quads are shared, and which are outside faces of the grid.
 
-Everything is found from the coordinates of the nodes on block faces. What the file declares (1-to-1 connections) is
+Everything follows from the coordinates of the nodes on block faces. The 1-to-1 connections declared in the file are
 checked against it in :mod:`meshdeform_core.grid.connectivity`.
 """
 
@@ -16,7 +16,7 @@ from ..numerics.geometry.coincidence import coincident_groups, distinct, equal_r
 from .blocks import FloatArray, Grid, IntArray, Shape, Side
 
 RELATIVE_TOLERANCE = 1e-3
-"""Coincident means closer than this fraction of the shortest edge at either node (spec section 1)."""
+"""Coincident means closer than this fraction of the shortest edge at either node."""
 
 COLLAPSED = -2
 EXTERNAL = -1
@@ -30,7 +30,7 @@ class FaceQuads:
     ----------
     start : (n_blocks, 6) first quad of each block side; quads of a side are C-ordered in ``counts``
     counts : (n_blocks, 6, 2) quads along ``side.tangential``
-    corners : (n_quads, 4) unique node numbers, counter-clockwise seen from outside the block; (n_quads, 2) in 2-D
+    corners : (n_quads, 4) unique node numbers, counter-clockwise as seen from outside the block; (n_quads, 2) in 2-D
     """
 
     start: IntArray
@@ -108,7 +108,7 @@ def find_topology(grid: Grid, tolerance: float = RELATIVE_TOLERANCE) -> Topology
 
     Parameters
     ----------
-    tolerance : largest distance of coincident nodes relative to the shortest edge at either of them
+    tolerance : largest distance between coincident nodes relative to the shortest edge at either of them
     """
     sides = [(b, side) for b in range(grid.n_blocks) for side in Side if _has_quads(grid.shapes[b], side)]
     on_side = {key: side_nodes(grid, *key) for key in sides}
@@ -137,7 +137,7 @@ def side_nodes(grid: Grid, block: int, side: Side) -> IntArray:
 
 
 def inward_step(shape: Shape, side: Side) -> int:
-    """Difference of flat index from a node of the face to the next node inside the block."""
+    """Difference in flat index from a node of the face to the next node inside the block."""
     stride = (shape[1] * shape[2], shape[2], 1)[side.axis]
     return -stride if side % 2 else stride
 
@@ -163,7 +163,7 @@ def block_handedness(grid: Grid) -> IntArray:
 
 
 def _handedness(x: FloatArray) -> int:
-    # A 2-D block is taken as one layer of cells extruded along +x, +y or +z, whichever its plane is normal to.
+    # A 2-D block is treated as one layer of cells extruded along +x, +y or +z, whichever is normal to its plane.
     if 1 in x.shape[:3]:
         flat = x.shape.index(1)
         a, b = (axis for axis in range(3) if axis != flat)
@@ -216,7 +216,7 @@ def _largest(x: FloatArray) -> FloatArray:
 
 
 def _sound_length(edge: FloatArray, noise: FloatArray) -> FloatArray:
-    """Length of edges (..., 3), infinite where it is nothing but noise."""
+    """Length of edges (..., 3), infinite where it is mere round-off."""
     length = np.sqrt(edge[..., 0] ** 2 + edge[..., 1] ** 2 + edge[..., 2] ** 2)
     return np.where(length <= noise, np.inf, length)
 
@@ -246,9 +246,9 @@ def _face_quads(
 
 
 def _side_corners(nodes: IntArray, side: Side, dimension: int, handedness: int) -> IntArray:
-    """Corners of a side's quads in the numbering of ``nodes``, counter-clockwise seen from outside; in 2-D both ends.
+    """Corners of a side's quads as values of ``nodes``, counter-clockwise as seen from outside; in 2-D both ends.
 
-    In 2-D the direction is such that the outside lies to the right, seen against the plane's positive normal.
+    In 2-D the direction is such that the outside lies to the right, looking against the plane's positive normal.
     """
     outward = (1 if side % 2 else -1) * handedness
     if dimension == 2:

@@ -1,4 +1,4 @@
-"""Threads and ranks: loops over arrays that they share."""
+"""Loops over shared arrays by threads and MPI ranks."""
 
 from .loops import (
     OneRank,

@@ -1,19 +1,19 @@
 """Chunks of work for the threads of one process and, where several processes share a case, for all of them.
 
-The numba loops release the interpreter lock, so plain threads suffice within a process. Processes (ranks, in MPI's
-terms) run the same program on the same data; loops that say what they fill are dealt out among the ranks, and what
-they filled is exchanged afterwards, so that every rank goes on with the same data.
+The numba loops release the interpreter lock, so plain threads suffice within a process. Processes (MPI ranks) run the
+same program on the same data; loops that declare the arrays they fill are distributed among the ranks, and the results
+are exchanged afterwards, so that every rank continues with the same data.
 
-Large arrays made by :func:`empty` exist once per machine: its ranks have their memory in common. Three rules keep the
-ranks from seeing each other's unfinished work:
+Large arrays made by :func:`empty` exist once per machine, in memory shared by its ranks. Three rules keep the ranks
+from seeing each other's unfinished work:
 
 1. Only loops that name the array (``shared`` or ``common`` of :func:`for_chunks`) and :meth:`Ranks.alter` write to it.
-   What all ranks run alike must not, however harmless: ``+=`` would count P times.
-2. Of the rows that such a loop fills, a chunk reads only its own; the others are read before the loop or after it.
-3. Before the first write and after the last one the ranks of the machine wait for each other. So nobody reads what is
-   not finished, and nobody overwrites what another one, still in the code before the loop, reads.
+   Code that all ranks run must not: ``+=`` would be applied once per rank.
+2. Of the rows that such a loop fills, a chunk reads only its own; the others are read before or after the loop.
+3. Before the first write and after the last one the ranks of the machine wait for each other. So no rank reads
+   unfinished data, and none overwrites data that another one, still in the code before the loop, reads.
 
-Memory is given back when the last rank drops the array; ranks need not do that together.
+Memory is released when the last rank drops the array; ranks need not do that together.
 """
 
 import math
@@ -29,7 +29,7 @@ Work = Callable[[int, int], object]
 Counter = Callable[[int, int], object]
 Bounds = tuple[int, int]
 
-# Smaller arrays are not worth the meeting of all ranks that common memory takes.
+# Smaller arrays are not worth the synchronisation of all ranks that shared memory takes.
 _SMALL = 1 << 20
 # Rows of coordinates that stay in the cache of a core.
 _ROWS = 1 << 14
@@ -40,9 +40,9 @@ class Ranks(Protocol):
 
     Attributes
     ----------
-    number, count : which of how many it is, from 0
-    on_machine : how many of them are on its machine, itself included
-    private : why the ranks of a machine have no memory in common; empty if they have, or if there is only one
+    number, count : index of this rank, from 0, and number of ranks
+    on_machine : number of ranks on this machine, including this one
+    private : why the ranks of a machine do not share memory; empty if they do, or if there is only one
     """
 
     number: int
@@ -52,19 +52,19 @@ class Ranks(Protocol):
 
     @property
     def cores(self) -> int:
-        """Its share of the cores of its machine."""
+        """Number of cores of the machine for this rank."""
         ...
 
     def empty(self, shape: Sequence[int], dtype: Any) -> Any:
-        """An uninitialised array, in memory that the ranks of the machine have in common if they can."""
+        """An uninitialised array, shared by the ranks of the machine where possible."""
         ...
 
-    def seat(self, arrays: Sequence[Any]) -> tuple[int, int]:
-        """Which of how many ranks it is that can fill ``arrays`` together without sending anything."""
+    def group_of(self, arrays: Sequence[Any]) -> tuple[int, int]:
+        """Index of this rank among the ranks that share the memory of ``arrays``, and their number."""
         ...
 
     def begin(self, arrays: Sequence[Any]) -> None:
-        """Wait until no rank of the machine reads any more what ``arrays`` hold in common memory."""
+        """Wait until no rank of the machine reads the shared memory of ``arrays`` any more."""
         ...
 
     def share(self, array: Any, rows: Callable[[int], Sequence[Any]]) -> None:
@@ -72,28 +72,28 @@ class Ranks(Protocol):
         ...
 
     def finish(self, arrays: Sequence[Any]) -> None:
-        """Wait until what the ranks of the machine wrote to ``arrays`` in common memory is complete."""
+        """Wait until all ranks of the machine have written their part of ``arrays`` in shared memory."""
         ...
 
     def alter(self, array: Any, action: Callable[[], object]) -> None:
-        """Let ``action``, the same on all ranks, write to ``array``: once for each copy of it."""
+        """Let ``action``, the same on all ranks, write to ``array``: once per copy of the array."""
         ...
 
     def once(self, make: Callable[[], T]) -> T:
-        """What all ranks would make alike: made once per machine where memory is common; not to be written to."""
+        """The result of ``make``, the same on all ranks: made once per machine where memory is shared; read-only."""
         ...
 
     def gather(self, found: Sequence[T]) -> list[T]:
-        """What all ranks have found, in their order: little things."""
+        """The (small) results of all ranks, in rank order."""
         ...
 
     def on_first(self, action: Callable[[], T]) -> T:
-        """Do something, like writing a file, on the first rank only; all get its result, or raise its error."""
+        """Run ``action``, such as writing a file, on the first rank only; all get its result or raise its error."""
         ...
 
 
 class OneRank:
-    """A process on its own; ``cores`` if it shall not use all that it may run on."""
+    """A single process; ``cores`` limits the cores it uses."""
 
     number, count, on_machine, private = 0, 1, 1, ""
 
@@ -105,22 +105,22 @@ class OneRank:
         return self._cores or usable_cores()
 
     def empty(self, shape: Sequence[int], dtype: Any) -> Any:
-        # Imported late: how many threads linear algebra takes is settled before numpy is loaded.
+        # Imported late: the number of threads of linear algebra must be set before numpy is loaded.
         import numpy as np
 
         return np.empty(shape, dtype)
 
-    def seat(self, arrays: Sequence[Any]) -> tuple[int, int]:
+    def group_of(self, arrays: Sequence[Any]) -> tuple[int, int]:
         return 0, 1
 
     def begin(self, arrays: Sequence[Any]) -> None:
-        """Nobody else reads."""
+        """Nothing to do: no other rank reads."""
 
     def share(self, array: Any, rows: Callable[[int], Sequence[Any]]) -> None:
-        """Nothing is missing."""
+        """Nothing to do: no rows are missing."""
 
     def finish(self, arrays: Sequence[Any]) -> None:
-        """Nobody else writes."""
+        """Nothing to do: no other rank writes."""
 
     def alter(self, array: Any, action: Callable[[], object]) -> None:
         action()
@@ -136,7 +136,7 @@ class OneRank:
 
 
 class Shared(NamedTuple):
-    """What a loop fills: ``rows(first, last)``, an index array, are the rows of ``array`` that these items write."""
+    """Output of a loop: items ``first`` to ``last`` write the rows ``rows(first, last)`` (index array) of ``array``."""
 
     array: Any
     rows: Callable[[int, int], Any] = range
@@ -147,13 +147,13 @@ _ranks: Ranks = OneRank()
 
 
 def set_threads(count: int | None) -> None:
-    """Use at most ``count`` threads from now on; ``None`` for as many as are this process's share."""
+    """Use at most ``count`` threads from now on; ``None`` for this process's share of the cores."""
     global _limit
     _limit = count
 
 
 def set_ranks(ranks: Ranks) -> None:
-    """Share the work with other processes from now on; all of them must call everything in the same order."""
+    """Share the work with other processes from now on; all of them must make the same calls in the same order."""
     global _ranks
     _ranks = ranks
 
@@ -165,7 +165,7 @@ def current_ranks() -> Ranks:
 
 @contextmanager
 def sharing(ranks: Ranks, threads: int | None) -> Iterator[None]:
-    """Share the work with these ranks, on so many threads, while this lasts."""
+    """Share the work with these ranks, with this number of threads, within the block."""
     before = _ranks, _limit
     set_ranks(ranks)
     set_threads(threads)
@@ -177,12 +177,12 @@ def sharing(ranks: Ranks, threads: int | None) -> Iterator[None]:
 
 
 def alone() -> AbstractContextManager[None]:
-    """Share nothing while this lasts: for what a rank does by itself."""
+    """Share nothing within the block: for work that one rank does alone."""
     return sharing(OneRank(_ranks.cores), _limit)
 
 
 def empty(shape: Sequence[int], dtype: Any = "float64") -> Any:
-    """An uninitialised array; if it is large, one for all ranks of a machine, with the rules of this module.
+    """An uninitialised array; if large, shared by all ranks of a machine under the rules of this module.
 
     All ranks must call it, with the same shape.
     """
@@ -193,12 +193,12 @@ def empty(shape: Sequence[int], dtype: Any = "float64") -> Any:
 
 
 def thread_count() -> int:
-    """Threads that loops are spread over."""
+    """Number of threads that loops use."""
     return max(1, min(_limit or _ranks.cores, usable_cores()))
 
 
 def usable_cores() -> int:
-    """Cores on which the system lets this process run."""
+    """Number of cores on which the system lets this process run."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -213,22 +213,22 @@ def for_chunks(
 ) -> None:
     """Call ``work(first, last)`` for consecutive chunks of ``range(size)``, spread over the threads.
 
-    Chunks do not depend on the number of ranks. They are dealt out like cards, because neighbours cost alike, the same
-    cards whenever size and chunk are the same. Without ``shared`` and ``common`` every rank does all of them.
+    Chunks do not depend on the number of ranks. They are assigned to ranks round-robin, because neighbours cost alike,
+    and always in the same way for the same size and chunk. Without ``shared`` and ``common`` every rank does all.
 
     Parameters
     ----------
     work : function that releases the interpreter lock and touches only its own part of the result
     chunk : items per call; small enough that the threads finish together
-    progress : called with (items done, items in all) as chunks finish
-    shared : everything that ``work`` fills and all ranks need: dealt out among all ranks, the rows are exchanged
-    common : the same where computing costs less than sending: dealt out only among the ranks that have all of these
-        arrays in common memory
-    threads : at most so many, for work that must not run at the same time
+    progress : called with (items done, number of items) as chunks finish
+    shared : all arrays that ``work`` fills and all ranks need: distributed among all ranks, the rows are exchanged
+    common : the same where computing costs less than sending: distributed only among the ranks that share the memory
+        of all these arrays
+    threads : largest number of threads, for work that must not run concurrently
     """
     bounds = [(first, min(first + chunk, size)) for first in range(0, size, chunk)]
     filled = [*(array for array, _ in shared or ()), *common]
-    number, count = _ranks.seat(common) if shared is None else (_ranks.number, _ranks.count)
+    number, count = _ranks.group_of(common) if shared is None else (_ranks.number, _ranks.count)
     _ranks.begin(filled)
     _on_threads(work, bounds[number::count], progress, threads or thread_count())
     for array, rows in shared or ():
@@ -243,10 +243,10 @@ def _rows_of(rows: Callable[[int, int], Any], bounds: list[Bounds], count: int, 
 def for_items(
     work: Callable[[int], object], count: int, shared: Sequence[Shared], progress: Counter | None = None
 ) -> None:
-    """Call ``work(n)`` for every n of ``range(count)``, ascending and one at a time, dealt out among all ranks.
+    """Call ``work(n)`` for every n of ``range(count)``, ascending, one at a time, distributed among all ranks.
 
-    For large items that use the threads themselves, or none. ``shared`` as for :func:`for_chunks`. What ``work`` raises
-    on one rank ends its items and is raised on all of them.
+    For large items that use the threads themselves, or none. ``shared`` as for :func:`for_chunks`. An exception on one
+    rank ends its items and is raised on all of them.
     """
     failures: list[tuple[int, Exception]] = []
 
@@ -259,12 +259,12 @@ def for_items(
 
     for_chunks(attempt, count, 1, progress, shared, threads=1)
     if found := _ranks.gather(failures):
-        # The one that a process on its own would have met.
+        # The one that a single process would have raised.
         raise min(found, key=lambda each: each[0])[1]
 
 
 def for_rows(fill: Callable[[slice], object], array: Any) -> None:
-    """Let ``fill(rows)`` fill slices of ``array`` (n, ...): for what costs less to compute than to send."""
+    """Let ``fill(rows)`` fill slices of ``array`` (n, ...): for values that cost less to compute than to send."""
     for_chunks(lambda first, last: fill(slice(first, last)), len(array), _ROWS, common=[array])
 
 

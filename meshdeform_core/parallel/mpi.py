@@ -1,4 +1,4 @@
-"""The ranks of an MPI communicator, and memory that those of one machine have in common."""
+"""The ranks of an MPI communicator, and memory shared by those of one machine."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ _LINE = 64
 
 
 class CommonMemory(mmap.mmap):
-    """Memory that several processes of a machine have mapped; an array whose ``base`` it is lies in it."""
+    """Memory mapped by several processes of a machine; the ``base`` of arrays that lie in it."""
 
 
 class MPIRanks:
     """The ranks of a communicator as the core sees them (:class:`meshdeform_core.parallel.Ranks`).
 
-    ``machines`` takes the ranks of this machine for those of so many, to try what happens between machines.
+    ``machines`` > 1 treats the ranks of this machine as if spread over several, to test exchange between machines.
     """
 
     def __init__(self, world: Comm, machines: int = 1):
@@ -62,7 +62,7 @@ class MPIRanks:
         self._together = several and not self.private
 
     def _why_private(self) -> str:
-        """Try common memory: ranks in different containers, for instance, cannot see each other's files."""
+        """Test shared memory: ranks in different containers, for instance, cannot see each other's files."""
         word = self._machine.bcast(os.urandom(16))
         try:
             memory = self._map(len(word))
@@ -90,7 +90,7 @@ class MPIRanks:
         return memory
 
     def empty(self, shape: Sequence[int], dtype: Any) -> np.ndarray:
-        """An uninitialised array, in memory that the ranks of the machine have in common if they can."""
+        """An uninitialised array, shared by the ranks of the machine where possible."""
         import numpy as np
 
         if not self._together:
@@ -98,17 +98,17 @@ class MPIRanks:
         size = math.prod(shape) * np.dtype(dtype).itemsize
         return np.ndarray(shape, dtype, buffer=self._map(max(size, 1)))
 
-    def seat(self, arrays: Sequence[np.ndarray]) -> tuple[int, int]:
-        """Index and number of the ranks that can fill ``arrays`` together without sending anything."""
+    def group_of(self, arrays: Sequence[np.ndarray]) -> tuple[int, int]:
+        """Index of this rank among the ranks that share the memory of ``arrays``, and their number."""
         together = bool(arrays) and all(_is_common(array) for array in arrays)
         return (self._machine.rank, self._machine.size) if together else (0, 1)
 
     def begin(self, arrays: Sequence[np.ndarray]) -> None:
-        """Wait until no rank of the machine reads any more what ``arrays`` hold in common memory."""
+        """Wait until no rank of the machine reads the shared memory of ``arrays`` any more."""
         self._meet(arrays)
 
     def finish(self, arrays: Sequence[np.ndarray]) -> None:
-        """Wait until what the ranks of the machine wrote to ``arrays`` in common memory is complete."""
+        """Wait until all ranks of the machine have written their part of ``arrays`` in shared memory."""
         self._meet(arrays)
 
     def _meet(self, arrays: Sequence[np.ndarray]) -> None:
@@ -116,7 +116,7 @@ class MPIRanks:
             _meet(self._machine)
 
     def share(self, array: np.ndarray, rows: Callable[[int], Sequence[Any]]) -> None:
-        """Send the rows of each rank to all that have not got them, rank by rank: no buffer is larger than its part."""
+        """Send the rows of each rank to all that lack them, rank by rank: no buffer is larger than one rank's part."""
         if not _is_common(array):
             for number in range(self.count):
                 _send(self._comm, number, array, rows(number))
@@ -127,14 +127,14 @@ class MPIRanks:
                     _send(self._leaders, leader, array, rows(number))
 
     def alter(self, array: np.ndarray, action: Callable[[], object]) -> None:
-        """Let ``action``, the same on all ranks, write to ``array``: once for each copy of it."""
+        """Let ``action``, the same on all ranks, write to ``array``: once per copy of the array."""
         self.begin([array])
         if self._machine.rank == 0 or not _is_common(array):
             action()
         self.finish([array])
 
     def once(self, make: Callable[[], T]) -> T:
-        """What all ranks would make alike: made once per machine, large arrays in common memory."""
+        """The result of ``make``, the same on all ranks: made once per machine, with large arrays in shared memory."""
         if not self._together:
             return make()
         import numpy as np
@@ -160,7 +160,7 @@ class MPIRanks:
         return pickle.loads_oob(data, places)
 
     def gather(self, found: Sequence[T]) -> list[T]:
-        """What all ranks have found, in their order: little things."""
+        """The (small) results of all ranks, in rank order."""
         return self._gather(self._comm, found)
 
     @staticmethod
@@ -169,7 +169,7 @@ class MPIRanks:
         return [each for own in comm.allgather(list(found)) for each in own]
 
     def on_first(self, action: Callable[[], T]) -> T:
-        """Do something on the first rank only; its result, or that it failed, goes to all."""
+        """Run ``action`` on the first rank only; all get its result or fail with it."""
         return self._from_first(self._comm, action)
 
     @staticmethod
@@ -191,17 +191,17 @@ class MPIRanks:
         return result
 
     def conclude(self, code: int, messages: str, complete: bool) -> int:
-        """Meet the other ranks at the end and agree on the exit code.
+        """Wait for the other ranks at the end and agree on the exit code.
 
-        ``messages`` is what this rank did not print. One that did not ``complete`` its work waits a few seconds only:
-        the others may never arrive.
+        ``messages`` is what this rank did not print. A rank that did not ``complete`` its work waits only a few
+        seconds: the others may never arrive.
         """
         arrived = self._end.Ibarrier()
         patience = float("inf") if complete else _GRACE
         start = time.monotonic()
         while not arrived.Test():
             if time.monotonic() - start > patience:
-                # The others wait for this rank or work on: no way to ask them.
+                # The others wait for this rank or are still working: they cannot be asked.
                 self._tell(self.number, messages)
                 self._end.Abort(code)
             time.sleep(_POLL)
@@ -218,7 +218,7 @@ class MPIRanks:
 
 
 def _meet(comm: Comm) -> None:
-    """Wait for all processes, asleep if it takes long: the one that all wait for may need the core."""
+    """Wait for all processes, sleeping if it takes long: the one that all wait for may need the core."""
     arrived, tries = comm.Ibarrier(), 0
     while not arrived.Test():
         tries += 1
@@ -227,9 +227,9 @@ def _meet(comm: Comm) -> None:
 
 
 def _memory_file(size: int) -> str:
-    """A new file of ``size`` bytes that lies in memory and in no folder: the name by which other processes find it."""
+    """The name, for other processes, of a new anonymous file of ``size`` bytes in memory."""
     if not hasattr(os, "memfd_create"):
-        raise OSError("memory in common takes Linux")
+        raise OSError("shared memory requires Linux")
     number = os.memfd_create("meshdeform")
     os.truncate(number, size)
     return f"/proc/{os.getpid()}/fd/{number}"
@@ -250,7 +250,7 @@ def _is_common(array: Any) -> bool:
 
 
 def _send(comm: Comm, root: int, array: np.ndarray, parts: Sequence[Any]) -> None:
-    """Put the rows ``parts`` (index arrays) of ``array`` of one process into that of all others, in place."""
+    """Copy the rows ``parts`` (index arrays) of ``array`` from one process to all others, in place."""
     import numpy as np
 
     if not parts:

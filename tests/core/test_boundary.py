@@ -64,7 +64,7 @@ def _kmin_count():
         ("block1.imax", "shared with other blocks"), ("block1.imin[1:99,*]", "outside the face"),
         ("block1.imin[3,*]", "not a range"), ("block1.imin[0:2,*]", "outside the face"),
         ("block1.imin[1:2]", "expected two"),
-        ("block1.imin[a:b,*]", "not a range"), ("block1.imin[2:2,*]", "holds no cell face"),
+        ("block1.imin[a:b,*]", "not a range"), ("block1.imin[2:2,*]", "contains no cell face"),
         ("block9.imin", "matches no patch"),
         ("", "matches no patch"),
     ],
@@ -87,7 +87,7 @@ def test_strongest_kind_wins():
     assert kinds(problem, lambda x: x[:, 0] == -2.0) == {Kind.FIXED}
     names = {p.name: p.kind for p in problem.boundary.patches}
     assert names[UNSELECTED] is Kind.FIXED
-    assert any("selected by no boundary entry" in note for note in problem.boundary.notes)
+    assert any("not selected by any boundary entry" in note for note in problem.boundary.notes)
 
 
 def test_where_takes_faces_with_all_corners_inside():
@@ -96,7 +96,7 @@ def test_where_takes_faces_with_all_corners_inside():
     moving = problem.grid.points[problem.topology.first[problem.boundary.kind == Kind.MOVING]]
     assert np.all(moving[:, 0] == -2.0)
     assert np.all(moving[:, 2] < 0.5)
-    with pytest.raises(CaseError, match="holds at no face"):
+    with pytest.raises(CaseError, match="is not satisfied on any face"):
         problem_of(FRAME, [dataclasses.replace(spec[0], where=expression("x > 7", XYZ))])
 
 

@@ -16,7 +16,7 @@ from meshdeform_core.grid import Grid
 from meshdeform_core.parallel import OneRank, Shared, alone, current_ranks, empty, for_chunks, for_rows, set_threads
 from meshdeform_core.parallel.mpi import _is_common, _mapped, _memory_file
 
-needs_linux = pytest.mark.skipif(not hasattr(os, "memfd_create"), reason="memory in common takes Linux")
+needs_linux = pytest.mark.skipif(not hasattr(os, "memfd_create"), reason="shared memory requires Linux")
 
 
 def chunks_of(number, count, **filled):
