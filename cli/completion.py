@@ -1,4 +1,4 @@
-"""What the shell completes: methods, samples, patches and blocks of the grid, keys of the case file."""
+"""Shell completion: methods, samples, patches and blocks of the grid, keys of the case file."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def samples(context: click.Context, parameter: click.Parameter, typed: str) -> l
 
 
 def settings(context: click.Context, parameter: click.Parameter, typed: str) -> list[CompletionItem]:
-    """Keys of the case file's methods, with the values that are texts."""
+    """Keys of the case file's method tables, with their text values."""
     import dataclasses
 
     from meshdeform_core.methods import IDW, RBF, TFI
@@ -58,7 +58,7 @@ def blocks(context: click.Context, parameter: click.Parameter, typed: str) -> li
 
 
 def _grid(context: click.Context):  # type: ignore[no-untyped-def]
-    """The grid named so far, if it can be read; completion is silent about errors."""
+    """The grid on the command line, if it can be read; completion ignores errors."""
     from meshdeform_core.errors import MeshDeformError
     from meshdeform_formats.grids import read_grid_with_boundaries
 

@@ -1,3 +1,3 @@
-"""Exit codes of all commands; processes that a signal ends exit with 128 plus its number."""
+"""Exit codes of all commands; a process ended by a signal exits with 128 plus the signal number."""
 
 EXIT_BUG, EXIT_INPUT, EXIT_INVALID, EXIT_INTERRUPTED = 1, 2, 3, 130

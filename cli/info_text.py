@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 _MAX_LISTED = 24
-"""Of faces without a name so many have a line of their own; more are told by role."""
+"""Most unnamed faces that are listed individually; more are summarised by role."""
 
 
 def as_text(facts: dict[str, Any], verbose: bool = False) -> str:
@@ -70,7 +70,7 @@ def _surfaces(surfaces: list[dict[str, Any]], verbose: bool) -> list[str]:
 
 
 def _by_role(surfaces: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Faces without a name, one entry per role."""
+    """Unnamed faces, one entry per role."""
     merged = []
     for role in dict.fromkeys(s["role"] for s in surfaces):
         mine = [s for s in surfaces if s["role"] == role]
@@ -117,7 +117,7 @@ def _patch(patch: dict[str, Any]) -> str:
 
 
 def _table(rows: Sequence[tuple[str, ...]]) -> list[str]:
-    """Columns of equal width; numbers to the right."""
+    """Columns of equal width; numbers right-aligned."""
     widths = [max(len(row[n]) for row in rows) for n in range(len(rows[0]))]
     right = {2, 3}
     return [
@@ -141,7 +141,7 @@ def _box(box: list[list[float]]) -> str:
 
 
 def _range(low: float, high: float, size: float) -> str:
-    # What is nothing but round-off beside the other coordinates is 0.
+    # Mere round-off relative to the other coordinates counts as 0.
     low, high = (0.0 if abs(v) < 1e-9 * size else v for v in (low, high))
     return f"{low:.5g}" if high - low <= 1e-9 * size else f"{low:.5g}..{high:.5g}"
 

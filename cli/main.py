@@ -27,12 +27,12 @@ _ON_RANKS = ("deform", "series")
 
 
 def _module(name: str) -> str:
-    """The file of a command."""
+    """The module of a command."""
     return name.replace("-", "_")
 
 
 class LazyGroup(click.Group):
-    """A group whose commands live one file each and are imported on demand: ``--help`` stays fast."""
+    """A group whose commands are imported on demand, one file each, so that ``--help`` stays fast."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return [name for name in _COMMANDS if importlib.util.find_spec(f"{__package__}.commands.{_module(name)}")]
@@ -52,13 +52,13 @@ class LazyGroup(click.Group):
 _SUMMARIES = {
     "deform": "Deform a grid: read, deform, judge, write.",
     "series": "Deform a grid over time, one grid per time level.",
-    "quality": "Quality report of a grid, alone or against its original.",
-    "info": "What a grid holds and where: blocks, walls, interfaces.",
-    "init": "A case file to start from, with every boundary of a grid.",
+    "quality": "Quality report of a grid, by itself or against its original.",
+    "info": "Contents of a grid: blocks, walls, interfaces.",
+    "init": "Create a case file with every boundary of a grid.",
     "convert": "Convert any readable grid to any writable format.",
     "compare": "Largest and rms coordinate difference of two grids.",
     "plot": "Picture of a grid coloured by a measure of its cells.",
-    "methods": "The methods, their parameters and what each is good for.",
+    "methods": "The methods, their parameters, strengths and limits.",
     "sample": "Write a sample case: grid and case.toml.",
     "schema": "JSON schema of case files or of reports.",
     "reproduce": "Rerun the tables and figures of the paper.",
@@ -82,7 +82,7 @@ def _print_version(context: click.Context, _: click.Parameter, wanted: bool) -> 
     is_flag=True,
     is_eager=True,
     expose_value=False,
-    help="With --version: what it runs on.",
+    help="With --version: the environment too.",
     callback=lambda context, _, value: context.meta.update(verbose=value),
 )
 @click.option("--version", is_flag=True, expose_value=False, callback=_print_version, help="Show the version and exit.")
@@ -102,8 +102,8 @@ def cli(context: click.Context) -> None:
     """
     if current_ranks().count > 1 and context.invoked_subcommand not in _ON_RANKS:
         raise click.UsageError(
-            f"'{context.invoked_subcommand}' does not share its work among ranks; start it without mpiexec. "
-            f"These do: {', '.join(_ON_RANKS)}"
+            f"'{context.invoked_subcommand}' cannot run on several ranks; start it without mpiexec. "
+            f"Commands that can: {', '.join(_ON_RANKS)}"
         )
 
 
@@ -125,7 +125,7 @@ def run(args: Sequence[str] | None = None) -> int:
     try:
         code = _invoke(args)
     except BaseException as error:
-        # A signal's exception, or what a library made of it.
+        # A signal's exception, or what a library turned it into.
         if interruption.requested() is None:
             if not isinstance(error, Exception):
                 raise
@@ -136,17 +136,17 @@ def run(args: Sequence[str] | None = None) -> int:
     if (stopped := interruption.requested()) is not None:
         tell(end_of(stopped))
         return 128 + stopped
-    # A failure that was told already may be this one.
+    # With another exit code the failure may already have been reported.
     return _fail(f"cannot write to stdout: {unwritten}") if unwritten and code == 0 else code
 
 
 def _invoke(args: Sequence[str] | None) -> int:
-    """Call the command; what is the input's or the system's fault becomes a message and exit code 2."""
+    """Call the command; faults of the input or the system become a message and exit code 2."""
     from meshdeform_core.errors import MeshDeformError
 
     try:
         arguments = list(sys.argv[1:] if args is None else args)
-        # Reports say how they came about: the object of the context are the arguments.
+        # Reports quote the command line: the context object holds the arguments.
         result = cli.main(args=arguments, prog_name="meshdeform", standalone_mode=False, obj=tuple(arguments))
         return result if isinstance(result, int) else 0
     except MeshDeformError as error:
@@ -161,7 +161,7 @@ def _invoke(args: Sequence[str] | None) -> int:
         tell("interrupted; no output was left half-written")
         return EXIT_INTERRUPTED
     except (BrokenPipeError, SystemExit) as stop:
-        # The reader went away (`meshdeform info grid | head`), which click turns into exit code 1: nothing more to say.
+        # The reader is gone (`meshdeform info grid | head`), which click turns into exit code 1: no message needed.
         if isinstance(stop, SystemExit) and stop.code != 1:
             raise
         drop_output()

@@ -1,4 +1,4 @@
-"""What goes to stderr, and streams that are closed, full or cannot show a name."""
+"""Messages on stderr, and streams that are closed, full or cannot encode a name."""
 
 from __future__ import annotations
 
@@ -16,27 +16,27 @@ from meshdeform_core.errors import CaseError
 
 
 def tell(message: str) -> None:
-    """Print a message on stderr; that nobody can read it changes nothing."""
+    """Print a message on stderr; failing to do so is ignored."""
     with contextlib.suppress(OSError, ValueError):
         click.echo(f"meshdeform: {message}", err=True)
 
 
 class Warnings:
-    """Prints every warning once on stderr, ``-q`` or not; with ``--strict`` they end the command."""
+    """Prints every warning once on stderr, even with ``-q``; with ``--strict`` warnings end the command."""
 
     def __init__(self, strict: bool = False):
         self._strict = strict
         self._told: set[str] = set()
 
     def tell(self, warnings: Iterable[str]) -> None:
-        """Print those that are new.
+        """Print the new ones.
 
         Raises
         ------
         CaseError
-            With ``--strict``, when there is any.
+            With ``--strict``, if there are any.
         """
-        # The levels of a series repeat a warning with other numbers.
+        # The levels of a series repeat a warning with different numbers.
         new = [text for text in dict.fromkeys(warnings) if _without_numbers(text) not in self._told]
         for text in new:
             tell(f"warning: {text}")
@@ -50,15 +50,15 @@ def _without_numbers(text: str) -> str:
 
 
 def open_streams() -> None:
-    """Make stdin, stdout and stderr usable, whatever the caller closed.
+    """Make stdin, stdout and stderr usable, even if the caller closed them.
 
-    A file that is opened while descriptor 1 is closed would get its number, and everything printed would end in it.
+    A file opened while descriptor 1 is closed would get this number and receive everything printed.
     """
     for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
         try:
             os.fstat(number)
         except OSError:
-            # The lowest free number is the one that is missing.
+            # The system assigns the lowest free number, which is the missing one.
             os.open(os.devnull, os.O_RDWR)
             setattr(sys, name, open(number, mode, encoding="utf-8", closefd=False))  # noqa: SIM115
     for stream in (sys.stdout, sys.stderr):
@@ -68,7 +68,7 @@ def open_streams() -> None:
 
 
 def flush_output() -> str | None:
-    """Write out what was printed; why that was impossible, or ``None``. What cannot be written is dropped."""
+    """Flush stdout; return the reason of a failure, or ``None``. Output that cannot be written is dropped."""
     try:
         sys.stdout.flush()
     except OSError as error:
@@ -78,7 +78,7 @@ def flush_output() -> str | None:
 
 
 def flush_messages() -> None:
-    """Write out messages; what cannot be written is dropped."""
+    """Flush stderr; messages that cannot be written are dropped."""
     try:
         sys.stderr.flush()
     except (OSError, ValueError):
@@ -86,7 +86,7 @@ def flush_messages() -> None:
 
 
 def drop_output() -> None:
-    """Send what stdout still holds nowhere, or the interpreter complains about it on its way out."""
+    """Discard what stdout still buffers; otherwise the interpreter complains at exit."""
     _send_nowhere(sys.stdout)
 
 

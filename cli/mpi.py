@@ -13,7 +13,7 @@ from meshdeform_core.parallel import set_ranks
 from .exit_codes import EXIT_INPUT, EXIT_INVALID
 from .messages import tell
 
-# How launchers tell a process its number and how many there are.
+# Environment variables in which launchers pass a process its rank and the number of ranks.
 _LAUNCHERS = (
     ("OMPI_COMM_WORLD_RANK", "OMPI_COMM_WORLD_SIZE"),  # Open MPI
     ("PMI_RANK", "PMI_SIZE"),  # MPICH, Intel MPI, Microsoft MPI
@@ -23,14 +23,14 @@ _LAUNCHERS = (
 
 @dataclass(frozen=True)
 class Place:
-    """Which of how many processes this one is."""
+    """Rank of this process and number of ranks."""
 
     number: int
     count: int
 
 
 def place() -> Place | None:
-    """Where the launcher says this process stands; ``None`` for a process on its own."""
+    """Rank of this process according to the launcher; ``None`` for a single process."""
     for names in _LAUNCHERS:
         texts = [os.environ.get(name, "") for name in names]
         if all(text.isdigit() for text in texts) and int(texts[1]) > 1:
@@ -39,9 +39,9 @@ def place() -> Place | None:
 
 
 def run_on_ranks(run: Callable[[], int], here: Place) -> int:
-    """Run the command on every rank; the first one speaks for all. Returns the exit code, the same on all ranks.
+    """Run the command on every rank; only the first one prints. Returns the exit code, the same on all ranks.
 
-    A rank that fails on its own ends the others.
+    A rank that fails alone ends the others.
     """
     try:
         from mpi4py import MPI
@@ -65,7 +65,7 @@ def run_on_ranks(run: Callable[[], int], here: Place) -> int:
 
 
 def _refuse(here: Place, reason: str) -> int:
-    # Without MPI the ranks cannot speak to each other, but the launcher's numbers tell who speaks.
+    # Without MPI the ranks cannot communicate, but the launcher's numbers determine which one prints.
     if here.number:
         return 0
     tell(f"error: a start on {here.count} ranks: {reason}")
@@ -74,7 +74,7 @@ def _refuse(here: Place, reason: str) -> int:
 
 @contextlib.contextmanager
 def _voice(number: int) -> Iterator[io.StringIO]:
-    """Let the first rank print; of the others keep what they would have told on stderr."""
+    """Let the first rank print; collect the messages of the others."""
     messages = io.StringIO()
     if number == 0:
         yield messages

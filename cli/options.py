@@ -28,7 +28,7 @@ PATH = click.Path(path_type=Path)
 
 
 class FiniteNumber(click.FloatRange):
-    """A number without nan and inf, which compare with nothing and would pass every check."""
+    """A number other than nan and inf, which would pass every range check."""
 
     def _describe_range(self) -> str:
         # Without limits click would describe the range as x<=None.
@@ -44,7 +44,7 @@ class FiniteNumber(click.FloatRange):
 force_option = click.option("--force", is_flag=True, help="Overwrite an existing output (never the input).")
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 quiet_option = click.option("-q", "--quiet", is_flag=True, help="Print errors and warnings only.")
-threads_option = click.option("--threads", type=click.IntRange(min=1), help="Use at most so many threads.")
+threads_option = click.option("--threads", type=click.IntRange(min=1), help="Use at most this many threads.")
 variant_option = click.option(
     "--variant", metavar="KEY=VALUE", multiple=True,
     help="How to write the output. plot3d: encoding=ascii|binary|fortran byte_order=little|big "
@@ -59,20 +59,20 @@ field_option = click.option(
 )  # fmt: skip
 report_option = click.option(
     "--report", "reports", type=PATH, multiple=True,
-    help="Report; the suffix picks .json .txt .html or .md, - is JSON to stdout (repeatable).",
+    help="Report file; the suffix selects .json .txt .html or .md, - is JSON to stdout (repeatable).",
 )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class GridInput:
-    """A grid file with what helps to read it."""
+    """A grid file with the options for reading it."""
 
     path: Path
     boundary_file: Path | None
     read_as: tuple[str, ...]
 
     def read(self, boundary_file: Path | None = None) -> Grid:
-        """The grid; ``boundary_file`` is the case's own, for when the command line names none."""
+        """The grid; ``boundary_file`` is that of the case, used if the command line names none."""
         from meshdeform_formats.grids import read_grid_with_boundaries
 
         options = parse_pairs(self.read_as, "--read-as")
@@ -85,13 +85,13 @@ class GridInput:
 
     @property
     def roles(self) -> list[tuple[str, Path | None]]:
-        """Its files as a report names them."""
+        """Its files with their roles, for the report."""
         return [("grid", self.path), ("boundary file", self.boundary_file)]
 
 
 @dataclass(frozen=True)
 class CaseInput:
-    """What to do with a grid, as the command line says it."""
+    """The case as given on the command line."""
 
     file: Path | None
     displacement: Path | None
@@ -102,7 +102,7 @@ class CaseInput:
     tolerance: float | None = None
 
     def read(self) -> CaseFile:
-        """The case file with everything that the command line adds."""
+        """The case file with the additions of the command line."""
         from meshdeform_formats.case import read_case
 
         matching = None
@@ -115,7 +115,7 @@ class CaseInput:
         return read_case(self.file, self.overrides, self.method, self.displacement, self.times, matching)
 
     def roles(self, read: CaseFile) -> list[tuple[str, Path | None]]:
-        """Its files, and those that the case as ``read`` names, as a report names them."""
+        """Its files, and those named in the case ``read``, with their roles, for the report."""
         return [("case", self.file), *(("displacement", path) for path in read.files)]
 
     @property
@@ -129,7 +129,7 @@ class CaseInput:
 
 
 def grid_options(command: Command) -> Command:
-    """Argument GRID and its options, handed over as ``source``."""
+    """Argument GRID and its options, passed as ``source``."""
 
     @click.argument("grid", type=PATH)
     @click.option("--boundary-file", type=PATH, help="Neutral map file (.nmf) with the boundaries.")
@@ -137,7 +137,7 @@ def grid_options(command: Command) -> Command:
         "--read-as",
         metavar="KEY=VALUE",
         multiple=True,
-        help="How to read a Plot3D file that has several readings; keys as for --variant (repeatable).",
+        help="How to read an ambiguous Plot3D file; keys as for --variant (repeatable).",
     )
     @functools.wraps(command)
     def packed(grid: Path, boundary_file: Path | None, read_as: tuple[str, ...], **rest: Any) -> Any:
@@ -147,7 +147,7 @@ def grid_options(command: Command) -> Command:
 
 
 def case_options(command: Command) -> Command:
-    """Options that say what to do with a grid, handed over as ``case``."""
+    """Options that define the case, passed as ``case``."""
 
     @click.option("-c", "--case", "case_file", type=PATH, help="Case file (TOML).")
     @click.option("-d", "--displacement", type=PATH, help="Surface displacement table.")
@@ -172,7 +172,7 @@ def case_options(command: Command) -> Command:
     @click.option(
         "--repair",
         type=click.Choice(["auto", "off", "polish"]),
-        help="Repair invalid cells (auto, the default), never, or improve the worst cells of a valid grid too.",
+        help="auto (default): repair invalid cells; off: never; polish: also improve the worst cells of a valid grid.",
     )
     @click.option(
         "--min-jacobian",
@@ -194,7 +194,7 @@ def case_options(command: Command) -> Command:
 
 @dataclass(frozen=True)
 class RunInput:
-    """How a command that makes grids runs, and what it tells."""
+    """Limits, outputs and verbosity of a command that makes grids."""
 
     reports: tuple[Path, ...]
     as_json: bool
@@ -211,7 +211,7 @@ class RunInput:
 
     @functools.cached_property
     def warnings(self) -> Warnings:
-        """Where warnings go."""
+        """The printer of warnings."""
         return Warnings(self.strict)
 
     @property
@@ -224,12 +224,12 @@ class RunInput:
 
 
 def run_options(command: Command) -> Command:
-    """Options of the commands that make grids, handed over as ``run``."""
+    """Options of the commands that make grids, passed as ``run``."""
 
     @report_option
-    @click.option("--json", "as_json", is_flag=True, help="Print the report as JSON, all else goes to stderr.")
+    @click.option("--json", "as_json", is_flag=True, help="Print the report as JSON; everything else goes to stderr.")
     @threads_option
-    @click.option("--max-memory", metavar="SIZE", help="Refuse what needs more, like 2GiB.")
+    @click.option("--max-memory", metavar="SIZE", help="Memory limit, like 2GiB; work that needs more is refused.")
     @variant_option
     @field_option
     @click.option("--dry-run", is_flag=True, help="Show what would be done; write nothing.")
@@ -237,7 +237,7 @@ def run_options(command: Command) -> Command:
     @click.option("--allow-invalid", is_flag=True, help="Write the grid and exit 0 even if cells became invalid.")
     @click.option("--strict", is_flag=True, help="Treat warnings as errors: exit code 2, no grid is written.")
     @quiet_option
-    @click.option("-v", "--verbose", is_flag=True, help="Tell more: stages and their times on stderr.")
+    @click.option("-v", "--verbose", is_flag=True, help="Show stages and their times on stderr.")
     @functools.wraps(command)
     def packed(**options: Any) -> Any:
         own = {field.name: options.pop(field.name) for field in dataclasses.fields(RunInput)}
@@ -267,7 +267,7 @@ def keep_inputs(path: Path, *inputs: Path | None) -> None:
 
 
 def check_output(path: Path, force: bool, *inputs: Path | None) -> None:
-    """Refuse, before anything is computed, to write where something lies or where nothing can be written.
+    """Refuse, before anything is computed, to overwrite a file or to write where that is impossible.
 
     Raises
     ------
@@ -285,7 +285,7 @@ def check_output(path: Path, force: bool, *inputs: Path | None) -> None:
 
 
 def invalid_path(output: Path) -> Path:
-    """Where a grid with invalid cells is written: beside ``output``, so that make does not take it for that."""
+    """The file for a grid with invalid cells: next to ``output``, so that make does not take it for that."""
     return output.with_name(f"{output.stem}.invalid{output.suffix}")
 
 

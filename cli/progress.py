@@ -1,4 +1,4 @@
-"""A progress bar on a terminal, for whatever takes longer than a second."""
+"""A progress bar on a terminal, for work that takes longer than a second."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ if TYPE_CHECKING:
     from rich.progress import Progress as Bar
 
 _PATIENCE = 1.0
-# Loops that a run with fast sums takes.
+# Number of loops in a run with fast sums.
 _LOOPS = 24
-_UNCACHED = "at every start: no folder for them can be written; NUMBA_CACHE_DIR may name one"
+_UNCACHED = "at every start, as no folder for them is writable; set NUMBA_CACHE_DIR to one that is"
 
 
 class ProgressBar:
-    """Callback for the core's progress; shows nothing unless stderr is a terminal and a stage takes its time.
+    """Callback for the core's progress; shows nothing unless stderr is a terminal and a stage takes long.
 
-    That loops are being compiled is said in any case, unless it is not ``enabled``.
+    Compiling of loops is always announced, unless the bar is not ``enabled``.
     """
 
     def __init__(self, enabled: bool = True):
@@ -58,12 +58,12 @@ class ProgressBar:
 
         if loops == 0:
             tell("compiling loops, " + ("once per installation" if is_cached() else _UNCACHED))
-        # How many loops a run needs is known when it has run.
+        # The number of loops that a run needs is only known at its end.
         self("compile", loops, max(_LOOPS, loops + 1))
 
     def __enter__(self) -> ProgressBar:
         if self._wanted:
-            # Imported late: it loads the compiler, which --help does without.
+            # Imported late: it loads the compiler, which --help does not need.
             from meshdeform_core.numerics.jit import on_compile
 
             on_compile(self._compiling)

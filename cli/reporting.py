@@ -1,4 +1,4 @@
-"""Where reports go: files, stdout, the terminal."""
+"""Delivery of reports to files, stdout and the terminal."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ STDOUT = Path("-")
 
 @dataclass(frozen=True)
 class Delivery:
-    """What a command knows about itself: when it began, the files it read and wrote, the pictures of its report.
+    """Data on a command for its report: start time, files read and written, pictures.
 
     ``start`` is a ``perf_counter``; ``files`` are roles and paths.
     """
@@ -31,7 +31,7 @@ class Delivery:
 
 
 def deliver(report: Report, reports: Iterable[Path], to_stdout: bool, quiet: bool, delivery: Delivery) -> None:
-    """Write the reports; json goes to stdout if asked for, the text for people then to stderr."""
+    """Write the reports; if JSON is requested on stdout, the text goes to stderr."""
     files = [path for path in reports if path != STDOUT]
     to_stdout = to_stdout or STDOUT in reports
     if files or to_stdout:
@@ -43,7 +43,7 @@ def deliver(report: Report, reports: Iterable[Path], to_stdout: bool, quiet: boo
     if to_stdout:
         click.echo(as_json(report), nl=False)
     if not quiet:
-        # Warnings have gone to stderr.
+        # Warnings are already on stderr.
         click.echo(as_text({**report, "warnings": []}), nl=False, err=to_stdout)
 
 

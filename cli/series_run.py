@@ -1,4 +1,4 @@
-"""What ``meshdeform series`` does once its options are known."""
+"""Implementation of ``meshdeform series`` after its options are parsed."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _PICTURES = 8
 
 @dataclass(frozen=True)
 class Wanted:
-    """The options that only a series has."""
+    """The options specific to a series."""
 
     folder: Path
     times: str | None
@@ -50,7 +50,7 @@ class Wanted:
 
 @dataclass
 class Run:
-    """A series ready to be made: set-up, schedule, where the levels go, what is already done."""
+    """A series ready to run: set-up, schedule, files of the levels, finished levels."""
 
     job: Job
     setup: Setup
@@ -62,7 +62,7 @@ class Run:
 
 
 def prepare(job: Job, source: GridInput, wanted: Wanted, warnings: Warnings) -> Run:
-    """Decide on times and files, find topology and boundary; nothing is written."""
+    """Determine times and files, topology and boundary; nothing is written."""
     times = parse_times(wanted.times, "--times") if wanted.times else _times_of_files(job.case)
     schedule = Schedule(times, wanted.origin, wanted.velocity, wanted.steps)
     name = source.path.stem + _suffix(source.path, wanted)
@@ -88,7 +88,7 @@ def prepare(job: Job, source: GridInput, wanted: Wanted, warnings: Warnings) -> 
 def _suffix(source: Path, wanted: Wanted) -> str:
     if wanted.suffix:
         return wanted.suffix if wanted.suffix.startswith(".") else f".{wanted.suffix}"
-    # ADF is read only.
+    # ADF files can only be read.
     cgns = wanted.single_file or source.suffix.lower() in FORMATS["cgns"].suffixes
     return ".cgns" if cgns else source.suffix
 
@@ -104,7 +104,7 @@ def _times_of_files(case: CaseFile) -> tuple[float, ...]:
 
 
 def describe(run: Run) -> tuple[Report, str]:
-    """What would be done: classification, parameters, node counts; and the levels, as a line of text."""
+    """The report of a dry run (classification, parameters, node counts), and the levels as a line of text."""
     prepared = make_method(run.setup.case.method).prepare(run.setup.problem)
     times = run.schedule.times
     largest = max(largest_displacement(run.setup.displacement(t)) for t in times)
@@ -116,16 +116,16 @@ def describe(run: Run) -> tuple[Report, str]:
 
 
 def open_manifest(run: Run, resume: bool, force: bool) -> Manifest:
-    """Begin a series, or take over what an earlier run has finished.
+    """Begin a series, or continue from the levels that an earlier run has finished.
 
     Raises
     ------
     FormatError, CaseError
-        When files are in the way, or the series to be continued is made of something else.
+        When files would be overwritten, or the series to be continued has different inputs.
     """
     new = run.manifest
     begun = new.path.exists() and not force
-    # A run that finished no level, because something was wrong, is not in the way of the next one.
+    # A run that failed before its first level does not block the next one.
     old = Manifest.load(new.path) if begun else None
     if old and old.levels and resume:
         old.require_same(new.ingredients)
@@ -134,7 +134,7 @@ def open_manifest(run: Run, resume: bool, force: bool) -> Manifest:
         return old
     present = [new.path] if old and old.levels else [path for path in run.files.outputs if path.exists()]
     if present and not force and not (old and resume):
-        hint = "use --resume to go on with it, or --force to begin anew" if old else "use --force to overwrite it"
+        hint = "use --resume to continue it, or --force to start again" if old else "use --force to overwrite it"
         raise FormatError(f"{present[0]} exists; {hint}")
     new.path.parent.mkdir(parents=True, exist_ok=True)
     run.files.clean()
@@ -143,7 +143,7 @@ def open_manifest(run: Run, resume: bool, force: bool) -> Manifest:
 
 
 def _keep_what_exists(run: Run, manifest: Manifest) -> None:
-    """Forget levels that have gone since; of a complete series all files must be there."""
+    """Forget levels whose files are missing; a complete series must have all its files."""
     if manifest.complete and all(path.exists() for path in run.files.outputs):
         return
     gone = [number for number in range(len(manifest.levels)) if not run.files.has(number)]
@@ -152,7 +152,7 @@ def _keep_what_exists(run: Run, manifest: Manifest) -> None:
 
 
 def carry_out(run: Run, progress: ProgressBar) -> Report:
-    """Make, write and record the levels that are missing, then report over all."""
+    """Make, write and record the missing levels, then report on all."""
     count, first, ranks = len(run.schedule.times), len(run.manifest.levels), current_ranks()
     progress("levels", first, count)
     levels = deform_series(run.setup, run.schedule, run.files.variant.precision, progress, first, run.files.read)
@@ -166,7 +166,7 @@ def carry_out(run: Run, progress: ProgressBar) -> Report:
 
 
 def illustrate(run: Run) -> Illustrations:
-    """Small pictures of some levels, evenly spaced, as far as their files can be read."""
+    """Small pictures of some evenly spaced levels, as far as their files can be read."""
     count = len(run.schedule.times)
     shown = min(count, _PICTURES)
     chosen = [round(n * (count - 1) / max(1, shown - 1)) for n in range(shown)]
@@ -188,7 +188,7 @@ def _complete(run: Run) -> Report:
 
 
 def _record(run: Run, level: Level) -> None:
-    """Write a level, then note that it is done: in this order, so that what is noted exists."""
+    """Write a level, then record it as finished: in this order, so that every recorded level exists."""
     manifest, files = run.manifest, run.files
     before = clock.perf_counter()
     files.write(level.number, level.result.grid, level.velocity)

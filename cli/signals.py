@@ -38,7 +38,7 @@ class Handler:
             interruption.check()
 
     def finish(self) -> None:
-        """Everything is written and flushed: an exception would be lost in the interpreter's shutdown."""
+        """Ignore signals once everything is written: an exception would be lost in the interpreter's shutdown."""
         self._finishing = True
         if interruption.requested() is not None:
             # The exit code is settled.
@@ -47,6 +47,6 @@ class Handler:
 
 
 def end_of(number: int) -> str:
-    """What to tell when a signal ended the program."""
+    """Message for a program ended by a signal."""
     how = "interrupted" if number == signal.SIGINT else f"ended by {signal.Signals(number).name}"
     return f"{how}; no output was left half-written"

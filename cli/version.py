@@ -1,4 +1,4 @@
-"""``meshdeform --version``: the version, and with ``-v`` what it runs on."""
+"""``meshdeform --version``: the version, and with ``-v`` the environment."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _PACKAGES = ("numpy", "scipy", "numba", "h5py", "meshio", "matplotlib", "mpi4py"
 
 
 def version_lines(verbose: bool) -> list[str]:
-    """One line, or one for everything that a report of a problem should name."""
+    """One line, or with ``verbose`` everything that a bug report should name."""
     lines = [f"meshdeform, version {version('meshdeform')}"]
     if verbose:
         lines += [f"python      {platform.python_version()} on {platform.platform()}"]
@@ -34,7 +34,7 @@ def _hdf5() -> str:
 
 def _threads() -> str:
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return f"{cores} (--threads takes fewer)"
+    return f"{cores} (--threads for fewer)"
 
 
 def _cache() -> str:

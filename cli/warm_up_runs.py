@@ -1,4 +1,4 @@
-"""Small deformations that between them use every compiled loop."""
+"""Small deformations that together use every compiled loop."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def options() -> Iterator[tuple[str, int, Options]]:
 
 
 def run_everything(progress: Progress) -> None:
-    """Deform small grids by every method and throw the results away."""
+    """Deform small grids by every method and discard the results."""
     done = list(options())
     for number, (sample, size, method) in enumerate(done):
         case = read_case(Path(str(folder(sample))) / "case.toml", (), None, None).case

@@ -1,4 +1,4 @@
-"""What the deforming commands do once their options are known."""
+"""Implementation of the deforming commands after their options are parsed."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ __all__ = ["Imposed", "Job", "conclude", "load", "plan", "print_plan", "run"]
 
 @dataclass(frozen=True)
 class Job:
-    """A grid that was read and the case to apply to it; ``memory`` is what is left for the method."""
+    """A grid and the case to apply to it; ``memory`` is the limit left for the method."""
 
     grid: Grid
     case: CaseFile
@@ -55,7 +55,7 @@ class Job:
 def load(source: GridInput, case: CaseInput, memory: MemoryLimit, outputs: Sequence[Path]) -> Job:
     """Read the case first (it is small and most often wrong), then the grid with its boundary information.
 
-    ``outputs`` must not be files that the case names.
+    ``outputs`` must not be files named in the case.
     """
     what = case.read()
     for path in outputs:
@@ -68,7 +68,7 @@ def load(source: GridInput, case: CaseInput, memory: MemoryLimit, outputs: Seque
 
 
 def _other_bytes(grid: Grid, case: CaseFile) -> int:
-    """What the grid file holds beside coordinates, and the tables of the case."""
+    """Size of the data of the grid file other than coordinates, and of the tables of the case."""
     steps = [step for spec in case.case.boundaries if spec.motion for step in spec.motion.steps]
     tables = [step.data for step in steps if isinstance(step, Follow)]
     arrays = [array for table in tables if isinstance(table, SurfaceData) for array in vars(table).values()]
@@ -79,7 +79,7 @@ def _other_bytes(grid: Grid, case: CaseFile) -> int:
 
 @dataclass(frozen=True)
 class Imposed:
-    """How a motion is imposed: in how many steps (``None``: as needed), at which time (``--time``, if given)."""
+    """How a motion is imposed: number of steps (``None``: as needed) and time (``--time``, if given)."""
 
     steps: int | str | None
     at_time: float | None
@@ -89,18 +89,18 @@ class Imposed:
         return 0.0 if self.at_time is None else self.at_time
 
     def case(self, case: Case) -> Case:
-        """The case with a note when time and motion do not fit."""
+        """The case, with a note if ``--time`` and motion do not agree."""
         if case.depends_on_time == (self.at_time is not None):
             return case
         if case.depends_on_time:
             note = "the motion depends on t and was evaluated at t = 0; choose another time with --time"
         else:
-            note = f"the motion does not depend on t: --time {self.at_time:g} changes nothing"
+            note = f"the motion does not depend on t: --time {self.at_time:g} has no effect"
         return dataclasses.replace(case, notes=(*case.notes, note))
 
 
 def plan(job: Job, output: Path | None, imposed: Imposed, variant: dict[str, str]) -> Report:
-    """What would be done: classification, parameters, node counts and early warnings."""
+    """The report of a dry run: classification, parameters, node counts and early warnings."""
     if output is not None:
         variant_of(job.grid, output, variant)
     setup = set_up(job.grid, imposed.case(job.case.case), memory=job.memory)
@@ -122,7 +122,7 @@ def plan(job: Job, output: Path | None, imposed: Imposed, variant: dict[str, str
 
 
 def print_plan(report: Report, run: RunInput, more: str = "") -> None:
-    """Print what a dry run found: the report as json to stdout if asked for, the text, and that nothing is written."""
+    """Print the result of a dry run: the report as JSON on stdout if requested, and the text."""
     to_stdout = run.as_json or STDOUT in run.reports
     if to_stdout:
         click.echo(as_json(report), nl=False)
@@ -135,7 +135,7 @@ def print_plan(report: Report, run: RunInput, more: str = "") -> None:
 def run(
     job: Job, output: Path, imposed: Imposed, variant: dict[str, str], options: RunInput, progress: ProgressBar
 ) -> tuple[Report, Illustrate]:
-    """Deform and write; the report, and how to make its pictures."""
+    """Deform and write; returns the report and a function that makes its pictures."""
     precision = variant_of(job.grid, output, variant).precision
     grid = complete_for_export(job.grid, output)
     result = deform(
@@ -166,7 +166,7 @@ def cells_of(setup: Setup, after: Grid) -> CellFields:
 
 
 def conclude(report: Report, run: RunInput, delivery: Delivery) -> int:
-    """Write the reports, print what is not to be missed; the exit code."""
+    """Write the reports, print the verdict; returns the exit code."""
     deliver(report, run.reports, run.as_json, run.quiet, delivery)
     if not report["valid"]:
         tell(_verdict(report))
@@ -197,7 +197,7 @@ def _verdict(report: dict[str, Any]) -> str:
 
 def _flaw(result: dict[str, Any], quality: dict[str, Any]) -> str:
     if result["reached"] < 1.0:
-        return f"the motion was imposed to {result['reached']:.1%} only; the grid is the one reached"
+        return f"only {result['reached']:.1%} of the motion was imposed; the grid is the one reached"
     groups = result["invalid_groups"]
     if len(groups) == 1:
         where = f" {_place(groups[0])}"
@@ -214,7 +214,7 @@ def _flaw(result: dict[str, Any], quality: dict[str, Any]) -> str:
 
 
 def _place(group: dict[str, Any]) -> str:
-    """Where a group of invalid cells is: near what, around which point, the worst of them."""
+    """Position of a group of invalid cells: nearest patch, centre, worst cell."""
     center = ", ".join(f"{x:.4g}" for x in group["center"])
     near = f"near {group['nearest_patch']!r} " if group["nearest_patch"] else ""
     return f"{near}around ({center}), worst {group['block']} {tuple(group['ijk'])}"

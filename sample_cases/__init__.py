@@ -1,7 +1,7 @@
 """Sample cases: one folder each with a README.md, a case.toml and a generator with a size parameter.
 
-A generator module offers ``generate(size) -> Grid``, ``DEFAULT_SIZE``, ``SIZE_HELP`` and ``SIZES``, sizes with names;
-one whose motion is a table also ``tables(size) -> {file name: SurfaceData}``.
+A generator module defines ``generate(size) -> Grid``, ``DEFAULT_SIZE``, ``SIZE_HELP`` and ``SIZES`` (named sizes), and
+``tables(size) -> {file name: SurfaceData}`` if its motion is a table.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def load(name: str) -> ModuleType:
 
 
 def folder(name: str) -> Traversable:
-    """Where a sample's README.md and case.toml lie."""
+    """The folder with a sample's README.md and case.toml."""
     return files(__package__) / SAMPLES[name]
 
 
@@ -68,7 +68,7 @@ def generate(name: str, size: int | str | None = None) -> tuple[Grid, dict[str, 
     Raises
     ------
     CaseError
-        For an unknown sample or a size that it cannot have.
+        For an unknown sample or an unsupported size.
     """
     module = load(name)
     number = module.DEFAULT_SIZE if size is None else _size(name, str(size), module.SIZES)
@@ -81,14 +81,14 @@ def generate(name: str, size: int | str | None = None) -> tuple[Grid, dict[str, 
 def _size(name: str, text: str, named: dict[str, int]) -> int:
     if text in named:
         return named[text]
-    # ASCII only: digits of other scripts are numbers to Python, but hardly meant.
+    # ASCII only: Python also accepts digits of other scripts, which are hardly intended.
     if not (text.isascii() and text.lstrip("-").isdigit()):
         raise CaseError(f"sample {name}: --size {text!r}; expected a whole number or one of {', '.join(named)}")
     return int(text)
 
 
 def case_content(name: str, tables: Mapping[str, SurfaceData]) -> dict[str, Any]:
-    """The content of a sample's case file, with ``tables`` in the places of their files."""
+    """The content of a sample's case file, with ``tables`` in place of their files."""
     content = tomllib.loads((folder(name) / "case.toml").read_text(encoding="utf-8"))
     for entry in content["boundary"]:
         for step in entry.get("motion", ()):

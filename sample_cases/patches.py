@@ -1,4 +1,4 @@
-"""Named patches for generated grids, by where their faces lie."""
+"""Named patches for generated grids, by the position of their faces."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from meshdeform_core.grid.topology import find_topology, side_nodes
 from meshdeform_core.grid.windows import windows_of_quads
 
 Rule = tuple[str, str, Callable[[FloatArray, Side], BoolArray]]
-"""Patch name, CGNS boundary condition type, and which faces: a function of their centres (n, 3) and their side."""
+"""Patch name, CGNS boundary condition type, and a function of face centres (n, 3) and side that selects the faces."""
 
 
 def with_patches(grid: Grid, rules: list[Rule]) -> Grid:
-    """``grid`` with its interfaces declared and its external faces named by the first rule that holds for them."""
+    """``grid`` with its interfaces declared and its external faces named by the first rule that applies."""
     topology = find_topology(grid)
     windows: dict[str, list[Window]] = {name: [] for name, _, _ in rules}
     for block in range(grid.n_blocks):

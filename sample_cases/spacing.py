@@ -10,7 +10,7 @@ def geometric(first: float, cells: int, length: float) -> FloatArray:
     """``cells`` + 1 nodes from 0 to ``length`` in geometric progression, the first cell of size ``first``."""
 
     def excess(log_ratio: float) -> float:
-        # At the far end of the bracket the sum may be infinite: too long, whatever it is.
+        # At the far end of the bracket the sum may be infinite, which counts as too long.
         with np.errstate(over="ignore"):
             return float(first * np.exp(log_ratio * np.arange(cells)).sum() - length)
 

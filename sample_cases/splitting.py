@@ -1,4 +1,4 @@
-"""Cutting blocks into smaller ones."""
+"""Splitting blocks into smaller ones."""
 
 import itertools
 
@@ -8,7 +8,7 @@ from meshdeform_core.grid import Grid
 
 
 def split(grid: Grid, max_cells: int) -> Grid:
-    """Every block cut into equal parts of at most ``max_cells`` cells per direction; coordinates only."""
+    """Every block split into equal parts of at most ``max_cells`` cells per direction; coordinates only."""
     blocks, names = [], []
     for b in range(grid.n_blocks):
         parts = [_cuts(n, max_cells) for n in grid.shapes[b]]

@@ -1,1 +1,1 @@
-"""One file per command; each offers ``command``."""
+"""One file per command; each defines ``command``."""

@@ -1,4 +1,4 @@
-"""``meshdeform compare``: how far two grids are apart."""
+"""``meshdeform compare``: distance between two grids."""
 
 from __future__ import annotations
 
@@ -30,7 +30,8 @@ def command(first: Path, second: Path, tolerance: float | None, as_json: bool) -
       meshdeform compare a.cgns b.xyz
       meshdeform compare restart.xyz reference.xyz --tolerance 1e-10 && echo same
 
-    Prints the largest and the rms distance of corresponding nodes, overall and per block, and where the largest is.
+    Prints the largest and rms distances between corresponding nodes, overall and per block, and the location of the
+    largest.
     """
     from meshdeform_core.quality.difference import compare_points
     from meshdeform_formats import read_grid

@@ -38,7 +38,7 @@ def command(
     source: GridInput, target: Path, fields: tuple[str, ...], reference: Path | None, variant: tuple[str, ...],
     force: bool, quiet: bool,
 ) -> int:  # fmt: skip
-    """Convert GRID to the format that the suffix of OUT stands for.
+    """Convert GRID to the format given by the suffix of OUT.
 
     \b
     Examples:
@@ -48,8 +48,8 @@ def command(
       meshdeform convert airfoil.p3dfmt airfoil.cgns --boundary-file airfoil.nmf
       meshdeform convert bent.cgns bent.vtm --reference wing.cgns --field displacement --field f_skew
 
-    Plot3D and VTK files have no place for boundaries: they are written beside OUT as a neutral map file (.nmf) whose
-    types are the names of families or patches.
+    Plot3D and VTK files cannot hold boundaries: these are written next to OUT as a neutral map file (.nmf) whose types
+    are the names of families or patches.
     """
     from meshdeform_formats.fields import check_fields, with_fields
     from meshdeform_formats.grids import complete_for_export, format_of, write_grid
@@ -70,7 +70,7 @@ def command(
     for note in grid.notes:
         tell(f"warning: {note}")
     if kind == "meshio" and (grid.patches or grid.connections):
-        tell(f"warning: {target.suffix} files have no place for the {len(grid.patches)} patches of the grid: lost")
+        tell(f"warning: {target.suffix} files cannot hold the {len(grid.patches)} patches of the grid; they are lost")
     if not quiet:
         beside = f"; boundaries in {boundaries}" if boundaries is not None else ""
         click.echo(f"{target}: {written.label}, {grid.n_blocks} blocks, {grid.n_nodes:,} nodes{beside}")
@@ -78,12 +78,12 @@ def command(
 
 
 def _beside(grid: Grid, kind: str, target: Path) -> Path | None:
-    """Where boundaries go that the format of the grid has no place for."""
+    """The neutral map file for boundaries, if the target format cannot hold them."""
     return target.with_suffix(".nmf") if kind in ("plot3d", "vtk") and (grid.patches or grid.connections) else None
 
 
 def _write_boundaries(grid: Grid, path: Path) -> None:
-    """Boundaries as a neutral map file whose types are families or names, so that case files select them as before."""
+    """Write boundaries as a neutral map file whose types are families or names, so that case files remain usable."""
     from meshdeform_formats.neutral_map import write_neutral_map
 
     named = (dataclasses.replace(patch, bc_type=patch.family or patch.name) for patch in grid.patches)

@@ -28,7 +28,7 @@ from ..progress import ProgressBar
 
 @click.command("deform")
 @grid_options
-@click.option("-o", "--output", type=PATH, help="Deformed grid; the suffix chooses the format.")
+@click.option("-o", "--output", type=PATH, help="Deformed grid; the suffix selects the format.")
 @case_options
 @click.option("--steps", metavar="N|auto", help="Impose the motion in N steps; by default in as many as needed.")
 @click.option(
@@ -48,8 +48,8 @@ def command(
       meshdeform deform grid.cgns -c case.toml -o deformed.vtm --field displacement --field f_skew
       meshdeform deform grid.cgns -c case.toml --dry-run
 
-    Nodes on the outside that no boundary entry selects stay fixed. A deformed grid with invalid cells (exit code 3) is
-    written beside OUT, as OUT with .invalid before the suffix; the report lists the cells.
+    Outside faces that no boundary entry selects are fixed. A deformed grid with invalid cells (exit code 3) is written
+    next to OUT, with .invalid before the suffix; the report lists the cells.
     """
     start = clock.perf_counter()
     use_threads(run.threads)
@@ -57,7 +57,7 @@ def command(
         raise click.UsageError("Missing option '-o' / '--output' (or --dry-run).")
     if case.empty:
         raise click.UsageError(
-            "Nothing to do: give a case file (-c) or a displacement table (-d). A case to start from, with every "
+            "Nothing to do: give a case file (-c) or a displacement table (-d). To create a case file with every "
             f"boundary of the grid: meshdeform init {source.path} -o case.toml"
         )
     if not run.dry_run and output is not None:
@@ -87,7 +87,7 @@ def _check_target(output: Path, run: RunInput, *inputs: Path | None) -> None:
     check_fields(run.fields, output, True)
     check_output(output, run.force, *inputs)
     if not run.allow_invalid:
-        # What an earlier run left there is replaced, but no input is.
+        # The file of an earlier run is replaced, but never an input.
         check_output(invalid_path(output), True, *inputs)
 
 

@@ -1,4 +1,4 @@
-"""``meshdeform info``: what is in a grid file, and where."""
+"""``meshdeform info``: contents of a grid file."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ if TYPE_CHECKING:
 
 @click.command("info")
 @grid_options
-@click.option("-v", "--verbose", is_flag=True, help="Every patch and face on a line of its own.")
+@click.option("-v", "--verbose", is_flag=True, help="List every patch and face on its own line.")
 @click.option("--picture", type=PATH, help="Draw the boundaries by name (.png .svg .pdf).")
 @force_option
 @json_option
 def command(source: GridInput, verbose: bool, picture: Path | None, force: bool, as_json: bool) -> int:
-    """Show what GRID holds and where: blocks, walls and other boundaries, interfaces, what is odd about it.
+    """Show the contents of GRID: blocks, walls and other boundaries, interfaces, anomalies.
 
     \b
     Examples:
@@ -37,8 +37,8 @@ def command(source: GridInput, verbose: bool, picture: Path | None, force: bool,
       meshdeform info grid.vts --json
       meshdeform info wing.cgns --picture wing.png
 
-    The role of a boundary is what the file declares. Where it declares nothing it is guessed from the shape of the
-    grid (cells cluster towards walls and grow towards the far field) and marked with a question mark.
+    The role of a boundary is the one that the file declares. Otherwise it is guessed from the shape of the grid (cells
+    cluster towards walls and grow towards the far field) and marked with a question mark.
     """
     if picture is not None:
         _check_picture(picture, force, source)
@@ -159,7 +159,7 @@ def _face(grid: Grid, face: Face, role: Role) -> dict[str, Any]:
 
 
 def _remarks(grid: Grid, topology: Topology, outside: Outside) -> list[str]:
-    """What the shape of the grid suggests and the file does not say."""
+    """Remarks that follow from the shape of the grid but not from the file."""
     from meshdeform_core.grid.roles import Role, clusters
 
     if outside.of_role(Role.WALL):
@@ -202,7 +202,7 @@ def _interface(face: Connection, names: Sequence[str]) -> dict[str, Any]:
 
 
 def _collapsed(topology: Topology, sides: list[str]) -> list[dict[str, Any]]:
-    """Block faces with quads that lost an edge (triangles) or their area (lines, points)."""
+    """Block faces with quads that have a collapsed edge (triangles) or no area (lines, points)."""
     corners = np.sort(topology.quads.corners, axis=1)
     distinct = 1 + np.count_nonzero(np.diff(corners, axis=1), axis=1)
     found = []

@@ -1,4 +1,4 @@
-"""``meshdeform init``: a case file to start from."""
+"""``meshdeform init``: create a case file."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ..options import PATH, GridInput, check_output, force_option, grid_options
 @click.option("-o", "--output", type=PATH, help="Case file to write (default: print it).")
 @force_option
 def command(source: GridInput, output: Path | None, force: bool) -> int:
-    """Write a case file for GRID to start from: every boundary with its place and likely role.
+    """Create a case file for GRID: every boundary with its position and likely role.
 
     \b
     Examples:
@@ -25,8 +25,8 @@ def command(source: GridInput, output: Path | None, force: bool) -> int:
       meshdeform init airfoil.p3dfmt --boundary-file airfoil.nmf -o case.toml
       meshdeform deform wing.cgns -c case.toml --dry-run
 
-    Boundaries are selected by family or patch, faces without a name one by one. Walls move, with a motion of zero to
-    fill in; symmetry planes stay symmetry planes, the end planes of extruded grids slide, the rest is fixed.
+    Boundaries are selected by family or patch, unnamed faces individually. Walls are moving, with a zero motion to fill
+    in; symmetry planes are symmetry, the end planes of extruded grids slip, and the rest is fixed.
     """
     from meshdeform_core.grid.surfaces import find_outside
     from meshdeform_core.grid.topology import find_topology
@@ -38,7 +38,7 @@ def command(source: GridInput, output: Path | None, force: bool) -> int:
     grid = source.read()
     map_file = _from(source.boundary_file, output) if source.boundary_file else None
     if map_file is not None and shown(Path(map_file)) != map_file:
-        raise CaseError(f"{shown(Path(map_file))}: its name is not UTF-8, a case file cannot name it; rename it")
+        raise CaseError(f"{shown(Path(map_file))}: its name is not UTF-8, so a case file cannot refer to it; rename it")
     text = case_template(grid, find_outside(grid, find_topology(grid)), shown(source.path), map_file)
     if output is None:
         click.echo(text, nl=False)
@@ -50,5 +50,5 @@ def command(source: GridInput, output: Path | None, force: bool) -> int:
 
 
 def _from(file: Path, case: Path | None) -> str:
-    """A file as a case file names it: relative to its folder, unless it was given by its whole path."""
+    """A file name for a case file: relative to the case's folder, unless given as an absolute path."""
     return str(file) if file.is_absolute() else os.path.relpath(file, case.parent if case else Path())

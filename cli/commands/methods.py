@@ -1,4 +1,4 @@
-"""``meshdeform methods``: what there is to choose from."""
+"""``meshdeform methods``: the available methods."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _WIDTH = 100
 @click.command("methods")
 @click.argument("name", required=False, shell_complete=completion.methods)
 def command(name: str | None) -> int:
-    """List the methods, or explain NAME: parameters, defaults, what it is good for and where it fails.
+    """List the methods, or explain NAME: parameters, defaults, strengths and limits.
 
     \b
     Examples:
@@ -42,7 +42,7 @@ def command(name: str | None) -> int:
 
 
 def _part_lines(part: type) -> Iterator[str]:
-    """A method's section of the case file: what it does, then every option with default, meaning and reason."""
+    """A method's section of the case file: its description, then every option with default, meaning and reason."""
     from meshdeform_core.methods import reason_of
 
     text, _, attributes = inspect.cleandoc(part.__doc__ or "").partition("Attributes\n----------\n")
@@ -59,7 +59,7 @@ def _part_lines(part: type) -> Iterator[str]:
 
 
 def _meanings(attributes: str) -> dict[tuple[str, ...], str]:
-    """The attributes section of a docstring as texts by the names that each entry explains."""
+    """The attributes section of a docstring, as texts keyed by the names that each entry explains."""
     found: dict[tuple[str, ...], str] = {}
     for entry in re.split(r"\n(?=\S)", attributes.strip()):
         names, colon, text = entry.partition(" : ")
@@ -69,6 +69,6 @@ def _meanings(attributes: str) -> dict[tuple[str, ...], str]:
 
 
 def _prose(text: str, indent: str = "") -> str:
-    """Text for people: no markup, lines of one width."""
+    """Plain text without markup, wrapped."""
     plain = " ".join(text.replace("``", "").split())
     return textwrap.fill(plain, _WIDTH, initial_indent=indent, subsequent_indent=indent)

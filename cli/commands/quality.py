@@ -1,4 +1,4 @@
-"""``meshdeform quality``: how good is a grid?"""
+"""``meshdeform quality``: quality report of a grid."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def command(
     source: GridInput, reference: Path | None, case: CaseInput, reports: tuple[Path, ...], threads: int | None,
     force: bool, as_json: bool, quiet: bool,
 ) -> int:  # fmt: skip
-    """Judge GRID, alone or against its original.
+    """Judge GRID, by itself or against its original.
 
     \b
     Examples:
@@ -54,7 +54,7 @@ def command(
       meshdeform quality grid.xyz --json
 
     With --reference a cell is invalid if a corner Jacobian that was positive became zero or negative (exit code 3).
-    Alone, cells with such corners are counted as inherited. A case file (-c) tells where the moving walls are.
+    Without it, cells with such corners count as inherited. A case file (-c) defines the moving walls.
     """
     start = clock.perf_counter()
     use_threads(threads)
@@ -67,7 +67,7 @@ def command(
     report = judged(source, reference, what)
     Warnings().tell(report["warnings"])
     files = [*source.roles, ("reference", reference), ("case", case.file)]
-    # The text would only repeat what --json prints.
+    # With --json the text would be redundant.
     deliver(report, reports, as_json, quiet or as_json, Delivery(start, files))
     return 0 if report["valid"] else EXIT_INVALID
 
@@ -84,7 +84,7 @@ def judged(source: GridInput, reference: Path | None, what: CaseFile) -> dict[st
 
 
 def _original(grid: Grid, reference: Path) -> Grid:
-    """The original grid with the boundaries that were read for the deformed one, where its file has none."""
+    """The original grid, with the boundaries of the deformed one if its own file has none."""
     from meshdeform_formats import read_grid
 
     original = read_grid(reference)

@@ -16,7 +16,7 @@ _RESULT = "results.json"
 
 @click.command("reproduce")
 @click.argument("what")
-@click.option("-o", "--output", type=PATH, required=True, help="Folder for data, tables and figures; made if missing.")
+@click.option("-o", "--output", type=PATH, required=True, help="Folder for data, tables, figures; created if missing.")
 @click.option("--quick", is_flag=True, help="Small sizes: minutes instead of an hour.")
 @click.option(
     "--validation", type=PATH, help="Also write the page that compares the results with the paper (markdown)."
@@ -36,8 +36,8 @@ def command(
       meshdeform reproduce all -o reproduced --quick
       meshdeform reproduce all -o reproduced --validation docs/validation.md --force
 
-    Every row stands beside the paper's own number. Sizes are the paper's unless --quick is given; all takes about an
-    hour on two cores then.
+    Every row is shown with the paper's own number. Sizes are the paper's unless --quick is given; in full, all takes
+    about an hour on two cores.
     """
     use_threads(threads)
     use_one_library_thread()

@@ -1,4 +1,4 @@
-"""``meshdeform sample``: a case to start from."""
+"""``meshdeform sample``: write a sample case."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ _BOUNDARY_FILE = "grid.nmf"
 
 @click.command("sample")
 @click.argument("name", required=False, shell_complete=completion.samples)
-@click.option("-o", "--output", type=PATH, help="Folder for grid and case.toml; made if missing.")
+@click.option("-o", "--output", type=PATH, help="Folder for grid and case.toml; created if missing.")
 @click.option("--size", help="Size of the grid: a number, whose meaning depends on the sample, or a name like small.")
 @click.option(
     "--suffix",
     default=".cgns",
     show_default=True,
-    help="Format of the grid, by suffix; grid.nmf holds the boundaries for formats that have no place for them.",
+    help="Format of the grid, by suffix; for formats that cannot hold boundaries, these are written to grid.nmf.",
 )
 @variant_option
 @force_option
 def command(
     name: str | None, output: Path | None, size: str | None, suffix: str, variant: tuple[str, ...], force: bool
 ) -> int:  # fmt: skip
-    """Write the sample case NAME into a folder; without NAME list what there is.
+    """Write the sample case NAME into a folder; without NAME, list all samples.
 
     \b
     Examples:
@@ -107,7 +107,7 @@ def _texts(name: str, boundary_file: str | None) -> dict[str, str]:
 
 
 def _write_boundaries(grid: Grid, path: Path) -> None:
-    """Boundaries as a neutral map file whose types are the names that the case selects."""
+    """Write boundaries as a neutral map file whose types are the names that the case selects."""
     from meshdeform_formats.neutral_map import write_neutral_map
 
     named = tuple(dataclasses.replace(patch, bc_type="", family=patch.name) for patch in grid.patches)

@@ -17,7 +17,7 @@ def command(what: str) -> int:
       meshdeform schema case > case.schema.json
       meshdeform schema report > report.schema.json
 
-    Editors that know TOML complete and check a case whose first line is `#:schema ./case.schema.json`.
+    TOML-aware editors complete and check a case whose first line is `#:schema ./case.schema.json`.
     """
     from meshdeform_formats.case.schema import case_schema
     from meshdeform_formats.report.schema import report_schema

@@ -19,24 +19,24 @@ from .deform import parse_steps
 
 @click.command("series")
 @grid_options
-@click.option("-o", "--output", type=PATH, help="Folder for the levels; made if missing.")
+@click.option("-o", "--output", type=PATH, help="Folder for the levels; created if missing.")
 @case_options
 @click.option(
     "--times", metavar="START:STOP:STEP",
-    help="Time levels, also a,b,c; by default those of the case's sequence of displacement files.",
+    help="Time levels, or a list a,b,c; by default those of the case's sequence of displacement files.",
 )  # fmt: skip
 @click.option(
     "--from", "origin", type=click.Choice(("reference", "last")), default="reference", show_default=True,
-    help="Make each level from the undeformed grid, or from the level before (marching).",
+    help="Make each level from the undeformed grid, or from the previous level (marching).",
 )  # fmt: skip
 @click.option("--steps", metavar="N|auto", help="Impose each level in N steps; by default in as many as needed.")
 @click.option(
     "--velocity", type=click.Choice(("none", "first", "second")), default="none", show_default=True,
     help="Write the grid velocity, by backward differences of this order (VTK and CGNS).",
 )  # fmt: skip
-@click.option("--suffix", help="Format of the levels, by suffix; that of GRID by default.")
+@click.option("--suffix", help="Format of the levels, by suffix (default: that of GRID).")
 @click.option("--single-file", is_flag=True, help="All levels in one CGNS file.")
-@click.option("--resume", is_flag=True, help="Go on where an interrupted run of the same series stopped.")
+@click.option("--resume", is_flag=True, help="Continue an interrupted run of the same series.")
 @run_options
 def command(
     source: GridInput, output: Path | None, case: CaseInput, times: str | None, origin: str, steps: str | None,
@@ -52,8 +52,8 @@ def command(
       meshdeform series wing.cgns -c flutter.toml --times 0:0.5:0.01 -o flutter --resume
       meshdeform series wing.cgns -d 'surface_*.csv' --times 0:0.5:0.01 -o flutter
 
-    What depends on the undeformed grid only is computed once. Every file is whole whenever the run is stopped;
-    OUTPUT/series.json keeps what --resume needs. Levels with invalid cells are written too (exit code 3).
+    Everything that depends only on the undeformed grid is computed once. Files are complete whenever the run is
+    stopped; OUTPUT/series.json holds the state for --resume. Levels with invalid cells are written too (exit code 3).
     """
     start = clock.perf_counter()
     use_threads(run.threads)
@@ -64,7 +64,7 @@ def command(
     if case.displacement and not times:
         raise click.UsageError("Displacement files (-d 'surface_*.csv') need their times: --times START:STOP:STEP.")
     if resume and run.force:
-        raise click.UsageError("--resume continues a series, --force begins it anew; give one of them.")
+        raise click.UsageError("--resume continues a series, --force restarts it; give one of them.")
     check_reports(run.reports, run.force or resume, *source.files, *case.files)
     count, options, limit = parse_steps(steps), run.variant_options, run.memory
 

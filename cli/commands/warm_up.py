@@ -19,8 +19,8 @@ def command(quiet: bool) -> int:
       meshdeform warm-up
       NUMBA_CACHE_DIR=/opt/meshdeform-loops meshdeform warm-up
 
-    Without this, the first run that needs a loop compiles it. Compiled loops are kept beside the program, or in
-    NUMBA_CACHE_DIR, and belong to the kind of processor on which they were compiled.
+    Otherwise, the first run that needs a loop compiles it. Compiled loops are kept with the program, or in
+    NUMBA_CACHE_DIR, and are specific to the processor type on which they were compiled.
     """
     start = clock.perf_counter()
     from meshdeform_core.numerics.jit import compile_seconds, compiled_loops, is_cached
@@ -29,12 +29,12 @@ def command(quiet: bool) -> int:
     from ..warm_up_runs import run_everything
 
     if not is_cached():
-        raise CaseError("no folder for compiled loops can be written; name one in NUMBA_CACHE_DIR")
+        raise CaseError("no folder for compiled loops is writable; set NUMBA_CACHE_DIR to one that is")
     with ProgressBar(not quiet) as progress:
         run_everything(progress)
     if not quiet:
         click.echo(
             f"{compiled_loops()} loops compiled in {compile_seconds():.1f} s, "
-            f"the rest was there before; {clock.perf_counter() - start:.1f} s in all"
+            f"the others were already compiled; {clock.perf_counter() - start:.1f} s in all"
         )
     return 0

@@ -35,7 +35,7 @@ def unread(data: Table, specs: Sequence[BoundarySpec], options: Options, overrid
                 known = suggestion(name, used) or others
                 raise CaseError(f"--set {text!r}: no formula uses the constant {name!r}{known}")
         if reason := _idle_option(path, options):
-            raise CaseError(f"--set {text!r} changes nothing: {reason}")
+            raise CaseError(f"--set {text!r} has no effect: {reason}")
     idle = [name for name in data.get("constants", {}) if name not in used]
     return tuple(f"no formula uses the constant {name!r}{suggestion(name, used)}" for name in idle)
 

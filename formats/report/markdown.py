@@ -44,7 +44,7 @@ def _verdict(report: Report) -> str:
         bad = sum(not level["valid"] for level in report["levels"])
         return f"{bad} of {len(report['levels'])} levels are not valid"
     if report.get("reached", 1.0) < 1.0:
-        return f"motion imposed to {report['reached']:.1%} only"
+        return f"only {report['reached']:.1%} of the motion imposed"
     return f"{report['quality']['after']['invalid_cells']:,} cells became invalid"
 
 

@@ -1,30 +1,30 @@
-"""What to do about warnings that do not say so themselves."""
+"""Advice on warnings that do not contain it themselves."""
 
 from __future__ import annotations
 
 _REMEDIES = (
     (
-        "selected by no boundary entry; they are fixed",
+        "not selected by any boundary entry; they are fixed",
         "If some of them are planes on which nodes should slide, add a boundary entry for them with "
-        'kind = "slip" or "symmetry"; if they are the far field, nothing is to be done.',
+        'kind = "slip" or "symmetry"; if they are the far field, no action is needed.',
     ),
     (
         "the grid is one cell thick",
-        "Nothing is to be done if that is a two-dimensional case; otherwise give the end planes an entry of their own.",
+        "No action is needed if this is a two-dimensional case; otherwise add a boundary entry for the end planes.",
     ),
     (
         "nothing moves",
-        "Look at the motion in the case: a formula that is zero at this time (--time), a table with zero "
+        "Check the motion in the case: a formula that is zero at this time (--time), a table with zero "
         "displacements, or an angle of 0.",
     ),
     (
-        "the motion was imposed to",
+        "of the motion was imposed; a further step",
         "The report's invalid cells are those of the next step. Another method, a slip plane instead of a fixed one, "
-        "or more room beside the wall lets the motion go further.",
+        "or more space beside the wall allows a larger motion.",
     ),
     (
         "out of a slip or symmetry plane",
-        "Make the plane's own entry move with the body, or check the axis and the components of the motion.",
+        "Give the plane itself a motion, or check the axis and the components of the motion.",
     ),
     (
         "face quads are shared by more than two blocks",
@@ -37,12 +37,12 @@ _REMEDIES = (
     ),
     (
         "but no connection declares them",
-        "Nothing is to be done if the blocks belong together. For a thin plate with two sides on one place, give each "
-        "side its own boundary entry in the file or in a neutral map file.",
+        "No action is needed if the blocks belong together. For a thin plate whose two sides coincide, declare each "
+        "side as a boundary in the file or in a neutral map file.",
     ),
 )
 
 
 def remedy_of(warning: str) -> str:
-    """Advice for a warning; empty where its own text has it."""
+    """Advice for a warning; empty if the warning itself contains it."""
     return next((advice for words, advice in _REMEDIES if words in warning), "")

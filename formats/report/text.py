@@ -94,7 +94,7 @@ def _quality(report: dict[str, Any]) -> Iterator[str]:
     if "shape" in report:
         yield from _shape(report["shape"], alone)
     if "steps" in report:
-        reached = "" if report["reached"] == 1.0 else f", the motion imposed to {report['reached']:.1%}"
+        reached = "" if report["reached"] == 1.0 else f", {report['reached']:.1%} of the motion imposed"
         yield f"steps     {report['steps']}{reached}"
     yield f"verdict   {'valid' if report['valid'] else 'INVALID'}"
     cells = report["invalid_cells"]

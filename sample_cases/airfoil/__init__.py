@@ -1,4 +1,4 @@
-"""Problem 2 of Sen et al.: an ellipse turns by 90 degrees and becomes a NACA 0012 airfoil, 2-D O-grid."""
+"""Problem 2 of Sen et al.: an ellipse rotates by 90 degrees and becomes a NACA 0012 airfoil, 2-D O-grid."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from ..spacing import tanh_law
 
 DEFAULT_SIZE = 401
 SIZES = {"small": 101, "paper": 401}
-SIZE_HELP = "nodes around the airfoil, the last repeats the first (paper: 401, with 241 in radial direction)"
+SIZE_HELP = "nodes around the airfoil, the last repeats the first (paper: 401, with 241 in the radial direction)"
 
 _SEMI_AXES = 0.5, 0.05
 _FIRST_STEP, _OUTER_RADIUS = 2e-4, 12.0
@@ -19,7 +19,7 @@ _ANGLE = 90.0
 
 
 def generate(size: int = DEFAULT_SIZE) -> Grid:
-    """The O-grid around the ellipse by the Joukowski map of concentric circles."""
+    """The O-grid around the ellipse, by the Joukowski map of concentric circles."""
     if size < 9:
         raise ValueError(f"size = {size} nodes around; expected at least 9")
     a, b = _SEMI_AXES

@@ -1,4 +1,4 @@
-"""Appendix B of Sen et al.: a thin beam that bends to a parabola in a rectangle, 2-D."""
+"""Appendix B of Sen et al.: a thin beam in a rectangle bends into a parabola, 2-D."""
 
 import numpy as np
 
@@ -14,7 +14,7 @@ SIZE_HELP = "cells along the rectangle, a multiple of 40: 40 and 400 in the pape
 def generate(size: int = DEFAULT_SIZE, origin: tuple[float, float] = (0.0, 0.0)) -> Grid:
     """Rectangle of 4 x 2, ``size`` x (``size``/2 + 1) cells; the beam |x| <= 0.5 is a hole in the middle row.
 
-    ``origin`` is where the centre of the rectangle lies (the paper shows what an origin at the corner does).
+    ``origin`` is the position of the rectangle's centre (the paper also puts the coordinate origin at a corner).
     """
     if size < 40 or size % 40:
         raise ValueError(f"size = {size} cells along x; expected a multiple of 40")

@@ -1,4 +1,4 @@
-"""A square bar turns in a cascade of equal bars: the upper and the lower boundary are periodic, 2-D."""
+"""A square bar rotates in a cascade of equal bars: the upper and lower boundaries are periodic, 2-D."""
 
 import numpy as np
 

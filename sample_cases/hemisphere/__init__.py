@@ -1,4 +1,4 @@
-"""Section 5 of Sen et al.: a membranous hemisphere on a plate, half a cubed sphere of five blocks."""
+"""Section 5 of Sen et al.: a membrane hemisphere on a plate, half a cubed sphere of five blocks."""
 
 import numpy as np
 
@@ -20,8 +20,8 @@ _WALL_CELL, _PLATE_CELL = 2e-4 * DIAMETER, 1e-3 * DIAMETER
 def generate(size: int = DEFAULT_SIZE, max_cells: int = 0) -> Grid:
     """Top panel ``size`` x ``size`` cells, four side panels ``size`` x 3/4 ``size``, radially 131/92 ``size``.
 
-    ``max_cells`` cuts the five blocks into blocks of at most so many cells per direction (44 gives the paper's 99
-    blocks at size 92); 0 keeps five.
+    ``max_cells`` splits the five blocks into blocks of at most this many cells per direction (44 gives the paper's 99
+    blocks at size 92); 0 keeps the five.
     """
     if size < 8 or size % 4:
         raise ValueError(f"size = {size} cells across the top; expected a multiple of 4, at least 8")

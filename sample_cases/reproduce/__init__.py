@@ -23,11 +23,11 @@ from .validation import validation_page
 __all__ = ["WHAT", "check", "reproduce"]
 
 WHAT = (*TABLES, "robustness", "all")
-"""What can be asked for."""
+"""Valid arguments of ``meshdeform reproduce``."""
 
 
 def check(what: str) -> None:
-    """Refuse what is not known, before anything takes time."""
+    """Refuse an unknown name before any long computation."""
     if what not in WHAT:
         raise CaseError(f"cannot reproduce {what!r}; known are {', '.join(WHAT)}")
 
@@ -43,7 +43,7 @@ def reproduce(what: str, folder: Path, quick: bool, validation: Path | None, tel
     Raises
     ------
     CaseError
-        For something unknown.
+        For an unknown name.
     """
     check(what)
     results: dict[str, Any] = {
@@ -66,13 +66,13 @@ def reproduce(what: str, folder: Path, quick: bool, validation: Path | None, tel
 
 
 def _write(stem: Path, results: dict[str, Any]) -> None:
-    """Data and their tables beside each other: ``stem.json`` and ``stem.md``."""
+    """Write data and tables side by side: ``stem.json`` and ``stem.md``."""
     _write_text(stem.with_suffix(".json"), json.dumps(_flat(results), indent=1, allow_nan=False) + "\n")
     _write_text(stem.with_suffix(".md"), as_markdown(results))
 
 
 def _flat(results: dict[str, Any]) -> dict[str, Any]:
-    """A file of one table has its rows at the top."""
+    """In the file of a single table the rows are at the top level."""
     tables = list(results["tables"].values())
     return results | tables[0] if len(tables) == 1 else results
 

@@ -72,7 +72,7 @@ def _sub_blocks(figure: Any, parts: dict[str, Any]) -> None:
     left, right = figure.subplots(1, 2)
     cut = [p for p in parts["sub_blocks"] if p["max_cells"]]
     limits = [p for p in parts["sub_blocks"] if not p["max_cells"]]
-    names = {0: "IDW-TFI, not cut", None: "IDW-IDW"}
+    names = {0: "IDW-TFI, no sub-blocks", None: "IDW-IDW"}
     for axes, key in ((left, "f_skew_min"), (right, "wall_deviation_rms_deg")):
         axes.plot([p["max_cells"] for p in cut], [p[key] for p in cut], "o-", color=_COLOURS[0], markersize=4)
         for limit, style in zip(limits, ("--", ":"), strict=True):

@@ -1,4 +1,4 @@
-"""One row of a table: a sample, a method, what it costs and what comes out."""
+"""One row of a table: a sample, a method, cost and result."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _REPEATS = 4
 
 @dataclass(frozen=True)
 class Sample:
-    """A sample case at a size; ``options`` are further arguments of its generator, ``time`` that of its motion."""
+    """A sample case at a size; ``options`` are further arguments of its generator, ``time`` is passed to its motion."""
 
     name: str
     size: int
@@ -58,9 +58,9 @@ class Trial:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a trial gave: the deformed nodes, their quality, the method's account, its costs.
+    """The result of a trial: the deformed nodes, their quality, the method's account, its costs.
 
-    ``pairs`` are those of target and source, once and block by block, 0 where there are none (TFI, marching);
+    ``pairs`` are numbers of target-source pairs, in all and block by block, 0 where there are none (TFI, marching);
     ``cpu`` and ``wall`` are seconds of set-up and deformation, ``cpu_apply`` CPU seconds of the deformation alone.
     """
 
@@ -90,7 +90,7 @@ def prepare_sample(sample: Sample) -> Setup:
 
 
 def run(trial: Trial) -> Outcome:
-    """Deform and judge. Costs are the least of several runs when they are short; topology and quality do not count."""
+    """Deform and judge. Short runs are repeated and the lowest cost taken, which excludes topology and quality."""
     setup = prepare_sample(trial.sample)
     case = dataclasses.replace(setup.case, method=trial.method, repair=RepairOptions("off"))
     setup = dataclasses.replace(setup, case=case)
@@ -116,7 +116,7 @@ def _once(setup: Setup, trial: Trial) -> Outcome:
     points = setup.grid.points + moved
     assessment = assess(setup.original, points, setup.boundary)
     assert isinstance(method, Composite)
-    # What clusters of sources save depends on the displacement: only exact sums have a formula.
+    # Only exact sums have a formula: the cost of fast sums depends on the displacement.
     summation = prepared.account.settings.get("summation")
     counted = summation is None or summation.value == "exact"
     gflop = count_operations(method, problem, prepared.account) / 1e9 if counted else None
@@ -126,7 +126,7 @@ def _once(setup: Setup, trial: Trial) -> Outcome:
 
 @functools.cache
 def _compile(options: Options, dimension: int) -> None:
-    """Run a method on a small grid, so that compiling its loops counts for no row."""
+    """Run a method on a small grid, so that no row includes the compilation of its loops."""
     setup = prepare_sample(Sample("square", 21) if dimension == 2 else Sample("splitter-plate", 8))
     idw = dataclasses.replace(options.idw, summation="fast") if options.idw.summation == "auto" else options.idw
     relevant = Options.relevant(options.name, idw=idw, rbf=options.rbf, tfi=options.tfi)
@@ -144,7 +144,7 @@ def _march(setup: Setup, trial: Trial) -> Outcome:
 
 
 def greedy_range(trial: Trial) -> list[int]:
-    """Points that the greedy reduction keeps, least and most over ``starts`` start nodes spread over the sources."""
+    """Fewest and most points that the greedy reduction keeps, over ``starts`` start nodes spread over the sources."""
     setup = prepare_sample(trial.sample)
     problem = setup.problem
     displacement = setup.displacement(trial.sample.time)[problem.source_numbers]
@@ -158,7 +158,7 @@ def greedy_range(trial: Trial) -> list[int]:
 
 
 def quality_without_walls(trial: Trial) -> float:
-    """<f_skew> of a reduced RBF when boundary nodes stay where the interpolation puts them, off by up to eps_g."""
+    """<f_skew> of a reduced RBF with boundary nodes where the interpolation puts them, with an error up to eps_g."""
     setup = prepare_sample(trial.sample)
     problem, points = setup.problem, setup.grid.points
     bound = trial.method.rbf.bind(problem)

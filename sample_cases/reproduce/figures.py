@@ -1,4 +1,4 @@
-"""Figures like the paper's: grids coloured by f_skew, all in one colour map, several panels to a figure."""
+"""Figures like the paper's: grids coloured by f_skew, all with one colour map, several panels per figure."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ class Panel:
 class Figure:
     """A figure of the paper: panels in columns, their height a fraction of their width.
 
-    ``low`` is where the colours begin, ``unit`` that of the axes; ``middle``: of a 3-D grid the plane y = 0 is drawn
-    instead of its first k plane.
+    ``low`` is the lower end of the colour range, ``unit`` that of the axes; ``middle`` draws the plane y = 0 of a 3-D
+    grid instead of its first k plane.
     """
 
     name: str
@@ -114,7 +114,7 @@ FIGURES: dict[str, tuple[Figure, ...]] = {
 
 
 class Gallery:
-    """Keeps the planes that figures need while a table is computed, then draws them."""
+    """Keeps the planes needed by the figures while a table is computed, then draws them."""
 
     def __init__(self, table: str, folder: Path):
         self._figures, self._folder = FIGURES.get(table, ()), folder
@@ -137,7 +137,7 @@ class Gallery:
 
 @dataclass(frozen=True)
 class Slice:
-    """The cells of a plane with their values, the grid lines in it that are drawn, and where to look from."""
+    """The cells of a plane with their values, the grid lines to draw, and the direction of view."""
 
     facets: Facets
     lines: tuple[FloatArray, ...]
@@ -145,7 +145,7 @@ class Slice:
 
     @classmethod
     def of(cls, setup: Setup, points: FloatArray, middle: bool) -> Slice:
-        """A deformed 2-D grid whole; of a 3-D one its first k plane, or the ``middle`` plane y = 0."""
+        """The whole of a deformed 2-D grid; the first k plane of a 3-D grid, or its ``middle`` plane y = 0."""
         grid = setup.grid.moved(points)
         planes = _planes(setup.grid, middle)
         subject = Subject(grid, setup.topology)
@@ -178,9 +178,9 @@ def _flat_in_y(grid: Grid, block: int) -> list[Plane]:
 
 
 def _lines(plane: FloatArray, every: int) -> list[FloatArray]:
-    """Every so many-th grid line in either direction of a plane (na, nb, 3), and the last ones.
+    """Every n-th grid line in either direction of a plane (na, nb, 3), with n = ``every``, and the last ones.
 
-    Between two crossings a line has one node more, enough for a smooth curve.
+    Between two crossings a line has one additional node, enough for a smooth curve.
     """
     along = max(1, every // 2)
     lines = []

@@ -1,8 +1,8 @@
 """Floating-point operations of the methods, counted from their loops: additions, multiplications, divisions, roots.
 
-Every operation counts one, as a processor's counters do; integer arithmetic, comparisons and memory traffic count
-nothing. One formula per family of methods; what a method found out while it ran (iterations, chosen centres) comes
-from its account.
+Every operation counts as one, as in hardware counters; integer arithmetic, comparisons and memory traffic are not
+counted. There is one formula per family of methods; results of the run (iterations, chosen centres) come from the
+method's account.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _FINISH = 40
 
 
 def count_operations(method: Composite, problem: Problem, account: Account) -> float:
-    """Operations of ``prepare`` and one ``apply`` that has been done, whose account is ``account``."""
+    """Operations of ``prepare`` and one ``apply``, after which the account is ``account``."""
     skeleton = method.filler.skeleton(problem) if method.filler else None
     targets = len(first_step_nodes(problem, skeleton))
     total = 0.0
@@ -49,7 +49,7 @@ def count_operations(method: Composite, problem: Problem, account: Account) -> f
 
 
 def count_pairs(method: Composite, problem: Problem) -> tuple[int, int]:
-    """Pairs of target and source of the first step: every node once, and if each block sums for its own faces."""
+    """Target-source pairs of the first step: with every node once, and with each block summing for its own faces."""
     skeleton = method.filler.skeleton(problem) if method.filler else None
     sources = len(problem.source_numbers)
     every = problem.grid.n_nodes if skeleton is None else len(skeleton.nodes())
@@ -63,7 +63,7 @@ def tfi_operations(nodes: int, dimension: int) -> float:
 
 
 def idw_operations(idw: IDW, targets: int, sources: int) -> float:
-    """Weight (eq. 16) and accumulation with seven values per pair and pass, as often as weights are found anew."""
+    """Weight (eq. 16) and accumulation of seven values per pair and pass; one pass per evaluation of the weights."""
     passes = -(-finish_width(idw.rotation) // N_VALUES)
     per_pair = passes * (_LUKE_PAIR + 2 * (1 + N_VALUES))
     return float(targets) * ((idw.divisions if idw.reweight else 1) * (per_pair * float(sources)) + _FINISH)
@@ -90,7 +90,7 @@ def rbf_operations(rbf: RBF, targets: int, sources: int, found: Mapping[str, obj
 
 
 def _direct(n: float, basis: int) -> float:
-    """Matrix, Cholesky factor, four Householder reflections, and the solution refined once."""
+    """Matrix, Cholesky factor, four Householder reflections, and one refinement of the solution."""
     refinement = 2 * n * n * (_DISTANCE + basis + 2 * _COMPONENTS)
     return n * n * (_DISTANCE + basis) + n**3 / 3 + 16 * n * n + 8 * n * n * _COMPONENTS + refinement
 

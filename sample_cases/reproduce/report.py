@@ -16,7 +16,7 @@ def as_markdown(results: Results) -> str:
         "# The paper's tables by meshdeform",
         f"{'Quick sizes, smaller than the paper. ' if results['quick'] else ''}meshdeform {results['meshdeform']}, "
         f"{machine['processor']}, {machine['threads']} threads, Python {machine['python']}. Costs are CPU seconds of "
-        "set-up and deformation, least of several runs in one process, relative to the row with 1.",
+        "set-up and deformation, lowest of several runs in one process, relative to the row with 1.",
     ]
     parts += [table_markdown(table) for table in results["tables"].values()]
     if "robustness" in results:
@@ -49,7 +49,7 @@ def table_markdown(table: dict[str, Any]) -> str:
 
 
 def samples(table: dict[str, Any]) -> str:
-    """Which samples a table was run on."""
+    """A sentence that names the samples of a table."""
     return f"Run on: {'; '.join(dict.fromkeys(row['sample'] for row in table['rows']))}."
 
 
@@ -61,19 +61,19 @@ def robustness_markdown(robustness: dict[str, Any], folder: str) -> str:
     step = robustness["largest_angle"]["step"]
     text = (
         f"## Robustness\n\nLargest valid rotation of the body of `{robustness['sample']}` in degrees, in multiples of "
-        f"{step:g}: imposed in one step, and marching, every {step:g} degrees from the last grid"
+        f"{step:g}: imposed in one step, and marching in steps of {step:g} degrees from the last grid"
     )
     head = ["method", "one step [deg]", "marching [deg]"]
     return f"{text}.\n\n{grid(head, body)}\n\n{pictures(robustness['figures'], folder)}"
 
 
 def pictures(names: list[str], folder: str) -> str:
-    """Figures by their file names in a folder."""
+    """Markdown images of the figures in a folder."""
     return "\n\n".join(f"![{name.partition('.')[0]}]({folder}/{name})" for name in names)
 
 
 def number(value: float | None, style: str) -> str:
-    """A number, or nothing."""
+    """A formatted number, or an empty text."""
     return "" if value is None else format(value, style)
 
 
@@ -84,7 +84,7 @@ def pair(ours: float | None, theirs: float | None, style: str, paper_style: str)
 
 
 def remark(row: Row) -> str:
-    """What is to be said about a row."""
+    """Remarks on a row."""
     free = row["f_skew_without_walls"]
     parts = [row["remark"]] if row["remark"] else []
     return "; ".join(parts if free is None else [*parts, f"boundary as interpolated: {free:.4f}"])

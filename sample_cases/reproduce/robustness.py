@@ -1,4 +1,4 @@
-"""How far each method goes, and what the parameters do: the evidence for the defaults."""
+"""Range of validity of each method and effect of its parameters: the evidence for the defaults."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def study(folder: Path, quick: bool, tell: Tell) -> dict[str, Any]:
         for name, options in bench.each(methods, "largest angle")
     ]
     parts["largest_angle"] = {"step": _STEP, "rows": rows}
-    # Five blocks around a body, each much larger than a sub-block: here the cuts matter.
+    # Five blocks around a body, each much larger than a sub-block: here sub-blocks matter.
     dome = Sample("hemisphere", 24, time=2.5e-4)
     parts["sub_blocks"] = [
         {"max_cells": n, **quality_of(dome, Options("idw-tfi", tfi=TFI(max_cells=n)))}
@@ -66,13 +66,13 @@ def study(folder: Path, quick: bool, tell: Tell) -> dict[str, Any]:
 
 
 class _Bench:
-    """The splitter plate, bent as in the paper and turned by any angle."""
+    """The splitter plate, bent as in the paper and rotated by any angle."""
 
     def __init__(self, size: int, tell: Tell):
         self.size, self.tell = size, tell
 
     def each(self, things: dict[str, T], what: str) -> Iterator[tuple[str, T]]:
-        """Name and value of everything, telling what is done."""
+        """Iterate over names and values, reporting progress."""
         for done, (name, value) in enumerate(things.items()):
             self.tell(f"{what}: {name}", done, len(things))
             yield name, value
@@ -82,7 +82,7 @@ class _Bench:
         return quality_of(self._sample(angle), options) | {"angle": angle}
 
     def largest(self, options: Options) -> float:
-        """Largest valid angle in one step: the last multiple of 5 degrees before one that crosses cells."""
+        """Largest valid angle in one step: the last multiple of 5 degrees before the first that crosses cells."""
         angle = 0.0
         while angle < _FULL:
             setup = prepare_sample(self._sample(angle + _STEP))
@@ -93,7 +93,7 @@ class _Bench:
         return angle
 
     def largest_marching(self, options: Options) -> float:
-        """The same when every 5 degrees start from the last grid; the plate bends in proportion."""
+        """The same in steps of 5 degrees, each from the last grid; the plate bends in proportion."""
         setup = prepare_sample(self._sample(_FULL))
         count = round(_FULL / _STEP)
         points, done = setup.grid.points, np.zeros((setup.topology.n_unique, 3))

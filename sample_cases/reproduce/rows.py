@@ -1,4 +1,4 @@
-"""Rows of a table: what a run gave beside what the paper prints."""
+"""Rows of a table: results of a run beside the values of the paper."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def paper() -> dict[str, Any]:
 
 
 def reproduce_table(table: PaperTable, tell: Tell, keep: Callable[[Trial, Outcome], None]) -> dict[str, Any]:
-    """Run all trials of a table; ``keep`` sees each outcome (for figures) before it is let go."""
+    """Run all trials of a table; ``keep`` is called with each outcome (for figures) before it is discarded."""
     printed = paper()[table.name]
     by_key = {row["key"]: row for row in printed["rows"]}
     rows = []
@@ -83,7 +83,7 @@ def _row(trial: Trial, outcome: Outcome, printed: dict[str, Any]) -> Row:
 
 
 def _remark(trial: Trial, outcome: Outcome) -> str:
-    """Cross-overs, bad first cells, and what the method itself warns of."""
+    """Crossed cells, bad first cells, and warnings of the method."""
     after, parts = outcome.assessment.after, []
     heights = after.first_cell_height_ratio
     if after.invalid_cells:

@@ -10,9 +10,9 @@ _COLOURS = 96
 
 
 def save_small(figure: Any, path: Path, dots: int) -> None:
-    """Write a matplotlib figure with ``dots`` per inch and a palette, which one map of colours hardly shows.
+    """Write a matplotlib figure with ``dots`` per inch and a palette, hardly visible with a single colour map.
 
-    The same figure is the same file; it is a quarter of what it would be in true colours.
+    The same figure gives the same file, a quarter of the size in true colour.
     """
     from PIL import Image
 

@@ -1,4 +1,4 @@
-"""The runs behind each table: which sample, which size, which method. Keys join them to ``paper.toml``."""
+"""The runs behind each table: sample, size, method. Keys link them to ``paper.toml``."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from meshdeform_core.methods.scattered.rbf import Basis
 
 from .experiment import Sample, Trial
 
-# The paper sums exactly and factorises: costs and operations are those of exact sums and a direct solver.
+# As in the paper, costs and operations are those of exact sums and a direct solver.
 # Eqs. 14-28 as printed: the exponents of Luke et al., every node with its own rotation.
 _EXACT: dict[str, Any] = {"summation": "exact", "a": 3.0, "smoothing": 0}
 _DIRECT: dict[str, Any] = {"solver": "direct", "summation": "exact"}
@@ -40,7 +40,7 @@ def _idw(**options: Any) -> Options:
 
 
 def _greedy(basis: Basis, radius: float, **more: Any) -> RBF:
-    """The paper's hybrid greedy: lengths as errors, eps_g = 1e-2, no correction of what is left."""
+    """The paper's hybrid greedy reduction: absolute errors, eps_g = 1e-2, no correction of the remaining error."""
     chosen: dict[str, Any] = {
         "greedy": "hybrid",
         "greedy_error": "absolute",
@@ -79,7 +79,7 @@ def table2(quick: bool) -> PaperTable:
 
 
 def table3(quick: bool) -> PaperTable:
-    """Problem 2: an ellipse turns into an airfoil."""
+    """Problem 2: an ellipse becomes an airfoil."""
     airfoil = Sample("airfoil", 201 if quick else 401)
     starts = 1 if quick else 4
     trials = [Trial("tfi", airfoil, Options("tfi"))]
@@ -121,7 +121,7 @@ def table5(quick: bool) -> PaperTable:
     lie, quaternion = IDW(remove_mean=False, **_EXACT), IDW(**_PAPER_IDW)
     trials = [Trial(name, split, Options.relevant(name, idw=lie, tfi=_WHOLE)) for name in ("tfi-tfi", "idw-tfi")]
     trials += [
-        # 5e11 pairs take ten minutes; the tolerance changes nothing in the digits printed.
+        # 5e11 pairs take ten minutes; the tolerance does not affect the digits printed.
         Trial("idw-idw", split, Options("idw-idw", idw=IDW(remove_mean=False, summation="fast"))),
         Trial("idw-tfi-quaternion", split, Options("idw-tfi", idw=quaternion, tfi=_WHOLE)),
         Trial("default", split, Options()),
@@ -131,7 +131,7 @@ def table5(quick: bool) -> PaperTable:
 
 
 def figure_b(quick: bool) -> PaperTable:
-    """Appendix B: the beam, with the origin of coordinates at the centre and at the lower left corner; always quick."""
+    """Appendix B: the beam with the coordinate origin at the centre and at the lower left corner; always quick."""
     shifted: dict[str, Any] = {"options": (("origin", (2.0, 1.0)),), "constants": (("center", 2.0),)}
     centre, corner, fine = Sample("beam", 40), Sample("beam", 40, **shifted), Sample("beam", 400, **shifted)
     paper, division = Options("idw", idw=IDW(**_PAPER_IDW)), _idw(rotation="division", reweight=True)
@@ -150,4 +150,4 @@ def figure_b(quick: bool) -> PaperTable:
 TABLES: dict[str, Callable[[bool], PaperTable]] = {
     "table2": table2, "table3": table3, "table4": table4, "table5": table5, "figB": figure_b,
 }  # fmt: skip
-"""What can be reproduced, by its name on the command line."""
+"""Tables by their names on the command line."""

@@ -10,7 +10,7 @@ DEFAULT_SIZE = 8
 SIZES = {"small": 8, "paper": 16, "large": 32}
 SIZE_HELP = "cells per unit length, a multiple of 8 (paper: 16)"
 
-# (name, x range, y range) of the ten blocks; the plate and cylinder interfaces are parts of faces.
+# (name, x range, y range) of the ten blocks; the interfaces at plate and cylinder are partial faces.
 _BLOCKS = (
     ("upstream-top", (-3.5, -0.5), (0.5, 6.5)),
     ("upstream-middle", (-3.5, -0.5), (-0.5, 0.5)),

@@ -1,4 +1,4 @@
-"""A swept, tapered half wing on a symmetry plane pitches and bends as a structural surface tells it, 3-D."""
+"""A swept, tapered half wing on a symmetry plane pitches and bends with a structural surface, 3-D."""
 
 import numpy as np
 
@@ -24,7 +24,7 @@ def generate(size: int = DEFAULT_SIZE) -> Grid:
     """Two blocks, above and below the wing: ``size`` cells along the chord, as many along the span and outwards.
 
     The root chord is 1, the span 2; the thickness of the biconvex section goes to zero towards the tip, so that the
-    wing is a part of a face of either block and the rest of the face their interface.
+    wing is part of a face of each block and the rest of the face is their interface.
     """
     if size < 8 or size % 4:
         raise ValueError(f"size = {size} cells along the chord; expected a multiple of 4, at least 8")
@@ -32,7 +32,7 @@ def generate(size: int = DEFAULT_SIZE) -> Grid:
     height = geometric(_WALL_CELL, size, _FAR)
     y = span[None, :]
     x = _leading_edge(y) + chord[:, None] * _chord(y)
-    # The section's height fades outwards, so that the far field is flat.
+    # The height of the section fades outwards, so that the far field is flat.
     half = _half_thickness(chord[:, None], y)[..., None] * (1.0 - height / _FAR)
     shape = (len(chord), len(span), len(height))
     upper = np.empty((*shape, 3))
@@ -49,7 +49,7 @@ def generate(size: int = DEFAULT_SIZE) -> Grid:
 
 
 def tables(size: int = DEFAULT_SIZE) -> dict[str, SurfaceData]:
-    """``structure.npz``: both skins of the wing as 16 x 12 panels of a structural model, whatever the grid's size."""
+    """``structure.npz``: both skins of the wing as 16 x 12 panels of a structural model, for any size of the grid."""
     u, v = np.meshgrid(0.5 * (1.0 - np.cos(np.linspace(0.0, np.pi, 17))), np.linspace(0.0, 1.0, 13), indexing="ij")
     y = _SPAN * v
     x = _leading_edge(y) + u * _chord(y)
@@ -100,5 +100,5 @@ def _half_thickness(u: FloatArray, y: FloatArray) -> FloatArray:
 
 
 def _on_wing(c: FloatArray, side: Side) -> BoolArray:
-    """Faces between the two blocks that are no interface: what is external there is the wing."""
+    """Faces between the two blocks that are not interfaces: the external faces there are the wing."""
     return np.asarray((side.axis == 2) & (np.abs(c[:, 2]) < 0.5 * _FAR))

@@ -180,7 +180,7 @@ def test_series_is_the_same_and_can_be_continued(bench, compiled):
         (("deform", "grid.xyz", "-c", "case.toml", "-o", "old.xyz"), "old.xyz exists"),
         (("deform", "broken.p3dfmt", "-c", "case.toml", "-o", "out.xyz"), "found 'oops'"),
         (("deform", "broken.cgns", "-c", "case.toml", "-o", "out.xyz"), "cannot read broken.cgns as HDF5"),
-        (("info", "grid.xyz"), "'info' does not share its work"),
+        (("info", "grid.xyz"), "'info' cannot run on several ranks"),
     ],
 )
 def test_what_is_wrong_is_said_once(args, message, bench, snapshot):

@@ -240,7 +240,7 @@ def test_a_changed_series_is_refused_with_what_changed(change, words, swing, cal
         (("-o", "out", "--times", "0:1:0.5", "--suffix", ".abc"), "cannot tell the format"),
         (("-o", "out", "--times", "0:1:0.5", "--velocity", "first"), ".xyz files hold no grid velocity"),
         (("-o", "out", "--times", "0:1:0.5", "--single-file", "--suffix", ".vtm"), "only a CGNS file"),
-        (("-o", "out", "--times", "0:1:0.5", "--resume", "--force"), "--force begins it anew"),
+        (("-o", "out", "--times", "0:1:0.5", "--resume", "--force"), "--force restarts it"),
         (("-o", "grid.cgns", "--times", "0:1:0.5"), "grid.cgns"),
         (("-o", ".", "--times", "0:1:0.5", "--single-file"), "grid.cgns exists"),
         (("-o", "out", "--times", "0:1:0.5", "--steps", "0"), "--steps"),
@@ -269,7 +269,7 @@ def test_an_earlier_series_is_in_the_way(swing, call, snapshot):
     before = snapshot(swing)
     result = call(*RUN)
     assert result.code == 2
-    assert "series.json exists; use --resume to go on with it, or --force" in result.err
+    assert "series.json exists; use --resume to continue it, or --force" in result.err
     assert snapshot(swing) == before
     assert call(*RUN, "--force", "-q").code == 0
 

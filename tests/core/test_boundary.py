@@ -183,7 +183,7 @@ def test_symmetry_plane_is_the_middle_of_a_mirrored_grid():
 
 def test_curved_symmetry_is_refused():
     specs = specs_of(("hub", "block1.jmax", Kind.MOVING, MOVE), ("mirror", "block1.jmin", Kind.SYMMETRY, None))
-    with pytest.raises(CaseError, match="not a plane"):
+    with pytest.raises(CaseError, match="a symmetry but not plane"):
         problem_of(polar(), specs)
 
 
@@ -247,7 +247,7 @@ def test_a_flat_grid_stays_flat():
     with pytest.raises(MotionError, match="leaves the plane"):
         prescribed_displacement(problem.grid, problem.topology, problem.boundary)
     bent = frame_2d()
-    with pytest.raises(GridError, match="not a plane"):
+    with pytest.raises(GridError, match="a symmetry but not plane"):
         plane_normal(bent.moved(bent.points + np.array([0, 0, 1.0]) * bent.points[:, :1] ** 2))
 
 

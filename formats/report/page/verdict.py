@@ -34,7 +34,7 @@ def _bad(report: Report) -> str:
     reached = report.get("reached", 1.0)
     count = quality["invalid_cells"]
     if reached < 1.0:
-        head = f"The motion was imposed to {reached:.1%} only; the next step would have made cells invalid."
+        head = f"Only {reached:.1%} of the motion was imposed; the next step would have made cells invalid."
     else:
         head = f"{count:,} of {report['grid']['cells']:,} cells became invalid."
     places = places_of(cells)
@@ -92,7 +92,7 @@ def _bad_levels(report: Report) -> str:
         + (
             f"{level['quality']['invalid_cells']:,} cells became invalid"
             if level["reached"] == 1.0
-            else f"motion imposed to {level['reached']:.1%} only"
+            else f"only {level['reached']:.1%} of the motion imposed"
         )
         + "</li>"
         for level in bad[:_SHOWN]
