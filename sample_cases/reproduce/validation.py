@@ -18,10 +18,10 @@ def validation_page(results: Results, figures: str) -> str:
         "Sen, De Nayer, Breuer: A fast and robust hybrid method for block-structured mesh deformation with emphasis on "
         "FSI-LES applications, Int. J. Numer. Meth. Engng (2017). This page is written by `meshdeform reproduce all "
         f"-o reproduced --validation docs/validation.md`. {sizes}",
-        "`measured` is from an independent implementation of the same definitions. Differences are ours minus the paper's, "
-        "which prints two digits: up to 0.005 is rounding. Nothing is fitted per row; what the paper leaves open is "
-        "stated with each table. Costs are CPU times relative to one row, of set-up and deformation (`cost`) and of the "
-        f"deformation alone (`apply`), from one process on {machine['processor']}, {machine['threads']} threads. The "
+        "`measured` is from an independent implementation of the same definitions. Differences are ours minus the "
+        "paper's, which prints two digits: up to 0.005 is rounding. Nothing is fitted per row; what the paper leaves "
+        "open is stated with each table. Costs are CPU times relative to one row, of set-up and deformation (`cost`) "
+        f"and of the deformation alone (`apply`), from one process on {machine['processor']}, {machine['threads']} threads. The "
         "paper's are from another machine and program, with MINRES for its RBF rows; in Tables II to IV our TFI takes "
         "only milliseconds, which makes all costs relative to it larger.",
     ]
@@ -34,9 +34,9 @@ def validation_page(results: Results, figures: str) -> str:
 _COUNTING = """## How operations are counted
 
 GFLOP are counted from the loops of the program, not measured: every addition, multiplication, division and square root
-counts as 1, a logarithm as 29. Per target-source pair, exact IDW sums take 30 (distance 8, root and inverse 2, weight of
-eq. 16 5, eight sums 15); RBF sums take 14 plus the basis function (TPS 31, W C0 3, W C2 7, CTPS 41 or 42). TFI takes 207
-per node in 3-D and 69 in 2-D, including arc lengths. A direct RBF solution takes n^3/3 + 16 n^2 plus the matrix; a
+counts as 1, a logarithm as 29. Per target-source pair, exact IDW sums take 30 (distance 8, root and inverse 2, weight
+of eq. 16 5, eight sums 15); RBF sums take 14 plus the basis function (TPS 31, W C0 3, W C2 7, CTPS 41 or 42). TFI takes
+207 per node in 3-D and 69 in 2-D, including arc lengths. A direct RBF solution takes n^3/3 + 16 n^2 plus the matrix; a
 MINRES iteration 2 n^2 + 24 n per component; a greedy update n times distance, basis and 12, and each of its rounds a
 direct solution in the points kept. The formulas are in `sample_cases/reproduce/operations.py`."""
 
