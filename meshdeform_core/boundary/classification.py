@@ -269,9 +269,7 @@ def _unselected(
     fixed = rest[~np.isin(topology.quads.block_side[rest], ends)]
     if sliding.size:
         entries.append(("(end planes)", Kind.SLIP, sliding))
-        notes.append(
-            "the grid is one cell thick: its two end planes, which no boundary entry selects, are slip planes"
-        )
+        notes.append("the grid is one cell thick: its two end planes, which no boundary entry selects, are slip planes")
     if fixed.size:
         entries.append((UNSELECTED, Kind.FIXED, fixed))
         if specs:

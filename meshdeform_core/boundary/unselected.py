@@ -71,9 +71,7 @@ def unselected_notes(grid: Grid, topology: Topology, quads: IntArray, moving: In
             else 'give them a kind: "slip" lets their nodes follow, "fixed" confirms that they stay'
         )
         names = ", ".join(range_label(grid, window) for window in touching[:_LISTED])
-        notes.append(
-            f"faces that no boundary entry selects touch moving nodes but are fixed: {names}; {remedy}"
-        )
+        notes.append(f"faces that no boundary entry selects touch moving nodes but are fixed: {names}; {remedy}")
     return notes
 
 
