@@ -22,8 +22,8 @@ def validation_page(results: Results, figures: str) -> str:
         "paper's, which prints two digits: up to 0.005 is rounding. Nothing is fitted per row; what the paper leaves "
         "open is stated with each table. Costs are CPU times relative to one row, of set-up and deformation (`cost`) "
         f"and of the deformation alone (`apply`), from one process on {machine['processor']}, {machine['threads']} "
-        "threads. The paper's are from another machine and program, with MINRES for its RBF rows; in Tables II to IV our "
-        "TFI takes only milliseconds, which makes all costs relative to it larger.",
+        "threads. The paper's are from another machine and program, with MINRES for its RBF rows; in Tables II to IV "
+        "our TFI takes only milliseconds, which makes all costs relative to it larger.",
     ]
     parts += [_table(table, figures) for table in results["tables"].values()]
     if "robustness" in results:
