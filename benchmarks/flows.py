@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from meshdeform_core.boundary import BoundarySpec, Kind
+from meshdeform_core.boundary.matching import Matching
 from meshdeform_core.boundary.motion import Follow, Motion
-from meshdeform_core.boundary.transfer import Matching
 from meshdeform_core.deform import Case
 from meshdeform_core.grid import FloatArray, Grid, Side
 from meshdeform_core.grid.planes import plane_normal

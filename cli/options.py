@@ -107,7 +107,7 @@ class CaseInput:
 
         matching = None
         if self.match is not None or self.tolerance is not None:
-            from meshdeform_core.boundary.transfer import Matching
+            from meshdeform_core.boundary.matching import Matching
 
             if self.displacement is None:
                 raise click.UsageError("--match and --tolerance belong to --displacement; in a case they are keys.")

@@ -15,10 +15,10 @@ import numpy as np
 
 from meshdeform_core.boundary import Kind
 from meshdeform_core.boundary.crossing import find_contact
+from meshdeform_core.boundary.matching import SurfaceData
 from meshdeform_core.boundary.motion import Follow
 from meshdeform_core.boundary.pinned import find_pinned
 from meshdeform_core.boundary.prescribed import largest_displacement
-from meshdeform_core.boundary.transfer import SurfaceData
 from meshdeform_core.deform import Case, Setup, deform, set_up
 from meshdeform_core.grid import Grid
 from meshdeform_core.memory import MemoryLimit, left_for_method, peak_memory

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from meshdeform_core.boundary import BoundarySpec, Kind
+from meshdeform_core.boundary.matching import Matching, SurfaceData
 from meshdeform_core.boundary.motion import VARIABLES, Displace, Follow, Motion, Rotate, Step
-from meshdeform_core.boundary.transfer import Matching, SurfaceData
 from meshdeform_core.deform import Case
 from meshdeform_core.errors import CaseError, MethodError, suggestion
 from meshdeform_core.grid.topology import RELATIVE_TOLERANCE

@@ -8,7 +8,7 @@ import re
 from typing import Any
 
 from meshdeform_core.boundary import Kind
-from meshdeform_core.boundary.transfer import HOW
+from meshdeform_core.boundary.matching import HOW
 from meshdeform_core.methods import ALIASES, CATALOGUE, IDW, RBF, TFI, Options
 from meshdeform_core.methods.scattered.idw import ROTATIONS, WEIGHTS
 from meshdeform_core.methods.scattered.radial_system import SOLVERS

@@ -16,10 +16,10 @@ from ..grid.topology import Topology, end_planes
 from ..numerics.geometry.coincidence import distinct
 from .coverage import table_warnings
 from .expression import Expression
+from .matching import Nodes
 from .motion import Motion, PreparedMotion
 from .periodic import Periodic, find_periodicity
 from .slip import Slip, find_sliding
-from .transfer import Nodes
 from .unselected import unselected_notes
 
 UNSELECTED = "(not selected)"

@@ -10,8 +10,9 @@ import numpy as np
 from ..errors import MotionError
 from ..grid import BoolArray, FloatArray, IntArray
 from ..grid.topology import Topology
+from .frames import far_points, other_frame
+from .matching import Nodes, Transfer
 from .motion import PreparedMotion
-from .transfer import Nodes, Transfer, far_points, other_frame
 
 _MOST = 0.5
 """A table with more than this fraction of its points off the walls was not made for them."""

@@ -16,7 +16,8 @@ import numpy as np
 from ..errors import MotionError
 from ..grid import BoolArray, FloatArray, Grid
 from .expression import Expression
-from .transfer import Matching, Nodes, SurfaceData, Transfer, transfer
+from .matching import Matching, Nodes, SurfaceData, Transfer
+from .transfer import transfer
 
 VARIABLES = ("x", "y", "z", "t")
 LARGEST = 1e30

@@ -1,112 +1,19 @@
-"""Transfer of a surface displacement to the boundary nodes of the grid: exact, nearest, or interpolated."""
+"""From a surface displacement to the boundary nodes of the grid: exact, nearest, or interpolated."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 import scipy
 
-from ..errors import CaseError, MotionError
+from ..errors import MotionError
 from ..grid import BoolArray, FloatArray, Grid, IntArray, Side
-from ..grid.topology import RELATIVE_TOLERANCE, Topology, side_nodes
+from ..grid.topology import RELATIVE_TOLERANCE, side_nodes
+from .frames import other_frame
+from .matching import Matching, Nodes, SurfaceData, Transfer
 
-HOW = ("exact", "nearest", "interpolate")
 # Two displacements at one point are the same up to this fraction of the largest one.
 _ALIKE = 1e-6
 _LARGEST = 1e100
-
-
-@dataclass(frozen=True)
-class SurfaceData:
-    """Displacements known at scattered points, with the surface between them where the file has one.
-
-    Attributes
-    ----------
-    points, displacement : (n, 3) float64, grid length unit
-    triangles : (m, 3) int64, indices into ``points``; (0, 3) when the file has points only
-    label : name for messages, usually the file name
-    """
-
-    points: FloatArray
-    displacement: FloatArray
-    triangles: IntArray
-    label: str
-
-
-@dataclass(frozen=True)
-class Nodes:
-    """Undeformed boundary nodes that need a displacement.
-
-    Attributes
-    ----------
-    points : (n, 3), grid length unit
-    numbers : (n,) unique node numbers
-    edge, longest : (n,) shortest and longest edge of the boundary's faces at each node: scales of matching
-    grid, topology : to which they belong
-    """
-
-    points: FloatArray
-    numbers: IntArray
-    edge: FloatArray
-    longest: FloatArray
-    grid: Grid
-    topology: Topology
-
-    def label(self, index: int) -> str:
-        """Name of one node: block and 1-based indices."""
-        return self.grid.node_label(int(self.topology.first[self.numbers[index]]))
-
-
-@dataclass(frozen=True)
-class Matching:
-    """How boundary nodes find their displacement in a table.
-
-    Attributes
-    ----------
-    how : ``exact`` (the same points), ``nearest`` (the closest point's value) or ``interpolate`` (the closest point of
-        the table's surface; without a surface a thin plate spline through the nearest points)
-    tolerance : largest distance, grid length unit; ``None`` for 1e-3 of the shortest surface edge at the node (exact),
-        half of it (nearest, and interpolate if ``partial``) or a tenth of the diagonal of the table or of the nodes,
-        whichever is smaller (interpolate)
-    partial : nodes without a match are allowed; they are not moved by the table
-    """
-
-    how: str = "nearest"
-    tolerance: float | None = None
-    partial: bool = False
-
-    def __post_init__(self) -> None:
-        if self.how not in HOW:
-            raise CaseError(f"match = {self.how!r} is unknown; known are {', '.join(HOW)}")
-        if self.tolerance is not None and not (np.isfinite(self.tolerance) and self.tolerance > 0):
-            raise CaseError(f"tolerance = {self.tolerance} of a displacement table; expected a positive length")
-
-
-@dataclass(frozen=True)
-class Transfer:
-    """Displacement of nodes from a table.
-
-    Attributes
-    ----------
-    displacement : (n, 3), zero where nothing matched
-    matched : (n,) bool
-    distance : (n,) from each node to the point or surface that gave its displacement
-    label, how, used : name of the table, the matching, and the number of its points that were used, of how many
-    points : (m, 3) of the table; (0, 3) for a grid of the same nodes
-    beyond : (n,) distance of the node beyond the edge of the table's surface
-    partial : whether nodes without a match are allowed
-    """
-
-    displacement: FloatArray
-    matched: BoolArray
-    distance: FloatArray
-    label: str
-    how: str
-    used: tuple[int, int]
-    points: FloatArray
-    beyond: FloatArray
-    partial: bool
 
 
 def transfer(data: SurfaceData | Grid, matching: Matching, nodes: Nodes) -> Transfer:
@@ -302,37 +209,3 @@ def _require_matches(result: Transfer, matching: Matching, nodes: Nodes, data: S
 def _span(points: FloatArray) -> str:
     low, high = points.min(axis=0), points.max(axis=0)
     return " x ".join(f"[{a:.4g}, {b:.4g}]" for a, b in zip(low, high, strict=True))
-
-
-# Conversion factors between length units: m and mm, cm, km, inch, foot, and inch in mm.
-_FACTORS = (1e-3, 1e3, 1e-2, 1e2, 1e-6, 1e6, 0.0254, 1 / 0.0254, 25.4, 1 / 25.4, 0.3048, 1 / 0.3048)
-_ORDERS = ((0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0))
-_SAMPLE = 5000
-
-
-def far_points(points: FloatArray, nodes: Nodes) -> BoolArray:
-    """(n,) bool: points that are farther from every node than the longest face edge there."""
-    distance, nearest = scipy.spatial.cKDTree(nodes.points).query(points)
-    return np.asarray(distance > nodes.longest[nearest])
-
-
-def other_frame(points: FloatArray, nodes: Nodes) -> str:
-    """A hint on what would make table points match the nodes: another length unit or order of coordinates.
-
-    The end of a message, empty if neither helps.
-    """
-    some = points[:: max(1, len(points) // _SAMPLE)]
-    here = 1.0 - far_points(some, nodes).mean()
-    tried = {f"multiplied by {factor:.6g}, {{}}: different length units?": some * factor for factor in _FACTORS}
-    tried |= {
-        f"with its coordinates in the order {' '.join('xyz'[axis] for axis in order)}, {{}}": some[:, order]
-        for order in _ORDERS
-    }
-    for text, there in tried.items():
-        hit = 1.0 - far_points(there, nodes).mean()
-        if hit >= 0.9 and here < 0.5:
-            return f" ({text.format(f'{hit:.0%} of its points would lie on the nodes')})"
-    sizes = [float(np.linalg.norm(np.ptp(p, axis=0))) for p in (points, nodes.points)]
-    if min(sizes) > 0 and not 1 / 30 < sizes[0] / sizes[1] < 30:
-        return f" (sizes differ by a factor {max(sizes) / min(sizes):.3g}: different length units?)"
-    return ""

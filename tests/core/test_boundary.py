@@ -9,9 +9,9 @@ from grids import block_around, frame, frame_2d, polar
 
 from meshdeform_core.boundary import UNSELECTED, BoundarySpec, Kind, classify
 from meshdeform_core.boundary.expression import expression
+from meshdeform_core.boundary.matching import Matching, SurfaceData
 from meshdeform_core.boundary.motion import Follow, Motion
 from meshdeform_core.boundary.prescribed import prescribed_displacement
-from meshdeform_core.boundary.transfer import Matching, SurfaceData
 from meshdeform_core.deform import Case, deform, set_up
 from meshdeform_core.errors import CaseError, GridError, MotionError
 from meshdeform_core.grid import Grid, Patch, Side, Window

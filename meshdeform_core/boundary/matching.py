@@ -1,0 +1,105 @@
+"""Displacement tables, the boundary nodes that need a displacement, and the result of matching them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import CaseError
+from ..grid import BoolArray, FloatArray, Grid, IntArray
+from ..grid.topology import Topology
+
+HOW = ("exact", "nearest", "interpolate")
+
+
+@dataclass(frozen=True)
+class SurfaceData:
+    """Displacements known at scattered points, with the surface between them where the file has one.
+
+    Attributes
+    ----------
+    points, displacement : (n, 3) float64, grid length unit
+    triangles : (m, 3) int64, indices into ``points``; (0, 3) when the file has points only
+    label : name for messages, usually the file name
+    """
+
+    points: FloatArray
+    displacement: FloatArray
+    triangles: IntArray
+    label: str
+
+
+@dataclass(frozen=True)
+class Nodes:
+    """Undeformed boundary nodes that need a displacement.
+
+    Attributes
+    ----------
+    points : (n, 3), grid length unit
+    numbers : (n,) unique node numbers
+    edge, longest : (n,) shortest and longest edge of the boundary's faces at each node: scales of matching
+    grid, topology : to which they belong
+    """
+
+    points: FloatArray
+    numbers: IntArray
+    edge: FloatArray
+    longest: FloatArray
+    grid: Grid
+    topology: Topology
+
+    def label(self, index: int) -> str:
+        """Name of one node: block and 1-based indices."""
+        return self.grid.node_label(int(self.topology.first[self.numbers[index]]))
+
+
+@dataclass(frozen=True)
+class Matching:
+    """How boundary nodes find their displacement in a table.
+
+    Attributes
+    ----------
+    how : ``exact`` (the same points), ``nearest`` (the closest point's value) or ``interpolate`` (the closest point of
+        the table's surface; without a surface a thin plate spline through the nearest points)
+    tolerance : largest distance, grid length unit; ``None`` for 1e-3 of the shortest surface edge at the node (exact),
+        half of it (nearest, and interpolate if ``partial``) or a tenth of the diagonal of the table or of the nodes,
+        whichever is smaller (interpolate)
+    partial : nodes without a match are allowed; they are not moved by the table
+    """
+
+    how: str = "nearest"
+    tolerance: float | None = None
+    partial: bool = False
+
+    def __post_init__(self) -> None:
+        if self.how not in HOW:
+            raise CaseError(f"match = {self.how!r} is unknown; known are {', '.join(HOW)}")
+        if self.tolerance is not None and not (np.isfinite(self.tolerance) and self.tolerance > 0):
+            raise CaseError(f"tolerance = {self.tolerance} of a displacement table; expected a positive length")
+
+
+@dataclass(frozen=True)
+class Transfer:
+    """Displacement of nodes from a table.
+
+    Attributes
+    ----------
+    displacement : (n, 3), zero where nothing matched
+    matched : (n,) bool
+    distance : (n,) from each node to the point or surface that gave its displacement
+    label, how, used : name of the table, the matching, and the number of its points that were used, of how many
+    points : (m, 3) of the table; (0, 3) for a grid of the same nodes
+    beyond : (n,) distance of the node beyond the edge of the table's surface
+    partial : whether nodes without a match are allowed
+    """
+
+    displacement: FloatArray
+    matched: BoolArray
+    distance: FloatArray
+    label: str
+    how: str
+    used: tuple[int, int]
+    points: FloatArray
+    beyond: FloatArray
+    partial: bool
