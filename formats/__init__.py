@@ -1,7 +1,7 @@
 """File formats: grids, boundary information, displacement tables, cases and reports.
 
-``read_grid`` and ``write_grid`` are the two doors; the modules behind them are imported when first needed, so that
-reading a Plot3D file never pays for importing h5py or vtk.
+``read_grid`` and ``write_grid`` are the entry points; format modules are imported when first needed, so that reading a
+Plot3D file does not import h5py.
 """
 
 from .grids import FORMATS, read_grid, write_grid

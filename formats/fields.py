@@ -1,4 +1,4 @@
-"""Measures of cells and the displacement as fields of a grid, for files that other programs colour."""
+"""Cell quality measures and the displacement as fields of a grid, for visualisation in other programs."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ _KNOWN = (*CELL_MEASURES, INVALID, ALL)
 
 
 def check_fields(names: Sequence[str], target: Path, compared: bool) -> None:
-    """Refuse fields before anything is computed.
+    """Refuse impossible fields before anything is computed.
 
     Parameters
     ----------
-    target : the file or, of a series, a name with its suffix
-    compared : there is an undeformed grid
+    target : the output file or, for a series, a name with its suffix
+    compared : whether there is an undeformed grid
 
     Raises
     ------
     CaseError, FormatError
-        When a name is unknown or needs the undeformed grid, or when files of this format hold no fields.
+        When a name is unknown or needs the undeformed grid, or when files of this format cannot hold fields.
     """
     for name in names:
         if name not in _KNOWN:
@@ -41,18 +41,18 @@ def check_fields(names: Sequence[str], target: Path, compared: bool) -> None:
                 f"--field {name!r} is unknown{suggestion(name, _KNOWN) or '; known are ' + ', '.join(_KNOWN)}"
             )
         if name in CELL_MEASURES and CELL_MEASURES[name].from_reference and not compared:
-            raise CaseError(f"--field {name} compares with the undeformed grid; give --reference")
+            raise CaseError(f"--field {name} needs the undeformed grid; give --reference")
     if names and target.suffix.lower() not in WITH_FIELDS:
         raise FormatError(
-            f"{target.suffix} files hold no fields; choose one of {' '.join(WITH_FIELDS)}, or leave --field out"
+            f"{target.suffix} files cannot hold fields; choose one of {' '.join(WITH_FIELDS)}, or omit --field"
         )
 
 
 def with_fields(cells: CellFields, names: Sequence[str]) -> Grid:
-    """The grid of ``cells`` with fields, in the place of older ones of the same names.
+    """The grid of ``cells`` with fields, which replace existing ones of the same names.
 
-    Measures and ``invalid`` (0 or 1) are values of the cells, ``displacement`` is a vector at the nodes; ``all`` are
-    those that the grid has: without walls none of walls, without an undeformed grid none that compare.
+    Measures and ``invalid`` (0 or 1) are cell values, ``displacement`` is a vector at the nodes; ``all`` are those that
+    exist for the grid: measures at walls need walls, comparing ones an undeformed grid.
     """
     grid = cells.grid
     if not names:

@@ -1,4 +1,4 @@
-"""Whole files or none: every output is written beside its target and renamed when complete. And how files begin."""
+"""Complete files or none: every output is written next to its target and renamed when complete. File headers."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from meshdeform_core.errors import FormatError
 
 @contextmanager
 def replacing(target: Path) -> Iterator[Path]:
-    """Yield a temporary path beside ``target``; rename it over ``target`` if the block succeeds, delete it if not.
+    """Yield a temporary path next to ``target``; rename it over ``target`` if the block succeeds, else delete it.
 
-    A symbolic link stays, the file that it leads to is replaced.
+    A symbolic link is kept; the file that it points to is replaced.
 
     Raises
     ------
     FormatError
-        When the folder is missing or not writable, or the disk is full; ``target`` is then as it was.
+        When the folder is missing or not writable, or the disk is full; ``target`` is then unchanged.
     """
     target = followed(Path(target))
     folder = target.parent
@@ -48,12 +48,12 @@ def replacing(target: Path) -> Iterator[Path]:
 
 
 def followed(path: Path) -> Path:
-    """The path itself or, for a symbolic link, the file it leads to, which need not exist."""
+    """The path itself or, for a symbolic link, its target, which need not exist."""
     return Path(os.path.realpath(path)) if path.is_symlink() else path
 
 
 def _host() -> str:
-    """Four digits that stand for this machine, whose process numbers say nothing elsewhere."""
+    """Four digits that identify this machine; process numbers are meaningless on others."""
     return hashlib.sha256(platform.node().encode()).hexdigest()[:4]
 
 
@@ -74,13 +74,13 @@ def _runs(process: int) -> bool:
     except ProcessLookupError:
         return False
     except (OSError, OverflowError):
-        # It belongs to somebody else.
+        # It belongs to another user.
         return True
     return True
 
 
 def remove_partial(folder: Path) -> None:
-    """Remove what killed programs were writing into ``folder``: the temporary paths of :func:`replacing`."""
+    """Remove files that killed runs left in ``folder``: the temporary paths of :func:`replacing`."""
     for left in folder.glob(".*.partial*"):
         if not re.fullmatch(r"\..+\.\d+-[0-9a-f]{8}\.partial(\..+)?", left.name):
             continue
@@ -91,7 +91,7 @@ def remove_partial(folder: Path) -> None:
 
 
 def reason_of(error: BaseException) -> str:
-    """Why a file cannot be read or written, in words: of the system where it gave an error number, else the error's."""
+    """Reason why a file cannot be read or written: the system's text for its error number, else the error's own."""
     number = error.errno if isinstance(error, OSError) else None
     if number is not None:
         return os.strerror(number)
@@ -99,9 +99,9 @@ def reason_of(error: BaseException) -> str:
 
 
 def require_regular(path: Path, what: str = "") -> None:
-    """Refuse what is no file on a disk before it is opened: opening a pipe without a writer would wait for ever.
+    """Refuse anything but a regular file before opening it: opening a pipe without a writer would block forever.
 
-    ``what`` are words for the file in messages, such as ``the case file``.
+    ``what`` describes the file in messages, such as ``the case file``.
 
     Raises
     ------
@@ -114,19 +114,19 @@ def require_regular(path: Path, what: str = "") -> None:
     except (OSError, ValueError) as error:
         raise FormatError(f"cannot read {label}: {reason_of(error)}") from error
     if stat.S_ISDIR(mode):
-        raise FormatError(f"cannot read {label}: it is a folder, expected a file")
+        raise FormatError(f"cannot read {label}: it is a folder; expected a file")
     if not stat.S_ISREG(mode):
         kind = "a pipe" if stat.S_ISFIFO(mode) else "a socket" if stat.S_ISSOCK(mode) else "a device"
-        raise FormatError(f"cannot read {label}: it is {kind}, expected a file; files are read more than once")
+        raise FormatError(f"cannot read {label}: it is {kind}; expected a file, which is read more than once")
 
 
 def shown(path: Path) -> str:
-    """A path as text; bytes of its name that are no UTF-8 are replaced."""
+    """A path as text; bytes of its name that are not UTF-8 are replaced."""
     return os.fsencode(path).decode("utf-8", "replace")
 
 
 def read_head(path: Path) -> bytes:
-    """The first kilobyte of a file, by which formats are told apart.
+    """The first kilobyte of a file, by which formats are distinguished.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Which module reads and writes which file: by content when reading, by suffix when writing."""
+"""Choice of the format: by content when reading, by suffix when writing."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from .plausible import require_plausible
 class Format:
     """One row of the format table.
 
-    The module offers ``read(path) -> Grid`` (absent for write-only formats), ``variant(grid, path, options) ->
+    The module defines ``read(path) -> Grid`` (absent for write-only formats), ``variant(grid, path, options) ->
     FileFormat``, which decides how to write, and ``write(grid, path, variant) -> None``, which replaces ``path`` as a
-    whole or leaves it alone (see :func:`meshdeform_formats.files.replacing`).
+    whole or leaves it unchanged (see :func:`meshdeform_formats.files.replacing`).
     """
 
     module: str
@@ -42,13 +42,13 @@ FORMATS: dict[str, Format] = {
         (".xyz", ".x", ".g", ".p3d", ".p2d", ".fmt", ".p2dfmt", ".p3dfmt", ".p3dbin", ".p2dbin", ".grd", ".bin"),
         "Plot3D, all variants",
     ),
-    "cgns": Format("cgns", (".cgns", ".hdf", ".hdf5", ".adf"), "CGNS, HDF5 and ADF (ADF is read only)"),
+    "cgns": Format("cgns", (".cgns", ".hdf", ".hdf5", ".adf"), "CGNS, HDF5 and ADF (ADF read-only)"),
     "vtk": Format("vtk", (".vtk", ".vts", ".vtm"), "VTK legacy, .vts and .vtm structured grids"),
-    "meshio": Format("meshio_export", (".vtu", ".su2", ".msh", ".inp", ".xdmf", ".med"), "unstructured, write only"),
+    "meshio": Format("meshio_export", (".vtu", ".su2", ".msh", ".inp", ".xdmf", ".med"), "unstructured, write-only"),
 }
 
 
-# What other programs' files begin with, so that a stranger is refused by name instead of being tried as Plot3D.
+# First bytes of other programs' files, so that they are refused by name instead of being tried as Plot3D.
 _FOREIGN: tuple[tuple[bytes, str], ...] = (
     (b"$MeshFormat", "a Gmsh mesh (unstructured)"),
     (b"NDIME", "an SU2 mesh (unstructured)"),
@@ -70,30 +70,30 @@ _FOREIGN: tuple[tuple[bytes, str], ...] = (
 def read_grid(path: str | Path, options: Mapping[str, Any] | None = None) -> Grid:
     """Read a block-structured grid; the format is recognised by the file's content, never by its name.
 
-    ``options`` (a Plot3D variant's switches) settle what a file's content leaves open.
+    ``options`` (of a Plot3D variant) resolve what the content of the file leaves ambiguous.
 
     Raises
     ------
     FormatError
         When the file is missing, truncated, ambiguous or not a block-structured grid.
     GridError
-        When it holds coordinates that are not finite.
+        When it contains non-finite coordinates.
     """
     path = Path(path)
     if os.path.islink(path) and not os.path.exists(path):
-        raise FormatError(f"{path} is a link that leads to no file")
+        raise FormatError(f"{path} is a broken link")
     try:
         path.stat()
     except FileNotFoundError as error:
         raise FormatError(f"{path} does not exist") from error
     except (OSError, ValueError):
-        # Whatever else is wrong with the name is said when the file is opened.
+        # Other faults of the name are reported when the file is opened.
         pass
     if os.path.isdir(path):
         raise FormatError(f"{path} is a folder; expected a grid file")
     name = _recognise(read_head(path), path)
     if options and name != "plot3d":
-        raise FormatError(f"{path} is a {name} file, whose variant is in the file; expected no {', '.join(options)}")
+        raise FormatError(f"{path} is a {name} file, which declares its variant; omit {', '.join(options)}")
     try:
         grid: Grid = FORMATS[name].load().read(path, **(options or {}))
     except GridError as error:
@@ -103,7 +103,7 @@ def read_grid(path: str | Path, options: Mapping[str, Any] | None = None) -> Gri
 
 
 def read_grid_with_boundaries(path: Path, boundary_file: Path | None, options: Mapping[str, Any] | None = None) -> Grid:
-    """Read a grid; a neutral map file replaces what the grid file says of boundaries."""
+    """Read a grid; a neutral map file replaces the boundary information of the grid file."""
     grid = read_grid(path, options)
     if boundary_file is None:
         return grid
@@ -113,7 +113,7 @@ def read_grid_with_boundaries(path: Path, boundary_file: Path | None, options: M
 
 
 def complete_for_export(grid: Grid, path: Path) -> Grid:
-    """Add the interfaces that the coordinates show when the target can hold them and the source declared none."""
+    """Add the interfaces found from coordinates if the target can hold them and the source declared none."""
     own = grid.format is not None and grid.format.name == "cgns"
     if format_of(path) != "cgns" or grid.connections or own:
         return grid
@@ -126,10 +126,10 @@ def complete_for_export(grid: Grid, path: Path) -> Grid:
 
 
 def write_grid(grid: Grid, path: str | Path, options: Mapping[str, Any] | None = None) -> FileFormat:
-    """Write ``grid``, replacing ``path`` as a whole or leaving it alone; returns the variant that was written.
+    """Write ``grid``, replacing ``path`` as a whole or leaving it unchanged; returns the variant that was written.
 
-    The suffix chooses the format. A file of the grid's own format is written in the grid's own variant, unless
-    ``options`` (a variant's switches, see ``meshdeform convert --help``) say otherwise.
+    The suffix selects the format. If it is that of the grid's own file, its variant is kept, except for ``options``
+    (of a variant, see ``meshdeform convert --help``).
     """
     path = Path(path)
     variant = variant_of(grid, path, options)
@@ -144,7 +144,7 @@ def variant_of(grid: Grid, path: Path, options: Mapping[str, Any] | None = None)
 
 
 def format_of(path: Path) -> str:
-    """Name of the format that the suffix of an output stands for."""
+    """Name of the format given by the suffix of an output."""
     suffix = path.suffix.lower()
     for name, entry in FORMATS.items():
         if suffix in entry.suffixes:

@@ -1,8 +1,8 @@
-"""HDF5 files on disks that fill up.
+"""HDF5 output that survives a full disk.
 
 The HDF5 library cannot close a file whose last bytes it failed to write: it complains on stderr, keeps the file open
-and may end the process when the interpreter exits. So it writes through an object that never fails towards it; the
-first failure is kept, what comes after it is dropped, and the failure is raised when the file is closed.
+and may end the process when the interpreter exits. So it writes through an object that never reports a failure to it;
+the first failure is recorded, later writes are dropped, and the failure is raised when the file is closed.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from meshdeform_core import interruption
 
 @contextmanager
 def hdf5_output(path: Path, mode: str, **options: Any) -> Iterator[h5py.File]:
-    """An HDF5 file to be written: ``mode`` is ``w`` or ``r+``, ``options`` are those of ``h5py.File``.
+    """An HDF5 file open for writing: ``mode`` is ``w`` or ``r+``, ``options`` are those of ``h5py.File``.
 
     Raises
     ------
     OSError
-        When anything could not be written, once the block has ended.
+        At the end of the block, if anything could not be written.
     FormatError
-        When the block failed for another reason that the library gives.
+        When the library failed for another reason.
     """
     with target(path, mode) as sink, h5py.File(sink, mode, **options) as file:
         yield file
@@ -36,10 +36,10 @@ def hdf5_output(path: Path, mode: str, **options: Any) -> Iterator[h5py.File]:
 
 @contextmanager
 def target(path: Path, mode: str) -> Iterator[Sink]:
-    """What ``h5py.File`` takes in the place of a path, for libraries that open the file themselves."""
+    """A file object that ``h5py.File`` accepts instead of a path, for libraries that open the file themselves."""
     sink = Sink(path, mode)
     try:
-        # An exception out of a signal handler must not pass through the library either.
+        # An exception from a signal handler must not pass through the library either.
         with interruption.deferred():
             yield sink
     except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
@@ -51,7 +51,7 @@ def target(path: Path, mode: str) -> Iterator[Sink]:
 
 
 def _close(sink: Sink) -> None:
-    """Close the file, and first the HDF5 files that somebody left open on it."""
+    """Close the file, after any HDF5 files left open on it."""
     # h5py names a file by what it was opened with.
     name = repr(sink).encode()
     for left in h5f.get_obj_ids(h5f.OBJ_ALL, h5f.OBJ_FILE):
@@ -61,7 +61,7 @@ def _close(sink: Sink) -> None:
 
 
 class Sink:
-    """A file as ``h5py.File`` takes it; after ``failure``, the first error of the system, nothing is written."""
+    """A file object for ``h5py.File``; after ``failure``, the first error of the system, nothing is written."""
 
     def __init__(self, path: Path, mode: str):
         flags = os.O_RDWR | getattr(os, "O_BINARY", 0) | (os.O_CREAT | os.O_TRUNC if mode == "w" else 0)
@@ -81,7 +81,7 @@ class Sink:
         return self._at
 
     def readinto(self, buffer: Any) -> int:
-        """Fill ``buffer``; what was dropped reads as zeros."""
+        """Fill ``buffer``; dropped bytes read as zeros."""
         view = memoryview(buffer).cast("B")
         done = 0
         os.lseek(self._file, self._at, os.SEEK_SET)

@@ -1,4 +1,4 @@
-"""Which files stand behind an input and which an output replaces, so that no input is ever overwritten."""
+"""The files that belong to an input and those that an output replaces, so that no input is ever overwritten."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from meshdeform_core.errors import FormatError
 
 from .files import read_head
 
-# Real files have some ten thousand.
+# Real files have about ten thousand.
 _MOST_NODES = 100_000
 
 
 def require_no_input(output: Path, inputs: Iterable[Path | None]) -> None:
     """Refuse an output that would replace a file which the run reads, by whatever name.
 
-    The pieces of multi-block sets and the files behind links of CGNS files count on both sides.
+    The pieces of multi-block sets and the targets of links in CGNS files are included on both sides.
 
     Raises
     ------
     FormatError
-        With both names.
+        With the names of both files.
     """
     replaced = {identity: path for path in _replaced(output) if (identity := _identity(path))}
     if not replaced:
@@ -41,7 +41,7 @@ def require_no_input(output: Path, inputs: Iterable[Path | None]) -> None:
 def files_behind(path: Path) -> Iterator[Path]:
     """A file that is read and the files it refers to: the data sets of a .vtm, the targets of CGNS links."""
     yield path
-    # What is wrong with the file is said when it is read.
+    # Faults of the file are reported when it is read.
     try:
         head = read_head(path)
         if b"<VTKFile" in head:
@@ -72,7 +72,7 @@ def _pieces(path: Path) -> Iterator[Path]:
 
 
 def _linked_files(path: Path) -> Iterator[Path]:
-    """The files that links lead to, those behind links in these included."""
+    """The targets of links, including the targets of links in these files."""
     found, waiting = {_identity(path)}, [path]
     while waiting:
         for target in _targets(waiting.pop()):
@@ -83,7 +83,7 @@ def _linked_files(path: Path) -> Iterator[Path]:
 
 
 def _targets(path: Path) -> Iterator[Path]:
-    """The files to which the links of one file lead; links are not followed, so that a circle has an end."""
+    """The targets of the links of one file; links are not followed, so that circular links end."""
     from .cgns.storage.file import opened_cgns
     from .cgns.storage.tree import MAXIMUM_DEPTH
 

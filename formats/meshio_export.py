@@ -1,4 +1,4 @@
-"""Unstructured hexahedra (2-D: quads) for other tools, written through meshio; nothing is read back.
+"""Unstructured hexahedra (2-D: quads) for other tools, written through meshio; write-only.
 
 =========  ======================================================================================
 ``.vtu``   cells with their block number, and the fields that all blocks have
@@ -9,8 +9,8 @@
 ``.inp``   Abaqus: cells, and a node set for each patch
 =========  ======================================================================================
 
-Coincident nodes are one node. Cells of left-handed blocks are turned so that all volumes are positive; collapsed
-hexahedra stay hexahedra. Outside faces on no patch get the name of their block face, such as ``block1.imin``.
+Coincident nodes are merged. Cells of left-handed blocks are reordered so that all volumes are positive; collapsed
+hexahedra remain hexahedra. Outside faces without a patch are named after their block face, such as ``block1.imin``.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _OPTIONS: dict[str, dict[str, tuple[str, ...]]] = {".msh": {"encoding": ("binary
 
 _ROWS_AT_ONCE = 10_000
 
-# Corners of a right-handed cell from the lowest indices on, in the order of VTK, Gmsh, SU2 and Abaqus.
+# Corners of a right-handed cell, starting at the lowest indices, in the order of VTK, Gmsh, SU2 and Abaqus.
 _QUAD = ((0, 0), (1, 0), (1, 1), (0, 1))
 _HEXAHEDRON = (*((i, j, 0) for i, j in _QUAD), *((i, j, 1) for i, j in _QUAD))
 
@@ -58,7 +58,7 @@ def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
 
 
 def write(grid: Grid, path: Path, variant: FileFormat) -> None:
-    """Write ``grid`` as :func:`variant` says, replacing ``path`` as a whole.
+    """Write ``grid`` in the variant given by :func:`variant`, replacing ``path`` as a whole.
 
     Raises
     ------
@@ -153,7 +153,7 @@ def _write_vtu(grid: Grid, mesh: _Unstructured, path: Path, options: Mapping[str
 
 
 def _write_xdmf(grid: Grid, mesh: _Unstructured, path: Path, options: Mapping[str, Any]) -> None:
-    # The default puts the numbers in a second file, which could not be replaced together with the first.
+    # The default writes the numbers to a second file, which could not be replaced together with the first.
     _with_fields(grid, mesh).write(path, file_format="xdmf", data_format="XML")
 
 
@@ -240,13 +240,13 @@ def _write_rows(stream: BinaryIO, rows: NDArray[Any], number: str) -> None:
 
 
 def _plane(mesh: _Unstructured) -> tuple[FloatArray, IntArray]:
-    """Points ``(n, 2)`` and cells of a plane grid, counter-clockwise in the two coordinates that are kept."""
+    """Points ``(n, 2)`` and cells of a plane grid, counter-clockwise in the two remaining coordinates."""
     extent = np.ptp(mesh.points, axis=0)
     normal = int(np.argmin(extent))
     if extent[normal] > 1e-9 * extent.max():
-        raise FormatError(f"a 2-D SU2 grid is plane; this one extends over {extent.tolist()} along x, y, z")
+        raise FormatError(f"a 2-D SU2 grid must be plane; this one extends over {extent.tolist()} along x, y, z")
     kept = [axis for axis in range(3) if axis != normal]
-    # x and z see the plane of normal y from behind.
+    # In the x-z plane the normal y points backwards.
     return mesh.points[:, kept], mesh.cells[:, ::-1] if normal == 1 else mesh.cells
 
 

@@ -1,4 +1,4 @@
-"""Whether the coordinates of a grid can be what they are said to be, whatever format they come from."""
+"""Plausibility checks of the coordinates of a grid from any format."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _ON_LINE = 1e-13
 
 
 def require_plausible(grid: Grid, path: Path) -> None:
-    """Refuse coordinates that are not finite, absurd, or those of a point or a line.
+    """Refuse coordinates that are not finite, absurdly large, or all on one point or line.
 
     Raises
     ------

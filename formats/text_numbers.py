@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 
 def number_lines(values: NDArray[Any]) -> memoryview:
-    """The values one per line, each with the fewest digits that give it back exactly in its own type.
+    """The values one per line, each with the fewest digits that represent it exactly in its own type.
 
-    A column in scipy's Matrix Market writer is just that, and several times faster than ``repr``. ``values`` are real,
-    or integers of 32 or 64 bits; at least one.
+    scipy's Matrix Market writer does this several times faster than ``repr``. ``values`` are real, or integers of 32 or
+    64 bits; at least one.
     """
     text = io.BytesIO()
     scipy.io.mmwrite(text, values.reshape(-1, 1), symmetry="general")

@@ -65,7 +65,7 @@ def d1_abort() -> None:
 
 
 def d2_abort() -> None:
-    """An array announces 2**31 - 1 components."""
+    """An array declares 2**31 - 1 components."""
     _ascii("d2_abort.vts", b'NumberOfComponents="3"', b'NumberOfComponents="2147483647"')
 
 

@@ -1,4 +1,4 @@
-"""Files that a case names: which they are, and sequences of displacement files with their times."""
+"""Files named in a case, and sequences of displacement files with their times."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def parse_times(text: str, where: str) -> tuple[float, ...]:
     Raises
     ------
     CaseError
-        For anything else, and for times that do not ascend.
+        For anything else, and for times that are not ascending.
     """
     parts = text.split(":")
     try:
@@ -42,7 +42,7 @@ def parse_times(text: str, where: str) -> tuple[float, ...]:
     start, stop, step = numbers
     count = (stop - start) / step
     if count >= _MAXIMUM:
-        raise CaseError(f"{where}: {text!r} are {count:.3g} levels; expected at most {_MAXIMUM:,}")
+        raise CaseError(f"{where}: {text!r} gives {count:.3g} levels; expected at most {_MAXIMUM:,}")
     # A step like 0.1 does not divide 1 exactly.
     return tuple(start + step * n for n in range(math.floor(count * (1 + 1e-12) + 1e-9) + 1))
 
@@ -54,7 +54,7 @@ def _ascending(numbers: Sequence[float], where: str) -> tuple[float, ...]:
 
 
 def named_files(value: Any, folder: Path) -> Iterator[Path]:
-    """Files that ``file``, ``files`` and ``boundary_file`` name, wherever these are in the tables of a case."""
+    """Files named by ``file``, ``files`` and ``boundary_file`` anywhere in the tables of a case."""
     if isinstance(value, (dict, list)):
         for key, item in value.items() if isinstance(value, dict) else enumerate(value):
             if key in ("file", "boundary_file") and isinstance(item, str):
@@ -83,12 +83,12 @@ def _numerically(name: str) -> list[tuple[int, str]]:
 
 
 def read_sequence(files: Any, times: Any, folder: Path, matching: Matching, where: str) -> FollowSequence:
-    """A motion step that follows one displacement file per time; the files are read when their time comes.
+    """A motion step that follows one displacement file per time; each file is read when its time is reached.
 
     Raises
     ------
     CaseError
-        When files are missing, or their number is not that of the times.
+        When files are missing, or their number differs from that of the times.
     """
     paths = sequence_files(files, folder, where)
     for path in paths:

@@ -1,4 +1,4 @@
-"""What a case says and nothing reads: constants that no formula uses, options of methods that were not chosen."""
+"""Unused content of a case: constants that no formula uses, options of methods that were not chosen."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from .values import Table
 
 
 def unread(data: Table, specs: Sequence[BoundarySpec], options: Options, overrides: Iterable[str]) -> tuple[str, ...]:
-    """Warnings for what the case file has in vain; what ``--set`` says in vain is an error.
+    """Warnings about unused content of the case file; an unused ``--set`` is an error.
 
     Parameters
     ----------
-    data : the tables of the case with the overrides in them
+    data : the tables of the case, including the overrides
     overrides : ``KEY=VALUE`` strings
 
     Raises
     ------
     CaseError
-        Naming the override, the reason, and the nearest name that is used.
+        With the override, the reason, and the nearest name that is used.
     """
     used = _names_used(specs)
     given = [(text, *parsed_override(text)) for text in overrides]
@@ -56,14 +56,14 @@ def _constants_in(path: Sequence[str], value: Any) -> Iterable[str]:
 
 
 def _idle_option(path: Sequence[str], options: Options) -> str:
-    """Why the chosen method does not read an option; empty if it does."""
+    """Reason why the chosen method does not use an option; empty if it does."""
     if path[0] != "method" or len(path) < 2 or path[1] not in ("idw", "rbf", "tfi"):
         return ""
     part = {"idw": IDW, "rbf": RBF}.get(path[1])
     used = entry_of(options.name).parts
     if getattr(options, path[1]).__class__ not in used:
         names = ", ".join(f"method.{kind.__name__.lower()}" for kind in used) or "no options"
-        return f"the method {options.name!r} reads {names} only"
+        return f"the method {options.name!r} uses only {names}"
     if part is None or len(path) < 3:
         return ""
     return getattr(options, path[1]).idle.get(path[2], "")

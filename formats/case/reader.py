@@ -38,10 +38,10 @@ _STEPS = {
 
 @dataclass(frozen=True)
 class CaseFile:
-    """A case and what the case file says about reading the grid.
+    """A case with the content of its file.
 
-    ``boundary_file`` is a neutral map file with the grid's boundary information, or ``None``; ``files`` are all that
-    the case names, relative to its folder; ``content`` are its tables with everything that the command line changed.
+    ``boundary_file`` is a neutral map file with the grid's boundary information, or ``None``; ``files`` are all files
+    that the case names; ``content`` are its tables, including the changes by the command line.
     """
 
     case: Case
@@ -58,21 +58,21 @@ def read_case(
     times: str | None = None,
     matching: Matching | None = None,
 ) -> CaseFile:
-    """Read a case file and apply what the command line adds.
+    """Read a case file and apply the additions of the command line.
 
     Parameters
     ----------
     path : TOML file, or ``None`` for an empty case
-    overrides : ``KEY=VALUE`` strings; KEY is a dotted path, entries of ``boundary`` go by name or 1-based number
+    overrides : ``KEY=VALUE`` strings; KEY is a dotted path, with entries of ``boundary`` by name or 1-based number
     method : replaces ``method.name``
-    table : displacement table; the boundary nodes that it matches move, all others stay
+    table : displacement table; the boundary nodes that it matches move, all others are fixed
     times : if given, ``table`` is a pattern of files, one for each of these times (see :func:`parse_times`)
     matching : how ``table`` is matched
 
     Raises
     ------
     CaseError
-        Naming the file, the key and the nearest known one.
+        With the file, the key and the nearest known one.
     """
     path = Path(path) if path else None
     data, overrides = load(path), tuple(overrides)
@@ -92,19 +92,19 @@ def read_case(
 def case_of(content: Mapping[str, Any], folder: str | Path = ".") -> CaseFile:
     """A case from the content of a case file, for cases made in Python.
 
-    Beside what TOML can say, ``file`` of a motion may be a :class:`SurfaceData` in memory. ``folder`` is where relative
-    file names begin.
+    In addition to TOML content, ``file`` of a motion may be a :class:`SurfaceData` in memory. Relative file names
+    refer to ``folder``.
 
     Raises
     ------
     CaseError
-        Naming the key and the nearest known one.
+        With the key and the nearest known one.
     """
     return _parse(plain(content), Path(folder))
 
 
 def _with_table(parsed: CaseFile, table: Path, times: str | None, matching: Matching) -> CaseFile:
-    """The case with one more boundary entry: what a table, or a sequence of tables, matches."""
+    """The case with an additional boundary entry: the nodes matched by a table or a sequence of tables."""
     where = f"--displacement {table}"
     step: Step
     if times is None:
@@ -164,7 +164,7 @@ def _constants(table: Table) -> dict[str, float]:
         if name in VARIABLES or name == "pi" or keyword.iskeyword(name):
             raise fail(f"constants.{name}", f"{name} already has a meaning in formulas; choose another name")
         if not name.isidentifier():
-            raise fail(f"constants.{name}", "a constant's name has letters, digits and _ only")
+            raise fail(f"constants.{name}", "expected a name of letters, digits and _ only")
     return constants
 
 
@@ -182,14 +182,14 @@ def _boundary(entry: Table, number: int, constants: Mapping[str, float], folder:
     steps = entry.get("motion", [])
     if (kind is Kind.MOVING) != bool(steps):
         missing = "moves but has no motion" if kind is Kind.MOVING else f"is {kind.label} but has a motion"
-        raise fail(where, f'{missing}; expected motion = [...] for kind = "moving" and only there')
+        raise fail(where, f'{missing}; expected motion = [...] for kind = "moving", and only for this kind')
     condition = formula_of(entry["where"], (*constants, "x", "y", "z"), f"{where}: where") if "where" in entry else None
     motion = _motion(steps, constants, where, folder) if steps else None
     return BoundarySpec(name, tuple(select), kind, condition, motion)
 
 
 def _kind(entry: Table, where: str) -> Kind:
-    """What the entry says, ``moving`` if it has a motion and says nothing."""
+    """The kind of the entry; ``moving`` if it has a motion but no kind."""
     known = f"expected one of {', '.join(_KINDS)}"
     if "kind" not in entry and "motion" not in entry:
         raise fail(where, f"has no kind; {known}")
@@ -265,6 +265,6 @@ def _options(table: Table) -> Options:
 
 
 def _build(kind: type, table: Table, where: str) -> Any:
-    """A dataclass of options from its table: the fields are the keys."""
+    """A dataclass of options from its table, whose keys are the fields."""
     check_keys(table, [f.name for f in fields(kind)], where)
     return kind(**table)

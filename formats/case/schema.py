@@ -1,4 +1,4 @@
-"""The JSON schema of case files, made from what the reader checks; editors complete and check ``case.toml`` with it."""
+"""The JSON schema of case files, made from the checks of the reader; editors complete and check cases with it."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def case_schema() -> Schema:
             grid=_table(
                 "How to read the grid.",
                 boundary_file=_text("NASA neutral map file (.nmf) with the boundaries, relative to the case file."),
-                tolerance=_number("Largest distance of coincident nodes, as a fraction of the local edge."),
+                tolerance=_number("Largest distance between coincident nodes, as a fraction of the local edge."),
                 open={
                     "type": ["boolean", "array"],
                     "items": {"type": "string"},
@@ -56,15 +56,15 @@ def case_schema() -> Schema:
                 "description": "Names for numbers, usable in every formula.",
                 "additionalProperties": {"type": "number"},
             },
-            boundary={"type": "array", "items": _boundary(), "description": "What each part of the boundary does."},
+            boundary={"type": "array", "items": _boundary(), "description": "Parts of the boundary."},
             method=_method(),
             repair=_table(
-                "What happens when cells become invalid.",
+                "Treatment of cells that become invalid.",
                 mode={
                     "enum": ["auto", "off", "polish"],
-                    "description": "auto: repair them; off: never; polish: improve.",
+                    "description": "auto: repair them; off: never; polish: also improve the worst cells.",
                 },
-                min_jacobian=_number("Cells with a corner below this share of its undeformed Jacobian are invalid."),
+                min_jacobian=_number("Cells with a corner Jacobian below this fraction of its original are invalid."),
             ),
         ),
         "$defs": {"formula": _FORMULA, "motion": _motion()},
@@ -93,16 +93,16 @@ def _boundary() -> Schema:
         name=_text("Its name in reports."),
         select={
             "anyOf": [{"type": "string"}, names],
-            "description": 'Patch or family names, or block faces like "block3.jmin[1:65,*]"; default all outside.',
+            "description": 'Patches, families or block faces like "block3.jmin[1:65,*]"; default: all outside faces.',
         },
         where=_text("Only faces all of whose corners satisfy this, e.g. x > 0.5 and abs(y) < 0.2."),
-        kind={"enum": kinds, "description": "What its nodes do; default moving if there is a motion."},
+        kind={"enum": kinds, "description": "Kind of its nodes; default: moving if there is a motion."},
         motion={"anyOf": [{"$ref": "#/$defs/motion"}, steps], "description": "Motions, applied in order."},
     )
 
 
 def _motion() -> Schema:
-    match = {"enum": list(HOW), "description": "How table points find grid nodes."}
+    match = {"enum": list(HOW), "description": "How table points are matched to grid nodes."}
     table = {"match": match, "tolerance": _number("Largest distance of a match, in the unit of the grid.")}
     times = {
         "description": 'Times of the files: "START:STOP:STEP" or ascending numbers.',

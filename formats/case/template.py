@@ -1,4 +1,4 @@
-"""A case file to start from: every boundary of a grid with its place and likely role, a motion to fill in."""
+"""A template of a case file: every boundary of a grid with its position and likely role, and a motion to fill in."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from meshdeform_core.grid.roles import Role
 from meshdeform_core.grid.surfaces import Outside, Surface
 
 _MOTION = """\
-# what moves; motions are applied in order, formulas see the undeformed x, y, z and the time t, for example
+# Motions are applied in order; formulas use the undeformed x, y, z and the time t, for example
 #   { rotate = { angle = 5.0, axis = [0, 0, 1], center = [0, 0, 0] } }
 #   { displace = ["0", "0.1*sin(pi*x)", "0"] }
 #   { file = "displacement.csv", match = "nearest" }
@@ -31,7 +31,7 @@ name = "idw-tfi"   # or another of `meshdeform methods`
 
 @dataclass(frozen=True)
 class _Entry:
-    """One ``[[boundary]]``: its surfaces are selected by family or patch, or face by face."""
+    """One ``[[boundary]]``; its surfaces are selected by family or patch, or face by face."""
 
     name: str
     kind: str
@@ -41,12 +41,12 @@ class _Entry:
 def case_template(grid: Grid, outside: Outside, source: str, boundary_file: str | None = None) -> str:
     """The text of a case file for a grid.
 
-    Walls of bodies move, floors and far fields are fixed, symmetry planes stay symmetry planes, end planes slide. Of a
-    grid without a wall the largest face of unknown role moves, so that the case can be tried at once.
+    Walls of bodies are moving, floors and far fields fixed, symmetry planes symmetry, end planes slip. In a grid
+    without a wall the largest face of unknown role is moving, so that the case can be tried at once.
 
     Parameters
     ----------
-    source : the grid file, for the heading
+    source : the grid file, for the header
     boundary_file : neutral map file, relative to the case file
     """
     entries = list(_entries(grid, outside))
@@ -59,7 +59,7 @@ def case_template(grid: Grid, outside: Outside, source: str, boundary_file: str 
     if boundary_file is not None:
         lines += ["[grid]", f"boundary_file = {_text(boundary_file)}", ""]
     if not any(surface.role is Role.WALL for entry in entries for surface in entry.surfaces):
-        lines += ['# No wall was found: give the boundary that moves kind = "moving".', ""]
+        lines += ['# No wall was found: set kind = "moving" for the boundary that moves.', ""]
     for entry in entries:
         lines += [*_entry_lines(grid, entry), ""]
     return "\n".join([*lines, _METHOD])
@@ -82,7 +82,7 @@ def _entries(grid: Grid, outside: Outside) -> Iterator[_Entry]:
 
 
 def _moving(grid: Grid, surfaces: Sequence[Surface]) -> list[Surface]:
-    """Walls of bodies; without any, all walls; without a wall the largest unknown, else the largest face."""
+    """Walls of bodies; else all walls; else the largest face of unknown role; else the largest face."""
     walls = [s for s in surfaces if s.role is Role.WALL]
     whole = np.ptp(grid.points, axis=0)
     bodies = [s for s in walls if int((np.ptp(s.box, axis=0) > 0.6 * whole).sum()) < 2]
@@ -101,7 +101,7 @@ def _kind(grid: Grid, surface: Surface) -> str:
 
 
 def _in_one_plane(grid: Grid, surface: Surface) -> bool:
-    """A mirror: its faces lie in one plane, and the grid is more than one cell thick there."""
+    """Whether all faces lie in one plane, and the grid is more than one cell thick there."""
     planes = [face.plane for face in surface.faces]
     first = planes[0]
     size = float(np.ptp(grid.points, axis=0).max())
@@ -134,7 +134,7 @@ def _entry_lines(grid: Grid, entry: _Entry) -> Iterator[str]:
 
 
 def _pattern(name: str) -> str:
-    """A pattern that matches a name: what would be a wildcard stands for any letter."""
+    """A pattern that matches a name; characters that would be wildcards match any character."""
     return re.sub(r"[\[\]]", "?", name)
 
 

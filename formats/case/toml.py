@@ -1,4 +1,4 @@
-"""The text of a case file, and the values that the command line puts over it."""
+"""The text of a case file, and overrides from the command line."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _TOO_LONG = "it has an integer of more than 64 bits; write large numbers like 1e
 
 
 def load(path: Path | None) -> Table:
-    """The tables of a case file, none without a file.
+    """The tables of a case file; empty without a file.
 
     Raises
     ------
@@ -38,7 +38,7 @@ def load(path: Path | None) -> Table:
 
 
 def _toml(text: str) -> Table:
-    """Parse TOML; ``ValueError`` for anything else, also for the integers beyond 64 bits that TOML does not have."""
+    """Parse TOML; ``ValueError`` for anything else, including integers beyond 64 bits, which TOML excludes."""
     try:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError:
@@ -60,7 +60,7 @@ def _require_64_bits(value: Any) -> None:
 
 
 def parsed_override(text: str) -> tuple[list[str], Any]:
-    """The names of KEY and the value of ``KEY=VALUE``; what is not TOML is taken as a text.
+    """The names of KEY and the value of ``KEY=VALUE``; a value that is not TOML is taken as text.
 
     Raises
     ------
@@ -78,12 +78,12 @@ def parsed_override(text: str) -> tuple[list[str], Any]:
 
 
 def override(data: Table, text: str) -> None:
-    """Put the value of ``KEY=VALUE`` over what ``data`` has, in place.
+    """Set the value of ``KEY=VALUE`` in ``data``, in place.
 
     Raises
     ------
     CaseError
-        When there is no ``=``, or the key leads through a value or to an entry that does not exist.
+        When there is no ``=``, or the key passes through a value or refers to an entry that does not exist.
     """
     (*path, last), parsed = parsed_override(text)
     target: Any = data
@@ -100,7 +100,7 @@ def override(data: Table, text: str) -> None:
 
 
 def _number_or_text(value: str) -> float | str:
-    """``.1`` and ``1.`` are numbers, though not in TOML."""
+    """A number or text; ``.1`` and ``1.`` are numbers, although not in TOML."""
     return float(value) if re.fullmatch(r"[+-]?(\d+\.|\.\d+)(e[+-]?\d+)?", value, re.IGNORECASE) else value
 
 

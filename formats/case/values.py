@@ -1,6 +1,6 @@
-"""Checks of what a case file holds: every value by its key, every key against those known.
+"""Checks of the values and keys of a case file.
 
-``where`` is how a message names the place; all raise ``CaseError``, with what was found and what was expected.
+``where`` names the location in messages; all functions raise ``CaseError`` with what was found and expected.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ Table = dict[str, Any]
 
 
 def fail(where: str, message: str) -> CaseError:
-    """The error to raise for what stands at ``where``."""
+    """The error to raise for the content at ``where``."""
     return CaseError(f"{where}: {message}")
 
 
 def plain(value: Any) -> Any:
-    """Tables made in Python in the types that TOML has: dictionaries, lists, numbers, texts."""
+    """Tables made in Python, converted to the types of TOML: dictionaries, lists, numbers, texts."""
     if isinstance(value, Mapping):
         return {key: plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -34,7 +34,7 @@ def plain(value: Any) -> Any:
 
 
 def table_of(data: Table, key: str, prefix: str = "") -> Table:
-    """The table behind a key, empty if there is none; ``prefix`` are the tables around it, with their dots."""
+    """The table of a key, empty if there is none; ``prefix`` is the dotted path of the enclosing tables."""
     value = data.get(key, {})
     if not isinstance(value, dict):
         raise fail(f"{prefix}{key}", f"expected a table [{prefix}{key}], found {value!r}")
@@ -42,7 +42,7 @@ def table_of(data: Table, key: str, prefix: str = "") -> Table:
 
 
 def check_keys(table: Table, known: Iterable[str], where: str) -> None:
-    """Refuse a key that is not known, naming the nearest one that is."""
+    """Refuse an unknown key, with the nearest known one."""
     known = list(known)
     for key in table:
         if key not in known:
@@ -51,7 +51,7 @@ def check_keys(table: Table, known: Iterable[str], where: str) -> None:
 
 
 def three_of(value: Any, where: str) -> list[Any]:
-    """A list of three values, of whatever kind."""
+    """A list of three values of any type."""
     if not isinstance(value, list) or len(value) != 3:
         raise fail(where, f"expected three values, found {value!r}")
     return value
@@ -65,7 +65,7 @@ def file_of(value: Any, folder: Path, where: str) -> Path:
 
 
 def number_of(value: Any, where: str) -> float:
-    """A finite number; truth values are none."""
+    """A finite number; booleans are refused."""
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) < float("inf"):
         raise fail(where, f"expected a finite number, found {value!r}")
     return float(value)

@@ -16,7 +16,7 @@ from ..files import reason_of
 from .numpy_files import load_array, load_arrays
 from .table import DISPLACEMENT_NAMES, NO_TRIANGLES, POINT_NAMES, DisplacementTable, pick_vector, row_place
 
-# Deflate cannot pack tighter; a dataset that announces more was never written or is damaged.
+# Deflate cannot compress more; a dataset that declares more data was never written or is damaged.
 _MAXIMUM_COMPRESSION = 1100
 
 
@@ -26,7 +26,7 @@ def read_npy(path: Path) -> DisplacementTable:
     Raises
     ------
     FormatError
-        When the file is truncated or holds something else.
+        When the file is truncated or has other content.
     """
     values = load_array(path)
     if values.ndim != 2 or values.shape[1] not in (4, 6) or values.dtype.kind not in "iuf":
@@ -36,12 +36,12 @@ def read_npy(path: Path) -> DisplacementTable:
 
 
 def read_npz(path: Path) -> DisplacementTable:
-    """Read arrays ``points`` and ``displacement`` (n, 3), or ``x y z dx dy dz`` (n,), and perhaps ``triangles`` (m, 3).
+    """Read arrays ``points`` and ``displacement`` (n, 3), or ``x y z dx dy dz`` (n,), optionally ``triangles`` (m, 3).
 
     Raises
     ------
     FormatError
-        When the file is truncated or has no such arrays; the message lists what it has.
+        When the file is truncated or has no such arrays; the message lists those found.
     """
     arrays = load_arrays(path)
     table = _table({name: values for name, values in arrays.items() if values.dtype.kind in "iuf"})
@@ -56,7 +56,7 @@ def read_hdf5(path: Path) -> DisplacementTable:
     Raises
     ------
     FormatError
-        When the file is damaged, or not exactly one group has the datasets; the message lists what it has.
+        When the file is damaged, or not exactly one group has the datasets; the message lists those found.
     """
     with _opened(path) as file:
         groups = {name: _arrays(group) for name, group in _groups(file)}
@@ -70,7 +70,7 @@ def read_hdf5(path: Path) -> DisplacementTable:
 
 
 def hdf5_entries(path: Path) -> set[str]:
-    """Names in the root group, which tell what wrote the file."""
+    """Names in the root group, which show what wrote the file."""
     with _opened(path) as file:
         return set(file)
 
@@ -82,7 +82,7 @@ def _opened(path: Path) -> Iterator[h5py.File]:
             yield file
     except MeshDeformError as error:
         raise FormatError(f"cannot read {path}: {error}") from error
-    # h5py raises whatever it stumbles over in a damaged file: OSError, RuntimeError, KeyError, ValueError, TypeError.
+    # For damaged files h5py raises OSError, RuntimeError, KeyError, ValueError or TypeError.
     except Exception as error:
         raise FormatError(f"cannot read {path} as HDF5: {reason_of(error)}") from error
 
@@ -95,7 +95,7 @@ def _groups(file: h5py.File) -> Iterator[tuple[str, h5py.Group]]:
 
 
 def _entries(group: h5py.Group) -> Iterator[tuple[str, Any]]:
-    """Members of a group, without those whose name is no text and links that lead nowhere or in a circle."""
+    """Members of a group, except those whose name is not text and broken or circular links."""
     for name in group:
         try:
             entry = group[name] if isinstance(name, str) else None
@@ -114,7 +114,7 @@ def _arrays(group: h5py.Group) -> dict[str, NDArray[Any]]:
 def _values(entry: h5py.Dataset) -> NDArray[Any]:
     stored = entry.id.get_storage_size()
     if entry.size * entry.dtype.itemsize > stored * _MAXIMUM_COMPRESSION:
-        raise FormatError(f"{entry.name} announces {entry.shape} {entry.dtype} values; only {stored} bytes are stored")
+        raise FormatError(f"{entry.name} declares {entry.shape} {entry.dtype} values; only {stored} bytes are stored")
     values: NDArray[Any] = entry[()]
     return values
 

@@ -11,16 +11,16 @@ from meshdeform_core.grid import IntArray
 
 
 def fans(connectivity: NDArray[Any], first: NDArray[Any], corners: NDArray[Any], strip: bool = False) -> IntArray:
-    """Split polygons into the triangles at their first corner, or strips into theirs.
+    """Split polygons into triangle fans about their first corner, or triangle strips into triangles.
 
     Parameters
     ----------
     connectivity : node numbers of all cells, one after the other
-    first, corners : (m,) where each cell begins in it, and how many corners it has
+    first, corners : (m,) index at which each cell begins, and its number of corners
 
     Returns
     -------
-    (t, 3) node numbers; nothing for cells of less than three corners
+    (t, 3) node numbers; none for cells with fewer than three corners
     """
     count = np.maximum(corners - 2, 0)
     start = np.repeat(first, count)
@@ -46,10 +46,10 @@ def split_cells(cells: NDArray[Any], corners: int) -> IntArray:
 
 
 def starts_of_list(entries: NDArray[Any]) -> IntArray:
-    """Where each cell begins in a list ``n a b c ... n d e ...``; the first that does not fit is the last one.
+    """Index at which each cell begins in a list ``n a b c ... n d e ...``; ends with the first that does not fit.
 
-    A jump leads from each entry over as many entries as it says. The jumps from the first entry on are found by
-    doubling: after each round all jumps are twice as long and twice as many cells are known.
+    Each entry is taken as the length of a jump to the next cell. The chain of jumps from the first entry is found by
+    doubling: each round doubles the length of all jumps and the number of known cells.
     """
     size = len(entries)
     jump = np.append(np.arange(size) + 1 + np.clip(entries, 0, size), size)

@@ -1,4 +1,4 @@
-"""Displacement tables as surfaces that meshio reads."""
+"""Displacement tables as surfaces, read by meshio."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from meshdeform_core.errors import FormatError
 from .cells import split_cells
 from .table import NO_TRIANGLES, DisplacementTable, surface_table
 
-# Corners of the cells with two dimensions; nodes on edges and inside come after them.
+# Corners of two-dimensional cells; nodes on edges and inside follow them.
 _CORNERS = {"triangle": 3, "triangle6": 3, "triangle7": 3, "quad": 4, "quad8": 4, "quad9": 4}
 
 
@@ -24,7 +24,7 @@ def read(path: Path, file_format: str) -> DisplacementTable:
     Raises
     ------
     FormatError
-        When the file is damaged, with meshio's words, or has no displacement.
+        When the file is damaged, with meshio's message, or has no displacement.
     """
     try:
         # Not meshio.read, which prints what goes wrong and ends the program.
@@ -42,7 +42,7 @@ def read(path: Path, file_format: str) -> DisplacementTable:
 
 
 def _source(path: Path, file_format: str) -> Any:
-    """What to give the reader: two of them read a truncated file for ever, unless its end is an error."""
+    """The source for the reader: two readers never end on a truncated file, unless its end raises an error."""
     if file_format == "ply":
         return _EndingBytes(path.read_bytes())
     if file_format == "tecplot":

@@ -1,4 +1,4 @@
-"""The arrays of .npy and .npz files, each checked against its size in the file before memory is taken for it."""
+"""The arrays of .npy and .npz files, each checked against its size in the file before memory is allocated."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from meshdeform_core.errors import FormatError, MeshDeformError
 
 from ..files import reason_of
 
-# Deflate cannot pack tighter, other methods go further with nothing but zeros.
+# Deflate cannot compress more; other methods exceed this only for zeros.
 _LARGEST_RATIO = 1100
 _ENCRYPTED = 1
 _SUFFIX = ".npy"
@@ -34,7 +34,7 @@ def load_array(path: Path) -> NDArray[Any]:
             return _array(stream, path.stat().st_size, path.name)
     except MeshDeformError as error:
         raise FormatError(f"cannot read {path}: {error}") from error
-    # numpy evaluates the header as Python does, and raises whatever that stumbles over in a damaged file.
+    # numpy evaluates the header as Python, which raises various errors for a damaged file.
     except Exception as error:
         raise _damaged(path, error) from error
 
@@ -45,7 +45,7 @@ def load_arrays(path: Path) -> dict[str, NDArray[Any]]:
     Raises
     ------
     FormatError
-        When the file is truncated, damaged, encrypted, has two arrays of one name or members that are no arrays.
+        When the file is truncated, damaged, encrypted, has two arrays of the same name or members that are not arrays.
     """
     try:
         with zipfile.ZipFile(path) as archive:
@@ -57,7 +57,7 @@ def load_arrays(path: Path) -> dict[str, NDArray[Any]]:
             return arrays
     except MeshDeformError as error:
         raise FormatError(f"cannot read {path}: {error}") from error
-    # zipfile and the unpackers behind it raise whatever they stumble over in a damaged file.
+    # zipfile and its decompressors raise various errors for a damaged file.
     except Exception as error:
         raise _damaged(path, error) from error
 
@@ -69,7 +69,7 @@ def _damaged(path: Path, error: Exception) -> FormatError:
 def _members(archive: zipfile.ZipFile) -> Iterator[tuple[str, NDArray[Any]]]:
     for member in archive.infolist():
         if not member.filename.endswith(_SUFFIX):
-            raise FormatError(f"its member {member.filename!r} is no array; expected a file written by numpy.savez")
+            raise FormatError(f"its member {member.filename!r} is not an array; expected a file written by numpy.savez")
         if member.flag_bits & _ENCRYPTED:
             raise FormatError(f"its member {member.filename!r} is encrypted; save it without a password")
         if member.file_size > _LARGEST_RATIO * max(member.compress_size, 1):
@@ -81,7 +81,7 @@ def _members(archive: zipfile.ZipFile) -> Iterator[tuple[str, NDArray[Any]]]:
             values = _array(stream, member.file_size, member.filename)
             # Reading on to the end also compares the checksum.
             if stream.read(1):
-                raise FormatError(f"its member {member.filename!r} goes on behind the array")
+                raise FormatError(f"its member {member.filename!r} continues after the array")
         yield member.filename.removesuffix(_SUFFIX), values
 
 
@@ -96,6 +96,6 @@ def _array(stream: IO[bytes], size: int, name: str) -> NDArray[Any]:
         raise FormatError(f"{name} holds Python objects, which are not read (allow_pickle=False); expected numbers")
     needed, left = math.prod(shape) * dtype.itemsize, size - stream.tell()
     if min(shape, default=1) < 0 or needed > left:
-        raise FormatError(f"{name} announces {dtype} values of shape {shape}, {needed} bytes; {left} are left")
+        raise FormatError(f"{name} declares {dtype} values of shape {shape}, {needed} bytes; {left} are left")
     stream.seek(0)
     return np.lib.format.read_array(stream, allow_pickle=False)

@@ -1,9 +1,9 @@
-"""Displacement tables: where the points of a surface go.
+"""Displacement tables: the displacements of the points of a surface.
 
-A file is a table when it has displacements: text columns, arrays (.npy, .npz, HDF5), or a surface with a vector at its
-points, by preference one called displacement. A structured grid (Plot3D, CGNS, VTK) is a table only if every block has
-a node array called ``displacement``, ``disp`` or ``deformation``. Otherwise its coordinates are the deformed position
-of the same nodes, whatever solution (``U``, ...) it carries.
+A file is a table if it has displacements: text columns, arrays (.npy, .npz, HDF5), or a surface with a vector at its
+points, preferably one called displacement. A structured grid (Plot3D, CGNS, VTK) is a table only if every block has a
+node array called ``displacement``, ``disp`` or ``deformation``. Otherwise its coordinates are the deformed positions of
+the same nodes, whatever solution (``U``, ...) it contains.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from ..vtk.xml.tags import file_kind
 from .cells import grid_triangles
 from .table import VECTOR_NAMES, DisplacementTable, checked_surface, pick_vector
 
-# meshio's formats that can hold a displacement at points, by suffix; those with a magic number are known by that.
+# meshio's formats that can hold a displacement at points, by suffix; others are recognised by a magic number.
 _MESHIO_FORMATS = {
     ".avs": "avsucd",
     ".dat": "tecplot",
@@ -44,13 +44,13 @@ _TEXT_SUFFIXES = (".csv", ".txt", ".dat", ".tsv")
 def read_displacement(path: str | Path) -> SurfaceData | Grid:
     """Read a displacement table, or a grid that holds the deformed position of the same nodes.
 
-    Files that say what they are, are known by content; texts by suffix: ``.csv``, ``.txt``, ``.dat`` and ``.tsv`` are
-    columns of numbers, the suffixes of Plot3D are grids, the others meshio's.
+    Files are recognised by content where possible; text files by suffix: ``.csv``, ``.txt``, ``.dat`` and ``.tsv`` are
+    columns of numbers, the suffixes of Plot3D are grids, others are read by meshio.
 
     Raises
     ------
     FormatError
-        When the file is damaged or holds no displacement (with what was found), numbers are not finite, or a point has
+        When the file is damaged or has no displacement (with what was found), numbers are not finite, or a point has
         two displacements (with both lines).
     """
     path = Path(path)
@@ -69,7 +69,7 @@ def write_displacement(path: str | Path, data: SurfaceData) -> None:
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in (".csv", ".npz"):
-        raise FormatError(f"cannot write {path}: a displacement table is written as .csv or .npz")
+        raise FormatError(f"cannot write {path}: displacement tables can be written as .csv or .npz")
     with replacing(path) as partial:
         if suffix == ".npz":
             np.savez(partial, points=data.points, displacement=data.displacement, triangles=data.triangles)
@@ -97,7 +97,7 @@ def _read(path: Path, head: bytes) -> DisplacementTable | Grid:
 
 
 def _module(name: str) -> ModuleType:
-    """A reader, imported when first needed: h5py and meshio take their time."""
+    """A reader, imported when first needed: importing h5py and meshio is slow."""
     return importlib.import_module(f"{__package__}.{name}")
 
 
@@ -109,8 +109,9 @@ def _is_tecplot(head: bytes) -> bool:
 def _meshio_format(path: Path) -> str:
     suffix = path.suffix.lower()
     if suffix not in _MESHIO_FORMATS:
+        called = f"with suffix {suffix}" if suffix else "without suffix"
         raise FormatError(
-            f"{path}: a file called {suffix or 'without suffix'} is no table of displacements; expected text "
+            f"{path}: a file {called} is not a displacement table; expected text "
             f"({' '.join(_TEXT_SUFFIXES)}), .npz, .npy, HDF5, VTK, {' '.join(_MESHIO_FORMATS)}, or a grid"
         )
     return _MESHIO_FORMATS[suffix]
@@ -139,7 +140,7 @@ def _read_vtk_xml(path: Path) -> DisplacementTable | Grid:
     if kind in ("PolyData", "UnstructuredGrid"):
         return _module("vtk").read_vtk_xml(path)
     if kind in ("PPolyData", "PUnstructuredGrid"):
-        raise FormatError(f"{path} is the index of a parallel data set; expected its pieces merged to one file")
+        raise FormatError(f"{path} is the index of a parallel data set; expected its pieces merged into one file")
     return _read_structured(path)
 
 

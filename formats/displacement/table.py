@@ -1,4 +1,4 @@
-"""Points with displacements, whatever file they come from: names of columns, and the checks that all tables share."""
+"""Points with displacements from any file: names of columns, and checks common to all tables."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ DISPLACEMENT_NAMES = (*VECTOR_NAMES, "delta", "d", "u")
 
 NO_TRIANGLES: IntArray = np.empty((0, 3), dtype=np.int64)
 
-# Two points at the same place must move alike, up to this fraction of the largest displacement.
+# Coincident points must have the same displacement, up to this fraction of the largest one.
 _ALIKE = 1e-9
 
 
@@ -33,7 +33,7 @@ class DisplacementTable:
     ----------
     points, displacement : (n, 2) or (n, 3)
     triangles : (m, 3) indices into ``points``
-    place : words for where row ``i`` stands in the file, such as ``line 7``
+    place : text for the position of row ``i`` in the file, such as ``line 7``
     """
 
     points: NDArray[Any]
@@ -43,17 +43,17 @@ class DisplacementTable:
 
 
 def row_place(row: int) -> str:
-    """Where a row stands in a file without lines."""
+    """Position of a row in a file without lines."""
     return f"row {row + 1}"
 
 
 def vector_names(
     names: Sequence[str], scalars: Collection[str], vectors: Collection[str] = ()
 ) -> tuple[str, ...] | None:
-    """The array, or the two or three columns, that hold the vector called one of ``names``; ``None`` without.
+    """The array, or the two or three columns, of the vector called one of ``names``; ``None`` if absent.
 
     Case, units in brackets and punctuation do not matter. The components of ``u`` are ``u_x u_y u_z``, ``u0 u1 u2``,
-    ``u1 u2 u3`` or ``x-u y-u z-u``; a missing third one makes the vector plane.
+    ``u1 u2 u3`` or ``x-u y-u z-u``; without a third one the vector is two-dimensional.
 
     Raises
     ------
@@ -87,7 +87,7 @@ def _plain(name: str) -> str:
 
 
 def pick_vector(names: Sequence[str], arrays: Mapping[str, NDArray[Any]]) -> NDArray[Any] | None:
-    """The vector called one of ``names``, (n, 2) or (n, 3), from arrays by name; ``None`` without."""
+    """The vector called one of ``names``, (n, 2) or (n, 3), from arrays by name; ``None`` if absent."""
     vectors = [name for name, values in arrays.items() if values.ndim == 2 and values.shape[1] in (2, 3)]
     scalars = [name for name, values in arrays.items() if values.ndim == 1]
     found = vector_names(names, scalars, vectors)
@@ -104,7 +104,7 @@ def surface_table(
     Raises
     ------
     FormatError
-        When there is none, or several vectors have other names; the message lists them.
+        When there is none, or several vectors with other names; the message lists them.
     """
     displacement = pick_vector(DISPLACEMENT_NAMES, arrays)
     vectors = [values for values in arrays.values() if values.ndim == 2 and values.shape[1] == 3]
@@ -122,8 +122,8 @@ def checked_surface(table: DisplacementTable, path: Path) -> SurfaceData:
     Raises
     ------
     FormatError
-        When it is empty, has numbers that are not finite, different displacements of one point, or triangles of
-        points that do not exist.
+        When it is empty, contains non-finite numbers or different displacements of one point, or when triangles refer
+        to points that do not exist.
     """
     points, displacement = (_three_columns(values) for values in (table.points, table.displacement))
     if len(points) != len(displacement):

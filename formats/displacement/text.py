@@ -18,7 +18,7 @@ _BY_ORDER = {6: "x y z dx dy dz", 4: "x y dx dy"}
 
 @dataclass(frozen=True)
 class _Layout:
-    """Where the numbers stand.
+    """Layout of the numbers.
 
     ``first`` is the first line with numbers (1-based); ``separator`` is ``None`` for blanks and tabs; ``width`` is the
     number of columns; ``points`` and ``displacement`` are the columns (0-based) to take.
@@ -34,13 +34,13 @@ class _Layout:
 def read(path: Path) -> DisplacementTable:
     """Read a text table.
 
-    Without header the columns are ``x y z dx dy dz``, or ``x y dx dy`` in 2-D. A header, also one in a comment, names
-    them in any order and number (see :func:`vector_names`). ``#`` begins a comment.
+    Without a header the columns are ``x y z dx dy dz``, or ``x y dx dy`` in 2-D. A header, possibly in a comment, names
+    any number of columns in any order (see :func:`vector_names`). ``#`` begins a comment.
 
     Raises
     ------
     FormatError
-        When the columns are unknown or a line is not a row of numbers; the message has the line.
+        When the columns are unknown or a line is not a row of numbers; with the line.
     """
     layout = _layout(path)
     try:
@@ -51,7 +51,7 @@ def read(path: Path) -> DisplacementTable:
                 stream,
                 delimiter=layout.separator,
                 skiprows=layout.first - 1,
-                # Asked for all columns, numpy also checks that there are no more.
+                # When all columns are requested, numpy also checks that there are no more.
                 usecols=None if every else columns,
                 ndmin=2,
             )
@@ -74,7 +74,7 @@ def _contents(path: Path) -> Iterator[tuple[int, str, str]]:
                 if text.strip() or comment.strip():
                     yield number, text.strip(), comment.strip()
     except UnicodeDecodeError as error:
-        raise FormatError(f"{path} is not a text in UTF-8: {error}") from error
+        raise FormatError(f"{path} is not UTF-8 text: {error}") from error
 
 
 def _layout(path: Path) -> _Layout:
@@ -100,7 +100,7 @@ def _layout(path: Path) -> _Layout:
 def _columns(
     path: Path, number: int, separator: str | None, width: int, header: str, comment: str
 ) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """The columns of the points and of the displacement in the rows that begin in line ``number``."""
+    """The columns of points and displacement in the rows that begin at line ``number``."""
     names = _words(header or comment, separator)
     if len(names) != width:
         names = _words(header or comment, None)
@@ -149,7 +149,7 @@ def _line_of_row(path: Path, layout: _Layout, row: int) -> int:
 
 
 def _explained(path: Path, layout: _Layout, error: ValueError) -> FormatError:
-    """What numpy did not understand, with the line."""
+    """The line and word that numpy could not read."""
     for number, words in _rows(path, layout):
         if len(words) != layout.width:
             return FormatError(f"{path}, line {number}: found {len(words)} columns; expected {layout.width} as before")

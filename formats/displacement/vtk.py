@@ -19,7 +19,7 @@ from ..vtk.xml.tags import Element, read_tags
 from .cells import fans, starts_of_list
 from .table import NO_TRIANGLES, DisplacementTable, surface_table
 
-# Corners of VTK's cells with two dimensions, by type; nodes on edges and inside come after them.
+# Corners of VTK's two-dimensional cells, by type; nodes on edges and inside follow them.
 _CORNERS = {5: 3, 22: 3, 34: 3, 9: 4, 23: 4, 28: 4}
 _POLYGON, _STRIP = 7, 6
 
@@ -94,7 +94,7 @@ def _named(reader: ArrayReader, piece: Element, tag: str, name: str) -> Element:
 
 
 def _cell_lists(reader: ArrayReader, piece: Element, tag: str, number: int) -> tuple[IntArray, IntArray, IntArray]:
-    """Node numbers of all cells, and first entry and size of each; the file has the end of each cell."""
+    """Node numbers of all cells, and first entry and size of each; the file stores the end of each cell."""
     if not number:
         none: IntArray = np.empty(0, dtype=np.int64)
         return none, none, none
@@ -161,5 +161,5 @@ def _legacy_cells(file: LegacyFile, keyword: str, n: int, size: int) -> tuple[ND
     entries = file.values(size, "int", keyword).astype(np.int64)
     starts = starts_of_list(entries)
     if len(starts) != n or (n and starts[-1] + 1 + entries[starts[-1]] != size):
-        raise file.error(f"{keyword}: the {size} entries are not {n} cells, each with its number of corners first")
+        raise file.error(f"{keyword}: the {size} entries are not {n} cells, each preceded by its number of corners")
     return entries, starts + 1, entries[starts]

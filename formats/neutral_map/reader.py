@@ -49,10 +49,10 @@ class _Range:
 
 @dataclass(frozen=True)
 class _Frame:
-    """How face ranges of the file become ranges of the grid.
+    """The mapping from face ranges of the file to ranges of the grid.
 
-    ``sizes`` are the blocks as the file states them, ``axes`` the index of the grid for each index of the file,
-    ``dropped`` the index of the file that a 2-D grid lacks.
+    ``sizes`` are the block sizes in the file, ``axes`` the index of the grid for each index of the file, ``dropped``
+    the index of the file that a 2-D grid lacks.
     """
 
     sizes: tuple[Shape, ...]
@@ -61,7 +61,7 @@ class _Frame:
     dropped: int | None
 
     def locate(self, numbers: Sequence[int], place: str) -> _Range:
-        """The range that block, face, S1, E1, S2, E2 of the file mean in the grid."""
+        """The range of the grid for block, face, S1, E1, S2, E2 of the file."""
         block, face, *limits = numbers
         if not 1 <= block <= len(self.sizes):
             raise FormatError(f"{place}: block {block} does not exist; the file has blocks 1 to {len(self.sizes)}")
@@ -97,14 +97,14 @@ class _Frame:
 def read_neutral_map(path: Path, grid: Grid) -> Grid:
     """The grid with the patches and connections of a neutral map file added.
 
-    An entry becomes a patch whose family and ``bc_type`` are the entry's word and whose name is numbered, like
-    ``viscous_solid-2``; a one-to-one entry becomes a connection. For a 2-D grid the map of its 3-D sibling of one cell
-    thickness will do; entries on the plane of the 2-D grid itself are left out and noted.
+    An entry becomes a patch whose family and ``bc_type`` are the type of the entry and whose name is numbered, like
+    ``viscous_solid-2``; a one-to-one entry becomes a connection. A 2-D grid also accepts the map of the same grid with
+    one layer of cells; entries on the plane of the 2-D grid itself are omitted with a note.
 
     Raises
     ------
     FormatError
-        When the file cannot be read, is no neutral map, or describes other blocks than the grid has.
+        When the file cannot be read, is not a neutral map, or describes blocks that the grid does not have.
     """
     file = parse_neutral_map(Path(path))
     frame = _frame(file, grid, Path(path))
@@ -123,14 +123,14 @@ def read_neutral_map(path: Path, grid: Grid) -> Grid:
             patches.append(Patch(name, tuple(r.window for r in ranges), entry.type, entry.type))
     notes = list(file.notes)
     if left_out:
-        notes.append(f"{path}: {left_out} entries lie on the plane of the 2-D grid itself and are left out")
+        notes.append(f"{path}: {left_out} entries lie on the plane of the 2-D grid itself and are ignored")
     return replace(grid, patches=tuple(patches), connections=tuple(connections), notes=(*grid.notes, *notes))
 
 
 def _frame(file: NeutralMap, grid: Grid, path: Path) -> _Frame:
     if len(file.sizes) != grid.n_blocks:
         raise FormatError(
-            f"{path} describes {len(file.sizes)} blocks, the grid has {grid.n_blocks}; it is another grid's"
+            f"{path} describes {len(file.sizes)} blocks, the grid has {grid.n_blocks}; expected the map of this grid"
         )
     if file.sizes == grid.shapes:
         return _Frame(file.sizes, _EDGES if _counts_edges(file) else FACES, (0, 1, 2), None)
@@ -153,20 +153,20 @@ def _other_blocks(file: NeutralMap, grid: Grid, path: Path) -> str:
     index = next(i for i, (size, shape) in enumerate(zip(file.sizes, grid.shapes, strict=True)) if size != shape)
     size, shape = ("x".join(str(n) for n in sizes[index]) for sizes in (file.sizes, grid.shapes))
     return (
-        f"{path}: block {index + 1} has {size} nodes, {grid.names[index]} of the grid has {shape}; expected is this "
-        f"grid's own map, or for a 2-D grid that of its 3-D sibling of one cell thickness"
+        f"{path}: block {index + 1} has {size} nodes, {grid.names[index]} of the grid has {shape}; expected "
+        f"the map of this grid or, for a 2-D grid, that of the same grid with one layer of cells"
     )
 
 
 def _counts_edges(file: NeutralMap) -> bool:
-    """Whether faces 1 and 2 are edges: a range of one line in the plane of a 2-D grid cannot be a face of it."""
+    """Whether faces 1 and 2 are edges: a range of a single line of nodes in a 2-D grid cannot be its plane."""
     ranges = [numbers for entry in file.entries for numbers in entry.ranges]
     flat = all(nk == 1 for _, _, nk in file.sizes)
     return flat and any(face in (1, 2) and s2 == e2 == 1 for _, face, _, _, s2, e2 in ranges)
 
 
 def _connection(name: str, entry: Entry, here: _Range, there: _Range) -> Connection:
-    """One range mapped on the other: begin on begin, primary on primary index or, with Swap, on secondary."""
+    """Map one range onto the other: begin to begin, primary to primary index or, with Swap, to secondary."""
     transform = [0, 0, 0]
     for axis, partner in zip(here.axes, there.axes[::-1] if entry.flag else there.axes, strict=True):
         along, across = here.end[axis] - here.begin[axis], there.end[partner] - there.begin[partner]
@@ -176,7 +176,7 @@ def _connection(name: str, entry: Entry, here: _Range, there: _Range) -> Connect
                 f"{abs(across) + 1} of block {there.block + 1} along {'ijk'[partner]}; check the ranges and Swap"
             )
         transform[axis] = (partner + 1) * (-1 if along * across < 0 else 1)
-    # What leads out of one block leads into the other.
+    # The direction out of one block leads into the other.
     same_end = here.side.value % 2 == there.side.value % 2
     transform[here.side.axis] = (there.side.axis + 1) * (-1 if same_end else 1)
     i, j, k = transform

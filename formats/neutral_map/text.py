@@ -1,4 +1,4 @@
-"""The text of a NASA neutral map file: block sizes and entries, checked for form, not yet for meaning."""
+"""The text of a NASA neutral map file: block sizes and entries; only the syntax is checked."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ _LOGICAL = {".true.": True, "true": True, "t": True, ".false.": False, "false": 
 
 @dataclass(frozen=True)
 class Line:
-    """The words of a line that is more than a comment, and where it stands."""
+    """The words of a line, without comments, and its position."""
 
     place: str
     words: tuple[str, ...]
 
     def integers(self, first: int, meaning: str) -> tuple[int, ...]:
-        """All words from ``first`` on as integers."""
+        """All words starting at ``first`` as integers."""
         try:
             return tuple(int(word) for word in self.words[first:])
         except ValueError:
@@ -48,7 +48,7 @@ class Entry:
     """A boundary condition or connection.
 
     ``ranges`` are one or two face ranges as written: block, face, S1, E1, S2, E2 (1-based). ``flag`` is the logical at
-    the end of the line: Swap for connections, absent (``None``) or of no interest here for boundary conditions.
+    the end of the line: Swap for connections, absent (``None``) or ignored for boundary conditions.
     """
 
     place: str
@@ -76,7 +76,7 @@ def parse_neutral_map(path: Path) -> NeutralMap:
     Raises
     ------
     FormatError
-        When the file cannot be read or a line is not what the format has there.
+        When the file cannot be read or a line does not conform to the format.
     """
     require_regular(path)
     try:
@@ -89,7 +89,7 @@ def parse_neutral_map(path: Path) -> NeutralMap:
         if words:
             lines.append(Line(f"{path}, line {number}", words))
     if not lines:
-        raise FormatError(f"{path} holds no neutral map: nothing but comments and empty lines")
+        raise FormatError(f"{path} is not a neutral map: it has only comments and empty lines")
     sizes, notes = _sizes(lines, path)
     return NeutralMap(sizes, tuple(_entry(line) for line in lines[1 + len(sizes) :]), notes)
 
@@ -106,7 +106,7 @@ def _sizes(lines: list[Line], path: Path) -> tuple[tuple[Shape, ...], tuple[str,
             raise FormatError(f"{line.place}: expected {meaning}, found {' '.join(line.words)!r}")
         rows.append(row)
     if len(rows) < count[0]:
-        raise FormatError(f"{path} announces {count[0]} blocks but ends after the sizes of {len(rows)}")
+        raise FormatError(f"{path} declares {count[0]} blocks but ends after the sizes of {len(rows)}")
     notes: tuple[str, ...] = ()
     if sorted(row[0] for row in rows) == list(range(1, len(rows) + 1)):
         rows.sort()

@@ -22,8 +22,8 @@ Spans = Mapping[int, tuple[int, int]]
 def write_neutral_map(grid: Grid, path: Path) -> None:
     """Write patches and connections of ``grid`` as a neutral map file, replacing ``path`` as a whole.
 
-    The type of a patch is its ``bc_type``, or family or name where it has none. A connection that both blocks declare
-    is written once; both sides of a periodic one, for which the format has no entry, get the type ``periodic``.
+    The type of a patch is its ``bc_type``, else its family or name. A connection that both blocks declare is written
+    once; both sides of a periodic one, for which the format has no entry, have the type ``periodic``.
 
     Raises
     ------

@@ -58,7 +58,7 @@ def walk_records(stream: BinaryIO, variant: Variant) -> Walk:
         end = position + width + abs(before)
         if before == 0 or end + width > size:
             left = max(size - position - width, 0)
-            return Walk(size, records, f"{place} announces {abs(before)} bytes of data and {left} follow")
+            return Walk(size, records, f"{place} declares {abs(before)} bytes of data and {left} follow")
         after = _marker(stream, end, variant)
         if abs(after) != abs(before) or (after < 0) != bool(segments):
             return Walk(size, records, f"{place} has the marker {before} before its data and {after} behind")

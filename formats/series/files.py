@@ -1,4 +1,4 @@
-"""Where the levels of a series go: one grid file each with an index, or all into one CGNS file."""
+"""The files of a series: one grid file per level with an index, or one CGNS file for all."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ def _as_it_is(grid: Grid) -> Grid:
 
 
 class SeriesFiles(Protocol):
-    """How levels lie on disk. Every file is whole or absent, whenever the program is stopped.
+    """The levels on disk. Every file is complete or absent, whenever the program is stopped.
 
-    ``dress`` adds fields to a level on its way to its file.
+    ``dress`` adds fields to a level before it is written.
     """
 
     variant: FileFormat
@@ -39,7 +39,7 @@ class SeriesFiles(Protocol):
 
     @property
     def outputs(self) -> list[Path]:
-        """All files that will be written, for checks before anything is computed."""
+        """All files to be written, for checks before anything is computed."""
         ...
 
     @property
@@ -61,7 +61,7 @@ class SeriesFiles(Protocol):
 
     @property
     def readable(self) -> bool:
-        """Whether what :meth:`read` needs is there, also when the series is complete."""
+        """Whether the files that :meth:`read` needs exist, including after completion of the series."""
         ...
 
     def has(self, number: int) -> bool:
@@ -73,12 +73,12 @@ class SeriesFiles(Protocol):
         ...
 
     def clean(self, complete: bool = False) -> None:
-        """Remove what a killed run left behind and, when the series is complete, what it needs no more."""
+        """Remove remains of a killed run and, when the series is complete, files that are no longer needed."""
         ...
 
 
 def with_velocity(grid: Grid, velocity: FloatArray | None, precision: str) -> Grid:
-    """The grid with the velocity (n_nodes, 3) as a vector field at its nodes, in the place of an older one."""
+    """The grid with the velocity (n_nodes, 3) as a vector field at its nodes, replacing an existing one."""
     if velocity is None:
         return grid
     values = velocity.astype(precision, copy=False)
@@ -97,7 +97,7 @@ class LevelFiles:
     Raises
     ------
     FormatError
-        When velocities are wanted and the format cannot hold them, or the variant cannot hold the grid.
+        When velocities are requested but the format cannot hold them, or the variant cannot hold the grid.
     """
 
     def __init__(
@@ -108,8 +108,8 @@ class LevelFiles:
         format_of(Path(name))
         if velocity != "none" and self._suffix not in WITH_FIELDS:
             raise FormatError(
-                f"{self._suffix} files hold no grid velocity; choose one of {' '.join(dict.fromkeys(WITH_FIELDS))}, "
-                f"or leave the velocity out"
+                f"{self._suffix} files cannot hold the grid velocity; choose one of "
+                f"{' '.join(dict.fromkeys(WITH_FIELDS))}, or omit the velocity"
             )
         self._options = options
         self.dress: Dress = _as_it_is
@@ -131,8 +131,8 @@ class LevelFiles:
         path = self.path(number)
         if not self.readable:
             raise FormatError(
-                f"cannot go on after {path}: the next level needs its coordinates, and {self._suffix} files are not "
-                f"read; make the series anew (--force), or in a format that is read"
+                f"cannot continue after {path}: the next level needs its coordinates, and {self._suffix} files cannot "
+                f"be read; restart the series (--force), or use a format that can be read"
             )
         grid = read_grid(path)
         if grid.n_nodes != self._grid.n_nodes:
@@ -158,7 +158,7 @@ class LevelFiles:
                 self._remove_lone_pieces(self.path(number))
 
     def _remove_lone_pieces(self, index: Path) -> None:
-        """Remove what a killed run left of a multi-block set, and the pieces of one whose index was removed."""
+        """Remove remains of a multi-block set from a killed run, and the pieces of one whose index was removed."""
         from ..vtk.multiblock import clean
 
         clean(index)
@@ -170,7 +170,7 @@ class LevelFiles:
 
 
 class SingleFile:
-    """All levels in ``NAME.cgns``. Until the last one is there they lie in the folder ``NAME.levels``."""
+    """All levels in ``NAME.cgns``. Until the last one is written they are kept in the folder ``NAME.levels``."""
 
     def __init__(
         self, grid: Grid, folder: Path, name: str, times: tuple[float, ...], options: Mapping[str, Any], velocity: str
@@ -197,7 +197,7 @@ class SingleFile:
         return self._levels / level_name("level", number, len(self._times), ".npy")
 
     def write(self, number: int, grid: Grid, velocity: FloatArray | None) -> None:
-        # Velocities are differences of coordinates: they are taken when the file is put together.
+        # Velocities are differences of coordinates, computed when the file is assembled.
         self._levels.mkdir(exist_ok=True)
         with replacing(self._part(number)) as partial:
             np.save(partial, grid.points.astype(self.variant.precision, copy=False))

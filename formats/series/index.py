@@ -1,4 +1,4 @@
-"""Index of a series for ParaView: which file belongs to which time.
+"""Index of a series for ParaView: files by time.
 
 ======================  ========================  ==============================================
 levels                  index                     read by
@@ -27,7 +27,7 @@ _SERIES = (".vtk", *FORMATS["cgns"].suffixes)
 
 
 def index_path(folder: Path, stem: str, suffix: str) -> Path | None:
-    """Where the index of levels with this suffix lies; ``None`` for formats without one."""
+    """Path of the index of levels with this suffix; ``None`` for formats without one."""
     if suffix in _COLLECTION:
         return folder / f"{stem}.pvd"
     if suffix in _SERIES:
@@ -38,9 +38,9 @@ def index_path(folder: Path, stem: str, suffix: str) -> Path | None:
 
 
 def write_index(path: Path, levels: Sequence[tuple[float, str]], variant: FileFormat) -> None:
-    """Write the index of levels, given as time and file name beside the index, replacing it as a whole.
+    """Write the index of levels, given as time and file name in the same folder, replacing it as a whole.
 
-    ``variant`` is that of the levels: Plot3D files do not say themselves how to read them.
+    ``variant`` is that of the levels: Plot3D files do not declare how to read them.
     """
     if path.suffix == ".pvd":
         text = _collection(levels)

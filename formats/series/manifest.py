@@ -1,4 +1,4 @@
-"""``series.json``: what a series is made of and which levels are done, so that it can be continued."""
+"""``series.json``: the inputs of a series and its finished levels, so that it can be continued."""
 
 from __future__ import annotations
 
@@ -60,25 +60,25 @@ class Manifest:
             return cls(path, **content)
         except (ValueError, TypeError) as error:
             raise FormatError(
-                f"{path} is not the state of a series ({error}); make the series anew with --force"
+                f"{path} is not the state of a series ({error}); restart the series with --force"
             ) from error
 
     def require_same(self, ingredients: Mapping[str, Any]) -> None:
-        """Refuse to continue a series that is made of something else.
+        """Refuse to continue a series whose inputs have changed.
 
         Raises
         ------
         CaseError
-            Saying what has changed.
+            With the changes.
         """
-        # As JSON has them: tuples are lists there.
+        # Compare as JSON, which has lists instead of tuples.
         now = json.loads(json.dumps(ingredients))
         changes = list(_changes(self.ingredients, now))
         if changes:
             more = f" and {len(changes) - _SHOWN} more" if len(changes) > _SHOWN else ""
             raise CaseError(
-                f"cannot continue the series in {self.path.parent}, what it is made of has changed: "
-                f"{'; '.join(changes[:_SHOWN])}{more}. Undo that, write to another folder, or begin anew (--force)"
+                f"cannot continue the series in {self.path.parent}, its inputs have changed: "
+                f"{'; '.join(changes[:_SHOWN])}{more}. Undo that, write to another folder, or restart it (--force)"
             )
 
 
@@ -87,7 +87,7 @@ def ingredients_of(
 ) -> dict[str, Any]:
     """Everything that the levels depend on, by name: the contents of the files, keys of the case, times, options.
 
-    ``output`` says how levels are written.
+    ``output`` defines how levels are written.
     """
     files = [path for path in (boundary_file or case.boundary_file, *case.files) if path is not None]
     return {
@@ -120,12 +120,12 @@ def _flattened(value: Any, name: str) -> Iterator[tuple[str, Any]]:
 def _changes(old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[str]:
     for key in dict.fromkeys([*old, *new]):
         if key not in new:
-            yield f"{key} is gone (was {_shown(old[key])})"
+            yield f"{key} was removed (was {_shown(old[key])})"
         elif key not in old:
             yield f"{key} is new ({_shown(new[key])})"
         elif old[key] != new[key]:
             digests = key == "grid" or key.startswith("file ")
-            yield f"{key} has other contents" if digests else f"{key} was {_shown(old[key])}, is {_shown(new[key])}"
+            yield f"{key} has different contents" if digests else f"{key} was {_shown(old[key])}, is {_shown(new[key])}"
 
 
 def _shown(value: Any) -> str:

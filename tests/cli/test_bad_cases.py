@@ -181,7 +181,7 @@ WRONG = {
     "table-missing": (body("motion = [{ file = 'no.csv' }]"), ("no.csv", "No such file")),
     "table-folder": (body("motion = [{ file = '.' }]"), ("is a folder",)),
     "table-null": (body('motion = [{ file = "a\\u0000b" }]'), ("file", "expected a file name")),
-    "table-is-case": (body("motion = [{ file = 'case.toml' }]"), ("case.toml", "no table of displacements")),
+    "table-is-case": (body("motion = [{ file = 'case.toml' }]"), ("case.toml", "not a displacement table")),
 }
 
 

@@ -238,7 +238,7 @@ def test_a_changed_series_is_refused_with_what_changed(change, words, swing, cal
         (("--times", "0:1:0.5"), "Missing option '-o'"),
         (("-o", "out", "--times", "0:1"), "--times: '0:1'"),
         (("-o", "out", "--times", "0:1:0.5", "--suffix", ".abc"), "cannot tell the format"),
-        (("-o", "out", "--times", "0:1:0.5", "--velocity", "first"), ".xyz files hold no grid velocity"),
+        (("-o", "out", "--times", "0:1:0.5", "--velocity", "first"), ".xyz files cannot hold the grid velocity"),
         (("-o", "out", "--times", "0:1:0.5", "--single-file", "--suffix", ".vtm"), "only a CGNS file"),
         (("-o", "out", "--times", "0:1:0.5", "--resume", "--force"), "--force restarts it"),
         (("-o", "grid.cgns", "--times", "0:1:0.5"), "grid.cgns"),
@@ -291,4 +291,4 @@ def test_formats_that_are_not_read_cannot_go_on_marching(swing, call):
     Path("out/grid_0003.vtu").unlink()
     result = call(*options, "--resume")
     assert result.code == 2
-    assert "cannot go on after out/grid_0002.vtu" in result.err
+    assert "cannot continue after out/grid_0002.vtu" in result.err

@@ -109,7 +109,7 @@ def test_displacement_and_distance():
 
 def test_what_cannot_be_measured_is_refused():
     fields = CellFields(frame(), find_topology(frame()))
-    with pytest.raises(CaseError, match="compares with the undeformed grid"):
+    with pytest.raises(CaseError, match="needs the undeformed grid"):
         fields.require("displacement")
     with pytest.raises(CaseError, match="did you mean 'f_skew'"):
         fields.require("fskew")

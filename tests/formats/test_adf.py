@@ -91,7 +91,7 @@ def test_links_that_lead_nowhere_or_to_themselves_are_named(tmp_path, link):
     whole = zone("zone", box(2, 2, 2))
     broken = replace(whole, children=[whole["ZoneType"], N("GridCoordinates", "", link=link)])
     AdfWriter().write(tmp_path / "grid.adf", tree(broken))
-    with pytest.raises(FormatError, match=r"/Base/zone/GridCoordinates is a link that leads nowhere, to "):
+    with pytest.raises(FormatError, match=r"/Base/zone/GridCoordinates is a broken link to "):
         read_grid(tmp_path / "grid.adf")
 
 
@@ -180,7 +180,7 @@ X = "/Base/left/GridCoordinates/CoordinateX"
         (put_in_node("/Base", 84, b"000000000000"), "expected SNTb at byte 0"),
         (put_in_node("/Base", 128, b"0D"), "13 dimensions"),
         (put_in_node(X, 130, b"7FFFFFFF"), r"has \(2147483647, 3, 5\) values"),
-        (put_in_node(X, 226, b"0000"), "announces 4 x 3 x 5 R8 values but none are stored"),
+        (put_in_node(X, 226, b"0000"), "declares 4 x 3 x 5 R8 values but none are stored"),
         (put_in_node(X, 226, b"0005"), "expected DCtb"),
         (put_in_node(X, 230, b"000000000000"), "expected DaTa at byte 0"),
         (put_in_node(X, 96, b"R9"), "holds 4 x 3 x 5 R9 values; expected R4 or R8"),
@@ -196,7 +196,7 @@ def test_damaged_files_are_refused_with_the_reason(tmp_path, change, message):
 
 @pytest.mark.parametrize(
     ("count", "message"),
-    [(b"0002", "announces 480 bytes of data; 240 are stored"), (b"0009", "9 data chunks; more than its table holds")],
+    [(b"0002", "declares 480 bytes of data; 240 are stored"), (b"0009", "9 data chunks; more than its table holds")],
 )
 def test_damaged_number_of_data_chunks(tmp_path, count, message):
     writer = AdfWriter(chunks=4)

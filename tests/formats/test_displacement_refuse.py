@@ -50,14 +50,16 @@ def test_wrong_texts(tmp_path, text):
 
 def test_other_texts(tmp_path):
     (tmp_path / "a.csv").write_bytes("größe".encode("latin-1"))
-    with pytest.raises(FormatError, match="is not a text in UTF-8"):
+    with pytest.raises(FormatError, match="is not UTF-8 text"):
         read_displacement(tmp_path / "a.csv")
     with pytest.raises(FormatError, match=r"cannot read .*none\.csv: No such file"):
         read_displacement(tmp_path / "none.csv")
     with pytest.raises(FormatError, match="it is a folder, expected a file"):
         read_displacement(tmp_path)
     (tmp_path / "a.table").write_text(ROW)
-    with pytest.raises(FormatError, match=r"a file called \.table is no table of displacements; expected text \(\.csv"):
+    with pytest.raises(
+        FormatError, match=r"a file with suffix \.table is not a displacement table; expected text \(\.csv"
+    ):
         read_displacement(tmp_path / "a.table")
     (tmp_path / "a.xyz").write_text("not a grid")
     with pytest.raises(FormatError, match="Plot3D"):
@@ -118,7 +120,7 @@ GOOD_CELLS = {
 WRONG_CELLS = {
     "1 4\n3 0 1 4": "triangles refer to points 0 to 4 of 4",
     "2 8\n3 0 1 2 4 1 3 2": "line 8: POLYGONS: the 8 entries are not 2 cells",
-    "3 8\n3 0 1 2 3 1 3 2": "are not 3 cells, each with its number of corners first",
+    "3 8\n3 0 1 2 3 1 3 2": "are not 3 cells, each preceded by its number of corners",
     "2 9\n3 0 1 2 3 1 3 2": "something that is no number",
     "2 3\nOFFSETS int\n0 2\nCONNECTIVITY int\n0 1 2": "the offsets of the cells do not ascend from 0 to 3",
     "2 3\nOFFSETS int\n0 3\n0 1 2": "expected 'CONNECTIVITY type' of POLYGONS, found '0 1 2'",

@@ -99,7 +99,7 @@ def test_refusals(tmp_path):
         check_fields(["displacment"], tmp_path / "a.vtm", True)
     with pytest.raises(CaseError, match="give --reference"):
         check_fields(["volume_ratio"], tmp_path / "a.vtm", False)
-    with pytest.raises(FormatError, match=r"\.xyz files hold no fields"):
+    with pytest.raises(FormatError, match=r"\.xyz files cannot hold fields"):
         check_fields(["f_skew"], tmp_path / "a.xyz", True)
     for suffix in WITH_FIELDS:
         check_fields(["all", "f_skew"], tmp_path / f"a{suffix}", False)

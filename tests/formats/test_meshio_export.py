@@ -177,7 +177,7 @@ def test_a_curved_surface_is_no_su2_grid(tmp_path):
     points = box((0, 0, 0), (1, 1, 0), (3, 3, 1))
     points[..., 2] = points[..., 0] ** 2
     grid = Grid.from_blocks([points])
-    with pytest.raises(FormatError, match="a 2-D SU2 grid is plane"):
+    with pytest.raises(FormatError, match="a 2-D SU2 grid must be plane"):
         write_grid(grid, tmp_path / "a.su2")
     assert not list(tmp_path.iterdir())
     assert len(export(grid, tmp_path / "a.vtu").cells_dict["quad"]) == 4

@@ -83,7 +83,7 @@ def test_block_numbers_that_are_all_1(third_party_grid):
 
 def test_map_of_the_3d_sibling_of_a_2d_grid(third_party_grid):
     grid = third_party_grid("shear_3blk_2d.p2dfmt", "shear_3blk.nmf")
-    assert "6 entries lie on the plane of the 2-D grid itself and are left out" in grid.notes[0]
+    assert "6 entries lie on the plane of the 2-D grid itself and are ignored" in grid.notes[0]
     assert [gap(grid, connection) for connection in grid.connections] == [0.0, 0.0]
     windows = {patch.name: patch.windows for patch in grid.patches}
     assert windows["subsonic_inflow_pt-1"] == (Window(0, Side.IMIN, (0, 0), (16, 0)),)
@@ -235,16 +235,16 @@ def test_connections_of_both_blocks_and_periodic_ones_are_written(tmp_path):
 
 
 BAD = {
-    "empty": ([""], "holds no neutral map: nothing but comments"),
+    "empty": ([""], "is not a neutral map: it has only comments"),
     "no count": (["wall 1 1 1 3 1 4"], "line 2: expected the number of blocks, found 'wall 1 1 1 3 1 4'"),
     "two numbers for the count": (["1 1"], "line 2: expected the number of blocks, found '1 1'"),
     "no blocks": (["0"], "line 2: expected the number of blocks, found '0'"),
-    "sizes missing": (["2", "1 3 4 5"], "announces 2 blocks but ends after the sizes of 1"),
+    "sizes missing": (["2", "1 3 4 5"], "declares 2 blocks but ends after the sizes of 1"),
     "three numbers": (["1", "3 4 5"], "line 3: expected block number, IDIM, JDIM, KDIM for 1 blocks, found '3 4 5'"),
     "entries among the sizes": (["2", "1 3 4 5", "wall 1 1 1 3 1 4"], "line 4: expected block number, IDIM.*'wall 1 1"),
     "zero size": (["1", "1 3 0 5"], "line 3: expected block number"),
     "other number of blocks": (["2", "1 3 4 5", "2 3 4 5"], "describes 2 blocks, the grid has 1"),
-    "other sizes": (["1", "1 3 5 5"], r"block 1 has 3x5x5 nodes, block1 of the grid has 3x4x5; expected is this"),
+    "other sizes": (["1", "1 3 5 5"], r"block 1 has 3x5x5 nodes, block1 of the grid has 3x4x5; expected the map"),
     "too few numbers": (["1", "1 3 4 5", "wall 1 1 1 3 1"], "line 4: wall has 5 numbers; a face range has 6"),
     "too many numbers": (["1", "1 3 4 5", "wall 1 1 1 3 1 4 7"], "line 4: wall has 7 numbers"),
     "a word among the numbers": (

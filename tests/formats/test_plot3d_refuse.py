@@ -41,7 +41,7 @@ BINARY = {
         FORTRAN[:-40],
         r"big-endian Fortran \(4-byte markers\) float64 multi-block 3-D with 2 blocks \(3x4x5, 2x3x4\): "
         rf"the file should have {len(FORTRAN)} bytes but has {len(FORTRAN) - 40}: truncated by 40; "
-        r"record 4 at byte \d+ announces 576 bytes of data and 540 follow",
+        r"record 4 at byte \d+ declares 576 bytes of data and 540 follow",
     ),
     "truncated within the last marker": (FORTRAN[:-1], "truncated by 1; record 4 at byte"),
     "truncated between records": (FORTRAN[: -576 - 8], "truncated by 584; record 4 is missing"),

@@ -144,7 +144,7 @@ def test_fields_join_a_copy_beside_what_it_holds(tmp_path):
 
 @pytest.mark.parametrize("suffix", [".xyz", ".su2", ".msh"])
 def test_formats_without_fields_refuse_velocities(suffix, tmp_path):
-    with pytest.raises(FormatError, match="hold no grid velocity"):
+    with pytest.raises(FormatError, match="cannot hold the grid velocity"):
         LevelFiles(frame(), tmp_path, f"wing{suffix}", TIMES, {}, "first")
 
 

@@ -203,7 +203,7 @@ BAD = {
     "too few values": (vts(piece("0 2 0 1 0 0", array(PLANE[:5]))), "Points has 15 values, expected 18"),
     "values behind an element": (
         vts(piece("0 2 0 1 0 0", array([], text="0 <InformationKey/> 1 2"))),
-        "Points goes on behind an element inside it: '1 2'",
+        "Points continues after an element inside it: '1 2'",
     ),
     "values behind a comment": (vts(piece("0 2 0 1 0 0", array([], text="0 <!-- x --> 1"))), "holds '<!--'"),
     "a character reference": (vts(piece("0 2 0 1 0 0", array([], text="&#48; 1"))), "holds '&#48;'"),
@@ -237,7 +237,7 @@ BAD = {
     ),
     "more bytes than stated": (
         vts(piece("0 2 0 1 0 0", array([], text=base64_array(PLANE) + "AAAA", format="binary"))),
-        "goes on behind its last",
+        "continues after its last",
     ),
     "no base64": (
         vts(piece("0 2 0 1 0 0", array([], text=base64_array(PLANE)[:-4] + "?==A", format="binary"))), "no base64"

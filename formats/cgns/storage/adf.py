@@ -208,13 +208,13 @@ class _AdfFile:
         needed = math.prod(header.dims) * dtype.itemsize
         if not header.dims or needed == 0 or header.n_chunks == 0:
             announced = describe(header.dims, header.data_type)
-            raise FormatError(f"{self.path}: {path} announces {announced} but none are stored")
+            raise FormatError(f"{self.path}: {path} declares {announced} but none are stored")
         pieces = self._chunks(header, path)
         stored = sum(end - begin for begin, end in pieces)
         if stored > len(self.bytes):
             raise self._damaged(f"the data chunks of {path} overlap")
         if needed > stored:
-            raise self._damaged(f"{path} announces {needed} bytes of data; {stored} are stored")
+            raise self._damaged(f"{path} declares {needed} bytes of data; {stored} are stored")
         return pieces
 
     def _chunks(self, header: _Header, path: str) -> list[tuple[int, int]]:

@@ -32,7 +32,7 @@ LINK = " link"
 LINK_PATH = " path"
 LINK_FILE = " file"
 _OLD_VERSION = b" version"
-# Deflate cannot pack tighter; a dataset that announces more was never written or is damaged.
+# Deflate cannot pack tighter; a dataset that declares more was never written or is damaged.
 _MAXIMUM_COMPRESSION = 1100
 # A longer chain of links leads in a circle (the CGNS library has the same limit).
 _MAXIMUM_LINKS = 100
@@ -156,7 +156,7 @@ def _require_stored(group: h5g.GroupID, file: Path, path: str) -> None:
     stored = dataset.get_storage_size()
     if math.prod(dataset.shape) * dataset.dtype.itemsize > stored * _MAXIMUM_COMPRESSION:
         raise FormatError(
-            f"{file}: {path} announces {dataset.shape} {dataset.dtype} values; only {stored} bytes are stored"
+            f"{file}: {path} declares {dataset.shape} {dataset.dtype} values; only {stored} bytes are stored"
         )
 
 

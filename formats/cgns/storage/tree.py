@@ -84,7 +84,7 @@ class Node:
 
     ``dtype`` is the type of the stored values (byte order included), ``None`` without data. ``read``, ``expand`` and
     ``follow`` fetch the data, the children and the link's target from the container; ``require`` raises FormatError
-    when less is stored than ``dims`` announce, so that nothing is allocated for it.
+    when less is stored than ``dims`` declare, so that nothing is allocated for it.
     """
 
     name: str
@@ -131,7 +131,7 @@ class Node:
         Raises
         ------
         FormatError
-            When it is a link that leads nowhere.
+            When it is a broken link.
         """
         for child in self.target.children:
             if child.name == name:
@@ -156,7 +156,7 @@ class Node:
         """Refuse a link that leads nowhere: what it stands for would be missing without a word."""
         if self.dangling:
             raise FormatError(
-                f"{self.path} is a link that leads nowhere, to {self.link}; put the file it names beside this one, or "
+                f"{self.path} is a broken link to {self.link}; put the file it names beside this one, or "
                 "remove the link from the file"
             )
 

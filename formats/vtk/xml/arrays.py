@@ -235,4 +235,4 @@ class ArrayReader:
 
     def _require_end_of_text(self, array: Element, data: ArrayBytes) -> None:
         if array.get("format") == "binary" and data.read(1):
-            raise self.error(array, "goes on behind its last value")
+            raise self.error(array, "continues after its last value")

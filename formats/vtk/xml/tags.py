@@ -303,4 +303,4 @@ class _Tags:
     def _later_text(self, text: str) -> None:
         if text.strip():
             name = self._open[-1].get("Name") or "without name"
-            self._refuse(f"array {name} goes on behind an element inside it: {text.strip()[:40]!r}")
+            self._refuse(f"array {name} continues after an element inside it: {text.strip()[:40]!r}")
