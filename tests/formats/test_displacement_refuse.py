@@ -54,7 +54,7 @@ def test_other_texts(tmp_path):
         read_displacement(tmp_path / "a.csv")
     with pytest.raises(FormatError, match=r"cannot read .*none\.csv: No such file"):
         read_displacement(tmp_path / "none.csv")
-    with pytest.raises(FormatError, match="it is a folder, expected a file"):
+    with pytest.raises(FormatError, match="it is a folder; expected a file"):
         read_displacement(tmp_path)
     (tmp_path / "a.table").write_text(ROW)
     with pytest.raises(
