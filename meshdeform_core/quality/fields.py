@@ -106,7 +106,7 @@ class CellFields:
             near = suggestion(measure, CELL_MEASURES)
             raise CaseError(f"measure {measure!r} is unknown{near or '; known are ' + ', '.join(CELL_MEASURES)}")
         if CELL_MEASURES[measure].from_reference and self.reference is None:
-            raise CaseError(f"{measure} compares with the undeformed grid; give --reference")
+            raise CaseError(f"{measure} needs the undeformed grid; give --reference")
         if CELL_MEASURES[measure].of_walls and not len(self.walls):
             raise CaseError(f"{measure}: no wall is known; see `meshdeform info`")
 

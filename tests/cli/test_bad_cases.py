@@ -154,7 +154,7 @@ WRONG = {
     "select-window-text": (SHIFT.replace('"*"]', '"block1.imin[a,*]"]'), ("'a'", "not a range")),
     "select-window-one": (SHIFT.replace('"*"]', '"block1.imin[1:2]"]'), ("1 ranges", "expected two")),
     "select-window-line": (SHIFT.replace('"*"]', '"block1.imin[1:1,*]"]'), ("no cell face", "two nodes")),
-    "where-nothing": (SHIFT.replace("abs(x) < 0.51", "x > 99"), ("where", "no face", "x -2 to 2")),
+    "where-nothing": (SHIFT.replace("abs(x) < 0.51", "x > 99"), ("where", "not satisfied on any face", "x -2 to 2")),
     "where-nan": (SHIFT.replace("abs(x) < 0.51", "sqrt(-1) > 0"), ("where", "is not a number")),
     # motions that cannot be
     "nothing-moves": ('[[boundary]]\nname = "all"\nkind = "fixed"', ("no node moves", 'kind = "moving"')),

@@ -94,7 +94,7 @@ def test_a_pipe_is_refused_at_once(bench, call, arguments):
     with at_most(60):
         result = call(*arguments)
     assert result.code == 2
-    assert "pipe: it is a pipe, expected a file" in result.err
+    assert "pipe: it is a pipe; expected a file" in result.err
 
 
 @contextmanager
