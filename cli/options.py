@@ -284,11 +284,6 @@ def check_output(path: Path, force: bool, *inputs: Path | None) -> None:
         raise FormatError(f"cannot write {path}: the folder {path.parent} {reason}")
 
 
-def invalid_path(output: Path) -> Path:
-    """The file for a grid with invalid cells: next to ``output``, so that make does not take it for that."""
-    return output.with_name(f"{output.stem}.invalid{output.suffix}")
-
-
 def check_reports(reports: tuple[Path, ...], force: bool, *inputs: Path | None) -> None:
     """The same for reports, whose suffix must be known."""
     from meshdeform_formats.report import check_report_path

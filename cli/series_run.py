@@ -26,7 +26,7 @@ from meshdeform_formats.series.files import LevelFiles, SeriesFiles, SingleFile
 from meshdeform_formats.series.manifest import NAME, Manifest, ingredients_of
 
 from .messages import Warnings
-from .options import GridInput, keep_inputs
+from .options import GridInput, RunInput, keep_inputs
 from .progress import ProgressBar
 from .work import Job, cells_of
 
@@ -59,9 +59,10 @@ class Run:
     manifest: Manifest
     timing: Timing
     warnings: Warnings
+    allow_invalid: bool
 
 
-def prepare(job: Job, source: GridInput, wanted: Wanted, warnings: Warnings) -> Run:
+def prepare(job: Job, source: GridInput, wanted: Wanted, options: RunInput) -> Run:
     """Determine times and files, topology and boundary; nothing is written."""
     times = parse_times(wanted.times, "--times") if wanted.times else _times_of_files(job.case)
     schedule = Schedule(times, wanted.origin, wanted.velocity, wanted.steps)
@@ -71,7 +72,7 @@ def prepare(job: Job, source: GridInput, wanted: Wanted, warnings: Warnings) -> 
     kind = SingleFile if wanted.single_file else LevelFiles
     files: SeriesFiles = kind(grid, wanted.folder, name, times, wanted.variant, wanted.velocity)
     manifest = Manifest(wanted.folder / NAME, {})
-    for path in [*files.outputs, manifest.path]:
+    for path in [*files.replaced, manifest.path]:
         keep_inputs(path, *source.files, *job.case.files)
     output = {"output": name, "single file": wanted.single_file, "variant": files.variant.label}
     output |= {"fields": list(wanted.fields)} if wanted.fields else {}
@@ -82,7 +83,7 @@ def prepare(job: Job, source: GridInput, wanted: Wanted, warnings: Warnings) -> 
         case = replace(case, notes=(*case.notes, "the motion does not depend on t: all levels are alike"))
     setup = set_up(grid, case, timing, job.memory)
     files.dress = lambda level: with_fields(cells_of(setup, level), wanted.fields)
-    return Run(job, setup, schedule, files, manifest, timing, warnings)
+    return Run(job, setup, schedule, files, manifest, timing, options.warnings, options.allow_invalid)
 
 
 def _suffix(source: Path, wanted: Wanted) -> str:
@@ -129,6 +130,7 @@ def open_manifest(run: Run, resume: bool, force: bool) -> Manifest:
     old = Manifest.load(new.path) if begun else None
     if old and old.levels and resume:
         old.require_same(new.ingredients)
+        run.files.recall(old.levels)
         _keep_what_exists(run, old)
         run.files.clean(old.complete)
         return old
@@ -148,6 +150,7 @@ def _keep_what_exists(run: Run, manifest: Manifest) -> None:
         return
     gone = [number for number in range(len(manifest.levels)) if not run.files.has(number)]
     manifest.levels = manifest.levels[: gone[0]] if gone else manifest.levels
+    run.files.recall(manifest.levels)
     manifest.complete = False
 
 
@@ -179,6 +182,8 @@ def _complete(run: Run) -> Report:
     if not manifest.complete:
         with run.timing.stage("publish"):
             files.publish(len(schedule.times))
+        for level in manifest.levels:
+            level["file"] = files.path(level["number"]).name
         manifest.complete = True
         manifest.save()
         files.clean(complete=True)
@@ -191,6 +196,8 @@ def _record(run: Run, level: Level) -> None:
     """Write a level, then record it as finished: in this order, so that every recorded level exists."""
     manifest, files = run.manifest, run.files
     before = clock.perf_counter()
+    if not level.result.valid and not run.allow_invalid:
+        files.invalid.add(level.number)
     files.write(level.number, level.result.grid, level.velocity)
     manifest.head = manifest.head or series_head(level)
     warned = [*manifest.head["warnings"], *(text for done in manifest.levels for text in done["warnings"])]

@@ -28,6 +28,7 @@ from meshdeform_core.parallel import current_ranks, thread_count
 from meshdeform_core.quality.fields import CellFields
 from meshdeform_formats.case import CaseFile
 from meshdeform_formats.fields import with_fields
+from meshdeform_formats.files import invalid_path
 from meshdeform_formats.grids import complete_for_export, variant_of, write_grid
 from meshdeform_formats.report import Report, as_json, deformation_report, plan_report
 from meshdeform_formats.report.illustrations import Illustrate, deformation_figures
@@ -35,7 +36,7 @@ from meshdeform_formats.report.text import as_text
 
 from .exit_codes import EXIT_INVALID
 from .messages import tell
-from .options import CaseInput, GridInput, RunInput, invalid_path, keep_inputs
+from .options import CaseInput, GridInput, RunInput, keep_inputs
 from .progress import ProgressBar
 from .reporting import STDOUT, Delivery, deliver
 
@@ -191,7 +192,7 @@ def _verdict(report: dict[str, Any]) -> str:
     first = bad[0]
     return (
         f"{len(bad)} of {len(report['levels'])} levels are not valid, first level {first['number']} "
-        f"(t = {first['time']:g}): {_flaw(first, first['quality'])}"
+        f"(t = {first['time']:g}): {_flaw(first, first['quality'])}. It is in {first['file']}"
     )
 
 

@@ -52,6 +52,11 @@ def followed(path: Path) -> Path:
     return Path(os.path.realpath(path)) if path.is_symlink() else path
 
 
+def invalid_path(output: Path) -> Path:
+    """Where a grid with invalid cells is written: beside ``output``, so that make does not take it for that."""
+    return output.with_name(f"{output.stem}.invalid{output.suffix}")
+
+
 def _host() -> str:
     """Four digits that identify this machine; process numbers are meaningless on others."""
     return hashlib.sha256(platform.node().encode()).hexdigest()[:4]

@@ -20,7 +20,6 @@ from ..options import (
     check_output,
     check_reports,
     grid_options,
-    invalid_path,
     run_options,
 )
 from ..progress import ProgressBar
@@ -65,6 +64,8 @@ def command(
     check_reports(run.reports, run.force, output, *source.files, *case.files)
     count, options, limit = parse_steps(steps), run.variant_options, run.memory
 
+    from meshdeform_formats.files import invalid_path
+
     from .. import work
 
     outputs = [output, *([] if output is None or run.allow_invalid else [invalid_path(output)]), *run.reports]
@@ -81,6 +82,7 @@ def command(
 
 def _check_target(output: Path, run: RunInput, *inputs: Path | None) -> None:
     from meshdeform_formats.fields import check_fields
+    from meshdeform_formats.files import invalid_path
     from meshdeform_formats.grids import format_of
 
     format_of(output)

@@ -53,7 +53,8 @@ def command(
       meshdeform series wing.cgns -d 'surface_*.csv' --times 0:0.5:0.01 -o flutter
 
     Everything that depends only on the undeformed grid is computed once. Files are complete whenever the run is
-    stopped; OUTPUT/series.json holds the state for --resume. Levels with invalid cells are written too (exit code 3).
+    stopped; OUTPUT/series.json holds the state for --resume. Levels with invalid cells are written with .invalid before
+    the suffix (exit code 3).
     """
     start = clock.perf_counter()
     use_threads(run.threads)
@@ -72,7 +73,7 @@ def command(
 
     wanted = series_run.Wanted(output, times, origin, velocity, count, suffix, single_file, options, run.fields)
     job = work.load(source, dataclasses.replace(case, times=times), limit, run.reports)
-    plan = series_run.prepare(job, source, wanted, run.warnings)
+    plan = series_run.prepare(job, source, wanted, run)
     run.warnings.tell(plan.setup.warnings)
     if run.dry_run:
         report, levels = series_run.describe(plan)

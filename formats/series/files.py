@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -15,7 +15,7 @@ from meshdeform_core.grid import Field, FileFormat, FloatArray, Grid
 from meshdeform_core.series import grid_velocity
 
 from ..fields import WITH_FIELDS
-from ..files import remove_partial, replacing
+from ..files import invalid_path, remove_partial, replacing
 from ..grids import FORMATS, format_of, read_grid, variant_of, write_grid
 from .index import index_path, write_index
 
@@ -31,15 +31,22 @@ def _as_it_is(grid: Grid) -> Grid:
 class SeriesFiles(Protocol):
     """The levels on disk. Every file is complete or absent, whenever the program is stopped.
 
-    ``dress`` adds fields to a level before it is written.
+    ``dress`` adds fields to a level before it is written. ``invalid`` are the numbers of the levels that are kept
+    under the name of an invalid grid (:func:`~meshdeform_formats.files.invalid_path`).
     """
 
     variant: FileFormat
     dress: Dress
+    invalid: set[int]
 
     @property
     def outputs(self) -> list[Path]:
-        """All files to be written, for checks before anything is computed."""
+        """All files of the complete series."""
+        ...
+
+    @property
+    def replaced(self) -> list[Path]:
+        """All files that may be written or removed, for checks before anything is computed."""
         ...
 
     @property
@@ -66,6 +73,10 @@ class SeriesFiles(Protocol):
 
     def has(self, number: int) -> bool:
         """Whether a level has been written."""
+        ...
+
+    def recall(self, records: Sequence[Mapping[str, Any]]) -> None:
+        """Take over the names of levels that an earlier run has written, from their records in the report."""
         ...
 
     def publish(self, done: int) -> None:
@@ -113,6 +124,7 @@ class LevelFiles:
             )
         self._options = options
         self.dress: Dress = _as_it_is
+        self.invalid: set[int] = set()
         self.variant = variant_of(grid, folder / name, options)
         self.view = index_path(folder, self._stem, self._suffix)
 
@@ -121,11 +133,25 @@ class LevelFiles:
         levels = [self.path(number) for number in range(len(self._times))]
         return [*levels, self.view] if self.view else levels
 
+    @property
+    def replaced(self) -> list[Path]:
+        return [*self.outputs, *(path for number in range(len(self._times)) for path in self._names(number))]
+
     def path(self, number: int) -> Path:
-        return self._folder / level_name(self._stem, number, len(self._times), self._suffix)
+        return self._names(number)[number in self.invalid]
+
+    def _names(self, number: int) -> tuple[Path, Path]:
+        """Of a valid and of an invalid level."""
+        plain = self._folder / level_name(self._stem, number, len(self._times), self._suffix)
+        return plain, invalid_path(plain)
+
+    def recall(self, records: Sequence[Mapping[str, Any]]) -> None:
+        self.invalid = {n for n, record in enumerate(records) if record["file"] == self._names(n)[1].name}
 
     def write(self, number: int, grid: Grid, velocity: FloatArray | None) -> None:
         write_grid(with_velocity(self.dress(grid), velocity, self.variant.precision), self.path(number), self._options)
+        # A level of an earlier run, valid where this one is not or the other way round, would be taken for it.
+        self._remove(self._names(number)[number not in self.invalid])
 
     def read(self, number: int) -> FloatArray:
         path = self.path(number)
@@ -155,7 +181,13 @@ class LevelFiles:
         remove_partial(self._folder)
         if self._suffix == ".vtm":
             for number in range(len(self._times)):
-                self._remove_lone_pieces(self.path(number))
+                for path in self._names(number):
+                    self._remove_lone_pieces(path)
+
+    def _remove(self, path: Path) -> None:
+        path.unlink(missing_ok=True)
+        if self._suffix == ".vtm":
+            self._remove_lone_pieces(path)
 
     def _remove_lone_pieces(self, index: Path) -> None:
         """Remove remains of a multi-block set from a killed run, and the pieces of one whose index was removed."""
@@ -178,20 +210,34 @@ class SingleFile:
         from ..cgns.series import require_steady
 
         self._grid, self._folder, self._times, self._velocity = grid, folder, times, velocity
-        self.view = folder / name
-        if format_of(self.view) != "cgns":
-            raise FormatError(f"{self.view}: only a CGNS file can hold all levels; choose the suffix .cgns")
+        self._plain = folder / name
+        if format_of(self._plain) != "cgns":
+            raise FormatError(f"{self._plain}: only a CGNS file can hold all levels; choose the suffix .cgns")
         require_steady(grid)
         self.dress: Dress = _as_it_is
-        self.variant = variant_of(grid, self.view, options)
-        self._levels = folder / f"{self.view.stem}.levels"
+        self.invalid: set[int] = set()
+        self.variant = variant_of(grid, self._plain, options)
+        self._levels = folder / f"{self._plain.stem}.levels"
 
     @property
     def outputs(self) -> list[Path]:
         return [self.view]
 
+    @property
+    def replaced(self) -> list[Path]:
+        return [self._plain, invalid_path(self._plain)]
+
+    @property
+    def view(self) -> Path:
+        return invalid_path(self._plain) if self.invalid else self._plain
+
     def path(self, number: int) -> Path:
         return self.view
+
+    def recall(self, records: Sequence[Mapping[str, Any]]) -> None:
+        # From the first invalid level on: all of them are in one file.
+        bad = invalid_path(self._plain).name
+        self.invalid = {number for number, record in enumerate(records) if record["file"] == bad}
 
     def _part(self, number: int) -> Path:
         return self._levels / level_name("level", number, len(self._times), ".npy")
@@ -217,6 +263,7 @@ class SingleFile:
             from ..cgns.series import write_series
 
             write_series(self._grid, self.view, self.variant, self._times, self._level)
+            (self._plain if self.invalid else invalid_path(self._plain)).unlink(missing_ok=True)
 
     def _level(self, number: int) -> Grid:
         grid = self.dress(dataclasses.replace(self._grid, points=self.read(number), fields=()))

@@ -14,7 +14,7 @@ from ..grid.planes import Plane
 from ..grid.selection import quads_of_patch, select_quads
 from ..grid.topology import Topology, end_planes
 from ..numerics.geometry.coincidence import distinct
-from .coverage import table_warnings
+from .coverage import Tables
 from .expression import Expression
 from .matching import Nodes
 from .motion import Motion, PreparedMotion
@@ -97,6 +97,7 @@ class Boundary:
     slip, periodic : constraints on displacements
     mirrors : symmetry planes
     notes : warnings for the report
+    tables : displacement tables, which are to be checked whenever they change
     """
 
     kind: np.ndarray
@@ -107,6 +108,7 @@ class Boundary:
     periodic: Periodic
     mirrors: tuple[Plane, ...]
     notes: tuple[str, ...]
+    tables: Tables
 
     def __repr__(self) -> str:
         return f"Boundary({', '.join(p.name for p in self.patches)})"
@@ -142,7 +144,8 @@ def classify(
     topology, notes = _open_two_sided_walls(grid, topology)
     selected = [_select(grid, topology, spec, constants) for spec in specs]
     quad_kind = np.zeros(len(topology.partner), dtype=np.int8)
-    movers, doubts = _bind_motions(grid, topology, specs, selected)
+    movers, tables = _bind_motions(grid, topology, specs, selected)
+    doubts = tables.warnings()
     for spec, quads in zip(specs, selected, strict=True):
         quad_kind[quads] = np.maximum(quad_kind[quads], spec.kind)
     defaults, more = _unselected(grid, topology, quad_kind, specs, movers)
@@ -161,14 +164,15 @@ def classify(
     patches = tuple(
         ClassifiedPatch(n, k, distinct(topology.quads.corners[q], topology.n_unique), q) for n, k, q in entries
     )
-    boundary = Boundary(node_kind, quad_kind, patches, tuple(movers), slip, periodic, mirrors, (*notes, *doubts, *more))
+    notes = [*notes, *doubts, *more]
+    boundary = Boundary(node_kind, quad_kind, patches, tuple(movers), slip, periodic, mirrors, tuple(notes), tables)
     return topology, boundary
 
 
 def _bind_motions(
     grid: Grid, topology: Topology, specs: Sequence[BoundarySpec], selected: list[IntArray]
-) -> tuple[list[tuple[IntArray, PreparedMotion]], list[str]]:
-    """Unique nodes and motion of every moving entry, and warnings about tables.
+) -> tuple[list[tuple[IntArray, PreparedMotion]], Tables]:
+    """Unique nodes and motion of every moving entry, and their tables.
 
     Faces that a table does not match are removed from ``selected``.
     """
@@ -184,7 +188,7 @@ def _bind_motions(
         asked.append((selected[index], prepared))
         if not prepared.moved.all():
             selected[index] = _fully_within(topology, selected[index], moved)
-    return movers, table_warnings(topology, asked)
+    return movers, Tables(topology, asked)
 
 
 def _select(grid: Grid, topology: Topology, spec: BoundarySpec, constants: Mapping[str, float]) -> IntArray:

@@ -33,6 +33,39 @@ class _Use:
     quads: IntArray
 
 
+class Tables:
+    """The displacement tables of the moving boundary entries; those of a sequence change with time.
+
+    Parameters
+    ----------
+    movers : selected face quads and motion of every moving boundary entry
+    """
+
+    def __init__(self, topology: Topology, movers: Sequence[tuple[IntArray, PreparedMotion]]):
+        self._topology, self._movers = topology, movers
+        self._checked: list[Transfer] = []
+        self._told: set[str] = set()
+
+    def warnings(self) -> list[str]:
+        """Warnings about the tables now in use that no earlier ones gave rise to, see :func:`table_warnings`."""
+        matches = [match for _, motion in self._movers for match in motion.matches]
+        if len(matches) == len(self._checked) and all(a is b for a, b in zip(matches, self._checked, strict=True)):
+            return []
+        self._checked = matches
+        labels = {match.label for match in matches}
+        found = {_without(labels, text): text for text in table_warnings(self._topology, self._movers)}
+        new = [text for key, text in found.items() if key not in self._told]
+        self._told |= found.keys()
+        return new
+
+
+def _without(labels: set[str], text: str) -> str:
+    """A warning without the names of tables: the same warning about all tables of a sequence is told once."""
+    for label in labels:
+        text = text.replace(label, "")
+    return text
+
+
 def table_warnings(topology: Topology, movers: Sequence[tuple[IntArray, PreparedMotion]]) -> list[str]:
     """Warnings about tables and the walls that they move.
 

@@ -133,8 +133,86 @@ def test_a_broken_level_is_written_and_gives_exit_3(swing, call):
     report = json.loads(Path("r.json").read_text())
     assert [level["valid"] for level in report["levels"]] == [True, False, True]
     assert report["levels"][1]["invalid_cells"][0]["nearest_patch"] in ("body", "span")
-    assert Path("out/grid_0001.xyz").exists()
+    assert "It is in grid_0001.invalid.xyz" in result.err
+    assert [level["file"] for level in report["levels"]] == ["grid_0000.xyz", "grid_0001.invalid.xyz", "grid_0002.xyz"]
+    assert not Path("out/grid_0001.xyz").exists()
+    assert "grid_0001.invalid.xyz" in Path("out/grid.series.p3d").read_text()
+    invalid = read_grid("out/grid_0001.invalid.xyz").points
     assert call("series", *RUN[1:-1], "0:1:0.5", "--repair", "off", "--force", "--allow-invalid").code == 0
+    assert not Path("out/grid_0001.invalid.xyz").exists()
+    np.testing.assert_array_equal(read_grid("out/grid_0001.xyz").points, invalid)
+
+
+def files_in(folder: str) -> list[str]:
+    return sorted(path.name for path in Path(folder).rglob("*") if path.is_file())
+
+
+@pytest.mark.parametrize("options", [
+    ("--suffix", ".vtm"), ("--suffix", ".cgns"), ("--single-file",), ("--from", "last", "--suffix", ".xyz"),
+])  # fmt: skip
+def test_a_series_with_a_broken_level_goes_on(options, swing, call):
+    """The names of broken levels are known again, and levels are made from them."""
+    (swing / "swing.toml").write_text(SWING.replace("20*sin(2*pi*t)", "150*sin(pi*t)"))
+    run = ("series", "grid.xyz", "-c", "swing.toml", "--times", "0:1:0.5", "--repair", "off", "-q", *options)
+    assert call(*run, "-o", "whole").code == 3
+    single = "--single-file" in options
+    assert any(".invalid." in name for name in files_in("whole"))
+    assert ("grid.invalid.cgns" in files_in("whole")) == single
+    assert "grid.cgns" not in files_in("whole")
+    assert call(*run, "-o", "part").code == 3
+    before = files_in("part")
+    # As if the run had stopped after the second level.
+    state = json.loads(Path("part/series.json").read_text())
+    state["levels"], state["complete"] = state["levels"][:2], False
+    Path("part/series.json").write_text(json.dumps(state))
+    assert call(*run, "-o", "part", "--resume").code == 3
+    assert call(*run, "-o", "part", "--resume").code == 3
+    assert call(*run, "-o", "part", "--resume", "--allow-invalid").code == 0
+    pieces = re.compile(r"(_\d+)\.1(\.vts)$")
+    assert [pieces.sub(r"\1\2", name) for name in files_in("part")] == before == files_in("whole")
+
+
+def test_what_takes_the_other_name_replaces_it(swing, call):
+    """A level that is broken no more, or is now, leaves no file of the series before."""
+    text = SWING.replace("20*sin(2*pi*t)", "ANGLE*sin(pi*t)")
+    run = ("series", "grid.xyz", "-c", "swing.toml", "--times", "0:1:0.5", "--repair", "off", "-q", "-o", "out")
+    for suffix in (".vtm", ".xyz"):
+        seen = []
+        for angle in ("150", "10", "150"):
+            (swing / "swing.toml").write_text(text.replace("ANGLE", angle))
+            assert call(*run, "--force", "--suffix", suffix).code == (3 if angle == "150" else 0)
+            seen.append(
+                [name for name in files_in("out") if name.endswith(suffix) or (suffix == ".vtm" and ".vts" in name)]
+            )
+        assert [name for name in seen[0] if ".invalid" in name]
+        assert not [name for name in seen[1] if ".invalid" in name]
+        assert len(seen[0]) == len(seen[1]) == len(seen[2])
+
+
+def test_later_tables_are_checked_like_the_first(swing, call):
+    """A third table in other units, and one whose points lie off the wall."""
+    table = np.loadtxt("table.csv", delimiter=",")
+    for number, factor in enumerate((1.0, 1.0, 1e3)):
+        np.savetxt(f"move_{number}.csv", table * factor, "%.17g", delimiter=",")
+    run = ("series", "grid.xyz", "-d", "move_*.csv", "--times", "0,1,2", "-o", "out", "-q")
+    result = call(*run)
+    assert result.code == 2
+    assert "move_2.csv" in result.err
+    assert "different length units?" in result.err
+    assert [level["number"] for level in json.loads(Path("out/series.json").read_text())["levels"]] == [0, 1]
+    more = np.vstack([table, [[3.0, 3.0, 0.5, 0.1, 0.0, 0.0]] * 3 + np.eye(3, 6) * 0.01])
+    np.savetxt("move_2.csv", more, "%.17g", delimiter=",")
+    result = call(*run, "--force", "--report", "r.json")
+    assert result.code == 0, result.err
+    (warning,) = [text for text in result.warnings if "move_2.csv" in text]
+    assert f"3 of {len(more)} table points lie on no face that the table moves" in warning
+    levels = json.loads(Path("r.json").read_text())["levels"]
+    assert [len(level["warnings"]) for level in levels] == [0, 0, 1]
+    # The same doubt about every table of the sequence is told once.
+    for number in range(3):
+        np.savetxt(f"move_{number}.csv", more, "%.17g", delimiter=",")
+    result = call(*run, "--force")
+    assert sum("lie on no face" in text for text in result.warnings) == 1
 
 
 def test_a_dry_run_writes_nothing(swing, call, snapshot):
