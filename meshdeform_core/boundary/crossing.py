@@ -24,7 +24,7 @@ from ..grid.planes import plane_normal
 from ..grid.topology import Topology
 from ..numerics.geometry.crossing import crossing_faces, near_faces
 from ..numerics.geometry.overlap import BESIDE, ORDINARY, SLIDING
-from ..numerics.geometry.solid_angle import winding
+from ..numerics.geometry.solid_angle import plane_winding, winding
 from .classification import Boundary, Kind
 
 TOUCH = 1e-7
@@ -219,9 +219,7 @@ class _Surface:
         assert self.normal is not None
         a, b = points[samples[:, 0]], points[samples[:, 1]]
         places = 0.5 * (a + b) + _INSIDE * np.cross(self.normal, b - a)
-        one, two = (points[self.all_faces[:, k]][None] - places[:, None] for k in (0, 1))
-        angle = np.arctan2(np.cross(one, two) @ self.normal, np.einsum("kmi,kmi->km", one, two))
-        return np.asarray(angle.sum(axis=1) / (2.0 * np.pi))
+        return plane_winding(*(points[self.all_faces[:, k]] for k in (0, 1)), self.normal, places)
 
 
 def _shortest_edge(points: FloatArray, faces: IntArray) -> FloatArray:

@@ -9,6 +9,7 @@ import numpy as np
 from ..errors import CaseError
 from ..grid import Grid, IntArray, Side, Window
 from ..grid.openings import Opening
+from ..grid.overset import Overlap
 from ..grid.planes import plane_normal, plane_of
 from ..grid.selection import quads_of_window, select_quads
 from ..grid.topology import Topology
@@ -83,7 +84,7 @@ def _points(grid: Grid, topology: Topology, window: Window) -> np.ndarray:
 def opening_notes(
     grid: Grid,
     topology: Topology,
-    openings: Sequence[Opening],
+    openings: Sequence[Opening | Overlap],
     unselected: IntArray,
     moving: IntArray,
     declared: bool | Sequence[str],

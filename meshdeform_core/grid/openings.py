@@ -1,4 +1,4 @@
-"""Outside faces close to others without coinciding: interfaces with a gap, and interfaces that do not match.
+"""Outside faces close to others without coinciding: gaps, interfaces that do not match, overlaps (:mod:`.overset`).
 
 Nothing is welded by mere proximity, so such a face is a wall, and a motion would tear the grid there.
 """
@@ -10,7 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..numerics.geometry.coincidence import close_pairs, distinct, equal_rows
+from ..numerics.geometry.distance import distance_to_faces
 from .blocks import FloatArray, Grid, IntArray, Side, Window
+from .overset import Overlap, find_overlaps
 from .topology import Topology
 from .windows import windows_of_quads
 
@@ -20,7 +22,6 @@ _ABUTTING = 0.1
 """Faces whose middle lies closer than this part of its shortest edge to another face touch it."""
 _SAMPLES = 48
 _FEWEST = 2
-_NEAREST = 8
 
 
 @dataclass(frozen=True)
@@ -63,17 +64,21 @@ class Opening:
                 f"{where} nearly coincide: the gap is up to {self.gap:.3g}, {self.relative:.2%} of the local edge; "
                 f"grid.tolerance = {self.tolerance:g} closes it"
             )
-        return f"{where} touch, at most {self.gap:.3g} apart, but their nodes do not match (patched or overset blocks)"
+        return f"{where} touch, at most {self.gap:.3g} apart, but their nodes do not match (patched blocks)"
 
 
-def find_openings(grid: Grid, topology: Topology) -> tuple[Opening, ...]:
-    """Outside faces that nearly coincide with others, largest first; each pair of sides once if its nodes match."""
+def find_openings(grid: Grid, topology: Topology) -> tuple[Opening | Overlap, ...]:
+    """Outside faces that nearly coincide with others or lie inside other blocks, largest first.
+
+    Each pair of sides once if its nodes match.
+    """
     outside = np.flatnonzero(topology.external)
     if outside.size == 0:
         return ()
     paired, gap, relative = _near_partners(grid, topology, outside)
-    found = _matching(grid, topology, paired, gap, relative)
+    found: list[Opening | Overlap] = [*_matching(grid, topology, paired, gap, relative)]
     found += _abutting(grid, topology, paired)
+    found += find_overlaps(grid, topology)
     return tuple(sorted(found, key=lambda opening: -len(opening.quads)))
 
 
@@ -170,46 +175,14 @@ def _touching(own: FloatArray, other: FloatArray) -> tuple[IntArray, float, floa
     sample = np.unique(np.linspace(0, len(own) - 1, min(len(own), _SAMPLES)).astype(int))
     edges = np.linalg.norm(own[sample] - np.roll(own[sample], 1, axis=1), axis=2)
     edge = np.where(edges > 0, edges, np.inf).min(axis=1)
-    middle, centers = own[sample].mean(axis=1), other.mean(axis=1)
+    middle = own[sample].mean(axis=1)
     slack = _ABUTTING * edge[:, None]
     inside = ((middle >= other.min(axis=(0, 1)) - slack) & (middle <= other.max(axis=(0, 1)) + slack)).all(axis=1)
     distance = np.full(len(sample), np.inf)
     if inside.sum() >= _FEWEST:
-        distance[inside] = _distances(middle[inside], other, centers)
+        distance[inside] = distance_to_faces(middle[inside], other)
     hit = distance < _ABUTTING * edge
     # Two walls that meet in a sharp edge are close to each other in only a few quads.
     if hit.sum() < max(_FEWEST, 0.1 * len(sample)):
         return np.empty(0, dtype=np.int64), 0.0, 0.0
     return sample[hit], float(distance[hit].max()), float((distance / edge)[hit].max())
-
-
-def _distances(x: FloatArray, quads: FloatArray, centers: FloatArray) -> FloatArray:
-    """Distance of points (k, 3) to the nearest of quads (m, 4, 3), or of edges (m, 2, 3)."""
-    square = np.stack([((centers - point) ** 2).sum(axis=1) for point in x])
-    count = min(_NEAREST, square.shape[1])
-    some = quads[np.argpartition(square, count - 1, axis=1)[:, :count]]
-    point = x[:, None]
-    corners = [some[:, :, n] for n in range(some.shape[2])]
-    found = [_to_segments(point, a, b) for a, b in zip(corners, [*corners[1:], corners[0]], strict=True)]
-    if len(corners) == 4:
-        a, b, c, d = corners
-        found += [_to_triangles(point, a, b, c), _to_triangles(point, a, c, d)]
-    return np.asarray(np.min(found, axis=(0, 2)))
-
-
-def _to_segments(x: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
-    along = b - a
-    size = (along**2).sum(axis=-1)
-    part = np.clip(((x - a) * along).sum(axis=-1) / np.where(size > 0, size, 1.0), 0.0, 1.0)
-    return np.asarray(np.linalg.norm(x - a - part[..., None] * along, axis=-1))
-
-
-def _to_triangles(x: FloatArray, a: FloatArray, b: FloatArray, c: FloatArray) -> FloatArray:
-    """Distance to triangles whose interior contains the projection of the point; inf for others."""
-    normal = np.cross(b - a, c - a)
-    size = (normal**2).sum(axis=-1)
-    inside = size > 0
-    height = np.abs(((x - a) * normal).sum(axis=-1)) / np.sqrt(np.where(inside, size, 1.0))
-    for p, q in ((a, b), (b, c), (c, a)):
-        inside &= (np.cross(q - p, x - p) * normal).sum(axis=-1) >= 0
-    return np.where(inside, height, np.inf)

@@ -12,6 +12,7 @@ from meshdeform_core.deform import Case, set_up
 from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import Grid
 from meshdeform_core.grid.openings import find_openings
+from meshdeform_core.grid.overset import Overlap
 from meshdeform_core.grid.topology import find_topology
 
 MOVE = formulas("0", "0.01*x", "0")
@@ -117,3 +118,64 @@ def test_a_forgotten_symmetry_plane_is_named_with_the_remedy():
     (touching,) = [text for text in notes if "touch moving nodes" in text]
     assert "block1.kmin" in touching
     assert 'kind = "symmetry" or "slip"' in touching
+
+
+def overset(flat: int | None, turn=(0, 1, 2)) -> Grid:
+    """A ring round a bar in the middle of a box, reaching across many of its cells; ``flat``: plane, normal to that."""
+    ring, box = polar(), block_around(*[np.linspace(-5.0, 5.0, 21)] * 2, np.linspace(-1.0, 2.0, 7))
+    blocks = [np.transpose(x, (*turn, 3)) for x in (ring.block(0), box)]
+    if flat is not None:
+        blocks = [x[:, :, :1] for x in (ring.block(0), box)]
+        order = np.roll([0, 1, 2], 2 - flat)
+        blocks = [
+            np.transpose(x - [0, 0, x[0, 0, 0, 2]], (*np.argsort(order), 3))[..., np.argsort(order)] for x in blocks
+        ]
+    return Grid.from_blocks([np.ascontiguousarray(x) for x in blocks])
+
+
+@pytest.mark.parametrize("turn", [(0, 1, 2), (1, 0, 2), (2, 0, 1), (0, 2, 1)], ids=str)
+def test_faces_inside_another_block_are_found(turn):
+    grid = overset(None, turn)
+    found = [each for each in openings(grid) if isinstance(each, Overlap)]
+    # The ring is closed in itself: its inner and outer side and its two ends lie in the box.
+    assert {(each.block, each.other) for each in found} == {(0, 1)}
+    assert len(found) == 4
+    assert all(each.share == 1.0 for each in found)
+    assert "lies inside block2, 100% of it up to" in found[0].describe(grid)
+
+
+@pytest.mark.parametrize("flat", [0, 1, 2])
+def test_the_same_in_a_plane(flat):
+    found = openings(overset(flat))
+    assert [(each.block, each.other, each.share) for each in found] == [(0, 1, 1.0)] * 2
+
+
+def test_an_overlap_by_mistake_is_found_with_its_depth():
+    grid = pair(-0.1)
+    found = {(each.block, each.side.label): each for each in openings(grid) if isinstance(each, Overlap)}
+    assert set(found) == {(0, "imax"), (1, "imin")}
+    assert all(each.depth == pytest.approx(0.1) for each in found.values())
+
+
+@pytest.mark.parametrize("cells", [8, 16, 36])
+def test_curved_interfaces_that_do_not_match_do_not_overlap(cells):
+    """Two rings one round the other with other nodes: facets of one lie a little inside the other."""
+
+    def ring(n, near, far):
+        r, phi, z = np.linspace(near, far, 5), np.linspace(0, 2 * np.pi, n + 1), np.linspace(0, 1, 4)
+        r, phi, z = np.meshgrid(r, phi, z, indexing="ij")
+        x = np.stack([r * np.cos(phi), r * np.sin(phi), z], axis=-1)
+        x[:, -1] = x[:, 0]
+        return x
+
+    grid = Grid.from_blocks([ring(cells, 1.0, 2.0), ring(3 * cells // 2, 2.0, 3.0)])
+    assert not [each for each in openings(grid) if isinstance(each, Overlap)]
+
+
+def test_overset_faces_are_refused_unless_the_case_says_so():
+    grid = overset(None)
+    with pytest.raises(CaseError, match=r"block1\.\w+.* lies inside block2.*Say that they are walls: \[grid\] open"):
+        set_up(grid, Case((WALL,)))
+    set_up(grid, Case((WALL,), open_faces=True))
+    outer = BoundarySpec("rest", ("*",), Kind.FIXED)
+    assert any("lies inside block2" in text for text in set_up(grid, Case((WALL, outer))).warnings)

@@ -1,4 +1,4 @@
-"""How often a closed surface goes round a point."""
+"""How often a closed surface, or a closed line in a plane, goes round a point."""
 
 from __future__ import annotations
 
@@ -29,3 +29,13 @@ def winding(points: FloatArray, triangles: IntArray, places: FloatArray) -> Floa
             base += np.einsum("ki,ki->k", one, two) * length
         result[index] = np.arctan2(volume, base).sum() / (2.0 * np.pi)
     return result
+
+
+def plane_winding(one: FloatArray, two: FloatArray, normal: FloatArray, places: FloatArray) -> FloatArray:
+    """How often the edges from ``one`` (m, 3) to ``two`` (m, 3) of a plane go round ``places`` (k, 3).
+
+    Counter-clockwise seen against ``normal`` (3,); a whole number if they close.
+    """
+    a, b = one[None] - places[:, None], two[None] - places[:, None]
+    angle = np.arctan2(np.cross(a, b) @ normal, np.einsum("kmi,kmi->km", a, b))
+    return np.asarray(angle.sum(axis=1) / (2.0 * np.pi))
