@@ -219,7 +219,8 @@ class _Surface:
         assert self.normal is not None
         a, b = points[samples[:, 0]], points[samples[:, 1]]
         places = 0.5 * (a + b) + _INSIDE * np.cross(self.normal, b - a)
-        return plane_winding(*(points[self.all_faces[:, k]] for k in (0, 1)), self.normal, places)
+        one, two = (points[self.all_faces[:, k]] for k in (0, 1))
+        return plane_winding(one, two, self.normal, places)
 
 
 def _shortest_edge(points: FloatArray, faces: IntArray) -> FloatArray:
