@@ -20,8 +20,8 @@ from .mpi import place, run_on_ranks
 from .signals import Handler, end_of
 
 _COMMANDS = (
-    "deform", "series", "quality", "info", "init", "convert", "compare", "plot", "methods", "sample", "reproduce",
-    "schema", "warm-up",
+    "deform", "series", "quality", "info", "init", "convert", "compare", "plot", "view", "methods", "sample",
+    "reproduce", "schema", "warm-up",
 )  # fmt: skip
 _ON_RANKS = ("deform", "series")
 
@@ -58,6 +58,7 @@ _SUMMARIES = {
     "convert": "Convert any readable grid to any writable format.",
     "compare": "Largest and rms coordinate difference of two grids.",
     "plot": "Picture of a grid coloured by a measure of its cells.",
+    "view": "A grid in a window, to turn and cut (needs pyvista).",
     "methods": "The methods, their parameters, strengths and limits.",
     "sample": "Write a sample case: grid and case.toml.",
     "schema": "JSON schema of case files or of reports.",

@@ -19,6 +19,7 @@ from .gate import checked_array
 if TYPE_CHECKING:
     import meshio
     import pyvista
+    from matplotlib.figure import Figure
 
 
 class Grid:
@@ -107,6 +108,57 @@ class Grid:
     def warnings(self) -> tuple[str, ...]:
         """Warnings of the reader."""
         return self._core.notes
+
+    def plot(
+        self, metric: str = "f_skew", *, reference: Grid | None = None, plane: str | None = None,
+        block: Sequence[str] = (), select: Sequence[str] = (), view: str = "auto",
+        zoom: str | tuple[float, float, float, float] | None = None, before: str | None = None, arrows: bool = False,
+        limits: tuple[float, float] | None = None, log: bool = False, lines: bool = True, title: str | None = None,
+    ) -> Figure:  # fmt: skip
+        """A picture of the grid, as ``meshdeform plot`` draws it; the arguments are that command's options.
+
+        Parameters
+        ----------
+        metric : what colours the cells, like ``"volume_ratio"``
+        reference : the undeformed grid, for measures that compare, ``before`` and ``arrows``
+        plane : of nodes, like ``"k=1"`` or ``"j=mid"``, or in space, like ``"z=0.25"``
+        block, select : patterns of blocks, of patches or block faces
+        view : ``"auto"``, ``"x"``, ``"y"``, ``"z"``, ``"iso"`` or a direction like ``"1,-1,0.5"``
+        zoom : ``"worst"``, ``"walls"`` or a window (left, right, bottom, top)
+        before : ``"side"`` or ``"overlay"``: draw the reference too
+        limits : ends of the colours
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            Shown by notebooks; ``savefig`` writes it.
+
+        Raises
+        ------
+        CaseError
+            When an argument is not understood, or there is nothing to draw.
+        """
+        from .pictures import plot
+
+        return plot(
+            self._core, None if reference is None else reference._core, title,
+            metric=metric, plane=plane, block=tuple(block), select=tuple(select), view=view, zoom=zoom, before=before,
+            arrows=arrows, limits=limits, log=log, lines=lines,
+        )  # fmt: skip
+
+    def view(self, metric: str = "f_skew", *, reference: Grid | None = None, log: bool = False) -> pyvista.Plotter:
+        """The grid in space, to turn and cut: a pyvista plotter, whose ``show()`` opens a window.
+
+        In a notebook ``show()`` draws into it, as pyvista is set up (``pyvista.set_jupyter_backend``).
+
+        Raises
+        ------
+        CaseError
+            Where pyvista, the extra ``view``, is not installed, or the measure is unknown.
+        """
+        from .pictures import view
+
+        return view(self._core, None if reference is None else reference._core, metric, log)
 
     def to_pyvista(self) -> pyvista.MultiBlock:
         """The blocks as pyvista structured grids, by name.

@@ -13,7 +13,7 @@ import h5py
 import numpy as np
 
 from meshdeform_core.errors import FormatError
-from meshdeform_core.grid import FileFormat, Grid
+from meshdeform_core.grid import FileFormat, FloatArray, Grid
 
 from ..files import replacing
 from ..hdf5_output import hdf5_output
@@ -69,6 +69,27 @@ def write_series(
                 put_node(own, make("ZoneIterativeData", "ZoneIterativeData_t", None, arrays))
             put_node(group, _iterations(times))
             put_node(group, make("SimulationType", "SimulationType_t", "TimeAccurate"))
+
+
+def read_level(grid: Grid, path: Path, number: int) -> FloatArray:
+    """Coordinates (n_nodes, 3) of a level that :func:`write_series` has written; ``grid`` is the undeformed one.
+
+    Raises
+    ------
+    FormatError
+        When the file has no such level.
+    """
+    points = grid.points.copy()
+    with hdf5_errors(path, "read"), h5py.File(path, "r") as file, opened_cgns(path) as root:
+        base = find_base(root, Notes())
+        for block, zone in enumerate(structured_zones(base, Notes())):
+            name = f"{base.node.name}/{zone.node.name}/GridCoordinates#{number + 1}"
+            if name not in file:
+                raise FormatError(f"{path} has no level {number}: {name} is missing")
+            target = grid.block(block, points)
+            for axis, node in enumerate(zone.coordinates):
+                target[..., axis] = file[name][node.name][" data"][()].T.reshape(grid.shapes[block])
+    return points
 
 
 def _add_level(

@@ -6,15 +6,17 @@
 from .boundaries import boundaries
 from .comparison import Pair, apart, moved_walls, plane_around, quality_planes, worst_cells
 from .facets import Facets, block_facets, cut_facets, joined, plane_facets, surface_facets
-from .figure import STYLE, SUFFIXES, Page, Panel, check_picture_path, page_png, save_page
+from .figure import FILMS, STYLE, SUFFIXES, Page, Panel, check_picture_path, page_figure, page_png, save_page
 from .overview import Choice, overview
-from .request import Request, numbered_blocks, picture, space_plane
+from .request import Request, picture
 from .subject import METRICS, Subject
 from .vector import draw
 from .view import along
+from .wish import Wish
 from .worst import worst_cell
 
 __all__ = [
+    "FILMS",
     "METRICS",
     "STYLE",
     "SUFFIXES",
@@ -25,6 +27,7 @@ __all__ = [
     "Panel",
     "Request",
     "Subject",
+    "Wish",
     "along",
     "apart",
     "block_facets",
@@ -34,15 +37,14 @@ __all__ = [
     "draw",
     "joined",
     "moved_walls",
-    "numbered_blocks",
     "overview",
+    "page_figure",
     "page_png",
     "picture",
     "plane_around",
     "plane_facets",
     "quality_planes",
     "save_page",
-    "space_plane",
     "surface_facets",
     "worst_cell",
     "worst_cells",

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SUFFIXES = (".png", ".svg", ".pdf")
+FILMS = (".gif", ".mp4")
 STYLE: dict[Any, Any] = {
     "font.size": 9,
     "axes.labelsize": 9,
@@ -92,6 +93,8 @@ class Page:
 
 def check_picture_path(path: Path) -> None:
     """Refuse an unknown suffix before anything is computed."""
+    if path.suffix.lower() in FILMS:
+        raise FormatError(f"{path} is a film; it needs a series: the folder that `meshdeform series` has written")
     if path.suffix.lower() not in SUFFIXES:
         raise FormatError(f"picture {path}: suffix {path.suffix!r} is unknown; expected {', '.join(SUFFIXES)}")
 
@@ -113,7 +116,8 @@ def page_png(page: Page, width: float = 7.2, dpi: int = 150) -> bytes:
     return buffer.getvalue()
 
 
-def _save(page: Page, target: Any, kind: str, width: float, dpi: int, fine: int = FINE) -> None:
+def page_figure(page: Page, width: float = 7.2, dpi: int = 150, fine: int = FINE, vector: bool = False) -> Figure:
+    """A page as a matplotlib figure, ``width`` inches wide; ``vector``: for a file that holds lines."""
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -125,9 +129,16 @@ def _save(page: Page, target: Any, kind: str, width: float, dpi: int, fine: int 
         figure.canvas.draw()
         figure.set_layout_engine("none")
         for ax, panel in zip(axes, page.panels, strict=True):
-            _fill(ax, panel, fine, vector=kind != "png")
-        metadata = {"png": {"Software": None}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}[kind]
-        figure.savefig(target, format=kind, metadata=metadata)
+            _fill(ax, panel, fine, vector)
+        return figure
+
+
+def _save(page: Page, target: Any, kind: str, width: float, dpi: int, fine: int = FINE) -> None:
+    import matplotlib as mpl
+
+    metadata = {"png": {"Software": None}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}[kind]
+    with mpl.rc_context(STYLE | {"savefig.dpi": dpi}):
+        page_figure(page, width, dpi, fine, vector=kind != "png").savefig(target, format=kind, metadata=metadata)
 
 
 def _stacked(page: Page) -> bool:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 
 import numpy as np
 
 from meshdeform_core.errors import CaseError
-from meshdeform_core.grid import FloatArray, Grid, IntArray
+from meshdeform_core.grid import FloatArray, IntArray
 from meshdeform_core.grid.planes import Plane
 from meshdeform_core.grid.roles import Role
 from meshdeform_core.grid.selection import select_quads
@@ -199,41 +198,3 @@ def _arrows(old: _Part, new: _Part, view: View, window: Window) -> FloatArray:
     _, first = np.unique(cell[inside, 0] * 10_000 + cell[inside, 1], return_index=True)
     chosen = np.flatnonzero(inside)[first]
     return np.stack([start[chosen], (end - start)[chosen]], axis=1)
-
-
-def numbered_blocks(names: Sequence[str], patterns: Sequence[str]) -> tuple[int, ...]:
-    """Numbers of the blocks whose names match patterns.
-
-    Raises
-    ------
-    CaseError
-        When a pattern matches none.
-    """
-    import fnmatch
-
-    found: list[int] = []
-    for pattern in patterns:
-        matching = [n for n, name in enumerate(names) if fnmatch.fnmatchcase(name, pattern)]
-        if not matching:
-            raise CaseError(f"--block {pattern!r} matches no block; blocks are {', '.join(names[:12])}")
-        found += matching
-    return tuple(dict.fromkeys(found))
-
-
-def space_plane(grid: Grid, axis: str, at: float) -> Plane:
-    """The plane ``axis`` (``x``, ``y`` or ``z``) = ``at``.
-
-    Raises
-    ------
-    CaseError
-        When it misses the grid, or the grid is 2-D.
-    """
-    number = "xyz".index(axis)
-    low, high = float(grid.points[:, number].min()), float(grid.points[:, number].max())
-    if grid.dimension == 2:
-        raise CaseError("a 2-D grid cannot be cut; leave --plane out to draw the whole grid")
-    tiny = 1e-9 * float(np.ptp(grid.points, axis=0).max())
-    if not low - tiny <= at <= high + tiny:
-        raise CaseError(f"no part of the grid lies at {axis} = {at:g}; it spans {axis} = {low:.6g} to {high:.6g}")
-    normal = np.eye(3)[number]
-    return Plane(at * normal, normal)

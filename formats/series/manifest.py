@@ -92,15 +92,16 @@ def ingredients_of(
     files = [path for path in (boundary_file or case.boundary_file, *case.files) if path is not None]
     return {
         "program": f"meshdeform {version('meshdeform')}",
-        "grid": _digest(grid),
-        **{f"file {path}": _digest(path) for path in files},
+        "grid": digest(grid),
+        **{f"file {path}": digest(path) for path in files},
         **{f"case {key}": value for key, value in _flattened(case.content, "")},
         **dataclasses.asdict(schedule),
         **output,
     }
 
 
-def _digest(path: Path) -> str:
+def digest(path: Path) -> str:
+    """SHA-256 of a file's content."""
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 

@@ -313,6 +313,21 @@ def test_grids_become_those_of_other_packages(plate):
     ]
 
 
+def test_grids_draw_themselves(plate, mesh, bend, tmp_path):
+    after = mesh.deform(bend).grid
+    figure = after.plot("displacement", reference=plate.grid, plane="k=1", before="side", limits=(0, 0.5), title="bent")
+    figure.savefig(tmp_path / "bent.png")
+    assert (tmp_path / "bent.png").stat().st_size > 10_000
+    panels = [axes for axes in figure.axes if axes.get_title()]
+    assert [axes.get_title() for axes in panels] == ["before", "after"]
+    near = plate.grid.plot(zoom=(-0.1, 0.1, -0.05, 0.05), plane="k=1")
+    assert near.axes[0].get_xlim() == (-0.1, 0.1)
+    with pytest.raises(md.CaseError, match="plane 'q=1': expected a plane of nodes"):
+        plate.grid.plot(plane="q=1")
+    with pytest.raises(md.CaseError, match="measure 'skew' is unknown; did you mean 'f_skew'"):
+        plate.grid.plot("skew")
+
+
 def test_files_are_not_overwritten_unasked(plate, tmp_path):
     path = tmp_path / "grid.xyz"
     md.write(plate.grid, path, encoding="ascii")

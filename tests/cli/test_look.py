@@ -7,9 +7,11 @@ import re
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from meshdeform_core.methods import ALIASES, CATALOGUE
 from meshdeform_formats import read_grid, write_grid
+from meshdeform_formats.series.levels import open_levels
 from meshdeform_samples import SAMPLES
 
 # info
@@ -211,6 +213,53 @@ def test_plot_of_a_flat_grid_and_force(bench, call):
     assert call("plot", "flat.p2dfmt", "-o", "picture.png").code == 2
     assert call("plot", "flat.p2dfmt", "-o", "picture.png", "--force").code == 0
     assert (bench / "picture.png").read_bytes()[:8] == first[:8]
+
+
+def test_a_series_becomes_a_film(bench, call):
+    turning = ("-s", "boundary.body.motion.1.rotate.angle=turn*t", "--times", "0:1:0.5")
+    assert call("series", "grid.cgns", "-c", "case.toml", "-o", "out", *turning, "-q").code == 0
+    # Displacement needs the undeformed grid, which is still where the series says.
+    result = call("plot", "out", "-o", "out.gif", "--metric", "displacement", "--rate", "4")
+    assert (result.code, result.out, result.err) == (0, "", "")
+    with Image.open(bench / "out.gif") as film:
+        assert film.n_frames == 3
+    assert call("plot", "out/series.json", "-o", "again.gif", "--metric", "displacement", "--rate", "4").code == 0
+    assert (bench / "again.gif").stat().st_size > 1000
+    result = call("plot", "out", "-o", "out.png")
+    assert (result.code, result.err) == (2, "meshdeform: error: film out.png: suffix '.png' is unknown; expected .gif "
+                                            "or .mp4\n")  # fmt: skip
+    result = call("plot", "grid.cgns", "-o", "grid.gif")
+    assert result.code == 2
+    assert "is a film; it needs a series" in result.err
+
+
+def test_a_film_of_levels_in_one_file(bench, call):
+    turning = ("-s", "boundary.body.motion.1.rotate.angle=turn*t", "--times", "0:1:1")
+    assert call("series", "grid.cgns", "-c", "case.toml", "-o", "out", "--single-file", *turning, "-q").code == 0
+    assert call("series", "grid.cgns", "-c", "case.toml", "-o", "many", *turning, "-q").code == 0
+    one, many = open_levels(bench / "out"), open_levels(bench / "many")
+    for number in range(2):
+        np.testing.assert_array_equal(one.read(number).points, many.read(number).points)
+    assert one.undeformed == many.undeformed
+    (bench / "grid.cgns").write_bytes((bench / "out/grid.cgns").read_bytes())
+    assert open_levels(bench / "out").undeformed is None
+
+
+# view
+
+
+def test_view_without_a_window(bench, call, monkeypatch):
+    pytest.importorskip("pyvista", reason="pyvista is not installed")
+    result = call("view", "grid.cgns", "--screenshot", "picture.png", "--metric", "volume")
+    assert (result.code, result.out, result.err) == (0, "", "")
+    with Image.open(bench / "picture.png") as picture:
+        assert picture.size[0] > 400
+    assert "overwrite" in call("view", "grid.cgns", "--screenshot", "picture.png").err
+    assert "expected a .png file" in call("view", "grid.cgns", "--screenshot", "picture.svg").err
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("sys.platform", "linux")
+    assert "no display" in call("view", "grid.cgns").err
 
 
 # methods

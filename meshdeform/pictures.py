@@ -1,0 +1,46 @@
+"""Pictures of grids for users of the library, by the code that the command line draws with."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING, Any
+
+from meshdeform_core.grid import Grid
+from meshdeform_core.grid.topology import find_topology
+from meshdeform_core.quality.difference import require_same_blocks
+from meshdeform_formats.picture import Choice, Subject, Wish, page_figure, picture
+
+if TYPE_CHECKING:
+    import pyvista
+    from matplotlib.figure import Figure
+
+
+def plot(grid: Grid, reference: Grid | None, title: str | None, **words: Any) -> Figure:
+    """See :meth:`meshdeform.Grid.plot`."""
+    for name in ("zoom", "limits"):
+        if words[name] is not None and not isinstance(words[name], str):
+            words[name] = ",".join(repr(float(number)) for number in words[name])
+    wish = Wish(**words)
+    request, subject = wish.request(), _subject(grid, reference)
+    page = picture(subject, wish.complete(request, grid), _title(grid) if title is None else title)
+    return page_figure(page)
+
+
+def view(grid: Grid, reference: Grid | None, metric: str, log: bool) -> pyvista.Plotter:
+    """See :meth:`meshdeform.Grid.view`."""
+    from meshdeform_formats.picture.viewer import scene
+
+    return scene(_subject(grid, reference), Choice(metric, logarithmic=log), _title(grid))
+
+
+def _title(grid: Grid) -> str:
+    return grid.path.name if grid.path else ""
+
+
+def _subject(grid: Grid, reference: Grid | None) -> Subject:
+    if reference is None:
+        return Subject(grid, find_topology(grid))
+    require_same_blocks(grid, reference)
+    if not reference.patches:
+        reference = dataclasses.replace(reference, patches=grid.patches)
+    return Subject(grid, find_topology(reference), reference)
