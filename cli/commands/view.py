@@ -59,9 +59,7 @@ def command(
 def require_display() -> None:
     """Refuse a window where none can be opened."""
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise click.UsageError(
-            "There is no display for a window; use --screenshot FILE.png or `meshdeform plot`."
-        )
+        raise click.UsageError("There is no display for a window; use --screenshot FILE.png or `meshdeform plot`.")
 
 
 def check_screenshot(path: Path, force: bool, *inputs: Path | None) -> None:
