@@ -144,6 +144,12 @@ def test_links_lead_somewhere(page):
             assert (page.parent / target).exists(), f"{page.name}: {target}"
 
 
+def test_links_of_the_readme_are_absolute():
+    targets = re.findall(r"\]\(([^)]+)\)", (ROOT / "README.md").read_text())
+    assert len(targets) > 10
+    assert not [target for target in targets if not target.startswith(("https://", "#"))]
+
+
 def test_generated_reference_has_every_name_command_and_key():
     page = site_reference.python_page()
     for name in meshdeform.__all__:
