@@ -8,12 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..grid import FloatArray, Grid, IntArray
-from ..grid.planes import plane_normal
-from ..grid.topology import Topology
 from ..numerics.cell.measures import measure_hexahedra, measure_quads
 from ..parallel import Shared, for_chunks
 
-_SLAB_CELLS = 16384
+_SLAB_CELLS = 32768
 
 
 @dataclass(frozen=True)
@@ -83,7 +81,7 @@ class Slab:
 
 
 def slabs(grid: Grid) -> list[Slab]:
-    """All cells of a grid in slabs of about 16,000, which bound the memory that the measures take."""
+    """All cells of a grid in slabs of about 32,000, which bound the memory that the measures take."""
     found, start = [], 0
     for block, (ci, cj, ck) in enumerate(grid.cell_shapes):
         step = max(1, _SLAB_CELLS // (cj * ck))
@@ -95,37 +93,16 @@ def slabs(grid: Grid) -> list[Slab]:
     return found
 
 
-def measure_cells(
-    grid: Grid,
-    topology: Topology,
-    points: FloatArray,
-    use: Callable[[int, Slab, CellMeasures], None],
-    per_cell: Sequence[np.ndarray],
-    per_slab: Sequence[np.ndarray] = (),
-) -> None:
-    """Hand the measures of every slab with coordinates ``points`` (n_nodes, 3) to ``use``.
-
-    Parameters
-    ----------
-    use : called from several threads with the number of the slab, the slab and its measures; fills its cells of the
-        arrays ``per_cell`` (n_cells, ...) and its row of the arrays ``per_slab`` (n_slabs, ...)
-    """
-    normal = plane_normal(grid)
-
-    def measure(number: int, slab: Slab) -> None:
-        x, sign = grid.block(slab.block, points), float(topology.handedness[slab.block])
-        use(number, slab, measure_block(x, sign, normal, slab.first, slab.last))
-
-    for_slabs(grid, measure, per_cell, per_slab)
-
-
 def for_slabs(
     grid: Grid,
     work: Callable[[int, Slab], None],
     per_cell: Sequence[np.ndarray],
     per_slab: Sequence[np.ndarray] = (),
 ) -> None:
-    """Call ``work`` for every slab and its number, from several threads; it fills as in :func:`measure_cells`."""
+    """Call ``work`` for the number of every slab and the slab, from several threads.
+
+    It fills its cells of the arrays ``per_cell`` (n_cells, ...) and its row of the arrays ``per_slab`` (n_slabs, ...).
+    """
     parts = slabs(grid)
 
     def some(lo: int, hi: int) -> None:
@@ -136,3 +113,52 @@ def for_slabs(
         return np.arange(parts[lo].start, parts[hi - 1].stop)
 
     for_chunks(some, len(parts), 1, shared=[*(Shared(a, cells) for a in per_cell), *map(Shared, per_slab)])
+
+
+def places(grid: Grid, cells: IntArray) -> tuple[IntArray, IntArray]:
+    """Block (n,) and 0-based i, j, k (n, 3) of cells, by number."""
+    starts = cell_starts(grid)
+    block = np.searchsorted(starts, cells, side="right") - 1
+    shapes = np.array(grid.cell_shapes)[block]
+    local = cells - starts[block]
+    i, rest = np.divmod(local, shapes[:, 1] * shapes[:, 2])
+    j, k = np.divmod(rest, shapes[:, 2])
+    return block, np.stack([i, j, k], axis=1)
+
+
+def cell_starts(grid: Grid) -> IntArray:
+    """Number (n_blocks + 1,) of the first cell of every block."""
+    return np.concatenate([[0], np.cumsum([a * b * c for a, b, c in grid.cell_shapes])])
+
+
+def corner_nodes(grid: Grid, block: IntArray, ijk: IntArray) -> IntArray:
+    """Flat node indices (n, 8) of cells, corner (a, b, c) at 4 a + 2 b + c; in a 2-D grid every corner twice."""
+    shapes = np.array(grid.shapes)[block]
+    corner = np.stack(np.meshgrid(*[[0, 1]] * 3, indexing="ij"), axis=-1).reshape(1, 8, 3)
+    at = np.minimum(ijk[:, None] + corner, shapes[:, None] - 1)
+    flat = (at[..., 0] * shapes[:, None, 1] + at[..., 1]) * shapes[:, None, 2] + at[..., 2]
+    return np.asarray(grid.offsets[block][:, None] + flat)
+
+
+def corners_of(grid: Grid, points: FloatArray, cells: IntArray) -> FloatArray:
+    """Corners (n, 8, 3) of cells, by number, with coordinates ``points`` (n_nodes, 3)."""
+    return np.asarray(points[corner_nodes(grid, *places(grid, cells))])
+
+
+def block_volume(x: FloatArray, sign: float) -> float:
+    """Volume of a block ``x`` (ni, nj, nk, 3) of trilinear cells, from its surface.
+
+    The flux of a third of the position through a bilinear face with diagonals p and q is its mean corner . p x q / 6.
+    """
+    center = 0.5 * (x[0, 0, 0] + x[-1, -1, -1])
+    total = 0.0
+    for axis in range(3):
+        for end in (0, -1):
+            # Component by component: a cross product over so short an axis would be slow.
+            face = np.ascontiguousarray(np.moveaxis(np.take(x, end, axis=axis) - center, -1, 0))
+            low, high, right, left = face[:, :-1, :-1], face[:, 1:, 1:], face[:, 1:, :-1], face[:, :-1, 1:]
+            (px, py, pz), (qx, qy, qz), (mx, my, mz) = high - low, left - right, low + high + left + right
+            flux = mx * (py * qz - pz * qy) + my * (pz * qx - px * qz) + mz * (px * qy - py * qx)
+            # The other two axes in their order are a right-handed frame with i and k, a left-handed one with j.
+            total += (1.0 if end else -1.0) * (-1.0 if axis == 1 else 1.0) * float(flux.sum())
+    return sign * total / 24.0

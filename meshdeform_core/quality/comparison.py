@@ -4,35 +4,69 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..grid import BoolArray, FloatArray
-from .cells import CellMeasures, Slab, measure_cells, slabs
+from ..grid import BoolArray, FloatArray, Grid
+from ..grid.topology import Topology
+from ..numerics.cell.measures import scattered_hexahedra
+from .cells import Slab, block_volume, corners_of, for_slabs, places, slabs
+from .inspection import Figures, Test, inspect_slab, relative_jacobian
 from .original import Original
 from .tally import Range, Tally
-from .validity import Test, Verdict, judge_slab
+from .validity import Verdict
 
 
 class Comparison:
-    """The cells with coordinates ``after`` (n_nodes, 3), measured, and the verdict on them."""
+    """The cells with coordinates ``after`` (n_nodes, 3), measured, and the verdict on them.
+
+    The first comparison with an original also measures that.
+    """
 
     def __init__(self, original: Original, after: FloatArray):
         grid, n_slabs = original.grid, len(slabs(original.grid))
-        self._original, self.after = original, Tally(grid.n_cells, n_slabs)
-        self.verdict, self._points = Verdict.blank(grid.n_cells), after
-        self._inherited, self._ratio = np.empty(n_slabs), np.empty((n_slabs, 2))
-        per_cell = [self.after.skews, *self.verdict.arrays]
-        per_slab = [*self.after.per_slab, self._inherited, self._ratio]
-        measure_cells(grid, original.topology, after, self._put, per_cell, per_slab)
+        self._original, self._points = original, after
+        self.after, self.verdict = Tally(grid.n_cells, n_slabs), Verdict.blank(grid.n_cells)
+        alone = after is grid.points
+        self._before = None if alone or original.measured else Tally(grid.n_cells, n_slabs)
+        # Smallest and largest change of volume and smallest relative Jacobian, and the cells.
+        self._inherited, self._extremes, self._cells = (
+            np.empty(n_slabs), np.empty((n_slabs, 3)), np.empty((n_slabs, 3), dtype=np.int64)
+        )  # fmt: skip
+        tallies = [self.after, *([self._before] if self._before else [])]
+        per_cell = [*(t.skews for t in tallies), *self.verdict.arrays]
+        per_slab = [array for t in tallies for array in t.per_slab] + [self._inherited, self._extremes, self._cells]
+        for_slabs(grid, self._put, per_cell, per_slab)
+        for tally, points in zip(tallies, (after, grid.points), strict=False):
+            _complete(tally, grid, original.topology, points)
+        original.measured = original.measured or self._before or self.after
+        if grid.dimension == 3 and not alone:
+            self._measure_extremes()
 
-    def _put(self, number: int, slab: Slab, new: CellMeasures) -> None:
-        self.after.put(number, slab, new)
-        old, bad = self._original.bad[slab.cells], new.bad.ravel()
-        judge_slab(self._original, self._points, slab, self.verdict)
-        sound = self.verdict.failed[slab.cells] == Test.NONE
-        self._inherited[number] = ((old != 0) & (bad != 0) & sound).sum()
-        volume = self._original.volume[slab.cells]
-        solid = volume > 0
-        change = new.volume.ravel()[solid] / volume[solid]
-        self._ratio[number] = change.min(initial=np.inf), change.max(initial=-np.inf)
+    def _measure_extremes(self) -> None:
+        """Values of the extreme cells, found in single precision, in double precision."""
+        grid, cells = self._original.grid, self._cells.ravel()
+        sign = self._original.topology.handedness[places(grid, cells)[0]].astype(float)
+        old, new = (
+            scattered_hexahedra(corners_of(grid, points, cells), sign) for points in (grid.points, self._points)
+        )
+        shape = self._cells.shape
+        change = np.where(old[3] > 0, new[3] / np.where(old[3] > 0, old[3], 1.0), np.nan).reshape(shape)
+        solid = np.isfinite(change[:, :2])
+        self._extremes[:, :2][solid] = change[:, :2][solid]
+        self._extremes[:, 2] = relative_jacobian(old[2], new[2]).reshape(shape)[:, 2]
+
+    def _put(self, number: int, slab: Slab) -> None:
+        figures = inspect_slab(self._original, self._points, slab, self._before is not None)
+        self.after.put(number, slab, figures.skew, figures.scaled, figures.after)
+        if self._before and figures.skew_before is not None and figures.scaled_before is not None:
+            self._before.put(number, slab, figures.skew_before, figures.scaled_before, figures.before)
+        self.verdict.put(slab, figures)
+        self._inherited[number] = figures.inherited
+        self._extremes[number], self._cells[number] = _extremes(slab, figures)
+
+    @property
+    def smallest_ratio(self) -> tuple[int, float]:
+        """The cell with the smallest corner Jacobian relative to the undeformed one, and that."""
+        slab = int(self._extremes[:, 2].argmin())
+        return int(self._cells[slab, 2]), float(self._extremes[slab, 2])
 
     @property
     def broken(self) -> BoolArray:
@@ -47,5 +81,28 @@ class Comparison:
     @property
     def ratio(self) -> Range:
         """Volumes after over volumes before, of cells that had one."""
-        low, high = float(self._ratio[:, 0].min()), float(self._ratio[:, 1].max())
+        low, high = float(self._extremes[:, 0].min()), float(self._extremes[:, 1].max())
         return Range(low, high) if low <= high else Range(1.0, 1.0)
+
+
+def _extremes(slab: Slab, f: Figures) -> tuple[tuple[float, float, float], tuple[int, int, int]]:
+    change = f.change
+    if not np.isfinite(change.sum()):
+        sound = np.isfinite(change)
+        low, high = (np.where(sound, change, other) for other in (np.inf, -np.inf))
+    else:
+        low = high = change
+    at = int(low.argmin()), int(high.argmax()), int(f.ratio.argmin())
+    cells = slab.start + at[0], slab.start + at[1], slab.start + at[2]
+    return (float(low[at[0]]), float(high[at[1]]), float(f.ratio[at[2]])), cells
+
+
+def _complete(tally: Tally, grid: Grid, topology: Topology, points: FloatArray) -> None:
+    """Volume, and the smallest values of the slabs, found in single precision, in double precision."""
+    if grid.dimension == 2:
+        return
+    tally.solid = sum(block_volume(grid.block(b, points), float(topology.handedness[b])) for b in range(grid.n_blocks))
+    cells = tally.low_cells.ravel()
+    sign = topology.handedness[places(grid, cells)[0]].astype(float)
+    skew, scaled, *_ = scattered_hexahedra(corners_of(grid, points, cells), sign)
+    tally.lows[:, 0], tally.lows[:, 1] = skew[0::2], scaled[1::2]

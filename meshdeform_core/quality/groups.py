@@ -11,7 +11,8 @@ from scipy.sparse.csgraph import connected_components
 from ..boundary import Boundary
 from ..grid import FloatArray, Grid, IntArray, Shape
 from ..grid.topology import Topology
-from .listed import cell_starts, nearest_patches
+from .cells import corner_nodes, places
+from .listed import nearest_patches
 
 MAX_GROUPS = 20
 
@@ -51,8 +52,8 @@ def group_cells(
     """
     if cells.size == 0:
         return ()
-    block, ijk = _places(grid, cells)
-    nodes = _corners(grid, block, ijk)
+    block, ijk = places(grid, cells)
+    nodes = corner_nodes(grid, block, ijk)
     part = _touching(_unique(topology, nodes))
     order = np.argsort(-np.bincount(part), kind="stable")[:MAX_GROUPS]
     worst = [members[int(np.argmin(ratio[cells[members]]))] for members in (np.flatnonzero(part == n) for n in order)]
@@ -80,26 +81,6 @@ def _group(
         (i, j, k),
         patch,
     )
-
-
-def _places(grid: Grid, cells: IntArray) -> tuple[IntArray, IntArray]:
-    """Block (n,) and 0-based i, j, k (n, 3) of cells."""
-    starts = cell_starts(grid)
-    block = np.searchsorted(starts, cells, side="right") - 1
-    shapes = np.array(grid.cell_shapes)[block]
-    local = cells - starts[block]
-    i, rest = np.divmod(local, shapes[:, 1] * shapes[:, 2])
-    j, k = np.divmod(rest, shapes[:, 2])
-    return block, np.stack([i, j, k], axis=1)
-
-
-def _corners(grid: Grid, block: IntArray, ijk: IntArray) -> IntArray:
-    """Flat node indices (n, 8) of cells; in a 2-D grid every corner twice."""
-    shapes = np.array(grid.shapes)[block]
-    corner = np.stack(np.meshgrid(*[[0, 1]] * 3, indexing="ij"), axis=-1).reshape(1, 8, 3)
-    at = np.minimum(ijk[:, None] + corner, shapes[:, None] - 1)
-    flat = (at[..., 0] * shapes[:, None, 1] + at[..., 1]) * shapes[:, None, 2] + at[..., 2]
-    return np.asarray(grid.offsets[block][:, None] + flat)
 
 
 def _unique(topology: Topology, nodes: IntArray) -> IntArray:

@@ -12,7 +12,7 @@ from ..boundary import Boundary, Kind
 from ..grid import FloatArray, Grid, IntArray, Shape
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology
-from .cells import measure_block
+from .cells import cell_starts, measure_block
 from .original import Original
 from .validity import Test, Verdict
 
@@ -45,13 +45,11 @@ class InvalidCell:
     step: int = 1
 
 
-def worst_cell(grid: Grid, points: FloatArray, values: FloatArray) -> Worst:
-    """The cell with the smallest of ``values`` (n_cells,)."""
-    cell = int(values.argmin())
+def worst_cell(grid: Grid, points: FloatArray, cell: int, value: float) -> Worst:
+    """The cell with the smallest value of a measure, by number; a value that is infinite counts as one."""
     block, ijk = place_of(grid, cell)
     i, j, k = ijk
     center = grid.block(block, points)[i : i + 2, j : j + 2, k : k + 2].reshape(-1, 3).mean(axis=0)
-    value = float(values[cell])
     return Worst(value if np.isfinite(value) else 1.0, grid.names[block], (i + 1, j + 1, k + 1), tuple(center.tolist()))
 
 
@@ -61,11 +59,6 @@ def place_of(grid: Grid, cell: int) -> tuple[int, Shape]:
     block = int(np.searchsorted(starts, cell, side="right")) - 1
     i, j, k = (int(n) for n in np.unravel_index(cell - starts[block], grid.cell_shapes[block]))
     return block, (i, j, k)
-
-
-def cell_starts(grid: Grid) -> IntArray:
-    """Number (n_blocks + 1,) of the first cell of every block."""
-    return np.concatenate([[0], np.cumsum([a * b * c for a, b, c in grid.cell_shapes])])
 
 
 def list_cells(original: Original, points: FloatArray, cells: IntArray, verdict: Verdict) -> Iterator[InvalidCell]:

@@ -1,47 +1,50 @@
-"""The cells of an undeformed grid, measured once however often a deformed one is judged against it."""
+"""The undeformed grid, measured once however often a deformed one is judged against it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
-import numpy as np
-
+from ..boundary import Boundary
 from ..grid import FloatArray, Grid
+from ..grid.planes import plane_normal
 from ..grid.topology import Topology
-from ..parallel import empty
-from .cells import CellMeasures, Slab, measure_cells, slabs
+from .lines import InterfaceLines, WallFace, interface_lines, kink_and_jump, moving_walls, wall_lines
 from .tally import Tally
 
+Lines = list[tuple[FloatArray, FloatArray]]
 
-@dataclass(frozen=True)
+
+@dataclass
 class Original:
     """An undeformed grid as the judgement needs it.
 
-    ``min_jacobian``: cells with a corner below this share of its undeformed Jacobian count as invalid.
-
-    Attributes
-    ----------
-    tally : totals over its cells
-    bad : (n_cells,) uint8, bit mask of the corners with Jacobian <= 0
-    volume : (n_cells,) (2-D: area)
+    ``min_jacobian``: cells with a corner below this share of its undeformed Jacobian count as invalid; ``measured``:
+    totals over its cells, from the first comparison with another grid.
     """
 
     grid: Grid
     topology: Topology
     min_jacobian: float = 0.0
-    tally: Tally = field(init=False)
-    bad: np.ndarray = field(init=False)
-    volume: FloatArray = field(init=False)
+    measured: Tally | None = field(default=None, init=False)
+    _walls: tuple[Boundary, list[WallFace], Lines] | None = field(default=None, init=False)
 
-    def __post_init__(self) -> None:
-        n_cells = self.grid.n_cells
-        tally, bad, volume = Tally(n_cells, len(slabs(self.grid))), empty([n_cells], np.uint8), empty([n_cells])
+    @property
+    def tally(self) -> Tally:
+        """Totals over its cells; there must have been a comparison."""
+        assert self.measured is not None
+        return self.measured
 
-        def use(number: int, slab: Slab, measures: CellMeasures) -> None:
-            tally.put(number, slab, measures)
-            bad[slab.cells] = measures.bad.ravel()
-            volume[slab.cells] = measures.volume.ravel()
+    @cached_property
+    def interfaces(self) -> tuple[InterfaceLines, tuple[FloatArray, FloatArray]]:
+        """Grid lines across interfaces, and :func:`.lines.kink_and_jump` of them."""
+        lines = interface_lines(self.grid, self.topology)
+        return lines, kink_and_jump(lines, self.grid.points)
 
-        measure_cells(self.grid, self.topology, self.grid.points, use, [tally.skews, bad, volume], tally.per_slab)
-        for name, value in (("tally", tally), ("bad", bad), ("volume", volume)):
-            object.__setattr__(self, name, value)
+    def walls(self, boundary: Boundary) -> tuple[list[WallFace], Lines]:
+        """The moving walls of a boundary, and :func:`.lines.wall_lines` of each; the last ones are kept."""
+        if self._walls is None or self._walls[0] is not boundary:
+            faces = moving_walls(self.grid, self.topology, boundary)
+            normal = plane_normal(self.grid)
+            self._walls = boundary, faces, [wall_lines(face, self.grid.points, normal) for face in faces]
+        return self._walls[1:]

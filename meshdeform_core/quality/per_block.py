@@ -38,7 +38,8 @@ def per_block(original: Original, cells: Comparison) -> tuple[BlockQuality, ...]
     grid = original.grid
     counts = [a * b * c for a, b, c in grid.cell_shapes]
     ends = np.cumsum(counts)
-    invalid = [int(cells.broken[end - count : end].sum()) for count, end in zip(counts, ends, strict=True)]
+    broken = cells.broken
+    invalid = [int(broken[end - count : end].sum()) for count, end in zip(counts, ends, strict=True)]
     rows = zip(grid.names, counts, invalid, _skews(grid, original.tally), _skews(grid, cells.after), strict=True)
     return tuple(BlockQuality(*row) for row in rows)
 

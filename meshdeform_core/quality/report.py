@@ -12,11 +12,11 @@ import numpy as np
 from ..boundary import Boundary
 from ..grid import FloatArray, Grid
 from ..grid.planes import plane_normal
-from ..grid.topology import Topology
+from .cells import cell_starts
 from .comparison import Comparison
 from .groups import InvalidGroup, group_cells
-from .lines import interface_lines, kink_and_jump, moving_walls, wall_lines
-from .listed import InvalidCell, Worst, cell_starts, list_cells, with_nearest_patch, worst_cell
+from .lines import kink_and_jump, wall_lines
+from .listed import InvalidCell, Worst, list_cells, with_nearest_patch, worst_cell
 from .original import Original
 from .per_block import BlockQuality, per_block
 from .tally import Range, Skew, Tally
@@ -123,12 +123,12 @@ def assess(
     start, cells = grid.points, cells or Comparison(original, after)
     broken = cells.verdict.invalid
     invalid = list(list_cells(original, after, broken[:MAX_LISTED], cells.verdict))
-    walls = _walls(grid, topology, boundary, start, after)
-    interfaces = _interfaces(grid, topology, start, after)
-    worst_before = {"f_skew": worst_cell(grid, start, original.tally.skews)}
+    walls = _walls(original, boundary, after)
+    interfaces = _interfaces(original, after)
+    worst_before = {"f_skew": worst_cell(grid, start, *original.tally.worst)}
     worst = {
-        "f_skew": worst_cell(grid, after, cells.after.skews),
-        "min_relative_jacobian": worst_cell(grid, after, cells.verdict.ratio),
+        "f_skew": worst_cell(grid, after, *cells.after.worst),
+        "min_relative_jacobian": worst_cell(grid, after, *cells.smallest_ratio),
     }
     return Assessment(
         _quality(original.tally, (0, original.tally.bad, 1.0), walls[0], interfaces[0], Range(1.0, 1.0), worst_before),
@@ -165,14 +165,12 @@ Walls = tuple[Spread | None, Range | None]
 Interfaces = tuple[Spread | None, Spread | None]
 
 
-def _walls(
-    grid: Grid, topology: Topology, boundary: Boundary | None, before: FloatArray, after: FloatArray
-) -> tuple[Walls, Walls]:
-    faces = moving_walls(grid, topology, boundary) if boundary is not None else []
+def _walls(original: Original, boundary: Boundary | None, after: FloatArray) -> tuple[Walls, Walls]:
+    faces, old = original.walls(boundary) if boundary is not None else ([], [])
     if not faces:
         return (None, None), (None, None)
-    normal = plane_normal(grid)
-    old, new = ([wall_lines(face, x, normal) for face in faces] for x in (before, after))
+    normal = plane_normal(original.grid)
+    new = [wall_lines(face, after, normal) for face in faces]
     angles = [np.concatenate([angle for angle, _ in lines]) for lines in (old, new)]
     heights = [np.concatenate([height for _, height in lines]) for lines in (old, new)]
     sound = heights[0] > 0
@@ -181,12 +179,11 @@ def _walls(
     return (Spread.of(angles[0]), Range(1.0, 1.0)), (Spread.of(angles[1]), change)
 
 
-def _interfaces(grid: Grid, topology: Topology, before: FloatArray, after: FloatArray) -> tuple[Interfaces, Interfaces]:
-    lines = interface_lines(grid, topology)
+def _interfaces(original: Original, after: FloatArray) -> tuple[Interfaces, Interfaces]:
+    lines, old = original.interfaces
     if lines.here.size == 0:
         return (None, None), (None, None)
-    old = kink_and_jump(lines, before)
-    if after is before:
+    if after is original.grid.points:
         # A grid on its own: kinks and jumps as they are, not changes.
         own = Spread.of(old[0]), Spread.of(old[1])
         return own, own

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..grid import FloatArray, IntArray
+from ..grid import BoolArray, FloatArray, IntArray
 from ..parallel import empty
-from .cells import CellMeasures, Slab
+from .cells import Slab
 
 HISTOGRAM_BINS = 20
 
@@ -32,37 +32,67 @@ class Skew:
     histogram: tuple[int, ...]
 
 
+@dataclass
+class Sums:
+    """Sums over some cells: 1 / f_skew, f_skew, histogram of f_skew, counts; in 2-D also the area."""
+
+    inverse: float
+    skew: float
+    counts: IntArray
+    negative: int = 0
+    bad: int = 0
+    area: float = 0.0
+
+    @classmethod
+    def of(cls, skew: FloatArray, volume: FloatArray, bad: BoolArray) -> Sums:
+        """Of cells (m,) with these values; ``bad``: with a corner Jacobian <= 0."""
+        sums = cls(0.0, 0.0, np.zeros(HISTOGRAM_BINS, dtype=np.int64), area=float(volume.sum()))
+        sums.add(skew, volume, bad)
+        return sums
+
+    def add(self, skew: FloatArray, volume: FloatArray, bad: BoolArray) -> None:
+        """Add cells (m,); their area is left alone."""
+        with np.errstate(divide="ignore"):
+            self.inverse += float((1.0 / skew).sum())
+        self.skew += float(skew.sum())
+        self.counts += np.bincount(_bins(skew.astype(np.float32)), minlength=HISTOGRAM_BINS)
+        self.negative += int((volume <= 0).sum())
+        self.bad += int(bad.sum())
+
+
 class Tally:
     """The cells of one grid: one row per slab, summed in the grid's order when everything is there.
 
-    ``sums`` (n_slabs, 5): 1/f_skew, f_skew, volume, cells with negative volume, with a bad corner; ``lows`` (n_slabs,
-    2): smallest f_skew and scaled Jacobian; ``counts`` (n_slabs, 20): histogram of f_skew; ``skews`` (n_cells,).
+    ``sums`` (n_slabs, 5): 1/f_skew, f_skew, area (2-D), cells with negative volume, with a bad corner; ``lows``
+    (n_slabs, 2): smallest f_skew and scaled Jacobian; ``low_cells`` (n_slabs, 2) where; ``counts`` (n_slabs, 20):
+    histogram of f_skew; ``skews`` (n_cells,).
     """
 
     def __init__(self, n_cells: int, n_slabs: int):
         # Single precision is enough for the quantile and the histogram.
         self.skews = empty([n_cells], np.float32)
         self.sums, self.lows = np.empty((n_slabs, 5)), np.empty((n_slabs, 2))
-        self.counts = np.empty((n_slabs, HISTOGRAM_BINS), dtype=np.int64)
+        self.counts, self.low_cells = (np.empty((n_slabs, n), dtype=np.int64) for n in (HISTOGRAM_BINS, 2))
+        self.solid: float | None = None
 
-    def put(self, number: int, slab: Slab, m: CellMeasures) -> None:
-        """Note one slab."""
-        with np.errstate(divide="ignore"):
-            inverse = (1.0 / m.skew).sum()
-        self.sums[number] = inverse, m.skew.sum(), m.volume.sum(), (m.volume <= 0).sum(), (m.bad != 0).sum()
-        self.lows[number] = m.skew.min(), m.scaled.min()
-        skews = self.skews[slab.cells]
-        skews[:] = m.skew.ravel()
-        self.counts[number] = np.bincount(_bins(skews), minlength=HISTOGRAM_BINS)
+    def put(self, number: int, slab: Slab, skew: FloatArray, scaled: FloatArray, sums: Sums) -> None:
+        """Note one slab of cells with these values (n,)."""
+        self.skews[slab.cells] = skew
+        at = int(skew.argmin()), int(scaled.argmin())
+        self.lows[number] = skew[at[0]], scaled[at[1]]
+        self.low_cells[number] = slab.start + at[0], slab.start + at[1]
+        self.sums[number] = sums.inverse, sums.skew, sums.area, sums.negative, sums.bad
+        self.counts[number] = sums.counts
 
     @property
     def per_slab(self) -> list[np.ndarray]:
         """Arrays with one row per slab."""
-        return [self.sums, self.lows, self.counts]
+        return [self.sums, self.lows, self.low_cells, self.counts]
 
     @property
     def volume(self) -> float:
-        return float(self.sums[:, 2].sum())
+        """Of all cells; in 2-D their area."""
+        return float(self.sums[:, 2].sum()) if self.solid is None else self.solid
 
     @property
     def negative(self) -> int:
@@ -75,6 +105,12 @@ class Tally:
     @property
     def scaled(self) -> float:
         return float(self.lows[:, 1].min())
+
+    @property
+    def worst(self) -> tuple[int, float]:
+        """The cell with the smallest f_skew, and that."""
+        slab = int(self.lows[:, 0].argmin())
+        return int(self.low_cells[slab, 0]), float(self.lows[slab, 0])
 
     def skew(self) -> Skew:
         n = len(self.skews)

@@ -181,3 +181,25 @@ def measure_quads(x, normal, i0, i1, skew, scaled, jacobian, area, bad):
                 + normal[2] * (u[0] * v[1] - u[1] * v[0])
             )
             bad[n, j] = mask
+
+
+def scattered_hexahedra(x, sign):
+    """Measures of cells, corners ``x`` (m, 8, 3), (a, b, c) at 4 a + 2 b + c, in blocks of handedness ``sign`` (m,).
+
+    Returns
+    -------
+    skew, scaled : (m,) as :func:`measure_hexahedra`
+    jacobian : (m, 8) corner Jacobians
+    volume : (m,)
+    """
+    corner = np.arange(8)
+    u, v, w = (x[:, corner | bit] - x[:, corner & ~bit] for bit in (4, 2, 1))
+    jacobian = sign[:, None] * np.einsum("mci,mci->mc", np.cross(u, v), w)
+    size = np.sqrt(np.prod([np.einsum("mci,mci->mc", e, e) for e in (u, v, w)], axis=0))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        scaled = np.where(size > 0.0, jacobian / size, 0.0)
+        terms = np.where(scaled > 0.0, np.maximum(scaled, 1e-200) ** (-2.0 / 3.0), np.inf).sum(axis=1)
+    mean = np.einsum("mi,mi->m", np.cross(u.mean(axis=1), v.mean(axis=1)), w.mean(axis=1))
+    # See :mod:`.inspection`.
+    volume = (2.0 * sign * mean + jacobian.mean(axis=1)) / 3.0
+    return np.minimum(8.0 / terms, 1.0), scaled.min(axis=1), jacobian, volume

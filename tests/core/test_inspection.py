@@ -1,0 +1,185 @@
+"""The pass over cells in single precision, against definitions in double precision written plainly with numpy."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from meshdeform_core.grid import Grid
+from meshdeform_core.grid.topology import find_topology
+from meshdeform_core.numerics.cell.inspection import inspect_hexahedra
+from meshdeform_core.numerics.cell.measures import scattered_hexahedra
+from meshdeform_core.quality import Original, assess
+from meshdeform_core.quality.cells import block_volume
+from meshdeform_core.quality.comparison import Comparison
+
+TOLERANCE = 2e-5
+"""Largest relative error of the pass for cells that it does not leave open."""
+
+
+def box(shape):
+    return np.stack(np.meshgrid(*(np.arange(n, dtype=float) for n in shape), indexing="ij"), axis=-1)
+
+
+def corners(x):
+    """Corners (n_cells, 8, 3) of all cells of a block."""
+    low, high = slice(None, -1), slice(1, None)
+    parts = [x[tuple((low, high)[n] for n in corner)] for corner in itertools.product((0, 1), repeat=3)]
+    return np.stack(parts, axis=3).reshape(-1, 8, 3)
+
+
+def plain(x, sign):
+    """f_skew, smallest scaled corner, corner Jacobians and volume: Knupp's definitions, Gauss quadrature."""
+    cells = corners(x).reshape(-1, 2, 2, 2, 3)
+    jacobian, size = [], []
+    for a, b, c in itertools.product((0, 1), repeat=3):
+        u = cells[:, 1, b, c] - cells[:, 0, b, c]
+        v = cells[:, a, 1, c] - cells[:, a, 0, c]
+        w = cells[:, a, b, 1] - cells[:, a, b, 0]
+        jacobian.append(sign * np.linalg.det(np.stack([u, v, w], axis=1)))
+        size.append(np.linalg.norm(u, axis=1) * np.linalg.norm(v, axis=1) * np.linalg.norm(w, axis=1))
+    jacobian, size = np.stack(jacobian, axis=1), np.stack(size, axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        skew = np.where((jacobian > 0).all(axis=1), 8 / ((size / np.abs(jacobian)) ** (2 / 3)).sum(axis=1), 0.0)
+        scaled = (jacobian / size).min(axis=1)
+    return skew, scaled, jacobian, quadrature(cells, sign)
+
+
+def quadrature(cells, sign):
+    at, weight = np.polynomial.legendre.leggauss(3)
+    total = 0.0
+    for index in itertools.product(range(3), repeat=3):
+        shape = [np.array([1 - at[n], 1 + at[n]]) / 2 for n in index]
+        slope = np.array([-0.5, 0.5])
+        rows = [
+            np.einsum("nabcd,a,b,c->nd", cells, *(slope if axis == other else shape[other] for other in range(3)))
+            for axis in range(3)
+        ]
+        total = total + np.prod(weight[list(index)]) * np.linalg.det(np.stack(rows, axis=1))
+    return sign * total
+
+
+def smallest_coefficient(x, sign, parts=12):
+    """The smallest of the Jacobian at many points of every cell."""
+    cells, t = sign * 1.0, np.linspace(0.0, 1.0, parts)
+    value, slope = np.stack([1 - t, t], axis=1), np.array([-1.0, 1.0])
+    ones = np.ones(parts)
+    c = corners(x).reshape(-1, 2, 2, 2, 3)
+    rows = [
+        np.einsum("nabcd,ra,sb,tc->nrstd", c, *(np.outer(ones, slope) if axis == o else value for o in range(3)),
+                  optimize=True)
+        for axis in range(3)
+    ]  # fmt: skip
+    return (cells * np.einsum("nrstd,nrstd->nrst", np.cross(rows[0], rows[1]), rows[2])).min(axis=(1, 2, 3))
+
+
+def inspect(before, x, sign=1.0, both=True, scale=1.0):
+    shape = tuple(n - 1 for n in x.shape[:3])
+    out, is_open = np.empty((6, *shape), np.float32), np.empty(shape, dtype=bool)
+    sums, counts = np.zeros((2, 2)), np.zeros((2, 20), dtype=np.int64)
+    inspect_hexahedra(before, x, before is not x, both, sign, scale, 0, shape[0], out, is_open, sums, counts)
+    return out.reshape(6, -1), is_open.ravel(), sums, counts
+
+
+@pytest.mark.parametrize("shape", [(4, 5, 170), (3, 60, 18), (9, 4, 3), (2, 2, 2)])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_figures_are_those_of_the_definitions(shape, sign):
+    rng = np.random.default_rng(3)
+    before, after = (box(shape) + amount * rng.standard_normal((*shape, 3)) for amount in (0.05, 0.12))
+    if sign < 0:
+        before, after = before * [1, 1, -1], after * [1, 1, -1]
+    out, is_open, sums, counts = inspect(before, after, sign)
+    new, old = plain(after, sign), plain(before, sign)
+    clear = ~is_open
+    assert clear.mean() > 0.5
+    expected = (new[0], new[1], (new[2] / old[2]).min(axis=1), new[3] / old[3], old[0], old[1])
+    for found, values in zip(out, expected, strict=True):
+        np.testing.assert_allclose(found[clear], values[clear], rtol=TOLERANCE)
+    for n, values in enumerate((new[0], old[0])):
+        np.testing.assert_allclose(sums[n], [(1 / values[clear]).sum(), values[clear].sum()], rtol=1e-6)
+        histogram = np.histogram(out[4 * n][clear], bins=20, range=(0.0, 1.0))[0]
+        assert np.abs(counts[n] - histogram).sum() <= 2
+
+
+def test_what_is_not_open_is_positive_everywhere():
+    rng = np.random.default_rng(0)
+    for amount in (0.1, 0.2, 0.3):
+        x = box((12, 12, 12)) * [1.0, 1e-4, 50.0]
+        x += amount * rng.standard_normal(x.shape) * [1.0, 1e-4, 50.0]
+        is_open = inspect(x, x)[1]
+        lowest = smallest_coefficient(x, 1.0)
+        assert (lowest[~is_open] > 0).all()
+        assert is_open[lowest <= 0].all()
+
+
+@pytest.mark.parametrize("size", [1e-9, 1.0, 1e9])
+def test_smooth_cells_are_proved_at_any_size_and_place(size):
+    x = box((20, 21, 22))
+    x = size * (x + 0.3 * np.sin(0.4 * x[..., ::-1])) * [1.0, 1e-3, 10.0]
+    for shift in (0.0, 100.0 * size):
+        out, is_open, *_ = inspect(x, x + shift, scale=1.0 / size)
+        assert not is_open.any()
+        np.testing.assert_allclose(out[2], 1.0, rtol=1e-4)
+
+
+def test_collapsed_flat_and_minute_cells_are_left_open():
+    x = box((4, 4, 4))
+    x[1, :, 1] = x[2, :, 1]
+    x[3, 3, 3] = [2.0, 2.0, 2.0]
+    assert inspect(x, x)[1].any()
+    x = box((3, 3, 3)) * 1e-14
+    assert inspect(x, x)[1].all()
+    x = box((3, 3, 3)) @ np.array([[1, 0, 0], [1, 1e-3, 0], [0, 0, 1.0]])
+    assert inspect(x, x)[1].all()
+    x = box((3, 3, 3))
+    x[1, 1, 1] = np.nan
+    assert inspect(x, x)[1].all()
+
+
+def test_scattered_cells_are_measured_like_the_definitions():
+    rng = np.random.default_rng(5)
+    x = box((6, 6, 6)) + 0.35 * rng.standard_normal((6, 6, 6, 3))
+    skew, scaled, jacobian, volume = scattered_hexahedra(corners(x), np.ones(125))
+    expected = plain(x, 1.0)
+    assert (expected[0] == 0).any()
+    for found, values in zip((skew, scaled, jacobian, volume), expected, strict=True):
+        np.testing.assert_allclose(found, values, rtol=1e-10, atol=1e-13)
+
+
+@pytest.mark.parametrize("flip", [False, True])
+def test_extremes_and_totals_of_a_report_are_in_double_precision(flip):
+    rng = np.random.default_rng(8)
+    before = box((9, 8, 7)) + 0.05 * rng.standard_normal((9, 8, 7, 3))
+    after = before + 0.1 * rng.standard_normal(before.shape)
+    if flip:
+        before, after = (np.ascontiguousarray(x[:, ::-1]) for x in (before, after))
+    grid = Grid.from_blocks([before])
+    original = Original(grid, find_topology(grid))
+    quality = assess(original, after.reshape(-1, 3), None).after
+    new, old = (plain(x, -1.0 if flip else 1.0) for x in (after, before))
+    assert quality.invalid_cells == 0
+    assert quality.f_skew.min == pytest.approx(new[0].min(), rel=1e-12)
+    assert quality.min_scaled_jacobian == pytest.approx(new[1].min(), rel=1e-12)
+    assert quality.min_relative_jacobian == pytest.approx((new[2] / old[2]).min(), rel=1e-12)
+    assert quality.volume_ratio.min == pytest.approx((new[3] / old[3]).min(), rel=1e-12)
+    assert quality.volume_ratio.max == pytest.approx((new[3] / old[3]).max(), rel=1e-12)
+    assert quality.total_volume == pytest.approx(new[3].sum(), rel=1e-12)
+    assert quality.f_skew.mean == pytest.approx(new[0].mean(), rel=TOLERANCE)
+    assert quality.f_skew.harmonic_mean == pytest.approx(1 / (1 / new[0]).mean(), rel=TOLERANCE)
+
+
+def test_the_undeformed_grid_is_measured_once():
+    grid = Grid.from_blocks([box((5, 5, 5))])
+    original = Original(grid, find_topology(grid))
+    Comparison(original, grid.points * [1.0, 1.0, 0.5])
+    tally = original.tally
+    Comparison(original, grid.points * [1.0, 1.0, 0.7])
+    assert original.tally is tally
+    assert tally.volume == pytest.approx(64.0, rel=1e-14)
+    np.testing.assert_allclose(tally.skews, 1.0, rtol=1e-6)
+
+
+def test_volume_of_a_block_by_its_surface():
+    x = box((5, 4, 6)) + 0.2 * np.random.default_rng(1).standard_normal((5, 4, 6, 3)) + 1e3
+    assert block_volume(x, 1.0) == pytest.approx(plain(x, 1.0)[3].sum(), rel=1e-11)
+    assert block_volume(np.ascontiguousarray(x[::-1]), -1.0) == pytest.approx(block_volume(x, 1.0), rel=1e-11)
