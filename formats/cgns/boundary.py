@@ -19,7 +19,7 @@ def family_conditions(base: Base) -> dict[str, str]:
 
 
 def zone_patches(zone: Zone, block: int, families: Mapping[str, str], notes: Notes) -> list[Patch]:
-    """One patch per BC_t of the zone, in file order, named like it; names are unique in a zone only."""
+    """One patch per BC_t of the zone, in file order, with its name; names are unique only within a zone."""
     patches = []
     for group in zone.node.labelled("ZoneBC_t"):
         for condition in group.labelled("BC_t"):

@@ -1,4 +1,4 @@
-"""Connectivity of structured zones: one-to-one connections, periodic or not, and what is only noted."""
+"""Connectivity of structured zones: one-to-one connections, including periodic ones; other types are only noted."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from .zone import Base, Zone
 
 
 def refuse_overset(zones: Sequence[Zone]) -> None:
-    """Refuse a grid of several zones that are connected by overset (Chimera) interpolation and in no other way.
+    """Refuse a grid of several zones that are connected only by overset (Chimera) interpolation.
 
-    Its blocks overlap instead of sharing nodes, so nothing would hold them together while they are deformed.
+    Its blocks overlap instead of sharing nodes, so nothing would keep them together during the deformation.
     """
     kinds = [_kind(node) for zone in zones for group in _groups(zone) for node in _members(group)]
     if len(zones) > 1 and "Overset" in kinds and not {"1to1", "Abutting1to1", "Abutting"} & set(kinds):
         raise FormatError(
             f"the {len(zones)} zones are connected by overset (Chimera) connectivity only; meshdeform moves blocks "
-            f"that share nodes: deform the zones one by one, or those of one component in a file of their own"
+            f"that share nodes: deform each zone, or the zones of each component, in a separate file"
         )
 
 
 def zone_connections(base: Base, zones: Sequence[Zone], grid: Grid, notes: Notes) -> list[Connection]:
     """The GridConnectivity1to1_t of all zones in file order.
 
-    Interfaces are found from the coordinates, never trusted, so that a connection which does not fit its zones is
-    noted and left out. ``grid`` has the coordinates, which decide about angles without a unit.
+    Interfaces are found from the coordinates, so that a connection which does not match its zones is noted and
+    ignored. ``grid`` has the coordinates, which resolve angles without a unit.
     """
     blocks = {zone.name: block for block, zone in enumerate(zones)}
     connections = []
@@ -45,13 +45,13 @@ def zone_connections(base: Base, zones: Sequence[Zone], grid: Grid, notes: Notes
                     donor = blocks.get(_donor_name(node, base))
                     connection = None if donor is None else _connection(node, block, donor, zones)
                     if connection is None:
-                        notes.add("connections that do not fit their zones are not used", place)
+                        notes.add("connections that do not match their zones are not used", place)
                         continue
                     periodic = periodicity(node, connection, (zone.node, base.node), grid, notes)
                     connections.append(replace(connection, periodic=periodic))
                 elif kind:
                     notes.add(
-                        f"{kind} connectivity is kept in the file and not used; nodes that coincide stay joined", place
+                        f"{kind} connectivity is kept in the file but not used; coincident nodes stay joined", place
                     )
     return connections
 
@@ -61,7 +61,7 @@ def _groups(zone: Zone) -> list[Node]:
 
 
 def _members(group: Node) -> Sequence[Node]:
-    """Everything in a ZoneGridConnectivity_t, links that lead nowhere refused: they may be connections."""
+    """The members of a ZoneGridConnectivity_t; broken links are refused, as they may be connections."""
     group.labelled("GridConnectivity1to1_t")
     return group.target.children
 
@@ -78,7 +78,7 @@ def _kind(node: Node) -> str:
 
 
 def _donor_name(node: Node, base: Base) -> str:
-    """Name of the donor zone; ``Base/Zone`` is allowed and means ours when the base is ours."""
+    """Name of the donor zone; ``Base/Zone`` is accepted for the same base."""
     return node.text().removeprefix(f"{base.node.name}/")
 
 

@@ -1,8 +1,8 @@
 """CGNS: structured zones in HDF5 (read and written) and in ADF (read).
 
-Writing a grid that came from a CGNS file copies that file and changes its coordinates only; a grid from elsewhere
-becomes a new file. Coordinates keep the precision they have in the file, ``precision=float32|float64`` changes it.
-A file that mixes both precisions counts as float32, because that is how well its nodes are known to coincide.
+A grid from a CGNS file is written as a copy of that file in which only the coordinates change; other grids are written
+as new files. Coordinates keep their precision unless ``precision=float32|float64`` changes it. A file with both
+precisions counts as float32, because that limits how accurately its nodes coincide.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ _MIXED = "mixed"
 def read(path: Path) -> Grid:
     """Read the structured zones of a CGNS file as blocks, in file order, with their names.
 
-    Patches are named like the BC_t, families like FamilyName. Coordinates are in the file's length unit, which
-    ``Grid.notes`` tells if the file does; z is zero where the file has x and y only.
+    Patches are named after the BC_t, families after FamilyName. Coordinates are in the file's length unit, given in
+    ``Grid.notes`` if the file declares it; z is zero if the file has only x and y.
 
     Raises
     ------
     FormatError
-        When the file is damaged, or its zones are unstructured, in cylindrical coordinates or overset only.
+        When the file is damaged, or its zones are unstructured, in cylindrical coordinates, or overset.
     """
     notes = Notes()
     with naming(path), opened_cgns(path) as root:
@@ -63,7 +63,7 @@ def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
             hint = suggestion(key, ["precision"])
             raise FormatError(f"CGNS has no option {key!r}; the only one is precision=float32|float64{hint}")
     if path.suffix.lower() == ".adf":
-        raise FormatError(f"cannot write {path}: ADF is read only; give it the suffix .cgns, which is written as HDF5")
+        raise FormatError(f"cannot write {path}: ADF can only be read; use the suffix .cgns, which is written as HDF5")
     precision = options.get("precision", grid.precision)
     if precision not in _PRECISIONS:
         raise FormatError(f"the precision of CGNS coordinates is float32 or float64, not {precision!r}")
@@ -72,12 +72,12 @@ def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
 
 
 def write(grid: Grid, path: Path, variant: FileFormat) -> None:
-    """Write ``grid``, replacing ``path`` as a whole or leaving it alone.
+    """Write ``grid``, replacing ``path`` as a whole or leaving it unchanged.
 
     Raises
     ------
     FormatError
-        When the file the grid came from is gone or changed, or the new one cannot be written.
+        When the grid's original file is missing or has changed, or the new one cannot be written.
     """
     # Imported here because reading ADF needs no HDF5.
     from .write_copy import write_copy

@@ -35,7 +35,7 @@ _BC_TYPES = (
     "BCWallViscousHeatFlux",
     "BCWallViscousIsothermal",
 )
-# How other formats' words for boundary conditions begin (NASA neutral map files, common names).
+# First letters of boundary condition names in other formats (NASA neutral map files, common names).
 _WORDS = {
     "viscous": "BCWallViscous",
     "tangency": "BCWallInviscid",
@@ -51,14 +51,14 @@ _WORDS = {
 
 
 def family_names(grid: Grid, zones: tuple[str, ...]) -> dict[str, str]:
-    """Node name of each family, in the order of the patches; zones are their siblings."""
+    """Node name of each family, in the order of the patches; distinct from those of zones, which are siblings."""
     families = dict.fromkeys(_family(patch) for patch in grid.patches)
     families.pop("", None)
     return dict(zip(families, unique_names(families, "Family", zones), strict=True))
 
 
 def boundary_nodes(grid: Grid, families: dict[str, str]) -> list[list[Node]]:
-    """For each block its ZoneBC_t with one BC_t per window, or nothing."""
+    """For each block its ZoneBC_t with one BC_t per window, or an empty list."""
     parts: list[list[tuple[Patch, Window]]] = [[] for _ in grid.shapes]
     for patch in grid.patches:
         for window in patch.windows:
@@ -85,7 +85,7 @@ def family_nodes(grid: Grid, families: dict[str, str]) -> list[Node]:
 
 
 def bc_type(word: str) -> str:
-    """The CGNS word for a boundary condition; ``UserDefined`` for what CGNS does not know."""
+    """The CGNS name of a boundary condition; ``UserDefined`` if there is none."""
     if word in _BC_TYPES:
         return word
     return next((kind for start, kind in _WORDS.items() if word.lower().startswith(start)), "UserDefined")
@@ -98,7 +98,7 @@ def point_range(shape: Shape, begin: Shape, end: Shape) -> np.ndarray:
 
 
 def _family(patch: Patch) -> str:
-    """A patch that becomes several BC_t stays selectable as one by a family."""
+    """The family of a patch; a patch that becomes several BC_t can still be selected as one by its family."""
     return patch.family or (patch.name if len(patch.windows) > 1 else "")
 
 

@@ -1,4 +1,4 @@
-"""Connections as GridConnectivity1to1_t, both directions of each as CGNS wants them."""
+"""Connections as GridConnectivity1to1_t, in both directions as CGNS requires."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .storage.tree import Node, make
 
 
 def connectivity_nodes(grid: Grid, zones: tuple[str, ...]) -> list[list[Node]]:
-    """For each block its ZoneGridConnectivity_t with all connections that start there, or nothing."""
+    """For each block its ZoneGridConnectivity_t with all connections that start there, or an empty list."""
     declared = [_ascending(connection) for connection in grid.connections]
     known = {_key(connection) for connection in declared}
     reverse = [_ascending(_reversed(connection)) for connection in declared]
@@ -99,7 +99,7 @@ def _transform(connection: Connection, shape: Shape, donor_shape: Shape) -> np.n
 
 
 def _motion(periodic: Periodicity) -> list[Node]:
-    """Angles are written in radians and say so; readers differ in what they assume."""
+    """Periodic_t nodes of a motion; angles are in radians, declared explicitly because readers' defaults differ."""
     units = make("DimensionalUnits", "DimensionalUnits_t", _words("Null", "Null", "Null", "Null", "Radian"))
     angle = np.radians(periodic.rotation_angle).astype(np.float32)
     return [

@@ -1,4 +1,4 @@
-"""Remarks collected while reading: one line per kind, however many zones it concerns."""
+"""Remarks collected while reading: one line per kind, for any number of zones."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ _SHOWN = 4
 
 
 class Notes:
-    """Remarks for ``Grid.notes``; the same remark about several places becomes one line."""
+    """Remarks for ``Grid.notes``; the same remark about several nodes becomes one line."""
 
     def __init__(self) -> None:
         self._places: dict[str, list[str]] = {}

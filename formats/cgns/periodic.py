@@ -18,10 +18,10 @@ _ANGLE = 4  # position of the angle among the five units of DimensionalUnits_t
 def periodicity(
     node: Node, connection: Connection, outer: Sequence[Node], grid: Grid, notes: Notes
 ) -> Periodicity | None:
-    """The motion that carries the connection's own nodes onto the donor's; ``None`` if it is not periodic.
+    """The motion that maps the connection's own nodes onto the donor's; ``None`` if it is not periodic.
 
-    Angles are stored in the unit that Periodic_t, or ``outer`` (zone, base), declares. Without one both radians (the
-    SI unit) and degrees are in use; then what fits the coordinates of ``grid`` better is meant.
+    Angles are in the unit declared by Periodic_t or ``outer`` (zone, base). Without a declaration both radians (the SI
+    unit) and degrees are in use; the one that matches the coordinates of ``grid`` better is taken.
     """
     found = [p for group in node.labelled("GridConnectivityProperty_t") for p in group.labelled("Periodic_t")]
     if not found:
@@ -37,7 +37,7 @@ def periodicity(
         fits = [_misfit(connection, grid, center, value, translation) for value in (degrees, angle)]
         degrees = angle if fits[1] < fits[0] else degrees
         word = "degrees" if fits[1] < fits[0] else "radians"
-        notes.add(f"periodic angles without a unit are read as {word}, which fits the coordinates", node.name)
+        notes.add(f"periodic angles without a unit are read as {word}, which matches the coordinates", node.name)
     (cx, cy, cz), (ax, ay, az), (tx, ty, tz) = (v.tolist() for v in (center, degrees, translation))
     return Periodicity((cx, cy, cz), (ax, ay, az), (tx, ty, tz))
 
@@ -52,7 +52,7 @@ def rotation_matrix(degrees: FloatArray) -> FloatArray:
 
 
 def _vector(periodic: Node, name: str) -> FloatArray:
-    """A vector of as many components as the base has coordinates, filled up with zeros."""
+    """A vector with as many components as the base has coordinates, padded with zeros."""
     child = periodic.child(name)
     values = np.zeros(3)
     if child is None:
@@ -92,7 +92,7 @@ def inverse_motion(periodic: Periodicity) -> Periodicity:
 
 
 def _angles(matrix: FloatArray, forward: Periodicity) -> tuple[float, float, float]:
-    """Angles about x, y, z in turn that make up ``matrix``; about a single axis simply the opposite angle."""
+    """Angles about x, y, z in turn that give ``matrix``; for a single axis simply the opposite angle."""
     if np.count_nonzero(forward.rotation_angle) <= 1:
         x, y, z = (-angle for angle in forward.rotation_angle)
         return x, y, z

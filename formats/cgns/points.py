@@ -15,7 +15,7 @@ from .windows import window_of_range, windows_of_nodes, windows_of_quads
 from .zone import Zone
 
 _POINT_SETS = ("PointRange", "PointList", "ElementRange", "ElementList")
-# Index axis normal to the faces of each location; the first two leave it to the indices.
+# Index axis normal to the faces of each location; for the first two it follows from the indices.
 _FACE_LOCATIONS: Mapping[str, int | None] = {
     "FaceCenter": None,
     "EdgeCenter": None,
@@ -26,12 +26,12 @@ _FACE_LOCATIONS: Mapping[str, int | None] = {
 
 
 def condition_windows(condition: Node, zone: Zone, block: int, notes: Notes) -> list[Window]:
-    """Where a boundary condition holds; what is not on a block face is noted and left out.
+    """Windows of a boundary condition; points that are not on a block face are noted and ignored.
 
     Raises
     ------
     FormatError
-        When its indices are not in the zone: a wall left out would not move with the others.
+        When its indices exceed the zone: an ignored wall would not move with the others.
     """
     place = f"{zone.name}/{condition.name}"
     sets = [child for name in _POINT_SETS for child in condition.target.children if child.name == name]
@@ -60,7 +60,7 @@ def condition_windows(condition: Node, zone: Zone, block: int, notes: Notes) -> 
 
 
 def _location(condition: Node, points: Node) -> str:
-    """Where the points lie; ElementRange and ElementList are the old names for face centres."""
+    """Location of the points; ElementRange and ElementList are old names for face centres."""
     if points.name.startswith("Element"):
         return "FaceCenter"
     nodes = condition.labelled("GridLocation_t")
@@ -85,7 +85,7 @@ def _require_inside(points: IntArray, zone: Zone, sizes: IntArray, place: str) -
     if outside.any():
         axes = len(zone.core)
         raise FormatError(
-            f"{place} names the index {(points[outside][0] + 1)[:axes].tolist()}; zone {zone.name} ends at "
+            f"{place} has the index {(points[outside][0] + 1)[:axes].tolist()}; zone {zone.name} ends at "
             f"{sizes[:axes].tolist()}: correct the boundary condition"
         )
 
@@ -121,7 +121,7 @@ def _of_faces(
 
 
 def _normal_axis(points: IntArray, is_range: bool, zone: Zone) -> int | None:
-    """The axis whose ends the faces lie on; ``None`` if there is none or the indices leave several."""
+    """The axis at whose ends the faces lie; ``None`` if there is none or the indices allow several."""
     ends = np.array(zone.shape) - 1
     constant = (points == points[0]).all(axis=0) if is_range else True
     at_end = ((points == 0) | (points == ends)).all(axis=0) & constant & (ends > 0)

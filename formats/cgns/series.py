@@ -1,7 +1,7 @@
-"""All levels of a moving grid in one CGNS file, as SIDS section 11 describes time-dependent grids.
+"""All levels of a moving grid in one CGNS file, as a time-dependent grid according to SIDS section 11.
 
-Each zone keeps its undeformed GridCoordinates and gets one GridCoordinates_t (and FlowSolution_t, if there are fields)
-per level, which ZoneIterativeData_t points to; BaseIterativeData_t has the times.
+Each zone keeps its undeformed GridCoordinates and has one additional GridCoordinates_t (and FlowSolution_t, if there
+are fields) per level, to which ZoneIterativeData_t points; BaseIterativeData_t has the times.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def require_steady(grid: Grid) -> None:
 def write_series(
     grid: Grid, path: Path, variant: FileFormat, times: Sequence[float], level: Callable[[int], Grid]
 ) -> None:
-    """Write the undeformed ``grid`` and its levels, replacing ``path`` as a whole or leaving it alone.
+    """Write the undeformed ``grid`` and its levels, replacing ``path`` as a whole or leaving it unchanged.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def write_series(
     Raises
     ------
     FormatError
-        When the file the grid came from is gone or changed, or the new one cannot be written.
+        When the grid's original file is missing or has changed, or the new one cannot be written.
     """
     with replacing(path) as partial:
         cgns.write(grid, partial, variant)
@@ -122,6 +122,6 @@ def _iterations(times: Sequence[float]) -> Node:
 
 
 def _words(names: Sequence[str]) -> np.ndarray:
-    """Names as CGNS stores a list of them: characters (32, n), filled up with blanks."""
+    """Names in the form of a CGNS list: characters (32, n), padded with blanks."""
     text = "".join(name.ljust(NAME_LENGTH) for name in names)
     return np.frombuffer(text.encode(), np.int8).reshape(len(names), NAME_LENGTH).T

@@ -12,9 +12,9 @@ from meshdeform_core.grid.windows import windows_of_quads
 
 
 def window_of_range(shape: Shape, block: int, low: Sequence[int], high: Sequence[int]) -> Window | None:
-    """The window of the nodes ``low`` .. ``high`` (i, j, k, 0-based, inclusive), or ``None`` if no block face has it.
+    """The window of the nodes ``low`` .. ``high`` (i, j, k, 0-based, inclusive), or ``None`` if not on a block face.
 
-    The range must be constant along one index axis of more than one node, at that axis' first or last node.
+    The range must be constant along one index axis of more than one node, at its first or last node.
     """
     constant = [axis for axis in range(3) if low[axis] == high[axis] and shape[axis] > 1]
     if len(constant) != 1 or low[constant[0]] not in (0, shape[constant[0]] - 1):
@@ -28,7 +28,7 @@ def window_of_range(shape: Shape, block: int, low: Sequence[int], high: Sequence
 def windows_of_nodes(shape: Shape, block: int, nodes: IntArray) -> tuple[list[Window], int]:
     """Windows of the block faces' quads whose corners are all among ``nodes`` ``(n, 3)`` (0-based), as rectangles.
 
-    Returns them with the number of nodes that belong to none of them.
+    Also returns the number of nodes that belong to none of them.
     """
     windows: list[Window] = []
     unused = np.ones(len(nodes), bool)

@@ -1,6 +1,6 @@
 """Write a grid that came from a CGNS file: a copy of that file in which only the coordinates change.
 
-Fields of the grid, which the reader leaves in the file, are new ones and become flow solutions.
+The reader leaves existing fields in the file; fields of the grid are new ones and become flow solutions.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ from .zone import Base, Zone, find_base, structured_zones
 
 
 def write_copy(grid: Grid, path: Path, precision: str | None) -> None:
-    """Copy the CGNS file of ``grid`` to ``path`` with the grid's coordinates, in ``precision`` or each as it was.
+    """Copy the CGNS file of ``grid`` to ``path`` with the grid's coordinates, in ``precision`` or that of each array.
 
-    Every other node, attribute, link and order stays; an ADF file becomes HDF5. What changes with the coordinates:
-    links to them become arrays of this file, relative names of linked files are adapted to a new folder, and bounding
-    boxes stored with the coordinates follow them.
+    All other nodes, attributes, links and their order are kept; an ADF file becomes HDF5. With the coordinates, links
+    to them become arrays of this file, relative names of linked files are adapted to a new folder, and bounding boxes
+    stored with the coordinates are updated.
     """
     source = grid.path
     if source is None or not source.is_file():
-        raise FormatError(f"cannot write {path}: {source}, whose other contents belong into it, is no longer there")
+        raise FormatError(f"cannot write {path}: {source}, whose other contents are to be copied, no longer exists")
     with replacing(path) as partial, opened_cgns(source) as root:
         with naming(source):
             base, zones = _same_zones(root, grid, source)
@@ -58,7 +58,7 @@ def write_copy(grid: Grid, path: Path, precision: str | None) -> None:
 
 
 def _same_zones(root: Node, grid: Grid, source: Path) -> tuple[Base, list[Zone]]:
-    """The zones of the source file, which must be those the grid was read from."""
+    """The zones of the source file, which must be those from which the grid was read."""
     base = find_base(root, Notes())
     zones = structured_zones(base, Notes())
     if tuple(zone.name for zone in zones) != grid.names or tuple(zone.shape for zone in zones) != grid.shapes:
@@ -69,7 +69,7 @@ def _same_zones(root: Node, grid: Grid, source: Path) -> tuple[Base, list[Zone]]
         )
     if base.dimension == 2 and grid.points[:, 2].any():
         raise FormatError(
-            f"{source} stores x and y only (physical dimension 2), but nodes have moved out of the plane z = 0"
+            f"{source} stores only x and y (physical dimension 2), but nodes have moved out of the plane z = 0"
         )
     return base, zones
 
@@ -85,7 +85,7 @@ def _replace_coordinates(parent: h5py.Group, zone: Zone, block: FloatArray, prec
 
 
 def _add_fields(parent: h5py.Group, zone: Zone, grid: Grid, block: int) -> None:
-    """Flow solutions of the block's fields. One with the same arrays, from an earlier run, is replaced, others stay."""
+    """Add the block's fields as flow solutions. One with the same arrays, from an earlier run, is replaced."""
     for solution in solution_nodes(grid, block, zone.counts):
         arrays = {child.name for child in solution.children}
         others = [
@@ -98,7 +98,7 @@ def _add_fields(parent: h5py.Group, zone: Zone, grid: Grid, block: int) -> None:
 
 
 def _writable_dataset(group: h5py.Group, precision: str | None) -> h5py.Dataset:
-    """The coordinate dataset, made anew if its precision changes."""
+    """The coordinate dataset, recreated if its precision changes."""
     dataset = group[DATA]
     stored = dataset.dtype.newbyteorder("=")
     dtype = stored if precision is None else np.dtype(precision)
@@ -129,7 +129,7 @@ def _replace_bounding_box(grid: h5py.Group, zone: Zone, block: FloatArray) -> No
 
 
 def _adapt_links(file: h5py.File, old: Path, new: Path) -> None:
-    """Let external links with relative names lead from the folder ``new`` to where they led from ``old``."""
+    """Adapt external links with relative names from the folder ``old`` to the folder ``new``."""
     if old.resolve() == new.resolve():
         return
     root, names = h5g.open(file.id, b"/"), []

@@ -28,7 +28,7 @@ def write_new(grid: Grid, path: Path, precision: str) -> None:
     """Write ``grid`` as a CGNS file with one base: zones, boundary conditions, families, connections, fields.
 
     Names are cut to 32 characters and made unique. Fields (IBLANK, VTK arrays) become flow solutions at the nodes or
-    cells. A grid in the plane z = 0 gets two coordinates; patches on the plane itself have no place in a 2-D base.
+    cells. A grid in the plane z = 0 has two coordinates; a 2-D base cannot hold patches on the plane itself.
     """
     with replacing(path) as partial, hdf5_errors(path, "write"):
         write_hdf5(_tree(grid, precision), partial)
@@ -68,8 +68,8 @@ def _coordinates(grid: Grid, block: int, dimension: int, precision: str) -> Node
 def solution_nodes(grid: Grid, block: int, shape: Sequence[int]) -> list[Node]:
     """Flow solutions of a block: one for its fields at the nodes and one for those at the cells.
 
-    ``shape`` are the nodes of the zone along its index axes (two or three). Fields of types that CGNS does not have
-    are left out; vectors become nameX, nameY, nameZ.
+    ``shape`` are the nodes of the zone along its index axes (two or three). Fields of types that CGNS lacks are
+    omitted; vectors become nameX, nameY, nameZ.
     """
     solutions = []
     for location, word in _LOCATIONS.items():
@@ -87,7 +87,7 @@ def solution_nodes(grid: Grid, block: int, shape: Sequence[int]) -> list[Node]:
 
 
 def _components(field: Field, shape: Sequence[int]) -> list[tuple[str, NDArray[Any]]]:
-    """Scalar arrays (*shape) of a field in a type CGNS has."""
+    """Scalar arrays (*shape) of a field, in a type of CGNS."""
     values = field.values
     if values.dtype.kind != "f":
         values = values.astype(np.int64 if values.dtype.itemsize > 4 or values.dtype == np.uint32 else np.int32)

@@ -49,7 +49,7 @@ class Zone:
         return tuple(part.stop - part.start for part in self.core)
 
     def read(self, block: FloatArray) -> None:
-        """Fill ``block`` of shape ``(ni, nj, nk, 3)`` with the coordinates; components the file lacks become zero."""
+        """Fill ``block`` of shape ``(ni, nj, nk, 3)`` with the coordinates; missing components become zero."""
         for axis in range(3):
             if axis < len(self.coordinates):
                 block[..., axis] = self.coordinates[axis].data()[self.core].reshape(self.shape)
@@ -61,7 +61,7 @@ def find_base(root: Node, notes: Notes) -> Base:
     """The first base that has zones; the others are noted."""
     bases = root.labelled("CGNSBase_t")
     if not bases:
-        raise FormatError("there is no CGNSBase_t node; expected a CGNS file with one base that holds the zones")
+        raise FormatError("there is no CGNSBase_t node; expected a CGNS file with one base that contains the zones")
     with_zones = [node for node in bases if node.labelled("Zone_t")]
     if not with_zones:
         raise FormatError(f"the base {bases[0].name} has no zones; expected at least one structured Zone_t")
@@ -84,13 +84,13 @@ def structured_zones(base: Base, notes: Notes) -> list[Zone]:
     Raises
     ------
     FormatError
-        When a zone is unstructured, has no Cartesian coordinates, or sizes and arrays do not fit together.
+        When a zone is unstructured, has no Cartesian coordinates, or its sizes and arrays disagree.
     """
     nodes = base.node.labelled("Zone_t")
     others = [(node.name, _zone_type(node)) for node in nodes if _zone_type(node) != "Structured"]
     if others:
         raise FormatError(
-            f"{len(others)} of {len(nodes)} zones are not Structured, the first is {others[0][0]!r} ({others[0][1]}); "
+            f"{len(others)} of {len(nodes)} zones are not Structured; the first is {others[0][0]!r} ({others[0][1]}); "
             f"only block-structured grids can be deformed: export a grid of Structured zones"
         )
     _note_dangling(base.node, notes)
@@ -98,14 +98,14 @@ def structured_zones(base: Base, notes: Notes) -> list[Zone]:
 
 
 def _note_dangling(node: Node, notes: Notes) -> None:
-    """Note the links that lead nowhere and cannot be a part of the grid."""
+    """Note broken links that cannot be part of the grid."""
     for child in node.target.children:
         if child.dangling:
-            notes.add("links that lead nowhere are kept as they are", f"{node.name}/{child.name} -> {child.link}")
+            notes.add("broken links are kept as they are", f"{node.name}/{child.name} -> {child.link}")
 
 
 def _zone_type(node: Node) -> str:
-    # Files older than ZoneType_t hold structured zones only.
+    # Files older than ZoneType_t contain only structured zones.
     types = node.labelled("ZoneType_t")
     return types[0].text() if types else "Structured"
 
@@ -122,15 +122,13 @@ def _zone(node: Node, base: Base, notes: Notes) -> Zone:
     for linked in (node, grid, *coordinates):
         if linked.link and linked.link.file:
             notes.add(
-                "coordinates linked from another file become part of a written one", f"{node.name} ({linked.link})"
+                "coordinates linked from another file become part of the written file", f"{node.name} ({linked.link})"
             )
     _note_dangling(node, notes)
     _note_units((*coordinates[:1], grid, node, base.node), notes)
     for array in coordinates:
         if array.labelled("DataConversion_t"):
-            notes.add(
-                "coordinates carry a DataConversion; they are used as they are stored", f"{node.name}/{array.name}"
-            )
+            notes.add("coordinates have a DataConversion; they are used as stored", f"{node.name}/{array.name}")
     ni, nj, nk = (*(int(n) for n in sizes), 1)[:3]
     return Zone(node, (ni, nj, nk), grid, coordinates, core)
 
@@ -143,12 +141,12 @@ def _grid_coordinates(zone: Node, notes: Notes) -> Node:
         raise FormatError(f"zone {zone.name} has {found}; expected its original grid, GridCoordinates")
     for node in grids:
         if node is not original[0]:
-            notes.add("further grids of a zone (of other times) are kept as they are", f"{zone.name}/{node.name}")
+            notes.add("additional grids of a zone (at other times) are kept as they are", f"{zone.name}/{node.name}")
     return original[0]
 
 
 def _rind(grid: Node, axes: int, zone: str, notes: Notes) -> np.ndarray:
-    """Extra planes of nodes around the zone's own, ``(axes, 2)``: at the low and the high end of each index."""
+    """Rind planes around the zone's own nodes, ``(axes, 2)``: at the low and high end of each index."""
     nodes = grid.labelled("Rind_t")
     if not nodes:
         return np.zeros((axes, 2), np.int64)
@@ -156,7 +154,7 @@ def _rind(grid: Node, axes: int, zone: str, notes: Notes) -> np.ndarray:
     if (planes < 0).any():
         raise FormatError(f"zone {zone} has {planes.tolist()} rind planes; expected none or more at each end")
     if planes.any():
-        notes.add("rind planes are left out of the grid and keep their coordinates in the file", zone)
+        notes.add("rind planes are not part of the grid and keep their coordinates in the file", zone)
     return planes
 
 

@@ -18,7 +18,7 @@ from .detect import LONGEST_HEADER, Reading, UnknownFile, Writing, choose, heade
 from .numbers import count_integers, ends_with_integer, number_lines, read_numbers
 from .variant import Variant
 
-# Numbers written at a time.
+# Numbers written per call.
 _LINES = 1 << 20
 
 
@@ -47,7 +47,7 @@ def write_ascii(grid: Grid, stream: BinaryIO, variant: Variant) -> None:
     for index in range(grid.n_blocks):
         for array in file_arrays(grid, variant, index):
             for start in range(0, array.size, _LINES):
-                # Where integers follow, what is written without a dot must be one of them.
+                # Where integers follow, a number without a dot must be one of them.
                 stream.write(number_lines(array[start : start + _LINES], dotted=variant.iblank))
 
 
@@ -57,7 +57,7 @@ def _count_integers(path: Path) -> int:
 
 
 class _Text:
-    """The numbers of a text from ``position`` on, read in sequence."""
+    """The numbers of a text starting at ``position``, read in sequence."""
 
     def __init__(self, path: Path, numbers: FloatArray, position: int) -> None:
         self._path, self._numbers, self._position = path, numbers, position
@@ -69,7 +69,7 @@ class _Text:
         return taken if dtype.kind == "f" else _integers(taken, self._path)
 
     def skip(self, dtype: np.dtype[Any], count: int) -> None:
-        """Leave out the next ``count`` numbers."""
+        """Skip the next ``count`` numbers."""
         self._position += count
 
 

@@ -28,7 +28,7 @@ def read_binary(path: Path, options: Mapping[str, Any]) -> Grid:
             return assemble(reading, path, _Data(stream, reading.segments))
 
         readings = list(fortran_readings(stream))
-        # A whole header, or header and data, in proper records is no accident; a fitting size of a stream can be one.
+        # A header in proper records is no coincidence; a stream of matching size can be.
         if all(reading.evidence < (1, 2) for reading in readings):
             readings += _c_readings(stream)
         return choose(readings, UnknownFile(path, path.stat().st_size, "bytes", options, load))
@@ -63,7 +63,7 @@ def _c_readings(stream: BinaryIO) -> Iterator[Reading]:
 
 
 class _Data:
-    """The data behind the header, read in sequence across the borders of records."""
+    """The data after the header, read in sequence across record boundaries."""
 
     def __init__(self, stream: BufferedReader, segments: tuple[tuple[int, int], ...]) -> None:
         self._stream = stream
@@ -81,7 +81,7 @@ class _Data:
         return array
 
     def skip(self, dtype: np.dtype[Any], count: int) -> None:
-        """Leave out the next ``count`` numbers."""
+        """Skip the next ``count`` numbers."""
         missing = dtype.itemsize * count
         while missing:
             self._reach_data()

@@ -1,7 +1,7 @@
-"""From the arrays of a Plot3D file to the blocks of a grid, and back.
+"""Conversion between the arrays of a Plot3D file and the blocks of a grid.
 
-A file holds, block after block, all x, all y, all z and all IBLANK, each with i running fastest (records of one plane:
-the same for one k after the other). A grid holds x, y, z together with k running fastest.
+A file contains, block by block, all x, all y, all z and all IBLANK, each with i running fastest (with records per
+plane: the same for each k in turn). A grid stores x, y, z together, with k running fastest.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ IBLANK = "iblank"
 
 
 class Numbers(Protocol):
-    """The numbers behind the header of a file, in sequence."""
+    """The numbers after the header of a file, in sequence."""
 
     def take(self, dtype: np.dtype[Any], count: int) -> NDArray[Any]:
         """The next ``count`` numbers."""
         ...
 
     def skip(self, dtype: np.dtype[Any], count: int) -> None:
-        """Leave out the next ``count`` numbers."""
+        """Skip the next ``count`` numbers."""
         ...
 
 
@@ -60,7 +60,7 @@ def _read_block(numbers: Numbers, variant: Variant, block: FloatArray, iblank: N
     for planes in _slabs(variant, block.shape[:3]):
         part = block[:, :, planes]
         ni, nj, nk = part.shape[:3]
-        # What is no number in the file is reported by the caller, not by a warning of the conversion.
+        # NaN in the file is reported by the caller, not by a warning of the conversion.
         with np.errstate(invalid="ignore"):
             for axis in range(variant.dimension):
                 part[..., axis] = numbers.take(variant.real, ni * nj * nk).reshape(nk, nj, ni).T
@@ -82,7 +82,7 @@ def file_arrays(grid: Grid, variant: Variant, index: int) -> Iterator[NDArray[An
 
 
 def iblank_of(grid: Grid, index: int) -> NDArray[Any] | None:
-    """IBLANK values (ni, nj, nk) that a block carries, from whatever format it came."""
+    """IBLANK values (ni, nj, nk) of a block from any format."""
     found = (f.values for f in grid.fields if f.block == index and f.location == "node" and f.name.lower() == IBLANK)
     return next(found, None)
 

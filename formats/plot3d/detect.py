@@ -1,9 +1,9 @@
-"""Which Plot3D variant a file is: every reading is tried, exactly one must fit.
+"""Detection of the Plot3D variant of a file: every reading is tried, exactly one must fit.
 
-A Plot3D file does not say how it was written. Its header and its exact size do: for every variant the header gives the
-block shapes, and these give the size that the file must have (bytes, or numbers in a text). A reading fits when the
-size and, in Fortran files, every record agree. File names are never looked at. (Texts and C streams written plane by
-plane have the size of whole blocks and cannot be told from them; only records can show it.)
+A Plot3D file does not declare its variant, but its header and exact size determine it: for every variant the header
+gives the block shapes, and these give the size that the file must have (bytes, or numbers in a text). A reading fits if
+the size and, in Fortran files, every record agree. File names are ignored. (Texts and C streams written plane by plane
+have the same size as whole blocks and cannot be distinguished from them; only records show it.)
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from .variant import CHOICES, Variant
 
 MOST_BLOCKS = 100_000
 LONGEST_HEADER = 1 + 3 * MOST_BLOCKS
-# What asks for so many times more than the file has is no header.
+# Integers that require this many times the size of the file are not a header.
 ABSURD = 1000
 
 
@@ -33,9 +33,10 @@ ABSURD = 1000
 class Reading:
     """One way to read a file.
 
-    ``size`` is what a file of this variant with these blocks has: bytes, or numbers in a text. ``segments`` are the
-    (offset, length) of the data behind the header, in the same unit. ``defect`` tells what disagrees beside the size,
-    ``evidence`` how much agrees: (1, good records) in Fortran files, (0, plausible header integers) in others.
+    ``size`` is that of a file of this variant with these blocks: bytes, or numbers in a text. ``segments`` are the
+    (offset, length) of the data after the header, in the same unit. ``defect`` describes any disagreement other than
+    the size, ``evidence`` the extent of agreement: (1, good records) in Fortran files, else (0, plausible header
+    integers).
     """
 
     variant: Variant
@@ -56,13 +57,13 @@ class Reading:
 
 
 def header_variants(**fixed: Any) -> Iterator[Variant]:
-    """The variants of one encoding that differ in what header and nodes hold."""
+    """The variants of one encoding that differ in the contents of header and nodes."""
     for multiblock, dimension, iblank in product((True, False), (3, 2), (False, True)):
         yield Variant().changed({**fixed, "multiblock": multiblock, "dimension": dimension, "iblank": iblank})
 
 
 def header_shapes(integers: NDArray[np.int64], multiblock: bool, dimension: int, size: int) -> tuple[Shape, ...] | None:
-    """Block shapes that the leading integers of a file of ``size`` state, ``None`` when they cannot be a header."""
+    """Block shapes given by the leading integers of a file of ``size``, ``None`` if they cannot be a header."""
     n_blocks = int(integers[0]) if multiblock and integers.size else 1
     if not 1 <= n_blocks <= MOST_BLOCKS:
         return None
@@ -90,13 +91,13 @@ def stream_readings(variants: Iterable[Variant], integers: NDArray[np.int64], si
 
 @dataclass(frozen=True)
 class Writing:
-    """How the numbers of a text are written: whether the last one has no dot or exponent, and how many have none."""
+    """Notation of the numbers of a text: whether the last one has no dot or exponent, and how many have none."""
 
     ends_with_integer: bool
     count_integers: Callable[[], int]
 
     def shows(self, readings: list[Reading]) -> list[Reading]:
-        """The readings that the way of writing proves; it proves nothing where real numbers are written as integers."""
+        """The readings proved by the notation; it proves nothing if real numbers are written as integers."""
         if not self.ends_with_integer:
             return [reading for reading in readings if not reading.variant.iblank]
         count = self.count_integers()
@@ -105,9 +106,9 @@ class Writing:
 
 @dataclass(frozen=True)
 class UnknownFile:
-    """A file whose variant is looked for: its size in ``unit``, the options given, how to load it in a reading.
+    """A file of unknown variant: its size in ``unit``, the options given, and how to load it in a reading.
 
-    ``writing`` is how the numbers of a text are written.
+    ``writing`` is the notation of the numbers of a text.
     """
 
     path: Path
@@ -118,16 +119,16 @@ class UnknownFile:
     writing: Writing | None = None
 
     def agrees(self, reading: Reading) -> bool:
-        """Whether the file has what this reading needs, no more and no less."""
+        """Whether the file has exactly the size of this reading."""
         return reading.size == self.size and not reading.defect
 
 
 def choose(readings: Iterable[Reading], file: UnknownFile) -> Grid:
     """Load the one reading that fits and that the options allow.
 
-    Where the size leaves several, those whose content makes no sense fall out: IBLANK that is no small integer,
-    coordinates that are denormal; so do those that the way of writing excludes. One that is left must make sense at
-    large, unless its encoding was asked for.
+    If the size allows several, those with implausible content are excluded (IBLANK values that are not small integers,
+    denormal coordinates), and those that the notation of numbers rules out. The remaining one must be plausible
+    overall, unless its encoding was requested.
 
     Raises
     ------
@@ -151,7 +152,7 @@ def choose(readings: Iterable[Reading], file: UnknownFile) -> Grid:
 
 
 def _makes_sense(reading: Reading, file: UnknownFile) -> bool:
-    """Whether the numbers can be what this reading takes them for."""
+    """Whether the numbers are plausible in this reading."""
     try:
         grid = file.load(reading)
     except (FormatError, GridError):
@@ -161,18 +162,18 @@ def _makes_sense(reading: Reading, file: UnknownFile) -> bool:
 
 
 def _require_sense(grid: Grid, reading: Reading, path: Path) -> None:
-    """Refuse bits of something else that happen to have the right size; a sample is enough to see it."""
+    """Refuse other data that happen to have the right size; a sample of nodes is sufficient."""
     share = _senseless_share(grid, reading.variant, max(grid.n_nodes // 10_000, 1))
     if share > 0.01:
         raise FormatError(
-            f"{path} has the size of {reading.label}, but {share:.0%} of the numbers would make no sense (coordinates "
-            f"denormal or beyond 1e30, IBLANK beyond {MOST_BLOCKS}); if they are right, confirm it with the option "
+            f"{path} has the size of {reading.label}, but {share:.0%} of the numbers would be implausible (coordinates "
+            f"denormal or beyond 1e30, IBLANK beyond {MOST_BLOCKS}); if they are correct, confirm with the option "
             f"encoding={reading.variant.encoding}"
         )
 
 
 def _senseless_share(grid: Grid, variant: Variant, step: int = 1) -> float:
-    """Share of coordinates or IBLANK values that look like bits of something else, among every ``step``-th node."""
+    """Fraction of implausible coordinates or IBLANK values, among every ``step``-th node."""
     size = np.abs(grid.points[::step])
     bad = [((size < np.finfo(variant.precision).tiny) & (size > 0)) | (size > 1e30)]
     # Negative IBLANK values are numbers of neighbouring blocks.
@@ -187,7 +188,7 @@ def _nothing_fits(tried: list[Reading], allowed: list[Reading], file: UnknownFil
         return f"{file.path} fits no variant of Plot3D{wanted}; without these options it is {' or '.join(excluded)}"
     if not allowed:
         return (
-            f"{file.path} is not a Plot3D grid{wanted}: its first numbers are no block count and no block sizes in any "
+            f"{file.path} is not a Plot3D grid{wanted}: its first numbers are not a block count and block sizes in any "
             f"encoding (text, C binary, Fortran records with 4- or 8-byte markers; either byte order)"
         )
     nearest = max(allowed, key=lambda reading: (reading.evidence, -abs(reading.size - file.size)))
@@ -207,6 +208,6 @@ def _ambiguous(readings: list[Reading], path: Path) -> str:
         words = ", ".join(f"{key}={str(value).lower()}" for key, value in values.items() if value is not None)
         ways.append(f"{words} ({reading.label})")
     return (
-        f"{path} can be read in {len(readings)} ways and its content does not decide; choose by options: "
+        f"{path} can be read in {len(readings)} ways and its content does not decide between them; choose by options: "
         f"{' or '.join(ways)}"
     )

@@ -1,7 +1,7 @@
 """Plot3D grid files: every variant is recognised by content when reading and chosen by name when writing.
 
-Sources: the PLOT3D manual (Walatka, Buning, Pierce, Elson, NASA TM-101067) for what a file holds, the gfortran manual
-("File format of unformatted sequential files") for records.
+Sources: the PLOT3D manual (Walatka, Buning, Pierce, Elson, NASA TM-101067) for the contents of a file, the gfortran
+manual ("File format of unformatted sequential files") for records.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ def read(path: Path, **options: Any) -> Grid:
 
     Parameters
     ----------
-    path : file to read; its name says nothing about the variant
+    path : file to read; its name does not matter
     options : ``encoding``, ``byte_order``, ``markers``, ``records``, ``precision``, ``multiblock``, ``dimension``,
-        ``iblank`` (see :class:`.plot3d_variant.Variant`): only readings with these values are considered
+        ``iblank`` (see :class:`.variant.Variant`): only readings with these values are considered
 
     Returns
     -------
@@ -41,13 +41,13 @@ def read(path: Path, **options: Any) -> Grid:
     Raises
     ------
     FormatError
-        When no variant fits (with the nearest one and what it lacks), when several do (with how to choose), or when a
-        text holds what is no number.
+        When no variant fits (with the nearest one and the difference), when several do (with how to choose), or when a
+        text contains something other than numbers.
     """
     path = Path(path)
     wanted = parse_options(options)
     with path.open("rb") as stream:
-        # Every binary header has small integers with zero bytes in them, no text has.
+        # Every binary header has small integers with zero bytes, which no text has.
         if b"\0" in stream.read(1024):
             return read_binary(path, wanted)
     from .ascii import read_ascii  # scipy.io takes longer to import than a binary grid to read
@@ -56,11 +56,11 @@ def read(path: Path, **options: Any) -> Grid:
 
 
 def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
-    """How to write ``grid``: the variant it was read from, else what the suffix means, changed by ``options``.
+    """How to write ``grid``: the variant it was read from, else that of the suffix, changed by ``options``.
 
-    The suffixes ``.fmt .p2dfmt .p3dfmt`` mean text and ``.p2dbin .p3dbin`` no text, whatever the grid was read from.
-    Without a variant of its own a grid is written to ``.p2d ...`` in 2-D and else with Fortran records, little endian,
-    float64, multi-block, 3-D. IBLANK is written when the grid carries it.
+    The suffixes ``.fmt .p2dfmt .p3dfmt`` mean text and ``.p2dbin .p3dbin`` binary, whatever the grid was read from.
+    A grid without a variant is written with Fortran records, little endian, float64, multi-block, and 3-D unless the
+    suffix is ``.p2d ...``. IBLANK is written if the grid has it.
 
     Raises
     ------
@@ -73,7 +73,7 @@ def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
 
 
 def write(grid: Grid, path: Path, variant: FileFormat) -> None:
-    """Write ``grid`` in the given variant, replacing ``path`` as a whole or leaving it alone.
+    """Write ``grid`` in the given variant, replacing ``path`` as a whole or leaving it unchanged.
 
     Raises
     ------
@@ -135,6 +135,6 @@ def _require_flat(grid: Grid, path: Path) -> None:
         z = grid.block(index)[..., 2]
         if z.any():
             raise FormatError(
-                f"cannot write {path} as 2-D: {name} has z from {z.min():g} to {z.max():g}, which a 2-D file does not "
+                f"cannot write {path} as 2-D: {name} has z from {z.min():g} to {z.max():g}, which a 2-D file cannot "
                 f"hold; use dimension=3"
             )

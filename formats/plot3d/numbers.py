@@ -1,8 +1,8 @@
-"""Numbers in text: what Fortran's list-directed input takes, and exact shortest numbers on output.
+"""Numbers in text: Fortran's list-directed input, and exact shortest numbers on output.
 
 Plain numbers go through scipy's Matrix Market reader and writer, where a column is one number per line: exact, and
-several times faster than ``numpy.fromstring`` and ``repr``. Its reader stops at the first character that cannot belong
-to a number and says nothing, so a piece of text gets there only after a check that it is all plain numbers.
+several times faster than ``numpy.fromstring`` and ``repr``. The reader silently stops at the first character that
+cannot belong to a number, so a piece of text is first checked to consist of plain numbers.
 """
 
 from __future__ import annotations
@@ -63,15 +63,15 @@ _NUMBER = re.compile(
 
 
 def read_numbers(stream: BinaryIO, path: Path) -> FloatArray:
-    """All numbers of a text, in order; exact but for the sign of zero.
+    """All numbers of a text, in order; exact except for the sign of zero.
 
-    Understands blanks, tabs, commas and line ends between numbers, repeat counts (``3*0.0``), exponents with E, D, Q or
+    Accepts blanks, tabs, commas and line ends between numbers, repeat counts (``3*0.0``), and exponents with E, D, Q or
     no letter (``1.5-101``).
 
     Raises
     ------
     FormatError
-        With the line number, for null values, comments and everything else that is no number.
+        With the line number, for null values, comments and anything else that is not a number.
     """
     return np.concatenate([np.empty(0), *_read_pieces(stream, path)])
 
@@ -101,9 +101,9 @@ def _count_integers(text: bytes) -> int:
 
 
 def number_lines(values: NDArray[Any], dotted: bool = False) -> bytes | memoryview:
-    """The values one per line, each with the fewest digits that give it back exactly in its own type.
+    """The values one per line, each with the fewest digits that represent it exactly in its own type.
 
-    The last one of real values, or with ``dotted`` each, shows that it is real: see :func:`ends_with_integer` and
+    The last of real values, or with ``dotted`` each, is written as a real number: see :func:`ends_with_integer` and
     :func:`count_integers`.
     """
     lines = text_numbers.number_lines(values)
@@ -118,7 +118,7 @@ def _read_pieces(stream: BinaryIO, path: Path) -> Iterator[FloatArray]:
     line, rest = 1, b""
     while chunk := stream.read(_PIECE):
         text = rest + chunk
-        # The last number, and a comma behind it, wait for what follows.
+        # The last number, and a comma after it, are held back for the next piece.
         complete = text.rstrip(b" ,\t\r\n")
         cut = 1 + max(complete.rfind(gap) for gap in (b" ", b",", b"\t", b"\r", b"\n"))
         text, rest = text[:cut], text[cut:]
@@ -131,7 +131,7 @@ def _numbers(text: bytes, line: int, path: Path) -> FloatArray:
     """The numbers in a piece of text that begins on line ``line``."""
     if b"," in text and (null := _NULL_VALUE.search(text)):
         place = _place(path, line, text[: null.end()])
-        raise FormatError(f"{place}: no number before a comma; null values leave numbers undefined, write them out")
+        raise FormatError(f"{place}: no number before a comma; null values leave numbers undefined; write them out")
     values = _plain_numbers(text)
     return _spelled_numbers(text, line, path) if values is None else values
 
@@ -154,7 +154,7 @@ def _plain_numbers(text: bytes) -> FloatArray | None:
 
 
 def _all_plain(kinds: NDArray[np.uint8]) -> bool:
-    """Whether all words are plain: neighbours that may be; a count before a star, one dot, one exponent behind it."""
+    """Whether all words are plain, by valid pairs of neighbours: a count before a star, one dot, then one exponent."""
     if (7 * kinds[:-1] + kinds[1:]).tobytes().translate(None, _NEIGHBOURS):
         return False
     marks = kinds[(kinds == _GAP) | (kinds >= _DOT)]
@@ -164,7 +164,7 @@ def _all_plain(kinds: NDArray[np.uint8]) -> bool:
 
 
 def _repeated(values: FloatArray, where: NDArray[np.int64]) -> FloatArray | None:
-    """Values of which those at ``where`` are the repeat counts of the next ones; ``None`` if a count cannot be."""
+    """Expand values in which those at ``where`` are repeat counts of the next ones; ``None`` if a count is invalid."""
     counts = np.ones(values.size - where.size)
     counts[where - np.arange(where.size)] = values[where]
     if counts.min() < 1 or counts.sum() > _MOST_REPEATED:
@@ -173,7 +173,7 @@ def _repeated(values: FloatArray, where: NDArray[np.int64]) -> FloatArray | None
 
 
 def _spelled_numbers(text: bytes, line: int, path: Path) -> FloatArray:
-    """The same word by word, for exponents without a letter, NaN, and to find what is no number."""
+    """The same word by word, for exponents without a letter, NaN, and to locate invalid words."""
     counts, values = [], []
     for word in _WORD.finditer(text):
         number = _NUMBER.fullmatch(word[0])
@@ -188,7 +188,7 @@ def _spelled_numbers(text: bytes, line: int, path: Path) -> FloatArray:
         values.append(float(named or b"%be%b" % (mantissa, exponent or bare_exponent or b"0")))
     if sum(counts) > _MOST_REPEATED:
         place = _place(path, line, b"")
-        raise FormatError(f"{place}: from here repeat counts stand for {sum(counts)} numbers; the file is broken")
+        raise FormatError(f"{place}: from here on repeat counts give {sum(counts)} numbers; the file is damaged")
     return np.repeat(np.array(values, np.float64), counts)
 
 

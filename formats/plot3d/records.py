@@ -1,7 +1,7 @@
 """Fortran unformatted records: byte counts (markers) of 4 or 8 bytes before and after the data.
 
-A record longer than a signed 4-byte marker can say is split into subrecords: the marker before a subrecord is negative
-when another one follows, the marker after it when another one preceded (gfortran and Intel Fortran agree on this).
+A record too long for a signed 4-byte marker is split into subrecords: the marker before a subrecord is negative when
+another one follows, the marker after it when another one precedes (gfortran and Intel Fortran agree on this).
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Record:
 
 @dataclass(frozen=True)
 class Walk:
-    """What walking through a file from marker to marker found, and what stopped it before the end of the file."""
+    """The records found in a file, and the problem that ended the search before the end of the file."""
 
     size: int
     records: list[Record]
@@ -61,7 +61,7 @@ def walk_records(stream: BinaryIO, variant: Variant) -> Walk:
             return Walk(size, records, f"{place} declares {abs(before)} bytes of data and {left} follow")
         after = _marker(stream, end, variant)
         if abs(after) != abs(before) or (after < 0) != bool(segments):
-            return Walk(size, records, f"{place} has the marker {before} before its data and {after} behind")
+            return Walk(size, records, f"{place} has the marker {before} before its data and {after} after them")
         segments.append((position + width, abs(before)))
         position = end + width
         if before > 0:
@@ -77,7 +77,7 @@ def _marker(stream: BinaryIO, offset: int, variant: Variant) -> int:
 
 
 def fortran_readings(stream: BinaryIO) -> Iterator[Reading]:
-    """Readings of a file that begins with proper records of the size of a header."""
+    """Readings of a file that begins with valid records of the size of a header."""
     for byte_order, markers in product(("little", "big"), (4, 8)):
         base = Variant(byte_order=byte_order, markers=markers)
         walk = walk_records(stream, base)
@@ -88,7 +88,7 @@ def fortran_readings(stream: BinaryIO) -> Iterator[Reading]:
         for variant, shapes, used in headers:
             yield from _data_readings(variant, shapes, walk, used)
         if not headers:
-            defect = f"its header {integers[:9].tolist()} is no block count and sizes that fill whole records"
+            defect = f"its header {integers[:9].tolist()} is not a block count with sizes that fill whole records"
             yield Reading(base, (), walk.size, (), (1, 0), defect)
 
 
@@ -103,7 +103,7 @@ def _leading_integers(stream: BinaryIO, records: list[Record], variant: Variant)
 def _headers(
     base: Variant, walk: Walk, integers: NDArray[np.int64]
 ) -> Iterator[tuple[Variant, tuple[Shape, ...], int]]:
-    """Variant, block shapes and number of header records; the block sizes may stand in one record or in several."""
+    """Variant, block shapes and number of header records; the block sizes may be in one record or in several."""
     ends = list(accumulate(record.length for record in walk.records[: 1 + MOST_BLOCKS]))
     for multiblock, dimension in product((True, False), (3, 2)):
         shapes = header_shapes(integers, multiblock, dimension, walk.size)
@@ -113,7 +113,7 @@ def _headers(
 
 
 def _data_readings(header: Variant, shapes: tuple[Shape, ...], walk: Walk, used: int) -> Iterator[Reading]:
-    """All that the records behind the ``used`` records of the header may hold."""
+    """All possible readings of the records after the ``used`` records of the header."""
     found = [record.length for record in walk.records]
     segments = tuple(chain.from_iterable(record.segments for record in walk.records[used:]))
     planes = sum(nk for _, _, nk in shapes)
@@ -130,11 +130,11 @@ def _data_readings(header: Variant, shapes: tuple[Shape, ...], walk: Walk, used:
 
 
 def _defect(found: list[int], expected: list[int], good: int, problem: str) -> str:
-    """What is wrong with the first record behind the good ones, if anything is."""
+    """The fault of the first record after the good ones, if any."""
     if good < min(len(found), len(expected)):
         return f"record {good + 1} holds {found[good]} bytes where {expected[good]} are expected"
     if len(found) > len(expected):
-        return f"record {len(expected) + 1} is one too many"
+        return f"record {len(expected) + 1} is surplus"
     return problem or (f"record {good + 1} is missing" if len(found) < len(expected) else "")
 
 
@@ -159,7 +159,7 @@ def _subrecords(length: int, variant: Variant) -> list[int]:
 
 
 def _stored(lengths: list[int], variant: Variant) -> int:
-    """Bytes that records with so much data take in the file."""
+    """Size in the file of records with data of these lengths."""
     return sum(length + 2 * variant.marker.itemsize * math.ceil(length / _longest(variant)) for length in lengths)
 
 

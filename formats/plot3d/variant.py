@@ -1,4 +1,4 @@
-"""The variants of a Plot3D grid file and the options that name them."""
+"""The variants of a Plot3D grid file and the options that select them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ CHOICES: dict[str, tuple[Any, ...]] = {
     "iblank": (False, True),
 }
 
-# Options that mean something only in some encodings, with the value they take when nobody chose one.
+# Options that apply only to some encodings, with their defaults.
 _SPECIFIC: dict[str, dict[str, Any]] = {
     "ascii": {},
     "binary": {"byte_order": "little"},
@@ -32,12 +32,12 @@ _SPECIFIC: dict[str, dict[str, Any]] = {
 
 @dataclass(frozen=True)
 class Variant:
-    """One of the ways in which Plot3D grids are written.
+    """A variant of the Plot3D format.
 
     ``encoding`` is ``ascii`` (list-directed text), ``binary`` (a C stream without markers) or ``fortran`` (unformatted
-    sequential records between byte counts of ``markers`` bytes). ``records`` tells what one Fortran record holds: a
+    sequential records between byte counts of ``markers`` bytes). ``records`` is the content of one Fortran record: a
     whole ``block``, one coordinate ``array`` of it, or one k ``plane``. ``byte_order``, ``markers`` and ``records``
-    are ``None`` where the encoding has no such thing.
+    are ``None`` if they do not apply to the encoding.
     """
 
     encoding: str = "fortran"
@@ -87,29 +87,27 @@ class Variant:
         return " ".join(words)
 
     def matches(self, options: Mapping[str, Any]) -> bool:
-        """Whether this variant is what (parsed) ``options`` ask for."""
+        """Whether this variant satisfies (parsed) ``options``."""
         return all(getattr(self, key) == value for key, value in options.items())
 
     def changed(self, options: Mapping[str, Any]) -> Variant:
-        """This variant with (parsed) ``options`` imposed; what only the new encoding has takes its usual value."""
+        """This variant changed by (parsed) ``options``; options that apply only to the new encoding get defaults."""
         values = {**asdict(self), **options}
         specific = _SPECIFIC[values["encoding"]]
         for key in ("byte_order", "markers", "records"):
             if key not in specific and key in options:
                 usable = " or ".join(f"encoding={name}" for name, keys in _SPECIFIC.items() if key in keys)
-                raise FormatError(
-                    f"{key} means nothing with encoding={values['encoding']}; leave it out or use {usable}"
-                )
+                raise FormatError(f"{key} does not apply to encoding={values['encoding']}; omit it or use {usable}")
             values[key] = (values[key] or specific[key]) if key in specific else None
         return Variant(**values)
 
     @classmethod
     def of(cls, file_format: FileFormat) -> Variant:
-        """The variant that a grid read from Plot3D remembers."""
+        """The variant recorded in the file format of a grid."""
         return cls().changed({**file_format.options, "precision": file_format.precision})
 
     def file_format(self) -> FileFormat:
-        """This variant as the grid remembers it."""
+        """This variant as the file format of a grid."""
         options = {key: value for key, value in asdict(self).items() if value is not None and key != "precision"}
         return FileFormat("plot3d", self.precision, options)
 

@@ -1,4 +1,4 @@
-"""What one VTK data set holds, whatever kind of file it lies in, and how it becomes a block of a grid.
+"""The contents of one VTK data set from any kind of file, and its conversion to a block of a grid.
 
 VTK stores nodes with i fastest: a run of ``n`` values is ``(nk, nj, ni, ...)``. The grid has ``(ni, nj, nk, ...)``.
 """
@@ -21,7 +21,7 @@ class DataArray(NamedTuple):
     """A data array as VTK stores it.
 
     ``location`` is ``node``, ``cell`` or, for the field data of the whole data set, empty; ``values`` is ``(n,)`` or
-    ``(n, components)``; ``roles`` are VTK's words for what the array is: ``Scalars``, ``Vectors``, ``Normals``, ...
+    ``(n, components)``; ``roles`` are VTK's attribute types of the array: ``Scalars``, ``Vectors``, ``Normals``, ...
     """
 
     name: str
@@ -33,7 +33,7 @@ class DataArray(NamedTuple):
 
 @dataclass(frozen=True)
 class VtkField(Field):
-    """A field that also keeps the roles VTK gave its array and the names of the components."""
+    """A field that also keeps the VTK roles of its array and the names of its components."""
 
     roles: tuple[str, ...] = ()
     components: tuple[str, ...] = ()
@@ -41,13 +41,13 @@ class VtkField(Field):
 
 @dataclass(frozen=True)
 class VtkFormat(FileFormat):
-    """A VTK file variant, with what belongs to a data set but is neither coordinates nor a field of the grid.
+    """A VTK file variant, with data of the data set that are neither coordinates nor fields of the grid.
 
     Attributes
     ----------
     title : second line of a legacy file
     origins : index (i, j, k) of the first node of each block; empty when all are (0, 0, 0)
-    field_data : the arrays of each block that belong to no node or cell (time, ...); empty when there are none
+    field_data : arrays of each block that do not belong to nodes or cells (time, ...); empty if there are none
     """
 
     title: str = "written by meshdeform"
@@ -57,10 +57,9 @@ class VtkFormat(FileFormat):
 
 @dataclass(frozen=True)
 class DataSet:
-    """One structured data set as it lies in a file.
+    """One structured data set as stored in a file.
 
-    ``points`` is ``(nk, nj, ni, 3)`` in the file's own type and byte order; ``options`` are the switches of the file
-    variant it came from.
+    ``points`` is ``(nk, nj, ni, 3)`` in the file's own type and byte order; ``options`` are those of the file variant.
     """
 
     points: NDArray[Any]
@@ -77,7 +76,7 @@ def assemble(path: Path, kind: str, data_sets: Sequence[DataSet], names: Sequenc
     Raises
     ------
     FormatError
-        When an array has not one value per node or cell.
+        When an array does not have one value per node or cell.
     GridError
         When a data set is a line or a point, or 2-D and 3-D are mixed.
     """
@@ -126,24 +125,24 @@ def _field(path: Path, array: DataArray, block: int, nodes: Shape) -> VtkField:
 _SLAB = 1 << 23
 _PLANES = 4
 
-# Nodes that a few axes or a spacing may stand for, whatever the size of the file, and per byte of a larger one.
+# Nodes that a few axes or a spacing may define, regardless of the size of the file, and per byte of a larger one.
 _LATTICE_NODES = 1_000_000
 _LATTICE_NODES_PER_BYTE = 10
 
 
 def require_plausible_lattice(path: Path, nodes: int, size: int) -> None:
-    """Refuse axes whose product needs memory out of all proportion to the ``size`` of the file in bytes.
+    """Refuse axes whose product needs memory out of proportion to the ``size`` of the file in bytes.
 
     Raises
     ------
     FormatError
-        With the number of nodes and how many are accepted.
+        With the number of nodes and the accepted number.
     """
     most = max(_LATTICE_NODES, _LATTICE_NODES_PER_BYTE * size)
     if nodes > most:
         raise FormatError(
-            f"{path} stands for {nodes} nodes, but has only {size} bytes; a lattice of more than {most} nodes is read "
-            "only from a file that stores their coordinates: save it as a structured grid (.vts)"
+            f"{path} declares {nodes} nodes, but has only {size} bytes; a lattice of more than {most} nodes is read "
+            "only from a file with explicit coordinates: save it as a structured grid (.vts)"
         )
 
 
@@ -155,10 +154,10 @@ def lattice(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any]) -> NDArray[Any]:
 
 @dataclass(frozen=True)
 class StoredArray:
-    """An array on its way into a file.
+    """An array to be written to a file.
 
-    ``values`` is ``(nk, nj, ni)`` for nodes and cells, ``(n,)`` for field data, with one more axis where there are
-    several components; it is a view of the grid's own memory, and ``precision`` the type in which it is written.
+    ``values`` is ``(nk, nj, ni)`` for nodes and cells, ``(n,)`` for field data, with an additional axis for several
+    components; it is a view of the grid's own memory, and ``precision`` the type in which it is written.
     """
 
     name: str
@@ -204,7 +203,7 @@ def arrays_to_write(grid: Grid, block: int, variant: VtkFormat) -> list[StoredAr
     Raises
     ------
     FormatError
-        When two fields share a name and place, or one has the wrong shape or a type that VTK does not know.
+        When two fields at the same location share a name, or one has a wrong shape or a type unknown to VTK.
     """
     found: dict[tuple[str, str], StoredArray] = {}
     for field in grid.fields:
@@ -224,7 +223,7 @@ def arrays_to_write(grid: Grid, block: int, variant: VtkFormat) -> list[StoredAr
 
 
 def storable(values: NDArray[Any], label: str) -> NDArray[Any]:
-    """The values in native byte order and a type that mesh files know: see :func:`storable_type`."""
+    """The values in native byte order and a type supported by mesh files: see :func:`storable_type`."""
     return values.astype(storable_type(values, label), copy=False)
 
 

@@ -1,8 +1,8 @@
 """VTK structured grids: legacy .vtk, XML .vts, and multi-block sets .vtm of .vts files.
 
-All node and cell arrays are carried along as fields, with their types, roles and component names; so are field data
-and extents that do not begin at 0. Text arrays and lookup tables are not, and :attr:`Grid.notes` says so. Patches and
-connections have no place in VTK files. IBLANK of Plot3D is the node array ``iblank``.
+All node and cell arrays are kept as fields, with their types, roles and component names; so are field data and extents
+that do not begin at 0. Text arrays and lookup tables are dropped, with a note in :attr:`Grid.notes`. VTK files cannot
+hold patches and connections. IBLANK of Plot3D is the node array ``iblank``.
 """
 
 from __future__ import annotations
@@ -48,12 +48,12 @@ _DEFAULTS = {"legacy": {"encoding": "binary"}, "vts": _XML_DEFAULTS, "vtm": _XML
 def read(path: Path) -> Grid:
     """Read a VTK file; its kind is recognised by content.
 
-    RECTILINEAR_GRID, STRUCTURED_POINTS, .vtr and .vti become structured grids, which a note says.
+    RECTILINEAR_GRID, STRUCTURED_POINTS, .vtr and .vti become structured grids, with a note.
 
     Raises
     ------
     FormatError
-        When the file is truncated or damaged, or holds something else than structured grids.
+        When the file is truncated or damaged, or contains anything but structured grids.
     GridError
         When a block is a line or a point, or 2-D and 3-D blocks are mixed.
     """
@@ -70,7 +70,7 @@ def read(path: Path) -> Grid:
 
 
 def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> VtkFormat:
-    """How to write ``grid`` to ``path``: as it came when it came from a file of this kind, else compressed binary.
+    """How to write ``grid`` to ``path``: in its own variant if it is from a file of this kind, else compressed binary.
 
     ``options``: ``encoding`` is ``ascii``, ``binary`` or, in XML files, ``appended`` (raw) or ``appended-base64``;
     ``precision`` is ``float32`` or ``float64``; XML files have ``compression`` (``none``, ``zlib``, ``lz4``, ``lzma``),
@@ -100,7 +100,7 @@ def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> VtkFormat:
 
 
 def write(grid: Grid, path: Path, variant: VtkFormat) -> None:
-    """Write ``grid`` as :func:`variant` says, replacing ``path`` (and, for .vtm, the folder of its pieces) as a whole.
+    """Write ``grid`` in the given variant, replacing ``path`` (and, for .vtm, the folder of its pieces) as a whole.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Structured grids from legacy VTK files (.vtk); RECTILINEAR_GRID and STRUCTURED_POINTS are read as such."""
+"""Structured grids from legacy VTK files (.vtk), including RECTILINEAR_GRID and STRUCTURED_POINTS."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .legacy_file import LegacyFile
 
 _OTHER_KINDS = {"POLYDATA": "a polygon surface", "UNSTRUCTURED_GRID": "an unstructured grid", "FIELD": "field data"}
 
-# Geometry keywords and how many numbers stand on their line, or per entry of the run that follows.
+# Geometry keywords and the number of values on their line, or per entry of the run that follows.
 _ON_THE_LINE = {"DIMENSIONS": 3, "EXTENT": 6, "ORIGIN": 3, "SPACING": 3, "ASPECT_RATIO": 3}
 _IN_A_RUN = {"POINTS": 3, "X_COORDINATES": 1, "Y_COORDINATES": 1, "Z_COORDINATES": 1}
 
@@ -29,7 +29,7 @@ def read(path: Path) -> DataSet:
     Raises
     ------
     FormatError
-        When the file is truncated, is not what its keywords say, or holds another kind of data set.
+        When the file is truncated, contradicts its keywords, or contains another kind of data set.
     """
     with path.open("rb") as stream:
         file = LegacyFile(path, stream)
@@ -42,7 +42,7 @@ def read(path: Path) -> DataSet:
         complete = file.binary or file.ends_in_a_line()
     notes = [] if file.kind == "STRUCTURED_GRID" else [f"{file.kind} is read as a structured grid"]
     if not complete:
-        notes.append("the last line has no line end; if the file was cut off there, its last number is wrong")
+        notes.append("the last line has no line end; if the file is truncated there, its last number is wrong")
     options = {"encoding": "binary" if file.binary else "ascii"}
     return DataSet(points, tuple(attributes.arrays), options, origin, file.title, (*notes, *attributes.notes))
 

@@ -1,4 +1,4 @@
-"""The POINT_DATA and CELL_DATA of a legacy VTK file, whatever its kind of data set."""
+"""The POINT_DATA and CELL_DATA of a legacy VTK file with any kind of data set."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _LOCATIONS = {"POINT_DATA": "node", "CELL_DATA": "cell"}
 
 
 class Attributes:
-    """Arrays gathered section by section, with notes of what is not carried along."""
+    """Arrays gathered section by section, with notes on what is dropped."""
 
     def __init__(self, file: LegacyFile) -> None:
         self.file = file
@@ -66,7 +66,7 @@ class Attributes:
         self._add(name, values if components == 1 else values.reshape(length, components), role)
 
     def _add(self, name: str, values: NDArray[Any], role: str) -> None:
-        # Of several arrays of one kind VTK makes the first the active one.
+        # VTK makes the first of several arrays of one kind the active one.
         taken = any(role in a.roles for a in self.arrays if a.location == self.location)
         roles = () if taken or not role else (role,)
         self.arrays.append(DataArray(unquote(name), self.location, values, roles, self.file.component_names()))
@@ -87,7 +87,7 @@ class Attributes:
 
     def _lookup_table(self, name: str, size: int) -> None:
         self.file.values(4 * size, "unsigned_char" if self.file.binary else "float", f"lookup table {name!r}")
-        self.notes.append(f"the lookup table {name!r} is not carried along")
+        self.notes.append(f"the lookup table {name!r} is not kept")
 
     def _fields(self, number: int) -> None:
         for _ in range(number):
@@ -99,6 +99,6 @@ class Attributes:
             components, length = self.file.number(words[1]), self.file.number(words[2])
             if words[3].lower() in ("string", "utf8_string"):
                 self.file.skip_strings(components * length)
-                self.notes.append(f"the text array {unquote(words[0])!r} is not carried along")
+                self.notes.append(f"the text array {unquote(words[0])!r} is not kept")
             else:
                 self._array(words[0], components, words[3], length=length)

@@ -1,7 +1,7 @@
-"""A legacy VTK file (.vtk) as its format sees it: keyword lines with runs of values between them.
+"""The syntax of a legacy VTK file (.vtk): keyword lines with runs of values between them.
 
-Read here and not by VTK, whose reader fills what is missing of a truncated file with garbage and reports success.
-The format: VTK User's Guide, "VTK File Formats"; for versions 4.2 to 5.1 what ``vtkDataWriter`` writes.
+Not read by VTK, whose reader fills the missing part of a truncated file with garbage and reports success. Source: VTK
+User's Guide, "VTK File Formats"; for versions 4.2 to 5.1 the output of ``vtkDataWriter``.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError
 
-# Value types and their numpy codes. In binary files VTK writes ids as 4 bytes.
+# Value types and their numpy codes. VTK writes ids in binary files with 4 bytes.
 TYPES = {
     "char": "i1",
     "signed_char": "i1",
@@ -38,7 +38,7 @@ _LONGEST_LINE = 4096
 
 
 class LegacyFile:
-    """A legacy file being read: keyword lines, runs of values, and the place of every error.
+    """A legacy file being read: keyword lines, runs of values, and the position of every error.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class LegacyFile:
         self.binary = False
         stream.readline(_LONGEST_LINE)
         self.title = self._line()
-        # VTK's readers pass over blank lines behind the title.
+        # VTK's readers skip blank lines after the title.
         encoding = " ".join(self.words()).upper()
         if encoding not in ("ASCII", "BINARY"):
             raise self.error(f"expected ASCII or BINARY, found {encoding[:40]!r}")
@@ -65,7 +65,7 @@ class LegacyFile:
         self.kind = words[1].upper()
 
     def error(self, message: str) -> FormatError:
-        """An error that says where the reading stands: the line, or the byte of a binary file."""
+        """An error with the current position: the line, or the byte of a binary file."""
         position = self.stream.tell()
         self.stream.seek(0)
         line = self.stream.read(position).count(b"\n")
@@ -73,7 +73,7 @@ class LegacyFile:
         return FormatError(f"{self.path}, {f'byte {position}' if self.binary else f'line {line}'}: {message}")
 
     def ends_in_a_line(self) -> bool:
-        """Whether the last line is complete; the last number of a text cut off inside it is still a number."""
+        """Whether the last line is complete; a number truncated at the end of a text is still a number."""
         self.stream.seek(-1, 2)
         return self.stream.read(1).isspace()
 
@@ -99,7 +99,7 @@ class LegacyFile:
         Raises
         ------
         FormatError
-            When the file ends before, holds something else than numbers, or the type is unknown.
+            When the file ends too early, contains anything but numbers, or the type is unknown.
         """
         name = type_name.lower()
         if name == "bit":
@@ -108,7 +108,7 @@ class LegacyFile:
             raise self.error(f"{what}: unknown type {type_name!r}; known are {' '.join(TYPES)} and bit")
         code = "i4" if self.binary and name == "vtkidtype" else TYPES[name]
         dtype = np.dtype(code).newbyteorder(">" if self.binary else "=")
-        # Each number of a text takes two bytes at least: never allocate what the file cannot hold.
+        # Each number of a text takes at least two bytes: never allocate more than the file can hold.
         needed = count * dtype.itemsize if self.binary else max(2 * count - 1, 0)
         left = self.size - self.stream.tell()
         if needed > left:
@@ -125,7 +125,7 @@ class LegacyFile:
             try:
                 return np.fromfile(self.stream, dtype, count, sep="" if self.binary else " ")
             except (ValueError, DeprecationWarning) as error:
-                raise self.error(f"{what}: expected {count} values, found something that is no number") from error
+                raise self.error(f"{what}: expected {count} values, found something that is not a number") from error
 
     def _bits(self, count: int, what: str) -> NDArray[np.uint8]:
         if not self.binary:
@@ -133,7 +133,7 @@ class LegacyFile:
         return np.unpackbits(self.values((count + 7) // 8, "unsigned_char", what))[:count]
 
     def component_names(self) -> tuple[str, ...]:
-        """Component names from the METADATA that may follow an array; the rest of METADATA is passed over."""
+        """Component names from the METADATA that may follow an array; the rest of METADATA is skipped."""
         position = self.stream.tell()
         if [word.upper() for word in self.words()] != ["METADATA"]:
             self.stream.seek(position)
@@ -142,7 +142,7 @@ class LegacyFile:
         return tuple(map(unquote, lines[1:])) if lines and lines[0].upper() == "COMPONENT_NAMES" else ()
 
     def skip_strings(self, count: int) -> None:
-        """Pass over a string array: one string a line, or in binary after a length of 1, 2, 4 or 8 bytes."""
+        """Skip a string array: one string per line, or in binary after a length of 1, 2, 4 or 8 bytes."""
         for _ in range(count):
             if not self.binary:
                 self.stream.readline()

@@ -1,6 +1,6 @@
-"""Structured grids to legacy VTK files (.vtk), ASCII or big-endian binary.
+"""Writing structured grids to legacy VTK files (.vtk), ASCII or big-endian binary.
 
-Written here and not by VTK, whose writer cuts the numbers of ASCII files to 11 digits: here all values are exact.
+Not written by VTK, whose writer rounds the numbers of ASCII files to 11 digits: here all values are exact.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _TYPE_NAMES = {
     "f8": "double",
 }
 
-# Sections that give an array its role, and the numbers of components they can have.
+# Sections that define the role of an array, and their possible numbers of components.
 _SECTIONS = {
     "Scalars": ("SCALARS", (1, 2, 3, 4)),
     "Vectors": ("VECTORS", (3,)),
@@ -39,7 +39,7 @@ _SECTIONS = {
     "TCoords": ("TEXTURE_COORDINATES", (1, 2, 3)),
 }
 
-# VTK encodes blanks, quotation marks and per cent signs in names.
+# VTK encodes blanks, quotation marks and percent signs in names.
 _PLAIN = "".join(sorted(set(string.punctuation) - set('"%')))
 
 _VALUES_PER_LINE = 9
@@ -47,7 +47,7 @@ _LINES_AT_ONCE = 10_000
 
 
 def write_block(grid: Grid, block: int, path: Path, variant: VtkFormat) -> None:
-    """Write one block; roles other than those of a legacy section are lost, values never are."""
+    """Write one block; roles without a legacy section are lost, but never values."""
     arrays = arrays_to_write(grid, block, variant)
     points = points_to_write(grid, block, variant.precision)
     with path.open("wb") as stream:

@@ -34,8 +34,8 @@ _DEEPEST_NAME = DEEPEST - 3
 def read(path: Path) -> tuple[list[DataSet], list[str]]:
     """Read the data sets of an index, in its order, and their names.
 
-    A name is made of the names of the groups and of the block, joined by ``/``; a block without name is called
-    ``block1``, ... by its place. Places without a file are passed over.
+    A name consists of the names of the groups and the block, joined by ``/``; a block without a name is called
+    ``block1``, ... by its position. Entries without a file are skipped.
 
     Raises
     ------
@@ -87,14 +87,14 @@ def _root(path: Path) -> Element:
 def write(grid: Grid, path: Path, variant: VtkFormat) -> None:
     """Write the index ``NAME.vtm`` and its pieces ``NAME/NAME_0.vts``, ...; a ``/`` in a block name makes a group.
 
-    The set changes in one step, when the new index takes the place of the old one: the new pieces have names that the
-    old set does not use, and the old pieces are removed afterwards. A journal in the folder of the pieces says which
-    files come and go, so that whatever a killed run leaves is recognised and removed by the next one.
+    The set changes atomically when the new index replaces the old one: the new pieces have names that the old set does
+    not use, and the old pieces are removed afterwards. A journal in the folder of the pieces lists the files to be
+    added and removed, so that the next run recognises and removes the remains of a killed one.
 
     Raises
     ------
     FormatError
-        When the folder of the pieces holds anything that is not of the old set, or the disk is full.
+        When the folder of the pieces contains files that are not part of the old set, or the disk is full.
     """
     require_replaceable(path)
     clean(path)
@@ -118,7 +118,7 @@ def replaced_files(path: Path) -> list[Path]:
 
 
 def require_replaceable(path: Path) -> None:
-    """Refuse to replace a folder that holds anything but the pieces of the index ``path``.
+    """Refuse to replace a folder that contains anything but the pieces of the index ``path``.
 
     Raises
     ------
@@ -127,8 +127,8 @@ def require_replaceable(path: Path) -> None:
     """
     if path.is_symlink():
         raise FormatError(
-            f"cannot write {path}: it is a link, beside which nobody would look for the pieces of the set; give the "
-            f"file that it leads to, {path.resolve()}"
+            f"cannot write {path}: it is a link, and the pieces of the set would be far from its target; give the "
+            f"target itself, {path.resolve()}"
         )
     if shown(path) != str(path):
         raise FormatError(f"cannot write {shown(path)}: its name is not UTF-8, and an index names its pieces in UTF-8")
@@ -141,16 +141,16 @@ def require_replaceable(path: Path) -> None:
     strangers = sorted(name for name in os.listdir(folder) if name not in known)
     if strangers:
         raise FormatError(
-            f"cannot write {path}: its pieces go to the folder {folder}, which holds {strangers[0]} and is not "
+            f"cannot write {path}: its pieces go to the folder {folder}, which contains {strangers[0]} and is not "
             "replaced; choose another name or move it away"
         )
 
 
 def clean(path: Path) -> None:
-    """Remove what the journal of the set lists and the index does not refer to, then the journal.
+    """Remove the files that the journal of the set lists and the index does not refer to, then the journal.
 
-    That are the new pieces as long as the old index is in place, and the old ones as soon as the new one is. What the
-    system does not allow to remove stays in the journal for the next run.
+    These are the new pieces while the old index is in place, and the old ones once the new index is. Files that the
+    system refuses to remove stay in the journal for the next run.
     """
     folder = _folder(path)
     if not (folder / _JOURNAL).exists():
@@ -164,10 +164,10 @@ def clean(path: Path) -> None:
 
 
 def _begin(path: Path, pieces: Sequence[str]) -> None:
-    """Write the journal: the pieces that come, and those that the present index will not need any more."""
+    """Write the journal: the new pieces, and those that the present index will no longer need."""
     folder = _folder(path)
     folder.mkdir(exist_ok=True)
-    # Half a journal does no harm: there are no new pieces yet.
+    # An incomplete journal does no harm: there are no new pieces yet.
     (folder / _JOURNAL).write_text("\n".join([*pieces, *sorted(_own_pieces(path))]), encoding="utf-8")
 
 

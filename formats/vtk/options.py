@@ -1,4 +1,4 @@
-"""The switches of a file variant, checked against what the writer knows."""
+"""The options of a file variant, checked against those that the writer supports."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from meshdeform_core.errors import FormatError, suggestion
 
 
 def checked_options(path: Path, options: Mapping[str, Any], known: Mapping[str, Sequence[str]]) -> dict[str, str]:
-    """The options as they are, each a known key with one of its values.
+    """The options unchanged, each a known key with one of its values.
 
     Raises
     ------

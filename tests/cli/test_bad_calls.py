@@ -76,7 +76,7 @@ WRONG = {
     ),
     "output-suffix": (("deform", "grid.xyz", "-c", "case.toml", "-o", "out.foo"), ("'.foo'", "plot3d:", ".cgns")),
     "output-no-suffix": (("deform", "grid.xyz", "-c", "case.toml", "-o", "out"), ("suffix ''", "plot3d:")),
-    "output-adf": (("convert", "grid.xyz", "out.adf"), ("ADF is read only", ".cgns")),
+    "output-adf": (("convert", "grid.xyz", "out.adf"), ("ADF can only be read", ".cgns")),
     "output-folder-missing": (
         ("deform", "grid.xyz", "-c", "case.toml", "-o", "no/out.xyz"),
         ("folder no does not exist", "create it first"),

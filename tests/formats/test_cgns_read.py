@@ -336,7 +336,7 @@ def test_connections_that_do_not_fit_are_noted(tmp_path, own, donor, transform, 
     root = tree(zone("left", box(4, 3, 5), wrong), zone("right", box(3, 3, 5, (3, 0, 0))))
     grid = read_grid(write_hdf5(tmp_path / "grid.cgns", root))
     assert grid.connections == ()
-    assert grid.notes == ("connections that do not fit their zones are not used: left/wrong",)
+    assert grid.notes == ("connections that do not match their zones are not used: left/wrong",)
 
 
 def general(name: str, kind: str | None) -> N:
@@ -353,7 +353,7 @@ def test_other_connectivity_is_noted(tmp_path, kind):
         zone("right", box(3, 3, 5, (3, 0, 0))),
     )
     notes = read_grid(write_hdf5(tmp_path / "grid.cgns", root)).notes
-    assert any(f"{kind} connectivity is kept in the file and not used" in n and "left/g" in n for n in notes)
+    assert any(f"{kind} connectivity is kept in the file but not used" in n and "left/g" in n for n in notes)
     assert any("Overset connectivity is kept" in n and "left/h" in n for n in notes)
 
 
@@ -367,7 +367,7 @@ def test_rind_planes_are_left_out(tmp_path):
     grid = read_grid(write_hdf5(tmp_path / "grid.cgns", root))
     assert grid.shapes == ((3, 4, 4),)
     np.testing.assert_array_equal(grid.block(0), whole[1:4, :, 1:])
-    assert any("rind planes are left out" in note for note in grid.notes)
+    assert any("rind planes are not part of the grid" in note for note in grid.notes)
 
 
 def test_what_else_a_file_holds_is_noted(tmp_path):

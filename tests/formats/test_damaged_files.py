@@ -187,7 +187,7 @@ def test_coordinates_that_cannot_be_meant(tmp_path, name, values, message):
         points = np.asarray(values).reshape(2, 2, 2, 3)
     write_grid(Grid.from_blocks([points]), tmp_path / name)
     with pytest.raises(
-        (GridError, FormatError), match=f"{message}|would make no sense" if name == "a.xyz" else message
+        (GridError, FormatError), match=f"{message}|would be implausible" if name == "a.xyz" else message
     ):
         read_grid(tmp_path / name)
 

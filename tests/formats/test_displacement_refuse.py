@@ -121,7 +121,7 @@ WRONG_CELLS = {
     "1 4\n3 0 1 4": "triangles refer to points 0 to 4 of 4",
     "2 8\n3 0 1 2 4 1 3 2": "line 8: POLYGONS: the 8 entries are not 2 cells",
     "3 8\n3 0 1 2 3 1 3 2": "are not 3 cells, each preceded by its number of corners",
-    "2 9\n3 0 1 2 3 1 3 2": "something that is no number",
+    "2 9\n3 0 1 2 3 1 3 2": "something that is not a number",
     "2 3\nOFFSETS int\n0 2\nCONNECTIVITY int\n0 1 2": "the offsets of the cells do not ascend from 0 to 3",
     "2 3\nOFFSETS int\n0 3\n0 1 2": "expected 'CONNECTIVITY type' of POLYGONS, found '0 1 2'",
 }

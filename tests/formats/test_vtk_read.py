@@ -155,7 +155,7 @@ def test_global_ids_and_text(tmp_path, rng):
         grid = read_grid(path)
         assert grid.fields[0].roles == ("GlobalIds",)
         np.testing.assert_array_equal(grid.fields[0].values, numbers)
-        assert grid.notes == ("the text array 'author' is not carried along",)
+        assert grid.notes == ("the text array 'author' is not kept",)
     vtk_witness.write_legacy(tmp_path / "a.vtk", vts, binary=False)
     np.testing.assert_array_equal(read_grid(tmp_path / "a.vtk").fields[0].values, numbers)
 

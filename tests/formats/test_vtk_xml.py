@@ -188,14 +188,14 @@ BAD = {
     "no points": (vts(piece("0 2 0 1 0 0", "")), "has 0 arrays of Points, expected 1"),
     "an array in one piece only": (
         vts(piece("0 1 0 1 0 0", array(LEFT), scalar(range(4))), piece("1 2 0 1 0 0", array(RIGHT))),
-        "node array 'p' is in one of Piece 1 and Piece 2 only",
+        "node array 'p' is in only one of Piece 1 and Piece 2",
     ),
     "an array of two types": (
         vts(
             piece("0 1 0 1 0 0", array(LEFT), scalar(range(4))),
             piece("1 2 0 1 0 0", array(RIGHT), scalar(range(4), kind="Int32")),
         ),
-        "has not the same type and number of components",
+        "does not have the same type and number of components",
     ),
     "too many values": (
         vts(piece("0 2 0 1 0 0", array([*PLANE.ravel(), 1]))), r"Points has 19 values, expected 18 values \(6 x 3\)"
@@ -249,9 +249,9 @@ BAD = {
     "time steps": (vts(ONE).replace("WholeExtent", 'TimeValues="0 1" WholeExtent'), "holds 2 time steps"),
     "entities": (
         f'<!DOCTYPE VTKFile [<!ENTITY l0 "lol">{LAUGHS}]>' + vts(piece("0 2 0 1 0 0", array([], text="&l9;"))),
-        "a DOCTYPE has no place",
+        "a VTK file has no DOCTYPE",
     ),
-    "a file from elsewhere": ('<!DOCTYPE VTKFile SYSTEM "file:///etc/passwd">' + vts(ONE), "a DOCTYPE has no place"),
+    "a file from elsewhere": ('<!DOCTYPE VTKFile SYSTEM "file:///etc/passwd">' + vts(ONE), "a VTK file has no DOCTYPE"),
     "another encoding": ('<?xml version="1.0" encoding="EBCDIC-CP-US"?>' + vts(ONE), "encoded as EBCDIC-CP-US"),
     "deep": (vts("<a>" * 5000 + "</a>" * 5000), "elements are nested more than 100 deep"),
     "another root": ("<a>" + vts(ONE) + "</a><!-- </VTKFile>", "its first element is not VTKFile"),
@@ -303,7 +303,7 @@ def test_appended_data(tmp_path):
 
 
 BAD_APPENDED = {
-    "an offset behind the end": (appended(RAW, offset=999), "begins at byte .*, behind the appended data"),
+    "an offset behind the end": (appended(RAW, offset=999), "begins at byte .*, after the end of the appended data"),
     "no offset": (appended(RAW, offset="x"), "has offset 'x', expected a count"),
     "a wrong size": (appended(b"\x90\0\0\1" + RAW[4:]), "the size of array Points, at byte"),
     "too little": (appended(RAW[:-1]), "the size of array Points, at byte"),
@@ -313,11 +313,11 @@ BAD_APPENDED = {
     "an unknown encoding": (appended(RAW, "hex"), "has encoding 'hex'; known are base64 raw"),
     "zlib that is none": (appended(packed(PLANE.tobytes(), pack=bytes), root=ZLIB), "damaged in block 1 of 1"),
     "zlib that is cut": (
-        appended(packed(PLANE.tobytes(), pack=lambda b: zlib.compress(b)[:-4]), root=ZLIB), "unpacks to 144 bytes"
+        appended(packed(PLANE.tobytes(), pack=lambda b: zlib.compress(b)[:-4]), root=ZLIB), "decompresses to 144 bytes"
     ),
-    "zlib of more": (appended(packed(PLANE.tobytes() + b"x"), root=ZLIB), "unpacks to more than 144 bytes"),
-    "zlib of less": (appended(packed(PLANE.tobytes()[:-1]), root=ZLIB), "unpacks to 143 bytes, expected 144"),
-    "other sizes of blocks": (appended(packed(PLANE.tobytes(), sizes=(144, 7)), root=ZLIB), "unpacks to 7 bytes"),
+    "zlib of more": (appended(packed(PLANE.tobytes() + b"x"), root=ZLIB), "decompresses to more than 144 bytes"),
+    "zlib of less": (appended(packed(PLANE.tobytes()[:-1]), root=ZLIB), "decompresses to 143 bytes, expected 144"),
+    "other sizes of blocks": (appended(packed(PLANE.tobytes(), sizes=(144, 7)), root=ZLIB), "decompresses to 7 bytes"),
     "more blocks than bytes": (
         appended(np.array([2**30, 144, 0], "<u4").tobytes() + b"x" * 99, root=ZLIB), "the size of array Points"
     ),
@@ -424,9 +424,9 @@ def test_names_of_arrays(tmp_path, name, encoding):
 @pytest.mark.parametrize("target", ["a.vts", "a.vtm"])
 def test_names_that_xml_cannot_hold(tmp_path, name, target):
     fields = (Field(name, "node", 0, np.arange(8.0).reshape(2, 2, 2)),)
-    with pytest.raises(FormatError, match="which has no place in a VTK file"):
+    with pytest.raises(FormatError, match="which a VTK file cannot hold"):
         write_grid(Grid.from_blocks([CUBE], fields=fields), tmp_path / target)
-    with pytest.raises(FormatError, match="which has no place in a VTK file"):
+    with pytest.raises(FormatError, match="which a VTK file cannot hold"):
         write_grid(Grid.from_blocks([CUBE], [name]), tmp_path / "a.vtm")
     assert not list(tmp_path.iterdir())
 
@@ -436,7 +436,7 @@ def test_an_array_that_exists_twice(tmp_path):
     (tmp_path / "a.vts").write_text(vts(piece("0 2 0 1 0 0", array(PLANE), data)))
     grid = read_grid(tmp_path / "a.vts")
     assert grid.fields[0].values.max() == 11
-    assert "node array 'p' exists twice; the last one is carried along" in grid.notes[0]
+    assert "node array 'p' exists twice; the last one is kept" in grid.notes[0]
 
 
 def test_without_the_package_lz4(tmp_path, monkeypatch):

@@ -1,1 +1,1 @@
-"""How CGNS trees lie in files: HDF5, read and written, and ADF, read."""
+"""Storage of CGNS trees in files: HDF5 (read and written) and ADF (read)."""

@@ -1,7 +1,7 @@
 """Read the ADF container (Advanced Data Format), in which most public CGNS files are stored.
 
-An ADF file is a tree of nodes in 4096-byte blocks, held together by disk pointers (block, offset). Each piece lies
-between a start and an end tag: the node header ``NoDe`` .. ``TaiL``, its table of children ``SNTb`` .. ``snTE``, its
+An ADF file is a tree of nodes in 4096-byte blocks, linked by disk pointers (block, offset). Each piece lies between a
+start and an end tag: the node header ``NoDe`` .. ``TaiL``, its table of children ``SNTb`` .. ``snTE``, its
 data ``DaTa`` .. ``dEnD``, or a table ``DCtb`` .. ``dcTE`` of several such data chunks. Numbers in headers are ASCII
 hexadecimal; version B writes pointers and dimensions in binary, in the byte order of the data.
 
@@ -36,12 +36,12 @@ _HEXADECIMAL = re.compile(rb"[0-9A-Fa-f]+")
 
 
 def read_adf(path: Path) -> Node:
-    """Root node of an ADF file; data arrays are views of the file, read when they are used.
+    """Root node of an ADF file; data arrays are views of the file, read when used.
 
     Raises
     ------
     FormatError
-        When the file is not ADF, truncated, damaged, or of a kind no present machine writes; also later, when a
+        When the file is not ADF, truncated, damaged, or in a number format of obsolete machines; also later, when a
         damaged part is reached.
     """
     return _AdfFile(path, {}).root
@@ -62,20 +62,20 @@ class _Header:
 
 
 class _AdfFile:
-    """One ADF file mapped into memory. ``opened`` holds this file and those reached from it by links."""
+    """One ADF file mapped into memory. ``opened`` contains this file and those reached from it by links."""
 
     def __init__(self, path: Path, opened: dict[Path, _AdfFile]) -> None:
         self.path = path
         self.opened = opened
         self.opened[path.resolve()] = self
         self.bytes = _mapped(path)
-        # Every node may be reached once; a second way to it would be a loop.
+        # Every node may be reached only once; otherwise there would be a loop.
         self.visited: set[int] = set()
         root = self._read_file_header()
         self.root = self._node(root, "", 0)
 
     def _read_file_header(self) -> bytes:
-        """Check the file header, learn how numbers are stored, return the pointer to the root node."""
+        """Check the file header, determine the number format, return the pointer to the root node."""
         if len(self.bytes) < _FILE_HEADER.size:
             raise self._damaged(f"the file has {len(self.bytes)} bytes; its header alone has {_FILE_HEADER.size}")
         fields = _FILE_HEADER.unpack_from(self.bytes)
@@ -91,7 +91,7 @@ class _AdfFile:
         if numeric not in b"LB":
             raise FormatError(
                 f"{self.path} stores numbers in the format {decoded(numeric)!r} (C is Cray, N is unknown); "
-                f"known are L and B, IEEE little and big endian: convert it where it was written"
+                f"known are L and B, IEEE little and big endian: convert it on the machine that wrote it"
             )
         self.binary = version[:1] == b"B"
         self.separator = b" " if version[:3] == b"A01" else b">"
@@ -101,7 +101,7 @@ class _AdfFile:
         return bytes(root)
 
     def _check_sizes(self, sizes: list[int]) -> None:
-        """``sizes`` of char, short, int, long, float, double; long had 4 bytes on 32-bit machines."""
+        """Check ``sizes`` of char, short, int, long, float, double; long has 4 bytes on 32-bit machines."""
         if sizes[:3] != [1, 2, 4] or sizes[3] not in (4, 8) or sizes[4:] != [4, 8]:
             raise FormatError(
                 f"{self.path} has char, short, int, long, float and double of {sizes} bytes; "
@@ -181,12 +181,12 @@ class _AdfFile:
             if child.name != decoded(name):
                 raise self._damaged(f"{path or '/'} lists a child {decoded(name)!r} whose own name is {child.name!r}")
             if child.name in names:
-                raise self._damaged(f"{path or '/'} has two children of the name {child.name!r}")
+                raise self._damaged(f"{path or '/'} has two children named {child.name!r}")
             names.add(child.name)
             yield child
 
     def _values(self, header: _Header, path: str, dtype: np.dtype[Any] | None) -> NDArray[Any]:
-        """Data of a node: a view of the file when they lie in one piece."""
+        """Data of a node: a view of the file if they are contiguous."""
         pieces = self._pieces(header, path, dtype)
         if dtype is None or not pieces:
             return np.empty(0, np.uint8)
@@ -199,7 +199,7 @@ class _AdfFile:
         return flat.reshape(header.dims, order="F")
 
     def _pieces(self, header: _Header, path: str, dtype: np.dtype[Any] | None) -> list[tuple[int, int]]:
-        """Begin and end byte of each piece of a node's data, which must be as large as announced."""
+        """Begin and end byte of each piece of a node's data, which must have the declared size."""
         if header.data_type == "MT":
             return []
         if dtype is None:
@@ -228,7 +228,7 @@ class _AdfFile:
         return [self._chunk(start, b"DaTa", b"dEnD", f"the data of {path}") for start in starts]
 
     def _chunk(self, pointer: bytes, begin_tag: bytes, end_tag: bytes, what: str) -> tuple[int, int]:
-        """First and last-but-one byte of the contents between two tags, both tags checked."""
+        """Begin and end byte of the contents between two tags, both of which are checked."""
         at = self._offset(pointer, _CHUNK_HEAD, what)
         found = self.bytes[at : at + 4]
         if found != begin_tag:
@@ -241,7 +241,7 @@ class _AdfFile:
         return at + _CHUNK_HEAD, end
 
     def _offset(self, pointer: bytes, room: int, what: str) -> int:
-        """Byte a disk pointer points to, where at least ``room`` bytes must follow."""
+        """Byte position of a disk pointer, after which at least ``room`` bytes must follow."""
         if self.binary:
             block, offset = struct.unpack(f"{self.order}QI", pointer)
         else:
@@ -260,7 +260,7 @@ class _AdfFile:
         return int(field, 16)
 
     def _follow(self, link: Link) -> Node | None:
-        """The node a link leads to, ``None`` if file or node do not exist (the CGNS library finds only ADF files)."""
+        """The target of a link, ``None`` if file or node do not exist (the CGNS library finds only ADF files)."""
         home = self._linked_file(link.file) if link.file else self
         if home is None:
             return None
@@ -277,7 +277,7 @@ class _AdfFile:
         return None
 
     def _damaged(self, problem: str) -> FormatError:
-        return FormatError(f"{self.path} is a damaged ADF file: {problem}; fetch or write it again")
+        return FormatError(f"{self.path} is a damaged ADF file: {problem}; download or write it again")
 
 
 def is_adf(path: Path) -> bool:

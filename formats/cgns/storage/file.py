@@ -1,4 +1,4 @@
-"""Open a CGNS file as a tree, whichever container it is in."""
+"""Open a CGNS file as a tree, in either container."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def opened_cgns(path: Path) -> Iterator[Node]:
     if is_adf(path):
         yield read_adf(path)
     else:
-        # Imported here because files in ADF, the majority, need no HDF5.
+        # Imported here because ADF files, the majority, need no HDF5.
         from .hdf5 import opened_hdf5
 
         with opened_hdf5(path) as root:
@@ -33,11 +33,11 @@ def opened_cgns(path: Path) -> Iterator[Node]:
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Put the file's name before messages about its tree that do not have it yet."""
+    """Prefix messages about the file's tree with its name."""
     try:
         yield
     except FormatError as error:
         message = str(error)
         raise FormatError(message if str(path) in message else f"{path}: {message}") from error
     except RecursionError as error:
-        raise FormatError(f"{path} has links that lead through too many other links") from error
+        raise FormatError(f"{path} has a chain of too many links") from error

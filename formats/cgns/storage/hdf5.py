@@ -2,7 +2,7 @@
 
 A link is a group of type ``LK`` with a soft or external HDF5 link `` link`` and the texts `` path`` and `` file``.
 Dimensions are stored in reverse, because HDF5 counts the slowest index first. Source: CGNS SIDS File Mapping Manual,
-HDF5 mapping, and what the public CGNS library writes.
+HDF5 mapping, and output of the public CGNS library.
 
 Files of hundreds of zones have tens of thousands of nodes, for which h5py's high-level interface takes twice as long.
 """
@@ -32,15 +32,15 @@ LINK = " link"
 LINK_PATH = " path"
 LINK_FILE = " file"
 _OLD_VERSION = b" version"
-# Deflate cannot pack tighter; a dataset that declares more was never written or is damaged.
+# Deflate cannot compress more; a dataset that declares more was never written or is damaged.
 _MAXIMUM_COMPRESSION = 1100
-# A longer chain of links leads in a circle (the CGNS library has the same limit).
+# A longer chain of links is circular (the CGNS library has the same limit).
 _MAXIMUM_LINKS = 100
 
 
 @contextmanager
 def hdf5_errors(path: Path, action: str) -> Iterator[None]:
-    """Turn what the HDF5 library raises into a FormatError about ``path``; ``action`` is ``read`` or ``write``."""
+    """Turn errors of the HDF5 library into a FormatError about ``path``; ``action`` is ``read`` or ``write``."""
     try:
         yield
     # A damaged file makes h5py raise ValueError and TypeError as well.
@@ -59,13 +59,13 @@ def opened_hdf5(path: Path) -> Iterator[Node]:
         if _OLD_VERSION in root:
             raise FormatError(
                 f"{path} was written by a CGNS library before 3.0, which stored dimensions in another order; "
-                f"open and save it once with cgnsupdate or a present CGNS library"
+                f"open and save it once with cgnsupdate or a current CGNS library"
             )
         yield Node("", path, "", expand=lambda: _children(root, path, ""))
 
 
 def attribute(group: h5g.GroupID, name: bytes) -> str:
-    """A text attribute; writers differ in string types and in padding."""
+    """A text attribute; writers differ in string type and padding."""
     stored = h5a.open(group, name)
     value = np.empty(stored.shape, stored.dtype)
     stored.read(value)
@@ -91,7 +91,7 @@ def _name(raw: bytes, file: Path, parent: str) -> str:
 
 
 def _in_order(group: h5g.GroupID) -> list[bytes]:
-    """Names of the child nodes in creation order; by the attribute ``order`` where HDF5 did not track creation."""
+    """Names of the child nodes in creation order; by the attribute ``order`` if HDF5 did not track creation."""
     names = [name for name in group if not name.startswith(b" ")]
     if group.get_create_plist().get_link_creation_order() & h5p.CRT_ORDER_TRACKED:
         return names
@@ -100,13 +100,13 @@ def _in_order(group: h5g.GroupID) -> list[bytes]:
 
 
 def _destination(group: h5g.GroupID, name: bytes) -> tuple[bytes, bytes]:
-    """File and path a HDF5 link leads to."""
+    """File and path of the target of an HDF5 link."""
     value = group.links.get_val(name)
     return value if isinstance(value, tuple) else (b"", value)
 
 
 def _node(group: h5g.GroupID | h5d.DatasetID, file: Path, path: str, links: int = 0) -> Node:
-    """The node of a group that was reached through that many links."""
+    """The node of a group that was reached through ``links`` links."""
     if not isinstance(group, h5g.GroupID) or not all(h5a.exists(group, key) for key in (b"label", b"type")):
         raise FormatError(
             f"{file} is HDF5 but not CGNS: {path} is not a group with the attributes label and type, "
@@ -140,7 +140,7 @@ def _follow(group: h5g.GroupID, name: bytes, links: int) -> Node | None:
         return None
     try:
         target = h5o.open(group, name)
-    except (KeyError, OSError):  # HDF5 raises these for links that lead nowhere
+    except (KeyError, OSError):  # HDF5 raises these for broken links
         return None
     place = h5py.Group(target)
     return _node(target, Path(place.file.filename), place.name, links)

@@ -42,8 +42,8 @@ _ORDERED = _ordered()
 def write_hdf5(tree: Node, path: Path) -> None:
     """Write a whole tree as a new CGNS file in HDF5, as the CGNS library would.
 
-    Links inside the file stay links. What a link to another file leads to is copied into the new file, because the
-    other file may be of a kind that HDF5 links cannot reach; if it is missing, the link is kept.
+    Links within the file remain links. The target of a link to another file is copied into the new file, because HDF5
+    links may be unable to reach it; if it is missing, the link is kept.
     """
     with hdf5_output(path, "w", libver=("earliest", "v108"), track_order=True) as file:
         root = h5g.open(file.id, b"/")
@@ -56,9 +56,9 @@ def write_hdf5(tree: Node, path: Path) -> None:
 
 
 def own_group(parent: h5py.Group, node: Node) -> h5py.Group:
-    """The group of ``node`` in a file being written. A link is replaced by what it leads to, in its place.
+    """The group of ``node`` in a file being written. A link is replaced by its target, in the same position.
 
-    Coordinates that are to change must not be those of another file or of another zone.
+    Coordinates that are to change must not belong to another file or zone.
     """
     if not isinstance(parent.get(node.name, getlink=True), h5py.HardLink):
         del parent[node.name]
@@ -84,7 +84,7 @@ def put_node(parent: h5py.Group, node: Node) -> None:
 def _write(parent: h5g.GroupID, node: Node, home: Path, depth: int) -> None:
     if depth > MAXIMUM_DEPTH:
         raise FormatError(
-            f"{home}: nodes are nested more than {MAXIMUM_DEPTH} deep at {node.path}; a link leads back up"
+            f"{home}: nodes are nested more than {MAXIMUM_DEPTH} deep at {node.path}; a link forms a loop"
         )
     group = h5g.create(parent, node.name.encode(), gcpl=_ORDERED)
     keep = node.link is not None and (node.dangling or (node.file == home and not node.link.file))
@@ -129,5 +129,5 @@ def _describe(group: h5g.GroupID, name: str, label: str, data_type: str) -> None
 
 
 def characters(text: str) -> NDArray[np.int8]:
-    """Text as CGNS stores it beside a link, with a final NUL."""
+    """Text in the form that CGNS stores with a link, with a final NUL."""
     return np.frombuffer(text.encode() + b"\0", np.int8)

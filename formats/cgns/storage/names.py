@@ -1,4 +1,4 @@
-"""Names that CGNS nodes may have."""
+"""Valid names of CGNS nodes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from .tree import NAME_LENGTH
 def unique_names(names: Iterable[str], otherwise: str, taken: Iterable[str] = ()) -> tuple[str, ...]:
     """The names without slashes, cut to 32 bytes, numbered where they repeat each other or ``taken`` ones.
 
-    ``otherwise`` stands for empty names.
+    ``otherwise`` replaces empty names.
     """
     used = set(taken)
     result = []

@@ -1,8 +1,8 @@
 """A CGNS file as a tree of nodes, the same for both containers (ADF and HDF5).
 
-Every node has a name, a label (what the standard calls it, ``Zone_t``), a data type (``R8``, ``MT`` for none), the
-dimensions of its data with the fastest index first, and children in file order. Children and data are read when they
-are first asked for. Source: CGNS SIDS File Mapping Manual.
+Every node has a name, a label (its type in the standard, ``Zone_t``), a data type (``R8``, ``MT`` for none), the
+dimensions of its data with the fastest index first, and children in file order. Children and data are read on first
+access. Source: CGNS SIDS File Mapping Manual.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from meshdeform_core.errors import FormatError
 
 NAME_LENGTH = 32
-# Real trees are about ten levels deep; a file that nests more is damaged or made to harm.
+# Real trees are about ten levels deep; a file with deeper nesting is damaged or malicious.
 MAXIMUM_DEPTH = 64
 
-# Names of nodes that the standard prescribes (some with a number behind them); others are the user's choice.
+# Names of nodes that the standard prescribes (some followed by a number); others are the user's choice.
 _PRESCRIBED = {
     label: label.removesuffix("_t")
     for label in (
@@ -31,7 +31,7 @@ _PRESCRIBED = {
         *("GridLocation_t", "Periodic_t", "Rind_t", "ZoneBC_t", "ZoneGridConnectivity_t", "ZoneType_t"),
     )
 }
-# What else lies beside zones and families, and beside boundary conditions, under names that say so.
+# Other siblings of zones and families, and of boundary conditions, with telling names.
 _BESIDE_ZONES = (
     *("Axisymmetry", "BaseIterativeData", "ConvergenceHistory", "DataClass", "Descriptor", "DimensionalUnits"),
     *("FlowEquationSet", "FlowSolution", "GlobalConvergenceHistory", "Gravity", "IntegralData", "ReferenceState"),
@@ -44,7 +44,7 @@ _OTHERS = {
     "BC_t": ("DataClass", "Descriptor", "DimensionalUnits", "ReferenceState", "UserDefinedData"),
 }
 
-# What the two-letter data types are in memory.
+# The two-letter data types in memory.
 DTYPES: dict[str, np.dtype[Any]] = {
     "B1": np.dtype(np.uint8),
     "C1": np.dtype(np.int8),
@@ -61,7 +61,7 @@ DTYPES: dict[str, np.dtype[Any]] = {
 
 @dataclass(frozen=True)
 class Link:
-    """Where a link node points to: a node path in another file, or in its own file when ``file`` is empty."""
+    """Target of a link node: a node path in another file, or in its own file if ``file`` is empty."""
 
     file: str
     path: str
@@ -80,7 +80,7 @@ def _nothing() -> None:
 
 @dataclass(eq=False)
 class Node:
-    """One node. ``target`` is the node itself or, for a link, the node it leads to.
+    """One node. ``target`` is the node itself or, for a link, the node it points to.
 
     ``dtype`` is the type of the stored values (byte order included), ``None`` without data. ``read``, ``expand`` and
     ``follow`` fetch the data, the children and the link's target from the container; ``require`` raises FormatError
@@ -103,12 +103,12 @@ class Node:
 
     @cached_property
     def children(self) -> tuple[Node, ...]:
-        """Children in file order, links not followed."""
+        """Children in file order, without following links."""
         return tuple(self.expand())
 
     @cached_property
     def target(self) -> Node:
-        """The node that holds label, data and children; an empty node when a link leads nowhere or back to itself."""
+        """The node with label, data and children; an empty node for a link that is broken or circular."""
         if self.link is None:
             return self
         if self._following:
@@ -122,11 +122,11 @@ class Node:
 
     @property
     def dangling(self) -> bool:
-        """A link whose target cannot be found."""
+        """Whether it is a link whose target cannot be found."""
         return self.link is not None and not self.target.label
 
     def child(self, name: str) -> Node | None:
-        """The child of that name, links followed; ``None`` if there is none.
+        """The child of that name, with links followed; ``None`` if there is none.
 
         Raises
         ------
@@ -140,12 +140,12 @@ class Node:
         return None
 
     def labelled(self, label: str) -> list[Node]:
-        """Children of that label in file order, as they are named here (links not followed).
+        """Children of that label in file order, under their names here (links are not followed).
 
         Raises
         ------
         FormatError
-            When a link that leads nowhere may have been one of them.
+            When a broken link could be one of them.
         """
         for child in self.target.children:
             if child.dangling and _may_be(child.name, label):
@@ -153,16 +153,16 @@ class Node:
         return [child for child in self.target.children if child.target.label == label]
 
     def require_target(self) -> None:
-        """Refuse a link that leads nowhere: what it stands for would be missing without a word."""
+        """Refuse a broken link: its target would be missing without any message."""
         if self.dangling:
             raise FormatError(
-                f"{self.path} is a broken link to {self.link}; put the file it names beside this one, or "
+                f"{self.path} is a broken link to {self.link}; put that file next to this one, or "
                 "remove the link from the file"
             )
 
     @property
     def contents(self) -> str:
-        """What the node holds, in words for messages, e.g. ``3 x 2 R8 values``."""
+        """Description of the data for messages, e.g. ``3 x 2 R8 values``."""
         return describe(self.target.dims, self.target.data_type)
 
     def data(self) -> NDArray[Any]:
@@ -185,7 +185,7 @@ class Node:
         Raises
         ------
         FormatError
-            When the node holds something else.
+            When the node has other data.
         """
         found = self.target
         fits = len(found.dims) == len(dims) and all(n in (-1, m) for n, m in zip(dims, found.dims, strict=True))
@@ -193,13 +193,13 @@ class Node:
             wanted = " x ".join("n" if n < 0 else str(n) for n in dims)
             raise FormatError(
                 f"{self.path} holds {self.contents}; expected {wanted} integers (I4 or I8), which the CGNS standard "
-                f"asks for here"
+                f"requires here"
             )
         return found.data().astype(np.int64)
 
 
 def _may_be(name: str, label: str) -> bool:
-    """Whether a node of that name can have that label, by the names that the standard prescribes."""
+    """Whether a node of that name can have that label, according to the names that the standard prescribes."""
     own = _PRESCRIBED.get(label)
     return name.startswith(own) if own else not name.startswith(_OTHERS.get(label, ()))
 
@@ -211,7 +211,7 @@ def make(
     children: Sequence[Node] = (),
     dtype: np.dtype[Any] | None = None,
 ) -> Node:
-    """A node in memory; ``value`` is an array (fastest index first), stored as ``dtype`` or as it is."""
+    """A node in memory; ``value`` is an array (fastest index first), stored as ``dtype`` or unchanged."""
     if value is None:
         return Node(name, Path(), name, label, expand=lambda: children)
     array = np.frombuffer(value.encode(), np.int8) if isinstance(value, str) else value
@@ -229,7 +229,7 @@ def data_type_of(dtype: np.dtype[Any]) -> str:
 
 
 def describe(dims: tuple[int, ...], data_type: str) -> str:
-    """Data in words, see :attr:`Node.contents`."""
+    """Description of data, see :attr:`Node.contents`."""
     return f"{' x '.join(str(n) for n in dims)} {data_type} values" if dims else "no values"
 
 

@@ -1,8 +1,8 @@
-"""The values of the arrays in a VTK XML file, each checked against the number that its place asks for.
+"""The values of the arrays in a VTK XML file, each checked against the expected number.
 
-Before a binary array stands its number of bytes or, if packed, the number of blocks, the size of a block, the size of
-the last block if smaller (else 0), and the packed size of each block. All of them are checked against the file and
-against the expected number of values before anything is allocated.
+A binary array is preceded by its number of bytes or, if compressed, by the number of blocks, the size of a block, the
+size of the last block if smaller (else 0), and the compressed size of each block. All of them are checked against the
+file and the expected number of values before anything is allocated.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ TYPES = {
     "Float64": "f8",
 }
 
-# What all arrays of a file may unpack to, beyond what its size explains.
+# Total size to which the arrays of a file may be decompressed, beyond what its size explains.
 _ALWAYS_ALLOWED = 64 << 20
 _PIECE = 1 << 21
 _GAPS = b" \t\r\n"
@@ -54,12 +54,12 @@ class ArrayReader:
     def values(self, array: Element, tuples: int, components: int | None = None) -> NDArray[Any]:
         """The values of an array, ``(tuples,)`` or ``(tuples, components)``, in the byte order of the file.
 
-        ``components`` is how many the array must have; ``None`` takes what it says.
+        ``components`` is the required number; ``None`` accepts that of the array.
 
         Raises
         ------
         FormatError
-            When the array is damaged or has not as many values as expected.
+            When the array is damaged or does not have the expected number of values.
         """
         stated = self._number(array, "NumberOfComponents", 1)
         if components is not None and stated != components:
@@ -79,12 +79,12 @@ class ArrayReader:
         return flat if stated == 1 else flat.reshape(tuples, stated)
 
     def number(self, element: Element, name: str) -> int:
-        """A count that an element must state.
+        """A count that an element must declare.
 
         Raises
         ------
         FormatError
-            When it is missing or no count.
+            When it is missing or not a count.
         """
         return self._number(element, name, None)
 
@@ -97,21 +97,21 @@ class ArrayReader:
         return int(word)
 
     def error(self, element: Element, message: str) -> FormatError:
-        """An error that says which element it is about, and its line."""
+        """An error with the element and its line."""
         what = element.tag
         if element.tag in ("DataArray", "Array"):
             what = f"array {element.get('Name') or 'without name'}"
         return FormatError(f"cannot read {self.file.path}, line {element.line}: {what} {message}")
 
     def _allocate(self, array: Element, size: int, wanted: str) -> NDArray[np.uint8]:
-        """Memory for an array, unless all arrays together need more than a file of this size can be unpacked to."""
+        """Memory for an array, unless all arrays together need more than a file of this size can contain."""
         self._left -= size
         if self._left < 0:
             raise self.error(array, f"cannot hold {wanted}: the file has only {self.file.size} bytes")
         return np.empty(size, np.uint8)
 
     def _ascii(self, array: Element, count: int, dtype: np.dtype[Any], wanted: str) -> NDArray[Any]:
-        # Each number takes two bytes of text at least.
+        # Each number takes at least two bytes of text.
         length = array.end - array.start
         values = np.empty(count if 2 * count <= length + 1 else 0, dtype)
         text, found = RawBytes(self._stream, array.start, array.end), 0
@@ -130,7 +130,7 @@ class ArrayReader:
         return values
 
     def _put(self, array: Element, values: NDArray[Any], found: int, text: bytes, dtype: np.dtype[Any]) -> int:
-        """Put the numbers of ``text`` behind the first ``found``; return how many there are now."""
+        """Append the numbers of ``text`` after the first ``found``; return how many there are now."""
         try:
             numbers = numbers_in_text(text, dtype)
         except NotANumber as error:
@@ -145,10 +145,10 @@ class ArrayReader:
             read = self._plain if self._compression == "none" else self._packed
             return read(array, data, count * dtype.itemsize, place, wanted).view(dtype)
         except NotBase64 as error:
-            raise self.error(array, f"holds something that is no base64: {error}") from error
+            raise self.error(array, f"contains something that is not base64: {error}") from error
 
     def _bytes_of(self, array: Element) -> tuple[ArrayBytes, int]:
-        """Where the bytes of an array are, and the byte of the file at which they begin."""
+        """The bytes of an array, and their position in the file."""
         if array.get("format") == "binary":
             start, end = self._stripped(array)
             return Base64Bytes(self._stream, start, end), start
@@ -159,12 +159,12 @@ class ArrayReader:
             raise self.error(array, "refers to appended data, but the file has none")
         start += self.number(array, "offset")
         if start > end:
-            raise self.error(array, f"begins at byte {start}, behind the appended data, which end at {end}")
+            raise self.error(array, f"begins at byte {start}, after the end of the appended data at {end}")
         raw = self.file.appended_encoding == "appended"
         return (RawBytes if raw else Base64Bytes)(self._stream, start, end), start
 
     def _stripped(self, array: Element) -> tuple[int, int]:
-        """Where the text of an array begins and ends without the white space around it."""
+        """Begin and end of the text of an array without surrounding white space."""
         start, end = array.start, array.end
         while start < end:
             piece = RawBytes(self._stream, start, min(end, start + 4096)).read(4096)
@@ -181,7 +181,7 @@ class ArrayReader:
     def _damaged_size(self, array: Element, place: int) -> FormatError:
         name = array.get("Name") or "without name"
         return FormatError(
-            f"cannot read {self.file.path}: the size of array {name}, at byte {place}, cannot be true; the file is "
+            f"cannot read {self.file.path}: the size of array {name}, at byte {place}, is impossible; the file is "
             "damaged"
         )
 
@@ -220,7 +220,7 @@ class ArrayReader:
             raise self._damaged_size(array, place)
         stated = blocks * block - (block - last if blocks and last else 0)
         if stated != size:
-            raise self.error(array, f"unpacks to {stated} bytes, expected {size} for {wanted}")
+            raise self.error(array, f"decompresses to {stated} bytes, expected {size} for {wanted}")
         values, filled = self._allocate(array, size, wanted), 0
         unpack = self._unpack = self._unpack or unpacker(self._compression, self.file.path)
         for number, length in enumerate(packed, start=1):

@@ -1,4 +1,4 @@
-"""The node, cell and field data of a VTK XML file, whatever its kind of data set."""
+"""The node, cell and field data of a VTK XML file with any kind of data set."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..dataset import DataArray, native
 from .arrays import ArrayReader
 from .tags import Element
 
-# VTK's words for what an array is, in its order.
+# VTK's attribute types of an array, in its order.
 ROLES = (
     "Scalars",
     "Vectors",
@@ -35,22 +35,22 @@ SECTIONS = {"PointData": "node", "CellData": "cell", "FieldData": ""}
 def read_section(reader: ArrayReader, above: Element, tag: str, tuples: int, notes: list[str]) -> list[DataArray]:
     """The arrays of all ``tag`` elements (a key of :data:`SECTIONS`) in ``above``.
 
-    ``tuples`` is the number of nodes or cells; ``notes`` gets a line for each array that is not carried along.
+    ``tuples`` is the number of nodes or cells; a line for each array that is not kept is added to ``notes``.
 
     Raises
     ------
     FormatError
-        When an array is damaged or has not as many values as expected.
+        When an array is damaged or does not have the expected number of values.
     """
     found: dict[str, DataArray] = {}
     for section in above.all(tag):
         for index, element in enumerate(section.arrays()):
             name = element.get("Name") or f"array{index}"
             if element.tag != "DataArray":
-                notes.append(f"the text array {name!r} is not carried along")
+                notes.append(f"the text array {name!r} is not kept")
                 continue
             if name in found:
-                notes.append(f"{SECTIONS[tag] or 'field'} array {name!r} exists twice; the last one is carried along")
+                notes.append(f"{SECTIONS[tag] or 'field'} array {name!r} exists twice; the last one is kept")
             count = tuples if SECTIONS[tag] else reader.number(element, "NumberOfTuples")
             values = reader.values(element, count)
             roles = tuple(role for role in ROLES if element.get("Name") and section.get(role) == name)
@@ -59,7 +59,7 @@ def read_section(reader: ArrayReader, above: Element, tag: str, tuples: int, not
 
 
 def read_field_data(reader: ArrayReader, data_set: Element, notes: list[str]) -> list[DataArray]:
-    """The arrays that belong to no node or cell, in the byte order of this machine."""
+    """The arrays that do not belong to nodes or cells, in the byte order of this machine."""
     arrays = read_section(reader, data_set, "FieldData", 0, notes)
     return [array._replace(values=native(array.values)) for array in arrays]
 
@@ -76,17 +76,17 @@ def joined(parts: list[list[DataArray]]) -> Iterator[tuple[DataArray, list[NDArr
     Raises
     ------
     ValueError
-        Naming the array that one of the pieces lacks or has in another type.
+        With the array that one of the pieces lacks or has in another type.
     """
     by_name = [{array.name: array for array in arrays} for arrays in parts]
     for number, arrays in enumerate(by_name[1:], start=2):
         different = sorted(by_name[0].keys() ^ arrays.keys())
         if different:
-            raise ValueError(f"array {different[0]!r} is in one of Piece 1 and Piece {number} only")
+            raise ValueError(f"array {different[0]!r} is in only one of Piece 1 and Piece {number}")
     for name, first in by_name[0].items():
         values = [arrays[name].values for arrays in by_name]
         if len({(part.dtype, part.shape[1:]) for part in values}) > 1:
-            raise ValueError(f"array {name!r} has not the same type and number of components in all pieces")
+            raise ValueError(f"array {name!r} does not have the same type and number of components in all pieces")
         yield first, values
 
 

@@ -1,4 +1,4 @@
-"""The bytes of one array in a VTK XML file: raw, or as base64, piece by piece."""
+"""The bytes of one array in a VTK XML file, raw or base64, piece by piece."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ _PIECE = 3 << 19
 
 
 class NotBase64(Exception):
-    """Something in the text is no base64."""
+    """Something in the text is not base64."""
 
 
 class ArrayBytes(Protocol):
-    """The bytes of an array from its first one on."""
+    """The bytes of an array, read in sequence."""
 
     def available(self) -> int:
-        """How many bytes can follow at most."""
+        """Upper bound of the number of bytes that follow."""
 
     def read(self, count: int) -> bytes:
         """The next ``count`` bytes, fewer only at the end."""
 
     def next_segment(self) -> bool:
-        """Go on behind the header of a packed array; False if the header did not end there."""
+        """Continue after the header of a compressed array; False if the header did not end there."""
 
 
 class RawBytes:
-    """Bytes as they are, from ``start`` to ``end`` in the file."""
+    """Raw bytes from ``start`` to ``end`` in the file."""
 
     def __init__(self, stream: BinaryIO, start: int, end: int) -> None:
         self._stream, self._position, self._end = stream, start, max(start, end)
@@ -46,7 +46,7 @@ class RawBytes:
 
 
 class Base64Bytes:
-    """Base64 between two bytes of the file; a packed array is two segments, each padded to four characters."""
+    """Base64 between two bytes of the file; a compressed array is two segments, each padded to four characters."""
 
     def __init__(self, stream: BinaryIO, start: int, end: int) -> None:
         self._text, self._left = RawBytes(stream, start, end), b""
@@ -60,7 +60,7 @@ class Base64Bytes:
         Raises
         ------
         NotBase64
-            When characters or padding are no base64.
+            When characters or padding are not base64.
         """
         parts, missing = [self._left], count - len(self._left)
         while missing > 0:

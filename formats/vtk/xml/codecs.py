@@ -1,4 +1,4 @@
-"""How VTK packs the blocks of an array: zlib, lzma (as xz) and lz4."""
+"""Compression of the blocks of an array: zlib, lzma (as xz) and lz4."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from typing import Any
 
 from meshdeform_core.errors import FormatError
 
-# Bytes that one byte can stand for at most, by the definition of zlib and lz4; constants in lzma go further.
+# Largest compression ratio, by the definition of zlib and lz4; lzma exceeds it for constants.
 LARGEST_RATIO = {"none": 1, "zlib": 1032, "lz4": 255, "lzma": 10_000}
 
 # VTK's own level.
 _LEVEL = 5
-# What unpacking may take; the largest preset needs 65 MiB.
+# Memory limit of decompression; the largest preset needs 65 MiB.
 _LZMA_MEMORY = 80 << 20
 _SMALLEST_DICTIONARY = 4096
 
 
 class DamagedBlock(Exception):
-    """A packed block is not what its header says; the message is the reason."""
+    """A compressed block contradicts its header; the message is the reason."""
 
 
 def require_codec(compression: str, path: Any) -> None:
@@ -47,7 +47,7 @@ def _lz4(path: Any) -> Any:
 
 
 def packer(compression: str, path: Any) -> Callable[[bytes | memoryview], bytes]:
-    """The function that packs one block."""
+    """The function that compresses one block."""
     if compression == "zlib":
         return lambda block: zlib.compress(block, _LEVEL)
     if compression == "lzma":
@@ -57,15 +57,15 @@ def packer(compression: str, path: Any) -> Callable[[bytes | memoryview], bytes]
 
 
 def _pack_lzma(block: bytes | memoryview) -> bytes:
-    # A dictionary larger than the block is memory to clear for each block, and packs no better.
+    # A dictionary larger than the block costs time to clear for each block, and compresses no better.
     filters = [{"id": lzma.FILTER_LZMA2, "preset": _LEVEL, "dict_size": max(len(block), _SMALLEST_DICTIONARY)}]
     return lzma.compress(block, lzma.FORMAT_XZ, lzma.CHECK_CRC32, filters=filters)
 
 
 def unpacker(compression: str, path: Any) -> Callable[[bytes, int], bytes]:
-    """The function that unpacks one block to exactly as many bytes as it is told.
+    """The function that decompresses one block to exactly the given number of bytes.
 
-    It raises :class:`DamagedBlock` and never unpacks more than one byte beyond.
+    It raises :class:`DamagedBlock` and never decompresses more than one byte beyond.
     """
     if compression == "lz4":
         return _lz4_unpacker(_lz4(path))
@@ -78,7 +78,7 @@ def unpacker(compression: str, path: Any) -> Callable[[bytes, int], bytes]:
             raise DamagedBlock(str(error)) from error
         if len(data) != size or not complete:
             found = f"more than {size}" if len(data) > size else f"{len(data)}"
-            raise DamagedBlock(f"it unpacks to {found} bytes, expected {size}")
+            raise DamagedBlock(f"it decompresses to {found} bytes, expected {size}")
         return data
 
     return checked
@@ -101,7 +101,7 @@ def _lz4_unpacker(block: Any) -> Callable[[bytes, int], bytes]:
         except (block.LZ4BlockError, ValueError) as error:
             raise DamagedBlock(str(error)) from error
         if len(data) != size:
-            raise DamagedBlock(f"it unpacks to {len(data)} bytes, expected {size}")
+            raise DamagedBlock(f"it decompresses to {len(data)} bytes, expected {size}")
         return data
 
     return checked

@@ -1,4 +1,4 @@
-"""How an array becomes the bytes of a VTK XML file: its sizes first, packed or not, raw or in base64."""
+"""Encoding of an array in a VTK XML file: first its sizes; compressed or not, raw or base64."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from ..dataset import StoredArray
 from .codecs import packer
 
-# Bytes that VTK packs as one block.
+# Bytes that VTK compresses as one block.
 _BLOCK = 1 << 15
 
 
@@ -41,7 +41,7 @@ class ArrayEncoder:
         assert self._pack is not None
         number, last = -(-array.nbytes // _BLOCK), array.nbytes % _BLOCK
         place, packed = self._stream.tell(), [0] * number
-        # The packed sizes stand before the blocks: room for them first.
+        # The compressed sizes precede the blocks: reserve space for them.
         self._write_sizes([number, _BLOCK, last, *packed])
         segment = self._segment()
         for index, block in enumerate(_blocks(self._pieces(array))):
@@ -73,7 +73,7 @@ class ArrayEncoder:
 
 
 class _Segment:
-    """Bytes on their way to a stream, in base64 if ``encoded``; only the end of a segment is padded."""
+    """Bytes written to a stream, in base64 if ``encoded``; only the end of a segment is padded."""
 
     def __init__(self, stream: BinaryIO, encoded: bool) -> None:
         self._stream, self._encoded, self._rest = stream, encoded, b""
@@ -92,7 +92,7 @@ class _Segment:
 
 
 def _blocks(pieces: Iterator[memoryview]) -> Iterator[bytes | memoryview]:
-    """The bytes of all pieces in blocks of one size; the last one may be smaller."""
+    """The bytes of all pieces in blocks of equal size; the last one may be smaller."""
     rest = b""
     for piece in pieces:
         start = 0

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 
 class NotANumber(Exception):
-    """Something in a text is no number of the wanted type; the message names it."""
+    """Something in a text is not a number of the expected type; the message quotes it."""
 
 
 def numbers_in_text(text: bytes, dtype: np.dtype[Any]) -> NDArray[Any]:
@@ -19,7 +19,7 @@ def numbers_in_text(text: bytes, dtype: np.dtype[Any]) -> NDArray[Any]:
     Raises
     ------
     NotANumber
-        When something is no number, or does not fit the type.
+        When something is not a number, or exceeds the type.
     """
     if not text.strip():
         return np.empty(0, dtype)
@@ -31,7 +31,7 @@ def numbers_in_text(text: bytes, dtype: np.dtype[Any]) -> NDArray[Any]:
         return values
     numbers = _parsed(text, np.dtype("i8"))
     limits, wide = np.iinfo(dtype), np.iinfo(numbers.dtype)
-    # The parser stops at the limits of 64 bits; a number there may be anything beyond.
+    # The parser saturates at the limits of 64 bits; a number there may be anything beyond.
     if numbers.max() == wide.max or numbers.min() == wide.min:
         return _exact(text, dtype)
     wrong = np.flatnonzero((numbers < limits.min) | (numbers > limits.max))
@@ -71,7 +71,7 @@ def _first_stranger(text: bytes, dtype: np.dtype[Any]) -> str:
             number(word)
         except ValueError:
             return _shown(word)
-    return "something that is no number"
+    return "something that is not a number"
 
 
 def _shown(word: bytes) -> str:

@@ -1,6 +1,6 @@
 """Structured grids in VTK's XML files: .vts, with .vtr and .vti read as structured grids.
 
-The pieces of a file may overlap in nodes, but must agree there, and together they must give every node and cell of the
+The pieces of a file may overlap in nodes, but must agree there, and together they must cover every node and cell of the
 whole extent.
 """
 
@@ -29,12 +29,12 @@ _KINDS = ("StructuredGrid", "RectilinearGrid", "ImageData")
 _OTHER_KINDS = {
     "PolyData": "a polygon surface",
     "UnstructuredGrid": "an unstructured grid",
-    "PStructuredGrid": "the index of a parallel data set; merge its pieces to one .vts",
+    "PStructuredGrid": "the index of a parallel data set; merge its pieces into one .vts",
     "vtkMultiBlockDataSet": "a multi-block set",
     "vtkPartitionedDataSetCollection": "a partitioned collection; save it as a multi-block set (.vtm)",
 }
 
-# Nodes that an extent may have whatever the size of the file.
+# Nodes that an extent may have regardless of the size of the file.
 _ALWAYS_ALLOWED = 1_000_000
 
 
@@ -54,12 +54,12 @@ class Extent:
         return min(self.shape()) < 1
 
     def fits(self, whole: Extent) -> bool:
-        """Whether this is a part of ``whole`` that is as wide as a cell wherever ``whole`` is."""
+        """Whether this is a part of ``whole`` and at least one cell wide wherever ``whole`` is."""
         bounds = zip(self.low, self.high, whole.low, whole.high, strict=True)
         return all(c <= a and b <= d and (a < b or c == d) for a, b, c, d in bounds)
 
     def window(self, whole: Extent, location: str) -> tuple[slice, ...]:
-        """Where the nodes or cells lie in an array ``(nk, nj, ni)`` of ``whole``."""
+        """Slices of the nodes or cells in an array ``(nk, nj, ni)`` of ``whole``."""
         starts = [a - b for a, b in zip(self.low, whole.low, strict=True)][::-1]
         return tuple(slice(start, start + n) for start, n in zip(starts, self.shape(location), strict=True))
 
@@ -69,7 +69,7 @@ class Extent:
 
 @dataclass(frozen=True)
 class _Piece:
-    """What one Piece element holds; ``points`` is ``(nk, nj, ni, 3)``."""
+    """The contents of one Piece element; ``points`` is ``(nk, nj, ni, 3)``."""
 
     extent: Extent
     line: int
@@ -84,7 +84,7 @@ def read(path: Path) -> DataSet:
     Raises
     ------
     FormatError
-        When the file is truncated or damaged, a node or cell is missing, or it holds another kind of data set.
+        When the file is truncated or damaged, a node or cell is missing, or the data set is of another kind.
     """
     file = read_tags(path)
     if file.kind not in _KINDS:
@@ -118,7 +118,7 @@ def _extent(reader: ArrayReader, element: Element, name: str) -> Extent:
 
 
 def _pieces(reader: ArrayReader, data_set: Element, whole: Extent) -> list[Element]:
-    """The Piece elements that hold anything, each inside ``whole``."""
+    """The Piece elements that are not empty, each inside ``whole``."""
     found = []
     for piece in data_set.all("Piece"):
         extent = _extent(reader, piece, "Extent")
@@ -182,7 +182,7 @@ def _numbers(reader: ArrayReader, element: Element, name: str, otherwise: str) -
 
 
 def _joined_points(path: Path, whole: Extent, pieces: list[_Piece]) -> NDArray[Any]:
-    """Coordinates of all nodes, each given by a piece, and alike by all pieces that give it."""
+    """Coordinates of all nodes; pieces that share a node must agree on it."""
     if len(pieces) == 1 and pieces[0].extent == whole:
         return pieces[0].points
     points = np.zeros((*whole.shape(), 3), pieces[0].points.dtype)
@@ -216,7 +216,7 @@ def _require_all(path: Path, whole: Extent, given: NDArray[np.bool_], what: str)
 
 
 def _first(marked: NDArray[np.bool_], low: Shape) -> Shape:
-    """Index (i, j, k), counted as in the file, of the first marked one."""
+    """Index (i, j, k), as in the file, of the first marked one."""
     k, j, i = np.unravel_index(int(np.argmax(marked)), marked.shape)
     return low[0] + int(i), low[1] + int(j), low[2] + int(k)
 

@@ -1,8 +1,8 @@
-"""The tags of a VTK XML file: which elements it has and where the text of each array lies, without the arrays.
+"""The tags of a VTK XML file: its elements and the position of the text of each array, without the arrays.
 
-The layout is described in the VTK User's Guide, "XML File Formats". Tags are read by expat and nothing else of XML is
-needed: a DOCTYPE, and with it every entity, is refused, and so are nested elements and elements without end. What
-follows ``<AppendedData>`` is no XML and is never given to the parser.
+The layout is described in the VTK User's Guide, "XML File Formats". Tags are read by expat, and little else of XML is
+needed: a DOCTYPE, and with it every entity, is refused, and so are deeply nested and unclosed elements. The data after
+``<AppendedData>`` are not XML and are never passed to the parser.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from xml.parsers import expat
 
 from meshdeform_core.errors import FormatError
 
-# Words of the VTKFile tag, and ours; the first of each is what a missing attribute means.
+# Words of the VTKFile tag, and ours; the first of each is the default.
 _COMPRESSIONS = {
     "": "none",
     "vtkZLibDataCompressor": "zlib",
@@ -33,7 +33,7 @@ _ARRAYS = ("DataArray", "Array")
 _APPENDED_TAG = re.compile(rb"""<AppendedData(?:[^>"']|"[^"]*"|'[^']*')*>\s*_""")
 _END = b"</VTKFile>"
 
-# No file that anyone writes comes near these limits; one that does would cost time and memory before it is refused.
+# Real files do not come near these limits; one that does would cost time and memory before it is refused.
 DEEPEST = 100
 _MOST_ELEMENTS = 1_000_000
 _LONGEST_PROLOG = 1 << 16
@@ -78,7 +78,7 @@ class XmlFile:
     ----------
     kind : type of the VTKFile tag, e.g. ``StructuredGrid``
     options : ``encoding`` (of the first array), ``compression``, ``byte_order``, ``header_type`` in the writer's words
-    compression : how binary arrays are packed, also where the first array is text
+    compression : of binary arrays, even if the first array is text
     appended : first and last byte (exclusive) of the appended data
     """
 
@@ -92,29 +92,29 @@ class XmlFile:
     appended_encoding: str = ""
 
     def data_set(self) -> Element:
-        """The element that the type of the file names.
+        """The element named by the type of the file.
 
         Raises
         ------
         FormatError
-            When it is missing or holds more than one time step.
+            When it is missing or contains more than one time step.
         """
         found = self.root.all(self.kind)
         if not found:
             raise FormatError(f"cannot read {self.path}: it has no {self.kind} element")
         steps = found[0].get("TimeValues").split()
         if len(steps) > 1:
-            raise FormatError(f"cannot read {self.path}: it holds {len(steps)} time steps; save one of them alone")
+            raise FormatError(f"cannot read {self.path}: it contains {len(steps)} time steps; save only one of them")
         return found[0]
 
 
 def file_kind(path: Path) -> str:
-    """Type of the VTKFile tag, e.g. ``StructuredGrid``; ``unknown`` without.
+    """Type of the VTKFile tag, e.g. ``StructuredGrid``; ``unknown`` if missing.
 
     Raises
     ------
     FormatError
-        When the file is truncated or no VTK file.
+        When the file is truncated or not a VTK file.
     """
     with path.open("rb") as stream:
         _require_end(path, stream)
@@ -127,8 +127,8 @@ def read_tags(path: Path) -> XmlFile:
     Raises
     ------
     FormatError
-        When the file is truncated, is no well-formed XML, has a DOCTYPE, nests elements deeper than :data:`DEEPEST`,
-        or its VTKFile tag has attributes that are not known.
+        When the file is truncated, is not well-formed XML, has a DOCTYPE, nests elements deeper than :data:`DEEPEST`,
+        or its VTKFile tag has unknown attribute values.
     """
     with path.open("rb") as stream:
         size = _require_end(path, stream)
@@ -186,11 +186,11 @@ def _appended_data(path: Path, stream: BinaryIO, start: int, size: int) -> tuple
 
 
 class _Appended(Exception):
-    """The tag after which the file is no XML has been read."""
+    """Raised after the AppendedData tag, which ends the XML part of the file."""
 
 
 class _Root(Exception):
-    """The first tag has been read."""
+    """Raised after the first tag."""
 
 
 class _Tags:
@@ -209,13 +209,13 @@ class _Tags:
         parser.EndElementHandler = self._end
 
     def root_only(self) -> Element:
-        """The VTKFile element without what is in it."""
+        """The VTKFile element without its contents."""
         self._parser.StartElementHandler = self._first
         self._parse(_Root)
         return self._required_root()
 
     def whole(self) -> Element:
-        """The VTKFile element with all below it."""
+        """The VTKFile element with its contents."""
         self._parse(_Appended)
         return self._required_root()
 
@@ -230,7 +230,7 @@ class _Tags:
         if start < 0:
             raise FormatError(f"cannot read {self.path}: it has no VTKFile element")
         try:
-            # The prolog alone first: whatever a DOCTYPE defines has been refused before anything could use it.
+            # The prolog first: a DOCTYPE is refused before anything could use its definitions.
             self._parser.Parse(prolog[:start], False)
             self._parser.Parse(prolog[start:], False)
             while chunk := self.stream.read(_CHUNK):
@@ -245,7 +245,7 @@ class _Tags:
         raise FormatError(f"cannot read {self.path}, line {self._parser.CurrentLineNumber}: {message}")
 
     def _doctype(self, *_: Any) -> NoReturn:
-        self._refuse("a DOCTYPE has no place in a VTK file; it is refused with the entities it may define")
+        self._refuse("a VTK file has no DOCTYPE; it is refused because of the entities it may define")
 
     def _declaration(self, version: str, encoding: str | None, standalone: int) -> None:
         if encoding and encoding.lower() not in _ENCODINGS:
@@ -287,7 +287,7 @@ class _Tags:
                 self._end_of_text(element)
                 self._parser.CharacterDataHandler = None
         elif len(self._open) == self._depth:
-            # Behind an element inside an array, such as a range of values; the array's own text stands before it.
+            # After an element inside an array, such as a range of values, which the array's own text precedes.
             self._parser.CharacterDataHandler = self._later_text
 
     def _end_of_text(self, array: Element) -> None:

@@ -1,4 +1,4 @@
-"""Structured grids to VTK's XML files (.vts) in every variant that VTK writes."""
+"""Writing structured grids to VTK's XML files (.vts) in every variant that VTK writes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _TYPE_NAMES = {code: name for name, code in TYPES.items()}
 _COMPRESSORS = {"zlib": "vtkZLibDataCompressor", "lz4": "vtkLZ4DataCompressor", "lzma": "vtkLZMADataCompressor"}
 _BYTE_ORDERS = {"little": "LittleEndian", "big": "BigEndian"}
 
-# Room for the offset of an array in the tag that is written before it is known.
+# Space for the offset of an array in its tag, which is written before the offset is known.
 _OFFSET_DIGITS = 20
 
 _REPLACED = {"&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;", "\n": "&#10;", "\r": "&#13;", "\t": "&#9;"}
@@ -44,7 +44,7 @@ def write_block(grid: Grid, block: int, path: Path, variant: VtkFormat) -> None:
     low = variant.origins[block] if variant.origins else (0, 0, 0)
     extent = " ".join(f"{a} {a + n - 1}" for a, n in zip(low, grid.shapes[block], strict=True))
     header = variant.options["header_type"]
-    # The size of an array stands before it: 4 bytes hold sizes below 4 GiB only.
+    # The size of an array precedes it: 4 bytes hold only sizes below 4 GiB.
     if max(array.nbytes for array in (points, *arrays)) >= 2**32:
         header = "UInt64"
     with path.open("wb") as stream:
@@ -57,10 +57,10 @@ def attribute(text: str) -> str:
     Raises
     ------
     FormatError
-        When it has characters that no XML file can hold.
+        When it contains characters that XML cannot hold.
     """
     if bad := _NOT_IN_XML.search(text):
-        raise FormatError(f"the name {text!r} holds the character {bad[0]!r}, which has no place in a VTK file")
+        raise FormatError(f"the name {text!r} contains the character {bad[0]!r}, which a VTK file cannot hold")
     return f'"{text.translate(_ESCAPES)}"'
 
 
@@ -76,7 +76,7 @@ class _Output:
         self.stream.write(f"{text}\n".encode())
 
     def data_set(self, extent: str, points: StoredArray, arrays: Sequence[StoredArray]) -> None:
-        # VTK counts the layout as version 1.0 from the wider sizes on.
+        # VTK calls the layout with the wider sizes version 1.0.
         version = "1.0" if self.header == "UInt64" else "0.1"
         order, compression = _BYTE_ORDERS[self.options["byte_order"]], self.options["compression"]
         compressor = f' compressor="{_COMPRESSORS[compression]}"' if compression != "none" else ""
@@ -142,7 +142,7 @@ class _Output:
             self.stream.write(lines)
 
     def append(self) -> None:
-        """All arrays, one after the other, and their offsets in the tags."""
+        """All arrays in sequence, and their offsets in the tags."""
         raw = self.options["encoding"] == "appended"
         self.stream.write(f'  <AppendedData encoding="{"raw" if raw else "base64"}">\n   _'.encode())
         start = self.stream.tell()
