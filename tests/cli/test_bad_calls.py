@@ -58,7 +58,10 @@ WRONG = {
     "variant-no-equals": ((*DEFORM, "--variant", "ascii"), ("--variant 'ascii'", "KEY=VALUE")),
     "variant-key": ((*DEFORM, "--variant", "encodin=ascii"), ("'encodin'", "did you mean 'encoding'")),
     "variant-value": ((*DEFORM, "--variant", "encoding=asci"), ("encoding=asci", "did you mean 'ascii'")),
-    "variant-meaningless": ((*DEFORM, "--variant", "encoding=ascii", "--variant", "markers=8"), ("markers means",)),
+    "variant-meaningless": (
+        (*DEFORM, "--variant", "encoding=ascii", "--variant", "markers=8"),
+        ("markers does not apply",),
+    ),
     "variant-of-cgns": (("convert", "grid.xyz", "out.cgns", "--variant", "encoding=ascii"), ("no option 'encoding'",)),
     "variant-of-vtk": (("convert", "grid.xyz", "out.vtm", "--variant", "encoding=hex"), ("encoding", "'hex'", "known")),
     "variant-of-vtu": (("convert", "grid.xyz", "out.vtu", "--variant", "encoding=ascii"), ("out.vtu", "encoding")),

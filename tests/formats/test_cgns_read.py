@@ -379,7 +379,7 @@ def test_what_else_a_file_holds_is_noted(tmp_path):
     notes = read_grid(write_hdf5(tmp_path / "grid.cgns", root)).notes
     assert "the length unit in the file is: Millimeter" in notes
     assert any("DataConversion" in note and "z/CoordinateY" in note for note in notes)
-    assert any("further grids" in note and "z/GridCoordinates#2" in note for note in notes)
+    assert any("additional grids" in note and "z/GridCoordinates#2" in note for note in notes)
     assert any("the grid is the base Base" in note and "Second" in note for note in notes)
 
 

@@ -53,7 +53,7 @@ BINARY = {
     "a record too many": (FORTRAN + fortran_record(bytes(8), ">"), "16 too many; record 5 is surplus"),
     "wrong marker behind a record": (
         changed(FORTRAN, len(FORTRAN) - 4, ints(575, order=">")),
-        "576 before.*575 behind",
+        "576 before.*575 after",
     ),
     "wrong marker before a record": (changed(FORTRAN, 44, ints(1439, order=">")), "record 3 at byte 44"),
     "no last subrecord": (changed(FORTRAN, len(FORTRAN) - 584, ints(-576, order=">")), "record 4 lacks its last"),

@@ -212,7 +212,7 @@ def test_a_folder_that_is_not_ours_is_left_alone(tmp_path):
     (tmp_path / "case").mkdir()
     (tmp_path / "case" / "notes.txt").write_text("mine")
     with pytest.raises(
-        FormatError, match=r"pieces go to the folder .*case, which holds notes\.txt and is not replaced"
+        FormatError, match=r"pieces go to the folder .*case, which contains notes\.txt and is not replaced"
     ):
         write_grid(grid_of("a"), tmp_path / "case.vtm")
     assert content(tmp_path) == {"case/notes.txt": b"mine"}

@@ -240,13 +240,13 @@ BAD = {
         "continues after its last",
     ),
     "no base64": (
-        vts(piece("0 2 0 1 0 0", array([], text=base64_array(PLANE)[:-4] + "?==A", format="binary"))), "no base64"
+        vts(piece("0 2 0 1 0 0", array([], text=base64_array(PLANE)[:-4] + "?==A", format="binary"))), "not base64"
     ),
     "five numbers in an extent": (vts(piece("0 2 0 1 0", array(PLANE))), "has Extent '0 2 0 1 0', expected six whole"),
     "no numbers in an extent": (vts(ONE, whole="0 2 0 1 0 x"), "has WholeExtent '0 2 0 1 0 x'"),
     "a long extent": (vts(ONE, whole="0 2 0 1 0 99999999"), "cannot hold 600000000 entries"),
     "no data set": ('<VTKFile type="StructuredGrid"></VTKFile>', "has no StructuredGrid element"),
-    "time steps": (vts(ONE).replace("WholeExtent", 'TimeValues="0 1" WholeExtent'), "holds 2 time steps"),
+    "time steps": (vts(ONE).replace("WholeExtent", 'TimeValues="0 1" WholeExtent'), "contains 2 time steps"),
     "entities": (
         f'<!DOCTYPE VTKFile [<!ENTITY l0 "lol">{LAUGHS}]>' + vts(piece("0 2 0 1 0 0", array([], text="&l9;"))),
         "a VTK file has no DOCTYPE",
