@@ -218,7 +218,7 @@ def test_a_folder_that_is_not_ours_is_left_alone(tmp_path):
     assert content(tmp_path) == {"case/notes.txt": b"mine"}
     write_grid(grid_of("a"), tmp_path / "set.vtm")
     (tmp_path / "set" / "mine.vts").write_text("mine")
-    with pytest.raises(FormatError, match=r"holds mine\.vts"):
+    with pytest.raises(FormatError, match=r"contains mine\.vts"):
         write_grid(grid_of("a"), tmp_path / "set.vtm")
 
 
