@@ -75,8 +75,11 @@ class GridInput:
         """The grid; ``boundary_file`` is that of the case, used if the command line names none."""
         from meshdeform_formats.grids import read_grid_with_boundaries
 
+        from .progress import reading
+
         options = parse_pairs(self.read_as, "--read-as")
-        return read_grid_with_boundaries(self.path, self.boundary_file or boundary_file, options)
+        with reading(self.path):
+            return read_grid_with_boundaries(self.path, self.boundary_file or boundary_file, options)
 
     @property
     def files(self) -> tuple[Path | None, ...]:

@@ -1,9 +1,13 @@
-"""A progress bar on a terminal, for work that takes longer than a second."""
+"""Progress of whatever takes longer than a second: a bar on a terminal, one line in a log."""
 
 from __future__ import annotations
 
+import contextlib
 import sys
+import threading
 import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING
 
@@ -13,68 +17,180 @@ from .messages import tell
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
+    from rich.progress import TaskID
 
-_PATIENCE = 1.0
-# Number of loops in a run with fast sums.
+PATIENCE = 1.0
+"""A stage that takes longer has a bar (seconds)."""
+LOGGED = 5.0
+"""Work that takes longer leaves a line where stderr is no terminal (seconds)."""
+_TICK = 0.1
+# Loops that a run with fast sums takes.
 _LOOPS = 24
-_UNCACHED = "at every start, as no folder for them is writable; set NUMBA_CACHE_DIR to one that is"
+_UNCACHED = "at every start: no folder for them can be written; NUMBA_CACHE_DIR may name one"
+_OUTER = "levels"
+
+Extent = Callable[[], tuple[int, int]]
+"""How much is done, and of how much."""
 
 
 class ProgressBar:
-    """Callback for the core's progress; shows nothing unless stderr is a terminal and a stage takes long.
+    """Callback for the core's progress, ``bar(stage, done, total)``; ``total`` is 0 where it is not known.
 
-    Compiling of loops is always announced, unless the bar is not ``enabled``.
+    On a terminal a stage that takes longer than a second is shown with what remains of it; elsewhere, when all is
+    done, one line says how long the stages took. That loops are being compiled is said in any case, unless it is not
+    ``enabled``, or nothing ``compiles``.
     """
 
-    def __init__(self, enabled: bool = True):
-        self._wanted = enabled
-        self._enabled = enabled and sys.stderr.isatty()
-        self._started: dict[str, float] = {}
-        self._bar: Bar | None = None
-        self._tasks: dict[str, int] = {}
+    active: ProgressBar | None = None
+
+    def __init__(self, enabled: bool = True, compiles: bool = True):
+        self._wanted, self._compiles = enabled, enabled and compiles
+        self._shown = enabled and sys.stderr.isatty()
+        self._stage, self._began = "", time.perf_counter()
+        self._extent: Extent = lambda: (0, 0)
+        self._levels: tuple[int, int] | None = None
+        self._seconds: dict[str, float] = {}
+        self._over = threading.Event()
+        self._display: threading.Thread | None = None
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         interruption.check()
-        if not self._enabled:
-            return
-        start = self._started.setdefault(stage, time.perf_counter())
-        if self._bar is None and time.perf_counter() - start < _PATIENCE:
-            return
-        bar = self._bar or self._open()
-        if stage not in self._tasks:
-            self._tasks[stage] = bar.add_task(stage, total=total)
-        bar.update(self._tasks[stage], completed=done, total=total)  # type: ignore[arg-type]
+        if stage == _OUTER:
+            self._levels = done, total
+        else:
+            self._enter(stage, lambda: (done, total))
 
-    def _open(self) -> Bar:
-        from rich.console import Console
-        from rich.progress import Progress as Bar
+    @contextlib.contextmanager
+    def stage(self, name: str, extent: Extent) -> Iterator[None]:
+        """A stage whose progress is asked for, because what does it does not tell."""
+        self._enter(name, extent)
+        try:
+            yield
+        finally:
+            self._enter("", lambda: (0, 0))
 
-        self._bar = Bar(console=Console(stderr=True), transient=True)
-        self._bar.start()
-        return self._bar
+    def _enter(self, stage: str, extent: Extent) -> None:
+        if stage != self._stage:
+            now = time.perf_counter()
+            if self._stage:
+                self._seconds[self._stage] = self._seconds.get(self._stage, 0.0) + now - self._began
+            self._stage, self._began = stage, now
+        self._extent = extent
 
     def _compiling(self, loops: int) -> None:
         from meshdeform_core.numerics.jit import is_cached
 
         if loops == 0:
             tell("compiling loops, " + ("once per installation" if is_cached() else _UNCACHED))
-        # The number of loops that a run needs is only known at its end.
+        # How many loops a run needs is known when it has run.
         self("compile", loops, max(_LOOPS, loops + 1))
 
     def __enter__(self) -> ProgressBar:
-        if self._wanted:
-            # Imported late: it loads the compiler, which --help does not need.
+        ProgressBar.active = self
+        if self._compiles:
+            # Imported late: it loads the compiler, which many commands do without.
             from meshdeform_core.numerics.jit import on_compile
 
             on_compile(self._compiling)
+        if self._shown:
+            self._display = threading.Thread(target=self._show, name="progress", daemon=True)
+            self._display.start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._wanted:
+        ProgressBar.active = None
+        if self._compiles:
             from meshdeform_core.numerics.jit import on_compile
 
             on_compile(None)
-        if self._bar is not None:
-            self._bar.stop()
+        self._over.set()
+        if self._display is not None:
+            self._display.join()
+        self._enter("", lambda: (0, 0))
+        if self._wanted and not self._shown and error is None and sum(self._seconds.values()) > LOGGED:
+            tell(", ".join(f"{name} {seconds:.1f} s" for name, seconds in self._seconds.items() if seconds > PATIENCE))
+
+    def _show(self) -> None:
+        """Draw until all is over; runs in a thread of its own, because long stages call nothing."""
+        while not self._over.wait(_TICK):
+            if time.perf_counter() - self._began > PATIENCE:
+                with _bar() as bar:
+                    tasks: dict[str, TaskID] = {}
+                    while not self._over.wait(_TICK):
+                        self._update(bar, tasks)
+
+    def _update(self, bar: Bar, tasks: dict[str, TaskID]) -> None:
+        """One task for the levels of a series, if it is one, and one for what is being done."""
+        stage, extent = self._stage, self._extent
+        lines = [(_OUTER, self._levels)] if self._levels else []
+        if stage and time.perf_counter() - self._began > PATIENCE:
+            lines.append((stage, extent()))
+        for name in [name for name in tasks if name not in dict(lines)]:
+            bar.remove_task(tasks.pop(name))
+        for name, (done, total) in lines:
+            if name not in tasks:
+                tasks[name] = bar.add_task(name, total=None)
+            bar.update(tasks[name], completed=min(done, total), total=total or None)
+
+
+def _bar() -> Bar:
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TaskProgressColumn,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    columns = (
+        TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn(),
+        TextColumn("remaining"), TimeRemainingColumn(),
+    )  # fmt: skip
+    return Progress(*columns, console=Console(stderr=True), transient=True, redirect_stdout=False)
+
+
+@contextlib.contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Progress of reading a file, within the bar that there is or one of its own."""
+    total = path.stat().st_size if path.is_file() else 0
+    with _stage("read", _counted("rchar", total)):
+        yield
+
+
+@contextlib.contextmanager
+def writing(total: int) -> Iterator[None]:
+    """Progress of writing about so many bytes."""
+    with _stage("write", _counted("wchar", total)):
+        yield
+
+
+@contextlib.contextmanager
+def _stage(name: str, extent: Extent) -> Iterator[None]:
+    with contextlib.ExitStack() as stack:
+        bar = ProgressBar.active or stack.enter_context(ProgressBar(compiles=False))
+        stack.enter_context(bar.stage(name, extent))
+        yield
+
+
+def _counted(counter: str, total: int) -> Extent:
+    """How many bytes this process has moved since now; where the system does not count them, nothing is known."""
+    before = _moved(counter)
+
+    def extent() -> tuple[int, int]:
+        done = _moved(counter) - before
+        # Mapped files are not counted.
+        return (done, total) if done > 0 else (0, 0)
+
+    return extent
+
+
+def _moved(counter: str) -> int:
+    try:
+        lines = Path("/proc/self/io").read_text().splitlines()
+    except OSError:
+        return 0
+    return next((int(line.split()[1]) for line in lines if line.startswith(counter)), 0)

@@ -27,7 +27,7 @@ from meshdeform_formats.series.manifest import NAME, Manifest, ingredients_of
 
 from .messages import Warnings
 from .options import GridInput, RunInput, keep_inputs
-from .progress import ProgressBar
+from .progress import ProgressBar, writing
 from .work import Job, cells_of
 
 _PICTURES = 8
@@ -198,7 +198,8 @@ def _record(run: Run, level: Level) -> None:
     before = clock.perf_counter()
     if not level.result.valid and not run.allow_invalid:
         files.invalid.add(level.number)
-    files.write(level.number, level.result.grid, level.velocity)
+    with writing(level.result.grid.points.nbytes):
+        files.write(level.number, level.result.grid, level.velocity)
     manifest.head = manifest.head or series_head(level)
     warned = [*manifest.head["warnings"], *(text for done in manifest.levels for text in done["warnings"])]
     seconds = clock.perf_counter() - before

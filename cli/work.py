@@ -37,7 +37,7 @@ from meshdeform_formats.report.text import as_text
 from .exit_codes import EXIT_INVALID
 from .messages import tell
 from .options import CaseInput, GridInput, RunInput, keep_inputs
-from .progress import ProgressBar
+from .progress import ProgressBar, writing
 from .reporting import STDOUT, Delivery, deliver
 
 __all__ = ["Imposed", "Job", "conclude", "load", "plan", "print_plan", "run"]
@@ -152,9 +152,10 @@ def run(
     options.warnings.tell(result.warnings)
     target = output if result.valid or options.allow_invalid else invalid_path(output)
     before = clock.perf_counter()
-    current_ranks().on_first(
-        lambda: write_grid(with_fields(cells_of(result.setup, result.grid), options.fields), target, variant)
-    )
+    with writing(grid.n_nodes * 3 * np.dtype(precision).itemsize):
+        current_ranks().on_first(
+            lambda: write_grid(with_fields(cells_of(result.setup, result.grid), options.fields), target, variant)
+        )
     seconds = {"read": job.read_seconds, "write": clock.perf_counter() - before}
     illustrate = functools.partial(deformation_figures, result.setup, result.grid, result.assessment.invalid)
     return deformation_report(result, seconds, peak_memory()) | {"output": str(target)}, illustrate

@@ -91,7 +91,7 @@ def deform(
     MeshDeformError
         For any fault of the input.
     """
-    timing = Timing()
+    timing = Timing(progress=progress)
     setup = set_up(grid, case, timing, memory)
     if warn:
         warn(setup.warnings)

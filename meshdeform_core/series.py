@@ -112,7 +112,7 @@ class _Series:
 
     def level(self, number: int, past: list[FloatArray]) -> Level:
         setup, schedule = self.setup, self.schedule
-        time, timing = schedule.times[number], Timing()
+        time, timing = schedule.times[number], Timing(progress=self.progress)
         reference = self._prepared(timing)
         marching = schedule.origin == "last" and bool(past)
         start = Start(past[-1]) if marching else Start(setup.grid.points, reference)

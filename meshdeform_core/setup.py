@@ -20,7 +20,7 @@ from .grid.extent import require_extent
 from .grid.openings import find_openings
 from .grid.topology import RELATIVE_TOLERANCE, Topology, find_topology
 from .memory import UNLIMITED, MemoryLimit
-from .methods import Options, PreparedMethod, Problem
+from .methods import Options, PreparedMethod, Problem, Progress
 from .numerics.jit import compile_seconds
 from .parallel import current_ranks
 from .quality import Original
@@ -61,12 +61,18 @@ class Case:
 
 @dataclass
 class Timing:
-    """Seconds spent per stage; compiling loops, once per installation, is the stage ``compile`` wherever it happens."""
+    """Seconds spent per stage; compiling loops, once per installation, is the stage ``compile`` wherever it happens.
+
+    ``progress`` is told when a stage begins.
+    """
 
     seconds: dict[str, float] = field(default_factory=dict)
+    progress: Progress | None = None
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
+        if self.progress:
+            self.progress(name, 0, 0)
         start, before = clock.perf_counter(), compile_seconds()
         try:
             yield

@@ -21,6 +21,7 @@ from ..options import (
     quiet_option,
     variant_option,
 )
+from ..progress import ProgressBar, writing
 
 if TYPE_CHECKING:
     from meshdeform_core.grid import Grid
@@ -58,15 +59,18 @@ def command(
     options = parse_pairs(variant, "--variant")
     check_output(target, force, *source.files, reference)
     check_fields(fields, target, reference is not None)
-    grid = complete_for_export(source.read(), target)
-    if fields:
-        grid = with_fields(measured(grid, reference), fields)
-    boundaries = _beside(grid, kind, target)
-    if boundaries is not None:
-        check_output(boundaries, force, *source.files)
-    written = write_grid(grid, target, options)
-    if boundaries is not None:
-        _write_boundaries(grid, boundaries)
+    with ProgressBar(not quiet, compiles=bool(fields)) as progress:
+        grid = complete_for_export(source.read(), target)
+        if fields:
+            progress("quality", 0, 0)
+            grid = with_fields(measured(grid, reference), fields)
+        boundaries = _beside(grid, kind, target)
+        if boundaries is not None:
+            check_output(boundaries, force, *source.files)
+        with writing(grid.points.nbytes):
+            written = write_grid(grid, target, options)
+        if boundaries is not None:
+            _write_boundaries(grid, boundaries)
     for note in grid.notes:
         tell(f"warning: {note}")
     if kind == "meshio" and (grid.patches or grid.connections):

@@ -69,13 +69,16 @@ def command(
     from .. import work
 
     outputs = [output, *([] if output is None or run.allow_invalid else [invalid_path(output)]), *run.reports]
-    job = work.load(source, case, limit, [path for path in outputs if path is not None])
     imposed = work.Imposed(count, at_time)
-    if run.dry_run or output is None:
-        work.print_plan(work.plan(job, output, imposed, options), run)
-        return 0
     with ProgressBar(not run.quiet) as progress:
-        report, illustrate = work.run(job, output, imposed, options, run, progress)
+        job = work.load(source, case, limit, [path for path in outputs if path is not None])
+        if run.dry_run or output is None:
+            planned = work.plan(job, output, imposed, options)
+        else:
+            report, illustrate = work.run(job, output, imposed, options, run, progress)
+    if run.dry_run:
+        work.print_plan(planned, run)
+        return 0
     files = [*source.roles, *case.roles(job.case), ("output", Path(report["output"]))]
     return work.conclude(report, run, work.Delivery(start, files, illustrate))
 

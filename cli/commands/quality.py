@@ -26,6 +26,7 @@ from ..options import (
     report_option,
     threads_option,
 )
+from ..progress import ProgressBar
 
 if TYPE_CHECKING:
     from meshdeform_core.grid import Grid
@@ -64,7 +65,8 @@ def command(
     what = case.read()
     for path in reports:
         keep_inputs(path, *what.files)
-    report = judged(source, reference, what)
+    with ProgressBar(not quiet) as progress:
+        report = judged(source, reference, what, progress)
     Warnings().tell(report["warnings"])
     files = [*source.roles, ("reference", reference), ("case", case.file)]
     # With --json the text would be redundant.
@@ -72,13 +74,14 @@ def command(
     return 0 if report["valid"] else EXIT_INVALID
 
 
-def judged(source: GridInput, reference: Path | None, what: CaseFile) -> dict[str, Any]:
+def judged(source: GridInput, reference: Path | None, what: CaseFile, progress: ProgressBar) -> dict[str, Any]:
     """The quality report of a grid against ``reference``, or on its own."""
     from meshdeform_core.judgement import judge
     from meshdeform_formats.report import quality_report
 
     grid = source.read(what.boundary_file)
     original = None if reference is None else _original(grid, reference)
+    progress("quality", 0, 0)
     assessment, notes = judge(grid, original or grid, what.case)
     return quality_report(grid, assessment, notes, str(reference) if reference else None, original)
 

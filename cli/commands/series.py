@@ -72,15 +72,17 @@ def command(
     from .. import series_run, work
 
     wanted = series_run.Wanted(output, times, origin, velocity, count, suffix, single_file, options, run.fields)
-    job = work.load(source, dataclasses.replace(case, times=times), limit, run.reports)
-    plan = series_run.prepare(job, source, wanted, run)
-    run.warnings.tell(plan.setup.warnings)
-    if run.dry_run:
-        report, levels = series_run.describe(plan)
-        work.print_plan(report, run, levels)
-        return 0
-    plan.manifest = current_ranks().on_first(lambda: series_run.open_manifest(plan, resume, run.force))
     with ProgressBar(not run.quiet) as progress:
-        report = series_run.carry_out(plan, progress)
+        job = work.load(source, dataclasses.replace(case, times=times), limit, run.reports)
+        plan = series_run.prepare(job, source, wanted, run)
+        run.warnings.tell(plan.setup.warnings)
+        if run.dry_run:
+            planned, levels = series_run.describe(plan)
+        else:
+            plan.manifest = current_ranks().on_first(lambda: series_run.open_manifest(plan, resume, run.force))
+            report = series_run.carry_out(plan, progress)
+    if run.dry_run:
+        work.print_plan(planned, run, levels)
+        return 0
     files = [*source.roles, *case.roles(job.case), ("index", plan.files.view)]
     return work.conclude(report, run, work.Delivery(start, files, partial(series_run.illustrate, plan)))

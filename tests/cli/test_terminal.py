@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 from click.shell_completion import ShellComplete
 
+from meshdeform_cli import progress
 from meshdeform_cli.main import cli
 
 
@@ -106,3 +112,89 @@ def test_info_draws_the_boundaries_by_name(grid, bench, call):
         assert name in text
     assert call("info", grid, "--picture", "boundaries.svg").code == 2
     assert call("info", grid, "--picture", "boundaries.bmp").code == 2
+
+
+# progress
+
+
+def on_a_terminal(code: str, **environment: str) -> tuple[str, int]:
+    """What a Python program writes to a terminal that is its stderr, and its exit code."""
+    import pty
+
+    parent, child = pty.openpty()
+    told = {
+        name: value for name, value in os.environ.items() if name not in ("NO_COLOR", "FORCE_COLOR", "TTY_COMPATIBLE")
+    }
+    process = subprocess.Popen(
+        [sys.executable, "-c", code], stderr=child, stdout=subprocess.DEVNULL,
+        env={**told, "TERM": "xterm-256color", "COLUMNS": "100", **environment},
+    )  # fmt: skip
+    os.close(child)
+    seen = b""
+    while True:
+        try:
+            part = os.read(parent, 65536)
+        except OSError:
+            break
+        if not part:
+            break
+        seen += part
+    os.close(parent)
+    return seen.decode(errors="replace"), process.wait(timeout=30)
+
+
+SLOW = """
+import time
+from meshdeform_cli import progress
+progress.PATIENCE, progress.LOGGED = 0.2, {logged}
+with progress.ProgressBar({enabled}, compiles=False) as bar:
+    bar("fast", 0, 0)
+    for n in range(8):
+        bar("levels", n // 4, 2)
+        bar("idw", n, 8)
+        time.sleep(0.15)
+    with progress.writing(1000):
+        time.sleep(0.3)
+"""
+
+
+def test_a_terminal_shows_stages_and_what_remains():
+    seen, code = on_a_terminal(SLOW.format(logged=0.1, enabled=True))
+    assert code == 0
+    for words in ("idw", "levels", "write", "remaining", "50%", "0:00:0"):
+        assert words in seen
+    assert "fast" not in seen
+    assert "\x1b[38" in seen or "\x1b[1;3" in seen or "\x1b[3" in seen
+    # The bar goes when all is done, and a terminal needs no summary.
+    assert seen.rstrip().endswith(("\x1b[?25h", "\x1b[2K")) or "\x1b[2K" in seen[-60:]
+    assert "meshdeform:" not in seen
+
+
+def test_no_colour_where_none_is_wanted():
+    seen, _ = on_a_terminal(SLOW.format(logged=0.1, enabled=True), NO_COLOR="1")
+    assert "idw" in seen
+    assert not re.search(r"\x1b\[[0-9;]*3[0-8][;0-9]*m", seen)
+
+
+def test_quiet_shows_nothing():
+    assert on_a_terminal(SLOW.format(logged=0.1, enabled=False)) == ("", 0)
+
+
+def test_a_log_has_one_line():
+    done = subprocess.run(
+        [sys.executable, "-c", SLOW.format(logged=0.1, enabled=True)], capture_output=True, text=True, check=True
+    )
+    assert done.stdout == ""
+    assert re.fullmatch(r"meshdeform: idw \d\.\d s, write \d\.\d s\n", done.stderr)
+    quick = SLOW.format(logged=100, enabled=True)
+    done = subprocess.run([sys.executable, "-c", quick], capture_output=True, text=True, check=True)
+    assert done.stderr == ""
+
+
+@pytest.mark.skipif(not Path("/proc/self/io").exists(), reason="the system does not count bytes")
+def test_bytes_that_were_written_are_counted(tmp_path):
+    extent = progress._counted("wchar", 10_000)
+    (tmp_path / "file").write_bytes(bytes(4000))
+    done, total = extent()
+    assert 4000 <= done < 6000
+    assert total == 10_000
