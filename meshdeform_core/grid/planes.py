@@ -62,3 +62,13 @@ def plane_normal(grid: Grid) -> FloatArray | None:
     if plane is None:
         raise GridError("the grid is one layer of nodes but not a plane; surface grids cannot be deformed")
     return plane.normal
+
+
+def plane_axes(normal: FloatArray) -> FloatArray:
+    """Two unit vectors (2, 3) that are a right-handed frame with the unit ``normal``; exact where it is an axis."""
+    axis = int(np.argmax(np.abs(normal)))
+    near = np.zeros(3)
+    near[(axis + 1) % 3] = 1.0
+    one = near - (near @ normal) * normal
+    one /= np.linalg.norm(one)
+    return np.stack([one, np.cross(normal, one)])

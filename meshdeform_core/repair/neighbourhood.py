@@ -1,4 +1,4 @@
-"""The region that a repair may move: cells around the broken ones, their nodes, and how those are held."""
+"""Which nodes a repair moves: those around broken cells, in a region with an energy."""
 
 from __future__ import annotations
 
@@ -8,26 +8,35 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..boundary import Boundary, Kind
-from ..grid import BoolArray, FloatArray, Grid, IntArray
-from ..grid.planes import plane_normal
-from ..grid.topology import Topology
+from ..grid import FloatArray, Grid, IntArray
+from ..grid.planes import plane_axes, plane_normal
 from ..numerics.cell.foldover import cell_samples, sound_samples
-from ..numerics.cell.layers import cells_at, grow
-from .untangle import Region
-
-_COLLAPSED = 1e-10
-"""A Jacobian below this share of the product of the edges is that of a collapsed corner."""
+from ..numerics.cell.layers import cells_at, layers_from
+from .constraints import Constraints
+from .region import COLLAPSED, Energy, Hexahedra, Region, Triangles, Unknowns
+from .walls import FAR, weights
 
 
 class Plot(NamedTuple):
-    """A region of a grid: the block nodes ``nodes`` (n,) that stand for its nodes, and all block nodes ``moved`` (k,)
-    that move, as its nodes ``at`` (k,) do."""
+    """A region of a grid.
+
+    The block nodes ``nodes`` (n,) stand for its nodes; all block nodes ``moved`` (k,) move as its nodes ``at`` (k,) do.
+    Its coordinates are the components along ``axes`` (d, 3).
+    """
 
     region: Region
     nodes: IntArray
     moved: IntArray
     at: IntArray
+    axes: FloatArray
+
+    def inside(self, points: FloatArray) -> FloatArray:
+        """Coordinates (n, d) of the region's nodes."""
+        return np.asarray(points[self.nodes] @ self.axes.T)
+
+    def shift(self, change: FloatArray) -> FloatArray:
+        """Shift (k, 3) of the block nodes ``moved`` for a change (n, d) of the region's coordinates."""
+        return np.asarray(change[self.at] @ self.axes)
 
 
 class Neighbourhood:
@@ -36,19 +45,12 @@ class Neighbourhood:
     A *class* are all unique nodes that one unknown moves: one node, or all periodic images of one.
     """
 
-    def __init__(self, grid: Grid, topology: Topology, boundary: Boundary):
-        self.grid, self.topology, self.boundary = grid, topology, boundary
-        self.dimension = grid.dimension
-        normal = plane_normal(grid)
+    def __init__(self, constraints: Constraints):
+        self.constraints, self.grid, self.topology = constraints, constraints.grid, constraints.topology
+        normal = plane_normal(self.grid)
         self.normal = np.zeros(3) if normal is None else normal
-        self.samples = cell_samples(self.dimension)
-        self._shapes = np.array(grid.shapes, dtype=np.int64)
-        self._root = np.arange(topology.n_unique)
-        self._turn: dict[int, FloatArray] = {}
-        if boundary.periodic.one.size:
-            nodes, root, turn = boundary.periodic.frames(topology.n_unique)
-            self._root[nodes] = root
-            self._turn = dict(zip(nodes.tolist(), turn, strict=True))
+        self.axes = np.eye(3) if normal is None else plane_axes(normal)
+        self._shapes = np.array(self.grid.shapes, dtype=np.int64)
 
     @cached_property
     def number(self) -> IntArray:
@@ -58,61 +60,51 @@ class Neighbourhood:
         return number
 
     @cached_property
-    def _copies(self) -> tuple[IntArray, IntArray]:
-        """Block nodes of every class: ``nodes[start[c]:start[c + 1]]``."""
-        of = self._root[self.topology.number]
-        start = np.zeros(self.topology.n_unique + 1, dtype=np.int64)
-        np.cumsum(np.bincount(of, minlength=self.topology.n_unique), out=start[1:])
-        return start, self.topology.face_nodes[np.argsort(of, kind="stable")]
+    def _classes(self) -> tuple[IntArray, IntArray, IntArray]:
+        """Class of every block node (n_nodes,), -1 inside blocks, and the nodes of every class:
+        ``nodes[start[c]:start[c + 1]]``."""
+        root, n = self.constraints.root, self.topology.n_unique
+        of = root[self.topology.number]
+        start = np.zeros(n + 1, dtype=np.int64)
+        np.cumsum(np.bincount(of, minlength=n), out=start[1:])
+        classes = np.where(self.number >= 0, root[self.number], -1)
+        return classes, start, self.topology.face_nodes[np.argsort(of, kind="stable")]
 
     @cached_property
-    def _held(self) -> BoolArray:
-        """(n_unique,) nodes that stay where they are: moving, fixed, and those on curved slip surfaces."""
-        held = self.boundary.kind >= Kind.FIXED
-        for surface in self.boundary.slip.curved:
-            held[surface.nodes] = True
-        return held
+    def _from_walls(self) -> np.ndarray:
+        """Cells between every block node and the moving walls, (n_nodes,) int16, -1 far away."""
+        walls = self.topology.face_nodes[self.constraints.walls[self.topology.number]]
+        return self._layers(walls, FAR)
 
-    @cached_property
-    def _removed(self) -> FloatArray:
-        """Directions in which unique nodes must not move: projectors (n_unique, 3, 3) on them, in the root's frame."""
-        removed = np.tile(np.outer(self.normal, self.normal), (self.topology.n_unique, 1, 1))
-        for nodes, projector in self.boundary.slip.groups:
-            removed[nodes] += projector
-        for node, turn in self._turn.items():
-            if self._root[node] != node:
-                removed[self._root[node]] += turn.T @ removed[node] @ turn
-        several = np.flatnonzero(np.einsum("nii->n", removed) > 1.5)
-        values, vectors = np.linalg.eigh(removed[several])
-        kept = np.where(values[:, None, :] > 1e-9, vectors, 0.0)
-        exact = np.abs(removed[several] - np.round(removed[several])).max(axis=(1, 2)) < 1e-12
-        spans = kept @ kept.transpose(0, 2, 1)
-        # Along axes there shall be no round-off.
-        spans[exact] = np.round(spans[exact])
-        removed[several] = spans
-        return removed
-
-    def around(self, cells: IntArray, layers: int) -> IntArray:
-        """Block nodes that may move, all copies included, within ``layers`` cells of the given cells."""
-        corner = self._corners(cells).ravel()
-        start, copies = self._copies
-        number = self.number
-        classes = np.where(number >= 0, self._root[number], -1)
-        near = grow(corner, layers, self._shapes, self.grid.offsets, classes, start, copies)
-        on_face = number[near] >= 0
-        return near[~on_face | ~self._held[number[near]]]
+    def around(self, cells: IntArray, layers: int | None) -> IntArray:
+        """Block nodes that may move, all copies included, within ``layers`` cells of the given ones; ``None``: all."""
+        near = np.arange(self.grid.n_nodes)
+        if layers is not None:
+            near = np.flatnonzero(self._layers(self._corners(cells).ravel(), layers) >= 0)
+        on_face = self.number[near] >= 0
+        return near[~on_face | ~self.constraints.held[self.number[near]]]
 
     def plot(self, free: IntArray) -> Plot:
         """The region that block nodes ``free`` from :meth:`around` span."""
         owners = self._owners(free)
         touched = cells_at(free, self._shapes, self.grid.offsets, self.grid.n_cells)
-        nodes, local = np.unique(self._owners(self._corners(touched).ravel()), return_inverse=True)
-        local = local.reshape(len(touched), -1)
+        corners = self._corners(touched)
+        nodes, local = np.unique(self._owners(corners.ravel()), return_inverse=True)
         unknowns, freedom = self._unknowns(nodes, owners)
-        start = self.grid.points[nodes]
-        mask = sound_samples(start, local, self.samples, self.normal, self._signs(touched), _COLLAPSED)
-        region = Region(touched, start, local, mask, self.samples, self.normal, unknowns, freedom)
-        return Plot(region, nodes, free, np.searchsorted(nodes, owners))
+        weight = weights(self._from_walls[corners].astype(np.int64))
+        energy = self._energy(nodes, local.reshape(corners.shape), self._signs(touched), weight)
+        return Plot(Region(energy, unknowns, freedom), nodes, free, np.searchsorted(nodes, owners), self.axes)
+
+    def _layers(self, seeds: IntArray, layers: int) -> np.ndarray:
+        found: np.ndarray = layers_from(seeds, layers, self._shapes, self.grid.offsets, *self._classes)
+        return found
+
+    def _energy(self, nodes: IntArray, cells: IntArray, sign: FloatArray, weight: FloatArray) -> Energy:
+        start = self.grid.points[nodes] @ self.axes.T
+        if self.grid.dimension == 2:
+            return Triangles.at_corners(start, cells, sign, weight)
+        samples = cell_samples()
+        return Hexahedra(start, cells, sound_samples(start, cells, samples, sign, COLLAPSED), samples, weight)
 
     def _owners(self, flat: IntArray) -> IntArray:
         """The block node that stands for each of ``flat``."""
@@ -121,7 +113,7 @@ class Neighbourhood:
 
     def _corners(self, cells: IntArray) -> IntArray:
         """Block nodes (m, 8) or (m, 4) at the corners of cells."""
-        found = np.empty((len(cells), 2**self.dimension), dtype=np.int64)
+        found = np.empty((len(cells), 2**self.grid.dimension), dtype=np.int64)
         starts = cell_starts(self.grid)
         ends = np.searchsorted(cells, starts)
         for block, shape in enumerate(self.grid.shapes):
@@ -136,31 +128,34 @@ class Neighbourhood:
         """Sign of the determinants of sound cells in the order of their index axes."""
         block = np.searchsorted(cell_starts(self.grid), cells, side="right") - 1
         sign = self.topology.handedness.astype(np.float64)
-        if self.dimension == 2:
+        if self.grid.dimension == 2:
             flat = np.array([shape.index(1) for shape in self.grid.shapes])
             # As in quality.cells: the positive normal of (i, j) and (j, k) follows their order, that of (i, k) not.
             sign *= np.where(flat == 1, -1.0, 1.0) * np.sign(self.normal[np.argmax(np.abs(self.normal))])
         return sign[block]
 
-    def _unknowns(self, nodes: IntArray, free: IntArray) -> tuple[tuple[IntArray, FloatArray, BoolArray], FloatArray]:
+    def _unknowns(self, nodes: IntArray, free: IntArray) -> tuple[Unknowns, FloatArray]:
         """How the ``nodes`` of a region follow its unknowns, given its ``free`` nodes; see :class:`Region`."""
+        constraints, axes = self.constraints, self.axes
         number = self.number[nodes]
         on_face = number >= 0
         root = nodes.copy()
-        root[on_face] = self.topology.first[self._root[number[on_face]]]
+        root[on_face] = self.topology.first[constraints.root[number[on_face]]]
         moves = np.isin(nodes, free)
         roots, of_node = np.unique(root[moves], return_inverse=True)
         unknown = np.full(len(nodes), -1, dtype=np.int64)
         unknown[moves] = of_node
-        freedom = np.eye(3) - np.tile(np.outer(self.normal, self.normal), (len(roots), 1, 1))
+        one = np.eye(len(axes))
+        freedom = np.tile(one, (len(roots), 1, 1))
         at = self.number[roots]
-        freedom[at >= 0] = np.eye(3) - self._removed[at[at >= 0]]
-        frame = np.tile(np.eye(3), (len(nodes), 1, 1))
+        freedom[at >= 0] -= axes @ constraints.removed[at[at >= 0]] @ axes.T
+        frame = np.tile(one, (len(nodes), 1, 1))
         frame[moves] = freedom[of_node]
-        for local in np.flatnonzero(on_face & moves) if self._turn else ():
-            frame[local] = self._turn.get(int(number[local]), np.eye(3)) @ frame[local]
-        plain = (frame == np.eye(3)).all(axis=(1, 2))
-        return (unknown, frame, plain), freedom
+        for local in np.flatnonzero(on_face & moves) if constraints.turn else ():
+            turn = constraints.turn.get(int(number[local]))
+            if turn is not None:
+                frame[local] = axes @ turn @ axes.T @ frame[local]
+        return Unknowns(unknown, frame, (frame == one).all(axis=(1, 2))), freedom
 
 
 def cell_starts(grid: Grid) -> IntArray:

@@ -12,19 +12,21 @@ import numpy as np
 from ..boundary import Boundary
 from ..grid import FloatArray, IntArray
 from ..memory import UNLIMITED, MemoryLimit
-from ..numerics.cell.foldover import measure_samples
 from ..numerics.systems.newton import NewtonSystem
 from ..parallel import alone, current_ranks, empty, for_rows
 from ..quality import Original
 from ..quality.validity import Verdict, judge
+from .constraints import Constraints
+from .extrusion import Extrusion, find_extrusion
 from .neighbourhood import Neighbourhood, Plot
-from .untangle import Region, Untangler
+from .region import Hexahedra
+from .untangle import Untangler
 
 WEAK = 0.2
 """Cells with a corner below this share of its undeformed Jacobian are the middle of what a repair moves."""
 COLLAPSING = 0.01
 """Valid cells below this share are nearly collapsed: they are repaired too, and what stays is a warning."""
-_LAYERS = (8, 32, 1 << 30)
+_LAYERS = (8, 32, None)
 _STEPS, _IMPROVING = 40, 16
 _ROUNDS = 2
 # A region of n nodes takes at most _WORK / n Newton steps, so that time is bounded on large grids.
@@ -33,7 +35,6 @@ _WORK, _FEWEST = 20_000_000, 6
 _ENOUGH, _GAIN = 6.0, 0.9
 # Regions of more nodes than this are not improved beyond validity: of the largest grids that would take minutes.
 _LARGE = 300_000
-_CORNERS = (1 << 8) - 1
 
 Progress = Callable[[str, int, int], None]
 
@@ -83,17 +84,33 @@ class Repairer:
     def __init__(
         self,
         original: Original,
-        boundary: Boundary,
+        boundary: Boundary | Constraints,
         rounded: Callable[[FloatArray], FloatArray] = lambda points: points,
         memory: MemoryLimit = UNLIMITED,
         progress: Progress | None = None,
     ):
-        self.original, self.boundary, self.rounded = original, boundary, rounded
+        self.original, self.rounded = original, rounded
         self.memory, self.progress = memory, progress
+        self._boundary = boundary
+
+    @cached_property
+    def _constraints(self) -> Constraints:
+        if isinstance(self._boundary, Constraints):
+            return self._boundary
+        return Constraints.of(self.original.grid, self.original.topology, self._boundary)
 
     @cached_property
     def _neighbourhood(self) -> Neighbourhood:
-        return Neighbourhood(self.original.grid, self.original.topology, self.boundary)
+        return Neighbourhood(self._constraints)
+
+    @cached_property
+    def _extrusion(self) -> tuple[Extrusion, Repairer] | None:
+        """The plane grid that this one is drawn out from, and its repairs."""
+        found = find_extrusion(self._constraints)
+        if found is None:
+            return None
+        original = Original(found.plane, found.constraints.topology, self.original.min_jacobian)
+        return found, Repairer(original, found.constraints, self.rounded, self.memory, self.progress)
 
     def needed(self, verdict: Verdict) -> bool:
         """Are there cells that are invalid or nearly collapsed?"""
@@ -106,6 +123,9 @@ class Repairer:
         worst one is no longer far from its undeformed shape, or until more nodes do not help. With ``polish`` the
         weakest cells are taken for weak however good they are.
         """
+        plane = self._in_plane(points, verdict, polish)
+        if plane is not None:
+            return plane
         best = start = _State(points, verdict)
         begin, steps, density = clock.perf_counter(), 0, np.inf
         now, weak = start, WEAK
@@ -131,14 +151,31 @@ class Repairer:
                 break
         return Outcome(best.points, best.verdict, self._record(start, best, steps, clock.perf_counter() - begin))
 
-    def _attempt(self, now: _State, layers: int, limit: float) -> _Attempt | None:
+    def _in_plane(self, points: FloatArray, verdict: Verdict, polish: bool) -> Outcome | None:
+        """The same with the plane grid that this one is drawn out from, where it moves in its plane."""
+        if self._extrusion is None:
+            return None
+        begin, (extrusion, repairer) = clock.perf_counter(), self._extrusion
+        before = self.original.grid.points
+        change = extrusion.flattened(points - before)
+        if change is None:
+            return None
+        flat = extrusion.plane.points + change
+        found = repairer.repair(flat, judge(repairer.original, self.rounded(flat)), polish)
+        spread = extrusion.spread(before, points, found.points - extrusion.plane.points)
+        after = _State(spread, judge(self.original, self.rounded(spread)))
+        steps = found.repair.newton_steps
+        record = self._record(_State(points, verdict), after, steps, clock.perf_counter() - begin)
+        return Outcome(spread, after.verdict, record)
+
+    def _attempt(self, now: _State, layers: int | None, limit: float) -> _Attempt | None:
         """Move the nodes within so many layers of weak cells; ``None`` where there are none, or too many."""
         weak = np.flatnonzero((now.verdict.failed != 0) | (now.verdict.ratio < limit))
 
         def make() -> _Attempt | None:
             with alone():
                 free = self._neighbourhood.around(weak, layers)
-                if not free.size or NewtonSystem.memory(free.size) > self.memory.size:
+                if not free.size or NewtonSystem.memory(free.size, self.original.grid.dimension) > self.memory.size:
                     return None
                 if now.verdict.valid and free.size > _LARGE:
                     return None
@@ -147,13 +184,14 @@ class Repairer:
         return current_ranks().once(make)
 
     def _solve(self, plot: Plot, points: FloatArray) -> _Attempt:
-        start = points[plot.nodes]
-        weak_first(plot.region, start)
+        start = plot.inside(points)
+        if isinstance(plot.region.energy, Hexahedra):
+            plot.region.energy.focus(start, WEAK)
         untangler = Untangler(plot.region, start, progress=self.progress)
         before = untangler.state(start, 0.0).highest
         untangled = untangler.untangle(max(_FEWEST, min(_STEPS, _WORK // plot.region.n_unknowns)))
         density = untangler.improve(_IMPROVING) if untangled and plot.region.n_unknowns < _LARGE else np.inf
-        shift = (untangler.x - start)[plot.at]
+        shift = plot.shift(untangler.x - start)
         return _Attempt(plot.moved, shift, untangled, before, density, untangler.steps)
 
     def _moved(self, now: _State, found: _Attempt) -> _State:
@@ -195,13 +233,3 @@ class _Attempt:
     before: float
     density: float
     steps: int
-
-
-def weak_first(region: Region, x: FloatArray) -> None:
-    """Take all samples of weak hexahedra, and only the corners of the others."""
-    sound = region.mask
-    if region.cells.shape[1] == 8:
-        region.mask = sound & _CORNERS
-        lowest, _ = measure_samples(x, *region.energy)
-        weak = lowest < WEAK
-        region.mask[weak] = sound[weak]

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..numerics.cell.foldover import Samples, energy_of_cells
+from ..grid import FloatArray
 from ..numerics.systems.newton import NewtonSystem
 from ..parallel import for_chunks
+from .region import Region
 
-_CELLS = 4096
+_ELEMENTS = 4096
 _TOLERANCE = 3e-2
 _MOST_ITERATIONS = 200
 _FIRST_EPS = 0.5
@@ -25,58 +26,11 @@ _SMALLEST_STEP = 1e-4
 _DECREASE = 1e-4
 
 
-@dataclass
-class Region:
-    """Cells whose nodes are moved, with nodes of their own numbering.
-
-    Attributes
-    ----------
-    numbers : (m,) cell numbers of the grid
-    start : (n, 3) undeformed coordinates
-    cells : (m, 8) nodes of hexahedra, (m, 4) of quadrilaterals, as in :func:`..numerics.cell.foldover.cell_samples`
-    mask : (m,) int64, bit s set where sample point s counts
-    samples : the sample points
-    normal : (3,) unit normal of the plane of a 2-D grid, else zero
-    unknowns : of every node: number of its unknown or -1 (n,), ``frame`` (n, 3, 3) with d = frame @ u, and whether
-        that is the identity (n,)
-    freedom : (n_unknowns, 3, 3) projectors on the directions in which unknowns may move
-    """
-
-    numbers: np.ndarray
-    start: np.ndarray
-    cells: np.ndarray
-    mask: np.ndarray
-    samples: Samples
-    normal: np.ndarray
-    unknowns: tuple[np.ndarray, np.ndarray, np.ndarray]
-    freedom: np.ndarray
-
-    @property
-    def n_unknowns(self) -> int:
-        return len(self.freedom)
-
-    @property
-    def energy(self) -> tuple:
-        """The arguments of the loops of :mod:`..numerics.cell.foldover` that do not change."""
-        return self.start, self.cells, self.mask, self.samples, self.normal
-
-    def moved(self, x: np.ndarray, step: np.ndarray, length: float) -> np.ndarray:
-        """Coordinates after ``length`` times the step (n_unknowns, 3) of the unknowns."""
-        number, frame, plain = self.unknowns
-        free = number >= 0
-        move = step[number[free]]
-        turned = ~plain[free]
-        move[turned] = np.einsum("nij,nj->ni", frame[free][turned], move[turned])
-        result = x.copy()
-        result[free] += length * move
-        return result
-
-
 @dataclass(frozen=True)
 class State:
     """Coordinates with the energy there, its smallest determinant and its largest density."""
 
-    x: np.ndarray
+    x: FloatArray
     energy: float
     lowest: float
     highest: float
@@ -87,21 +41,21 @@ class Untangler:
     """Moves the unknowns of a region from coordinates ``x`` (n, 3)."""
 
     region: Region
-    x: np.ndarray
+    x: FloatArray
     steps: int = 0
     progress: Callable[[str, int, int], None] | None = None
 
     def __post_init__(self) -> None:
         self._system = NewtonSystem(self.region)
 
-    def state(self, x: np.ndarray, eps: float, t: float = 0.0) -> State:
-        n = len(self.region.cells)
-        parts = np.empty((-(-n // _CELLS), 3))
+    def state(self, x: FloatArray, eps: float, t: float = 0.0) -> State:
+        n = len(self.region.energy.nodes)
+        parts = np.empty((-(-n // _ELEMENTS), 3))
 
         def work(low: int, high: int) -> None:
-            parts[low // _CELLS] = energy_of_cells(x, *self.region.energy, eps, t, low, high)
+            parts[low // _ELEMENTS] = self.region.energy.sum(x, eps, t, low, high)
 
-        for_chunks(work, n, _CELLS)
+        for_chunks(work, n, _ELEMENTS)
         return State(x, parts[:, 0].sum(), parts[:, 1].min(), parts[:, 2].max())
 
     def untangle(self, most: int) -> bool:

@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from cases import ALL_METHODS, body_specs, formulas, turning
-from grids import frame, frame_2d
+from grids import frame, frame_2d, permuted
 
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.boundary.expression import expression
-from meshdeform_core.deform import Case, deform, set_up
+from meshdeform_core.deform import Case, Timing, deform, impose, set_up
 from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import Grid
+from meshdeform_core.numerics.cell.foldover_plane import add_triangles
 from meshdeform_core.numerics.systems.newton import NewtonSystem
 from meshdeform_core.parallel import set_threads
 from meshdeform_core.quality.validity import judge, newly_invalid
 from meshdeform_core.repair import RepairOptions
+from meshdeform_core.repair.constraints import Constraints
+from meshdeform_core.repair.extrusion import find_extrusion
 from meshdeform_core.repair.neighbourhood import Neighbourhood
 from meshdeform_core.repair.repair import Repairer
 from meshdeform_core.repair.untangle import Untangler
+from meshdeform_samples.reproduce.experiment import Sample, prepare_sample
 
 
 def cube(n, dimension=3):
@@ -32,7 +38,7 @@ def fixed_setup(grid, *more):
 
 
 def whole_region(setup):
-    near = Neighbourhood(setup.grid, setup.topology, setup.boundary)
+    near = Neighbourhood(Constraints.of(setup.grid, setup.topology, setup.boundary))
     return near.plot(near.around(np.arange(setup.grid.n_cells), 1))
 
 
@@ -41,12 +47,12 @@ def whole_region(setup):
 def test_gradient_is_that_of_differences_and_matrix_is_symmetric_and_positive(dimension, eps, t):
     setup = fixed_setup(cube(5, dimension))
     plot, random = whole_region(setup), np.random.default_rng(0)
-    shake = 0.05 * random.standard_normal(plot.region.start.shape)
-    x = plot.region.start + shake * ([1, 1, dimension == 3])
+    start = plot.inside(setup.grid.points)
+    x = start + 0.05 * random.standard_normal(start.shape)
     untangler, system = Untangler(plot.region, x), NewtonSystem(plot.region)
     system.fill(x, eps, t)
     for _ in range(3):
-        step = random.standard_normal((plot.region.n_unknowns, 3))
+        step = random.standard_normal((plot.region.n_unknowns, dimension))
         ends = [untangler.state(plot.region.moved(x, step, h), eps, t).energy for h in (-1e-6, 1e-6)]
         assert (ends[1] - ends[0]) / 2e-6 == pytest.approx(np.vdot(system.gradient, step), rel=1e-4)
     dense = system.dense()
@@ -54,12 +60,14 @@ def test_gradient_is_that_of_differences_and_matrix_is_symmetric_and_positive(di
     assert np.linalg.eigvalsh(dense).min() > 1e-6
 
 
-def test_an_undeformed_cell_that_only_turns_has_the_smallest_energy():
-    setup = fixed_setup(cube(4))
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_an_undeformed_cell_that_only_turns_has_the_smallest_energy(dimension):
+    setup = fixed_setup(cube(4, dimension))
     plot = whole_region(setup)
     angle = 0.8
     turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
-    state = Untangler(plot.region, plot.region.start).state(plot.region.start @ turn.T * 1.0, 0.0)
+    start = plot.inside(setup.grid.points)
+    state = Untangler(plot.region, start).state(start @ turn[:dimension, :dimension].T, 0.0)
     assert state.lowest == pytest.approx(1.0)
     assert state.highest == pytest.approx(2.0)
 
@@ -206,3 +214,100 @@ def test_when_nothing_helps_the_boundary_is_where_it_was_told():
 def test_options_are_checked(wrong):
     with pytest.raises(CaseError):
         RepairOptions(**wrong)
+
+
+def density(a, eps, t):
+    """Energy of one triangle, written down from the paper, at Jacobian matrices (..., 2, 2)."""
+    det = np.linalg.det(a)
+    chi = (det + np.sqrt(eps**2 + det**2)) / 2
+    f = (a**2).sum(axis=(-1, -2)) / (2 * chi) + (det**2 + 1) / (2 * chi)
+    return f / (1 - t * f)
+
+
+def hessian(function, a, h=1e-4):
+    """Second derivatives (4, 4) by central differences."""
+    steps = h * np.eye(4).reshape(4, 2, 2)
+    return np.array(
+        [
+            [
+                (function(a + p + q) - function(a + p - q) - function(a - p + q) + function(a - p - q)) / (4 * h * h)
+                for q in steps
+            ]
+            for p in steps
+        ]
+    )
+
+
+@pytest.mark.parametrize(("eps", "t"), [(1.0, 0.0), (0.2, 0.0), (0.3, 0.01)])
+def test_plane_second_derivatives_are_those_of_differences_without_their_negative_part(eps, t):
+    random = np.random.default_rng(3)
+    for _ in range(20):
+        a = np.eye(2) + random.standard_normal((2, 2))
+        if t * density(a, eps, 0.0) > 0.5:
+            continue
+        # One triangle in unit coordinates, whose first node is held: its unknowns are the columns of A.
+        nodes, slope = np.array([[0, 1, 2]]), np.array([[[-1.0, -1.0], [1.0, 0.0], [0.0, 1.0]]])
+        unknowns = np.array([-1, 0, 1]), np.tile(np.eye(2), (3, 1, 1)), np.ones(3, dtype=bool)
+        matrix, gradient = np.zeros((4, 2, 2)), np.zeros((2, 2))
+        rows = 0, 2, np.array([0, 2, 4]), np.array([0, 1, 0, 1])
+        x = np.array([[0.0, 0.0], a[:, 0], a[:, 1]])
+        add_triangles(x, nodes, slope, np.ones(1), eps, t, np.array([0]), unknowns, rows, matrix, gradient)
+        found = matrix.reshape(2, 2, 2, 2).transpose(2, 0, 3, 1).reshape(4, 4)
+        values, vectors = np.linalg.eigh(hessian(lambda b: density(b, eps, t), a))
+        expected = vectors * np.maximum(values, 0.0) @ vectors.T
+        np.testing.assert_allclose(found, expected, atol=2e-5 * max(1.0, abs(values).max()))
+
+
+def test_extruded_grids_are_repaired_as_plane_ones_whatever_their_indices():
+    grid = frame(6, 3)
+    ends = expression("z < 0.01 or z > 0.99", {"x", "y", "z"})
+    body, _ = body_specs(turning("110"))
+    specs = (dataclasses.replace(body, select=("*",)), BoundarySpec("span", ("*",), Kind.SLIP, ends))
+    results = [deform(g, Case(specs), steps=1) for g in (grid, permuted(grid, (2, 0, 1), (False, True, False)))]
+    plain, mixed = (np.unique(np.round(np.hstack([r.setup.grid.points, r.grid.points]), 7), axis=0) for r in results)
+    assert all(result.valid for result in results)
+    # Unknowns in another order: conjugate gradients stop a little elsewhere.
+    np.testing.assert_allclose(plain, mixed, atol=2e-3)
+    for b in range(grid.n_blocks):
+        inner = grid.block(b, results[0].grid.points)[1:-1, 1:-1]
+        np.testing.assert_allclose(np.ptp(inner[..., :2], axis=2), 0.0, atol=1e-12)
+
+
+def test_only_plane_motions_of_extruded_grids_are_taken_for_plane():
+    grid = frame(5, 3)
+    specs = body_specs(turning("20"), Kind.SLIP)
+    setup = set_up(grid, Case(tuple(specs)))
+    extrusion = find_extrusion(Constraints.of(setup.grid, setup.topology, setup.boundary))
+    assert extrusion is not None
+    assert extrusion.plane.n_nodes * 4 == grid.n_nodes
+    change = np.tile([0.1, 0.2, 0.0], (grid.n_nodes, 1))
+    np.testing.assert_allclose(extrusion.flattened(change), np.tile([0.1, 0.2, 0.0], (extrusion.plane.n_nodes, 1)))
+    wall = setup.topology.first[setup.boundary.known][:1]
+    for direction in ([0.0, 0.0, 1e-3], [1e-3, 0.0, 0.0]):
+        other = change.copy()
+        other[wall] += direction
+        assert extrusion.flattened(other) is None
+    # Fixed ends hold lines whose middles are free.
+    fixed = set_up(grid, Case(tuple(body_specs(turning("20"), Kind.FIXED))))
+    assert find_extrusion(Constraints.of(fixed.grid, fixed.topology, fixed.boundary)) is None
+    # One plane of nodes moved out of its place.
+    bent = grid.points.copy()
+    bent[grid.points[:, 2] == np.unique(grid.points[:, 2])[1], 0] += 1e-4
+    moved = dataclasses.replace(grid, points=bent)
+    other = set_up(moved, Case(tuple(specs)))
+    assert find_extrusion(Constraints.of(other.grid, other.topology, other.boundary)) is None
+
+
+@pytest.mark.parametrize(("angle", "skew", "height", "wall"), [(60.0, 0.35, 0.6, 10.0), (90.0, 0.18, 0.3, 14.0)])
+def test_the_splitter_plate_turns_far_and_keeps_its_first_cells(angle, skew, height, wall):
+    """One repair of one step; without weights at walls first cells lost nine tenths of their height."""
+    setup = prepare_sample(Sample("splitter-plate", 8, constants=(("angle", angle),)))
+    result = impose(setup, setup.motion(0.0), 1, "float64", Timing())
+    after = result.assessment.after
+    assert result.valid
+    assert after.f_skew.min > skew
+    assert after.first_cell_height_ratio is not None
+    assert after.first_cell_height_ratio.min > height
+    assert after.first_cell_height_ratio.max < 1.3
+    assert after.wall_normal_deviation_deg is not None
+    assert after.wall_normal_deviation_deg.rms < wall

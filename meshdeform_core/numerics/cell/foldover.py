@@ -6,10 +6,10 @@ matrix of the map from the undeformed cell to the deformed one, D = det A, and
     f = |A|^2 / (3 chi^(2/3)) + (D^2 + 1) / (2 chi),    chi = (D + sqrt(eps^2 + D^2)) / 2
 
 (Garanzha, Kaporin, Kudryavtseva, Protais, Ray, Sokolov: Foldover-free maps in 50 lines of code, ACM TOG 40(4), 2021,
-eqs. 3 and 4 with lambda = 1). A cell that only turns has the smallest value, 2, whatever its aspect ratio. All samples
-count alike. With t > 0 the sum is over f / (1 - t f) - a barrier that keeps every f below 1 / t (Garanzha et al.:
-Practical lowest distortion mapping, arXiv 2201.12112). Quadrilaterals are taken as cells of constant thickness, so that
-2-D grids and grids one cell thick deform alike.
+eqs. 3 and 4 with lambda = 1). A cell that only turns has the smallest value, 2, whatever its aspect ratio. Samples
+count as their cells do, see :mod:`meshdeform_core.repair.walls`. With t > 0 the sum is over f / (1 - t f) - a barrier
+that keeps every f below 1 / t (Garanzha et al.: Practical lowest distortion mapping, arXiv 2201.12112). Plane grids
+have :mod:`.foldover_plane`.
 """
 
 import itertools
@@ -32,20 +32,17 @@ class Samples(NamedTuple):
     slope: np.ndarray
 
 
-def cell_samples(dimension):
-    """The 27 sample points of a hexahedron, or the 4 corners of a quadrilateral.
-
-    Node a of a cell is the corner (a >> 2, a >> 1 & 1, a & 1), in 2-D (a >> 1, a & 1).
-    """
-    corners = list(itertools.product((0.0, 1.0), repeat=dimension))
-    points = corners + [p for p in itertools.product((0.0, 0.5, 1.0), repeat=3) if 0.5 in p and dimension == 3]
+def cell_samples():
+    """The 27 sample points of a hexahedron; node a of it is the corner (a >> 2, a >> 1 & 1, a & 1)."""
+    corners = list(itertools.product((0.0, 1.0), repeat=3))
+    points = corners + [p for p in itertools.product((0.0, 0.5, 1.0), repeat=3) if 0.5 in p]
     shape = len(points), len(corners)
     count, node, slope = np.zeros(shape[0], np.int64), np.zeros(shape, np.int64), np.zeros((*shape, 3))
     for s, point in enumerate(points):
         slopes = np.zeros((len(corners), 3))
         for a, corner in enumerate(corners):
             factor = [x if c else 1.0 - x for c, x in zip(corner, point, strict=True)]
-            for axis in range(dimension):
+            for axis in range(3):
                 rest = np.prod([f for other, f in enumerate(factor) if other != axis])
                 slopes[a, axis] = rest if corner[axis] else -rest
         used = np.flatnonzero(slopes.any(axis=1))
@@ -54,15 +51,15 @@ def cell_samples(dimension):
 
 
 @inlined
-def _map(x, start, cell, count, node, slope, normal, inverse, b, a):
-    """Jacobian matrix ``a`` (3, 3) of the map at a sample point, and ``b`` (m, 3): a = sum of x_n b_n + n n^T.
+def _map(x, start, cell, count, node, slope, inverse, b, a):
+    """Jacobian matrix ``a`` (3, 3) of the map at a sample point, and ``b`` (m, 3): a = sum of x_n b_n.
 
-    Returns its determinant. n is the ``normal``.
+    Returns its determinant.
     """
     e = a
     for d in range(3):
         for k in range(3):
-            e[d, k] = normal[d] if k == 2 else 0.0
+            e[d, k] = 0.0
     for n in range(count):
         p = cell[node[n]]
         for d in range(3):
@@ -74,7 +71,7 @@ def _map(x, start, cell, count, node, slope, normal, inverse, b, a):
             b[n, k] = slope[n, 0] * inverse[0, k] + slope[n, 1] * inverse[1, k] + slope[n, 2] * inverse[2, k]
     for d in range(3):
         for k in range(3):
-            a[d, k] = normal[d] * normal[k]
+            a[d, k] = 0.0
     for n in range(count):
         p = cell[node[n]]
         for d in range(3):
@@ -124,16 +121,16 @@ def _regular(det, eps):
 
 
 @kernel
-def energy_of_cells(x, start, cells, mask, samples, normal, eps, t, low, high):
+def energy_of_cells(x, start, cells, mask, samples, weight, eps, t, low, high):
     """Sum of the energy over the cells low <= c < high, smallest D, and largest f.
 
     Parameters
     ----------
     x, start : (n, 3) deformed and undeformed coordinates
-    cells : (m, 8) or (m, 4) nodes
+    cells : (m, 8) nodes
     mask : (m,) int64, bit s set where sample point s counts
     samples : see :class:`Samples`
-    normal : (3,) unit normal of a 2-D grid's plane, else zero
+    weight : (m,) of the cells
     eps, t : of the energy; with eps = 0 it is infinite where D <= 0, and with t > 0 where f >= 1 / t
     """
     count, node, slope = samples
@@ -143,19 +140,19 @@ def energy_of_cells(x, start, cells, mask, samples, normal, eps, t, low, high):
         for s in range(count.size):
             if not mask[c] >> s & 1:
                 continue
-            det = _map(x, start, cells[c], count[s], node[s], slope[s], normal, inverse, b, a)
+            det = _map(x, start, cells[c], count[s], node[s], slope[s], inverse, b, a)
             chi, _ = _regular(det, eps)
             lowest = min(lowest, det)
             f = np.inf
             if chi > 0.0:
                 f = _square(a) / 3.0 * chi ** (-2.0 / 3.0) + 0.5 * (det * det + 1.0) / chi
             highest = max(highest, f)
-            total += f / (1.0 - t * f) if t * f < 1.0 else np.inf
+            total += weight[c] * f / (1.0 - t * f) if t * f < 1.0 else np.inf
     return total, lowest, highest
 
 
 @inlined
-def _coefficients(g, det, eps, t):
+def _coefficients(g, det, eps, t, weight):
     """Derivatives of the energy of one sample, g = |A|^2: gradient u A + v K, Hessian
     w I + p A A^T + q (A K^T + K A^T) + r K K^T with the cofactors K.
 
@@ -172,13 +169,13 @@ def _coefficients(g, det, eps, t):
     f = g * h / 3.0 + 0.5 * whole / chi
     u, v = 2.0 * h / 3.0, g * h1 / 3.0 + 0.5 * q1
     w, q, r = u, 2.0 * h1 / 3.0, max(g * h2 / 3.0 + 0.5 * q2, 2.0 / 3.0 * h1 * h1 / h * g)
-    one = 1.0 / (1.0 - t * f) ** 2
+    one = weight / (1.0 - t * f) ** 2
     two = 2.0 * t * one / (1.0 - t * f)
     return u * one, v * one, w * one, two * u * u, q * one + two * u * v, r * one + two * v * v
 
 
 @kernel
-def add_derivatives(x, start, cells, mask, samples, normal, eps, t, which, unknowns, rows, matrix, gradient):
+def add_derivatives(x, start, cells, mask, samples, weight, eps, t, which, unknowns, rows, matrix, gradient):
     """Add the derivatives of the energy of the cells ``which`` to rows of the gradient and of the Hessian.
 
     Parameters
@@ -186,8 +183,9 @@ def add_derivatives(x, start, cells, mask, samples, normal, eps, t, which, unkno
     which : (k,) cells that touch the rows
     unknowns : (number (n,), frame (n, 3, 3), plain (n,)) of every node: its unknown or -1, and how it follows it,
         ``d = frame @ u``, the identity where ``plain``
-    rows : (first row, one past the last row, start (n_unknowns + 1,) of each row of blocks, columns)
-    matrix : (n_blocks, 3, 3) in the sense of BSR, gradient : (n_unknowns, 3); only the given rows are written
+    rows : (first row, one past the last row, start (n_unknowns + 1,) of each row of blocks, columns of all of them)
+    matrix : (n_blocks, 3, 3) in the sense of BSR, those of the given rows; gradient : (n_unknowns, 3), only these
+        rows are written
     """
     count, node, slope = samples
     number, frame, plain = unknowns
@@ -200,9 +198,9 @@ def add_derivatives(x, start, cells, mask, samples, normal, eps, t, which, unkno
             if not mask[c] >> s & 1:
                 continue
             m = count[s]
-            det = _map(x, start, cells[c], m, node[s], slope[s], normal, inverse, b, a)
+            det = _map(x, start, cells[c], m, node[s], slope[s], inverse, b, a)
             _cofactors(a, k)
-            u, v, w, p, q, r = _coefficients(_square(a), det, eps, t)
+            u, v, w, p, q, r = _coefficients(_square(a), det, eps, t, weight[c])
             for n in range(m):
                 for d in range(3):
                     along[n, d] = a[d, 0] * b[n, 0] + a[d, 1] * b[n, 1] + a[d, 2] * b[n, 2]
@@ -233,7 +231,7 @@ def add_derivatives(x, start, cells, mask, samples, normal, eps, t, which, unkno
                         block[d, d] += dot
                     if not (plain[one] and plain[two]):
                         _turn(frame[one], frame[two], block, work)
-                    at = _find(columns, starts[row], starts[row + 1], number[two])
+                    at = _find(columns, starts[row], starts[row + 1], number[two]) - starts[first]
                     for d in range(3):
                         for e in range(3):
                             matrix[at, d, e] += block[d, e]
@@ -263,7 +261,7 @@ def _find(columns, low, high, wanted):
 
 
 @kernel
-def sound_samples(start, cells, samples, normal, sign, tolerance):
+def sound_samples(start, cells, samples, sign, tolerance):
     """Sample points at which undeformed cells are sound: (m,) int64, bit s for sample point s.
 
     The determinant there has the ``sign`` (m,) of the cell and is more than ``tolerance`` of the product of the edges.
@@ -275,7 +273,7 @@ def sound_samples(start, cells, samples, normal, sign, tolerance):
         for s in range(count.size):
             for d in range(3):
                 for k in range(3):
-                    e[d, k] = normal[d] if k == 2 else 0.0
+                    e[d, k] = 0.0
             for n in range(count[s]):
                 p = cells[c, node[s, n]]
                 for d in range(3):
@@ -295,7 +293,7 @@ def sound_samples(start, cells, samples, normal, sign, tolerance):
 
 
 @kernel
-def measure_samples(x, start, cells, mask, samples, normal):
+def measure_samples(x, start, cells, mask, samples):
     """Smallest D and largest f, without regularisation, of every cell over its sample points: two arrays (m,)."""
     count, node, slope = samples
     inverse, b, a = np.empty((3, 3)), np.empty((8, 3)), np.empty((3, 3))
@@ -303,7 +301,7 @@ def measure_samples(x, start, cells, mask, samples, normal):
     for c in range(len(cells)):
         for s in range(count.size):
             if mask[c] >> s & 1:
-                det = _map(x, start, cells[c], count[s], node[s], slope[s], normal, inverse, b, a)
+                det = _map(x, start, cells[c], count[s], node[s], slope[s], inverse, b, a)
                 lowest[c] = min(lowest[c], det)
                 f = np.inf
                 if det > 0.0:

@@ -6,8 +6,8 @@ from ..jit import kernel
 
 
 @kernel
-def grow(seeds, layers, shapes, offsets, classes, start, copies):
-    """All block nodes within so many cells of ``seeds``, ascending.
+def layers_from(seeds, layers, shapes, offsets, classes, start, copies):
+    """How many cells every block node is away from ``seeds``: (n_nodes,) int16, -1 where more than ``layers``.
 
     Parameters
     ----------
@@ -16,13 +16,13 @@ def grow(seeds, layers, shapes, offsets, classes, start, copies):
     classes : (n_nodes,) number of the set of nodes that count as one, or -1
     start, copies : nodes of every class: ``copies[start[c] : start[c + 1]]``
     """
-    reached = np.zeros(classes.size, dtype=np.bool_)
+    reached = np.full(classes.size, -1, dtype=np.int16)
     queue = np.empty(1 << 12, dtype=np.int64)
     count = 0
     for node in seeds:
-        queue, count = _visit(node, reached, queue, count, classes, start, copies)
+        queue, count = _visit(node, 0, reached, queue, count, classes, start, copies)
     first = 0
-    for _ in range(layers):
+    for layer in range(layers):
         last = count
         for at in range(first, last):
             node = queue[at]
@@ -37,18 +37,18 @@ def grow(seeds, layers, shapes, offsets, classes, start, copies):
                 for dj in range(-1 if j else 0, 2 if j + 1 < nj else 1):
                     for dk in range(-1 if k else 0, 2 if k + 1 < nk else 1):
                         other = node + (di * nj + dj) * nk + dk
-                        if not reached[other]:
-                            queue, count = _visit(other, reached, queue, count, classes, start, copies)
+                        if reached[other] < 0:
+                            queue, count = _visit(other, layer + 1, reached, queue, count, classes, start, copies)
         first = last
         if first == count:
             break
-    return np.sort(queue[:count])
+    return reached
 
 
 @kernel
-def _visit(node, reached, queue, count, classes, start, copies):
+def _visit(node, layer, reached, queue, count, classes, start, copies):
     """Put a node that was not reached yet, and all that count as one with it, at the end of the queue."""
-    if reached[node]:
+    if reached[node] >= 0:
         return queue, count
     one = classes[node]
     size = 1 if one < 0 else start[one + 1] - start[one]
@@ -58,11 +58,11 @@ def _visit(node, reached, queue, count, classes, start, copies):
         queue = longer
     if one < 0:
         queue[count] = node
-        reached[node] = True
+        reached[node] = layer
     else:
         for n in range(size):
             queue[count + n] = copies[start[one] + n]
-            reached[queue[count + n]] = True
+            reached[queue[count + n]] = layer
     return queue, count + size
 
 

@@ -1,4 +1,4 @@
-"""The linear system of one Newton step: blocks of 3 x 3, scaled by their diagonal, conjugate gradients."""
+"""The linear system of one Newton step: square blocks, scaled by their diagonal, conjugate gradients."""
 
 import itertools
 from functools import partial
@@ -7,7 +7,6 @@ import numpy as np
 import scipy
 
 from ...parallel import for_chunks
-from ..cell.foldover import add_derivatives
 from ..jit import kernel
 
 _ROWS = 2048
@@ -23,39 +22,41 @@ class NewtonSystem:
     """
 
     def __init__(self, region):
-        self._region, n = region, region.n_unknowns
-        of_cell = region.unknowns[0][region.cells]
-        used = of_cell >= 0
-        cell = np.broadcast_to(np.arange(len(of_cell))[:, None], of_cell.shape)[used]
-        touch = scipy.sparse.csr_array((np.ones(cell.size, np.int32), (of_cell[used], cell)), shape=(n, len(of_cell)))
+        self._region, n, d = region, region.n_unknowns, region.dimension
+        of_element = region.number[region.energy.nodes]
+        used = of_element >= 0
+        element = np.broadcast_to(np.arange(len(of_element))[:, None], of_element.shape)[used]
+        touch = scipy.sparse.csr_array(
+            (np.ones(element.size, np.int32), (of_element[used], element)), shape=(n, len(of_element))
+        )
         pattern = (touch @ touch.T).tocsr()
         pattern.sort_indices()
         self._starts, self._columns = pattern.indptr.astype(np.int64), pattern.indices.astype(np.int64)
         ends = [*range(0, n, _ROWS), n]
-        self._cells = [
+        self._elements = [
             np.unique(touch.indices[touch.indptr[lo] : touch.indptr[hi]]).astype(np.int64)
             for lo, hi in itertools.pairwise(ends)
         ]
-        self._matrix = np.empty((len(self._columns), 3, 3), np.float32)
-        self._factor = np.empty((n, 3, 3))
-        self.gradient = np.empty((n, 3))
+        self._matrix = np.empty((len(self._columns), d, d), np.float32)
+        self._factor = np.empty((n, d, d))
+        self._multiply = multiply_rows if d == 3 else multiply_plane_rows
+        self.gradient = np.empty((n, d))
 
     @staticmethod
-    def memory(n_unknowns):
+    def memory(n_unknowns, dimension):
         """Bytes that it takes, while the pattern is being found."""
-        return n_unknowns * (27 * (36 + 24) + 300)
+        return n_unknowns * (27 * (36 + 24) + 300 if dimension == 3 else 9 * (16 + 24) + 700)
 
     def fill(self, x, eps, t):
-        """Gradient and scaled Hessian at the coordinates ``x`` (n, 3); see :mod:`..foldover`."""
+        """Gradient and scaled Hessian at the coordinates ``x`` (n, d); see :mod:`..cell.foldover`."""
         region, starts, columns = self._region, self._starts, self._columns
         self.gradient[...] = 0.0
 
         def add(low, high):
             first, last = starts[low], starts[high]
-            blocks = np.zeros((last - first, 3, 3))
-            rows = low, high, starts - first, columns[first:last]
-            which = self._cells[low // _ROWS]
-            add_derivatives(x, *region.energy, eps, t, which, region.unknowns, rows, blocks, self.gradient)
+            blocks = np.zeros((last - first, *self._matrix.shape[1:]))
+            rows = low, high, starts, columns
+            region.energy.add(x, eps, t, self._elements[low // _ROWS], region.unknowns, rows, blocks, self.gradient)
             factor_diagonal(blocks, rows, region.freedom, self._factor)
             scale_left(blocks, rows, self._factor)
             self._matrix[first:last] = blocks
@@ -66,30 +67,31 @@ class NewtonSystem:
         )
 
     def direction(self, tolerance, most):
-        """The Newton step (n_unknowns, 3), by conjugate gradients until ``|r| <= tolerance |b|``; iterations."""
-        factor = self._factor
+        """The Newton step (n_unknowns, d), by conjugate gradients until ``|r| <= tolerance |b|``; iterations."""
+        factor, (n, d) = self._factor, self.gradient.shape
         r = -np.einsum("nij,nj->ni", factor, self.gradient)
         y, p, image = np.zeros_like(r), r.copy(), np.empty_like(r)
-        rho = _sum_over_rows(partial(dot_rows, r, r), len(r))
+        flat = [v.ravel() for v in (y, r, p, image)]
+        rho = _sum_over_rows(partial(dot_rows, flat[1], flat[1]), n * d)
         goal, count = tolerance * tolerance * rho, 0
         matrix = self._matrix, self._starts, self._columns
         while rho > goal and count < most:
-            curvature = _sum_over_rows(partial(multiply_rows, *matrix, p, image), len(r))
+            curvature = _sum_over_rows(partial(self._multiply, *matrix, p, image), n)
             if curvature <= 0.0:
                 # Round-off: what has been found so far is a direction of descent.
                 break
             length, before = rho / curvature, rho
-            rho = _sum_over_rows(partial(advance_rows, y, r, p, image, length), len(r))
+            rho = _sum_over_rows(partial(advance_rows, *flat, length), n * d)
             p *= rho / before
             p += r
             count += 1
         return np.einsum("nji,nj->ni", factor, y), count
 
     def dense(self):
-        """The scaled Hessian as one matrix (3 n, 3 n), for small regions."""
-        n = self._region.n_unknowns
+        """The scaled Hessian as one matrix (d n, d n), for small regions."""
+        n, d = self.gradient.shape
         blocks = self._matrix.astype(np.float64), self._columns, self._starts
-        return scipy.sparse.bsr_array(blocks, shape=(3 * n, 3 * n)).toarray()
+        return scipy.sparse.bsr_array(blocks, shape=(d * n, d * n)).toarray()
 
 
 def _sum_over_rows(work, n):
@@ -105,47 +107,57 @@ def _sum_over_rows(work, n):
 
 @kernel
 def factor_diagonal(blocks, rows, freedom, factor):
-    """The inverse Cholesky factors of the diagonal blocks of ``rows``, see :func:`..foldover.add_derivatives`.
+    """The inverse Cholesky factors of the diagonal blocks of ``rows``, see :func:`..cell.foldover.add_derivatives`.
 
-    ``freedom`` (n, 3, 3) projects on the directions in which an unknown may move; the others get a stiffness of their
+    ``freedom`` (n, d, d) projects on the directions in which an unknown may move; the others get a stiffness of their
     own.
     """
     first, last, starts, columns = rows
+    size = freedom.shape[1]
     for row in range(first, last):
-        for at in range(starts[row], starts[row + 1]):
-            if columns[at] == row:
-                break
-        a = blocks[at]
-        trace = a[0, 0] + a[1, 1] + a[2, 2]
-        for d in range(3):
-            for e in range(3):
-                a[d, e] += ((1.0 if d == e else 0.0) - freedom[row, d, e]) * trace
+        at = starts[row]
+        while columns[at] != row:
+            at += 1
+        a, f = blocks[at - starts[first]], factor[row]
+        trace = 0.0
+        for d in range(size):
+            trace += a[d, d]
         # An unknown that no sample depends on stays.
         small = 1e-14 * trace + 1e-300
-        l00 = np.sqrt(max(a[0, 0], small))
-        l10, l20 = a[1, 0] / l00, a[2, 0] / l00
-        l11 = np.sqrt(max(a[1, 1] - l10 * l10, small))
-        l21 = (a[2, 1] - l20 * l10) / l11
-        l22 = np.sqrt(max(a[2, 2] - l20 * l20 - l21 * l21, small))
-        f = factor[row]
-        f[...] = 0.0
-        f[0, 0], f[1, 1], f[2, 2] = 1.0 / l00, 1.0 / l11, 1.0 / l22
-        f[1, 0] = -l10 * f[0, 0] * f[1, 1]
-        f[2, 1] = -l21 * f[1, 1] * f[2, 2]
-        f[2, 0] = -(l20 * f[0, 0] + l21 * f[1, 0]) * f[2, 2]
+        for d in range(size):
+            for e in range(d + 1):
+                a[d, e] += ((1.0 if d == e else 0.0) - freedom[row, d, e]) * trace
+        # The factor, in the lower triangle of f, and then its inverse, column by column.
+        for d in range(size):
+            for e in range(d + 1):
+                total = a[d, e]
+                for o in range(e):
+                    total -= f[d, o] * f[e, o]
+                f[d, e] = np.sqrt(max(total, small)) if d == e else total / f[e, e]
+            for e in range(d + 1, size):
+                a[d, e] = a[d, e] - freedom[row, d, e] * trace
+                f[d, e] = 0.0
+        for e in range(size):
+            f[e, e] = 1.0 / f[e, e]
+            for d in range(e + 1, size):
+                total = 0.0
+                for o in range(e, d):
+                    total += f[d, o] * f[o, e]
+                f[d, e] = -total / f[d, d]
 
 
 @kernel
 def scale_left(blocks, rows, factor):
     """``H_ij <- F_i H_ij`` in some rows."""
     first, last, starts, _ = rows
+    size = factor.shape[1]
     for row in range(first, last):
         f = factor[row]
-        for at in range(starts[row], starts[row + 1]):
+        for at in range(starts[row] - starts[first], starts[row + 1] - starts[first]):
             block = blocks[at]
             # F is a lower triangle: from below, nothing is overwritten before it is needed.
-            for d in range(2, -1, -1):
-                for e in range(3):
+            for d in range(size - 1, -1, -1):
+                for e in range(size):
                     total = f[d, d] * block[d, e]
                     for o in range(d):
                         total += f[d, o] * block[o, e]
@@ -155,11 +167,12 @@ def scale_left(blocks, rows, factor):
 @kernel
 def scale_right(matrix, starts, columns, factor, low, high):
     """``H_ij <- H_ij F_j^T`` in the rows low <= i < high."""
+    size = factor.shape[1]
     for row in range(low, high):
         for at in range(starts[row], starts[row + 1]):
             block, f = matrix[at], factor[columns[at]]
-            for d in range(3):
-                for e in range(2, -1, -1):
+            for d in range(size):
+                for e in range(size - 1, -1, -1):
                     total = f[e, e] * block[d, e]
                     for o in range(e):
                         total += f[e, o] * block[d, o]
@@ -184,22 +197,36 @@ def multiply_rows(matrix, starts, columns, p, image, low, high):
 
 
 @kernel
-def advance_rows(y, r, p, image, length, low, high):
-    """One step of conjugate gradients in the rows; returns their share of the new ``r . r``."""
+def multiply_plane_rows(matrix, starts, columns, p, image, low, high):
+    """:func:`multiply_rows` with blocks of 2 x 2."""
     total = 0.0
     for row in range(low, high):
-        for d in range(3):
-            y[row, d] += length * p[row, d]
-            r[row, d] -= length * image[row, d]
-            total += r[row, d] * r[row, d]
+        x = y = 0.0
+        for at in range(starts[row], starts[row + 1]):
+            m, o = matrix[at], columns[at]
+            a, b = p[o, 0], p[o, 1]
+            x += m[0, 0] * a + m[0, 1] * b
+            y += m[1, 0] * a + m[1, 1] * b
+        image[row, 0], image[row, 1] = x, y
+        total += x * p[row, 0] + y * p[row, 1]
+    return total
+
+
+@kernel
+def advance_rows(y, r, p, image, length, low, high):
+    """One step of conjugate gradients in entries low <= i < high; returns their share of the new ``r . r``."""
+    total = 0.0
+    for i in range(low, high):
+        y[i] += length * p[i]
+        r[i] -= length * image[i]
+        total += r[i] * r[i]
     return total
 
 
 @kernel
 def dot_rows(a, b, low, high):
-    """Share of the rows in ``a . b``."""
+    """Share of entries low <= i < high in ``a . b``."""
     total = 0.0
-    for row in range(low, high):
-        for d in range(3):
-            total += a[row, d] * b[row, d]
+    for i in range(low, high):
+        total += a[i] * b[i]
     return total
