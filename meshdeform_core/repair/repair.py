@@ -32,7 +32,7 @@ _ROUNDS = 2
 # A region of n nodes takes at most _WORK / n Newton steps, so that time is bounded on large grids.
 _WORK, _FEWEST = 20_000_000, 6
 # More layers are tried while the largest density is above this; of valid grids, if the first ones lower it by a tenth.
-_ENOUGH, _GAIN = 6.0, 0.9
+_ENOUGH, _GAIN = 7.0, 0.9
 # Regions of more nodes than this are not improved beyond validity: of the largest grids that would take minutes.
 _LARGE = 300_000
 

@@ -16,6 +16,8 @@ _ELEMENTS = 4096
 _TOLERANCE = 3e-2
 _MOST_ITERATIONS = 200
 _FIRST_EPS = 0.5
+# A determinant that stays below -_LOCKED eps while eps falls has nowhere to go in this region.
+_LOCKED = 100.0
 _SLOWEST = 0.4
 # Barriers as shares of the largest density, a step that lowers it by less than that, and where it is low enough.
 _BARRIERS = (0.0, 0.5, 0.8)
@@ -70,6 +72,8 @@ class Untangler:
             if now.lowest > 0.0:
                 return True
             if step == most:
+                break
+            if now.lowest < -_LOCKED * eps:
                 break
             self._tell(step, most)
             after = self._step(now, eps, 0.0)

@@ -11,7 +11,7 @@ from ..jit import kernel
 
 _ROWS = 2048
 # Rows of vectors, which cost less.
-_LONG = 1 << 14
+_LONG = 1 << 16
 
 
 class NewtonSystem:
