@@ -1,8 +1,8 @@
-"""Large motions in one command: is the grid valid, how good is it, what did the repair do to wall cells, what did it cost?
+"""Large motions in one command: is the grid valid, how good is it, what happened to wall cells, what did it cost?
 
 python benchmarks/robustness_table.py                            all rows, table on stdout
 python benchmarks/robustness_table.py --only plate               some of them
-python benchmarks/robustness_table.py --grids FOLDER             third-party grids from there (default: MESHDEFORM_GRIDS)
+python benchmarks/robustness_table.py --grids FOLDER             where third-party grids lie (default: MESHDEFORM_GRIDS)
 python benchmarks/robustness_table.py --write docs/validity.md   put the table in its place on the page
 """
 
@@ -36,7 +36,7 @@ _BEGIN, _END = "<!-- robustness_table.py begin -->", "<!-- robustness_table.py e
 _SPAN = 12.09152937
 """Of the wing in 717_wl_L2.cgns, along z."""
 THIN = 1000.0
-"""Corners of undeformed cells with longer edges than this, relative to their shortest one, belong to boundary layers."""
+"""Corners of undeformed cells with edges longer than this, relative to their shortest one, are of boundary layers."""
 
 
 @dataclass(frozen=True)
@@ -109,6 +109,10 @@ def _wing(label: str, *parts: Rotate | Displace) -> Trial:
     return _third_party("717_wl_L2.cgns", label, [_moving("wall", *parts), _slip("Sym", Kind.SYMMETRY)], 0.3)
 
 
+def _ring(label: str, jacobian: float, part: Rotate | Displace) -> Trial:
+    return _third_party("cylinder_ring_4blk.x", label, [_moving("*.jmax", part), _slip("*.k*")], jacobian)
+
+
 def _collapsed(label: str, part: Rotate | Displace) -> Trial:
     """A cylinder whose grid has a singular line, moved as a whole."""
 
@@ -119,10 +123,10 @@ def _collapsed(label: str, part: Rotate | Displace) -> Trial:
         block[-1] = block[0]
         return set_up(Grid.from_blocks([block]), Case((_moving("*", part),)))
 
-    return Trial(f"cylinder with a singular line, {label}", make, jacobian=0.99)
+    return Trial(f"cylinder with a singular line, {label}", make, jacobian=0.9)
 
 
-_BACKSTEP, _RING, _AIRFOIL = "backstep5_4levdn.p3dbin", "cylinder_ring_4blk.x", "nak_a_141.cgns"
+_BACKSTEP, _AIRFOIL = "backstep5_4levdn.p3dbin", "nak_a_141.cgns"
 _ENDS, _STREAM = "*.imin *.imax", "block1.jmin block4.jmax"
 _BUMP = _displace("0", "0", "8.55*where(abs(x - 4) < 4, cos(pi*(x - 4)/8)**2, 0)")
 _ROOF = _displace("0", "0", "-7.6 - 0.475*(1 + tanh(x - 2))")
@@ -163,8 +167,8 @@ TRIALS: tuple[Trial, ...] = (
     _wing("pitch 90 degrees", _rotate("90", (0, 0, 1), 2.5, 0, 0)),
     _wing("bend 8", _displace("0", f"8*(z/{_SPAN})**2", "0")),
     _wing("twist 90 degrees", _rotate(f"90*z/{_SPAN}", (0, 0, 1), 2.5, 0, 0)),
-    _third_party(_RING, "turned 180 degrees", [_moving("*.jmax", _rotate("180", (0, 0, 1), 0, 0, 0)), _slip("*.k*")], 0.3),
-    _third_party(_RING, "squeezed to 5 %", [_moving("*.jmax", _displace("2.375", "0", "0")), _slip("*.k*")], 0.02),
+    _ring("turned 180 degrees", 0.3, _rotate("180", (0, 0, 1), 0, 0, 0)),
+    _ring("squeezed to 5 %", 0.02, _displace("2.375", "0", "0")),
     _backstep("bump 8.55", 0.02, "block3.kmin block4.kmin", _BUMP),
     _backstep("roof down to 5 %", 0.02, "*.kmax", _ROOF),
     _backstep("roof through the floor", 0.0, "*.kmax", _DROP, "roof", "floor"),
@@ -236,7 +240,7 @@ def layers_kept(setup: Setup, result: Result, motion: BoundaryMotion) -> tuple[f
 
 
 def _corner_ratios(before: FloatArray, after: FloatArray, moved: np.ndarray) -> Iterator[FloatArray]:
-    """Jacobians relative to the undeformed ones at thin corners of a block; the flat axis of 2-D blocks has unit edges."""
+    """Jacobians relative to the undeformed ones at thin corners of a block in space; nothing of 2-D blocks."""
     flat = [axis for axis in range(3) if before.shape[axis] == 1]
     for corner in np.ndindex(*(1 if axis in flat else 2 for axis in range(3))):
         edges = [[_edges(x, axis, corner) for axis in range(3) if axis not in flat] for x in (before, after)]

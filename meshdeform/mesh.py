@@ -121,7 +121,7 @@ class Mesh:
             (n, 3) and the time. ``None``: the motion prescribed by the case
         time : passed to functions and to the case's motion
         steps : number of increments, or ``"auto"``: as many as a valid grid requires; one by default
-        repair : ``"auto"`` repairs invalid and nearly collapsed cells, ``"polish"`` also the worst cells of a valid
+        repair : ``"auto"`` repairs invalid and weak cells, ``"polish"`` also the worst cells of a valid
             grid, ``"off"`` nothing; by default the case's setting, ``"auto"`` if it has none
         progress : called as ``progress(stage, done, total)``
 

@@ -14,7 +14,7 @@ from ..numerics.cell.foldover import cell_samples, sound_samples
 from ..numerics.cell.layers import cells_at, layers_from
 from .constraints import Constraints
 from .region import COLLAPSED, Energy, Hexahedra, Region, Triangles, Unknowns
-from .walls import FAR, weights
+from .walls import UNLIMITED, nearness, weights
 
 
 class Plot(NamedTuple):
@@ -71,10 +71,10 @@ class Neighbourhood:
         return classes, start, self.topology.face_nodes[np.argsort(of, kind="stable")]
 
     @cached_property
-    def _from_walls(self) -> np.ndarray:
-        """Cells between every block node and the moving walls, (n_nodes,) int16, -1 far away."""
+    def _from_walls(self) -> FloatArray:
+        """How near every block node is to moving walls, (n_nodes,)."""
         walls = self.topology.face_nodes[self.constraints.walls[self.topology.number]]
-        return self._layers(walls, FAR)
+        return nearness(self._layers(walls, UNLIMITED))
 
     def around(self, cells: IntArray, layers: int | None) -> IntArray:
         """Block nodes that may move, all copies included, within ``layers`` cells of the given ones; ``None``: all."""
@@ -91,7 +91,7 @@ class Neighbourhood:
         corners = self._corners(touched)
         nodes, local = np.unique(self._owners(corners.ravel()), return_inverse=True)
         unknowns, freedom = self._unknowns(nodes, owners)
-        weight = weights(self._from_walls[corners].astype(np.int64))
+        weight = weights(self._from_walls[corners])
         energy = self._energy(nodes, local.reshape(corners.shape), self._signs(touched), weight)
         return Plot(Region(energy, unknowns, freedom), nodes, free, np.searchsorted(nodes, owners), self.axes)
 

@@ -17,8 +17,8 @@ class RepairOptions:
 
     Attributes
     ----------
-    mode : ``auto``: when cells are invalid or nearly collapsed; ``off``: never; ``polish``: also the worst cells of a
-        valid grid
+    mode : ``auto``: when cells are invalid or weak (below 10 % of their undeformed Jacobian); ``off``: never;
+        ``polish``: also the worst cells of a valid grid
     min_jacobian : cells with a corner below this share of its undeformed Jacobian count as invalid; 0 <= R < 1
     """
 

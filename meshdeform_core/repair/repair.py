@@ -24,15 +24,17 @@ from .untangle import Untangler
 
 WEAK = 0.2
 """Cells with a corner below this share of its undeformed Jacobian are the middle of what a repair moves."""
+POOR = 0.1
+"""Valid cells below this share are repaired too."""
 COLLAPSING = 0.01
-"""Valid cells below this share are nearly collapsed: they are repaired too, and what stays is a warning."""
-_LAYERS = (8, 32, None)
+"""Valid cells below this share are nearly collapsed: a warning."""
+_LAYERS: dict[int, tuple[int | None, ...]] = {2: (32, None), 3: (8, 32, None)}
 _STEPS, _IMPROVING = 40, 16
-_ROUNDS = 2
+_ROUNDS, _LAST_ROUNDS = 2, 6
 # A region of n nodes takes at most _WORK / n Newton steps, so that time is bounded on large grids.
 _WORK, _FEWEST = 20_000_000, 6
 # More layers are tried while the largest density is above this; of valid grids, if the first ones lower it by a tenth.
-_ENOUGH, _GAIN = 7.0, 0.9
+_ENOUGH, _GAIN = 6.0, 0.9
 # Regions of more nodes than this are not improved beyond validity: of the largest grids that would take minutes.
 _LARGE = 300_000
 
@@ -43,7 +45,7 @@ Progress = Callable[[str, int, int], None]
 class Repair:
     """What repairs did.
 
-    ``cells`` that were invalid or nearly collapsed before, ``nodes`` moved and how far at most (grid length unit),
+    ``cells`` that were invalid or weak before, ``nodes`` moved and how far at most (grid length unit),
     Newton steps, seconds.
     """
 
@@ -113,14 +115,14 @@ class Repairer:
         return found, Repairer(original, found.constraints, self.rounded, self.memory, self.progress)
 
     def needed(self, verdict: Verdict) -> bool:
-        """Are there cells that are invalid or nearly collapsed?"""
-        return bool(verdict.failed.any() or (verdict.ratio < COLLAPSING).any())
+        """Are there cells that are invalid or weak?"""
+        return bool(verdict.failed.any() or (verdict.ratio < POOR).any())
 
     def repair(self, points: FloatArray, verdict: Verdict, polish: bool = False) -> Outcome:
         """Make cells sound; the coordinates returned may still have invalid ones, but not more than ``points``.
 
-        Of the nodes around weak cells, first those within 8 layers move, then more, until all cells are sound and the
-        worst one is no longer far from its undeformed shape, or until more nodes do not help. With ``polish`` the
+        Of the nodes around weak cells, first those within some layers move, then more, until all cells are sound and
+        the worst one is no longer far from its undeformed shape, or until more nodes do not help. With ``polish`` the
         weakest cells are taken for weak however good they are.
         """
         plane = self._in_plane(points, verdict, polish)
@@ -131,14 +133,15 @@ class Repairer:
         now, weak = start, WEAK
         if polish:
             weak = max(WEAK, min(1.0, 2.0 * float(verdict.ratio.min())))
-        for layers in _LAYERS:
-            for _ in range(_ROUNDS):
+        for layers in _LAYERS[self.original.grid.dimension]:
+            for _ in range(_ROUNDS if layers else _LAST_ROUNDS):
                 found = self._attempt(now, layers, weak)
                 if found is None:
                     break
                 steps += found.steps
                 now = self._moved(now, found)
-                if now.verdict.valid or not found.untangled:
+                helped = found.density > _ENOUGH and found.density < _GAIN * found.before
+                if not found.untangled or (now.verdict.valid and (layers or not helped)):
                     break
             if found is None:
                 break
@@ -207,7 +210,7 @@ class Repairer:
     def _record(self, start: _State, end: _State, steps: int, seconds: float) -> Repair:
         moved = (end.points - start.points).reshape(-1, 3)
         distance = np.sqrt((moved**2).sum(axis=1))
-        bad = (start.verdict.failed != 0) | (start.verdict.ratio < COLLAPSING)
+        bad = (start.verdict.failed != 0) | (start.verdict.ratio < POOR)
         return Repair(int(bad.sum()), int((distance > 0).sum()), float(distance.max()), steps, seconds)
 
 
