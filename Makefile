@@ -49,9 +49,10 @@ docs: $(VENV)/installed
 	PYTHONPATH=docs $(BIN)/python docs/build.py $(OPTIONS)
 	@echo "Open build/site/index.html."
 
-# Mutated files, tables, formulas and grids, judged independently; SEED=1 repeats a campaign.
+# Mutated files, tables, formulas and grids, judged independently; SEED=1 repeats a campaign, LOG=file goes on with one.
 fuzz: $(VENV)/installed
-	PYTHONPATH=tests $(BIN)/python -P -m fuzz.campaign $(or $(N),2000) $(SEED)
+	PYTHONPATH=tests $(BIN)/python -P -m fuzz.campaign $(or $(N),2000) $(if $(SEED),--seed $(SEED)) \
+	  --jobs $(or $(JOBS),1) $(if $(LOG),--log $(LOG))
 
 format: $(VENV)/installed
 	$(BIN)/ruff check --fix .

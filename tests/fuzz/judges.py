@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import base64
 import re
 import xml.etree.ElementTree as ElementTree
+import zlib
 from pathlib import Path
 
 import h5py
@@ -73,14 +75,120 @@ def vtk(path: Path, grid: Grid) -> str:
     return "" if np.array_equal(found, expected) else "the points are not those of the text"
 
 
-def table(path: Path, before: Grid, after: Grid) -> str:
-    """Every node at a point of the table moves as the table says."""
+def adf(path: Path, grid: Grid) -> str:
+    """The bytes of every coordinate array stand in the file in one piece."""
+    data = path.read_bytes()
+    for block in range(grid.n_blocks):
+        for axis in range(3):
+            values = np.asarray(grid.block(block)[..., axis])
+            if not any(values.astype(kind).tobytes(order="F") in data for kind in ("<f8", "<f4", ">f8", ">f4")):
+                return f"coordinate {axis} of block {block} is not in the file"
+    return ""
+
+
+def _is_transposed(grid: Grid, block: int, found: np.ndarray) -> bool:
+    """Whether rows of points, i fastest, are those of a block."""
+    return np.array_equal(found, np.transpose(grid.block(block), (2, 1, 0, 3)).reshape(-1, 3))
+
+
+def vts_raw(path: Path, grid: Grid) -> str:
+    """Numbers behind the underscore of the appended data, at the offset of the points."""
+    data = path.read_bytes()
+    head, _, tail = data.partition(b"<AppendedData")
+    points = head[head.index(b"<Points") :]
+    offset = int(re.search(rb'offset="\s*(\d+)\s*"', points)[1])
+    order = ">" if b"BigEndian" in head else "<"
+    header = "u4" if b"UInt32" in head[: head.index(b">", head.index(b"<VTKFile"))] else "u8"
+    kind = "f4" if b"Float32" in points else "f8"
+    start = tail.index(b"_") + 1 + offset
+    size = int(np.frombuffer(tail, order + header, 1, start)[0])
+    found = np.frombuffer(tail[start + int(header[1]) :][:size], order + kind).reshape(-1, 3)
+    return "" if _is_transposed(grid, 0, found) else "the points are not those of the file"
+
+
+def vts_packed(path: Path, grid: Grid) -> str:
+    """Points of a base64 array of zlib blocks."""
+    root = ElementTree.fromstring(path.read_bytes())
+    data = root.find(".//Points/DataArray")
+    order = ">" if root.get("byte_order") == "BigEndian" else "<"
+    header = "u4" if root.get("header_type", "UInt32") == "UInt32" else "u8"
+    text = "".join((data.text or "").split())
+    size = np.dtype(header).itemsize
+    count = int(np.frombuffer(base64.b64decode(text[: 4 * -(-size // 3)])[:size], order + header)[0])
+    length = 4 * -(-(3 + count) * size // 3)
+    blocks = np.frombuffer(base64.b64decode(text[:length])[: (3 + count) * size], order + header)[3:]
+    packed, parts = base64.b64decode(text[length:]), []
+    for block in blocks.tolist():
+        parts.append(zlib.decompress(packed[:block]))
+        packed = packed[block:]
+    kind = "f4" if data.get("type") == "Float32" else "f8"
+    found = np.frombuffer(b"".join(parts), order + kind).reshape(-1, 3)
+    return "" if _is_transposed(grid, 0, found) else "the points are not those of the file"
+
+
+def vtk_raw(path: Path, grid: Grid) -> str:
+    """Big-endian numbers behind the line of POINTS."""
+    data = path.read_bytes()
+    line = re.search(rb"(?i)\n\s*POINTS\s+(\d+)\s+(\w+)[^\n]*\n", data)
+    kind = ">f4" if line[2].lower() == b"float" else ">f8"
+    found = np.frombuffer(data, kind, 3 * int(line[1]), line.end()).reshape(-1, 3)
+    return "" if _is_transposed(grid, 0, found) else "the points are not those of the file"
+
+
+def vtm(path: Path, grid: Grid) -> str:
+    """The points of the files that the index names, in its order."""
+    root = ElementTree.fromstring(path.read_bytes())
+    files = [path.parent / node.get("file") for node in root.iter("DataSet") if node.get("file")]
+    if len(files) != grid.n_blocks:
+        return f"the index names {len(files)} files, {grid.n_blocks} blocks were read"
+    for block, file in enumerate(files):
+        data = ElementTree.fromstring(file.read_bytes()).find(".//Points/DataArray")
+        if not _is_transposed(grid, block, np.array((data.text or "").split(), dtype=float).reshape(-1, 3)):
+            return f"block {block + 1} is not {file}"
+    return ""
+
+
+def neutral_map(path: Path, grid: Grid) -> str:
+    """Nodes that a connection joins lie at one place; every patch has a line of its own."""
+    for link in grid.connections:
+        if link.periodic is not None:
+            continue
+        begin, end = np.array(link.begin), np.array(link.end)
+        steps = np.indices(np.abs(end - begin) + 1).reshape(3, -1).T * np.where(end >= begin, 1, -1)
+        matrix = np.zeros((3, 3), int)
+        for axis, donor in enumerate(link.transform):
+            matrix[abs(donor) - 1, axis] = np.sign(donor)
+        there = np.array(link.donor_begin) + steps @ matrix.T
+        nodes = grid.block(link.block)[tuple((begin + steps).T)]
+        if np.abs(nodes - grid.block(link.donor_block)[tuple(there.T)]).max() > 1e-6:
+            return f"connection {link.name} joins nodes that lie apart"
+    lines = [line for line in path.read_text(errors="replace").splitlines() if line.strip()[:1] not in ("", "#")]
+    windows = sum(len(patch.windows) for patch in grid.patches) + len(grid.connections)
+    return "" if windows <= len(lines) else "more patches than lines"
+
+
+def _rows(path: Path) -> list[list[float]]:
+    """Points and displacements of a table as numpy, h5py or a split of its lines finds them."""
+    if path.suffix == ".npy":
+        return np.load(path, allow_pickle=False).astype(float).tolist()
+    if path.suffix == ".npz":
+        with np.load(path, allow_pickle=False) as archive:
+            return np.hstack(list(archive.values())).astype(float).tolist()
+    if path.suffix == ".h5":
+        with h5py.File(path) as file:
+            return np.hstack([file["points"][()], file["displacement"][()]]).astype(float).tolist()
     rows = []
     for line in path.read_text().splitlines():
         try:
             rows.append([float(word) for word in re.split(r"[,;\s]+", line.partition("#")[0].strip())])
         except ValueError:
             continue
+    return rows
+
+
+def table(path: Path, before: Grid, after: Grid) -> str:
+    """Every node at a point of the table moves as the table says."""
+    rows = _rows(path)
     known = {tuple(row[:3]): row[3:6] for row in rows if len(row) == 6}
     for old, new in zip(before.points.tolist(), after.points.tolist(), strict=True):
         told = known.get(tuple(old))

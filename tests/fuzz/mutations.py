@@ -60,6 +60,15 @@ def _number(data: bytes, rng: Random) -> bytes:
     return data[: match.start()] + rng.choice(NUMBERS) + data[match.end() :]
 
 
+def _digit(data: bytes, rng: Random) -> bytes:
+    """One digit or sign is another: the likeliest change to go unnoticed."""
+    found = list(re.finditer(rb"[-+\d]", data))
+    if not found:
+        return _flip(data, rng)
+    at = rng.choice(found).start()
+    return data[:at] + rng.choice((b"0", b"1", b"5", b"9", b"-", b"+", b" ")) + data[at + 1 :]
+
+
 def _lines(data: bytes, rng: Random) -> bytes:
     lines = data.splitlines(keepends=True)
     one, two = rng.randrange(len(lines)), rng.randrange(len(lines))
@@ -68,7 +77,7 @@ def _lines(data: bytes, rng: Random) -> bytes:
 
 
 BINARY: tuple[Callable[[bytes, Random], bytes], ...] = (_flip, _truncate, _extend, _repeat, _drop, _blank)
-TEXT = (*BINARY, _number, _number, _number, _lines)
+TEXT = (*BINARY, _number, _number, _lines, _digit, _digit, _digit, _digit)
 
 
 def mutated(data: bytes, text: bool, rng: Random) -> bytes:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from grids import frame
 
-from fuzz.campaign import CASE, called
+from fuzz.samples import CASE, called
 from meshdeform_formats import read_grid, write_grid
 
 

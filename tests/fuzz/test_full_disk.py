@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from grids import frame
 
-from fuzz.campaign import CASE, called
+from fuzz.samples import CASE, called
 from meshdeform_core.grid import Field, Grid
 from meshdeform_formats import read_grid, write_grid
 
