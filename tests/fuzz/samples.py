@@ -35,8 +35,8 @@ KEYS = (
     "repair.mode",
 )
 VALUES = (
-    "0", "-1", "1e-300", "1e300", "nan", "inf", "true", "[]", "{}", "''", "'auto'", "'x > 0'", "'lie'", "'tps'", "1.5", "3",
-    "'*.kmin'", "['block1.imax']", "'slip'", "'wendland-c2'", "'off'", "40", "[[", "'x" + "(" * 300 + "'", "1e-3",
+    "0", "-1", "1e-300", "1e300", "nan", "inf", "true", "[]", "{}", "''", "'auto'", "'x > 0'", "'lie'", "'tps'", "1.5",
+    "'*.kmin'", "['block1.imax']", "'slip'", "'wendland-c2'", "'off'", "40", "[[", "3", "'x" + "(" * 300 + "'", "1e-3",
 )  # fmt: skip
 CASE = """[constants]
 turn = 10.0
