@@ -148,8 +148,8 @@ def vtm(path: Path, grid: Grid) -> str:
     return ""
 
 
-def neutral_map(path: Path, grid: Grid) -> str:
-    """Nodes that a connection joins lie at one place; every patch has a line of its own."""
+def neutral_map(path: Path, grid: Grid, told: str) -> str:
+    """Nodes that a connection joins lie at one place, or a warning names it; every patch has a line of its own."""
     for link in grid.connections:
         if link.periodic is not None:
             continue
@@ -160,7 +160,8 @@ def neutral_map(path: Path, grid: Grid) -> str:
             matrix[abs(donor) - 1, axis] = np.sign(donor)
         there = np.array(link.donor_begin) + steps @ matrix.T
         nodes = grid.block(link.block)[tuple((begin + steps).T)]
-        if np.abs(nodes - grid.block(link.donor_block)[tuple(there.T)]).max() > 1e-6:
+        apart = np.abs(nodes - grid.block(link.donor_block)[tuple(there.T)]).max() > 1e-6
+        if apart and f"connection {link.name!r}" not in told:
             return f"connection {link.name} joins nodes that lie apart"
     lines = [line for line in path.read_text(errors="replace").splitlines() if line.strip()[:1] not in ("", "#")]
     windows = sum(len(patch.windows) for patch in grid.patches) + len(grid.connections)

@@ -134,14 +134,16 @@ class Worker:
         return judge(bad, read_grid(bad)) or "ok"
 
     def _neutral_map(self, rng: Random) -> str:
-        """Its connections must join nodes that lie at one place."""
+        """What its connections join lies at one place, or is told."""
         from meshdeform_formats.grids import read_grid_with_boundaries
 
         Path("bad.nmf").write_bytes(mutated(self.valid["grid.nmf"], True, rng))
-        code, told = called("info", "grid.xyz", "--boundary-file", "bad.nmf", "--json")
-        if code != 0:
+        arguments = ("deform", "grid.xyz", "--boundary-file", "bad.nmf", "-c", "case.toml", "-m", "tfi")
+        code, told = called(*arguments, "-o", "out.xyz", "--force", "-q")
+        if code not in (0, 3):
             return refusal(code, told)
-        return judges.neutral_map(Path("bad.nmf"), read_grid_with_boundaries(Path("grid.xyz"), Path("bad.nmf"))) or "ok"
+        grid = read_grid_with_boundaries(Path("grid.xyz"), Path("bad.nmf"))
+        return judges.neutral_map(Path("bad.nmf"), grid, told) or "ok"
 
     def _case(self, rng: Random) -> str:
         Path("bad.toml").write_bytes(mutated(self.valid["case.toml"], True, rng))
