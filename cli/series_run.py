@@ -25,6 +25,7 @@ from meshdeform_formats.report.series import level_record, series_head, series_r
 from meshdeform_formats.series.files import LevelFiles, SeriesFiles, SingleFile
 from meshdeform_formats.series.manifest import NAME, Manifest, ingredients_of
 
+from .forecast import forecast
 from .messages import Warnings
 from .options import GridInput, RunInput, keep_inputs
 from .progress import ProgressBar, writing
@@ -108,10 +109,13 @@ def describe(run: Run) -> tuple[Report, str]:
     """The report of a dry run (classification, parameters, node counts), and the levels as a line of text."""
     prepared = make_method(run.setup.case.method).prepare(run.setup.problem)
     times = run.schedule.times
-    largest = max(largest_displacement(run.setup.displacement(t)) for t in times)
+    largest, worst = max((largest_displacement(run.setup.displacement(t)), t) for t in times)
     last = run.files.path(len(times) - 1)
+    report = plan_report(run.setup, prepared.account, largest)
+    doubts = forecast(run.setup, worst, run.schedule.steps, run.files.variant.precision)
+    report["warnings"] += [f"at t = {worst:g}, where the displacement is largest: {text}" for text in doubts]
     return (
-        plan_report(run.setup, prepared.account, largest),
+        report,
         f"series    {len(times)} levels from t = {times[0]:g} to {times[-1]:g}: {run.files.path(0)} ... {last}\n",
     )
 

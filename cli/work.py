@@ -14,23 +14,19 @@ import click
 import numpy as np
 
 from meshdeform_core.boundary import Kind
-from meshdeform_core.boundary.crossing import find_contact
 from meshdeform_core.boundary.matching import SurfaceData
 from meshdeform_core.boundary.motion import Follow
-from meshdeform_core.boundary.pinned import find_pinned
-from meshdeform_core.boundary.prescribed import largest_displacement
-from meshdeform_core.deform import Case, Setup, deform, set_up
+from meshdeform_core.deform import Case, Setup, deform
 from meshdeform_core.grid import Grid
 from meshdeform_core.memory import MemoryLimit, left_for_method, peak_memory
 from meshdeform_core.methods import make_method
-from meshdeform_core.methods.limits import patch_motions
 from meshdeform_core.parallel import current_ranks, thread_count
 from meshdeform_core.quality.fields import CellFields
 from meshdeform_formats.case import CaseFile
 from meshdeform_formats.fields import with_fields
 from meshdeform_formats.files import invalid_path
 from meshdeform_formats.grids import complete_for_export, variant_of, write_grid
-from meshdeform_formats.report import Report, as_json, deformation_report, plan_report
+from meshdeform_formats.report import Report, as_json, deformation_report
 from meshdeform_formats.report.illustrations import Illustrate, deformation_figures
 from meshdeform_formats.report.text import as_text
 
@@ -40,7 +36,7 @@ from .options import CaseInput, GridInput, RunInput, keep_inputs
 from .progress import ProgressBar, writing
 from .reporting import STDOUT, Delivery, deliver
 
-__all__ = ["Imposed", "Job", "conclude", "load", "plan", "print_plan", "run"]
+__all__ = ["Imposed", "Job", "conclude", "load", "place_of", "print_plan", "run"]
 
 
 @dataclass(frozen=True)
@@ -98,28 +94,6 @@ class Imposed:
         else:
             note = f"the motion does not depend on t: --time {self.at_time:g} has no effect"
         return dataclasses.replace(case, notes=(*case.notes, note))
-
-
-def plan(job: Job, output: Path | None, imposed: Imposed, variant: dict[str, str]) -> Report:
-    """The report of a dry run: classification, parameters, node counts and early warnings."""
-    if output is not None:
-        variant_of(job.grid, output, variant)
-    setup = set_up(job.grid, imposed.case(job.case.case), memory=job.memory)
-    prepared = make_method(job.case.case.method).prepare(setup.problem)
-    motion = setup.displacement(imposed.time)
-    largest = largest_displacement(motion)
-    report = plan_report(setup, prepared.account, largest, patch_motions(setup.problem, motion))
-    # Steps that are halved until they succeed are never too large.
-    part = 1 / imposed.steps if isinstance(imposed.steps, int) else 0.0
-    first = setup.displacement(imposed.time, part)
-    sources = setup.problem.source_numbers
-    report["warnings"] += prepared.warnings_for(motion[sources], first[sources])
-    contact = find_contact(
-        setup.grid, setup.topology, setup.boundary, functools.partial(setup.displacement, imposed.time)
-    )
-    pinned = find_pinned(setup.grid, setup.topology, setup.boundary, motion)
-    report["warnings"] += [found.message for found in (contact, pinned) if found]
-    return report
 
 
 def print_plan(report: Report, run: RunInput, more: str = "") -> None:
@@ -202,10 +176,10 @@ def _flaw(result: dict[str, Any], quality: dict[str, Any]) -> str:
         return f"only {result['reached']:.1%} of the motion was imposed; the grid is the one reached"
     groups = result["invalid_groups"]
     if len(groups) == 1:
-        where = f" {_place(groups[0])}"
+        where = f" {place_of(groups[0])}"
     else:
         largest = ", the largest" if len(groups) > _GROUPS_TOLD else ""
-        each = (f"{group['cells']} {_place(group)}" for group in groups[:_GROUPS_TOLD])
+        each = (f"{group['cells']} {place_of(group)}" for group in groups[:_GROUPS_TOLD])
         where = f" in {len(groups)} groups{largest}: {'; '.join(each)}"
     repaired = any(attempt["repair"] for attempt in result.get("attempts", ()))
     advice = "a smaller motion" if repaired else "--repair auto, --steps auto"
@@ -215,7 +189,7 @@ def _flaw(result: dict[str, Any], quality: dict[str, Any]) -> str:
     )
 
 
-def _place(group: dict[str, Any]) -> str:
+def place_of(group: dict[str, Any]) -> str:
     """Position of a group of invalid cells: nearest patch, centre, worst cell."""
     center = ", ".join(f"{x:.4g}" for x in group["center"])
     near = f"near {group['nearest_patch']!r} " if group["nearest_patch"] else ""

@@ -66,14 +66,14 @@ def command(
 
     from meshdeform_formats.files import invalid_path
 
-    from .. import work
+    from .. import forecast, work
 
     outputs = [output, *([] if output is None or run.allow_invalid else [invalid_path(output)]), *run.reports]
     imposed = work.Imposed(count, at_time)
     with ProgressBar(not run.quiet) as progress:
         job = work.load(source, case, limit, [path for path in outputs if path is not None])
         if run.dry_run or output is None:
-            planned = work.plan(job, output, imposed, options)
+            planned = forecast.plan(job, output, imposed, options)
         else:
             report, illustrate = work.run(job, output, imposed, options, run, progress)
     if run.dry_run:

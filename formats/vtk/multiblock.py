@@ -75,12 +75,17 @@ def _files(path: Path) -> Iterator[tuple[str, Path]]:
 
 def _root(path: Path) -> Element:
     try:
-        found = read_tags(path).root.all(_SET)
+        top = read_tags(path).root
     except FormatError as error:
         reason = str(error).rpartition("Error parsing XML: ")[2]
         raise FormatError(f"{path} is not a complete multi-block index: {reason}") from error
-    if not found:
-        raise FormatError(f"{path} has no {_SET} element; expected a multi-block index")
+    found = top.all(_SET)
+    if len(found) != 1:
+        raise FormatError(f"{path} has {len(found) or 'no'} {_SET} elements; expected a multi-block index with one")
+    # A misplaced end tag would lose blocks, and their interfaces would become walls.
+    inside = sum(element.tag == "DataSet" for element in found[0].below())
+    if lost := sum(element.tag == "DataSet" for element in top.below()) - inside:
+        raise FormatError(f"{path}: {lost} DataSet elements lie outside of {_SET}; expected all of them in it")
     return found[0]
 
 

@@ -20,6 +20,8 @@ from .matching import Matching, Nodes, SurfaceData, Transfer
 from .transfer import transfer
 
 VARIABLES = ("x", "y", "z", "t")
+SMALLEST = 1e-30
+"""No displacement is smaller but zero: products with weights would be denormal numbers, which no file should hold."""
 LARGEST = 1e30
 """No coordinate is larger (``formats.plausible``), and so no displacement: squares of it are finite."""
 
@@ -223,7 +225,7 @@ class PreparedMotion:
         for index, step in enumerate(self.steps):
             total = total + step.increment(points + total, values, fraction)
             self._require_finite(total, index, time)
-        return total
+        return np.where(np.abs(total) < SMALLEST, 0.0, total)
 
     def _require_finite(self, total: FloatArray, index: int, time: float) -> None:
         bad: BoolArray = np.asarray(~(np.abs(total) <= LARGEST).all(axis=1))

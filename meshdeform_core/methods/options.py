@@ -38,8 +38,10 @@ def choose(name: str, value: Any, known: tuple[Any, ...]) -> None:
         raise MethodError(f"method.{name} = {value!r} is unknown; known are {', '.join(str(k) for k in known)}")
 
 
-def positive(name: str, value: Any, *, auto: bool = False, whole: bool = False, zero: bool = False) -> None:
-    """Refuse anything but a positive finite number (or 0 with ``zero``, or ``"auto"`` with ``auto``)."""
+def positive(
+    name: str, value: Any, *, auto: bool = False, whole: bool = False, zero: bool = False, most: float = np.inf
+) -> None:
+    """Refuse anything but a positive finite number up to ``most`` (or 0 with ``zero``, or ``"auto"`` with ``auto``)."""
     if auto and value == "auto":
         return
     number = isinstance(value, int) or (isinstance(value, float) and not whole)
@@ -48,3 +50,5 @@ def positive(name: str, value: Any, *, auto: bool = False, whole: bool = False, 
         expected = f"a {kind} >= 0" if zero else f"a positive {kind}"
         alternative = ' or "auto"' if auto else ""
         raise MethodError(f"method.{name} = {value!r}; expected {expected}{alternative}")
+    if value > most:
+        raise MethodError(f"method.{name} = {value!r}; expected at most {most:g}, beyond which powers overflow")

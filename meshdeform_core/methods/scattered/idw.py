@@ -38,6 +38,10 @@ ROUNDS = 8
 _KEPT = 2
 
 
+_LARGEST_ALPHA, _LARGEST_POWER = 1e4, 20.0
+"""Beyond all use; distances relative to the grid to these powers are still finite numbers."""
+
+
 @dataclass(frozen=True)
 class IDW:
     """Weighted mean of the boundary's rigid motions; cost N_v x N_s, no system to solve.
@@ -87,11 +91,13 @@ class IDW:
     def __post_init__(self) -> None:
         choose("idw.rotation", self.rotation, ROTATIONS)
         choose("idw.weights", self.weights, WEIGHTS)
-        for name in ("alpha", "length", "a"):
-            positive(f"idw.{name}", getattr(self, name), auto=True)
+        positive("idw.length", self.length, auto=True)
+        positive("idw.alpha", self.alpha, auto=True, most=_LARGEST_ALPHA)
+        positive("idw.a", self.a, auto=True, most=_LARGEST_POWER)
         positive("idw.smoothing", self.smoothing, auto=True, whole=True, zero=True)
-        for name in ("eta", "b", "p_moving", "p_fixed"):
-            positive(f"idw.{name}", getattr(self, name))
+        positive("idw.eta", self.eta, most=_LARGEST_ALPHA)
+        for name in ("b", "p_moving", "p_fixed"):
+            positive(f"idw.{name}", getattr(self, name), most=_LARGEST_POWER)
         positive("idw.divisions", self.divisions, whole=True)
         choose("idw.remove_mean", self.remove_mean, (True, False, "auto"))
         check_summation("idw", self.summation, self.summation_tolerance)
@@ -241,7 +247,14 @@ class PreparedIDW:
             # The second exponent has no effect here; Luke's has the fastest loop.
             return tuple((p, 5.0, 0.0) for p in (o.p_moving, o.p_fixed)[: len(self.groups)])
         alpha = self._alpha(d) if o.alpha == "auto" else float(o.alpha)
-        return ((self.far, o.b, alpha**o.b * self.length ** (o.b - self.far)),)
+        try:
+            near = alpha**o.b * self.length ** (o.b - self.far)
+        except OverflowError as error:
+            raise MethodError(
+                f"method.idw: alpha^b L^(b - a) with alpha = {alpha:g}, L = {self.length:g}, a = {self.far:g}, "
+                f"b = {o.b:g} is too large a number; expected length near the size of the grid, which is the default"
+            ) from error
+        return ((self.far, o.b, near),)
 
     def _eq_18(self, d: FloatArray) -> float:
         mean = (self.area / self.area.sum()) @ d

@@ -1,0 +1,82 @@
+"""What a dry run tells beside the parameters: whether the motion is bound to fail, by tests and by a trial."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from pathlib import Path
+
+from meshdeform_core.boundary.crossing import find_contact
+from meshdeform_core.boundary.pinned import find_pinned
+from meshdeform_core.boundary.prescribed import largest_displacement
+from meshdeform_core.deform import Result, Setup, Timing, impose, set_up
+from meshdeform_core.methods import make_method
+from meshdeform_core.methods.limits import patch_motions
+from meshdeform_formats.grids import variant_of
+from meshdeform_formats.report import Report, plan_report
+
+from .work import Imposed, Job, place_of
+
+TRIAL_NODES = 5_000_000
+"""Nodes times steps up to which the motion is tried."""
+_GROUPS = 2
+
+
+def plan(job: Job, output: Path | None, imposed: Imposed, variant: dict[str, str]) -> Report:
+    """The report of a dry run: classification, parameters, node counts and early warnings."""
+    precision = variant_of(job.grid, output, variant).precision if output is not None else job.grid.precision
+    setup = set_up(job.grid, imposed.case(job.case.case), memory=job.memory)
+    prepared = make_method(job.case.case.method).prepare(setup.problem)
+    motion = setup.displacement(imposed.time)
+    largest = largest_displacement(motion)
+    report = plan_report(setup, prepared.account, largest, patch_motions(setup.problem, motion))
+    # Steps that are halved until they succeed are never too large.
+    part = 1 / imposed.steps if isinstance(imposed.steps, int) else 0.0
+    first = setup.displacement(imposed.time, part)
+    sources = setup.problem.source_numbers
+    report["warnings"] += prepared.warnings_for(motion[sources], first[sources])
+    report["warnings"] += forecast(setup, imposed.time, imposed.steps, precision)
+    return report
+
+
+def forecast(setup: Setup, time: float, steps: int | str | None, precision: str) -> list[str]:
+    """Warnings about a motion that is bound to fail: the boundary by itself, and the method by a trial.
+
+    The trial imposes the motion without repair, in the steps that were asked for or in one, and judges the grid as the
+    run itself would. It says nothing about smaller steps and repairs, which the run tries afterwards.
+    """
+    motion = setup.displacement(time)
+    contact = find_contact(setup.grid, setup.topology, setup.boundary, functools.partial(setup.displacement, time))
+    pinned = find_pinned(setup.grid, setup.topology, setup.boundary, motion)
+    certain = [found.message for found in (contact, pinned) if found]
+    count = steps if isinstance(steps, int) else 1
+    if setup.grid.n_nodes * count > TRIAL_NODES:
+        return [
+            *certain,
+            f"not tried: {_steps(count)} with {setup.grid.n_nodes:,} nodes; trials are made up to {TRIAL_NODES:,} "
+            f"nodes times steps",
+        ]
+    alone = setup.with_repair("off")
+    result = impose(alone, alone.motion(time), count, precision, Timing())
+    return certain if result.valid else [*certain, _failure(setup, result, steps, bool(certain))]
+
+
+def _steps(count: int) -> str:
+    return f"{count} step{'s' if count > 1 else ''}"
+
+
+def _failure(setup: Setup, result: Result, steps: int | str | None, certain: bool) -> str:
+    """What the trial came to, and what the run will do about it."""
+    cells, count = result.assessment.after.invalid_cells, result.steps
+    groups = [place_of(dataclasses.asdict(group)) for group in result.assessment.groups[:_GROUPS]]
+    found = (
+        f"tried with {setup.case.method.name} in {_steps(count)}: {cells} cells become invalid {' and '.join(groups)}"
+    )
+    if certain:
+        return f"{found}; no repair can mend that"
+    if setup.case.repair.mode == "off" and steps != "auto":
+        return f"{found}; without repair the run is bound to fail: try --repair auto, --steps auto or another method"
+    if setup.case.repair.mode == "off":
+        return f"{found}; the run divides the motion, which may not reach all of it"
+    more = "" if isinstance(steps, int) else ", then smaller steps"
+    return f"{found}; the run will repair them{more}, which takes longer and may fail"
