@@ -18,6 +18,7 @@ from .blocks import FloatArray, Grid, IntArray, Shape, Side
 RELATIVE_TOLERANCE = 1e-3
 """Coincident means closer than this fraction of the shortest edge at either node."""
 
+_ALL, _LATER, _EARLIER = slice(None), slice(1, None), slice(None, -1)
 COLLAPSED = -2
 EXTERNAL = -1
 
@@ -113,7 +114,8 @@ def find_topology(grid: Grid, tolerance: float = RELATIVE_TOLERANCE) -> Topology
     sides = [(b, side) for b in range(grid.n_blocks) for side in Side if _has_quads(grid.shapes[b], side)]
     on_side = {key: side_nodes(grid, *key) for key in sides}
     face_nodes = distinct(np.concatenate([nodes.ravel() for nodes in on_side.values()]), grid.n_nodes)
-    edge = _shortest_edges(grid, on_side, face_nodes)
+    at = {key: np.searchsorted(face_nodes, nodes) for key, nodes in on_side.items()}
+    edge = _shortest_edges(grid, at, face_nodes)
     number = coincident_groups(grid.points[face_nodes], tolerance * edge)
     n_unique = int(number.max()) + 1
     first = np.empty(n_unique, dtype=np.int64)
@@ -121,8 +123,8 @@ def find_topology(grid: Grid, tolerance: float = RELATIVE_TOLERANCE) -> Topology
     unique_edge = np.full(n_unique, np.inf)
     np.minimum.at(unique_edge, number, edge)
     handedness = block_handedness(grid)
-    quads = _face_quads(grid, on_side, face_nodes, number, handedness)
-    partner, crowded = _partners(quads.corners)
+    quads = _face_quads(grid, {key: number[rows] for key, rows in at.items()}, handedness)
+    partner, crowded = _partners(quads.corners, np.bincount(number) > 1)
     return Topology(face_nodes, number, first, unique_edge, quads, partner, handedness, crowded)
 
 
@@ -192,42 +194,49 @@ def _has_quads(shape: Shape, side: Side) -> bool:
     return shape[side.axis] > 1
 
 
-def _shortest_edges(grid: Grid, on_side: dict[tuple[int, Side], IntArray], face_nodes: IntArray) -> FloatArray:
+def _shortest_edges(grid: Grid, at: dict[tuple[int, Side], IntArray], face_nodes: IntArray) -> FloatArray:
     """Shortest edge at every face node that is longer than the round-off of the file's precision."""
     shortest = np.full(len(face_nodes), np.inf)
     epsilon = 4 * float(np.finfo(grid.precision).eps)
-    for (block, side), nodes in on_side.items():
-        p, q = grid.points[nodes], grid.points[nodes + inward_step(grid.shapes[block], side)]
-        size = _largest(p)
-        local = _sound_length(p - q, epsilon * np.maximum(size, _largest(q)))
-        for one, two in ((np.s_[1:], np.s_[:-1]), (np.s_[:, 1:], np.s_[:, :-1])):
-            length = _sound_length(p[one] - p[two], epsilon * np.maximum(size[one], size[two]))
-            np.minimum(local[one], length, out=local[one])
-            np.minimum(local[two], length, out=local[two])
-        at = np.searchsorted(face_nodes, nodes)
-        shortest[at] = np.minimum(shortest[at], local)
-    noise_floor = epsilon * np.abs(grid.points[face_nodes]).max(axis=1)
-    return np.where(np.isfinite(shortest), shortest, noise_floor)
+    for (block, side), rows in at.items():
+        p, q = (_layer(grid.block(block), side, depth) for depth in (0, 1))
+        size = _largest(p), _largest(q)
+        local = _sound_square(p - q, epsilon, *size)
+        for one, two in (((_LATER,), (_EARLIER,)), ((_ALL, _LATER), (_ALL, _EARLIER))):
+            square = _sound_square(p[(_ALL, *one)] - p[(_ALL, *two)], epsilon, size[0][one], size[0][two])
+            np.minimum(local[one], square, out=local[one])
+            np.minimum(local[two], square, out=local[two])
+        shortest[rows] = np.minimum(shortest[rows], local)
+    endless = np.flatnonzero(np.isinf(shortest))
+    shortest[endless] = (epsilon * np.abs(grid.points[face_nodes[endless]]).max(axis=1, initial=0.0)) ** 2
+    return np.asarray(np.sqrt(shortest))
+
+
+def _layer(x: FloatArray, side: Side, depth: int) -> FloatArray:
+    """Coordinates (3, na, nb) of the nodes of a block side, or ``depth`` layers inside, component by component."""
+    at = -1 - depth if side % 2 else depth
+    return np.ascontiguousarray(np.moveaxis(x, (3, side.axis), (0, 1))[:, at])
 
 
 def _largest(x: FloatArray) -> FloatArray:
-    """Largest absolute coordinate of points (..., 3); a reduction over so short an axis would be slow."""
-    return np.asarray(np.maximum(np.maximum(np.abs(x[..., 0]), np.abs(x[..., 1])), np.abs(x[..., 2])))
+    """Largest absolute coordinate of points (3, ...)."""
+    return np.asarray(np.maximum(np.maximum(np.abs(x[0]), np.abs(x[1])), np.abs(x[2])))
 
 
-def _sound_length(edge: FloatArray, noise: FloatArray) -> FloatArray:
-    """Length of edges (..., 3), infinite where it is mere round-off."""
-    length = np.sqrt(edge[..., 0] ** 2 + edge[..., 1] ** 2 + edge[..., 2] ** 2)
-    return np.where(length <= noise, np.inf, length)
+def _sound_square(edge: FloatArray, epsilon: float, one: FloatArray, two: FloatArray) -> FloatArray:
+    """Squared length of edges (3, ...), infinite where it is nothing but noise at ends of this size."""
+    square = edge[0] * edge[0] + edge[1] * edge[1] + edge[2] * edge[2]
+    if square.size and square.min() <= (epsilon * max(one.max(), two.max())) ** 2:
+        square[square <= (epsilon * np.maximum(one, two)) ** 2] = np.inf
+    return np.asarray(square)
 
 
 def _face_quads(
     grid: Grid,
-    on_side: dict[tuple[int, Side], IntArray],
-    face_nodes: IntArray,
-    number: IntArray,
+    numbers: dict[tuple[int, Side], IntArray],
     handedness: IntArray,
 ) -> FaceQuads:
+    """The quads of all sides from the unique numbers of their nodes."""
     start = np.zeros((grid.n_blocks, 6), dtype=np.int64)
     counts = np.zeros((grid.n_blocks, 6, 2), dtype=np.int64)
     parts: list[IntArray] = []
@@ -235,11 +244,11 @@ def _face_quads(
     for block in range(grid.n_blocks):
         for side in Side:
             start[block, side] = total
-            if (block, side) not in on_side:
+            if (block, side) not in numbers:
                 continue
-            own = number[np.searchsorted(face_nodes, on_side[block, side])]
+            own = numbers[block, side]
             corners = _side_corners(own, side, grid.dimension, int(handedness[block]))
-            counts[block, side] = [max(n - 1, 1) for n in on_side[block, side].shape]
+            counts[block, side] = [max(n - 1, 1) for n in own.shape]
             parts.append(corners)
             total += len(corners)
     return FaceQuads(start, counts, np.concatenate(parts))
@@ -264,7 +273,22 @@ def _side_corners(nodes: IntArray, side: Side, dimension: int, handedness: int) 
     return np.stack([c.ravel() for c in (around if outward * cyclic > 0 else around[::-1])], axis=1)
 
 
-def _partners(corners: IntArray) -> tuple[IntArray, int]:
+def _partners(corners: IntArray, shared: np.ndarray) -> tuple[IntArray, int]:
+    """Partner of every quad, and how many more than two blocks share; ``shared`` (n_unique,): nodes of several blocks.
+
+    Shared quads have shared corners, collapsed ones at most one that is not; the others need not be sorted.
+    """
+    count = np.zeros(len(corners), dtype=np.int8)
+    for column in corners.T:
+        count += shared[column]
+    some = np.flatnonzero(count >= (3 if corners.shape[1] == 4 else 2))
+    partner = np.full(len(corners), EXTERNAL, dtype=np.int64)
+    found, crowded = _partners_of(corners[some])
+    partner[some] = np.where(found >= 0, some[np.maximum(found, 0)], found)
+    return partner, crowded
+
+
+def _partners_of(corners: IntArray) -> tuple[IntArray, int]:
     rows = np.sort(corners, axis=1)
     distinct = 1 + np.count_nonzero(np.diff(rows, axis=1), axis=1)
     collapsed = distinct < (3 if rows.shape[1] == 4 else 2)

@@ -64,6 +64,16 @@ def close_pairs(points: FloatArray, tolerance: FloatArray) -> IntArray:
 
 def _sweep(key: FloatArray, points: FloatArray, tolerance: FloatArray) -> IntArray:
     """The same for points in the order of their keys."""
+    gap = np.diff(key)
+    near = np.zeros(len(key), dtype=bool)
+    # A pair is as close in its keys (to their round-off and length) and has no farther ones between.
+    near[1:] = gap <= 1.01 * tolerance[1:]
+    near[:-1] |= gap <= 1.01 * tolerance[:-1]
+    chosen = np.flatnonzero(near)
+    return chosen[_sweep_all(key[chosen], points[chosen], tolerance[chosen])]
+
+
+def _sweep_all(key, points, tolerance):
     level = np.frexp(tolerance)[1]
     found = []
     for current in np.unique(level)[::-1]:
@@ -84,8 +94,12 @@ def _sweep(key: FloatArray, points: FloatArray, tolerance: FloatArray) -> IntArr
 
 
 def _within(points: FloatArray, tolerance: FloatArray, a: IntArray, b: IntArray) -> BoolArray:
-    gap = np.linalg.norm(points[a] - points[b], axis=1)
-    return gap <= np.minimum(tolerance[a], tolerance[b])
+    reach = np.minimum(tolerance[a], tolerance[b])
+    # Most are told apart by one coordinate.
+    near = np.abs(points[a, 0] - points[b, 0]) <= reach
+    few = np.flatnonzero(near)
+    near[few] = np.linalg.norm(points[a[few]] - points[b[few]], axis=1) <= reach[few]
+    return near
 
 
 def _components(n: int, pairs: IntArray) -> IntArray:
@@ -123,6 +137,8 @@ def equal_rows(rows: IntArray) -> tuple[IntArray, IntArray]:
     partner : (n,) int64, ``-1`` where no other row is equal; in groups of more than two the rows point in a ring
     count : (n,) int64, size of each row's group
     """
+    if not len(rows):
+        return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
     order = np.argsort(_mixed(rows), kind="stable")
     ordered = rows[order]
     differ = _differ(ordered)
