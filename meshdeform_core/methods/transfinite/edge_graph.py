@@ -90,13 +90,13 @@ def _block_edges(problem: Problem) -> Iterator[IntArray]:
         for side in Side:
             if shape[side.axis] == 1:
                 continue
-            nodes = _numbers(problem, block, side)
+            nodes = side_nodes(grid, block, side)
             if grid.dimension == 2:
-                yield nodes.ravel()
+                yield problem.topology.numbers_of(nodes.ravel())
             elif side.axis < 2:
                 # The four edges of the i faces and the k edges of the j faces cover all twelve.
-                yield from (nodes[0], nodes[-1])
-                yield from (nodes[:, 0], nodes[:, -1])
+                for edge in (nodes[0], nodes[-1], nodes[:, 0], nodes[:, -1]):
+                    yield problem.topology.numbers_of(edge)
 
 
 def _numbers(problem: Problem, block: int, side: Side) -> IntArray:
