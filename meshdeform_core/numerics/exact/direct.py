@@ -12,14 +12,14 @@ import numpy as np
 
 from ...parallel import for_chunks
 from ..arrays import FloatArray, Report
-from ..jit import fast_kernel
+from ..jit import fast_kernel, inlined
 from .elementary import exp, log
 
 N_VALUES = 7
 """Values that one pass accumulates beside the weight; shorter sets are padded with zeros."""
 
 _TILE = 128
-_TARGETS = 64
+_TARGETS = 256
 _CHUNK = 2048
 
 
@@ -46,6 +46,7 @@ def weighted_sums(
     sums : (n, 1 + k), the weight in column 0
     """
     a, b, kappa = (float(part) for part in weights)
+    every = np.array([[0, len(sources)]])
     result = np.empty((len(targets), 1 + len(values)))
     for first in range(0, len(values), N_VALUES):
         some = values[first : first + N_VALUES]
@@ -54,7 +55,7 @@ def weighted_sums(
         sums = np.zeros((len(targets), 1 + N_VALUES))
 
         def work(lo: int, hi: int, packed: FloatArray = packed, sums: FloatArray = sums) -> None:
-            sum_block(targets[lo:hi], packed, packed.shape[1], a, b, kappa, sums[lo:hi])
+            sum_groups(targets, np.array([[lo, hi]]), packed, every, a, b, kappa, sums)
 
         for_chunks(work, len(targets), _CHUNK, progress)
         result[:, 0] = sums[:, 0]
@@ -63,81 +64,77 @@ def weighted_sums(
 
 
 @fast_kernel
-def sum_block(targets, packed, n, a, b, kappa, out):
-    """Add to ``out`` the sums of charge * (r^-a + kappa r^-b) over ``n`` sources: x, y, z and eight charges in rows.
+def sum_groups(targets, target_span, packed, source_span, a, b, kappa, out):
+    """Add to ``out`` (n, 8) the sums of charge * (r^-a + kappa r^-b), for groups of targets and of sources.
 
-    ``packed`` is a whole array and not a slice: the loops need rows that are known to be contiguous.
+    Parameters
+    ----------
+    targets : (n, 3)
+    target_span, source_span : (m, 2) int64, first and one past the last of each group
+    packed : (11, n) x, y, z and eight charges of the sources
     """
     luke = a == 3.0 and b == 5.0
-    weight = np.empty(_TILE)
-    # A tile of sources stays in the first-level cache while a block of targets passes over it.
-    for t0 in range(0, targets.shape[0], _TARGETS):
-        t1 = min(t0 + _TARGETS, targets.shape[0])
-        for s0 in range(0, n, _TILE):
-            s1 = min(s0 + _TILE, n)
-            if luke:
-                _add_luke(targets, t0, t1, packed, s0, s1, kappa, out)
-            else:
-                for t in range(t0, t1):
-                    _weights(targets[t], packed, s0, s1, a, b, kappa, weight)
-                    _add(packed, s0, s1, weight, out[t])
+    # As in plane grids: square roots take a fraction of the time of logarithms and exponentials.
+    roots = a == 2.5 and b == 5.0
+    # A tile of sources stays in the first-level cache while a block of targets passes over it. It is an array of fixed
+    # size, whose rows the compiler sees to be apart.
+    tile, weight = np.empty((11, _TILE)), np.empty(_TILE)
+    for group in range(target_span.shape[0]):
+        last, end = target_span[group, 1], source_span[group, 1]
+        for t0 in range(target_span[group, 0], last, _TARGETS):
+            for s0 in range(source_span[group, 0], end, _TILE):
+                m = min(_TILE, end - s0)
+                for row in range(11):
+                    for s in range(m):
+                        tile[row, s] = packed[row, s0 + s]
+                for t in range(t0, min(t0 + _TARGETS, last)):
+                    px, py, pz = targets[t, 0], targets[t, 1], targets[t, 2]
+                    if not luke:
+                        _weights(px, py, pz, tile, m, a, b, kappa, roots, weight)
+                    _add(px, py, pz, tile, m, kappa, luke, weight, out, t)
 
 
-@fast_kernel
-def _add_luke(targets, t0, t1, packed, s0, s1, kappa, out):
-    """Some targets and one tile of sources, weights r^-3 + kappa r^-5: everything in one vector loop."""
-    x, y, z = packed[0, s0:s1], packed[1, s0:s1], packed[2, s0:s1]
-    q0, q1, q2, q3 = packed[3, s0:s1], packed[4, s0:s1], packed[5, s0:s1], packed[6, s0:s1]
-    q4, q5, q6, q7 = packed[7, s0:s1], packed[8, s0:s1], packed[9, s0:s1], packed[10, s0:s1]
-    for t in range(t0, t1):
-        px, py, pz = targets[t, 0], targets[t, 1], targets[t, 2]
-        a0 = a1 = a2 = a3 = a4 = a5 = a6 = a7 = 0.0
-        for s in range(s1 - s0):
-            dx, dy, dz = px - x[s], py - y[s], pz - z[s]
+@inlined
+def _add(px, py, pz, tile, m, kappa, luke, weight, out, t):
+    """What a tile does to one target; ``luke``: weights r^-3 + kappa r^-5, everything in one vector loop."""
+    a0 = a1 = a2 = a3 = a4 = a5 = a6 = a7 = 0.0
+    for s in range(m):
+        if luke:
+            dx, dy, dz = px - tile[0, s], py - tile[1, s], pz - tile[2, s]
             r = 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz)
             r2 = r * r
             w = r * r2 * (1.0 + kappa * r2)
-            a0 += w * q0[s]
-            a1 += w * q1[s]
-            a2 += w * q2[s]
-            a3 += w * q3[s]
-            a4 += w * q4[s]
-            a5 += w * q5[s]
-            a6 += w * q6[s]
-            a7 += w * q7[s]
-        out[t, 0] += a0
-        out[t, 1] += a1
-        out[t, 2] += a2
-        out[t, 3] += a3
-        out[t, 4] += a4
-        out[t, 5] += a5
-        out[t, 6] += a6
-        out[t, 7] += a7
+        else:
+            w = weight[s]
+        a0 += w * tile[3, s]
+        a1 += w * tile[4, s]
+        a2 += w * tile[5, s]
+        a3 += w * tile[6, s]
+        a4 += w * tile[7, s]
+        a5 += w * tile[8, s]
+        a6 += w * tile[9, s]
+        a7 += w * tile[10, s]
+    out[t, 0] += a0
+    out[t, 1] += a1
+    out[t, 2] += a2
+    out[t, 3] += a3
+    out[t, 4] += a4
+    out[t, 5] += a5
+    out[t, 6] += a6
+    out[t, 7] += a7
 
 
-@fast_kernel
-def _weights(target, packed, s0, s1, a, b, kappa, weight):
-    x, y, z = packed[0, s0:s1], packed[1, s0:s1], packed[2, s0:s1]
-    px, py, pz = target
-    if a == 2.5 and b == 5.0:
-        # As in plane grids: square roots take a fraction of the time of logarithms and exponentials.
-        for s in range(s1 - s0):
-            dx, dy, dz = px - x[s], py - y[s], pz - z[s]
-            r = 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz)
+@inlined
+def _weights(px, py, pz, tile, m, a, b, kappa, roots, weight):
+    """Weights of ``m`` sources of a tile as seen from a target: for a = 2.5 and b = 5 by ``roots``."""
+    for s in range(m):
+        dx, dy, dz = px - tile[0, s], py - tile[1, s], pz - tile[2, s]
+        weight[s] = dx * dx + dy * dy + dz * dz
+    for s in range(m):
+        if roots:
+            r = 1.0 / math.sqrt(weight[s])
             half = r * r * math.sqrt(r)
             weight[s] = half * (1.0 + kappa * half)
-        return
-    for s in range(s1 - s0):
-        dx, dy, dz = px - x[s], py - y[s], pz - z[s]
-        log_r = 0.5 * log(dx * dx + dy * dy + dz * dz)
-        weight[s] = exp(-a * log_r) + kappa * exp(-b * log_r)
-
-
-@fast_kernel
-def _add(packed, s0, s1, weight, out):
-    for k in range(8):
-        charge = packed[3 + k, s0:s1]
-        total = 0.0
-        for s in range(s1 - s0):
-            total += weight[s] * charge[s]
-        out[k] += total
+        else:
+            log_r = 0.5 * log(weight[s])
+            weight[s] = exp(-a * log_r) + kappa * exp(-b * log_r)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..jit import inlined, kernel
-from .boxes import fit_box, place_points, points_per_side
+from .boxes import extents, fit_boxes, place_points, points_per_side
 
 REGION = 8
 """Bricks of a region."""
@@ -41,6 +41,7 @@ class Regions(NamedTuple):
     ----------
     first : (g + 1,) number of each region's first brick
     center, axes, half, per_side : boxes around the targets and the interpolation points of the bricks
+    proxy, proxies : their interpolation points, as those of :class:`Bricks`
     """
 
     first: np.ndarray
@@ -48,6 +49,8 @@ class Regions(NamedTuple):
     axes: np.ndarray
     half: np.ndarray
     per_side: np.ndarray
+    proxy: np.ndarray
+    proxies: np.ndarray
 
 
 def build_bricks(points, shapes, offsets, wanted, order, capacity):
@@ -85,31 +88,27 @@ def build_bricks(points, shapes, offsets, wanted, order, capacity):
 
 def make_bricks(points, start, targets, order):
     """Bricks of ``targets`` beginning at ``start`` (b + 1,), with up to ``order`` interpolation points per side."""
-    boxes = _fit_boxes(points, start, targets, order)
-    proxy = np.append(0, np.cumsum(boxes[-1].prod(axis=1)))
-    proxies = np.empty((proxy[-1], 3))
-    place_points(*boxes, proxy, proxies)
-    return Bricks(start, targets, *boxes, proxy, proxies)
+    boxes = fit_boxes(points, targets, spans(start))
+    per_side = points_per_side(boxes[2], order)
+    proxy = np.append(0, np.cumsum(per_side.prod(axis=1)))
+    return Bricks(start, targets, *boxes, per_side, proxy, place_points(*boxes, per_side, proxy))
 
 
 def make_regions(points, bricks, first, order):
     """Regions of the bricks beginning with number ``first`` (g + 1,)."""
-    regions = Regions(first, *_fit_boxes(bricks.proxies, bricks.proxy[first], np.arange(len(bricks.proxies)), order))
-    _widen(points, bricks.start[first], bricks.targets, regions)
-    points_per_side(regions.half, order, regions.per_side)
-    return regions
+    proxies = np.arange(len(bricks.proxies))
+    center, axes, half = fit_boxes(bricks.proxies, proxies, spans(bricks.proxy[first]))
+    # They hold the targets too.
+    low, high = extents(points, bricks.targets, spans(bricks.start[first]), center, axes)
+    half = np.maximum(half, np.maximum(-low, high))
+    per_side = points_per_side(half, order)
+    proxy = np.append(0, np.cumsum(per_side.prod(axis=1)))
+    return Regions(first, center, axes, half, per_side, proxy, place_points(center, axes, half, per_side, proxy))
 
 
-@kernel
-def _widen(points, start, targets, regions):
-    """Make boxes hold the targets too."""
-    for g in range(start.size - 1):
-        for n in range(start[g], start[g + 1]):
-            for row in range(3):
-                at = 0.0
-                for d in range(3):
-                    at += regions.axes[g, row, d] * (points[targets[n], d] - regions.center[g, d])
-                regions.half[g, row] = max(regions.half[g, row], abs(at))
+def spans(start):
+    """Rows (m, 2) of first and one past the last place, of groups that begin at ``start`` (m + 1,)."""
+    return np.stack([start[:-1], start[1:]], axis=1)
 
 
 def _cut_block(x, mask, count, capacity):
@@ -192,41 +191,16 @@ def longest_side(x, b, at, previous):
     return axis
 
 
-def _fit_boxes(points, start, targets, order):
-    m = len(start) - 1
-    boxes = np.empty((m, 3)), np.empty((m, 3, 3)), np.empty((m, 3))
-    _fit_all(points, start, targets, *boxes)
-    count = np.empty((m, 3), dtype=np.int64)
-    points_per_side(boxes[2], order, count)
-    return *boxes, count
-
-
-@kernel
-def _fit_all(points, start, targets, center, axes, half):
-    for b in range(start.size - 1):
-        fit_box(points, targets, start[b], start[b + 1], center, axes, half, b)
-
-
 def node_sizes(points, shapes, offsets, flat):
     """Shortest edge (n,) at the nodes ``flat`` of a grid; edges without length, at poles, do not count."""
+    block = np.searchsorted(offsets, flat, side="right") - 1
+    rest, shape = flat - offsets[block], shapes[block]
     size = np.full(len(flat), np.inf)
-    _node_sizes(points, shapes, offsets, flat, np.searchsorted(offsets, flat, side="right") - 1, size)
+    for axis, step in enumerate((shape[:, 1] * shape[:, 2], shape[:, 2], np.ones_like(rest))):
+        at = rest // step % shape[:, axis]
+        for way in (-1, 1):
+            inside = (at + way >= 0) & (at + way < shape[:, axis])
+            one = flat[inside]
+            edge = np.linalg.norm(points[one + way * step[inside]] - points[one], axis=1)
+            size[inside] = np.minimum(size[inside], np.where(edge > 0.0, edge, np.inf))
     return size
-
-
-@kernel
-def _node_sizes(points, shapes, offsets, flat, block, size):
-    step = np.empty(3, np.int64)
-    for n in range(flat.size):
-        shape = shapes[block[n]]
-        rest = flat[n] - offsets[block[n]]
-        step[0], step[1], step[2] = shape[1] * shape[2], shape[2], 1
-        for axis in range(3):
-            at = rest // step[axis] % shape[axis]
-            for way in range(-1, 2, 2):
-                if 0 <= at + way < shape[axis]:
-                    edge = 0.0
-                    for d in range(3):
-                        edge += (points[flat[n] + way * step[axis], d] - points[flat[n], d]) ** 2
-                    if edge > 0.0:
-                        size[n] = min(size[n], math.sqrt(edge))

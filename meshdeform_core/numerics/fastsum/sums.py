@@ -11,7 +11,7 @@ from ..exact.direct import N_VALUES
 from .acceptance import inverse_powers
 from .bricks import Bricks, Regions, build_bricks, make_regions, node_sizes
 from .tree import build_tree
-from .treesum import add_totals, cluster_reach, gather, sum_weights
+from .treesum import add_totals, cluster_reach, gather, interpolate_sums, places_of, sum_lists
 from .walk import Lists, Reach, list_clusters
 
 Counter = Callable[[int, int], None] | None
@@ -169,10 +169,14 @@ class FastSums:
             flat = targets.flat(lo, hi)
             sums = np.empty((len(flat), 1 + k))
             lists = plan.lists_of(lo, hi)
+            places = places_of(lo, hi, points, bricks, regions)
             for number, charges in enumerate(passes):
-                part = np.zeros((len(flat), 1 + N_VALUES))
+                everywhere = np.zeros((len(places.points), 1 + N_VALUES))
+                filled = np.zeros(len(places.span), dtype=bool)
                 for (_, tree), charge, kind, each in zip(self._groups, charges, plan.kinds, lists, strict=True):
-                    sum_weights(lo, hi, points, bricks, regions, tree, charge, each, kind, part)
+                    filled |= sum_lists(places, tree, charge, each, kind, everywhere)
+                interpolate_sums(lo, hi, bricks, regions, places, filled, everywhere)
+                part = everywhere[: len(flat)]
                 sums[:, 0] = plan.weight[targets.places(lo, hi)] if known else part[:, 0]
                 columns = slice(number * N_VALUES, min(k, (number + 1) * N_VALUES))
                 here = sums[:, 1 + columns.start : 1 + columns.stop]

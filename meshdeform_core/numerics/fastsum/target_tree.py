@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..jit import kernel
-from .boxes import fit_box
+from .boxes import fit_boxes
 from .bricks import longest_side
 
 _REGION = 64
@@ -52,9 +52,7 @@ def build_target_tree(points, shapes, offsets, wanted, capacity) -> TargetTree:
             parts.append((targets + lo, span + used, np.where(child >= 0, child + nodes, -1), roots + nodes))
             used, nodes = used + len(targets), nodes + len(span)
     targets, span, child, roots = (np.concatenate(each) for each in zip(*parts, strict=True))
-    center, axes, half = np.empty((nodes, 3)), np.empty((nodes, 3, 3)), np.empty((nodes, 3))
-    _fit(points, targets, span, child, center, axes, half)
-    return TargetTree(targets, span, child, np.append(roots, nodes), center, axes, half)
+    return TargetTree(targets, span, child, np.append(roots, nodes), *_fit(points, targets, span, child))
 
 
 @kernel
@@ -103,27 +101,36 @@ def _cut(x, mask, count, capacity, region):
     return targets, span[:nodes].copy(), child[:nodes].copy(), roots[:regions].copy()
 
 
-@kernel
-def _fit(points, targets, span, child, center, axes, half):
+def _fit(points, targets, span, child):
     """Boxes of all nodes of the tree: of leaves around their targets, of others around the boxes of their children."""
-    corner, every = np.empty((16, 3)), np.arange(16)
-    for n in range(span.shape[0] - 1, -1, -1):
-        one, two = child[n]
-        if one < 0:
-            fit_box(points, targets, span[n, 0], span[n, 1], center, axes, half, n)
-        else:
-            _corners(one if span[one, 1] > span[one, 0] else two, center, axes, half, corner[:8])
-            _corners(two if span[two, 1] > span[two, 0] else one, center, axes, half, corner[8:])
-            fit_box(corner, every, 0, 16, center, axes, half, n)
-        if span[n, 0] == span[n, 1]:
-            center[n], half[n] = 0.0, 0.0
+    center, axes, half = fit_boxes(points, targets, np.where(child[:, :1] < 0, span, 0))
+    filled = span[:, 1] > span[:, 0]
+    for level in reversed(_levels(child)):
+        one, two = child[level[child[level, 0] >= 0]].T
+        parents = level[child[level, 0] >= 0]
+        # A child without targets has no box.
+        one, two = np.where(filled[one], one, two), np.where(filled[two], two, one)
+        corners = np.concatenate([_corners(center[n], axes[n], half[n]) for n in (one, two)], axis=1)
+        starts = 16 * np.arange(len(parents))
+        places = np.arange(16 * len(parents))
+        boxes = fit_boxes(corners.reshape(-1, 3), places, np.stack([starts, starts + 16], axis=1))
+        center[parents], axes[parents], half[parents] = boxes
+    center[~filled], half[~filled] = 0.0, 0.0
+    return center, axes, half
 
 
-@kernel
-def _corners(n, center, axes, half, out):
-    for c in range(8):
-        for d in range(3):
-            out[c, d] = center[n, d]
-            for row in range(3):
-                side = half[n, row] if (c >> row) & 1 else -half[n, row]
-                out[c, d] += side * axes[n, row, d]
+def _levels(child):
+    """Nodes of the trees in levels, those of the roots first."""
+    inner = child[child[:, 0] >= 0]
+    level = np.setdiff1d(np.arange(len(child)), inner)
+    levels = []
+    while len(level):
+        levels.append(level)
+        level = child[level[child[level, 0] >= 0]].ravel()
+    return levels
+
+
+def _corners(center, axes, half):
+    """The eight corners (m, 8, 3) of boxes."""
+    signs = 2.0 * (np.arange(8)[:, None] >> np.arange(3) & 1) - 1.0
+    return center[:, None] + (signs * half[:, None]) @ axes

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..jit import inlined, kernel
-from .boxes import box_coordinate, chebyshev, fit_box, lagrange, place_points, points_per_side
+from .boxes import box_coordinate, chebyshev, fit_boxes, lagrange, place_points, points_per_side
 
 LEAF = 24
 
@@ -43,48 +43,50 @@ def build_tree(points, order, leaf=LEAF):
     Clusters of more than ``leaf`` sources are split.
     """
     points = np.ascontiguousarray(points)
-    n = len(points)
-    limit = 4 * (n // leaf + 1) + 3
-    place, span, child = np.arange(n), np.empty((limit, 2), dtype=np.int64), np.full(limit, -1)
-    boxes = np.empty((limit, 3)), np.empty((limit, 3, 3)), np.empty((limit, 3))
-    m = _split_sources(points, leaf, place, span, child, *boxes)
-    span, child, center, axes, half = (array[:m].copy() for array in (span, child, *boxes))
-    count = np.empty((m, 3), dtype=np.int64)
-    points_per_side(half, order, count)
+    place, span, child, (center, axes, half) = _split(points, leaf)
+    count = points_per_side(half, order)
     sizes = count.prod(axis=1)
     # A cluster with fewer sources than interpolation points is its sources.
     sizes[sizes >= span[:, 1] - span[:, 0]] = 0
-    proxy = np.concatenate([[0], np.cumsum(sizes)])
-    proxies = np.empty((proxy[-1], 3))
-    place_points(center, axes, half, count, proxy, proxies)
+    proxy = np.append(0, np.cumsum(sizes))
+    proxies = place_points(center, axes, half, count, proxy)
     return SourceTree(place, points[place].copy(), span, child, center, axes, half, count, proxy, proxies)
 
 
+def _split(points, leaf):
+    """Order, spans, first children and boxes of clusters, halved along their longest sides, one level after another."""
+    place, spans, children, boxes = np.arange(len(points)), [], [], []
+    level, used = np.array([[0, len(points)]]), 1
+    while len(level):
+        box = fit_boxes(points, place, level)
+        large = level[:, 1] - level[:, 0] > leaf
+        _halve(points, place, level[large], *(part[large] for part in box))
+        child = np.full(len(level), -1)
+        child[large] = used + 2 * np.arange(large.sum())
+        for all_levels, this in zip((spans, children, boxes), (level, child, box), strict=True):
+            all_levels.append(this)
+        lo, hi = level[large].T
+        level = np.stack([lo, (lo + hi) // 2, (lo + hi) // 2, hi], axis=1).reshape(-1, 2)
+        used += len(level)
+    boxes = [np.concatenate(parts) for parts in zip(*boxes, strict=True)]
+    return place, np.concatenate(spans), np.concatenate(children), boxes
+
+
 @kernel
-def _split_sources(points, leaf, place, span, child, center, axes, half):
-    """Halve clusters of more than ``leaf`` sources along their longest side; returns their number."""
-    span[0, 0], span[0, 1] = 0, points.shape[0]
-    # Not plain numbers, for which the functions that take them would be compiled apart.
-    used, current = np.int64(1), np.int64(0)
+def _halve(points, place, span, center, axes, half):
+    """Reorder ``place[lo:hi]`` of every cluster so that each half lies on its side of the longest direction."""
     along = np.empty(points.shape[0])
-    while current < used:
-        lo, hi = span[current, 0], span[current, 1]
-        fit_box(points, place, lo, hi, center, axes, half, current)
-        if hi - lo > leaf:
-            longest = 0
-            for d in range(1, 3):
-                if half[current, d] > half[current, longest]:
-                    longest = d
-            for i in range(lo, hi):
-                along[i] = box_coordinate(points, place[i], center, axes, half, current, longest)
-            middle = (lo + hi) // 2
-            _partition(place, along, lo, hi - 1, middle)
-            child[current] = used
-            span[used, 0], span[used, 1] = lo, middle
-            span[used + 1, 0], span[used + 1, 1] = middle, hi
-            used += 2
-        current += 1
-    return used
+    for b in range(span.shape[0]):
+        longest = 0
+        for d in range(1, 3):
+            if half[b, d] > half[b, longest]:
+                longest = d
+        u, v, w = axes[b, longest, 0], axes[b, longest, 1], axes[b, longest, 2]
+        lo, hi = span[b, 0], span[b, 1]
+        for i in range(lo, hi):
+            n = place[i]
+            along[i] = u * points[n, 0] + v * points[n, 1] + w * points[n, 2]
+        _partition(place, along, lo, hi - 1, (lo + hi) // 2)
 
 
 @inlined

@@ -15,11 +15,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..exact.direct import sum_block
-from ..exact.single import sum_block_single
+from ..exact.direct import sum_groups
+from ..exact.single import sum_groups_single
 from ..jit import inlined, kernel
 from .acceptance import distance2, square, weight
-from .boxes import box_points, chebyshev
+from .boxes import chebyshev
 from .tree import SourceTree, gather_charges
 from .walk import Reach, few_nodes
 
@@ -48,20 +48,10 @@ def gather(tree: SourceTree, source) -> Charges:
 
 def cluster_reach(tree: SourceTree, strength, shift, turn):
     """:class:`Reach` of every cluster from the sources' strength, displacement and rotation (n,)."""
-    m = len(tree.span)
-    reach = Reach(np.empty(m), np.empty(m), np.empty(m))
-    _reduce(tree.span, strength[tree.order], shift[tree.order], turn[tree.order], *reach)
-    return reach
-
-
-@kernel
-def _reduce(span, strength, shift, turn, total, largest_shift, largest_turn):
-    for c in range(span.shape[0]):
-        total[c] = largest_shift[c] = largest_turn[c] = 0.0
-        for s in range(span[c, 0], span[c, 1]):
-            total[c] += strength[s]
-            largest_shift[c] = max(largest_shift[c], shift[s])
-            largest_turn[c] = max(largest_turn[c], turn[s])
+    # Spans as pairs of places; what lies between one span and the next is computed too and dropped.
+    places = tree.span.ravel()
+    sums, most = np.append(strength[tree.order], 0.0), (np.append(each[tree.order], 0.0) for each in (shift, turn))
+    return Reach(np.add.reduceat(sums, places)[::2], *(np.maximum.reduceat(each, places)[::2] for each in most))
 
 
 @kernel
@@ -86,79 +76,70 @@ def add_totals(samples, tree, reach, function, total, moved):
                 depth += 2
 
 
-@kernel
-def sum_weights(first, last, points, bricks, regions, tree, charges, lists, function, out):
-    """Weighted sums (n, 8) at the targets of regions ``first`` to ``last``, added to ``out`` (bricks' order).
+class Places(NamedTuple):
+    """Where the sums of some neighbouring regions are taken, in one array: nodes, then interpolation points.
 
-    ``points`` (n_nodes, 3); ``lists`` from :func:`.walk.list_clusters`.
+    Attributes
+    ----------
+    points : (n, 3) coordinates: the nodes of the bricks, then points of regions and bricks
+    span : (items, 2) int64, rows that belong to each list of :class:`.walk.Lists`
     """
-    columns = charges.source.shape[1]
-    packed = np.empty((3 + columns, _longest(lists, tree)))
-    # Not plain zeros, for which the functions that take them would be compiled apart.
-    start = item = row = np.int64(0)
-    for g in range(first, last):
-        n = _pack(lists, start, item, tree, charges, packed)
-        local = regions.per_side[g, 0] * regions.per_side[g, 1] * regions.per_side[g, 2] if n else 0
-        place, values = np.empty((local, 3)), _zeros(local, columns)
-        if n:
-            box_points(regions.center, regions.axes, regions.half, regions.per_side, g, place)
-            _weights(place, packed, n, function, values)
-        start = lists.stop[item]
-        item += 1
-        for b in range(regions.first[g], regions.first[g + 1]):
-            x = _gather(points, bricks, b)
-            sums = out[row : row + x.shape[0]]
-            row += x.shape[0]
-            middle = lists.stop[item]
-            n = _pack(lists, middle, item + 1, tree, charges, packed)
-            _weights(x, packed, n, function, sums)
-            if not few_nodes(bricks, b):
-                spots = bricks.proxies[bricks.proxy[b] : bricks.proxy[b + 1]]
-                inner = _zeros(spots.shape[0], columns)
-                n = _pack(lists, start, item, tree, charges, packed)
-                _weights(spots, packed, n, function, inner)
-                _interpolate(regions.center, regions.axes, regions.half, regions.per_side, g, values, spots, inner)
-                _interpolate(bricks.center, bricks.axes, bricks.half, bricks.per_side, b, inner, x, sums)
-            else:
-                _interpolate(regions.center, regions.axes, regions.half, regions.per_side, g, values, x, sums)
-            start = lists.stop[item + 1]
-            item += 2
+
+    points: np.ndarray
+    span: np.ndarray
 
 
-@kernel
-def _weights(targets, packed, n, function, out):
+def places_of(first, last, points, bricks, regions):
+    """:class:`Places` of the regions first <= g < last; ``points`` (n_nodes, 3)."""
+    ends = regions.first[first : last + 1]
+    low, high = ends[0], ends[-1]
+    start, proxy, region = bricks.start[low : high + 1], bricks.proxy[low : high + 1], regions.proxy[first : last + 1]
+    x = np.concatenate(
+        [points[bricks.targets[start[0] : start[-1]]], bricks.proxies[proxy[0] : proxy[-1]],
+         regions.proxies[region[0] : region[-1]]]
+    )  # fmt: skip
+    start, proxy, region = start - start[0], proxy - proxy[0] + start[-1] - start[0], region - region[0]
+    region = region + proxy[-1]
+    # A region's list comes before the two of each of its bricks.
+    span = np.empty((last - first + 2 * (high - low), 2), dtype=np.int64)
+    item = np.arange(last - first) + 2 * (ends[:-1] - low)
+    span[item] = np.stack([region[:-1], region[1:]], axis=1)
+    of_bricks = np.ones(len(span), dtype=bool)
+    of_bricks[item] = False
+    both = np.stack([proxy[:-1], proxy[1:], start[:-1], start[1:]], axis=1)
+    span[of_bricks] = both.reshape(-1, 2)
+    return Places(x, span)
+
+
+def sum_lists(places, tree, charges, lists, function, out):
+    """Weighted sums over one tree at all places, added to ``out`` (n, 8); returns which (items,) have any."""
+    number = lists.codes >> 1
+    size = np.where(lists.codes & 1, np.diff(tree.span)[number, 0], np.diff(tree.proxy)[number])
+    packed = np.empty((3 + charges.source.shape[1], size.sum()))
+    span = np.empty((len(lists.stop), 2), dtype=np.int64)
+    _pack(tree, charges, lists, packed, span)
     if function.single:
-        sum_block_single(targets, packed, n, function.kappa, out)
+        sum_groups_single(places.points, places.span, packed, span, function.kappa, out)
     else:
-        sum_block(targets, packed, n, function.a, function.b, function.kappa, out)
-
-
-@inlined
-def _longest(lists, tree):
-    """Sources and interpolation points in the longest list."""
-    longest = at = 0
-    for item in range(lists.stop.size):
-        total = 0
-        for n in range(at, lists.stop[item]):
-            c = lists.codes[n] >> 1
-            total += tree.span[c, 1] - tree.span[c, 0] if lists.codes[n] & 1 else tree.proxy[c + 1] - tree.proxy[c]
-        longest, at = max(longest, total), lists.stop[item]
-    return longest
+        sum_groups(places.points, places.span, packed, span, function.a, function.b, function.kappa, out)
+    return span[:, 1] > span[:, 0]
 
 
 @kernel
-def _pack(lists, start, item, tree, charges, packed):
-    """Coordinates and charges of what a list names, in the rows of ``packed``; returns how many."""
-    n = 0
-    for at in range(start, lists.stop[item]):
-        c = lists.codes[at] >> 1
-        if not charges.active[c]:
-            continue
-        if lists.codes[at] & 1:
-            n = _append(tree.points, charges.source, tree.span[c, 0], tree.span[c, 1], packed, n)
-        else:
-            n = _append(tree.proxies, charges.proxy, tree.proxy[c], tree.proxy[c + 1], packed, n)
-    return n
+def _pack(tree, charges, lists, packed, span):
+    """Coordinates and charges of what the lists name, in the rows of ``packed``, and where those of each list lie."""
+    start = n = 0
+    for item in range(lists.stop.size):
+        span[item, 0] = n
+        for at in range(start, lists.stop[item]):
+            c = lists.codes[at] >> 1
+            if charges.active[c]:
+                if lists.codes[at] & 1:
+                    n = _append(tree.points, charges.source, tree.span[c, 0], tree.span[c, 1], packed, n)
+                else:
+                    n = _append(tree.proxies, charges.proxy, tree.proxy[c], tree.proxy[c + 1], packed, n)
+        start = lists.stop[item]
+        span[item, 1] = n
 
 
 @inlined
@@ -175,40 +156,50 @@ def _append(points, charges, first, last, packed, n):
     return n
 
 
-@inlined
-def _zeros(rows, columns):
-    values = np.empty((rows, columns))
-    for n in range(rows):
-        for k in range(columns):
-            values[n, k] = 0.0
-    return values
-
-
-@inlined
-def _gather(points, bricks, b):
-    first = bricks.start[b]
-    x = np.empty((bricks.start[b + 1] - first, 3))
-    for n in range(x.shape[0]):
-        for d in range(3):
-            x[n, d] = points[bricks.targets[first + n], d]
-    return x
-
-
 @kernel
-def _interpolate(center, axes, half, per_side, b, values, x, sums):
-    """Add to ``sums`` (n, columns) at points ``x`` (n, 3) what ``values`` at the box's interpolation points give."""
-    columns, n = values.shape[1], x.shape[0]
-    if values.shape[0] == 0:
-        return
+def interpolate_sums(first, last, bricks, regions, places, filled, sums):
+    """Add to the sums at nodes what those at the interpolation points of their region and brick give.
+
+    From the points of a region to those of its bricks, and from there to the nodes; a brick of few nodes has none.
+    """
+    columns = sums.shape[1]
+    item = 0
+    for g in range(first, last):
+        region = item
+        for b in range(regions.first[g], regions.first[g + 1]):
+            few = few_nodes(bricks, b)
+            filled[item + 1] = filled[item + 1] or (filled[region] and not few)
+            # Both steps in one loop: what it calls is compiled once.
+            for step in range(2):
+                source, target = (region, item + 1 + few) if step == 0 else (item + 1, item + 2)
+                if not filled[source] or (step == 1 and few):
+                    continue
+                center, axes, half = (
+                    (regions.center, regions.axes, regions.half)
+                    if step == 0
+                    else (bricks.center, bricks.axes, bricks.half)
+                )
+                per_side, box = (regions.per_side, g) if step == 0 else (bricks.per_side, b)
+                _interpolate(
+                    center, axes, half, per_side, box, places.span[source, 0], columns, places.points,
+                    places.span[target, 0], places.span[target, 1], sums,
+                )  # fmt: skip
+            item += 2
+        item += 1
+
+
+@inlined
+def _interpolate(center, axes, half, per_side, b, m, columns, points, first, last, sums):
+    """Add to ``sums`` at rows first <= t < last what the sums from row ``m`` on, at the box's points, give there."""
+    n = last - first
     most = max(per_side[b, 0], per_side[b, 1], per_side[b, 2])
     share, total, product = np.empty((3 * most, n)), np.empty((columns, n)), np.empty(n)
     node, weights, at = np.empty(most), np.empty(most), np.empty(n)
     for d in range(3):
-        _shares(center, axes, half, per_side[b, d], b, x, d, node, weights, at, product, share, d * most)
+        _shares(center, axes, half, per_side[b, d], b, points, first, n, d, node, weights, at, product, share, d * most)
     for c in range(columns):
         for t in range(n):
             total[c, t] = 0.0
-    m = 0
     for i in range(per_side[b, 0]):
         for j in range(per_side[b, 1]):
             for k in range(per_side[b, 2]):
@@ -216,19 +207,18 @@ def _interpolate(center, axes, half, per_side, b, values, x, sums):
                 for t in range(n):
                     product[t] = one[t] * two[t] * three[t]
                 for c in range(columns):
-                    value, line = values[m, c], total[c]
+                    value, line = sums[m, c], total[c]
                     for t in range(n):
                         line[t] += value * product[t]
                 m += 1
     for t in range(n):
         for c in range(columns):
-            sums[t, c] += total[c, t]
+            sums[first + t, c] += total[c, t]
 
 
 @inlined
-def _shares(center, axes, half, count, b, x, d, node, weights, at, product, share, first):
-    """Lagrange polynomials along one side of a box at ``x`` (n, 3), in rows of ``share``: vector loops over points."""
-    n = x.shape[0]
+def _shares(center, axes, half, count, b, points, start, n, d, node, weights, at, product, share, first):
+    """Lagrange polynomials along one side of a box at ``n`` points, in rows of ``share``: vector loops over points."""
     chebyshev(count, node, weights)
     for t in range(n):
         at[t], product[t] = 0.0, 1.0
@@ -236,7 +226,7 @@ def _shares(center, axes, half, count, b, x, d, node, weights, at, product, shar
         for e in range(3):
             factor, origin = axes[b, d, e] / half[b, d], center[b, e]
             for t in range(n):
-                at[t] += factor * (x[t, e] - origin)
+                at[t] += factor * (points[start + t, e] - origin)
     for i in range(count):
         row = share[first + i]
         for t in range(n):
