@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from .boundary import classify
+from .boundary.plates import open_plates
 from .deform import Case
 from .grid import Grid
 from .grid.topology import find_topology
@@ -21,7 +22,7 @@ def judge(grid: Grid, original: Grid, case: Case) -> tuple[Assessment, tuple[str
         When the two have different blocks.
     """
     require_same_blocks(grid, original)
-    topology = find_topology(original, case.tolerance)
+    topology = open_plates(original, find_topology(original, case.tolerance), case.plates)
     boundary = None
     notes = original.notes
     if case.boundaries:

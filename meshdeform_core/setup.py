@@ -11,6 +11,7 @@ from functools import cached_property, partial
 
 from .boundary import Boundary, BoundarySpec, Kind, classify
 from .boundary.classification import UNSELECTED
+from .boundary.plates import open_plates
 from .boundary.prescribed import prescribed_displacement
 from .boundary.unselected import opening_notes
 from .errors import CaseError, MotionError
@@ -36,7 +37,7 @@ class Case:
 
     ``tolerance`` is the largest distance between coincident nodes, relative to the local edge; ``notes`` are warnings
     from reading the case, for the report; ``open_faces`` are outside faces (``True``: all) that are meant to lie close
-    to others.
+    to others; ``plates`` are faces between blocks that are walls on both sides.
     """
 
     boundaries: tuple[BoundarySpec, ...]
@@ -46,6 +47,7 @@ class Case:
     notes: tuple[str, ...] = ()
     open_faces: bool | tuple[str, ...] = False
     repair: RepairOptions = field(default_factory=RepairOptions)
+    plates: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not isinstance(self.method, Options):
@@ -159,6 +161,7 @@ def set_up(grid: Grid, case: Case, timing: Timing | None = None, memory: MemoryL
         if topology.crowded:
             warnings.append(f"{topology.crowded} face quads are shared by more than two blocks")
         openings = current_ranks().once(lambda: find_openings(grid, topology))
+        topology = open_plates(grid, topology, case.plates)
         topology, boundary = classify(grid, topology, case.boundaries, case.constants)
         unselected = boundary.quads_of(lambda patch: patch.name == UNSELECTED)
         moving = boundary.quads_of(lambda patch: patch.kind is Kind.MOVING)

@@ -102,6 +102,7 @@ def gather(grid: Grid, file: str) -> dict[str, Any]:
             *check_connections(grid, topology),
             *(opening.describe(grid) for opening in find_openings(grid, topology)),
             *_remarks(grid, topology, outside),
+            *_units(outside),
         ],
     }
 
@@ -177,7 +178,28 @@ def _remarks(grid: Grid, topology: Topology, outside: Outside) -> list[str]:
         return []
     return [
         f"no wall was found, but cells cluster from both sides towards {', '.join(names[:6])}: a wake, or a thin plate "
-        f"(a neutral map file, --boundary-file, can declare both sides walls)"
+        f"(which the case can declare: [grid] plates)"
+    ]
+
+
+# Chords of models and bodies in metres, and first cells of boundary layers: what is common, by a wide margin.
+_LARGEST_BODY, _THICKEST_LAYER = 150.0, 0.02
+
+
+def _units(outside: Outside) -> list[str]:
+    """Whether lengths look like millimetres: large bodies whose first cells are thick as no boundary layer in metres."""
+    from meshdeform_core.grid.roles import Role
+
+    walls = outside.of_role(Role.WALL)
+    if not walls:
+        return []
+    size = max(float(np.ptp(wall.box, axis=0).max()) for wall in walls)
+    height = min(wall.median_height for wall in walls)
+    if size < _LARGEST_BODY or height < _THICKEST_LAYER / 10:
+        return []
+    return [
+        f"the walls extend over {size:.4g} and their first cells are {height:.3g} high: the length unit may "
+        f"be millimetres or inches rather than metres; tables and motions must use the same unit"
     ]
 
 

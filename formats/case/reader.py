@@ -120,7 +120,7 @@ def _with_table(parsed: CaseFile, table: Path, times: str | None, matching: Matc
 def _parse(data: Table, folder: Path, overrides: Sequence[str] = ()) -> CaseFile:
     check_keys(data, ("grid", "constants", "boundary", "method", "repair"), "case")
     grid = table_of(data, "grid")
-    check_keys(grid, ("boundary_file", "tolerance", "open"), "[grid]")
+    check_keys(grid, ("boundary_file", "tolerance", "open", "plates"), "[grid]")
     constants = _constants(table_of(data, "constants"))
     entries = data.get("boundary", [])
     if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
@@ -134,7 +134,7 @@ def _parse(data: Table, folder: Path, overrides: Sequence[str] = ()) -> CaseFile
         raise fail("grid.tolerance", f"{tolerance} of the local edge; expected a fraction between 0 and 0.5")
     options = _options(table_of(data, "method"))
     notes, repair = unread(data, specs, options, overrides), _repair(table_of(data, "repair"))
-    case = Case(specs, constants, options, tolerance, notes, _open_faces(grid), repair)
+    case = Case(specs, constants, options, tolerance, notes, _open_faces(grid), repair, _plates(grid))
     boundary_file = file_of(grid["boundary_file"], folder, "[grid]: boundary_file") if "boundary_file" in grid else None
     return CaseFile(case, boundary_file, tuple(named_files(data, folder)), data)
 
@@ -146,6 +146,14 @@ def _open_faces(grid: Table) -> bool | tuple[str, ...]:
         return value
     if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
         raise fail("grid.open", f'expected true, or faces like ["block1.imax"], found {value!r}')
+    return tuple(value)
+
+
+def _plates(grid: Table) -> tuple[str, ...]:
+    """``grid.plates``: a list of faces."""
+    value = grid.get("plates", [])
+    if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
+        raise fail("grid.plates", f'expected faces like ["block1.kmax[10:20,*]"], found {value!r}')
     return tuple(value)
 
 

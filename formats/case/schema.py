@@ -50,6 +50,11 @@ def case_schema() -> Schema:
                     "items": {"type": "string"},
                     "description": "Outside faces that are meant to lie close to others (true: all).",
                 },
+                plates={
+                    "type": "array",
+                    "items": {"type": "string"},
+                    "description": "Faces between blocks that are thin plates: walls on both sides.",
+                },
             ),
             constants={
                 "type": "object",

@@ -37,8 +37,8 @@ _REMEDIES = (
     ),
     (
         "but no connection declares them",
-        "No action is needed if the blocks belong together. For a thin plate whose two sides coincide, declare each "
-        "side as a boundary in the file or in a neutral map file.",
+        "No action is needed if the blocks belong together. For a thin plate whose two sides coincide, name one "
+        "side in the case: [grid] plates.",
     ),
 )
 

@@ -11,7 +11,7 @@ import numpy as np
 from ..errors import CaseError
 from ..grid import Grid, IntArray
 from ..grid.planes import Plane
-from ..grid.selection import quads_of_patch, select_quads
+from ..grid.selection import select_quads
 from ..grid.topology import Topology, end_planes
 from ..numerics.geometry.coincidence import distinct
 from .coverage import Tables
@@ -19,6 +19,7 @@ from .expression import Expression
 from .matching import Nodes
 from .motion import Motion, PreparedMotion
 from .periodic import Periodic, find_periodicity
+from .plates import open_two_sided_walls
 from .slip import Slip, find_sliding
 from .unselected import unselected_notes
 
@@ -141,7 +142,7 @@ def classify(
     CaseError, MotionError
         When a selection matches nothing or a table matches no node.
     """
-    topology, notes = _open_two_sided_walls(grid, topology)
+    topology, notes = open_two_sided_walls(grid, topology)
     selected = [_select(grid, topology, spec, constants) for spec in specs]
     quad_kind = np.zeros(len(topology.partner), dtype=np.int8)
     movers, tables = _bind_motions(grid, topology, specs, selected)
@@ -237,20 +238,6 @@ def _fully_within(topology: Topology, quads: IntArray, nodes: IntArray) -> IntAr
     inside = np.zeros(topology.n_unique, dtype=bool)
     inside[nodes] = True
     return quads[inside[topology.quads.corners[quads]].all(axis=1)]
-
-
-def _open_two_sided_walls(grid: Grid, topology: Topology) -> tuple[Topology, list[str]]:
-    """Open thin plates between two blocks: the faces coincide, but the file declares a wall on both sides."""
-    wall = np.zeros(len(topology.partner), dtype=bool)
-    for patch in grid.patches:
-        if any(word in patch.bc_type.lower() for word in ("wall", "solid")):
-            wall[quads_of_patch(topology.quads, patch)] = True
-    shared = np.flatnonzero(wall & (topology.partner >= 0))
-    both = shared[wall[topology.partner[shared]]]
-    if both.size == 0:
-        return topology, []
-    note = f"{both.size // 2} face quads are walls on both sides (a thin plate); they are treated as outside faces"
-    return topology.opened(both), [note]
 
 
 Entry = tuple[str, Kind, IntArray]

@@ -30,7 +30,7 @@ def select_quads(grid: Grid, topology: Topology, patterns: Iterable[str], owner:
     """
     chosen: list[IntArray] = []
     for pattern in patterns:
-        quads = _matching(grid, topology.quads, pattern, owner)
+        quads = quads_of_pattern(grid, topology.quads, pattern, owner)
         chosen.append(quads)
         if not topology.external[quads].any():
             raise CaseError(
@@ -58,7 +58,8 @@ def quads_of_patch(quads: FaceQuads, patch: Patch) -> IntArray:
     return np.concatenate([np.empty(0, dtype=np.int64), *(quads_of_window(quads, w) for w in patch.windows)])
 
 
-def _matching(grid: Grid, quads: FaceQuads, pattern: str, owner: str) -> IntArray:
+def quads_of_pattern(grid: Grid, quads: FaceQuads, pattern: str, owner: str) -> IntArray:
+    """Face quads, shared or not, that a pattern selects; see :func:`select_quads`."""
     if pattern == "*":
         return np.arange(len(quads.corners))
     patches = [patch for patch in grid.patches if _names_match(grid, patch, pattern)]

@@ -76,6 +76,13 @@ def test_info_names_left_handed_blocks_and_collapsed_edges(bench, call):
     assert "left-handed" in call("info", "other.xyz").out
 
 
+def test_info_guesses_that_lengths_are_no_metres(bench, call):
+    assert "length unit" not in call("info", "grid.cgns").out
+    grid = read_grid(bench / "grid.cgns")
+    write_grid(grid.moved(1000 * grid.points), bench / "large.cgns")
+    assert "the length unit may be millimetres or inches" in call("info", "large.cgns").out
+
+
 # quality
 
 

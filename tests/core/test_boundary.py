@@ -11,6 +11,7 @@ from meshdeform_core.boundary import UNSELECTED, BoundarySpec, Kind, classify
 from meshdeform_core.boundary.expression import expression
 from meshdeform_core.boundary.matching import Matching, SurfaceData
 from meshdeform_core.boundary.motion import Follow, Motion
+from meshdeform_core.boundary.plates import open_plates
 from meshdeform_core.boundary.prescribed import prescribed_displacement
 from meshdeform_core.deform import Case, deform, set_up
 from meshdeform_core.errors import CaseError, GridError, MotionError
@@ -122,6 +123,26 @@ def test_agreeing_patches_are_moved_once():
     told = prescribed_displacement(problem.grid, problem.topology, problem.boundary)
     moving = problem.boundary.kind == Kind.MOVING
     assert np.linalg.norm(told[moving], axis=1).max() < 1.1 * np.deg2rad(20) * 0.75
+
+
+def test_plates_of_the_case_are_opened():
+    """Both sides of a face between two blocks become outside faces that can be selected; other faces stay shared."""
+    topology = find_topology(FRAME)
+    opened = open_plates(FRAME, topology, ["block1.imax[1:3,*]"])
+    newly = np.flatnonzero(opened.external & ~topology.external)
+    assert len(newly) == 2 * 2 * 3
+    assert set(topology.quads.block_side[newly] // 6) == {0, 3}
+    one = select_quads(FRAME, opened, ["block1.imax"], "plate")
+    other = select_quads(FRAME, opened, ["block4.imin"], "plate")
+    np.testing.assert_array_equal(np.sort(topology.partner[one]), other)
+    # One displacement for both sides: the nodes stay one.
+    assert opened.n_unique == topology.n_unique
+    problem = set_up(FRAME, Case((BoundarySpec("plate", ("block1.imax",), Kind.MOVING, None, MOVE),),
+                                 plates=("block1.imax[1:3,*]",)))  # fmt: skip
+    assert problem.boundary.count(Kind.MOVING) == 3 * 4
+    for pattern, message in (("block1.imin", "shared by two blocks"), ("blok1.imax", "did you mean")):
+        with pytest.raises(CaseError, match=message):
+            open_plates(FRAME, topology, [pattern])
 
 
 def test_two_sided_walls_are_opened():
