@@ -187,7 +187,7 @@ _LARGEST_BODY, _THICKEST_LAYER = 150.0, 0.02
 
 
 def _units(outside: Outside) -> list[str]:
-    """Whether lengths look like millimetres: large bodies whose first cells are thick as no boundary layer in metres."""
+    """Whether lengths look like millimetres: a large body with first cells that are thick for a layer in metres."""
     from meshdeform_core.grid.roles import Role
 
     walls = outside.of_role(Role.WALL)

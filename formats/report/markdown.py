@@ -6,7 +6,6 @@ from collections.abc import Iterable, Iterator, Sequence
 
 from .measures import measure_rows
 from .parts import Report
-from .places import places_of
 from .remedies import remedy_of
 from .text import number
 
@@ -49,17 +48,18 @@ def _verdict(report: Report) -> str:
 
 
 def _quality(report: Report) -> Iterator[str]:
-    places = places_of(report["invalid_cells"])
-    if places:
+    groups = report["invalid_groups"]
+    if groups:
         yield ""
         yield from _table(
-            ("invalid cells listed", "block", "from", "to", "near", "around"),
+            ("invalid cells", "blocks", "near", "around", "worst"),
             [
-                (str(p.cells), p.block, str(p.low), str(p.high), p.patch, " ".join(f"{x:.4g}" for x in p.center))
-                for p in places[:_SHOWN]
+                (str(group["cells"]), ", ".join(group["blocks"][:4]), group["nearest_patch"],
+                 " ".join(f"{x:.4g}" for x in group["center"]), f"{group['block']} {tuple(group['ijk'])}")
+                for group in groups[:_SHOWN]
             ],
             texts=5,
-        )
+        )  # fmt: skip
     yield ""
     rows = measure_rows(report["quality"])
     yield from _table(

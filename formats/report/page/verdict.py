@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from html import escape
+from typing import Any
 
 from ..parts import Report
-from ..places import Place, places_of
 from .tables import table
 
 _SHOWN = 12
@@ -30,17 +30,17 @@ def _good(report: Report) -> str:
 
 
 def _bad(report: Report) -> str:
-    quality, cells = report["quality"]["after"], report["invalid_cells"]
+    quality = report["quality"]["after"]
     reached = report.get("reached", 1.0)
     count = quality["invalid_cells"]
     if reached < 1.0:
         head = f"Only {reached:.1%} of the motion was imposed; the next step would have made cells invalid."
     else:
         head = f"{count:,} of {report['grid']['cells']:,} cells became invalid."
-    places = places_of(cells)
-    of_all = f" (first {len(cells)} cells)" if count > len(cells) else ""
-    items = "".join(f"<li>{escape(_sentence(place))}</li>" for place in places[:_SHOWN])
-    where = f"<p>Where{of_all}:</p><ul>{items}</ul>" if items else ""
+    groups = report["invalid_groups"]
+    items = "".join(f"<li>{escape(_sentence(group))}</li>" for group in groups[:_SHOWN])
+    more = f"<li>and {len(groups) - _SHOWN} smaller groups</li>" if len(groups) > _SHOWN else ""
+    where = f"<p>Where:</p><ul>{items}{more}</ul>" if items else ""
     hit = [block for block in report.get("blocks", ()) if block["invalid_cells"]]
     if len(hit) > 1 and reached == 1.0:
         blocks = ", ".join(f"{escape(block['name'])} ({block['invalid_cells']:,})" for block in hit[:_SHOWN])
@@ -50,21 +50,27 @@ def _bad(report: Report) -> str:
     return f"{banner}<p>What to do:</p><ul>{advice}</ul></div>"
 
 
-def _sentence(place: Place) -> str:
-    count = f"{place.cells:,} cell{'s' if place.cells != 1 else ''}"
-    low, high = (", ".join(map(str, corner)) for corner in (place.low, place.high))
-    range_ = f"({low})" if low == high else f"({low}) to ({high})"
-    near = f", near {place.patch!r}" if place.patch else ""
-    at = ", ".join(f"{x:.4g}" for x in place.center)
-    return f"{count} in block {place.block}, cells {range_}{near}, around x, y, z = {at}; first in step {place.step}"
+def _sentence(group: dict[str, Any]) -> str:
+    count = f"{group['cells']:,} cell{'s' if group['cells'] != 1 else ''}"
+    near = f" near {group['nearest_patch']!r}" if group["nearest_patch"] else ""
+    at = ", ".join(f"{x:.4g}" for x in group["center"])
+    blocks = ", ".join(group["blocks"][:4]) + (" and more" if len(group["blocks"]) > 4 else "")
+    worst = f"{group['block']} ({', '.join(map(str, group['ijk']))})"
+    return f"{count}{near} in {blocks}, around x, y, z = {at}; the worst is {worst}"
 
 
 def _advice(report: Report) -> list[str]:
     """What helps, in the order of effort."""
     if "method" not in report:
-        return ["The grid that made it: deform again with <code>--steps auto</code>, or with another method."]
+        return [
+            "Deform the original again with <code>--repair auto</code>, or with another method "
+            "(<code>meshdeform methods</code>)."
+        ]
     advice = []
-    if report["steps"] == 1 and report.get("reached", 1.0) == 1.0:
+    repaired = any(attempt["repair"] for attempt in report.get("attempts") or ())
+    if not repaired:
+        advice.append("Let invalid cells be repaired and the motion be halved as needed: <code>--repair auto</code>.")
+    if not repaired and report["steps"] == 1 and report.get("reached", 1.0) == 1.0:
         advice.append("Let the motion be imposed in as many steps as validity needs: <code>--steps auto</code>.")
     holds = "" if report["method"]["name"] == "idw-tfi" else "<code>-m idw-tfi</code> holds walls under rotation; "
     advice.append(f"Try another method: {holds}<code>meshdeform methods</code> says where each one fails.")
