@@ -20,7 +20,7 @@ from .mpi import place, run_on_ranks
 from .signals import Handler, end_of
 
 _COMMANDS = (
-    "deform", "series", "quality", "info", "init", "convert", "compare", "plot", "view", "methods", "sample",
+    "deform", "series", "repair", "quality", "info", "init", "convert", "compare", "plot", "view", "methods", "sample",
     "reproduce", "schema", "warm-up",
 )  # fmt: skip
 _ON_RANKS = ("deform", "series")
@@ -52,6 +52,7 @@ class LazyGroup(click.Group):
 _SUMMARIES = {
     "deform": "Deform a grid: read, deform, judge, write.",
     "series": "Deform a grid over time, one grid per time level.",
+    "repair": "Make a grid valid that another program deformed.",
     "quality": "Quality report of a grid, by itself or against its original.",
     "info": "Contents of a grid: blocks, walls, interfaces.",
     "init": "Create a case file with every boundary of a grid.",

@@ -10,6 +10,7 @@ import numpy as np
 
 from .boundary.prescribed import largest_displacement
 from .grid import FloatArray
+from .grid.precision import rounded
 from .methods import Account, Options, PreparedMethod, Progress, make_method
 from .parallel import empty, for_rows
 from .quality.comparison import Comparison
@@ -141,11 +142,7 @@ class March:
 
     def rounded(self, points: FloatArray) -> FloatArray:
         """Coordinates as they will be written."""
-        if self.precision != "float32":
-            return points
-        result: FloatArray = empty(points.shape)
-        for_rows(lambda rows: np.copyto(result[rows], points[rows].astype(np.float32)), result)
-        return result
+        return rounded(points, self.precision)
 
     def _moved(self, fraction: float) -> FloatArray:
         prepared = self._method()

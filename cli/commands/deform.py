@@ -60,7 +60,7 @@ def command(
             f"boundary of the grid: meshdeform init {source.path} -o case.toml"
         )
     if not run.dry_run and output is not None:
-        _check_target(output, run, *source.files, *case.files)
+        check_target(output, run, *source.files, *case.files)
     check_reports(run.reports, run.force, output, *source.files, *case.files)
     count, options, limit = parse_steps(steps), run.variant_options, run.memory
 
@@ -83,7 +83,8 @@ def command(
     return work.conclude(report, run, work.Delivery(start, files, illustrate))
 
 
-def _check_target(output: Path, run: RunInput, *inputs: Path | None) -> None:
+def check_target(output: Path, run: RunInput, *inputs: Path | None) -> None:
+    """Refuse an output that cannot be written, before anything is computed."""
     from meshdeform_formats.fields import check_fields
     from meshdeform_formats.files import invalid_path
     from meshdeform_formats.grids import format_of

@@ -1,7 +1,7 @@
 """Reports: what they hold, and how they are written."""
 
 from .parts import Report, with_other
-from .records import deformation_report, plan_report, quality_report
+from .records import deformation_report, mended_report, plan_report, quality_report
 from .run import run_part
 from .write import as_json, check_report_path, write_report
 
@@ -10,6 +10,7 @@ __all__ = [
     "as_json",
     "check_report_path",
     "deformation_report",
+    "mended_report",
     "plan_report",
     "quality_report",
     "run_part",

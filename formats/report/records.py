@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from meshdeform_core.deform import Result, Setup
 from meshdeform_core.grid import Grid
+from meshdeform_core.mending import Mended
 from meshdeform_core.methods import Account
 from meshdeform_core.methods.limits import PatchMotion
 from meshdeform_core.quality import Assessment
@@ -64,6 +65,17 @@ def quality_report(
         "invalid_cells": [cell_part(cell) for cell in assessment.invalid],
         "invalid_groups": [dataclasses.asdict(group) for group in assessment.groups],
         "warnings": list(warnings),
+    }
+
+
+def mended_report(mended: Mended, reference: str, seconds: Mapping[str, float], peak_memory: int) -> Report:
+    """The report of a repair of a grid against the file ``reference``; ``seconds`` of its stages, bytes at most."""
+    found = mended.repair
+    return {
+        **quality_report(mended.grid, mended.assessment, mended.warnings, reference, mended.original),
+        "repair": None if found is None else dataclasses.asdict(found),
+        "timing": dict(seconds),
+        "peak_memory_bytes": peak_memory,
     }
 
 

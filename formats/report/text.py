@@ -37,12 +37,21 @@ def _lines(report: dict[str, Any]) -> Iterator[str]:
         yield from series_lines(report)
     elif "quality" in report:
         yield from _quality(report)
+    if report.get("repair"):
+        yield _repair(report["repair"])
     if "timing" in report:
         timing = report["timing"]
         yield "seconds   " + "  ".join(f"{name} {value:.2f}" for name, value in timing.items())
         yield f"memory    {readable(report['peak_memory_bytes'])} at most"
     for warning in report["warnings"]:
         yield f"warning   {warning}"
+
+
+def _repair(done: dict[str, Any]) -> str:
+    return (
+        f"repair    {done['cells']:,} cells, {done['nodes']:,} nodes moved by up to {number(done['max_movement'])}, "
+        f"{done['newton_steps']} Newton steps"
+    )
 
 
 def _method(method: dict[str, Any]) -> Iterator[str]:

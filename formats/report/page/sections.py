@@ -85,16 +85,17 @@ def attempts_section(report: Report) -> str:
     """What was tried until the grid was valid, and what a repair did."""
     rows = [
         (a["method"], a["steps"], "yes" if a["repair"] else "no", a["invalid_cells"], f"{a['reached']:.1%}")
-        for a in report["attempts"]
+        for a in report.get("attempts", ())
     ]
     heads = ("method", "steps", "with repair", "invalid cells", "motion imposed")
-    html = table("Attempts, in their order; the last one is the grid that was written", heads, rows, text=(0, 2))
+    title = "Attempts, in their order; the last one is the grid that was written"
+    html = table(title, heads, rows, text=(0, 2)) if rows else ""
     repair = report.get("repair")
     if repair:
         html += (
             f"<p>Repair: {repair['cells']:,} cells made valid or better by moving {repair['nodes']:,} nodes, "
             f"none by more than {repair['max_movement']:.4g}; {repair['newton_steps']} Newton steps, "
-            f"{repair['seconds']:.1f} s. Nodes of the boundary stay where the motion put them.</p>"
+            f"{repair['seconds']:.1f} s. Held nodes of the boundary stay where they were put.</p>"
         )
     return html
 

@@ -1,0 +1,122 @@
+"""``meshdeform repair``: a grid that another program deformed."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import time as clock
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from ..exit_codes import EXIT_INVALID
+from ..machine import use_threads
+from ..messages import tell
+from ..options import PATH, CaseInput, GridInput, RunInput, check_reports, grid_options, run_options
+from ..progress import ProgressBar, writing
+from .deform import check_target
+
+if TYPE_CHECKING:
+    from meshdeform_core.grid import Grid
+    from meshdeform_core.mending import Mended
+
+
+@click.command("repair")
+@grid_options
+@click.option("--reference", type=PATH, required=True, help="The original grid, whose cells are sound.")
+@click.option("-o", "--output", type=PATH, help="Repaired grid; the suffix selects the format.")
+@click.option("-c", "--case", "case_file", type=PATH, help="Case file: which faces move, slide or repeat.")
+@click.option("--polish", is_flag=True, help="Improve the worst cells of a valid grid, too.")
+@click.option(
+    "--min-jacobian", type=float, metavar="R", help="Count a cell as invalid below R times its undeformed Jacobian."
+)
+@run_options
+def command(
+    source: GridInput, reference: Path, output: Path | None, case_file: Path | None, polish: bool,
+    min_jacobian: float | None, run: RunInput,
+) -> int:  # fmt: skip
+    """Make GRID valid, which another program deformed: its boundary stays where it is.
+
+    \b
+    Examples:
+      meshdeform repair bent.cgns --reference wing.cgns -o repaired.cgns
+      meshdeform repair bent.xyz --reference wing.xyz -c case.toml -o repaired.xyz --report repair.json
+
+    GRID and the reference have the same blocks. Cells that are sound in the reference and not in GRID are repaired by
+    moving nodes around them. Nodes on outside faces stay; with a case file those on slip, symmetry and periodic
+    boundaries slide or move alike. What is still invalid is written beside OUT, with .invalid before the suffix (exit
+    code 3).
+    """
+    start = clock.perf_counter()
+    use_threads(run.threads)
+    if output is None and not run.dry_run:
+        raise click.UsageError("Missing option '-o' / '--output' (or --dry-run).")
+    inputs = (reference, case_file, *source.files)
+    if output is not None:
+        check_target(output, run, *inputs)
+    check_reports(run.reports, run.force, output, *inputs)
+    settings = () if min_jacobian is None else (f"repair.min_jacobian={min_jacobian!r}",)
+    mode = "polish" if polish else "off" if run.dry_run else "auto"
+    case = CaseInput(case_file, None, None, (*settings, f'repair.mode="{mode}"'))
+    from ..reporting import Delivery, deliver
+
+    with ProgressBar(not run.quiet) as progress:
+        report = repaired(source, reference, output, case, run, progress)
+    run.warnings.tell(report["warnings"])
+    files = [*source.roles, ("reference", reference), ("case", case_file), ("output", output)]
+    deliver(report, run.reports, run.as_json, run.quiet, Delivery(start, files))
+    if run.dry_run or not report["valid"]:
+        where = "; dry run, nothing written" if run.dry_run else f". The grid is in {report['output']}"
+        tell(f"{report['quality']['after']['invalid_cells']} cells are invalid{where}")
+    return 0 if report["valid"] or run.allow_invalid or run.dry_run else EXIT_INVALID
+
+
+def repaired(
+    source: GridInput, reference: Path, output: Path | None, case: CaseInput, run: RunInput, progress: ProgressBar
+) -> dict[str, Any]:
+    """Repair and write; returns the report."""
+    from meshdeform_core.memory import left_for_method, peak_memory
+    from meshdeform_core.mending import mend
+    from meshdeform_formats.grids import complete_for_export, read_grid, variant_of
+    from meshdeform_formats.report import mended_report
+
+    from ..options import keep_inputs
+
+    what = case.read()
+    for path in (*run.reports, *([output] if output else [])):
+        keep_inputs(path, *what.files)
+    start = clock.perf_counter()
+    grid, original = source.read(what.boundary_file), read_grid(reference)
+    # The reference is what boundaries are selected on.
+    original = original if original.patches else dataclasses.replace(original, patches=grid.patches)
+    seconds = {"read": clock.perf_counter() - start}
+    options = run.variant_options
+    precision = variant_of(grid, output, options).precision if output else None
+    memory = left_for_method(run.memory, grid.n_nodes, 2 * grid.points.nbytes, 0)
+    start = clock.perf_counter()
+    whole = complete_for_export(grid, output) if output else grid
+    mended = mend(whole, original, what.case, precision, memory, progress)
+    seconds["repair"] = clock.perf_counter() - start
+    target = None
+    if output is not None and not run.dry_run:
+        start = clock.perf_counter()
+        target = _write(mended, output, options, run)
+        seconds["write"] = clock.perf_counter() - start
+    name = None if target is None else str(target)
+    return {**mended_report(mended, str(reference), seconds, peak_memory()), "output": name}
+
+
+def _write(mended: Mended, output: Path, variant: dict[str, str], run: RunInput) -> Path:
+    """Write the grid, with the fields that were asked for; where it was written."""
+    from meshdeform_core.quality.fields import CellFields
+    from meshdeform_formats.fields import with_fields
+    from meshdeform_formats.files import invalid_path
+    from meshdeform_formats.grids import write_grid
+
+    target = output if mended.assessment.valid or run.allow_invalid else invalid_path(output)
+    cells = functools.partial(CellFields, mended.grid, mended.topology, mended.original)
+    grid: Grid = with_fields(cells(), run.fields) if run.fields else mended.grid
+    with writing(grid.points.nbytes):
+        write_grid(grid, target, variant)
+    return target

@@ -1,0 +1,17 @@
+"""Coordinates as a file will hold them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..parallel import empty, for_rows
+from .blocks import FloatArray
+
+
+def rounded(points: FloatArray, precision: str) -> FloatArray:
+    """Coordinates (n_nodes, 3) rounded to ``float32``, or themselves."""
+    if precision != "float32":
+        return points
+    result: FloatArray = empty(points.shape)
+    for_rows(lambda rows: np.copyto(result[rows], points[rows].astype(np.float32)), result)
+    return result
