@@ -16,12 +16,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 import idw
+import levels
 import machine
 import passes
 import rbf
 import runs
 from tables import MarkdownTable
 
+KEPT = "### The first start"
 TEMPLATE = Path(__file__).parent / "performance.md"
 SECTIONS: dict[str, tuple[Callable[[bool], MarkdownTable], ...]] = {
     "machine": (lambda quick: machine.description(), lambda quick: machine.limits()),
@@ -30,6 +32,7 @@ SECTIONS: dict[str, tuple[Callable[[bool], MarkdownTable], ...]] = {
     "threads": (idw.threads,),
     "rbf": (rbf.against_scipy, rbf.large_systems, rbf.compact_bases),
     "passes": (passes.memory_speed,),
+    "levels": (levels.of_every_method, levels.hundred_levels),
     "runs": (runs.file_to_file,),
     "ranks": (runs.ranks,),
     "start": (runs.start_up,),
@@ -51,13 +54,18 @@ def measure(names: list[str], quick: bool) -> dict[str, list[MarkdownTable]]:
     return results
 
 
-def page(results: dict[str, list[MarkdownTable]], quick: bool) -> str:
-    """The documentation page: the template with the tables in their places."""
+def page(results: dict[str, list[MarkdownTable]], quick: bool, before: str = "") -> str:
+    """The documentation page: the template with the tables in their places.
+
+    ``before`` is the page so far, whose last section, on the first start, is measured by other means and kept.
+    """
     texts = {name: "\n".join(table.markdown() for table in tables).rstrip() for name, tables in results.items()}
     unmeasured = dict.fromkeys(SECTIONS, "*Not measured in this run.*")
     remark = "\nThese are the small sizes of `--quick`, not the ones to quote.\n" if quick else ""
     template = string.Template(TEMPLATE.read_text(encoding="utf-8"))
-    return template.substitute(unmeasured | texts, date=time.strftime("%Y-%m-%d"), remark=remark)
+    last = before[before.index(KEPT) :].rstrip() if KEPT in before else ""
+    whole = template.substitute(unmeasured | texts, date=time.strftime("%Y-%m-%d"), remark=remark, first_start=last)
+    return whole.rstrip() + "\n"
 
 
 def main() -> None:
@@ -73,7 +81,8 @@ def main() -> None:
     record = {name: [table.as_json() for table in tables] for name, tables in results.items()}
     options.json.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
     if options.write:
-        options.write.write_text(page(results, options.quick), encoding="utf-8")
+        before = options.write.read_text(encoding="utf-8") if options.write.exists() else ""
+        options.write.write_text(page(results, options.quick, before), encoding="utf-8")
 
 
 if __name__ == "__main__":

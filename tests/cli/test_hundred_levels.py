@@ -10,6 +10,7 @@ import pytest
 
 from meshdeform_core.deform import set_up
 from meshdeform_core.grid.topology import find_topology
+from meshdeform_core.memory import COORDINATE_ARRAYS, PROGRAM_BYTES
 from meshdeform_core.methods import make_method
 from meshdeform_formats import read_grid
 from meshdeform_formats.case import read_case
@@ -133,8 +134,8 @@ def test_levels_are_those_of_single_runs(folder, sample, case, method, tolerance
 def test_without_memory_for_fields_the_results_are_the_same(folder):
     known = series(folder, "hemisphere", "sin.toml", "tfi", "much")
     nodes = known["grid"]["nodes"]
-    # What the program and the grid need (see memory.py), and less than four coordinate arrays: no room for a field.
-    cap = 200 * 2**20 + 7 * 24 * nodes + 3 * 24 * nodes
+    # Less than four coordinate arrays beside what the program and the grid need: no room for a field.
+    cap = PROGRAM_BYTES + (COORDINATE_ARRAYS + 3) * 24 * nodes
     tight = series(folder, "hemisphere", "sin.toml", "tfi", "little", "--max-memory", str(cap))
     for one, two in zip(known["levels"], tight["levels"], strict=True):
         combined = read_grid(folder / "much" / one["file"]).points

@@ -1,0 +1,20 @@
+"""The benchmark programs fit the code that they measure; `make bench` runs them in full."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+FOLDER = Path(__file__).parent.parent / "benchmarks"
+
+
+@pytest.mark.parametrize("section", ["passes", pytest.param("levels", marks=pytest.mark.slow)])
+def test_small_sizes_run(section, tmp_path):
+    # All programs are imported by the one that runs them.
+    page = tmp_path / "page.md"
+    command = [sys.executable, FOLDER / "run.py", "--quick", "--only", section, "--json", tmp_path / "x.json"]
+    result = subprocess.run([*command, "--write", page], capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+    assert "*Not measured in this run.*" in page.read_text()
+    assert "| hemisphere" in result.stdout
