@@ -197,6 +197,7 @@ def _fill(ax: Axes, panel: Panel, fine: int, vector: bool) -> None:
     if panel.under is not None:
         _paint(ax, panel.under, panel, fine, vector)
     _paint(ax, panel.scene, panel, fine, vector, alpha=1.0 if panel.under is None else 0.75)
+    _mark_invalid(ax, panel)
     ax.set(xlim=panel.window[:2], ylim=panel.window[2:])
     if not panel.view.flat:
         _triad(ax, panel.view)
@@ -215,6 +216,19 @@ def _fill(ax: Axes, panel: Panel, fine: int, vector: bool) -> None:
         lines = list(panel.view.project(edges)[..., :2])
         ax.add_collection(LineCollection(lines, colors=[colour], linewidths=2.2, capstyle="round", zorder=3))
     _names(ax, panel)
+
+
+def _mark_invalid(ax: Axes, panel: Panel) -> None:
+    """Edges of invalid cells of a plane, which would otherwise be too thin to be seen."""
+    from matplotlib.collections import PolyCollection
+
+    facets = panel.scene.facets
+    if panel.scene.lit or not facets.bad.any():
+        return
+    outlines = list(panel.view.project(facets.corners[facets.bad])[..., :2])
+    ax.add_collection(
+        PolyCollection(outlines, facecolors="none", edgecolors=[INVALID_COLOUR], linewidths=0.7, zorder=2)
+    )
 
 
 def _paint(ax: Axes, scene: Scene, panel: Panel, fine: int, vector: bool, alpha: float = 1.0) -> None:

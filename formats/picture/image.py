@@ -68,6 +68,9 @@ def render(scene: Scene, view: View, window: Window, width: int, fine: int = FIN
         return np.ascontiguousarray(np.stack([x, y, at[..., 2] * scale], axis=-1))
 
     corners = pixels(scene.facets.corners)
+    if not scene.lit:
+        # Cells that are turned inside out lie on their neighbours: they are the ones to be seen.
+        corners[scene.facets.bad, :, 2] += fine
     seen = _inside(corners, shape)
     number = np.flatnonzero(seen)
     draw_polygons(corners[seen], float(fine), depth, item, line)

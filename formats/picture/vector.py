@@ -27,6 +27,8 @@ def add_polygons(ax: Axes, scene: Scene, view: View, window: Window, alpha: floa
     low, high = flat.min(axis=1), flat.max(axis=1)
     left, right, bottom, top = window
     seen = ((high >= (left, bottom)) & (low <= (right, top))).all(axis=1)
+    # Cells that are turned inside out lie on their neighbours: they are drawn last.
+    seen = np.flatnonzero(seen)[np.argsort(scene.facets.bad[seen], kind="stable")]
     widths, strength = _line_widths(flat[seen], ax.get_window_extent().width * 72 / ax.figure.dpi / (right - left))
     edges = np.concatenate([np.tile(LINE_COLOUR, (len(widths), 1)), 0.62 * strength[:, None]], axis=1)
     ax.add_collection(

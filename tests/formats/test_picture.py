@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 
 import numpy as np
 import pytest
 from grids import block_around, frame, frame_2d, polar
+from PIL import Image
 
 from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import Grid
@@ -16,7 +18,10 @@ from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.quality.cells import measure_block
 from meshdeform_formats.picture import (
     Choice,
+    Facets,
+    Page,
     Pair,
+    Panel,
     Subject,
     cut_facets,
     moved_walls,
@@ -229,3 +234,24 @@ def test_moved_walls_are_coloured_by_their_motion():
     assert page.scale is not None
     np.testing.assert_allclose(page.panels[1].scene.facets.values, 0.25)
     assert page.panels[0].window == page.panels[1].window
+
+
+def test_invalid_cells_are_seen_over_their_neighbours():
+    """A cell turned inside out covers its neighbour, at the same depth: it is the one to be seen."""
+    quad = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=float)
+    corners = np.stack([quad[::-1], quad])
+    for bad in ((True, False), (False, True)):
+        facets = Facets(corners, np.ones(2), np.array(bad), np.zeros(2, dtype=np.int64))
+        colours = np.where(np.array(bad)[:, None], INVALID_COLOUR, (1.0, 1.0, 0.0))
+        image = render(Scene(facets, colours, lines=False), along("z"), (0.0, 1.0, 0.0, 1.0), 20)
+        np.testing.assert_allclose(image.pixels[10, 10, :3], INVALID_COLOUR, atol=0.02)
+
+
+def test_thin_invalid_cells_have_edges_of_their_colour():
+    """Thinner than a pixel, they would not be seen at all."""
+    thin = np.array([[[0, 0.5, 0], [1, 0.5, 0], [1, 0.5001, 0], [0, 0.5001, 0]]])
+    facets = Facets(thin, np.zeros(1), np.ones(1, dtype=bool), np.zeros(1, dtype=np.int64))
+    panel = Panel(Scene(facets, np.array([INVALID_COLOUR])), along("z"), (0.0, 1.0, 0.0, 1.0))
+    with Image.open(io.BytesIO(page_png(Page((panel,)), 3.0, 100))) as png:
+        pixels = np.asarray(png.convert("RGB")) / 255
+    assert (np.abs(pixels - INVALID_COLOUR).max(axis=-1) < 0.3).sum() > 100
