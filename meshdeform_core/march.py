@@ -122,13 +122,15 @@ class March:
         mode = self.setup.case.repair.mode
         if mode == "off" or not (mode == "polish" or self.repairer.needed(trial.verdict)):
             return trial
-        if self.start.correction is not None and (correction := self.start.correction()) is not None:
+        correction = self.start.correction() if self.start.correction else None
+        if correction is not None:
             trial = self._judged(fraction, self._sum(trial.points, correction))
         with self.timing.stage("repair"):
             outcome = self.repairer.repair(trial.points, trial.verdict, polish=mode == "polish")
         if outcome.repair.newton_steps:
-            self.repairs.append(outcome.repair)
             trial = Trial(fraction, outcome.points, outcome.verdict)
+        if outcome.repair.newton_steps or correction is not None:
+            self.repairs.append(outcome.repair)
         return self._noted(trial, repaired=True)
 
     def accept(self, trial: Trial) -> None:

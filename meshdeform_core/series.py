@@ -16,6 +16,7 @@ from .parallel import empty, for_rows
 
 ORIGINS = ("reference", "last")
 VELOCITIES = ("none", "first", "second")
+_WRITTEN = 1e-6
 
 
 @dataclass(frozen=True)
@@ -94,12 +95,12 @@ def deform_series(
     finished : coordinates (n_nodes, 3) as written of a level before ``first``; required if ``first`` needs any
     """
     series = _Series(setup, schedule, precision, progress)
-    past = [finished(n) for n in range(first - schedule.past(first), first)] if finished else []
+    past = [finished(n) for n in range(first - series.past(first), first)] if finished else []
     for number in range(first, len(schedule.times)):
         level = series.level(number, past)
         yield level
         past = [*past, level.result.grid.points]
-        past = past[len(past) - schedule.past(number + 1) :]
+        past = past[len(past) - series.past(number + 1) :]
 
 
 class _Series:
@@ -115,7 +116,7 @@ class _Series:
         time, timing = schedule.times[number], Timing(progress=self.progress)
         reference = self._prepared(timing)
         marching = schedule.origin == "last" and bool(past)
-        start = Start(past[-1]) if marching else Start(setup.grid.points, reference)
+        start = Start(past[-1]) if marching else Start(setup.grid.points, reference, self._correction(number, past))
         result = impose(setup, setup.motion(time), schedule.steps, self.precision, timing, self.progress, start)
         displacement = setup.displacement(time)[self.problem.source_numbers]
         drift = velocity = None
@@ -126,6 +127,30 @@ class _Series:
             points = [*past, result.grid.points]
             velocity = grid_velocity(schedule.times[: number + 1], points, schedule.velocity)
         return Level(number, time, result, self._rotation(displacement), drift, velocity, timing)
+
+    def past(self, number: int) -> int:
+        """How many levels before level ``number`` are needed to make it; a repair sets out from the one before."""
+        repairs = self.setup.case.repair.mode != "off"
+        return max(self.schedule.past(number), min(number, int(repairs)))
+
+    def _correction(self, number: int, past: list[FloatArray]) -> Callable[[], FloatArray | None] | None:
+        """By how much repairs moved the nodes at the level before, found when it is asked for.
+
+        That is the difference of its coordinates as written and of those without a repair.
+        """
+        if not past or self.setup.case.repair.mode == "off":
+            return None
+        start, before = self.setup.grid.points, past[-1]
+
+        def correction() -> FloatArray | None:
+            known = self.setup.displacement(self.schedule.times[number - 1])[self.problem.source_numbers]
+            moved: FloatArray = self._prepared(Timing()).apply(known, self.progress)
+            result: FloatArray = empty(start.shape)
+            for_rows(lambda rows: np.copyto(result[rows], before[rows] - start[rows] - moved[rows]), result)
+            # What single precision of a file leaves is no repair.
+            return result if np.abs(result).max() > _WRITTEN * np.abs(before).max() else None
+
+        return correction
 
     def _prepared(self, timing: Timing) -> PreparedMethod:
         if self._reference is None:

@@ -9,13 +9,17 @@ import pytest
 from cases import body_specs, formulas, turning
 from grids import frame, frame_2d
 
+from meshdeform_core.boundary import BoundarySpec, Kind
+from meshdeform_core.boundary.expression import expression
+from meshdeform_core.boundary.motion import Motion, Rotate
 from meshdeform_core.deform import Case, set_up
 from meshdeform_core.errors import CaseError
 from meshdeform_core.methods import IDW, RBF, Options, make_method
 from meshdeform_core.numerics.systems import greedy
 from meshdeform_core.quality.validity import newly_invalid
 from meshdeform_core.repair import RepairOptions
-from meshdeform_core.series import Schedule, deform_series, grid_velocity
+from meshdeform_core.series import Schedule, _Series, deform_series, grid_velocity
+from meshdeform_samples import load
 
 SWING = turning("20*sin(2*pi*t)")
 QUARTERS = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -165,3 +169,34 @@ def test_a_greedy_selection_is_kept_until_its_error_exceeds_the_tolerance(kind, 
     assert [len(found.active) > 1 for found in selections] == [False, True, True]
     for level in levels:
         assert level.result.account.settings["greedy_error_reached"].value <= 0.1
+
+
+def test_a_repair_sets_out_from_the_level_before_also_in_a_continued_series():
+    times = tuple(np.linspace(1.0, 1.1, 5))
+    setup = set_up(frame(6, 2), Case(tuple(body_specs(turning("108*t")))))
+    levels = levels_of(setup, Schedule(times))
+    assert all(level.result.valid and level.result.repair for level in levels)
+    grids = [level.result.grid.points for level in levels]
+    rest = levels_of(setup, Schedule(times), first=3, finished=lambda n: grids[n])
+    np.testing.assert_array_equal(rest[-1].result.grid.points, grids[-1])
+    alone = levels_of(setup, Schedule(times[-1:]))[0].result
+    assert np.abs(alone.grid.points - grids[-1]).max() > 1e-6
+
+
+@pytest.mark.slow
+def test_repaired_regions_do_not_jump_in_time(monkeypatch):
+    """Paths of nodes of the splitter plate have smaller second differences than when every level is repaired alone."""
+    grid = load("splitter-plate").generate(8)
+    turn = Motion((Rotate(expression("60*t", {"t"}), (0, 0, 1), (expression(0.0, ()),) * 3),), {})
+    specs = (
+        BoundarySpec("body", ("body",), Kind.MOVING, None, turn),
+        BoundarySpec("span", ("span",), Kind.SLIP),
+    )
+    times, rough = (0.95, 1.0, 1.05, 1.1), []
+    for _ in range(2):
+        levels = levels_of(set_up(grid, Case(specs)), Schedule(times))
+        assert all(level.result.valid and level.result.repair for level in levels)
+        paths = np.stack([level.result.grid.points for level in levels])
+        rough.append(np.sqrt((np.diff(paths, 2, axis=0) ** 2).mean()))
+        monkeypatch.setattr(_Series, "_correction", lambda *_: None)
+    assert rough[0] < 0.8 * rough[1]
