@@ -139,9 +139,11 @@ def _pattern(name: str) -> str:
 
 
 def _place(surface: Surface) -> str:
+    # Mere round-off relative to the other coordinates counts as 0.
+    corners = np.where(np.abs(surface.box) < 1e-9 * np.abs(surface.box).max(), 0.0, surface.box)
     box = "  ".join(
         f"{name} {low:.5g}" if np.isclose(low, high) else f"{name} {low:.5g}..{high:.5g}"
-        for name, low, high in zip("xyz", *surface.box.tolist(), strict=True)
+        for name, low, high in zip("xyz", *corners.tolist(), strict=True)
     )
     return f"{box}, first cells {surface.first_height:.3g}, {len(surface.quads)} cell faces"
 
