@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from .boundary.crossing import find_contact
+from .boundary.pinned import find_pinned
 from .errors import MethodError
 from .march import March, Trial
 from .methods import Options
@@ -14,6 +15,8 @@ MAX_HALVINGS = 8
 MAX_REPAIRED_HALVINGS = 4
 MAX_ATTEMPTS = 24
 """Most steps tried with repairs, so that hopeless cases end."""
+_BEFORE = 0.9
+"""Where the boundary crosses itself, this share of the motion until then is tried, so that the user knows of it."""
 RESCUE = "rbf-tfi"
 """The method tried when the chosen one finds no valid grid: it succeeds most often."""
 
@@ -56,13 +59,9 @@ def until_valid(march: March) -> None:
     """
     march.warn_ahead(0.0)
     best, options = march.trial(1.0), march.options
-    setup = march.setup
-    contact = None
-    if not best.verdict.valid:
-        contact = find_contact(setup.grid, setup.topology, setup.boundary, march.motion)
-    if contact:
-        march.warnings.append(contact.message)
-    elif not best.verdict.valid:
+    impossible = [] if best.verdict.valid else _impossible(march)
+    march.warnings += impossible
+    if not best.verdict.valid and not impossible:
         if _in_smaller_steps(march):
             return
         for trial in _with_another_method(march):
@@ -106,9 +105,20 @@ def _with_another_method(march: March) -> Iterator[Trial]:
     yield trial
 
 
+def _impossible(march: March) -> list[str]:
+    """Why no valid grid exists, if the boundary alone tells; a part of the motion before that is tried."""
+    setup, motion = march.setup, march.motion
+    contact = find_contact(setup.grid, setup.topology, setup.boundary, motion)
+    pinned = find_pinned(setup.grid, setup.topology, setup.boundary, motion(1.0))
+    if contact or pinned:
+        march.trial(_BEFORE * (contact.fraction if contact else 1.0))
+    return [found.message for found in (contact, pinned) if found]
+
+
 def _give_up(march: March) -> None:
     reached = max((a.reached for a in march.attempts if not a.invalid_cells), default=0.0)
+    part = f"only for {reached:.1%} of it" if reached else "nor for any part of it that was tried"
     march.warnings.append(
-        f"no valid grid was found for the whole motion, only for {reached:.1%} of it. The grid kept has the whole "
+        f"no valid grid was found for the whole motion, {part}. The grid kept has the whole "
         f"motion and the fewest invalid cells of {len(march.attempts)} attempts"
     )

@@ -127,11 +127,12 @@ def test_every_method_gives_the_same_bits(count, machines, compiled):
 
 @needs_mpi
 def test_command_writes_the_same_file_and_speaks_once(bench, compiled):
-    args = ("deform", "grid.xyz", "-c", "case.toml", "-m", "idw-tfi", "-s", "constants.turn=75", "-v")
-    assert by_itself(*args, "-o", "alone.xyz", "--report", "alone.json") == 3
+    turned = ("-s", "constants.turn=75", "--repair", "off", "--allow-invalid")
+    args = ("deform", "grid.xyz", "-c", "case.toml", "-m", "idw-tfi", *turned, "-v")
+    assert by_itself(*args, "-o", "alone.xyz", "--report", "alone.json") == 0
     Path("common.py").write_text(COMMON)
     done = on_ranks(2, *args, "-o", "shared.xyz", "--report", "shared.json", program=("common.py",))
-    assert done.returncode == 3, done.stderr
+    assert done.returncode == 0, done.stderr
     assert Path("shared.xyz").read_bytes() == Path("alone.xyz").read_bytes()
     one, two = (json.loads(Path(name).read_text()) for name in ("alone.json", "shared.json"))
     assert two["quality"] == one["quality"]
@@ -141,6 +142,25 @@ def test_command_writes_the_same_file_and_speaks_once(bench, compiled):
     assert done.stderr.count("cells became invalid") == 1
     assert "meshdeform: 2 ranks" in done.stderr
     assert "own copy" not in done.stderr
+
+
+@needs_mpi
+@pytest.mark.parametrize("thick", [False, True])
+def test_a_repair_gives_the_same_grid(thick, bench, compiled):
+    """As a plane grid, and in space, where the ends of the span are free."""
+    Path("common.py").write_text(COMMON)
+    if thick:
+        case = Path("case.toml").read_text()
+        Path("case.toml").write_text(case.replace('kind = "slip"', 'kind = "free"'))
+    args = ("deform", "grid.xyz", "-c", "case.toml", "-s", "constants.turn=100", "--steps", "1")
+    assert by_itself(*args, "-o", "alone.xyz", "--report", "alone.json") == 0
+    done = on_ranks(2, *args, "-o", "shared.xyz", "--report", "shared.json", program=("common.py",))
+    assert done.returncode == 0, done.stderr
+    one, two = (json.loads(Path(name).read_text())["repair"] for name in ("alone.json", "shared.json"))
+    assert one["newton_steps"] > 0
+    assert (one["cells"], one["nodes"]) == (two["cells"], two["nodes"])
+    alone, shared = (read_grid(name).points for name in ("alone.xyz", "shared.xyz"))
+    np.testing.assert_allclose(shared, alone, rtol=0, atol=1e-12)
 
 
 @needs_mpi
