@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 from typing import Any
 
-import scipy.io
+import scipy
 from numpy.typing import NDArray
 
 

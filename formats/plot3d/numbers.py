@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
-import scipy.io
+import scipy
 from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError

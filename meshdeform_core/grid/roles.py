@@ -10,8 +10,7 @@ from collections.abc import Sequence
 from enum import Enum
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
+import scipy
 
 from .blocks import FloatArray, Grid, IntArray, Side
 from .faces import Face, QuadGeometry
@@ -166,8 +165,10 @@ def _connected(corners: IntArray, n_unique: int) -> IntArray:
     """Label of the connected component of every quad (n,), by common corner nodes."""
     n = len(corners)
     rows = np.repeat(np.arange(n), corners.shape[1])
-    graph = coo_matrix((np.ones(corners.size, dtype=np.int8), (rows, n + corners.ravel())), shape=(n + n_unique,) * 2)
-    _, label = connected_components(graph, directed=False)
+    graph = scipy.sparse.coo_matrix(
+        (np.ones(corners.size, dtype=np.int8), (rows, n + corners.ravel())), shape=(n + n_unique,) * 2
+    )
+    _, label = scipy.sparse.csgraph.connected_components(graph, directed=False)
     return np.asarray(np.unique(label[:n], return_inverse=True)[1])
 
 

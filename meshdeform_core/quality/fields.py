@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from ..errors import CaseError, suggestion
 from ..grid import BoolArray, FloatArray, Grid, IntArray
@@ -155,9 +155,9 @@ class CellFields:
         return plane_normal(self.grid)
 
     @cached_property
-    def _wall_tree(self) -> cKDTree:
+    def _wall_tree(self) -> scipy.spatial.cKDTree:
         nodes = np.unique(self.topology.quads.corners[self.walls])
-        return cKDTree(self.grid.points[self.topology.first[nodes]])
+        return scipy.spatial.cKDTree(self.grid.points[self.topology.first[nodes]])
 
     def _box(self, values: np.ndarray, block: int, cells: Cells) -> np.ndarray:
         """A box of cells of an array with one row per cell of the grid."""

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
+import scipy
 
 from ..boundary import Boundary
 from ..grid import FloatArray, Grid, IntArray, Shape
@@ -95,6 +94,8 @@ def _touching(nodes: IntArray) -> IntArray:
     _, local = np.unique(nodes, return_inverse=True)
     n = len(nodes)
     rows = np.repeat(np.arange(n), nodes.shape[1])
-    graph = coo_matrix((np.ones(nodes.size, np.int8), (rows, n + local.ravel())), shape=(n + int(local.max()) + 1,) * 2)
-    _, label = connected_components(graph, directed=False)
+    graph = scipy.sparse.coo_matrix(
+        (np.ones(nodes.size, np.int8), (rows, n + local.ravel())), shape=(n + int(local.max()) + 1,) * 2
+    )
+    _, label = scipy.sparse.csgraph.connected_components(graph, directed=False)
     return np.asarray(np.unique(label[:n], return_inverse=True)[1])

@@ -33,3 +33,20 @@ def test_info_needs_no_numba(suffix, tmp_path, call):
     assert call("sample", "splitter-plate", "-o", tmp_path, "--suffix", suffix).code == 0
     # Boundaries are grouped by scipy.sparse.
     assert imported("info", tmp_path / f"grid{suffix}") == "0 ['scipy'] True"
+
+
+LAZY = """
+import sys
+from meshdeform_cli.main import run
+code = run(sys.argv[1:])
+print(code, sorted({"scipy.sparse", "scipy.spatial", "scipy.io", "matplotlib", "meshio"} & set(sys.modules)))
+"""
+
+
+def test_hybrid_loads_no_part_of_scipy_that_it_does_not_use(tmp_path, call):
+    """numba itself imports scipy.linalg; the rest is loaded by what needs it."""
+    assert call("sample", "hemisphere", "-o", tmp_path, "--size", "8").code == 0
+    job = ["deform", tmp_path / "grid.cgns", "-c", tmp_path / "case.toml", "-o", tmp_path / "new.cgns", "-m", "idw-tfi"]
+    command = [sys.executable, "-c", LAZY, *map(str, job), "--time", "2.5e-4", "-q"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600)
+    assert done.stdout.splitlines()[-1] == "0 []", done.stderr
