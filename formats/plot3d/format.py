@@ -16,7 +16,6 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FileFormat, Grid
 
 from ..files import replacing
-from .ascii import read_ascii
 from .binary import read_binary, write_binary
 from .blocks import iblank_of
 from .variant import Variant, parse_options
@@ -51,6 +50,8 @@ def read(path: Path, **options: Any) -> Grid:
         # Every binary header has small integers with zero bytes, which no text has.
         if b"\0" in stream.read(1024):
             return read_binary(path, wanted)
+    from .ascii import read_ascii  # scipy takes longer to import than a binary grid to read
+
     return read_ascii(path, wanted)
 
 

@@ -18,9 +18,10 @@ def layers_from(seeds, layers, shapes, offsets, classes, start, copies):
     """
     reached = np.full(classes.size, -1, dtype=np.int16)
     queue = np.empty(1 << 12, dtype=np.int64)
-    count = 0
+    # Not plain zeros, for which the function that takes them would be compiled apart.
+    count, nearest = np.int64(0), np.int64(0)
     for node in seeds:
-        queue, count = _visit(node, 0, reached, queue, count, classes, start, copies)
+        queue, count = _visit(node, nearest, reached, queue, count, classes, start, copies)
     first = 0
     for layer in range(layers):
         last = count
