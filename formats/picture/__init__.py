@@ -1,6 +1,6 @@
 """Pictures of grids: an image from a depth buffer in matplotlib axes, as png, svg or pdf.
 
-``overview`` shows a grid when nothing else is asked for; ``page_png`` gives the bytes of a page of panels.
+``overview`` is the default picture of a grid; ``page_png`` gives the bytes of a page of panels.
 """
 
 from .boundaries import boundaries

@@ -24,8 +24,8 @@ _MOST = 14
 def boundaries(subject: Subject, title: str = "") -> Page:
     """All outside faces coloured by family, patch, or role where they have no name.
 
-    Of a grid in space those that would hide the rest (far field and planes that face the viewer) are left out; small
-    walls have a close-up. Of a plane grid the edges are coloured.
+    In 3-D those that would hide the rest (far field and planes that face the viewer) are omitted; small walls have a
+    close-up. In a plane grid the edges are coloured.
     """
     groups = _groups(subject)
     legend = tuple((name, colour_of(number)) for number, name in enumerate(groups))[:_MOST]
@@ -50,7 +50,7 @@ def boundaries(subject: Subject, title: str = "") -> Page:
 
 
 def _pale(scene: Scene) -> Scene:
-    """The cells without colours, so that those of the boundaries are seen."""
+    """The cells in pale colours, so that the boundaries stand out."""
     return dataclasses.replace(scene, colours=np.full_like(scene.colours, 0.95))
 
 
@@ -85,6 +85,6 @@ def _corners(subject: Subject, surface: Surface) -> FloatArray:
 
 
 def _away(corners: FloatArray, view: View) -> np.ndarray:
-    """Quads (n, 4, 3) whose outer side faces away from the viewer: they hide nothing."""
+    """Quads (n, 4, 3) whose outer side faces away from the viewer: these hide nothing."""
     normal = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
     return np.asarray(normal @ view.towards < 0)

@@ -24,10 +24,10 @@ GROUPS = (
 
 @dataclass(frozen=True)
 class Scale:
-    """How values become colours.
+    """Mapping of values to colours.
 
     ``low`` and ``high`` are the ends, ``logarithmic`` how they are spaced between them, ``extended`` which ends values
-    leave (``neither``, ``min``, ``max``, ``both``, as matplotlib's colour bars have it).
+    exceed (``neither``, ``min``, ``max``, ``both``, as for matplotlib's colour bars).
     """
 
     metric: str
@@ -70,7 +70,7 @@ def scale_of(
     Raises
     ------
     CaseError
-        When a logarithmic scale is asked for and no value is positive.
+        When a logarithmic scale is requested but no value is positive.
     """
     finite = values[np.isfinite(values)]
     if logarithmic:
@@ -112,7 +112,7 @@ def group_colours(facets: Facets) -> FloatArray:
 
 
 def colour_of(group: int) -> tuple[float, float, float]:
-    """RGB of a group; beyond eight the colours come again, lighter."""
+    """RGB of a group; beyond eight the colours repeat, lighter."""
     red, green, blue = GROUPS[group % len(GROUPS)]
     fade = min(0.35 * (group // len(GROUPS)), 0.7)
     return red + (1 - red) * fade, green + (1 - green) * fade, blue + (1 - blue) * fade

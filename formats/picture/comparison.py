@@ -22,12 +22,12 @@ from .view import View, Window, facing, shaped, window_of
 
 _GREY = np.array([0.72, 0.74, 0.78])
 _AROUND = 7
-"""A close-up shows about so many cells on either side of the worst one."""
+"""Number of cells that a close-up shows on either side of the worst one."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Pair:
-    """The same grid before and after, with the topology it has before."""
+    """The same grid before and after, with the topology of the undeformed one."""
 
     before: Grid
     after: Grid
@@ -43,11 +43,11 @@ class Pair:
 
 
 def moved_walls(pair: Pair, quads: IntArray, title: str = "") -> Page:
-    """The moving walls before and after, seen from the same place, coloured by how far they moved.
+    """The moving walls before and after, in the same view, coloured by displacement.
 
     Parameters
     ----------
-    quads : the moving face quads of a 3-D grid; of a 2-D or extruded grid the plane around them is shown
+    quads : the moving face quads of a 3-D grid; for a 2-D or extruded grid the plane around them is shown
     """
     old, new = pair.old, pair.new
     if plane_of_grid(old, Choice()) is not None:
@@ -123,13 +123,13 @@ def worst_cells(pair: Pair, block: int, cell: Shape, choice: Choice | None = Non
 
 
 def _corners(grid: Grid, block: int, cell: Shape, more: int = 0) -> FloatArray:
-    """Nodes (n, 3) of a cell and of so many around it."""
+    """Nodes (n, 3) of a cell and of ``more`` cells around it."""
     window = tuple(slice(max(at - more, 0), at + 2 + more) for at in cell)
     return grid.block(block)[window].reshape(-1, 3)
 
 
 def _surroundings(pair: Pair, block: int, cell: Shape, view: View) -> tuple[Window, Window]:
-    """Windows of one size around a cell before and after."""
+    """Windows of the same size around a cell before and after."""
     centers = [view.project(_corners(grid, block, cell).mean(axis=0))[:2] for grid in (pair.before, pair.after)]
     reach = 0.0
     for grid, center in zip((pair.before, pair.after), centers, strict=True):
@@ -169,7 +169,7 @@ def _around(subject: Subject, block: int, axis: int, cell: Shape, normal: FloatA
     own = block_facets(subject, block, axis, cell[axis], choice.metric)
     center = _corners(subject.grid, block, cell).mean(axis=0)
     cut = cut_facets(subject, Plane(center, normal), choice.metric)
-    # Behind the index plane, which may leave the plane in space: it stays in front everywhere.
+    # Drawn behind the index plane, which may deviate from the plane in space but stays in front everywhere.
     behind = dataclasses.replace(cut, corners=cut.corners - subject.size * normal * np.sign(_viewed(normal)))
     return joined([own, behind])
 

@@ -1,4 +1,4 @@
-"""Polygons to draw, with the values they are coloured by: index planes, faces of the outside, cuts in space."""
+"""Polygons to draw, with the values for their colours: index planes, outside faces, cuts in space."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .subject import Cells, Subject
 
 @dataclass(frozen=True)
 class Facets:
-    """Polygons: corners (n, m, 3), one value each (n,), which are of invalid cells (n,), to which group each belongs.
+    """Polygons: corners (n, m, 3), values (n,), whether each belongs to an invalid cell (n,), and its group.
 
     Polygons with fewer than m corners repeat the last one. Groups are numbers of blocks or of surfaces.
     """
@@ -63,7 +63,7 @@ def plane_facets(
 ) -> Facets:
     """The cells at the index plane ``index`` (0-based node, ``None``: the middle) along ``axis`` of ``blocks``.
 
-    Blocks that do not reach the index are left out; a 2-D grid is drawn whole.
+    Blocks that do not extend to the index are omitted; a 2-D grid is drawn completely.
     """
     grid, planes = subject.grid, []
     for block in range(grid.n_blocks) if blocks is None else blocks:
@@ -127,7 +127,7 @@ def cut_facets(subject: Subject, plane: Plane, metric: str) -> Facets:
     tiny = 1e-9 * subject.size
     if low > tiny or high < -tiny:
         raise CaseError(f"the plane misses the grid, which lies {min(abs(low), abs(high)):.4g} away from it")
-    # A plane that runs along faces of cells is taken a little inside of them.
+    # A plane along faces of cells is shifted slightly into the cells.
     shift = -tiny if high <= 2 * tiny else tiny
     parts = [_cut_block(subject, block, level - shift, metric) for block in range(grid.n_blocks)]
     return joined(parts)
@@ -157,7 +157,7 @@ _EDGES = np.array([(n, n + step) for step in (1, 2, 4) for n in range(8) if not 
 
 
 def _polygons(points: FloatArray, values: FloatArray) -> FloatArray:
-    """Where a plane cuts cells (n, 8, 3) with signed distances (n, 8): corners (n, 6, 3), in order around."""
+    """Sections of cells (n, 8, 3) with signed distances (n, 8) to a plane: corners (n, 6, 3), in cyclic order."""
     one, two = values[:, _EDGES[:, 0]], values[:, _EDGES[:, 1]]
     cut = (one > 0) != (two > 0)
     share = np.where(cut, one / np.where(cut, one - two, 1.0), 0.0)

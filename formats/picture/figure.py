@@ -33,12 +33,12 @@ STYLE: dict[Any, Any] = {
     "legend.fontsize": 8,
     "figure.dpi": 150,
     "savefig.dpi": 220,
-    # The same picture is the same file.
+    # The same picture gives the same file.
     "svg.hashsalt": "meshdeform",
     "svg.fonttype": "none",
 }
 _VECTOR_POLYGONS = 6000
-"""Flat pictures of at most so many polygons are lines in .svg and .pdf files, larger ones an image."""
+"""Most polygons that flat pictures in .svg and .pdf files draw as lines; larger ones are an image."""
 
 
 @dataclass(frozen=True)
@@ -74,9 +74,9 @@ class Panel:
 
 @dataclass(frozen=True)
 class Page:
-    """Panels side by side, or below each other if they are flat, with what explains their colours.
+    """Panels side by side, or one below the other if they are flat, with colour bar and legend.
 
-    ``legend`` are names and colours of groups; ``explained``: it has the colour of invalid cells even if no panel has.
+    ``legend`` are names and colours of groups; ``explained`` always includes the colour of invalid cells.
     """
 
     panels: tuple[Panel, ...]
@@ -158,7 +158,7 @@ def _size(page: Page, width: float) -> tuple[float, float]:
 
 
 def _frames(figure: Figure, page: Page) -> list[Axes]:
-    """Empty axes, colour bar, legend and titles: what decides how large the panels are."""
+    """Empty axes, colour bar, legend and titles, which determine the size of the panels."""
     import matplotlib.pyplot as plt
     from matplotlib.patches import Patch
 
@@ -268,7 +268,7 @@ def _triad(ax: Axes, view: View) -> None:
     )
     for name, unit in zip("xyz", np.eye(3), strict=True):
         right, up, _ = view.project(unit) * size
-        # Seen end on, an axis is a dot, which says nothing.
+        # Seen end-on, an axis would be a meaningless dot.
         if np.hypot(right, up) < 0.15 * size:
             continue
         ax.annotate(

@@ -1,4 +1,4 @@
-"""From polygons to an image: hidden ones hidden, coloured, lit, with grid lines as thin as the cells."""
+"""Rendering of polygons to an image: hidden surfaces, colours, light, and grid lines as thin as the cells."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from .facets import Facets
 from .view import View, Window
 
 FINE = 3
-"""Pixels are drawn so many times as small each way, then averaged."""
+"""Oversampling factor in each direction; the pixels are averaged."""
 LINE_COLOUR = np.array([0.10, 0.11, 0.14])
 INVALID_COLOUR = (0.90, 0.00, 0.42)
-"""Not in any of the colour maps, and told from all their colours by colour-blind people by its lightness or hue."""
+"""Not in any of the colour maps; colour-blind people can distinguish it from them by lightness or hue."""
 _LINE_STRENGTH, _OUTLINE_STRENGTH = 0.62, 0.95
 _AMBIENT = 0.55
 
@@ -30,7 +30,7 @@ class Scene:
     colours : (n, 3) RGB, 0 to 1
     outlines : (k, 2, 3) edges drawn stronger, where they are not hidden
     walls : (l, 2, 3) edges drawn stronger still
-    unlit : so many polygons at the end are not shaded; the others are by their angle to the viewer if ``lit``
+    unlit : number of polygons at the end that are not shaded; others are shaded by their angle to the viewer if ``lit``
     lines : draw the edges of the polygons
     """
 

@@ -1,4 +1,4 @@
-"""The picture of a grid when nothing else is asked for: what shows most of it."""
+"""The default picture of a grid."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from .subject import Subject
 from .view import View, Window, facing, iso, shaped, towards, window_of
 
 _SMALL = 0.3
-"""A detail smaller than this part of the picture, along its larger side, gets a close-up of its own."""
+"""A detail smaller than this fraction of the picture, along its larger side, has a close-up."""
 _TALL, _FLAT = 1.15, 0.05
 _PALE = np.array([0.93, 0.94, 0.96])
 
 
 @dataclasses.dataclass(frozen=True)
 class Choice:
-    """What to colour by and how.
+    """Metric and scale of the colours.
 
     ``limits`` of the colours, ``logarithmic`` scale, ``lines``: draw grid lines.
     """
@@ -45,9 +45,9 @@ class Choice:
 
 
 def overview(subject: Subject, choice: Choice, title: str = "") -> Page:
-    """A plane grid, also one that is extruded, seen from above; else the walls and a cut, or the outside, in space.
+    """A plane or extruded grid in plan view; else the walls and a cut, or the outside, in space.
 
-    What is small beside the whole has a close-up.
+    Small details have a close-up.
     """
     flat = plane_of_grid(subject, choice)
     if flat is not None:
@@ -104,7 +104,7 @@ def _wall_edges(subject: Subject, facets: Facets, view: View) -> FloatArray:
 
 
 def moved_into(window: Window, whole: Window) -> Window:
-    """A window shifted to where there is something to see, as far as it fits."""
+    """A window shifted into the whole, as far as it fits."""
     left, right, bottom, top = window
     rim = 0.03 * _extent(window)
     across = max(whole[0] - rim - left, 0.0) or min(whole[1] + rim - right, 0.0)
@@ -113,7 +113,7 @@ def moved_into(window: Window, whole: Window) -> Window:
 
 
 def plane_of_grid(subject: Subject, choice: Choice) -> tuple[Facets, FloatArray, View] | None:
-    """Polygons, block outlines and view of a plane that stands for the whole grid."""
+    """Polygons, block outlines and view of a plane that represents the whole grid."""
     grid = subject.grid
     if grid.dimension == 2:
         assert subject.thin is not None
@@ -233,7 +233,7 @@ def _walls_and_cut(subject: Subject, choice: Choice, walls: Sequence[Surface], t
 
 
 def before_backdrop(scene: Scene, facets: Facets) -> Scene:
-    """A scene with pale polygons added, which show where it stands."""
+    """A scene with pale polygons added for orientation."""
     pale = np.tile(_PALE, (len(facets), 1))
     return dataclasses.replace(
         scene,

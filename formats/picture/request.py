@@ -1,4 +1,4 @@
-"""A picture as the user asks for it: which part of the grid, seen from where, beside or over what."""
+"""A picture as requested by the user: part of the grid, view, and comparison with the undeformed grid."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _GREY = np.array([0.80, 0.81, 0.84])
 
 @dataclasses.dataclass(frozen=True)
 class Request:
-    """What to draw; nothing of it: what shows most.
+    """What to draw; without any options the default picture.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class Request:
     space_plane : a plane in space, through all blocks
     blocks : numbers of the blocks of an index plane
     select : patterns of patches or block faces, as in a case file
-    view : from where, ``None`` for what suits
+    view : direction of view, ``None`` for a suitable one
     window : part of the picture
     zoom : ``worst``, ``walls`` or nothing
     before : ``side``, ``overlay`` or nothing: draw the undeformed grid too
@@ -188,7 +188,7 @@ def _worst(subject: Subject, request: Request, title: str) -> Page:
 def _arrows(old: _Part, new: _Part, view: View, window: Window) -> FloatArray:
     """Displacements (k, 2, 3) of polygons spread over the picture, of undeformed place and motion."""
     if len(old.facets) != len(new.facets):
-        raise CaseError("arrows need a plane of nodes, a surface or a flat grid; a cut in space has other cells before")
+        raise CaseError("arrows need a plane of nodes, a surface or a flat grid; a cut in space has no cells in common")
     start, end = old.facets.corners[:, 0], new.facets.corners[:, 0]
     left, right, bottom, top = window
     at = view.project(start)[:, :2]

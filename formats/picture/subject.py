@@ -1,4 +1,4 @@
-"""What a picture shows: a grid, what its cells are coloured by, which of them are invalid."""
+"""The subject of a picture: a grid, the metric for its colours, its invalid cells."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From where a picture is seen, and what of it."""
+"""Direction of view and window of a picture."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from meshdeform_core.grid import FloatArray
 class View:
     """Parallel projection: unit vectors to the right, up and towards the viewer, and the names of the first two axes.
 
-    Names are empty where an axis of the picture is none of the grid.
+    Names are empty for axes of the picture that are not axes of the grid.
     """
 
     right: FloatArray
@@ -74,7 +74,7 @@ Window = tuple[float, float, float, float]
 
 
 def window_of(view: View, points: FloatArray, margin: float = 0.04) -> Window:
-    """What holds all points (..., 3), with a margin (fraction of the larger extent)."""
+    """The window that contains all points (..., 3), with a margin (fraction of the larger extent)."""
     flat = view.project(points.reshape(-1, 3))[:, :2]
     low, high = flat.min(axis=0), flat.max(axis=0)
     rim = margin * float((high - low).max() or 1.0)

@@ -1,4 +1,4 @@
-"""Where a metric is worst."""
+"""The cell with the worst value of a metric."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from .subject import METRICS, Subject
 
 
 def worst_cell(subject: Subject, metric: str) -> tuple[int, Shape]:
-    """Block and cell (0-based) where a metric is worst; of invalid cells the one with the worst corner.
+    """Block and cell (0-based) where a metric is worst; among invalid cells the one with the worst corner.
 
-    Worst is the smallest value, of rising measures the largest, of ratios what is farthest from 1.
+    Worst is the smallest value, for rising measures the largest, for ratios the one farthest from 1.
     """
     known = METRICS[metric]
     best = (np.inf, 0, (0, 0, 0))

@@ -1,4 +1,4 @@
-"""Reports: what they hold, and how they are written."""
+"""Reports: contents and file formats."""
 
 from .parts import Report, with_other
 from .records import deformation_report, mended_report, plan_report, quality_report

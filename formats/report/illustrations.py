@@ -1,4 +1,4 @@
-"""The pictures of a report: a cut and the worst place, before and after, in one window and one scale of colours."""
+"""The pictures of a report: a cut and the worst cells, before and after, with common window and colour scale."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from .page import Figure
 
 @dataclass(frozen=True)
 class Illustrations:
-    """Pictures of one deformation, and small ones of the levels of a series with the files that they lead to."""
+    """Pictures of one deformation, and thumbnails of the levels of a series with the files that they link to."""
 
     figures: tuple[Figure, ...] = ()
     thumbnails: tuple[tuple[Figure, str], ...] = ()

@@ -1,4 +1,4 @@
-"""Reports as GitHub-flavoured Markdown: short enough for the summary of a run of continuous integration."""
+"""Reports as GitHub-flavoured Markdown, short enough for the summary of a CI run."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def _levels(report: Report) -> Iterator[str]:
 
 
 def _table(heads: Sequence[str], rows: Iterable[Sequence[str]], texts: int) -> Iterator[str]:
-    """A table; beside the first column the last ``texts`` ones are texts."""
+    """A table; in addition to the first column the last ``texts`` ones are texts."""
     numbers = range(1, len(heads) - texts)
     yield f"| {' | '.join(heads)} |"
     yield f"|{'|'.join('---:' if n in numbers else '---' for n in range(len(heads)))}|"
@@ -104,7 +104,7 @@ def _advice(warning: str) -> str:
 
 
 def _escaped(text: str) -> str:
-    """Text that Markdown shows as it is."""
+    """Text escaped for Markdown."""
     for sign in "\\`*_|<>":
         text = text.replace(sign, f"\\{sign}")
     return text

@@ -31,7 +31,7 @@ _MEASURES = (
 
 @dataclass(frozen=True)
 class MeasureRow:
-    """One measure: value before (``None`` if there is none) and after, and where the worst is, in words."""
+    """One measure: value before (``None`` if there is none) and after, and the position of the worst as text."""
 
     name: str
     before: float | None
@@ -61,7 +61,7 @@ def _pick(quality: Mapping[str, Any], keys: tuple[str, ...]) -> Any:
 
 
 def _place(quality: Mapping[str, Any], keys: tuple[str, ...]) -> str:
-    """Block and indices of the worst value, beside the extreme that it is."""
+    """Block and indices of the worst value, for the measure that is its extreme."""
     worst = (quality.get("worst") or {}).get("_".join(keys)) or (quality.get("worst") or {}).get(keys[0])
     if not worst or keys[-1] in ("harmonic_mean", "mean", "p01", "rms"):
         return ""

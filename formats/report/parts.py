@@ -1,4 +1,4 @@
-"""Parts of which all reports are made; a report is a dictionary of the types that JSON knows."""
+"""Common parts of all reports; a report is a dictionary of JSON types."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def method_part(name: str, account: Account) -> Report:
 
 
 def boundary_part(setup: Setup) -> Report:
-    """Patches, node counts, what tables matched."""
+    """Patches, node counts, matches of tables."""
     boundary, topology = setup.boundary, setup.topology
     part: Report = {
         "patches": [{"name": p.name, "kind": p.kind.label, "nodes": len(p.nodes)} for p in boundary.patches],
@@ -110,7 +110,7 @@ def cell_part(cell: InvalidCell) -> Report:
 
 
 def with_other(timing: Mapping[str, float], total: float) -> Report:
-    """Seconds by stage, with the rest of those that passed in ``total`` as ``other``, so that they add up."""
+    """Seconds by stage, with the remainder to ``total`` as ``other``, so that they add up."""
     stages = {name: seconds for name, seconds in timing.items() if name not in ("other", "total")}
     spent = sum(stages.values())
     return {**stages, "other": max(0.0, total - spent), "total": max(total, spent)}

@@ -17,7 +17,7 @@ from .parts import Report, boundary_part, cell_part, head_part, method_part, qua
 
 
 def deformation_report(result: Result, timing: Mapping[str, float], peak_memory: int) -> Report:
-    """The report of :func:`meshdeform_core.deform.deform` (contract, schema 1).
+    """The report of :func:`meshdeform_core.deform.deform` (schema 1).
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def quality_report(
     reference: str | None = None,
     original: Grid | None = None,
 ) -> Report:
-    """The report of a grid on its own or against its ``original``, the file ``reference``."""
+    """The report of a grid by itself or against its ``original``, the file ``reference``."""
     return {
         **head_part(grid),
         "reference": reference,
@@ -85,7 +85,7 @@ def _shape_part(grid: Grid) -> Report:
 
 
 def plan_report(setup: Setup, account: Account, largest: float, motion: Sequence[PatchMotion] = ()) -> Report:
-    """What ``--dry-run`` prints: everything that is decided before anything moves.
+    """The report of ``--dry-run``: everything that is determined before the boundary moves.
 
     ``largest`` is the largest displacement, ``motion`` that of every moving boundary entry.
     """

@@ -1,4 +1,4 @@
-"""How a report came about: the command, where and when, and the files with their checksums."""
+"""Provenance of a report: command, time and place, and files with their checksums."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ _LIBRARIES = ("numpy", "scipy", "numba")
 
 
 def run_part(arguments: Sequence[str], files: Iterable[tuple[str, Path | None]]) -> Report:
-    """What it takes to do the same again, and to know that it is the same.
+    """The data needed to repeat a run and to verify that it is the same.
 
     Parameters
     ----------
     arguments : of the command line, without the program's name
-    files : role and path of what was read and written; those that are ``None`` or not there are left out
+    files : role and path of the files read and written; ``None`` and missing files are omitted
     """
     return {
         "command": shlex.join(["meshdeform", *arguments]),

@@ -1,4 +1,4 @@
-"""The JSON schema of reports, shipped beside the code that writes them."""
+"""The JSON schema of reports, shipped with the code that writes them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 
 def report_schema() -> dict[str, Any]:
-    """The schema (draft 2020-12) of what ``--report FILE.json`` writes, as data."""
+    """The schema (draft 2020-12) of the output of ``--report FILE.json``, as data."""
     text = files(__package__).joinpath("report.schema.json").read_text(encoding="utf-8")
     schema: dict[str, Any] = json.loads(text)
     return schema

@@ -1,4 +1,4 @@
-"""Report of a series: what all levels share, one record per level, and the verdict over all of them."""
+"""Report of a series: common data, one record per level, and the overall verdict."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _LISTED = 20
 
 
 def series_head(level: Level) -> Report:
-    """What all levels share: grid, method, boundary, quality of the undeformed grid, warnings of the set-up."""
+    """Data common to all levels: grid, method, boundary, quality of the undeformed grid, warnings of the set-up."""
     result = level.result
     return {
         **head_part(result.setup.grid),
@@ -29,7 +29,7 @@ def level_record(level: Level, file: str, write_seconds: float, head: Report, wa
     """One level of the report.
 
     ``method`` has the parameters that differ from those in ``head``; ``warnings`` those that no earlier level gave
-    (``warned``), whatever numbers are in them; at most 20 invalid cells are listed.
+    (``warned``), regardless of the numbers in them; at most 20 invalid cells are listed.
     """
     result = level.result
     known = {_without_numbers(text) for text in warned}
@@ -73,7 +73,7 @@ def series_report(
     Parameters
     ----------
     places : ``folder`` of the levels, and ``view``, the file to open in ParaView
-    timing : seconds of this run that belong to no level (reading, topology, putting files together)
+    timing : seconds of this run that do not belong to a level (reading, topology, assembling files)
     """
     stages = dict.fromkeys(key for level in levels for key in level["timing"] if key != "total")
     spent = {key: sum(level["timing"].get(key, 0.0) for level in levels) for key in stages}

@@ -36,4 +36,4 @@ def series_lines(report: Report) -> Iterator[str]:
         )
 
 
-_ORIGINS = {"reference": "undeformed grid", "last": "level before (marching)"}
+_ORIGINS = {"reference": "undeformed grid", "last": "previous level (marching)"}

@@ -1,4 +1,4 @@
-"""Reports as text for people."""
+"""Reports as plain text."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .series_text import series_lines
 
 _LISTED = 20
 _SHAPE_NAMES = {"non_orthogonality_deg": "non-orthogonality [deg]"}
-# What is measured against another grid.
+# Measures that compare with another grid.
 _COMPARED = (
     "smallest relative Jacobian", "first cell height ratio min", "first cell height ratio max", "volume ratio min",
     "volume ratio max",
@@ -20,7 +20,7 @@ _COMPARED = (
 
 
 def as_text(report: dict[str, Any]) -> str:
-    """The whole report, one section after the other."""
+    """The whole report, section by section."""
     return "\n".join(_lines(report)) + "\n"
 
 
@@ -81,17 +81,17 @@ def _boundary(boundary: dict[str, Any]) -> Iterator[str]:
 
 
 def _motion(patches: list[dict[str, Any]]) -> Iterator[str]:
-    """The motion as it was understood: radians given as degrees are seen here."""
+    """The motion as evaluated: shows, for instance, radians given as degrees."""
     for patch in patches:
         mean = ", ".join(f"{part:.4g}" for part in patch["mean_displacement"])
         yield (
             f"          {patch['boundary']}: up to {patch['max_displacement']:.6g}, mean ({mean}), "
-            f"turned by up to {patch['max_rotation_deg']:.4g} degrees"
+            f"rotated by up to {patch['max_rotation_deg']:.4g} degrees"
         )
 
 
 def _quality(report: dict[str, Any]) -> Iterator[str]:
-    # A grid on its own has nothing to compare with: one column.
+    # A grid by itself has nothing to compare with: one column.
     alone = "reference" in report and report["reference"] is None
     heads = ("",) if alone else ("before", "after")
     yield f"{'quality':9s} {'':34s}" + "".join(f" {head:>14s}" for head in heads)
@@ -118,7 +118,7 @@ def _quality(report: dict[str, Any]) -> Iterator[str]:
 
 
 def _shape(shape: dict[str, Any], alone: bool) -> Iterator[str]:
-    """Largest value of every measure of shape, and where it is."""
+    """Largest value of every measure of shape, and its position."""
     for name, after in shape["after"].items():
         before = (shape["before"] or {}).get(name)
         values = (after,) if alone else (before, after)
@@ -129,7 +129,7 @@ def _shape(shape: dict[str, Any], alone: bool) -> Iterator[str]:
 
 
 def number(value: Any) -> str:
-    """A value as people read it: six digits, thousands apart."""
+    """A formatted value: six digits, thousands separated."""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         return str(value)
     return f"{value:,}" if isinstance(value, int) else f"{value:.6g}"

@@ -1,4 +1,4 @@
-"""Reports written as json, text, Markdown or html."""
+"""Writing reports as JSON, text, Markdown or HTML."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SUFFIXES = (".json", ".txt", ".html", ".md")
 
 
 def write_report(report: Report, path: Path, illustrate: Illustrate = Illustrations) -> None:
-    """Write a report; the suffix picks json, txt, html or md. Pictures are only made for html.
+    """Write a report; the suffix selects json, txt, html or md. Pictures are made only for HTML.
 
     Raises
     ------
@@ -50,7 +50,7 @@ def _render(report: Report, path: Path, illustrate: Illustrate) -> str:
 
 
 def as_json(report: Report) -> str:
-    """The report as json; numbers that are not finite, which json does not have, are null."""
+    """The report as JSON; non-finite numbers, which JSON lacks, are null."""
     return json.dumps(_finite(report), indent=2, allow_nan=False) + "\n"
 
 

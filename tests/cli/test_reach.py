@@ -85,7 +85,7 @@ def test_report_states_the_motion_of_every_boundary(bench, call):
     # Radians given as degrees are seen.
     assert motion["max_rotation_deg"] == pytest.approx(np.pi / 6, rel=1e-9)
     np.testing.assert_allclose(motion["mean_displacement"], [0.1, 0.05, 0.0], atol=2e-3)
-    assert "turned by up to 0.5236 degrees" in result.out
+    assert "rotated by up to 0.5236 degrees" in result.out
 
 
 @pytest.mark.parametrize(

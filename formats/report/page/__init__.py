@@ -1,4 +1,4 @@
-"""Reports as one self-contained page: verdict, pictures, measures, what was asked, where the time went."""
+"""Reports as one self-contained page: verdict, pictures, measures, run, times."""
 
 from .document import as_html
 from .figures import Figure

@@ -9,7 +9,7 @@ _WIDTH, _HEIGHT, _LEFT, _RIGHT, _TOP, _BOTTOM = 640, 280, 62, 12, 12, 44
 
 
 def histogram(before: Sequence[int] | None, after: Sequence[int], label: str) -> str:
-    """Cells per bin of [0, 1] on a logarithmic scale, so that few bad cells beside millions of good ones show."""
+    """Cells per bin of [0, 1] on a logarithmic scale, which shows a few bad cells among millions of good ones."""
     decades = max(1, math.ceil(math.log10(max(*(before or [1]), *after, 2))))
     return _svg(label, [*_histogram_axes(decades, label), *_bars(before, after, decades)])
 
@@ -49,7 +49,7 @@ def _histogram_axes(decades: int, label: str) -> Iterator[str]:
 
 
 def curve(x: Sequence[float], y: Sequence[float], x_label: str, y_label: str, wrong: Sequence[bool] = ()) -> str:
-    """One quantity over another, a dot per point; ``wrong`` marks points in the colour of errors."""
+    """One quantity over another, one dot per point; ``wrong`` marks points in the colour of errors."""
     xs, ys = ticks(min(x), max(x)), ticks(min(y), max(y))
     parts = list(_curve_axes(xs, ys, x_label, y_label))
     at = [(_across(a, xs), _up(b, ys)) for a, b in zip(x, y, strict=True)]

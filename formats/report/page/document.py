@@ -1,4 +1,4 @@
-"""The page: sections in the order in which questions come up."""
+"""The page: sections in the order of a reader's questions."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ def as_html(
     thumbnails: Sequence[tuple[Figure, str]] = (),
     folder: str = "",
 ) -> str:
-    """The report as a page that needs nothing but itself.
+    """The report as a self-contained page.
 
     Parameters
     ----------
     figures : pictures of a deformation, shown after the verdict
     thumbnails : of levels of a series, each with the name of its file
-    folder : of the levels, seen from where the page lies
+    folder : of the levels, relative to the page
     """
     parts = [part for part in _sections(report, figures, thumbnails, folder) if part[2]]
     name = str(report["grid"]["file"] or "grid")
@@ -118,4 +118,4 @@ def _sections(
     if "timing" in report:
         yield "time", "Time and memory", timing_section(report)
     if report.get("run"):
-        yield "run", "What was asked", run_section(report)
+        yield "run", "Run", run_section(report)

@@ -1,4 +1,4 @@
-"""Pictures in a page: PNG embedded, a pair with a slider that is two pictures where scripts do not run."""
+"""Pictures in a page: embedded PNG; pairs have a slider, or are shown side by side if scripts do not run."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from html import escape
 class Figure:
     """A picture, or the same view before and after (both PNG, of one size).
 
-    ``caption`` says what is seen; it is what readers get who cannot see the picture. Only a pair in one window can have
-    a ``slider``; others stay beside each other.
+    ``caption`` describes the picture, also for readers who cannot see it. Only a pair in the same window can have a
+    ``slider``; others are shown side by side.
     """
 
     title: str
@@ -35,7 +35,7 @@ def figure_lines(figure: Figure, number: int) -> Iterator[str]:
     if figure.before is not None and figure.slider:
         yield (
             f'<label class="slide" for="slide{number}">before<input type="range" min="0" max="100" value="50" '
-            f'id="slide{number}" aria-label="{escape(figure.title)}: share of the picture that shows the grid before">'
+            f'id="slide{number}" aria-label="{escape(figure.title)}: part of the picture that shows the grid before">'
             "after</label>"
         )
     yield f"<figcaption>{escape(figure.caption)}</figcaption></figure>"

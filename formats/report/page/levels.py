@@ -12,7 +12,7 @@ from ..parts import Report
 from .charts import curve
 from .figures import Figure, thumbnail_lines
 
-_HEADS = ("level", "time", "file", "moved", "turned [deg]", "f_skew mean", "f_skew min", "invalid", "steps", "seconds")
+_HEADS = ("level", "time", "file", "moved", "rotated [deg]", "f_skew mean", "f_skew min", "invalid", "steps", "seconds")
 
 
 def level_tiles(report: Report) -> list[tuple[str, Any]]:

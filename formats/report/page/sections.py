@@ -1,4 +1,4 @@
-"""Sections of a page that need no picture: each a function of the report that gives html, or nothing."""
+"""Sections of a page without pictures: functions of the report that return HTML, or an empty text."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ STAGES = {
 
 
 def quality_section(report: Report) -> str:
-    """All measures with the place of the worst, and the distribution of f_skew."""
+    """All measures with the position of the worst cell, and the distribution of f_skew."""
     quality = report["quality"]
     alone = _alone(report)
     rows = [
@@ -57,7 +57,7 @@ def quality_section(report: Report) -> str:
 
 
 def _alone(report: Report) -> bool:
-    """A grid judged without an original has no before."""
+    """Whether the grid was judged without an original, so that there are no values before."""
     return "method" not in report and not report.get("reference")
 
 
@@ -82,13 +82,13 @@ def blocks_section(report: Report) -> str:
 
 
 def attempts_section(report: Report) -> str:
-    """What was tried until the grid was valid, and what a repair did."""
+    """The attempts until the grid was valid, and the result of a repair."""
     rows = [
         (a["method"], a["steps"], "yes" if a["repair"] else "no", a["invalid_cells"], f"{a['reached']:.1%}")
         for a in report.get("attempts", ())
     ]
     heads = ("method", "steps", "with repair", "invalid cells", "motion imposed")
-    title = "Attempts, in their order; the last one is the grid that was written"
+    title = "Attempts, in order; the last one is the grid that was written"
     html = table(title, heads, rows, text=(0, 2)) if rows else ""
     repair = report.get("repair")
     if repair:
@@ -101,7 +101,7 @@ def attempts_section(report: Report) -> str:
 
 
 def shape_section(report: Report) -> str:
-    """What flow solvers complain about."""
+    """Measures that matter to flow solvers."""
     shape = report["shape"]
     rows = []
     for name, after in shape["after"].items():
@@ -110,11 +110,11 @@ def shape_section(report: Report) -> str:
         where = f"{place['block']} ({', '.join(map(str, place['ijk']))})" if place else ""
         rows.append((name, before["max"] if before else None, after["max"], after["mean"], where))
     heads = ("measure", "largest before", "largest", "mean", "largest at")
-    return table("What flow solvers complain about", heads, rows, text=(0, 4))
+    return table("Measures that matter to flow solvers", heads, rows, text=(0, 4))
 
 
 def boundary_section(report: Report) -> str:
-    """Who moves, who stays; what tables matched."""
+    """Boundary entries, motions, and matches of tables."""
     boundary = report["boundary"]
     rows = [(patch["name"], patch["kind"], patch["nodes"]) for patch in boundary["patches"]]
     text = table("Boundary entries", ("name", "kind", "nodes"), rows, text=(0, 1))
@@ -136,7 +136,7 @@ def method_section(report: Report) -> str:
     """Parameters with their reasons."""
     method = report["method"]
     rows = [
-        (name, number(setting["value"]), setting.get("reason", "as given or by default"))
+        (name, number(setting["value"]), setting.get("reason", "given or default"))
         for name, setting in method.items()
         if name != "name"
     ]
@@ -146,7 +146,7 @@ def method_section(report: Report) -> str:
 
 
 def warnings_section(report: Report) -> str:
-    """Every warning with what can be done about it."""
+    """Every warning with advice."""
     items = []
     for warning in report["warnings"]:
         advice = remedy_of(warning)
@@ -169,14 +169,14 @@ def timing_section(report: Report) -> str:
         '<div class="scroll" tabindex="0" role="region" aria-label="Seconds by stage"><table><caption>Seconds</caption>'
         '<thead><tr><th scope="col" class="text">stage</th><th scope="col">seconds</th>'
         f'<th scope="col" class="text">share</th></tr></thead><tbody>{rows}'
-        '<tr><td class="text"><strong>in all</strong></td>'
+        '<tr><td class="text"><strong>total</strong></td>'
         f"<td><strong>{timing['total']:.2f}</strong></td><td></td></tr>"
         f"</tbody></table></div><p>Memory: {readable(report['peak_memory_bytes'])} at most.</p>"
     )
 
 
 def run_section(report: Report) -> str:
-    """The command to repeat this, where and when it ran, the files with their checksums."""
+    """The command, where and when it was run, and the files with their checksums."""
     run = report["run"]
     versions = ", ".join(f"{name} {version}" for name, version in run["versions"].items())
     rows = [(file["role"], file["path"], file["bytes"], file["sha256"]) for file in run["files"]]
@@ -190,7 +190,7 @@ def run_section(report: Report) -> str:
 
 
 def tiles(facts: list[tuple[str, Any]]) -> str:
-    """A few numbers that are to be seen first."""
+    """A few key numbers."""
     return (
         '<dl class="tiles">'
         + "".join(f"<div><dt>{escape(name)}</dt><dd>{escape(str(value))}</dd></div>" for name, value in facts)

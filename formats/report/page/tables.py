@@ -14,7 +14,7 @@ Row = Sequence[Any]
 def table(caption: str, heads: Sequence[str], rows: Sequence[Row], *, text: Sequence[int] = (0,), **looks: Any) -> str:
     """A table whose columns ``text`` are texts, the others numbers.
 
-    ``looks``: ``sortable`` for buttons in the heads; ``flagged``, numbers of rows that are to be noticed.
+    ``looks``: ``sortable`` for buttons in the header; ``flagged``, numbers of the rows to highlight.
     """
     flagged = looks.get("flagged", ())
     head = "".join(f'<th scope="col"{_text(n in text)}>{escape(name)}</th>' for n, name in enumerate(heads))

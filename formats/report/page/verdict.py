@@ -1,4 +1,4 @@
-"""The verdict: is the grid usable, and if not, where and why, and what to do."""
+"""The verdict: whether the grid is usable; if not, where and why not, and what to do."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _SHOWN = 12
 
 
 def verdict_section(report: Report) -> str:
-    """The banner at the top, with the places of invalid cells."""
+    """The banner at the top, with the positions of invalid cells."""
     if report["valid"]:
         return f'<div class="verdict good"><strong>✓ {_good(report)}</strong></div>'
     if "levels" in report:
@@ -60,7 +60,7 @@ def _sentence(group: dict[str, Any]) -> str:
 
 
 def _advice(report: Report) -> list[str]:
-    """What helps, in the order of effort."""
+    """Advice, in order of effort."""
     if "method" not in report:
         return [
             "Deform the original again with <code>--repair auto</code>, or with another method "
@@ -69,14 +69,12 @@ def _advice(report: Report) -> list[str]:
     advice = []
     repaired = any(attempt["repair"] for attempt in report.get("attempts") or ())
     if not repaired:
-        advice.append("Let invalid cells be repaired and the motion be halved as needed: <code>--repair auto</code>.")
+        advice.append("Repair invalid cells and halve the motion as needed: <code>--repair auto</code>.")
     if not repaired and report["steps"] == 1 and report.get("reached", 1.0) == 1.0:
-        advice.append("Let the motion be imposed in as many steps as validity needs: <code>--steps auto</code>.")
-    holds = "" if report["method"]["name"] == "idw-tfi" else "<code>-m idw-tfi</code> holds walls under rotation; "
-    advice.append(f"Try another method: {holds}<code>meshdeform methods</code> says where each one fails.")
-    advice.append(
-        "Let nodes slide on planes close to the motion that need not be fixed: <code>kind = &quot;slip&quot;</code>."
-    )
+        advice.append("Impose the motion in as many steps as a valid grid requires: <code>--steps auto</code>.")
+    holds = "" if report["method"]["name"] == "idw-tfi" else "<code>-m idw-tfi</code> keeps walls under rotation; "
+    advice.append(f"Try another method: {holds}<code>meshdeform methods</code> lists the limits of each.")
+    advice.append("Let nodes slide on nearby planes that need not be fixed: <code>kind = &quot;slip&quot;</code>.")
     return advice
 
 
