@@ -162,7 +162,9 @@ def carry_out(run: Run, progress: ProgressBar) -> Report:
     """Make, write and record the missing levels, then report on all."""
     count, first, ranks = len(run.schedule.times), len(run.manifest.levels), current_ranks()
     progress("levels", first, count)
-    levels = deform_series(run.setup, run.schedule, run.files.variant.precision, progress, first, run.files.read)
+    # What a complete series was put together from is gone.
+    finished = run.files.read if first < count else None
+    levels = deform_series(run.setup, run.schedule, run.files.variant.precision, progress, first, finished)
     for level in levels:
         run.warnings.tell(level.result.warnings)
         ranks.on_first(partial(_record, run, level))

@@ -26,6 +26,8 @@ KEYS = (
     "method.name",
     "method.idw.alpha",
     "method.idw.rotation",
+    "method.idw.length",
+    "method.idw.b",
     "method.rbf.radius",
     "method.rbf.basis",
     "method.tfi.max_cells",
@@ -116,6 +118,11 @@ class Worker:
             "formula": self._formula,
             "grid": self._grid,
         }
+
+    def warm_up(self) -> None:
+        """Run every method once."""
+        for method in METHODS:
+            self._judged("grid.xyz", self.grid, "-c", "case.toml", "-m", method)
 
     def sample(self, number: int) -> tuple[str, str]:
         """Class and result of a sample: ``ok`` (accepted, right), ``refused``, or what is wrong."""
