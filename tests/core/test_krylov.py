@@ -71,6 +71,7 @@ def test_new_right_hand_sides_reuse_the_preconditioner():
 def test_large_coarse_level_has_a_coarse_level_of_its_own(monkeypatch):
     monkeypatch.setattr(schwarz, "_DIRECT", 600)
     monkeypatch.setattr(schwarz, "COARSENING", 4)
+    monkeypatch.setattr(schwarz, "_SPARSEST", 0)
     solver, centres, _ = system(sphere(4000), "tps", None)
     found = solver.solve(bend(centres.points), 1e-6, 40)
     inner = solver.preconditioner._next._solver
@@ -78,6 +79,22 @@ def test_large_coarse_level_has_a_coarse_level_of_its_own(monkeypatch):
     assert len(inner.preconditioner._coarse) < 600
     assert found.residual.max() <= 1e-6
     assert found.iterations <= 10
+
+
+def test_a_coarse_level_slightly_too_large_is_made_smaller_and_factorised(monkeypatch):
+    monkeypatch.setattr(schwarz, "_DIRECT", 608)
+    monkeypatch.setattr(schwarz, "COARSENING", 4)
+    solver, centres, _ = system(sphere(4000), "tps", None)
+    found = solver.solve(bend(centres.points), 1e-6, 40)
+    assert isinstance(solver.preconditioner._next, DirectSolver)
+    assert found.residual.max() <= 1e-6
+    assert found.iterations <= 8
+
+
+def test_number_of_coarse_centres():
+    assert [schwarz.coarse_count(n) for n in (300, 8_000, 116_000, 463_682)] == [300, 500, 4640, 7992]
+    # Of millions even the coarse system is large, and has a coarse level of its own.
+    assert schwarz.coarse_count(1_000_000) == 40_000
 
 
 def test_dependent_and_empty_columns():
