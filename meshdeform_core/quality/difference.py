@@ -1,4 +1,4 @@
-"""How far the nodes of two grids are apart."""
+"""Distances between the nodes of two grids."""
 
 from __future__ import annotations
 

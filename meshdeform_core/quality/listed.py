@@ -29,7 +29,7 @@ class Worst:
 
 @dataclass(frozen=True)
 class InvalidCell:
-    """A cell that was sound and is not any more.
+    """A cell that was valid and no longer is.
 
     ``test`` is the one it failed, see :class:`.validity.Test`; ``ijk`` are 1-based; ``center`` is the mean of the
     corners; ``step`` the first step that broke it.

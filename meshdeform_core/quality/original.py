@@ -17,7 +17,7 @@ Lines = list[tuple[FloatArray, FloatArray]]
 
 @dataclass
 class Original:
-    """An undeformed grid as the judgement needs it.
+    """An undeformed grid with the data that the judgement needs.
 
     ``min_jacobian``: cells with a corner below this share of its undeformed Jacobian count as invalid; ``measured``:
     totals over its cells, from the first comparison with another grid.

@@ -1,4 +1,4 @@
-"""The judgement of a deformed grid against its original (spec section 6; Knupp 2003)."""
+"""The judgement of a deformed grid against its original (Knupp 2003)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Measures that flow solvers complain about: aspect ratio, growth, non-orthogonality, skewness."""
+"""Measures that matter to flow solvers: aspect ratio, growth, non-orthogonality, skewness."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The verdict: which cells that were sound are not any more?
+"""The verdict: which cells were valid and no longer are.
 
 A cell is sound if its Jacobian is positive everywhere. In 2-D the corners decide; in 3-D the corners and a proof for
 the inside (:mod:`..numerics.cell.positivity`). Corners that are collapsed in the undeformed grid have no sign to judge;

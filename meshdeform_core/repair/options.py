@@ -1,4 +1,4 @@
-"""What a user chooses about repairs."""
+"""User options of repairs."""
 
 from __future__ import annotations
 

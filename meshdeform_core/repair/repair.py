@@ -43,7 +43,7 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class Repair:
-    """What repairs did.
+    """Summary of repairs.
 
     ``cells`` that were invalid or weak before, ``nodes`` moved and how far at most (grid length unit),
     Newton steps, seconds.
