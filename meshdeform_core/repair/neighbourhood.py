@@ -84,14 +84,14 @@ class Neighbourhood:
         on_face = self.number[near] >= 0
         return near[~on_face | ~self.constraints.held[self.number[near]]]
 
-    def plot(self, free: IntArray) -> Plot:
-        """The region that block nodes ``free`` from :meth:`around` span."""
+    def plot(self, free: IntArray, even: bool = False) -> Plot:
+        """The region that block nodes ``free`` from :meth:`around` span; ``even``: cells at walls count like others."""
         owners = self._owners(free)
         touched = cells_at(free, self._shapes, self.grid.offsets, self.grid.n_cells)
         corners = self._corners(touched)
         nodes, local = np.unique(self._owners(corners.ravel()), return_inverse=True)
         unknowns, freedom = self._unknowns(nodes, owners)
-        weight = weights(self._from_walls[corners])
+        weight = np.ones(len(touched)) if even else weights(self._from_walls[corners])
         energy = self._energy(nodes, local.reshape(corners.shape), self._signs(touched), weight)
         return Plot(Region(energy, unknowns, freedom), nodes, free, np.searchsorted(nodes, owners), self.axes)
 

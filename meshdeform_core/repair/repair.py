@@ -123,36 +123,45 @@ class Repairer:
 
         Of the nodes around weak cells, first those within some layers move, then more, until all cells are sound and
         the worst one is no longer far from its undeformed shape, or until more nodes do not help. With ``polish`` the
-        weakest cells are taken for weak however good they are.
+        weakest cells are taken for weak however good they are. Where that fails, all nodes move and cells count alike.
         """
         plane = self._in_plane(points, verdict, polish)
         if plane is not None:
             return plane
-        best = start = _State(points, verdict)
-        begin, steps, density = clock.perf_counter(), 0, np.inf
-        now, weak = start, WEAK
+        start, begin, weak = _State(points, verdict), clock.perf_counter(), WEAK
         if polish:
             weak = max(WEAK, min(1.0, 2.0 * float(verdict.ratio.min())))
-        for layers in _LAYERS[self.original.grid.dimension]:
+        best, steps = self._grow(start, weak, _LAYERS[self.original.grid.dimension], even=False)
+        if not best.verdict.valid:
+            # Stiff cells at walls may leave no way out.
+            other, more = self._grow(start, weak, (None,), even=True)
+            best, steps = (other if other.count < best.count else best), steps + more
+        return Outcome(best.points, best.verdict, self._record(start, best, steps, clock.perf_counter() - begin))
+
+    def _grow(self, start: _State, weak: float, stages: tuple[int | None, ...], even: bool) -> tuple[_State, int]:
+        """The best state of regions that grow by ``stages``, and the Newton steps taken."""
+        best = now = start
+        steps, density = 0, np.inf
+        for layers in stages:
+            before, reached = 0.0, np.inf
             for _ in range(_ROUNDS if layers else _LAST_ROUNDS):
-                found = self._attempt(now, layers, weak)
+                found = self._attempt(now, layers, weak, even)
                 if found is None:
-                    break
+                    return best, steps
+                before, reached = found.before, found.density
                 steps += found.steps
                 now = self._moved(now, found)
-                helped = found.density > _ENOUGH and found.density < _GAIN * found.before
+                helped = _ENOUGH < reached < _GAIN * before
                 if not found.untangled or (now.verdict.valid and (layers or not helped)):
                     break
-            if found is None:
-                break
-            if start.verdict.valid and found.density > _GAIN * found.before:
+            if start.verdict.valid and reached > _GAIN * before:
                 # Weak cells that are not to be helped.
                 break
-            if now.count < best.count or (now.count == best.count and found.density < density):
-                best, density = now, found.density
+            if now.count < best.count or (now.count == best.count and reached < density):
+                best, density = now, reached
             if now.verdict.valid and density < _ENOUGH:
                 break
-        return Outcome(best.points, best.verdict, self._record(start, best, steps, clock.perf_counter() - begin))
+        return best, steps
 
     def _in_plane(self, points: FloatArray, verdict: Verdict, polish: bool) -> Outcome | None:
         """The same with the plane grid that this one is drawn out from, where it moves in its plane."""
@@ -171,7 +180,7 @@ class Repairer:
         record = self._record(_State(points, verdict), after, steps, clock.perf_counter() - begin)
         return Outcome(spread, after.verdict, record)
 
-    def _attempt(self, now: _State, layers: int | None, limit: float) -> _Attempt | None:
+    def _attempt(self, now: _State, layers: int | None, limit: float, even: bool) -> _Attempt | None:
         """Move the nodes within so many layers of weak cells; ``None`` where there are none, or too many."""
         weak = np.flatnonzero((now.verdict.failed != 0) | (now.verdict.ratio < limit))
 
@@ -182,7 +191,7 @@ class Repairer:
                     return None
                 if now.verdict.valid and free.size > _LARGE:
                     return None
-                return self._solve(self._neighbourhood.plot(free), now.points)
+                return self._solve(self._neighbourhood.plot(free, even), now.points)
 
         return current_ranks().once(make)
 
