@@ -23,10 +23,13 @@ _MEASURES = (
     ("interface kink rms [deg]", ("interface_kink_deg", "rms")),
     ("interface kink max [deg]", ("interface_kink_deg", "max")),
     ("interface spacing jump rms", ("interface_spacing_jump", "rms")),
+    ("interface spacing jump max", ("interface_spacing_jump", "max")),
     ("volume ratio min", ("volume_ratio", "min")),
     ("volume ratio max", ("volume_ratio", "max")),
     ("total volume", ("total_volume",)),
 )
+# What all cells contribute to, so that no cell is its place.
+_OF_ALL = ("harmonic_mean", "mean", "p01", "rms")
 
 
 @dataclass(frozen=True)
@@ -61,8 +64,12 @@ def _pick(quality: Mapping[str, Any], keys: tuple[str, ...]) -> Any:
 
 
 def _place(quality: Mapping[str, Any], keys: tuple[str, ...]) -> str:
-    """Block and indices of the worst value, for the measure that is its extreme."""
-    worst = (quality.get("worst") or {}).get("_".join(keys)) or (quality.get("worst") or {}).get(keys[0])
-    if not worst or keys[-1] in ("harmonic_mean", "mean", "p01", "rms"):
-        return ""
+    """Block and indices of the worst cell, for a measure that is an extreme."""
+    places = quality.get("worst") or {}
+    worst = places.get("_".join(keys)) or places.get(keys[0])
+    return "" if not worst or keys[-1] in _OF_ALL else place_text(worst)
+
+
+def place_text(worst: Mapping[str, Any]) -> str:
+    """Block and indices of a cell."""
     return f"{worst['block']} ({', '.join(map(str, worst['ijk']))})"

@@ -7,7 +7,7 @@ from typing import Any
 
 from meshdeform_core.memory import readable
 
-from .measures import measure_rows
+from .measures import measure_rows, place_text
 from .series_text import series_lines
 
 _LISTED = 20
@@ -99,7 +99,8 @@ def _quality(report: dict[str, Any]) -> Iterator[str]:
         if alone and row.name in _COMPARED:
             continue
         values = (row.after,) if alone else (row.before, row.after)
-        yield f"{'':9s} {row.name:34s}" + "".join(f" {number(value):>14s}" for value in values)
+        columns = "".join(f" {number(value):>14s}" for value in values)
+        yield f"{'':9s} {row.name:34s}{columns}" + (f"  at {row.place}" if row.place else "")
     if "shape" in report:
         yield from _shape(report["shape"], alone)
     if "steps" in report:
@@ -122,10 +123,9 @@ def _shape(shape: dict[str, Any], alone: bool) -> Iterator[str]:
     for name, after in shape["after"].items():
         before = (shape["before"] or {}).get(name)
         values = (after,) if alone else (before, after)
-        place = after["worst"]
         label = f"largest {_SHAPE_NAMES.get(name, name.replace('_', ' '))}"
         columns = "".join(f" {number(v['max']) if v else '':>14s}" for v in values)
-        yield f"{'':9s} {label:34s}{columns}  at {place['block']} ({', '.join(map(str, place['ijk']))})"
+        yield f"{'':9s} {label:34s}{columns}  at {place_text(after['worst'])}"
 
 
 def number(value: Any) -> str:

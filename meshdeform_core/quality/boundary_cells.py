@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ..grid import FloatArray, Grid, IntArray, Side
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology
-from .lines import WallFace, kink_and_jump, lines_across, wall_faces, wall_lines
+from .lines import InterfaceLines, WallFace, kink_and_jump, lines_across, wall_faces, wall_lines
 from .listed import cell_starts
 
 
@@ -86,3 +88,31 @@ def _cells_behind(grid: Grid, topology: Topology, quads: IntArray) -> IntArray:
         local = quads[mine] - topology.quads.start[block, side]
         cells[mine] = starts[block] + _layer(grid, block, side).ravel()[local]
     return cells
+
+
+def cell_at_wall(grid: Grid, faces: Sequence[WallFace], number: int) -> int:
+    """A wall cell with one of the grid lines off ``faces``, numbered as :func:`.lines.wall_lines` gives them."""
+    for face in faces:
+        touched = np.argwhere(face.touched)
+        if number < len(touched):
+            # Beside the edge of a wall some of the cells around a node do not belong to it.
+            quads = np.argwhere(face.wall)
+            away = touched[number] - quads
+            a, b = quads[int(np.argmax(((away == 0) | (away == 1)).all(axis=1)))]
+            return _cell_along(grid, int(face.nodes[a, b]), int(face.nodes[a, b] + face.step))
+        number -= len(touched)
+    raise IndexError(f"walls have {number} grid lines fewer")
+
+
+def cell_at_interface(grid: Grid, lines: InterfaceLines, number: int) -> int:
+    """A cell with the first segment of one of the grid lines across interfaces, in the order of ``lines``."""
+    return _cell_along(grid, int(lines.before[number]), int(lines.here[number]))
+
+
+def _cell_along(grid: Grid, node: int, neighbour: int) -> int:
+    """The cell after the edge between two nodes of a block, by flat index; at the end of the block the one before."""
+    block = int(np.searchsorted(grid.offsets, node, side="right")) - 1
+    ends = np.array(np.unravel_index([node - grid.offsets[block], neighbour - grid.offsets[block]], grid.shapes[block]))
+    shape = grid.cell_shapes[block]
+    cell = np.minimum(ends.min(axis=1), np.array(shape) - 1)
+    return int(cell_starts(grid)[block] + np.ravel_multi_index(tuple(cell), shape))

@@ -69,6 +69,15 @@ class Comparison:
         return int(self._cells[slab, 2]), float(self._extremes[slab, 2])
 
     @property
+    def volume_ratios(self) -> tuple[tuple[int, float], tuple[int, float]] | None:
+        """The cells with the smallest and the largest volume relative to the undeformed one, and these."""
+        low, high = int(self._extremes[:, 0].argmin()), int(self._extremes[:, 1].argmax())
+        least, most = float(self._extremes[low, 0]), float(self._extremes[high, 1])
+        if least > most:
+            return None
+        return (int(self._cells[low, 0]), least), (int(self._cells[high, 1]), most)
+
+    @property
     def broken(self) -> BoolArray:
         """(n_cells,) cells that became invalid."""
         return np.asarray(self.verdict.failed != Test.NONE)
@@ -81,8 +90,8 @@ class Comparison:
     @property
     def ratio(self) -> Range:
         """Volumes after over volumes before, of cells that had one."""
-        low, high = float(self._extremes[:, 0].min()), float(self._extremes[:, 1].max())
-        return Range(low, high) if low <= high else Range(1.0, 1.0)
+        found = self.volume_ratios
+        return Range(found[0][1], found[1][1]) if found else Range(1.0, 1.0)
 
 
 def _extremes(slab: Slab, f: Figures) -> tuple[tuple[float, float, float], tuple[int, int, int]]:

@@ -19,7 +19,7 @@ from .validity import Test, Verdict
 
 @dataclass(frozen=True)
 class Worst:
-    """The cell with the smallest value of a measure; ``ijk`` are 1-based, ``center`` is the mean of the corners."""
+    """The cell with the worst value of a measure; ``ijk`` are 1-based, ``center`` is the mean of the corners."""
 
     value: float
     block: str
@@ -46,7 +46,7 @@ class InvalidCell:
 
 
 def worst_cell(grid: Grid, points: FloatArray, cell: int, value: float) -> Worst:
-    """The cell with the smallest value of a measure, by number; a value that is infinite counts as one."""
+    """The cell with the worst value of a measure, by number; a value that is infinite counts as one."""
     block, ijk = place_of(grid, cell)
     i, j, k = ijk
     center = grid.block(block, points)[i : i + 2, j : j + 2, k : k + 2].reshape(-1, 3).mean(axis=0)

@@ -12,6 +12,7 @@ import numpy as np
 from ..boundary import Boundary
 from ..grid import FloatArray, Grid
 from ..grid.planes import plane_normal
+from .boundary_cells import cell_at_interface, cell_at_wall
 from .cells import cell_starts
 from .comparison import Comparison
 from .groups import InvalidGroup, group_cells
@@ -44,7 +45,10 @@ class Quality:
 
     Kink and spacing jump of a deformed grid are changes against its original. ``None`` where the grid has no moving
     wall or no interface. ``min_relative_jacobian`` is the smallest corner Jacobian relative to the undeformed one,
-    collapsed corners aside; ``worst`` names the cells with the smallest f_skew and relative Jacobian.
+    collapsed corners aside. ``worst`` names the cells with the extremes: ``f_skew``, ``min_scaled_jacobian``,
+    ``min_relative_jacobian``, ``wall_normal_deviation_deg``, ``first_cell_height_ratio_min`` and ``_max``,
+    ``interface_kink_deg``, ``interface_spacing_jump``, ``volume_ratio_min`` and ``_max``; before only the first two. A
+    measure that is the same everywhere has none.
     """
 
     f_skew: Skew
@@ -123,22 +127,32 @@ def assess(
     start, cells = grid.points, cells or Comparison(original, after)
     broken = cells.verdict.invalid
     invalid = list(list_cells(original, after, broken[:MAX_LISTED], cells.verdict))
-    walls = _walls(original, boundary, after)
-    interfaces = _interfaces(original, after)
-    worst_before = {"f_skew": worst_cell(grid, start, *original.tally.worst)}
+    walls, interfaces = _walls(original, boundary, after), _interfaces(original, after)
     worst = {
-        "f_skew": worst_cell(grid, after, *cells.after.worst),
-        "min_relative_jacobian": worst_cell(grid, after, *cells.smallest_ratio),
+        "f_skew": cells.after.worst,
+        "min_scaled_jacobian": cells.after.smallest_scaled,
+        "min_relative_jacobian": cells.smallest_ratio,
+        **_spread_of("volume_ratio", cells.volume_ratios),
+        **walls[2],
+        **interfaces[2],
     }
+    worst_before = {"f_skew": original.tally.worst, "min_scaled_jacobian": original.tally.smallest_scaled}
     return Assessment(
-        _quality(original.tally, (0, original.tally.bad, 1.0), walls[0], interfaces[0], Range(1.0, 1.0), worst_before),
+        _quality(
+            original.tally,
+            (0, original.tally.bad, 1.0),
+            walls[0],
+            interfaces[0],
+            Range(1.0, 1.0),
+            {name: worst_cell(grid, start, *found) for name, found in worst_before.items()},
+        ),
         _quality(
             cells.after,
-            (len(broken), cells.inherited, worst["min_relative_jacobian"].value),
+            (len(broken), cells.inherited, worst_cell(grid, after, *cells.smallest_ratio).value),
             walls[1],
             interfaces[1],
             cells.ratio,
-            worst,
+            {name: worst_cell(grid, after, *found) for name, found in worst.items()},
         ),
         with_nearest_patch(grid, topology, boundary, start, invalid),
         per_block(original, cells),
@@ -156,36 +170,58 @@ def _quality(
 ) -> Quality:
     """``verdict``: cells that are invalid, cells that were bad before, smallest relative Jacobian."""
     invalid, inherited, relative = verdict
-    skew, scaled = cells.skew(), cells.scaled
     counts = invalid, inherited, cells.negative
-    return Quality(skew, *counts, scaled, relative, *walls, *interfaces, ratio, cells.volume, worst)
+    scaled = cells.smallest_scaled[1]
+    return Quality(cells.skew(), *counts, scaled, relative, *walls, *interfaces, ratio, cells.volume, worst)
 
 
 Walls = tuple[Spread | None, Range | None]
 Interfaces = tuple[Spread | None, Spread | None]
+Extremes = dict[str, tuple[int, float]]
+"""The number of the worst cell and its value by measure; none for a measure that is the same everywhere."""
 
 
-def _walls(original: Original, boundary: Boundary | None, after: FloatArray) -> tuple[Walls, Walls]:
+def _walls(original: Original, boundary: Boundary | None, after: FloatArray) -> tuple[Walls, Walls, Extremes]:
     faces, old = original.walls(boundary) if boundary is not None else ([], [])
     if not faces:
-        return (None, None), (None, None)
-    normal = plane_normal(original.grid)
+        return (None, None), (None, None), {}
+    grid, normal = original.grid, plane_normal(original.grid)
     new = [wall_lines(face, after, normal) for face in faces]
     angles = [np.concatenate([angle for angle, _ in lines]) for lines in (old, new)]
     heights = [np.concatenate([height for _, height in lines]) for lines in (old, new)]
-    sound = heights[0] > 0
+    sound = np.flatnonzero(heights[0] > 0)
     ratio = heights[1][sound] / heights[0][sound]
-    change = Range(float(ratio.min()), float(ratio.max())) if ratio.size else None
-    return (Spread.of(angles[0]), Range(1.0, 1.0)), (Spread.of(angles[1]), change)
+    worst: Extremes = {}
+    if angles[1].any():
+        line = int(angles[1].argmax())
+        worst["wall_normal_deviation_deg"] = cell_at_wall(grid, faces, line), float(angles[1][line])
+    change = None
+    if ratio.size:
+        low, high = int(ratio.argmin()), int(ratio.argmax())
+        change = Range(float(ratio[low]), float(ratio[high]))
+        ends = [(cell_at_wall(grid, faces, int(sound[n])), float(ratio[n])) for n in (low, high)]
+        worst |= _spread_of("first_cell_height_ratio", (ends[0], ends[1]))
+    return (Spread.of(angles[0]), Range(1.0, 1.0)), (Spread.of(angles[1]), change), worst
 
 
-def _interfaces(original: Original, after: FloatArray) -> tuple[Interfaces, Interfaces]:
+def _spread_of(measure: str, ends: tuple[tuple[int, float], tuple[int, float]] | None) -> Extremes:
+    """The smallest and the largest value of a measure, unless they are the same."""
+    if ends is None or ends[0][1] == ends[1][1]:
+        return {}
+    return {f"{measure}_min": ends[0], f"{measure}_max": ends[1]}
+
+
+def _interfaces(original: Original, after: FloatArray) -> tuple[Interfaces, Interfaces, Extremes]:
     lines, old = original.interfaces
     if lines.here.size == 0:
-        return (None, None), (None, None)
-    if after is original.grid.points:
-        # A grid on its own: kinks and jumps as they are, not changes.
-        own = Spread.of(old[0]), Spread.of(old[1])
-        return own, own
-    new = kink_and_jump(lines, after)
-    return (Spread(0.0, 0.0), Spread(0.0, 0.0)), (Spread.of(new[0] - old[0]), Spread.of(new[1] - old[1]))
+        return (None, None), (None, None), {}
+    alone = after is original.grid.points
+    # Of a grid on its own kinks and jumps as they are, not changes.
+    found = list(old) if alone else [now - then for now, then in zip(kink_and_jump(lines, after), old, strict=True)]
+    worst: Extremes = {}
+    for name, values in zip(("interface_kink_deg", "interface_spacing_jump"), found, strict=True):
+        line = int(np.abs(values).argmax())
+        if values[line] != 0.0:
+            worst[name] = cell_at_interface(original.grid, lines, line), abs(float(values[line]))
+    spread = Spread.of(found[0]), Spread.of(found[1])
+    return spread if alone else (Spread(0.0, 0.0), Spread(0.0, 0.0)), spread, worst

@@ -103,8 +103,10 @@ class Tally:
         return int(self.sums[:, 4].sum())
 
     @property
-    def scaled(self) -> float:
-        return float(self.lows[:, 1].min())
+    def smallest_scaled(self) -> tuple[int, float]:
+        """The cell with the smallest scaled Jacobian, and that."""
+        slab = int(self.lows[:, 1].argmin())
+        return int(self.low_cells[slab, 1]), float(self.lows[slab, 1])
 
     @property
     def worst(self) -> tuple[int, float]:

@@ -12,10 +12,13 @@ from meshdeform_core.boundary.expression import expression
 from meshdeform_core.boundary.motion import Displace, Motion
 from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import Grid, Side
+from meshdeform_core.grid.planes import plane_normal
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.quality import Original, assess
-from meshdeform_core.quality.boundary_cells import wall_cells
+from meshdeform_core.quality.boundary_cells import cell_at_wall, wall_cells
 from meshdeform_core.quality.fields import CELL_MEASURES, CellFields
+from meshdeform_core.quality.lines import wall_faces, wall_lines
+from meshdeform_core.quality.listed import Worst
 from meshdeform_core.quality.shape import shape_measures
 
 STILL = Motion((Displace(tuple(expression("0", frozenset()) for _ in range(3))),), {})
@@ -32,6 +35,12 @@ def everything(fields: CellFields, measure: str) -> np.ndarray:
     """A measure of all cells of the grid, block after block."""
     blocks = range(fields.grid.n_blocks)
     return np.concatenate([fields.values(measure, b, fields.whole(b)).ravel() for b in blocks])
+
+
+def at_place(fields: CellFields, measure: str, worst: Worst) -> float:
+    """A measure of the cell that a report names."""
+    block = fields.grid.names.index(worst.block)
+    return float(fields.values(measure, block, fields.whole(block))[tuple(n - 1 for n in worst.ijk)])
 
 
 def test_the_command_line_knows_all_measures():
@@ -52,12 +61,18 @@ def test_extremes_are_those_of_the_report(grid):
     assert (ratio.min(), ratio.max()) == pytest.approx((quality.volume_ratio.min, quality.volume_ratio.max), rel=1e-12)
     assert np.nanmax(everything(fields, "interface_kink_deg")) == quality.interface_kink_deg.max
     assert np.nanmax(everything(fields, "interface_spacing_jump")) == quality.interface_spacing_jump.max
+    for name in ("f_skew", "scaled_jacobian", "relative_jacobian"):
+        worst = quality.worst["f_skew" if name == "f_skew" else f"min_{name}"]
+        assert at_place(fields, name, worst) == pytest.approx(everything(fields, name).min(), rel=1e-6)
+    for end, value in (("min", ratio.min()), ("max", ratio.max())):
+        assert at_place(fields, "volume_ratio", quality.worst[f"volume_ratio_{end}"]) == pytest.approx(value, rel=1e-6)
+    for name in ("interface_kink_deg", "interface_spacing_jump"):
+        assert at_place(fields, name, quality.worst[name]) == np.nanmax(everything(fields, name))
+        assert quality.worst[name].value == np.nanmax(everything(fields, name))
     for name, measure in shape_measures(after).items():
         values = everything(fields, name)
         assert values.max() == measure.max
-        block = after.names.index(measure.worst.block)
-        at = tuple(n - 1 for n in measure.worst.ijk)
-        assert fields.values(name, block, fields.whole(block))[at] == measure.max
+        assert at_place(fields, name, measure.worst) == measure.max
 
 
 @pytest.mark.parametrize("make", [frame, frame_2d, polar])
@@ -74,8 +89,40 @@ def test_wall_measures_are_those_of_the_report(make):
     assert np.nanmax(angle) == pytest.approx(quality.wall_normal_deviation_deg.max, rel=1e-12)
     extremes = quality.first_cell_height_ratio
     assert max(1 / np.nanmin(ratio), np.nanmax(ratio)) == pytest.approx(max(1 / extremes.min, extremes.max))
+    fields = CellFields(after, topology, grid, moving)
+    worst = quality.worst["wall_normal_deviation_deg"]
+    assert at_place(fields, "wall_normal_deviation_deg", worst) == worst.value == quality.wall_normal_deviation_deg.max
+    found = [quality.worst[f"first_cell_height_ratio_{end}"] for end in ("min", "max")]
+    assert [one.value for one in found] == [extremes.min, extremes.max]
+    # A cell has the ratio that is farthest from 1, which may be another one of its own.
+    for one in found:
+        at_cell = at_place(fields, "first_cell_height_ratio", one)
+        assert abs(np.log(at_cell)) >= abs(np.log(one.value)) * (1 - 1e-12)
     # One layer of cells has values, as many as there are quads.
     assert np.isfinite(angle).sum() == np.isfinite(ratio).sum() == len(moving)
+
+
+@pytest.mark.parametrize("grid", [frame(), frame_2d()], ids=["3-D", "2-D"])
+def test_every_grid_line_off_a_part_of_a_wall_belongs_to_a_cell_of_it(grid):
+    topology, after = find_topology(grid), waved(grid)
+    outside = np.flatnonzero(topology.partner < 0)
+    chosen = np.zeros(len(topology.partner), dtype=bool)
+    chosen[np.random.default_rng(1).choice(outside, len(outside) // 3, replace=False)] = True
+    angle = wall_cells(grid, topology, after.points, np.flatnonzero(chosen))[0]
+    faces = wall_faces(grid, topology, chosen)
+    values = np.concatenate([wall_lines(face, after.points, plane_normal(grid))[0] for face in faces])
+    cells = [cell_at_wall(grid, faces, number) for number in range(len(values))]
+    assert (angle[cells] >= values).all()
+    with pytest.raises(IndexError):
+        cell_at_wall(grid, faces, len(values))
+
+
+def test_an_undeformed_grid_has_no_worst_change():
+    grid = frame()
+    topology = find_topology(grid)
+    moved = grid.points + 0.0
+    worst = assess(Original(grid, topology), moved, None).after.worst
+    assert set(worst) == {"f_skew", "min_scaled_jacobian", "min_relative_jacobian"}
 
 
 def test_an_orthogonal_wall_has_no_deviation_and_stretched_cells_a_height_ratio():

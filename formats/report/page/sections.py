@@ -7,7 +7,7 @@ from typing import Any
 
 from meshdeform_core.memory import readable
 
-from ..measures import measure_rows
+from ..measures import measure_rows, place_text
 from ..parts import Report
 from ..remedies import remedy_of
 from ..text import number
@@ -107,7 +107,7 @@ def shape_section(report: Report) -> str:
     for name, after in shape["after"].items():
         before = (shape["before"] or {}).get(name)
         place = after.get("worst")
-        where = f"{place['block']} ({', '.join(map(str, place['ijk']))})" if place else ""
+        where = place_text(place) if place else ""
         rows.append((name, before["max"] if before else None, after["max"], after["mean"], where))
     heads = ("measure", "largest before", "largest", "mean", "largest at")
     return table("Measures that matter to flow solvers", heads, rows, text=(0, 4))
