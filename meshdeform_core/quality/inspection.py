@@ -135,7 +135,8 @@ def _look_again(original: Original, after: FloatArray, slab: Slab, cells: IntArr
     f.change[cells] = np.where(solid, volume / np.where(solid, old_volume, 1.0), np.nan)
     failed = decide(old, new, sign)
     f.failed[cells] = np.array([Test.NONE, Test.INSIDE, Test.VOLUME])[failed]
-    bad, old_bad = (jacobian <= 0).any(axis=1), (old_jacobian <= 0).any(axis=1)
+    bad: BoolArray = np.asarray((jacobian <= 0).any(axis=1))
+    old_bad: BoolArray = np.asarray((old_jacobian <= 0).any(axis=1))
     f.after.add(skew, volume, bad)
     sound = (failed == 0) & ~((f.ratio[cells] <= 0.0) | (f.ratio[cells] < original.min_jacobian))
     f.inherited = int((bad & old_bad & sound).sum())

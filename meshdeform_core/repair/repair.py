@@ -12,13 +12,13 @@ import numpy as np
 from ..boundary import Boundary
 from ..grid import FloatArray, IntArray
 from ..memory import UNLIMITED, MemoryLimit
-from ..numerics.systems.newton import NewtonSystem
 from ..parallel import alone, current_ranks, empty, for_rows
 from ..quality import Original
 from ..quality.validity import Verdict, judge
 from .constraints import Constraints
 from .extrusion import Extrusion, find_extrusion
 from .neighbourhood import Neighbourhood, Plot
+from .newton import NewtonSystem
 from .region import Hexahedra
 from .untangle import Untangler
 

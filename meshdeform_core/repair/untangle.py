@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..grid import FloatArray
-from ..numerics.systems.newton import NewtonSystem
 from ..parallel import for_chunks
+from .newton import NewtonSystem
 from .region import Region
 
 _ELEMENTS = 4096

@@ -9,10 +9,10 @@ import numpy as np
 import scipy
 
 from ...grid import FloatArray, Grid, IntArray
+from ...numerics.arrays import Report
 from ...numerics.exact.basis import BASES
 from ...numerics.exact.radial import radial_sums
 from ...numerics.fastsum.radial import FastRadial, RadialTargets, make_radial_targets
-from ...numerics.fastsum.sums import Counter
 from ...parallel import Shared, empty, for_chunks, for_rows, thread_count
 from ..base import Account, Progress, Setting, of_stage
 from .summation import fast_pays, largest_error, sum_accurately
@@ -119,14 +119,14 @@ class RadialSums:
         moved = radial_sums(BASES[self._basis], x, fit.centres, fit.coefficients)
         return np.asarray(moved + self._centres.polynomial(x)[:, : len(fit.polynomial)] @ fit.polynomial)
 
-    def _exact(self, fit: Coefficients, out: FloatArray, report: Counter) -> None:
+    def _exact(self, fit: Coefficients, out: FloatArray, report: Report | None) -> None:
         def work(lo: int, hi: int) -> None:
             flat = self._flat[lo:hi]
             out[flat] = self._displacement(fit, flat)
 
         for_chunks(work, len(self._flat), _CHUNK, report, [Shared(out, lambda lo, hi: self._flat[lo:hi])])
 
-    def _fast(self, fit: Coefficients, out: FloatArray, report: Counter) -> None:
+    def _fast(self, fit: Coefficients, out: FloatArray, report: Report | None) -> None:
         assert self._targets is not None
         targets = self._targets
         if self._tree is None or not np.array_equal(self._tree[0], fit.centres):

@@ -12,6 +12,8 @@ that keeps every f below 1 / t (Garanzha et al.: Practical lowest distortion map
 have :mod:`.foldover_plane`.
 """
 
+from __future__ import annotations
+
 import itertools
 from typing import NamedTuple
 
@@ -32,7 +34,7 @@ class Samples(NamedTuple):
     slope: np.ndarray
 
 
-def cell_samples():
+def cell_samples() -> Samples:
     """The 27 sample points of a hexahedron; node a of it is the corner (a >> 2, a >> 1 & 1, a & 1)."""
     corners = list(itertools.product((0.0, 1.0), repeat=3))
     points = corners + [p for p in itertools.product((0.0, 0.5, 1.0), repeat=3) if 0.5 in p]

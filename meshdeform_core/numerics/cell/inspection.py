@@ -15,7 +15,10 @@ it, and, as means of products are bounded by products of the largest lengths, ev
 with the largest length of each kind. Where this is positive J is positive everywhere.
 """
 
+from __future__ import annotations
+
 import math
+from typing import Any
 
 import numpy as np
 from llvmlite import ir
@@ -35,7 +38,7 @@ SKEW, SCALED, RATIO, CHANGE, SKEW_BEFORE, SCALED_BEFORE = 0, 1, 2, 3, 4, 5
 _KINDS = 20
 
 
-def _rows(count):
+def _rows(count: int) -> np.uint64:
     # Unsigned: an index that might be negative would keep loops scalar.
     return np.uint64(count * _N)
 
@@ -55,7 +58,7 @@ _MEAN, _EIGHTH, _HUGE = np.float32(2 / 3 / 64), np.float32(1 / 8), np.float32(1e
 
 @intrinsic
 def _bits(typing_context, value):
-    def generate(context, builder, signature, arguments):
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.bitcast(arguments[0], ir.IntType(32))
 
     return types.int32(types.float32), generate
@@ -63,7 +66,7 @@ def _bits(typing_context, value):
 
 @intrinsic
 def _from_bits(typing_context, value):
-    def generate(context, builder, signature, arguments):
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.bitcast(arguments[0], ir.FloatType())
 
     return types.float32(types.int32), generate

@@ -1,9 +1,12 @@
 """Shape measures of cells: Jacobians, skewness metric and volume, one pass over a block."""
 
+from __future__ import annotations
+
 import math
 
 import numpy as np
 
+from ..arrays import FloatArray
 from ..exact.elementary import cube_root
 from ..jit import inlined, kernel
 
@@ -183,7 +186,7 @@ def measure_quads(x, normal, i0, i1, skew, scaled, jacobian, area, bad):
             bad[n, j] = mask
 
 
-def scattered_hexahedra(x, sign):
+def scattered_hexahedra(x: FloatArray, sign: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Measures of cells, corners ``x`` (m, 8, 3), (a, b, c) at 4 a + 2 b + c, in blocks of handedness ``sign`` (m,).
 
     Returns

@@ -1,5 +1,7 @@
 """Which clusters of sources are far enough: functions of distance and the errors of interpolating them over boxes."""
 
+from __future__ import annotations
+
 import math
 from typing import NamedTuple
 
@@ -20,7 +22,7 @@ class Kernel(NamedTuple):
     single: bool
 
 
-def inverse_powers(a, b, kappa, single=False):
+def inverse_powers(a: float, b: float, kappa: float, single: bool = False) -> Kernel:
     """Kernel r^-a + kappa r^-b of inverse distance weighting; ``single`` where that precision is enough."""
     return Kernel(float(a), float(b), float(kappa), bool(single))
 

@@ -1,16 +1,19 @@
 """Boxes along principal axes with interpolation points inside: the clusters of fast summation."""
 
+from __future__ import annotations
+
 import math
 
 import numpy as np
 
+from ..arrays import FloatArray, IntArray
 from ..jit import inlined, kernel
 
 # Ratio of distance to half width for which the number of points along a box's longest side is meant.
 _REFERENCE_RATIO = 5.0
 
 
-def fit_boxes(points, members, span):
+def fit_boxes(points: FloatArray, members: IntArray, span: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Smallest boxes along the principal axes of ``points[members[lo:hi]]`` for each row lo, hi of ``span`` (m, 2).
 
     Returns middles (m, 3), axes (m, 3, 3) in rows, longest first, and half widths (m, 3).
@@ -24,7 +27,9 @@ def fit_boxes(points, members, span):
     return center, axes, 0.5 * (high - low)
 
 
-def extents(points, members, span, center, axes):
+def extents(
+    points: FloatArray, members: IntArray, span: IntArray, center: FloatArray, axes: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Least and largest coordinates (m, 3) of the members along the axes of boxes, from their middles; 0 if empty."""
     low, high = np.zeros(center.shape), np.zeros(center.shape)
     _extents(points, members, span, center, axes, low, high)
@@ -66,7 +71,7 @@ def _extents(points, members, span, center, axes, low, high):
                     high[b, row] = at
 
 
-def points_per_side(half, order):
+def points_per_side(half: FloatArray, order: int) -> IntArray:
     """Interpolation points (m, 3) along each side of boxes: fewer where flat, for the same error in all directions."""
     thick = half > 1e-12 * half.max(axis=1, keepdims=True)
     flatness = half.max(axis=1, keepdims=True) / np.where(thick, half, 1.0)
@@ -74,7 +79,9 @@ def points_per_side(half, order):
     return np.where(thick, np.maximum(wanted, 1.0), 1.0).astype(np.int64)
 
 
-def place_points(center, axes, half, count, start):
+def place_points(
+    center: FloatArray, axes: FloatArray, half: FloatArray, count: IntArray, start: IntArray
+) -> FloatArray:
     """Interpolation points (total, 3) of all boxes; those of box b begin at ``start[b]``."""
     points = np.empty((start[-1], 3))
     _place_points(center, axes, half, count, start, points)

@@ -1,10 +1,13 @@
 """Bricks and regions of target nodes: the other half of what fast summation sorts once per undeformed grid."""
 
+from __future__ import annotations
+
 import math
 from typing import NamedTuple
 
 import numpy as np
 
+from ..arrays import BoolArray, FloatArray, IntArray
 from ..jit import inlined, kernel
 from .boxes import extents, fit_boxes, place_points, points_per_side
 
@@ -53,7 +56,9 @@ class Regions(NamedTuple):
     proxies: np.ndarray
 
 
-def build_bricks(points, shapes, offsets, wanted, order, capacity):
+def build_bricks(
+    points: FloatArray, shapes: IntArray, offsets: IntArray, wanted: BoolArray, order: int, capacity: int
+) -> tuple[Bricks, IntArray]:
     """Cut every block's index box into bricks of at most about ``capacity`` targets, and group them into regions.
 
     Boxes are halved along the index direction in which they are longest in space, so that bricks are compact although
@@ -86,7 +91,7 @@ def build_bricks(points, shapes, offsets, wanted, order, capacity):
     return make_bricks(points, start, flat, order), np.concatenate(firsts)
 
 
-def make_bricks(points, start, targets, order):
+def make_bricks(points: FloatArray, start: IntArray, targets: IntArray, order: int) -> Bricks:
     """Bricks of ``targets`` beginning at ``start`` (b + 1,), with up to ``order`` interpolation points per side."""
     boxes = fit_boxes(points, targets, spans(start))
     per_side = points_per_side(boxes[2], order)
@@ -94,7 +99,7 @@ def make_bricks(points, start, targets, order):
     return Bricks(start, targets, *boxes, per_side, proxy, place_points(*boxes, per_side, proxy))
 
 
-def make_regions(points, bricks, first, order):
+def make_regions(points: FloatArray, bricks: Bricks, first: IntArray, order: int) -> Regions:
     """Regions of the bricks beginning with number ``first`` (g + 1,)."""
     proxies = np.arange(len(bricks.proxies))
     center, axes, half = fit_boxes(bricks.proxies, proxies, spans(bricks.proxy[first]))
@@ -106,12 +111,12 @@ def make_regions(points, bricks, first, order):
     return Regions(first, center, axes, half, per_side, proxy, place_points(center, axes, half, per_side, proxy))
 
 
-def spans(start):
+def spans(start: IntArray) -> IntArray:
     """Rows (m, 2) of first and one past the last place, of groups that begin at ``start`` (m + 1,)."""
     return np.stack([start[:-1], start[1:]], axis=1)
 
 
-def _cut_block(x, mask, count, capacity):
+def _cut_block(x: FloatArray, mask: BoolArray, count: int, capacity: float) -> tuple[IntArray, IntArray, IntArray]:
     starts, firsts = np.zeros(count + 1, dtype=np.int64), np.zeros(count + 1, dtype=np.int64)
     targets = np.empty(count, dtype=np.int64)
     # Ranges of indices, and whether the box lies in a region.
@@ -191,7 +196,7 @@ def longest_side(x, b, at, previous):
     return axis
 
 
-def node_sizes(points, shapes, offsets, flat):
+def node_sizes(points: FloatArray, shapes: IntArray, offsets: IntArray, flat: IntArray) -> FloatArray:
     """Shortest edge (n,) at the nodes ``flat`` of a grid; edges without length, at poles, do not count."""
     block = np.searchsorted(offsets, flat, side="right") - 1
     rest, shape = flat - offsets[block], shapes[block]

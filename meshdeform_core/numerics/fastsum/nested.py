@@ -6,11 +6,14 @@ that of the fast multipole method (Greengard & Rokhlin 1987), with skeletons (se
 multipoles, which works for any function, and for centres on surfaces and clustered to one side as well as for others.
 """
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import numpy as np
 
 from ...parallel import Shared, for_chunks
+from ..arrays import BoolArray, FloatArray, IntArray
 from ..exact.basis import BASES
 from ..exact.radial import radial_block
 from ..jit import kernel
@@ -68,19 +71,26 @@ class NestedSums:
     like : sums with the same centres, whose clusters are taken over
     """
 
-    def __init__(self, kind, centres, tolerance, rows=None, like=None):
+    def __init__(
+        self,
+        kind: int,
+        centres: FloatArray,
+        tolerance: float,
+        rows: IntArray | None = None,
+        like: NestedSums | None = None,
+    ) -> None:
         self._kind = kind
-        self._tree = like._tree if like else build_tree(centres, 1, LEAF)
+        self._tree: SourceTree = like._tree if like else build_tree(centres, 1, LEAF)
         radius = np.sqrt((self._tree.half**2).sum(axis=1))
         compact = kind != BASES["tps"]
-        self._lists = like._lists if like else _pairs(self._tree, radius, compact)
+        self._lists: Lists = like._lists if like else _pairs(self._tree, radius, compact)
         acting = np.diff(self._lists.far_start) > 0
         self._bases = find_bases(kind, self._tree, radius, acting, tolerance)
         self._leaves = np.flatnonzero(self._tree.child < 0)
         self._leaves = self._leaves[np.argsort(self._tree.span[self._leaves, 0])]
         self._set_rows(rows)
 
-    def _set_rows(self, rows):
+    def _set_rows(self, rows: IntArray | None) -> None:
         """Places in the tree where sums are wanted, which of them each leaf has, and where each row finds its own."""
         wanted = np.full(len(self._tree.order), rows is None)
         place = np.empty(len(wanted), dtype=np.int64)
@@ -93,18 +103,18 @@ class NestedSums:
         self._of_leaf = np.searchsorted(self._places, ends)
 
     @property
-    def order(self):
+    def order(self) -> IntArray:
         """Centres (n,) as they follow in the tree: neighbours in space."""
         return self._tree.order
 
     @property
-    def pairs(self):
+    def pairs(self) -> int:
         """Pairs of points that one product sums."""
         size, span, lists = np.diff(self._bases.start), np.diff(self._tree.span)[:, 0], self._lists
         far, near = np.repeat(size, np.diff(lists.far_start)), np.repeat(span, np.diff(lists.near_start))
         return int((far * size[lists.far]).sum() + (near * span[lists.near]).sum())
 
-    def __call__(self, coefficients):
+    def __call__(self, coefficients: FloatArray) -> FloatArray:
         """Sums (rows, 3) for coefficients (n, 3)."""
         tree, bases, lists = self._tree, self._bases, self._lists
         charges = coefficients[tree.order]
@@ -112,27 +122,27 @@ class NestedSums:
         gather_up(tree.span, tree.child, bases, charges, upper)
         far = np.zeros((len(bases.place), 3))
 
-        def act(lo, hi):
+        def act(lo: int, hi: int) -> None:
             _act_far(self._kind, lo, hi, lists.far_start, lists.far, bases, upper, far)
 
-        def skeletons(lo, hi):
+        def skeletons(lo: int, hi: int) -> range:
             return range(bases.start[lo], bases.start[hi])
 
         for_chunks(act, len(tree.span), _CHUNK, shared=[Shared(far, skeletons)])
         _scatter_down(tree.child, bases, far)
 
-        def finish(lo, hi):
+        def finish(lo: int, hi: int) -> None:
             _act_near(self._kind, lo, hi, self._leaves, self._of_leaf, self._places, tree.span, tree.points, charges,
                       lists.near_start, lists.near, bases, far, sums)  # fmt: skip
 
-        def places(lo, hi):
+        def places(lo: int, hi: int) -> range:
             return range(*self._of_leaf[[lo, hi]])
 
         for_chunks(finish, len(self._leaves), _CHUNK, shared=[Shared(sums, places)])
         return sums[self._result]
 
 
-def _pairs(tree: SourceTree, radius, compact):
+def _pairs(tree: SourceTree, radius: FloatArray, compact: bool) -> Lists:
     """:class:`Lists` of all clusters."""
     none = np.empty(0, dtype=np.int64)
     counts = np.zeros((2, len(radius)), dtype=np.int64)
@@ -189,7 +199,7 @@ def _join(which, a, b, places, fill, partners):
         places[which, b] += 1
 
 
-def find_bases(kind, tree: SourceTree, radius, acting, tolerance):
+def find_bases(kind: int, tree: SourceTree, radius: FloatArray, acting: BoolArray, tolerance: float) -> Bases:
     """:class:`Bases` of clusters that are ``acting`` (m,) from afar, and of those in them, from the leaves upwards."""
     m = len(radius)
     depth, wanted = np.zeros(m, dtype=np.int64), acting.copy()
@@ -200,7 +210,7 @@ def find_bases(kind, tree: SourceTree, radius, acting, tolerance):
     proxies = proxy_points(REACH)
     found: list = [(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 0)))] * m
 
-    def make(c):
+    def make(c: int) -> None:
         child = tree.child[c]
         places = np.arange(*tree.span[c]) if child < 0 else np.concatenate([found[child][0], found[child + 1][0]])
         found[c] = _skeleton(kind, tree, places, c, radius[c], proxies, tolerance)
@@ -208,7 +218,7 @@ def find_bases(kind, tree: SourceTree, radius, acting, tolerance):
     for level in range(depth.max(), -1, -1):
         here = np.flatnonzero((depth == level) & wanted)
 
-        def work(lo, hi, here=here):
+        def work(lo: int, hi: int, here: IntArray = here) -> None:
             for c in here[lo:hi]:
                 make(c)
 
@@ -220,7 +230,9 @@ def find_bases(kind, tree: SourceTree, radius, acting, tolerance):
     return Bases(start, places, tree.points[places], first, np.concatenate(order), begin, shares)
 
 
-def _skeleton(kind, tree: SourceTree, places, c, radius, proxies, tolerance):
+def _skeleton(
+    kind: int, tree: SourceTree, places: IntArray, c: int, radius: float, proxies: FloatArray, tolerance: float
+) -> tuple[IntArray, IntArray, FloatArray]:
     """Places of the skeleton of a cluster, the order of its candidates ``places``, and the shares of the others."""
     n = len(places)
     # Thin plate splines are the same in any unit but for polynomials, which few points reproduce.

@@ -5,6 +5,8 @@ large enough: fewer along the short sides of a box, and of a total degree. They 
 (Sommariva & Vianello, Comput. Math. Appl. 57, 2009). How well is measured once per shape of box.
 """
 
+from __future__ import annotations
+
 import functools
 import math
 from typing import NamedTuple
@@ -12,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
+from ..arrays import FloatArray, IntArray
 from ..exact.basis import BASES
 from ..exact.radial import radial_matrix
 from ..jit import fast_kernel
@@ -47,7 +50,7 @@ class Spaces(NamedTuple):
     error: np.ndarray
 
 
-def spaces_of(half, accuracy):
+def spaces_of(half: FloatArray, accuracy: float) -> tuple[Spaces, IntArray]:
     """:class:`Spaces` for boxes with half sides (b, 3), and the number (b,) of the space of each box.
 
     Terms below ``accuracy`` are left out.
@@ -66,7 +69,7 @@ def spaces_of(half, accuracy):
 
 
 @functools.lru_cache(maxsize=1000)
-def _space(a, b, c, accuracy):
+def _space(a: int, b: int, c: int, accuracy: float) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
     """Degrees (m, 3), points (m, 3), inverse (m, m) of the Vandermonde matrix, and errors, for one shape of box."""
     half = np.array([0.0 if n < 0 else 2.0 ** (-0.5 * n) for n in (a, b, c)])
     half /= np.linalg.norm(half) or 1.0
@@ -80,7 +83,7 @@ def _space(a, b, c, accuracy):
     return degree, points, matrix, _errors(half, degree, points, matrix)
 
 
-def _terms(half, accuracy):
+def _terms(half: FloatArray, accuracy: float) -> IntArray:
     """Degrees (m, 3) of the terms that matter; up to degree 2 all, which r^2 log r has at any distance."""
     most = [_MOST if h > 0 else 1 for h in half]
     degree = np.stack(np.meshgrid(*map(np.arange, most), indexing="ij"), axis=-1).reshape(-1, 3)
@@ -93,7 +96,7 @@ def _terms(half, accuracy):
     return degree[(size >= math.log(accuracy)) | (total <= 2)]
 
 
-def _values(degree, points):
+def _values(degree: IntArray, points: FloatArray) -> FloatArray:
     """Polynomials (n, m) at points (n, 3) of [-1, 1]^3."""
     values = np.ones((len(points), len(degree)))
     for d in range(3):
@@ -101,7 +104,7 @@ def _values(degree, points):
     return values
 
 
-def _errors(half, degree, points, matrix):
+def _errors(half: FloatArray, degree: IntArray, points: FloatArray, matrix: FloatArray) -> FloatArray:
     """Errors at all distances: of random sources, at random points of the box."""
     random = np.random.default_rng(0)
     places = random.uniform(-1.0, 1.0, (_PLACES, 3))

@@ -4,11 +4,15 @@ Clusters of centres act by their skeletons (:mod:`.skeletons`); a group of targe
 polynomial on its box, which its parts inherit (:mod:`.polynomials`). What is too near for that acts on the nodes.
 """
 
+from __future__ import annotations
+
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from ...parallel import Shared, current_ranks, for_chunks
+from ..arrays import FloatArray, IntArray, Report, Shapes
 from ..exact.basis import BASES
 from ..exact.radial import radial_block, radial_sums
 from ..jit import kernel
@@ -58,11 +62,11 @@ class RadialTargets(NamedTuple):
     spaces: tuple[Spaces, np.ndarray]
 
     @property
-    def every(self):
+    def every(self) -> IntArray:
         """Flat indices of all targets."""
         return self.tree.targets
 
-    def permitted(self, kind):
+    def permitted(self, kind: int) -> FloatArray:
         """What errors of a basis function in each node of the tree (m,) are measured with.
 
         The shortest edge at the samples in it, by the size of the function's singular part at the radius of its box.
@@ -75,23 +79,30 @@ class RadialTargets(NamedTuple):
         power, factor = _SINGULAR[kind]
         return size / (factor * np.maximum((self.tree.half**2).sum(axis=1), 1e-300) ** (0.5 * power))
 
-    def flat(self, first, last):
+    def flat(self, first: int, last: int) -> IntArray:
         """Flat indices of the targets in regions."""
         roots = self.tree.region[[first, last - 1]]
         return self.tree.targets[self.tree.span[roots[0], 0] : self.tree.span[roots[1], 1]]
 
-    def nodes(self, first, last):
+    def nodes(self, first: int, last: int) -> range:
         """Numbers of the nodes of the trees of regions."""
         return range(self.tree.region[first], self.tree.region[last])
 
 
-def make_radial_targets(points, shapes, offsets, flat):
+def make_radial_targets(
+    points: FloatArray,
+    shapes: Shapes,
+    offsets: IntArray,
+    flat: IntArray,
+) -> RadialTargets:
     """Sort the target nodes ``flat`` of a grid."""
     shapes = shape_table(shapes)
     return RadialTargets(points, *current_ranks().once(lambda: _sorted(points, shapes, offsets, flat)))
 
 
-def _sorted(points, shapes, offsets, flat):
+def _sorted(
+    points: FloatArray, shapes: IntArray, offsets: IntArray, flat: IntArray
+) -> tuple[TargetTree, IntArray, IntArray, IntArray, FloatArray, tuple[Spaces, IntArray]]:
     wanted = np.zeros(len(points), dtype=bool)
     wanted[flat] = True
     tree = build_target_tree(points, shapes, offsets, wanted, _CAPACITY)
@@ -150,14 +161,15 @@ class FastRadial:
     centres : (n, 3) in units of the support radius
     """
 
-    def __init__(self, kind, centres):
+    def __init__(self, kind: int, centres: FloatArray) -> None:
         self._kind, self._centres = kind, centres
         self._tree = build_tree(centres, 1, LEAF)
         self._radius = np.sqrt((self._tree.half**2).sum(axis=1))
-        self._tolerance, self._bases, self._excess = _SKELETONS, None, np.inf
+        self._bases: Bases | None = None
+        self._tolerance, self._excess = _SKELETONS, np.inf
         self.share = 1.0
 
-    def refine(self, excess):
+    def refine(self, excess: float) -> None:
         """Be more accurate from now on: the error was ``excess`` times too large.
 
         If the last time did not help much, it is the skeletons.
@@ -167,7 +179,15 @@ class FastRadial:
         self.share *= max(0.03, 0.6 * _AIM / excess)
         self._excess = excess
 
-    def evaluate(self, coefficients, targets: RadialTargets, tolerance, use, result, progress=None):
+    def evaluate(
+        self,
+        coefficients: FloatArray,
+        targets: RadialTargets,
+        tolerance: float,
+        use: Callable,
+        result: FloatArray,
+        progress: Report | None = None,
+    ) -> FloatArray:
         """Sums at target nodes, handed region by region to ``use`` with their flat indices.
 
         Parameters
@@ -197,20 +217,20 @@ class FastRadial:
             self.refine(error)
         risk = np.zeros(len(permitted))
 
-        def work(lo, hi):
+        def work(lo: int, hi: int) -> None:
             use(targets.flat(lo, hi), self._of_regions(lo, hi, targets, boxes, clusters, risk))
 
         shared = [Shared(result, targets.flat), Shared(risk, targets.nodes)]
         for_chunks(work, len(targets.tree.region) - 1, _CHUNK, progress, shared)
         return risk[targets.leaves]
 
-    def _clusters(self, coefficients):
+    def _clusters(self, coefficients: FloatArray) -> Clusters:
         """:class:`Clusters` with these charges (n, 3)."""
         tree = self._tree
-        if self._bases is None:
-            acting = np.ones(len(self._radius), dtype=bool)
-            self._bases = find_bases(self._kind, tree, self._radius, acting, self._tolerance)
         bases = self._bases
+        if bases is None:
+            acting = np.ones(len(self._radius), dtype=bool)
+            bases = self._bases = find_bases(self._kind, tree, self._radius, acting, self._tolerance)
         charges, upper = coefficients[tree.order], np.empty((len(bases.place), 3))
         gather_up(tree.span, tree.child, bases, charges, upper)
         squares = np.append(0.0, np.cumsum((upper**2).sum(axis=1)))
@@ -218,7 +238,7 @@ class FastRadial:
         where = tree.center, self._radius, tree.child, tree.span, tree.points
         return Clusters(self._kind != BASES["tps"], *where, bases, charges, upper, strength)
 
-    def _on_leaves(self, chosen, targets, boxes, clusters):
+    def _on_leaves(self, chosen: IntArray, targets: RadialTargets, boxes: Boxes, clusters: Clusters) -> FloatArray:
         """Sums at the samples of some leaves, by the same way as for all."""
         tree, leaves = targets.tree, targets.leaves[chosen]
         wanted = np.zeros(len(tree.span), dtype=bool)
@@ -232,7 +252,9 @@ class FastRadial:
             found[here] = sums[targets.places[chosen[here]] - tree.span[tree.region[region], 0]]
         return found
 
-    def _of_regions(self, lo, hi, targets, boxes, clusters, risk):
+    def _of_regions(
+        self, lo: int, hi: int, targets: RadialTargets, boxes: Boxes, clusters: Clusters, risk: FloatArray
+    ) -> FloatArray:
         """Sums (n, 3) at the targets of some regions, as far as boxes are wanted."""
         sums = np.zeros((len(targets.flat(lo, hi)), 3))
         sum_regions(self._kind, lo, hi, targets.points, boxes, clusters, sums, risk)

@@ -7,10 +7,13 @@ with charges that are combinations of theirs. The proxy points lie on spheres (H
 those of their children.
 """
 
+from __future__ import annotations
+
 import math
 
 import numpy as np
 
+from ..arrays import FloatArray
 from ..exact.radial import fill_rows
 from ..jit import fast_kernel
 
@@ -18,12 +21,12 @@ from ..jit import fast_kernel
 _SPHERES = ((1.0, 120), (1.4, 60), (2.5, 40), (6.0, 30))
 
 
-def proxy_points(reach):
+def proxy_points(reach: float) -> FloatArray:
     """Proxy points (3, n) around a cluster of radius 1 that others see from distance ``reach`` on."""
     return np.ascontiguousarray(np.concatenate([reach * r * _sphere(n) for r, n in _SPHERES]).T)
 
 
-def _sphere(n):
+def _sphere(n: int) -> FloatArray:
     """Points (n, 3) spread over the unit sphere (golden spiral)."""
     z = 1 - (2 * np.arange(n) + 1) / n
     angle = math.pi * (1 + math.sqrt(5)) * np.arange(n)

@@ -1,21 +1,21 @@
 """Fast weighted sums as one object: trees, bricks and accuracy of one undeformed grid (see :mod:`.treesum`)."""
 
+from __future__ import annotations
+
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from ...parallel import Shared, current_ranks, for_chunks
+from ..arrays import FloatArray, IntArray, Report, Shapes
 from ..exact.direct import N_VALUES
-from .acceptance import inverse_powers
+from .acceptance import Kernel, inverse_powers
 from .bricks import Bricks, Regions, build_bricks, make_regions, node_sizes
-from .tree import build_tree
-from .treesum import add_totals, cluster_reach, gather, interpolate_sums, places_of, sum_lists
+from .tree import SourceTree, build_tree
+from .treesum import Charges, add_totals, cluster_reach, gather, interpolate_sums, places_of, sum_lists
 from .walk import Lists, Reach, list_clusters
-
-Counter = Callable[[int, int], None] | None
-"""``report(done, total)``, or nothing."""
 
 _SAMPLES = 9
 CHUNK = 2
@@ -47,49 +47,64 @@ class Targets(NamedTuple):
     sizes: np.ndarray
 
     @property
-    def every(self):
+    def every(self) -> IntArray:
         """Flat indices of all targets."""
         return self.bricks.targets
 
     @property
-    def n_regions(self):
+    def n_regions(self) -> int:
         return len(self.regions.first) - 1
 
-    def places(self, first, last):
+    def places(self, first: int, last: int) -> slice:
         """Part of the list of targets that lies in the regions first <= g < last."""
         start, stop = self.bricks.start[self.regions.first[[first, last]]]
         return slice(start, stop)
 
-    def flat(self, first, last):
+    def flat(self, first: int, last: int) -> IntArray:
         """Flat indices of the targets in the regions first <= g < last."""
         return self.bricks.targets[self.places(first, last)]
 
-    def sized(self, points, shapes, offsets):
+    def sized(
+        self,
+        points: FloatArray,
+        shapes: Shapes,
+        offsets: IntArray,
+    ) -> Targets:
         """The same, with the edges at the samples taken from other coordinates (n_nodes, 3)."""
         return self._replace(sizes=_edges(points, shape_table(shapes), offsets, self.samples))
 
-    def numbers(self, first, last):
+    def numbers(self, first: int, last: int) -> range:
         """Numbers of the bricks in these regions."""
         return range(self.regions.first[first], self.regions.first[last])
 
 
-def interpolation_order(tolerance):
+def interpolation_order(tolerance: float) -> int:
     """Interpolation points per side of a cube for a tolerance: 4 for 1e-2, 5 for 1e-4, 7 for 1e-8."""
     return 3 + math.ceil(-0.5 * math.log10(tolerance) - 1e-9)
 
 
-def shape_table(shapes):
+def shape_table(
+    shapes: Shapes,
+) -> IntArray:
     """Block shapes (n_blocks, 3) as the loops want them."""
     return np.asarray(shapes, dtype=np.int64).reshape(-1, 3)
 
 
-def make_targets(points, shapes, offsets, flat, order):
+def make_targets(
+    points: FloatArray,
+    shapes: Shapes,
+    offsets: IntArray,
+    flat: IntArray,
+    order: int,
+) -> Targets:
     """Sort the target nodes ``flat`` of a grid into bricks of about eight times their interpolation points."""
     shapes = shape_table(shapes)
     return Targets(points, *current_ranks().once(lambda: _sorted(points, shapes, offsets, flat, order)))
 
 
-def _sorted(points, shapes, offsets, flat, order):
+def _sorted(
+    points: FloatArray, shapes: IntArray, offsets: IntArray, flat: IntArray, order: int
+) -> tuple[Bricks, Regions, IntArray, FloatArray]:
     """All of :class:`Targets` but the points."""
     wanted = np.zeros(len(points), dtype=bool)
     wanted[flat] = True
@@ -98,12 +113,12 @@ def _sorted(points, shapes, offsets, flat, order):
     return bricks, make_regions(points, bricks, first, order), samples, _edges(points, shapes, offsets, samples)
 
 
-def _edges(points, shapes, offsets, samples):
+def _edges(points: FloatArray, shapes: IntArray, offsets: IntArray, samples: IntArray) -> FloatArray:
     """Shortest edge at the samples, in their shape."""
     return node_sizes(points, shapes, offsets, samples.ravel()).reshape(samples.shape)
 
 
-def sample_places(start):
+def sample_places(start: IntArray) -> IntArray:
     """Places (b, 9) in the list of targets, spread over each brick; ``start`` (b + 1,) where bricks begin."""
     count = np.diff(start)
     return start[:-1, None] + (np.arange(_SAMPLES) * (count[:, None] - 1)) // (_SAMPLES - 1)
@@ -129,7 +144,9 @@ class FastSums:
         double precision
     """
 
-    def __init__(self, sources, groups, targets: Targets, tolerance, room=2**62):
+    def __init__(
+        self, sources: FloatArray, groups: Sequence[IntArray], targets: Targets, tolerance: float, room: int = 2**62
+    ) -> None:
         self.targets = targets
         self.tolerance = tolerance
         order = interpolation_order(tolerance)
@@ -138,7 +155,18 @@ class FastSums:
         self._room = room
         self._plan: _Plan | None = None
 
-    def evaluate(self, strength, weights, values, shift, turn, use, result, progress=None, still=None):
+    def evaluate(
+        self,
+        strength: FloatArray,
+        weights: Sequence[tuple[float, float, float]],
+        values: FloatArray,
+        shift: FloatArray,
+        turn: FloatArray,
+        use: Callable,
+        result: FloatArray,
+        progress: Report | None = None,
+        still: FloatArray | None = None,
+    ) -> FloatArray:
         """Compute the sums brick by brick and hand each chunk to ``use``.
 
         Parameters
@@ -162,10 +190,11 @@ class FastSums:
         spread, scaled = _scaled(values - middle[:, None])
         plan = self._planned(weights, [cluster_reach(tree, strength[g], shift[g], turn[g]) for g, tree in self._groups])
         known = plan.weighed
+        weight = plan.weight if known else None
         passes = [self._charges(strength, scaled[first : first + N_VALUES], known) for first in range(0, k, N_VALUES)]
         points, bricks, regions = targets.points, targets.bricks, targets.regions
 
-        def work(lo, hi):
+        def work(lo: int, hi: int) -> None:
             flat = targets.flat(lo, hi)
             sums = np.empty((len(flat), 1 + k))
             lists = plan.lists_of(lo, hi)
@@ -177,7 +206,7 @@ class FastSums:
                     filled |= sum_lists(places, tree, charge, each, kind, everywhere)
                 interpolate_sums(lo, hi, bricks, regions, places, filled, everywhere)
                 part = everywhere[: len(flat)]
-                sums[:, 0] = plan.weight[targets.places(lo, hi)] if known else part[:, 0]
+                sums[:, 0] = part[:, 0] if weight is None else weight[targets.places(lo, hi)]
                 columns = slice(number * N_VALUES, min(k, (number + 1) * N_VALUES))
                 here = sums[:, 1 + columns.start : 1 + columns.stop]
                 np.multiply(part[:, 1 : 1 + here.shape[1]], spread[columns], out=here)
@@ -191,28 +220,29 @@ class FastSums:
         plan.weighed = plan.weight is not None
         return plan.risk
 
-    def refine(self, excess):
+    def refine(self, excess: float) -> None:
         """Be more accurate from now on: the error was ``excess`` times too large."""
         self.share *= 0.25 / excess
 
-    def _planned(self, weights, reaches):
+    def _planned(self, weights: Sequence[tuple[float, float, float]], reaches: list[Reach]) -> _Plan:
         """The plan of the last evaluation if it holds for these weights and motions of clusters, or a new one."""
         single = self.tolerance >= _SINGLE_TOLERANCE and self.share == self._first_share
-        kinds = [inverse_powers(*each, single and each[:2] == (3.0, 5.0)) for each in weights]
-        old = self._plan
-        if old is None or old.kinds != kinds or old.share != self.share:
-            self._plan = self._new_plan(kinds, reaches)
-        elif not all(_within(new, known) for new, known in zip(reaches, old.reaches, strict=True)):
-            wider = [_widened(new, known) for new, known in zip(reaches, old.reaches, strict=True)]
-            self._plan = self._new_plan(kinds, wider)
-        return self._plan
+        kinds = [inverse_powers(a, b, kappa, single and (a, b) == (3.0, 5.0)) for a, b, kappa in weights]
+        plan = self._plan
+        if plan is None or plan.kinds != kinds or plan.share != self.share:
+            plan = self._new_plan(kinds, reaches)
+        elif not all(_within(new, known) for new, known in zip(reaches, plan.reaches, strict=True)):
+            wider = [_widened(new, known) for new, known in zip(reaches, plan.reaches, strict=True)]
+            plan = self._new_plan(kinds, wider)
+        self._plan = plan
+        return plan
 
-    def _new_plan(self, kinds, reaches):
+    def _new_plan(self, kinds: list[Kernel], reaches: list[Reach]) -> _Plan:
         allowed, mean = self._allowance(kinds, reaches)
         trees = [tree for _, tree in self._groups]
         return _Plan(self.targets, trees, kinds, reaches, self.share, allowed, mean, self._room)
 
-    def _charges(self, strength, values, weighed):
+    def _charges(self, strength: FloatArray, values: FloatArray, weighed: bool) -> list[Charges]:
         """Charges of one pass, per group; without the strength if the weights are known."""
         charges = []
         for group, tree in self._groups:
@@ -223,12 +253,12 @@ class FastSums:
             charges.append(gather(tree, source))
         return charges
 
-    def _allowance(self, kinds, reaches):
+    def _allowance(self, kinds: list[Kernel], reaches: list[Reach]) -> tuple[FloatArray, FloatArray]:
         """Weighted displacement error that one cluster may cause in each brick, and the mean displacement there."""
         points, samples = self.targets.points, self.targets.samples
         total, moved = np.zeros(samples.shape), np.zeros(samples.shape)
 
-        def work(lo, hi):
+        def work(lo: int, hi: int) -> None:
             at = points[samples[lo:hi].ravel()]
             for (_, tree), reach, kind in zip(self._groups, reaches, kinds, strict=True):
                 add_totals(at, tree, reach, kind, total[lo:hi].reshape(-1), moved[lo:hi].reshape(-1))
@@ -244,7 +274,17 @@ class _Plan:
     ``weight`` (n,) of every target in the order of the bricks, known once ``weighed``; ``None`` if there is no room.
     """
 
-    def __init__(self, targets, trees, kinds, reaches, share, allowed, mean, room):
+    def __init__(
+        self,
+        targets: Targets,
+        trees: list[SourceTree],
+        kinds: list[Kernel],
+        reaches: list[Reach],
+        share: float,
+        allowed: FloatArray,
+        mean: FloatArray,
+        room: int,
+    ) -> None:
         self.kinds, self.reaches, self.share = kinds, reaches, share
         self.risk = np.zeros(len(allowed))
         self._targets, self._trees = targets, trees
@@ -255,7 +295,7 @@ class _Plan:
         self.weighed = False
         self._room = room - size
 
-    def lists_of(self, first, last):
+    def lists_of(self, first: int, last: int) -> list[Lists]:
         """One of :class:`.walk.Lists` per group, of the regions first <= g < last; called from several threads."""
         if first in self._kept:
             return self._kept[first]
@@ -273,18 +313,18 @@ class _Plan:
         return found
 
 
-def _scaled(values):
+def _scaled(values: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Largest absolute value of each row, and the rows in units of it."""
     spread = np.abs(values).max(axis=1)
     spread[spread == 0.0] = 1.0
     return spread, values / spread[:, None]
 
 
-def _within(new: Reach, known: Reach):
+def _within(new: Reach, known: Reach) -> bool:
     return bool((new.shift <= known.shift).all() and (new.turn <= known.turn).all())
 
 
-def _widened(new: Reach, known: Reach):
+def _widened(new: Reach, known: Reach) -> Reach:
     """Bounds that hold for both, with room."""
     shift, turn = np.maximum(known.shift, _ROOM * new.shift), np.maximum(known.turn, _ROOM * new.turn)
     return Reach(known.strength, shift, turn)

@@ -1,9 +1,12 @@
 """Trees of target nodes that follow the grid's own order: no node is sorted, index boxes are cut."""
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import numpy as np
 
+from ..arrays import BoolArray, FloatArray, IntArray
 from ..jit import kernel
 from .boxes import fit_boxes
 from .bricks import longest_side
@@ -34,7 +37,9 @@ class TargetTree(NamedTuple):
     half: np.ndarray
 
 
-def build_target_tree(points, shapes, offsets, wanted, capacity) -> TargetTree:
+def build_target_tree(
+    points: FloatArray, shapes: IntArray, offsets: IntArray, wanted: BoolArray, capacity: int
+) -> TargetTree:
     """Trees of the nodes ``wanted`` (n_nodes,) of a grid, with leaves of at most about ``capacity`` targets.
 
     Boxes of indices are halved along the direction in which they are longest in space, so that leaves are compact
@@ -101,7 +106,9 @@ def _cut(x, mask, count, capacity, region):
     return targets, span[:nodes].copy(), child[:nodes].copy(), roots[:regions].copy()
 
 
-def _fit(points, targets, span, child):
+def _fit(
+    points: FloatArray, targets: IntArray, span: IntArray, child: IntArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Boxes of all nodes of the tree: of leaves around their targets, of others around the boxes of their children."""
     center, axes, half = fit_boxes(points, targets, np.where(child[:, :1] < 0, span, 0))
     filled = span[:, 1] > span[:, 0]
@@ -119,7 +126,7 @@ def _fit(points, targets, span, child):
     return center, axes, half
 
 
-def _levels(child):
+def _levels(child: IntArray) -> list[IntArray]:
     """Nodes of the trees in levels, those of the roots first."""
     inner = child[child[:, 0] >= 0]
     level = np.setdiff1d(np.arange(len(child)), inner)
@@ -130,7 +137,7 @@ def _levels(child):
     return levels
 
 
-def _corners(center, axes, half):
+def _corners(center: FloatArray, axes: FloatArray, half: FloatArray) -> FloatArray:
     """The eight corners (m, 8, 3) of boxes."""
     signs = 2.0 * (np.arange(8)[:, None] >> np.arange(3) & 1) - 1.0
     return center[:, None] + (signs * half[:, None]) @ axes

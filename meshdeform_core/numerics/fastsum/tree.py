@@ -1,9 +1,12 @@
 """Trees of source clusters: one half of what fast summation sorts once per undeformed grid."""
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import numpy as np
 
+from ..arrays import FloatArray, IntArray
 from ..jit import inlined, kernel
 from .boxes import box_coordinate, chebyshev, fit_boxes, lagrange, place_points, points_per_side
 
@@ -37,7 +40,7 @@ class SourceTree(NamedTuple):
     proxies: np.ndarray
 
 
-def build_tree(points, order, leaf=LEAF):
+def build_tree(points: FloatArray, order: int, leaf: int = LEAF) -> SourceTree:
     """Tree over sources (n, 3) whose clusters have up to ``order`` interpolation points per side.
 
     Clusters of more than ``leaf`` sources are split.
@@ -53,9 +56,12 @@ def build_tree(points, order, leaf=LEAF):
     return SourceTree(place, points[place].copy(), span, child, center, axes, half, count, proxy, proxies)
 
 
-def _split(points, leaf):
+def _split(points: FloatArray, leaf: int) -> tuple[IntArray, IntArray, IntArray, list[FloatArray]]:
     """Order, spans, first children and boxes of clusters, halved along their longest sides, one level after another."""
-    place, spans, children, boxes = np.arange(len(points)), [], [], []
+    place: IntArray = np.arange(len(points), dtype=np.int64)
+    spans: list[IntArray] = []
+    children: list[IntArray] = []
+    boxes: list[tuple[FloatArray, FloatArray, FloatArray]] = []
     level, used = np.array([[0, len(points)]]), 1
     while len(level):
         box = fit_boxes(points, place, level)
@@ -63,13 +69,14 @@ def _split(points, leaf):
         _halve(points, place, level[large], *(part[large] for part in box))
         child = np.full(len(level), -1)
         child[large] = used + 2 * np.arange(large.sum())
-        for all_levels, this in zip((spans, children, boxes), (level, child, box), strict=True):
-            all_levels.append(this)
+        spans.append(level)
+        children.append(child)
+        boxes.append(box)
         lo, hi = level[large].T
         level = np.stack([lo, (lo + hi) // 2, (lo + hi) // 2, hi], axis=1).reshape(-1, 2)
         used += len(level)
-    boxes = [np.concatenate(parts) for parts in zip(*boxes, strict=True)]
-    return place, np.concatenate(spans), np.concatenate(children), boxes
+    together = [np.concatenate(parts) for parts in zip(*boxes, strict=True)]
+    return place, np.concatenate(spans), np.concatenate(children), together
 
 
 @kernel

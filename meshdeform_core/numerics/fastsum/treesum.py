@@ -10,18 +10,22 @@ Source: barycentric cluster-cluster treecodes (Wang, Krasny, Tlupova 2020), with
 acceptance of a weighted mean.
 """
 
+from __future__ import annotations
+
 import math
 from typing import NamedTuple
 
 import numpy as np
 
+from ..arrays import BoolArray, FloatArray
 from ..exact.direct import sum_groups
 from ..exact.single import sum_groups_single
 from ..jit import inlined, kernel
-from .acceptance import distance2, square, weight
+from .acceptance import Kernel, distance2, square, weight
 from .boxes import chebyshev
+from .bricks import Bricks, Regions
 from .tree import SourceTree, gather_charges
-from .walk import Reach, few_nodes
+from .walk import Lists, Reach, few_nodes
 
 _STACK = 256
 
@@ -37,7 +41,7 @@ class Charges(NamedTuple):
     active: np.ndarray
 
 
-def gather(tree: SourceTree, source) -> Charges:
+def gather(tree: SourceTree, source: FloatArray) -> Charges:
     """:class:`Charges` from those of the sources in tree order (n, columns)."""
     charged = np.append(0, np.cumsum(source.any(axis=1)))
     active = charged[tree.span[:, 1]] > charged[tree.span[:, 0]]
@@ -46,7 +50,7 @@ def gather(tree: SourceTree, source) -> Charges:
     return Charges(source, proxy, active)
 
 
-def cluster_reach(tree: SourceTree, strength, shift, turn):
+def cluster_reach(tree: SourceTree, strength: FloatArray, shift: FloatArray, turn: FloatArray) -> Reach:
     """:class:`Reach` of every cluster from the sources' strength, displacement and rotation (n,)."""
     # Spans as pairs of places; what lies between one span and the next is computed too and dropped.
     places = tree.span.ravel()
@@ -89,7 +93,7 @@ class Places(NamedTuple):
     span: np.ndarray
 
 
-def places_of(first, last, points, bricks, regions):
+def places_of(first: int, last: int, points: FloatArray, bricks: Bricks, regions: Regions) -> Places:
     """:class:`Places` of the regions first <= g < last; ``points`` (n_nodes, 3)."""
     ends = regions.first[first : last + 1]
     low, high = ends[0], ends[-1]
@@ -111,7 +115,9 @@ def places_of(first, last, points, bricks, regions):
     return Places(x, span)
 
 
-def sum_lists(places, tree, charges, lists, function, out):
+def sum_lists(
+    places: Places, tree: SourceTree, charges: Charges, lists: Lists, function: Kernel, out: FloatArray
+) -> BoolArray:
     """Weighted sums over one tree at all places, added to ``out`` (n, 8); returns which (items,) have any."""
     number = lists.codes >> 1
     size = np.where(lists.codes & 1, np.diff(tree.span)[number, 0], np.diff(tree.proxy)[number])

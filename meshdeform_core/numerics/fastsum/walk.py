@@ -8,13 +8,18 @@ What acts is listed as numbers 2 c for the interpolation points of cluster c and
 for every displacement that moves no cluster more than the one they were made for.
 """
 
+from __future__ import annotations
+
 import math
 from typing import NamedTuple
 
 import numpy as np
 
+from ..arrays import FloatArray
 from ..jit import inlined, kernel
-from .acceptance import box_error, distance2, square
+from .acceptance import Kernel, box_error, distance2, square
+from .bricks import Bricks, Regions
+from .tree import SourceTree
 
 _STACK = 256
 
@@ -47,7 +52,18 @@ class Lists(NamedTuple):
     stop: np.ndarray
 
 
-def list_clusters(first, last, regions, bricks, tree, reach, function, allowed, mean, risk):
+def list_clusters(
+    first: int,
+    last: int,
+    regions: Regions,
+    bricks: Bricks,
+    tree: SourceTree,
+    reach: Reach,
+    function: Kernel,
+    allowed: FloatArray,
+    mean: FloatArray,
+    risk: FloatArray,
+) -> Lists:
     """:class:`Lists` of the regions first <= g < last.
 
     Parameters

@@ -73,7 +73,7 @@ def _sweep(key: FloatArray, points: FloatArray, tolerance: FloatArray) -> IntArr
     return chosen[_sweep_all(key[chosen], points[chosen], tolerance[chosen])]
 
 
-def _sweep_all(key, points, tolerance):
+def _sweep_all(key: FloatArray, points: FloatArray, tolerance: FloatArray) -> IntArray:
     level = np.frexp(tolerance)[1]
     found = []
     for current in np.unique(level)[::-1]:

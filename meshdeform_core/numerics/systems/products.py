@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from ...parallel import Shared, for_chunks
+from ..arrays import FloatArray, IntArray
 from ..exact.radial import radial_sums
 from ..fastsum.nested import NestedSums
 from .sparse import sparse_radial_matrix
@@ -60,29 +61,29 @@ class Product(Protocol):
 class ExactProduct:
     """Every centre with every centre, or what a sparse matrix has of them."""
 
-    def __init__(self, kind, points, matrix=None):
+    def __init__(self, kind: int, points: FloatArray, matrix: None = None) -> None:
         self._kind, self._points, self._matrix = kind, points, matrix
         self.how = "exact sums" if matrix is None else f"sparse matrix of {matrix.nnz:,} values"
         self.memory = 0 if matrix is None else 16 * matrix.nnz
 
-    def __call__(self, coefficients):
+    def __call__(self, coefficients: FloatArray) -> FloatArray:
         if self._matrix is not None:
             return self._matrix @ coefficients
         result = np.empty_like(coefficients)
 
-        def work(lo, hi):
+        def work(lo: int, hi: int) -> None:
             result[lo:hi] = radial_sums(self._kind, self._points[lo:hi], self._points, coefficients)
 
         for_chunks(work, len(result), _CHUNK, shared=[Shared(result)])
         return result
 
-    def error(self, coefficients, found):
+    def error(self, coefficients: FloatArray, found: FloatArray) -> FloatArray:
         return np.zeros(3)
 
-    def refine(self):
+    def refine(self) -> None:
         """Nothing is missing."""
 
-    def roughly_at(self, rows):
+    def roughly_at(self, rows: IntArray) -> Callable[[np.ndarray], np.ndarray]:
         if self._matrix is not None:
             return self._matrix[rows].dot
         return partial(radial_sums, self._kind, self._points[rows], self._points)
@@ -91,37 +92,37 @@ class ExactProduct:
 class NestedProduct:
     """Nested sums, compared with exact ones at centres spread evenly over the tree."""
 
-    def __init__(self, kind, points, sums, tolerance):
+    def __init__(self, kind: int, points: FloatArray, sums: NestedSums, tolerance: float) -> None:
         self._kind, self._points, self._sums, self._tolerance = kind, points, sums, tolerance
         self.memory = _needed(len(points))
         self._rows = sums.order[np.linspace(0, len(points) - 1, min(_SAMPLES, len(points))).astype(np.int64)]
 
     @property
-    def how(self):
+    def how(self) -> str:
         return f"nested sums to {self._tolerance:.0e}"
 
-    def __call__(self, coefficients):
+    def __call__(self, coefficients: FloatArray) -> FloatArray:
         return self._sums(coefficients)
 
-    def error(self, coefficients, found):
+    def error(self, coefficients: FloatArray, found: FloatArray) -> FloatArray:
         exact = radial_sums(self._kind, self._points[self._rows], self._points, coefficients)
         return np.sqrt(((found[self._rows] - exact) ** 2).mean(axis=0) * len(self._points))
 
-    def refine(self):
+    def refine(self) -> None:
         if self._tolerance > _FINEST:
             self._tolerance *= _REFINEMENT
             self._sums = NestedSums(self._kind, self._points, self._tolerance, like=self._sums)
 
-    def roughly_at(self, rows):
+    def roughly_at(self, rows: IntArray) -> NestedSums:
         return NestedSums(self._kind, self._points, _ROUGH, rows, self._sums)
 
 
-def _needed(n):
+def _needed(n: int) -> int:
     """Bytes that nested sums of n centres take."""
     return 8 * _NUMBERS * n
 
 
-def product_of(kind, points, tolerance, memory) -> Product:
+def product_of(kind: int, points: FloatArray, tolerance: float, memory: int) -> Product:
     """The cheapest product for centres (n, 3) and a solution with ``tolerance``, within ``memory`` bytes."""
     sparse = sparse_radial_matrix(kind, points, memory)
     if sparse is None and len(points) >= _FEWEST and _needed(len(points)) <= memory:

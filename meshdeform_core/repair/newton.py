@@ -1,13 +1,18 @@
 """The linear system of one Newton step: square blocks, scaled by their diagonal, conjugate gradients."""
 
+from __future__ import annotations
+
 import itertools
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
 import scipy
 
-from ...parallel import for_chunks
-from ..jit import kernel
+from ..numerics.arrays import FloatArray
+from ..numerics.jit import kernel
+from ..parallel import for_chunks
+from .region import Region
 
 _ROWS = 2048
 # Rows of vectors, which cost less.
@@ -21,7 +26,7 @@ class NewtonSystem:
     preconditioning) and kept in single precision: conjugate gradients stop long before that matters.
     """
 
-    def __init__(self, region):
+    def __init__(self, region: Region) -> None:
         self._region, n, d = region, region.n_unknowns, region.dimension
         of_element = region.number[region.energy.nodes]
         used = of_element >= 0
@@ -43,16 +48,16 @@ class NewtonSystem:
         self.gradient = np.empty((n, d))
 
     @staticmethod
-    def memory(n_unknowns, dimension):
+    def memory(n_unknowns: int, dimension: int) -> int:
         """Bytes that it takes, while the pattern is being found."""
         return n_unknowns * (27 * (36 + 24) + 300 if dimension == 3 else 9 * (16 + 24) + 700)
 
-    def fill(self, x, eps, t):
+    def fill(self, x: FloatArray, eps: float, t: float) -> None:
         """Gradient and scaled Hessian at the coordinates ``x`` (n, d); see :mod:`..cell.foldover`."""
         region, starts, columns = self._region, self._starts, self._columns
         self.gradient[...] = 0.0
 
-        def add(low, high):
+        def add(low: int, high: int) -> None:
             first, last = starts[low], starts[high]
             blocks = np.zeros((last - first, *self._matrix.shape[1:]))
             rows = low, high, starts, columns
@@ -66,7 +71,7 @@ class NewtonSystem:
             lambda *ends: scale_right(self._matrix, starts, columns, self._factor, *ends), region.n_unknowns, _ROWS
         )
 
-    def direction(self, tolerance, most):
+    def direction(self, tolerance: float, most: int) -> tuple[FloatArray, int]:
         """The Newton step (n_unknowns, d), by conjugate gradients until ``|r| <= tolerance |b|``; iterations."""
         factor, (n, d) = self._factor, self.gradient.shape
         r = -np.einsum("nij,nj->ni", factor, self.gradient)
@@ -87,18 +92,18 @@ class NewtonSystem:
             count += 1
         return np.einsum("nji,nj->ni", factor, y), count
 
-    def dense(self):
+    def dense(self) -> FloatArray:
         """The scaled Hessian as one matrix (d n, d n), for small regions."""
         n, d = self.gradient.shape
         blocks = self._matrix.astype(np.float64), self._columns, self._starts
         return scipy.sparse.bsr_array(blocks, shape=(d * n, d * n)).toarray()
 
 
-def _sum_over_rows(work, n):
+def _sum_over_rows(work: Callable[[int, int], float], n: int) -> float:
     """Sum of ``work(low, high)`` over chunks of rows, always in the same order."""
     parts = np.zeros(-(-n // _LONG))
 
-    def add(low, high):
+    def add(low: int, high: int) -> None:
         parts[low // _LONG] = work(low, high)
 
     for_chunks(add, n, _LONG)

@@ -1,0 +1,32 @@
+"""What mypy cannot be told: numba kernels need no types, everything beside them does."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+KERNELS = {"kernel", "fast_kernel", "contracted_kernel", "single_kernel", "inlined", "intrinsic"}
+FILES = sorted(
+    [*(ROOT / "meshdeform_core" / "numerics").rglob("*.py"), *(ROOT / "meshdeform_core" / "repair").glob("*.py")]
+)
+
+
+def plain_functions(tree):
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef):
+            names = {ast.unparse(decorator).split("(")[0].split(".")[-1] for decorator in node.decorator_list}
+            if not names & KERNELS:
+                yield node
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+def test_functions_beside_kernels_are_typed(path):
+    for function in plain_functions(ast.parse(path.read_text(encoding="utf-8"))):
+        arguments = function.args
+        every = [*arguments.posonlyargs, *arguments.args, *arguments.kwonlyargs]
+        untyped = [a.arg for a in every if a.annotation is None and a.arg not in ("self", "cls")]
+        assert function.returns is not None or function.name == "__init__", (
+            f"{path.name}: {function.name} has no return type"
+        )
+        assert not untyped, f"{path.name}: {function.name} takes {untyped} without types"
