@@ -19,7 +19,8 @@ from meshdeform_core.numerics.exact.radial import radial_sums
 from meshdeform_core.numerics.fastsum import boxes
 from meshdeform_core.numerics.fastsum import sums as fastsum
 from meshdeform_core.numerics.fastsum.bricks import build_bricks, make_regions, node_sizes
-from meshdeform_core.numerics.fastsum.radial import FastRadial, make_radial_targets
+from meshdeform_core.numerics.fastsum.radial import FastRadial
+from meshdeform_core.numerics.fastsum.radial_targets import make_radial_targets
 from meshdeform_core.numerics.fastsum.tree import build_tree, gather_charges
 
 VARIANTS = {

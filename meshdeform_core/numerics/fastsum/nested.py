@@ -17,23 +17,12 @@ from ..arrays import BoolArray, FloatArray, IntArray
 from ..exact.basis import BASES
 from ..exact.radial import radial_block
 from ..jit import kernel
+from .interactions import REACH, Interactions, find_interactions
 from .skeletons import decompose, proxy_points
 from .tree import SourceTree, build_tree
 
 LEAF = 96
-REACH = 2.0
-"""Others see a cluster from so many of its radii on."""
 _CHUNK = 16
-_STACK = 4096
-
-
-class Lists(NamedTuple):
-    """Which clusters act on which: those of cluster ``t`` are ``far[far_start[t] : far_start[t + 1]]``, etc."""
-
-    far_start: np.ndarray
-    far: np.ndarray
-    near_start: np.ndarray
-    near: np.ndarray
 
 
 class Bases(NamedTuple):
@@ -83,7 +72,7 @@ class NestedSums:
         self._tree: SourceTree = like._tree if like else build_tree(centres, 1, LEAF)
         radius = np.sqrt((self._tree.half**2).sum(axis=1))
         compact = kind != BASES["tps"]
-        self._lists: Lists = like._lists if like else _pairs(self._tree, radius, compact)
+        self._lists: Interactions = like._lists if like else find_interactions(self._tree, radius, compact)
         acting = np.diff(self._lists.far_start) > 0
         self._bases = find_bases(kind, self._tree, radius, acting, tolerance)
         self._leaves = np.flatnonzero(self._tree.child < 0)
@@ -140,63 +129,6 @@ class NestedSums:
 
         for_chunks(finish, len(self._leaves), _CHUNK, shared=[Shared(sums, places)])
         return sums[self._result]
-
-
-def _pairs(tree: SourceTree, radius: FloatArray, compact: bool) -> Lists:
-    """:class:`Lists` of all clusters."""
-    none = np.empty(0, dtype=np.int64)
-    counts = np.zeros((2, len(radius)), dtype=np.int64)
-    _meet(tree.center, radius, tree.child, REACH, compact, counts, False, none, none)
-    starts = [np.append(0, np.cumsum(count)) for count in counts]
-    far, near = (np.empty(start[-1], dtype=np.int64) for start in starts)
-    places = np.stack([start[:-1] for start in starts])
-    _meet(tree.center, radius, tree.child, REACH, compact, places, True, far, near)
-    return Lists(starts[0], far, starts[1], near)
-
-
-@kernel
-def _meet(center, radius, child, reach, compact, places, fill, far, near):
-    """Walk pairs of clusters from the root; count the partners of each in ``places`` (2, m), or put them there."""
-    stack = np.empty((_STACK, 2), dtype=np.int64)
-    stack[0] = 0
-    depth = 1
-    while depth:
-        depth -= 1
-        a, b = stack[depth]
-        if a == b:
-            if child[a] < 0:
-                _join(1, a, b, places, fill, near)
-                continue
-            c = child[a]
-            stack[depth], stack[depth + 1] = c, c + 1
-            stack[depth + 2, 0], stack[depth + 2, 1] = c, c + 1
-            depth += 3
-            continue
-        d = np.sqrt(((center[a] - center[b]) ** 2).sum())
-        if compact and d - radius[a] - radius[b] >= 1.0:
-            continue
-        apart = d - radius[b] >= reach * radius[a] and d - radius[a] >= reach * radius[b]
-        if apart and not (compact and d + radius[a] + radius[b] > 1.0):
-            _join(0, a, b, places, fill, far)
-        elif child[a] < 0 and child[b] < 0:
-            _join(1, a, b, places, fill, near)
-        else:
-            if child[a] < 0 or (child[b] >= 0 and radius[b] > radius[a]):
-                a, b = b, a
-            for k in range(2):
-                stack[depth, 0], stack[depth, 1] = child[a] + k, b
-                depth += 1
-
-
-@kernel
-def _join(which, a, b, places, fill, partners):
-    if fill:
-        partners[places[which, a]] = b
-    places[which, a] += 1
-    if a != b:
-        if fill:
-            partners[places[which, b]] = a
-        places[which, b] += 1
 
 
 def find_bases(kind: int, tree: SourceTree, radius: FloatArray, acting: BoolArray, tolerance: float) -> Bases:
