@@ -21,8 +21,10 @@ if TYPE_CHECKING:
 
 PATIENCE = 1.0
 """A stage that takes longer has a bar (seconds)."""
-LOGGED = 5.0
-"""Work that takes longer leaves a line where stderr is no terminal (seconds)."""
+LOGGED = 1.0
+"""Work that takes longer leaves a line with its stages where stderr is no terminal (seconds)."""
+# Stages that would show as 0.0 s are left out.
+_LISTED = 0.05
 _TICK = 0.1
 # Loops that a run with fast sums takes.
 _LOOPS = 24
@@ -37,8 +39,8 @@ class ProgressBar:
     """Callback for the core's progress, ``bar(stage, done, total)``; ``total`` is 0 where it is not known.
 
     On a terminal a stage that takes longer than a second is shown with what remains of it; elsewhere, when all is
-    done, one line says how long the stages took. That loops are being compiled is said in any case, unless it is not
-    ``enabled``, or nothing ``compiles``.
+    done and took more than a second, one line says how long the stages took. That loops are being compiled is said in
+    any case, unless it is not ``enabled``, or nothing ``compiles``.
     """
 
     active: ProgressBar | None = None
@@ -46,7 +48,8 @@ class ProgressBar:
     def __init__(self, enabled: bool = True, compiles: bool = True):
         self._wanted, self._compiles = enabled, enabled and compiles
         self._shown = enabled and sys.stderr.isatty()
-        self._stage, self._began = "", time.perf_counter()
+        self._start = time.perf_counter()
+        self._stage, self._began = "", self._start
         self._extent: Extent = lambda: (0, 0)
         self._levels: tuple[int, int] | None = None
         self._seconds: dict[str, float] = {}
@@ -109,8 +112,10 @@ class ProgressBar:
         if self._display is not None:
             self._display.join()
         self._enter("", lambda: (0, 0))
-        if self._wanted and not self._shown and error is None and sum(self._seconds.values()) > LOGGED:
-            tell(", ".join(f"{name} {seconds:.1f} s" for name, seconds in self._seconds.items() if seconds > PATIENCE))
+        elapsed = time.perf_counter() - self._start
+        stages = [f"{name} {seconds:.1f} s" for name, seconds in self._seconds.items() if seconds >= _LISTED]
+        if self._wanted and not self._shown and error is None and elapsed > LOGGED and stages:
+            tell(", ".join(stages))
 
     def _show(self) -> None:
         """Draw until all is over; runs in a thread of its own, because long stages call nothing."""

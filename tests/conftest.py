@@ -1,5 +1,6 @@
 """Fixtures for all tests: where the third-party grids lie, and a clean place to write."""
 
+import math
 import os
 from pathlib import Path
 
@@ -8,6 +9,14 @@ for _library in ("OPENBLAS", "OMP", "MKL"):
     os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
 
 import pytest  # noqa: E402 (numpy reads the variables when it is loaded)
+
+from meshdeform_cli import progress  # noqa: E402
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _no_times_in_messages() -> None:
+    """Commands called in this process say nothing of their times: on a busy machine any of them may take a second."""
+    progress.LOGGED = math.inf
 
 
 @pytest.fixture(scope="session")

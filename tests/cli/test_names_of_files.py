@@ -33,7 +33,7 @@ def program(*arguments: str) -> subprocess.CompletedProcess[bytes]:
 def test_names_that_are_not_utf8(bench, suffix):
     grid = Grid.from_blocks([frame().block(0)])
     write_grid(grid, STRANGE + suffix)
-    done = program("convert", STRANGE + suffix, f"again{STRANGE}{suffix}")
+    done = program("convert", STRANGE + suffix, f"again{STRANGE}{suffix}", "-q")
     assert (done.returncode, done.stderr) == (0, b"")
     np.testing.assert_array_equal(read_grid(f"again{STRANGE}{suffix}").points, grid.points)
 

@@ -186,6 +186,17 @@ def test_a_log_has_one_line():
     )
     assert done.stdout == ""
     assert re.fullmatch(r"meshdeform: idw \d\.\d s, write \d\.\d s\n", done.stderr)
+    # Many short stages make a long run.
+    stages = """
+import time
+from meshdeform_cli import progress
+with progress.ProgressBar(compiles=False) as bar:
+    for n in range(8):
+        bar("read" if n % 2 else "apply", n, 8)
+        time.sleep(0.15)
+"""
+    done = subprocess.run([sys.executable, "-c", stages], capture_output=True, text=True, check=True)
+    assert re.fullmatch(r"meshdeform: apply \d\.\d s, read \d\.\d s\n", done.stderr)
     quick = SLOW.format(logged=100, enabled=True)
     done = subprocess.run([sys.executable, "-c", quick], capture_output=True, text=True, check=True)
     assert done.stderr == ""
