@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
+from meshdeform_core import interruption
 from meshdeform_core.boundary.motion import FollowSequence
 from meshdeform_core.boundary.prescribed import largest_displacement
 from meshdeform_core.deform import Setup, Timing, set_up
@@ -160,18 +161,28 @@ def _keep_what_exists(run: Run, manifest: Manifest) -> None:
 
 def carry_out(run: Run, progress: ProgressBar) -> Report:
     """Make, write and record the missing levels, then report on all."""
-    count, first, ranks = len(run.schedule.times), len(run.manifest.levels), current_ranks()
-    progress("levels", first, count)
-    # What a complete series was put together from is gone.
-    finished = run.files.read if first < count else None
-    levels = deform_series(run.setup, run.schedule, run.files.variant.precision, progress, first, finished)
-    for level in levels:
-        run.warnings.tell(level.result.warnings)
-        ranks.on_first(partial(_record, run, level))
-        progress("levels", level.number + 1, count)
-    report = ranks.on_first(lambda: _complete(run))
+    with interruption.continued_by(partial(_how_to_continue, run)):
+        count, first, ranks = len(run.schedule.times), len(run.manifest.levels), current_ranks()
+        progress("levels", first, count)
+        # What a complete series was put together from is gone.
+        finished = run.files.read if first < count else None
+        levels = deform_series(run.setup, run.schedule, run.files.variant.precision, progress, first, finished)
+        for level in levels:
+            run.warnings.tell(level.result.warnings)
+            ranks.on_first(partial(_record, run, level))
+            progress("levels", level.number + 1, count)
+        report = ranks.on_first(lambda: _complete(run))
     run.warnings.tell(text for text in report["warnings"] if not text.startswith("level "))
     return report
+
+
+def _how_to_continue(run: Run) -> str:
+    """Advice for a series that is interrupted; none if it has no finished level, or needs one that it cannot read."""
+    done, count = len(run.manifest.levels), len(run.schedule.times)
+    reads = run.schedule.origin != "reference" or run.schedule.velocity != "none"
+    if not done or (reads and not run.files.readable):
+        return ""
+    return f"{done} of {count} levels are done: the same command with --resume (without --force) continues"
 
 
 def illustrate(run: Run) -> Illustrations:

@@ -49,4 +49,5 @@ class Handler:
 def end_of(number: int) -> str:
     """Message for a program ended by a signal."""
     how = "interrupted" if number == signal.SIGINT else f"ended by {signal.Signals(number).name}"
-    return f"{how}; no output was left half-written"
+    advice = interruption.advice()
+    return f"{how}; no output was left half-written" + (f"; {advice}" if advice else "")

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 _requests: list[int] = []
 _deferrals: list[None] = []
 _pending: list[Callable[[], object]] = []
+_advice: list[Callable[[], str]] = []
 
 
 def request(signal_number: int) -> None:
@@ -56,3 +57,20 @@ def clean_up() -> None:
     """Run the outstanding actions of interrupted :func:`cleaned_up` blocks."""
     while _pending:
         _pending.pop()()
+
+
+@contextlib.contextmanager
+def continued_by(advice: Callable[[], str]) -> Iterator[None]:
+    """Let ``advice`` say, if a signal ends the block, how the work can be continued; an empty text if it cannot."""
+    _advice.append(advice)
+    try:
+        yield
+    finally:
+        # A signal's exception may have become another one.
+        if not _requests:
+            _advice.remove(advice)
+
+
+def advice() -> str:
+    """How to continue what a signal has ended; empty if there is nothing to continue."""
+    return _advice[-1]() if _advice else ""

@@ -240,6 +240,22 @@ main(sys.argv[2:])
 """
 
 
+@pytest.mark.parametrize(("at", "extra", "told"), [
+    (1, (), ""),
+    (4, (), "1 of 5 levels are done: the same command with --resume (without --force) continues"),
+    (4, ("--from", "last", "--suffix", ".vtu"), ""),
+])  # fmt: skip
+def test_a_signal_says_how_to_continue(at, extra, told, swing, call):
+    options = ("series", "grid.xyz", "-c", "swing.toml", "--times", "0:1:0.25", *extra, "-o", "stopped")
+    command = [sys.executable, "-c", KILLED.replace("SIGKILL", "SIGINT"), str(at), *options]
+    stopped = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert stopped.returncode == 130, stopped.stderr
+    advice = f"; {told}" if told else ""
+    assert stopped.stderr.endswith(f"meshdeform: interrupted; no output was left half-written{advice}\n")
+    if told:
+        assert call(*options, "--resume").code == 0
+
+
 # Renames come in the order: manifest; index of level 0; manifest; ParaView's index; and so on.
 @pytest.mark.parametrize(("at", "extra"), [
     (1, ("--suffix", ".vtm")), (2, ("--suffix", ".vtm")), (3, ("--suffix", ".vtm")),
