@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -78,10 +79,8 @@ def select(
     while True:
         # Between exact solutions all updates are made, whatever the error: it is only known after the solution.
         limit, enough = (100 * n, tolerance) if method == "single" else (per_round, 0.0)
-        done, count = _update(
-            kind, columns, residual, weight, 1.0 / scale, chosen, order, count, max_points, limit, enough,
-            start if updates == 0 else -1, pairs,
-        )  # fmt: skip
+        state = _State(columns, residual, weight, 1.0 / scale, chosen, order)
+        done, count = _update(kind, state, count, max_points, limit, enough, start if updates == 0 else -1, pairs)
         updates += done
         active = order[:count]
         if method == "single":
@@ -122,11 +121,22 @@ def independent(polynomial: FloatArray) -> FloatArray:
     return polynomial[:, :1]
 
 
+class _State(NamedTuple):
+    """Of a reduction: coordinates (3, n) of the centres, error (n, m), coefficients (n, m), one over the scale (n,),
+    which centres are chosen (n,), and in which order (n,)."""
+
+    columns: np.ndarray
+    residual: np.ndarray
+    weight: np.ndarray
+    inverse_scale: np.ndarray
+    chosen: np.ndarray
+    order: np.ndarray
+
+
 @kernel
-def _update(
-    kind, columns, residual, weight, inverse_scale, chosen, order, count, max_points, limit, tolerance, start, pairs
-):
-    """Single-point corrections; returns their number and the number of chosen centres."""
+def _update(kind, state, count, max_points, limit, tolerance, start, pairs):
+    """At most ``limit`` single-point corrections; returns their number and the number of chosen centres."""
+    columns, residual, weight, inverse_scale, chosen, order = state
     value = np.empty(residual.shape[0])
     done = 0
     while done < limit:
