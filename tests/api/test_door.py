@@ -61,6 +61,7 @@ def test_the_command_line_as_a_module():
     assert (done.returncode, done.stdout.strip()) == (0, f"meshdeform, version {md.__version__}")
 
 
+@pytest.mark.slow
 def test_the_library_gives_what_the_command_gives(plate, tmp_path):
     md.write(plate.grid, tmp_path / "grid.cgns")
     case = ROOT / "sample_cases" / "splitter_plate" / "case.toml"
@@ -129,6 +130,7 @@ def test_periodic_images_follow():
     np.testing.assert_allclose(after[0, :, 1], after[-1, :, 1], atol=1e-14)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "name"),
     [

@@ -388,6 +388,7 @@ def test_variant_chooses_another(bench, call):
     assert (written.options["encoding"], written.precision) == ("binary", "float32")
 
 
+@pytest.mark.slow
 def test_the_verdict_is_about_the_precision_that_is_written(bench, call):
     """Cells thinner than float32 can hold are invalid in a float32 file, and only there."""
     grid = read_grid("grid.xyz")

@@ -15,6 +15,8 @@ from meshdeform_core.methods import make_method
 from meshdeform_formats import read_grid
 from meshdeform_formats.case import read_case
 
+pytestmark = pytest.mark.slow
+
 LEVELS = 100
 PERIOD = "amplitude*z/radius*sin(2*pi*t)*cos(4*atan2(hypot(x, y), z))"
 MEMBRANE = f"""
@@ -113,7 +115,6 @@ def largest_difference(folder: Path, sample: str, case: str, method: str, report
     return largest
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sample", "case", "method", "tolerance", "every"),
     [
@@ -130,7 +131,6 @@ def test_levels_are_those_of_single_runs(folder, sample, case, method, tolerance
     assert largest_difference(folder, sample, case, method, report, out, every) <= tolerance
 
 
-@pytest.mark.slow
 def test_without_memory_for_fields_the_results_are_the_same(folder):
     known = series(folder, "hemisphere", "sin.toml", "tfi", "much")
     nodes = known["grid"]["nodes"]

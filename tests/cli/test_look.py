@@ -155,6 +155,7 @@ def test_compare_says_how_far_and_where(bench, call):
 # plot
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("suffix", "magic"), [(".png", b"\x89PNG\r\n"), (".pdf", b"%PDF-"), (".svg", b"<?xml"), (".PNG", b"\x89PNG\r\n")]
 )
@@ -164,6 +165,7 @@ def test_plot_formats(suffix, magic, bench, call):
     assert (bench / f"picture{suffix}").read_bytes().startswith(magic)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "options",
     [
@@ -222,6 +224,7 @@ def test_plot_of_a_flat_grid_and_force(bench, call):
     assert (bench / "picture.png").read_bytes()[:8] == first[:8]
 
 
+@pytest.mark.slow
 def test_a_series_becomes_a_film(bench, call):
     turning = ("-s", "boundary.body.motion.1.rotate.angle=turn*t", "--times", "0:1:0.5")
     assert call("series", "grid.cgns", "-c", "case.toml", "-o", "out", *turning, "-q").code == 0
@@ -304,6 +307,7 @@ def test_sample_lists_all(call):
 SIZES = {"square": 11, "airfoil": 41, "splitter-plate": 8, "hemisphere": 8, "beam": 40}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SAMPLES)
 def test_samples_are_cases_to_start_from_in_every_format(name, bench, call):
     points = []

@@ -20,6 +20,8 @@ from meshdeform_core.grid import Grid
 from meshdeform_formats import read_grid, write_grid
 from meshdeform_formats.files import replacing
 
+pytestmark = pytest.mark.slow
+
 STRANGE = os.fsdecode(b"gr\xff d")
 
 

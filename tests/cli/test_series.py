@@ -257,6 +257,7 @@ def test_a_signal_says_how_to_continue(at, extra, told, swing, call):
 
 
 # Renames come in the order: manifest; index of level 0; manifest; ParaView's index; and so on.
+@pytest.mark.slow
 @pytest.mark.parametrize(("at", "extra"), [
     (1, ("--suffix", ".vtm")), (2, ("--suffix", ".vtm")), (3, ("--suffix", ".vtm")),
     (13, ("--suffix", ".vtm", "--from", "last", "--velocity", "second")),

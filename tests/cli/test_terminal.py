@@ -102,6 +102,7 @@ def test_convert_says_what_is_lost(bench, call):
     assert not (bench / "new.nmf").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("grid", ["grid.cgns", "flat.p2dfmt"])
 def test_info_draws_the_boundaries_by_name(grid, bench, call):
     plain = call("info", grid)

@@ -13,6 +13,8 @@ import pytest
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_formats import read_grid
 
+pytestmark = pytest.mark.slow
+
 GRIDS = (
     "717_wl_L2.cgns",
     "717_wl_L2_hdf5.cgns",

@@ -43,6 +43,7 @@ FLOOR = BoundarySpec("floor", ("*.kmin",), Kind.FIXED)
 SIDES = BoundarySpec("sides", ("*.i*", "*.j*"), Kind.SLIP)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lattice", [0, 3])
 def test_pairs_are_those_of_exact_arithmetic(lattice):
     """Random quads, also on a coarse lattice where most tetrahedra are flat and corners coincide in space."""

@@ -302,6 +302,7 @@ def test_only_plane_motions_of_extruded_grids_are_taken_for_plane():
     assert find_extrusion(Constraints.of(other.grid, other.topology, other.boundary)) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("angle", "skew", "height", "wall"), [(60.0, 0.35, 0.5, 10.0), (90.0, 0.18, 0.2, 14.0)])
 def test_the_splitter_plate_turns_far_and_keeps_its_first_cells(angle, skew, height, wall):
     """One repair of one step; without weights at walls first cells lost nine tenths of their height."""

@@ -167,6 +167,7 @@ def test_copies_keep_the_fields(twin):
     assert "combined_from" not in other.account.settings
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["tfi", "rbf-krylov"])
 def test_a_hundred_levels_are_those_of_single_runs(name):
     options = ALL_METHODS[name]

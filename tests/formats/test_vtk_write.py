@@ -276,9 +276,9 @@ def test_a_full_disk(tmp_path, name, monkeypatch):
         path.symlink_to("/dev/full")
         write_block(grid, number, path, variant)
 
-    module = vtk.legacy_write if name == "a.vtk" else vtk.xml.write
-    original = module.write_block
-    monkeypatch.setattr(module, "write_block", lambda *args: write_to_full(*args, original))
+    module, writer = (vtk.format, "write_legacy_block") if name == "a.vtk" else (vtk.xml.write, "write_block")
+    original = getattr(module, writer)
+    monkeypatch.setattr(module, writer, lambda *args: write_to_full(*args, original))
     with pytest.raises(FormatError, match=f"cannot write .*{name}: "):
         write_grid(grid, tmp_path / name)
     assert (tmp_path / name).read_bytes() == before

@@ -19,6 +19,8 @@ from fuzz.samples import CASE, called
 from meshdeform_core.grid import Field, Grid
 from meshdeform_formats import read_grid, write_grid
 
+pytestmark = pytest.mark.slow
+
 resource = pytest.importorskip("resource")
 PARTS = (0.0, 0.3, 0.95, 1.0)
 """Of the size of the largest file that the command writes."""

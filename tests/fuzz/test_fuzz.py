@@ -17,6 +17,8 @@ from fuzz.campaign import RIGHT, campaign
 from fuzz.samples import CASE
 from meshdeform_formats import read_grid, write_grid
 
+pytestmark = pytest.mark.slow
+
 PROGRAM = Path(sys.executable).with_name("meshdeform")
 
 

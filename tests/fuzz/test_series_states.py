@@ -28,6 +28,8 @@ from fuzz.samples import CASE, called
 from meshdeform_formats import read_grid, write_grid
 from meshdeform_formats.files import invalid_path
 
+pytestmark = pytest.mark.slow
+
 LEVELS = 4
 MOVING = CASE.replace('angle = "turn"', 'angle = "turn * t"')
 # Folds cells at the third level only: t = 2 turns by 160 degrees, t = 3 back by 360.
@@ -168,7 +170,6 @@ class SingleFileSeries(Series):
     options = ("--single-file",)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("machine", [Series, SetSeries, SingleFileSeries])
 def test_series_in_all_states(machine):
     run_state_machine_as_test(

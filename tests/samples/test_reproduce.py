@@ -15,6 +15,8 @@ from meshdeform_samples.reproduce.robustness import quality_of
 from meshdeform_samples.reproduce.rows import paper
 from meshdeform_samples.reproduce.tables import TABLES
 
+pytestmark = pytest.mark.slow
+
 PLATE = Sample("splitter-plate", 8)
 
 
