@@ -158,8 +158,8 @@ def _add_others(plotter: pyvista.Plotter, subject: Subject, off_screen: bool) ->
         plotter.add_checkbox_button_widget(
             actor.SetVisibility, value=False, position=(10, height), size=18, color_on="steelblue"
         )
-        plotter.add_text(f"{surface.name} ({surface.role.value})", (36, height - 2), font_size=7, color="black",
-                         name=f"name {surface.name}")  # fmt: skip
+        text = f"{surface.name} ({surface.role.value})"
+        plotter.add_text(text, position=(36, height - 2), font_size=7, color="black", name=f"name {surface.name}")
         height += 26
 
 
