@@ -42,7 +42,7 @@ def motion(sample: str, size: int) -> Motion:
 
 
 def inner_nodes(problem: Problem) -> IntArray:
-    """Flat indices of the unique nodes that are no sources: the targets of IDW and RBF alone."""
+    """Flat indices of the unique nodes that are not sources: the targets of IDW and RBF alone."""
     topology = problem.topology
     wanted = np.ones(problem.grid.n_nodes, dtype=bool)
     wanted[topology.face_nodes] = False

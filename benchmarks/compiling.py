@@ -35,7 +35,7 @@ def main() -> None:
 
 
 def measure(folder: Path, options: argparse.Namespace) -> MarkdownTable:
-    """Deform a sample in this process and list what was compiled, the dearest first."""
+    """Deform a sample in this process and list what was compiled, the most expensive first."""
     from meshdeform_cli.main import run
 
     run(["sample", options.sample, "-o", str(folder), "--size", options.size])
@@ -67,7 +67,7 @@ def clock_of_kernels() -> Any:
         def __init__(self) -> None:
             self.seconds: Counter[str] = Counter()
             self.signatures: Counter[str] = Counter()
-            # Beginning and what was spent on the functions it calls, of those being compiled.
+            # Start time and time spent on called functions, for each function being compiled.
             self._open: list[list[float]] = []
 
         def on_start(self, event: Any) -> None:

@@ -58,7 +58,7 @@ _SPIN, _JET, _SOURCE = np.deg2rad(100.0), 0.7, 0.25
 
 @dataclass(frozen=True)
 class Terrain:
-    """A grid with what its flows need to know.
+    """A grid with the data its flows need.
 
     ``extent`` is the size of the region around which the boundary nodes cluster; ``normal`` is the axis of a grid that
     is plane or extruded, else ``None``.
@@ -133,7 +133,7 @@ def grids_folder() -> Path:
 
 
 def available() -> list[str]:
-    """Names of the grids that can be had here."""
+    """Names of the grids available here."""
     return [*SAMPLES, *(name for name in THIRD_PARTY if (grids_folder() / name).is_file())]
 
 
@@ -220,7 +220,7 @@ def flowed(place: Terrain, seed: int) -> tuple[FloatArray, float]:
 def case_of(place: Terrain, seed: int, points: FloatArray, options: Options) -> Case:
     """The case in which the boundary of a grid goes where it lies in ``points`` (n_nodes, 3).
 
-    All outside faces are given, only the two planes that a plane flow stays between slide.
+    All outside faces are prescribed, except that the two planes that bound a plane flow slide.
     """
     given, sliding, normal = [], [], flow_normal(place, seed)
     three = place.grid.dimension == 3

@@ -112,7 +112,7 @@ def _exact(case: Motion) -> Exact:
     fit_seconds, fit = timed(lambda: idw.fit(case.displacement))
     evaluator = idw.at(some)
     evaluator.evaluate(fit, out, None)
-    # Some tenths of a second: one run alone would be off by a quarter.
+    # Runs take some tenths of a second: a single one could be off by a quarter.
     seconds = best(lambda: evaluator.evaluate(fit, out, None))
     sampled = out[some]
     if len(targets) * len(case.displacement) > _FULL_PAIRS:

@@ -1,4 +1,4 @@
-"""What a level of a series costs: the first, a further one, and one that is a combination of earlier ones."""
+"""Cost of a level of a series: the first, a further one, and one that is a combination of earlier ones."""
 
 from __future__ import annotations
 

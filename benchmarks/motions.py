@@ -1,4 +1,4 @@
-"""Large motions of the samples and of third-party grids, each as one step: what the methods are compared on."""
+"""Large motions of the samples and of third-party grids, each as one step, for comparing the methods."""
 
 from __future__ import annotations
 

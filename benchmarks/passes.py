@@ -1,4 +1,4 @@
-"""What should run at memory speed: TFI, quality, topology, against the time of a copy."""
+"""Work that should run at memory speed (TFI, quality, topology), compared with the time of a copy."""
 
 from __future__ import annotations
 

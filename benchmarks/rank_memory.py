@@ -1,9 +1,9 @@
-"""Memory of whole runs over ranks: what a machine holds, shared pages counted once.
+"""Memory of whole runs over ranks: the total on the machine, with shared pages counted once.
 
     python benchmarks/rank_memory.py 24 idw-tfi         # or: idw; a third argument is the suffix of the grid
 
 The resident size of a process counts the pages that it shares with others in full. The proportional set size (PSS)
-divides each page among those that have it: the sum over the ranks is what the machine holds. Linux only.
+divides each page among the processes that share it: the sum over the ranks is the machine's total. Linux only.
 """
 
 import os

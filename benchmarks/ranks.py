@@ -3,7 +3,7 @@
     mpiexec -n 2 python benchmarks/ranks.py 24 fast     # or: exact, or: idw-tfi
 
 One start measures 1, 2, 4, ... ranks one after the other. For every stage it prints the wall seconds, and the largest
-CPU seconds that a rank computed in it: on a machine that others use the wall time says little, the CPU time is what
+CPU seconds that a rank computed in it: on a shared machine the wall time says little, the CPU time is what
 the stage takes when every rank has a core of its own, without the exchange.
 """
 
@@ -31,7 +31,7 @@ METHODS = {
 
 
 class TimedRanks(MPIRanks):
-    """Keeps apart what a rank computes and what it spends on waiting and exchanging."""
+    """Separates the time a rank computes from the time it spends waiting and exchanging data."""
 
     idle = 0.0
 
@@ -89,7 +89,7 @@ def measure(size, case, count):
     found = _stages(TimedRanks(group), size, case) if group != MPI.COMM_NULL else {}
     done = WORLD.Ibarrier()
     while not done.Test():
-        # Asleep, so that ranks that have no part leave the cores to the others.
+        # Sleep, so that idle ranks leave the cores to the others.
         time.sleep(0.01)
     return found
 

@@ -22,7 +22,7 @@ from meshdeform_core.numerics.exact.basis import BASES
 from meshdeform_core.numerics.exact.radial import radial_sums
 
 _NEIGHBOURS = 50
-# Largest hemispheres: whose grid is made, and that the other program is given.
+# Largest hemispheres: for which the grid is made, and on which the other program is run.
 _LARGEST_GRID, _LARGEST_PEER = 92, 48
 _EPSILON = np.finfo(np.float64).eps
 
@@ -80,7 +80,7 @@ def _rows(case: Motion, neighbours: bool) -> list[Row]:
 
 
 def _solvers(case: Motion, neighbours: bool) -> dict[str, Callable[[], Callable[[], FloatArray]]]:
-    """For every program: what sets it up and gives what evaluates it."""
+    """For every program, a function that sets it up and returns the function that evaluates it."""
     problem, d = case.problem, case.displacement
     targets = problem.grid.points[inner_nodes(problem)]
 

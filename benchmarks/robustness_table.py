@@ -1,4 +1,4 @@
-"""Large motions in one command: is the grid valid, how good is it, what happened to wall cells, what did it cost?
+"""Large motions in one command: validity, quality, state of the wall cells, and cost.
 
 python benchmarks/robustness_table.py                            all rows, table on stdout
 python benchmarks/robustness_table.py --only plate               some of them
@@ -36,7 +36,7 @@ _BEGIN, _END = "<!-- robustness_table.py begin -->", "<!-- robustness_table.py e
 _SPAN = 12.09152937
 """Of the wing in 717_wl_L2.cgns, along z."""
 THIN = 1000.0
-"""Corners of undeformed cells with edges longer than this, relative to their shortest one, are of boundary layers."""
+"""Corners of undeformed cells with edges longer than this, relative to the shortest, are boundary-layer corners."""
 
 
 @dataclass(frozen=True)
@@ -179,7 +179,7 @@ TRIALS: tuple[Trial, ...] = (
 
 
 def measure(trial: Trial) -> Row:
-    """One row: what came out in one command with the defaults, and whether it is what was asked for."""
+    """One row: the result of one command with the defaults, and whether it is what was asked for."""
     setup = trial.make()
     motion = trial.motion(setup)
     start = time.process_time()

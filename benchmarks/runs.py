@@ -85,7 +85,7 @@ def _import_seconds(arguments: Sequence[str]) -> float:
 
 
 def make_sample(folder: Path, sample: str, size: int, suffix: str = ".cgns") -> Path:
-    """Grid and case of a sample in a folder of its own."""
+    """Grid and case of a sample in a separate folder."""
     target = folder / f"{sample}-{size}"
     if not target.exists():
         run([*_COMMAND, "sample", sample, "-o", str(target), "--size", str(size), "--suffix", suffix])

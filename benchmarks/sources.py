@@ -1,4 +1,4 @@
-"""Surface nodes of the hemisphere sample without the grid between them: for systems larger than a grid at hand."""
+"""Surface nodes of the hemisphere sample without the grid between them: for systems larger than any available grid."""
 
 from __future__ import annotations
 

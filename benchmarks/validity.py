@@ -3,10 +3,10 @@
 python benchmarks/validity.py                                        200 flows, table on stdout, build/validity.json
 python benchmarks/validity.py --count 30 --grid wing --steps auto    a part of them
 python benchmarks/validity.py --method idw-tfi --method rbf-tfi      several methods
-python benchmarks/validity.py --write docs/random_flows.md               the page with the table
+python benchmarks/validity.py --write docs/random_flows.md           the page with the table
 
 A flow carries all nodes of a grid to a grid that is valid; the program is given the boundary only. Flow n belongs to
-grid n modulo the number of grids, whichever part of them is run.
+grid n modulo the number of grids, whichever of them are run.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ TEMPLATE = Path(__file__).parent / "validity.md"
 
 @dataclass(frozen=True)
 class Setting:
-    """How the program is called; ``None``: as it is by default."""
+    """How the program is called; ``None``: with the defaults."""
 
     method: str
     steps: int | str | None
@@ -80,7 +80,7 @@ def measure(numbers: range, grids: list[str], wanted: list[str], settings: list[
 
 
 def judge(result: Result, points: FloatArray) -> dict[str, Any]:
-    """Whether the grid is valid and its boundary where it was told, ``points`` (n_nodes, 3)."""
+    """Whether the grid is valid and its boundary where it was prescribed, ``points`` (n_nodes, 3)."""
     setup, after = result.setup, result.grid.points
     given = setup.topology.first[setup.boundary.known]
     miss = float(np.abs(after[given] - points[given]).max()) / float(np.ptp(points, axis=0).max())

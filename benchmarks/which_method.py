@@ -1,4 +1,4 @@
-"""Which method wins where: one step of large motions, without repair.
+"""Which method is best for which motion: one step of large motions, without repair.
 
 python benchmarks/which_method.py                       the table on stdout
 python benchmarks/which_method.py --only beam           some of the motions

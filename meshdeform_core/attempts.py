@@ -16,7 +16,7 @@ MAX_REPAIRED_HALVINGS = 4
 MAX_ATTEMPTS = 24
 """Most steps tried with repairs, so that hopeless cases end."""
 _BEFORE = 0.9
-"""Where the boundary crosses itself, this share of the motion until then is tried, so that the user knows of it."""
+"""Where the boundary crosses itself, this share of the motion before that point is tried and reported to the user."""
 RESCUE = "rbf-tfi"
 """The method tried when the chosen one finds no valid grid: it succeeds most often."""
 
@@ -106,7 +106,7 @@ def _with_another_method(march: March) -> Iterator[Trial]:
 
 
 def _impossible(march: March) -> list[str]:
-    """Why no valid grid exists, if the boundary alone tells; a part of the motion before that is tried."""
+    """Why no valid grid exists, if the boundary alone shows it; part of the motion before that point is tried."""
     setup, motion = march.setup, march.motion
     contact = find_contact(setup.grid, setup.topology, setup.boundary, motion)
     pinned = find_pinned(setup.grid, setup.topology, setup.boundary, motion(1.0))

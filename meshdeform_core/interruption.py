@@ -33,7 +33,7 @@ def check() -> None:
 
 @contextlib.contextmanager
 def deferred() -> Iterator[None]:
-    """Let :func:`check` raise when the block has ended only, for libraries that no exception may pass through."""
+    """Let :func:`check` raise only after the block has ended, for libraries that no exception may pass through."""
     _deferrals.append(None)
     try:
         yield
@@ -61,7 +61,7 @@ def clean_up() -> None:
 
 @contextlib.contextmanager
 def continued_by(advice: Callable[[], str]) -> Iterator[None]:
-    """Let ``advice`` say, if a signal ends the block, how the work can be continued; an empty text if it cannot."""
+    """Let ``advice`` say how the work can be continued if a signal ends the block; empty if it cannot."""
     _advice.append(advice)
     try:
         yield
@@ -72,5 +72,5 @@ def continued_by(advice: Callable[[], str]) -> Iterator[None]:
 
 
 def advice() -> str:
-    """How to continue what a signal has ended; empty if there is nothing to continue."""
+    """How to continue work that a signal has ended; empty if there is nothing to continue."""
     return _advice[-1]() if _advice else ""

@@ -84,7 +84,7 @@ class March:
     def _inspect_motion(self, alone: bool) -> None:
         self.total = self.motion(1.0)
         self.max_displacement = largest_displacement(self.total)
-        # Those of a sequence are read when their time comes.
+        # Tables of a sequence are read only when their time comes.
         self.warnings += self.setup.boundary.tables.warnings()
         # In a series, a level may have no displacement.
         if alone and self.max_displacement == 0.0:

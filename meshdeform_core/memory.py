@@ -15,7 +15,7 @@ _UNITS = ("B", "KiB", "MiB", "GiB", "TiB")
 # Libraries, and coordinates before and after, displacement, arc lengths, topology, fast sums, quality: peaks of 5.4 to
 # 6.4 coordinate arrays were measured with tfi, idw and idw-tfi from 2.7 to 21 million nodes.
 PROGRAM_BYTES, COORDINATE_ARRAYS = 220 * 2**20, 7
-# What each of several ranks on a machine has of these for itself: 0.9 to 1.05 were measured.
+# Coordinate arrays that each of several ranks on a machine holds privately: 0.9 to 1.05 were measured.
 _OTHER_COPIES = 3
 _OWN_ARRAYS = 1
 

@@ -1,4 +1,4 @@
-"""The repair of a grid that something else has deformed: its boundary stays where it is."""
+"""The repair of a grid that another program has deformed: its boundary stays where it is."""
 
 from __future__ import annotations
 
@@ -50,8 +50,8 @@ def mend(
 ) -> Mended:
     """Move nodes of ``grid``, the deformed ``original``, until every cell is sound that is sound in ``original``.
 
-    Nodes of moving and fixed boundaries of the case stay exactly where they are, others slide or repeat as it says;
-    without boundary entries all outside nodes stay, but for the end planes of a grid that is one cell thick. With
+    Nodes of moving and fixed boundaries of the case stay exactly in place, others slide or repeat as it specifies;
+    without boundary entries all outside nodes stay, except on the end planes of a grid that is one cell thick. With
     ``case.repair.mode`` ``polish`` the worst cells of a valid grid are improved; with ``off`` the grid is only judged.
 
     Parameters
@@ -104,7 +104,7 @@ def _require_closed(grid: Grid, topology: Topology, tolerance: float) -> None:
 
 
 def _reasons(original: Grid, topology: Topology, boundary: Boundary, points: FloatArray) -> list[str]:
-    """Why no valid grid can be found, as far as the boundary alone tells."""
+    """Why no valid grid can be found, if the boundary alone shows it."""
     change = (points - original.points)[topology.first]
     found = []
     for crossing in find_crossings(original, topology, boundary, change)[:1]:

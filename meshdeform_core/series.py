@@ -129,12 +129,12 @@ class _Series:
         return Level(number, time, result, self._rotation(displacement), drift, velocity, timing)
 
     def past(self, number: int) -> int:
-        """How many levels before level ``number`` are needed to make it; a repair sets out from the one before."""
+        """How many levels before level ``number`` are needed to make it; a repair starts from the one before."""
         repairs = self.setup.case.repair.mode != "off"
         return max(self.schedule.past(number), min(number, int(repairs)))
 
     def _correction(self, number: int, past: list[FloatArray]) -> Callable[[], FloatArray | None] | None:
-        """By how much repairs moved the nodes at the level before, found when it is asked for.
+        """By how much repairs moved the nodes at the level before, computed on demand.
 
         That is the difference of its coordinates as written and of those without a repair.
         """
@@ -147,7 +147,7 @@ class _Series:
             moved: FloatArray = self._prepared(Timing()).apply(known, self.progress)
             result: FloatArray = empty(start.shape)
             for_rows(lambda rows: np.copyto(result[rows], before[rows] - start[rows] - moved[rows]), result)
-            # What single precision of a file leaves is no repair.
+            # Rounding to the single precision of a file is not a repair.
             return result if np.abs(result).max() > _WRITTEN * np.abs(before).max() else None
 
         return correction

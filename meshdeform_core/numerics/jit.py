@@ -2,9 +2,9 @@
 
 Numpy's error model matters for speed: Python's would test every division for zero, which keeps loops scalar.
 
-Compiling is what the first run after installation waits for. It takes time by the number of functions and of different
-operations on arrays, not by the length of a loop: loops over numbers compile fastest; slices that are assigned, array
-expressions, ``zeros``, reductions and searches each bring functions of numba's own along.
+The first run after installation has to wait for compilation. Its cost grows with the number of functions and of
+distinct array operations, not with the length of a loop: scalar loops compile fastest; slice assignments, array
+expressions, ``zeros``, reductions and searches each pull in functions of numba's own.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 
 
 class _CompileClock(event.Listener):
-    """Counts what is compiled; what comes from the cache is not."""
+    """Counts the loops that are compiled, not those loaded from the cache."""
 
     def __init__(self) -> None:
         self.seconds, self.loops, self.cached = 0.0, 0, True
         self.notice: Callable[[int], None] | None = None
         self._depth, self._start, self._collecting = 0, 0.0, True
 
-    # numba compiles under a lock of its own, one loop at a time: no two threads come here together.
+    # numba holds a lock of its own while it compiles, so two threads are never here at the same time.
     def on_start(self, event: Any) -> None:
         if self._depth == 0:
             self._start = time.perf_counter()
@@ -83,7 +83,7 @@ contracted_kernel = _compiled(no_cfunc_wrapper=True, fastmath={"contract"}, forc
 """Decorator for functions that may fuse multiplications with additions but must keep their order."""
 
 inlined = _compiled(inline="always")
-"""Decorator for parts of a loop: put in their place before compiling, with the rules of the loop that uses them."""
+"""Decorator for parts of a loop: inlined before compiling, with the rules of the loop that uses them."""
 
 
 def compile_seconds() -> float:
@@ -102,5 +102,5 @@ def is_cached() -> bool:
 
 
 def on_compile(notice: Callable[[int], None] | None) -> None:
-    """Call ``notice``, with the number of those before, for every loop that is compiled because no cache has it."""
+    """Call ``notice`` with the number compiled so far whenever a loop is compiled because it is not in the cache."""
     _clock.notice = notice

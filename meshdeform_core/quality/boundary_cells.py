@@ -16,8 +16,8 @@ from .listed import cell_starts
 def wall_cells(before: Grid, topology: Topology, after: FloatArray, quads: IntArray) -> tuple[FloatArray, FloatArray]:
     """Deviation (degrees) and height ratio (n_cells,) of the cells at wall ``quads``, NaN elsewhere.
 
-    A cell has the largest deviation of its grid lines off the wall in coordinates ``after`` (n_nodes, 3), and of the
-    ratios of their heights to those before the one that is farthest from 1.
+    A cell gets the largest deviation of its grid lines off the wall in coordinates ``after`` (n_nodes, 3), and, of the
+    ratios of their heights to those before, the one farthest from 1.
     """
     deviation, ratio = np.full(before.n_cells, np.nan), np.full(before.n_cells, np.nan)
     chosen = np.zeros(len(topology.partner), dtype=bool)
@@ -41,7 +41,7 @@ def _corners(face: WallFace, values: FloatArray) -> FloatArray:
 
 
 def _farthest(known: FloatArray, ratios: FloatArray) -> FloatArray:
-    """Of ratios (n, m) and those known already (n,) the ones farthest from 1."""
+    """The ratios farthest from 1, of (n, m) and those already known (n,)."""
     all_ratios = np.concatenate([known[:, None], ratios], axis=1)
     with np.errstate(divide="ignore"):
         reach = np.abs(np.log(np.maximum(all_ratios, 0.0)))
@@ -61,8 +61,8 @@ def interface_cells(
 ) -> tuple[FloatArray, FloatArray]:
     """Kink (degrees) and spacing jump (n_cells,) of the cells beside shared faces, NaN elsewhere.
 
-    Of the grid lines through a face the largest magnitude; changes against coordinates ``before`` (n_nodes, 3) if there
-    are any.
+    A cell gets the largest magnitude of the grid lines through a face; changes relative to coordinates ``before``
+    (n_nodes, 3) if there are any.
     """
     kink, jump = np.full(grid.n_cells, np.nan), np.full(grid.n_cells, np.nan)
     quads = np.flatnonzero(topology.partner > np.arange(len(topology.partner)))

@@ -17,7 +17,7 @@ from .validity import Verdict
 class Comparison:
     """The cells with coordinates ``after`` (n_nodes, 3), measured, and the verdict on them.
 
-    The first comparison with an original also measures that.
+    The first comparison with an original measures the original as well.
     """
 
     def __init__(self, original: Original, after: FloatArray):
@@ -64,13 +64,13 @@ class Comparison:
 
     @property
     def smallest_ratio(self) -> tuple[int, float]:
-        """The cell with the smallest corner Jacobian relative to the undeformed one, and that."""
+        """The cell with the smallest corner Jacobian relative to the undeformed one, and its value."""
         slab = int(self._extremes[:, 2].argmin())
         return int(self._cells[slab, 2]), float(self._extremes[slab, 2])
 
     @property
     def volume_ratios(self) -> tuple[tuple[int, float], tuple[int, float]] | None:
-        """The cells with the smallest and the largest volume relative to the undeformed one, and these."""
+        """The cells with the smallest and the largest volume relative to the undeformed one, and their values."""
         low, high = int(self._extremes[:, 0].argmin()), int(self._extremes[:, 1].argmax())
         least, most = float(self._extremes[low, 0]), float(self._extremes[high, 1])
         if least > most:
@@ -89,7 +89,7 @@ class Comparison:
 
     @property
     def ratio(self) -> Range:
-        """Volumes after over volumes before, of cells that had one."""
+        """Ratios of the volumes after to those before, for cells that had one."""
         found = self.volume_ratios
         return Range(found[0][1], found[1][1]) if found else Range(1.0, 1.0)
 

@@ -1,4 +1,4 @@
-"""What is measured of a grid, cell by cell: for pictures, and for files that other programs colour."""
+"""Cell measures of a grid, for pictures and for files displayed by other programs."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ class CellFields:
         return _VALUES[measure](self, block, cells)
 
     def require(self, measure: str) -> None:
-        """Refuse, before anything is computed, a measure that this grid has not; see :meth:`values`."""
+        """Refuse, before anything is computed, a measure not available for this grid; see :meth:`values`."""
         if measure not in CELL_MEASURES:
             near = suggestion(measure, CELL_MEASURES)
             raise CaseError(f"measure {measure!r} is unknown{near or '; known are ' + ', '.join(CELL_MEASURES)}")
@@ -111,7 +111,7 @@ class CellFields:
             raise CaseError(f"{measure}: no wall is known; see `meshdeform info`")
 
     def bad(self, block: int, cells: Cells) -> BoolArray:
-        """Invalid cells: where there is an undeformed grid those that became so, else those turned inside out."""
+        """Invalid cells: those that became invalid if there is an undeformed grid, else those turned inside out."""
         if self.reference is None:
             return np.asarray(self.measure(block, cells).scaled < -_ROUND_OFF)
         return np.asarray(self._box(self.verdict.failed, block, cells) != 0)

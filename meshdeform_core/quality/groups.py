@@ -1,4 +1,4 @@
-"""Invalid cells put together by place: those that touch each other, across blocks too."""
+"""Invalid cells grouped by location: those that touch each other, also across blocks."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """All cells of a grid, judged against the undeformed one in one pass, slab by slab.
 
-In 3-D a pass in single precision (:mod:`..numerics.cell.inspection`) leaves the doubtful cells open; these are measured
+In 3-D a pass in single precision (:mod:`..numerics.cell.inspection`) leaves doubtful cells undecided; they are measured
 here in double precision and judged by the proof of :mod:`..numerics.cell.positivity`.
 """
 

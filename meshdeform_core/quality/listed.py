@@ -97,7 +97,7 @@ def with_nearest_patch(
 def nearest_patches(grid: Grid, topology: Topology, boundary: Boundary | None, at: FloatArray) -> list[str]:
     """Names of the moving boundaries nearest to points (n, 3); without moving ones of any; empty without a boundary.
 
-    On grids of one or few layers of cells the side planes would be nearest everywhere, and tell nothing.
+    On grids with only one or a few layers of cells the side planes would be nearest everywhere, which says nothing.
     """
     if boundary is None or not boundary.patches:
         return [""] * len(at)

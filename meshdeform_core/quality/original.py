@@ -1,4 +1,4 @@
-"""The undeformed grid, measured once however often a deformed one is judged against it."""
+"""The undeformed grid, measured only once for any number of deformed grids judged against it."""
 
 from __future__ import annotations
 

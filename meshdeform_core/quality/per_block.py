@@ -1,4 +1,4 @@
-"""Quality of every block, from what was counted cell by cell anyway."""
+"""Quality of every block, from the tallies made for the whole grid."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ class Quality:
     collapsed corners aside. ``worst`` names the cells with the extremes: ``f_skew``, ``min_scaled_jacobian``,
     ``min_relative_jacobian``, ``wall_normal_deviation_deg``, ``first_cell_height_ratio_min`` and ``_max``,
     ``interface_kink_deg``, ``interface_spacing_jump``, ``volume_ratio_min`` and ``_max``; before only the first two. A
-    measure that is the same everywhere has none.
+    measure with the same value everywhere has none.
     """
 
     f_skew: Skew
@@ -115,7 +115,7 @@ def assess(
 ) -> Assessment:
     """Judge coordinates ``after`` (n_nodes, 3) against the original grid.
 
-    A cell is invalid if it was sound and is not any more, see :mod:`.validity`; cells that were bad before are
+    A cell is invalid if it was sound and no longer is, see :mod:`.validity`; cells that were bad before are
     inherited, not invalid.
 
     Parameters
@@ -216,7 +216,7 @@ def _interfaces(original: Original, after: FloatArray) -> tuple[Interfaces, Inte
     if lines.here.size == 0:
         return (None, None), (None, None), {}
     alone = after is original.grid.points
-    # Of a grid on its own kinks and jumps as they are, not changes.
+    # For a grid on its own, kinks and jumps themselves, not changes.
     found = list(old) if alone else [now - then for now, then in zip(kink_and_jump(lines, after), old, strict=True)]
     worst: Extremes = {}
     for name, values in zip(("interface_kink_deg", "interface_spacing_jump"), found, strict=True):

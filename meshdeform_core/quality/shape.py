@@ -35,7 +35,7 @@ class ShapeMeasure:
 def shape_measures(grid: Grid, points: FloatArray | None = None) -> dict[str, ShapeMeasure]:
     """All measures of :data:`DEFINITIONS` of a grid with coordinates ``points`` (n_nodes, 3; default its own).
 
-    Collapsed edges and faces have no ratio or direction and are passed over.
+    Collapsed edges and faces have no ratio or direction and are skipped.
     """
     points = grid.points if points is None else points
     best = np.full(4, -1.0)
@@ -57,10 +57,10 @@ def shape_measures(grid: Grid, points: FloatArray | None = None) -> dict[str, Sh
 def shape_of_cells(grid: Grid, block: int, cells: tuple[slice, slice, slice]) -> FloatArray:
     """The measures of :data:`DEFINITIONS` of a box of cells with explicit ends, (ci, cj, ck, 4).
 
-    Of measures between neighbours a cell has the largest of its faces.
+    For measures between neighbours a cell gets the largest value of its faces.
     """
     x, resolved = _solid(grid, block, grid.points)
-    # Neighbours around the box have a say in its outer cells.
+    # The outer cells of the box also depend on the neighbours around it.
     low = [max(c.start - 1, 0) for c in cells]
     high = [min(c.stop + 1, n - 1) for c, n in zip(cells, x.shape[:3], strict=True)]
     around = np.ascontiguousarray(x[tuple(slice(a, b + 1) for a, b in zip(low, high, strict=True))])

@@ -45,7 +45,7 @@ class Sums:
 
     @classmethod
     def of(cls, skew: FloatArray, volume: FloatArray, bad: BoolArray) -> Sums:
-        """Of cells (m,) with these values; ``bad``: with a corner Jacobian <= 0."""
+        """Sums over cells (m,) with these values; ``bad``: with a corner Jacobian <= 0."""
         sums = cls(0.0, 0.0, np.zeros(HISTOGRAM_BINS, dtype=np.int64), area=float(volume.sum()))
         sums.add(skew, volume, bad)
         return sums
@@ -76,7 +76,7 @@ class Tally:
         self.solid: float | None = None
 
     def put(self, number: int, slab: Slab, skew: FloatArray, scaled: FloatArray, sums: Sums) -> None:
-        """Note one slab of cells with these values (n,)."""
+        """Record one slab of cells with these values (n,)."""
         self.skews[slab.cells] = skew
         at = int(skew.argmin()), int(scaled.argmin())
         self.lows[number] = skew[at[0]], scaled[at[1]]
@@ -91,7 +91,7 @@ class Tally:
 
     @property
     def volume(self) -> float:
-        """Of all cells; in 2-D their area."""
+        """Totals over all cells; in 2-D their area."""
         return float(self.sums[:, 2].sum()) if self.solid is None else self.solid
 
     @property
@@ -104,13 +104,13 @@ class Tally:
 
     @property
     def smallest_scaled(self) -> tuple[int, float]:
-        """The cell with the smallest scaled Jacobian, and that."""
+        """The cell with the smallest scaled Jacobian, and its value."""
         slab = int(self.lows[:, 1].argmin())
         return int(self.low_cells[slab, 1]), float(self.lows[slab, 1])
 
     @property
     def worst(self) -> tuple[int, float]:
-        """The cell with the smallest f_skew, and that."""
+        """The cell with the smallest f_skew, and its value."""
         slab = int(self.lows[:, 0].argmin())
         return int(self.low_cells[slab, 0]), float(self.lows[slab, 0])
 
@@ -119,7 +119,7 @@ class Tally:
         inverse, total = self.sums[:, 0].sum(), self.sums[:, 1].sum()
         histogram = self.counts.sum(axis=0)
         at = max(0, -(-n // 100) - 1)
-        # Of millions of cells only those in the lowest bins are copied and sorted.
+        # Only the cells in the lowest bins are copied and sorted, as there may be millions.
         last = int(np.searchsorted(np.cumsum(histogram), at, side="right"))
         parts = np.array_split(self.skews, len(self.counts))
         lowest = np.concatenate([part[_bins(part) <= last] for part in parts])

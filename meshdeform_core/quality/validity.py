@@ -33,11 +33,11 @@ class Verdict:
 
     @classmethod
     def blank(cls, n_cells: int) -> Verdict:
-        """For :meth:`put` to fill."""
+        """Empty arrays for :meth:`put` to fill."""
         return cls(empty([n_cells], np.int8), empty([n_cells], np.float32))
 
     def put(self, slab: Slab, figures: Figures) -> None:
-        """Note one slab."""
+        """Record one slab."""
         self.failed[slab.cells], self.ratio[slab.cells] = figures.failed, figures.ratio
 
     @property

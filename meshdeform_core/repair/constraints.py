@@ -1,4 +1,4 @@
-"""What a repair must keep: held nodes, planes to slide in, periodic images that move alike."""
+"""Constraints that a repair must respect: held nodes, sliding planes, periodic images that move alike."""
 
 from __future__ import annotations
 

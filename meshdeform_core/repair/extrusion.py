@@ -1,4 +1,4 @@
-"""Grids that are plane grids drawn out straight: a plane motion of them is repaired as that of the plane grid."""
+"""Straight extrusions of plane grids: a plane motion of such a grid is repaired on the plane grid."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Extrusion:
     def flattened(self, change: FloatArray) -> FloatArray | None:
         """The displacement (n_plane, 3) of the plane grid for one of the grid (n_nodes, 3), a mean along lines.
 
-        ``None`` if held nodes move out of the plane, or not alike along a line.
+        ``None`` if held nodes move out of the plane, or differently along a line.
         """
         normal = change @ self.direction
         if np.abs(normal).max() > _STRAIGHT * self.scale:
@@ -77,7 +77,7 @@ class Extrusion:
 
 
 def find_extrusion(constraints: Constraints) -> Extrusion | None:
-    """The plane grid that a grid and its constraints are made of, or ``None``."""
+    """The plane grid that a grid and its constraints are extruded from, or ``None``."""
     grid = constraints.grid
     if grid.dimension == 2:
         return None
@@ -102,7 +102,7 @@ def _heights(block: FloatArray, scale: float) -> list[FloatArray]:
 
 
 def _axis(block: FloatArray, height: FloatArray, scale: float) -> tuple[int, int] | None:
-    """Index axis along which a block is drawn out by ``height``, and the index of its lower end (0 or -1)."""
+    """Index axis along which a block is extruded by ``height``, and the index of its lower end (0 or -1)."""
     unit = height / np.linalg.norm(height)
     for axis in range(3):
         whole = (block.take(-1, axis=axis) - block.take(0, axis=axis)).reshape(-1, 3)

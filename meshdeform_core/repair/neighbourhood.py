@@ -40,9 +40,9 @@ class Plot(NamedTuple):
 
 
 class Neighbourhood:
-    """What all regions of one undeformed grid have in common.
+    """Data shared by all regions of one undeformed grid.
 
-    A *class* are all unique nodes that one unknown moves: one node, or all periodic images of one.
+    A *class* consists of all unique nodes that one unknown moves: one node, or all periodic images of one.
     """
 
     def __init__(self, constraints: Constraints):

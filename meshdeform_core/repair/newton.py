@@ -15,7 +15,7 @@ from ..parallel import for_chunks
 from .region import Region
 
 _ROWS = 2048
-# Rows of vectors, which cost less.
+# Rows of vectors, which are cheaper.
 _LONG = 1 << 16
 
 
@@ -127,7 +127,7 @@ def factor_diagonal(blocks, rows, freedom, factor):
         trace = 0.0
         for d in range(size):
             trace += a[d, d]
-        # An unknown that no sample depends on stays.
+        # An unknown that no sample depends on does not move.
         small = 1e-14 * trace + 1e-300
         for d in range(size):
             for e in range(d + 1):

@@ -33,9 +33,9 @@ _STEPS, _IMPROVING = 40, 16
 _ROUNDS, _LAST_ROUNDS = 2, 6
 # A region of n nodes takes at most _WORK / n Newton steps, so that time is bounded on large grids.
 _WORK, _FEWEST = 20_000_000, 6
-# More layers are tried while the largest density is above this; of valid grids, if the first ones lower it by a tenth.
+# More layers are tried while the largest density is above this; for valid grids, if the first ones lower it by a tenth.
 _ENOUGH, _GAIN = 6.0, 0.9
-# Regions of more nodes than this are not improved beyond validity: of the largest grids that would take minutes.
+# Regions of more nodes than this are not improved beyond validity: on the largest grids that would take minutes.
 _LARGE = 300_000
 
 Progress = Callable[[str, int, int], None]
@@ -80,7 +80,7 @@ class Repairer:
     Parameters
     ----------
     rounded : coordinates as they will be written; the verdict is about those
-    memory : what a repair may take
+    memory : limit for a repair
     """
 
     def __init__(
@@ -107,7 +107,7 @@ class Repairer:
 
     @cached_property
     def _extrusion(self) -> tuple[Extrusion, Repairer] | None:
-        """The plane grid that this one is drawn out from, and its repairs."""
+        """The plane grid that this one is extruded from, and its repairs."""
         found = find_extrusion(self._constraints)
         if found is None:
             return None
@@ -123,7 +123,7 @@ class Repairer:
 
         Of the nodes around weak cells, first those within some layers move, then more, until all cells are sound and
         the worst one is no longer far from its undeformed shape, or until more nodes do not help. With ``polish`` the
-        weakest cells are taken for weak however good they are. Where that fails, all nodes move and cells count alike.
+        weakest cells count as weak however good they are. If that fails, all nodes move and all cells count equally.
         """
         plane = self._in_plane(points, verdict, polish)
         if plane is not None:
@@ -133,7 +133,7 @@ class Repairer:
             weak = max(WEAK, min(1.0, 2.0 * float(verdict.ratio.min())))
         best, steps = self._grow(start, weak, _LAYERS[self.original.grid.dimension], even=False)
         if not best.verdict.valid:
-            # Stiff cells at walls may leave no way out.
+            # Stiff cells at walls may leave no solution.
             other, more = self._grow(start, weak, (None,), even=True)
             best, steps = (other if other.count < best.count else best), steps + more
         return Outcome(best.points, best.verdict, self._record(start, best, steps, clock.perf_counter() - begin))
@@ -155,7 +155,7 @@ class Repairer:
                 if not found.untangled or (now.verdict.valid and (layers or not helped)):
                     break
             if start.verdict.valid and reached > _GAIN * before:
-                # Weak cells that are not to be helped.
+                # Weak cells that cannot be improved.
                 break
             if now.count < best.count or (now.count == best.count and reached < density):
                 best, density = now, reached
@@ -164,7 +164,7 @@ class Repairer:
         return best, steps
 
     def _in_plane(self, points: FloatArray, verdict: Verdict, polish: bool) -> Outcome | None:
-        """The same with the plane grid that this one is drawn out from, where it moves in its plane."""
+        """The same on the plane grid that this one is extruded from, if the motion stays in its plane."""
         if self._extrusion is None:
             return None
         begin, (extrusion, repairer) = clock.perf_counter(), self._extrusion
@@ -181,7 +181,7 @@ class Repairer:
         return Outcome(spread, after.verdict, record)
 
     def _attempt(self, now: _State, layers: int | None, limit: float, even: bool) -> _Attempt | None:
-        """Move the nodes within so many layers of weak cells; ``None`` where there are none, or too many."""
+        """Move the nodes within ``layers`` layers of weak cells; ``None`` if there are none, or too many."""
         weak = np.flatnonzero((now.verdict.failed != 0) | (now.verdict.ratio < limit))
 
         def make() -> _Attempt | None:

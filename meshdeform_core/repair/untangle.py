@@ -1,4 +1,4 @@
-"""Newton's method for the foldover-free energy: first until no sample is inverted, then against the worst ones."""
+"""Newton's method for the foldover-free energy: first until no sample is inverted, then to improve the worst ones."""
 
 from __future__ import annotations
 
@@ -63,8 +63,8 @@ class Untangler:
     def untangle(self, most: int) -> bool:
         """Newton steps until every determinant is positive; at most ``most``.
 
-        The regularisation falls as in Garanzha et al. 2021 (section 2.3), but by 40 % and not by 10 % at least where
-        the energy hardly changes any more: some steps more at the end cost less than many on the way.
+        The regularisation falls as in Garanzha et al. 2021 (section 2.3), but by at least 40 % instead of 10 % where
+        the energy hardly changes any more: a few extra steps at the end cost less than many on the way.
         """
         eps = _FIRST_EPS
         for step in range(most + 1):
@@ -82,7 +82,7 @@ class Untangler:
         return False
 
     def improve(self, most: int) -> float:
-        """Newton steps against the largest density f from a valid start, while they help; returns it.
+        """Newton steps that lower the largest density f from a valid start, while they help; returns it.
 
         First plain ones, then with a barrier ever closer above the largest density.
         """

@@ -1,7 +1,7 @@
-"""How much cells near moving walls count in a repair, so that they turn with the wall and others take what is left.
+"""Weights of cells near moving walls in a repair: these cells turn with the wall, and others take up the rest.
 
-Minimised alike everywhere, the energy concentrates shear at a wall that turns (in a ring, as 1 / r^2): first cells lost
-nine tenths of their height there. Weights that fall with the square of the distance turn that round.
+With equal weights everywhere, the minimum of the energy concentrates shear at a rotating wall (in a ring, as 1 / r^2),
+where first cells would lose nine tenths of their height. Weights that fall with the square of distance reverse that.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ UNLIMITED = 1 << 14
 
 
 def nearness(layers: np.ndarray) -> FloatArray:
-    """Distance of nodes from moving walls as a share (n,) of how far these count, at most 1; 1 without any walls.
+    """Distance of nodes from moving walls relative to their reach, (n,), at most 1; 1 without any walls.
 
-    ``layers`` (n,) are the distances in cells, -1 where there is no way to a wall.
+    ``layers`` (n,) are the distances in cells, -1 where no wall can be reached.
     """
     reach = max(1.0, min(REACH, _SHARE * int(layers.max(initial=0))))
     return np.where(layers < 0, 1.0, np.minimum((layers + 1.0) / reach, 1.0)).astype(np.float64)

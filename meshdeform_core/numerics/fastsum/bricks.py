@@ -103,7 +103,7 @@ def make_regions(points: FloatArray, bricks: Bricks, first: IntArray, order: int
     """Regions of the bricks beginning with number ``first`` (g + 1,)."""
     proxies = np.arange(len(bricks.proxies))
     center, axes, half = fit_boxes(bricks.proxies, proxies, spans(bricks.proxy[first]))
-    # They hold the targets too.
+    # The boxes enclose the targets too.
     low, high = extents(points, bricks.targets, spans(bricks.start[first]), center, axes)
     half = np.maximum(half, np.maximum(-low, high))
     per_side = points_per_side(half, order)

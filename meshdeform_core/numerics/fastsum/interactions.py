@@ -1,4 +1,4 @@
-"""Which clusters of a tree act on each other from far, and which leaves from near."""
+"""Which clusters of a tree interact as far ones, and which leaves directly."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ..jit import kernel
 from .tree import SourceTree
 
 REACH = 2.0
-"""Others see a cluster from so many of its radii on."""
+"""Distance, in radii of a cluster, from which others see it as far."""
 _STACK = 4096
 
 

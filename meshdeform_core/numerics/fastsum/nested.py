@@ -1,9 +1,9 @@
 """Sums of radial basis functions at their own centres in nearly linear time: nested skeletons.
 
-Pairs of clusters far from each other act by their skeletons; charges go up the tree, from each cluster's children to
+Clusters far from each other interact by their skeletons; charges go up the tree, from each cluster's children to
 its skeleton, potentials come down the same way, and neighbouring leaves act with all their centres. The structure is
 that of the fast multipole method (Greengard & Rokhlin 1987), with skeletons (see :mod:`.skeletons`) in the place of
-multipoles, which works for any function, and for centres on surfaces and clustered to one side as well as for others.
+multipoles, which works for any function and also for centres on surfaces or clustered to one side.
 """
 
 from __future__ import annotations
@@ -55,9 +55,9 @@ class NestedSums:
     ----------
     kind : number of the basis function, see :data:`.basis.BASES`
     centres : (n, 3) in units of the support radius
-    tolerance : error of what a unit charge does at the distance of its cluster's radius, relative to the function there
+    tolerance : error of a unit charge's effect at the distance of its cluster's radius, relative to the function there
     rows : where sums are wanted; everywhere by default
-    like : sums with the same centres, whose clusters are taken over
+    like : sums with the same centres, whose clusters are reused
     """
 
     def __init__(
@@ -167,7 +167,7 @@ def _skeleton(
 ) -> tuple[IntArray, IntArray, FloatArray]:
     """Places of the skeleton of a cluster, the order of its candidates ``places``, and the shares of the others."""
     n = len(places)
-    # Thin plate splines are the same in any unit but for polynomials, which few points reproduce.
+    # Thin plate splines are the same in any unit up to polynomials, which few points reproduce.
     unit = radius if kind == BASES["tps"] and radius > 0 else 1.0
     points = (tree.points[places] - tree.center[c]) / unit
     order, share = np.empty(n, dtype=np.int64), np.zeros((n, n))
@@ -201,7 +201,7 @@ def gather_up(span, child, bases, charges, out):
 
 @kernel
 def _spread(c, at, bases, skeleton, out):
-    """Add what the skeleton of cluster ``c`` feels to its candidates, from row ``at`` of ``out`` on."""
+    """Add the potentials at the skeleton of cluster ``c`` to its candidates, from row ``at`` of ``out`` on."""
     s, rank = bases.start[c], bases.start[c + 1] - bases.start[c]
     o, n = bases.first[c], bases.first[c + 1] - bases.first[c]
     for j in range(rank):
@@ -224,7 +224,7 @@ def _spread(c, at, bases, skeleton, out):
 
 @kernel
 def _scatter_down(child, bases, far):
-    """What skeletons feel, from the root to the leaves."""
+    """Potentials at the skeletons, from the root to the leaves."""
     for c in range(child.size):
         if child[c] >= 0:
             _spread(c, bases.start[child[c]], bases, far, far)
@@ -232,7 +232,7 @@ def _scatter_down(child, bases, far):
 
 @kernel
 def _act_far(kind, lo, hi, far_start, far, bases, charges, out):
-    """Add what the skeletons of the far clusters do at the skeletons of clusters ``lo`` to ``hi``."""
+    """Add the potentials of the skeletons of far clusters at the skeletons of clusters ``lo`` to ``hi``."""
     packed = np.empty((6, bases.points.shape[0]))
     for t in range(lo, hi):
         n = 0
@@ -244,7 +244,7 @@ def _act_far(kind, lo, hi, far_start, far, bases, charges, out):
 
 @kernel
 def _act_near(kind, lo, hi, leaves, of_leaf, places, span, points, charges, near_start, near, bases, far, out):
-    """Sums at places in leaves: what comes from afar by the skeletons, and the neighbours themselves."""
+    """Sums at places in leaves: far contributions by the skeletons, and those of the neighbours directly."""
     packed = np.empty((6, points.shape[0]))
     for leaf in range(lo, hi):
         t = leaves[leaf]

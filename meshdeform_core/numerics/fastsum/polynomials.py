@@ -1,8 +1,8 @@
-"""Polynomials on boxes: what far clusters do in a group of targets.
+"""Polynomials on boxes: the effect of far clusters on a group of targets.
 
 Products of Chebyshev polynomials T_i(x) T_j(y) T_k(z), those whose terms in the Taylor series of a distant source are
 large enough: fewer along the short sides of a box, and of a total degree. They interpolate at approximate Fekete points
-(Sommariva & Vianello, Comput. Math. Appl. 57, 2009). How well is measured once per shape of box.
+(Sommariva & Vianello, Comput. Math. Appl. 57, 2009). Their accuracy is measured once per box shape.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ def _errors(half: FloatArray, degree: IntArray, points: FloatArray, matrix: Floa
         sources = NEAREST * GROWTH**n * away
         exact, known = (radial_matrix(BASES["tps"], np.ascontiguousarray(x * half), sources) for x in (places, points))
         errors.append(np.abs(shares @ known - exact).max())
-    # Never larger farther away, but for round-off.
+    # The error never grows with distance, except by round-off.
     return np.maximum.accumulate(np.array(errors)[::-1])[::-1]
 
 

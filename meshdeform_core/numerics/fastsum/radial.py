@@ -1,7 +1,8 @@
 """Fast sums of radial basis functions at target nodes.
 
-Clusters of centres act by their skeletons (:mod:`.skeletons`); a group of targets far from them takes what they do as a
-polynomial on its box, which its parts inherit (:mod:`.polynomials`). What is too near for that acts on the nodes.
+Clusters of centres act by their skeletons (:mod:`.skeletons`); in a group of targets far from
+them their effect is a polynomial on its box, which its parts inherit (:mod:`.polynomials`). Clusters too near for that
+act on the nodes directly.
 """
 
 from __future__ import annotations
@@ -27,8 +28,8 @@ from .tree import build_tree
 LEAF = 48
 # Accuracy of skeletons, relative to the function at the radius of the cluster.
 _SKELETONS, _FINEST = 1e-6, 1e-13
-# Errors of clusters cancel as much as the coefficients do, which only a trial shows: this part of the tolerance is
-# aimed at on some leaves, because others can be worse.
+# Errors of clusters cancel as much as the coefficients do, which only a trial shows: this fraction of the tolerance is
+# the target on the trial leaves, because others can be worse.
 _TRIALS, _AIM = 6, 0.25
 _TRIAL_LEAVES = 24
 _CHUNK = 1
@@ -39,8 +40,8 @@ _STACK = 512
 class Boxes(NamedTuple):
     """The boxes of a target tree with their spaces of polynomials.
 
-    ``allowed`` (m,) is what one cluster may cause in each, in the unit of the spaces' errors; those not ``wanted`` (m,)
-    are left out.
+    ``allowed`` (m,) is the error allowed to one cluster in each, in the spaces' error unit; boxes not ``wanted``
+    (m,) are left out.
     """
 
     tree: TargetTree
@@ -92,9 +93,9 @@ class FastRadial:
         self.share = 1.0
 
     def refine(self, excess: float) -> None:
-        """Be more accurate from now on: the error was ``excess`` times too large.
+        """Raise the accuracy of all further sums: the error was ``excess`` times too large.
 
-        If the last time did not help much, it is the skeletons.
+        If the last increase did not help much, the skeletons are refined.
         """
         if excess > 0.5 * self._excess:
             self._tolerance, self._bases = max(0.01 * self._tolerance, _FINEST), None
@@ -161,7 +162,7 @@ class FastRadial:
         return Clusters(self._kind != BASES["tps"], *where, bases, charges, upper, strength)
 
     def _on_leaves(self, chosen: IntArray, targets: RadialTargets, boxes: Boxes, clusters: Clusters) -> FloatArray:
-        """Sums at the samples of some leaves, by the same way as for all."""
+        """Sums at the samples of some leaves, computed as for all targets."""
         tree, leaves = targets.tree, targets.leaves[chosen]
         wanted = np.zeros(len(tree.span), dtype=bool)
         for leaf in leaves:
@@ -255,8 +256,8 @@ def _error(error, distance, radius):
 
 @kernel
 def _look(n, boxes, tops, clusters, far, near, left, risk):
-    """Go through what the parent of a node left: what acts on its polynomial (far), on its targets (near, for leaves)
-    and what is left to its children."""
+    """Sort the clusters left by the parent of a node: those that act on its polynomial (far), on its targets (near, for
+    leaves), and those left to its children."""
     tree, child = boxes.tree, clusters.child
     stack = np.empty(_STACK, dtype=np.int64)
     n_far = n_near = n_left = 0

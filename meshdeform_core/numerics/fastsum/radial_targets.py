@@ -48,7 +48,7 @@ class RadialTargets(NamedTuple):
         return self.tree.targets
 
     def permitted(self, kind: int) -> FloatArray:
-        """What errors of a basis function in each node of the tree (m,) are measured with.
+        """Length relative to which errors of a basis function are measured in each node of the tree, (m,).
 
         The shortest edge at the samples in it, by the size of the function's singular part at the radius of its box.
         """

@@ -1,10 +1,10 @@
 """Skeletons: few sources of a cluster that stand for all of them as seen from afar.
 
 An interpolative decomposition (Cheng, Gimbutas, Martinsson & Rokhlin, SIAM J. Sci. Comput. 26, 2005) of the basis
-values between the cluster's sources and proxy points around it: what the other sources do is what the skeleton does
-with charges that are combinations of theirs. The proxy points lie on spheres (Huang, Xing & Chow, H2Pack, ACM TOMS 47,
-2020); the functions are not harmonic, so that one sphere would not do. Skeletons of large clusters are chosen among
-those of their children.
+values between the cluster's sources and proxy points around it: the other sources act as the
+skeleton does with charges that are combinations of theirs. The proxy points lie on spheres (Huang, Xing & Chow, H2Pack,
+ACM TOMS 47, 2020); the functions are not harmonic, so that one sphere would not be enough. Skeletons of large clusters
+are chosen among those of their children.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def decompose(kind, points, proxies, tolerance, order, share):
 
     Parameters
     ----------
-    tolerance : largest error, root mean square over the proxies, of what a unit charge does there
+    tolerance : largest error (root mean square over the proxies) of the effect of a unit charge
     order : (n,) int64, result: the points, those of the skeleton first
     share : (n, n), result: ``share[i, j]`` of the charge of the i-th of the others goes to the j-th of the skeleton
 
@@ -77,7 +77,7 @@ def _choose(values, order, rank, factor, norm, limit):
     """Make the row at place ``rank`` a unit vector, and the rows behind it orthogonal to it; whether it is not zero."""
     p = order[rank]
     row = values[p]
-    # Once more against those chosen before: updates have lost digits.
+    # Orthogonalise again against those chosen before: updates have lost digits.
     for j in range(rank):
         s = _dot(row, values[order[j]])
         factor[p, j] += s

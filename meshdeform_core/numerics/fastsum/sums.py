@@ -20,12 +20,12 @@ from .walk import Lists, Reach, list_clusters
 _SAMPLES = 9
 CHUNK = 2
 """Regions per call."""
-# What one cluster may cause, as a multiple of what all together may, is this by the square of the interpolation order
-# less 2: errors of many clusters mostly cancel, the less the smaller they are. Measured on the sample cases.
+# The error allowed to one cluster, as a multiple of the error allowed to all together, is this divided by the square of
+# (interpolation order - 2): errors of many clusters mostly cancel, small ones less so. Measured on the sample cases.
 _SHARE = 16.0
-# From this tolerance on single precision is enough; found to add less than a hundredth of it.
+# From this tolerance upwards single precision is enough; it was measured to add less than a hundredth of it.
 _SINGLE_TOLERANCE = 1e-3
-# Room for larger displacements in lists that are made anew, so that a growing motion does not need new ones every time.
+# Margin for larger displacements when lists are rebuilt, so that a growing motion does not rebuild them every time.
 _ROOM = 1.5
 
 
@@ -86,7 +86,7 @@ def interpolation_order(tolerance: float) -> int:
 def shape_table(
     shapes: Shapes,
 ) -> IntArray:
-    """Block shapes (n_blocks, 3) as the loops want them."""
+    """Block shapes (n_blocks, 3) in the form the loops expect."""
     return np.asarray(shapes, dtype=np.int64).reshape(-1, 3)
 
 
@@ -136,11 +136,11 @@ class FastSums:
     groups : index arrays; the sources that have the same weight function
     targets : from :func:`make_targets`
     tolerance : error of the weighted mean displacement relative to the local cell size
-    room : bytes that what is kept may take
+    room : limit in bytes for the data that are kept
 
     Attributes
     ----------
-    share : what one cluster may cause; once it has been made smaller, because the error was too large, sums are in
+    share : error allowed to one cluster; once it has been reduced because the error was too large, sums are in
         double precision
     """
 
@@ -183,7 +183,7 @@ class FastSums:
         risk : (b,) bound of each brick's error, in units that only allow comparing
         """
         targets, k = self.targets, len(values)
-        # Sums of numbers of the order of one; what all sources, or those that do not move, have in common is added
+        # The summands are of the order of one; the value common to all sources, or to those that do not move, is added
         # afterwards.
         strength = strength / strength.max()
         middle = values @ strength / strength.sum() if still is None else still
@@ -221,7 +221,7 @@ class FastSums:
         return plan.risk
 
     def refine(self, excess: float) -> None:
-        """Be more accurate from now on: the error was ``excess`` times too large."""
+        """Raise the accuracy of all further sums: the error was ``excess`` times too large."""
         self.share *= 0.25 / excess
 
     def _planned(self, weights: Sequence[tuple[float, float, float]], reaches: list[Reach]) -> _Plan:
@@ -269,7 +269,7 @@ class FastSums:
 
 
 class _Plan:
-    """Which clusters act where, for motions of the clusters up to ``reaches``; found when it is asked for, and kept.
+    """Which clusters act where, for motions of the clusters up to ``reaches``; computed on demand and kept.
 
     ``weight`` (n,) of every target in the order of the bricks, known once ``weighed``; ``None`` if there is no room.
     """
@@ -325,6 +325,6 @@ def _within(new: Reach, known: Reach) -> bool:
 
 
 def _widened(new: Reach, known: Reach) -> Reach:
-    """Bounds that hold for both, with room."""
+    """Bounds that hold for both, with a margin."""
     shift, turn = np.maximum(known.shift, _ROOM * new.shift), np.maximum(known.turn, _ROOM * new.turn)
     return Reach(known.strength, shift, turn)

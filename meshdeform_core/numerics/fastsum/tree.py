@@ -49,7 +49,7 @@ def build_tree(points: FloatArray, order: int, leaf: int = LEAF) -> SourceTree:
     place, span, child, (center, axes, half) = _split(points, leaf)
     count = points_per_side(half, order)
     sizes = count.prod(axis=1)
-    # A cluster with fewer sources than interpolation points is its sources.
+    # A cluster with fewer sources than interpolation points acts by its sources.
     sizes[sizes >= span[:, 1] - span[:, 0]] = 0
     proxy = np.append(0, np.cumsum(sizes))
     proxies = place_points(center, axes, half, count, proxy)

@@ -33,7 +33,7 @@ _STACK = 256
 class Charges(NamedTuple):
     """Charges (columns: strength, strength times values) of sources in tree order and of interpolation points.
 
-    ``active`` (m,): whether a cluster has a source with any charge at all; the others are passed over.
+    ``active`` (m,): whether a cluster has a source with nonzero charge; the others are skipped.
     """
 
     source: np.ndarray
@@ -52,7 +52,7 @@ def gather(tree: SourceTree, source: FloatArray) -> Charges:
 
 def cluster_reach(tree: SourceTree, strength: FloatArray, shift: FloatArray, turn: FloatArray) -> Reach:
     """:class:`Reach` of every cluster from the sources' strength, displacement and rotation (n,)."""
-    # Spans as pairs of places; what lies between one span and the next is computed too and dropped.
+    # Spans as pairs of places; results for the gaps between spans are computed as well and discarded.
     places = tree.span.ravel()
     sums, most = np.append(strength[tree.order], 0.0), (np.append(each[tree.order], 0.0) for each in (shift, turn))
     return Reach(np.add.reduceat(sums, places)[::2], *(np.maximum.reduceat(each, places)[::2] for each in most))
@@ -71,7 +71,7 @@ def add_totals(samples, tree, reach, function, total, moved):
             d2 = distance2(samples, s, tree.center, c)
             extent2 = square(tree.half, c)
             if d2 > 2.0 * extent2 or tree.child[c] < 0:
-                # A leaf around the sample: its weight as if at the rim, which is less than it is.
+                # A leaf around the sample: its weight as if seen from the rim, which is a lower bound.
                 w = reach.strength[c] * weight(max(d2, 0.25 * extent2), function)
                 total[s] += w
                 moved[s] += w * (reach.shift[c] + reach.turn[c] * math.sqrt(d2))
@@ -133,7 +133,7 @@ def sum_lists(
 
 @kernel
 def _pack(tree, charges, lists, packed, span):
-    """Coordinates and charges of what the lists name, in the rows of ``packed``, and where those of each list lie."""
+    """Coordinates and charges of the listed clusters, in the rows of ``packed``, and the rows of each list."""
     start = n = 0
     for item in range(lists.stop.size):
         span[item, 0] = n
@@ -157,14 +157,14 @@ def _append(points, charges, first, last, packed, n):
         for k in range(charges.shape[1]):
             packed[3 + k, n] = charges[s, k]
             charged = charged or charges[s, k] != 0.0
-        # One without charge is overwritten by the next.
+        # An entry without charge is overwritten by the next.
         n += 1 if charged else 0
     return n
 
 
 @kernel
 def interpolate_sums(first, last, bricks, regions, places, filled, sums):
-    """Add to the sums at nodes what those at the interpolation points of their region and brick give.
+    """Add to the sums at nodes those interpolated from the points of their region and brick.
 
     From the points of a region to those of its bricks, and from there to the nodes; a brick of few nodes has none.
     """
@@ -175,7 +175,7 @@ def interpolate_sums(first, last, bricks, regions, places, filled, sums):
         for b in range(regions.first[g], regions.first[g + 1]):
             few = few_nodes(bricks, b)
             filled[item + 1] = filled[item + 1] or (filled[region] and not few)
-            # Both steps in one loop: what it calls is compiled once.
+            # Both steps in one loop: the functions it calls are compiled once.
             for step in range(2):
                 source, target = (region, item + 1 + few) if step == 0 else (item + 1, item + 2)
                 if not filled[source] or (step == 1 and few):
@@ -196,7 +196,7 @@ def interpolate_sums(first, last, bricks, regions, places, filled, sums):
 
 @inlined
 def _interpolate(center, axes, half, per_side, b, m, columns, points, first, last, sums):
-    """Add to ``sums`` at rows first <= t < last what the sums from row ``m`` on, at the box's points, give there."""
+    """Add to ``sums`` at rows first <= t < last the interpolated sums at the box's points, rows ``m`` onwards."""
     n = last - first
     most = max(per_side[b, 0], per_side[b, 1], per_side[b, 2])
     share, total, product = np.empty((3 * most, n)), np.empty((columns, n)), np.empty(n)

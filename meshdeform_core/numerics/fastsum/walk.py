@@ -1,11 +1,11 @@
 """Which clusters act where: the tree of sources walked for every region of bricks, and from there for its bricks.
 
-A cluster that is far away, for the accuracy that its part of the sum needs, gives its interpolation points as sources,
-which act on the region's interpolation points. What is too near for that is walked for every brick: clusters act on
-the brick's interpolation points, or on its nodes, and the rest acts with its sources on the nodes.
+A cluster far enough away for the accuracy that its part of the sum needs is replaced by its interpolation points, which
+act on the region's interpolation points. Nearer clusters are walked again for every brick: they act on the brick's
+interpolation points or on its nodes, and those nearest act on the nodes by their sources.
 
-What acts is listed as numbers 2 c for the interpolation points of cluster c and 2 c + 1 for its sources. The lists hold
-for every displacement that moves no cluster more than the one they were made for.
+The lists hold numbers: 2 c for the interpolation points of cluster c and 2 c + 1 for its sources. They are valid for
+every displacement that moves no cluster more than the one they were made for.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _STACK = 256
 
 
 class Reach(NamedTuple):
-    """How much a cluster can do, for error bounds: strength times (shift + turn * distance + mean of the brick).
+    """A cluster's possible effect, for error bounds: strength times (shift + turn * distance + mean of the brick).
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class Reach(NamedTuple):
 
 
 class Lists(NamedTuple):
-    """What acts in some neighbouring regions.
+    """The clusters that act in some neighbouring regions.
 
     Attributes
     ----------
@@ -154,7 +154,7 @@ def _walk(
             d2 = distance2(center, b, tree.center, c)
             distance, extent = math.sqrt(d2), math.sqrt(square(tree.half, c))
             raw = tree.proxy[c + 1] == tree.proxy[c]
-            # What a cluster does to the mean if its weights are wrong by one, relative to what it may do.
+            # Effect of a cluster on the mean if its weights are wrong by 100 %, relative to the error allowed to it.
             pull = reach.strength[c] * (reach.shift[c] + reach.turn[c] * distance + mean) / allowed
             if not few and distance > extent and (raw or distance > radius):
                 error = box_error(half, count, b, distance - extent, distance, function)

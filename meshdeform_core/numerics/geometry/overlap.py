@@ -1,4 +1,4 @@
-"""Which of many boxes overlap: a tree of boxes in the order of a curve that fills space."""
+"""Which of many boxes overlap: a tree of boxes in the order of a space-filling curve."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def _box_tree(low: FloatArray, high: FloatArray) -> tuple[IntArray, FloatArray]:
     """Balanced tree over boxes: their order (padded with -1), and the boxes (2 p, 6) of its nodes.
 
     Node 1 is the root, 2 n and 2 n + 1 are the children of n, and leaf p + l holds the boxes ``_LEAF`` l and following.
-    The order is that of a curve that fills space (Morton), with coordinates that are finer where most faces are.
+    The order is that of a space-filling (Morton) curve, with coordinates that are finer where most faces are.
     """
     center = 0.5 * (low + high)
     away = center - np.median(center, axis=0)

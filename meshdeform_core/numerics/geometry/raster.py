@@ -106,7 +106,7 @@ def draw_segments(ends, half, bias, depth, cover):
     ----------
     ends : (n, 2, 3) as ``corners`` of :func:`draw_polygons`
     half : half of the line width (pixels)
-    bias : lines may lie so much behind a polygon and still be seen
+    bias : distance by which lines may lie behind a polygon and still be seen
     depth : (height, width) of the polygons
     cover : (height, width) float32 in and out, 0 to 1, how much of the pixel the lines cover
     """

@@ -1,1 +1,1 @@
-"""What only the paper's tables need: `meshdeform reproduce` asks for it, no default does."""
+"""Code needed only for the paper's tables: `meshdeform reproduce` uses it, no default does."""

@@ -87,7 +87,7 @@ class _Lanczos:
         return update
 
     def keep(self, mask: BoolArray) -> None:
-        """Go on with some of the columns."""
+        """Continue with some of the columns only."""
         if mask.all():
             return
         for name, value in vars(self).items():

@@ -16,7 +16,7 @@ def invert_last(kind, points, basis, shift, b, rows):
     """The last rows of the inverse of A on the complement of the polynomials.
 
     With orthonormal polynomials Q, ``B = (I - Q Q^T) A (I - Q Q^T) + t Q Q^T`` is positive definite for conditionally
-    positive definite functions, and ``Q Q^T / t`` is all that its inverse has more than the one wanted.
+    positive definite functions, and its inverse differs from the one wanted only by ``Q Q^T / t``.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""Right-hand sides that were solved before, as a start for the next one.
+"""Right-hand sides solved before, from which the starting guess for the next one is made.
 
 Fischer, Projection techniques for iterative solution of Ax = b with successive right-hand sides, Comput. Methods Appl.
-Mech. Engrg. 163 (1998): what earlier solutions are known to give is kept orthonormal, so that the nearest combination
+Mech. Engrg. 163 (1998): the images of earlier solutions are kept orthonormal, so that the nearest combination
 is a projection. Every component is a right-hand side of its own: the coordinates of a turning body, for instance, are
 three functions, whatever its angle.
 """
@@ -12,7 +12,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 
-# How much an earlier use counts beside one a right-hand side later.
+# Weight of a use relative to a use one right-hand side later.
 _FADING = 0.7
 
 
@@ -22,7 +22,7 @@ class EarlierSolutions:
     Parameters
     ----------
     n, terms : number of centres and of polynomial terms
-    capacity : how many of them, single components, are kept; those that recent right-hand sides used least give way
+    capacity : how many of them (single components) are kept; those least used by recent right-hand sides are dropped
     """
 
     def __init__(self, n: int, terms: int, capacity: int) -> None:
@@ -50,7 +50,7 @@ class EarlierSolutions:
         return found[: self._n], found[self._n :]
 
     def add(self, coefficients: FloatArray, polynomial: FloatArray, images: FloatArray, least: float) -> None:
-        """Keep solutions, columns of about unit image, in as far as they are new: by more than ``least``."""
+        """Keep the part of the solutions (columns, images of about unit norm) that is new by more than ``least``."""
         solutions = np.concatenate([coefficients, polynomial])
         for column in range(images.shape[1]):
             self._add(solutions[:, column], images[:, column], least)
@@ -58,14 +58,14 @@ class EarlierSolutions:
     def _add(self, solution: FloatArray, image: FloatArray, least: float) -> None:
         if not self.capacity:
             return
-        # Once more for what round-off left of the first time.
+        # A second pass removes what round-off left after the first.
         for _ in range(2):
             part = self._images.T @ image
             image, solution = image - self._images @ part, solution - self._solutions @ part
         size = np.linalg.norm(image)
         if size <= least:
             return
-        # The images of what stays are orthonormal still.
+        # The images of the remaining solutions are still orthonormal.
         kept = np.sort(np.argsort(-self._used, kind="stable")[: self.capacity - 1])
         self._images = np.column_stack([self._images[:, kept], image / size])
         self._solutions = np.column_stack([self._solutions[:, kept], solution / size])

@@ -63,9 +63,9 @@ def select(
     centres : (n, 3) in units of the support radius
     polynomial : (n, q)
     values : (n, m) displacements at the centres
-    scale : (n,) lengths that errors are measured in
+    scale : (n,) lengths relative to which errors are measured
     start : first centre
-    max_points : stop when so many are chosen
+    max_points : stop when this many are chosen
     """
     n = len(centres)
     columns = np.ascontiguousarray(centres.T)
@@ -188,7 +188,7 @@ def _opposite(residual, inverse_scale, worst):
 
 @kernel
 def _correct(kind, columns, residual, weight, point, value):
-    """Take the error at one centre away with its own basis function."""
+    """Remove the error at one centre with its own basis function."""
     n, m = residual.shape
     for i in range(n):
         dx = columns[0, i] - columns[0, point]

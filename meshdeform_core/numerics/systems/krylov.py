@@ -19,7 +19,7 @@ from .schwarz import SchwarzPreconditioner
 
 _RESTART = 40
 _DEPENDENT = 1e-14
-# Part of the tolerance that errors of the product may take.
+# Share of the tolerance that errors of the product may use up.
 _LARGEST_ERROR = 0.3
 # Tolerance, iterations, accuracy of the product and memory of a large coarse system, a twenty-fifth of the centres.
 _COARSE_TOLERANCE, _COARSE_ITERATIONS = 0.02, 6
@@ -30,7 +30,7 @@ _COARSE_PRODUCT, _COARSE_MEMORY = 1e-4, 2**30
 class Solution:
     """Coefficients (n, 3), polynomial (q, 3), number of iterations, and ||r|| / ||b|| (3,) computed anew from them.
 
-    ``started`` is the residual (3,) of what the search set out from, 1 without earlier solutions; ``stalled``: more
+    ``started`` is the residual (3,) of the starting guess, 1 without earlier solutions; ``stalled``: more
     iterations would not have helped.
     """
 
@@ -45,8 +45,8 @@ class Solution:
 class KrylovSolver:
     """Solver of ``A c + P p = b, P^T c = 0``; set up once, for any number of right-hand sides.
 
-    It sets out from the best combination of the solutions that it has found before. A solution therefore depends on
-    what was solved earlier, but only within the tolerance: its residual is computed from it, whatever it came from.
+    It starts from the best combination of the solutions found before. A solution therefore depends on what was solved
+    earlier, but only within the tolerance: its residual is computed from it, whatever the starting guess was.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ class KrylovSolver:
         """Solve for values (n, 3) until ``||r|| <= tolerance ||b||`` in every column.
 
         Stops without that after ``max_iterations``, or when a whole cycle between restarts has not halved the residual:
-        then round-off or the accuracy of the product is reached. ``progress`` is called with (iterations,
+        the limit of round-off or of the product's accuracy is then reached. ``progress`` is called with (iterations,
         max_iterations).
         """
         norm = np.linalg.norm(values, axis=0)
@@ -111,7 +111,7 @@ class KrylovSolver:
         while True:
             sums = self.product(coefficients)
             error = self.product.error(coefficients, sums)
-            # What finer sums do not make smaller is round-off.
+            # An error that finer sums do not reduce is round-off.
             if error.max() <= _LARGEST_ERROR * tolerance or error.max() > 0.3 * before:
                 return right - sums - part, error
             before = error.max()

@@ -1,4 +1,4 @@
-"""Products of the matrix of basis values between centres with coefficients, for solvers that need no more of it."""
+"""Products of the matrix of basis values between centres with coefficients, for solvers that need only these."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from ..fastsum.nested import NestedSums
 from .sparse import sparse_radial_matrix
 
 _CHUNK = 512
-# Centres from which on nested sums are faster, and the largest part of all pairs that they may sum themselves.
+# Number of centres above which nested sums are faster, and the largest share of all pairs that they may sum directly.
 _FEWEST, _LARGEST_PART = 10_000, 0.5
 _SAMPLES = 512
 # Accuracy of nested sums below that of the solution; how much finer when that was not enough, and the finest.
 _FINER, _REFINEMENT, _FINEST = 3e-4, 1e-2, 1e-13
-# Enough for what a preconditioner makes of it: rough residuals have large coefficients, which nearly cancel.
+# Enough for use in a preconditioner: rough residuals have large coefficients, which nearly cancel.
 _ROUGH = 1e-7
 # Numbers per centre that nested sums keep: shares of skeletons, for fine and for rough sums.
 _NUMBERS = 250
 
 
 class Product(Protocol):
-    """A times coefficients (n, 3), and what is known of its error.
+    """A times coefficients (n, 3), with an estimate of its error.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class Product(Protocol):
 
     @property
     def how(self) -> str:
-        """Of which kind it is, for reports."""
+        """Name of this kind of product, for reports."""
         ...
 
     def __call__(self, coefficients: np.ndarray) -> np.ndarray:
@@ -50,7 +50,7 @@ class Product(Protocol):
         ...
 
     def refine(self) -> None:
-        """Be more accurate from now on."""
+        """Raise the accuracy of all further products."""
         ...
 
     def roughly_at(self, rows: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
@@ -59,7 +59,7 @@ class Product(Protocol):
 
 
 class ExactProduct:
-    """Every centre with every centre, or what a sparse matrix has of them."""
+    """All pairs of centres, or the nonzero entries of a sparse matrix."""
 
     def __init__(self, kind: int, points: FloatArray, matrix: None = None) -> None:
         self._kind, self._points, self._matrix = kind, points, matrix
@@ -81,7 +81,7 @@ class ExactProduct:
         return np.zeros(3)
 
     def refine(self) -> None:
-        """Nothing is missing."""
+        """The sums are exact."""
 
     def roughly_at(self, rows: IntArray) -> Callable[[np.ndarray], np.ndarray]:
         if self._matrix is not None:

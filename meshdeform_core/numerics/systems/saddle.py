@@ -19,10 +19,10 @@ from ..arrays import FloatArray
 class DirectSolver:
     """Factorisation of the system, in the memory of ``A``.
 
-    The side conditions P^T alpha = 0 are turned into "the first q entries are zero" by q Householder reflections. What
-    is left of A is positive definite (conditionally positive definite bases, and all positive definite ones), so that
-    a Cholesky factorisation does: half the work and the memory of an LU. If round-off or the basis prevents that, the
-    whole system is factorised by LU.
+    The side conditions P^T alpha = 0 are turned into "the first q entries are zero" by q Householder reflections. The
+    rest of A is positive definite (for conditionally positive definite bases and all positive definite ones), so that
+    a Cholesky factorisation is enough, with half the work and memory of an LU. If round-off or the basis prevents
+    that, the whole system is factorised by LU.
 
     Parameters
     ----------

@@ -2,8 +2,8 @@
 
 Beatson, Light & Billings, Fast solution of the radial basis function interpolation equations: domain decomposition
 methods, SIAM J. Sci. Comput. 22 (2000), in the restricted form (Cai & Sarkis 1999): every box of centres solves its own
-interpolation problem with an overlap, keeps the coefficients of its own centres and drops those of the overlap. What
-the boxes cannot see, the smooth part, is taken over by an interpolation of the remaining residual on few centres.
+interpolation problem with an overlap, keeps the coefficients of its own centres and drops those of the overlap. The
+smooth part, which the boxes cannot see, is handled by interpolating the remaining residual on a small set of centres.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ OWN = 60
 OVERLAP = 300
 COARSENING = 25
 _DIRECT = 8000
-# Up to so many centres to a coarse one, a coarse system is made small enough to be factorised: with 60 instead of 25 it
-# takes 8 iterations instead of 6, with one of 25 that is solved roughly 10 to 16.
+# Up to this many centres per coarse centre are allowed to keep the coarse system small enough to factorise: 60 instead
+# of 25 takes 8 iterations instead of 6; 25 with an approximate coarse solution takes 10 to 16.
 _SPARSEST = 100
 _FEWEST = 500
 _SPACING = 20
@@ -35,7 +35,7 @@ _BOXES = 8
 
 
 class CoarseSolver(Protocol):
-    """What solves the system of the coarse centres."""
+    """Solver of the system of the coarse centres."""
 
     def solve(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Coefficients (n, m) and polynomial (q, m) for values (n, m)."""
@@ -123,10 +123,10 @@ def bisect(points: FloatArray, parts: int) -> list[IntArray]:
 
 
 def coarse_count(n: int) -> int:
-    """Number of coarse centres for ``n`` centres, one in ``COARSENING`` or so many that they can be factorised."""
+    """Number of coarse centres for ``n`` centres, one in ``COARSENING``, or as many as can be factorised."""
     count = n // COARSENING
     if count > _DIRECT and n <= _SPARSEST * _DIRECT:
-        # Those that determine the polynomial come in addition.
+        # The centres that determine the polynomial are added to these.
         count = _DIRECT - 8
     return min(n, max(_FEWEST, count))
 
@@ -171,7 +171,7 @@ def _restricted_inverses(kind: int, points: FloatArray, own: list[IntArray], nea
             x = points[near[box]]
             rows[box] = _last_rows(kind, x, _polynomial_basis(x), len(own[box]))
 
-    # Nothing to share: a rank applies what it has made.
+    # Nothing to share: each rank applies the matrices it has made.
     for_chunks(work, len(own), _BOXES, shared=[])
     return rows
 
@@ -181,7 +181,7 @@ def _last_rows(kind: int, points: FloatArray, basis: FloatArray, count: int) -> 
     rows = np.empty((count, len(points)))
     shift = 0.0
     while not invert_last(kind, points, basis, shift, matrix, rows):
-        # Coincident centres or round-off: the smallest shift that helps will do, it is a preconditioner.
+        # Coincident centres or round-off: for a preconditioner, the smallest shift that helps is enough.
         shift = max(_SHIFT, 100.0 * shift)
     return rows
 

@@ -14,7 +14,7 @@ import numpy as np
 from ..arrays import IntArray
 from ..jit import fast_kernel, inlined, kernel
 
-# Nodes along k and lines along j that are filled together: what they share stays in the cache.
+# Nodes along k and lines along j that are filled together, so that the data they share stay in the cache.
 _TILE, _LINES = 16, 64
 
 
@@ -46,7 +46,7 @@ _HERE, _BEFORE, _LENGTH, _INVERSE = 0, 3, 6, 7
 
 @inlined
 def _load(points, node, count, work, row):
-    """Coordinates of ``count`` consecutive nodes into three rows; what else they hold stays a number."""
+    """Coordinates of ``count`` consecutive nodes into three rows; the rest of each row stays finite."""
     x = points[node:]
     for k in range(count):
         for c in range(3):
@@ -71,7 +71,7 @@ def arc_coordinates(points, subs, first, last, arc):
     points : (n_nodes, 3) of all blocks
     arc : where to put them, see :func:`arc_numbers`
     """
-    # One array of fixed size, whose rows the compiler sees to be apart.
+    # One array of fixed size, so that the compiler can see that its rows do not overlap.
     work = np.empty((8, _TILE))
     for row in range(8):
         for k in range(_TILE):
@@ -166,7 +166,7 @@ def blend_slabs(d, arc, subs, slabs):
     slabs : (m, 3) row in ``subs`` and planes i0 <= i < i1 of the block
     """
     lines, slopes, sides = np.empty((_LINES, 15, _TILE)), np.empty((_LINES, 12)), np.empty((6, _TILE))
-    # Vectors end beyond the last node: what is computed there must be numbers, whatever they are.
+    # Vectors extend beyond the last node: the values computed there do not matter, but must be finite.
     for k in range(_TILE):
         for row in range(15):
             for line in range(_LINES):
@@ -256,7 +256,7 @@ def _blend_lines(d, plane, sj, end, far, j0, j1, k0, count, arc, start, lines, s
 
 @inlined
 def _at_ends(d, row, plane, end, far, slopes, n, c):
-    """What the ends of a line add to the coefficient of 1, and the coefficients of z, y z, x z, x y z."""
+    """Contributions of the ends of a line to the coefficient of 1, and the coefficients of z, y z, x z, x y z."""
     one = d[row, c] - d[plane, c]
     by_z = d[row + far, c] - d[plane + far, c] - one + slopes[n, _ONE + c]
     by_yz = d[plane + far, c] - d[plane + end + far, c] - d[plane, c] + d[plane + end, c] + slopes[n, _BY_Y + c]

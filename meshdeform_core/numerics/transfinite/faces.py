@@ -1,6 +1,6 @@
 """Transfinite interpolation of displacements along lines and on faces (Sen et al. eq. 2).
 
-Lines and faces are listed one after another in flat arrays: those of line n are ``start[n]`` to ``start[n + 1]``.
+Lines and faces are stored one after another in flat arrays: line n takes the entries ``start[n]`` to ``start[n + 1]``.
 """
 
 import math
@@ -43,7 +43,7 @@ def face_coordinates(points, start, width, nodes, s, t):
 
 @inlined
 def _arcs(points, nodes, first, step, count, arc):
-    """Arc coordinates of ``count`` nodes, every ``step``-th in the list from ``first`` on; uniform without length."""
+    """Arc coordinates of ``count`` nodes, every ``step``-th listed from ``first`` on; uniform without length."""
     total = 0.0
     arc[first] = 0.0
     for m in range(1, count):
