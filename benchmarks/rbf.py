@@ -117,7 +117,7 @@ def large_systems(quick: bool) -> MarkdownTable:
     table = MarkdownTable(
         "RBF (thin plate spline): large systems, CPU seconds of all threads",
         notes=[
-            "next solution: of another displacement, whose components are no combinations of the first one's",
+            "next solution: of another displacement, whose components are not combinations of the first one's",
             "residual: of the first solution, largest of the components, relative to the right-hand side, with the "
             "errors of the products",
             "ferreus-rbf: tolerance 1e-6, the same points and values; measured where it is installed",
