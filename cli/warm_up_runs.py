@@ -1,21 +1,32 @@
-"""Small deformations that together use every compiled loop."""
+"""Small deformations, repairs and pictures that together use every compiled loop."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
-from pathlib import Path
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any
 
-from meshdeform_core.deform import deform
+import numpy as np
+
+from meshdeform_core.deform import Case, Result, deform, set_up
+from meshdeform_core.grid import Grid
 from meshdeform_core.methods import IDW, RBF, Options, Progress
-from meshdeform_formats.case import read_case
-from meshdeform_samples import folder, load
+from meshdeform_core.numerics.exact.basis import BASES
+from meshdeform_core.numerics.fastsum.nested import NestedSums
+from meshdeform_core.series import Schedule, deform_series
+from meshdeform_formats.case import case_of
+from meshdeform_formats.fields import ALL, with_fields
+from meshdeform_formats.report.illustrations import deformation_figures
+from meshdeform_samples import case_content, generate
+
+from .work import cells_of
 
 _FAST_IDW, _FAST_RBF = IDW(summation="fast"), RBF(summation="fast", solver="krylov")
 
 
 def options() -> Iterator[tuple[str, int, Options]]:
-    """Sample, size and method of every run."""
+    """Sample, size and method of every run that tries a method."""
     for sample, size in (("hemisphere", 8), ("square", 11)):
         yield from ((sample, size, Options(name)) for name in ("tfi", "idw-tfi", "rbf-tfi", "idw-rbf"))
     for rotation in ("none", "quaternion", "blend"):
@@ -28,12 +39,55 @@ def options() -> Iterator[tuple[str, int, Options]]:
     yield "splitter-plate", 8, Options("idw-tfi", idw=_FAST_IDW)
 
 
+def runs() -> Iterator[Callable[[], object]]:
+    """What is to be called, in this order."""
+    yield from (partial(_deformed, *each) for each in options())
+    # A table with triangles.
+    yield partial(_deformed, "wing", 8, Options("idw-tfi"))
+    # A plane grid to repair, and a boundary that crosses itself.
+    yield partial(_deformed, "splitter-plate", 8, Options("tfi"), angle=40.0)
+    yield partial(_deformed, "splitter-plate", 8, Options("tfi"), amplitude=200.0)
+    yield partial(_series, "splitter-plate", 8, Options("tfi"))
+    yield partial(_pictures, "hemisphere", 8, Options("tfi"))
+    yield _nested_sums
+
+
 def run_everything(progress: Progress) -> None:
-    """Deform small grids by every method and discard the results."""
-    done = list(options())
-    for number, (sample, size, method) in enumerate(done):
-        case = read_case(Path(str(folder(sample))) / "case.toml", (), None, None).case
+    """Call all of :func:`runs` and discard the results."""
+    done = list(runs())
+    for number, each in enumerate(done):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            deform(load(sample).generate(size), type(case)(case.boundaries, case.constants, method), time=2.5e-4)
+            each()
         progress("warm-up", number + 1, len(done))
+
+
+def _sample(name: str, size: int, method: Options, **constants: float) -> tuple[Grid, Case]:
+    grid, tables = generate(name, size)
+    content: dict[str, Any] = case_content(name, tables)
+    content["constants"] = {**content.get("constants", {}), **constants}
+    case = case_of(content).case
+    return grid, Case(case.boundaries, case.constants, method)
+
+
+def _deformed(name: str, size: int, method: Options, **constants: float) -> Result:
+    return deform(*_sample(name, size, method, **constants), time=2.5e-4)
+
+
+def _series(name: str, size: int, method: Options) -> None:
+    setup = set_up(*_sample(name, size, method))
+    # The second level has the motion of the first one.
+    for _ in deform_series(setup, Schedule((0.0, 1.0)), "float64"):
+        pass
+
+
+def _pictures(name: str, size: int, method: Options) -> None:
+    result = _deformed(name, size, method)
+    with_fields(cells_of(result.setup, result.grid), [ALL])
+    deformation_figures(result.setup, result.grid, result.assessment.invalid)
+
+
+def _nested_sums() -> None:
+    """Products for so many centres that a run would take long."""
+    line = np.linspace(0.0, 1.0, 2000)[:, None] * np.ones(3)
+    NestedSums(BASES["tps"], line, 1e-6)(np.ones_like(line))

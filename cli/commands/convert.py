@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from meshdeform_core.errors import FormatError
+
 from ..measured import measured
 from ..messages import tell
 from ..options import (
@@ -65,11 +67,11 @@ def command(
             progress("quality", 0, 0)
             grid = with_fields(measured(grid, reference), fields)
         boundaries = _beside(grid, kind, target)
-        if boundaries is not None:
-            check_output(boundaries, force, *source.files)
+        if boundaries is not None and not _is_there(grid, boundaries):
+            _check_boundaries(boundaries, target, force, *source.files)
         with writing(grid.points.nbytes):
             written = write_grid(grid, target, options)
-        if boundaries is not None:
+        if boundaries is not None and not _is_there(grid, boundaries):
             _write_boundaries(grid, boundaries)
     for note in grid.notes:
         tell(f"warning: {note}")
@@ -86,9 +88,34 @@ def _beside(grid: Grid, kind: str, target: Path) -> Path | None:
     return target.with_suffix(".nmf") if kind in ("plot3d", "vtk") and (grid.patches or grid.connections) else None
 
 
+def _is_there(grid: Grid, path: Path) -> bool:
+    """Whether the file already holds the boundaries, as it does when the same grid was converted to another format."""
+    from meshdeform_formats.neutral_map import neutral_map_text
+
+    try:
+        return path.is_file() and path.read_bytes() == neutral_map_text(_by_name(grid)).encode("utf-8")
+    except OSError:
+        return False
+
+
+def _check_boundaries(path: Path, target: Path, force: bool, *inputs: Path | None) -> None:
+    """Refuse to replace a file of other boundaries."""
+    try:
+        check_output(path, force, *inputs)
+    except FormatError as error:
+        raise FormatError(
+            f"{error}. {target.suffix} files cannot hold boundaries, which are therefore written next to {target} as "
+            f"{path.name}, but that file has other content"
+        ) from error
+
+
 def _write_boundaries(grid: Grid, path: Path) -> None:
-    """Write boundaries as a neutral map file whose types are families or names, so that case files remain usable."""
     from meshdeform_formats.neutral_map import write_neutral_map
 
+    write_neutral_map(_by_name(grid), path)
+
+
+def _by_name(grid: Grid) -> Grid:
+    """The grid with the families or names of its patches as types, so that case files remain usable."""
     named = (dataclasses.replace(patch, bc_type=patch.family or patch.name) for patch in grid.patches)
-    write_neutral_map(dataclasses.replace(grid, patches=tuple(named)), path)
+    return dataclasses.replace(grid, patches=tuple(named))

@@ -17,10 +17,6 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Connection, Grid, Patch, Shape, Side, Window
 
 from .text import FACES, Entry, Face, NeutralMap, parse_neutral_map
-from .write import write_neutral_map
-
-__all__ = ["read_neutral_map", "write_neutral_map"]
-
 
 # Construct2D numbers the four edges of its 2-D grids (KDIM = 1) instead.
 _EDGES: dict[int, Face] = {

@@ -22,13 +22,20 @@ Spans = Mapping[int, tuple[int, int]]
 def write_neutral_map(grid: Grid, path: Path) -> None:
     """Write patches and connections of ``grid`` as a neutral map file, replacing ``path`` as a whole.
 
-    The type of a patch is its ``bc_type``, else its family or name. A connection that both blocks declare is written
-    once; both sides of a periodic one, for which the format has no entry, have the type ``periodic``.
-
     Raises
     ------
     FormatError
         When the file cannot be written.
+    """
+    with replacing(Path(path)) as partial:
+        partial.write_text(neutral_map_text(grid), encoding="utf-8")
+
+
+def neutral_map_text(grid: Grid) -> str:
+    """Patches and connections of ``grid`` in the format of neutral map files.
+
+    The type of a patch is its ``bc_type``, else its family or name. A connection that both blocks declare is written
+    once; both sides of a periodic one, for which the format has no entry, have the type ``periodic``.
     """
     lines = [f"# ===== Neutral Map File written by meshdeform {'=' * 39}", f"# {_WIDE}"]
     lines += ["# Block#   IDIM   JDIM   KDIM", f"# {_THIN}", f"{grid.n_blocks:8d}", ""]
@@ -38,8 +45,7 @@ def write_neutral_map(grid: Grid, path: Path) -> None:
     lines += [f"# {_THIN}"]
     lines += [line for patch in grid.patches for line in _patch_lines(patch)]
     lines += _connection_lines(grid)
-    with replacing(Path(path)) as partial:
-        partial.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return "\n".join(lines) + "\n"
 
 
 def _patch_lines(patch: Patch) -> list[str]:

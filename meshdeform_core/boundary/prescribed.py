@@ -26,7 +26,7 @@ def prescribed_displacement(
     owner = np.full(topology.n_unique, -1)
     for index, (nodes, motion) in enumerate(boundary.movers):
         new = motion.displacement(time, fraction)[motion.moved]
-        _require_agreement(grid, topology, boundary, owner, displacement, nodes, new)
+        _require_agreement(grid, topology, boundary, (owner[nodes], index), displacement, nodes, new)
         displacement[nodes] = new
         owner[nodes] = index
     return _completed(grid, boundary, displacement, owner >= 0)
@@ -89,12 +89,14 @@ def _require_agreement(
     grid: Grid,
     topology: Topology,
     boundary: Boundary,
-    owner: np.ndarray,
+    entries: tuple[IntArray, int],
     displacement: FloatArray,
     nodes: IntArray,
     new: FloatArray,
 ) -> None:
-    both = owner[nodes] >= 0
+    """Compare the displacement of ``nodes`` by one entry with that by the entries before, -1 where there is none."""
+    owner, index = entries
+    both = owner >= 0
     if not both.any():
         return
     gap = np.linalg.norm(displacement[nodes[both]] - new[both], axis=1)
@@ -102,9 +104,20 @@ def _require_agreement(
     worst = int(np.argmax(gap / edge))
     if gap[worst] > 1e-6 * edge[worst]:
         node = nodes[both][worst]
-        movers = [p.name for p in boundary.patches if p.kind is Kind.MOVING and node in p.nodes]
+        # The motions are those of the moving patches, in the same order.
+        names = [repr(patch.name) for patch in boundary.patches if patch.kind is Kind.MOVING]
         raise MotionError(
-            f"moving patches {' and '.join(repr(name) for name in movers)} disagree at their shared node "
+            f"moving patches {names[owner[both][worst]]} and {names[index]} disagree at their shared node "
             f"{grid.node_label(int(topology.first[node]))}: displacements {displacement[node].tolist()} and "
-            f"{new[both][worst].tolist()}; give both patches the same motion there"
+            f"{new[both][worst].tolist()}; {_remedy(boundary, names, int(owner[both][worst]), index)}"
         )
+
+
+def _remedy(boundary: Boundary, names: list[str], one: int, other: int) -> str:
+    for table, entry in ((other, one), (one, other)):
+        if any(match.partial for match in boundary.movers[table][1].matches):
+            return (
+                f"the table {names[table]} moves all boundary nodes that it matches: to move these nodes by the table, "
+                f"remove the motion of {names[entry]}, or their rows from the table to move them by {names[entry]}"
+            )
+    return "give both patches the same motion there, or select these nodes in one of them only"

@@ -89,10 +89,27 @@ def test_convert_keeps_boundaries_beside_what_has_no_place_for_them(bench, call)
     )
     assert {s["name"]: (s["quads"], s["role"]) for s in before}.keys() == {s["name"] for s in after}
     assert {s["name"]: s["quads"] for s in before} == {s["name"]: s["quads"] for s in after}
-    assert call("convert", "grid.cgns", "new.vtm").code == 2
-    assert call("convert", "grid.cgns", "new.vtm", "--force").code == 0
     assert call("convert", "new.xyz", "back.cgns", "--boundary-file", "new.nmf").code == 0
     assert not (bench / "back.nmf").exists()
+
+
+def test_boundaries_that_are_there_already_are_left_alone(bench, call):
+    """A second format of the same grid has the same boundaries; other boundaries are not replaced unasked."""
+    assert call("convert", "grid.cgns", "new.xyz").code == 0
+    before = (bench / "new.nmf").read_bytes(), (bench / "new.nmf").stat().st_ino
+    assert call("convert", "grid.cgns", "new.vtm", "--field", "all").code == 0
+    assert before == ((bench / "new.nmf").read_bytes(), (bench / "new.nmf").stat().st_ino)
+    (bench / "new.nmf").write_bytes(before[0] + b"# mine\n")
+    result = call("convert", "grid.cgns", "new.vts", "--force", "--boundary-file", "new.nmf")
+    assert (result.code, "is an input" in result.err) == (2, True)
+    result = call("convert", "grid.cgns", "new.p3dfmt")
+    assert result.code == 2
+    assert "new.nmf exists; use --force to overwrite it" in result.err
+    assert "that file has other content" in result.err
+    assert (bench / "new.nmf").read_bytes() == before[0] + b"# mine\n"
+    assert not (bench / "new.p3dfmt").exists()
+    assert call("convert", "grid.cgns", "new.p3dfmt", "--force").code == 0
+    assert (bench / "new.nmf").read_bytes() == before[0]
 
 
 def test_convert_says_what_is_lost(bench, call):

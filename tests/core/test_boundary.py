@@ -1,6 +1,7 @@
 """Selection, kinds, precedence, constraints and motions."""
 
 import dataclasses
+from itertools import permutations
 
 import numpy as np
 import pytest
@@ -115,6 +116,20 @@ def test_disagreeing_patches_name_their_node():
     problem = problem_of(FRAME, specs)
     with pytest.raises(MotionError, match=r"'one' and 'two' disagree at their shared node block\d \("):
         prescribed_displacement(problem.grid, problem.topology, problem.boundary)
+
+
+def test_table_on_a_wall_that_moves_already_names_both():
+    """Also where the table matches a single node of that wall, which is no face of its own."""
+    wall = BoundarySpec("wall", ("block2.imax",), Kind.MOVING, None, MOVE)
+    points = np.concatenate([FRAME.block(3)[1:3, -1, :2].reshape(-1, 3), FRAME.block(1)[-1, 2, :1]])
+    data = SurfaceData(points, np.tile([0.0, 0.1, 0.0], (5, 1)), np.empty((0, 3), dtype=np.int64), "t.csv")
+    table = BoundarySpec("t.csv", ("*",), Kind.MOVING, None, Motion((Follow(data, Matching(partial=True)),), {}))
+    for specs in permutations([wall, table]):
+        problem = problem_of(FRAME, list(specs))
+        with pytest.raises(MotionError, match=r"'wall' .*disagree at their shared node block\d \(") as caught:
+            prescribed_displacement(problem.grid, problem.topology, problem.boundary)
+        assert "the table 't.csv' moves all boundary nodes that it matches" in str(caught.value)
+        assert "remove the motion of 'wall'" in str(caught.value)
 
 
 def test_agreeing_patches_are_moved_once():
