@@ -14,10 +14,9 @@ from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import Grid
 from meshdeform_core.grid.planes import Plane
 
-from . import view as views
 from .overview import Choice
 from .request import Request
-from .view import View, Window
+from .view import View, Window, along, iso, towards
 
 
 @dataclasses.dataclass(frozen=True)
@@ -105,14 +104,14 @@ class Wish:
         if self.view == "auto":
             return None
         if self.view == "iso":
-            return views.iso()
+            return iso()
         if self.view in ("x", "y", "z"):
-            return views.along(self.view)
+            return along(self.view)
         expected = "auto, x, y, z, iso or a direction like 1,-1,0.5"
         direction = np.array(self._numbers("view", self.view, expected, 3))
         if not direction.any():
             raise CaseError(f"{self.lead}view {self.view!r}: a direction has a length")
-        return views.towards(direction)
+        return towards(direction)
 
     def _numbers(self, name: str, text: str, expected: str, count: int) -> tuple[float, ...]:
         try:
