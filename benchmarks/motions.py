@@ -16,7 +16,7 @@ from meshdeform_formats.case import read_case
 from meshdeform_formats.grids import read_grid
 from meshdeform_samples import folder, load
 
-_SPAN = 12.09152937
+SPAN = 12.09152937
 """Of the wing in 717_wl_L2.cgns, along z; its chord is 10."""
 
 
@@ -55,28 +55,30 @@ def _third_party(file: str, label: str, motion: Motion, walls: str, slip: str = 
     return Job(f"{file}, {label}", make, file)
 
 
-def _rotate(angle: str, axis: tuple[float, float, float], *center: float) -> Rotate:
+def rotate(angle: str, axis: tuple[float, float, float], *center: float) -> Rotate:
+    """By ``angle`` degrees, a formula of x, y and z, about a line."""
     x, y, z = (expression(float(c), ()) for c in center)
     return Rotate(expression(angle, {"x", "y", "z"}), axis, (x, y, z))
 
 
-def _displace(*parts: str) -> Displace:
+def displace(*parts: str) -> Displace:
+    """By three formulas of x, y and z."""
     x, y, z = (expression(part, {"x", "y", "z"}) for part in parts)
     return Displace((x, y, z))
 
 
 def _bent_wing(twist: float, bend: float) -> Motion:
-    turn = _rotate(f"{twist} * z / {_SPAN}", (0, 0, 1), 0, 0, 0)
-    return Motion((turn, _displace("0", f"{bend * _SPAN} * (z / {_SPAN})**2", "0")), {})
+    turn = rotate(f"{twist} * z / {SPAN}", (0, 0, 1), 0, 0, 0)
+    return Motion((turn, displace("0", f"{bend * SPAN} * (z / {SPAN})**2", "0")), {})
 
 
 def _wing(label: str, motion: Motion) -> Job:
     return _third_party("717_wl_L2.cgns", label, motion, "wall", "Sym")
 
 
-_TURNED = Motion((_rotate("60", (0, 0, 1), 0, 0, 0),), {})
-_SHIFTED = Motion((_displace("0.75", "0", "0"),), {})
-_LOWERED = Motion((_displace("0", "0", "-4.5*exp(-((x - 4)/8)**2)"),), {})
+_TURNED = Motion((rotate("60", (0, 0, 1), 0, 0, 0),), {})
+_SHIFTED = Motion((displace("0.75", "0", "0"),), {})
+_LOWERED = Motion((displace("0", "0", "-4.5*exp(-((x - 4)/8)**2)"),), {})
 _ANGLES = (15.0, 30.0, 35.0, 45.0)
 JOBS: tuple[Job, ...] = (
     *(_sample("splitter-plate", f"{angle:g} degrees", angle=angle) for angle in _ANGLES),
@@ -88,8 +90,8 @@ JOBS: tuple[Job, ...] = (
     _wing("twist -15, bend 25 %", _bent_wing(-15.0, 0.25)),
     _wing("twist 15, bend 25 %", _bent_wing(15.0, 0.25)),
     _wing("bend 50 %", _bent_wing(0.0, 0.5)),
-    _wing("pitch 30 degrees", Motion((_rotate("30", (0, 0, 1), 2.5, 0, 0),), {})),
-    _third_party("nak_a_141.cgns", "pitch 45 degrees", Motion((_rotate("45", (0, 1, 0), 0.25, 0, 0),), {}), "Klo_Seg*"),
+    _wing("pitch 30 degrees", Motion((rotate("30", (0, 0, 1), 2.5, 0, 0),), {})),
+    _third_party("nak_a_141.cgns", "pitch 45 degrees", Motion((rotate("45", (0, 1, 0), 0.25, 0, 0),), {}), "Klo_Seg*"),
     _third_party("cylinder_ring_4blk.x", "turned 60 degrees", _TURNED, "*.jmax", "*.k*"),
     _third_party("cylinder_ring_4blk.x", "shifted by 1.5 radii", _SHIFTED, "*.jmax", "*.k*"),
     _third_party("backstep5_4levdn.p3dbin", "roof down to a half", _LOWERED, "*.kmax"),

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import re
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -20,11 +19,11 @@ from pathlib import Path
 
 import numpy as np
 from flows import grids_folder
+from motions import SPAN, displace, rotate
 from tables import MarkdownTable, Row
 
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.boundary.crossing import find_contact
-from meshdeform_core.boundary.expression import expression
 from meshdeform_core.boundary.motion import Displace, Motion, Rotate
 from meshdeform_core.deform import BoundaryMotion, Case, Result, Setup, Timing, impose, set_up
 from meshdeform_core.grid import FloatArray, Grid
@@ -32,9 +31,6 @@ from meshdeform_formats.grids import read_grid
 from meshdeform_samples import load
 from meshdeform_samples.reproduce.experiment import Sample, prepare_sample
 
-_BEGIN, _END = "<!-- robustness_table.py begin -->", "<!-- robustness_table.py end -->"
-_SPAN = 12.09152937
-"""Of the wing in 717_wl_L2.cgns, along z."""
 THIN = 1000.0
 """Corners of undeformed cells with edges longer than this, relative to the shortest, are boundary-layer corners."""
 
@@ -95,16 +91,6 @@ def _slip(select: str, kind: Kind = Kind.SLIP) -> BoundarySpec:
     return BoundarySpec("slip", tuple(select.split()), kind)
 
 
-def _rotate(angle: str, axis: tuple[float, float, float], *center: float) -> Rotate:
-    x, y, z = (expression(float(c), ()) for c in center)
-    return Rotate(expression(angle, {"x", "y", "z"}), axis, (x, y, z))
-
-
-def _displace(*parts: str) -> Displace:
-    x, y, z = (expression(part, {"x", "y", "z"}) for part in parts)
-    return Displace((x, y, z))
-
-
 def _wing(label: str, *parts: Rotate | Displace) -> Trial:
     return _third_party("717_wl_L2.cgns", label, [_moving("wall", *parts), _slip("Sym", Kind.SYMMETRY)], 0.3)
 
@@ -128,9 +114,9 @@ def _collapsed(label: str, part: Rotate | Displace) -> Trial:
 
 _BACKSTEP, _AIRFOIL = "backstep5_4levdn.p3dbin", "nak_a_141.cgns"
 _ENDS, _STREAM = "*.imin *.imax", "block1.jmin block4.jmax"
-_BUMP = _displace("0", "0", "8.55*where(abs(x - 4) < 4, cos(pi*(x - 4)/8)**2, 0)")
-_ROOF = _displace("0", "0", "-7.6 - 0.475*(1 + tanh(x - 2))")
-_DROP = _displace("0", "0", "-9.5")
+_BUMP = displace("0", "0", "8.55*where(abs(x - 4) < 4, cos(pi*(x - 4)/8)**2, 0)")
+_ROOF = displace("0", "0", "-7.6 - 0.475*(1 + tanh(x - 2))")
+_DROP = displace("0", "0", "-9.5")
 
 
 def _backstep(label: str, jacobian: float, select: str, part: Displace, *crossing: str) -> Trial:
@@ -162,18 +148,18 @@ TRIALS: tuple[Trial, ...] = (
     _sample("square", "times 1.5", scale=1.5, skew=0.26),
     _sample("wing", "times 6", scale=6.0, skew=0.57),
     _third_party(
-        _AIRFOIL, "pitch 150 degrees", [_moving("Klo_Seg*", _rotate("150", (0, 1, 0), 0.25, 0, 0)), _slip(_ENDS)], 0.4
+        _AIRFOIL, "pitch 150 degrees", [_moving("Klo_Seg*", rotate("150", (0, 1, 0), 0.25, 0, 0)), _slip(_ENDS)], 0.4
     ),
-    _wing("pitch 90 degrees", _rotate("90", (0, 0, 1), 2.5, 0, 0)),
-    _wing("bend 8", _displace("0", f"8*(z/{_SPAN})**2", "0")),
-    _wing("twist 90 degrees", _rotate(f"90*z/{_SPAN}", (0, 0, 1), 2.5, 0, 0)),
-    _ring("turned 180 degrees", 0.3, _rotate("180", (0, 0, 1), 0, 0, 0)),
-    _ring("squeezed to 5 %", 0.02, _displace("2.375", "0", "0")),
+    _wing("pitch 90 degrees", rotate("90", (0, 0, 1), 2.5, 0, 0)),
+    _wing("bend 8", displace("0", f"8*(z/{SPAN})**2", "0")),
+    _wing("twist 90 degrees", rotate(f"90*z/{SPAN}", (0, 0, 1), 2.5, 0, 0)),
+    _ring("turned 180 degrees", 0.3, rotate("180", (0, 0, 1), 0, 0, 0)),
+    _ring("squeezed to 5 %", 0.02, displace("2.375", "0", "0")),
     _backstep("bump 8.55", 0.02, "block3.kmin block4.kmin", _BUMP),
     _backstep("roof down to 5 %", 0.02, "*.kmax", _ROOF),
     _backstep("roof through the floor", 0.0, "*.kmax", _DROP, "roof", "floor"),
-    _collapsed("translated", _displace("0.7", "-0.3", "0.2")),
-    _collapsed("turned 70 degrees", _rotate("70", (1, 2, 0.5), 3, 0, 0)),
+    _collapsed("translated", displace("0.7", "-0.3", "0.2")),
+    _collapsed("turned 70 degrees", rotate("70", (1, 2, 0.5), 3, 0, 0)),
 )  # fmt: skip
 """In the order of the table."""
 
@@ -276,13 +262,9 @@ def main() -> None:
         if trial.possible and options.only in trial.label:
             table.rows.append(measure(trial))
             print(table.rows[-1], file=sys.stderr, flush=True)
-    text = table.markdown()
-    print(text)
+    print(table.markdown())
     if options.write:
-        page = options.write.read_text(encoding="utf-8")
-        body = "\n".join(text.splitlines()[2:]).rstrip()
-        marked = re.sub(f"{_BEGIN}.*?{_END}", f"{_BEGIN}\n{body}\n{_END}", page, flags=re.DOTALL)
-        options.write.write_text(marked, encoding="utf-8")
+        table.put_on(options.write, Path(__file__).name)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ python benchmarks/which_method.py --write docs/methods.md    put the table in it
 from __future__ import annotations
 
 import argparse
-import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -29,7 +28,6 @@ METHODS: dict[str, Options] = {
     "idw, blend": Options("idw-idw", idw=IDW(rotation="blend")),
     "idw, quaternion": Options("idw-idw", idw=IDW(rotation="quaternion")),
 }
-_BEGIN, _END = "<!-- which_method.py begin -->", "<!-- which_method.py end -->"
 
 
 def measure(jobs: list[Job], methods: dict[str, Options]) -> Iterator[Row]:
@@ -85,13 +83,10 @@ def main() -> None:
         print(
             f"{row['motion']}; {row['method']}: {_cell(row, np.inf)} {row['f_skew']:.4f}", file=sys.stderr, flush=True
         )
-    text = table(rows).markdown()
-    print(text)
+    found = table(rows)
+    print(found.markdown())
     if options.write:
-        page = options.write.read_text(encoding="utf-8")
-        body = "\n".join(text.splitlines()[2:]).rstrip()
-        marked = re.sub(f"{_BEGIN}.*?{_END}", f"{_BEGIN}\n{body}\n{_END}", page, flags=re.DOTALL)
-        options.write.write_text(marked, encoding="utf-8")
+        found.put_on(options.write, Path(__file__).name)
 
 
 if __name__ == "__main__":
