@@ -43,6 +43,10 @@ class Trial:
     cells: Comparison | None = None
 
 
+_FEWEST_UNITS = 100
+"""A motion of fewer units in the last place of the coordinates is rounded visibly."""
+
+
 class March:
     """The state of a motion: the grid reached, the method prepared on it, and what has happened so far."""
 
@@ -89,6 +93,8 @@ class March:
         # In a series, a level may have no displacement.
         if alone and self.max_displacement == 0.0:
             self.warnings.append("nothing moves: the displacement is zero everywhere")
+        elif alone:
+            self.warnings += self._coarsely_rounded()
         departure = self.setup.boundary.slip.departure(self.total)
         # A motion that returns to zero leaves round-off in all directions.
         boundary = self.setup.grid.points[self.setup.topology.first]
@@ -98,6 +104,21 @@ class March:
                 f"the motion carries nodes out of a slip or symmetry plane by up to {departure:.3g}; "
                 f"the plane follows there; its other nodes stay in it"
             )
+
+    def _coarsely_rounded(self) -> list[str]:
+        """A warning if rounding coordinates to the precision of the output changes a visible part of the motion."""
+        moving = self.setup.topology.first[self.total.any(axis=1)]
+        farthest = float(np.abs(self.setup.grid.points[moving]).max())
+        unit = float(np.spacing(np.dtype(self.precision).type(farthest)))
+        if self.max_displacement >= _FEWEST_UNITS * unit:
+            return []
+        remedy = "a grid nearer to the origin"
+        if self.precision == "float32":
+            remedy = "--variant precision=float64, or " + remedy
+        return [
+            f"coordinates of {farthest:.3g} in {self.precision} are multiples of {unit:.2g}, to which the motion of at "
+            f"most {self.max_displacement:.3g} is rounded; more accurate: {remedy}"
+        ]
 
     @property
     def account(self) -> Account:

@@ -1,0 +1,156 @@
+"""The same grid elsewhere or in other blocks gives the same result; axes, scales, block order: ``test_invariants``."""
+
+import numpy as np
+import pytest
+from cases import ALL_METHODS, INNER, apply, formulas, problem_of, turning
+from grids import block_around, frame, polar, stretched
+
+from meshdeform_core.boundary import BoundarySpec, Kind
+from meshdeform_core.boundary.expression import expression
+from meshdeform_core.boundary.motion import Motion, Rotate
+from meshdeform_core.deform import Case, deform
+from meshdeform_core.errors import CaseError
+from meshdeform_core.grid import Grid
+from meshdeform_core.repair import RepairOptions
+
+EVERY = pytest.mark.parametrize("name", ALL_METHODS)
+XYZ = {"x", "y", "z"}
+SPAN = BoundarySpec("span", ("*.kmin", "*.kmax"), Kind.SLIP)
+WALL = ("block2.imax", "block4.jmax", "block5.jmin", "block7.imin")
+AWAY = np.array([1.0, -0.7, 0.3])
+# Methods that blend between the faces of blocks: other blocks, other results.
+BY_BLOCKS = {"tfi", "rbf-tfi", "idw-tfi", "idw-tfi-cut", "idw-rbf"}
+# Their rotations are about the origin of coordinates.
+ABOUT_ORIGIN = {"idw-quaternion", "idw-division", "idw-division-reweight"}
+
+
+def displaced(grid: Grid, name: str, motion: Motion, wall: tuple[str, ...] = WALL) -> np.ndarray:
+    """Displacement (n_nodes, 3) by the whole program, which must find the result valid and have nothing to add."""
+    specs = (BoundarySpec("body", wall, Kind.MOVING, None, motion), SPAN)
+    result = deform(grid, Case(specs, {}, ALL_METHODS[name], repair=RepairOptions("off")))
+    assert result.valid
+    assert [text for text in result.warnings if "selected" not in text and "MINRES" not in text] == []
+    return result.grid.points - grid.points
+
+
+@EVERY
+def test_offset_costs_the_round_off_of_the_coordinates(name):
+    """A grid far from the origin: the result is that of the grid at the origin, rounded to its coordinates once."""
+    grid = frame()
+    motion = formulas("0.1", "0.05", "0")
+    here = displaced(grid, name, motion)
+    for distance in (1e3, 1e9, 1e12):
+        away = grid.moved(grid.points + distance * AWAY)
+        assert np.abs(displaced(away, name, motion) - here).max() < np.spacing(distance)
+
+
+@pytest.mark.parametrize("name", sorted(ALL_METHODS.keys() - ABOUT_ORIGIN))
+def test_offset_of_a_rotating_body(name):
+    """The position of its axis is rounded too, and the angle is found from rounded nodes."""
+    grid = frame()
+    here = displaced(grid, name, turning(10))
+    for distance in (1e3, 1e9, 1e12):
+        away = grid.moved(grid.points + distance * AWAY)
+        center = tuple(expression(float(x), ()) for x in distance * AWAY)
+        motion = Motion((Rotate(expression(10.0, ()), (0, 0, 1), center),), {})
+        assert np.abs(displaced(away, name, motion) - here).max() < 20 * np.spacing(distance)
+
+
+@pytest.mark.parametrize(("precision", "distance"), [("float64", 1e13), ("float64", 1e14), ("float32", 1e5)])
+def test_motion_near_the_round_off_is_told(precision, distance):
+    grid = frame()
+    body = BoundarySpec("body", WALL, Kind.MOVING, None, formulas("0.1", "0.05", "0"))
+    case = Case((body, SPAN), {}, repair=RepairOptions("off"))
+
+    def rounding(distance: float) -> list[str]:
+        away = grid.moved(grid.points + distance * AWAY)
+        result = deform(away, case, precision=precision)
+        assert result.valid
+        return [text for text in result.warnings if "are multiples of" in text]
+
+    (text,) = rounding(distance)
+    assert f"{precision} are multiples of {np.spacing(np.dtype(precision).type(distance)):.2g}" in text
+    assert "to which the motion of at most 0.112 is rounded" in text
+    assert ("--variant precision=float64" in text) == (precision == "float32")
+    assert rounding(1e-3 * distance) == []
+
+
+def test_cells_below_the_round_off_are_refused():
+    """At 1e15 coordinates are multiples of 0.125: nodes 0.2 apart coincide or not by chance."""
+    grid = frame()
+    away = grid.moved(grid.points + 1e15 * AWAY)
+    case = Case((BoundarySpec("body", WALL, Kind.MOVING, None, formulas("0.1", "0", "0")),), {})
+    with pytest.raises(CaseError, match=r"touch, at most 0 apart, but their nodes do not match"):
+        deform(away, case)
+
+
+def split(grid: Grid, block: int, axis: int, at: int) -> Grid:
+    """The grid with a block cut in two at a layer of nodes; the second part is the last block."""
+    blocks = [grid.block(b) for b in range(grid.n_blocks)]
+    one, two = np.split(blocks[block], [at + 1], axis=axis)
+    two = np.concatenate([one.take([-1], axis=axis), two], axis=axis)
+    blocks[block] = np.ascontiguousarray(one)
+    return Grid.from_blocks([*blocks, np.ascontiguousarray(two)])
+
+
+@pytest.mark.parametrize("name", sorted(ALL_METHODS.keys() - BY_BLOCKS))
+def test_split_blocks_do_not_matter(name):
+    grid = frame()
+    specs = [
+        BoundarySpec("body", ("*.i*", "*.j*"), Kind.MOVING, expression(INNER, XYZ), turning(10)),
+        BoundarySpec("span", ("*.kmin", "*.kmax"), Kind.SLIP),
+    ]
+
+    def bend(x):
+        return np.exp(-(x[:, :1] ** 2)) * np.stack([0.1 * np.sin(x[:, 1]), 0.1 * np.cos(x[:, 0]), 0 * x[:, 0]], axis=1)
+
+    whole = apply(ALL_METHODS[name], problem_of(grid, specs), bend)
+    cut = split(split(grid, 3, 1, 2), 0, 2, 1)
+    parts = apply(ALL_METHODS[name], problem_of(cut, specs), bend)
+    known = {tuple(x): d for x, d in zip(grid.points, whole, strict=True)}
+    error = max(np.abs(known[tuple(x)] - d).max() for x, d in zip(cut.points, parts, strict=True))
+    assert error < 1e-9
+
+
+@pytest.mark.parametrize("name", sorted(BY_BLOCKS))
+def test_split_blocks_change_what_is_blended_but_no_boundary(name):
+    """TFI and block-wise RBF fill blocks from their faces: only a map that they reproduce is the same in any blocks."""
+    grid = frame()
+    cut = split(grid, 3, 1, 2)
+
+    def linear(x):
+        return np.array([0.1, -0.2, 0.3]) + 0.05 * np.stack([x[:, 1], -x[:, 0], 0 * x[:, 0]], axis=1)
+
+    moved = apply(ALL_METHODS[name], problem_of(cut), lambda x: np.tile([0.1, -0.2, 0.3], (len(x), 1)))
+    assert np.abs(moved - [0.1, -0.2, 0.3]).max() < 1e-10
+    if name in ("tfi", "rbf-tfi"):
+        assert np.abs(apply(ALL_METHODS[name], problem_of(cut), linear) - linear(cut.points)).max() < 1e-10
+
+
+@pytest.mark.parametrize("name", ["tfi", "idw-lie", "idw-tfi", "rbf-tps", "rbf-tfi", "idw-rbf"])
+@pytest.mark.parametrize("ratio", [1e3, 1e5])
+def test_thin_wall_cells_far_away(name, ratio):
+    """A boundary layer of 1e-6 of its distance to the origin keeps its first cells."""
+    z = np.linspace(0.0, 1.0, 3)
+    height = np.concatenate([[0.0], np.geomspace(1e-3, 1.0, 12)])
+    block = block_around(stretched((0.0, 2.0), 6), height, z) + ratio * AWAY
+    grid = Grid.from_blocks([block])
+    specs = (
+        BoundarySpec("wall", ("block1.jmin",), Kind.MOVING, None, formulas("0", f"0.05*sin(pi*(x-{ratio})/2)", "0")),
+        BoundarySpec("sides", ("block1.imin", "block1.imax", "block1.kmin", "block1.kmax"), Kind.SLIP),
+    )
+    result = deform(grid, Case(specs, {}, ALL_METHODS[name], repair=RepairOptions("off")))
+    assert result.valid
+    first = np.linalg.norm(np.diff(result.grid.block(0)[:, :2], axis=1)[:, 0], axis=-1)
+    assert first.min() > 0.5e-3
+    assert first.max() < 2e-3
+
+
+def test_seam_of_an_o_grid_far_away():
+    """The seam of one block with itself is found at any distance."""
+    grid = polar()
+    for distance in (0.0, 1e6, 1e12):
+        away = Grid.from_blocks([grid.block(0) + distance * AWAY])
+        problem = problem_of(away)
+        assert problem.topology.n_unique < len(problem.topology.face_nodes)
+        assert not (problem.topology.external & np.isin(problem.topology.quads.block_side % 6, (0, 1))).any()
