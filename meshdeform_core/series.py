@@ -11,7 +11,6 @@ from .deform import Result, Setup, Start, Timing, impose
 from .errors import CaseError
 from .grid import FloatArray
 from .methods import PreparedMethod, Progress, make_method, remembering
-from .numerics.rotation import rotation_vector, surface_rotations
 from .parallel import empty, for_rows
 
 ORIGINS = ("reference", "last")
@@ -168,10 +167,8 @@ class _Series:
         return Drift(float(distance.max()), float(np.sqrt(np.mean(distance**2))))
 
     def _rotation(self, displacement: FloatArray) -> float:
-        surface, points = self.problem.surface, self.problem.source_points
-        normal = self.problem.plane_normal
-        turned = surface_rotations(points, points + displacement, surface.corners, surface.edges, normal)
-        return float(np.degrees(np.linalg.norm(rotation_vector(turned), axis=1).max()))
+        turned = self.problem.rotations.vectors(displacement)
+        return float(np.degrees(np.linalg.norm(turned, axis=1).max()))
 
 
 def grid_velocity(times: tuple[float, ...], points: list[FloatArray], order: str) -> FloatArray:

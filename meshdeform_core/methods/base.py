@@ -19,6 +19,7 @@ from ..grid.planes import plane_normal
 from ..grid.topology import Topology, end_planes, inward_step, side_nodes
 from ..memory import UNLIMITED, MemoryLimit
 from ..numerics.geometry.coincidence import distinct
+from ..numerics.rotation import SurfaceRotations
 
 Progress = Callable[[str, int, int], None]
 """``progress(stage, done, total)``; called only by the thread that started the computation."""
@@ -96,6 +97,11 @@ class Problem:
         area = _nodal_area(self.source_points, every[(every >= 0).all(axis=1)])
         moving = local[quads[kinds == Kind.MOVING]]
         return Surface(area, *_rings(moving))
+
+    @cached_property
+    def rotations(self) -> SurfaceRotations:
+        """Rotations of the moving walls; zero at the other sources."""
+        return SurfaceRotations(self.source_points, self.surface.corners, self.surface.edges, self.plane_normal)
 
     @cached_property
     def first_cell_height(self) -> FloatArray:

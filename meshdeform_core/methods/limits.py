@@ -13,7 +13,6 @@ import numpy as np
 
 from ..boundary import Kind
 from ..grid import FloatArray
-from ..numerics.rotation import rotation_vector, surface_rotations
 from .base import Problem
 
 TFI_ROTATION = 55.0
@@ -44,7 +43,7 @@ def patch_motions(problem: Problem, displacement: FloatArray) -> tuple[PatchMoti
     displacement : (n_unique, 3) of all face nodes
     """
     sources = problem.source_numbers
-    angle = np.degrees(np.linalg.norm(rotations(problem, displacement[sources]), axis=1))
+    angle = np.degrees(np.linalg.norm(problem.rotations.vectors(displacement[sources]), axis=1))
     names = [patch.name for patch in problem.boundary.patches if patch.kind is Kind.MOVING]
     found = []
     for name, (nodes, _) in zip(names, problem.boundary.movers, strict=True):
@@ -56,14 +55,6 @@ def patch_motions(problem: Problem, displacement: FloatArray) -> tuple[PatchMoti
     return tuple(found)
 
 
-def rotations(problem: Problem, displacement: FloatArray) -> FloatArray:
-    """Rotation vectors (n_sources, 3) of the moving walls, radians; zero elsewhere."""
-    surface, x = problem.surface, problem.source_points
-    turned = surface_rotations(x, x + displacement, surface.corners, surface.edges, problem.plane_normal)
-    vectors: FloatArray = rotation_vector(turned)
-    return vectors
-
-
 def largest_rotation(problem: Problem, displacement: FloatArray) -> float:
     """Largest rotation of a moving wall relative to the fixed boundary, or to the mean if nothing is fixed (degrees).
 
@@ -71,7 +62,7 @@ def largest_rotation(problem: Problem, displacement: FloatArray) -> float:
     ----------
     displacement : (n_sources, 3)
     """
-    turn = rotations(problem, displacement)
+    turn = problem.rotations.vectors(displacement)
     if not (problem.boundary.kind[problem.source_numbers] == Kind.FIXED).any():
         turn = turn - turn.mean(axis=0)
     return math.degrees(float(np.linalg.norm(turn, axis=1).max()))

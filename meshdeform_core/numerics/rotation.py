@@ -5,6 +5,8 @@ Arrays of n rotation vectors, matrices (n, 3, 3), unit quaternions (n, 4, scalar
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 
 from .arrays import BoolArray, FloatArray, IntArray
@@ -16,9 +18,7 @@ SHARP = 0.9
 """Mean of the unit normals at a node, below which its faces make a sharp edge."""
 
 
-def surface_rotations(
-    before: FloatArray, after: FloatArray, corners: IntArray, edges: IntArray, plane_normal: FloatArray | None = None
-) -> FloatArray:
+class SurfaceRotations:
     """Rotation of every node of a deforming surface, fitted to its faces (eqs. 21-25).
 
     The first turn carries the mean unit normal of the node's faces onto the deformed one; the second turns the edges
@@ -27,29 +27,51 @@ def surface_rotations(
 
     Parameters
     ----------
-    before, after : (n, 3) node positions
+    points : (n, 3) undeformed node positions
     corners : (c, 3) int64: node, next and previous node of the face, for every face corner; in 2-D (c, 2): the two end
         nodes of every edge of the curve
     edges : (e, 2) int64: node and neighbour, each neighbour once (unused in 2-D)
     plane_normal : unit normal of the plane of a 2-D grid
-
-    Returns
-    -------
-    quaternions : (n, 4), identity at nodes without faces
     """
-    normals = [_node_normals(x, corners, plane_normal) for x in (before, after)]
-    first = _aligning(normals[0], normals[1], plane_normal)
-    if plane_normal is not None:
-        return first
-    arm = rotate(first[edges[:, 0]], before[edges[:, 1]] - before[edges[:, 0]])
-    target = after[edges[:, 1]] - after[edges[:, 0]]
-    normal = normals[1][edges[:, 0]]
-    arm, target = (v - normal * _dot(normal, v)[:, None] for v in (arm, target))
-    angle = np.arctan2(_dot(normal, np.cross(arm, target)), _dot(arm, target))
-    count = np.bincount(edges[:, 0], minlength=len(before))
-    mean = np.bincount(edges[:, 0], angle, minlength=len(before)) / np.maximum(count, 1)
-    second = _quaternion(normals[1], mean)
-    return multiply(second, first)
+
+    def __init__(
+        self, points: FloatArray, corners: IntArray, edges: IntArray, plane_normal: FloatArray | None = None
+    ) -> None:
+        self._points, self._corners, self._edges, self._plane_normal = points, corners, edges, plane_normal
+        self._last: tuple[FloatArray, FloatArray] | None = None
+
+    @cached_property
+    def _normals(self) -> FloatArray:
+        return _node_normals(self._points, self._corners, self._plane_normal)
+
+    def quaternions(self, displacement: FloatArray) -> FloatArray:
+        """Quaternions (n, 4) for a displacement (n, 3), identity at nodes without faces.
+
+        Methods, their warnings and reports all ask for those of the same displacement: the last ones are kept.
+        """
+        if not displacement.any():
+            return np.tile([1.0, 0.0, 0.0, 0.0], (len(displacement), 1))
+        if self._last is None or not np.array_equal(self._last[0], displacement):
+            self._last = displacement.copy(), self._fitted(self._points + displacement)
+        return self._last[1].copy()
+
+    def vectors(self, displacement: FloatArray) -> FloatArray:
+        """The same as rotation vectors (n, 3), radians."""
+        return rotation_vector(self.quaternions(displacement))
+
+    def _fitted(self, after: FloatArray) -> FloatArray:
+        before, edges, normals = self._points, self._edges, _node_normals(after, self._corners, self._plane_normal)
+        first = _aligning(self._normals, normals, self._plane_normal)
+        if self._plane_normal is not None:
+            return first
+        arm = rotate(first[edges[:, 0]], before[edges[:, 1]] - before[edges[:, 0]])
+        target = after[edges[:, 1]] - after[edges[:, 0]]
+        normal = normals[edges[:, 0]]
+        arm, target = (v - normal * _dot(normal, v)[:, None] for v in (arm, target))
+        angle = np.arctan2(_dot(normal, np.cross(arm, target)), _dot(arm, target))
+        count = np.bincount(edges[:, 0], minlength=len(before))
+        mean = np.bincount(edges[:, 0], angle, minlength=len(before)) / np.maximum(count, 1)
+        return multiply(_quaternion(normals, mean), first)
 
 
 def near_sharp_edges(
@@ -58,7 +80,7 @@ def near_sharp_edges(
     """Nodes (n,) bool within ``rounds`` edges of a sharp one, where the faces at a node turn away from each other.
 
     Faces that make a ridge of more than about 50 degrees have a mean normal shorter than 0.9; arguments as in
-    :func:`surface_rotations`.
+    :class:`SurfaceRotations`.
     """
     total, count = _sum_of_normals(points, corners, plane_normal)
     near = (count > 0) & (np.linalg.norm(total, axis=1) < SHARP * count)

@@ -1,5 +1,6 @@
 """Fast IDW sums against exact ones: every rotation kind and weight, the tolerance kept, nothing common disturbed."""
 
+import dataclasses
 import types
 
 import numpy as np
@@ -11,6 +12,7 @@ from hypothesis import strategies as st
 
 from meshdeform_core.boundary.prescribed import prescribed_displacement
 from meshdeform_core.errors import MethodError
+from meshdeform_core.memory import MemoryLimit
 from meshdeform_core.methods import IDW, RBF, Account, Options, make_method
 from meshdeform_core.methods.scattered.summation import sum_accurately
 from meshdeform_core.numerics.exact.basis import BASES
@@ -63,6 +65,23 @@ def test_error_stays_below_the_tolerance(name, tolerance, problem):
     assert tolerance < 1e-4 or error.max() > 1e-13
     assert prepared.account.settings["sampled_error"].value <= tolerance
     assert prepared.account.warnings == []
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+@pytest.mark.parametrize("room", [None, 0])
+def test_further_displacements_are_as_accurate_and_checked_alike(name, room, problem):
+    """With and without memory for lists and weights; the exact check sums only what moves once weights are known."""
+    if room is not None:
+        problem = dataclasses.replace(problem, memory=MemoryLimit(room, "none"))
+    first, further = told(problem), 0.6 * told(problem) * np.cos(3 * problem.source_points)
+    options = Options("idw", idw=IDW(summation="exact", **VARIANTS[name]))
+    prepared = make_method(Options("idw", idw=IDW(summation="fast", **VARIANTS[name]))).prepare(problem)
+    for displacement in (first, further, first):
+        exact, found = apply(options, problem, displacement), prepared.apply(displacement)
+        error = (np.linalg.norm(found - exact, axis=1) / cell_sizes(problem)).max()
+        sampled = prepared.account.settings["sampled_error"].value
+        assert 1e-13 < error <= 1e-2
+        assert 0.0 < sampled <= error * (1.0 + 1e-6) + 1e-12
 
 
 @pytest.mark.parametrize("rotation", ["none", "quaternion", "blend", "lie"])

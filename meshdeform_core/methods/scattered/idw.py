@@ -136,6 +136,7 @@ class PreparedIDW:
         self._problem = problem
         self._images = mirror_images(problem)
         self.area, self.points = self._images.area, self._images.points
+        self._rotations = self._surface_rotations()
         self.length = self._length()
         self.far = self._far()
         self._blunt = self._near_edges()
@@ -143,6 +144,12 @@ class PreparedIDW:
         auto = options.remove_mean == "auto"
         self.remove_mean = options.rotation == "lie" if auto else bool(options.remove_mean)
         self._record(auto)
+
+    def _surface_rotations(self) -> rot.SurfaceRotations:
+        images, problem = self._images, self._problem
+        if not problem.boundary.mirrors:
+            return problem.rotations
+        return rot.SurfaceRotations(images.points, images.corners, images.edges, problem.plane_normal)
 
     def _length(self) -> float:
         if self.options.length != "auto":
@@ -223,9 +230,7 @@ class PreparedIDW:
         d = images.displaced(displacement)
         q = np.tile([1.0, 0.0, 0.0, 0.0], (len(d), 1))
         if self.options.rotation != "none":
-            normal = self._problem.plane_normal
-            q = rot.surface_rotations(images.points, images.points + d, images.corners, images.edges, normal)
-            q = rot.smoothed(q, self._blunt, self._rounds)
+            q = rot.smoothed(self._rotations.quaternions(d), self._blunt, self._rounds)
         mean = self.area / self.area.sum() @ d if self.remove_mean else np.zeros(3)
         # Frame-independent kinds are computed relative to the centroid: smaller numbers, less round-off.
         origin = np.zeros(3) if self.options.rotation in ("quaternion", "division") else self._problem.centroid

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -62,6 +61,15 @@ class Bound:
 
 
 @dataclass(frozen=True)
+class Weighed:
+    """Total weight (n,) of the nodes ``flat`` with the weight functions of each group, from exact sums."""
+
+    flat: IntArray
+    weights: tuple[tuple[float, float, float], ...]
+    total: FloatArray
+
+
+@dataclass(frozen=True)
 class ExactEvaluator:
     """Every target with every source."""
 
@@ -80,17 +88,48 @@ class ExactEvaluator:
 
     def displacement(self, fit: SourceValues, flat: IntArray) -> FloatArray:
         """Displacement (n, 3) of the nodes ``flat``."""
-        bound = self.bound
-        x = bound.grid.points[flat] - fit.origin
-        moved, total = np.empty_like(x), np.zeros_like(x)
+        x = self.bound.grid.points[flat] - fit.origin
+        total = np.zeros_like(x)
         for sources in fit.path:
-            sums = np.zeros((len(x), 1 + len(fit.values)))
-            for group, weights in zip(bound.groups, fit.weights, strict=True):
-                near = sources[group], bound.strength[group]
-                sums += weighted_sums(x + total, *near, weights, fit.values[:, group])
-            finish(bound.rotation, sums, x + total, moved, bound.repeats)
-            total += moved
+            total += self._moved(x + total, self._sums(fit, x + total, sources))
         return np.asarray(total + fit.mean)
+
+    def checked(self, fit: SourceValues, flat: IntArray, known: Weighed | None) -> tuple[FloatArray, Weighed | None]:
+        """The same, and the weights of these nodes; if they are ``known``, sources at rest are not summed again."""
+        if len(fit.path) > 1 or fit.still is None:
+            return self.displacement(fit, flat), None
+        x = self.bound.grid.points[flat] - fit.origin
+        if known is not None and known.weights == fit.weights and np.array_equal(known.flat, flat):
+            sums = self._sums_of_moving(fit, x, known.total)
+        else:
+            sums = self._sums(fit, x, fit.path[0])
+            known = Weighed(flat, fit.weights, sums[:, 0].copy())
+        return self._moved(x, sums) + fit.mean, known
+
+    def _moved(self, x: FloatArray, sums: FloatArray) -> FloatArray:
+        """Displacement (n, 3) in one step of targets at ``x``, relative to the origin, from their sums (n, 1 + k)."""
+        moved = np.empty_like(x)
+        finish(self.bound.rotation, sums, x, moved, self.bound.repeats)
+        return moved
+
+    def _sums(self, fit: SourceValues, x: FloatArray, sources: FloatArray) -> FloatArray:
+        """Sums (n, 1 + k) at targets ``x`` over the sources where they are in one step."""
+        sums = np.zeros((len(x), 1 + len(fit.values)))
+        for group, weights in zip(self.bound.groups, fit.weights, strict=True):
+            near = sources[group], self.bound.strength[group]
+            sums += weighted_sums(x, *near, weights, fit.values[:, group])
+        return sums
+
+    def _sums_of_moving(self, fit: SourceValues, x: FloatArray, total: FloatArray) -> FloatArray:
+        """The same where the total weight (n,) is known: values relative to those at rest, over the others."""
+        assert fit.still is not None
+        values, sums = fit.values - fit.still[:, None], np.empty((len(x), 1 + len(fit.values)))
+        sums[:, 0], sums[:, 1:] = total, total[:, None] * fit.still
+        for group, weights in zip(self.bound.groups, fit.weights, strict=True):
+            some = group[values[:, group].any(axis=0)]
+            near = fit.path[0][some], self.bound.strength[some]
+            sums[:, 1:] += weighted_sums(x, *near, weights, values[:, some])[:, 1:]
+        return sums
 
 
 class FastEvaluator:
@@ -101,6 +140,7 @@ class FastEvaluator:
         self._tolerance = tolerance
         self._account = account
         self._sums = self._sorted(bound.sources, bound.grid.points)
+        self._weighed: Weighed | None = None
 
     def _sorted(self, sources: FloatArray, points: FloatArray) -> fastsum.FastSums:
         grid, order = self.bound.grid, fastsum.interpolation_order(self._tolerance)
@@ -112,7 +152,10 @@ class FastEvaluator:
 
     def evaluate(self, fit: SourceValues, out: FloatArray, progress: Progress | None) -> None:
         """Write the displacement of the targets into ``out`` (n_nodes, 3)."""
-        exact = partial(ExactEvaluator(self.bound).displacement, fit)
+
+        def exact(flat: IntArray) -> FloatArray:
+            found, self._weighed = ExactEvaluator(self.bound).checked(fit, flat, self._weighed)
+            return found
 
         def once() -> float:
             targets, risk = self._sum(fit, out, progress)

@@ -19,7 +19,6 @@ N_VALUES = 7
 """Values that one pass accumulates beside the weight; shorter sets are padded with zeros."""
 
 _TILE = 128
-_TARGETS = 256
 _CHUNK = 2048
 
 
@@ -46,16 +45,16 @@ def weighted_sums(
     sums : (n, 1 + k), the weight in column 0
     """
     a, b, kappa = (float(part) for part in weights)
-    every = np.array([[0, len(sources)]])
+    every = np.array([[0, len(sources)]]), np.array([[0, 1]])
     result = np.empty((len(targets), 1 + len(values)))
     for first in range(0, len(values), N_VALUES):
         some = values[first : first + N_VALUES]
-        packed = np.zeros((4 + N_VALUES, len(sources)))
-        packed[:3], packed[3], packed[4 : 4 + len(some)] = sources.T, strength, strength * some
+        charged = np.zeros((len(sources), 4 + N_VALUES))
+        charged[:, :3], charged[:, 3], charged[:, 4 : 4 + len(some)] = sources, strength, (strength * some).T
         sums = np.zeros((len(targets), 1 + N_VALUES))
 
-        def work(lo: int, hi: int, packed: FloatArray = packed, sums: FloatArray = sums) -> None:
-            sum_groups(targets, np.array([[lo, hi]]), packed, every, a, b, kappa, sums)
+        def work(lo: int, hi: int, charged: FloatArray = charged, sums: FloatArray = sums) -> None:
+            sum_groups(targets, np.array([[lo, hi]]), charged, *every, a, b, kappa, sums)
 
         for_chunks(work, len(targets), _CHUNK, progress)
         result[:, 0] = sums[:, 0]
@@ -64,34 +63,43 @@ def weighted_sums(
 
 
 @fast_kernel
-def sum_groups(targets, target_span, packed, source_span, a, b, kappa, out):
+def sum_groups(targets, target_span, charged, pieces, piece_span, a, b, kappa, out):
     """Add to ``out`` (n, 8) the sums of charge * (r^-a + kappa r^-b), for groups of targets and of sources.
 
     Parameters
     ----------
     targets : (n, 3)
-    target_span, source_span : (m, 2) int64, first and one past the last of each group
-    packed : (11, n) x, y, z and eight charges of the sources
+    target_span : (m, 2) int64, first and one past the last target of each group
+    charged : (s, 11) x, y, z and eight charges of the sources
+    pieces : (p, 2) int64, first and one past the last source of each piece, none of them empty
+    piece_span : (m, 2) int64, first and one past the last piece that acts on each group
     """
     luke = a == 3.0 and b == 5.0
     # As in plane grids: square roots take a fraction of the time of logarithms and exponentials.
     roots = a == 2.5 and b == 5.0
-    # A tile of sources stays in the first-level cache while a block of targets passes over it. It is an array of fixed
-    # size, whose rows the compiler sees to be apart.
+    # A tile of sources stays in the first-level cache while all targets pass over it. It is an array of fixed size,
+    # whose rows the compiler sees to be apart.
     tile, weight = np.empty((11, _TILE)), np.empty(_TILE)
     for group in range(target_span.shape[0]):
-        last, end = target_span[group, 1], source_span[group, 1]
-        for t0 in range(target_span[group, 0], last, _TARGETS):
-            for s0 in range(source_span[group, 0], end, _TILE):
-                m = min(_TILE, end - s0)
-                for row in range(11):
-                    for s in range(m):
-                        tile[row, s] = packed[row, s0 + s]
-                for t in range(t0, min(t0 + _TARGETS, last)):
-                    px, py, pz = targets[t, 0], targets[t, 1], targets[t, 2]
-                    if not luke:
-                        _weights(px, py, pz, tile, m, a, b, kappa, roots, weight)
-                    _add(px, py, pz, tile, m, kappa, luke, weight, out, t)
+        piece, end = piece_span[group, 0], piece_span[group, 1]
+        at = pieces[piece, 0] if piece < end else 0
+        while piece < end:
+            m = 0
+            while piece < end and m < _TILE:
+                more = min(pieces[piece, 1] - at, _TILE - m)
+                for s in range(more):
+                    for row in range(11):
+                        tile[row, m + s] = charged[at + s, row]
+                m += more
+                at += more
+                if at == pieces[piece, 1]:
+                    piece += 1
+                    at = pieces[min(piece, end - 1), 0]
+            for t in range(target_span[group, 0], target_span[group, 1]):
+                px, py, pz = targets[t, 0], targets[t, 1], targets[t, 2]
+                if not luke:
+                    _weights(px, py, pz, tile, m, a, b, kappa, roots, weight)
+                _add(px, py, pz, tile, m, kappa, luke, weight, out, t)
 
 
 @inlined

@@ -10,32 +10,47 @@ import numpy as np
 
 from ..jit import fast_kernel, inlined
 
-_TILE = 128
+# Sums over the lanes of a vector end every tile: long tiles, as many as the first-level cache holds.
+_TILE = 512
 
 
 @fast_kernel
-def sum_groups_single(targets, target_span, packed, source_span, kappa, out):
-    """Add to ``out`` the sums of charge * (r^-3 + kappa r^-5): as :func:`.direct.sum_groups`."""
+def sum_groups_single(targets, target_span, charged, pieces, piece_span, kappa, all_charges, out):
+    """Add to ``out`` the sums of charge * (r^-3 + kappa r^-5): as :func:`.direct.sum_groups`.
+
+    Without ``all_charges`` the first and the last charge are taken for zero.
+    """
     tile, center = np.empty((11, _TILE), np.float32), np.empty(3)
+    weight = np.empty(_TILE, np.float32)
     for group in range(target_span.shape[0]):
-        first, end = target_span[group, 0], source_span[group, 1]
+        first, piece, end = target_span[group, 0], piece_span[group, 0], piece_span[group, 1]
         count = target_span[group, 1] - first
-        if count == 0 or source_span[group, 0] == end:
+        if count == 0 or piece == end:
             continue
         x = np.empty((3, count), np.float32)
-        scale = _frame(targets, first, count, packed, source_span[group, 0], center)
+        at = pieces[piece, 0]
+        scale = _frame(targets, first, count, charged, at, center)
+        unit = 1.0 / scale
         for d in range(3):
             for t in range(count):
-                x[d, t] = np.float32((targets[first + t, d] - center[d]) / scale)
-        one, k = np.float32(1.0), np.float32(kappa / (scale * scale))
+                x[d, t] = np.float32((targets[first + t, d] - center[d]) * unit)
+        one, k = np.float32(1.0), np.float32(kappa * unit * unit)
         # r^-3 in units of the extent.
-        back = 1.0 / (scale * scale * scale)
-        for s0 in range(source_span[group, 0], end, _TILE):
-            m = min(_TILE, end - s0)
-            for row in range(11):
-                shift, unit = (center[row], scale) if row < 3 else (0.0, 1.0)
-                for s in range(m):
-                    tile[row, s] = np.float32((packed[row, s0 + s] - shift) / unit)
+        back = unit * unit * unit
+        while piece < end:
+            m = 0
+            while piece < end and m < _TILE:
+                more = min(pieces[piece, 1] - at, _TILE - m)
+                for s in range(more):
+                    for d in range(3):
+                        tile[d, m + s] = np.float32((charged[at + s, d] - center[d]) * unit)
+                    for c in range(3, 11):
+                        tile[c, m + s] = np.float32(charged[at + s, c])
+                m += more
+                at += more
+                if at == pieces[piece, 1]:
+                    piece += 1
+                    at = pieces[min(piece, end - 1), 0]
             for t in range(count):
                 px, py, pz = x[0, t], x[1, t], x[2, t]
                 a0 = a1 = a2 = a3 = a4 = a5 = a6 = a7 = np.float32(0.0)
@@ -44,26 +59,29 @@ def sum_groups_single(targets, target_span, packed, source_span, kappa, out):
                     r = one / math.sqrt(dx * dx + dy * dy + dz * dz)
                     r2 = r * r
                     w = r * r2 * (one + k * r2)
-                    a0 += w * tile[3, s]
+                    weight[s] = w
                     a1 += w * tile[4, s]
                     a2 += w * tile[5, s]
                     a3 += w * tile[6, s]
                     a4 += w * tile[7, s]
                     a5 += w * tile[8, s]
                     a6 += w * tile[9, s]
-                    a7 += w * tile[10, s]
-                out[first + t, 0] += back * a0
                 out[first + t, 1] += back * a1
                 out[first + t, 2] += back * a2
                 out[first + t, 3] += back * a3
                 out[first + t, 4] += back * a4
                 out[first + t, 5] += back * a5
                 out[first + t, 6] += back * a6
-                out[first + t, 7] += back * a7
+                if all_charges:
+                    for s in range(m):
+                        a0 += weight[s] * tile[3, s]
+                        a7 += weight[s] * tile[10, s]
+                    out[first + t, 0] += back * a0
+                    out[first + t, 7] += back * a7
 
 
 @inlined
-def _frame(targets, first, count, packed, source, center):
+def _frame(targets, first, count, charged, source, center):
     """Middle of the targets, into ``center``; returns their extent, or for a single one a part of the distance."""
     extent = apart = 0.0
     for d in range(3):
@@ -72,5 +90,5 @@ def _frame(targets, first, count, packed, source, center):
             low, high = min(low, targets[t, d]), max(high, targets[t, d])
         center[d] = 0.5 * (low + high)
         extent += (high - low) ** 2
-        apart += (packed[d, source] - center[d]) ** 2
+        apart += (charged[source, d] - center[d]) ** 2
     return max(math.sqrt(extent), 1e-3 * math.sqrt(apart), 1e-300)

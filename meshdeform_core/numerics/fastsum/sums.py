@@ -189,9 +189,8 @@ class FastSums:
         middle = values @ strength / strength.sum() if still is None else still
         spread, scaled = _scaled(values - middle[:, None])
         plan = self._planned(weights, [cluster_reach(tree, strength[g], shift[g], turn[g]) for g, tree in self._groups])
-        known = plan.weighed
-        weight = plan.weight if known else None
-        passes = [self._charges(strength, scaled[first : first + N_VALUES], known) for first in range(0, k, N_VALUES)]
+        weight = plan.weight if plan.weighed else None
+        passes = [self._charges(strength, scaled[first : first + N_VALUES], plan) for first in range(0, k, N_VALUES)]
         points, bricks, regions = targets.points, targets.bricks, targets.regions
 
         def work(lo: int, hi: int) -> None:
@@ -217,7 +216,7 @@ class FastSums:
 
         shared = [Shared(result, targets.flat), Shared(plan.risk, targets.numbers)]
         for_chunks(work, targets.n_regions, CHUNK, progress, shared)
-        plan.weighed = plan.weight is not None
+        plan.weighed, plan.complete = plan.weight is not None, True
         return plan.risk
 
     def refine(self, excess: float) -> None:
@@ -242,15 +241,15 @@ class FastSums:
         trees = [tree for _, tree in self._groups]
         return _Plan(self.targets, trees, kinds, reaches, self.share, allowed, mean, self._room)
 
-    def _charges(self, strength: FloatArray, values: FloatArray, weighed: bool) -> list[Charges]:
+    def _charges(self, strength: FloatArray, values: FloatArray, plan: _Plan) -> list[Charges]:
         """Charges of one pass, per group; without the strength if the weights are known."""
         charges = []
-        for group, tree in self._groups:
+        for (group, tree), used in zip(self._groups, plan.used, strict=True):
             source = np.zeros((len(group), 1 + N_VALUES))
             members = group[tree.order]
-            source[:, 0] = 0.0 if weighed else strength[members]
+            source[:, 0] = 0.0 if plan.weighed else strength[members]
             source[:, 1 : 1 + len(values)] = (strength[members] * values[:, members]).T
-            charges.append(gather(tree, source))
+            charges.append(gather(tree, source, used if plan.complete else None))
         return charges
 
     def _allowance(self, kinds: list[Kernel], reaches: list[Reach]) -> tuple[FloatArray, FloatArray]:
@@ -272,6 +271,7 @@ class _Plan:
     """Which clusters act where, for motions of the clusters up to ``reaches``; computed on demand and kept.
 
     ``weight`` (n,) of every target in the order of the bricks, known once ``weighed``; ``None`` if there is no room.
+    ``used`` (m,) for each tree, whether the interpolation points of a cluster act anywhere, known once ``complete``.
     """
 
     def __init__(
@@ -292,7 +292,8 @@ class _Plan:
         self._kept: dict[int, list[Lists]] = {}
         size = 8 * len(targets.bricks.targets)
         self.weight = np.empty(size // 8) if size <= room else None
-        self.weighed = False
+        self.weighed = self.complete = False
+        self.used = [np.zeros(len(tree.child), dtype=bool) for tree in trees]
         self._room = room - size
 
     def lists_of(self, first: int, last: int) -> list[Lists]:
@@ -306,6 +307,8 @@ class _Plan:
             list_clusters(first, last, *where, tree, reach, kind, self._allowed, self._mean, self.risk)
             for tree, reach, kind in zip(self._trees, self.reaches, self.kinds, strict=True)
         ]
+        for used, lists in zip(self.used, found, strict=True):
+            used[lists.codes[lists.codes & 1 == 0] >> 1] = True
         size = sum(lists.codes.nbytes + lists.stop.nbytes for lists in found)
         if size <= self._room:
             self._room -= size

@@ -11,6 +11,8 @@ from ..jit import inlined, kernel
 from .boxes import box_coordinate, chebyshev, fit_boxes, lagrange, place_points, points_per_side
 
 LEAF = 24
+CHARGES = 8
+"""Charges of a source: its strength and seven values."""
 
 
 class SourceTree(NamedTuple):
@@ -123,15 +125,14 @@ def _partition(members, key, first, last, middle):
 
 @kernel
 def gather_charges(tree, charges, out, active):
-    """Charges (m, c) of all interpolation points from the charges (n, c) of the sources in tree order.
+    """Charges (m, 8) of all interpolation points from the charges (n, 8) of the sources in tree order.
 
     A source's charge is shared among the points of each cluster it belongs to by their Lagrange polynomials.
     ``active`` (m,) clusters have sources with charges.
     """
     node, weight, value = np.empty((3, 32)), np.empty((3, 32)), np.empty((3, 32))
-    columns = charges.shape[1]
     for n in range(out.shape[0]):
-        for c in range(columns):
+        for c in range(CHARGES):
             out[n, c] = 0.0
     for cluster in range(tree.span.shape[0]):
         first = tree.proxy[cluster]
@@ -141,10 +142,9 @@ def gather_charges(tree, charges, out, active):
         for d in range(3):
             chebyshev(count[d], node[d], weight[d])
         for s in range(tree.span[cluster, 0], tree.span[cluster, 1]):
-            charged = False
-            for c in range(columns):
-                charged = charged or charges[s, c] != 0.0
-            if not charged:
+            c0, c1, c2, c3 = charges[s, 0], charges[s, 1], charges[s, 2], charges[s, 3]
+            c4, c5, c6, c7 = charges[s, 4], charges[s, 5], charges[s, 6], charges[s, 7]
+            if c0 == c1 == c2 == c3 == c4 == c5 == c6 == c7 == 0.0:
                 continue
             for d in range(3):
                 t = box_coordinate(tree.points, s, tree.center, tree.axes, tree.half, cluster, d)
@@ -154,7 +154,14 @@ def gather_charges(tree, charges, out, active):
                 for j in range(count[1]):
                     product = value[0, i] * value[1, j]
                     for k in range(count[2]):
-                        factor = product * value[2, k]
-                        for c in range(columns):
-                            out[n, c] += factor * charges[s, c]
+                        # One after the other, so that the compiler makes a vector of them.
+                        w = product * value[2, k]
+                        out[n, 0] += w * c0
+                        out[n, 1] += w * c1
+                        out[n, 2] += w * c2
+                        out[n, 3] += w * c3
+                        out[n, 4] += w * c4
+                        out[n, 5] += w * c5
+                        out[n, 6] += w * c6
+                        out[n, 7] += w * c7
                         n += 1

@@ -23,31 +23,42 @@ from ..exact.single import sum_groups_single
 from ..jit import inlined, kernel
 from .acceptance import Kernel, distance2, square, weight
 from .boxes import chebyshev
-from .bricks import Bricks, Regions
-from .tree import SourceTree, gather_charges
+from .bricks import Bricks, Regions, spans
+from .tree import CHARGES, SourceTree, gather_charges
 from .walk import Lists, Reach, few_nodes
 
 _STACK = 256
 
 
 class Charges(NamedTuple):
-    """Charges (columns: strength, strength times values) of sources in tree order and of interpolation points.
+    """Charges (strength, strength times values) of sources and of the interpolation points of clusters.
 
-    ``active`` (m,): whether a cluster has a source with nonzero charge; the others are skipped.
+    Attributes
+    ----------
+    rows : (n + m, 11) coordinates and charges of the sources in tree order, then of the interpolation points
+    active : whether a cluster has a source with nonzero charge; the others are skipped
+    all : whether the first or the last charge is ever nonzero; the strength is left out once weights are known, and few
+        kinds of rotation have seven values
     """
 
-    source: np.ndarray
-    proxy: np.ndarray
+    rows: np.ndarray
     active: np.ndarray
+    all: bool
 
 
-def gather(tree: SourceTree, source: FloatArray) -> Charges:
-    """:class:`Charges` from those of the sources in tree order (n, columns)."""
+def gather(tree: SourceTree, source: FloatArray, used: BoolArray | None = None) -> Charges:
+    """:class:`Charges` from those of the sources in tree order (n, 8).
+
+    With ``used`` (m,), interpolation points of the other clusters get none.
+    """
     charged = np.append(0, np.cumsum(source.any(axis=1)))
     active = charged[tree.span[:, 1]] > charged[tree.span[:, 0]]
-    proxy = np.empty((len(tree.proxies), source.shape[1]))
-    gather_charges(tree, source, proxy, active)
-    return Charges(source, proxy, active)
+    proxy = np.empty((len(tree.proxies), CHARGES))
+    gather_charges(tree, source, proxy, active if used is None else active & used)
+    n = len(source)
+    rows = np.empty((n + len(proxy), 3 + CHARGES))
+    rows[:n, :3], rows[:n, 3:], rows[n:, :3], rows[n:, 3:] = tree.points, source, tree.proxies, proxy
+    return Charges(rows, active, bool(source[:, [0, -1]].any()))
 
 
 def cluster_reach(tree: SourceTree, strength: FloatArray, shift: FloatArray, turn: FloatArray) -> Reach:
@@ -119,47 +130,20 @@ def sum_lists(
     places: Places, tree: SourceTree, charges: Charges, lists: Lists, function: Kernel, out: FloatArray
 ) -> BoolArray:
     """Weighted sums over one tree at all places, added to ``out`` (n, 8); returns which (items,) have any."""
-    number = lists.codes >> 1
-    size = np.where(lists.codes & 1, np.diff(tree.span)[number, 0], np.diff(tree.proxy)[number])
-    packed = np.empty((3 + charges.source.shape[1], size.sum()))
-    span = np.empty((len(lists.stop), 2), dtype=np.int64)
-    _pack(tree, charges, lists, packed, span)
+    number, raw = lists.codes >> 1, lists.codes & 1 == 1
+    active = charges.active[number]
+    number, raw = number[active], raw[active]
+    # Rows of the clusters: those of their sources, or of their interpolation points.
+    rows = np.where(
+        raw, tree.span[number].T, len(tree.order) + np.stack([tree.proxy[number], tree.proxy[number + 1]])
+    ).T
+    stop = np.append(0, np.cumsum(active))[np.append(0, lists.stop)]
+    clusters = np.ascontiguousarray(rows), spans(stop)
     if function.single:
-        sum_groups_single(places.points, places.span, packed, span, function.kappa, out)
+        sum_groups_single(places.points, places.span, charges.rows, *clusters, function.kappa, charges.all, out)
     else:
-        sum_groups(places.points, places.span, packed, span, function.a, function.b, function.kappa, out)
-    return span[:, 1] > span[:, 0]
-
-
-@kernel
-def _pack(tree, charges, lists, packed, span):
-    """Coordinates and charges of the listed clusters, in the rows of ``packed``, and the rows of each list."""
-    start = n = 0
-    for item in range(lists.stop.size):
-        span[item, 0] = n
-        for at in range(start, lists.stop[item]):
-            c = lists.codes[at] >> 1
-            if charges.active[c]:
-                if lists.codes[at] & 1:
-                    n = _append(tree.points, charges.source, tree.span[c, 0], tree.span[c, 1], packed, n)
-                else:
-                    n = _append(tree.proxies, charges.proxy, tree.proxy[c], tree.proxy[c + 1], packed, n)
-        start = lists.stop[item]
-        span[item, 1] = n
-
-
-@inlined
-def _append(points, charges, first, last, packed, n):
-    for s in range(first, last):
-        for d in range(3):
-            packed[d, n] = points[s, d]
-        charged = False
-        for k in range(charges.shape[1]):
-            packed[3 + k, n] = charges[s, k]
-            charged = charged or charges[s, k] != 0.0
-        # An entry without charge is overwritten by the next.
-        n += 1 if charged else 0
-    return n
+        sum_groups(places.points, places.span, charges.rows, *clusters, function.a, function.b, function.kappa, out)
+    return stop[1:] > stop[:-1]
 
 
 @kernel
