@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..errors import GridError
+from ..numerics.arrays import extent
 from .blocks import Grid
 
 _SMALLEST = 1e-100
@@ -21,7 +22,7 @@ def require_extent(grid: Grid) -> None:
         With the extent of the nodes.
     """
     some = grid.points[:: max(1, grid.n_nodes // _SAMPLE)]
-    low, high = grid.points.min(axis=0), grid.points.max(axis=0)
+    low, high = extent(grid.points)
     size = float((high - low).max())
     if not size > _SMALLEST:
         raise GridError(f"all nodes lie within {size:.3g} of {low.tolist()}; expected a grid with a larger extent")

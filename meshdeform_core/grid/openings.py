@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..numerics.arrays import extent
 from ..numerics.geometry.coincidence import close_pairs, distinct, equal_rows
 from ..numerics.geometry.distance import distance_to_faces
 from .blocks import FloatArray, Grid, IntArray, Side, Window
@@ -22,6 +23,9 @@ _ABUTTING = 0.1
 """Faces whose middle lies closer than this part of its shortest edge to another face touch it."""
 _SAMPLES = 48
 _FEWEST = 2
+
+Box = tuple[FloatArray, FloatArray]
+"""Smallest and largest coordinates."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +87,9 @@ def find_openings(grid: Grid, topology: Topology) -> tuple[Opening | Overlap, ..
 
 
 def _near_partners(grid: Grid, topology: Topology, outside: IntArray) -> tuple[IntArray, FloatArray, FloatArray]:
-    """The outside quad (n_quads,) with nearly the same corners, or -1; distance of the corners, and over the edge."""
+    """The outside quad (n_quads,) with nearly the same corners, or -1; how far nodes (n_unique,) are apart, and over
+    the edge.
+    """
     corners = topology.quads.corners
     nodes = distinct(corners[outside], topology.n_unique)
     points, edge = grid.points[topology.first[nodes]], topology.edge[nodes]
@@ -102,7 +108,7 @@ def _near_partners(grid: Grid, topology: Topology, outside: IntArray) -> tuple[I
     partner, _ = equal_rows(rows[sound])
     quads = outside[sound]
     paired[quads] = np.where(partner >= 0, quads[partner], -1)
-    return paired, gap[corners].max(axis=1), relative[corners].max(axis=1)
+    return paired, gap, relative
 
 
 def _matching(grid: Grid, topology: Topology, paired: IntArray, gap: FloatArray, relative: FloatArray) -> list[Opening]:
@@ -121,7 +127,8 @@ def _matching(grid: Grid, topology: Topology, paired: IntArray, gap: FloatArray,
                 mine &= partner > np.arange(span.start, span.stop)
             for window, quads in _windows(grid, topology, block, side, mine):
                 partner_side = int(other) // 6, Side(int(other) % 6)
-                worst = float(gap[quads].max()), float(relative[quads].max())
+                corners = topology.quads.corners[quads]
+                worst = float(gap[corners].max()), float(relative[corners].max())
                 found.append(Opening(quads, window, block, side, *partner_side, *worst, matching=True))
     return found
 
@@ -146,13 +153,13 @@ def _abutting(grid: Grid, topology: Topology, paired: IntArray) -> list[Opening]
     points = grid.points[topology.first]
     patches = {int(own): np.flatnonzero(rest[_span(topology, own)]) + _span(topology, own).start for own in sides}
     corners = {own: points[topology.quads.corners[quads]] for own, quads in patches.items()}
-    boxes = {own: (x.min(axis=(0, 1)), x.max(axis=(0, 1))) for own, x in corners.items()}
+    boxes = {own: extent(x) for own, x in corners.items()}
     found = []
     for own, quads in patches.items():
         for other in patches:
             if other == own or not _overlap(boxes[own], boxes[other]):
                 continue
-            touching, gap, relative = _touching(corners[own], corners[other])
+            touching, gap, relative = _touching(corners[own], corners[other], boxes[other])
             if len(touching) >= _FEWEST:
                 block, side = own // 6, Side(own % 6)
                 mine = np.isin(np.arange(_span(topology, own).start, _span(topology, own).stop), quads)
@@ -165,19 +172,22 @@ def _span(topology: Topology, own: int) -> slice:
     return topology.quads.of_side(int(own) // 6, Side(int(own) % 6))
 
 
-def _overlap(one: tuple[FloatArray, FloatArray], two: tuple[FloatArray, FloatArray]) -> bool:
+def _overlap(one: Box, two: Box) -> bool:
     slack = 1e-6 * float(np.linalg.norm(one[1] - one[0]))
     return bool((one[0] <= two[1] + slack).all() and (two[0] <= one[1] + slack).all())
 
 
-def _touching(own: FloatArray, other: FloatArray) -> tuple[IntArray, float, float]:
-    """Samples of quads (n, c, 3) whose middles lie on the quads (m, c, 3), the largest distance, also over the edge."""
+def _touching(own: FloatArray, other: FloatArray, box: Box) -> tuple[IntArray, float, float]:
+    """Samples of quads (n, c, 3) whose middles lie on the quads (m, c, 3), the largest distance, also over the edge.
+
+    ``box``: extent of the quads (m, c, 3).
+    """
     sample = np.unique(np.linspace(0, len(own) - 1, min(len(own), _SAMPLES)).astype(int))
     edges = np.linalg.norm(own[sample] - np.roll(own[sample], 1, axis=1), axis=2)
     edge = np.where(edges > 0, edges, np.inf).min(axis=1)
     middle = own[sample].mean(axis=1)
     slack = _ABUTTING * edge[:, None]
-    inside = ((middle >= other.min(axis=(0, 1)) - slack) & (middle <= other.max(axis=(0, 1)) + slack)).all(axis=1)
+    inside = ((middle >= box[0] - slack) & (middle <= box[1] + slack)).all(axis=1)
     distance = np.full(len(sample), np.inf)
     if inside.sum() >= _FEWEST:
         distance[inside] = distance_to_faces(middle[inside], other)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..numerics.arrays import extent
 from ..numerics.geometry.distance import distance_to_faces
 from ..numerics.geometry.solid_angle import plane_winding, winding
 from .blocks import FloatArray, Grid, IntArray, Side, Window
@@ -63,7 +64,7 @@ class Overlap:
 def find_overlaps(grid: Grid, topology: Topology) -> list[Overlap]:
     """Outside faces inside other blocks, found from samples of the quads of each block side."""
     quads = topology.quads
-    boxes = [(grid.block(b).min(axis=(0, 1, 2)), grid.block(b).max(axis=(0, 1, 2))) for b in range(grid.n_blocks)]
+    boxes = [extent(grid.block(b)) for b in range(grid.n_blocks)]
     surfaces: dict[int, _Surface] = {}
     found = []
     for own in np.unique(quads.block_side[topology.external]):

@@ -259,18 +259,26 @@ def _side_corners(nodes: IntArray, side: Side, dimension: int, handedness: int) 
 
     In 2-D the direction is such that the outside lies to the right, looking against the plane's positive normal.
     """
-    outward = (1 if side % 2 else -1) * handedness
     if dimension == 2:
         line = nodes.ravel()
+        corners = [line[:-1], line[1:]]
+    else:
+        corners = [c.ravel() for c in (nodes[:-1, :-1], nodes[1:, :-1], nodes[1:, 1:], nodes[:-1, 1:])]
+    return np.stack(corners if in_index_order(side, nodes.shape, dimension, handedness) else corners[::-1], axis=1)
+
+
+def in_index_order(side: Side, shape: tuple[int, ...], dimension: int, handedness: int) -> bool:
+    """Whether the corners of a side's quads go round in the order of its indices, not in the opposite one.
+
+    ``shape``: nodes along ``side.tangential``.
+    """
+    outward = (1 if side % 2 else -1) * handedness
+    if dimension == 2:
         # (i, j), (j, k) planes are cyclic, the (i, k) plane is not: the same rule as for the normals in 3-D.
-        first_axis = side.axis < min(a for a, n in zip(side.tangential, nodes.shape, strict=True) if n > 1)
-        forward = outward > 0 if first_axis else outward < 0
-        pair = (line[:-1], line[1:])
-        return np.stack(pair if forward else pair[::-1], axis=1)
-    around = (nodes[:-1, :-1], nodes[1:, :-1], nodes[1:, 1:], nodes[:-1, 1:])
+        first_axis = side.axis < min(a for a, n in zip(side.tangential, shape, strict=True) if n > 1)
+        return outward > 0 if first_axis else outward < 0
     # e_b x e_c points along +a for a = i and k, along -a for a = j.
-    cyclic = -1 if side.axis == 1 else 1
-    return np.stack([c.ravel() for c in (around if outward * cyclic > 0 else around[::-1])], axis=1)
+    return outward > 0 if side.axis != 1 else outward < 0
 
 
 def _partners(corners: IntArray, shared: np.ndarray) -> tuple[IntArray, int]:

@@ -18,6 +18,7 @@ from ..grid import FloatArray, Grid, IntArray, Side
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology, end_planes, inward_step, side_nodes
 from ..memory import UNLIMITED, MemoryLimit
+from ..numerics.arrays import distinct_pairs
 from ..numerics.geometry.coincidence import distinct
 from ..numerics.rotation import SurfaceRotations
 
@@ -148,7 +149,7 @@ def _rings(quads: IntArray) -> tuple[IntArray, IntArray]:
     corners = np.stack([a.ravel() for a in around], axis=1)
     pairs = np.concatenate([corners[:, :2], corners[:, ::2]])
     pairs = pairs[pairs[:, 0] != pairs[:, 1]]
-    return corners, np.unique(pairs, axis=0)
+    return corners, distinct_pairs(pairs)
 
 
 @dataclass(frozen=True)

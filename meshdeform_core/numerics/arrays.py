@@ -1,4 +1,4 @@
-"""Types of arrays, and of what reports progress."""
+"""Types of arrays and of what reports progress; reductions over many short rows."""
 
 from __future__ import annotations
 
@@ -16,3 +16,27 @@ Shapes = Sequence[tuple[int, int, int]] | IntArray
 """Numbers of nodes along i, j, k of blocks."""
 Report = Callable[[int, int], None]
 """``report(done, total)``, called while a loop runs."""
+
+_TOGETHER = 64
+
+
+def extent(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Smallest and largest coordinates (3,) of points (..., 3).
+
+    Many points side by side form a row: numpy reduces long rows much faster than short ones.
+    """
+    rows = np.ascontiguousarray(points).reshape(-1, 3)
+    even = len(rows) // _TOGETHER * _TOGETHER
+    long, rest = rows[:even].reshape(-1, 3 * _TOGETHER), rows[even:]
+    if even:
+        low, high = (extreme(long, axis=0).reshape(-1, 3) for extreme in (np.min, np.max))
+        return np.concatenate([low, rest]).min(axis=0), np.concatenate([high, rest]).max(axis=0)
+    return rest.min(axis=0), rest.max(axis=0)
+
+
+def distinct_pairs(pairs: IntArray) -> IntArray:
+    """The different rows of pairs (n, 2) of non-negative integers, in lexicographical order."""
+    if not len(pairs):
+        return pairs
+    base = int(pairs.max()) + 1
+    return np.stack(np.divmod(np.unique(pairs[:, 0] * base + pairs[:, 1]), base), axis=1)

@@ -76,9 +76,6 @@ kernel = _compiled(no_cfunc_wrapper=True)
 fast_kernel = _compiled(no_cfunc_wrapper=True, fastmath=True)
 """Decorator for sums: additions may be reordered, so that they become vector instructions."""
 
-single_kernel = _compiled(no_cfunc_wrapper=True, fastmath={"contract", "arcp", "afn"})
-"""Decorator for loops in single precision: approximate reciprocals and roots, refined once, no reordering."""
-
 contracted_kernel = _compiled(no_cfunc_wrapper=True, fastmath={"contract"}, forceinline=True)
 """Decorator for functions that may fuse multiplications with additions but must keep their order."""
 

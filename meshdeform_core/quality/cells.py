@@ -11,7 +11,7 @@ from ..grid import FloatArray, Grid, IntArray
 from ..numerics.cell.measures import measure_hexahedra, measure_quads
 from ..parallel import Shared, for_chunks
 
-_SLAB_CELLS = 32768
+_SLAB_CELLS = 131072
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class Slab:
 
 
 def slabs(grid: Grid) -> list[Slab]:
-    """All cells of a grid in slabs of about 32,000, which bound the memory that the measures take."""
+    """All cells of a grid in slabs of about 130,000, which bound the memory that the measures take."""
     found, start = [], 0
     for block, (ci, cj, ck) in enumerate(grid.cell_shapes):
         step = max(1, _SLAB_CELLS // (cj * ck))

@@ -111,7 +111,7 @@ def _hexahedra(original: Original, after: FloatArray, slab: Slab, both: bool) ->
 
 def _scale(x: FloatArray, slab: Slab) -> float:
     """One over the size of a cell, to within some orders of magnitude."""
-    part = x[[slab.first, slab.last]][:, [0, -1]][:, :, [0, x.shape[2] // 2]].reshape(-1, 3)
+    part = x[np.ix_([slab.first, slab.last], [0, -1], [0, x.shape[2] // 2])].reshape(-1, 3)
     size = float(np.abs(part - part.mean(axis=0)).max()) / max(x.shape[1:3])
     return 2.0 ** -round(np.log2(size)) if 0.0 < size < np.inf else 1.0
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..boundary import Boundary, Kind
 from ..grid import BoolArray, FloatArray, Grid, IntArray, Side
-from ..grid.topology import Topology, inward_step, side_nodes
+from ..grid.topology import Topology, in_index_order, inward_step, side_nodes
 from ..numerics.geometry.coincidence import distinct
 
 
@@ -42,9 +43,8 @@ def lines_across(grid: Grid, topology: Topology, quads: IntArray) -> tuple[Inter
 
     Returns the lines and the block sides of the quads and of their partners.
     """
-    here, side = _corners(grid, topology, quads)
-    other, other_side = _corners(grid, topology, topology.partner[quads])
-    number, partner_number = topology.numbers_of(here), topology.numbers_of(other)
+    here, number, side = _corners(grid, topology, quads)
+    other, partner_number, other_side = _corners(grid, topology, topology.partner[quads])
     match = np.argmax(partner_number[:, None, :] == number[:, :, None], axis=2)
     there, steps = np.take_along_axis(other, match, axis=1), _inward_steps(grid)
     before, beyond = here + steps[side][:, None], there + steps[other_side][:, None]
@@ -56,10 +56,11 @@ def _inward_steps(grid: Grid) -> IntArray:
     return np.array([inward_step(shape, side) for shape in grid.shapes for side in Side], dtype=np.int64)
 
 
-def _corners(grid: Grid, topology: Topology, quads: IntArray) -> tuple[IntArray, IntArray]:
-    """Flat corner nodes (n, 4) (in 2-D (n, 2)) of face quads and the block side of each."""
+def _corners(grid: Grid, topology: Topology, quads: IntArray) -> tuple[IntArray, IntArray, IntArray]:
+    """Corners (n, 4) (in 2-D (n, 2)) of face quads, as flat nodes and as unique nodes, and the block side of each."""
     side_of = topology.quads.block_side[quads]
-    width = topology.quads.corners.shape[1]
+    numbers = topology.quads.corners[quads]
+    width = numbers.shape[1]
     corners = np.empty((len(quads), width), dtype=np.int64)
     for block_side in distinct(side_of, 6 * grid.n_blocks):
         block, side = int(block_side) // 6, Side(int(block_side) % 6)
@@ -73,19 +74,25 @@ def _corners(grid: Grid, topology: Topology, quads: IntArray) -> tuple[IntArray,
             u, v = np.divmod(local, topology.quads.counts[block, side, 1])
             around = [nodes[u, v], nodes[u + 1, v], nodes[u + 1, v + 1], nodes[u, v + 1]]
             corners[mine] = np.stack(around, axis=1)
-    return corners, side_of
+        if not in_index_order(side, nodes.shape, grid.dimension, int(topology.handedness[block])):
+            numbers[mine] = numbers[mine, ::-1]
+    return corners, numbers, side_of
 
 
 def kink_and_jump(lines: InterfaceLines, points: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Angle (degrees) between the two segments that meet at an interface, and ln of the ratio of their lengths."""
-    inner = points[lines.here] - points[lines.before]
-    outer = points[lines.beyond] - points[lines.there]
-    lengths = np.linalg.norm(inner, axis=-1), np.linalg.norm(outer, axis=-1)
-    sine = np.linalg.norm(np.cross(inner, outer), axis=-1)
-    angle = np.rad2deg(np.arctan2(sine, np.einsum("...i,...i->...", inner, outer)))
+    # Component by component: operations on so short an axis would be slow.
+    u = list(np.moveaxis(points[lines.here] - points[lines.before], -1, 0).copy())
+    v = list(np.moveaxis(points[lines.beyond] - points[lines.there], -1, 0).copy())
+    normal = u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
+    angle = np.rad2deg(np.arctan2(np.sqrt(_dot(normal, normal)), _dot(u, v)))
     with np.errstate(divide="ignore", invalid="ignore"):
-        jump = np.log(lengths[1] / lengths[0])
+        jump = 0.5 * np.log(_dot(v, v) / _dot(u, u))
     return angle, np.where(np.isfinite(jump), jump, 0.0)
+
+
+def _dot(u: Sequence[FloatArray], v: Sequence[FloatArray]) -> FloatArray:
+    return np.asarray(u[0] * v[0] + u[1] * v[1] + u[2] * v[2])
 
 
 @dataclass(frozen=True)

@@ -121,8 +121,9 @@ class Tally:
         at = max(0, -(-n // 100) - 1)
         # Only the cells in the lowest bins are copied and sorted, as there may be millions.
         last = int(np.searchsorted(np.cumsum(histogram), at, side="right"))
+        bound = np.float32((last + 1) / HISTOGRAM_BINS + 1e-5)
         parts = np.array_split(self.skews, len(self.counts))
-        lowest = np.concatenate([part[_bins(part) <= last] for part in parts])
+        lowest = np.concatenate([part[part < bound] for part in parts])
         p01 = float(np.partition(lowest, at)[at])
         harmonic = n / float(inverse) if np.isfinite(inverse) else 0.0
         return Skew(harmonic, float(total) / n, float(self.lows[:, 0].min()), p01, tuple(histogram.tolist()))

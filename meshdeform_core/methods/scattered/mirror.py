@@ -10,6 +10,7 @@ from ...boundary import Kind
 from ...grid import BoolArray, FloatArray, IntArray
 from ...grid.planes import Plane
 from ...grid.topology import RELATIVE_TOLERANCE
+from ...numerics.arrays import distinct_pairs
 from ..base import Problem
 
 
@@ -66,5 +67,5 @@ def _reflected(images: Images, plane: Plane, problem: Problem) -> Images:
         np.concatenate([images.reflection, mirror @ images.reflection[off]]),
         np.concatenate([images.moving, images.moving[off]]),
         np.concatenate([images.corners, image_of[images.corners][:, order]]),
-        np.unique(np.concatenate([images.edges, image_of[images.edges]]), axis=0),
+        distinct_pairs(np.concatenate([images.edges, image_of[images.edges]])),
     )

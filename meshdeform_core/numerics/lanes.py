@@ -1,0 +1,234 @@
+"""Vector code in numba loops: sixteen numbers in single precision at a time.
+
+A loop that computes a hundred numbers from fifty rows of one array stays scalar, as the compiler cannot tell that the
+rows are apart, and pieces short enough for it spend their time on storing what the next one loads. Here formulas in
+Python append the vector instructions themselves; LLVM fits them to the registers of the processor. They also compile
+faster than the same formulas in a loop, as numba does not have to infer the type of every term.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils, errors
+from numba.extending import intrinsic
+
+WIDTH = 16
+"""Numbers in a vector: an AVX-512 register, two of AVX2, four of NEON."""
+
+_SINGLE, _DOUBLE, _INTEGER = (ir.VectorType(kind, WIDTH) for kind in (ir.FloatType(), ir.DoubleType(), ir.IntType(32)))
+_BYTES = ir.VectorType(ir.IntType(8), WIDTH)
+# Fused multiplications and additions, approximate reciprocals and roots refined once; no reordering, not-a-number kept.
+_FLAGS = ("contract", "arcp", "afn")
+
+
+class Lanes:
+    """Sixteen numbers of one type; operators append instructions."""
+
+    def __init__(self, builder: ir.IRBuilder, value: ir.Value):
+        self.builder, self.value = builder, value
+
+    def __add__(self, other: Lanes | float) -> Lanes:
+        return self._with(other, self.builder.fadd)
+
+    def __sub__(self, other: Lanes | float) -> Lanes:
+        return self._with(other, self.builder.fsub)
+
+    def __mul__(self, other: Lanes | float) -> Lanes:
+        return self._with(other, self.builder.fmul)
+
+    def __truediv__(self, other: Lanes | float) -> Lanes:
+        return self._with(other, self.builder.fdiv)
+
+    def __rsub__(self, other: float) -> Lanes:
+        return self._same(other) - self
+
+    def __rtruediv__(self, other: float) -> Lanes:
+        return self._same(other) / self
+
+    __radd__, __rmul__ = __add__, __mul__
+
+    def below(self, other: Lanes | float) -> Mask:
+        """Where this is smaller; nowhere for not-a-number."""
+        return Mask(self.builder, self.builder.fcmp_ordered("<", self.value, self._same(other).value))
+
+    def min(self, other: Lanes | float) -> Lanes:
+        """The smaller one, ``other`` where one of them is not a number."""
+        return self.below(other).choose(self, self._same(other))
+
+    def max(self, other: Lanes | float) -> Lanes:
+        """The larger one, ``other`` where one of them is not a number."""
+        other = self._same(other)
+        return other.below(self).choose(self, other)
+
+    def sqrt(self) -> Lanes:
+        kind, bits = self.value.type, 32 if self.value.type == _SINGLE else 64
+        name = f"llvm.sqrt.v{WIDTH}f{bits}"
+        function = cgutils.get_or_insert_function(self.builder.module, ir.FunctionType(kind, [kind]), name)
+        return Lanes(self.builder, self.builder.call(function, [self.value], fastmath=_FLAGS))
+
+    def bits(self) -> Lanes:
+        """Single precision: its bits as a number."""
+        integer = self.builder.bitcast(self.value, _INTEGER)
+        return Lanes(self.builder, self.builder.sitofp(integer, _SINGLE))
+
+    def from_bits(self) -> Lanes:
+        """Single precision: the number with these bits."""
+        return Lanes(self.builder, self.builder.bitcast(self.whole(), _SINGLE))
+
+    def whole(self) -> ir.Value:
+        """Whole numbers below, in 32 bits."""
+        return self.builder.fptosi(self.value, _INTEGER)
+
+    def single(self) -> Lanes:
+        """From double to single precision."""
+        return Lanes(self.builder, self.builder.fptrunc(self.value, _SINGLE))
+
+    def double(self) -> Lanes:
+        """From single to double precision."""
+        return Lanes(self.builder, self.builder.fpext(self.value, _DOUBLE))
+
+    def _same(self, other: Lanes | float) -> Lanes:
+        if isinstance(other, Lanes):
+            return other
+        return Lanes(self.builder, ir.Constant(self.value.type, [float(other)] * WIDTH))
+
+    def _with(self, other: Lanes | float, operation: Callable[..., ir.Value]) -> Lanes:
+        return Lanes(self.builder, operation(self.value, self._same(other).value, flags=_FLAGS))
+
+
+class Mask:
+    """Sixteen answers, yes or no."""
+
+    def __init__(self, builder: ir.IRBuilder, value: ir.Value):
+        self.builder, self.value = builder, value
+
+    def __and__(self, other: Mask) -> Mask:
+        return Mask(self.builder, self.builder.and_(self.value, other.value))
+
+    def choose(self, yes: Lanes, no: Lanes | float) -> Lanes:
+        return Lanes(self.builder, self.builder.select(self.value, yes.value, yes._same(no).value))
+
+
+class Array:
+    """The data of a contiguous array; ``at + further`` counts numbers from its first one."""
+
+    def __init__(self, builder: ir.IRBuilder, data: ir.Value, kind: ir.Type):
+        self.builder, self._data, self._kind = builder, data, kind
+
+    def load(self, at: ir.Value, further: int = 0) -> Lanes:
+        vector = ir.VectorType(self._kind, WIDTH)
+        return Lanes(self.builder, self.builder.load(self._pointer(at, further, vector), align=_bytes(self._kind)))
+
+    def store(self, at: ir.Value, lanes: Lanes | ir.Value, further: int = 0) -> None:
+        value = lanes.value if isinstance(lanes, Lanes) else lanes
+        self.builder.store(value, self._pointer(at, further, value.type), align=_bytes(self._kind))
+
+    def add(self, at: ir.Value, lanes: Lanes, further: int = 0) -> None:
+        self.store(at, self.load(at, further) + lanes, further)
+
+    def load_some(self, at: ir.Value, count: ir.Value) -> Lanes:
+        """The first ``count`` of sixteen numbers; nothing beyond is read."""
+        kind = ir.VectorType(self._kind, WIDTH)
+        value = self._masked("load", at, kind, [], [ir.Constant(kind, ir.Undefined)], count)
+        return Lanes(self.builder, value)
+
+    def store_some(self, at: ir.Value, lanes: Lanes | Mask, count: ir.Value) -> None:
+        """Store the first ``count`` of sixteen numbers, or of sixteen answers in bytes."""
+        value = lanes.value if isinstance(lanes, Lanes) else self.builder.zext(lanes.value, _BYTES)
+        self._masked("store", at, value.type, [value], [], count)
+
+    def _masked(
+        self, verb: str, at: ir.Value, kind: ir.Type, first: list[ir.Value], last: list[ir.Value], count: ir.Value
+    ) -> ir.Value:
+        builder = self.builder
+        number = builder.trunc(count, ir.IntType(32)) if count.type.width > 32 else count
+        one = builder.insert_element(ir.Constant(_INTEGER, ir.Undefined), number, ir.Constant(ir.IntType(32), 0))
+        every = builder.shuffle_vector(one, one, ir.Constant(_INTEGER, [0] * WIDTH))
+        mask = builder.icmp_signed("<", ir.Constant(_INTEGER, list(range(WIDTH))), every)
+        pointer, align = self._pointer(at, 0, kind), ir.Constant(ir.IntType(32), _bytes(self._kind))
+        values = [*first, pointer, align, mask, *last]
+        result = ir.VoidType() if verb == "store" else kind
+        element = {_BYTES: "i8", _SINGLE: "f32", _DOUBLE: "f64"}[kind]
+        name = f"llvm.masked.{verb}.v{WIDTH}{element}.p0"
+        types_of = ir.FunctionType(result, [value.type for value in values])
+        return builder.call(cgutils.get_or_insert_function(builder.module, types_of, name), values)
+
+    def count(self, at: ir.Value, bins: Lanes, row: int) -> None:
+        """Add one to the number ``bins`` of each lane in a row of its own; rows have ``row`` numbers."""
+        whole, kind = bins.whole(), ir.IntType(32)
+        for lane in range(WIDTH):
+            place = self.builder.zext(self.builder.extract_element(whole, ir.Constant(kind, lane)), at.type)
+            place = self.builder.add(self.builder.add(at, place), ir.Constant(at.type, lane * row))
+            pointer = self.builder.gep(self._data, [place])
+            self.builder.store(self.builder.add(self.builder.load(pointer), ir.Constant(kind, 1)), pointer)
+
+    def load_points(self, at: ir.Value) -> list[Lanes]:
+        """Sixteen points in order, three numbers each: three vectors, see :func:`components`."""
+        return [self.load(at, WIDTH * n) for n in range(3)]
+
+    def _pointer(self, at: ir.Value, further: int, vector: ir.Type) -> ir.Value:
+        place = self.builder.add(at, ir.Constant(at.type, further))
+        return self.builder.bitcast(self.builder.gep(self._data, [place]), vector.as_pointer())
+
+
+def _bytes(kind: ir.Type) -> int:
+    return {ir.DoubleType(): 8, ir.FloatType(): 4}.get(kind, 1)
+
+
+def components(points: list[Lanes]) -> list[Lanes]:
+    """The x, y and z of sixteen points whose numbers follow one another in three vectors."""
+    one, two, three = points
+    found = []
+    for axis in range(3):
+        # Of number n of the component: place 3 n + axis, among the first two vectors and then the third.
+        places = [3 * n + axis for n in range(WIDTH)]
+        early = _shuffle(one, two, [min(place, 2 * WIDTH - 1) for place in places])
+        found.append(_shuffle(early, three, [n if p < 2 * WIDTH else p - WIDTH for n, p in enumerate(places)]))
+    return found
+
+
+def _shuffle(one: Lanes, two: Lanes, places: list[int]) -> Lanes:
+    mask = ir.Constant(_INTEGER, places)
+    return Lanes(one.builder, one.builder.shuffle_vector(one.value, two.value, mask))
+
+
+def lanes(emit: Callable[..., None]) -> Any:
+    """Decorator: a function for numba loops whose instructions ``emit`` appends.
+
+    Its arguments are :class:`Array` for contiguous arrays, whole numbers (``ir.Value``), and :class:`Lanes` of sixteen
+    equal ones for numbers in single precision.
+    """
+
+    def define(typing_context: Any, *kinds: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            values = zip(signature.args, arguments, strict=True)
+            emit(*(_argument(context, builder, kind, value) for kind, value in values))
+            return context.get_dummy_value()
+
+        return types.void(*kinds), generate
+
+    names = ("typing_context", *inspect.signature(emit).parameters)
+    define.__name__, define.__doc__ = emit.__name__, emit.__doc__
+    # numba looks for the names of the arguments.
+    define.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+        [inspect.Parameter(name, inspect.Parameter.POSITIONAL_OR_KEYWORD) for name in names]
+    )
+    return intrinsic(define)
+
+
+def _argument(context: Any, builder: ir.IRBuilder, kind: Any, value: ir.Value) -> Any:
+    if isinstance(kind, types.Array):
+        if kind.layout != "C":
+            raise errors.TypingError(f"{kind} is not contiguous")
+        return Array(
+            builder, context.make_array(kind)(context, builder, value).data, context.get_value_type(kind.dtype)
+        )
+    if isinstance(kind, types.Integer):
+        return value
+    single = builder.insert_element(ir.Constant(_SINGLE, ir.Undefined), value, ir.Constant(ir.IntType(32), 0))
+    return Lanes(builder, builder.shuffle_vector(single, single, ir.Constant(_INTEGER, [0] * WIDTH)))
