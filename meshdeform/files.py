@@ -59,4 +59,6 @@ def write(grid: Grid, path: str | Path, *, force: bool = False, **variant: str) 
 def _path(path: object) -> Path:
     if not isinstance(path, str | Path):
         raise FormatError(f"file name {path!r} is a {type(path).__name__}; expected a string or a Path")
+    if "\0" in str(path):
+        raise FormatError(f"file name {str(path)!r} has a null character; expected the name of a file")
     return Path(path)

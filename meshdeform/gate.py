@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import math
+import numbers
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from meshdeform_core.boundary.motion import LARGEST
 from meshdeform_core.errors import MeshDeformError
 from meshdeform_core.grid import FloatArray
 
@@ -26,9 +30,12 @@ def checked_array(
     Raises
     ------
     error
-        When it is not an array of real numbers, has the wrong shape, or contains non-finite values.
+        When it is not an array of real numbers, carries a unit, has the wrong shape, or contains values that are not
+        finite or too large for any grid.
     """
     expected = f"expected ({', '.join('n' if n is None else str(n) for n in shape)}): {meaning}"
+    if unit := _unit_of(values):
+        raise error(f"{what} has the unit {unit!r}; expected plain numbers in the length unit of the grid")
     try:
         array = np.asanyarray(values)
     except ValueError as failure:
@@ -45,6 +52,12 @@ def checked_array(
     return result
 
 
+def _unit_of(values: Any) -> str:
+    """The unit that an array of another package carries, and would lose here; empty if there is none."""
+    unit = getattr(values, "units", getattr(values, "unit", None))
+    return "" if unit is None or callable(unit) else str(unit)
+
+
 def _require_finite(array: FloatArray, what: str, error: type[MeshDeformError]) -> None:
     finite = np.isfinite(array)
     if not finite.all():
@@ -53,3 +66,24 @@ def _require_finite(array: FloatArray, what: str, error: type[MeshDeformError]) 
             f"{what} has {int((~finite).sum())} values that are not finite, the first is {array[at]} at index "
             f"{list(at)}; expected finite numbers"
         )
+    largest = float(np.abs(array).max(initial=0.0))
+    if largest > LARGEST:
+        raise error(f"{what} has values up to {largest:.3g}; expected lengths up to {LARGEST:g}")
+
+
+def checked_time(value: Any, error: type[MeshDeformError]) -> float:
+    """A time as a number.
+
+    Raises
+    ------
+    error
+        When it is not a finite number.
+    """
+    if isinstance(value, bool) or not isinstance(value, numbers.Real) or not math.isfinite(value):
+        raise error(f"time = {value!r}; expected a finite number")
+    return float(value)
+
+
+def whole(value: Any) -> Any:
+    """A whole number of any type, such as numpy's, as ``int``; anything else as it is."""
+    return int(value) if isinstance(value, numbers.Integral) and not isinstance(value, bool) else value

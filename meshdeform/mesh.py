@@ -11,17 +11,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from meshdeform_core.boundary import Kind
+from meshdeform_core.boundary.motion import SMALLEST
 from meshdeform_core.boundary.prescribed import given_displacement
 from meshdeform_core.deform import BoundaryMotion, Setup, Start, Timing, impose
-from meshdeform_core.errors import MotionError
+from meshdeform_core.errors import CaseError, MotionError
 from meshdeform_core.grid import BoolArray, FloatArray, IntArray
 from meshdeform_core.methods import PreparedMethod, Progress, make_method, remembering
 from meshdeform_core.parallel import Ranks, sharing
 from meshdeform_core.repair.options import Mode
 
-from .gate import checked_array
+from .gate import checked_array, checked_time, whole
 from .grids import Grid
 from .step import Step
+from .turns import one_at_a_time
 
 Displacement = ArrayLike | Mapping[str, ArrayLike] | Callable[[FloatArray, float], ArrayLike]
 
@@ -30,7 +32,8 @@ class Mesh:
     """A grid, its classified boundary and a prepared method; made by :func:`meshdeform.prepare`.
 
     Every :meth:`deform` starts from the undeformed grid: the same displacement gives the same step, independent of
-    earlier calls (to the solver's tolerance where RBF systems are solved iteratively).
+    earlier calls (to the solver's tolerance where RBF systems are solved iteratively). Calls from several threads take
+    turns, as each uses all cores.
     """
 
     def __init__(self, setup: Setup, plane: bool, ranks: Ranks, threads: int | None):
@@ -128,10 +131,14 @@ class Mesh:
         Raises
         ------
         MotionError
-            When an array has the wrong shape or contains non-finite values, or patches disagree at shared nodes.
+            When an array has the wrong shape, carries a unit or contains values that are not finite, or patches
+            disagree at shared nodes.
         """
-        with sharing(self._ranks, self._threads):
-            motion = self._motion(displacement, float(time))
+        moment, steps = checked_time(time, MotionError), whole(steps)
+        if steps is True:
+            raise CaseError('steps = True; expected a whole number >= 1 or "auto"')
+        with one_at_a_time(), sharing(self._ranks, self._threads):
+            motion = self._motion(displacement, moment)
             timing = Timing()
             setup = self._setup if repair is None else self._setup.with_repair(repair)
             start = Start(setup.grid.points, self._method(timing))
@@ -163,6 +170,7 @@ class Mesh:
         else:
             values = self._checked(displacement, "displacement", len(self.points))
         setup = self._setup
+        values = np.where(np.abs(values) < SMALLEST, 0.0, values)
         total = given_displacement(setup.grid, setup.topology, setup.boundary, self._numbers, values)
         return lambda fraction: total if fraction == 1.0 else fraction * total
 

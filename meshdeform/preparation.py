@@ -16,9 +16,11 @@ from meshdeform_core.parallel import OneRank, Ranks, sharing
 from meshdeform_formats.case import CaseFile, case_of, read_case
 
 from .choice import Method, options_of
+from .gate import whole
 from .grids import Grid
 from .inputs import user_grid
 from .mesh import Mesh
+from .turns import one_at_a_time
 
 if TYPE_CHECKING:
     from mpi4py.MPI import Comm
@@ -62,7 +64,7 @@ def prepare(
         When a selection matches nothing, no node would move, options do not belong to the method, or the grid does not
         fit into memory.
     """
-    ranks = _ranks(comm)
+    ranks, threads = _ranks(comm), whole(threads)
     if threads is not None and (isinstance(threads, bool) or not isinstance(threads, int) or threads < 1):
         raise CaseError(f"threads = {threads!r}; expected a whole number >= 1")
     selections = {
@@ -72,7 +74,7 @@ def prepare(
         Kind.SYMMETRY: symmetry,
         Kind.PERIODIC: periodic,
     }
-    with sharing(ranks, threads):
+    with one_at_a_time(), sharing(ranks, threads):
         what = _case(case, selections)
         held = user_grid(grid)
         if what.boundary_file is not None:
@@ -97,6 +99,7 @@ def _ranks(comm: Comm | None) -> Ranks:
 def _memory(size: int | str | None) -> MemoryLimit:
     if size is None:
         return machine_memory()
+    size = whole(size)
     if isinstance(size, bool) or not isinstance(size, int | str) or (isinstance(size, int) and size <= 0):
         raise CaseError(f'max_memory = {size!r}; expected bytes, or a size like "2GiB"')
     return parse_memory(str(size), "max_memory")
@@ -153,15 +156,26 @@ def _entries(kind: Kind, selection: Selection | None) -> dict[str, tuple[str, ..
     if isinstance(selection, str):
         return {selection: (selection,)}
     if isinstance(selection, Mapping):
+        if not all(isinstance(name, str) and _is_patterns(one) for name, one in selection.items()):
+            raise _not_a_selection(kind, selection)
         return {name: (one,) if isinstance(one, str) else tuple(one) for name, one in selection.items()}
-    if not isinstance(selection, Sequence) or not all(isinstance(pattern, str) for pattern in selection):
-        raise CaseError(
-            f"{kind.label} = {selection!r}; expected patch names or block faces, like 'wing', ['wing', 'block2.jmin'] "
-            f"or {{'body': ['wing', 'tail']}}"
-        )
+    if not _is_patterns(selection):
+        raise _not_a_selection(kind, selection)
     # Both sides of a periodic pair belong in one entry.
     if kind is Kind.PERIODIC:
         return {" and ".join(selection): tuple(selection)}
     if len(set(selection)) < len(selection):
         raise CaseError(f"{kind.label} = {list(selection)} names a patch twice; expected each once")
     return {pattern: (pattern,) for pattern in selection}
+
+
+def _is_patterns(value: object) -> bool:
+    """Whether it is a text or a sequence of texts."""
+    return isinstance(value, str) or (isinstance(value, Sequence) and all(isinstance(one, str) for one in value))
+
+
+def _not_a_selection(kind: Kind, selection: object) -> CaseError:
+    return CaseError(
+        f"{kind.label} = {selection!r}; expected patch names or block faces, like 'wing', ['wing', 'block2.jmin'] "
+        f"or {{'body': ['wing', 'tail']}}"
+    )

@@ -15,6 +15,7 @@ from meshdeform_core.boundary.expression import Expression, expression
 from meshdeform_core.errors import CaseError, suggestion
 
 Table = dict[str, Any]
+_DEEPEST = 100
 
 
 def fail(where: str, message: str) -> CaseError:
@@ -22,12 +23,14 @@ def fail(where: str, message: str) -> CaseError:
     return CaseError(f"{where}: {message}")
 
 
-def plain(value: Any) -> Any:
+def plain(value: Any, depth: int = 0) -> Any:
     """Tables made in Python, converted to the types of TOML: dictionaries, lists, numbers, texts."""
+    if depth > _DEEPEST:
+        raise CaseError(f"its tables are nested more than {_DEEPEST} deep; expected a case like that of a case file")
     if isinstance(value, Mapping):
-        return {key: plain(item) for key, item in value.items()}
+        return {key: plain(item, depth + 1) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
+        return [plain(item, depth + 1) for item in value]
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     return str(value) if isinstance(value, Path) else value

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import copy
+import os
 import pickle
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +18,8 @@ from hypothesis.extra import numpy as hnp
 
 import meshdeform as md
 from meshdeform_cli.main import run
+from meshdeform_core.parallel import thread_count
+from meshdeform_core.parallel.loops import usable_cores
 
 ROOT = Path(__file__).parents[2]
 
@@ -172,13 +176,22 @@ WRONG_DISPLACEMENTS = {
     "patch rows": lambda d: {"body": d[1:]},
     "function": lambda d: lambda x, t: d[:3],
     "bool": lambda d: d > 0,
+    "one masked": lambda d: np.ma.masked_equal(np.where(np.arange(d.size).reshape(d.shape) == 7, 99.0, d), 99.0),
+    "beyond all lengths": lambda d: d + 1e31,
+    "squares overflow": lambda d: d + 1e200,
 }
 
 
 @pytest.mark.parametrize("wrong", WRONG_DISPLACEMENTS.values(), ids=WRONG_DISPLACEMENTS.keys())
 def test_a_wrong_displacement_is_told(mesh, bend, wrong):
-    with pytest.raises(md.MotionError, match=r"expected .*(\(560, 3\)|finite|'body'|deform\(displacement\))"):
+    with pytest.raises(md.MotionError, match=r"expected .*(\(560, 3\)|finite|lengths|'body'|deform\(displacement\))"):
         mesh.deform(wrong(bend))
+
+
+def endless() -> dict:
+    case: dict = {}
+    case["boundary"] = [case]
+    return case
 
 
 WRONG_CALLS = {
@@ -197,6 +210,21 @@ WRONG_CALLS = {
     "a name that is a number": (lambda g: md.read(3), "file name 3"),
     "one array for blocks": (lambda g: md.Grid(np.zeros((3, 3, 3, 3))), "expected a sequence"),
     "a block with three indices": (lambda g: md.Grid([np.zeros((3, 4, 5))]), r"\(3, 4, 5\)"),
+    "a generator of blocks": (lambda g: md.Grid(x for x in g.blocks), "blocks is a generator"),
+    "blocks by name": (lambda g: md.Grid({"a": g.blocks[0]}), "blocks is a dict"),
+    "blocks that are nothing": (lambda g: md.Grid(None), "blocks is a NoneType"),
+    "names that are a text": (lambda g: md.Grid(g.blocks[:3], "abc"), "names = 'abc'"),
+    "names that are numbers": (lambda g: md.Grid(g.blocks[:2], [1, 2]), "expected a text"),
+    "a name that is empty": (lambda g: md.Grid(g.blocks[:2], ["", "b"]), "expected a text"),
+    "coordinates beyond all lengths": (lambda g: md.Grid([1e200 * g.blocks[0]]), "lengths up to 1e"),
+    "a file name with a null": (lambda g: md.write(g, "a\0b.cgns"), "null character"),
+    "a selection of nothing": (lambda g: md.prepare(g, moving={"body": None}), "expected patch names"),
+    "a patch that is a number": (lambda g: md.prepare(g, moving={1: "body"}), "expected patch names"),
+    "a case inside itself": (lambda g: md.prepare(g, endless()), "nested more than"),
+    "steps that are true": (lambda g: md.prepare(g, moving="body").deform(0.0, steps=True), "steps = True"),
+    "a time that is none": (lambda g: md.prepare(g, moving="body").deform(0.0, time=None), "time = None"),
+    "a time that is a text": (lambda g: md.prepare(g, moving="body").deform(0.0, time="1"), "time = '1'"),
+    "a time that is nan": (lambda g: md.prepare(g, moving="body").deform(0.0, time=float("nan")), "time = nan"),
     "a block with nan": (lambda g: md.Grid([np.full((3, 3, 3, 3), np.nan)]), "not finite"),
     "no blocks": (lambda g: md.Grid([]), "no blocks"),
     "names missing": (lambda g: md.Grid([np.zeros((2, 2, 2, 3))], ["a", "b"]), "2 names for 1 blocks"),
@@ -255,6 +283,72 @@ def test_any_block_is_a_grid_or_a_message(values):
         return
     assert values.ndim in (3, 4)
     np.testing.assert_array_equal(grid.blocks[0], values.astype(np.float64))
+
+
+class WithUnit(np.ndarray):
+    """An array of another package that carries a unit."""
+
+    units = "mm"
+
+
+def test_units_are_not_dropped(plate, mesh, bend):
+    """An array of millimetres is not taken for one in the unit of the grid."""
+    with pytest.raises(md.MotionError, match="has the unit 'mm'; expected plain numbers"):
+        mesh.deform(bend.view(WithUnit))
+    with pytest.raises(md.MotionError, match="has the unit 'mm'"):
+        mesh.deform({"body": bend.view(WithUnit)})
+    with pytest.raises(md.GridError, match="block 'block1' has the unit 'mm'"):
+        md.Grid([plate.grid.blocks[0].view(WithUnit)])
+
+
+def test_numbers_of_numpy_are_numbers(plate, bend):
+    mesh = md.prepare(plate.grid, moving="body", slip="span", threads=np.int64(1), max_memory=np.uint64(4 * 10**9))
+    assert mesh.deform(bend, steps=np.int32(2), time=np.float32(0.5), repair="off").steps == 2
+
+
+def test_displacements_that_are_denormal_are_zero(mesh, bend):
+    assert mesh.deform(np.full_like(bend, 1e-310)).grid == mesh.grid
+
+
+@pytest.mark.parametrize("method", ["tfi", "idw-tfi", "rbf-tfi"])
+def test_threads_take_turns(plate, method):
+    """What earlier displacements leave behind in a mesh is not mixed up by calls at the same time."""
+    mesh, other = (md.prepare(plate.grid, plate.case, method=method, threads=n) for n in (1, 2))
+    shapes = [np.sin(mesh.points * k) * 0.02 * [1.0, 1.0, 0.0] for k in range(1, 5)]
+    expected = [mesh.deform(each, repair="off").grid.blocks for each in shapes]
+    for _ in range(3):
+        with ThreadPoolExecutor(6) as pool:
+            meshes = [mesh, mesh, other, mesh]
+            found = list(pool.map(lambda m, x: m.deform(x, repair="off").grid.blocks, meshes, shapes))
+        for known, blocks in zip(expected, found, strict=True):
+            assert max(np.abs(a - b).max() for a, b in zip(known, blocks, strict=True)) < 1e-12
+    assert thread_count() == usable_cores()
+
+
+def test_a_function_may_deform_another_mesh(mesh, bend):
+    expected = mesh.deform(bend).grid
+    assert mesh.deform(lambda points, time: bend + 0 * mesh.deform(bend).grid.blocks[0].min()).grid == expected
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no processes are forked here")
+def test_a_forked_process_does_not_wait_for_threads_that_it_lacks(mesh, bend):
+    code = """
+import os, threading, time, numpy as np, meshdeform as md
+from meshdeform.turns import one_at_a_time
+def hold():
+    with one_at_a_time():
+        time.sleep(60)
+threading.Thread(target=hold, daemon=True).start()
+time.sleep(0.2)
+child = os.fork()
+if child == 0:
+    line = np.linspace(0, 1, 4)
+    grid = md.Grid([np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1)])
+    step = md.prepare(grid, moving="block1.jmin", method="tfi").deform(np.tile([0.0, 0.05, 0.0], (4, 1)))
+    os._exit(0 if step.valid else 1)
+os._exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+"""
+    assert subprocess.run([sys.executable, "-c", code], timeout=50).returncode == 0
 
 
 def test_views_of_any_layout_are_taken(mesh, bend):

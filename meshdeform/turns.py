@@ -1,0 +1,28 @@
+"""Calls that use all cores, and the settings that go with them, one after the other."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+# The same thread may call again, for example from a function that gives displacements.
+_lock = threading.RLock()
+
+
+@contextmanager
+def one_at_a_time() -> Iterator[None]:
+    """Wait for calls of other threads to end."""
+    with _lock:
+        yield
+
+
+def _renew() -> None:
+    """In a forked process no other thread runs that would ever release the lock."""
+    global _lock
+    _lock = threading.RLock()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_renew)
