@@ -15,9 +15,9 @@ from meshdeform_core import interruption
 from meshdeform_core.parallel import current_ranks
 
 from .exit_codes import EXIT_BUG, EXIT_INPUT, EXIT_INTERRUPTED
-from .messages import drop_output, flush_messages, flush_output, open_streams, tell
-from .mpi import place, run_on_ranks
-from .signals import Handler, end_of
+from .process.messages import drop_output, flush_messages, flush_output, open_streams, tell
+from .process.mpi import place, run_on_ranks
+from .process.signals import Handler, end_of
 
 _COMMANDS = (
     "deform", "series", "repair", "quality", "info", "init", "convert", "compare", "plot", "view", "methods", "sample",

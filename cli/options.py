@@ -16,7 +16,7 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.memory import MemoryLimit, machine_memory, parse_memory
 
 from . import completion
-from .messages import Warnings
+from .process.messages import Warnings
 
 if TYPE_CHECKING:
     from meshdeform_core.grid import Grid
@@ -75,7 +75,7 @@ class GridInput:
         """The grid; ``boundary_file`` is that of the case, used if the command line names none."""
         from meshdeform_formats.grids import read_grid_with_boundaries
 
-        from .progress import reading
+        from .process.progress import reading
 
         options = parse_pairs(self.read_as, "--read-as")
         with reading(self.path):

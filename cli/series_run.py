@@ -27,9 +27,9 @@ from meshdeform_formats.series.files import LevelFiles, SeriesFiles, SingleFile
 from meshdeform_formats.series.manifest import NAME, Manifest, ingredients_of
 
 from .forecast import forecast
-from .messages import Warnings
 from .options import GridInput, RunInput, keep_inputs
-from .progress import ProgressBar, writing
+from .process.messages import Warnings
+from .process.progress import ProgressBar, writing
 from .work import Job, cells_of
 
 _PICTURES = 8

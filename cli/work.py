@@ -31,9 +31,9 @@ from meshdeform_formats.report.illustrations import Illustrate, deformation_figu
 from meshdeform_formats.report.text import as_text
 
 from .exit_codes import EXIT_INVALID
-from .messages import tell
 from .options import CaseInput, GridInput, RunInput, keep_inputs
-from .progress import ProgressBar, writing
+from .process.messages import tell
+from .process.progress import ProgressBar, writing
 from .reporting import STDOUT, Delivery, deliver
 
 __all__ = ["Imposed", "Job", "conclude", "load", "place_of", "print_plan", "run"]

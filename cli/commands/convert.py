@@ -11,7 +11,6 @@ import click
 from meshdeform_core.errors import FormatError
 
 from ..measured import measured
-from ..messages import tell
 from ..options import (
     PATH,
     GridInput,
@@ -23,7 +22,8 @@ from ..options import (
     quiet_option,
     variant_option,
 )
-from ..progress import ProgressBar, writing
+from ..process.messages import tell
+from ..process.progress import ProgressBar, writing
 
 if TYPE_CHECKING:
     from meshdeform_core.grid import Grid

@@ -9,7 +9,6 @@ import click
 
 from meshdeform_core.errors import CaseError
 
-from ..machine import use_threads
 from ..options import (
     PATH,
     CaseInput,
@@ -22,7 +21,8 @@ from ..options import (
     grid_options,
     run_options,
 )
-from ..progress import ProgressBar
+from ..process.machine import use_threads
+from ..process.progress import ProgressBar
 
 
 @click.command("deform")

@@ -14,7 +14,7 @@ from .. import completion
 from ..measured import measured
 from ..measures import MEASURES
 from ..options import PATH, FiniteNumber, GridInput, check_output, force_option, grid_options
-from ..progress import ProgressBar
+from ..process.progress import ProgressBar
 
 if TYPE_CHECKING:
     from meshdeform_core.grid import Grid

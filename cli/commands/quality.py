@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..exit_codes import EXIT_INVALID
-from ..machine import use_threads
-from ..messages import Warnings
 from ..options import (
     PATH,
     CaseInput,
@@ -26,7 +24,9 @@ from ..options import (
     report_option,
     threads_option,
 )
-from ..progress import ProgressBar
+from ..process.machine import use_threads
+from ..process.messages import Warnings
+from ..process.progress import ProgressBar
 
 if TYPE_CHECKING:
     from meshdeform_core.grid import Grid

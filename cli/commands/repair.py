@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..exit_codes import EXIT_INVALID
-from ..machine import use_threads
-from ..messages import tell
 from ..options import PATH, CaseInput, GridInput, RunInput, check_reports, grid_options, run_options
-from ..progress import ProgressBar, writing
+from ..process.machine import use_threads
+from ..process.messages import tell
+from ..process.progress import ProgressBar, writing
 from .deform import check_target
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ import click
 
 from meshdeform_core.errors import CaseError
 
-from ..machine import use_one_library_thread, use_threads
 from ..options import PATH, check_output, force_option, quiet_option, threads_option
+from ..process.machine import use_one_library_thread, use_threads
 
 _RESULT = "results.json"
 

@@ -11,9 +11,9 @@ import click
 
 from meshdeform_core.parallel import current_ranks
 
-from ..machine import use_threads
 from ..options import PATH, CaseInput, GridInput, RunInput, case_options, check_reports, grid_options, run_options
-from ..progress import ProgressBar
+from ..process.machine import use_threads
+from ..process.progress import ProgressBar
 from .deform import parse_steps
 
 

@@ -25,7 +25,7 @@ def command(quiet: bool) -> int:
     start = clock.perf_counter()
     from meshdeform_core.numerics.jit import compile_seconds, compiled_loops, is_cached
 
-    from ..progress import ProgressBar
+    from ..process.progress import ProgressBar
     from ..warm_up_runs import run_everything
 
     if not is_cached():

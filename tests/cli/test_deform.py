@@ -450,7 +450,7 @@ def test_an_output_that_is_a_link_stays_one(bench, call):
 def test_quiet_shows_no_progress_on_a_terminal(bench, call, monkeypatch):
     import sys
 
-    from meshdeform_cli import progress
+    from meshdeform_cli.process import progress
 
     monkeypatch.setattr(progress, "PATIENCE", 0.0)
     monkeypatch.setattr(progress, "_TICK", 0.001)

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from grids import frame
 
-from meshdeform_cli.mpi import Place, place
+from meshdeform_cli.process.mpi import Place, place
 from meshdeform_formats import read_grid, write_grid
 
 BESIDE = Path(sys.executable).with_name("mpiexec")
@@ -38,7 +38,7 @@ LENIENT = {
 }
 
 FAILING = """
-from meshdeform_cli import mpi
+from meshdeform_cli.process import mpi
 from meshdeform_cli.main import main
 from meshdeform_core.errors import MethodError
 from meshdeform_core.methods.transfinite import tfi

@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 from click.shell_completion import ShellComplete
 
-from meshdeform_cli import progress
 from meshdeform_cli.main import cli
+from meshdeform_cli.process import progress
 
 
 def completed(*args):
@@ -163,7 +163,7 @@ def on_a_terminal(code: str, **environment: str) -> tuple[str, int]:
 
 SLOW = """
 import time
-from meshdeform_cli import progress
+from meshdeform_cli.process import progress
 progress.PATIENCE, progress.LOGGED = 0.2, {logged}
 with progress.ProgressBar({enabled}, compiles=False) as bar:
     bar("fast", 0, 0)
@@ -207,7 +207,7 @@ def test_a_log_has_one_line():
     # Many short stages make a long run.
     stages = """
 import time
-from meshdeform_cli import progress
+from meshdeform_cli.process import progress
 with progress.ProgressBar(compiles=False) as bar:
     for n in range(8):
         bar("read" if n % 2 else "apply", n, 8)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from meshdeform_core.parallel import set_ranks
 
-from .exit_codes import EXIT_INPUT, EXIT_INVALID
+from ..exit_codes import EXIT_INPUT, EXIT_INVALID
 from .messages import tell
 
 # Environment variables in which launchers pass a process its rank and the number of ranks.

@@ -1,0 +1,1 @@
+"""The running process: signals, ranks, threads, its streams and what they show of its progress."""
