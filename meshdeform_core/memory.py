@@ -66,7 +66,7 @@ def parse_memory(text: str, name: str) -> MemoryLimit:
         For anything else.
     """
     match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([kmgt]?)(i?)b?\s*", text.lower())
-    if not match or float(match[1]) == 0:
+    if not match or not 0 < float(match[1]) < float("inf"):
         raise CaseError(f"{name} {text!r}: expected a size like 2GiB, 500MB or 1000000 (bytes)")
     base = 1024 if match[3] else 1000
     size = int(float(match[1]) * base ** ("", "k", "m", "g", "t").index(match[2]))

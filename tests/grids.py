@@ -6,6 +6,29 @@ import numpy as np
 
 from meshdeform_core.grid import Grid, Shape, Side, Window
 
+CASE = """\
+[constants]
+turn = 10.0
+
+[[boundary]]
+name = "body"
+select = ["*.i*", "*.j*"]
+where = "abs(x) < 0.51 and abs(y) < 0.51"
+kind = "moving"
+motion = [{ rotate = { angle = "turn", axis = [0, 0, 1], center = [0, 0, 0] } }]
+
+[[boundary]]
+name = "span"
+select = ["*.kmin", "*.kmax"]
+kind = "slip"
+
+[[boundary]]
+name = "outer"
+select = ["*.i*", "*.j*"]
+where = "max(abs(x), abs(y)) > 1.99"
+kind = "fixed"
+"""
+"""The body of ``frame`` turns between slip planes, inside a fixed outer boundary."""
 SPANS = ((-2.0, -0.5), (-0.5, 0.5), (0.5, 2.0))
 
 

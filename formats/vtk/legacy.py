@@ -77,16 +77,23 @@ def _line_numbers(file: LegacyFile, words: Sequence[str], number: int) -> NDArra
 def _extent(file: LegacyFile, geometry: dict[str, NDArray[Any]]) -> tuple[Shape, Shape]:
     """Shape in nodes, and index of the first node."""
     if "DIMENSIONS" in geometry:
-        ni, nj, nk = map(int, geometry["DIMENSIONS"])
+        ni, nj, nk = _whole(file, geometry, "DIMENSIONS")
         i, j, k = 0, 0, 0
     elif "EXTENT" in geometry:
-        i, last_i, j, last_j, k, last_k = map(int, geometry["EXTENT"])
+        i, last_i, j, last_j, k, last_k = _whole(file, geometry, "EXTENT")
         ni, nj, nk = last_i - i + 1, last_j - j + 1, last_k - k + 1
     else:
         raise FormatError(f"{file.path} has no DIMENSIONS; is the file truncated?")
     if min(ni, nj, nk) < 1:
         raise FormatError(f"{file.path} is an empty grid: {ni} x {nj} x {nk} nodes")
     return (ni, nj, nk), (i, j, k)
+
+
+def _whole(file: LegacyFile, geometry: dict[str, NDArray[Any]], keyword: str) -> list[int]:
+    numbers = geometry[keyword].tolist()
+    if not all(abs(number) < 2**31 and number == int(number) for number in numbers):
+        raise FormatError(f"{file.path}: {keyword} {' '.join(map(str, numbers))}; expected whole numbers")
+    return [int(number) for number in numbers]
 
 
 def _points(file: LegacyFile, geometry: dict[str, NDArray[Any]], shape: Shape) -> NDArray[Any]:

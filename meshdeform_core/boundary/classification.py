@@ -10,9 +10,10 @@ import numpy as np
 
 from ..errors import CaseError
 from ..grid import Grid, IntArray
+from ..grid.ends import end_planes
 from ..grid.planes import Plane
 from ..grid.selection import select_quads
-from ..grid.topology import Topology, end_planes
+from ..grid.topology import Topology
 from ..numerics.geometry.coincidence import distinct
 from .coverage import Tables
 from .expression import Expression
@@ -214,7 +215,7 @@ def _select(grid: Grid, topology: Topology, spec: BoundarySpec, constants: Mappi
         ranges = ", ".join(f"{n} {c.min():.4g} to {c.max():.4g}" for n, c in zip("xyz", (x, y, z), strict=True))
         raise CaseError(
             f"boundary {spec.name!r}: where = {spec.where.text!r} is not satisfied on any face of the selection "
-            f"({int(holds.sum())} of {len(nodes)} nodes satisfy it; the selection spans {ranges})"
+            f"({np.count_nonzero(holds)} of {len(nodes)} nodes satisfy it; the selection spans {ranges})"
         )
     return quads
 

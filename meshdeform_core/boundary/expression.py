@@ -29,7 +29,8 @@ def _truth(value: Any) -> tuple[Any, Any]:
 
 
 def _with_unknown(true: Any, unknown: Any) -> Any:
-    return np.where(unknown, np.nan, true) if np.any(unknown) else true
+    """1.0 and 0.0 for true and false, NaN for neither: numbers, since numpy adds two of its truth values to one."""
+    return np.where(unknown, np.nan, true)
 
 
 def _and(one: Any, two: Any) -> Any:
@@ -49,7 +50,7 @@ def _or(one: Any, two: Any) -> Any:
 
 def _where(condition: Any, one: Any, two: Any) -> Any:
     true, unknown = _truth(condition)
-    return _with_unknown(np.where(true, one, two), unknown)
+    return np.where(unknown, np.nan, np.where(true, one, two))
 
 
 def _comparison(compare: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:

@@ -144,21 +144,6 @@ def inward_step(shape: Shape, side: Side) -> int:
     return -stride if side % 2 else stride
 
 
-def end_planes(grid: Grid, topology: Topology) -> list[int]:
-    """Block sides (``6 * block + side``) between which the whole grid is one cell thick; empty if it is not."""
-    ends = []
-    for block, shape in enumerate(grid.shapes):
-        for axis in range(3):
-            pair = (Side(2 * axis), Side(2 * axis + 1))
-            quads = [topology.quads.of_side(block, side) for side in pair]
-            if shape[axis] == 2 and all(topology.external[q].all() for q in quads):
-                ends += [6 * block + side for side in pair]
-                break
-        else:
-            return []
-    return ends
-
-
 def block_handedness(grid: Grid) -> IntArray:
     """+1 or -1 per block, from the majority of a regular sample of at most 16 cells per direction."""
     return np.array([_handedness(grid.block(b)) for b in range(grid.n_blocks)], dtype=np.int64)

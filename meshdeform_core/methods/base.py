@@ -15,8 +15,9 @@ import numpy as np
 
 from ..boundary import Boundary, Kind
 from ..grid import FloatArray, Grid, IntArray, Side
+from ..grid.ends import end_planes
 from ..grid.planes import plane_normal
-from ..grid.topology import Topology, end_planes, inward_step, side_nodes
+from ..grid.topology import Topology, inward_step, side_nodes
 from ..memory import UNLIMITED, MemoryLimit
 from ..numerics.arrays import distinct_pairs
 from ..numerics.geometry.coincidence import distinct

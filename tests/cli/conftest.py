@@ -10,36 +10,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from grids import frame, frame_2d
+from grids import CASE, frame, frame_2d
 
 from meshdeform_cli.main import run
 from meshdeform_core.grid import Grid, Patch, Side
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.grid.windows import windows_of_quads
 from meshdeform_formats import write_grid
-
-CASE = """\
-[constants]
-turn = 10.0
-
-[[boundary]]
-name = "body"
-select = ["*.i*", "*.j*"]
-where = "abs(x) < 0.51 and abs(y) < 0.51"
-kind = "moving"
-motion = [{ rotate = { angle = "turn", axis = [0, 0, 1], center = [0, 0, 0] } }]
-
-[[boundary]]
-name = "span"
-select = ["*.kmin", "*.kmax"]
-kind = "slip"
-
-[[boundary]]
-name = "outer"
-select = ["*.i*", "*.j*"]
-where = "max(abs(x), abs(y)) > 1.99"
-kind = "fixed"
-"""
 
 
 @dataclasses.dataclass(frozen=True)

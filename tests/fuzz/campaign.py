@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import faulthandler
 import json
 import os
 import signal
@@ -16,17 +17,18 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 
 LIMIT = 30.0
 """Seconds that a file of a few kB may take."""
-_SLICE = 400
-RIGHT = ("ok", "refused")
+_SLICE = 1000
+SKIPPED = "skipped"
+RIGHT = ("ok", "refused", SKIPPED)
 
 Sample = tuple[int, str, str]
-"""Number, class, and result: ``ok``, ``refused``, or what is wrong."""
+"""Number, class, and result: ``ok``, ``refused``, ``skipped`` (the machine lacks what it needs), or what is wrong."""
 
 
 class TooLong(BaseException):
@@ -34,41 +36,54 @@ class TooLong(BaseException):
 
 
 def work(first: int, last: int, seed: int) -> None:
-    """Run samples and print one JSON line each, and one before each."""
+    """Run samples and print one JSON line each, and one before each; ends after one that met the limit of time."""
     from .samples import Worker
 
-    def too_long(number: int, frame: object) -> None:
-        raise TooLong(f"more than {LIMIT} s")
-
-    # Processor time, which does not depend on what else the machine does; and for what waits, ten times that.
-    for clock in (signal.SIGPROF, signal.SIGALRM):
-        signal.signal(clock, too_long)
     worker = Worker(seed)
     # Loops are compiled here, where no limit of time applies.
     worker.warm_up()
     for number in range(first, last):
         print(json.dumps([number]), flush=True)
-        signal.setitimer(signal.ITIMER_PROF, LIMIT)
-        signal.setitimer(signal.ITIMER_REAL, 10 * LIMIT)
-        try:
-            kind, result = worker.sample(number)
-        except (Exception, TooLong) as error:
-            kind, result = "judge", f"{type(error).__name__}: {error}"
+        entry = [number, *limited(worker.sample, number)]
+        print(json.dumps(entry), flush=True)
+        # What was broken off may have left anything behind: the next sample gets a process of its own.
+        if entry[2].startswith(TooLong.__name__):
+            return
+
+
+def limited(sample: Callable[[int], tuple[str, str]], number: int, limit: float = LIMIT) -> tuple[str, str]:
+    """Class and result of a sample that may take so many seconds of processor time."""
+
+    def too_long(number: int, frame: object) -> None:
+        raise TooLong(f"more than {limit} s")
+
+    # Processor time, which does not depend on what else the machine does; and for what waits, ten times that. Both
+    # clocks strike again, for what swallows an exception; what never returns to Python is ended with its process.
+    for clock in (signal.SIGPROF, signal.SIGALRM):
+        signal.signal(clock, too_long)
+    signal.setitimer(signal.ITIMER_PROF, limit, 1.0)
+    signal.setitimer(signal.ITIMER_REAL, 10 * limit, 1.0)
+    faulthandler.dump_traceback_later(20 * limit, exit=True)
+    try:
+        return sample(number)
+    except (Exception, TooLong) as error:
+        return "judge", f"{type(error).__name__}: {error}"
+    finally:
         signal.setitimer(signal.ITIMER_PROF, 0)
         signal.setitimer(signal.ITIMER_REAL, 0)
-        print(json.dumps([number, kind, result]), flush=True)
+        faulthandler.cancel_dump_traceback_later()
 
 
 def campaign(count: int, seed: int, first: int = 0) -> Iterator[Sample]:
     """Number, class and result of every sample; a worker that dies is a result too."""
     end = first + count
     while first < end:
-        with tempfile.TemporaryDirectory() as folder:
+        with tempfile.TemporaryDirectory() as folder, tempfile.TemporaryFile("w+") as said:
             command = [sys.executable, "-m", "fuzz.campaign", "--work", str(first), str(end), str(seed)]
             environment = {**os.environ, "PYTHONSAFEPATH": "1"}
             environment["PYTHONPATH"] = os.pathsep.join([str(Path(__file__).parents[1]), *_own_path()])
             with subprocess.Popen(
-                command, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+                command, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=said, text=True
             ) as process:
                 for line in process.stdout:
                     entry = json.loads(line)
@@ -78,7 +93,8 @@ def campaign(count: int, seed: int, first: int = 0) -> Iterator[Sample]:
                         first += 1
                 ended = process.wait()
             if ended != 0:
-                yield first, "worker", f"ended with {ended}"
+                said.seek(0)
+                yield first, "worker", f"ended with {ended}: {' | '.join(said.read().splitlines()[-3:])[:300]}"
                 first += 1
 
 
@@ -122,11 +138,11 @@ def run(count: int, seed: int, jobs: int, log: Path | None) -> dict[int, Sample]
 def table(samples: list[Sample], seed: int) -> str:
     """Counts of each class, as a table in Markdown."""
     totals = Counter((kind, result if result in RIGHT else "wrong") for _, kind, result in samples)
-    lines = [f"| class (seed {seed}) | samples | right | refused | wrong |", "|---|---|---|---|---|"]
+    words = [word for word in (*RIGHT, "wrong") if word != SKIPPED or any(r == SKIPPED for _, r in totals)]
+    heads = ["right" if word == "ok" else word for word in words]
+    lines = [f"| class (seed {seed}) | samples | {' | '.join(heads)} |", "|---" * (2 + len(words)) + "|"]
     for kind in [*sorted({kind for kind, _ in totals}), None]:
-        counts = [
-            sum(n for (k, r), n in totals.items() if r == word and kind in (None, k)) for word in (*RIGHT, "wrong")
-        ]
+        counts = [sum(n for (k, r), n in totals.items() if r == word and kind in (None, k)) for word in words]
         lines.append(f"| {kind or 'all'} | {sum(counts)} | {' | '.join(map(str, counts))} |")
     return "\n".join(lines)
 

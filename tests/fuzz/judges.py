@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 import re
 import xml.etree.ElementTree as ElementTree
 import zlib
+from collections.abc import Iterator
 from pathlib import Path
 
 import h5py
 import numpy as np
+from cgns_witness import N
 from plot3d_witness import binary_file
 
 from meshdeform_core.grid import Grid
@@ -29,16 +32,78 @@ def plot3d_binary(path: Path, grid: Grid) -> str:
 
 def plot3d_ascii(path: Path, grid: Grid) -> str:
     """All numbers of the text, in the order of the format."""
-    values: list[float] = []
-    for word in re.split(r"[\s,]+", path.read_text(errors="replace").strip()):
-        count, star, value = word.rpartition("*")
-        # Fortran leaves the letter of an exponent away: 1.5-1 is 0.15.
-        number = re.sub(r"(?<=[\d.])(?=[+-])", "e", re.sub("[dDqQ]", "e", value)) or "nan"
-        values += [float(number)] * (int(count) if star else 1)
+    values = _fortran_numbers(re.split(r"[\s,]+", path.read_text(errors="replace").strip()))
     read = [grid.block(b)[..., c].ravel(order="F") for b in range(grid.n_blocks) for c in range(3)]
     expected = np.concatenate(read)
     found = np.array(values)[-len(expected) :]
     return "" if np.array_equal(found, expected) else "the numbers are not those of the text"
+
+
+def plot3d_text(path: Path, grid: Grid) -> str:
+    """All numbers of the text are those of the grid in the order of the format, from the first to the last."""
+    words = [word for word in re.split(r"[\s,]+", path.read_text("utf-8", "replace")) if word]
+    dimension = int(grid.format.options["dimension"])
+    shapes = [n for block in range(grid.n_blocks) for n in grid.shapes[block][:dimension]]
+    expected: list[float] = [grid.n_blocks, *shapes] if grid.format.options["multiblock"] else [*shapes]
+    for block in range(grid.n_blocks):
+        for axis in range(dimension):
+            expected += grid.block(block)[..., axis].ravel(order="F").tolist()
+        flags = [field.values for field in grid.fields if field.block == block and field.name.lower() == "iblank"]
+        expected += [float(flag) for values in flags for flag in values.ravel(order="F")]
+    found = _fortran_numbers(words)
+    return "" if found == expected else "the numbers are not those of the text"
+
+
+def _fortran_numbers(words: list[str]) -> list[float]:
+    values: list[float] = []
+    for word in words:
+        count, star, value = word.rpartition("*")
+        # Fortran leaves the letter of an exponent away: 1.5-1 is 0.15.
+        number = re.sub(r"(?<=[\d.])(?=[+-])", "e", re.sub("[dDqQ]", "e", value)) or "nan"
+        values += [float(number)] * (int(count) if star else 1)
+    return values
+
+
+def cgns_tree(tree: N, path: Path, grid: Grid) -> str:
+    """Coordinates, walls and number of zones are those of the tree from which the file was written."""
+    zones = [zone for base in tree.children for zone in base.children if zone.label == "Zone_t" and not zone.link]
+    links = [zone for base in tree.children for zone in base.children if zone.link]
+    if not len(zones) <= grid.n_blocks <= len(zones) + len(links):
+        return f"{grid.n_blocks} blocks of {len(zones)} zones"
+    for zone in zones:
+        found = [child for child in zone.children if child.label == "GridCoordinates_t"]
+        holder = next((child for child in found if child.name == "GridCoordinates"), found[0] if found else None)
+        if holder is None or holder.link or zone.name not in grid.names:
+            continue
+        block = grid.block(grid.names.index(zone.name))
+        rind = next((np.array(child.data) for child in holder.children if child.label == "Rind_t"), np.zeros(6, int))
+        core = tuple(slice(int(low), -int(high) or None) for low, high in rind.reshape(-1)[:6].reshape(-1, 2))
+        for axis, letter in enumerate("XYZ"):
+            arrays = [child.data for child in holder.children if child.name == f"Coordinate{letter}" and not child.link]
+            if arrays and not np.array_equal(np.asarray(arrays[0], float)[core], block[..., axis]):
+                return f"{zone.name}: Coordinate{letter} is not what was written"
+    return ""
+
+
+def vtk_points(path: Path, grid: Grid) -> str:
+    """The points that the vtk package reads, or, where it reads nothing, those before the change of a tag."""
+    import vtk_witness
+
+    with silent_vtk():
+        try:
+            points = vtk_witness.read(path)[0]
+        except AttributeError:
+            points = vtk_witness.read(path.with_stem("good"))[0]
+    return "" if np.array_equal(points, grid.block(0)) else "the points are not those that vtk reads"
+
+
+@contextlib.contextmanager
+def silent_vtk() -> Iterator[None]:
+    """Damaged files make vtk talk."""
+    from vtkmodules.vtkCommonCore import vtkObject
+
+    vtkObject.GlobalWarningDisplayOff()
+    yield
 
 
 def cgns(path: Path, grid: Grid) -> str:
@@ -166,36 +231,6 @@ def neutral_map(path: Path, grid: Grid, told: str) -> str:
     lines = [line for line in path.read_text(errors="replace").splitlines() if line.strip()[:1] not in ("", "#")]
     windows = sum(len(patch.windows) for patch in grid.patches) + len(grid.connections)
     return "" if windows <= len(lines) else "more patches than lines"
-
-
-def _rows(path: Path) -> list[list[float]]:
-    """Points and displacements of a table as numpy, h5py or a split of its lines finds them."""
-    if path.suffix == ".npy":
-        return np.load(path, allow_pickle=False).astype(float).tolist()
-    if path.suffix == ".npz":
-        with np.load(path, allow_pickle=False) as archive:
-            return np.hstack(list(archive.values())).astype(float).tolist()
-    if path.suffix == ".h5":
-        with h5py.File(path) as file:
-            return np.hstack([file["points"][()], file["displacement"][()]]).astype(float).tolist()
-    rows = []
-    for line in path.read_text().splitlines():
-        try:
-            rows.append([float(word) for word in re.split(r"[,;\s]+", line.partition("#")[0].strip())])
-        except ValueError:
-            continue
-    return rows
-
-
-def table(path: Path, before: Grid, after: Grid) -> str:
-    """Every node at a point of the table moves as the table says."""
-    rows = _rows(path)
-    known = {tuple(row[:3]): row[3:6] for row in rows if len(row) == 6}
-    for old, new in zip(before.points.tolist(), after.points.tolist(), strict=True):
-        told = known.get(tuple(old))
-        if told is not None and np.abs(np.subtract(new, old) - told).max() > 1e-12 * max(1.0, np.abs(new).max()):
-            return f"the node {old} moved by {np.subtract(new, old).tolist()}, the table says {told}"
-    return ""
 
 
 def newly_bad(before: Grid, after: Grid) -> int:

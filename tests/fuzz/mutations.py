@@ -76,8 +76,60 @@ def _lines(data: bytes, rng: Random) -> bytes:
     return b"".join(lines)
 
 
+def _fields(data: bytes, rng: Random) -> bytes:
+    """Two words of a line change places."""
+    lines = data.splitlines(keepends=True)
+    at = rng.randrange(len(lines))
+    words = re.split(rb"([\s,]+)", lines[at])
+    one, two = (2 * rng.randrange((len(words) + 1) // 2) for _ in range(2))
+    words[one], words[two] = words[two], words[one]
+    lines[at] = b"".join(words)
+    return b"".join(lines)
+
+
+def _again(data: bytes, rng: Random) -> bytes:
+    """Some lines stand there twice."""
+    lines = data.splitlines(keepends=True)
+    first = rng.randrange(len(lines))
+    last = first + rng.randrange(1, 12)
+    return b"".join([*lines[:last], *lines[first:last], *lines[last:]])
+
+
+def _editor(data: bytes, rng: Random) -> bytes:
+    """What editors do to a whole file: ends of lines, a byte order mark, another encoding, no last end of line."""
+    kind = rng.randrange(6)
+    if kind == 0:
+        return data.replace(b"\n", b"\r\n")
+    if kind == 1:
+        return data.replace(b"\n", b"\r")
+    if kind == 2:
+        return b"\xef\xbb\xbf" + data
+    if kind == 3:
+        return data.decode("latin-1").encode("utf-16")
+    if kind == 4:
+        return data.rstrip()
+    return data.replace(b" ", rng.choice((b"\t", b"\xc2\xa0", b"\x0b", b"  ")))
+
+
+def _letters(data: bytes, rng: Random) -> bytes:
+    """Digits of another script, signs that look alike, a decimal comma, case of letters."""
+    found = list(re.finditer(rb"[-.\da-zA-Z]", data))
+    if not found:
+        return _flip(data, rng)
+    match = rng.choice(found)
+    old = match[0]
+    if old.isdigit():
+        new = chr(rng.choice((0xFF10, 0x660)) + int(old)).encode()
+    else:
+        new = {b"-": "\u2212".encode(), b".": b","}.get(old, old.swapcase())
+    return data[: match.start()] + new + data[match.end() :]
+
+
 BINARY: tuple[Callable[[bytes, Random], bytes], ...] = (_flip, _truncate, _extend, _repeat, _drop, _blank)
-TEXT = (*BINARY, _number, _number, _lines, _digit, _digit, _digit, _digit)
+TEXT = (
+    *BINARY, _number, _number, _number, _lines, _fields, _fields, _again, _editor, _letters,
+    _digit, _digit, _digit, _digit,
+)  # fmt: skip
 
 
 def mutated(data: bytes, text: bool, rng: Random) -> bytes:

@@ -6,9 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from grids import frame
+from grids import CASE, frame
 
-from fuzz.samples import CASE, called
+from fuzz import surfaces
+from fuzz.bench import called
+from meshdeform_core.grid import Grid
 from meshdeform_formats import read_grid, write_grid
 
 
@@ -74,3 +76,90 @@ def test_data_sets_outside_of_the_set_are_no_part_of_it(folder):
     code, told = called("info", "set.vtm")
     assert code == 2
     assert "3 DataSet elements lie outside of vtkMultiBlockDataSet" in told
+
+
+@pytest.mark.parametrize("size", ["9" * 400, "9" * 400 + "GiB"])
+def test_a_limit_of_memory_beyond_all_numbers_is_refused(size, folder):
+    code, told = called("deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz", "--max-memory", size)
+    assert (code, told.count("expected a size like 2GiB")) == (2, 1)
+
+
+def test_a_condition_that_is_infinite_at_one_node_selects_no_face(folder):
+    condition = "where(x > 1.9 and y > 1.9 and z < 0.1, 1/0, 0)"
+    code, told = deformed(CASE.replace("abs(x) < 0.51 and abs(y) < 0.51", condition))
+    assert code == 2
+    assert "(1 of " in told
+    assert "nodes satisfy it" in told
+
+
+@pytest.mark.parametrize("size", ["nan", "inf", "3.7", "1e300"])
+def test_dimensions_that_are_no_whole_numbers_are_refused(size, folder):
+    block = frame(2, 2).block(0)
+    write_grid(Grid.from_blocks([block]), "grid.vtk", {"encoding": "ascii"})
+    text = Path("grid.vtk").read_text()
+    assert f"DIMENSIONS {block.shape[0]} " in text
+    Path("bad.vtk").write_text(text.replace(f"DIMENSIONS {block.shape[0]} ", f"DIMENSIONS {size} "))
+    code, told = called("info", "bad.vtk")
+    assert code == 2
+    assert "expected whole numbers" in told
+
+
+def test_a_block_that_is_thin_in_two_directions_has_the_end_planes_of_its_neighbours(folder):
+    """The blocks beside the body are one cell thick along x or y, too; their far sides are fixed."""
+    grid = frame(1, 1)
+    write_grid(grid, "thin.xyz")
+    case = CASE.split("[[boundary]]")
+    Path("case.toml").write_text("[[boundary]]".join(case[:3]))
+    code, told = called("deform", "thin.xyz", "-c", "case.toml", "-o", "out.xyz", "-q")
+    assert code == 0
+    assert "end planes" not in told
+    assert "24 external face quads are not selected" in told
+    far = np.abs(grid.points[:, :2]).max(axis=1) > 1.99
+    np.testing.assert_array_equal(read_grid("out.xyz").points[far], grid.points[far])
+
+
+def body_table() -> surfaces.Surface:
+    points = np.unique(frame(2, 2).points[np.abs(frame(2, 2).points[:, :2]).max(axis=1) < 0.51], axis=0)
+    return points, 0.03 * np.sin(3 * points), np.array([[0, 1, 2]])
+
+
+@pytest.mark.parametrize("suffix", [".msh", ".avs"])
+def test_data_belong_to_the_nodes_that_they_name(suffix, folder):
+    """Gmsh writes the data of nodes in any order; meshio takes them in the order of the nodes."""
+    path = Path(f"table{suffix}")
+    surfaces.write(path, body_table(), "ascii")
+    called("deform", "grid.xyz", "-d", str(path), "-m", "tfi", "-o", "one.xyz", "-q", "--allow-invalid")
+    text = path.read_text()
+    head, mark, rest = text.rpartition("3\n36\n" if suffix == ".msh" else "displacement, real\n")
+    lines = rest.splitlines()
+    lines[:36] = lines[:36][::-1]
+    path.write_text(head + mark + "\n".join(lines) + "\n")
+    called("deform", "grid.xyz", "-d", str(path), "-m", "tfi", "-o", "two.xyz", "-q", "--allow-invalid")
+    np.testing.assert_array_equal(read_grid("one.xyz").points, read_grid("two.xyz").points)
+    assert np.abs(read_grid("one.xyz").points - read_grid("grid.xyz").points).max() > 0.02
+
+
+@pytest.mark.parametrize("suffix", [".msh", ".avs"])
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [("twice", "two values for one node"), ("unknown", "refers to the node 99, which it does not have")],
+)
+def test_nodes_without_data_are_refused(change, message, suffix, folder):
+    path = Path(f"table{suffix}")
+    surfaces.write(path, body_table(), "ascii")
+    head, mark, rest = path.read_text().rpartition("3\n36\n" if suffix == ".msh" else "displacement, real\n")
+    first, _, behind = rest.partition("\n")
+    number = "2" if change == "twice" else "99"
+    path.write_text(f"{head}{mark}{number} {first.partition(' ')[2]}\n{behind}")
+    code, told = called("deform", "grid.xyz", "-d", str(path), "-m", "tfi", "-o", "out.xyz", "-q")
+    assert code == 2
+    assert message in told
+
+
+def test_an_element_of_a_node_that_does_not_exist_is_refused(folder):
+    surfaces.write(Path("table.msh"), body_table(), "ascii")
+    text = Path("table.msh").read_text()
+    Path("table.msh").write_text(text.replace("1 2 2 0 1 1 2 3", "1 2 2 0 1 1 2 -1"))
+    code, told = called("deform", "grid.xyz", "-d", "table.msh", "-m", "tfi", "-o", "out.xyz", "-q")
+    assert code == 2
+    assert "refers to the node -1" in told

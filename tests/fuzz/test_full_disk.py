@@ -5,7 +5,6 @@ A limit on the size of files stands for the full disk: the system refuses to wri
 
 from __future__ import annotations
 
-import contextlib
 import gc
 import subprocess
 import sys
@@ -13,15 +12,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from grids import frame
+from grids import CASE, frame
 
-from fuzz.samples import CASE, called
+from fuzz.bench import called
+from fuzz.limits import full_after
 from meshdeform_core.grid import Field, Grid
 from meshdeform_formats import read_grid, write_grid
 
 pytestmark = pytest.mark.slow
 
-resource = pytest.importorskip("resource")
+pytest.importorskip("resource")
 PARTS = (0.0, 0.3, 0.95, 1.0)
 """Of the size of the largest file that the command writes."""
 ONE_BLOCK = (".vts", ".vtk")
@@ -29,17 +29,6 @@ MANY_BLOCKS = (".xyz", ".p3dfmt", ".cgns", ".vtm", ".vtu", ".xdmf", ".msh", ".me
 REPORTS = (".json", ".txt", ".md", ".html")
 PICTURES = (".png", ".svg", ".pdf")
 SERIES = (".xyz", ".cgns", ".vtm")
-
-
-@contextlib.contextmanager
-def full_after(size: int):
-    """No file grows beyond ``size`` bytes."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 @pytest.fixture

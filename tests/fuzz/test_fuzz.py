@@ -11,10 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from grids import frame
+from grids import CASE, frame
 
 from fuzz.campaign import RIGHT, campaign
-from fuzz.samples import CASE
 from meshdeform_formats import read_grid, write_grid
 
 pytestmark = pytest.mark.slow

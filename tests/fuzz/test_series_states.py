@@ -12,7 +12,7 @@ from unittest import mock
 
 import numpy as np
 import pytest
-from grids import frame
+from grids import CASE, frame
 from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import (
@@ -24,7 +24,7 @@ from hypothesis.stateful import (
     run_state_machine_as_test,
 )
 
-from fuzz.samples import CASE, called
+from fuzz.bench import called
 from meshdeform_formats import read_grid, write_grid
 from meshdeform_formats.files import invalid_path
 

@@ -1,0 +1,51 @@
+"""The two end planes of a grid that is one cell thick."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .blocks import Grid, IntArray, Shape, Side
+from .topology import Topology, side_nodes
+
+
+def end_planes(grid: Grid, topology: Topology) -> list[int]:
+    """Block sides (``6 * block + side``) between which the whole grid is one cell thick; empty if it is not.
+
+    A block that is one cell thick between outside faces in two directions is thin in the one in which its neighbours
+    are; where neighbours do not tell, there are no end planes.
+    """
+    thin = [_thin_axes(shape, topology, block) for block, shape in enumerate(grid.shapes)]
+    if not all(thin):
+        return []
+    if all(len(axes) == 1 for axes in thin):
+        return _sides(thin)
+    across = [{axis: _edges_across(grid, topology, b, axis) for axis in axes} for b, axes in enumerate(thin)]
+    left = set(range(grid.n_blocks))
+    known: IntArray = np.empty(0, dtype=np.int64)
+    while decided := [block for block in left if len(across[block]) == 1]:
+        left -= set(decided)
+        known = np.concatenate([known, *(edges for block in decided for edges in across[block].values())])
+        for block in left:
+            across[block] = {axis: edges for axis, edges in across[block].items() if np.isin(edges, known).any()}
+    return [] if left else _sides([list(axes) for axes in across])
+
+
+def _sides(thin: list[list[int]]) -> list[int]:
+    return [6 * block + side for block, axes in enumerate(thin) for axis in axes for side in (2 * axis, 2 * axis + 1)]
+
+
+def _thin_axes(shape: Shape, topology: Topology, block: int) -> list[int]:
+    """Index directions in which a block is one cell thick, with outside faces only at both ends."""
+    return [
+        axis
+        for axis in range(3)
+        if shape[axis] == 2
+        and all(topology.external[topology.quads.of_side(block, Side(2 * axis + end))].all() for end in (0, 1))
+    ]
+
+
+def _edges_across(grid: Grid, topology: Topology, block: int, axis: int) -> IntArray:
+    """The edges from one side to the other of a block that is one cell thick, a number for each."""
+    ends = [topology.numbers_of(side_nodes(grid, block, Side(2 * axis + end)).ravel()) for end in (0, 1)]
+    edges: IntArray = np.minimum(*ends) * topology.n_unique + np.maximum(*ends)
+    return edges

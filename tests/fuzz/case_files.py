@@ -1,0 +1,164 @@
+"""Classes of case files, options and formulas: what is accepted moves the walls as the case says."""
+
+from __future__ import annotations
+
+import functools
+import json
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import numpy as np
+from grids import CASE
+
+from .bench import METHODS, Bench, called
+from .mutations import mutated
+
+VALUES = (
+    "0", "-1", "1e-300", "1e300", "nan", "inf", "true", "[]", "{}", "''", "'auto'", "'x > 0'", "'lie'", "'tps'", "1.5",
+    "'*.kmin'", "['block1.imax']", "'slip'", "'wendland-c2'", "'off'", "40", "[[", "3", "'x" + "(" * 300 + "'", "1e-3",
+    "1979-05-27", "07:32:00", "1979-05-27T00:32:00Z", "-nan", "0x1F", "1_000", "9" * 400, "9223372036854775808", "-0.0",
+    "'\u00e4\u03b1\U0001f600'", "'\\u0000'", "[[1, 2], [3]]", "[1, 'x', true]", "{a = 1}", "'x/0'", "'(-8)**(1/3)'",
+    "'1e400'", "'sqrt(-1)'", "'t'", "'0*x'", "''' x '''", "[0, 0, 0]", "[0, 0, 1e-320]", "['*.i*', '*.i*']", "'**'",
+    "'block1.imax[2:1,*]'", "'block1.imax[1:99999999999,*]'", "'[*]'", "'x'*3",
+)  # fmt: skip
+
+
+@functools.cache
+def keys() -> tuple[str, ...]:
+    """Every key that the schema of case files has, and a few that it has not."""
+    code, told = called("schema", "case")
+    assert code == 0, told
+    found: list[str] = []
+
+    def collect(table: dict[str, Any], prefix: str) -> None:
+        for name, value in table.get("properties", {}).items():
+            found.append(prefix + name)
+            collect(value, f"{prefix}{name}.")
+            if name == "boundary":
+                for number in ("1", "2", "body", "span", "outer", "9"):
+                    collect(value["items"], f"boundary.{number}.")
+
+    collect(json.loads(told), "")
+    entries = [f"boundary.{number}.motion" for number in ("body", "span")]
+    return (*found, *entries, "constants.turn", "constants.new", "constants.x", "nothing", "grid..tolerance", "method.")
+
+
+def case(bench: Bench, rng: Random) -> str:
+    """The text of a case with a few changes."""
+    Path("bad.toml").write_bytes(mutated(CASE.encode(), True, rng))
+    text = Path("bad.toml").read_text("utf-8", "replace")
+    return bench.deformed(bench.grid, text, "grid.xyz", "-c", "bad.toml", "-m", "tfi")
+
+
+def options(bench: Bench, rng: Random) -> str:
+    """A good case with one key from the command line, most often a wrong one."""
+    setting = f"{rng.choice(keys())}={rng.choice(VALUES)}"
+    arguments = ("grid.xyz", "-c", "case.toml", "-s", setting, "-m", rng.choice(METHODS))
+    return bench.deformed(bench.grid, None, *arguments)
+
+
+def types(bench: Bench, rng: Random) -> str:
+    """A case with any value at any place of it."""
+    body = {
+        "name": "'body'",
+        "select": "['*.i*', '*.j*']",
+        "where": "'abs(x) < 0.51 and abs(y) < 0.51'",
+        "kind": "'moving'",
+        "motion": f"[{{ {rng.choice(_MOTIONS)} }}]",
+    }
+    span = {"select": "['*.kmin', '*.kmax']", "kind": "'slip'"}
+    outer = {"select": "['*.i*', '*.j*']", "where": "'max(abs(x), abs(y)) > 1.99'", "kind": "'fixed'"}
+    entries = [body, span, outer]
+    for _ in range(rng.choice((1, 1, 2))):
+        entry, kind = rng.choice(entries), rng.randrange(5)
+        name = rng.choice(list(entry))
+        if kind == 0:
+            entry[name] = rng.choice(VALUES)
+        elif kind == 1:
+            del entry[name]
+            entry.setdefault("select", "['*']")
+        elif kind == 2:
+            entry["kind"] = rng.choice(("'moving'", "'fixed'", "'slip'", "'symmetry'", "'periodic'", "'free'"))
+        elif kind == 3:
+            body["motion"] = f"[{{ {rng.choice(_MOTIONS)} }}, {{ {rng.choice(_MOTIONS)} }}]"
+        else:
+            rng.shuffle(entries)
+    text = "[constants]\nL = 5.0\nturn = 8.0\n" if rng.random() < 0.7 else ""
+    for entry in entries:
+        text += "[[boundary]]\n" + "".join(f"{key} = {value}\n" for key, value in entry.items())
+    Path("bad.toml").write_text(text, "utf-8")
+    return bench.deformed(bench.grid, text, "grid.xyz", "-c", "bad.toml", "-m", rng.choice(("tfi", "idw-tfi")))
+
+
+_MOTIONS = (
+    "rotate = { angle = 5, axis = [0, 0, 1] }",
+    "rotate = { angle = 'turn', axis = [0, 0, 2], center = [0.1, 0, 0] }",
+    "rotate = { angle = '3*z', center = [0, '0.1*x', 0] }",
+    "translate = [0.05, '0.01*L', 0]",
+    "translate = [0, 0, 0]",
+    "displace = ['0.05*sin(x*L)', '0.02*y/(1+x**2)', 0]",
+    "displace = ['0.1*where(x > 0 and not y < 0, y, -x)', 'max(x, y)*0.1', '0']",
+    "displace = ['x/0', 0, 0]",
+    "displace = ['0.1*(x)**0.5', 0, 0]",
+    "displace = ['mod(x, 0.3)*0.1', '0.01*floor(9*y)', 0]",
+    "displace = ['0.01*atan2(y, x)', '0.03*hypot(x, y)', 0]",
+    "displace = ['1e-320*x', '1e-200', 0]",
+    "displace = ['9**9**9', 0, 0]",
+    "displace = ['0.01*x%0.3', '0.01*(x//0.25)', 0]",
+    "displace = ['0.02*(0 < x < 1)', '-0.02*(x != y)', 0]",
+)
+
+
+def formula(bench: Bench, rng: Random) -> str:
+    """Formulas of random depth give what numpy gives; those too long or too deep are refused."""
+    from meshdeform_core.boundary.expression import expression
+    from meshdeform_core.errors import CaseError
+
+    from .walls_told import formula_value
+
+    text = _formula(rng, rng.choice((2, 4, 4, 6)))
+    if rng.random() < 0.1:
+        count = rng.choice((10, 100, 10**4, 10**5))
+        text = _deep(rng, count)
+    points = np.stack([np.linspace(-2, 2, 9), np.linspace(1, 3, 9), np.linspace(0, 1, 9)], axis=1)
+    values = dict(zip("xyz", points.T, strict=True))
+    try:
+        got = np.broadcast_to(np.asarray(expression(text, values)(values), dtype=float), 9)
+    except CaseError as error:
+        return "refused" if len(text) > 200 else f"refused a formula: {error}"
+    expected = formula_value(text, points, {})
+    both = np.isfinite(got) & np.isfinite(expected)
+    same = np.allclose(got[both], expected[both], rtol=1e-12) and (np.isfinite(got) == np.isfinite(expected)).all()
+    return "ok" if same else f"{text} gives {got}"
+
+
+def _deep(rng: Random, count: int) -> str:
+    before, after = rng.choice((("(", ")"), ("-", ""), ("sin(", ")"), ("", "**1"), ("", "+x"), ("1<", ""), ("+-", "")))
+    return before * count + "x" + after * count
+
+
+_ONE = (
+    "sin", "cos", "exp", "tanh", "abs", "floor", "ceil", "sign", "sqrt", "log", "log2", "log10", "asin", "acos", "atan",
+    "sinh", "cosh", "tan", "asinh", "acosh", "atanh",
+)  # fmt: skip
+
+
+def _formula(rng: Random, depth: int) -> str:
+    """A random formula of x and y."""
+    if depth == 0 or rng.random() < 0.15:
+        return rng.choice(("x", "y", "z", "pi", str(rng.randrange(9)), f"{rng.uniform(-3, 3):.3g}", "0", "1e-300"))
+    one, two = (_formula(rng, depth - 1) for _ in range(2))
+    shape = rng.randrange(8)
+    if shape == 0:
+        return f"({one} / {two})"
+    if shape < 3:
+        return f"({one} {rng.choice(('+', '-', '*', '*', '%', '//', '**'))} {two})"
+    if shape < 5:
+        return f"{rng.choice(_ONE)}({one})"
+    if shape == 5:
+        return f"where({one} {rng.choice(('<', '<=', '>', '>=', '==', '!='))} {two}, {two}, {one})"
+    return f"{rng.choice(('hypot', 'min', 'max', 'atan2', 'mod'))}({one}, {two})"
+
+
+KINDS = {"case": case, "case, types": types, "options": options, "formula": formula}

@@ -1,0 +1,237 @@
+"""Changes that keep to the structure of a format: records, nodes and tags are wrong, missing, swapped or twice."""
+
+from __future__ import annotations
+
+import copy
+import re
+import struct
+from collections.abc import Iterator
+from random import Random
+from typing import Any
+
+import numpy as np
+from cgns_witness import N
+from plot3d_witness import data_records
+
+ODD = (0.0, -0.0, 1.0, -1.0, np.nan, np.inf, -np.inf, 1e-310, 5e-324, 1e29, 1e31, 1e300, 2.0**31, -(2.0**63))
+_COUNTS = (0, 1, -1, 2, 3, 7, 2**16, 2**31 - 1, -(2**31))
+
+
+# --- Plot3D ---------------------------------------------------------------------------------------------------------
+
+
+def plot3d(blocks: list[np.ndarray], flags: list[np.ndarray] | None, variant: dict[str, Any], rng: Random) -> bytes:
+    """A binary file of records, one or two of which are not what they should be."""
+    order = ">" if variant["byte_order"] == "big" else "<"
+    sizes = [n for block in blocks for n in block.shape[: variant["dimension"]]]
+    head = [[len(blocks)]] if variant["multiblock"] else []
+    records = [np.array(numbers, order + "i4") for numbers in [*head, sizes]]
+    letter = order + ("f4" if variant["precision"] == "float32" else "f8")
+    for number, block in enumerate(blocks):
+        own = flags[number] if flags else None
+        for record in data_records(block, own, order, variant["dimension"], variant):
+            records.append(
+                np.frombuffer(record, letter if len(record) % 8 == 0 or letter[1:] == "f4" else order + "i4")
+            )
+    lengths: dict[int, int] = {}
+    for _ in range(rng.choice((1, 1, 2))):
+        _damage_record(records, lengths, rng)
+    if variant["encoding"] == "binary":
+        return b"".join(record.tobytes() for record in records)
+    marker = order + ("i" if variant["markers"] == 4 else "q")
+    parts = []
+    for number, record in enumerate(records):
+        data = record.tobytes()
+        ends = [len(data), len(data)]
+        if number in lengths:
+            ends[lengths[number] % 2] += lengths[number]
+        parts.append(struct.pack(marker, ends[0]) + data + struct.pack(marker, ends[1]))
+    return b"".join(parts)
+
+
+def _damage_record(records: list[np.ndarray], lengths: dict[int, int], rng: Random) -> None:
+    at = rng.randrange(len(records))
+    record, kind = records[at], rng.randrange(9)
+    if kind == 0:
+        other = rng.randrange(len(records))
+        records[at], records[other] = records[other], records[at]
+    elif kind == 1:
+        records.insert(at, record)
+    elif kind == 2 and len(records) > 1:
+        del records[at]
+    elif kind == 3:
+        lengths[at] = rng.choice((-8, -4, -1, 1, 4, 8, 2**20, -len(record.tobytes())))
+    elif kind == 4:
+        records[at] = record.byteswap()
+    elif kind == 5 and record.dtype.kind == "f":
+        with np.errstate(all="ignore"):
+            records[at] = record.astype(record.dtype.str.replace("f8", "f4") if rng.random() < 0.5 else "f8")
+    elif kind == 6:
+        records[at] = record[: rng.randrange(len(record) + 1)]
+    elif len(record):
+        record = records[at] = record.copy()
+        with np.errstate(all="ignore"):
+            record[rng.randrange(len(record))] = rng.choice(_COUNTS if record.dtype.kind == "i" else ODD)
+
+
+# --- CGNS -----------------------------------------------------------------------------------------------------------
+
+
+def _nodes(node: N) -> Iterator[tuple[N, N]]:
+    """Every node with its parent."""
+    for child in node.children:
+        yield node, child
+        yield from _nodes(child)
+
+
+def cgns_tree(root: N, rng: Random) -> N:
+    """A tree with one or two nodes changed."""
+    root = copy.deepcopy(root)
+    for _ in range(rng.choice((1, 1, 2))):
+        pairs = list(_nodes(root))
+        parent, node = rng.choice(pairs)
+        _damage_node(parent, node, [child for _, child in pairs], rng)
+    return root
+
+
+def _damage_node(parent: N, node: N, all_nodes: list[N], rng: Random) -> None:
+    kind = rng.randrange(10)
+    other = rng.choice(all_nodes)
+    if kind == 0:
+        node.name = rng.choice((other.name, node.name.lower(), "x" * 32, "A B", "\u00e4"))
+    elif kind == 1:
+        node.label = rng.choice((other.label, "", "UserDefinedData_t", node.label.upper()[:32]))
+    elif kind == 2:
+        parent.children.remove(node)
+    elif kind == 3:
+        again = copy.deepcopy(node)
+        again.name = rng.choice((node.name + "2", "again"))
+        parent.children.insert(rng.randrange(len(parent.children) + 1), again)
+    elif kind == 4:
+        node.children.append(_addition(rng))
+    elif kind == 5:
+        rng.shuffle(parent.children)
+    elif kind == 6:
+        node.link = rng.choice((("", "/Base/left"), ("", "/nowhere"), ("gone.cgns", "/Base"), ("", "/")))
+    else:
+        node.data = _damaged_data(node.data, other.data, rng)
+
+
+_RINDS = ([0] * 6, [1, 0, 0, 0, 0, 0], [1] * 6, [-1] * 6, [9] * 6)
+
+
+def _addition(rng: Random) -> N:
+    """A node that the standard knows and that changes the meaning of others, or not."""
+    return copy.deepcopy(
+        rng.choice(
+            (
+                N(
+                    "Rind",
+                    "Rind_t",
+                    np.array(rng.choice(_RINDS), "i4"),
+                ),
+                N("DataClass", "DataClass_t", rng.choice(("Dimensional", "NormalizedByDimensional"))),
+                N("DataConversion", "DataConversion_t", np.array([2.0, 1.0])),
+                N("GridLocation", "GridLocation_t", rng.choice(("CellCenter", "Vertex", "KFaceCenter"))),
+                N("Ordinal", "Ordinal_t", np.array([7], "i4")),
+                N("GridCoordinates", "GridCoordinates_t", None),
+                N("odd", "UserDefinedData_t", np.zeros((2, 0))),
+            )
+        )
+    )
+
+
+def _damaged_data(data: Any, other: Any, rng: Random) -> Any:
+    if data is None or isinstance(data, str) or rng.random() < 0.15:
+        return rng.choice((other, None, "", "Unstructured", "Null", np.zeros(0), np.array([3], "i4")))
+    array, kind = np.array(data), rng.randrange(6)
+    if kind == 0:
+        with np.errstate(all="ignore"):
+            return array.astype(rng.choice(("i4", "i8", "f4", "f8")))
+    if kind == 1:
+        return np.ascontiguousarray(array.T)
+    if kind == 2 and len(array) > 1:
+        return array[:-1]
+    if kind == 3:
+        return array.reshape(-1)
+    if array.size:
+        array = array.copy()
+        with np.errstate(all="ignore"):
+            values = _COUNTS if array.dtype.kind in "iu" else ODD
+            array.reshape(-1)[rng.randrange(array.size)] = np.array(rng.choice(values)).astype(array.dtype)
+    return array
+
+
+# --- tags -----------------------------------------------------------------------------------------------------------
+
+_VALUES = {
+    b"type": (
+        b"Float32",
+        b"Float64",
+        b"Int32",
+        b"UInt8",
+        b"StructuredGrid",
+        b"ImageData",
+        b"vtkMultiBlockDataSet",
+        b"",
+    ),
+    b"format": (b"ascii", b"binary", b"appended", b"Ascii", b""),
+    b"encoding": (b"raw", b"base64", b"hex"),
+    b"header_type": (b"UInt32", b"UInt64", b"Int8"),
+    b"byte_order": (b"LittleEndian", b"BigEndian", b"big"),
+    b"compressor": (b"vtkZLibDataCompressor", b"vtkLZMADataCompressor", b"vtkLZ4DataCompressor", b"none", b""),
+    b"NumberOfComponents": (b"1", b"2", b"3", b"4", b"9", b"-3", b"2147483647", b""),
+    b"version": (b"0.1", b"1.0", b"2.2", b"9.9", b""),
+}
+_ANY = (b"", b"0", b"1", b"-1", b"0 0 0 0 0 0", b"0 2 0 2 0 2", b"1 3 1 4 0 2", b"nan", b"99999999999", b"&amp;", b"<")
+_ATTRIBUTE = re.compile(rb'(\w+)(\s*=\s*)"([^"]*)"')
+
+
+def tags(data: bytes, rng: Random) -> bytes:
+    """XML with one or two tags or attributes changed; what is appended stays as it is."""
+    at = data.find(b"<AppendedData")
+    end = data.find(b"_", at) if at >= 0 else len(data)
+    head, tail = data[:end], data[end:]
+    for _ in range(rng.choice((1, 1, 2))):
+        head = _attribute(head, rng) if rng.random() < 0.6 else _tag(head, rng)
+    return head + tail
+
+
+def _attribute(data: bytes, rng: Random) -> bytes:
+    found = list(_ATTRIBUTE.finditer(data))
+    if not found:
+        return data
+    match = rng.choice(found)
+    name, kind = match[1], rng.randrange(6)
+    if kind == 0:
+        new = b""
+    elif kind == 1:
+        new = match[0] + b" " + match[0]
+    elif kind == 2:
+        new = name + match[2] + b'"' + rng.choice(found)[3] + b'"'
+    elif kind == 3:
+        new = name.swapcase() + match[2] + b'"' + match[3] + b'"'
+    else:
+        new = name + match[2] + b'"' + rng.choice(_VALUES.get(name, _ANY)) + b'"'
+    return data[: match.start()] + new + data[match.end() :]
+
+
+def _tag(data: bytes, rng: Random) -> bytes:
+    pieces = re.split(rb"(<[^>]*>)", data)
+    places = range(1, len(pieces), 2)
+    one, two = rng.choice(places), rng.choice(places)
+    kind = rng.randrange(5)
+    if kind == 0:
+        pieces[one], pieces[two] = pieces[two], pieces[one]
+    elif kind == 1:
+        low, high = sorted((one, two))
+        pieces[low:low] = pieces[low : high + 1]
+    elif kind == 2:
+        low, high = sorted((one, min(two, one + 6)))
+        del pieces[low : high + 1]
+    elif kind == 3:
+        pieces[one] = b"<!--" + pieces[one] + b"-->"
+    else:
+        start = b'<?xml version="1.0" encoding="%s"?>' % rng.choice((b"UTF-8", b"latin-1", b"utf-16", b"x-odd"))
+        return start + (b"\n" if rng.random() < 0.5 else b"<!-- a -->") + data
+    return b"".join(pieces)

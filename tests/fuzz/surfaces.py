@@ -1,0 +1,265 @@
+"""Surfaces with displacements in every format, written and read independently of the program."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import re
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import meshio
+import numpy as np
+
+Surface = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Points (n, 3), displacements (n, 3), triangles (m, 3)."""
+
+
+# --- writing --------------------------------------------------------------------------------------------------------
+
+
+def write(path: Path, surface: Surface, kind: str) -> None:
+    """Write a surface; ``kind`` tells which variant of the format."""
+    if path.suffix in (".vtu", ".vtp", ".vtk"):
+        _write_vtk(path, surface, kind)
+    elif path.suffix == ".ply":
+        _write_ply(path, surface, kind)
+    elif path.suffix == ".msh":
+        _write_msh(path, surface)
+    else:
+        _write_meshio(path, surface, kind)
+
+
+def _write_meshio(path: Path, surface: Surface, kind: str) -> None:
+    # It says on stdout what it adds of its own.
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+        _write_by_meshio(path, surface, kind)
+
+
+def _write_by_meshio(path: Path, surface: Surface, kind: str) -> None:
+    points, moves, triangles = surface
+    cells = [("triangle", triangles)] if len(triangles) else [("vertex", np.arange(len(points))[:, None])]
+    mesh = meshio.Mesh(points, cells, point_data={"displacement": moves})
+    if path.suffix == ".xdmf":
+        meshio.xdmf.write(str(path), mesh, data_format="XML")
+    elif path.suffix == ".med":
+        meshio.med.write(str(path), mesh)
+    elif path.suffix == ".avs":
+        meshio.avsucd.write(str(path), mesh)
+    else:
+        points, moves = points.T, moves.T
+        names = 'VARIABLES = "X", "Y", "Z", "dx", "dy", "dz"\n'
+        zone = f"ZONE NODES={points.shape[1]}, ELEMENTS={len(triangles)}, DATAPACKING=BLOCK, ZONETYPE=FETRIANGLE\n"
+        rows = [" ".join(map(repr, row)) for row in [*points.tolist(), *moves.tolist()]]
+        rows += [" ".join(str(node + 1) for node in triangle) for triangle in triangles.tolist()]
+        path.write_text(names + zone + "\n".join(rows) + "\n")
+
+
+def _write_msh(path: Path, surface: Surface) -> None:
+    """Gmsh's version 2.2 as text."""
+    points, moves, triangles = (values.tolist() for values in surface)
+    nodes = [f"{n + 1} " + " ".join(map(repr, row)) for n, row in enumerate(points)]
+    cells = [f"{n + 1} 2 2 0 1 " + " ".join(str(node + 1) for node in row) for n, row in enumerate(triangles)]
+    cells = cells or ["1 15 2 0 1 1"]
+    data = [f"{n + 1} " + " ".join(map(repr, row)) for n, row in enumerate(moves)]
+    head = ["1", '"displacement"', "1", "0.0", "3", "0", "3", str(len(data))]
+    sections = {
+        "MeshFormat": ["2.2 0 8"],
+        "Nodes": [str(len(nodes)), *nodes],
+        "Elements": [str(len(cells)), *cells],
+        "NodeData": [*head, *data],
+    }
+    path.write_text("".join("\n".join([f"${k}", *lines, f"$End{k}\n"]) for k, lines in sections.items()))
+
+
+def _write_vtk(path: Path, surface: Surface, kind: str) -> None:
+    from vtkmodules.util.numpy_support import numpy_to_vtk
+    from vtkmodules.vtkCommonCore import vtkPoints
+    from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData, vtkUnstructuredGrid
+    from vtkmodules.vtkIOLegacy import vtkPolyDataWriter, vtkUnstructuredGridWriter
+    from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter, vtkXMLUnstructuredGridWriter
+
+    points, moves, triangles = surface
+    nodes = vtkPoints()
+    nodes.SetData(numpy_to_vtk(points, deep=True))
+    cells = vtkCellArray()
+    for triangle in triangles.tolist():
+        cells.InsertNextCell(len(triangle), triangle)
+    flat = path.suffix == ".vtp" or (path.suffix == ".vtk" and "poly" in kind)
+    mesh = vtkPolyData() if flat else vtkUnstructuredGrid()
+    mesh.SetPoints(nodes)
+    if not len(triangles):
+        for node in range(len(points)):
+            cells.InsertNextCell(1, [node])
+        mesh.SetVerts(cells) if flat else mesh.SetCells(1, cells)
+    else:
+        mesh.SetPolys(cells) if flat else mesh.SetCells(5, cells)
+    array = numpy_to_vtk(moves, deep=True)
+    array.SetName("displacement")
+    mesh.GetPointData().AddArray(array)
+    if path.suffix == ".vtk":
+        writer = vtkPolyDataWriter() if flat else vtkUnstructuredGridWriter()
+        writer.SetFileType(2 if "binary" in kind else 1)
+        writer.SetFileVersion(42 if "old" in kind else 51)
+    else:
+        writer = vtkXMLPolyDataWriter() if flat else vtkXMLUnstructuredGridWriter()
+        writer.SetDataMode({"ascii": 0, "binary": 1}.get(kind, 2))
+        writer.SetEncodeAppendedData(kind == "base64")
+    writer.SetInputData(mesh)
+    writer.SetFileName(str(path))
+    assert writer.Write()
+
+
+def _write_ply(path: Path, surface: Surface, kind: str) -> None:
+    points, moves, triangles = surface
+    order = {"ascii": "ascii", "little": "binary_little_endian", "big": "binary_big_endian"}[kind]
+    names = "".join(f"property double {name}\n" for name in ("x", "y", "z", "dx", "dy", "dz"))
+    faces = f"element face {len(triangles)}\nproperty list uchar int vertex_indices\n"
+    head = f"ply\nformat {order} 1.0\nelement vertex {len(points)}\n{names}{faces}end_header\n"
+    rows = np.hstack([points, moves])
+    if kind == "ascii":
+        text = [" ".join(map(repr, row)) for row in rows.tolist()]
+        text += ["3 " + " ".join(map(str, triangle)) for triangle in triangles.tolist()]
+        path.write_text(head + "\n".join(text) + "\n")
+        return
+    mark = "<" if kind == "little" else ">"
+    cells = np.empty(len(triangles), [("n", "u1"), ("nodes", mark + "i4", 3)])
+    cells["n"], cells["nodes"] = 3, triangles
+    path.write_bytes(head.encode() + rows.astype(mark + "f8").tobytes() + cells.tobytes())
+
+
+# --- reading --------------------------------------------------------------------------------------------------------
+
+
+def read(path: Path) -> Surface | None:
+    """The surface as something else than the program reads it; none if that finds no surface."""
+    readers: dict[str, Callable[[Path], Surface | None]] = {
+        ".ply": _ply, ".msh": _msh, ".xdmf": _xdmf, ".med": _med, ".avs": _avs, ".tec": _tecplot,
+    }  # fmt: skip
+    return readers.get(path.suffix, _vtk)(path)
+
+
+def _vtk(path: Path) -> Surface | None:
+    from vtkmodules.util.numpy_support import vtk_to_numpy
+    from vtkmodules.vtkIOLegacy import vtkDataSetReader
+    from vtkmodules.vtkIOXML import vtkXMLGenericDataObjectReader
+
+    from .judges import silent_vtk
+
+    reader = vtkDataSetReader() if path.read_bytes().startswith(b"# vtk") else vtkXMLGenericDataObjectReader()
+    reader.SetFileName(str(path))
+    with silent_vtk():
+        reader.Update()
+    mesh = reader.GetOutput()
+    if mesh is None:
+        return None
+    triangles = []
+    for cell in range(mesh.GetNumberOfCells()):
+        if mesh.GetCellType(cell) in (5, 7):
+            ids = mesh.GetCell(cell).GetPointIds()
+            corners = [ids.GetId(n) for n in range(ids.GetNumberOfIds())]
+            triangles += [[corners[0], *corners[n : n + 2]] for n in range(1, len(corners) - 1)]
+    arrays = [mesh.GetPointData().GetArray(n) for n in range(mesh.GetPointData().GetNumberOfArrays())]
+    vectors = [vtk_to_numpy(array) for array in arrays if array is not None and array.GetNumberOfComponents() == 3]
+    if not vectors or mesh.GetPoints() is None:
+        return None
+    moves = vectors[0]
+    points = vtk_to_numpy(mesh.GetPoints().GetData())
+    return points.astype(float), moves.astype(float), np.array(triangles, dtype=int).reshape(-1, 3)
+
+
+def _ply(path: Path) -> Surface:
+    head, body = re.split(rb"end_header\s*?(?:\r\n?|\n)", path.read_bytes(), maxsplit=1)
+    lines = [line.split() for line in head.decode().splitlines()]
+    counts = {line[1]: int(line[2]) for line in lines if line[0] == "element"}
+    n, m, names = counts["vertex"], counts.get("face", 0), [line[2] for line in lines if line[0] == "property"][:6]
+    order = [names.index(name) for name in ("x", "y", "z", "dx", "dy", "dz")]
+    kind = next(line[1] for line in lines if line[0] == "format")
+    if kind == "ascii":
+        numbers = body.split()
+        rows = np.array(numbers[: 6 * n], dtype=float).reshape(n, 6)[:, order]
+        triangles = np.array(numbers[6 * n : 6 * n + 4 * m], dtype=int).reshape(m, 4)[:, 1:]
+        return rows[:, :3], rows[:, 3:], triangles
+    mark = "<" if "little" in kind else ">"
+    kinds = [line[1] for line in lines if line[0] == "property"][:6]
+    record = [(name, mark + {"double": "f8", "float": "f4"}[k]) for name, k in zip(names, kinds, strict=True)]
+    values = np.frombuffer(body, record, n)
+    rows = np.stack([values[name] for name in ("x", "y", "z", "dx", "dy", "dz")], axis=1).astype(float)
+    cells = np.frombuffer(body, [("n", "u1"), ("nodes", mark + "i4", 3)], m, values.nbytes)
+    return rows[:, :3], rows[:, 3:], cells["nodes"].astype(int)
+
+
+def _section(words: list[str], name: str) -> list[str]:
+    return words[words.index(f"${name}") + 1 : words.index(f"$End{name}")]
+
+
+def _msh(path: Path) -> Surface:
+    """Version 2.2 as text."""
+    text = path.read_text()
+    nodes = np.array(_section(text.split(), "Nodes")[1:], dtype=float).reshape(-1, 4)
+    data = [line for line in text.partition("$NodeData")[2].partition("$EndNodeData")[0].splitlines() if line.strip()]
+    at = 1 + int(data[0])
+    at += 1 + int(data[at])
+    at += 1 + int(data[at])
+    moves = np.array([line.split() for line in data[at:]], dtype=float)
+    number = {identity: row for row, identity in enumerate(nodes[:, 0].tolist())}
+    by_node = {row[0]: row[1:] for row in moves.tolist()}
+    triangles = []
+    for line in text.partition("$Elements")[2].partition("$EndElements")[0].splitlines()[2:]:
+        words = [int(word) for word in line.split()]
+        if len(words) > 3 and words[1] == 2:
+            triangles.append([number[node] for node in words[-3:]])
+    displacement = np.array([by_node[identity] for identity in nodes[:, 0].tolist()])
+    return nodes[:, 1:], displacement, np.array(triangles, dtype=int).reshape(-1, 3)
+
+
+def _xdmf(path: Path) -> Surface:
+    grid = ElementTree.fromstring(path.read_bytes()).find(".//Grid")
+
+    def numbers(place: str) -> np.ndarray:
+        item = grid.find(place)
+        shape = [int(n) for n in item.get("Dimensions").split()]
+        return np.array((item.text or "").split(), dtype=float).reshape(shape)
+
+    kind = grid.find("Topology").get("TopologyType")
+    cells = numbers("Topology/DataItem").astype(int) if kind == "Triangle" else np.empty((0, 3), int)
+    return numbers("Geometry/DataItem"), numbers("Attribute/DataItem"), cells
+
+
+def _med(path: Path) -> Surface:
+    with h5py.File(path) as file:
+        (mesh,) = file["ENS_MAA"].values()
+        (step,) = mesh.values()
+        points = step["NOE/COO"][()].reshape(3, -1).T
+        cells = step["MAI"]
+        triangles = cells["TR3/NOD"][()].reshape(3, -1).T - 1 if "TR3" in cells else np.empty((0, 3), int)
+        (field,) = file["CHA"].values()
+        (step,) = field.values()
+        (values,) = (group["CO"][()] for group in step["NOE"].values())
+        return points, values.reshape(3, -1).T, triangles
+
+
+def _avs(path: Path) -> Surface:
+    lines = [line.split() for line in path.read_text().splitlines() if line.strip() and not line.startswith("#")]
+    n, m = int(lines[0][0]), int(lines[0][1])
+    nodes, cells, rest = lines[1 : n + 1], lines[n + 1 : n + m + 1], lines[n + m + 1 :]
+    number = {int(row[0]): at for at, row in enumerate(nodes)}
+    names = int(rest[0][0])
+    values = {int(row[0]): [float(word) for word in row[1:4]] for row in rest[1 + names :]}
+    triangles = [[number[int(node)] for node in row[3:6]] for row in cells if row[2] == "tri"]
+    points = np.array([row[1:4] for row in nodes], dtype=float)
+    moves = np.array([values[int(row[0])] for row in nodes])
+    return points, moves, np.array(triangles, dtype=int).reshape(-1, 3)
+
+
+def _tecplot(path: Path) -> Surface:
+    text = path.read_text()
+    n, m = (int(re.search(rf"(?i)\b(?:{key})\s*=\s*(\d+)", text)[1]) for key in ("NODES|N", "ELEMENTS|E"))
+    lines = text.splitlines()
+    at = next(k for k, line in enumerate(lines) if "ZONE" in line.upper()) + 1
+    numbers = " ".join(lines[at:]).split()
+    rows = np.array(numbers[: 6 * n], dtype=float).reshape(6, n)
+    triangles = np.array(numbers[6 * n : 6 * n + 3 * m], dtype=int).reshape(m, 3) - 1
+    return rows[:3].T, rows[3:].T, triangles

@@ -1,0 +1,68 @@
+"""The campaign itself: what it takes for right and what for wrong."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import time
+from pathlib import Path
+from unittest import mock
+
+import pytest
+from grids import CASE, frame
+
+from fuzz.bench import called, refusal
+from fuzz.campaign import limited, table
+from fuzz.samples import KINDS, SCHEDULE
+from meshdeform_formats import write_grid
+
+pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGPROF"), reason="clocks of POSIX systems")
+
+
+def wait(*_, **__):
+    while True:
+        time.sleep(0.01)
+
+
+def work(*_, **__):
+    while True:
+        sum(range(1000))
+
+
+def swallow(*_, **__):
+    """A hang in code that takes every exception once."""
+    with contextlib.suppress(BaseException):
+        work()
+    work()
+
+
+@pytest.mark.parametrize("hang", [wait, work, swallow])
+@pytest.mark.parametrize("place", ["meshdeform_formats.grids.read_grid", "meshdeform_cli.work.write_grid"])
+def test_a_hang_is_wrong_and_never_refused(hang, place, tmp_path, monkeypatch):
+    """Wherever the program hangs: while it reads, or where it takes errors of the system for a full disk."""
+    monkeypatch.chdir(tmp_path)
+    write_grid(frame(1, 1), "grid.xyz")
+    Path("case.toml").write_text(CASE)
+
+    def sample(number: int) -> tuple[str, str]:
+        code, told = called("deform", "grid.xyz", "-c", "case.toml", "-m", "tfi", "-o", "out.xyz", "-q", "--force")
+        return "hang", "ok" if code == 0 else refusal(code, told)
+
+    assert limited(sample, 0)[1] == "ok"
+    with mock.patch(place, hang):
+        _, result = limited(sample, 0, 0.2)
+    assert result.startswith("TooLong"), result
+    assert signal.getitimer(signal.ITIMER_PROF) == (0.0, 0.0)
+    assert "| judge | 1 | 0 | 0 | 1 |" in table([(0, "judge", result)], 1)
+    assert limited(sample, 0)[1] == "ok"
+
+
+def test_every_class_has_its_turn():
+    assert set(SCHEDULE[: len(KINDS)]) == set(KINDS)
+    assert {name for name in SCHEDULE if name not in KINDS} == {"two ranks", "memory peak"}
+
+
+def test_what_the_machine_lacks_is_counted_apart():
+    lines = table([(0, "a", "ok"), (1, "a", "skipped"), (2, "a", "exit code 1")], 7).splitlines()
+    assert lines[0] == "| class (seed 7) | samples | right | refused | skipped | wrong |"
+    assert lines[2] == "| a | 3 | 1 | 0 | 1 | 1 |"

@@ -1,0 +1,192 @@
+"""Classes of grids with all kinds of boundaries: walls, slip planes, symmetry, periodic pairs, several tables."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from random import Random
+
+import numpy as np
+from grids import SPANS, frame, stretched
+
+from meshdeform_core.grid import Grid
+from meshdeform_formats import read_grid, write_grid
+
+from . import judges
+from .bench import METHODS, Bench, called, refusal, seeded
+
+Entry = dict[str, str]
+
+
+def nasty(rng: Random) -> Grid:
+    """A small grid of one or two blocks with irregular, collapsed or folded cells."""
+    random = seeded(rng)
+    lines = [np.cumsum(np.r_[0.0, random.uniform(0.05, 1.0, rng.randrange(1, 5))]) for _ in range(3)]
+    block = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1)
+    block += rng.choice((0.0, 0.02, 0.2)) * random.uniform(-1, 1, block.shape)
+    what = rng.randrange(5)
+    if what == 1:
+        block[0] = block[0].mean(axis=0)
+    elif what == 2:
+        block[:, :, 0] = block[0, :, 0]
+    elif what == 3:
+        block = block[::-1]
+    blocks = [block]
+    if rng.random() < 0.5:
+        blocks.append(np.concatenate([block[-1:], block[-1:] + [1.0, 0.0, 0.0]]))
+    return Grid.from_blocks([np.ascontiguousarray(b) for b in blocks])
+
+
+def nasty_grid(bench: Bench, rng: Random) -> str:
+    """Any grid with one moving wall, by any method."""
+    grid, shift = nasty(rng), rng.choice((0.01, 0.1, 1.0))
+    write_grid(grid, "nasty.xyz")
+    grid = read_grid("nasty.xyz")
+    case = (
+        "[grid]\nopen = true\n[[boundary]]\nname = 'w'\nselect = ['*.jmin']\n"
+        f"motion = [{{ displace = ['{shift}*y', '{shift}*x', '0'] }}]\n"
+    )
+    Path("nasty.toml").write_text(case)
+    arguments = ("nasty.xyz", "-c", "nasty.toml", "-m", rng.choice(METHODS), "--steps", rng.choice(("1", "2", "auto")))
+    code, told = called("deform", *arguments, "-o", "out.xyz", "--force", "-q")
+    if code != 0:
+        return "ok" if code == 3 else refusal(code, told)
+    after = read_grid("out.xyz")
+    if not np.isfinite(after.points).all():
+        return "coordinates that are not finite"
+    wall = grid.block(0)[:, 0].reshape(-1, 3)
+    expected = wall + shift * np.stack([wall[:, 1], wall[:, 0], 0 * wall[:, 0]], axis=1)
+    if np.abs(after.block(0)[:, 0].reshape(-1, 3) - expected).max() > 1e-9:
+        return "the wall is not where it was told"
+    bad = judges.newly_bad(grid, after)
+    return "ok" if bad == 0 else f"{bad} cells became invalid and the exit code is 0"
+
+
+def constrained(bench: Bench, rng: Random) -> str:
+    """A body between planes on which nodes slide, repeat or are mirrored."""
+    grid = _bent(frame(rng.choice((1, 2)), rng.choice((1, 2, 3))), rng)
+    write_grid(grid, "walls.xyz")
+    entries, pairs = _entries(rng)
+    text = _toml(entries)
+    Path("walls.toml").write_text(text)
+    repair = rng.choice(("auto", "auto", "off", "polish"))
+    method, steps = rng.choice(METHODS), rng.choice(("1", "3", "auto"))
+    arguments = ("walls.xyz", "-c", "walls.toml", "-m", method, "--steps", steps, "--repair", repair)
+    Path("out.xyz").unlink(missing_ok=True)
+    result = bench.deformed(read_grid("walls.xyz"), text, *arguments)
+    if result != "ok" or not Path("out.xyz").exists():
+        return result
+    return _constraints(entries, pairs, grid, read_grid("out.xyz")) or "ok"
+
+
+def _bent(grid: Grid, rng: Random) -> Grid:
+    """The same grid with lines that are not straight; boundaries stay planes."""
+    strength = rng.choice((0.0, 0.02))
+    x, y, _ = grid.points.T
+    inner = (np.abs(np.abs(x) - 0.5) > 1e-9) & (np.abs(np.abs(y) - 0.5) > 1e-9) & (np.maximum(abs(x), abs(y)) < 1.999)
+    points = grid.points.copy()
+    points[:, 0] += inner * strength * np.sin(3 * y)
+    points[:, 1] += inner * strength * np.cos(2 * x)
+    return grid.moved(points)
+
+
+def _entries(rng: Random) -> tuple[list[Entry], list[int]]:
+    """Entries of the body, of each pair of planes, and the axes whose planes are periodic."""
+    size = rng.choice((0.02, 0.1, 0.3))
+    motion = rng.choice(
+        (
+            f"rotate = {{ angle = {100 * size}, axis = [0, 0, 1] }}",
+            f"displace = ['{size}*sin(2*y)', '{size}*x', 0]",
+            f"translate = [{size}, {-size}, 0]",
+            f"displace = ['{size}*cos(pi*z)', 0, '{size}*x*z*(1-z)']",
+        )
+    )
+    body = {"select": "['*.i*', '*.j*']", "where": "'max(abs(x), abs(y)) < 0.51'", "motion": f"[{{ {motion} }}]"}
+    entries, pairs = [body], []
+    sides = {0: "abs(x) > 1.999", 1: "abs(y) > 1.999"}
+    for axis in range(3):
+        kind = rng.choice(("slip", "symmetry", "periodic", "fixed", "free", ""))
+        # The end planes of a grid one cell thick are slip planes if nothing selects them.
+        if not kind and axis < 2:
+            continue
+        kind = kind or "slip"
+        select = "['*.kmin', '*.kmax']" if axis == 2 else f"['*.{'ij'[axis]}*']"
+        where = {} if axis == 2 else {"where": f"'{sides[axis]}'"}
+        entries.append({"select": select, **where, "kind": f"'{kind}'"})
+        pairs += [axis] if kind == "periodic" else []
+    rng.shuffle(entries)
+    return entries, pairs
+
+
+def _toml(entries: list[Entry]) -> str:
+    return "".join("[[boundary]]\n" + "".join(f"{k} = {v}\n" for k, v in entry.items()) for entry in entries)
+
+
+def _constraints(entries: list[Entry], pairs: list[int], before: Grid, after: Grid) -> str:
+    """Nodes on planes of slip and symmetry stay in them; the two sides of a periodic pair move alike."""
+    ends = ((-2.0, 2.0), (-2.0, 2.0), (0.0, 1.0))
+    moves = after.points - before.points
+    prescribed = np.abs(before.points[:, :2]).max(axis=1) < 0.51
+    for entry in entries:
+        axis = 2 if ".k" in entry["select"] else 0 if ".i" in entry["select"] else 1
+        if entry.get("kind") not in ("'slip'", "'symmetry'") or "motion" in entry:
+            continue
+        on = np.isin(before.points[:, axis], ends[axis]) & ~prescribed
+        if np.abs(moves[on, axis]).max(initial=0) > 1e-9:
+            return f"nodes have left the plane across axis {axis}"
+    for axis in pairs:
+        others = [a for a in range(3) if a != axis]
+        low, high = ends[axis]
+        by_place = {}
+        for side in (low, high):
+            rows = np.flatnonzero((before.points[:, axis] == side) & ~prescribed)
+            by_place[side] = {tuple(before.points[row, others].tolist()): moves[row] for row in rows}
+        for place, move in by_place[low].items():
+            if place not in by_place[high] or np.abs(by_place[high][place] - move).max() > 1e-9:
+                return f"the periodic nodes at {place} across axis {axis} move apart"
+    return ""
+
+
+def two_tables(bench: Bench, rng: Random) -> str:
+    """Two parts of a body that move by tables of their own, one of them perhaps damaged."""
+    from .mutations import mutated
+
+    line = stretched(SPANS[1], 3)
+    nodes = np.array([(x, y, z) for x in line for y in line for z in (0.0, 0.5, 1.0)])
+    nodes = nodes[np.abs(nodes[:, :2]).max(axis=1) > 0.499]
+    spread = seeded(rng).uniform(-1, 1, (3, 3)) * 0.03
+    told: dict[tuple[float, ...], np.ndarray] = {}
+    for name, part in (("one", nodes[:, 0] < 0.1), ("two", nodes[:, 0] > -0.51)):
+        rows = np.hstack([nodes[part], nodes[part] @ spread])
+        np.savetxt(f"{name}.csv", rows, "%.17g", delimiter=",")
+        told |= {tuple(row[:3].tolist()): row[3:] for row in rows}
+    damaged = rng.random() < 0.5
+    if damaged:
+        Path("two.csv").write_bytes(mutated(Path("two.csv").read_bytes(), True, rng))
+    low = {"where": "'max(abs(x), abs(y)) < 0.51 and x < -0.2'", "motion": "[{ file = 'one.csv', match = 'exact' }]"}
+    high = {
+        "where": "'max(abs(x), abs(y)) < 0.51 and x > -0.3'",
+        "motion": f"[{{ file = 'two.csv', match = '{rng.choice(('exact', 'nearest'))}' }}]",
+    }
+    common = {"select": "['*.i*', '*.j*']"}
+    Path("tables.toml").write_text(_toml([common | low, common | high]))
+    arguments = ("grid.xyz", "-c", "tables.toml", "-m", "tfi", "--allow-invalid")
+    code, message = called("deform", *arguments, "-o", "out.xyz", "--force", "-q")
+    if code != 0:
+        return refusal(code, message)
+    after = read_grid("out.xyz")
+    if damaged:
+        from .tables import text_table
+
+        rows, moves, _ = text_table(Path("two.csv"))
+        fresh = {tuple(row): move for row, move in zip(rows.tolist(), moves, strict=True)}
+        told = {node: move for node, move in told.items() if node[0] < -0.3} | {
+            node: fresh.get(node, move) for node, move in told.items() if node[0] > -0.2
+        }
+    for old, new in zip(bench.grid.points, after.points, strict=True):
+        move = told.get(tuple(old.tolist()))
+        if move is not None and np.abs(new - old - move).max() > 1e-9:
+            return f"the node {old.tolist()} moved by {(new - old).tolist()}, its table says {move.tolist()}"
+    return "ok"
+
+
+KINDS = {"grid": nasty_grid, "slip, symmetry, periodic": constrained, "two tables": two_tables}
