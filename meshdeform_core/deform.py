@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from .attempts import adaptively, in_equal_steps, until_valid
+from .boundary.crossing import find_crossings
 from .errors import CaseError
 from .grid import Grid
 from .march import Attempt, March
@@ -16,6 +17,9 @@ from .methods.limits import PatchMotion, patch_motions
 from .quality import Assessment, assess
 from .repair.repair import COLLAPSING, Repair
 from .setup import BoundaryMotion, Case, Setup, Start, Timing, set_up
+
+# Larger by this factor than those tested before, a displacement is tested for a boundary that crosses itself.
+_GROWTH = 1.25
 
 __all__ = [
     "Attempt",
@@ -140,11 +144,31 @@ def _result(march: March) -> Result:
         march.fraction,
         march.max_displacement,
         march.timing,
-        (*march.warnings, *march.notices.values(), *_nearly_collapsed(assessment)),
+        (*march.warnings, *march.notices.values(), *_nearly_collapsed(assessment), *_overlaps(march, assessment)),
         patch_motions(setup.problem, march.total),
         tuple(march.attempts),
         sum(march.repairs[1:], march.repairs[0]) if march.repairs else None,
     )
+
+
+def _overlaps(march: March, assessment: Assessment) -> list[str]:
+    """A warning if valid cells overlap others: a wall may pass through itself where no cells lie between its sides.
+
+    Other boundaries cannot meet while all cells are valid. Of the levels of a series, those are tested whose
+    displacement is larger than at the levels before.
+    """
+    setup, largest = march.setup, march.max_displacement
+    if not assessment.valid or march.fraction < 1.0 or largest <= _GROWTH * max(setup.examined, default=0.0):
+        return []
+    with march.timing.stage("quality"):
+        crossings = find_crossings(setup.grid, setup.topology, setup.boundary, march.total)
+    if crossings:
+        return [
+            f"the moved boundary crosses itself: {crossings[0]}. The cells are valid one by one, but the grid overlaps "
+            f"itself there"
+        ]
+    setup.examined.append(largest)
+    return []
 
 
 def _nearly_collapsed(assessment: Assessment) -> list[str]:

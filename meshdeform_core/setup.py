@@ -112,6 +112,11 @@ class Setup:
         """The undeformed cells, against which every result is judged."""
         return Original(self.grid, self.topology, self.case.repair.min_jacobian)
 
+    @cached_property
+    def examined(self) -> list[float]:
+        """Largest displacements whose boundary was tested for crossing itself."""
+        return []
+
     def with_repair(self, mode: Mode) -> Setup:
         """A copy with another repair mode; data of the undeformed grid are shared."""
         if mode == self.case.repair.mode:
@@ -119,7 +124,7 @@ class Setup:
         repair = dataclasses.replace(self.case.repair, mode=mode)
         other = dataclasses.replace(self, case=dataclasses.replace(self.case, repair=repair))
         # The values of cached properties lie in the instance's dictionary.
-        vars(other).update(problem=self.problem, original=self.original)
+        vars(other).update(problem=self.problem, original=self.original, examined=self.examined)
         return other
 
     def displacement(self, time: float, fraction: float = 1.0) -> FloatArray:

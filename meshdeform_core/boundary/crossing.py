@@ -52,6 +52,12 @@ class Crossing:
     point: tuple[float, float, float]
     count: int
 
+    def __str__(self) -> str:
+        one, two = self.patches
+        pair = f"{one!r} meets itself" if one == two else f"{one!r} and {two!r} meet"
+        place = ", ".join(f"{x:.6g}" for x in self.point)
+        return f"{pair} at ({place}) ({self.count} pairs of faces)"
+
 
 @dataclass(frozen=True)
 class Contact:
@@ -69,13 +75,7 @@ class Contact:
     @property
     def message(self) -> str:
         """Warning text: which patches meet, where and when."""
-        first = self.crossings[0] if self.crossings else None
-        what = "a part of it lies outside the grid"
-        if first:
-            one, two = first.patches
-            pair = f"{one!r} meets itself" if one == two else f"{one!r} and {two!r} meet"
-            place = ", ".join(f"{x:.6g}" for x in first.point)
-            what = f"{pair} at ({place}) ({first.count} pairs of faces)"
+        what = str(self.crossings[0]) if self.crossings else "a part of it lies outside the grid"
         verdict = "the moved boundary crosses itself, so no valid grid exists"
         return f"{verdict}: from {self.fraction:.2%} of the motion onwards {what}"
 

@@ -13,10 +13,13 @@ from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.boundary.crossing import Contact, find_contact, find_crossings
 from meshdeform_core.boundary.expression import expression
 from meshdeform_core.boundary.motion import Motion
-from meshdeform_core.deform import Case, Setup, set_up
+from meshdeform_core.deform import Case, Setup, deform, set_up
 from meshdeform_core.grid import Grid, Patch, Side, Window
+from meshdeform_core.methods import Options
 from meshdeform_core.numerics.geometry.crossing import cross_exactly, crossing_faces
 from meshdeform_core.numerics.geometry.solid_angle import winding
+from meshdeform_core.repair import RepairOptions
+from meshdeform_core.series import Schedule, deform_series
 
 NEAR = expression(INNER, {"x", "y", "z"})
 
@@ -176,3 +179,29 @@ def test_faces_that_abut_without_matching_are_no_crossing():
     grid = Grid.from_blocks([block(8, 0.0, 1.0), block(13, 1.0, 2.0)])
     setup = set_up(grid, Case((moving("all", "*", turning(40.0)),)))
     assert crossings(setup) == ()
+
+
+@pytest.mark.parametrize("grid", [frame(), frame_2d()], ids=["frame", "frame-2d"])
+@pytest.mark.parametrize(("depth", "overlaps"), [(0.5, False), (0.99, False), (1.1, True), (1.4, True)])
+def test_a_wall_through_its_body_is_told_although_every_cell_is_valid(grid, depth, overlaps):
+    """The left side of a hollow bar bulges to the right: no cells lie between it and the right side."""
+    bulge = formulas(f"{depth} * (1 - 4*y*y)", "0", "0")
+    specs = [moving("left", "block2.imax", bulge), BoundarySpec("ends", ("*.kmin", "*.kmax"), Kind.SLIP)]
+    specs = specs[: grid.dimension - 1]
+    result = deform(grid, Case(tuple(specs), {}, Options("tfi"), repair=RepairOptions("off")))
+    assert result.valid
+    told = [text for text in result.warnings if "the grid overlaps itself there" in text]
+    assert bool(told) == overlaps
+    if told:
+        assert "the moved boundary crosses itself: '(not selected)' and 'left' meet at (0." in told[0]
+
+
+def test_smaller_motions_of_a_series_are_not_tested_again(monkeypatch):
+    asked = []
+    monkeypatch.setattr("meshdeform_core.deform.find_crossings", lambda *args: asked.append(args) or ())
+    wall = [BoundarySpec("cylinder", ("block1.jmin",), Kind.MOVING, None, formulas("0.1*sin(t)", "0", "0"))]
+    setup = set_up(polar(), Case(tuple(wall), {}, Options("tfi"), repair=RepairOptions("off")))
+    for _ in deform_series(setup, Schedule((0.0, 0.5, 1.0, 1.1, 1.5, 3.0)), "float64"):
+        pass
+    # At t = 0 nothing has moved.
+    assert len(asked) == 2
