@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator
+import re
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from meshdeform_core.errors import FormatError
 
 from .table import DISPLACEMENT_NAMES, NO_TRIANGLES, POINT_NAMES, DisplacementTable, vector_names
 
+_UNITS = {"m", "dm", "cm", "mm", "um", "µm", "nm", "km", "in", "inch", "inches", "ft", "feet", "yd"}
 _BY_ORDER = {6: "x y z dx dy dz", 4: "x y dx dy"}
 
 
@@ -48,7 +50,9 @@ def read(path: Path) -> DisplacementTable:
         every = len(columns) == layout.width
         with path.open(encoding="utf-8-sig") as stream:
             values = np.loadtxt(
-                stream,
+                # numpy takes a line of blanks, or of blanks and a comment, for a row.
+                (line if line.partition("#")[0].strip() else "\n" for line in stream),
+                quotechar='"',
                 delimiter=layout.separator,
                 skiprows=layout.first - 1,
                 # When all columns are requested, numpy also checks that there are no more.
@@ -109,6 +113,7 @@ def _columns(
     except FormatError as error:
         raise FormatError(f"{path}: {error}") from None
     if len(names) == width and found[0] and found[1]:
+        _require_one_unit(path, [*found[0], *found[1]])
         points, displacement = (tuple(map(names.index, columns)) for columns in found if columns)
         return points, displacement
     if header:
@@ -123,6 +128,15 @@ def _columns(
     return tuple(range(half)), tuple(range(half, width))
 
 
+def _require_one_unit(path: Path, names: Iterable[str]) -> None:
+    """Refuse columns whose names have different length units, like ``x [m]`` and ``dx [mm]``."""
+    found = {unit.lower() for name in names for unit in re.findall(r"[\[(]\s*(\w+)\s*[\])]", name)}
+    if len(units := found & _UNITS) > 1:
+        raise FormatError(
+            f"{path}: its columns have lengths in {', '.join(sorted(units))}; expected all in the grid's unit"
+        )
+
+
 def _words(text: str, separator: str | None) -> list[str]:
     if separator is None:
         return [word.strip('"') for word in text.split()]
@@ -130,11 +144,12 @@ def _words(text: str, separator: str | None) -> list[str]:
 
 
 def _is_number(word: str) -> bool:
+    """Whether numpy reads it as a number too: without underscores and in plain digits."""
     try:
         float(word)
     except ValueError:
         return False
-    return True
+    return word.isascii() and "_" not in word
 
 
 def _rows(path: Path, layout: _Layout) -> Iterator[tuple[int, list[str]]]:

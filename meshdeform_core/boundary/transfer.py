@@ -14,6 +14,9 @@ from .matching import Matching, Nodes, SurfaceData, Transfer
 # Two displacements at one point are the same up to this fraction of the largest one.
 _ALIKE = 1e-6
 _LARGEST = 1e100
+# Points of a table closer than this part of its extent are one point if the surface between them would be stretched by
+# more than this factor.
+_ONE_POINT, _STRETCH = 1e-6, 10.0
 
 
 def transfer(data: SurfaceData | Grid, matching: Matching, nodes: Nodes) -> Transfer:
@@ -78,7 +81,29 @@ def _require_one_displacement(data: SurfaceData, nodes: Nodes, tree: scipy.spati
         )
 
 
+def _require_continuous(data: SurfaceData) -> None:
+    """Refuse different displacements of points that are practically one: no surface is stretched so much."""
+    points, displacement = data.points, data.displacement
+    if len(points) < 2:
+        return
+    near = _ONE_POINT * float(np.ptp(points, axis=0).max())
+    distance, pair = scipy.spatial.cKDTree(points).query(points, k=2, distance_upper_bound=near)
+    close = np.flatnonzero(np.isfinite(distance[:, 1]) & (distance[:, 1] > 0.0))
+    apart = np.abs(displacement[pair[close, 0]] - displacement[pair[close, 1]]).max(axis=1, initial=0.0)
+    conflict = (apart > _STRETCH * distance[close, 1]) & (apart > _ALIKE * np.abs(displacement).max())
+    if conflict.any():
+        one, other = sorted(pair[close[int(np.argmax(conflict))]].tolist())
+        raise MotionError(
+            f"{data.label} has the points {points[one].tolist()} and {points[other].tolist()}, "
+            f"{float(np.linalg.norm(points[one] - points[other])):.2g} apart, with the displacements "
+            f"{displacement[one].tolist()} and {displacement[other].tolist()} ({int(conflict.sum())} such points); "
+            f"expected one displacement at one place"
+        )
+
+
 def _interpolate(data: SurfaceData, matching: Matching, nodes: Nodes) -> Transfer:
+    if not len(data.triangles):
+        _require_continuous(data)
     if len(data.triangles):
         displacement, distance, beyond = _on_triangles(data, nodes.points)
     else:

@@ -105,6 +105,17 @@ def test_two_displacements_at_one_place_are_refused():
         on_body(data(twice, moved))
 
 
+@pytest.mark.parametrize("gap", [1e-13, 1e-9, 1e-7])
+def test_splines_refuse_two_displacements_at_practically_one_place(gap):
+    points = bar()
+    twice = np.concatenate([points, points[5:6] + gap])
+    moved = np.tile(SHIFT, (len(twice), 1))
+    assert on_body(data(twice, moved), how="interpolate") == ()
+    moved[-1] *= 2
+    with pytest.raises(MotionError, match=r"apart, with the displacements .*expected one displacement at one place"):
+        on_body(data(twice, moved), how="interpolate")
+
+
 def test_every_second_row_is_refused():
     with pytest.raises(MotionError, match="belong to no face that moves as a whole"):
         whole_table(data(bar()[::2]))

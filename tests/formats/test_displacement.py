@@ -57,7 +57,8 @@ def test_text_by_order(tmp_path, separator, header, suffix):
 HEADERS = [
     "x,y,z,dx,dy,dz",
     "X,Y,Z,UX,UY,UZ",
-    "X [m],Y [m],Z [m],U1 [mm],U2 [mm],U3 [mm]",
+    "X [mm],Y [mm],Z [mm],U1 [mm],U2 [mm],U3 [mm]",
+    "X (m),Y (m),Z (m),U1 (tip),U2 (tip),U3 (tip)",
     '"Points:0","Points:1","Points:2","displacement:0","displacement:1","displacement:2"',
     "Points_0,Points_1,Points_2,Displacement_0,Displacement_1,Displacement_2",
     "CoordinateX,CoordinateY,CoordinateZ,DisplacementX,DisplacementY,DisplacementZ",
@@ -81,6 +82,18 @@ def test_other_columns_and_comments_do_not_matter(tmp_path):
                    enumerate(ROWS.tolist()))  # fmt: skip
     (tmp_path / "a.csv").write_text("\ufeffname,x,y,z,dx,pressure,dy,dz\n# units: m\n\n" + rows, encoding="utf-8")
     check(read_displacement(tmp_path / "a.csv"))
+
+
+@pytest.mark.parametrize("separator", [",", ";", " "])
+def test_blank_lines_and_quoted_numbers(tmp_path, separator):
+    """Lines of blanks, indented comments, and numbers in quotation marks, as spreadsheets write them."""
+    rows = ["", "x y z dx dy dz", "   ", "1 2 3 4 5 6", "\t ", "  # hence", '"2" "2" "3" "4" "5" "6.5"', "  "]
+    (tmp_path / "a.csv").write_text(
+        "\n".join(row.replace(" ", separator) if "x" in row or "2" in row else row for row in rows)
+    )
+    table = read_displacement(tmp_path / "a.csv")
+    np.testing.assert_array_equal(table.points, [[1, 2, 3], [2, 2, 3]])
+    np.testing.assert_array_equal(table.displacement, [[4, 5, 6], [4, 5, 6.5]])
 
 
 def test_a_header_in_a_comment(tmp_path):

@@ -26,12 +26,16 @@ TEXTS = {
     ROW + "2 2 3 4 5 6 7\n": "line 2: found 7 columns; expected 6 as before",
     ROW + "2 2 3 4 5 six\n": "line 2: 'six' is not a number",
     ROW + "2 2 3 4 5 1.0D+00\n": "line 2: '1.0D+00' is not a number",
+    ROW + "2 2 3 4 5 6_0\n": "line 2: '6_0' is not a number",
+    ROW + "2 2 3 4 5 \u0666\n": "line 2: '\u0666' is not a number",
     "1,2,3,4,5,6\n2,2,3,,5,6\n": "line 2: '' is not a number",
     "x y z dx dy dz n\n1 2 3 4 5 6 a\n2 3 4 5\n": "line 3: found 4 columns; expected 7 as before",
     "x y z dx dy dz n\n1 2 3 4 5 b a\n": "line 2: 'b' is not a number",
     ROW + "# c\n2 2 3 4 5 nan\n": "line 3: the displacement [4.0, 5.0, nan] is not finite (1 such rows)",
     ROW + "-inf 2 3 4 5 6\n": "line 2: the point [-inf, 2.0, 3.0] is not finite",
     ROW + "2 2 3 4 5 6\n\n1 2 3 4 5 7\n": "[4.0, 5.0, 6.0] in line 1 and [4.0, 5.0, 7.0] in line 4; keep one of them",
+    "x[m] y[m] z[m] dx[mm] dy[mm] dz[mm]\n" + ROW: "lengths in m, mm; expected all in the grid's unit",
+    "x y z(m) dx dy dz(Inch)\n" + ROW: "lengths in inch, m; expected all in the grid's unit",
     "a b c d e f\n" + ROW: "expected a name for each of 6 columns, x y z (or x y) and dx dy dz (or dx dy) among them",
     "x y z dx dy\n" + ROW: "expected a name for each of 6 columns",
     "x y z p q r\n" + ROW: "found 'x' 'y' 'z' 'p' 'q' 'r'",
@@ -41,7 +45,7 @@ TEXTS = {
 
 @pytest.mark.parametrize("text", TEXTS, ids=range(len(TEXTS)))
 def test_wrong_texts(tmp_path, text):
-    (tmp_path / "a.csv").write_text(text)
+    (tmp_path / "a.csv").write_text(text, encoding="utf-8")
     with pytest.raises(FormatError) as error:
         read_displacement(tmp_path / "a.csv")
     assert str(error.value).startswith(str(tmp_path / "a.csv"))
