@@ -17,6 +17,7 @@ from ..boundary import Boundary, Kind
 from ..grid import FloatArray, Grid, IntArray, Side
 from ..grid.ends import end_planes
 from ..grid.planes import plane_normal
+from ..grid.side_numbers import side_numbers
 from ..grid.topology import Topology, inward_step, side_nodes
 from ..memory import UNLIMITED, MemoryLimit
 from ..numerics.arrays import distinct_pairs
@@ -115,7 +116,7 @@ class Problem:
             block, side = int(block_side) // 6, Side(int(block_side) % 6)
             flat = side_nodes(grid, block, side).ravel()
             gap = np.linalg.norm(grid.points[flat + inward_step(grid.shapes[block], side)] - grid.points[flat], axis=1)
-            np.minimum.at(height, topology.numbers_of(flat), np.where(gap > 0, gap, np.inf))
+            np.minimum.at(height, side_numbers(grid, topology, block, side).ravel(), np.where(gap > 0, gap, np.inf))
         own = height[self.source_numbers]
         return np.where(np.isfinite(own), own, topology.edge[self.source_numbers])
 

@@ -92,6 +92,18 @@ class Lanes:
         """From single to double precision."""
         return Lanes(self.builder, self.builder.fpext(self.value, _DOUBLE))
 
+    def running_sum(self) -> Lanes:
+        """Of every number and those before it."""
+        total, zero = self, self._same(0.0)
+        for step in (1, 2, 4, 8):
+            places = [n - step if n >= step else WIDTH for n in range(WIDTH)]
+            total = total + _shuffle(total, zero, places)
+        return total
+
+    def last(self) -> Lanes:
+        """The last number, sixteen times."""
+        return _shuffle(self, self, [WIDTH - 1] * WIDTH)
+
     def _same(self, other: Lanes | float) -> Lanes:
         if isinstance(other, Lanes):
             return other
@@ -132,9 +144,9 @@ class Array:
         self.store(at, self.load(at, further) + lanes, further)
 
     def load_some(self, at: ir.Value, count: ir.Value) -> Lanes:
-        """The first ``count`` of sixteen numbers; nothing beyond is read."""
+        """The first ``count`` of sixteen numbers, zero beyond, where nothing is read."""
         kind = ir.VectorType(self._kind, WIDTH)
-        value = self._masked("load", at, kind, [], [ir.Constant(kind, ir.Undefined)], count)
+        value = self._masked("load", at, kind, [], [ir.Constant(kind, [0.0] * WIDTH)], count)
         return Lanes(self.builder, value)
 
     def store_some(self, at: ir.Value, lanes: Lanes | Mask, count: ir.Value) -> None:
@@ -171,6 +183,11 @@ class Array:
         """Sixteen points in order, three numbers each: three vectors, see :func:`components`."""
         return [self.load(at, WIDTH * n) for n in range(3)]
 
+    def load_some_points(self, at: ir.Value, count: ir.Value) -> list[Lanes]:
+        """The same, ``count`` numbers of them and zeros."""
+        further = [ir.Constant(at.type, WIDTH * n) for n in range(3)]
+        return [self.load_some(self.builder.add(at, n), self.builder.sub(count, n)) for n in further]
+
     def _pointer(self, at: ir.Value, further: int, vector: ir.Type) -> ir.Value:
         place = self.builder.add(at, ir.Constant(at.type, further))
         return self.builder.bitcast(self.builder.gep(self._data, [place]), vector.as_pointer())
@@ -201,7 +218,7 @@ def lanes(emit: Callable[..., None]) -> Any:
     """Decorator: a function for numba loops whose instructions ``emit`` appends.
 
     Its arguments are :class:`Array` for contiguous arrays, whole numbers (``ir.Value``), and :class:`Lanes` of sixteen
-    equal ones for numbers in single precision.
+    equal ones for other numbers.
     """
 
     def define(typing_context: Any, *kinds: Any) -> Any:
@@ -230,5 +247,6 @@ def _argument(context: Any, builder: ir.IRBuilder, kind: Any, value: ir.Value) -
         )
     if isinstance(kind, types.Integer):
         return value
-    single = builder.insert_element(ir.Constant(_SINGLE, ir.Undefined), value, ir.Constant(ir.IntType(32), 0))
-    return Lanes(builder, builder.shuffle_vector(single, single, ir.Constant(_INTEGER, [0] * WIDTH)))
+    every = ir.VectorType(value.type, WIDTH)
+    one = builder.insert_element(ir.Constant(every, ir.Undefined), value, ir.Constant(ir.IntType(32), 0))
+    return Lanes(builder, builder.shuffle_vector(one, one, ir.Constant(_INTEGER, [0] * WIDTH)))

@@ -15,8 +15,9 @@ import numpy as np
 import scipy
 
 from ...grid import BoolArray, FloatArray, IntArray, Side
-from ...grid.topology import side_nodes
+from ...grid.side_numbers import side_numbers
 from ...grid.windows import windows_of_quads
+from ...numerics.geometry.coincidence import distinct
 from ...numerics.rows import put_rows
 from ..base import Account, Problem, Progress
 from ..limits import TFI_ROTATION, warn_of_rotation
@@ -90,19 +91,12 @@ def _block_edges(problem: Problem) -> Iterator[IntArray]:
         for side in Side:
             if shape[side.axis] == 1:
                 continue
-            nodes = side_nodes(grid, block, side)
+            nodes = side_numbers(grid, problem.topology, block, side)
             if grid.dimension == 2:
-                yield problem.topology.numbers_of(nodes.ravel())
+                yield nodes.ravel()
             elif side.axis < 2:
                 # The four edges of the i faces and the k edges of the j faces cover all twelve.
-                for edge in (nodes[0], nodes[-1], nodes[:, 0], nodes[:, -1]):
-                    yield problem.topology.numbers_of(edge)
-
-
-def _numbers(problem: Problem, block: int, side: Side) -> IntArray:
-    """Unique node numbers of a block face, shaped along ``side.tangential``."""
-    flat = side_nodes(problem.grid, block, side)
-    return problem.topology.numbers_of(flat.ravel()).reshape(flat.shape)
+                yield from (nodes[0], nodes[-1], nodes[:, 0], nodes[:, -1])
 
 
 def _segments(points: FloatArray, lines: list[IntArray], knot: BoolArray, known: BoolArray) -> list[Segment]:
@@ -170,13 +164,14 @@ def _face_parts(problem: Problem, reached: BoolArray) -> tuple[list[IntArray], l
     done, parts, wanted = reached.copy(), [], []
     for block, side in product(range(grid.n_blocks), Side) if grid.dimension == 3 else ():
         shape, quads = grid.shapes[block], topology.quads.of_side(block, side)
-        numbers = _numbers(problem, block, side)
+        numbers = side_numbers(grid, topology, block, side)
         if done[numbers].all():
             continue
         partner = topology.partner[quads]
         neighbour = np.where(partner >= 0, topology.quads.block_side[partner], partner)
         neighbour = neighbour.reshape(topology.quads.counts[block, side])
-        for label in np.unique(neighbour):
+        # The partners of a face without one count from -2 on.
+        for label in distinct(neighbour + 2, 6 * grid.n_blocks + 2) - 2:
             for window in windows_of_quads(shape, block, side, neighbour == label):
                 (a0, b0), (a1, b1) = window.low, window.high
                 nodes = numbers[a0 : a1 + 1, b0 : b1 + 1]

@@ -8,7 +8,8 @@ from functools import partial
 import numpy as np
 
 from ...grid import FloatArray, Grid, IntArray
-from ...numerics.transfinite.blend import arc_coordinates, arc_numbers, blend_slabs
+from ...numerics.transfinite.arcs import arc_coordinates, arc_numbers, arc_parts
+from ...numerics.transfinite.blend import blend_slabs
 from ...parallel import Shared, current_ranks, empty, for_chunks
 from ..base import Account, Problem, Progress, Setting, of_stage
 from ..options import option, positive, used
@@ -66,11 +67,12 @@ class PreparedTFI:
         self._slabs = _slabs(self._subs)
         self._arc = empty([int(arc_numbers(self._subs).sum())])
 
-        def work(lo: int, hi: int) -> None:
-            arc_coordinates(grid.points, self._subs, lo, hi, self._arc)
+        parts = arc_parts(self._subs)
 
-        count = len(self._subs)
-        for_chunks(work, count, 1 + count // _CHUNKS, common=[self._arc])
+        def work(lo: int, hi: int) -> None:
+            arc_coordinates(grid.points, self._subs, parts[lo:hi], self._arc)
+
+        for_chunks(work, len(parts), 1 + len(parts) // _CHUNKS, common=[self._arc])
 
     def fill(self, displacement: FloatArray, progress: Progress | None = None) -> None:
         """Interior of every sub-block from its faces, in place in ``displacement`` (n_nodes, 3)."""
@@ -89,7 +91,7 @@ class PreparedTFI:
 
 
 def _table(grid: Grid, subs: list[SubBlock]) -> IntArray:
-    """Sub-blocks in the form of the compiled loops, see :mod:`..numerics.transfinite.blend`."""
+    """Sub-blocks in the form of the compiled loops, see :mod:`..numerics.transfinite.arcs`."""
     rows = [(grid.offsets[sub.block], *grid.shapes[sub.block], *sub.low, *sub.high, 0) for sub in subs]
     table = np.array(rows, dtype=np.int64).reshape(-1, 11)
     numbers = arc_numbers(table)

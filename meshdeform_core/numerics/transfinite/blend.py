@@ -1,150 +1,18 @@
 """Transfinite interpolation of displacements with arc-length coordinates (Sen et al. eqs. 1, 3-10).
 
 Blocks are cut at index planes into sub-blocks whose faces are known; each interior is blended from its six faces. The
-coordinates run from 0 to 1 within every sub-block. A table ``subs`` (n, 11) lists sub-blocks: first node and shape of
-the block, low and high node of the sub-block, start of its arc coordinates, see :func:`arc_numbers`.
+coordinates and the table ``subs`` of sub-blocks are those of :mod:`.arcs`.
 """
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
-from ..arrays import IntArray
-from ..jit import fast_kernel, inlined, kernel
+from ..jit import fast_kernel, inlined
+from .arcs import TILE, padded, tile_start
 
-# Nodes along k and lines along j that are filled together, so that the data they share stay in the cache.
-_TILE, _LINES = 16, 64
-
-
-@inlined
-def _padded(count):
-    """The next multiple of four, the numbers in a vector register: no loop along k ends with single numbers."""
-    return (count + 3) // 4 * 4
-
-
-def arc_numbers(subs: IntArray) -> IntArray:
-    """How many numbers the arc coordinates of each sub-block take.
-
-    They are kept for interior nodes, in the order of use: for every plane along i tiles along k, for every line of a
-    tile the coordinates along i of its nodes, then those along j, then those along k, each padded to vectors.
-    """
-    inside = np.maximum(subs[:, 7:10] - subs[:, 4:7] - 1, 0)
-    return 3 * inside[:, 0] * inside[:, 1] * (-(-inside[:, 2] // 4) * 4)
-
-
-@inlined
-def _tile_start(i, j, first, nj, nk):
-    """Where the coordinates of the tile from k = ``first`` of line (i, j), counted from 0, of nj nk in a plane, lie."""
-    return 3 * (nj * (i * _padded(nk) + first) + j * min(_TILE, _padded(nk) - first))
-
-
-# Rows of the work array of a tile: coordinates of a node and of the one before, arc lengths, one over the whole length.
-_HERE, _BEFORE, _LENGTH, _INVERSE = 0, 3, 6, 7
-
-
-@inlined
-def _load(points, node, count, work, row):
-    """Coordinates of ``count`` consecutive nodes into three rows; the rest of each row stays finite."""
-    x = points[node:]
-    for k in range(count):
-        for c in range(3):
-            work[row + c, k] = x[k, c]
-
-
-@inlined
-def _edge(work, k):
-    """Length of the edge between a node and the one before."""
-    dx, dy, dz = work[0, k] - work[3, k], work[1, k] - work[4, k], work[2, k] - work[5, k]
-    return math.sqrt(dx * dx + dy * dy + dz * dz)
-
-
-@kernel
-def arc_coordinates(points, subs, first, last, arc):
-    """Normalised arc lengths (eq. 10) of the interior nodes of sub-blocks ``first`` to ``last``.
-
-    A line without length (collapsed edge) gets a uniform coordinate.
-
-    Parameters
-    ----------
-    points : (n_nodes, 3) of all blocks
-    arc : where to put them, see :func:`arc_numbers`
-    """
-    # One array of fixed size, so that the compiler can see that its rows do not overlap.
-    work = np.empty((8, _TILE))
-    for row in range(8):
-        for k in range(_TILE):
-            work[row, k] = 0.0
-    for number in range(first, last):
-        sub = subs[number]
-        si, sj = sub[2] * sub[3], sub[3]
-        corner = sub[0] + sub[4] * si + sub[5] * sj + sub[6]
-        ni, nj, nk = sub[7] - sub[4] - 1, sub[8] - sub[5] - 1, sub[9] - sub[6] - 1
-        for k0 in range(0, nk, _TILE):
-            count = min(_TILE, nk - k0)
-            plane, across = 3 * nj * _padded(nk), 3 * min(_TILE, _padded(nk) - k0)
-            at = sub[10] + 3 * nj * k0
-            for axis in range(2):
-                # Along i every line j, along j every line i.
-                step, beside, length, lines = (si, sj, ni, nj) if axis == 0 else (sj, si, nj, ni)
-                apart, next_line = (plane, across) if axis == 0 else (across, plane)
-                for line in range(lines):
-                    node, to = corner + (line + 1) * beside + k0 + 1, at + line * next_line + axis * across // 3
-                    _arcs_across(points, node, step, length, count, work, arc, to, apart)
-        for i in range(ni):
-            for j in range(nj):
-                _arcs_along(points, corner + (i + 1) * si + (j + 1) * sj, nk, work, arc, sub[10], i, j, nj)
-
-
-@inlined
-def _arcs_across(points, node, step, n, count, work, arc, at, apart):
-    """Arc coordinates of ``n`` nodes inside each of ``count`` neighbouring lines, all lines together.
-
-    ``node`` is the first end of the first line; coordinates of consecutive nodes lie ``apart``, from ``at`` on.
-    """
-    width = _padded(count)
-    _load(points, node, count, work, _BEFORE)
-    for k in range(width):
-        work[_LENGTH, k] = 0.0
-    for m in range(n + 1):
-        _load(points, node + (m + 1) * step, count, work, _HERE)
-        for k in range(width):
-            work[_LENGTH, k] += _edge(work, k)
-            work[3, k], work[4, k], work[5, k] = work[0, k], work[1, k], work[2, k]
-        if m < n:
-            out = arc[at + m * apart :]
-            for k in range(count):
-                out[k] = work[_LENGTH, k]
-    for k in range(width):
-        work[_INVERSE, k] = 1.0 / work[_LENGTH, k] if work[_LENGTH, k] > 0.0 else 0.0
-    for m in range(n):
-        out, uniform = arc[at + m * apart :], (m + 1) / (n + 1)
-        for k in range(count):
-            out[k] = out[k] * work[_INVERSE, k] if work[_INVERSE, k] > 0.0 else uniform
-
-
-@inlined
-def _arcs_along(points, node, n, work, arc, first, i, j, nj):
-    """Arc coordinates along the line of nodes k that begins at ``node``, with ``n`` nodes inside."""
-    total = 0.0
-    for k0 in range(0, n + 1, _TILE):
-        count = min(_TILE, n + 1 - k0)
-        _load(points, node + k0, count, work, _BEFORE)
-        _load(points, node + k0 + 1, count, work, _HERE)
-        for k in range(_padded(count)):
-            work[_LENGTH, k] = _edge(work, k)
-        at = first + _tile_start(i, j, k0, nj, n) + 2 * min(_TILE, _padded(n) - k0)
-        out = arc[at:]
-        for k in range(count):
-            total += work[_LENGTH, k]
-            if k0 + k < n:
-                out[k] = total
-    inverse = 1.0 / total if total > 0.0 else 0.0
-    for k0 in range(0, n, _TILE):
-        out = arc[first + _tile_start(i, j, k0, nj, n) + 2 * min(_TILE, _padded(n) - k0) :]
-        for k in range(min(_TILE, n - k0)):
-            out[k] = out[k] * inverse if total > 0.0 else (k0 + k + 1) / (n + 1)
+# Lines along j that are filled together, so that the data they share stay in the cache.
+_LINES = 64
 
 
 # Rows of work arrays, three components each: coefficients of 1, y, x, x y, and results.
@@ -162,12 +30,12 @@ def blend_slabs(d, arc, subs, slabs):
     Parameters
     ----------
     d : (n_nodes, 3) of all blocks, known on the faces of the sub-blocks
-    arc : arc coordinates, see :func:`arc_numbers`
+    arc : arc coordinates, see :func:`.arcs.arc_numbers`
     slabs : (m, 3) row in ``subs`` and planes i0 <= i < i1 of the block
     """
-    lines, slopes, sides = np.empty((_LINES, 15, _TILE)), np.empty((_LINES, 12)), np.empty((6, _TILE))
+    lines, slopes, sides = np.empty((_LINES, 15, TILE)), np.empty((_LINES, 12)), np.empty((6, TILE))
     # Vectors extend beyond the last node: the values computed there do not matter, but must be finite.
-    for k in range(_TILE):
+    for k in range(TILE):
         for row in range(15):
             for line in range(_LINES):
                 lines[line, row, k] = 0.0
@@ -178,13 +46,13 @@ def blend_slabs(d, arc, subs, slabs):
         si, sj = sub[2] * sub[3], sub[3]
         corner = sub[0] + sub[4] * si + sub[5] * sj + sub[6]
         nj, nk = sub[8] - sub[5] - 1, sub[9] - sub[6] - 1
-        for k0 in range(0, nk, _TILE):
-            count = min(_TILE, nk - k0)
+        for k0 in range(0, nk, TILE):
+            count = min(TILE, nk - k0)
             for j0 in range(0, nj, _LINES):
                 j1 = min(j0 + _LINES, nj)
                 _prepare_lines(d, sub, corner, j0, j1, k0, count, lines, slopes)
                 for i in range(slabs[n, 1] - sub[4], slabs[n, 2] - sub[4]):
-                    plane, at = corner + i * si, sub[10] + _tile_start(i - 1, j0, k0, nj, nk)
+                    plane, at = corner + i * si, sub[10] + tile_start(i - 1, j0, k0, nj, nk)
                     _blend_lines(d, plane, sj, (nj + 1) * sj, nk + 1, j0, j1, k0, count, arc, at, lines, slopes, sides)
 
 
@@ -229,7 +97,7 @@ def _blend_lines(d, plane, sj, end, far, j0, j1, k0, count, arc, start, lines, s
     ``plane`` is the node at both low ends, ``end`` the step to the other side, ``far`` to the other end of a line;
     ``start`` where the coordinates begin.
     """
-    width = _padded(count)
+    width = padded(count)
     low, high = d[plane + k0 + 1 :], d[plane + end + k0 + 1 :]
     for c in range(3):
         edge = d[plane, c] - d[plane + end, c]

@@ -1,0 +1,170 @@
+"""Arc-length coordinates of the nodes inside sub-blocks (Sen et al. eq. 10), from 0 to 1 within every sub-block.
+
+A table ``subs`` (n, 11) lists sub-blocks: first node and shape of the block, low and high node of the sub-block, start
+of its coordinates, see :func:`arc_numbers`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from llvmlite import ir
+
+from ..arrays import IntArray
+from ..jit import inlined, kernel
+from ..lanes import WIDTH, Array, Lanes, components, lanes
+
+TILE = WIDTH
+"""Nodes along k that are worked on together, so that the data they share stay in the cache."""
+_PART = 65536
+# Vectors of the work array: length so far, one over the whole length or zero.
+_LENGTH, _INVERSE = 0, WIDTH
+
+
+@inlined
+def padded(count):
+    """The next multiple of four, the numbers in a vector register: no loop along k ends with single numbers."""
+    return (count + 3) // 4 * 4
+
+
+def arc_numbers(subs: IntArray) -> IntArray:
+    """How many numbers the arc coordinates of each sub-block take.
+
+    They are kept for interior nodes, in the order of use: for every plane along i tiles along k, for every line of a
+    tile the coordinates along i of its nodes, then those along j, then those along k, each padded to vectors.
+    """
+    inside = np.maximum(subs[:, 7:10] - subs[:, 4:7] - 1, 0)
+    return 3 * inside[:, 0] * inside[:, 1] * (-(-inside[:, 2] // 4) * 4)
+
+
+def arc_parts(subs: IntArray) -> IntArray:
+    """The work on the coordinates of sub-blocks in parts (m, 4) that threads can share: sub-block, kind, from, to.
+
+    Kind 0: the coordinates along i and j of nodes from .. to along k; kind 1: those along k of planes from .. to.
+    """
+    inside = np.maximum(subs[:, 7:10] - subs[:, 4:7] - 1, 0).tolist()
+    parts = []
+    for number, (ni, nj, nk) in enumerate(inside):
+        planes = max(1, _PART // max(nj * nk, 1))
+        parts += [(number, 0, k, min(k + TILE, nk)) for k in range(0, nk, TILE)]
+        parts += [(number, 1, i, min(i + planes, ni)) for i in range(0, ni, planes)]
+    return np.array(parts, dtype=np.int64).reshape(-1, 4)
+
+
+@inlined
+def tile_start(i, j, first, nj, nk):
+    """Where the coordinates of the tile from k = ``first`` of line (i, j), counted from 0, of nj nk in a plane, lie."""
+    return 3 * (nj * (i * padded(nk) + first) + j * min(TILE, padded(nk) - first))
+
+
+@kernel
+def arc_coordinates(points, subs, parts, arc):
+    """Normalised arc lengths of the nodes inside sub-blocks; a line without length gets a uniform coordinate.
+
+    Parameters
+    ----------
+    points : (n_nodes, 3) of all blocks
+    parts : rows of :func:`arc_parts`
+    arc : where to put them, see :func:`arc_numbers`
+    """
+    work = np.zeros(2 * WIDTH)
+    for part in range(parts.shape[0]):
+        n = parts[part, 0]
+        si, sj = subs[n, 2] * subs[n, 3], subs[n, 3]
+        corner = subs[n, 0] + subs[n, 4] * si + subs[n, 5] * sj + subs[n, 6]
+        ni, nj, nk = subs[n, 7] - subs[n, 4] - 1, subs[n, 8] - subs[n, 5] - 1, subs[n, 9] - subs[n, 6] - 1
+        first, last = parts[part, 2], parts[part, 3]
+        if parts[part, 1] == 0:
+            width = min(TILE, padded(nk) - first)
+            at = subs[n, 10] + tile_start(0, 0, first, nj, nk)
+            for j in range(nj):
+                node, to = corner + (j + 1) * sj + first + 1, at + 3 * j * width
+                _across(points, node, si, ni, last - first, work, arc, to, 3 * nj * padded(nk), width)
+            for i in range(ni):
+                node, to = corner + (i + 1) * si + first + 1, at + 3 * nj * i * padded(nk) + width
+                _across(points, node, sj, nj, last - first, work, arc, to, 3 * width, width)
+        else:
+            for i in range(first, last):
+                for j in range(nj):
+                    node = corner + (i + 1) * si + (j + 1) * sj
+                    _along(points, node, nk, work, arc, subs[n, 10], i, j, nj)
+
+
+@inlined
+def _across(points, node, step, n, count, work, arc, at, apart, width):
+    """Coordinates of ``n`` nodes inside each of ``count`` neighbouring lines, all lines together.
+
+    ``node`` is the first end of the first line; coordinates of consecutive nodes lie ``apart``, from ``at`` on.
+    """
+    for k in range(WIDTH):
+        work[k] = 0.0
+    for m in range(n + 1):
+        one = 3 * (node + m * step)
+        # The last edge adds to the length only.
+        lengthen(points, one, one + 3 * step, 3 * count, work, arc, at + m * apart, width if m < n else 0)
+    invert(work)
+    for m in range(n):
+        normalise(arc, at + m * apart, width, work, (m + 1) / (n + 1))
+
+
+@inlined
+def _along(points, node, n, work, arc, first, i, j, nj):
+    """Coordinates along the line of nodes k that begins at ``node``, with ``n`` nodes inside."""
+    for k in range(WIDTH):
+        work[k] = 0.0
+    for k0 in range(0, n + 1, TILE):
+        width = min(TILE, padded(n) - k0)
+        to = first + tile_start(i, j, k0, nj, n) + 2 * width
+        add_up(points, 3 * (node + k0), 3 * (node + k0 + 1), 3 * min(TILE, n + 1 - k0), work, arc, to, width)
+    invert(work)
+    for k0 in range(0, n, TILE):
+        width = min(TILE, padded(n) - k0)
+        to = first + tile_start(i, j, k0, nj, n) + 2 * width
+        normalise(arc, to, width, work, (k0 + 1) / (n + 1))
+        if work[_INVERSE] == 0.0:
+            for k in range(min(TILE, n - k0)):
+                arc[to + k] = (k0 + k + 1) / (n + 1)
+
+
+def _edges(points: Array, one: ir.Value, other: ir.Value, count: ir.Value) -> Lanes:
+    """Distances between sixteen points of which ``count`` numbers exist; zero for the others."""
+    here, there = (points.load_some_points(at, count) for at in (one, other))
+    x, y, z = components([b - a for a, b in zip(here, there, strict=True)])
+    return (x * x + y * y + z * z).sqrt()
+
+
+@lanes
+def lengthen(
+    points: Array, one: ir.Value, other: ir.Value, count: ir.Value, work: Array, arc: Array, to: ir.Value,
+    width: ir.Value,
+) -> None:  # fmt: skip
+    """Add an edge to each of sixteen lines."""
+    length = work.load(ir.Constant(to.type, _LENGTH)) + _edges(points, one, other, count)
+    work.store(ir.Constant(to.type, _LENGTH), length)
+    arc.store_some(to, length, width)
+
+
+@lanes
+def add_up(
+    points: Array, one: ir.Value, other: ir.Value, count: ir.Value, work: Array, arc: Array, to: ir.Value,
+    width: ir.Value,
+) -> None:  # fmt: skip
+    """Sums of sixteen consecutive edges of a line; ``work`` has the length so far, sixteen times."""
+    length = work.load(ir.Constant(to.type, _LENGTH)) + _edges(points, one, other, count).running_sum()
+    work.store(ir.Constant(to.type, _LENGTH), length.last())
+    arc.store_some(to, length, width)
+
+
+@lanes
+def invert(work: Array) -> None:
+    """One over the lengths, zero for lines without."""
+    start = ir.Constant(ir.IntType(64), 0)
+    length = work.load(start, _LENGTH)
+    work.store(start, (length * 0.0).below(length).choose(1.0 / length, 0.0), _INVERSE)
+
+
+@lanes
+def normalise(arc: Array, at: ir.Value, width: ir.Value, work: Array, uniform: Lanes) -> None:
+    """Coordinates from lengths, ``uniform`` on lines without."""
+    inverse = work.load(ir.Constant(at.type, 0), _INVERSE)
+    long = (inverse * 0.0).below(inverse)
+    arc.store_some(at, long.choose(arc.load_some(at, width) * inverse, uniform), width)
