@@ -145,7 +145,7 @@ def inward_step(shape: Shape, side: Side) -> int:
 
 
 def block_handedness(grid: Grid) -> IntArray:
-    """+1 or -1 per block, from the majority of a regular sample of at most 16 cells per direction."""
+    """+1 or -1 per block, from the majority of a regular sample of at most 8 cells per direction."""
     return np.array([_handedness(grid.block(b)) for b in range(grid.n_blocks)], dtype=np.int64)
 
 
@@ -167,7 +167,7 @@ def _handedness(x: FloatArray) -> int:
 
 def _mean_edges(x: FloatArray, dimension: int) -> list[FloatArray]:
     """Mean edge vectors of every sampled cell along each of its directions."""
-    samples = [np.unique(np.linspace(0, n - 2, min(n - 1, 16)).astype(int)) for n in x.shape[:dimension]]
+    samples = [np.unique(np.linspace(0, n - 2, min(n - 1, 8)).astype(int)) for n in x.shape[:dimension]]
     picked = np.stack(
         [x[np.ix_(*(s + c for s, c in zip(samples, corner, strict=True)))] for corner in np.ndindex(*(2,) * dimension)]
     ).reshape(*(2,) * dimension, -1, 3)

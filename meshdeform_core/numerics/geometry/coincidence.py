@@ -34,10 +34,13 @@ def coincident_groups(points: FloatArray, tolerance: FloatArray) -> IntArray:
     """
     key = _key(points)
     order = np.argsort(key)
-    ordered = points[order]
-    new = np.r_[True, _differ(ordered)]
+    new = np.r_[True, np.diff(key[order]) != 0.0]
+    # Few keys are equal, and hardly any of different points.
+    same = np.flatnonzero(~new)
+    new[same[(points[order[same]] != points[order[same - 1]]).any(axis=1)]] = True
     first = np.flatnonzero(new)
-    pairs = _sweep(key[order[first]], ordered[first], np.maximum.reduceat(tolerance[order], first))
+    leading = order[first]
+    pairs = _sweep(key[leading], points[leading], np.maximum.reduceat(tolerance[order], first))
     exact = np.empty(len(points), dtype=np.int64)
     exact[order] = np.cumsum(new) - 1
     return _by_first_occurrence(_components(len(first), pairs)[exact], len(first))
@@ -83,7 +86,8 @@ def _sweep_all(key: FloatArray, points: FloatArray, tolerance: FloatArray) -> In
         shift = 1
         while active.size:
             a, b = members[active], members[active + shift]
-            here = np.minimum(level[a], level[b]) == current
+            reached = np.minimum(tolerance[a], tolerance[b])
+            here = (np.minimum(level[a], level[b]) == current) & (key[b] - key[a] <= 1.01 * reached)
             a, b = a[here], b[here]
             near = _within(points, tolerance, a, b)
             found.append(np.stack([a[near], b[near]], axis=1))
