@@ -16,7 +16,9 @@ from h5py import h5g, h5l
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray, Grid
+from meshdeform_core.numerics.arrays import extent
 
+from ..components import ahead, split
 from ..files import replacing
 from ..hdf5_output import hdf5_output
 from .notes import Notes
@@ -51,9 +53,9 @@ def write_copy(grid: Grid, path: Path, precision: str | None) -> None:
             with hdf5_output(partial, "r+") as file:
                 _adapt_links(file, source.parent, path.parent)
                 group = own_group(file, base.node)
-                for block, zone in enumerate(zones):
-                    own = own_group(group, zone.node)
-                    _replace_coordinates(own, zone, grid.block(block), precision)
+                owns = [own_group(group, zone.node) for zone in zones]
+                _replace_coordinates(owns, zones, grid, precision)
+                for block, (own, zone) in enumerate(zip(owns, zones, strict=True)):
                     _add_fields(own, zone, grid, block)
 
 
@@ -74,14 +76,22 @@ def _same_zones(root: Node, grid: Grid, source: Path) -> tuple[Base, list[Zone]]
     return base, zones
 
 
-def _replace_coordinates(parent: h5py.Group, zone: Zone, block: FloatArray, precision: str | None) -> None:
-    grid = own_group(parent, zone.grid)
-    for axis, node in enumerate(zone.coordinates):
-        group = own_group(grid, node)
-        dataset = _writable_dataset(group, precision)
-        values = block[..., axis].reshape(zone.counts)
-        dataset[zone.core[::-1]] = np.ascontiguousarray(values.T, dtype=dataset.dtype)
-    _replace_bounding_box(grid, zone, block)
+def _replace_coordinates(parents: list[h5py.Group], zones: list[Zone], grid: Grid, precision: str | None) -> None:
+    groups = [own_group(parent, zone.grid) for parent, zone in zip(parents, zones, strict=True)]
+    datasets = [
+        [_writable_dataset(own_group(group, node), precision) for node in zone.coordinates]
+        for group, zone in zip(groups, zones, strict=True)
+    ]
+    kinds = [np.result_type(*(dataset.dtype.newbyteorder("=") for dataset in each)) for each in datasets]
+    arrays = ahead(
+        array
+        for block, zone in enumerate(zones)
+        for array in split(grid.block(block), kinds[block], len(zone.coordinates))
+    )
+    for block, (group, zone) in enumerate(zip(groups, zones, strict=True)):
+        for dataset in datasets[block]:
+            dataset[zone.core[::-1]] = next(arrays).reshape(zone.counts[::-1]).astype(dataset.dtype, copy=False)
+        _replace_bounding_box(group, zone, grid.block(block))
 
 
 def _add_fields(parent: h5py.Group, zone: Zone, grid: Grid, block: int) -> None:
@@ -124,7 +134,7 @@ def _replace_bounding_box(grid: h5py.Group, zone: Zone, block: FloatArray) -> No
     """GridCoordinates_t may hold the lowest and highest coordinates (SIDS 7.1)."""
     dimension = len(zone.coordinates)
     if zone.grid.target.dims == (dimension, 2):
-        box = np.array([block.min(axis=(0, 1, 2)), block.max(axis=(0, 1, 2))])
+        box = np.array(extent(block))
         grid[DATA][...] = box[:, :dimension]
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray, Shape
 
+from ..components import merge
 from .notes import Notes
 from .storage.tree import Node
 
@@ -50,11 +51,9 @@ class Zone:
 
     def read(self, block: FloatArray) -> None:
         """Fill ``block`` of shape ``(ni, nj, nk, 3)`` with the coordinates; missing components become zero."""
-        for axis in range(3):
-            if axis < len(self.coordinates):
-                block[..., axis] = self.coordinates[axis].data()[self.core].reshape(self.shape)
-            else:
-                block[..., axis] = 0.0
+        count = len(self.coordinates)
+        merge(block, (node.data()[self.core].T for node in self.coordinates), count)
+        block[..., count:] = 0.0
 
 
 def find_base(root: Node, notes: Notes) -> Base:

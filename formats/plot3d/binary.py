@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping
 from io import BufferedReader
-from itertools import product
+from itertools import chain, product
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from meshdeform_core.grid import Grid
 
+from ..components import ahead
 from .blocks import assemble, file_arrays
 from .detect import LONGEST_HEADER, Reading, UnknownFile, choose, header_variants, stream_readings
 from .records import fortran_readings, record_lengths, write_record
@@ -40,8 +41,9 @@ def write_binary(grid: Grid, stream: BinaryIO, variant: Variant) -> None:
     header = [np.array([grid.n_blocks], variant.integer)] * variant.multiblock + [sizes]
     for array in header:
         _write(stream, iter([array]), [array.nbytes], variant)
-    for index, shape in enumerate(grid.shapes):
-        _write(stream, file_arrays(grid, variant, index), record_lengths(variant, shape), variant)
+    blocks = (file_arrays(grid, variant, index) for index in range(grid.n_blocks))
+    lengths = [length for shape in grid.shapes for length in record_lengths(variant, shape)]
+    _write(stream, ahead(chain.from_iterable(blocks)), lengths, variant)
 
 
 def _write(stream: BinaryIO, arrays: Iterator[NDArray[Any]], lengths: list[int], variant: Variant) -> None:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from meshdeform_core.grid import Field, FloatArray, Grid, Shape
 from meshdeform_core.parallel import empty
 
+from ..components import merge, split
 from .detect import Reading
 from .variant import Variant
 
@@ -60,10 +61,7 @@ def _read_block(numbers: Numbers, variant: Variant, block: FloatArray, iblank: N
     for planes in _slabs(variant, block.shape[:3]):
         part = block[:, :, planes]
         ni, nj, nk = part.shape[:3]
-        # NaN in the file is reported by the caller, not by a warning of the conversion.
-        with np.errstate(invalid="ignore"):
-            for axis in range(variant.dimension):
-                part[..., axis] = numbers.take(variant.real, ni * nj * nk).reshape(nk, nj, ni).T
+        merge(part, (numbers.take(variant.real, ni * nj * nk) for _ in range(variant.dimension)), variant.dimension)
         if iblank is not None:
             iblank[:, :, planes] = numbers.take(variant.integer, ni * nj * nk).reshape(nk, nj, ni).T
     block[..., variant.dimension :] = 0.0
@@ -74,8 +72,8 @@ def file_arrays(grid: Grid, variant: Variant, index: int) -> Iterator[NDArray[An
     block, shape = grid.block(index), grid.shapes[index]
     iblank = iblank_of(grid, index)
     for planes in _slabs(variant, shape):
-        for axis in range(variant.dimension):
-            yield np.ascontiguousarray(block[:, :, planes, axis].T, variant.real).reshape(-1)
+        for array in split(block[:, :, planes], variant.real, variant.dimension):
+            yield array.reshape(-1)
         if variant.iblank:
             flags = np.ones(shape) if iblank is None else iblank
             yield np.ascontiguousarray(flags[:, :, planes].T, variant.integer).reshape(-1)

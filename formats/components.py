@@ -1,0 +1,72 @@
+"""Coordinates of a block as most files hold them: component after component, each with i running fastest.
+
+A grid holds x, y and z of a node together, with k running fastest. One component at a time would read every line of
+the cache three times; lines along j go one by one, so that the data between two uses stay in it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshdeform_core.grid import FloatArray
+from meshdeform_core.parallel import for_chunks, thread_count
+
+T = TypeVar("T")
+# Larger blocks are converted component by component, so that no copy of them is needed.
+_TOGETHER = 1 << 28
+_LINES = 8
+_AHEAD = 3
+
+
+def split(block: FloatArray, kind: np.dtype[Any], count: int = 3) -> Iterator[NDArray[Any]]:
+    """The first ``count`` components (nk, nj, ni) of a block (ni, nj, nk, 3), of type ``kind``."""
+    for axes in _groups(block, count):
+        out = np.empty((axes.stop - axes.start, *block.shape[2::-1]), kind)
+
+        def work(lo: int, hi: int, out: NDArray[Any] = out, axes: slice = axes) -> None:
+            for j in range(lo, hi):
+                out[:, :, j] = block[:, j, :, axes].T
+
+        for_chunks(work, block.shape[1], _LINES)
+        yield from out
+
+
+def merge(block: FloatArray, components: Iterator[NDArray[Any]], count: int = 3) -> None:
+    """Fill the first ``count`` components of a block (ni, nj, nk, 3) from arrays of nk nj ni numbers each."""
+    for axes in _groups(block, count):
+        arrays = [next(components).reshape(block.shape[2::-1]) for _ in range(axes.start, axes.stop)]
+
+        def work(lo: int, hi: int, arrays: Sequence[NDArray[Any]] = arrays, first: int = axes.start) -> None:
+            # NaN in the file is reported by the caller, not by a warning of the conversion.
+            with np.errstate(invalid="ignore"):
+                for j in range(lo, hi):
+                    for axis, array in enumerate(arrays, first):
+                        block[:, j, :, axis] = array[:, j].T
+
+        for_chunks(work, block.shape[1], _LINES)
+
+
+def _groups(block: FloatArray, count: int) -> list[slice]:
+    if 8 * count * math.prod(block.shape[:3]) <= _TOGETHER:
+        return [slice(0, count)]
+    return [slice(axis, axis + 1) for axis in range(count)]
+
+
+def ahead(items: Iterable[T]) -> Iterator[T]:
+    """The same items, a few of them made in a thread of their own while the last ones are in use."""
+    if thread_count() == 1:
+        yield from items
+        return
+    iterator, end = iter(items), object()
+    with ThreadPoolExecutor(1) as pool:
+        coming = deque(pool.submit(next, iterator, end) for _ in range(_AHEAD))
+        while (item := coming.popleft().result()) is not end:
+            coming.append(pool.submit(next, iterator, end))
+            yield item  # type: ignore[misc]
