@@ -7,9 +7,12 @@ relative to the origin that the translations refer to.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
+
+import numpy as np
 
 from .arrays import FloatArray
-from .jit import kernel
+from .jit import inlined, kernel
 
 
 @kernel
@@ -48,13 +51,33 @@ def finish_affine(sums, points, out):
             out[n, d] = (linear + sums[n, 10 + d]) / sums[n, 0]
 
 
+@inlined
+def _share(moving, rest, power, width):
+    """Share of the moving sources in the motion from their and the others' total weight.
+
+    Total weights fall off as distance^-power, so their roots give the position in the gap, 0 at the moving boundary
+    and 1 at rest. The share falls linearly there, with parabolic ends of length ``width``: walls move rigidly.
+    """
+    near, far = rest ** (1.0 / power), moving ** (1.0 / power)
+    end = min(near, far) / (near + far)
+    part = (end * end / (2.0 * width) if end < width else end - 0.5 * width) / (1.0 - width)
+    return 1.0 - part if near < far else part
+
+
 @kernel
-def finish_twist(sums, points, out):
-    """Exponential of the mean twist: (R - 1) x + V v with R = exp w."""
+def finish_twist(sums, points, out, rest, power, width):
+    """Exponential of the mean twist: (R - 1) x + V v with R = exp w.
+
+    With a ``width`` sums hold the total weight of the moving sources in their last column, and twists relative to
+    ``rest`` (6,), that of all others: see :func:`_share`.
+    """
     for n in range(sums.shape[0]):
         inverse = 1.0 / sums[n, 0]
-        w0, w1, w2 = sums[n, 1] * inverse, sums[n, 2] * inverse, sums[n, 3] * inverse
-        v0, v1, v2 = sums[n, 4] * inverse, sums[n, 5] * inverse, sums[n, 6] * inverse
+        if width > 0.0:
+            moving = sums[n, 7]
+            inverse = _share(moving, max(sums[n, 0] - moving, 0.0), power, width) / moving if moving > 0.0 else 0.0
+        w0, w1, w2 = sums[n, 1] * inverse + rest[0], sums[n, 2] * inverse + rest[1], sums[n, 3] * inverse + rest[2]
+        v0, v1, v2 = sums[n, 4] * inverse + rest[3], sums[n, 5] * inverse + rest[4], sums[n, 6] * inverse + rest[5]
         angle2 = w0 * w0 + w1 * w1 + w2 * w2
         if angle2 < 1e-3:
             b = 0.5 - angle2 / 24.0 + angle2 * angle2 / 720.0 - angle2 * angle2 * angle2 / 40320.0
@@ -74,7 +97,26 @@ def finish_twist(sums, points, out):
         out[n, 2] = u2 + b * e2 + c * (w0 * e1 - w1 * e0)
 
 
-def finish(kind: str, sums: FloatArray, points: FloatArray, out: FloatArray, steps: int = 1) -> None:
+class Transition(NamedTuple):
+    """How ``lie`` passes from moving sources to others, which all have the twist ``rest`` (6,): see :func:`_share`."""
+
+    rest: FloatArray
+    power: float
+    width: float
+
+
+NO_TRANSITION = Transition(np.zeros(6), 1.0, 0.0)
+"""Every source counts by its weight."""
+
+
+def finish(
+    kind: str,
+    sums: FloatArray,
+    points: FloatArray,
+    out: FloatArray,
+    steps: int = 1,
+    transition: Transition = NO_TRANSITION,
+) -> None:
     """Displacement (n, 3) into ``out`` for one of the kinds ``none quaternion division blend lie``."""
     if kind == "none":
         finish_displacement(sums, out)
@@ -83,7 +125,7 @@ def finish(kind: str, sums: FloatArray, points: FloatArray, out: FloatArray, ste
     elif kind == "blend":
         finish_affine(sums, points, out)
     else:
-        finish_twist(sums, points, out)
+        finish_twist(sums, points, out, *transition)
 
 
 def finish_width(kind: str) -> int:

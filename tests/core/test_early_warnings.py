@@ -71,14 +71,14 @@ def test_square_sample_is_not_warned_of_its_radius():
 
 
 def test_alpha_of_one_large_step():
-    """By eq. 18 alone the plate at 30 degrees would have alpha 1.5, with which cells cross."""
+    """By eq. 18 alone the plate at 30 degrees would have alpha 1.5, with which cells cross in eq. 16."""
     auto = Options("idw-tfi", idw=IDW(alpha="auto"))
     warnings = deform(PLATE, plate_case(auto, 30)).warnings
     assert len(warnings) == 1
     assert "eq. 18 gives alpha = 1.47" in warnings[0]
     assert "at least 5 steps" in warnings[0]
     assert not deform(PLATE, plate_case(auto, 30), steps=5).warnings
-    assert not deform(PLATE, plate_case(Options("idw-tfi", idw=IDW(alpha=1.47)), 30)).valid
+    assert not deform(PLATE, plate_case(Options("idw-tfi", idw=IDW(alpha=1.47, a=3.0, transition=0)), 30)).valid
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,10 @@ VARIANTS = {
     "blend": IDW(rotation="blend"),
     "lie": IDW(),
     "lie with mean": IDW(remove_mean=False),
-    "lie as in the paper": IDW(a=3.0, smoothing=0),
+    "lie as in the paper": IDW(a=3.0, smoothing=0, transition=0),
+    "lie by weights": IDW(transition=0),
+    "smooth transition": IDW(transition=0.5),
+    "short ends": IDW(transition=0.1, a=3.5),
     "one round": IDW(smoothing=1),
     "quaternion smoothed": IDW(rotation="quaternion", smoothing=3),
     "other exponents": IDW(a=2.0, b=4.5, alpha=0.3),
@@ -52,7 +55,7 @@ def test_slow_twin(name, grid):
 def test_division_converges_to_lie_as_one_over_m():
     problem = problem_of(frame(), body_specs(turning(30, center=(0.4, -0.3, 0.0))))
     displacement = told(problem)
-    lie = apply(Options("idw", idw=IDW(remove_mean=False, smoothing=0)), problem, displacement)
+    lie = apply(Options("idw", idw=IDW(remove_mean=False, smoothing=0, a=3.0, transition=0)), problem, displacement)
     errors = []
     for m in (10, 20, 40):
         moved = apply(Options("idw", idw=IDW(rotation="division", divisions=m)), problem, displacement)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy import integrate
 from scipy.linalg import expm, logm
 from scipy.spatial.transform import Rotation
 
@@ -39,6 +40,35 @@ def _mover(x, y, turns, options):
         twists = np.array([log_motion(r, b - r @ a) for r, a, b in zip(turns, x, y, strict=True)])
         return lambda p, weights: (expm(np.einsum("n,nij->ij", weights(p, x), twists)) @ np.r_[p, 1.0])[:3] - p
     return _divided(x, y, turns, options)
+
+
+def transition_width(problem, options):
+    """Ends of the transition from moving sources to fixed ones, 0 without one."""
+    if options.rotation != "lie" or options.weights != "luke" or on_moving_faces(problem).all():
+        return 0.0
+    auto = 0.3 if problem.grid.dimension == 2 else 0.5
+    return auto if options.transition == "auto" else options.transition
+
+
+def on_moving_faces(problem):
+    moving = np.zeros(len(problem.source_points), dtype=bool)
+    moving[np.unique(source_quads(problem, (Kind.MOVING,)))] = True
+    return moving
+
+
+def shared_out(problem, w, far, width):
+    """Weights of which the moving sources have the share of a trapezoidal slope, integrated numerically."""
+    moving = on_moving_faces(problem)
+    power = max(far - 1.0, 1.0)
+    distance = [w[chosen].sum() ** (-1.0 / power) for chosen in (moving, ~moving)]
+    place = distance[0] / sum(distance)
+
+    def area(to):
+        corners = sorted({c for c in (width, 1.0 - width) if c < to})
+        return integrate.quad(lambda t: min(t / width, (1.0 - t) / width, 1.0), 0.0, to, points=corners or None)[0]
+
+    share = 1.0 - area(place) / area(1.0)
+    return np.where(moving, w * share / w[moving].sum(), w * (1.0 - share) / w[~moving].sum())
 
 
 def _divided(x, y, turns, options):
@@ -81,11 +111,15 @@ def weights_of(problem, p, x, area, shift, displacement, options):
         alpha = options.alpha
         if alpha == "auto":
             alpha = min(0.3, options.eta / length * np.linalg.norm(displacement - shift, axis=1).max())
-        far = options.a
-        if far == "auto":
-            # No grid of these tests is a single layer of cells.
+        far, width = options.a, transition_width(problem, options)
+        if far == "auto" and width:
+            # All tests have one moving body, and no grid is a single layer of cells.
+            far = 4.0
+        elif far == "auto":
             far = 2.5 if problem.grid.dimension == 2 and options.rotation == "lie" else 3.0
         w = area * ((length / r) ** far + (alpha * length / r) ** options.b)
+        if width:
+            return shared_out(problem, w, far, width)
     return w / w.sum()
 
 
@@ -103,13 +137,13 @@ def source_quads(problem, kinds):
 
 def nodal_areas(problem):
     area = np.zeros(len(problem.source_points))
-    for quad in source_quads(problem, (Kind.MOVING, Kind.FIXED)):
-        corners = problem.source_points[quad]
-        if len(quad) == 2:
+    for face in source_quads(problem, (Kind.MOVING, Kind.FIXED)):
+        corners = problem.source_points[face]
+        if len(face) == 2:
             size = np.linalg.norm(corners[1] - corners[0])
         else:
             size = 0.5 * np.linalg.norm(np.cross(corners[2] - corners[0], corners[3] - corners[1]))
-        area[quad] += size / len(quad)
+        area[face] += size / len(face)
     return area
 
 

@@ -12,12 +12,15 @@ from ...errors import MethodError
 from ...grid import FloatArray, IntArray
 from ...numerics import rotation as rot
 from ...numerics.paper.division import division_path
+from ...numerics.rigid import NO_TRANSITION
 from ..base import Account, Problem, Progress, Setting
 from ..limits import LARGEST_ROTATION, PLAIN_ROTATION, warn_of_alpha, warn_of_rotation
 from ..options import choose, option, positive, used
 from .idw_sums import Bound, ExactEvaluator, FastEvaluator, SourceValues
 from .mirror import mirror_images
+from .motion_values import motion_values
 from .summation import Summation, check_summation, fast_pays
+from .transition import FAR_OF_ONE_BODY, STEEPER, WIDTH, WIDTH_IN_PLANES, MovingShare, bodies, with_motion
 
 Rotation = Literal["none", "quaternion", "division", "blend", "lie"]
 Weights = Literal["luke", "shepard"]
@@ -25,7 +28,7 @@ ROTATIONS: tuple[str, ...] = get_args(Rotation)
 WEIGHTS: tuple[str, ...] = get_args(Weights)
 ALPHA_CAP = 0.3
 FAR, FAR_IN_PLANES = 3.0, 2.5
-"""Exponent a of eq. 16: Luke's, and that of ``lie`` in plane grids.
+"""Exponent a of eq. 16: Luke's, and that of ``lie`` in plane grids without a transition.
 
 The weights of a surface fall off as r^(2 - a), those of a curve as r^(1 - a): between two surfaces Luke's exponent
 spreads the deformation evenly, between two curves it concentrates it half-way.
@@ -57,7 +60,11 @@ class IDW:
     weights : ``luke`` (eq. 16) or ``shepard`` (eq. 15)
     alpha : weight of near against far sources in eq. 16, or ``"auto"``: eq. 18, at most 0.3
     eta : factor of eq. 18
-    a, b : exponents of eq. 16; a may be ``"auto"``: 3, but 2.5 for ``lie`` in plane grids
+    a, b : exponents of eq. 16; a may be ``"auto"``: for ``lie`` 4 with one moving body and a transition, else 2.5 in
+        plane grids; 3 otherwise
+    transition : the share of the moving sources falls linearly across the gap to fixed ones, but for this part of it
+        at either end, at most 0.5; 0: weights alone decide, as in eq. 14; ``"auto"``: for ``lie`` 0.5, in plane
+        grids 0.3
     smoothing : number of times that rotations of nodes within as many edges of a sharp edge are averaged, or
         ``"auto"``: 8 for ``lie``, none for the others
     length : L_def of eq. 16 (grid length unit), or ``"auto"``: eq. 17
@@ -76,8 +83,9 @@ class IDW:
         0.1, "0.3 keeps walls better at large rotations, but skews the cells farther away more"
     )
     eta: float = option(5.0, "Luke et al.")
-    a: float | str = option("auto", "Luke et al.: 3; less where sources lie along curves")
+    a: float | str = option("auto", "Luke et al.: 3; for lie by the kind of grid and motion")
     b: float = option(5.0, "Luke et al.: the near field")
+    transition: float | str = option("auto", "shears the cells between boundaries evenly; walls move rigidly")
     smoothing: int | str = option("auto", "only for lie, not for the paper's kinds; smooth walls are unaffected")
     length: float | Literal["auto"] = option("auto", "eq. 17: farthest source from the centroid of all nodes")
     p_moving: float = option(3.0, "as for fixed nodes; a larger value reduces the reach of the moving wall")
@@ -94,6 +102,9 @@ class IDW:
         positive("idw.length", self.length, auto=True)
         positive("idw.alpha", self.alpha, auto=True, most=_LARGEST_ALPHA)
         positive("idw.a", self.a, auto=True, most=_LARGEST_POWER)
+        positive("idw.transition", self.transition, auto=True, zero=True)
+        if self.transition != "auto" and float(self.transition) > 0.5:
+            raise MethodError(f'method.idw.transition = {self.transition!r}; expected 0 to 0.5, or "auto"')
         positive("idw.smoothing", self.smoothing, auto=True, whole=True, zero=True)
         positive("idw.eta", self.eta, most=_LARGEST_ALPHA)
         for name in ("b", "p_moving", "p_fixed"):
@@ -116,6 +127,8 @@ class IDW:
             idle["eta"] = 'it is only used with method.idw.alpha = "auto"'
         if self.rotation != "division":
             idle["divisions"] = 'it is only used with method.idw.rotation = "division"'
+        if self.rotation != "lie" or self.weights != "luke":
+            idle["transition"] = 'it is only used with method.idw.rotation = "lie" and weights = "luke"'
         if self.summation == "exact":
             idle["summation_tolerance"] = 'it is not used with method.idw.summation = "exact"'
         return idle
@@ -138,7 +151,9 @@ class PreparedIDW:
         self.area, self.points = self._images.area, self._images.points
         self._rotations = self._surface_rotations()
         self.length = self._length()
-        self.far = self._far()
+        width = self._width()
+        self.far = self._far(width)
+        self._share = MovingShare.of(self._images, self.far, width) if width else None
         self._blunt = self._near_edges()
         self.groups, self.strength = self._grouped()
         auto = options.remove_mean == "auto"
@@ -156,10 +171,20 @@ class PreparedIDW:
             return float(self.options.length)
         return float(np.linalg.norm(self._problem.source_points - self._problem.centroid, axis=1).max())
 
-    def _far(self) -> float:
+    def _width(self) -> float:
+        """Ends of the transition from moving sources to others, as a part of the gap; 0 without one."""
+        o, moving = self.options, with_motion(self._images)
+        if "transition" in o.idle or moving.all() or not moving.any():
+            return 0.0
+        auto = WIDTH_IN_PLANES if self._problem.plane else WIDTH
+        return auto if o.transition == "auto" else float(o.transition)
+
+    def _far(self, width: float) -> float:
         """Exponent a of eq. 16."""
         if self.options.a != "auto":
             return float(self.options.a)
+        if width and bodies(self._images) == 1:
+            return FAR_OF_ONE_BODY
         return FAR_IN_PLANES if self._problem.plane and self.options.rotation == "lie" else FAR
 
     @property
@@ -192,9 +217,12 @@ class PreparedIDW:
         o, settings = self.options, self.account.settings
         settings |= used(o, "rotation", "weights")
         if o.weights == "luke":
-            why = "lie in a plane grid" if self.far == FAR_IN_PLANES else "Luke et al.: the far field"
-            a = Setting(self.far, why if o.a == "auto" else "given")
+            why = {FAR_OF_ONE_BODY: "one moving body", FAR_IN_PLANES: "lie in a plane grid"}
+            a = Setting(self.far, why.get(self.far, "Luke et al.: the far field") if o.a == "auto" else "given")
             settings |= used(o, "alpha") | {"a": a} | used(o, "b")
+            width = self._share.width if self._share else 0.0
+            why_width = "lie" if width else "only for lie between moving and fixed boundaries"
+            settings["transition"] = Setting(width, why_width if o.transition == "auto" else "given")
         else:
             settings |= used(o, "p_moving", "p_fixed")
         if o.alpha == "auto":
@@ -235,12 +263,15 @@ class PreparedIDW:
         # Frame-independent kinds are computed relative to the centroid: smaller numbers, less round-off.
         origin = np.zeros(3) if self.options.rotation in ("quaternion", "division") else self._problem.centroid
         start = images.points - origin
-        values = _motion_values(self.options, start, d - mean, q)
+        values = motion_values(self.options.rotation, self.options.divisions, start, d - mean, q)
         path = division_path(start, values, self.options.divisions) if self.options.reweight else (start,)
         turn = np.linalg.norm(rot.rotation_vector(q), axis=1)
         at_rest = np.flatnonzero((turn == 0.0) & ~d.any(axis=1))
         still = values[:, at_rest[0]] if at_rest.size else None
-        return SourceValues(path, values, self._weights(d), np.linalg.norm(d - mean, axis=1), turn, origin, mean, still)
+        transition, shift = NO_TRANSITION, np.linalg.norm(d - mean, axis=1)
+        if self._share and (divided := self._share.applied(values)):
+            (values, transition), shift, still = divided, STEEPER * shift, np.zeros(len(values) + 1)
+        return SourceValues(path, values, self._weights(d), shift, turn, origin, mean, still, transition)
 
     def _weights(self, d: FloatArray) -> tuple[tuple[float, float, float], ...]:
         """Weight function (a, b, kappa) of each group: r^-a + kappa r^-b.
@@ -281,27 +312,3 @@ class PreparedIDW:
             return ExactEvaluator(bound)
         self.account.settings |= used(o, "summation_tolerance")
         return FastEvaluator(bound, o.summation_tolerance, self.account)
-
-
-def _motion_values(options: IDW, x: FloatArray, d: FloatArray, q: FloatArray) -> FloatArray:
-    """The quantities to average, (k, n), for sources at ``x`` with displacements ``d`` and rotations ``q``."""
-    if options.rotation == "none":
-        return np.ascontiguousarray(d.T)
-    w = rot.rotation_vector(q)
-    turned = rot.rotate(q, x) - x
-    translation = d - turned
-    if options.rotation == "lie":
-        return np.concatenate([w.T, rot.twist_velocity(w, translation).T])
-    if options.rotation == "blend":
-        columns = [rot.rotate(q, np.tile(e, (len(x), 1))) - e for e in np.eye(3)]
-        return np.concatenate([np.stack(columns, axis=2).reshape(len(x), 9).T, translation.T])
-    if options.rotation == "division":
-        part = rot.quaternion_of(w / options.divisions)
-        return np.concatenate([part.T, _divided_translation(w, translation, options.divisions).T])
-    return np.concatenate([q.T, translation.T])
-
-
-def _divided_translation(w: FloatArray, translation: FloatArray, m: int) -> FloatArray:
-    """T_m = M^-1 T of eq. 27: one of ``m`` equal steps of a screw has the twist (w, v) / m."""
-    v = rot.twist_velocity(w, translation)
-    return rot.translation_of_twist(w / m, v / m)

@@ -9,7 +9,7 @@ import numpy as np
 from ...grid import FloatArray, Grid, IntArray
 from ...numerics.exact.direct import weighted_sums
 from ...numerics.fastsum import sums as fastsum
-from ...numerics.rigid import finish
+from ...numerics.rigid import NO_TRANSITION, Transition, finish
 from ...parallel import Shared, for_chunks
 from ..base import Account, Progress, of_stage
 from .summation import largest_error, sum_accurately
@@ -24,7 +24,8 @@ class SourceValues:
     ``path`` source positions (n, 3) at the start of every step, relative to ``origin`` (3,): one step, unless the
     weights are recomputed on the way; ``values`` (k, n) per source; ``weights`` (a, b, kappa) per group; ``shift`` and
     ``turn`` (n,) displacement and rotation angle of each source; ``mean`` (3,) displacement that was subtracted;
-    ``still`` (k,) the values of sources that do not move, if there are any.
+    ``still`` (k,) the values of sources that do not move, if there are any; ``transition`` from moving sources to
+    others.
     """
 
     path: tuple[FloatArray, ...]
@@ -35,6 +36,7 @@ class SourceValues:
     origin: FloatArray
     mean: FloatArray
     still: FloatArray | None = None
+    transition: Transition = NO_TRANSITION
 
 
 @dataclass(frozen=True)
@@ -91,7 +93,7 @@ class ExactEvaluator:
         x = self.bound.grid.points[flat] - fit.origin
         total = np.zeros_like(x)
         for sources in fit.path:
-            total += self._moved(x + total, self._sums(fit, x + total, sources))
+            total += self._moved(fit, x + total, self._sums(fit, x + total, sources))
         return np.asarray(total + fit.mean)
 
     def checked(self, fit: SourceValues, flat: IntArray, known: Weighed | None) -> tuple[FloatArray, Weighed | None]:
@@ -104,12 +106,12 @@ class ExactEvaluator:
         else:
             sums = self._sums(fit, x, fit.path[0])
             known = Weighed(flat, fit.weights, sums[:, 0].copy())
-        return self._moved(x, sums) + fit.mean, known
+        return self._moved(fit, x, sums) + fit.mean, known
 
-    def _moved(self, x: FloatArray, sums: FloatArray) -> FloatArray:
+    def _moved(self, fit: SourceValues, x: FloatArray, sums: FloatArray) -> FloatArray:
         """Displacement (n, 3) in one step of targets at ``x``, relative to the origin, from their sums (n, 1 + k)."""
         moved = np.empty_like(x)
-        finish(self.bound.rotation, sums, x, moved, self.bound.repeats)
+        finish(self.bound.rotation, sums, x, moved, self.bound.repeats, fit.transition)
         return moved
 
     def _sums(self, fit: SourceValues, x: FloatArray, sources: FloatArray) -> FloatArray:
@@ -177,9 +179,10 @@ class FastEvaluator:
             def use(flat: IntArray, values: FloatArray, points: FloatArray = points, step: int = step) -> None:
                 x = points[flat] - fit.origin
                 moved = np.empty_like(x)
-                finish(bound.rotation, values, x, moved, bound.repeats)
+                finish(bound.rotation, values, x, moved, bound.repeats, fit.transition)
                 out[flat] = moved + (out[flat] if step else fit.mean)
 
             moving = fit.values, fit.shift, fit.turn
-            risk = sums.evaluate(bound.strength, fit.weights, *moving, use, out, report, fit.still)
+            lasting = 1 if fit.transition.width else 0
+            risk = sums.evaluate(bound.strength, fit.weights, *moving, use, out, report, fit.still, lasting)
         return sums.targets, np.asarray(risk)

@@ -37,7 +37,7 @@ def weighted_sums(
     targets : (n, 3) float64, none of them at a source
     sources : (m, 3) float64
     strength : (m,) float64
-    weights : (a, b, kappa); a = 3, b = 5, Luke's choice, has a loop of its own
+    weights : (a, b, kappa); a = 3 or 4 with b = 5 has a loop of its own
     values : (k, m) float64
 
     Returns
@@ -74,8 +74,10 @@ def sum_groups(targets, target_span, charged, pieces, piece_span, a, b, kappa, o
     pieces : (p, 2) int64, first and one past the last source of each piece, none of them empty
     piece_span : (m, 2) int64, first and one past the last piece that acts on each group
     """
-    luke = a == 3.0 and b == 5.0
-    # As in plane grids: square roots take a fraction of the time of logarithms and exponentials.
+    # Whole exponents: r^-3 (three + four / r + kappa / r^2) in one vector loop.
+    whole = (a == 3.0 or a == 4.0) and b == 5.0
+    three, four = (1.0, 0.0) if a == 3.0 else (0.0, 1.0)
+    # Square roots take a fraction of the time of logarithms and exponentials.
     roots = a == 2.5 and b == 5.0
     # A tile of sources stays in the first-level cache while all targets pass over it. It is an array of fixed size,
     # whose rows the compiler sees to be apart.
@@ -97,21 +99,21 @@ def sum_groups(targets, target_span, charged, pieces, piece_span, a, b, kappa, o
                     at = pieces[min(piece, end - 1), 0]
             for t in range(target_span[group, 0], target_span[group, 1]):
                 px, py, pz = targets[t, 0], targets[t, 1], targets[t, 2]
-                if not luke:
+                if not whole:
                     _weights(px, py, pz, tile, m, a, b, kappa, roots, weight)
-                _add(px, py, pz, tile, m, kappa, luke, weight, out, t)
+                _add(px, py, pz, tile, m, three, four, kappa, whole, weight, out, t)
 
 
 @inlined
-def _add(px, py, pz, tile, m, kappa, luke, weight, out, t):
-    """What a tile does to one target; ``luke``: weights r^-3 + kappa r^-5, everything in one vector loop."""
+def _add(px, py, pz, tile, m, three, four, kappa, whole, weight, out, t):
+    """What a tile does to one target; ``whole``: weights three r^-3 + four r^-4 + kappa r^-5, one vector loop."""
     a0 = a1 = a2 = a3 = a4 = a5 = a6 = a7 = 0.0
     for s in range(m):
-        if luke:
+        if whole:
             dx, dy, dz = px - tile[0, s], py - tile[1, s], pz - tile[2, s]
             r = 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz)
             r2 = r * r
-            w = r * r2 * (1.0 + kappa * r2)
+            w = r * r2 * (three + r * (four + kappa * r))
         else:
             w = weight[s]
         a0 += w * tile[3, s]

@@ -15,8 +15,8 @@ _TILE = 512
 
 
 @fast_kernel
-def sum_groups_single(targets, target_span, charged, pieces, piece_span, kappa, all_charges, out):
-    """Add to ``out`` the sums of charge * (r^-3 + kappa r^-5): as :func:`.direct.sum_groups`.
+def sum_groups_single(targets, target_span, charged, pieces, piece_span, a, kappa, all_charges, out):
+    """Add to ``out`` the sums of charge * (r^-a + kappa r^-5), a = 3 or 4: as :func:`.direct.sum_groups`.
 
     Without ``all_charges`` the first and the last charge are taken for zero.
     """
@@ -34,7 +34,8 @@ def sum_groups_single(targets, target_span, charged, pieces, piece_span, kappa, 
         for d in range(3):
             for t in range(count):
                 x[d, t] = np.float32((targets[first + t, d] - center[d]) * unit)
-        one, k = np.float32(1.0), np.float32(kappa * unit * unit)
+        one, three = np.float32(1.0), np.float32(1.0 if a == 3.0 else 0.0)
+        four, five = np.float32(0.0 if a == 3.0 else unit), np.float32(kappa * unit * unit)
         # r^-3 in units of the extent.
         back = unit * unit * unit
         while piece < end:
@@ -58,7 +59,7 @@ def sum_groups_single(targets, target_span, charged, pieces, piece_span, kappa, 
                     dx, dy, dz = px - tile[0, s], py - tile[1, s], pz - tile[2, s]
                     r = one / math.sqrt(dx * dx + dy * dy + dz * dz)
                     r2 = r * r
-                    w = r * r2 * (one + k * r2)
+                    w = r * r2 * (three + r * (four + five * r))
                     weight[s] = w
                     a1 += w * tile[4, s]
                     a2 += w * tile[5, s]

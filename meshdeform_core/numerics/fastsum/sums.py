@@ -166,6 +166,7 @@ class FastSums:
         result: FloatArray,
         progress: Report | None = None,
         still: FloatArray | None = None,
+        lasting: int = 0,
     ) -> FloatArray:
         """Compute the sums brick by brick and hand each chunk to ``use``.
 
@@ -177,6 +178,7 @@ class FastSums:
         use : called with flat indices (m,) and sums (m, 1 + k), the weight first, from several threads
         result : (n_nodes, ...) array of which ``use`` fills these rows
         still : (k,) values of the sources that do not move, if there are any
+        lasting : number of last rows of ``values`` that never change; their sums are kept with the weights
 
         Returns
         -------
@@ -188,8 +190,11 @@ class FastSums:
         strength = strength / strength.max()
         middle = values @ strength / strength.sum() if still is None else still
         spread, scaled = _scaled(values - middle[:, None])
-        plan = self._planned(weights, [cluster_reach(tree, strength[g], shift[g], turn[g]) for g, tree in self._groups])
+        reaches = [cluster_reach(tree, strength[g], shift[g], turn[g]) for g, tree in self._groups]
+        plan = self._planned(weights, reaches, lasting)
         weight = plan.weight if plan.weighed else None
+        if weight is not None:
+            scaled[k - lasting :] = 0.0
         passes = [self._charges(strength, scaled[first : first + N_VALUES], plan) for first in range(0, k, N_VALUES)]
         points, bricks, regions = targets.points, targets.bricks, targets.regions
 
@@ -205,13 +210,16 @@ class FastSums:
                     filled |= sum_lists(places, tree, charge, each, kind, everywhere)
                 interpolate_sums(lo, hi, bricks, regions, places, filled, everywhere)
                 part = everywhere[: len(flat)]
-                sums[:, 0] = part[:, 0] if weight is None else weight[targets.places(lo, hi)]
+                sums[:, 0] = part[:, 0] if weight is None else weight[targets.places(lo, hi), 0]
                 columns = slice(number * N_VALUES, min(k, (number + 1) * N_VALUES))
                 here = sums[:, 1 + columns.start : 1 + columns.stop]
                 np.multiply(part[:, 1 : 1 + here.shape[1]], spread[columns], out=here)
                 here += sums[:, :1] * middle[columns]
-            if plan.weight is not None:
-                plan.weight[targets.places(lo, hi)] = sums[:, 0]
+            kept = [0, *range(1 + k - lasting, 1 + k)]
+            if weight is not None:
+                sums[:, kept] = weight[targets.places(lo, hi)]
+            elif plan.weight is not None:
+                plan.weight[targets.places(lo, hi)] = sums[:, kept]
             use(flat, sums)
 
         shared = [Shared(result, targets.flat), Shared(plan.risk, targets.numbers)]
@@ -223,23 +231,23 @@ class FastSums:
         """Raise the accuracy of all further sums: the error was ``excess`` times too large."""
         self.share *= 0.25 / excess
 
-    def _planned(self, weights: Sequence[tuple[float, float, float]], reaches: list[Reach]) -> _Plan:
+    def _planned(self, weights: Sequence[tuple[float, float, float]], reaches: list[Reach], lasting: int) -> _Plan:
         """The plan of the last evaluation if it holds for these weights and motions of clusters, or a new one."""
         single = self.tolerance >= _SINGLE_TOLERANCE and self.share == self._first_share
-        kinds = [inverse_powers(a, b, kappa, single and (a, b) == (3.0, 5.0)) for a, b, kappa in weights]
+        kinds = [inverse_powers(a, b, kappa, single and a in (3.0, 4.0) and b == 5.0) for a, b, kappa in weights]
         plan = self._plan
-        if plan is None or plan.kinds != kinds or plan.share != self.share:
-            plan = self._new_plan(kinds, reaches)
+        if plan is None or plan.kinds != kinds or plan.share != self.share or plan.lasting != lasting:
+            plan = self._new_plan(kinds, reaches, lasting)
         elif not all(_within(new, known) for new, known in zip(reaches, plan.reaches, strict=True)):
             wider = [_widened(new, known) for new, known in zip(reaches, plan.reaches, strict=True)]
-            plan = self._new_plan(kinds, wider)
+            plan = self._new_plan(kinds, wider, lasting)
         self._plan = plan
         return plan
 
-    def _new_plan(self, kinds: list[Kernel], reaches: list[Reach]) -> _Plan:
+    def _new_plan(self, kinds: list[Kernel], reaches: list[Reach], lasting: int) -> _Plan:
         allowed, mean = self._allowance(kinds, reaches)
         trees = [tree for _, tree in self._groups]
-        return _Plan(self.targets, trees, kinds, reaches, self.share, allowed, mean, self._room)
+        return _Plan(self.targets, trees, kinds, reaches, self.share, allowed, mean, self._room, lasting)
 
     def _charges(self, strength: FloatArray, values: FloatArray, plan: _Plan) -> list[Charges]:
         """Charges of one pass, per group; without the strength if the weights are known."""
@@ -270,7 +278,8 @@ class FastSums:
 class _Plan:
     """Which clusters act where, for motions of the clusters up to ``reaches``; computed on demand and kept.
 
-    ``weight`` (n,) of every target in the order of the bricks, known once ``weighed``; ``None`` if there is no room.
+    ``weight`` (n, 1 + lasting) of every target in the order of the bricks, and its sums of values that never change,
+    known once ``weighed``; ``None`` if there is no room.
     ``used`` (m,) for each tree, whether the interpolation points of a cluster act anywhere, known once ``complete``.
     """
 
@@ -284,14 +293,16 @@ class _Plan:
         allowed: FloatArray,
         mean: FloatArray,
         room: int,
+        lasting: int,
     ) -> None:
+        self.lasting = lasting
         self.kinds, self.reaches, self.share = kinds, reaches, share
         self.risk = np.zeros(len(allowed))
         self._targets, self._trees = targets, trees
         self._allowed, self._mean = allowed, mean
         self._kept: dict[int, list[Lists]] = {}
-        size = 8 * len(targets.bricks.targets)
-        self.weight = np.empty(size // 8) if size <= room else None
+        size = 8 * len(targets.bricks.targets) * (1 + lasting)
+        self.weight = np.empty((len(targets.bricks.targets), 1 + lasting)) if size <= room else None
         self.weighed = self.complete = False
         self.used = [np.zeros(len(tree.child), dtype=bool) for tree in trees]
         self._room = room - size

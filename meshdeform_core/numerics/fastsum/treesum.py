@@ -140,7 +140,8 @@ def sum_lists(
     stop = np.append(0, np.cumsum(active))[np.append(0, lists.stop)]
     clusters = np.ascontiguousarray(rows), spans(stop)
     if function.single:
-        sum_groups_single(places.points, places.span, charges.rows, *clusters, function.kappa, charges.all, out)
+        a, kappa = function.a, function.kappa
+        sum_groups_single(places.points, places.span, charges.rows, *clusters, a, kappa, charges.all, out)
     else:
         sum_groups(places.points, places.span, charges.rows, *clusters, function.a, function.b, function.kappa, out)
     return stop[1:] > stop[:-1]

@@ -1,0 +1,32 @@
+"""What IDW averages: the rigid motions of sources in one of the forms of :mod:`..numerics.rigid`."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...grid import FloatArray
+from ...numerics import rotation as rot
+
+
+def motion_values(rotation: str, divisions: int, x: FloatArray, d: FloatArray, q: FloatArray) -> FloatArray:
+    """The quantities to average, (k, n), for sources at ``x`` with displacements ``d`` and rotations ``q``."""
+    if rotation == "none":
+        return np.ascontiguousarray(d.T)
+    w = rot.rotation_vector(q)
+    turned = rot.rotate(q, x) - x
+    translation = d - turned
+    if rotation == "lie":
+        return np.concatenate([w.T, rot.twist_velocity(w, translation).T])
+    if rotation == "blend":
+        columns = [rot.rotate(q, np.tile(e, (len(x), 1))) - e for e in np.eye(3)]
+        return np.concatenate([np.stack(columns, axis=2).reshape(len(x), 9).T, translation.T])
+    if rotation == "division":
+        part = rot.quaternion_of(w / divisions)
+        return np.concatenate([part.T, _divided_translation(w, translation, divisions).T])
+    return np.concatenate([q.T, translation.T])
+
+
+def _divided_translation(w: FloatArray, translation: FloatArray, m: int) -> FloatArray:
+    """T_m = M^-1 T of eq. 27: one of ``m`` equal steps of a screw has the twist (w, v) / m."""
+    v = rot.twist_velocity(w, translation)
+    return rot.translation_of_twist(w / m, v / m)
