@@ -217,8 +217,8 @@ class PreparedIDW:
         o, settings = self.options, self.account.settings
         settings |= used(o, "rotation", "weights")
         if o.weights == "luke":
-            why = {FAR_OF_ONE_BODY: "one moving body", FAR_IN_PLANES: "lie in a plane grid"}
-            a = Setting(self.far, why.get(self.far, "Luke et al.: the far field") if o.a == "auto" else "given")
+            of = {FAR_OF_ONE_BODY: "one moving body", FAR_IN_PLANES: "lie in a plane grid"}
+            a = Setting(self.far, of.get(self.far, "Luke et al.: the far field") if o.a == "auto" else "given")
             settings |= used(o, "alpha") | {"a": a} | used(o, "b")
             width = self._share.width if self._share else 0.0
             why_width = "lie" if width else "only for lie between moving and fixed boundaries"
