@@ -8,13 +8,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..grid import FloatArray, Grid, IntArray
+from ..grid import BoolArray, FloatArray, Grid, IntArray
 from ..grid.planes import plane_axes, plane_normal
-from ..numerics.cell.foldover import cell_samples, sound_samples
+from ..numerics.cell.foldover import cell_samples, samples_with_any, sound_samples
 from ..numerics.cell.layers import cells_at, layers_from
 from .constraints import Constraints
-from .region import COLLAPSED, Energy, Hexahedra, Region, Triangles, Unknowns
-from .walls import UNLIMITED, nearness, weights
+from .region import COLLAPSED, Energy, Hexahedra, Region, Triangles, Unknowns, Weights
+from .walls import UNLIMITED, nearness, weigh
 
 
 class Plot(NamedTuple):
@@ -91,20 +91,24 @@ class Neighbourhood:
         corners = self._corners(touched)
         nodes, local = np.unique(self._owners(corners.ravel()), return_inverse=True)
         unknowns, freedom = self._unknowns(nodes, owners)
-        weight = np.ones(len(touched)) if even else weights(self._from_walls[corners])
-        energy = self._energy(nodes, local.reshape(corners.shape), self._signs(touched), weight)
+        start, cells = self.grid.points[nodes] @ self.axes.T, local.reshape(corners.shape)
+        count = Weights.even(len(cells)) if even else weigh(self._from_walls[corners], start, cells)
+        energy = self._energy(start, cells, self._signs(touched), count, unknowns.number >= 0)
         return Plot(Region(energy, unknowns, freedom), nodes, free, np.searchsorted(nodes, owners), self.axes)
 
     def _layers(self, seeds: IntArray, layers: int) -> np.ndarray:
         found: np.ndarray = layers_from(seeds, layers, self._shapes, self.grid.offsets, *self._classes)
         return found
 
-    def _energy(self, nodes: IntArray, cells: IntArray, sign: FloatArray, weight: FloatArray) -> Energy:
-        start = self.grid.points[nodes] @ self.axes.T
+    def _energy(
+        self, start: FloatArray, cells: IntArray, sign: FloatArray, weights: Weights, moves: BoolArray
+    ) -> Energy:
+        """The energy of the samples that depend on a node that ``moves`` (n,): the others cannot be improved."""
         if self.grid.dimension == 2:
-            return Triangles.at_corners(start, cells, sign, weight)
+            return Triangles.at_corners(start, cells, sign, weights).with_any(moves)
         samples = cell_samples()
-        return Hexahedra(start, cells, sound_samples(start, cells, samples, sign, COLLAPSED), samples, weight)
+        mask = sound_samples(start, cells, samples, sign, COLLAPSED)
+        return Hexahedra(start, cells, mask & samples_with_any(moves[cells], samples), samples, weights)
 
     def _owners(self, flat: IntArray) -> IntArray:
         """The block node that stands for each of ``flat``."""

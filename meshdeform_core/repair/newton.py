@@ -12,7 +12,7 @@ import scipy
 from ..numerics.arrays import FloatArray
 from ..numerics.jit import kernel
 from ..parallel import for_chunks
-from .region import Region
+from .region import Penalty, Region, Rows
 
 _ROWS = 2048
 # Rows of vectors, which are cheaper.
@@ -52,7 +52,7 @@ class NewtonSystem:
         """Bytes that it takes, while the pattern is being found."""
         return n_unknowns * (27 * (36 + 24) + 300 if dimension == 3 else 9 * (16 + 24) + 700)
 
-    def fill(self, x: FloatArray, eps: float, t: float) -> None:
+    def fill(self, x: FloatArray, penalty: Penalty) -> None:
         """Gradient and scaled Hessian at the coordinates ``x`` (n, d); see :mod:`..cell.foldover`."""
         region, starts, columns = self._region, self._starts, self._columns
         self.gradient[...] = 0.0
@@ -60,10 +60,10 @@ class NewtonSystem:
         def add(low: int, high: int) -> None:
             first, last = starts[low], starts[high]
             blocks = np.zeros((last - first, *self._matrix.shape[1:]))
-            rows = low, high, starts, columns
-            region.energy.add(x, eps, t, self._elements[low // _ROWS], region.unknowns, rows, blocks, self.gradient)
-            factor_diagonal(blocks, rows, region.freedom, self._factor)
-            scale_left(blocks, rows, self._factor)
+            rows = Rows(low, high, starts, columns, blocks, self.gradient)
+            region.energy.add(x, penalty, self._elements[low // _ROWS], region.unknowns, rows)
+            factor_diagonal(blocks, rows.pattern, region.freedom, self._factor)
+            scale_left(blocks, rows.pattern, self._factor)
             self._matrix[first:last] = blocks
 
         for_chunks(add, region.n_unknowns, _ROWS)

@@ -14,6 +14,8 @@ from ..numerics.cell.foldover_plane import add_triangles, corner_triangles, ener
 COLLAPSED = 1e-10
 """A Jacobian below this share of the product of the edges is that of a collapsed corner."""
 _CORNERS = (1 << 8) - 1
+# Guarded elements may deteriorate by that factor, and good ones a little more.
+_MARGIN, _FORGIVEN = 1.25, 0.2
 
 
 class Unknowns(NamedTuple):
@@ -25,20 +27,72 @@ class Unknowns(NamedTuple):
     plain: BoolArray
 
 
+class Penalty(NamedTuple):
+    """The regularisation ``eps`` and the barrier ``t`` of the energy."""
+
+    eps: float
+    t: float = 0.0
+
+
+class Rows(NamedTuple):
+    """The rows ``first <= row < last`` of a sparse matrix of blocks, whose ``columns`` begin at ``starts``; the
+    ``matrix`` (n_blocks, d, d) has the blocks of these rows, the ``gradient`` (n_unknowns, d) all rows."""
+
+    first: int
+    last: int
+    starts: IntArray
+    columns: IntArray
+    matrix: FloatArray
+    gradient: FloatArray
+
+    @property
+    def pattern(self) -> tuple[int, int, IntArray, IntArray]:
+        """What the loops over rows need."""
+        return self[:4]
+
+
+class Weights(NamedTuple):
+    """Of elements: how much each counts in the sum, ``sum`` (m,), and whether it is ``guarded`` (m,): it may not
+    deteriorate where others improve."""
+
+    sum: FloatArray
+    guarded: BoolArray
+
+    @classmethod
+    def even(cls, count: int) -> Weights:
+        """All count alike."""
+        return cls(np.ones(count), np.zeros(count, dtype=bool))
+
+    def of(self, which: IntArray | BoolArray) -> Weights:
+        """Those of some elements."""
+        return Weights(self.sum[which], self.guarded[which])
+
+    def guard(self, density: FloatArray) -> FloatArray:
+        """Weights and own barriers (m, 2) of the energy; guarded elements have the largest ``density`` (m,) now."""
+        barrier = 1.0 / (2.0 + _MARGIN * np.maximum(density - 2.0, _FORGIVEN))
+        return np.stack([self.sum, np.where(self.guarded, barrier, 0.0)], axis=1)
+
+    @property
+    def free(self) -> FloatArray:
+        """The same (m, 2) without barriers."""
+        return np.stack([self.sum, np.zeros(len(self.sum))], axis=1)
+
+
 class Energy(Protocol):
     """A sum over elements, each of which depends on some nodes: ``nodes`` (m, k)."""
 
     @property
     def nodes(self) -> IntArray: ...
 
-    def sum(self, x: FloatArray, eps: float, t: float, low: int, high: int) -> tuple[float, float, float]:
+    def guard(self, x: FloatArray) -> None:
+        """Keep guarded elements, all of them valid at ``x`` (n, d), from deteriorating much."""
+        ...
+
+    def sum(self, x: FloatArray, penalty: Penalty, low: int, high: int) -> tuple[float, float, float]:
         """Over elements low <= m < high: energy, smallest determinant, largest density."""
         ...
 
-    def add(
-        self, x: FloatArray, eps: float, t: float, which: IntArray, unknowns: Unknowns,
-        rows: tuple[int, int, IntArray, IntArray], matrix: FloatArray, gradient: FloatArray,
-    ) -> None:  # fmt: skip
+    def add(self, x: FloatArray, penalty: Penalty, which: IntArray, unknowns: Unknowns, rows: Rows) -> None:
         """See :func:`..numerics.cell.foldover.add_derivatives`."""
         ...
 
@@ -53,14 +107,21 @@ class Hexahedra:
     nodes : (m, 8) as in :func:`..numerics.cell.foldover.cell_samples`
     mask : (m,) int64, bit s set where sample point s counts
     samples : the sample points
-    weight : (m,)
+    weights : of the cells
     """
 
     start: FloatArray
     nodes: IntArray
     mask: IntArray
     samples: Samples
-    weight: FloatArray
+    weights: Weights
+
+    def __post_init__(self) -> None:
+        self._weight = self.weights.free
+
+    def guard(self, x: FloatArray) -> None:
+        _, highest = measure_samples(x, self.start, self.nodes, self.mask, self.samples)
+        self._weight = self.weights.guard(highest)
 
     def focus(self, x: FloatArray, weak: float) -> None:
         """Take all samples of hexahedra that have a determinant below ``weak``, and only the corners of the others."""
@@ -69,39 +130,56 @@ class Hexahedra:
         lowest, _ = measure_samples(x, self.start, self.nodes, self.mask, self.samples)
         self.mask[lowest < weak] = sound[lowest < weak]
 
-    def sum(self, x: FloatArray, eps: float, t: float, low: int, high: int) -> tuple[float, float, float]:
-        return energy_of_cells(x, *self._loops, eps, t, low, high)
+    def sum(self, x: FloatArray, penalty: Penalty, low: int, high: int) -> tuple[float, float, float]:
+        return energy_of_cells(x, *self._loops, *penalty, low, high)
 
-    def add(self, x: FloatArray, eps: float, t: float, *rest: Any) -> None:
-        add_derivatives(x, *self._loops, eps, t, *rest)
+    def add(self, x: FloatArray, penalty: Penalty, which: IntArray, unknowns: Unknowns, rows: Rows) -> None:
+        add_derivatives(x, *self._loops, *penalty, which, unknowns, rows.pattern, rows.matrix, rows.gradient)
 
     @property
     def _loops(self) -> tuple[Any, ...]:
-        return self.start, self.nodes, self.mask, self.samples, self.weight
+        return self.start, self.nodes, self.mask, self.samples, self._weight
 
 
 @dataclass
 class Triangles:
     """The energy of the corners of quadrilaterals: ``nodes`` (m, 3), ``slope`` (m, 3, 2) the undeformed gradients of
-    their shape functions, ``weight`` (m,)."""
+    their shape functions, ``weights`` those of their cells."""
 
     nodes: IntArray
     slope: FloatArray
-    weight: FloatArray
+    weights: Weights
+
+    def __post_init__(self) -> None:
+        self._weight = self.weights.free
+
+    def guard(self, x: FloatArray) -> None:
+        a = np.einsum("mnd,mnk->mdk", x[self.nodes], self.slope)
+        det = np.linalg.det(a)
+        self._weight = self.weights.guard(((a**2).sum(axis=(1, 2)) + det**2 + 1.0) / (2.0 * det))
 
     @classmethod
-    def at_corners(cls, start: FloatArray, cells: IntArray, sign: FloatArray, weight: FloatArray) -> Triangles:
+    def at_corners(cls, start: FloatArray, cells: IntArray, sign: FloatArray, weights: Weights) -> Triangles:
         """Of the sound corners of undeformed quadrilaterals (m, 4); ``sign`` (m,) is that of sound Jacobians."""
         most = 4 * len(cells)
         nodes, slope, cell = np.empty((most, 3), np.int64), np.empty((most, 3, 2)), np.empty(most, np.int64)
         count = corner_triangles(start, cells, sign, COLLAPSED, nodes, slope, cell)
-        return cls(nodes[:count], slope[:count], weight[cell[:count]])
+        return cls(nodes[:count], slope[:count], weights.of(cell[:count]))
 
-    def sum(self, x: FloatArray, eps: float, t: float, low: int, high: int) -> tuple[float, float, float]:
-        return energy_of_triangles(x, self.nodes, self.slope, self.weight, eps, t, low, high)
+    def with_any(self, moves: BoolArray) -> Triangles:
+        """Those that have one of the nodes that ``moves`` (n,) is true for."""
+        kept = moves[self.nodes].any(axis=1)
+        return self if kept.all() else Triangles(self.nodes[kept], self.slope[kept], self.weights.of(kept))
 
-    def add(self, x: FloatArray, eps: float, t: float, *rest: Any) -> None:
-        add_triangles(x, self.nodes, self.slope, self.weight, eps, t, *rest)
+    def sum(self, x: FloatArray, penalty: Penalty, low: int, high: int) -> tuple[float, float, float]:
+        return energy_of_triangles(x, *self._loops, *penalty, low, high)
+
+    def add(self, x: FloatArray, penalty: Penalty, which: IntArray, unknowns: Unknowns, rows: Rows) -> None:
+        add_triangles(x, *self._loops, *penalty, which, unknowns, rows.pattern, rows.matrix, rows.gradient)
+
+    @property
+    def _loops(self) -> tuple[FloatArray, ...]:
+        return self.nodes, self.slope, self._weight
 
 
 @dataclass

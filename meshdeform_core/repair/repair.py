@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -19,22 +19,24 @@ from .constraints import Constraints
 from .extrusion import Extrusion, find_extrusion
 from .neighbourhood import Neighbourhood, Plot
 from .newton import NewtonSystem
-from .region import Hexahedra
-from .untangle import Untangler
+from .region import Hexahedra, Penalty
+from .untangle import Pace, Untangler
 
-WEAK = 0.2
+WEAK = 0.35
 """Cells with a corner below this share of its undeformed Jacobian are the middle of what a repair moves."""
 POOR = 0.1
 """Valid cells below this share are repaired too."""
 COLLAPSING = 0.01
 """Valid cells below this share are nearly collapsed: a warning."""
 _LAYERS: dict[int, tuple[int | None, ...]] = {2: (32, None), 3: (8, 32, None)}
-_STEPS, _IMPROVING = 40, 16
+# A regularisation that begins large and falls slowly finds valid grids where a quick one is caught.
+_QUICK, _PATIENT = Pace(60, 2.0, 0.2), Pace(200, 50.0, 0.1)
+_IMPROVING = 60
 _ROUNDS, _LAST_ROUNDS = 2, 6
 # A region of n nodes takes at most _WORK / n Newton steps, so that time is bounded on large grids.
 _WORK, _FEWEST = 20_000_000, 6
 # More layers are tried while the largest density is above this; for valid grids, if the first ones lower it by a tenth.
-_ENOUGH, _GAIN = 6.0, 0.9
+_ENOUGH, _GAIN = 2.9, 0.9
 # Regions of more nodes than this are not improved beyond validity: on the largest grids that would take minutes.
 _LARGE = 300_000
 
@@ -131,21 +133,22 @@ class Repairer:
         start, begin, weak = _State(points, verdict), clock.perf_counter(), WEAK
         if polish:
             weak = max(WEAK, min(1.0, 2.0 * float(verdict.ratio.min())))
-        best, steps = self._grow(start, weak, _LAYERS[self.original.grid.dimension], even=False)
-        if not best.verdict.valid:
-            # Stiff cells at walls may leave no solution.
-            other, more = self._grow(start, weak, (None,), even=True)
+        best, steps = self._grow(start, weak, _LAYERS[self.original.grid.dimension], _Way(_QUICK))
+        for way in (_Way(_PATIENT), _Way(_PATIENT, even=True)):
+            if best.verdict.valid:
+                break
+            other, more = self._grow(start, weak, (None,), way)
             best, steps = (other if other.count < best.count else best), steps + more
         return Outcome(best.points, best.verdict, self._record(start, best, steps, clock.perf_counter() - begin))
 
-    def _grow(self, start: _State, weak: float, stages: tuple[int | None, ...], even: bool) -> tuple[_State, int]:
+    def _grow(self, start: _State, weak: float, stages: tuple[int | None, ...], way: _Way) -> tuple[_State, int]:
         """The best state of regions that grow by ``stages``, and the Newton steps taken."""
         best = now = start
         steps, density = 0, np.inf
         for layers in stages:
             before, reached = 0.0, np.inf
             for _ in range(_ROUNDS if layers else _LAST_ROUNDS):
-                found = self._attempt(now, layers, weak, even)
+                found = self._attempt(now, layers, weak, way)
                 if found is None:
                     return best, steps
                 before, reached = found.before, found.density
@@ -180,7 +183,7 @@ class Repairer:
         record = self._record(_State(points, verdict), after, steps, clock.perf_counter() - begin)
         return Outcome(spread, after.verdict, record)
 
-    def _attempt(self, now: _State, layers: int | None, limit: float, even: bool) -> _Attempt | None:
+    def _attempt(self, now: _State, layers: int | None, limit: float, way: _Way) -> _Attempt | None:
         """Move the nodes within ``layers`` layers of weak cells; ``None`` if there are none, or too many."""
         weak = np.flatnonzero((now.verdict.failed != 0) | (now.verdict.ratio < limit))
 
@@ -191,17 +194,18 @@ class Repairer:
                     return None
                 if now.verdict.valid and free.size > _LARGE:
                     return None
-                return self._solve(self._neighbourhood.plot(free, even), now.points)
+                return self._solve(self._neighbourhood.plot(free, way.even), now.points, way.pace)
 
         return current_ranks().once(make)
 
-    def _solve(self, plot: Plot, points: FloatArray) -> _Attempt:
+    def _solve(self, plot: Plot, points: FloatArray, pace: Pace) -> _Attempt:
         start = plot.inside(points)
         if isinstance(plot.region.energy, Hexahedra):
             plot.region.energy.focus(start, WEAK)
         untangler = Untangler(plot.region, start, progress=self.progress)
-        before = untangler.state(start, 0.0).highest
-        untangled = untangler.untangle(max(_FEWEST, min(_STEPS, _WORK // plot.region.n_unknowns)))
+        before = untangler.state(start, Penalty(0.0)).highest
+        most = max(_FEWEST, _WORK // plot.region.n_unknowns)
+        untangled = untangler.untangle(replace(pace, steps=min(pace.steps, most)))
         density = untangler.improve(_IMPROVING) if untangled and plot.region.n_unknowns < _LARGE else np.inf
         shift = plot.shift(untangler.x - start)
         return _Attempt(plot.moved, shift, untangled, before, density, untangler.steps)
@@ -221,6 +225,14 @@ class Repairer:
         distance = np.sqrt((moved**2).sum(axis=1))
         bad = (start.verdict.failed != 0) | (start.verdict.ratio < POOR)
         return Repair(int(bad.sum()), int((distance > 0).sum()), float(distance.max()), steps, seconds)
+
+
+@dataclass(frozen=True)
+class _Way:
+    """How regions are solved: the pace, and whether cells at walls count like all others."""
+
+    pace: Pace
+    even: bool = False
 
 
 @dataclass(frozen=True)

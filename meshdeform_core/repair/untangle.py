@@ -10,19 +10,20 @@ import numpy as np
 from ..grid import FloatArray
 from ..parallel import for_chunks
 from .newton import NewtonSystem
-from .region import Region
+from .region import Penalty, Region
 
 _ELEMENTS = 4096
 _TOLERANCE = 3e-2
 _MOST_ITERATIONS = 200
-_FIRST_EPS = 0.5
 # A determinant that stays below -_LOCKED eps while eps falls has nowhere to go in this region.
 _LOCKED = 100.0
-_SLOWEST = 0.4
-# Barriers as shares of the largest density, a step that lowers it by less than that, and where it is low enough.
-_BARRIERS = (0.0, 0.5, 0.8)
-_STALLED = 0.95
-_GOOD = 4.0
+# Where the largest density is low enough; it stalls if _WINDOW steps do not lower it below that share.
+_GOOD = 2.6
+_WINDOW, _STALLED = 5, 0.95
+# Plain steps after untangling.
+_SETTLING = 3
+# By which part of the distance to the largest density a barrier approaches it at least.
+_CLOSER = 0.3
 _SMALLEST_STEP = 1e-4
 # Sufficient decrease of a line search (Armijo).
 _DECREASE = 1e-4
@@ -38,6 +39,16 @@ class State:
     highest: float
 
 
+@dataclass(frozen=True)
+class Pace:
+    """How patiently a region is untangled: at most so many ``steps``, the ``first`` regularisation, and by which part
+    it falls at the ``slowest``."""
+
+    steps: int
+    first: float = 0.5
+    slowest: float = 0.4
+
+
 @dataclass
 class Untangler:
     """Moves the unknowns of a region from coordinates ``x`` (n, 3)."""
@@ -50,68 +61,73 @@ class Untangler:
     def __post_init__(self) -> None:
         self._system = NewtonSystem(self.region)
 
-    def state(self, x: FloatArray, eps: float, t: float = 0.0) -> State:
+    def state(self, x: FloatArray, penalty: Penalty) -> State:
         n = len(self.region.energy.nodes)
         parts = np.empty((-(-n // _ELEMENTS), 3))
 
         def work(low: int, high: int) -> None:
-            parts[low // _ELEMENTS] = self.region.energy.sum(x, eps, t, low, high)
+            parts[low // _ELEMENTS] = self.region.energy.sum(x, penalty, low, high)
 
         for_chunks(work, n, _ELEMENTS)
         return State(x, parts[:, 0].sum(), parts[:, 1].min(), parts[:, 2].max())
 
-    def untangle(self, most: int) -> bool:
-        """Newton steps until every determinant is positive; at most ``most``.
+    def untangle(self, pace: Pace) -> bool:
+        """Newton steps until every determinant is positive.
 
-        The regularisation falls as in Garanzha et al. 2021 (section 2.3), but by at least 40 % instead of 10 % where
-        the energy hardly changes any more: a few extra steps at the end cost less than many on the way.
+        The regularisation falls as in Garanzha et al. 2021 (section 2.3), but by at least ``pace.slowest`` where the
+        energy hardly changes any more: a few extra steps at the end cost less than many on the way.
         """
-        eps = _FIRST_EPS
-        for step in range(most + 1):
-            now = self.state(self.x, eps)
+        eps = pace.first
+        for step in range(pace.steps + 1):
+            now = self.state(self.x, Penalty(eps))
             if now.lowest > 0.0:
                 return True
-            if step == most:
+            if step == pace.steps or now.lowest < -_LOCKED * eps:
                 break
-            if now.lowest < -_LOCKED * eps:
-                break
-            self._tell(step, most)
-            after = self._step(now, eps, 0.0)
+            self._tell(step, pace.steps)
+            after = self._step(now, Penalty(eps))
             self.x = after.x
-            eps = _next_eps(eps, after.lowest, max(_SLOWEST, 1.0 - after.energy / now.energy))
+            eps = _next_eps(eps, after.lowest, max(pace.slowest, 1.0 - after.energy / now.energy))
         return False
 
     def improve(self, most: int) -> float:
-        """Newton steps that lower the largest density f from a valid start, while they help; returns it.
+        """Newton steps that lower the largest density from a valid start, while they help; returns it.
 
-        First plain ones, then with a barrier ever closer above the largest density.
+        The barrier approaches the largest density as the energy converges, but always by some part of the distance.
+        Guarded elements keep a barrier of their own.
         """
-        now, barrier = self.state(self.x, 0.0), 0
+        best = now = self.state(self.x, Penalty(0.0))
+        for _ in range(_SETTLING if self.steps else 0):
+            # What the regularisation has moved without need returns, before guarded elements are compared with it.
+            now = self._step(now, Penalty(0.0))
+        self.region.energy.guard(now.x)
+        best = min(best, now, key=lambda state: state.highest)
+        t, recent = 0.5 / now.highest, [np.inf] * _WINDOW
         for step in range(most):
-            if now.highest < _GOOD or barrier == len(_BARRIERS):
+            if now.highest < _GOOD or best.highest > _STALLED * recent[-_WINDOW]:
                 break
             self._tell(step, most)
-            t = _BARRIERS[barrier] / now.highest
-            after = self._step(self.state(now.x, 0.0, t), 0.0, t)
-            before, now = now.highest, self.state(after.x, 0.0)
-            if now.highest > _STALLED * before:
-                barrier += 1
-        self.x = now.x
-        return now.highest
+            recent.append(best.highest)
+            before = self.state(now.x, Penalty(0.0, t))
+            now = self._step(before, Penalty(0.0, t))
+            best = min(best, now, key=lambda state: state.highest)
+            t += max(_CLOSER, 1.0 - now.energy / before.energy) * (1.0 - t * now.highest) / now.highest
+        self.x = best.x
+        return best.highest
 
     def _tell(self, done: int, most: int) -> None:
         if self.progress:
             self.progress("repair", done, most)
 
-    def _step(self, now: State, eps: float, t: float) -> State:
+    def _step(self, now: State, penalty: Penalty) -> State:
         system = self._system
-        system.fill(now.x, eps, t)
+        system.fill(now.x, penalty)
         step, _ = system.direction(_TOLERANCE, _MOST_ITERATIONS)
         slope = float(np.vdot(step, system.gradient))
         self.steps += 1
         length = 1.0
         while length > _SMALLEST_STEP:
-            after = self.state(self.region.moved(now.x, step, length), eps, t)
+            after = self.state(self.region.moved(now.x, step, length), penalty)
             if after.energy <= now.energy + _DECREASE * length * slope:
                 return after
             length /= 2

@@ -1,20 +1,30 @@
-"""Weights of cells near moving walls in a repair: these cells turn with the wall, and others take up the rest.
+"""Weights of cells in a repair: those near moving walls turn with the wall, boundary layers keep their heights.
 
 With equal weights everywhere, the minimum of the energy concentrates shear at a rotating wall (in a ring, as 1 / r^2),
 where first cells would lose nine tenths of their height. Weights that fall with the square of distance reverse that.
+
+Where a grid is squeezed, the smallest largest distortion is that of all cells alike, boundary layers included. So thin
+cells, at walls that move or not, are kept from it, at little cost: they take up little of the space.
 """
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
-from ..grid import FloatArray
+from ..grid import FloatArray, IntArray
+from .region import Weights
 
 REACH = 32
 _SHARE = 0.4
 """Cells count more up to REACH cells from moving walls, and up to this share of the largest distance in the grid: where
 there is little room, walls must give, too."""
 UNLIMITED = 1 << 14
+GUARDED = 0.2
+"""Cells at moving walls, up to this share of the reach, are guarded."""
+THIN, HEAVIEST, VERY_THIN = 50.0, 20.0, 500.0
+"""Cells of aspect ratio a weigh a / THIN, but at least 1 and at most HEAVIEST; VERY_THIN ones are guarded."""
 
 
 def nearness(layers: np.ndarray) -> FloatArray:
@@ -26,6 +36,22 @@ def nearness(layers: np.ndarray) -> FloatArray:
     return np.where(layers < 0, 1.0, np.minimum((layers + 1.0) / reach, 1.0)).astype(np.float64)
 
 
-def weights(share: FloatArray) -> FloatArray:
-    """Weights (m,) of cells by the :func:`nearness` (m, k) of their nodes."""
-    return np.asarray(share.min(axis=1) ** -2.0)
+def weigh(share: FloatArray, start: FloatArray, cells: IntArray) -> Weights:
+    """Weights of cells (m, k) among the undeformed nodes ``start`` (n, d); the first ones at moving walls and thin ones
+    are guarded. ``share`` (m, k) is the :func:`nearness` of their nodes."""
+    near, thin = share.min(axis=1), _aspect_ratio(start, cells)
+    weight = np.maximum(near**-2.0, np.clip(thin / THIN, 1.0, HEAVIEST))
+    return Weights(weight, (near < GUARDED) | (thin > VERY_THIN))
+
+
+def _aspect_ratio(start: FloatArray, cells: IntArray) -> FloatArray:
+    """Longest over shortest edge of cells (m,); edges without length, which are collapsed, do not count."""
+    shortest, longest = np.full(len(cells), np.inf), np.zeros(len(cells))
+    corners = cells.shape[1]
+    for one, step in itertools.product(range(corners), (1, 2, 4)):
+        if one & step or step >= corners:
+            continue
+        length = np.linalg.norm(start[cells[:, one | step]] - start[cells[:, one]], axis=1)
+        np.maximum(longest, length, out=longest)
+        np.minimum(shortest, length, out=shortest, where=length > 0.0)
+    return longest / shortest

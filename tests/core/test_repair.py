@@ -22,6 +22,7 @@ from meshdeform_core.repair.constraints import Constraints
 from meshdeform_core.repair.extrusion import find_extrusion
 from meshdeform_core.repair.neighbourhood import Neighbourhood
 from meshdeform_core.repair.newton import NewtonSystem
+from meshdeform_core.repair.region import Penalty
 from meshdeform_core.repair.repair import Repairer
 from meshdeform_core.repair.untangle import Untangler
 from meshdeform_samples.reproduce.experiment import Sample, prepare_sample
@@ -50,10 +51,10 @@ def test_gradient_is_that_of_differences_and_matrix_is_symmetric_and_positive(di
     start = plot.inside(setup.grid.points)
     x = start + 0.05 * random.standard_normal(start.shape)
     untangler, system = Untangler(plot.region, x), NewtonSystem(plot.region)
-    system.fill(x, eps, t)
+    system.fill(x, Penalty(eps, t))
     for _ in range(3):
         step = random.standard_normal((plot.region.n_unknowns, dimension))
-        ends = [untangler.state(plot.region.moved(x, step, h), eps, t).energy for h in (-1e-6, 1e-6)]
+        ends = [untangler.state(plot.region.moved(x, step, h), Penalty(eps, t)).energy for h in (-1e-6, 1e-6)]
         assert (ends[1] - ends[0]) / 2e-6 == pytest.approx(np.vdot(system.gradient, step), rel=1e-4)
     dense = system.dense()
     np.testing.assert_allclose(dense, dense.T, atol=2e-6)
@@ -67,7 +68,7 @@ def test_an_undeformed_cell_that_only_turns_has_the_smallest_energy(dimension):
     angle = 0.8
     turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
     start = plot.inside(setup.grid.points)
-    state = Untangler(plot.region, start).state(start @ turn[:dimension, :dimension].T, 0.0)
+    state = Untangler(plot.region, start).state(start @ turn[:dimension, :dimension].T, Penalty(0.0))
     assert state.lowest == pytest.approx(1.0)
     assert state.highest == pytest.approx(2.0)
 
@@ -255,7 +256,7 @@ def test_plane_second_derivatives_are_those_of_differences_without_their_negativ
         matrix, gradient = np.zeros((4, 2, 2)), np.zeros((2, 2))
         rows = 0, 2, np.array([0, 2, 4]), np.array([0, 1, 0, 1])
         x = np.array([[0.0, 0.0], a[:, 0], a[:, 1]])
-        add_triangles(x, nodes, slope, np.ones(1), eps, t, np.array([0]), unknowns, rows, matrix, gradient)
+        add_triangles(x, nodes, slope, np.array([[1.0, 0.0]]), eps, t, np.array([0]), unknowns, rows, matrix, gradient)
         found = matrix.reshape(2, 2, 2, 2).transpose(2, 0, 3, 1).reshape(4, 4)
         values, vectors = np.linalg.eigh(hessian(lambda b: density(b, eps, t), a))
         expected = vectors * np.maximum(values, 0.0) @ vectors.T

@@ -8,8 +8,8 @@ matrix of the map from the undeformed cell to the deformed one, D = det A, and
 (Garanzha, Kaporin, Kudryavtseva, Protais, Ray, Sokolov: Foldover-free maps in 50 lines of code, ACM TOG 40(4), 2021,
 eqs. 3 and 4 with lambda = 1). A cell that only turns has the smallest value, 2, whatever its aspect ratio. Samples
 count as their cells do, see :mod:`meshdeform_core.repair.walls`. With t > 0 the sum is over f / (1 - t f) - a barrier
-that keeps every f below 1 / t (Garanzha et al.: Practical lowest distortion mapping, arXiv 2201.12112). Plane grids
-have :mod:`.foldover_plane`.
+that keeps every f below 1 / t (Garanzha et al.: Practical lowest distortion mapping, arXiv 2201.12112). A cell may have
+a larger t of its own. Plane grids have :mod:`.foldover_plane`.
 """
 
 from __future__ import annotations
@@ -50,6 +50,14 @@ def cell_samples() -> Samples:
         used = np.flatnonzero(slopes.any(axis=1))
         count[s], node[s, : used.size], slope[s, : used.size] = used.size, used, slopes[used]
     return Samples(count, node, slope)
+
+
+def samples_with_any(chosen: np.ndarray, samples: Samples) -> np.ndarray:
+    """Sample points that depend on a ``chosen`` node (m, 8) of their cell: (m,) int64, bit s for sample point s."""
+    mask = np.zeros(len(chosen), dtype=np.int64)
+    for s, (used, node) in enumerate(zip(samples.used, samples.node, strict=True)):
+        mask |= chosen[:, node[:used]].any(axis=1).astype(np.int64) << s
+    return mask
 
 
 @inlined
@@ -132,7 +140,7 @@ def energy_of_cells(x, start, cells, mask, samples, weight, eps, t, low, high):
     cells : (m, 8) nodes
     mask : (m,) int64, bit s set where sample point s counts
     samples : see :class:`Samples`
-    weight : (m,) of the cells
+    weight : (m, 2) of the cells in the sum, and their own t
     eps, t : of the energy; with eps = 0 it is infinite where D <= 0, and with t > 0 where f >= 1 / t
     """
     count, node, slope = samples
@@ -149,7 +157,8 @@ def energy_of_cells(x, start, cells, mask, samples, weight, eps, t, low, high):
             if chi > 0.0:
                 f = _square(a) / 3.0 * chi ** (-2.0 / 3.0) + 0.5 * (det * det + 1.0) / chi
             highest = max(highest, f)
-            total += weight[c] * f / (1.0 - t * f) if t * f < 1.0 else np.inf
+            left = 1.0 - max(t, weight[c, 1]) * f
+            total += weight[c, 0] * f / left if left > 0.0 else np.inf
     return total, lowest, highest
 
 
@@ -171,7 +180,8 @@ def _coefficients(g, det, eps, t, weight):
     f = g * h / 3.0 + 0.5 * whole / chi
     u, v = 2.0 * h / 3.0, g * h1 / 3.0 + 0.5 * q1
     w, q, r = u, 2.0 * h1 / 3.0, max(g * h2 / 3.0 + 0.5 * q2, 2.0 / 3.0 * h1 * h1 / h * g)
-    one = weight / (1.0 - t * f) ** 2
+    t = max(t, weight[1])
+    one = weight[0] / (1.0 - t * f) ** 2
     two = 2.0 * t * one / (1.0 - t * f)
     return u * one, v * one, w * one, two * u * u, q * one + two * u * v, r * one + two * v * v
 

@@ -46,7 +46,7 @@ def energy_of_triangles(x, node, slope, weight, eps, t, low, high):
     ----------
     x : (n, 2) deformed coordinates
     node, slope : (m, 3), (m, 3, 2) nodes and undeformed gradients of their shape functions
-    weight : (m,)
+    weight : (m, 2) in the sum, and their own t
     eps, t : of the energy; with eps = 0 it is infinite where D <= 0, and with t > 0 where f >= 1 / t
     """
     total, lowest, highest = 0.0, np.inf, 0.0
@@ -59,7 +59,8 @@ def energy_of_triangles(x, node, slope, weight, eps, t, low, high):
         if chi > 0.0:
             f = 0.5 * (a * a + b * b + c * c + d * d + det * det + 1.0) / chi
         highest = max(highest, f)
-        total += weight[m] * f / (1.0 - t * f) if t * f < 1.0 else np.inf
+        left = 1.0 - max(t, weight[m, 1]) * f
+        total += weight[m, 0] * f / left if left > 0.0 else np.inf
     return total, lowest, highest
 
 
@@ -108,8 +109,9 @@ def add_triangles(x, node, slope, weight, eps, t, which, unknowns, rows, matrix,
         chi, root = _regular(det, eps)
         g = a00 * a00 + a01 * a01 + a10 * a10 + a11 * a11
         f = 0.5 * (g + det * det + 1.0) / chi
-        one = weight[at] / ((1.0 - t * f) * (1.0 - t * f))
-        two = 2.0 * t * one / (1.0 - t * f)
+        own = max(t, weight[at, 1])
+        one = weight[at, 0] / ((1.0 - own * f) * (1.0 - own * f))
+        two = 2.0 * own * one / (1.0 - own * f)
         dg, dd = 0.5 / chi, det / chi - f / root
         gd = -0.5 / (chi * root)
         ddd = 1.0 / chi - 2.0 * det / (chi * root) + f * (1.0 + det / root) / (root * root)
