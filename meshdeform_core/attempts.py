@@ -9,6 +9,7 @@ from .boundary.pinned import find_pinned
 from .errors import MethodError
 from .march import March, Trial
 from .methods import Options
+from .repair.repair import COLLAPSING
 
 MAX_HALVINGS = 8
 # The same for steps with a repair in each, which cost much more.
@@ -19,6 +20,9 @@ _BEFORE = 0.9
 """Where the boundary crosses itself, this share of the motion before that point is tried and reported to the user."""
 RESCUE = "rbf-tfi"
 """The method tried when the chosen one finds no valid grid: it succeeds most often."""
+SQUEEZED = ("tfi", RESCUE)
+"""Those tried when the valid grid found is nearly collapsed: where the boundary leaves little room, lines between its
+sides are often better kept by interpolation along them."""
 
 
 def in_equal_steps(march: March, count: int) -> None:
@@ -54,6 +58,7 @@ def adaptively(march: March) -> None:
 def until_valid(march: March) -> None:
     """Try one step with a repair, then smaller steps with a repair in each, then the same with another method.
 
+    If the grid of one step is valid but nearly collapsed, the best one of several methods is taken.
     If nothing helps, the grid with the fewest invalid cells is kept, with its boundary where it was prescribed; the
     warnings say why, and for what part of the motion a valid grid was found.
     """
@@ -64,11 +69,15 @@ def until_valid(march: March) -> None:
     if not best.verdict.valid and not impossible:
         if _in_smaller_steps(march):
             return
-        for trial in _with_another_method(march):
+        for trial in _with_other_methods(march, (RESCUE,)):
             if len(trial.verdict.invalid) < len(best.verdict.invalid):
                 best, options = trial, march.options
             if not best.verdict.valid and _in_smaller_steps(march):
                 return
+    if best.verdict.valid and best.verdict.ratio.min() < COLLAPSING:
+        for trial in _with_other_methods(march, SQUEEZED):
+            if trial.verdict.valid and trial.verdict.ratio.min() > best.verdict.ratio.min():
+                best, options = trial, march.options
     march.restart(options)
     march.accept(best)
     if not best.verdict.valid:
@@ -92,17 +101,17 @@ def _in_smaller_steps(march: March) -> bool:
     return True
 
 
-def _with_another_method(march: March) -> Iterator[Trial]:
-    """One step with the rescue method, if it fits into memory and is not the chosen one."""
-    if march.options.name == RESCUE or len(march.attempts) >= MAX_ATTEMPTS:
-        return
-    march.restart(Options(RESCUE))
-    try:
-        trial = march.trial(1.0)
-    except MethodError as error:
-        march.warnings.append(f"{RESCUE} was not tried: {error}")
-        return
-    yield trial
+def _with_other_methods(march: March, names: tuple[str, ...]) -> Iterator[Trial]:
+    """One step with each of some methods that fits into memory and is not the chosen one."""
+    chosen = march.options.name
+    for name in names:
+        if name == chosen or len(march.attempts) >= MAX_ATTEMPTS:
+            continue
+        march.restart(Options(name))
+        try:
+            yield march.trial(1.0)
+        except MethodError as error:
+            march.warnings.append(f"{name} was not tried: {error}")
 
 
 def _impossible(march: March) -> list[str]:

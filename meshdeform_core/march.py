@@ -141,7 +141,7 @@ class March:
         """Move from the current grid to ``fraction`` of the motion, and repair the result if the case asks for it."""
         trial = self._noted(self._judged(fraction, self._moved(fraction)), repaired=False)
         mode = self.setup.case.repair.mode
-        if mode == "off" or not (mode == "polish" or self.repairer.needed(trial.verdict)):
+        if mode == "off" or not (mode == "polish" or self.repairer.needed(trial.verdict, trial.cells)):
             return trial
         correction = self.start.correction() if self.start.correction else None
         if correction is not None:

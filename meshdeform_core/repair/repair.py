@@ -10,10 +10,11 @@ from functools import cached_property
 import numpy as np
 
 from ..boundary import Boundary
-from ..grid import FloatArray, IntArray
+from ..grid import BoolArray, FloatArray, IntArray
 from ..memory import UNLIMITED, MemoryLimit
 from ..parallel import alone, current_ranks, empty, for_rows
 from ..quality import Original
+from ..quality.comparison import Comparison
 from ..quality.validity import Verdict, judge
 from .constraints import Constraints
 from .extrusion import Extrusion, find_extrusion
@@ -21,11 +22,10 @@ from .neighbourhood import Neighbourhood, Plot
 from .newton import NewtonSystem
 from .region import Hexahedra, Penalty
 from .untangle import Pace, Untangler
+from .weakness import POOR, is_weak, skewed, soundness
 
 WEAK = 0.35
 """Cells with a corner below this share of its undeformed Jacobian are the middle of what a repair moves."""
-POOR = 0.1
-"""Valid cells below this share are repaired too."""
 COLLAPSING = 0.01
 """Valid cells below this share are nearly collapsed: a warning."""
 _LAYERS: dict[int, tuple[int | None, ...]] = {2: (32, None), 3: (8, 32, None)}
@@ -116,21 +116,24 @@ class Repairer:
         original = Original(found.plane, found.constraints.topology, self.original.min_jacobian)
         return found, Repairer(original, found.constraints, self.rounded, self.memory, self.progress)
 
-    def needed(self, verdict: Verdict) -> bool:
-        """Are there cells that are invalid or weak?"""
-        return bool(verdict.failed.any() or (verdict.ratio < POOR).any())
+    def needed(self, verdict: Verdict, cells: Comparison | None = None) -> bool:
+        """Are there cells that are invalid or weak? ``cells`` are those measured already, if any."""
+        return is_weak(self.original, verdict, cells)
 
     def repair(self, points: FloatArray, verdict: Verdict, polish: bool = False) -> Outcome:
         """Make cells sound; the coordinates returned may still have invalid ones, but not more than ``points``.
 
         Of the nodes around weak cells, first those within some layers move, then more, until all cells are sound and
         the worst one is no longer far from its undeformed shape, or until more nodes do not help. With ``polish`` the
-        weakest cells count as weak however good they are. If that fails, all nodes move and all cells count equally.
+        weakest cells count as weak however good they are. If that fails, all nodes move more patiently, then with all
+        cells counting equally. A valid grid is not replaced by a less sound one.
         """
         plane = self._in_plane(points, verdict, polish)
         if plane is not None:
             return plane
-        start, begin, weak = _State(points, verdict), clock.perf_counter(), WEAK
+        begin, weak = clock.perf_counter(), WEAK
+        cells = Comparison(self.original, self.rounded(points)) if verdict.valid else None
+        start = _State(points, verdict, skewed(self.original, cells) if cells else None)
         if polish:
             weak = max(WEAK, min(1.0, 2.0 * float(verdict.ratio.min())))
         best, steps = self._grow(start, weak, _LAYERS[self.original.grid.dimension], _Way(_QUICK))
@@ -139,6 +142,9 @@ class Repairer:
                 break
             other, more = self._grow(start, weak, (None,), way)
             best, steps = (other if other.count < best.count else best), steps + more
+        if cells and best is not start:
+            after = Comparison(self.original, self.rounded(best.points))
+            best = best if soundness(self.original, after) > soundness(self.original, cells) else start
         return Outcome(best.points, best.verdict, self._record(start, best, steps, clock.perf_counter() - begin))
 
     def _grow(self, start: _State, weak: float, stages: tuple[int | None, ...], way: _Way) -> tuple[_State, int]:
@@ -185,7 +191,8 @@ class Repairer:
 
     def _attempt(self, now: _State, layers: int | None, limit: float, way: _Way) -> _Attempt | None:
         """Move the nodes within ``layers`` layers of weak cells; ``None`` if there are none, or too many."""
-        weak = np.flatnonzero((now.verdict.failed != 0) | (now.verdict.ratio < limit))
+        broken = (now.verdict.failed != 0) | (now.verdict.ratio < limit)
+        weak = np.flatnonzero(broken if now.skewed is None else broken | now.skewed)
 
         def make() -> _Attempt | None:
             with alone():
@@ -218,7 +225,7 @@ class Repairer:
             points[found.moved] += found.shift
 
         current_ranks().alter(points, put)
-        return _State(points, judge(self.original, self.rounded(points)))
+        return _State(points, judge(self.original, self.rounded(points)), now.skewed)
 
     def _record(self, start: _State, end: _State, steps: int, seconds: float) -> Repair:
         moved = (end.points - start.points).reshape(-1, 3)
@@ -237,8 +244,11 @@ class _Way:
 
 @dataclass(frozen=True)
 class _State:
+    """``skewed``: cells that are weak for their shape, in a grid that was valid from the start."""
+
     points: FloatArray
     verdict: Verdict
+    skewed: BoolArray | None = None
 
     @property
     def count(self) -> int:

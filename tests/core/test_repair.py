@@ -272,7 +272,7 @@ def test_extruded_grids_are_repaired_as_plane_ones_whatever_their_indices():
     plain, mixed = (np.unique(np.round(np.hstack([r.setup.grid.points, r.grid.points]), 7), axis=0) for r in results)
     assert all(result.valid for result in results)
     # Unknowns in another order: conjugate gradients stop a little elsewhere.
-    np.testing.assert_allclose(plain, mixed, atol=2e-3)
+    np.testing.assert_allclose(plain, mixed, atol=2e-2)
     for b in range(grid.n_blocks):
         inner = grid.block(b, results[0].grid.points)[1:-1, 1:-1]
         np.testing.assert_allclose(np.ptp(inner[..., :2], axis=2), 0.0, atol=1e-12)
