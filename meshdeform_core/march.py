@@ -146,6 +146,10 @@ class March:
         correction = self.start.correction() if self.start.correction else None
         if correction is not None:
             trial = self._judged(fraction, self._sum(trial.points, correction))
+            if mode != "polish" and not self.repairer.needed(trial.verdict, trial.cells):
+                # Another minimum nearby would only make nodes jump in time.
+                self.repairs.append(Repair.carried(correction))
+                return self._noted(trial, repaired=True)
         with self.timing.stage("repair"):
             outcome = self.repairer.repair(trial.points, trial.verdict, polish=mode == "polish")
         if outcome.repair.newton_steps:

@@ -57,6 +57,12 @@ class Repair:
     newton_steps: int
     seconds: float
 
+    @classmethod
+    def carried(cls, correction: FloatArray) -> Repair:
+        """Of a displacement (n_nodes, 3) that an earlier repair has found and that is enough."""
+        distance = np.sqrt((correction**2).sum(axis=1))
+        return cls(0, int((distance > 0).sum()), float(distance.max()), 0, 0.0)
+
     def __add__(self, other: Repair) -> Repair:
         return Repair(
             self.cells + other.cells,
