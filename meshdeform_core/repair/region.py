@@ -168,7 +168,7 @@ class Triangles:
 
     def with_any(self, moves: BoolArray) -> Triangles:
         """Those that have one of the nodes that ``moves`` (n,) is true for."""
-        kept = moves[self.nodes].any(axis=1)
+        kept = np.asarray(moves[self.nodes].any(axis=1))
         return self if kept.all() else Triangles(self.nodes[kept], self.slope[kept], self.weights.of(kept))
 
     def sum(self, x: FloatArray, penalty: Penalty, low: int, high: int) -> tuple[float, float, float]:
@@ -178,7 +178,7 @@ class Triangles:
         add_triangles(x, *self._loops, *penalty, which, unknowns, rows.pattern, rows.matrix, rows.gradient)
 
     @property
-    def _loops(self) -> tuple[FloatArray, ...]:
+    def _loops(self) -> tuple[Any, ...]:
         return self.nodes, self.slope, self._weight
 
 
