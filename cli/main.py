@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import importlib
 import importlib.util
+import os
 import sys
 import traceback
 from collections.abc import Sequence
@@ -24,6 +26,7 @@ _COMMANDS = (
     "reproduce", "schema", "warm-up",
 )  # fmt: skip
 _ON_RANKS = ("deform", "series")
+_OF_STREAMS = (errno.ENOSPC, errno.EIO, errno.EDQUOT, errno.EFBIG)
 
 
 def _module(name: str) -> str:
@@ -147,6 +150,7 @@ def _invoke(args: Sequence[str] | None) -> int:
     from meshdeform_core.errors import MeshDeformError
 
     try:
+        _check_environment()
         arguments = list(sys.argv[1:] if args is None else args)
         # Reports quote the command line: the context object holds the arguments.
         result = cli.main(args=arguments, prog_name="meshdeform", standalone_mode=False, obj=tuple(arguments))
@@ -170,9 +174,31 @@ def _invoke(args: Sequence[str] | None) -> int:
         return 0
     except OSError as error:
         # Refused by the system: no permission, a name too long, a full disk.
-        return _fail(f"{error.filename}: {error.strerror}" if error.filename else str(error))
+        return _fail(_refusal(error))
     except MemoryError as error:
         return _fail(f"out of memory ({error}); see --max-memory, or use a smaller grid or method")
+
+
+def _check_environment() -> None:
+    """Variables whose values would make libraries fail when they are imported."""
+    from meshdeform_core.errors import CaseError
+
+    # Pictures are drawn into files, whatever shows those of other programs.
+    os.environ["MPLBACKEND"] = "agg"
+    # The HDF5 library crashes on a driver that it does not know, and none but the default is of use here.
+    os.environ.pop("HDF5_DRIVER", None)
+    threads = os.environ.get("NUMBA_NUM_THREADS")
+    if threads is not None and not (threads.isdecimal() and int(threads) > 0):
+        raise CaseError(f"NUMBA_NUM_THREADS={threads}: expected a whole number >= 1; correct or unset this variable")
+
+
+def _refusal(error: OSError) -> str:
+    """What the system refused; files that are written or read are named, so without a name it is something else."""
+    if error.filename:
+        return f"{error.filename}: {error.strerror}"
+    if error.errno == errno.ENOENT:
+        return "the current folder does not exist any more; change to another one"
+    return f"cannot write to stdout: {error.strerror}" if error.errno in _OF_STREAMS else str(error)
 
 
 def _report_bug() -> int:

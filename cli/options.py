@@ -277,9 +277,11 @@ def check_output(path: Path, force: bool, *inputs: Path | None) -> None:
     FormatError
         When the output exists and ``force`` is not given, is one of the inputs, or its folder is missing.
     """
+    from meshdeform_formats.files import require_replaceable
+
+    # First: reading the pieces of an existing .vtm would wait for ever if it were a pipe.
+    require_replaceable(path)
     keep_inputs(path, *inputs)
-    if path.is_dir():
-        raise FormatError(f"cannot write {path}: it is a folder; give a file name")
     if path.exists() and not force:
         raise FormatError(f"{path} exists; use --force to overwrite it")
     if not path.parent.is_dir():

@@ -33,8 +33,7 @@ def replacing(target: Path) -> Iterator[Path]:
     folder = target.parent
     if not folder.is_dir():
         raise FormatError(f"cannot write {target}: the folder {folder} does not exist; create it first")
-    if target.is_dir():
-        raise FormatError(f"cannot write {target}: it is a folder; give a file name")
+    require_replaceable(target)
     _remove_stale(target)
     # The suffix is kept: some writers choose the format by it.
     partial = folder / f".{target.stem}.{os.getpid()}-{_host()}{secrets.token_hex(2)}.partial{target.suffix}"
@@ -45,6 +44,28 @@ def replacing(target: Path) -> Iterator[Path]:
             os.replace(partial, target)
         except OSError as error:
             raise FormatError(f"cannot write {target}: {reason_of(error)}") from error
+
+
+def require_replaceable(target: Path) -> None:
+    """Refuse to write where there is anything but a regular file: a pipe would be replaced, not written to.
+
+    Raises
+    ------
+    FormatError
+        When ``target``, or what it links to, is a folder, a pipe, a socket or a device.
+    """
+    with contextlib.suppress(OSError, ValueError):
+        if kind := _kind_of(target.stat().st_mode):
+            raise FormatError(f"cannot write {target}: it is {kind}; give a file name")
+
+
+def _kind_of(mode: int) -> str:
+    """What is at a path that is no regular file; empty if it is one."""
+    if stat.S_ISDIR(mode):
+        return "a folder"
+    if stat.S_ISREG(mode):
+        return ""
+    return "a pipe" if stat.S_ISFIFO(mode) else "a socket" if stat.S_ISSOCK(mode) else "a device"
 
 
 def followed(path: Path) -> Path:
@@ -118,11 +139,10 @@ def require_regular(path: Path, what: str = "") -> None:
         mode = path.stat().st_mode
     except (OSError, ValueError) as error:
         raise FormatError(f"cannot read {label}: {reason_of(error)}") from error
-    if stat.S_ISDIR(mode):
-        raise FormatError(f"cannot read {label}: it is a folder; expected a file")
-    if not stat.S_ISREG(mode):
-        kind = "a pipe" if stat.S_ISFIFO(mode) else "a socket" if stat.S_ISSOCK(mode) else "a device"
-        raise FormatError(f"cannot read {label}: it is {kind}; expected a file, which is read more than once")
+    kind = _kind_of(mode)
+    if kind:
+        again = "" if stat.S_ISDIR(mode) else ", which is read more than once"
+        raise FormatError(f"cannot read {label}: it is {kind}; expected a file{again}")
 
 
 def shown(path: Path) -> str:
