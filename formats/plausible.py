@@ -44,7 +44,13 @@ def require_plausible(grid: Grid, path: Path) -> None:
 
 def _require_bounded(grid: Grid, path: Path) -> None:
     bad = empty([grid.n_nodes], bool)
-    for_rows(lambda rows: np.copyto(bad[rows], ~(np.abs(grid.points[rows]) <= LARGEST).all(axis=1)), bad)
+
+    def judge(rows: slice) -> None:
+        good = np.abs(grid.points[rows]) <= LARGEST
+        # A reduction over so short an axis is slow, and hardly ever needed.
+        bad[rows] = False if good.all() else ~good.all(axis=1)
+
+    for_rows(judge, bad)
     if bad.any():
         first = int(np.argmax(bad))
         point = grid.points[first]

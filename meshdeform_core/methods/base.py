@@ -20,7 +20,7 @@ from ..grid.planes import plane_normal
 from ..grid.side_numbers import side_numbers
 from ..grid.topology import Topology, inward_step, side_nodes
 from ..memory import UNLIMITED, MemoryLimit
-from ..numerics.arrays import distinct_pairs
+from ..numerics.arrays import distinct_pairs, total
 from ..numerics.geometry.coincidence import distinct
 from ..numerics.rotation import SurfaceRotations
 
@@ -129,8 +129,8 @@ class Problem:
     def centroid(self) -> FloatArray:
         """Mean of all unique nodes (eq. 17)."""
         t = self.topology
-        total = self.grid.points.sum(axis=0) - self.grid.points[t.face_nodes].sum(axis=0)
-        return np.asarray((total + self.grid.points[t.first].sum(axis=0)) / self.n_unique_nodes)
+        whole = total(self.grid.points) - total(self.grid.points[t.face_nodes])
+        return np.asarray((whole + total(self.grid.points[t.first])) / self.n_unique_nodes)
 
 
 def _nodal_area(points: FloatArray, quads: IntArray) -> FloatArray:

@@ -34,9 +34,19 @@ def extent(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     return rest.min(axis=0), rest.max(axis=0)
 
 
+def total(points: FloatArray) -> FloatArray:
+    """Sum (3,) of points (n, 3), with long rows as in :func:`extent`."""
+    even = len(points) // _TOGETHER * _TOGETHER
+    rows = np.ascontiguousarray(points[:even]).reshape(-1, 3 * _TOGETHER)
+    return np.asarray(rows.sum(axis=0).reshape(-1, 3).sum(axis=0) + points[even:].sum(axis=0))
+
+
 def distinct_pairs(pairs: IntArray) -> IntArray:
     """The different rows of pairs (n, 2) of non-negative integers, in lexicographical order."""
     if not len(pairs):
         return pairs
     base = int(pairs.max()) + 1
-    return np.stack(np.divmod(np.unique(pairs[:, 0] * base + pairs[:, 1]), base), axis=1)
+    # numpy's own search for distinct integers hashes them, which takes longer.
+    keys = np.sort(pairs[:, 0] * base + pairs[:, 1])
+    new = np.append(True, keys[1:] != keys[:-1])
+    return np.stack(np.divmod(keys[new], base), axis=1)

@@ -177,7 +177,7 @@ def test_clusters_hold_their_sources_and_keep_their_charges(n, flat, seed):
     tree = build_tree(points, 3)
     np.testing.assert_array_equal(np.sort(tree.order), np.arange(n))
     proxy = np.empty((len(tree.proxies), 8))
-    gather_charges(tree, charges[tree.order], proxy, np.ones(len(tree.span), dtype=bool))
+    gather_charges(tree, charges[tree.order], proxy, np.ones(len(tree.span), dtype=bool), 0, len(tree.span))
     for c, (lo, hi) in enumerate(tree.span):
         members = tree.order[lo:hi]
         inside = np.abs((points[members] - tree.center[c]) @ tree.axes[c].T)

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ...parallel import for_chunks
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..jit import inlined, kernel
 from .boxes import extents, fit_boxes, place_points, points_per_side
@@ -76,17 +77,23 @@ def build_bricks(
     bricks : :class:`Bricks`
     first : (g + 1,) number of each region's first brick
     """
-    starts, firsts, targets = [np.zeros(1, np.int64)], [np.zeros(1, np.int64)], [np.empty(0, np.int64)]
-    for block, shape in enumerate(shapes):
+    cuts: dict[int, tuple[IntArray, IntArray, IntArray]] = {}
+
+    def cut(block: int, _: int) -> None:
         lo, hi = offsets[block], offsets[block + 1]
-        mask = wanted[lo:hi].reshape(shape)
+        mask = wanted[lo:hi].reshape(shapes[block])
         inside = int(mask.sum())
         if inside:
             volume = capacity * mask.size / inside
-            start, first, flat = _cut_block(points[lo:hi].reshape(*shape, 3), mask, inside, volume)
-            firsts.append(first[1:] + sum(map(len, starts)) - 1)
-            starts.append(start[1:] + starts[-1][-1])
-            targets.append(flat + lo)
+            cuts[block] = _cut_block(points[lo:hi].reshape(*shapes[block], 3), mask, inside, volume)
+
+    for_chunks(cut, len(shapes), 1)
+    starts, firsts, targets = [np.zeros(1, np.int64)], [np.zeros(1, np.int64)], [np.empty(0, np.int64)]
+    for block in sorted(cuts):
+        start, first, flat = cuts[block]
+        firsts.append(first[1:] + sum(map(len, starts)) - 1)
+        starts.append(start[1:] + starts[-1][-1])
+        targets.append(flat + offsets[block])
     start, flat = np.concatenate(starts), np.concatenate(targets)
     return make_bricks(points, start, flat, order), np.concatenate(firsts)
 

@@ -124,17 +124,17 @@ def _partition(members, key, first, last, middle):
 
 
 @kernel
-def gather_charges(tree, charges, out, active):
-    """Charges (m, 8) of all interpolation points from the charges (n, 8) of the sources in tree order.
+def gather_charges(tree, charges, out, active, first_cluster, last_cluster):
+    """Charges (m, 8) of the interpolation points of some clusters from those (n, 8) of the sources in tree order.
 
     A source's charge is shared among the points of each cluster it belongs to by their Lagrange polynomials.
     ``active`` (m,) clusters have sources with charges.
     """
     node, weight, value = np.empty((3, 32)), np.empty((3, 32)), np.empty((3, 32))
-    for n in range(out.shape[0]):
+    for n in range(tree.proxy[first_cluster], tree.proxy[last_cluster]):
         for c in range(CHARGES):
             out[n, c] = 0.0
-    for cluster in range(tree.span.shape[0]):
+    for cluster in range(first_cluster, last_cluster):
         first = tree.proxy[cluster]
         if tree.proxy[cluster + 1] == first or not active[cluster]:
             continue

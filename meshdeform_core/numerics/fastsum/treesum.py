@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ...parallel import for_chunks
 from ..arrays import BoolArray, FloatArray
 from ..exact.direct import sum_groups
 from ..exact.single import sum_groups_single
@@ -28,6 +29,8 @@ from .tree import CHARGES, SourceTree, gather_charges
 from .walk import Lists, Reach, few_nodes
 
 _STACK = 256
+# Clusters per call of a thread.
+_CLUSTERS = 16
 
 
 class Charges(NamedTuple):
@@ -54,7 +57,8 @@ def gather(tree: SourceTree, source: FloatArray, used: BoolArray | None = None) 
     charged = np.append(0, np.cumsum(source.any(axis=1)))
     active = charged[tree.span[:, 1]] > charged[tree.span[:, 0]]
     proxy = np.empty((len(tree.proxies), CHARGES))
-    gather_charges(tree, source, proxy, active if used is None else active & used)
+    acting = active if used is None else active & used
+    for_chunks(lambda lo, hi: gather_charges(tree, source, proxy, acting, lo, hi), len(acting), _CLUSTERS)
     n = len(source)
     rows = np.empty((n + len(proxy), 3 + CHARGES))
     rows[:n, :3], rows[:n, 3:], rows[n:, :3], rows[n:, 3:] = tree.points, source, tree.proxies, proxy
