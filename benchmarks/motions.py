@@ -12,9 +12,8 @@ from meshdeform_core.boundary.expression import expression
 from meshdeform_core.boundary.motion import Displace, Motion, Rotate
 from meshdeform_core.deform import Case, Setup, set_up
 from meshdeform_core.grid import FloatArray
-from meshdeform_formats.case import read_case
 from meshdeform_formats.grids import read_grid
-from meshdeform_samples import folder, load
+from meshdeform_samples.reproduce.experiment import Sample, prepare_sample
 
 SPAN = 12.09152937
 """Of the wing in 717_wl_L2.cgns, along z; its chord is 10."""
@@ -36,10 +35,7 @@ class Job:
 
 def _sample(name: str, label: str, time: float = 0.0, scale: float = 1.0, **constants: float) -> Job:
     def make() -> tuple[Setup, FloatArray]:
-        given = tuple(f"constants.{key}={value}" for key, value in constants.items())
-        setup = set_up(
-            load(name).generate(SAMPLES[name]), read_case(folder(name) / "case.toml", given, None, None).case
-        )
+        setup = prepare_sample(Sample(name, SAMPLES[name], constants=tuple(constants.items())))
         return setup, scale * setup.displacement(time)[setup.problem.source_numbers]
 
     return Job(f"{name}, {label}", make)
@@ -47,7 +43,7 @@ def _sample(name: str, label: str, time: float = 0.0, scale: float = 1.0, **cons
 
 def _third_party(file: str, label: str, motion: Motion, walls: str, slip: str = "") -> Job:
     def make() -> tuple[Setup, FloatArray]:
-        specs = [BoundarySpec("wall", (walls,), Kind.MOVING, None, motion)]
+        specs = [BoundarySpec("wall", tuple(walls.split()), Kind.MOVING, None, motion)]
         specs += [BoundarySpec("slip", (slip,), Kind.SYMMETRY if slip == "Sym" else Kind.SLIP)] if slip else []
         setup = set_up(read_grid(grids_folder() / file), Case(tuple(specs)))
         return setup, setup.displacement(0.0)[setup.problem.source_numbers]
@@ -76,6 +72,8 @@ def _wing(label: str, motion: Motion) -> Job:
     return _third_party("717_wl_L2.cgns", label, motion, "wall", "Sym")
 
 
+_SQUEEZED = Motion((displace("1.25", "0", "0"),), {})
+_BUMP = Motion((displace("0", "0", "4.5*where(abs(x - 4) < 4, cos(pi*(x - 4)/8)**2, 0)"),), {})
 _TURNED = Motion((rotate("60", (0, 0, 1), 0, 0, 0),), {})
 _SHIFTED = Motion((displace("0.75", "0", "0"),), {})
 _LOWERED = Motion((displace("0", "0", "-4.5*exp(-((x - 4)/8)**2)"),), {})
@@ -87,6 +85,7 @@ JOBS: tuple[Job, ...] = (
     *(_sample("hemisphere", f"amplitude {a:g}", time=2.5e-4, amplitude=a) for a in (0.011, 0.033)),
     *(_sample("beam", f"times {scale:g}", scale=scale) for scale in (1.0, 2.0)),
     _sample("square", "as it is"),
+    *(_sample("wing", f"times {scale:g}", scale=scale) for scale in (1.0, 3.0)),
     _wing("twist -15, bend 25 %", _bent_wing(-15.0, 0.25)),
     _wing("twist 15, bend 25 %", _bent_wing(15.0, 0.25)),
     _wing("bend 50 %", _bent_wing(0.0, 0.5)),
@@ -94,6 +93,8 @@ JOBS: tuple[Job, ...] = (
     _third_party("nak_a_141.cgns", "pitch 45 degrees", Motion((rotate("45", (0, 1, 0), 0.25, 0, 0),), {}), "Klo_Seg*"),
     _third_party("cylinder_ring_4blk.x", "turned 60 degrees", _TURNED, "*.jmax", "*.k*"),
     _third_party("cylinder_ring_4blk.x", "shifted by 1.5 radii", _SHIFTED, "*.jmax", "*.k*"),
+    _third_party("cylinder_ring_4blk.x", "squeezed to a half", _SQUEEZED, "*.jmax", "*.k*"),
+    _third_party("backstep5_4levdn.p3dbin", "bump of 4.5", _BUMP, "block3.kmin block4.kmin"),
     _third_party("backstep5_4levdn.p3dbin", "roof down to a half", _LOWERED, "*.kmax"),
 )
 """In the order of the table."""

@@ -22,6 +22,7 @@ from meshdeform_core.quality import assess
 METHODS: dict[str, Options] = {
     "idw-tfi": Options("idw-tfi"),
     "idw": Options("idw-idw"),
+    "idw, by weights": Options("idw-idw", idw=IDW(transition=0)),
     "rbf-tfi": Options("rbf-tfi"),
     "tfi": Options("tfi-tfi"),
     "idw, none": Options("idw-idw", idw=IDW(rotation="none")),
@@ -31,7 +32,7 @@ METHODS: dict[str, Options] = {
 
 
 def measure(jobs: list[Job], methods: dict[str, Options]) -> Iterator[Row]:
-    """Smallest relative Jacobian and wall deviation of every motion and method."""
+    """Smallest relative Jacobian, wall deviation and f_skew of every motion and method."""
     for job in jobs:
         setup, displacement = job.make()
         for name, options in methods.items():
@@ -49,7 +50,7 @@ def measure(jobs: list[Job], methods: dict[str, Options]) -> Iterator[Row]:
 
 
 def table(rows: list[Row]) -> MarkdownTable:
-    """One line per motion: ``smallest relative Jacobian / wall deviation``; the best valid Jacobian in bold."""
+    """One line per motion: ``relative Jacobian / wall deviation / f_skew``; the best valid Jacobian in bold."""
     result = MarkdownTable("Which method wins where")
     for motion in dict.fromkeys(row["motion"] for row in rows):
         mine = [row for row in rows if row["motion"] == motion]
@@ -66,7 +67,11 @@ def _cell(row: Row, best: float) -> str:
         return f"{row['invalid']} invalid"
     ratio = f"{row['relative_jacobian']:.2f}"
     bold = f"**{ratio}**" if row["relative_jacobian"] >= 0.97 * best else ratio
-    return f"{bold} / {row['wall_deg']:.1f}"
+    return f"{bold} / {row['wall_deg']:.1f} / {_decimals(row['f_skew'])}"
+
+
+def _decimals(value: float) -> str:
+    return f"{value:.3f}".removeprefix("0")
 
 
 def main() -> None:

@@ -45,14 +45,17 @@ def _angles(figure: Any, parts: dict[str, Any]) -> None:
     axes = figure.subplots()
     rows = parts["largest_angle"]["rows"]
     at = range(len(rows))
-    axes.barh([i - 0.2 for i in at], [r["one_step"] for r in rows], 0.36, color=_COLOURS[0], label="one step")
-    axes.barh([i + 0.2 for i in at], [r["marching"] for r in rows], 0.36, color=_COLOURS[1], label="marching, 5° steps")
+    bars = {"one_step": "one step", "marching": "marching, 5° steps", "repaired": "one step and repair"}
+    for place, (key, label) in enumerate(bars.items()):
+        axes.barh(
+            [i + 0.27 * (place - 1) for i in at], [r[key] for r in rows], 0.25, color=_COLOURS[place], label=label
+        )
     axes.set_yticks(list(at), [r["method"] for r in rows])
     axes.invert_yaxis()
     axes.set_xlabel("largest valid rotation [deg]")
-    axes.set_xlim(0, 95)
+    axes.set_xlim(0, 5 + max(r[key] for r in rows for key in bars))
     axes.grid(axis="x", linewidth=0.3)
-    figure.legend(loc="outside upper right", ncols=2, frameon=False)
+    figure.legend(loc="outside upper right", ncols=3, frameon=False)
 
 
 def _quality(figure: Any, parts: dict[str, Any]) -> None:

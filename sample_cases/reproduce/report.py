@@ -53,17 +53,20 @@ def samples(table: dict[str, Any]) -> str:
     return f"Run on: {'; '.join(dict.fromkeys(row['sample'] for row in table['rows']))}."
 
 
+_LARGEST = {"one_step": "one step", "marching": "marching", "repaired": "one step and repair"}
+
+
 def robustness_markdown(robustness: dict[str, Any], folder: str) -> str:
     """Largest valid angles, and the figures."""
-    body = [
-        [row["method"], f"{row['one_step']:g}", f"{row['marching']:g}"] for row in robustness["largest_angle"]["rows"]
-    ]
-    step = robustness["largest_angle"]["step"]
+    largest = robustness["largest_angle"]
+    body = [[row["method"], *(f"{row[key]:g}" for key in _LARGEST)] for row in largest["rows"]]
+    step, tried = largest["step"], ", ".join(f"{angle:g}" for angle in largest["repaired"])
     text = (
         f"## Robustness\n\nLargest valid rotation of the body of `{robustness['sample']}` in degrees, in multiples of "
-        f"{step:g}: imposed in one step, and marching in steps of {step:g} degrees from the last grid"
+        f"{step:g}: imposed in one step, and marching in steps of {step:g} degrees from the last grid, both without "
+        f"repair; and in one step with repair, of {tried}"
     )
-    head = ["method", "one step [deg]", "marching [deg]"]
+    head = ["method", *(f"{title} [deg]" for title in _LARGEST.values())]
     return f"{text}.\n\n{grid(head, body)}\n\n{pictures(robustness['figures'], folder)}"
 
 

@@ -11,7 +11,8 @@ from meshdeform_core.methods import IDW, RBF, TFI, Options, make_method
 from meshdeform_samples.reproduce import WHAT
 from meshdeform_samples.reproduce.experiment import Sample, Trial, asymmetry, greedy_range, prepare_sample, run
 from meshdeform_samples.reproduce.operations import count_operations, count_pairs, idw_operations, tfi_operations
-from meshdeform_samples.reproduce.robustness import quality_of
+from meshdeform_samples.reproduce.report import robustness_markdown
+from meshdeform_samples.reproduce.robustness import Bench, quality_of
 from meshdeform_samples.reproduce.rows import paper
 from meshdeform_samples.reproduce.tables import TABLES
 
@@ -171,3 +172,20 @@ def test_sub_blocks_keep_walls_orthogonal_on_large_blocks():
 def test_tfi_reaches_the_angle_that_another_implementation_measured():
     turned = [Sample("splitter-plate", 8, constants=(("angle", angle),)) for angle in (40.0, 45.0)]
     assert [quality_of(sample, Options("tfi-tfi"))["invalid_cells"] > 0 for sample in turned] == [False, True]
+
+
+def test_a_repair_extends_the_range_of_angles():
+    bench = Bench(8, lambda *_: None)
+    options = Options("idw-tfi")
+    assert bench.point(options, 60.0)["invalid_cells"] > 0
+    assert bench.largest_repaired(options, (60.0,)) == 60.0
+    # At 150 degrees the plate passes through the outer boundary.
+    assert bench.largest_repaired(options, (150.0, 60.0)) == 0.0
+
+
+def test_the_table_of_angles_names_what_was_tried():
+    row = {"method": "idw-tfi", "one_step": 40.0, "marching": 55.0, "repaired": 120.0}
+    largest = {"step": 5.0, "repaired": (60.0, 120.0), "rows": [row]}
+    page = robustness_markdown({"sample": "splitter-plate 8", "largest_angle": largest, "figures": []}, ".")
+    assert "| idw-tfi | 40 | 55 | 120 |" in page
+    assert "of 60, 120" in page
