@@ -88,7 +88,7 @@ def _in_smaller_steps(march: March) -> bool:
     """Take the largest steps that succeed, growing them again; return whether the whole motion was imposed."""
     increment, smallest = 0.5, 0.5**MAX_REPAIRED_HALVINGS
     while march.fraction < 1.0:
-        if len(march.attempts) >= MAX_ATTEMPTS:
+        if _enough(march):
             return False
         trial = march.trial(min(1.0, march.fraction + increment))
         if trial.verdict.valid:
@@ -101,11 +101,15 @@ def _in_smaller_steps(march: March) -> bool:
     return True
 
 
+def _enough(march: March) -> bool:
+    return len(march.attempts) >= MAX_ATTEMPTS or march.limit.reached
+
+
 def _with_other_methods(march: March, names: tuple[str, ...]) -> Iterator[Trial]:
     """One step with each of some methods that fits into memory and is not the chosen one."""
     chosen = march.options.name
     for name in names:
-        if name == chosen or len(march.attempts) >= MAX_ATTEMPTS:
+        if name == chosen or _enough(march):
             continue
         march.restart(Options(name))
         try:
@@ -126,6 +130,8 @@ def _impossible(march: March) -> list[str]:
 
 def _give_up(march: March) -> None:
     reached = max((a.reached for a in march.attempts if not a.invalid_cells), default=0.0)
+    if march.limit.reached:
+        march.warnings.append(f"the time limit of {march.limit.seconds:g} s was reached ([repair] time_limit)")
     part = f"only for {reached:.1%} of it" if reached else "nor for any part of it that was tried"
     march.warnings.append(
         f"no valid grid was found for the whole motion, {part}. The grid kept has the whole "

@@ -16,6 +16,7 @@ from .parallel import empty, for_rows
 from .quality.comparison import Comparison
 from .quality.validity import Verdict, judge
 from .repair.repair import Repair, Repairer
+from .repair.time_limit import TimeLimit
 from .setup import BoundaryMotion, Setup, Start, Timing
 
 
@@ -61,6 +62,7 @@ class March:
     ):
         self.setup, self.motion, self.precision = setup, motion, precision
         self.timing, self.progress = timing, progress
+        self.limit = TimeLimit(setup.case.repair.time_limit)
         self.start = start or Start(setup.grid.points)
         self.warnings = list(setup.warnings)
         self.notices: dict[str, str] = {}
@@ -129,7 +131,7 @@ class March:
     def repairer(self) -> Repairer:
         """Repairs cells relative to the undeformed grid."""
         setup = self.setup
-        return Repairer(setup.original, setup.boundary, self.rounded, setup.memory, self.progress)
+        return Repairer(setup.original, setup.boundary, self.rounded, setup.memory, self.progress, self.limit)
 
     def warn_ahead(self, first: float) -> None:
         """Collect the warnings for a motion whose first increment is the fraction ``first``."""

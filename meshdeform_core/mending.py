@@ -17,10 +17,11 @@ from .grid.topology import Topology, find_topology
 from .memory import UNLIMITED, MemoryLimit
 from .methods import Progress
 from .quality import Assessment, Original, assess
+from .quality.comparison import Comparison
 from .quality.difference import require_same_blocks
-from .quality.validity import judge
 from .repair.constraints import Constraints
 from .repair.repair import Repair, Repairer
+from .repair.time_limit import TimeLimit
 from .setup import Case
 
 
@@ -71,10 +72,12 @@ def mend(
     constraints = Constraints.of(original, topology, boundary)
     moved = np.abs(grid.points - original.points)[topology.first].max(axis=1) > 0.0
     constraints = dataclasses.replace(constraints, walls=constraints.held & moved)
-    repairer = Repairer(measured, constraints, lambda points: rounded(points, width), memory, progress)
-    points, verdict, repair = grid.points, judge(measured, rounded(grid.points, width)), None
+    limit = TimeLimit(case.repair.time_limit)
+    repairer = Repairer(measured, constraints, lambda points: rounded(points, width), memory, progress, limit)
+    cells = Comparison(measured, rounded(grid.points, width))
+    points, verdict, repair = grid.points, cells.verdict, None
     mode = case.repair.mode
-    if mode == "polish" or (mode == "auto" and repairer.needed(verdict)):
+    if mode == "polish" or (mode == "auto" and repairer.needed(verdict, cells)):
         outcome = repairer.repair(points, verdict, polish=mode == "polish")
         points, verdict = outcome.points, outcome.verdict
         repair = outcome.repair if outcome.repair.newton_steps else None

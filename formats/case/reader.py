@@ -158,10 +158,11 @@ def _plates(grid: Table) -> tuple[str, ...]:
 
 
 def _repair(table: Table) -> RepairOptions:
-    check_keys(table, ("mode", "min_jacobian"), "[repair]")
+    check_keys(table, ("mode", "min_jacobian", "time_limit"), "[repair]")
     smallest = number_of(table.get("min_jacobian", 0.0), "repair.min_jacobian")
+    seconds = number_of(table.get("time_limit", RepairOptions.time_limit), "repair.time_limit")
     try:
-        return RepairOptions(table.get("mode", "auto"), smallest)
+        return RepairOptions(table.get("mode", "auto"), smallest, seconds)
     except CaseError as error:
         raise fail("repair", str(error)) from None
 

@@ -70,6 +70,7 @@ def case_schema() -> Schema:
                     "description": "auto: repair them; off: never; polish: also improve the worst cells.",
                 },
                 min_jacobian=_number("Cells with a corner Jacobian below this fraction of its original are invalid."),
+                time_limit=_number("No further repair or attempt begins after so many seconds."),
             ),
         ),
         "$defs": {"formula": _FORMULA, "motion": _motion()},

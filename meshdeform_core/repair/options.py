@@ -17,13 +17,15 @@ class RepairOptions:
 
     Attributes
     ----------
-    mode : ``auto``: when cells are invalid or weak (below 10 % of their undeformed Jacobian); ``off``: never;
+    mode : ``auto``: when cells are invalid or weak (below 10 % of their undeformed Jacobian, or skew); ``off``: never;
         ``polish``: also the worst cells of a valid grid
+    time_limit : no repair, Newton step or further attempt begins after so many seconds
     min_jacobian : cells with a corner below this share of its undeformed Jacobian count as invalid; 0 <= R < 1
     """
 
     mode: Mode = "auto"
     min_jacobian: float = 0.0
+    time_limit: float = 1800.0
 
     def __post_init__(self) -> None:
         if self.mode not in MODES:
@@ -32,3 +34,5 @@ class RepairOptions:
             raise CaseError(
                 f"min_jacobian = {self.min_jacobian!r}; expected a share of the undeformed Jacobian, 0 <= R < 1"
             )
+        if not self.time_limit > 0.0:
+            raise CaseError(f"time_limit = {self.time_limit!r}; expected seconds > 0")

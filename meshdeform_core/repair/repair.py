@@ -21,8 +21,9 @@ from .extrusion import Extrusion, find_extrusion
 from .neighbourhood import Neighbourhood, Plot
 from .newton import NewtonSystem
 from .region import Hexahedra, Penalty
+from .time_limit import TimeLimit
 from .untangle import Pace, Untangler
-from .weakness import POOR, is_weak, skewed, soundness
+from .weakness import POOR, is_sounder, is_weak, skewed
 
 WEAK = 0.35
 """Cells with a corner below this share of its undeformed Jacobian are the middle of what a repair moves."""
@@ -88,7 +89,7 @@ class Repairer:
     Parameters
     ----------
     rounded : coordinates as they will be written; the verdict is about those
-    memory : limit for a repair
+    memory, limit : of a repair, the latter of all repairs together
     """
 
     def __init__(
@@ -98,9 +99,10 @@ class Repairer:
         rounded: Callable[[FloatArray], FloatArray] = lambda points: points,
         memory: MemoryLimit = UNLIMITED,
         progress: Progress | None = None,
+        limit: TimeLimit | None = None,
     ):
         self.original, self.rounded = original, rounded
-        self.memory, self.progress = memory, progress
+        self.memory, self.progress, self.limit = memory, progress, limit or TimeLimit()
         self._boundary = boundary
 
     @cached_property
@@ -120,7 +122,7 @@ class Repairer:
         if found is None:
             return None
         original = Original(found.plane, found.constraints.topology, self.original.min_jacobian)
-        return found, Repairer(original, found.constraints, self.rounded, self.memory, self.progress)
+        return found, Repairer(original, found.constraints, self.rounded, self.memory, self.progress, self.limit)
 
     def needed(self, verdict: Verdict, cells: Comparison | None = None) -> bool:
         """Are there cells that are invalid or weak? ``cells`` are those measured already, if any."""
@@ -144,13 +146,13 @@ class Repairer:
             weak = max(WEAK, min(1.0, 2.0 * float(verdict.ratio.min())))
         best, steps = self._grow(start, weak, _LAYERS[self.original.grid.dimension], _Way(_QUICK))
         for way in (_Way(_PATIENT), _Way(_PATIENT, even=True)):
-            if best.verdict.valid:
+            if best.verdict.valid or self.limit.reached:
                 break
             other, more = self._grow(start, weak, (None,), way)
             best, steps = (other if other.count < best.count else best), steps + more
         if cells and best is not start:
             after = Comparison(self.original, self.rounded(best.points))
-            best = best if soundness(self.original, after) > soundness(self.original, cells) else start
+            best = best if is_sounder(self.original, after, cells) else start
         return Outcome(best.points, best.verdict, self._record(start, best, steps, clock.perf_counter() - begin))
 
     def _grow(self, start: _State, weak: float, stages: tuple[int | None, ...], way: _Way) -> tuple[_State, int]:
@@ -158,6 +160,8 @@ class Repairer:
         best = now = start
         steps, density = 0, np.inf
         for layers in stages:
+            if self.limit.reached:
+                break
             before, reached = 0.0, np.inf
             for _ in range(_ROUNDS if layers else _LAST_ROUNDS):
                 found = self._attempt(now, layers, weak, way)
@@ -199,6 +203,8 @@ class Repairer:
         """Move the nodes within ``layers`` layers of weak cells; ``None`` if there are none, or too many."""
         broken = (now.verdict.failed != 0) | (now.verdict.ratio < limit)
         weak = np.flatnonzero(broken if now.skewed is None else broken | now.skewed)
+        # Several machines compute the same, but not equally fast.
+        late = (lambda: self.limit.reached) if current_ranks().count == 1 else (lambda: False)
 
         def make() -> _Attempt | None:
             with alone():
@@ -207,15 +213,16 @@ class Repairer:
                     return None
                 if now.verdict.valid and free.size > _LARGE:
                     return None
-                return self._solve(self._neighbourhood.plot(free, way.even), now.points, way.pace)
+                plot = self._neighbourhood.plot(free, way.even)
+                return self._solve(plot, now.points, way.pace, late)
 
         return current_ranks().once(make)
 
-    def _solve(self, plot: Plot, points: FloatArray, pace: Pace) -> _Attempt:
+    def _solve(self, plot: Plot, points: FloatArray, pace: Pace, late: Callable[[], bool]) -> _Attempt:
         start = plot.inside(points)
         if isinstance(plot.region.energy, Hexahedra):
             plot.region.energy.focus(start, WEAK)
-        untangler = Untangler(plot.region, start, progress=self.progress)
+        untangler = Untangler(plot.region, start, progress=self.progress, late=late)
         before = untangler.state(start, Penalty(0.0)).highest
         most = max(_FEWEST, _WORK // plot.region.n_unknowns)
         untangled = untangler.untangle(replace(pace, steps=min(pace.steps, most)))

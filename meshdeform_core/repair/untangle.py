@@ -51,12 +51,13 @@ class Pace:
 
 @dataclass
 class Untangler:
-    """Moves the unknowns of a region from coordinates ``x`` (n, 3)."""
+    """Moves the unknowns of a region from coordinates ``x`` (n, 3), until it is ``late``."""
 
     region: Region
     x: FloatArray
     steps: int = 0
     progress: Callable[[str, int, int], None] | None = None
+    late: Callable[[], bool] = lambda: False
 
     def __post_init__(self) -> None:
         self._system = NewtonSystem(self.region)
@@ -82,7 +83,7 @@ class Untangler:
             now = self.state(self.x, Penalty(eps))
             if now.lowest > 0.0:
                 return True
-            if step == pace.steps or now.lowest < -_LOCKED * eps:
+            if step == pace.steps or now.lowest < -_LOCKED * eps or self.late():
                 break
             self._tell(step, pace.steps)
             after = self._step(now, Penalty(eps))
@@ -104,7 +105,7 @@ class Untangler:
         best = min(best, now, key=lambda state: state.highest)
         t, recent = 0.5 / now.highest, [np.inf] * _WINDOW
         for step in range(most):
-            if now.highest < _GOOD or best.highest > _STALLED * recent[-_WINDOW]:
+            if self.late() or now.highest < _GOOD or best.highest > _STALLED * recent[-_WINDOW]:
                 break
             self._tell(step, most)
             recent.append(best.highest)

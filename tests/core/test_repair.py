@@ -303,6 +303,60 @@ def test_only_plane_motions_of_extruded_grids_are_taken_for_plane():
     assert find_extrusion(Constraints.of(other.grid, other.topology, other.boundary)) is None
 
 
+def test_the_time_limit_ends_attempts_and_is_told():
+    body, _ = body_specs(turning("110"), Kind.SLIP)
+    case = Case((dataclasses.replace(body, select=("*",)),), repair=RepairOptions(time_limit=1e-9))
+    result = deform(frame_2d(6), case)
+    assert not result.valid
+    assert [a.repair for a in result.attempts].count(True) <= 1
+    assert any("the time limit of 1e-09 s" in text for text in result.warnings)
+    assert not result.repair or result.repair.newton_steps == 0
+
+
+def test_pinned_corners_do_not_end_an_improvement():
+    """The largest density of all may be that of a corner that nothing can improve; the others still improve."""
+    grid = cube(9, 2)
+    setup = fixed_setup(grid)
+    points = setup.grid.points.copy()
+    block = setup.grid.block(0, points)
+    block[0, 0] = 0.49 * (block[1, 0] + block[0, 1])
+    block[4, 4] += 0.97 * (block[5, 4] - block[4, 4])
+    before = judge(setup.original, points)
+    assert before.valid
+    outcome = Repairer(setup.original, setup.boundary).repair(points, before)
+    ratio = [verdict.ratio.reshape(8, 8)[2:, 2:].min() for verdict in (before, outcome.verdict)]
+    assert ratio[0] < 0.05
+    assert ratio[1] > 0.3
+
+
+def test_a_deep_fold_is_opened():
+    """Flow 173 of the random flows: walls turn by 208 degrees, and a quick fall of the regularisation is caught."""
+    grid = frame_2d(12)
+    body, _ = body_specs(turning("170"), Kind.SLIP)
+    setup = set_up(grid, Case((dataclasses.replace(body, select=("*",)),), repair=RepairOptions("off")))
+    start = impose(setup, setup.motion(0.0), 1, "float64", Timing()).grid.points
+    verdict = judge(setup.original, start)
+    assert verdict.failed.any()
+    outcome = Repairer(setup.original, setup.boundary).repair(start, verdict)
+    assert outcome.verdict.valid
+
+
+def test_a_valid_grid_is_not_replaced_by_a_less_sound_one(monkeypatch):
+    setup = fixed_setup(cube(7, 2))
+    points = setup.grid.points.copy()
+    setup.grid.block(0, points)[3, 3] += 0.95 * (setup.grid.block(0)[4, 3] - setup.grid.block(0)[3, 3])
+    before = judge(setup.original, points)
+    assert before.valid
+
+    def spoil(untangler, most):
+        untangler.x = untangler.x + 1e-3 * np.sin(1e3 * untangler.x) * (untangler.region.number >= 0)[:, None]
+        return 2.5
+
+    monkeypatch.setattr(Untangler, "improve", spoil)
+    outcome = Repairer(setup.original, setup.boundary).repair(points, before)
+    assert outcome.verdict.ratio.min() >= before.ratio.min()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("angle", "skew", "height", "wall"), [(60.0, 0.35, 0.5, 10.0), (90.0, 0.18, 0.2, 14.0)])
 def test_the_splitter_plate_turns_far_and_keeps_its_first_cells(angle, skew, height, wall):
