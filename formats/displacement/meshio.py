@@ -42,17 +42,10 @@ def read(path: Path, file_format: str) -> DisplacementTable:
 
 
 def _source(path: Path, file_format: str) -> Any:
-    """The source for the reader: two readers never end on a truncated file, unless its end raises an error."""
-    if file_format == "ply":
-        return _EndingBytes(path.read_bytes())
+    """The source for the reader: Tecplot's never ends on a truncated file, unless its end raises an error."""
     if file_format == "tecplot":
         return _EndingText(path.read_text(encoding="utf-8"))
     return str(path)
-
-
-class _EndingBytes(io.BytesIO):
-    def readline(self, size: Any = -1, /) -> Any:
-        return _required(super().readline(size))
 
 
 class _EndingText(io.StringIO):
@@ -60,7 +53,7 @@ class _EndingText(io.StringIO):
         return _required(super().readline(size))
 
 
-def _required(line: bytes | str) -> bytes | str:
+def _required(line: str) -> str:
     if not line:
         raise EOFError("the file is truncated")
     return line

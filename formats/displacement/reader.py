@@ -31,12 +31,11 @@ from .table import VECTOR_NAMES, DisplacementTable, checked_surface, pick_vector
 _MESHIO_FORMATS = {
     ".dat": "tecplot",
     ".med": "med",
-    ".ply": "ply",
     ".tec": "tecplot",
     ".xdmf": "xdmf",
     ".xmf": "xdmf",
 }
-_OWN_FORMATS = {".avs": "avs", ".msh": "gmsh"}
+_OWN_FORMATS = {".avs": "avs", ".msh": "gmsh", ".ply": "ply"}
 _TEXT_SUFFIXES = (".csv", ".txt", ".dat", ".tsv")
 
 

@@ -65,9 +65,14 @@ def _fortran_numbers(words: list[str]) -> list[float]:
 
 
 def cgns_tree(tree: N, path: Path, grid: Grid) -> str:
-    """Coordinates, walls and number of zones are those of the tree from which the file was written."""
-    zones = [zone for base in tree.children for zone in base.children if zone.label == "Zone_t" and not zone.link]
-    links = [zone for base in tree.children for zone in base.children if zone.link]
+    """Coordinates and number of zones are those of a base of the tree from which the file was written."""
+    found = [_cgns_base(base, grid) for base in tree.children if base.label == "CGNSBase_t"]
+    return "" if not found or "" in found else found[0]
+
+
+def _cgns_base(base: N, grid: Grid) -> str:
+    zones = [zone for zone in base.children if zone.label == "Zone_t" and not zone.link]
+    links = [zone for zone in base.children if zone.link]
     if not len(zones) <= grid.n_blocks <= len(zones) + len(links):
         return f"{grid.n_blocks} blocks of {len(zones)} zones"
     for zone in zones:

@@ -221,7 +221,9 @@ def _xdmf(path: Path) -> Surface:
     def numbers(place: str) -> np.ndarray:
         item = grid.find(place)
         shape = [int(n) for n in item.get("Dimensions").split()]
-        return np.array((item.text or "").split(), dtype=float).reshape(shape)
+        # Four bytes unless the file says something else.
+        kind = {"8": "f8", "16": "f8"}.get(item.get("Precision", "4"), "f4")
+        return np.array((item.text or "").split(), dtype=kind).astype(float).reshape(shape)
 
     kind = grid.find("Topology").get("TopologyType")
     cells = numbers("Topology/DataItem").astype(int) if kind == "Triangle" else np.empty((0, 3), int)
