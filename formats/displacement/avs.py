@@ -46,7 +46,7 @@ def _read(path: Path, text: str) -> DisplacementTable:
     numbers, points = _rows(lines[1 : 1 + nodes], 3)
     triangles = _triangles(path, numbers, lines[1 + nodes : 1 + nodes + cells])
     rest = lines[1 + nodes + cells :]
-    arrays = _node_data(path, numbers, rest, components) if components else {}
+    arrays = _node_data(path, numbers, rest, components, counts[3] > 0) if components else {}
     return surface_table(path, points, arrays, triangles)
 
 
@@ -69,13 +69,19 @@ def _triangles(path: Path, numbers: IntArray, lines: list[list[str]]) -> IntArra
     return np.concatenate(found)
 
 
-def _node_data(path: Path, numbers: IntArray, lines: list[list[str]], components: int) -> dict[str, NDArray[Any]]:
+def _node_data(
+    path: Path, numbers: IntArray, lines: list[list[str]], components: int, more: bool
+) -> dict[str, NDArray[Any]]:
+    """Arrays by name; ``more``: data of cells follow."""
     sizes = [int(word) for word in lines[0][1:]]
     if len(sizes) != int(lines[0][0]) or min(sizes, default=0) < 1 or sum(sizes) != components:
         raise ValueError(f"the sizes of the node data are not {components} components")
     names = [" ".join(words).split(",")[0].strip() for words in lines[1 : 1 + len(sizes)]]
     if len(set(names)) != len(names):
         raise FormatError(f"{path} has node data of the same name: {', '.join(names)}")
-    own, values = _rows(lines[1 + len(sizes) : 1 + len(sizes) + len(numbers)], components)
+    end = 1 + len(sizes) + len(numbers)
+    if len(lines) > end and not more:
+        raise ValueError(f"{len(lines) - end} lines follow that its first line does not announce")
+    own, values = _rows(lines[1 + len(sizes) : end], components)
     parts = np.split(by_number(path, "the node data", numbers, own, values), np.cumsum(sizes)[:-1], axis=1)
     return {name: part if part.shape[1] > 1 else part[:, 0] for name, part in zip(names, parts, strict=True)}

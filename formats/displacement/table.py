@@ -21,6 +21,8 @@ DISPLACEMENT_NAMES = (*VECTOR_NAMES, "delta", "d", "u")
 
 NO_TRIANGLES: IntArray = np.empty((0, 3), dtype=np.int64)
 
+# Points are one that differ by less than this fraction of the largest coordinate: by rounding.
+_TOGETHER = 1e-14
 # Coincident points must have the same displacement, up to this fraction of the largest one.
 _ALIKE = 1e-9
 
@@ -151,8 +153,10 @@ def _three_columns(values: NDArray[Any]) -> FloatArray:
 
 
 def _check_duplicates(points: FloatArray, displacement: FloatArray, place: Callable[[int], str], path: Path) -> None:
-    order = np.lexsort(points.T)
-    same = (points[order[1:]] == points[order[:-1]]).all(axis=1)
+    largest = float(np.abs(points).max())
+    places = np.round(points / largest / _TOGETHER) if largest else points
+    order = np.lexsort(places.T)
+    same = (places[order[1:]] == places[order[:-1]]).all(axis=1)
     first, second = order[:-1][same], order[1:][same]
     apart = np.abs(displacement[first] - displacement[second]).max(axis=1, initial=0)
     conflict = np.flatnonzero(apart > _ALIKE * np.abs(displacement).max())

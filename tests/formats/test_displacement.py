@@ -313,7 +313,9 @@ finite = st.floats(allow_nan=False, allow_infinity=False, width=64)
 @given(rows=npst.arrays(float, st.tuples(st.integers(1, 6), st.just(6)), elements=finite, fill=st.nothing()))
 @pytest.mark.parametrize("suffix", [".csv", ".npz"])
 def test_write_and_read(tmp_path_factory, suffix, rows):
-    rows = rows[np.unique(rows[:, :3], axis=0, return_index=True)[1]]
+    # Points that differ by rounding are one point.
+    places = np.round(rows[:, :3] / max(np.abs(rows[:, :3]).max(), 1e-300) / 1e-13)
+    rows = rows[np.unique(places, axis=0, return_index=True)[1]]
     triangles = np.array([[0, 0, 0]]) if len(rows) < 3 else np.array([[0, 1, 2]])
     data = SurfaceData(rows[:, :3], rows[:, 3:], triangles, "memory")
     path = tmp_path_factory.mktemp("table") / f"a{suffix}"

@@ -43,7 +43,9 @@ def text() -> bytes:
 def binary(order: str, name: str) -> bytes:
     faces = b"".join(struct.pack(f"{order}BB{len(face)}ih", 7, len(face), *face, -3) for face in FACES)
     rows = ROWS.astype(order + "f4").tobytes()
-    return f"ply\nformat binary_{name}_endian 1.0\n{HEAD}".encode() + rows + faces + struct.pack(order + "4i", 1, 2, 3, 4)
+    return (
+        f"ply\nformat binary_{name}_endian 1.0\n{HEAD}".encode() + rows + faces + struct.pack(order + "4i", 1, 2, 3, 4)
+    )
 
 
 FILES = {"text": text(), "little": binary("<", "little"), "big": binary(">", "big")}

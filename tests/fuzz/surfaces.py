@@ -199,7 +199,8 @@ def _msh(path: Path) -> Surface:
     """Version 2.2 as text."""
     text = path.read_text()
     nodes = np.array(_section(text.split(), "Nodes")[1:], dtype=float).reshape(-1, 4)
-    data = [line for line in text.partition("$NodeData")[2].partition("$EndNodeData")[0].splitlines() if line.strip()]
+    lines = text.partition("$NodeData")[2].partition("$EndNodeData")[0].split("\n")
+    data = [line for line in lines if line.strip()]
     at = 1 + int(data[0])
     at += 1 + int(data[at])
     at += 1 + int(data[at])
@@ -207,7 +208,7 @@ def _msh(path: Path) -> Surface:
     number = {identity: row for row, identity in enumerate(nodes[:, 0].tolist())}
     by_node = {row[0]: row[1:] for row in moves.tolist()}
     triangles = []
-    for line in text.partition("$Elements")[2].partition("$EndElements")[0].splitlines()[2:]:
+    for line in text.partition("$Elements")[2].partition("$EndElements")[0].split("\n")[2:]:
         words = [int(word) for word in line.split()]
         if len(words) > 3 and words[1] == 2:
             triangles.append([number[node] for node in words[-3:]])
@@ -249,7 +250,7 @@ def _avs(path: Path) -> Surface:
     nodes, cells, rest = lines[1 : n + 1], lines[n + 1 : n + m + 1], lines[n + m + 1 :]
     number = {int(row[0]): at for at, row in enumerate(nodes)}
     names = int(rest[0][0])
-    values = {int(row[0]): [float(word) for word in row[1:4]] for row in rest[1 + names :]}
+    values = {int(row[0]): [float(word) for word in row[1:4]] for row in rest[1 + names :][:n]}
     triangles = [[number[int(node)] for node in row[3:6]] for row in cells if row[2] == "tri"]
     points = np.array([row[1:4] for row in nodes], dtype=float)
     moves = np.array([values[int(row[0])] for row in nodes])

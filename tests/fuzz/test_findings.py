@@ -163,3 +163,25 @@ def test_an_element_of_a_node_that_does_not_exist_is_refused(folder):
     code, told = called("deform", "grid.xyz", "-d", "table.msh", "-m", "tfi", "-o", "out.xyz", "-q")
     assert code == 2
     assert "refers to the node -1" in told
+
+
+@pytest.mark.parametrize("apart", ["1e-260", "-3e-17", "5e-324"])
+@pytest.mark.parametrize("match", ["nearest", "interpolate"])
+def test_points_that_differ_by_rounding_are_one_point(match, apart, folder):
+    """Between two displacements of one place a spline takes either."""
+    points, moves, _ = body_table()
+    rows = [[*map(repr, row)] for row in np.hstack([points, moves]).tolist()]
+    at = next(n for n, row in enumerate(rows) if float(row[2]) == 0.0)
+    rows.append([*rows[at][:2], apart, "0.001", "0.001", "0.0"])
+    Path("table.csv").write_text("\n".join(",".join(row) for row in rows))
+    code, told = called("deform", "grid.xyz", "-d", "table.csv", "--match", match, "-m", "tfi", "-o", "out.xyz")
+    assert code == 2
+    assert "has two displacements" in told
+
+
+def test_what_follows_the_data_of_a_surface_is_refused(folder):
+    surfaces.write(Path("table.avs"), body_table(), "ascii")
+    Path("table.avs").write_text(Path("table.avs").read_text() + "z[\n")
+    code, told = called("deform", "grid.xyz", "-d", "table.avs", "-m", "tfi", "-o", "out.xyz")
+    assert code == 2
+    assert "1 lines follow" in told
