@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from meshdeform_core.errors import FormatError
-from meshdeform_core.memory import MemoryLimit, machine_memory, parse_memory
+from meshdeform_core.memory import PICTURE_BYTES, MemoryLimit, machine_memory, parse_memory
 
 from . import completion
 from .process.messages import Warnings
@@ -219,7 +219,9 @@ class RunInput:
 
     @property
     def memory(self) -> MemoryLimit:
-        return machine_memory() if self.max_memory is None else parse_memory(self.max_memory, "--max-memory")
+        limit = machine_memory() if self.max_memory is None else parse_memory(self.max_memory, "--max-memory")
+        drawn = any(path.suffix.lower() == ".html" for path in self.reports)
+        return limit.after(PICTURE_BYTES, "pictures of the report") if drawn else limit
 
     @property
     def variant_options(self) -> dict[str, str]:

@@ -49,10 +49,10 @@ class Job:
     memory: MemoryLimit
 
 
-def load(source: GridInput, case: CaseInput, memory: MemoryLimit, outputs: Sequence[Path]) -> Job:
+def load(source: GridInput, case: CaseInput, memory: MemoryLimit, outputs: Sequence[Path], more_arrays: int = 0) -> Job:
     """Read the case first (it is small and most often wrong), then the grid with its boundary information.
 
-    ``outputs`` must not be files named in the case.
+    ``outputs`` must not be files named in the case; ``more_arrays`` as large as the coordinates will be needed.
     """
     what = case.read()
     for path in outputs:
@@ -61,7 +61,8 @@ def load(source: GridInput, case: CaseInput, memory: MemoryLimit, outputs: Seque
     start = clock.perf_counter()
     grid = source.read(what.boundary_file)
     seconds = clock.perf_counter() - start
-    return Job(grid, what, seconds, left_for_method(memory, grid.n_nodes, grid.points.nbytes, _other_bytes(grid, what)))
+    left = left_for_method(memory, grid.n_nodes, grid.points.nbytes, _other_bytes(grid, what), more_arrays)
+    return Job(grid, what, seconds, left)
 
 
 def _other_bytes(grid: Grid, case: CaseFile) -> int:

@@ -13,8 +13,13 @@ from .parallel import current_ranks
 
 _UNITS = ("B", "KiB", "MiB", "GiB", "TiB")
 # Libraries, and coordinates before and after, displacement, arc lengths, topology, fast sums, quality: peaks of 5.4 to
-# 6.4 coordinate arrays were measured with tfi, idw and idw-tfi from 2.7 to 21 million nodes.
-PROGRAM_BYTES, COORDINATE_ARRAYS = 220 * 2**20, 7
+# 6.4 coordinate arrays were measured with tfi, idw and idw-tfi from 2.7 to 21 million nodes, of 7.6 with the earlier
+# levels of a series, 8.1 with all fields and 8.5 with repairs.
+PROGRAM_BYTES, COORDINATE_ARRAYS = 220 * 2**20, 9
+VELOCITY_ARRAYS = 2
+"""The grid velocity of a series, and the levels of which it is a difference."""
+PICTURE_BYTES = 280 * 2**20
+"""The library that draws the pictures of a report, and what it draws on: up to 273 MiB were measured."""
 # Coordinate arrays that each of several ranks on a machine holds privately: 0.9 to 1.05 were measured.
 _OTHER_COPIES = 3
 _OWN_ARRAYS = 1
@@ -73,10 +78,13 @@ def parse_memory(text: str, name: str) -> MemoryLimit:
     return MemoryLimit(size, f"{name} allows")
 
 
-def left_for_method(limit: MemoryLimit, nodes: int, coordinate_bytes: int, other_bytes: int = 0) -> MemoryLimit:
+def left_for_method(
+    limit: MemoryLimit, nodes: int, coordinate_bytes: int, other_bytes: int = 0, more_arrays: int = 0
+) -> MemoryLimit:
     """The part of ``limit`` that program and grid leave; ranks that share memory each count their share of the grid.
 
-    ``other_bytes`` is the size of point and cell data and displacement tables, which are read, kept and written again.
+    ``other_bytes`` is the size of point and cell data and displacement tables, which are read, kept and written again,
+    ``more_arrays`` the number of further arrays as large as the coordinates.
 
     Raises
     ------
@@ -86,7 +94,7 @@ def left_for_method(limit: MemoryLimit, nodes: int, coordinate_bytes: int, other
     ranks = current_ranks()
     # Machines may run different numbers of ranks, but all ranks must arrive at the same size.
     sharers = 1 if ranks.private else min(ranks.gather([ranks.on_machine]))
-    arrays = _OWN_ARRAYS + (COORDINATE_ARRAYS - _OWN_ARRAYS) / sharers
+    arrays = _OWN_ARRAYS + (COORDINATE_ARRAYS + more_arrays - _OWN_ARRAYS) / sharers
     needed = PROGRAM_BYTES + int(arrays * coordinate_bytes) + _OTHER_COPIES * other_bytes
     limit.require(needed, f"deforming {nodes:,} nodes", "allow more, or use a machine that has it")
     return limit.after(needed, "program and grid")

@@ -69,11 +69,14 @@ def command(
     check_reports(run.reports, run.force or resume, *source.files, *case.files)
     count, options, limit = parse_steps(steps), run.variant_options, run.memory
 
+    from meshdeform_core.memory import VELOCITY_ARRAYS
+
     from .. import series_run, work
 
     wanted = series_run.Wanted(output, times, origin, velocity, count, suffix, single_file, options, run.fields)
     with ProgressBar(not run.quiet) as progress:
-        job = work.load(source, dataclasses.replace(case, times=times), limit, run.reports)
+        more = VELOCITY_ARRAYS if velocity != "none" else 0
+        job = work.load(source, dataclasses.replace(case, times=times), limit, run.reports, more)
         plan = series_run.prepare(job, source, wanted, run)
         run.warnings.tell(plan.setup.warnings)
         if run.dry_run:
