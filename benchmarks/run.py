@@ -33,7 +33,7 @@ SECTIONS: dict[str, tuple[Callable[[bool], MarkdownTable], ...]] = {
     "rbf": (rbf.against_scipy, rbf.large_systems, rbf.compact_bases),
     "passes": (passes.memory_speed,),
     "levels": (levels.of_every_method, levels.hundred_levels),
-    "runs": (runs.file_to_file,),
+    "runs": (runs.file_to_file, runs.with_threads),
     "ranks": (runs.ranks,),
     "start": (runs.start_up,),
 }

@@ -47,6 +47,37 @@ def file_to_file(quick: bool) -> MarkdownTable:
     return table
 
 
+def with_threads(quick: bool) -> MarkdownTable:
+    """The whole command with one thread and with two."""
+    table = MarkdownTable(
+        "Whole runs with one thread and with two",
+        notes=[
+            "wall times, reading and writing included; the better of two runs each",
+            "start: `meshdeform deform --dry-run` on a small grid, which no thread makes faster",
+        ],
+    )
+    sample, size = ("hemisphere", 24) if quick else ("hemisphere", 92)
+    with tempfile.TemporaryDirectory() as name:
+        folder, small = make_sample(Path(name), sample, size), make_sample(Path(name), "hemisphere", 8)
+        for method in ("tfi", "idw-tfi", "idw"):
+            start = _best_wall(small, "hemisphere", method, 2, "--dry-run")
+            one, two = (_best_wall(folder, sample, method, threads) for threads in (1, 2))
+            table.rows.append(
+                {"case": f"{sample} {size}", "method": method, "start s": start, "1 thread s": one,
+                 "2 threads s": two, "ratio": one / two}
+            )  # fmt: skip
+    return table
+
+
+def _best_wall(folder: Path, sample: str, method: str, threads: int, *more: str) -> float:
+    command = [
+        *_COMMAND, "deform", f"{folder}/grid.cgns", "-c", f"{folder}/case.toml", "-m", method, "-o",
+        f"{folder}/deformed.cgns", "--time", str(TIMES.get(sample, 0.0)), "--threads", str(threads), "--force",
+        "--allow-invalid", "-q", *more,
+    ]  # fmt: skip
+    return min(run(command)[0] for _ in range(2))
+
+
 def start_up(quick: bool) -> MarkdownTable:
     """Commands on a small grid after their first start: mostly imports."""
     table = MarkdownTable(
@@ -79,7 +110,7 @@ def start_up(quick: bool) -> MarkdownTable:
 
 def _import_seconds(arguments: Sequence[str]) -> float:
     command = [sys.executable, "-X", "importtime", *_COMMAND[1:], *arguments]
-    told = subprocess.run(command, check=True, capture_output=True, text=True).stderr
+    told = subprocess.run(command, check=True, capture_output=True, text=True, env=_environment()).stderr
     lines = (line for line in told.splitlines() if line.startswith("import time:") and "self" not in line)
     return sum(int(line.removeprefix("import time:").split("|")[0]) for line in lines) / 1e6
 
@@ -120,12 +151,18 @@ def run(command: Sequence[str]) -> tuple[float, resource.struct_rusage]:
         When it fails.
     """
     start = time.perf_counter()
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, env=_environment())
     _, status, usage = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)
     if process.returncode:
         raise RuntimeError(f"{' '.join(command)} ended with exit code {process.returncode}")
     return time.perf_counter() - start, usage
+
+
+def _environment() -> dict[str, str]:
+    """As in an installation, modules are loaded from bytecode, which is kept apart from the sources."""
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    return environment | {"PYTHONPYCACHEPREFIX": str(Path("build/bytecode").resolve())}
 
 
 def ranks(quick: bool) -> MarkdownTable:
