@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import resource
 import string
 import sys
 import time
@@ -23,7 +24,6 @@ import rbf
 import runs
 from tables import MarkdownTable
 
-KEPT = "### The first start"
 TEMPLATE = Path(__file__).parent / "performance.md"
 SECTIONS: dict[str, tuple[Callable[[bool], MarkdownTable], ...]] = {
     "machine": (lambda quick: machine.description(), lambda quick: machine.limits()),
@@ -40,31 +40,38 @@ SECTIONS: dict[str, tuple[Callable[[bool], MarkdownTable], ...]] = {
 """What ``--only`` accepts; the names of the places in the template."""
 
 
-def measure(names: list[str], quick: bool) -> dict[str, list[MarkdownTable]]:
-    """The tables of the named sections, printed as they are finished."""
+def measure(names: list[str], quick: bool) -> tuple[dict[str, list[MarkdownTable]], MarkdownTable]:
+    """The tables of the named sections, printed as they are finished, and how long each took."""
     results: dict[str, list[MarkdownTable]] = {}
+    times = MarkdownTable("Time of each table")
     for name in names:
         results[name] = []
         for section in SECTIONS[name]:
-            start = time.perf_counter()
+            start, cpu = time.perf_counter(), _cpu_seconds()
             table = section(quick)
             results[name].append(table)
             print(table.markdown(), flush=True)
-            print(f"{name}: {table.title}: {time.perf_counter() - start:.0f} s", file=sys.stderr, flush=True)
-    return results
+            times.rows.append({"section": name, "table": table.title, "wall s": time.perf_counter() - start})
+            times.rows[-1]["CPU s"] = _cpu_seconds() - cpu
+            print(f"{name}: {table.title}: {times.rows[-1]['wall s']:.0f} s", file=sys.stderr, flush=True)
+    total = {what: sum(row[what] for row in times.rows) for what in ("wall s", "CPU s")}
+    times.rows.append({"section": "all", "table": "", **total})
+    return results, times
 
 
-def page(results: dict[str, list[MarkdownTable]], quick: bool, before: str = "") -> str:
-    """The documentation page: the template with the tables in their places.
+def _cpu_seconds() -> float:
+    """Processor time of this process and of the commands that it has run."""
+    usages = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(usage.ru_utime + usage.ru_stime for usage in usages)
 
-    ``before`` is the page so far, whose last section, on the first start, is measured by other means and kept.
-    """
+
+def page(results: dict[str, list[MarkdownTable]], quick: bool) -> str:
+    """The documentation page: the template with the tables in their places."""
     texts = {name: "\n".join(table.markdown() for table in tables).rstrip() for name, tables in results.items()}
     unmeasured = dict.fromkeys(SECTIONS, "*Not measured in this run.*")
     remark = "\nThese are the small sizes of `--quick`, not the ones to quote.\n" if quick else ""
     template = string.Template(TEMPLATE.read_text(encoding="utf-8"))
-    last = before[before.index(KEPT) :].rstrip() if KEPT in before else ""
-    whole = template.substitute(unmeasured | texts, date=time.strftime("%Y-%m-%d"), remark=remark, first_start=last)
+    whole = template.substitute(unmeasured | texts, date=time.strftime("%Y-%m-%d"), remark=remark)
     return whole.rstrip() + "\n"
 
 
@@ -76,13 +83,13 @@ def main() -> None:
     parser.add_argument("--json", type=Path, default=Path("build/benchmarks.json"), help="results (%(default)s)")
     parser.add_argument("--write", type=Path, metavar="PAGE", help="write the page with all tables")
     options = parser.parse_args()
-    results = measure(options.only or list(SECTIONS), options.quick)
+    results, times = measure(options.only or list(SECTIONS), options.quick)
+    print(times.markdown())
     options.json.parent.mkdir(parents=True, exist_ok=True)
     record = {name: [table.as_json() for table in tables] for name, tables in results.items()}
     options.json.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
     if options.write:
-        before = options.write.read_text(encoding="utf-8") if options.write.exists() else ""
-        options.write.write_text(page(results, options.quick, before), encoding="utf-8")
+        options.write.write_text(page(results, options.quick), encoding="utf-8")
 
 
 if __name__ == "__main__":
