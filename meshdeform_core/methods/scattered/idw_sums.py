@@ -10,6 +10,7 @@ from ...grid import FloatArray, Grid, IntArray
 from ...numerics.exact.direct import weighted_sums
 from ...numerics.fastsum import sums as fastsum
 from ...numerics.rigid import NO_TRANSITION, Transition, finish
+from ...numerics.rows import put_rows, take_rows
 from ...parallel import Shared, for_chunks
 from ..base import Account, Progress, of_stage
 from .summation import largest_error, sum_accurately
@@ -177,10 +178,12 @@ class FastEvaluator:
                 sums.share = self._sums.share
 
             def use(flat: IntArray, values: FloatArray, points: FloatArray = points, step: int = step) -> None:
-                x = points[flat] - fit.origin
-                moved = np.empty_like(x)
+                x, moved = np.empty((len(flat), 3)), np.empty((len(flat), 3))
+                take_rows(points, flat, x)
+                x -= fit.origin
                 finish(bound.rotation, values, x, moved, bound.repeats, fit.transition)
-                out[flat] = moved + (out[flat] if step else fit.mean)
+                moved += out[flat] if step else fit.mean
+                put_rows(moved, flat, out)
 
             moving = fit.values, fit.shift, fit.turn
             lasting = 1 if fit.transition.width else 0

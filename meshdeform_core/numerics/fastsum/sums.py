@@ -214,12 +214,13 @@ class FastSums:
                 columns = slice(number * N_VALUES, min(k, (number + 1) * N_VALUES))
                 here = sums[:, 1 + columns.start : 1 + columns.stop]
                 np.multiply(part[:, 1 : 1 + here.shape[1]], spread[columns], out=here)
-                here += sums[:, :1] * middle[columns]
-            kept = [0, *range(1 + k - lasting, 1 + k)]
-            if weight is not None:
-                sums[:, kept] = weight[targets.places(lo, hi)]
-            elif plan.weight is not None:
-                plan.weight[targets.places(lo, hi)] = sums[:, kept]
+                if middle.any():
+                    here += sums[:, :1] * middle[columns]
+            if plan.weight is not None:
+                known = plan.weight[targets.places(lo, hi)]
+                one, other = (sums, known) if weight is not None else (known, sums)
+                one[:, 0] = other[:, 0]
+                one[:, one.shape[1] - lasting :] = other[:, other.shape[1] - lasting :]
             use(flat, sums)
 
         shared = [Shared(result, targets.flat), Shared(plan.risk, targets.numbers)]
