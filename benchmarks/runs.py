@@ -95,7 +95,7 @@ def start_up(quick: bool) -> MarkdownTable:
         commands |= {f"deform -m {method}": [*job, method] for method in ("idw-tfi", "idw", "tfi", "rbf")}
         for title, arguments in commands.items():
             run([*_COMMAND, *arguments])
-            runs = [run([*_COMMAND, *arguments]) for _ in range(3 if quick else 7)]
+            runs = [run([*_COMMAND, *arguments]) for _ in range(3 if quick else 5)]
             wall, usage = min(runs, key=lambda each: each[0])
             table.rows.append(
                 {
