@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...grid import Grid, IntArray, Shape, Side
+from ...grid import FloatArray, Grid, IntArray, Shape, Side
 from ..base import Problem
 
 Cuts = tuple[IntArray, IntArray, IntArray]
@@ -64,21 +64,33 @@ class Skeleton:
         return np.asarray(self.grid.offsets[block] + np.flatnonzero(mask), dtype=np.int64)
 
 
+_TURNING = np.deg2rad(50.0)
+"""Grid lines that turn by more than this within a sub-block are cut twice as often: TFI does not move them rigidly."""
+_LINES = 12
+"""Lines per direction from which the turning is judged."""
+
+
 def make_skeleton(problem: Problem, max_cells: int) -> Skeleton:
     """Cut every block into sub-blocks of at most ``max_cells`` cells per direction; 0 cuts nothing.
 
-    A direction with more than half of ``max_cells`` is cut at least once.
+    A direction with more than half of ``max_cells`` is cut at least once; one whose grid lines turn by more than 50
+    degrees within ``max_cells`` is cut at every half of it.
     """
-    cuts = tuple(_cuts(shape, max_cells) for shape in problem.grid.shapes)
-    return Skeleton(problem.grid, cuts)
+    grid = problem.grid
+    cuts = tuple(_cuts(grid.block(block), max_cells) for block in range(grid.n_blocks))
+    return Skeleton(grid, cuts)
 
 
-def _cuts(shape: Shape, max_cells: int) -> Cuts:
-    def along(n: int) -> IntArray:
+def _cuts(points: FloatArray, max_cells: int) -> Cuts:
+    def along(axis: int) -> IntArray:
+        n = points.shape[axis]
         if n == 1:
             return np.zeros(1, dtype=np.int64)
         cells = n - 1
-        parts = -(-cells // max_cells) if max_cells else 1
+        most = max_cells
+        if max_cells > 1 and _turning(points, axis, max_cells) > _TURNING:
+            most = -(-max_cells // 2)
+        parts = -(-cells // most) if most else 1
         # A coarse block can span as large an angle of a body as a fine one: only short blocks stay whole.
         if parts == 1 and max_cells and 2 * cells > max_cells:
             parts = 2
@@ -86,5 +98,20 @@ def _cuts(shape: Shape, max_cells: int) -> Cuts:
         parts += cells % 2 == 1 and parts % 2 == 0
         return np.round(np.linspace(0, n - 1, parts + 1)).astype(np.int64)
 
-    i, j, k = (along(n) for n in shape)
+    i, j, k = (along(axis) for axis in range(3))
     return i, j, k
+
+
+def _turning(points: FloatArray, axis: int, cells: int) -> float:
+    """Largest angle (radians) by which one of some grid lines along ``axis`` turns within ``cells`` cells."""
+    some = np.moveaxis(points, axis, 0)
+    for across in (1, 2):
+        n = some.shape[across]
+        some = some.take(np.unique(np.linspace(0, n - 1, min(n, _LINES)).astype(int)), axis=across)
+    edge = np.diff(some, axis=0)
+    cosine = (edge[1:] * edge[:-1]).sum(axis=-1)
+    sine = np.linalg.norm(np.cross(edge[1:], edge[:-1]), axis=-1)
+    # An edge without length has no direction: both are zero, and so is the angle.
+    total = np.concatenate([np.zeros((1, *some.shape[1:3])), np.cumsum(np.arctan2(sine, cosine), axis=0)])
+    window = min(cells, len(total)) - 1
+    return float((total[window:] - total[: len(total) - window]).max(initial=0.0))
