@@ -29,7 +29,7 @@ def in_equal_steps(march: March, count: int) -> None:
     """Impose the motion in as many steps as the user asked for, valid or not."""
     march.warn_ahead(1 / count)
     for step in range(1, count + 1):
-        march.accept(march.trial(step / count))
+        march.accept(march.patient_trial(step / count))
 
 
 def adaptively(march: March) -> None:
@@ -56,7 +56,8 @@ def adaptively(march: March) -> None:
 
 
 def until_valid(march: March) -> None:
-    """Try one step with a repair, then smaller steps with a repair in each, then the same with another method.
+    """Try one step with a repair, quick and then patient, then smaller steps with a repair in each, then the same with
+    another method.
 
     If the grid of one step is valid but nearly collapsed, the best one of several methods is taken.
     If nothing helps, the grid with the fewest invalid cells is kept, with its boundary where it was prescribed; the
@@ -67,11 +68,14 @@ def until_valid(march: March) -> None:
     impossible = [] if best.verdict.valid else _impossible(march)
     march.warnings += impossible
     if not best.verdict.valid and not impossible:
-        if _in_smaller_steps(march):
+        best = march.insist(best)
+        if not best.verdict.valid and _in_smaller_steps(march):
             return
+    if not best.verdict.valid and not impossible:
         for trial in _with_other_methods(march, (RESCUE,)):
-            if len(trial.verdict.invalid) < len(best.verdict.invalid):
-                best, options = trial, march.options
+            other = trial if trial.verdict.valid else march.insist(trial)
+            if len(other.verdict.invalid) < len(best.verdict.invalid):
+                best, options = other, march.options
             if not best.verdict.valid and _in_smaller_steps(march):
                 return
     if best.verdict.valid and best.verdict.ratio.min() < COLLAPSING:

@@ -15,7 +15,7 @@ from .methods import Account, Options, PreparedMethod, Progress, make_method
 from .parallel import empty, for_rows
 from .quality.comparison import Comparison
 from .quality.validity import Verdict, judge
-from .repair.repair import Repair, Repairer
+from .repair.repair import PATIENTLY, QUICKLY, Repair, Repairer, Way
 from .repair.time_limit import TimeLimit
 from .setup import BoundaryMotion, Setup, Start, Timing
 
@@ -152,11 +152,29 @@ class March:
                 # Another minimum nearby would only make nodes jump in time.
                 self.repairs.append(Repair.carried(correction))
                 return self._noted(trial, repaired=True)
+        self._broken = trial
+        return self._repaired(trial, QUICKLY, keep=correction is not None or not trial.verdict.valid)
+
+    def patient_trial(self, fraction: float) -> Trial:
+        """The same; where the repair fails, it is done once more with patience."""
+        trial = self.trial(fraction)
+        return trial if trial.verdict.valid or self.setup.case.repair.mode == "off" else self.insist(trial)
+
+    def insist(self, trial: Trial) -> Trial:
+        """Repair once more what the last ``trial`` repaired, with more patience; returns the better one."""
+        other = self._repaired(self._broken, PATIENTLY)
+        if len(self.repairs) > 1:
+            one, two = self.repairs[-2:]
+            self.repairs[-2:] = [dataclasses.replace(one + two, cells=one.cells)]
+        return other if len(other.verdict.invalid) < len(trial.verdict.invalid) else trial
+
+    def _repaired(self, trial: Trial, ways: tuple[Way, ...], keep: bool = True) -> Trial:
+        polish = self.setup.case.repair.mode == "polish"
         with self.timing.stage("repair"):
-            outcome = self.repairer.repair(trial.points, trial.verdict, polish=mode == "polish")
+            outcome = self.repairer.repair(trial.points, trial.verdict, polish, ways)
         if outcome.repair.newton_steps:
-            trial = Trial(fraction, outcome.points, outcome.verdict)
-        if outcome.repair.newton_steps or correction is not None:
+            trial = Trial(trial.fraction, outcome.points, outcome.verdict)
+        if outcome.repair.newton_steps or keep:
             self.repairs.append(outcome.repair)
         return self._noted(trial, repaired=True)
 

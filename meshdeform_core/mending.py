@@ -69,7 +69,8 @@ def mend(
     _require_closed(grid, topology, case.tolerance)
     width = precision or grid.precision
     measured = Original(original, topology, case.repair.min_jacobian)
-    constraints = Constraints.of(original, topology, boundary)
+    # Another program may have left nodes beside the surface on which they slide.
+    constraints = Constraints.of(original, topology, boundary).without_sliding()
     moved = np.abs(grid.points - original.points)[topology.first].max(axis=1) > 0.0
     constraints = dataclasses.replace(constraints, walls=constraints.held & moved)
     limit = TimeLimit(case.repair.time_limit)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from ..boundary import Boundary, Kind
 from ..grid import BoolArray, FloatArray, Grid, IntArray
+from ..grid.planes import plane_normal
 from ..grid.topology import Topology
+from .sliding import Sliding
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,11 +21,12 @@ class Constraints:
     Attributes
     ----------
     grid, topology : undeformed
-    held : (n_unique,) nodes that stay where they are: moving, fixed, and those on curved slip surfaces
+    held : (n_unique,) nodes that stay where they are: moving, fixed, and those at edges of curved slip surfaces
     walls : (n_unique,) moving nodes
     removed : (n_unique, 3, 3) projectors on the directions in which a node must not move
     root : (n_unique,) the smallest of the periodic images of a node, which has the unknown of all of them
     turn : node -> rotation (3, 3) from its root, where that is not the identity
+    sliding : the nodes that slide on curved surfaces
     """
 
     grid: Grid
@@ -32,13 +36,24 @@ class Constraints:
     removed: FloatArray
     root: IntArray
     turn: dict[int, FloatArray] = field(default_factory=dict)
+    sliding: tuple[Sliding, ...] = ()
+
+    def without_sliding(self) -> Constraints:
+        """The same with the nodes held that slide on curved surfaces."""
+        held = self.held.copy()
+        for each in self.sliding:
+            held[each.nodes] = True
+        return dataclasses.replace(self, held=held, sliding=())
 
     @classmethod
     def of(cls, grid: Grid, topology: Topology, boundary: Boundary) -> Constraints:
         """The constraints of a classified boundary."""
         held = boundary.kind >= Kind.FIXED
-        for surface in boundary.slip.curved:
-            held[surface.nodes] = True
+        single = _on_one_surface(topology, boundary)
+        starts, normal = grid.points[topology.first], plane_normal(grid)
+        sliding = tuple(Sliding.on(surface, single, starts, normal) for surface in boundary.slip.curved)
+        for surface, each in zip(boundary.slip.curved, sliding, strict=True):
+            held[np.setdiff1d(surface.nodes, each.nodes)] = True
         root, turn = np.arange(topology.n_unique), {}
         if boundary.periodic.one.size:
             nodes, roots, turns = boundary.periodic.frames(topology.n_unique)
@@ -52,7 +67,19 @@ class Constraints:
                 removed[root[node]] += rotation.T @ removed[node] @ rotation
         several = np.flatnonzero(np.einsum("nii->n", removed) > 1.5)
         removed[several] = _spans(removed[several])
-        return cls(grid, topology, held, boundary.kind == Kind.MOVING, removed, root, turn)
+        return cls(grid, topology, held, boundary.kind == Kind.MOVING, removed, root, turn, sliding)
+
+
+def _on_one_surface(topology: Topology, boundary: Boundary) -> BoolArray:
+    """(n_unique,) nodes on no more than one curved slip surface and on no plane or periodic boundary."""
+    count = np.zeros(topology.n_unique, dtype=np.int64)
+    for surface in boundary.slip.curved:
+        count[surface.nodes] += 1
+    for nodes, _ in boundary.slip.groups:
+        count[nodes] += 2
+    if boundary.periodic.one.size:
+        count[boundary.periodic.frames(topology.n_unique)[0]] += 2
+    return count < 2
 
 
 def _spans(sums: FloatArray) -> FloatArray:

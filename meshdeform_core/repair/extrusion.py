@@ -81,6 +81,7 @@ def find_extrusion(constraints: Constraints) -> Extrusion | None:
     grid = constraints.grid
     if grid.dimension == 2:
         return None
+    constraints = constraints.without_sliding()
     scale = float(np.ptp(grid.points, axis=0).max())
     for height in _heights(grid.block(0), scale):
         axes = [axis for b in range(grid.n_blocks) if (axis := _axis(grid.block(b), height, scale))]

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from functools import cached_property
+from collections.abc import Callable
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ from ..numerics.cell.foldover import cell_samples, samples_with_any, sound_sampl
 from ..numerics.cell.layers import cells_at, layers_from
 from .constraints import Constraints
 from .region import COLLAPSED, Energy, Hexahedra, Region, Triangles, Unknowns, Weights
+from .sliding import Sliding
 from .walls import UNLIMITED, nearness, weigh
 
 
@@ -84,8 +86,11 @@ class Neighbourhood:
         on_face = self.number[near] >= 0
         return near[~on_face | ~self.constraints.held[self.number[near]]]
 
-    def plot(self, free: IntArray, even: bool = False) -> Plot:
-        """The region that block nodes ``free`` from :meth:`around` span; ``even``: cells at walls count like others."""
+    def plot(self, free: IntArray, even: bool = False, points: FloatArray | None = None) -> Plot:
+        """The region that block nodes ``free`` from :meth:`around` span; ``even``: cells at walls count like others.
+
+        ``points`` (n_nodes, 3) is where nodes begin that slide on curved surfaces, if not undeformed.
+        """
         owners = self._owners(free)
         touched = cells_at(free, self._shapes, self.grid.offsets, self.grid.n_cells)
         corners = self._corners(touched)
@@ -94,7 +99,29 @@ class Neighbourhood:
         start, cells = self.grid.points[nodes] @ self.axes.T, local.reshape(corners.shape)
         count = Weights.even(len(cells)) if even else weigh(self._from_walls[corners], start, cells)
         energy = self._energy(start, cells, self._signs(touched), count, unknowns.number >= 0)
-        return Plot(Region(energy, unknowns, freedom), nodes, free, np.searchsorted(nodes, owners), self.axes)
+        back = self._sliding(nodes, unknowns, freedom, self.grid.points if points is None else points)
+        return Plot(Region(energy, unknowns, freedom, back), nodes, free, np.searchsorted(nodes, owners), self.axes)
+
+    def _sliding(
+        self, nodes: IntArray, unknowns: Unknowns, freedom: FloatArray, points: FloatArray
+    ) -> tuple[tuple[IntArray, Callable[[FloatArray], FloatArray]], ...]:
+        """See :class:`Region`; the ``freedom`` of unknowns on curved surfaces loses the directions across."""
+        found = []
+        for each in self.constraints.sliding:
+            local = np.flatnonzero(np.isin(nodes, self.topology.first[each.nodes]) & (unknowns.number >= 0))
+            if not local.size:
+                continue
+            across = each.normals(points[nodes[local]]) @ self.axes.T
+            freedom[unknowns.number[local]] -= across[:, :, None] * across[:, None, :]
+            unknowns.frame[local] = freedom[unknowns.number[local]]
+            unknowns.plain[local] = False
+            found.append((local, partial(self._onto, each)))
+        return tuple(found)
+
+    def _onto(self, sliding: Sliding, x: FloatArray) -> FloatArray:
+        """The closest places on a surface, in coordinates (k, d) of the region."""
+        outside = self.grid.points[0] - self.axes.T @ (self.axes @ self.grid.points[0])
+        return np.asarray(sliding.project(x @ self.axes + outside) @ self.axes.T)
 
     def _layers(self, seeds: IntArray, layers: int) -> np.ndarray:
         found: np.ndarray = layers_from(seeds, layers, self._shapes, self.grid.offsets, *self._classes)

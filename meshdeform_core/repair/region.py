@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
@@ -186,12 +187,14 @@ class Triangles:
 class Region:
     """Some cells whose nodes are moved, with nodes of their own numbering, in coordinates (n, d) of space or plane.
 
-    ``freedom`` (n_unknowns, d, d) projects on the directions in which unknowns may move.
+    ``freedom`` (n_unknowns, d, d) projects on the directions in which unknowns may move; ``back`` takes nodes (k,) to
+    their places on surfaces, given where they went along those directions, both (k, d).
     """
 
     energy: Energy
     unknowns: Unknowns
     freedom: FloatArray
+    back: tuple[tuple[IntArray, Callable[[FloatArray], FloatArray]], ...] = ()
 
     @property
     def n_unknowns(self) -> int:
@@ -214,4 +217,6 @@ class Region:
         move[turned] = np.einsum("nij,nj->ni", frame[free][turned], move[turned])
         result = x.copy()
         result[free] += length * move
+        for nodes, project in self.back:
+            result[nodes] = project(result[nodes])
         return result

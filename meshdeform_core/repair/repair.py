@@ -6,6 +6,7 @@ import time as clock
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -40,6 +41,17 @@ _WORK, _FEWEST = 20_000_000, 6
 _ENOUGH, _GAIN = 2.9, 0.9
 # Regions of more nodes than this are not improved beyond validity: on the largest grids that would take minutes.
 _LARGE = 300_000
+
+
+class Way(NamedTuple):
+    """How cells are untangled: ``patient`` or quickly; ``even``: cells at walls count like all others."""
+
+    patient: bool = False
+    even: bool = False
+
+
+QUICKLY, PATIENTLY = (Way(),), (Way(patient=True), Way(patient=True, even=True))
+EVERY_WAY = QUICKLY + PATIENTLY
 
 Progress = Callable[[str, int, int], None]
 
@@ -128,15 +140,17 @@ class Repairer:
         """Are there cells that are invalid or weak? ``cells`` are those measured already, if any."""
         return is_weak(self.original, verdict, cells)
 
-    def repair(self, points: FloatArray, verdict: Verdict, polish: bool = False) -> Outcome:
+    def repair(
+        self, points: FloatArray, verdict: Verdict, polish: bool = False, ways: tuple[Way, ...] = EVERY_WAY
+    ) -> Outcome:
         """Make cells sound; the coordinates returned may still have invalid ones, but not more than ``points``.
 
         Of the nodes around weak cells, first those within some layers move, then more, until all cells are sound and
         the worst one is no longer far from its undeformed shape, or until more nodes do not help. With ``polish`` the
-        weakest cells count as weak however good they are. If that fails, all nodes move more patiently, then with all
-        cells counting equally. A valid grid is not replaced by a less sound one.
+        weakest cells count as weak however good they are. The ``ways`` are tried in turn until one succeeds; those that
+        are patient move all nodes. A valid grid is not replaced by a less sound one.
         """
-        plane = self._in_plane(points, verdict, polish)
+        plane = self._in_plane(points, verdict, polish, ways)
         if plane is not None:
             return plane
         begin, weak = clock.perf_counter(), WEAK
@@ -144,19 +158,21 @@ class Repairer:
         start = _State(points, verdict, skewed(self.original, cells) if cells else None)
         if polish:
             weak = max(WEAK, min(1.0, 2.0 * float(verdict.ratio.min())))
-        best, steps = self._grow(start, weak, _LAYERS[self.original.grid.dimension], _Way(_QUICK))
-        for way in (_Way(_PATIENT), _Way(_PATIENT, even=True)):
+        best, steps = start, 0
+        for way in ways:
+            other, more = self._grow(start, weak, way)
+            better = other.count < best.count or (verdict.valid and other is not start)
+            best, steps = (other if better else best), steps + more
             if best.verdict.valid or self.limit.reached:
                 break
-            other, more = self._grow(start, weak, (None,), way)
-            best, steps = (other if other.count < best.count else best), steps + more
         if cells and best is not start:
             after = Comparison(self.original, self.rounded(best.points))
             best = best if is_sounder(self.original, after, cells) else start
         return Outcome(best.points, best.verdict, self._record(start, best, steps, clock.perf_counter() - begin))
 
-    def _grow(self, start: _State, weak: float, stages: tuple[int | None, ...], way: _Way) -> tuple[_State, int]:
-        """The best state of regions that grow by ``stages``, and the Newton steps taken."""
+    def _grow(self, start: _State, weak: float, way: Way) -> tuple[_State, int]:
+        """The best state of regions that grow by stages, and the Newton steps taken."""
+        stages = _LAYERS[self.original.grid.dimension][-1 if way.patient else 0 :]
         best = now = start
         steps, density = 0, np.inf
         for layers in stages:
@@ -182,7 +198,7 @@ class Repairer:
                 break
         return best, steps
 
-    def _in_plane(self, points: FloatArray, verdict: Verdict, polish: bool) -> Outcome | None:
+    def _in_plane(self, points: FloatArray, verdict: Verdict, polish: bool, ways: tuple[Way, ...]) -> Outcome | None:
         """The same on the plane grid that this one is extruded from, if the motion stays in its plane."""
         if self._extrusion is None:
             return None
@@ -192,14 +208,14 @@ class Repairer:
         if change is None:
             return None
         flat = extrusion.plane.points + change
-        found = repairer.repair(flat, judge(repairer.original, self.rounded(flat)), polish)
+        found = repairer.repair(flat, judge(repairer.original, self.rounded(flat)), polish, ways)
         spread = extrusion.spread(before, points, found.points - extrusion.plane.points)
         after = _State(spread, judge(self.original, self.rounded(spread)))
         steps = found.repair.newton_steps
         record = self._record(_State(points, verdict), after, steps, clock.perf_counter() - begin)
         return Outcome(spread, after.verdict, record)
 
-    def _attempt(self, now: _State, layers: int | None, limit: float, way: _Way) -> _Attempt | None:
+    def _attempt(self, now: _State, layers: int | None, limit: float, way: Way) -> _Attempt | None:
         """Move the nodes within ``layers`` layers of weak cells; ``None`` if there are none, or too many."""
         broken = (now.verdict.failed != 0) | (now.verdict.ratio < limit)
         weak = np.flatnonzero(broken if now.skewed is None else broken | now.skewed)
@@ -213,8 +229,8 @@ class Repairer:
                     return None
                 if now.verdict.valid and free.size > _LARGE:
                     return None
-                plot = self._neighbourhood.plot(free, way.even)
-                return self._solve(plot, now.points, way.pace, late)
+                plot = self._neighbourhood.plot(free, way.even, now.points)
+                return self._solve(plot, now.points, _PATIENT if way.patient else _QUICK, late)
 
         return current_ranks().once(make)
 
@@ -245,14 +261,6 @@ class Repairer:
         distance = np.sqrt((moved**2).sum(axis=1))
         bad = (start.verdict.failed != 0) | (start.verdict.ratio < POOR)
         return Repair(int(bad.sum()), int((distance > 0).sum()), float(distance.max()), steps, seconds)
-
-
-@dataclass(frozen=True)
-class _Way:
-    """How regions are solved: the pace, and whether cells at walls count like all others."""
-
-    pace: Pace
-    even: bool = False
 
 
 @dataclass(frozen=True)

@@ -303,6 +303,40 @@ def test_only_plane_motions_of_extruded_grids_are_taken_for_plane():
     assert find_extrusion(Constraints.of(other.grid, other.topology, other.boundary)) is None
 
 
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_nodes_slide_on_curved_surfaces_and_stay_on_them(dimension):
+    """A quarter of a ring or shell; its outer side slides on the polygon of its undeformed edges."""
+    angle, radius, z = np.linspace(0.0, np.pi / 2, 13), np.linspace(1.0, 2.0, 9), np.linspace(0.0, 0.6, 5)
+    a, r, h = np.meshgrid(angle, radius, z if dimension == 3 else np.zeros(1), indexing="ij")
+    # Not an extrusion, which would be repaired as a plane grid.
+    grid = Grid.from_blocks([np.stack([(1 + 0.2 * h**2) * r * np.cos(a), r * np.sin(a), h], axis=-1)])
+    outer = BoundarySpec("outer", ("*.jmax",), Kind.SLIP)
+    inner = BoundarySpec("inner", ("*.jmin",), Kind.MOVING, None, formulas("0", "0", "0"))
+    setup = set_up(grid, Case((outer, inner)))
+    constraints = Constraints.of(setup.grid, setup.topology, setup.boundary)
+    (sliding,) = constraints.sliding
+    assert sliding.nodes.size == 11 * (3 if dimension == 3 else 1)
+    points = setup.grid.points.copy()
+    block = setup.grid.block(0, points)
+    # Nodes crowd on the surface, in the middle of the segments.
+    for i in range(1, 6):
+        block[i, -1] = 0.5 * (setup.grid.block(0)[0, -1] + setup.grid.block(0)[1, -1])
+        block[i, -2] += 0.8 * (setup.grid.block(0)[i + 3, -2] - setup.grid.block(0)[i, -2])
+    if dimension == 3:
+        block[:, :, [0, -1]] = setup.grid.block(0)[:, :, [0, -1]]
+    verdict = judge(setup.original, points)
+    assert verdict.failed.any()
+    outcome = Repairer(setup.original, setup.boundary).repair(points, verdict)
+    assert outcome.verdict.valid
+    after = outcome.points[setup.topology.first[sliding.nodes]]
+    before = points[setup.topology.first[sliding.nodes]]
+    assert np.abs(after - before).max() > 0.05
+    _, _, distance = sliding.surface.tree.closest(after)
+    assert distance.max() < 1e-12
+    held = setup.topology.first[constraints.held]
+    np.testing.assert_array_equal(outcome.points[held], points[held])
+
+
 def test_the_time_limit_ends_attempts_and_is_told():
     body, _ = body_specs(turning("110"), Kind.SLIP)
     case = Case((dataclasses.replace(body, select=("*",)),), repair=RepairOptions(time_limit=1e-9))

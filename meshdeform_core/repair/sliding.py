@@ -1,0 +1,77 @@
+"""Nodes of a repair that slide on curved slip surfaces: directions along the surface, and the way back onto it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ..boundary.slip import CurvedSurface
+from ..grid import BoolArray, FloatArray, IntArray
+
+_CREASE = np.cos(np.deg2rad(30.0))
+"""Nodes where triangles meet at a larger angle stay: the edge of the surface would be cut off."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sliding:
+    """One curved surface with the unique nodes (n,) that may slide on it; ``normal`` (3,) is that of a plane grid or
+    zero."""
+
+    surface: CurvedSurface
+    nodes: IntArray
+    normal: FloatArray
+
+    @classmethod
+    def on(cls, surface: CurvedSurface, free: BoolArray, starts: FloatArray, normal: FloatArray | None) -> Sliding:
+        """Of the nodes that are ``free`` (n_unique,), those with neighbours all around; they begin at ``starts``."""
+        plane = np.zeros(3) if normal is None else normal
+        everything = cls(surface, surface.nodes, plane)
+        smooth = everything._smoothness(starts[surface.nodes]) > _CREASE
+        return cls(surface, surface.nodes[free[surface.nodes] & smooth], plane)
+
+    def normals(self, points: FloatArray) -> FloatArray:
+        """Unit normals (k, 3) of the surface next to ``points`` (k, 3)."""
+        triangle, weights, _ = self.surface.tree.closest(points)
+        corners = self._vertex_normals[self.surface.triangles[triangle]]
+        # Blocks may count the nodes of their sides in different senses.
+        sense = np.sign(np.einsum("ncd,nd->nc", corners, self._triangle_normals[triangle]))
+        mean = np.einsum("nc,ncd->nd", weights * sense, corners)
+        return np.asarray(mean / np.maximum(np.linalg.norm(mean, axis=1), 1e-300)[:, None])
+
+    def project(self, points: FloatArray) -> FloatArray:
+        """The closest points (k, 3) of the surface."""
+        triangle, weights, _ = self.surface.tree.closest(points)
+        corners = self.surface.points[self.surface.triangles[triangle]]
+        return np.asarray(np.einsum("nc,ncd->nd", weights, corners))
+
+    @cached_property
+    def _triangle_normals(self) -> FloatArray:
+        """Normals (m, 3) as long as the triangles are large; for curves in a plane, as the segments are long."""
+        a, b, c = (self.surface.points[self.surface.triangles[:, n]] for n in range(3))
+        return np.asarray(np.cross(b - a, self.normal) if self.normal.any() else np.cross(b - a, c - a))
+
+    @cached_property
+    def _vertex_normals(self) -> FloatArray:
+        """Directions (n, 3) nearest to the normals of the triangles around, of either sign."""
+        total = np.zeros((len(self.surface.points), 3, 3))
+        normal = self._triangle_normals
+        square = (
+            normal[:, :, None] * normal[:, None, :] / np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None, None]
+        )
+        for corner in range(3):
+            np.add.at(total, self.surface.triangles[:, corner], square)
+        return np.asarray(np.linalg.eigh(total)[1][:, :, -1])
+
+    def _smoothness(self, points: FloatArray) -> FloatArray:
+        """Smallest cosine (k,) between the normals at surface points and those of the triangles around them."""
+        length = np.linalg.norm(self._triangle_normals, axis=1)
+        unit = self._triangle_normals / np.maximum(length, 1e-300)[:, None]
+        lowest = np.ones(len(self.surface.points))
+        for corner in range(3):
+            at = self.surface.triangles[:, corner]
+            cosine = np.abs(np.einsum("nd,nd->n", unit, self._vertex_normals[at]))
+            np.minimum.at(lowest, at, np.where(length > 0.0, cosine, 1.0))
+        triangle, weights, _ = self.surface.tree.closest(points)
+        return np.asarray(lowest[self.surface.triangles[triangle, weights.argmax(axis=1)]])
