@@ -162,6 +162,8 @@ class March:
 
     def insist(self, trial: Trial) -> Trial:
         """Repair once more what the last ``trial`` repaired, with more patience; returns the better one."""
+        if self.limit.reached:
+            return trial
         other = self._repaired(self._broken, PATIENTLY)
         if len(self.repairs) > 1:
             one, two = self.repairs[-2:]
