@@ -47,13 +47,12 @@ def _angles(figure: Any, parts: dict[str, Any]) -> None:
     at = range(len(rows))
     bars = {"one_step": "one step", "marching": "marching, 5° steps", "repaired": "one step and repair"}
     for place, (key, label) in enumerate(bars.items()):
-        axes.barh(
-            [i + 0.27 * (place - 1) for i in at], [r[key] for r in rows], 0.25, color=_COLOURS[place], label=label
-        )
+        width = [r[key] or 0.0 for r in rows]
+        axes.barh([i + 0.27 * (place - 1) for i in at], width, 0.25, color=_COLOURS[place], label=label)
     axes.set_yticks(list(at), [r["method"] for r in rows])
     axes.invert_yaxis()
     axes.set_xlabel("largest valid rotation [deg]")
-    axes.set_xlim(0, 5 + max(r[key] for r in rows for key in bars))
+    axes.set_xlim(0, 5 + max(r[key] or 0.0 for r in rows for key in bars))
     axes.grid(axis="x", linewidth=0.3)
     figure.legend(loc="outside upper right", ncols=3, frameon=False)
 

@@ -59,12 +59,12 @@ _LARGEST = {"one_step": "one step", "marching": "marching", "repaired": "one ste
 def robustness_markdown(robustness: dict[str, Any], folder: str) -> str:
     """Largest valid angles, and the figures."""
     largest = robustness["largest_angle"]
-    body = [[row["method"], *(f"{row[key]:g}" for key in _LARGEST)] for row in largest["rows"]]
+    body = [[row["method"], *(number(row[key], "g") for key in _LARGEST)] for row in largest["rows"]]
     step, tried = largest["step"], ", ".join(f"{angle:g}" for angle in largest["repaired"])
     text = (
         f"## Robustness\n\nLargest valid rotation of the body of `{robustness['sample']}` in degrees, in multiples of "
         f"{step:g}: imposed in one step, and marching in steps of {step:g} degrees from the last grid, both without "
-        f"repair; and in one step with repair, of {tried}"
+        f"repair; and in one step with repair, of {tried} (an empty cell: not run)"
     )
     head = ["method", *(f"{title} [deg]" for title in _LARGEST.values())]
     return f"{text}.\n\n{grid(head, body)}\n\n{pictures(robustness['figures'], folder)}"
