@@ -15,7 +15,7 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import IntArray
 
 from .cells import split_cells
-from .numbering import by_number, rows_of
+from .numbering import by_number, rows_of, text_numbers
 from .table import NO_TRIANGLES, DisplacementTable, surface_table
 
 _CORNERS = {"tri": 3, "quad": 4}
@@ -55,7 +55,8 @@ def _rows(lines: list[list[str]], floats: int) -> tuple[IntArray, NDArray[Any]]:
     if any(len(words) != 1 + floats for words in lines):
         raise ValueError(f"a line does not hold a number and {floats} values")
     numbers = np.array([int(words[0]) for words in lines], dtype=np.int64)
-    return numbers, np.array([words[1:] for words in lines], dtype=np.float64).reshape(len(lines), floats)
+    values = text_numbers(" ".join(word for words in lines for word in words).encode()).reshape(len(lines), 1 + floats)
+    return numbers, values[:, 1:]
 
 
 def _triangles(path: Path, numbers: IntArray, lines: list[list[str]]) -> IntArray:

@@ -18,7 +18,7 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import IntArray
 
 from .cells import split_cells
-from .numbering import by_number, rows_of
+from .numbering import by_number, rows_of, text_numbers
 from .table import NO_TRIANGLES, DisplacementTable, surface_table
 
 # Nodes of the elements up to type 19, and corners of those that are surfaces.
@@ -88,7 +88,7 @@ class _Numbers:
 
     def __init__(self, data: bytes, order: str):
         self.data, self.order, self.at = data, order, 0
-        self.words = np.array(data.split(), dtype=np.float64) if not order else np.empty(0)
+        self.words = text_numbers(data) if not order else np.empty(0)
 
     def integers(self, count: int, kind: str = "i4") -> IntArray:
         """So many whole numbers, in binary files of this kind."""

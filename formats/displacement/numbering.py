@@ -1,4 +1,4 @@
-"""Nodes that a file knows by numbers: values and cells refer to them in any order."""
+"""Numbers in the text of surfaces, and nodes that a file knows by numbers: values and cells refer to them."""
 
 from __future__ import annotations
 
@@ -10,6 +10,19 @@ from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import IntArray
+
+
+def text_numbers(data: bytes) -> NDArray[np.float64]:
+    """The numbers of a text, separated by white space.
+
+    Raises
+    ------
+    ValueError
+        For anything else, also what only Python takes for a number: 1_000 and digits of other scripts.
+    """
+    if b"_" in data or not data.isascii():
+        raise ValueError("a word among its numbers is no number")
+    return np.array(data.split(), dtype=np.float64)
 
 
 def rows_of(path: Path, numbers: IntArray, wanted: IntArray) -> IntArray:

@@ -19,6 +19,7 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import IntArray
 
 from .cells import fans
+from .numbering import text_numbers
 from .table import NO_TRIANGLES, DisplacementTable, surface_table
 
 _KINDS = {
@@ -127,7 +128,7 @@ class _Rows:
     def __init__(self, data: bytes, order: str):
         self.order, self.at = order, 0
         self.data = data
-        self.words = np.array(data.split(), dtype=np.float64) if not order else np.empty(0)
+        self.words = text_numbers(data) if not order else np.empty(0)
 
     def take(self, element: _Element) -> tuple[Scalars, Lists]:
         """The rows of an element."""

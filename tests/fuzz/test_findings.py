@@ -56,7 +56,7 @@ def test_a_motion_smaller_than_any_length_writes_no_denormal_numbers(angle, fold
 
 @pytest.mark.parametrize(
     "option",
-    ["alpha=1e300", "b=300", "a=1e9", "length=1e200", "eta=1e300"],
+    ["alpha=1e300", "b=300", "a=1e9", "eta=1e300"],
 )
 def test_powers_that_overflow_are_refused(option, folder):
     more = ("-s", "method.idw.alpha=auto") if option.startswith("eta") else ()
@@ -64,6 +64,15 @@ def test_powers_that_overflow_are_refused(option, folder):
     code, told = called(*arguments, "-o", "out.xyz", "-q")
     assert code == 2
     assert "expected at most" in told or "too large a number" in told
+
+
+def test_an_infinite_length_of_idw_has_a_limit(folder):
+    """The weights of the far field cancel; they overflowed once."""
+    for name, length in (("one", "1e20"), ("two", "1e200")):
+        arguments = ("-c", "case.toml", "-m", "idw", "-s", f"method.idw.length={length}", "-o", f"{name}.xyz", "-q")
+        assert called("deform", "grid.xyz", *arguments)[0] == 0
+    one, two = (read_grid(f"{name}.xyz").points for name in ("one", "two"))
+    np.testing.assert_allclose(two, one, rtol=0, atol=1e-12)
 
 
 def test_data_sets_outside_of_the_set_are_no_part_of_it(folder):
@@ -185,3 +194,11 @@ def test_what_follows_the_data_of_a_surface_is_refused(folder):
     code, told = called("deform", "grid.xyz", "-d", "table.avs", "-m", "tfi", "-o", "out.xyz")
     assert code == 2
     assert "1 lines follow" in told
+
+
+def test_triangles_between_rows_are_refused(folder):
+    points, moves, _ = body_table()
+    np.savez("table.npz", points=points, displacement=moves, triangles=np.array([[0.0, 1.5, 2.0]]))
+    code, told = called("deform", "grid.xyz", "-d", "table.npz", "-m", "tfi", "-o", "out.xyz")
+    assert code == 2
+    assert "expected row numbers of points" in told
