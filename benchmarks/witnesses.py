@@ -131,13 +131,26 @@ def check_mesh(grid: Grid) -> str:
         for name, body in (("controlDict", _CONTROL), ("fvSchemes", _SCHEMES), ("fvSolution", "")):
             head = f"FoamFile {{ version 2.0; format ascii; class dictionary; object {name}; }}\n"
             (case / "system" / name).write_text(head + body)
-        write_grid(grid, case / "grid.fmt")
-        flat = ["-2D", "1"] if grid.dimension == 2 else []
-        _run(["plot3dToFoam", "-noBlank", *flat, "-case", folder, str(case / "grid.fmt")])
+        write_grid(_in_space(grid), case / "grid.fmt")
+        _run(["plot3dToFoam", "-noBlank", "-case", folder, str(case / "grid.fmt")])
         said = _run(["checkMesh", "-case", folder])
     volumes = re.search(r"Number of negative volume cells[^\d]*(\d+)", said)
     faces = re.search(r"Error in face pyramids: (\d+) faces", said)
     return f"{volumes[1] if volumes else 0} / {faces[1] if faces else 0}"
+
+
+def _in_space(grid: Grid) -> Grid:
+    """A 2-D grid as one layer of cells, of a thickness like its cells'; a 3-D grid as it is."""
+    if grid.dimension == 3:
+        return grid
+    blocks = []
+    for block in range(grid.n_blocks):
+        nodes = grid.block(block, grid.points)
+        flat = nodes.shape.index(1)
+        shift = np.zeros(3)
+        shift[3 - sum(_plane(grid.points))] = np.linalg.norm(np.ptp(grid.points, axis=0)) / 100
+        blocks.append(np.concatenate([nodes, nodes + shift], axis=flat))
+    return Grid.from_blocks(blocks)
 
 
 def _run(command: list[str]) -> str:
