@@ -10,10 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from ...grid import BoolArray, FloatArray
+from ...numerics.geometry.coincidence import connected_components
 from ...numerics.rigid import Transition
 from .mirror import Images
 
@@ -36,10 +35,7 @@ def with_motion(images: Images) -> BoolArray:
 
 def bodies(images: Images) -> int:
     """Number of connected surfaces that the moving faces make."""
-    n = len(images.moving)
-    node, other = images.corners[:, 0], images.corners[:, 1]
-    graph = coo_array((np.ones(len(node)), (node, other)), shape=(n, n))
-    label = connected_components(graph, directed=False)[1]
+    label = connected_components(len(images.moving), images.corners[:, :2])
     return len(np.unique(label[images.corners[:, 0]]))
 
 

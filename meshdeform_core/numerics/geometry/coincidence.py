@@ -43,7 +43,7 @@ def coincident_groups(points: FloatArray, tolerance: FloatArray) -> IntArray:
     pairs = _sweep(key[leading], points[leading], np.maximum.reduceat(tolerance[order], first))
     exact = np.empty(len(points), dtype=np.int64)
     exact[order] = np.cumsum(new) - 1
-    return _by_first_occurrence(_components(len(first), pairs)[exact], len(first))
+    return _by_first_occurrence(connected_components(len(first), pairs)[exact], len(first))
 
 
 def _differ(rows: FloatArray | IntArray) -> BoolArray:
@@ -106,7 +106,7 @@ def _within(points: FloatArray, tolerance: FloatArray, a: IntArray, b: IntArray)
     return near
 
 
-def _components(n: int, pairs: IntArray) -> IntArray:
+def connected_components(n: int, pairs: IntArray) -> IntArray:
     """Smallest member of each connected component, by label propagation with pointer jumping."""
     labels = np.arange(n)
     while len(pairs):
