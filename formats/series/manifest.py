@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
@@ -56,7 +57,7 @@ class Manifest:
             When it is not a manifest.
         """
         try:
-            content = json.loads(path.read_text(encoding="utf-8"))
+            content = json.loads(path.read_text(encoding="utf-8"), parse_float=_finite, parse_constant=_finite)
             return cls(path, **content)
         except (ValueError, TypeError) as error:
             raise FormatError(
@@ -80,6 +81,14 @@ class Manifest:
                 f"cannot continue the series in {self.path.parent}, its inputs have changed: "
                 f"{'; '.join(changes[:_SHOWN])}{more}. Undo that, write to another folder, or restart it (--force)"
             )
+
+
+def _finite(word: str) -> float:
+    """A number of the file; one that is not finite could not be written again."""
+    number = float(word)
+    if not math.isfinite(number):
+        raise ValueError(f"{word} is not finite")
+    return number
 
 
 def ingredients_of(

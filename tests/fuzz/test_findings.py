@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -202,3 +203,16 @@ def test_triangles_between_rows_are_refused(folder):
     code, told = called("deform", "grid.xyz", "-d", "table.npz", "-m", "tfi", "-o", "out.xyz")
     assert code == 2
     assert "expected row numbers of points" in told
+
+
+@pytest.mark.parametrize("word", ["1e400", "NaN", "-Infinity"])
+def test_the_state_of_a_series_holds_finite_numbers(word, folder):
+    Path("case.toml").write_text(CASE.replace('angle = "turn"', 'angle = "turn * t"'))
+    arguments = ("series", "grid.xyz", "-c", "case.toml", "-m", "tfi", "--times", "0:1:1", "-o", "out", "-q")
+    assert called(*arguments)[0] == 0
+    state = json.loads(Path("out/series.json").read_text())
+    state["levels"][0]["time"] = "HERE"
+    Path("out/series.json").write_text(json.dumps(state).replace('"HERE"', word))
+    code, told = called(*arguments, "--resume")
+    assert code == 2
+    assert "is not finite" in told
