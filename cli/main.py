@@ -180,8 +180,13 @@ def _invoke(args: Sequence[str] | None) -> int:
 
 
 def _check_environment() -> None:
-    """Variables whose values would make libraries fail when they are imported."""
+    """What would make libraries fail when they are imported: variables, and a current folder that was removed."""
     from meshdeform_core.errors import CaseError
+
+    try:
+        os.getcwd()
+    except FileNotFoundError:
+        raise CaseError("the current folder does not exist any more; change to another one") from None
 
     # Pictures are drawn into files, whatever shows those of other programs.
     os.environ["MPLBACKEND"] = "agg"
@@ -196,8 +201,6 @@ def _refusal(error: OSError) -> str:
     """What the system refused; files that are written or read are named, so without a name it is something else."""
     if error.filename:
         return f"{error.filename}: {error.strerror}"
-    if error.errno == errno.ENOENT:
-        return "the current folder does not exist any more; change to another one"
     return f"cannot write to stdout: {error.strerror}" if error.errno in _OF_STREAMS else str(error)
 
 

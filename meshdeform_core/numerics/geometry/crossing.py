@@ -20,8 +20,8 @@ from .overlap import close_pairs
 # Bound of the round-off of a 3 x 3 determinant of differences, relative to its permanent (Shewchuk 1997, table 3).
 _ROUND_OFF = 8e-16
 
-# Ascending, so that the larger of two verdicts holds unless one is certain.
-_NO, _YES, _DOUBTFUL = 0, 1, 2
+# Ascending: any of several parts crosses if the largest of their verdicts says so.
+_NO, _DOUBTFUL, _YES = 0, 1, 2
 
 _Point = list[Fraction]
 _Triangle = tuple[_Point, _Point, _Point]
@@ -119,20 +119,12 @@ def _cross(points, one, two, place):
             _triangle(one, choice & 1, part & 1, first)
             _triangle(two, choice >> 1, part >> 1, second)
             if best != _YES and _is_triangle(first) and _is_triangle(second):
-                best = _combine(best, _triangles_cross(points, first, second, place))
+                best = max(best, _triangles_cross(points, first, second, place))
         if best == _NO:
             return _NO
         if best == _DOUBTFUL:
             result = _DOUBTFUL
     return result
-
-
-@kernel
-def _combine(one, two):
-    """Any of two verdicts."""
-    if one == _YES or two == _YES:
-        return _YES
-    return max(one, two)
 
 
 @kernel
@@ -155,9 +147,9 @@ def _triangles_cross(points, one, two, place):
         return _NO
     result = _NO
     for k in range(3):
-        result = _combine(result, _pierces(points, two, k, second, one, place))
+        result = max(result, _pierces(points, two, k, second, one, place))
         if result != _YES:
-            result = _combine(result, _pierces(points, one, k, first, two, place))
+            result = max(result, _pierces(points, one, k, first, two, place))
         if result == _YES:
             return result
     return result
