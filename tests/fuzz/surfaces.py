@@ -197,7 +197,7 @@ def _section(words: list[str], name: str) -> list[str]:
 
 def _msh(path: Path) -> Surface:
     """Version 2.2 as text."""
-    text = path.read_text()
+    text = path.read_text("utf-8", "replace")
     nodes = np.array(_section(text.split(), "Nodes")[1:], dtype=float).reshape(-1, 4)
     lines = text.partition("$NodeData")[2].partition("$EndNodeData")[0].split("\n")
     data = [line for line in lines if line.strip()]
@@ -245,7 +245,7 @@ def _med(path: Path) -> Surface:
 
 
 def _avs(path: Path) -> Surface:
-    lines = [line.split() for line in path.read_text().splitlines() if line.strip() and not line.startswith("#")]
+    lines = [line.split() for line in path.read_text("utf-8", "replace").splitlines() if line.strip() and not line.startswith("#")]
     n, m = int(lines[0][0]), int(lines[0][1])
     nodes, cells, rest = lines[1 : n + 1], lines[n + 1 : n + m + 1], lines[n + m + 1 :]
     number = {int(row[0]): at for at, row in enumerate(nodes)}
@@ -258,7 +258,7 @@ def _avs(path: Path) -> Surface:
 
 
 def _tecplot(path: Path) -> Surface:
-    text = path.read_text()
+    text = path.read_text("utf-8", "replace")
     n, m = (int(re.search(rf"(?i)\b(?:{key})\s*=\s*(\d+)", text)[1]) for key in ("NODES|N", "ELEMENTS|E"))
     lines = text.splitlines()
     at = next(k for k, line in enumerate(lines) if "ZONE" in line.upper()) + 1

@@ -166,7 +166,7 @@ def _rows(path: Path) -> surfaces.Surface:
 def text_table(path: Path) -> surfaces.Surface:
     """Points and displacements of lines of six numbers."""
     rows = []
-    for line in path.read_text().splitlines():
+    for line in path.read_text("utf-8", "replace").splitlines():
         try:
             row = [float(word) for word in re.split(r"[,;\s]+", line.partition("#")[0].strip())]
         except ValueError:
