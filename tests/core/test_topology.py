@@ -10,6 +10,7 @@ from meshdeform_core.grid import Connection, Grid, Side
 from meshdeform_core.grid.connectivity import check_connections, connected_nodes
 from meshdeform_core.grid.interfaces import find_interfaces
 from meshdeform_core.grid.topology import COLLAPSED, find_topology
+from meshdeform_core.numerics.geometry import coincidence
 from meshdeform_core.numerics.geometry.coincidence import close_pairs, coincident_groups
 
 LINE = np.linspace(0.0, 1.0, 5)
@@ -171,3 +172,15 @@ def test_third_party_grids(third_party):
                 and len(np.unique(topology.numbers_of(connected_nodes(grid, c)[0]))) == nodes
                 for c in shared.values()
             )
+
+
+def test_many_points_have_the_close_pairs_of_few(monkeypatch):
+    random = np.random.default_rng(3)
+    points = np.repeat(random.uniform(0.0, 1.0, (3000, 3)), 2, axis=0) + random.uniform(-1e-4, 1e-4, (6000, 3))
+    tolerance = 0.1 * np.exp(random.uniform(-8.0, 0.0, 6000))
+    few = coincidence.close_pairs(points, tolerance)
+    monkeypatch.setattr(coincidence, "_MANY", 100)
+    many = coincidence.close_pairs(points, tolerance)
+    pairs = [set(map(tuple, np.sort(found, axis=1).tolist())) for found in (few, many)]
+    assert pairs[0] == pairs[1]
+    assert len(pairs[0]) > 1000

@@ -245,7 +245,11 @@ def _med(path: Path) -> Surface:
 
 
 def _avs(path: Path) -> Surface:
-    lines = [line.split() for line in path.read_text("utf-8", "replace").splitlines() if line.strip() and not line.startswith("#")]
+    lines = [
+        line.split()
+        for line in path.read_text("utf-8", "replace").splitlines()
+        if line.strip() and not line.startswith("#")
+    ]
     n, m = int(lines[0][0]), int(lines[0][1])
     nodes, cells, rest = lines[1 : n + 1], lines[n + 1 : n + m + 1], lines[n + m + 1 :]
     number = {int(row[0]): at for at, row in enumerate(nodes)}

@@ -6,11 +6,15 @@ Plain numpy (``meshdeform info`` must start fast and imports no numba).
 from __future__ import annotations
 
 import numpy as np
+import scipy
 
 from ..arrays import BoolArray, FloatArray, IntArray, KeyArray
 
 # A direction that no grid line is aligned with: projected on it, distinct nodes hardly ever share a key.
 _GENERIC = np.array([0.5403023058681398, 0.6427876096865393, 0.5446390350150271])
+
+_MANY = 50_000
+"""From so many points on, close pairs are sought among those with a close neighbour only."""
 
 
 def _key(points: FloatArray) -> FloatArray:
@@ -60,6 +64,24 @@ def close_pairs(points: FloatArray, tolerance: FloatArray) -> IntArray:
     A sweep along one direction, from the coarsest tolerance to the finest: the points within one tolerance of a
     plane are few if only points of at least that tolerance take part, however strongly the grid is clustered.
     """
+    if len(points) > _MANY:
+        chosen = _with_close_neighbour(points, tolerance)
+        return chosen[_sweep_in_order(points[chosen], tolerance[chosen])]
+    return _sweep_in_order(points, tolerance)
+
+
+def _with_close_neighbour(points: FloatArray, tolerance: FloatArray) -> IntArray:
+    """Points whose nearest neighbour is within their tolerance, as both points of a close pair have.
+
+    The keys of many points are dense: a sweep would compare each with hundreds of others.
+    """
+    tree = scipy.spatial.cKDTree(points, balanced_tree=False, compact_nodes=False)
+    bound = float(tolerance.max(initial=0.0)) * (1.0 + 1e-9)
+    distance, _ = tree.query(points, k=2, distance_upper_bound=bound, workers=-1)
+    return np.flatnonzero(distance[:, 1] <= tolerance * (1.0 + 1e-9))
+
+
+def _sweep_in_order(points: FloatArray, tolerance: FloatArray) -> IntArray:
     key = _key(points)
     order = np.argsort(key)
     return order[_sweep(key[order], points[order], tolerance[order])]
