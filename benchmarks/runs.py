@@ -25,6 +25,7 @@ RUNS = (
 )  # fmt: skip
 QUICK = (("splitter-plate", 8, "idw-tfi"), ("splitter-plate", 8, "idw"))
 _COMMAND = (sys.executable, "-m", "meshdeform")
+_LAUNCHER = ("mpiexec", "--oversubscribe")
 
 
 def file_to_file(quick: bool) -> MarkdownTable:
@@ -178,7 +179,7 @@ def ranks(quick: bool) -> MarkdownTable:
         for method in ("idw-tfi", "idw"):
             one = 0.0
             for count in (1, 2, 4):
-                launcher = ["mpiexec", "--oversubscribe", "-n", str(count)]
+                launcher = [*_LAUNCHER, "-n", str(count)]
                 row = _deform(folder, sample, method, launcher)
                 one = one or row["wall s"]
                 table.rows.append(
@@ -193,4 +194,8 @@ def _missing_for_mpi() -> str:
         return "this version has no extra [mpi]"
     if shutil.which("mpiexec") is None:
         return "there is no mpiexec"
+    # Open MPI refuses to run as root, for example.
+    trial = subprocess.run([*_LAUNCHER, "-n", "1", "true"], capture_output=True, timeout=60, check=False)
+    if trial.returncode != 0:
+        return f"mpiexec does not run a command here (exit code {trial.returncode})"
     return "" if importlib.util.find_spec("mpi4py") else "mpi4py is not installed"
