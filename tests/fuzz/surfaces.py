@@ -204,7 +204,8 @@ def _msh(path: Path) -> Surface:
     at = 1 + int(data[0])
     at += 1 + int(data[at])
     at += 1 + int(data[at])
-    moves = np.array([line.split() for line in data[at:]], dtype=float)
+    # Values count, wherever lines end.
+    moves = np.array(" ".join(data[at:]).split(), dtype=float).reshape(int(data[at - 1]), -1)
     number = {identity: row for row, identity in enumerate(nodes[:, 0].tolist())}
     by_node = {row[0]: row[1:] for row in moves.tolist()}
     triangles = []

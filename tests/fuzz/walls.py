@@ -180,7 +180,10 @@ def two_tables(bench: Bench, rng: Random) -> str:
         rows, moves, _ = text_table(Path("two.csv"))
         fresh = {tuple(row): move for row, move in zip(rows.tolist(), moves, strict=True)}
         told = {node: move for node, move in told.items() if node[0] < -0.3} | {
-            node: fresh.get(node, move) for node, move in told.items() if node[0] > -0.2
+            # A node that the damaged table does not name has moved like the nearest one that it names.
+            node: fresh[node]
+            for node in told
+            if node[0] > -0.2 and node in fresh
         }
     for old, new in zip(bench.grid.points, after.points, strict=True):
         move = told.get(tuple(old.tolist()))
