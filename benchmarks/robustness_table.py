@@ -250,21 +250,26 @@ def _edges(x: np.ndarray, axis: int, corner: tuple[int, ...], ends: bool = False
 
 def main() -> None:
     """The command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    run("Large motions in one command", measure, __doc__, Path(__file__).name)
+
+
+def run(title: str, row: Callable[[Trial], Row], description: str | None, program: str) -> None:
+    """The command line of a program that makes a row of every motion."""
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", metavar="TEXT", default="", help="motions whose name contains this")
     parser.add_argument("--grids", type=Path, metavar="FOLDER", help="where the third-party grids lie")
     parser.add_argument("--write", type=Path, metavar="PAGE", help="put the table between its marks on a page")
     options = parser.parse_args()
     if options.grids:
         os.environ["MESHDEFORM_GRIDS"] = str(options.grids)
-    table = MarkdownTable("Large motions in one command")
+    table = MarkdownTable(title)
     for trial in TRIALS:
         if trial.possible and options.only in trial.label:
-            table.rows.append(measure(trial))
+            table.rows.append(row(trial))
             print(table.rows[-1], file=sys.stderr, flush=True)
     print(table.markdown())
     if options.write:
-        table.put_on(options.write, Path(__file__).name)
+        table.put_on(options.write, program)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,6 @@ columns whose program is not installed are left out.
 
 from __future__ import annotations
 
-import argparse
 import importlib.util
 import os
 import re
@@ -23,8 +22,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from robustness_table import TRIALS, Trial
-from tables import MarkdownTable, Row
+from robustness_table import Trial, run
+from tables import Row
 
 from meshdeform_core.deform import Timing, impose
 from meshdeform_core.grid import FloatArray, Grid
@@ -111,8 +110,8 @@ def _mfem_text(nodes: FloatArray, dimension: int, turned: bool) -> str:
     low, high = (slice(None, -1), slice(1, None))
     ring = ((low, low), (high, low), (high, high), (low, high))
     corners = [(*c, e) for e in (low, high) for c in ring] if dimension == 3 else ring
-    # In the order of `turned`, cells of a reversed direction are numbered from the other end.
     cells = np.stack([numbers[corner] for corner in corners], axis=-1)
+    # Reversed nodes give reversed cells; the results are wanted in the order of the grid.
     cells = (cells[::-1] if turned else cells).reshape(-1, len(corners))
     points = nodes.reshape(-1, 3) if dimension == 3 else nodes.reshape(-1, 3)[:, _plane(nodes)]
     kind = 5 if dimension == 3 else 3
@@ -132,8 +131,8 @@ def check_mesh(grid: Grid) -> str:
             head = f"FoamFile {{ version 2.0; format ascii; class dictionary; object {name}; }}\n"
             (case / "system" / name).write_text(head + body)
         write_grid(_in_space(grid), case / "grid.fmt")
-        _run(["plot3dToFoam", "-noBlank", "-case", folder, str(case / "grid.fmt")])
-        said = _run(["checkMesh", "-case", folder])
+        _said(["plot3dToFoam", "-noBlank", "-case", folder, str(case / "grid.fmt")])
+        said = _said(["checkMesh", "-case", folder])
     volumes = re.search(r"Number of negative volume cells[^\d]*(\d+)", said)
     faces = re.search(r"Error in face pyramids: (\d+) faces", said)
     return f"{volumes[1] if volumes else 0} / {faces[1] if faces else 0}"
@@ -153,7 +152,7 @@ def _in_space(grid: Grid) -> Grid:
     return Grid.from_blocks(blocks)
 
 
-def _run(command: list[str]) -> str:
+def _said(command: list[str]) -> str:
     # Debian's packages do not set the variable by which the programs find their settings.
     environment = {"WM_PROJECT_DIR": "/usr/share/openfoam", **os.environ}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True, timeout=_LIMIT)
@@ -181,23 +180,9 @@ def measure(trial: Trial) -> Row:
 
 def main() -> None:
     """The command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", metavar="TEXT", default="", help="motions whose name contains this")
-    parser.add_argument("--grids", type=Path, metavar="FOLDER", help="where the third-party grids lie")
-    parser.add_argument("--write", type=Path, metavar="PAGE", help="put the table between its marks on a page")
-    options = parser.parse_args()
     if not (has_mfem() or has_check_mesh()):
         sys.exit("neither MFEM (pip install mfem) nor OpenFOAM (plot3dToFoam and checkMesh) is installed")
-    if options.grids:
-        os.environ["MESHDEFORM_GRIDS"] = str(options.grids)
-    table = MarkdownTable("Verdicts of other programs")
-    for trial in TRIALS:
-        if trial.possible and options.only in trial.label:
-            table.rows.append(measure(trial))
-            print(table.rows[-1], file=sys.stderr, flush=True)
-    print(table.markdown())
-    if options.write:
-        table.put_on(options.write, Path(__file__).name)
+    run("Verdicts of other programs", measure, __doc__, Path(__file__).name)
 
 
 if __name__ == "__main__":

@@ -10,9 +10,9 @@ import numpy as np
 
 from ..errors import CaseError
 from ..grid import Grid, IntArray
-from ..grid.ends import end_planes
 from ..grid.planes import Plane
 from ..grid.selection import select_quads
+from ..grid.sides import end_planes
 from ..grid.topology import Topology
 from ..numerics.geometry.coincidence import distinct
 from .coverage import Tables

@@ -15,9 +15,8 @@ import numpy as np
 
 from ..boundary import Boundary, Kind
 from ..grid import FloatArray, Grid, IntArray, Side
-from ..grid.ends import end_planes
 from ..grid.planes import plane_normal
-from ..grid.side_numbers import side_numbers
+from ..grid.sides import end_planes, side_numbers
 from ..grid.topology import Topology, inward_step, side_nodes
 from ..memory import UNLIMITED, MemoryLimit
 from ..numerics.arrays import distinct_pairs, total

@@ -11,7 +11,6 @@ from grids import SPANS, frame, stretched
 from meshdeform_core.grid import Grid
 from meshdeform_formats import read_grid, write_grid
 
-from . import judges
 from .bench import METHODS, Bench, called, refusal, seeded
 
 Entry = dict[str, str]
@@ -47,18 +46,16 @@ def nasty_grid(bench: Bench, rng: Random) -> str:
     )
     Path("nasty.toml").write_text(case)
     arguments = ("nasty.xyz", "-c", "nasty.toml", "-m", rng.choice(METHODS), "--steps", rng.choice(("1", "2", "auto")))
-    code, told = called("deform", *arguments, "-o", "out.xyz", "--force", "-q")
-    if code != 0:
-        return "ok" if code == 3 else refusal(code, told)
+    Path("out.xyz").unlink(missing_ok=True)
+    result = bench.deformed(grid, None, *arguments)
+    if result != "ok" or not Path("out.xyz").exists():
+        return result
     after = read_grid("out.xyz")
-    if not np.isfinite(after.points).all():
-        return "coordinates that are not finite"
     wall = grid.block(0)[:, 0].reshape(-1, 3)
     expected = wall + shift * np.stack([wall[:, 1], wall[:, 0], 0 * wall[:, 0]], axis=1)
     if np.abs(after.block(0)[:, 0].reshape(-1, 3) - expected).max() > 1e-9:
         return "the wall is not where it was told"
-    bad = judges.newly_bad(grid, after)
-    return "ok" if bad == 0 else f"{bad} cells became invalid and the exit code is 0"
+    return "ok"
 
 
 def constrained(bench: Bench, rng: Random) -> str:

@@ -15,7 +15,7 @@ import numpy as np
 import scipy
 
 from ...grid import BoolArray, FloatArray, IntArray, Side
-from ...grid.side_numbers import side_numbers
+from ...grid.sides import side_numbers
 from ...grid.windows import windows_of_quads
 from ...numerics.geometry.coincidence import distinct
 from ...numerics.rows import put_rows

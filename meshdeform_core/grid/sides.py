@@ -1,11 +1,29 @@
-"""The two end planes of a grid that is one cell thick."""
+"""Block sides: the unique numbers of their nodes, and which of them are the end planes of a grid one cell thick."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from .blocks import Grid, IntArray, Shape, Side
-from .topology import Topology, side_nodes
+from .topology import Topology, in_index_order, side_nodes
+
+
+def side_numbers(grid: Grid, topology: Topology, block: int, side: Side) -> IntArray:
+    """Unique node numbers of a block side, shaped along ``side.tangential``.
+
+    From the corners of its face quads, which is much faster than looking up every node.
+    """
+    shape = grid.shapes[block]
+    counts = tuple(shape[axis] for axis in side.tangential)
+    corners = topology.quads.corners[topology.quads.of_side(block, side)]
+    if not in_index_order(side, counts, grid.dimension, int(topology.handedness[block])):
+        corners = corners[:, ::-1]
+    if grid.dimension == 2:
+        return np.append(corners[:, 0], corners[-1:, 1]).reshape(counts)
+    low, right, far, up = corners.T.reshape(4, counts[0] - 1, counts[1] - 1)
+    numbers = np.empty(counts, dtype=np.int64)
+    numbers[:-1, :-1], numbers[-1, :-1], numbers[:-1, -1], numbers[-1, -1] = low, right[-1], up[:, -1], far[-1, -1]
+    return numbers
 
 
 def end_planes(grid: Grid, topology: Topology) -> list[int]:

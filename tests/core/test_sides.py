@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from meshdeform_core.grid import Grid, Side
-from meshdeform_core.grid.side_numbers import side_numbers
+from meshdeform_core.grid.sides import side_numbers
 from meshdeform_core.grid.topology import find_topology, side_nodes
 
 
