@@ -146,7 +146,7 @@ def checked_surface(table: DisplacementTable, path: Path) -> SurfaceData:
     if triangles.size and not 0 <= triangles.min() <= triangles.max() < len(points):
         raise FormatError(f"{path}: triangles refer to points {triangles.min()} to {triangles.max()} of {len(points)}")
     distinct = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)
-    return SurfaceData(points, displacement, triangles[distinct], path.name)
+    return SurfaceData(points, displacement, triangles[distinct], path.name, plane=table.displacement.shape[1] == 2)
 
 
 def _three_columns(values: NDArray[Any]) -> FloatArray:

@@ -84,10 +84,19 @@ def table_warnings(topology: Topology, movers: Sequence[tuple[IntArray, Prepared
         points = use.match.points
         if len(points):
             tables.setdefault((use.match.label, len(points), float(points.sum())), []).append(use)
-    notes = [note for table in tables.values() for note in _unused(table)]
+    notes = [note for table in tables.values() for note in (*_without_z(table[0]), *_unused(table))]
     for use in uses:
         notes += [*_gaps(topology, use), *_distances(use)]
     return notes
+
+
+def _without_z(use: _Use) -> list[str]:
+    if use.nodes.grid.dimension == 2 or not use.match.plane:
+        return []
+    return [
+        f"{use.match.label} has two components of the displacement, the grid is three-dimensional: nodes do not move "
+        f"in z. Give dz as well; a column of zeros if this is meant"
+    ]
 
 
 def _unused(uses: Sequence[_Use]) -> list[str]:

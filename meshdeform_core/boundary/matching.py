@@ -22,12 +22,14 @@ class SurfaceData:
     points, displacement : (n, 3) float64, grid length unit
     triangles : (m, 3) int64, indices into ``points``; (0, 3) when the file has points only
     label : name for messages, usually the file name
+    plane : whether the file has two components of the displacement only; the third one is zero
     """
 
     points: FloatArray
     displacement: FloatArray
     triangles: IntArray
     label: str
+    plane: bool = False
 
 
 @dataclass(frozen=True)
@@ -92,6 +94,7 @@ class Transfer:
     points : (m, 3) of the table; (0, 3) for a grid of the same nodes
     beyond : (n,) distance of the node beyond the edge of the table's surface
     partial : whether nodes without a match are allowed
+    plane : whether the table has two components of the displacement only
     """
 
     displacement: FloatArray
@@ -103,3 +106,4 @@ class Transfer:
     points: FloatArray
     beyond: FloatArray
     partial: bool
+    plane: bool = False

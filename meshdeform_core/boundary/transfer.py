@@ -59,7 +59,16 @@ def _from_points(data: SurfaceData, matching: Matching, nodes: Nodes) -> Transfe
     used = len(np.unique(nearest[matched])), len(data.points)
     beyond = np.zeros(len(distance))
     return Transfer(
-        displacement, matched, distance, data.label, matching.how, used, data.points, beyond, matching.partial
+        displacement,
+        matched,
+        distance,
+        data.label,
+        matching.how,
+        used,
+        data.points,
+        beyond,
+        matching.partial,
+        data.plane,
     )
 
 
@@ -112,7 +121,16 @@ def _interpolate(data: SurfaceData, matching: Matching, nodes: Nodes) -> Transfe
     displacement = np.where(matched[:, None], displacement, 0.0)
     count = (len(data.points),) * 2
     return Transfer(
-        displacement, matched, distance, data.label, matching.how, count, data.points, beyond, matching.partial
+        displacement,
+        matched,
+        distance,
+        data.label,
+        matching.how,
+        count,
+        data.points,
+        beyond,
+        matching.partial,
+        data.plane,
     )
 
 

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 from cases import body_specs
-from grids import frame
+from grids import frame, frame_2d
 from scipy.interpolate import RBFInterpolator
 
 from meshdeform_core.boundary import BoundarySpec, Kind
@@ -53,6 +53,17 @@ def test_a_table_of_the_wall_gives_no_warning():
     assert whole_table(data(bar())) == ()
     for how in ("exact", "nearest", "interpolate"):
         assert on_body(data(bar()), how=how) == ()
+
+
+def test_a_table_without_dz_on_a_3d_grid_is_a_warning():
+    plane = dataclasses.replace(data(bar()), plane=True)
+    (note,) = on_body(plane)
+    assert note.startswith("table.csv has two components of the displacement, the grid is three-dimensional")
+    section = frame_2d()
+    square = np.unique(section.points[np.abs(section.points[:, :2]).max(axis=1) < 0.51], axis=0)
+    follow = Motion((Follow(dataclasses.replace(data(square), plane=True), Matching(partial=True)),), {})
+    specs = (BoundarySpec("bar", ("*",), Kind.MOVING, None, follow), BoundarySpec("rest", ("*",), Kind.SLIP))
+    assert set_up(section, Case(specs)).boundary.notes == ()
 
 
 @pytest.mark.parametrize("factor", [1000.0, 1e-3, 100.0, 0.3048, 25.4])

@@ -326,6 +326,15 @@ def test_write_and_read(tmp_path_factory, suffix, rows):
     assert len(again.triangles) == (suffix == ".npz" and len(rows) >= 3)
 
 
+@pytest.mark.parametrize(("columns", "plane"), [("x,y,z,dx,dy", True), ("x,y,z,dx,dy,dz", False), ("x,y,dx,dy", True)])
+def test_tables_tell_whether_they_have_two_components(tmp_path, columns, plane):
+    count = columns.count(",") + 1
+    (tmp_path / "a.csv").write_text(f"{columns}\n{','.join(map(str, range(count)))}\n")
+    data = read_displacement(tmp_path / "a.csv")
+    assert data.plane == plane
+    assert data.displacement.shape == (1, 3)
+
+
 def test_write_knows_two_formats(tmp_path):
     with pytest.raises(FormatError, match=r"written as \.csv or \.npz"):
         write_displacement(tmp_path / "a.vtu", SurfaceData(POINTS, MOVES, np.empty((0, 3), int), ""))
