@@ -14,7 +14,7 @@ from typing import NoReturn
 import click
 
 from meshdeform_core import interruption
-from meshdeform_core.parallel import current_ranks
+from meshdeform_core.parallel import current_ranks, tasks_running
 
 from .exit_codes import EXIT_BUG, EXIT_INPUT, EXIT_INTERRUPTED
 from .process.messages import drop_output, flush_messages, flush_output, open_streams, tell
@@ -122,7 +122,11 @@ def main(args: Sequence[str] | None = None) -> NoReturn:
     handler.finish()
     stopped = interruption.requested()
     flush_messages()
-    sys.exit(code if stopped is None else 128 + stopped)
+    code = code if stopped is None else 128 + stopped
+    if tasks_running():
+        # What they would find is not wanted any more, and the interpreter would wait for them.
+        os._exit(code)
+    sys.exit(code)
 
 
 def run(args: Sequence[str] | None = None) -> int:

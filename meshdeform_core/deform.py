@@ -10,6 +10,7 @@ from .attempts import adaptively, in_equal_steps, until_valid
 from .boundary.crossing import find_crossings
 from .errors import CaseError
 from .grid import Grid
+from .grid.joints import Joints, find_joints
 from .march import Attempt, March
 from .memory import UNLIMITED, MemoryLimit
 from .methods import Account, Progress
@@ -77,6 +78,7 @@ def deform(
     memory: MemoryLimit = UNLIMITED,
     progress: Progress | None = None,
     warn: Callable[[Sequence[str]], object] | None = None,
+    joints: Callable[[Grid, float], Joints] = find_joints,
 ) -> Result:
     """Deform ``grid`` according to ``case`` and judge the result.
 
@@ -89,6 +91,7 @@ def deform(
         applies to the coordinates as written
     memory : limit for the method, in addition to the grid
     warn : called with the warnings of the set-up (also part of the result) before anything is computed
+    joints : as in :func:`.setup.set_up`
 
     Raises
     ------
@@ -96,7 +99,7 @@ def deform(
         For any fault of the input.
     """
     timing = Timing(progress=progress)
-    setup = set_up(grid, case, timing, memory)
+    setup = set_up(grid, case, timing, memory, joints)
     if warn:
         warn(setup.warnings)
     return impose(setup, setup.motion(time), steps, precision or grid.precision, timing, progress)

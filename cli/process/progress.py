@@ -46,7 +46,7 @@ class ProgressBar:
     active: ProgressBar | None = None
 
     def __init__(self, enabled: bool = True, compiles: bool = True):
-        self._wanted, self._compiles = enabled, enabled and compiles
+        self._wanted, self._loops, self._compiles = enabled, compiles, enabled and compiles
         self._shown = enabled and sys.stderr.isatty()
         self._start = time.perf_counter()
         self._stage, self._began = "", self._start
@@ -90,11 +90,12 @@ class ProgressBar:
 
     def __enter__(self) -> ProgressBar:
         ProgressBar.active = self
-        if self._compiles:
+        if self._loops:
             # Imported late: it loads the compiler, which many commands do without.
-            from meshdeform_core.numerics.jit import on_compile
+            from meshdeform_core.numerics.jit import load_compiler, on_compile
 
-            on_compile(self._compiling)
+            on_compile(self._compiling if self._compiles else None)
+            load_compiler()
         if self._shown:
             self._display = threading.Thread(target=self._show, name="progress", daemon=True)
             self._display.start()

@@ -10,6 +10,8 @@ expressions, ``zeros``, reductions and searches each pull in functions of numba'
 from __future__ import annotations
 
 import gc
+import importlib
+import sys
 import time
 from collections.abc import Callable
 from typing import Any
@@ -101,3 +103,19 @@ def is_cached() -> bool:
 def on_compile(notice: Callable[[int], None] | None) -> None:
     """Call ``notice`` with the number compiled so far whenever a loop is compiled because it is not in the cache."""
     _clock.notice = notice
+
+
+def load_compiler() -> None:
+    """Import what numba imports when it loads the first loop, except scipy's linear algebra.
+
+    From that it only wants to know whether a BLAS is there for products of matrices inside loops, which ours do
+    without; it would take as long as all the rest. For programs whose only loops are ours.
+    """
+    blas = "scipy.linalg.cython_blas"
+    if blas not in sys.modules:
+        # How Python is told that there is no such module.
+        sys.modules[blas] = None  # type: ignore[assignment]
+        try:
+            importlib.import_module("numba.np.arraymath")
+        finally:
+            del sys.modules[blas]

@@ -15,11 +15,13 @@ from .loops import (
     sharing,
     thread_count,
 )
+from .tasks import Task, tasks_running
 
 __all__ = [
     "OneRank",
     "Ranks",
     "Shared",
+    "Task",
     "alone",
     "current_ranks",
     "empty",
@@ -29,5 +31,6 @@ __all__ = [
     "set_ranks",
     "set_threads",
     "sharing",
+    "tasks_running",
     "thread_count",
 ]

@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 import scipy
 
+from ...parallel import thread_count
 from ..arrays import BoolArray, FloatArray, IntArray, KeyArray
 
 # A direction that no grid line is aligned with: projected on it, distinct nodes hardly ever share a key.
@@ -77,7 +78,7 @@ def _with_close_neighbour(points: FloatArray, tolerance: FloatArray) -> IntArray
     """
     tree = scipy.spatial.cKDTree(points, balanced_tree=False, compact_nodes=False)
     bound = float(tolerance.max(initial=0.0)) * (1.0 + 1e-9)
-    distance, _ = tree.query(points, k=2, distance_upper_bound=bound, workers=-1)
+    distance, _ = tree.query(points, k=2, distance_upper_bound=bound, workers=thread_count())
     return np.flatnonzero(distance[:, 1] <= tolerance * (1.0 + 1e-9))
 
 
