@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
 import time as clock
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from types import TracebackType
 
 from meshdeform_core import interruption
 from meshdeform_core.boundary.motion import FollowSequence
 from meshdeform_core.boundary.prescribed import largest_displacement
 from meshdeform_core.deform import Setup, Timing, set_up
-from meshdeform_core.errors import CaseError, FormatError
+from meshdeform_core.errors import CaseError, FormatError, MeshDeformError
 from meshdeform_core.memory import peak_memory
 from meshdeform_core.methods import make_method
-from meshdeform_core.parallel import current_ranks
+from meshdeform_core.parallel import current_ranks, thread_count
 from meshdeform_core.series import Level, Schedule, deform_series
 from meshdeform_formats.case import CaseFile
 from meshdeform_formats.case.files import parse_times
@@ -33,6 +36,8 @@ from .process.progress import ProgressBar, writing
 from .work import Job, cells_of
 
 _PICTURES = 8
+# Coordinate arrays that writing a level takes, at most, beside the level.
+_ARRAYS = 2
 
 
 @dataclass(frozen=True)
@@ -62,6 +67,7 @@ class Run:
     timing: Timing
     warnings: Warnings
     allow_invalid: bool
+    fields: tuple[str, ...] = ()
 
 
 def prepare(job: Job, source: GridInput, wanted: Wanted, options: RunInput) -> Run:
@@ -85,7 +91,7 @@ def prepare(job: Job, source: GridInput, wanted: Wanted, options: RunInput) -> R
         case = replace(case, notes=(*case.notes, "the motion does not depend on t: all levels are alike"))
     setup = set_up(grid, case, timing, job.memory, job.joints)
     files.dress = lambda level: with_fields(cells_of(setup, level), wanted.fields)
-    return Run(job, setup, schedule, files, manifest, timing, options.warnings, options.allow_invalid)
+    return Run(job, setup, schedule, files, manifest, timing, options.warnings, options.allow_invalid, wanted.fields)
 
 
 def _suffix(source: Path, wanted: Wanted) -> str:
@@ -167,10 +173,12 @@ def carry_out(run: Run, progress: ProgressBar) -> Report:
         # What a complete series was put together from is gone.
         finished = run.files.read if first < count else None
         levels = deform_series(run.setup, run.schedule, run.files.variant.precision, progress, first, finished)
-        for level in levels:
-            run.warnings.tell(level.result.warnings)
-            ranks.on_first(partial(_record, run, level))
-            progress("levels", level.number + 1, count)
+        with Recorder(run) as recorder:
+            for level in levels:
+                recorder.finish()
+                run.warnings.tell(level.result.warnings)
+                recorder.record(level)
+                progress("levels", level.number + 1, count)
         report = ranks.on_first(lambda: _complete(run))
     run.warnings.tell(text for text in report["warnings"] if not text.startswith("level "))
     return report
@@ -209,13 +217,74 @@ def _complete(run: Run) -> Report:
     return series_report(manifest.head, manifest.levels, schedule, places, seconds, peak_memory())
 
 
-def _record(run: Run, level: Level) -> None:
-    """Write a level, then record it as finished: in this order, so that every recorded level exists."""
+class Recorder:
+    """Writes and records levels, each while the next one is computed, if memory allows.
+
+    What happens and in which order does not depend on that: a level whose file cannot be written ends the series before
+    anything is said or written about the next one.
+    """
+
+    def __init__(self, run: Run):
+        self._run = run
+        self._thread = ThreadPoolExecutor(1, "recorder")
+        self._level: Level | None = None
+        self._writing: Future[None] | None = None
+
+    def record(self, level: Level) -> None:
+        """Begin to write a level, or write it; :meth:`finish` first."""
+        ranks = current_ranks()
+        if self._alone(level, ranks.count):
+            ranks.on_first(partial(_record, self._run, level))
+        else:
+            self._level, self._writing = level, self._thread.submit(_record, self._run, level, beside=True)
+
+    def _alone(self, level: Level, ranks: int) -> bool:
+        """Whether nothing may be computed at the same time."""
+        run, size = self._run, level.result.grid.points.nbytes
+        # The arrays that fields and other programs' formats take count for a level that is written alone.
+        plain = run.files.readable and not run.fields
+        last = level.number + 1 == len(run.schedule.times)
+        if ranks > 1 or thread_count() == 1 or last or not plain:
+            return True
+        return _ARRAYS * size + run.setup.original.kept.bytes > run.setup.memory.spare
+
+    def finish(self) -> None:
+        """Wait until the last level is written and recorded.
+
+        Raises
+        ------
+        MeshDeformError
+            When it cannot be.
+        """
+        if self._level is not None and self._writing is not None:
+            if not self._writing.done():
+                with writing(self._level.result.grid.points.nbytes):
+                    wait([self._writing])
+            done, self._writing, self._level = self._writing, None, None
+            done.result()
+
+    def __enter__(self) -> Recorder:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._thread.shutdown(wait=True)
+        if error is None or isinstance(error, MeshDeformError):
+            # A level before the one that failed comes first.
+            self.finish()
+
+
+def _record(run: Run, level: Level, beside: bool = False) -> None:
+    """Write a level, then record it as finished: in this order, so that every recorded level exists.
+
+    ``beside`` other work it shows no progress.
+    """
     manifest, files = run.manifest, run.files
     before = clock.perf_counter()
     if not level.result.valid and not run.allow_invalid:
         files.invalid.add(level.number)
-    with writing(level.result.grid.points.nbytes):
+    with contextlib.nullcontext() if beside else writing(level.result.grid.points.nbytes):
         files.write(level.number, level.result.grid, level.velocity)
     manifest.head = manifest.head or series_head(level)
     warned = [*manifest.head["warnings"], *(text for done in manifest.levels for text in done["warnings"])]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -38,8 +39,22 @@ def require_no_input(output: Path, inputs: Iterable[Path | None]) -> None:
             )
 
 
-def files_behind(path: Path) -> Iterator[Path]:
+def files_behind(path: Path) -> tuple[Path, ...]:
     """A file that is read and the files it refers to: the data sets of a .vtm, the targets of CGNS links."""
+    try:
+        found = path.stat()
+    except (OSError, ValueError):
+        return (path,)
+    return _files_behind(path, (found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns))
+
+
+@functools.lru_cache(maxsize=64)
+def _files_behind(path: Path, state: tuple[int, ...]) -> tuple[Path, ...]:
+    """Kept while the file is the same: the outputs of a series are compared with its inputs one by one."""
+    return tuple(_related(path))
+
+
+def _related(path: Path) -> Iterator[Path]:
     yield path
     # Faults of the file are reported when it is read.
     try:

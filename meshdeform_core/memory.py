@@ -37,11 +37,13 @@ def readable(size: float) -> str:
 class MemoryLimit:
     """How much memory a run may take.
 
-    ``size`` in bytes; ``source`` names the limit, like ``--max-memory allows`` or ``the machine has``.
+    ``size`` in bytes; ``source`` names the limit, like ``--max-memory allows`` or ``the machine has``; ``taken`` is
+    what has been set apart already.
     """
 
     size: int
     source: str
+    taken: int = 0
 
     def require(self, needed: int, what: str, instead: str) -> None:
         """Refuse ``what`` if it needs more.
@@ -56,7 +58,13 @@ class MemoryLimit:
 
     def after(self, taken: int, what: str) -> MemoryLimit:
         """The limit that remains for methods after ``what`` has taken its share."""
-        return MemoryLimit(max(self.size - taken, 0), f"{self.source}, after {readable(taken)} for {what},")
+        source = f"{self.source}, after {readable(taken)} for {what},"
+        return MemoryLimit(max(self.size - taken, 0), source, self.taken + taken)
+
+    @property
+    def spare(self) -> int:
+        """What may be taken only to save time, once a first grid has been made: a quarter, if that is still there."""
+        return min(self.size // 4, self.size + self.taken - max(self.taken, peak_memory()))
 
 
 UNLIMITED = MemoryLimit(2**62, "the machine has")

@@ -117,6 +117,7 @@ class _Series:
         marching = schedule.origin == "last" and bool(past)
         start = Start(past[-1]) if marching else Start(setup.grid.points, reference, self._correction(number, past))
         result = impose(setup, setup.motion(time), schedule.steps, self.precision, timing, self.progress, start)
+        setup.expect_more()
         displacement = setup.displacement(time)[self.problem.source_numbers]
         drift = velocity = None
         if schedule.origin == "last":

@@ -126,6 +126,12 @@ class Setup:
         vars(other).update(problem=self.problem, original=self.original, examined=self.examined)
         return other
 
+    def expect_more(self) -> None:
+        """Keep what the judgement of further grids needs of the undeformed one, if memory allows; for a series."""
+        kept = self.original.kept
+        if not kept.begun and kept.bytes <= self.memory.spare:
+            kept.begin()
+
     def displacement(self, time: float, fraction: float = 1.0) -> FloatArray:
         """Prescribed displacement of all unique face nodes (n_unique, 3)."""
         return prescribed_displacement(self.grid, self.topology, self.boundary, time, fraction)

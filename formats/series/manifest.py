@@ -43,9 +43,12 @@ class Manifest:
 
     def save(self) -> None:
         """Write the file, replacing it as a whole."""
-        content = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name != "path"}
+        content = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name not in ("path", "levels")}
+        # One line per level: this is written after every level, and Python's own encoder, which indents, is slow.
+        levels = ",\n  ".join(json.dumps(level, allow_nan=False) for level in self.levels)
+        rest = json.dumps(content, indent=1, allow_nan=False).removeprefix("{")
         with replacing(self.path) as partial:
-            partial.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+            partial.write_text(f'{{\n "levels": [\n  {levels}\n ],{rest}\n', encoding="utf-8")
 
     @classmethod
     def load(cls, path: Path) -> Manifest:

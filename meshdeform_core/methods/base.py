@@ -193,6 +193,11 @@ class PreparedMethod(Protocol):
         ...
 
     @property
+    def cheap(self) -> bool:
+        """Whether an apply costs no more than the few copies of the result that combining stored ones would cost."""
+        ...
+
+    @property
     def account(self) -> Account:
         """Parameters as used, with reasons, and warnings."""
         ...
@@ -210,10 +215,11 @@ class PreparedMethod(Protocol):
 
 
 class Mover(Protocol):
-    """First step, bound to its nodes; ``linear`` as in :class:`PreparedMethod`."""
+    """First step, bound to its nodes; ``linear`` and ``cheap`` as in :class:`PreparedMethod`."""
 
     account: Account
     linear: bool
+    cheap: bool
 
     def warnings_for(self, motion: FloatArray, step: FloatArray) -> list[str]:
         """Warnings for a displacement (n_sources, 3) before it is applied; ``step`` is the first increment."""

@@ -25,10 +25,11 @@ _NODES = 100_000
 
 
 class PreparedFiller(Protocol):
-    """Second step, bound to its blocks; ``linear`` as in :class:`.base.PreparedMethod`."""
+    """Second step, bound to its blocks; ``linear`` and ``cheap`` as in :class:`.base.PreparedMethod`."""
 
     account: Account
     linear: bool
+    cheap: bool
 
     def fill(self, displacement: FloatArray, progress: Progress | None = None) -> None:
         """Fill block interiors, in place, from the nodes that the first step moved."""
@@ -83,6 +84,7 @@ class _Scattered:
     flat: IntArray
     account: Account = field(init=False)
     linear: bool = field(init=False)
+    cheap = False
 
     def __post_init__(self) -> None:
         self._bound = self.interpolation.bind(self.problem)
@@ -115,6 +117,11 @@ class PreparedComposite:
         """Whether both steps and the constraints between them are linear; sliding on curved surfaces is not."""
         filler = self._filler is None or self._filler.linear
         return self._mover.linear and filler and not self._problem.boundary.slip.curved
+
+    @property
+    def cheap(self) -> bool:
+        """Whether both steps are."""
+        return self._mover.cheap and (self._filler is None or self._filler.cheap)
 
     @property
     def account(self) -> Account:

@@ -44,6 +44,11 @@ class PreparedPeriodic:
         return self._first.linear and self._rest.linear
 
     @property
+    def cheap(self) -> bool:
+        """Whether both steps are."""
+        return self._first.cheap and self._rest.cheap
+
+    @property
     def account(self) -> Account:
         """Settings and warnings of the method itself."""
         return self._rest.account

@@ -81,6 +81,11 @@ class Superposition:
         """Always."""
         return True
 
+    @property
+    def cheap(self) -> bool:
+        """Whether the method is."""
+        return self._method.cheap
+
     def warnings_for(self, motion: FloatArray, step: FloatArray) -> list[str]:
         """Warnings for a displacement (n_sources, 3) before it is applied; ``step`` is the first increment."""
         return self._method.warnings_for(motion, step)
@@ -167,5 +172,5 @@ def _factors(stored: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
 
 
 def remembering(method: PreparedMethod, problem: Problem) -> PreparedMethod:
-    """The method wrapped in a :class:`Superposition` if it is linear; else the method itself."""
-    return Superposition(method, problem) if method.linear else method
+    """The method wrapped in a :class:`Superposition` if it is linear and that saves time; else the method itself."""
+    return Superposition(method, problem) if method.linear and not method.cheap else method

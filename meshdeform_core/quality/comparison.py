@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..grid import BoolArray, FloatArray, Grid
+from ..grid import FloatArray, Grid
 from ..grid.topology import Topology
 from ..numerics.cell.measures import scattered_hexahedra
 from .cells import Slab, block_volume, corners_of, for_slabs, places, slabs
-from .inspection import Figures, Test, inspect_slab, relative_jacobian
+from .inspection import Figures, inspect_slab, relative_jacobian
 from .original import Original
 from .tally import Range, Tally
 from .validity import Verdict
@@ -76,11 +76,6 @@ class Comparison:
         if least > most:
             return None
         return (int(self._cells[low, 0]), least), (int(self._cells[high, 1]), most)
-
-    @property
-    def broken(self) -> BoolArray:
-        """(n_cells,) cells that became invalid."""
-        return np.asarray(self.verdict.failed != Test.NONE)
 
     @property
     def inherited(self) -> int:

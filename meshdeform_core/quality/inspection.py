@@ -90,10 +90,13 @@ def _hexahedra(original: Original, after: FloatArray, slab: Slab, both: bool) ->
     shape = (slab.last - slab.first, *grid.cell_shapes[slab.block][1:])
     out, is_open = _scratch(slab.stop - slab.start)
     sums, counts = np.zeros((2, 2)), np.zeros((2, HISTOGRAM_BINS), dtype=np.int64)
+    compare = after is not grid.points
+    kept, known = original.kept.of(slab, both) if compare else (np.empty(0, np.float32), False)
     rows.inspect_hexahedra(
-        before, x, after is not grid.points, both, sign, _scale(before, slab), slab.first, slab.last,
-        out.reshape(6, *shape), is_open.reshape(shape), sums, counts,
+        before, x, compare, both, sign, _scale(before, slab), slab.first, slab.last,
+        out.reshape(6, *shape), is_open.reshape(shape), sums, counts, kept, known,
     )  # fmt: skip
+    original.kept.put(slab, kept)
     figures = Figures(
         out[rows.SKEW], out[rows.SCALED], out[rows.RATIO], out[rows.CHANGE], np.zeros(len(is_open), np.int8),
         Sums(float(sums[0, 0]), float(sums[0, 1]), counts[0]), Sums(float(sums[1, 0]), float(sums[1, 1]), counts[1]),

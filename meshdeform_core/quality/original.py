@@ -9,6 +9,7 @@ from ..boundary import Boundary
 from ..grid import FloatArray, Grid
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology
+from .kept import KeptCells
 from .lines import InterfaceLines, WallFace, interface_lines, kink_and_jump, moving_walls, wall_lines
 from .tally import Tally
 
@@ -20,14 +21,19 @@ class Original:
     """An undeformed grid with the data that the judgement needs.
 
     ``min_jacobian``: cells with a corner below this share of its undeformed Jacobian count as invalid; ``measured``:
-    totals over its cells, from the first comparison with another grid.
+    totals over its cells, from the first comparison with another grid; ``kept``: what the judgement of further grids
+    needs of them.
     """
 
     grid: Grid
     topology: Topology
     min_jacobian: float = 0.0
     measured: Tally | None = field(default=None, init=False)
+    kept: KeptCells = field(init=False)
     _walls: tuple[Boundary, list[WallFace], Lines] | None = field(default=None, init=False)
+
+    def __post_init__(self) -> None:
+        self.kept = KeptCells(self.grid)
 
     @property
     def tally(self) -> Tally:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..grid import Grid
-from .cells import slabs
+from .cells import cell_starts, slabs
 from .comparison import Comparison
 from .original import Original
 from .tally import Tally
@@ -36,10 +36,9 @@ class BlockQuality:
 def per_block(original: Original, cells: Comparison) -> tuple[BlockQuality, ...]:
     """The blocks of the grid in its order."""
     grid = original.grid
-    counts = [a * b * c for a, b, c in grid.cell_shapes]
-    ends = np.cumsum(counts)
-    broken = cells.broken
-    invalid = [int(broken[end - count : end].sum()) for count, end in zip(counts, ends, strict=True)]
+    starts = cell_starts(grid)
+    counts = np.diff(starts).tolist()
+    invalid = np.diff(np.searchsorted(cells.verdict.invalid, starts)).tolist()
     rows = zip(grid.names, counts, invalid, _skews(grid, original.tally), _skews(grid, cells.after), strict=True)
     return tuple(BlockQuality(*row) for row in rows)
 

@@ -172,7 +172,7 @@ def _quality(
     invalid, inherited, relative = verdict
     counts = invalid, inherited, cells.negative
     scaled = cells.smallest_scaled[1]
-    return Quality(cells.skew(), *counts, scaled, relative, *walls, *interfaces, ratio, cells.volume, worst)
+    return Quality(cells.skew, *counts, scaled, relative, *walls, *interfaces, ratio, cells.volume, worst)
 
 
 Walls = tuple[Spread | None, Range | None]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -114,7 +115,9 @@ class Tally:
         slab = int(self.lows[:, 0].argmin())
         return int(self.low_cells[slab, 0]), float(self.lows[slab, 0])
 
+    @cached_property
     def skew(self) -> Skew:
+        """The distribution of f_skew, when everything is there."""
         n = len(self.skews)
         inverse, total = self.sums[:, 0].sum(), self.sums[:, 1].sum()
         histogram = self.counts.sum(axis=0)

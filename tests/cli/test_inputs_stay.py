@@ -111,3 +111,18 @@ def test_links_in_a_circle_end(inputs, call):
     write_grid(frame(), "out.cgns")
     assert call("convert", "linked.cgns", "parts/second.cgns", "--force").code == 2
     assert "a link forms a loop" in call("convert", "linked.cgns", "out.cgns", "--force").err
+
+
+def test_the_files_behind_an_input_are_looked_up_once_and_again_when_it_changes(inputs, monkeypatch):
+    from meshdeform_formats import inputs as module
+
+    looks = []
+    plain = module._related
+    monkeypatch.setattr(module, "_related", lambda path: looks.append(path) or plain(path))
+    module._files_behind.cache_clear()
+    for _ in range(3):
+        assert [path.name for path in module.files_behind(Path("linked.cgns"))] == ["linked.cgns", "second.cgns"]
+    assert len(looks) == 1
+    shutil.copy("parts/second.cgns", "linked.cgns")
+    assert [path.name for path in module.files_behind(Path("linked.cgns"))] == ["linked.cgns"]
+    assert len(looks) == 2

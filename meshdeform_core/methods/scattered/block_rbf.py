@@ -53,7 +53,7 @@ class _Block:
 class PreparedBlockRBF:
     """Block systems of one undeformed grid, factorised at the first use and kept while they fit."""
 
-    linear = True
+    linear, cheap = True, False
 
     def __init__(self, options: RBF, problem: Problem, skeleton: Skeleton):
         self._options, self._problem = options, problem

@@ -53,7 +53,7 @@ class TFI:
 class PreparedTFI:
     """Arc-length coordinates of one undeformed grid: three numbers per node inside sub-blocks."""
 
-    linear = True
+    linear, cheap = True, True
 
     def __init__(self, options: TFI, problem: Problem, skeleton: Skeleton):
         grid = problem.grid

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from llvmlite import ir
@@ -25,6 +26,8 @@ POINTS, GRID, CELLS = 3 * N, (ROWS + 1) * N, _FIGURES * WIDTH
 # Bins of each of the sixteen numbers in a vector, so that none has to wait for another.
 BIN_ROW = 32
 COUNTS = BIN_ROW * WIDTH
+# Numbers of sixteen undeformed cells that are kept: corner Jacobians and volume.
+KEPT = 9 * WIDTH
 # Corners flatter than this, in terms of sin of the angle, have a second look; so do those that cannot be.
 _FLAT, _IMPOSSIBLE = 0.01, 1.001
 _TINY, _SPREAD = 1e-33, 1e-6
@@ -124,6 +127,33 @@ def _square(x: Any) -> Lanes:
 
 
 @lanes
+def keep(t: Array, old: ir.Value, kept: Array, at: ir.Value) -> None:
+    """Put what :func:`judge` needs of undeformed cells into ``kept``; no volume of cells that are always left open."""
+    for n in range(8):
+        kept.store(at, t.load(old, (_JACOBIAN + n) * WIDTH), n * WIDTH)
+    least, unit, volume = (t.load(old, n * WIDTH) for n in (_LEAST, _LEAST_UNIT, _VOLUME))
+    kept.store(at, _comparable(least, unit, volume).choose(volume, math.nan), 8 * WIDTH)
+
+
+@lanes
+def recall(kept: Array, at: ir.Value, t: Array, old: ir.Value) -> None:
+    """The other way round."""
+    corners = [kept.load(at, n * WIDTH) for n in range(8)]
+    least = corners[0]
+    for n, jacobian in enumerate(corners):
+        t.store(old, jacobian, (_JACOBIAN + n) * WIDTH)
+        least = least.min(jacobian)
+    t.store(old, least, _LEAST * WIDTH)
+    t.store(old, least * 0.0 + 1.0, _LEAST_UNIT * WIDTH)
+    t.store(old, kept.load(at, 8 * WIDTH), _VOLUME * WIDTH)
+
+
+def _comparable(least: Lanes, unit: Lanes, volume: Lanes) -> Mask:
+    """Undeformed cells that are not so flat, small or distorted that deformed ones are left open."""
+    return _above(unit, _FLAT) & _above(least, _TINY) & (volume * _SPREAD).below(least)
+
+
+@lanes
 def skewness(t: Array, to: ir.Value) -> None:
     """f_skew from the corners."""
     total = t.load(to, _UNIT * WIDTH) * 0.0
@@ -171,9 +201,8 @@ def judge(
         _twist(v, 1) + longest[1] * _ROUNDING,
     )  # fmt: skip
     twists = (ab * ac * longest[0] + ab * bc * longest[1] + ac * bc * longest[2]) * 0.5
-    flattest = t.load(new, _LEAST_UNIT * WIDTH).min(t.load(old, _LEAST_UNIT * WIDTH))
-    sound = twists.below(least * _MARGIN) & _above(flattest, _FLAT) & _above(least.min(least_old), _TINY)
-    sound = sound & (volume_old * _SPREAD).below(least_old)
+    sound = twists.below(least * _MARGIN) & _above(t.load(new, _LEAST_UNIT * WIDTH), _FLAT) & _above(least, _TINY)
+    sound = sound & _comparable(least_old, t.load(old, _LEAST_UNIT * WIDTH), volume_old)
     r.store(m, sound.choose(ratio * 0.0, 1.0), OPEN * N)
 
 

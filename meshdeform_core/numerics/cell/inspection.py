@@ -31,6 +31,7 @@ from .formulas import (
     CHANGE,
     COUNTS,
     GRID,
+    KEPT,
     LONGEST,
     NODES,
     OPEN,
@@ -47,16 +48,31 @@ from .formulas import (
     collect,
     edges,
     judge,
+    keep,
     measure,
     move,
+    recall,
     skewness,
 )  # fmt: skip
 
-__all__ = ["CHANGE", "RATIO", "SCALED", "SCALED_BEFORE", "SKEW", "SKEW_BEFORE", "inspect_hexahedra"]
+__all__ = ["CHANGE", "RATIO", "SCALED", "SCALED_BEFORE", "SKEW", "SKEW_BEFORE", "inspect_hexahedra", "kept_numbers"]
+
+
+def kept_numbers(shape: tuple[int, int, int], layers: int) -> int:
+    """Size of ``kept`` of :func:`inspect_hexahedra` for ``layers`` layers of cells of a block with ``shape`` nodes."""
+    _, cj, ck = (n - 1 for n in shape)
+    step = -(-ck // -(-ck // LONGEST))
+    vectors = 0
+    for k0 in range(0, ck, step):
+        width = min(ck - k0, step) + 1
+        height = max(min(NODES // width, cj + 1), 2)
+        for j0 in range(0, cj, height - 1):
+            vectors += -(-((min(cj - j0 + 1, height) - 1) * width - 1) // WIDTH)
+    return KEPT * vectors * layers
 
 
 @kernel
-def inspect_hexahedra(before, x, compare, both, sign, scale, i0, i1, out, is_open, sums, counts):
+def inspect_hexahedra(before, x, compare, both, sign, scale, i0, i1, out, is_open, sums, counts, kept, known):
     """Figures of the cells i0 <= i < i1 of a block.
 
     Parameters
@@ -72,6 +88,8 @@ def inspect_hexahedra(before, x, compare, both, sign, scale, i0, i1, out, is_ope
     is_open : (i1 - i0, cj, ck) bool, out: neither proved sound nor measured, look again
     sums : (2, 2) added to: sums of 1 / f_skew and of f_skew, of the cells that are not open, after and before
     counts : (2, 20) added to: these cells by f_skew, in equal bins of [0, 1]
+    kept : float32, what an earlier pass over these cells has kept of ``before``, if it is ``known``; else to be filled,
+        if it is not empty (:func:`kept_numbers`). ``known`` data are not for ``both``
     """
     # Flat, as numba counts the references to every view, with an atomic operation.
     points, e = np.zeros(4 * POINTS), np.ones(2 * GRID, np.float32)
@@ -79,7 +97,8 @@ def inspect_hexahedra(before, x, compare, both, sign, scale, i0, i1, out, is_ope
     inside, total, bins = np.empty(N, np.float32), np.zeros(4 * WIDTH), np.zeros(2 * COUNTS, np.int32)
     single, signed = np.float32(scale), np.float32(sign * scale)
     cj, ck = x.shape[1] - 1, x.shape[2] - 1
-    left = 1 if compare else 0
+    left = 1 if compare and not known else 0
+    place = 0
     step = -(-ck // -(-ck // LONGEST))
     for k0 in range(0, ck, step):
         width = min(ck - k0, step) + 1
@@ -98,10 +117,16 @@ def inspect_hexahedra(before, x, compare, both, sign, scale, i0, i1, out, is_ope
                     _edges(points, new, new + 3, e, to + ALONG_K * N + here, rows * width - 1, single)
                 if i > i0:
                     for m in range(0, (rows - 1) * width - 1, WIDTH):
-                        if compare:
+                        if known:
+                            recall(kept, place, t, CELLS)
+                        elif compare:
                             at = m + GRID
                             measure(e, at, at + last, at + here, width, t, CELLS)
-                        judge(e, m, m + last, m + here, width, t, 0, left * CELLS, r)
+                            if kept.size:
+                                keep(t, CELLS, kept, place)
+                        if kept.size:
+                            place += KEPT
+                        judge(e, m, m + last, m + here, width, t, 0, CELLS if compare else 0, r)
                         for g in range(left + 1 if both else 1):
                             skewness(t, g * CELLS)
                             collect(t, g * CELLS, r, m, 4 * g * N, inside, total, 2 * g * WIDTH, bins, g * COUNTS)
