@@ -3,9 +3,9 @@
     python benchmarks/compare.py OTHER/bin/python
     python benchmarks/compare.py OTHER/bin/python --samples splitter-plate-16 --methods tfi idw-tfi --repeats 5
 
-``OTHER`` is the environment of the other version, which may be as old as 0.1. Every command is run by both in turns, with
-the default options of each; the table gives the smallest CPU times (user and system, all threads) of a whole ``deform``
-and of a further level of ``series``, which is the difference between a long and a short series.
+``OTHER`` is the environment of the other version, which may be as old as 0.1. Every command is run by both in turns,
+with the default options of each; the table gives the smallest CPU times (user and system, all threads) of a whole
+``deform`` and of a further level of ``series``, which is the difference between a long and a short series.
 """
 
 from __future__ import annotations
@@ -91,11 +91,9 @@ def _row(programs: dict[str, _Program], folder: Path, method: str, repeats: int)
     for _ in range(repeats):
         for name, program in programs.items():
             deform = program.cpu(folder, method, ["deform", "-o", str(folder / "out.xyz"), "--time", "1"])
+            series = ["series", "-o", str(folder / "out"), "--suffix", ".xyz"]
             short, long = (
-                program.cpu(
-                    folder, method, ["series", "-o", str(folder / "out"), "--suffix", ".xyz", f"--times={_times(count)}"]
-                )
-                for count in (_SHORT, _LONG)
+                program.cpu(folder, method, [*series, f"--times={_times(count)}"]) for count in (_SHORT, _LONG)
             )
             found[name].append((deform, (long - short) / (_LONG - _SHORT)))
     best = {name: [min(column) for column in zip(*rows, strict=True)] for name, rows in found.items()}

@@ -18,6 +18,7 @@ from ..numerics.cell import inspection as rows
 from ..numerics.cell.measures import scattered_hexahedra
 from ..numerics.cell.positivity import COLLAPSED, decide, judge_quads
 from .cells import Slab, corners_of, measure_block, side_of_good_quads
+from .kept import NOTHING
 from .original import Original
 from .tally import HISTOGRAM_BINS, Sums
 
@@ -91,7 +92,7 @@ def _hexahedra(original: Original, after: FloatArray, slab: Slab, both: bool) ->
     out, is_open = _scratch(slab.stop - slab.start)
     sums, counts = np.zeros((2, 2)), np.zeros((2, HISTOGRAM_BINS), dtype=np.int64)
     compare = after is not grid.points
-    kept, known = original.kept.of(slab, both) if compare else (np.empty(0, np.float32), False)
+    kept, known = original.kept.of(slab, both) if compare else (NOTHING, False)
     rows.inspect_hexahedra(
         before, x, compare, both, sign, _scale(before, slab), slab.first, slab.last,
         out.reshape(6, *shape), is_open.reshape(shape), sums, counts, kept, known,

@@ -10,7 +10,7 @@ from ..grid import FloatArray, Grid
 from ..numerics.cell.inspection import kept_numbers
 from .cells import Slab, slabs
 
-_NOTHING: FloatArray = np.empty(0, np.float32)
+NOTHING: FloatArray = np.empty(0, np.float32)
 
 
 class KeptCells:
@@ -29,7 +29,7 @@ class KeptCells:
         """The memory that all of them take; several ranks share it."""
         if self._grid.dimension == 2:
             return 0
-        return sum(self._size(slab) for slab in slabs(self._grid)) * _NOTHING.itemsize
+        return sum(self._size(slab) for slab in slabs(self._grid)) * NOTHING.itemsize
 
     def begin(self) -> None:
         """Keep what the next pass computes."""
@@ -38,7 +38,7 @@ class KeptCells:
     def of(self, slab: Slab, both: bool) -> tuple[FloatArray, bool]:
         """The array of a slab, to be read if it is known, else to be filled; empty for a pass that needs more."""
         if slab.start in self._parts:
-            return (_NOTHING, False) if both else (self._parts[slab.start], True)
+            return (NOTHING, False) if both else (self._parts[slab.start], True)
         return np.empty(self._size(slab) if self.begun else 0, np.float32), False
 
     def put(self, slab: Slab, part: FloatArray) -> None:
