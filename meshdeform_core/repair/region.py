@@ -11,12 +11,11 @@ import numpy as np
 from ..grid import BoolArray, FloatArray, IntArray
 from ..numerics.cell.foldover import Samples, add_derivatives, energy_of_cells, measure_samples
 from ..numerics.cell.foldover_plane import add_triangles, corner_triangles, energy_of_triangles
+from .shape import hexahedron_shapes, lost, triangle_shapes
 
 COLLAPSED = 1e-10
 """A Jacobian below this share of the product of the edges is that of a collapsed corner."""
 _CORNERS = (1 << 8) - 1
-# Guarded elements may deteriorate by that factor, and good ones a little more.
-_MARGIN, _FORGIVEN = 1.25, 0.2
 
 
 class Unknowns(NamedTuple):
@@ -52,6 +51,21 @@ class Rows(NamedTuple):
         return self[:4]
 
 
+class Margin(NamedTuple):
+    """By which ``factor`` the excess of a density over 2 may grow, with at least a ``smallest`` excess."""
+
+    factor: float
+    smallest: float
+
+    def barrier(self, density: FloatArray) -> FloatArray:
+        """Barriers t (m,) for present densities (m,)."""
+        return np.asarray(1.0 / (2.0 + self.factor * np.maximum(density - 2.0, self.smallest)))
+
+
+GUARDED, FIRM, PRESSED = Margin(1.25, 0.2), Margin(1.1, 0.05), Margin(1.05, 0.02)
+"""Of guarded elements while others improve, and while shapes do; of those pressed towards a better shape."""
+
+
 class Weights(NamedTuple):
     """Of elements: how much each counts in the sum, ``sum`` (m,), and whether it is ``guarded`` (m,): it may not
     deteriorate where others improve."""
@@ -68,10 +82,16 @@ class Weights(NamedTuple):
         """Those of some elements."""
         return Weights(self.sum[which], self.guarded[which])
 
-    def guard(self, density: FloatArray) -> FloatArray:
+    def guard(self, density: FloatArray, margin: Margin) -> FloatArray:
         """Weights and own barriers (m, 2) of the energy; guarded elements have the largest ``density`` (m,) now."""
-        barrier = 1.0 / (2.0 + _MARGIN * np.maximum(density - 2.0, _FORGIVEN))
-        return np.stack([self.sum, np.where(self.guarded, barrier, 0.0)], axis=1)
+        return np.stack([self.sum, np.where(self.guarded, margin.barrier(density), 0.0)], axis=1)
+
+    @staticmethod
+    def press(weight: FloatArray, density: FloatArray, weak: BoolArray) -> FloatArray:
+        """The same, after :meth:`guard`, with a barrier just above the ``density`` (m,) of ``weak`` (m,) elements."""
+        result = weight.copy()
+        result[weak, 1] = np.maximum(weight[weak, 1], PRESSED.barrier(density[weak]))
+        return result
 
     @property
     def free(self) -> FloatArray:
@@ -85,8 +105,20 @@ class Energy(Protocol):
     @property
     def nodes(self) -> IntArray: ...
 
-    def guard(self, x: FloatArray) -> None:
+    def guard(self, x: FloatArray, margin: Margin = GUARDED) -> None:
         """Keep guarded elements, all of them valid at ``x`` (n, d), from deteriorating much."""
+        ...
+
+    def press(self, weak: BoolArray, density: FloatArray) -> None:
+        """The same, and ``weak`` elements (m,) of the given densities (m,) from deteriorating at all."""
+        ...
+
+    def measure(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(m,) smallest determinant and largest density of valid elements."""
+        ...
+
+    def shapes(self, x: FloatArray) -> FloatArray:
+        """(m,) f_skew of valid elements over their corners; 1 where it is close to that of the undeformed ones."""
         ...
 
     def sum(self, x: FloatArray, penalty: Penalty, low: int, high: int) -> tuple[float, float, float]:
@@ -118,11 +150,23 @@ class Hexahedra:
     weights: Weights
 
     def __post_init__(self) -> None:
-        self._weight = self.weights.free
+        self._weight = self._guard = self.weights.free
+        self._undeformed: FloatArray | None = None
 
-    def guard(self, x: FloatArray) -> None:
-        _, highest = measure_samples(x, self.start, self.nodes, self.mask, self.samples)
-        self._weight = self.weights.guard(highest)
+    def guard(self, x: FloatArray, margin: Margin = GUARDED) -> None:
+        self._weight = self._guard = self.weights.guard(self.measure(x)[1], margin)
+
+    def press(self, weak: BoolArray, density: FloatArray) -> None:
+        self._weight = self.weights.press(self._guard, density, weak)
+
+    def shapes(self, x: FloatArray) -> FloatArray:
+        if self._undeformed is None:
+            self._undeformed = hexahedron_shapes(self.start, self.nodes, self.mask)
+        return lost(hexahedron_shapes(x, self.nodes, self.mask), self._undeformed)
+
+    def measure(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        lowest, highest = measure_samples(x, self.start, self.nodes, self.mask, self.samples)
+        return lowest, highest
 
     def focus(self, x: FloatArray, weak: float) -> None:
         """Take all samples of hexahedra that have a determinant below ``weak``, and only the corners of the others."""
@@ -145,19 +189,29 @@ class Hexahedra:
 @dataclass
 class Triangles:
     """The energy of the corners of quadrilaterals: ``nodes`` (m, 3), ``slope`` (m, 3, 2) the undeformed gradients of
-    their shape functions, ``weights`` those of their cells."""
+    their shape functions, ``start`` (n, 2) undeformed coordinates, ``weights`` those of their cells."""
 
     nodes: IntArray
     slope: FloatArray
+    start: FloatArray
     weights: Weights
 
     def __post_init__(self) -> None:
-        self._weight = self.weights.free
+        self._weight = self._guard = self.weights.free
 
-    def guard(self, x: FloatArray) -> None:
+    def guard(self, x: FloatArray, margin: Margin = GUARDED) -> None:
+        self._weight = self._guard = self.weights.guard(self.measure(x)[1], margin)
+
+    def press(self, weak: BoolArray, density: FloatArray) -> None:
+        self._weight = self.weights.press(self._guard, density, weak)
+
+    def shapes(self, x: FloatArray) -> FloatArray:
+        return lost(triangle_shapes(x, self.nodes), triangle_shapes(self.start, self.nodes))
+
+    def measure(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         a = np.einsum("mnd,mnk->mdk", x[self.nodes], self.slope)
         det = np.linalg.det(a)
-        self._weight = self.weights.guard(((a**2).sum(axis=(1, 2)) + det**2 + 1.0) / (2.0 * det))
+        return det, np.asarray(((a**2).sum(axis=(1, 2)) + det**2 + 1.0) / (2.0 * det))
 
     @classmethod
     def at_corners(cls, start: FloatArray, cells: IntArray, sign: FloatArray, weights: Weights) -> Triangles:
@@ -165,12 +219,12 @@ class Triangles:
         most = 4 * len(cells)
         nodes, slope, cell = np.empty((most, 3), np.int64), np.empty((most, 3, 2)), np.empty(most, np.int64)
         count = corner_triangles(start, cells, sign, COLLAPSED, nodes, slope, cell)
-        return cls(nodes[:count], slope[:count], weights.of(cell[:count]))
+        return cls(nodes[:count], slope[:count], start, weights.of(cell[:count]))
 
     def with_any(self, moves: BoolArray) -> Triangles:
         """Those that have one of the nodes that ``moves`` (n,) is true for."""
         kept = np.asarray(moves[self.nodes].any(axis=1))
-        return self if kept.all() else Triangles(self.nodes[kept], self.slope[kept], self.weights.of(kept))
+        return self if kept.all() else Triangles(self.nodes[kept], self.slope[kept], self.start, self.weights.of(kept))
 
     def sum(self, x: FloatArray, penalty: Penalty, low: int, high: int) -> tuple[float, float, float]:
         return energy_of_triangles(x, *self._loops, *penalty, low, high)

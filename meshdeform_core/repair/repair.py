@@ -174,16 +174,16 @@ class Repairer:
         """The best state of regions that grow by stages, and the Newton steps taken."""
         stages = _LAYERS[self.original.grid.dimension][-1 if way.patient else 0 :]
         best = now = start
-        steps, density = 0, np.inf
+        steps, density, done = 0, np.inf, 0
         for layers in stages:
             if self.limit.reached:
                 break
-            before, reached = 0.0, np.inf
+            before, reached, count = 0.0, np.inf, 0
             for _ in range(_ROUNDS if layers else _LAST_ROUNDS):
-                found = self._attempt(now, layers, weak, way)
+                found = self._attempt(now, layers, weak, way, done)
                 if found is None:
                     return best, steps
-                before, reached = found.before, found.density
+                before, reached, count = found.before, found.density, len(found.moved)
                 steps += found.steps
                 now = self._moved(now, found)
                 helped = _ENOUGH < reached < _GAIN * before
@@ -196,6 +196,7 @@ class Repairer:
                 best, density = now, reached
             if now.verdict.valid and density < _ENOUGH:
                 break
+            done = count if now.verdict.valid else 0
         return best, steps
 
     def _in_plane(self, points: FloatArray, verdict: Verdict, polish: bool, ways: tuple[Way, ...]) -> Outcome | None:
@@ -215,8 +216,9 @@ class Repairer:
         record = self._record(_State(points, verdict), after, steps, clock.perf_counter() - begin)
         return Outcome(spread, after.verdict, record)
 
-    def _attempt(self, now: _State, layers: int | None, limit: float, way: Way) -> _Attempt | None:
-        """Move the nodes within ``layers`` layers of weak cells; ``None`` if there are none, or too many."""
+    def _attempt(self, now: _State, layers: int | None, limit: float, way: Way, done: int) -> _Attempt | None:
+        """Move the nodes within ``layers`` layers of weak cells; ``None`` if there are none, too many, or only those
+        that have been ``done``."""
         broken = (now.verdict.failed != 0) | (now.verdict.ratio < limit)
         weak = np.flatnonzero(broken if now.skewed is None else broken | now.skewed)
         # Several machines compute the same, but not equally fast.
@@ -225,7 +227,8 @@ class Repairer:
         def make() -> _Attempt | None:
             with alone():
                 free = self._neighbourhood.around(weak, layers)
-                if not free.size or NewtonSystem.memory(free.size, self.original.grid.dimension) > self.memory.size:
+                size = NewtonSystem.memory(free.size, self.original.grid.dimension)
+                if free.size in (0, done) or size > self.memory.size:
                     return None
                 if now.verdict.valid and free.size > _LARGE:
                     return None

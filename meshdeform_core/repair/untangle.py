@@ -10,7 +10,7 @@ import numpy as np
 from ..grid import FloatArray
 from ..parallel import for_chunks
 from .newton import NewtonSystem
-from .region import Penalty, Region
+from .region import FIRM, GUARDED, Penalty, Region
 
 _ELEMENTS = 4096
 _TOLERANCE = 3e-2
@@ -22,6 +22,11 @@ _GOOD = 2.6
 _WINDOW, _STALLED = 5, 0.95
 # Plain steps after untangling.
 _SETTLING = 3
+# Elements of a shape below _WEAKEST times the worst are pressed, in at most _SHAPING steps, until _IDLE of these have
+# not improved the worst by the factor _HELPS. The largest density may grow by the part _LOOSE of its excess, the
+# smallest determinant may fall to the part _KEPT.
+_WEAKEST, _SHAPING, _IDLE = 1.15, 8, 2
+_HELPS, _LOOSE, _KEPT = 1.01, 0.02, 0.995
 # By which part of the distance to the largest density a barrier approaches it at least.
 _CLOSER = 0.3
 _SMALLEST_STEP = 1e-4
@@ -97,11 +102,11 @@ class Untangler:
         The barrier approaches the largest density as the energy converges, but always by some part of the distance.
         Guarded elements keep a barrier of their own.
         """
-        best = now = self.state(self.x, Penalty(0.0))
+        first = best = now = self.state(self.x, Penalty(0.0))
         for _ in range(_SETTLING if self.steps else 0):
             # What the regularisation has moved without need returns, before guarded elements are compared with it.
             now = self._step(now, Penalty(0.0))
-        self.region.energy.guard(now.x)
+        self.region.energy.guard(now.x, GUARDED)
         best = min(best, now, key=lambda state: state.highest)
         t, recent = 0.5 / now.highest, [np.inf] * _WINDOW
         for step in range(most):
@@ -113,8 +118,31 @@ class Untangler:
             now = self._step(before, Penalty(0.0, t))
             best = min(best, now, key=lambda state: state.highest)
             t += max(_CLOSER, 1.0 - now.energy / before.energy) * (1.0 - t * now.highest) / now.highest
-        self.x = best.x
+        self.x = (best if best is first else self._straightened(best)).x
         return best.highest
+
+    def _straightened(self, now: State) -> State:
+        """The state after a few steps that improve the worst shapes without spoiling what has been improved.
+
+        The largest densities are often those of cells that have lost volume; skew ones may be below them.
+        """
+        if now.highest < _GOOD:
+            return now
+        energy = self.region.energy
+        energy.guard(now.x, FIRM)
+        t = 1.0 / (2.0 + (1.0 + _LOOSE) * (now.highest - 2.0))
+        best, value, idle, smallest = now, float(energy.shapes(now.x).min()), 0, now.lowest
+        for _ in range(_SHAPING):
+            shapes, (lowest, density) = energy.shapes(now.x), energy.measure(now.x)
+            energy.press((shapes < _WEAKEST * shapes.min()) | (lowest < _WEAKEST * smallest), density)
+            now = self._step(self.state(now.x, Penalty(0.0, t)), Penalty(0.0, t))
+            worst = float(energy.shapes(now.x).min())
+            idle += 1
+            if worst > _HELPS * value and now.lowest > _KEPT * smallest:
+                best, value, idle = now, worst, 0
+            if idle == _IDLE or self.late():
+                break
+        return best
 
     def _tell(self, done: int, most: int) -> None:
         if self.progress:
