@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 from .boundary.crossing import find_contact
 from .boundary.pinned import find_pinned
 from .errors import MethodError
 from .march import March, Trial
 from .methods import Options
-from .repair.repair import COLLAPSING
+from .repair.repair import COLLAPSING, HASTILY, QUICKLY
 
 MAX_HALVINGS = 8
 # The same for steps with a repair in each, which cost much more.
@@ -57,27 +58,25 @@ def adaptively(march: March) -> None:
 
 def until_valid(march: March) -> None:
     """Try one step with a repair, quick and then patient, then smaller steps with a repair in each, then the same with
-    another method.
+    another method. Where the boundary alone shows that no valid grid exists, one step and a part of the motion, each
+    with a short repair, are all that is tried.
 
     If the grid of one step is valid but nearly collapsed, the best one of several methods is taken.
     If nothing helps, the grid with the fewest invalid cells is kept, with its boundary where it was prescribed; the
     warnings say why, and for what part of the motion a valid grid was found.
     """
     march.warn_ahead(0.0)
-    best, options = march.trial(1.0), march.options
-    impossible = [] if best.verdict.valid else _impossible(march)
-    march.warnings += impossible
-    if not best.verdict.valid and not impossible:
-        best = march.insist(best)
-        if not best.verdict.valid and _in_smaller_steps(march):
+    best, options = march.plain_trial(1.0), march.options
+    impossible = None if best.verdict.valid else _find_impossible(march)
+    best = march.repaired(best, HASTILY if impossible else QUICKLY)
+    if impossible and not best.verdict.valid:
+        march.warnings += impossible.reasons
+        march.trial(_BEFORE * impossible.fraction, HASTILY)
+    elif not best.verdict.valid:
+        persistent = _persistently(march, best)
+        if persistent is None:
             return
-    if not best.verdict.valid and not impossible:
-        for trial in _with_other_methods(march, (RESCUE,)):
-            other = trial if trial.verdict.valid else march.insist(trial)
-            if len(other.verdict.invalid) < len(best.verdict.invalid):
-                best, options = other, march.options
-            if not best.verdict.valid and _in_smaller_steps(march):
-                return
+        best, options = persistent
     if best.verdict.valid and best.verdict.ratio.min() < COLLAPSING:
         for trial in _with_other_methods(march, SQUEEZED):
             if trial.verdict.valid and trial.verdict.ratio.min() > best.verdict.ratio.min():
@@ -86,6 +85,23 @@ def until_valid(march: March) -> None:
     march.accept(best)
     if not best.verdict.valid:
         _give_up(march)
+
+
+def _persistently(march: March, best: Trial) -> tuple[Trial, Options] | None:
+    """The best grid of one step, after a quick repair has failed, and its method; ``None`` when the motion has been
+    imposed in smaller steps."""
+    options, best = march.options, march.insist(best)
+    if best.verdict.valid:
+        return best, options
+    if _in_smaller_steps(march):
+        return None
+    for trial in _with_other_methods(march, (RESCUE,)):
+        other = trial if trial.verdict.valid else march.insist(trial)
+        if len(other.verdict.invalid) < len(best.verdict.invalid):
+            best, options = other, march.options
+        if not best.verdict.valid and _in_smaller_steps(march):
+            return None
+    return best, options
 
 
 def _in_smaller_steps(march: March) -> bool:
@@ -122,14 +138,23 @@ def _with_other_methods(march: March, names: tuple[str, ...]) -> Iterator[Trial]
             march.warnings.append(f"{name} was not tried: {error}")
 
 
-def _impossible(march: March) -> list[str]:
-    """Why no valid grid exists, if the boundary alone shows it; part of the motion before that point is tried."""
+@dataclass(frozen=True)
+class _Impossible:
+    """Why no valid grid exists, as far as the boundary alone shows it, and the ``fraction`` of the motion up to which
+    that does not."""
+
+    reasons: list[str]
+    fraction: float
+
+
+def _find_impossible(march: March) -> _Impossible | None:
     setup, motion = march.setup, march.motion
     contact = find_contact(setup.grid, setup.topology, setup.boundary, motion)
-    pinned = find_pinned(setup.grid, setup.topology, setup.boundary, motion(1.0))
-    if contact or pinned:
-        march.trial(_BEFORE * (contact.fraction if contact else 1.0))
-    return [found.message for found in (contact, pinned) if found]
+    pinned = find_pinned(setup.grid, setup.topology, setup.boundary, march.total)
+    if contact is None:
+        setup.examined.append(march.max_displacement)
+    reasons = [found.message for found in (contact, pinned) if found]
+    return _Impossible(reasons, contact.fraction if contact else 1.0) if reasons else None
 
 
 def _give_up(march: March) -> None:

@@ -139,9 +139,17 @@ class March:
         motion, step = ((self._prescribed(part) - self.moved)[sources] for part in (1.0, first))
         self.warnings += self._method().warnings_for(motion, step)
 
-    def trial(self, fraction: float) -> Trial:
+    def trial(self, fraction: float, ways: tuple[Way, ...] = QUICKLY) -> Trial:
         """Move from the current grid to ``fraction`` of the motion, and repair the result if the case asks for it."""
-        trial = self._noted(self._judged(fraction, self._moved(fraction)), repaired=False)
+        return self.repaired(self.plain_trial(fraction), ways)
+
+    def plain_trial(self, fraction: float) -> Trial:
+        """The same without a repair."""
+        return self._noted(self._judged(fraction, self._moved(fraction)), repaired=False)
+
+    def repaired(self, trial: Trial, ways: tuple[Way, ...] = QUICKLY) -> Trial:
+        """A plain trial from the current grid, repaired if the case asks for it."""
+        fraction = trial.fraction
         mode = self.setup.case.repair.mode
         if mode == "off" or not (mode == "polish" or self.repairer.needed(trial.verdict, trial.cells)):
             return trial
@@ -153,7 +161,7 @@ class March:
                 self.repairs.append(Repair.carried(correction))
                 return self._noted(trial, repaired=True)
         self._broken = trial
-        return self._repaired(trial, QUICKLY, keep=correction is not None or not trial.verdict.valid)
+        return self._repaired(trial, ways, keep=correction is not None or not trial.verdict.valid)
 
     def patient_trial(self, fraction: float) -> Trial:
         """The same; where the repair fails, it is done once more with patience."""

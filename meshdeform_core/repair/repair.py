@@ -33,6 +33,8 @@ COLLAPSING = 0.01
 _LAYERS: dict[int, tuple[int | None, ...]] = {2: (32, None), 3: (8, 32, None)}
 # A regularisation that begins large and falls slowly finds valid grids where a quick one is caught.
 _QUICK, _PATIENT = Pace(60, 2.0, 0.2), Pace(200, 50.0, 0.1)
+# Where no valid grid exists, most cells that can become valid do so early.
+_HASTY = Pace(30, 2.0, 0.3)
 _IMPROVING = 60
 _ROUNDS, _LAST_ROUNDS = 2, 6
 # A region of n nodes takes at most _WORK / n Newton steps, so that time is bounded on large grids.
@@ -44,13 +46,20 @@ _LARGE = 300_000
 
 
 class Way(NamedTuple):
-    """How cells are untangled: ``patient`` or quickly; ``even``: cells at walls count like all others."""
+    """How cells are untangled: ``patient`` or quickly; ``even``: cells at walls count like all others; ``hasty``: only
+    around weak cells, and no improvement follows."""
 
     patient: bool = False
     even: bool = False
+    hasty: bool = False
+
+    @property
+    def pace(self) -> Pace:
+        """Of the Newton steps."""
+        return _PATIENT if self.patient else _HASTY if self.hasty else _QUICK
 
 
-QUICKLY, PATIENTLY = (Way(),), (Way(patient=True), Way(patient=True, even=True))
+QUICKLY, PATIENTLY, HASTILY = (Way(),), (Way(patient=True), Way(patient=True, even=True)), (Way(hasty=True),)
 EVERY_WAY = QUICKLY + PATIENTLY
 
 Progress = Callable[[str, int, int], None]
@@ -172,7 +181,7 @@ class Repairer:
 
     def _grow(self, start: _State, weak: float, way: Way) -> tuple[_State, int]:
         """The best state of regions that grow by stages, and the Newton steps taken."""
-        stages = _LAYERS[self.original.grid.dimension][-1 if way.patient else 0 :]
+        stages = _LAYERS[self.original.grid.dimension][-1 if way.patient else 0 : 1 if way.hasty else None]
         best = now = start
         steps, density, done = 0, np.inf, 0
         for layers in stages:
@@ -233,19 +242,20 @@ class Repairer:
                 if now.verdict.valid and free.size > _LARGE:
                     return None
                 plot = self._neighbourhood.plot(free, way.even, now.points)
-                return self._solve(plot, now.points, _PATIENT if way.patient else _QUICK, late)
+                return self._solve(plot, now.points, way, late)
 
         return current_ranks().once(make)
 
-    def _solve(self, plot: Plot, points: FloatArray, pace: Pace, late: Callable[[], bool]) -> _Attempt:
+    def _solve(self, plot: Plot, points: FloatArray, way: Way, late: Callable[[], bool]) -> _Attempt:
         start = plot.inside(points)
         if isinstance(plot.region.energy, Hexahedra):
             plot.region.energy.focus(start, WEAK)
         untangler = Untangler(plot.region, start, progress=self.progress, late=late)
         before = untangler.state(start, Penalty(0.0)).highest
         most = max(_FEWEST, _WORK // plot.region.n_unknowns)
-        untangled = untangler.untangle(replace(pace, steps=min(pace.steps, most)))
-        density = untangler.improve(_IMPROVING) if untangled and plot.region.n_unknowns < _LARGE else np.inf
+        untangled = untangler.untangle(replace(way.pace, steps=min(way.pace.steps, most)))
+        improved = untangled and not way.hasty and plot.region.n_unknowns < _LARGE
+        density = untangler.improve(_IMPROVING) if improved else np.inf
         shift = plot.shift(untangler.x - start)
         return _Attempt(plot.moved, shift, untangled, before, density, untangler.steps)
 

@@ -209,8 +209,11 @@ def test_when_nothing_helps_the_boundary_is_where_it_was_told():
     np.testing.assert_array_equal(result.grid.points[wall], told)
     assert any("body" in warning for warning in result.warnings)
     assert any("no valid grid was found" in warning for warning in result.warnings)
-    # What was reached before the walls meet is told, and no other steps are tried.
+    # What was reached before the walls meet is told, and no other steps are tried; both repairs are short.
     assert len(result.attempts) <= 4
+    assert result.repair is not None
+    assert 0 < result.repair.newton_steps <= 60
+    assert result.attempts[1].invalid_cells < result.attempts[0].invalid_cells
     assert max(a.reached for a in result.attempts if not a.invalid_cells) > 0.1
     assert any("only for" in warning for warning in result.warnings)
 
