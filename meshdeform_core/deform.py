@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from .attempts import adaptively, in_equal_steps, until_valid
-from .boundary.crossing import find_crossings
+from .boundary.crossing import Crossing, find_crossings
 from .errors import CaseError
 from .grid import Grid
 from .grid.joints import Joints, find_joints
@@ -15,6 +15,7 @@ from .march import Attempt, March
 from .memory import UNLIMITED, MemoryLimit
 from .methods import Account, Progress
 from .methods.limits import PatchMotion, patch_motions
+from .parallel import Task
 from .quality import Assessment, assess
 from .repair.repair import COLLAPSING, Repair
 from .setup import BoundaryMotion, Case, Setup, Start, Timing, set_up
@@ -116,6 +117,7 @@ def impose(
 ) -> Result:
     """Impose a motion of the boundary, from the undeformed grid or from ``start``; see :func:`deform`."""
     march = March(setup, motion, precision, timing, progress, start)
+    beside = _Beside.begun(march)
     repairs = setup.case.repair.mode != "off"
     if steps is None:
         steps = "auto" if repairs else 1
@@ -125,10 +127,10 @@ def impose(
         in_equal_steps(march, steps)
     else:
         raise CaseError(f'steps = {steps!r}; expected a whole number >= 1 or "auto"')
-    return _result(march)
+    return _result(march, beside)
 
 
-def _result(march: March) -> Result:
+def _result(march: March, beside: _Beside) -> Result:
     setup, last = march.setup, march.last
     final = march.rounded(march.points)
     with march.timing.stage("quality"):
@@ -147,30 +149,55 @@ def _result(march: March) -> Result:
         march.fraction,
         march.max_displacement,
         march.timing,
-        (*march.warnings, *march.notices.values(), *_nearly_collapsed(assessment), *_overlaps(march, assessment)),
-        patch_motions(setup.problem, march.total),
+        (
+            *march.warnings,
+            *march.notices.values(),
+            *_nearly_collapsed(assessment),
+            *_overlaps(march, assessment, beside),
+        ),
+        beside.motions.result(),
         tuple(march.attempts),
         sum(march.repairs[1:], march.repairs[0]) if march.repairs else None,
     )
 
 
-def _overlaps(march: March, assessment: Assessment) -> list[str]:
+@dataclass(frozen=True)
+class _Beside:
+    """What is found of the moving boundary alone, beside the deformation of the grid.
+
+    ``crossings`` are where it crosses itself. Of the levels of a series, those are examined whose displacement is
+    larger than at the levels before; ``None`` for the others.
+    """
+
+    motions: Task[tuple[PatchMotion, ...]]
+    crossings: Task[tuple[Crossing, ...]] | None
+
+    @classmethod
+    def begun(cls, march: March) -> _Beside:
+        setup, total = march.setup, march.total
+        # The method asks for the rotations that this finds.
+        motions = Task(lambda: patch_motions(setup.problem, total))
+        if march.max_displacement <= _GROWTH * max(setup.examined, default=0.0):
+            return cls(motions, None)
+        where = setup.grid, setup.topology, setup.boundary
+        return cls(motions, Task(lambda: find_crossings(*where, total), after=motions))
+
+
+def _overlaps(march: March, assessment: Assessment, beside: _Beside) -> list[str]:
     """A warning if valid cells overlap others: a wall may pass through itself where no cells lie between its sides.
 
-    Other boundaries cannot meet while all cells are valid. Of the levels of a series, those are tested whose
-    displacement is larger than at the levels before.
+    Other boundaries cannot meet while all cells are valid.
     """
-    setup, largest = march.setup, march.max_displacement
-    if not assessment.valid or march.fraction < 1.0 or largest <= _GROWTH * max(setup.examined, default=0.0):
+    if not assessment.valid or march.fraction < 1.0 or beside.crossings is None:
         return []
     with march.timing.stage("quality"):
-        crossings = find_crossings(setup.grid, setup.topology, setup.boundary, march.total)
+        crossings = beside.crossings.result()
     if crossings:
         return [
             f"the moved boundary crosses itself: {crossings[0]}. The cells are valid one by one, but the grid overlaps "
             f"itself there"
         ]
-    setup.examined.append(largest)
+    march.setup.examined.append(march.max_displacement)
     return []
 
 

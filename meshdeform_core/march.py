@@ -11,7 +11,7 @@ import numpy as np
 from .boundary.prescribed import largest_displacement
 from .grid import FloatArray
 from .grid.precision import rounded
-from .methods import Account, Options, PreparedMethod, Progress, make_method
+from .methods import Account, Options, PreparedMethod, Problem, Progress, make_method
 from .parallel import empty, for_rows
 from .quality.comparison import Comparison
 from .quality.validity import Verdict, judge
@@ -237,10 +237,15 @@ class March:
             return self.motion(fraction)
         return self.begin + fraction * (self.total - self.begin)
 
+    def _problem(self) -> Problem:
+        """The problem on the current grid; that of the undeformed one keeps what it has found of its surface."""
+        if self.points is self.setup.grid.points:
+            return self.setup.problem
+        return dataclasses.replace(self.setup.problem, grid=self.setup.grid.moved(self.points))
+
     def _method(self) -> PreparedMethod:
         """The method prepared on the current grid; kept while trials start from the same grid."""
         if self._prepared is None or self._prepared[0] is not self.points or self._prepared[1] is not self.options:
             with self.timing.stage("prepare"):
-                problem = dataclasses.replace(self.setup.problem, grid=self.setup.grid.moved(self.points))
-                self._prepared = self.points, self.options, make_method(self.options).prepare(problem)
+                self._prepared = self.points, self.options, make_method(self.options).prepare(self._problem())
         return self._prepared[2]

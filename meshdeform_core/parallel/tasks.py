@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from .loops import current_ranks, thread_count
 
@@ -14,14 +14,14 @@ _running: set[threading.Thread] = set()
 
 
 class Task(Generic[T]):
-    """The result of ``make()``, which begins at once on a thread of its own.
+    """The result of ``make()``, which begins at once on a thread of its own, or when the task ``after`` is done.
 
     With one thread, or several ranks, whose loops must come in the same order on all of them, ``make`` is called by
     :meth:`result`, the first time. It must neither change what the code beside it uses nor depend on it.
     """
 
-    def __init__(self, make: Callable[[], T]) -> None:
-        self._make, self._lock = make, threading.Lock()
+    def __init__(self, make: Callable[[], T], after: Task[Any] | None = None) -> None:
+        self._make, self._after, self._lock = make, after, threading.Lock()
         self._outcome: T | None = None
         self._failure: BaseException | None = None
         self._done = False
@@ -44,6 +44,8 @@ class Task(Generic[T]):
 
     def _run(self) -> None:
         try:
+            if self._after is not None and self._after._thread is not None:
+                self._after._thread.join()
             self._call()
         finally:
             _running.discard(threading.current_thread())

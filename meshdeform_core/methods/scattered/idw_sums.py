@@ -9,13 +9,16 @@ import numpy as np
 from ...grid import FloatArray, Grid, IntArray
 from ...numerics.exact.direct import weighted_sums
 from ...numerics.fastsum import sums as fastsum
+from ...numerics.fastsum.tree import build_tree
 from ...numerics.rigid import NO_TRANSITION, Transition, finish
 from ...numerics.rows import put_rows, take_rows
-from ...parallel import Shared, for_chunks
+from ...parallel import Shared, Task, for_chunks
 from ..base import Account, Progress, of_stage
 from .summation import largest_error, sum_accurately
 
 _CHUNK = 2048
+# The nodes at which fast sums are checked are few.
+_CHECKED = 64
 
 
 @dataclass(frozen=True)
@@ -105,7 +108,7 @@ class ExactEvaluator:
         if known is not None and known.weights == fit.weights and np.array_equal(known.flat, flat):
             sums = self._sums_of_moving(fit, x, known.total)
         else:
-            sums = self._sums(fit, x, fit.path[0])
+            sums = self._sums(fit, x, fit.path[0], _CHECKED)
             known = Weighed(flat, fit.weights, sums[:, 0].copy())
         return self._moved(fit, x, sums) + fit.mean, known
 
@@ -115,12 +118,12 @@ class ExactEvaluator:
         finish(self.bound.rotation, sums, x, moved, self.bound.repeats, fit.transition)
         return moved
 
-    def _sums(self, fit: SourceValues, x: FloatArray, sources: FloatArray) -> FloatArray:
+    def _sums(self, fit: SourceValues, x: FloatArray, sources: FloatArray, chunk: int = _CHUNK) -> FloatArray:
         """Sums (n, 1 + k) at targets ``x`` over the sources where they are in one step."""
         sums = np.zeros((len(x), 1 + len(fit.values)))
         for group, weights in zip(self.bound.groups, fit.weights, strict=True):
             near = sources[group], self.bound.strength[group]
-            sums += weighted_sums(x, *near, weights, fit.values[:, group])
+            sums += weighted_sums(x, *near, weights, fit.values[:, group], chunk=chunk)
         return sums
 
     def _sums_of_moving(self, fit: SourceValues, x: FloatArray, total: FloatArray) -> FloatArray:
@@ -131,7 +134,7 @@ class ExactEvaluator:
         for group, weights in zip(self.bound.groups, fit.weights, strict=True):
             some = group[values[:, group].any(axis=0)]
             near = fit.path[0][some], self.bound.strength[some]
-            sums[:, 1:] += weighted_sums(x, *near, weights, values[:, some])[:, 1:]
+            sums[:, 1:] += weighted_sums(x, *near, weights, values[:, some], chunk=_CHECKED)[:, 1:]
         return sums
 
 
@@ -147,11 +150,12 @@ class FastEvaluator:
 
     def _sorted(self, sources: FloatArray, points: FloatArray) -> fastsum.FastSums:
         grid, order = self.bound.grid, fastsum.interpolation_order(self._tolerance)
+        trees = Task(lambda: [build_tree(sources[group], order) for group in self.bound.groups])
         targets = fastsum.make_targets(points, grid.shapes, grid.offsets, self.bound.flat, order)
         if points is not grid.points:
             # Accuracy is relative to the undeformed cells; in later steps only the targets have moved.
             targets = targets.sized(grid.points, grid.shapes, grid.offsets)
-        return fastsum.FastSums(sources, self.bound.groups, targets, self._tolerance, self.bound.room)
+        return fastsum.FastSums(self.bound.groups, trees.result(), targets, self._tolerance, self.bound.room)
 
     def evaluate(self, fit: SourceValues, out: FloatArray, progress: Progress | None) -> None:
         """Write the displacement of the targets into ``out`` (n_nodes, 3)."""

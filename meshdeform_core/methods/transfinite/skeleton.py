@@ -104,10 +104,9 @@ def _cuts(points: FloatArray, max_cells: int) -> Cuts:
 
 def _turning(points: FloatArray, axis: int, cells: int) -> float:
     """Largest angle (radians) by which one of some grid lines along ``axis`` turns within ``cells`` cells."""
-    some = np.moveaxis(points, axis, 0)
-    for across in (1, 2):
-        n = some.shape[across]
-        some = some.take(np.unique(np.linspace(0, n - 1, min(n, _LINES)).astype(int)), axis=across)
+    chosen = [np.unique(np.linspace(0, n - 1, min(n, _LINES)).astype(int)) for n in points.shape[:3]]
+    chosen[axis] = np.arange(points.shape[axis])
+    some = np.moveaxis(points[np.ix_(*chosen)], axis, 0)
     edge = np.diff(some, axis=0)
     cosine = (edge[1:] * edge[:-1]).sum(axis=-1)
     sine = np.linalg.norm(np.cross(edge[1:], edge[:-1]), axis=-1)

@@ -29,6 +29,7 @@ def weighted_sums(
     weights: tuple[float, float, float],
     values: FloatArray,
     progress: Report | None = None,
+    chunk: int = _CHUNK,
 ) -> FloatArray:
     """Sums over all sources of w and w * value, with w = strength (r^-a + kappa r^-b) (Sen et al. eqs. 14-16).
 
@@ -39,6 +40,7 @@ def weighted_sums(
     strength : (m,) float64
     weights : (a, b, kappa); a = 3 or 4 with b = 5 has a loop of its own
     values : (k, m) float64
+    chunk : targets per call; less than all of them only where no other loop uses the threads
 
     Returns
     -------
@@ -56,7 +58,7 @@ def weighted_sums(
         def work(lo: int, hi: int, charged: FloatArray = charged, sums: FloatArray = sums) -> None:
             sum_groups(targets, np.array([[lo, hi]]), charged, *every, a, b, kappa, sums)
 
-        for_chunks(work, len(targets), _CHUNK, progress)
+        for_chunks(work, len(targets), chunk, progress)
         result[:, 0] = sums[:, 0]
         result[:, 1 + first : 1 + first + len(some)] = sums[:, 1 : 1 + len(some)]
     return result

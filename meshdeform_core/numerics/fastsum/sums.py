@@ -13,7 +13,7 @@ from ..arrays import FloatArray, IntArray, Report, Shapes
 from ..exact.direct import N_VALUES
 from .acceptance import Kernel, inverse_powers
 from .bricks import Bricks, Regions, build_bricks, make_regions, node_sizes
-from .tree import SourceTree, build_tree
+from .tree import SourceTree
 from .treesum import Charges, add_totals, cluster_reach, gather, interpolate_sums, places_of, sum_lists
 from .walk import Lists, Reach, list_clusters
 
@@ -132,8 +132,8 @@ class FastSums:
 
     Parameters
     ----------
-    sources : (n, 3)
     groups : index arrays; the sources that have the same weight function
+    trees : of the sources of each group, from :func:`.tree.build_tree` for the same :func:`interpolation_order`
     targets : from :func:`make_targets`
     tolerance : error of the weighted mean displacement relative to the local cell size
     room : limit in bytes for the data that are kept
@@ -145,13 +145,18 @@ class FastSums:
     """
 
     def __init__(
-        self, sources: FloatArray, groups: Sequence[IntArray], targets: Targets, tolerance: float, room: int = 2**62
+        self,
+        groups: Sequence[IntArray],
+        trees: Sequence[SourceTree],
+        targets: Targets,
+        tolerance: float,
+        room: int = 2**62,
     ) -> None:
         self.targets = targets
         self.tolerance = tolerance
         order = interpolation_order(tolerance)
         self.share = self._first_share = _SHARE / (order - 2) ** 2
-        self._groups = [(np.asarray(group), build_tree(sources[group], order)) for group in groups]
+        self._groups = [(np.asarray(group), tree) for group, tree in zip(groups, trees, strict=True)]
         self._room = room
         self._plan: _Plan | None = None
 
