@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from .options import GridInput
 
 # Seconds after which a thread that computes in Python lets others have the interpreter: calls of numpy are short.
-_SWITCH = 1e-4
+_SWITCH = 3e-5
 
 
 class ReadAhead:
@@ -83,7 +83,13 @@ class ReadAhead:
             return self.source.with_boundaries(self._grid.result(), boundary_file)
 
     def joints(self, grid: Grid, tolerance: float) -> Joints:
-        """How the blocks of :meth:`grid` are joined."""
+        """How the blocks of :meth:`grid` are joined.
+
+        Raises
+        ------
+        GridError
+            What :func:`find_joints` raises.
+        """
         from meshdeform_core.grid.joints import find_joints
 
         found = self._joints.result() if self._ahead else None
@@ -92,13 +98,11 @@ class ReadAhead:
         return found if found and found.tolerance == tolerance else find_joints(grid, tolerance)
 
     def _find(self) -> Joints | None:
-        from meshdeform_core.grid.extent import require_extent
         from meshdeform_core.grid.joints import find_joints
         from meshdeform_core.grid.topology import RELATIVE_TOLERANCE
 
         grid = self._grid.result()
         left_for_method(self.memory, grid.n_nodes, grid.points.nbytes)
-        require_extent(grid)
         if self._abandoned:
             return None
         return find_joints(grid, self._tolerance or RELATIVE_TOLERANCE)

@@ -1,7 +1,7 @@
 """Coordinates of a block as most files hold them: component after component, each with i running fastest.
 
 A grid holds x, y and z of a node together, with k running fastest. One component at a time would read every line of
-the cache three times; lines along j go one by one, so that the data between two uses stay in it.
+the cache three times; only a few lines along j are converted at once, so that the data between two uses stay in it.
 """
 
 from __future__ import annotations
@@ -31,8 +31,7 @@ def split(block: FloatArray, kind: np.dtype[Any], count: int = 3) -> Iterator[ND
         out = np.empty((axes.stop - axes.start, *block.shape[2::-1]), kind)
 
         def work(lo: int, hi: int, out: NDArray[Any] = out, axes: slice = axes) -> None:
-            for j in range(lo, hi):
-                out[:, :, j] = block[:, j, :, axes].T
+            out[:, :, lo:hi] = block[:, lo:hi, :, axes].T
 
         for_chunks(work, block.shape[1], _LINES)
         yield from out
@@ -46,9 +45,8 @@ def merge(block: FloatArray, components: Iterator[NDArray[Any]], count: int = 3)
         def work(lo: int, hi: int, arrays: Sequence[NDArray[Any]] = arrays, first: int = axes.start) -> None:
             # NaN in the file is reported by the caller, not by a warning of the conversion.
             with np.errstate(invalid="ignore"):
-                for j in range(lo, hi):
-                    for axis, array in enumerate(arrays, first):
-                        block[:, j, :, axis] = array[:, j].T
+                for axis, array in enumerate(arrays, first):
+                    block[:, lo:hi, :, axis] = array[:, lo:hi].T
 
         for_chunks(work, block.shape[1], _LINES)
 

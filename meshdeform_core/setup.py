@@ -17,7 +17,6 @@ from .boundary.unselected import opening_notes
 from .errors import CaseError, MotionError
 from .grid import FloatArray, Grid
 from .grid.connectivity import check_connections
-from .grid.extent import require_extent
 from .grid.joints import Joints, find_joints
 from .grid.topology import RELATIVE_TOLERANCE, Topology
 from .memory import UNLIMITED, MemoryLimit
@@ -172,7 +171,6 @@ def set_up(
         When a boundary entry matches nothing or no node would move.
     """
     timing = timing or Timing()
-    require_extent(grid)
     with timing.stage("topology"):
         found = joints(grid, case.tolerance)
         topology = found.topology

@@ -1,7 +1,8 @@
-"""Number of threads of the underlying libraries."""
+"""Number of threads of the underlying libraries, and the search for garbage while they are imported."""
 
 from __future__ import annotations
 
+import gc
 import os
 
 from meshdeform_core.parallel import current_ranks, set_threads, thread_count
@@ -23,3 +24,15 @@ def use_one_library_thread() -> None:
     To be called before numpy is imported.
     """
     os.environ.update(dict.fromkeys(_LIBRARIES, "1"))
+
+
+def import_without_collecting() -> None:
+    """Look for no garbage until :func:`collect_again`: imports make many objects and hardly any garbage."""
+    gc.disable()
+
+
+def collect_again() -> None:
+    """Look for garbage again, but not among what was imported."""
+    if not gc.isenabled():
+        gc.freeze()
+        gc.enable()

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from meshdeform_core import interruption
 
+from .machine import collect_again
 from .messages import tell
 
 if TYPE_CHECKING:
@@ -96,6 +97,7 @@ class ProgressBar:
 
             on_compile(self._compiling if self._compiles else None)
             load_compiler()
+        collect_again()
         if self._shown:
             self._display = threading.Thread(target=self._show, name="progress", daemon=True)
             self._display.start()

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from ..parallel import current_ranks
 from .blocks import Grid
+from .extent import require_extent
 from .openings import Opening, find_openings
 from .overset import Overlap
 from .topology import Topology, find_topology
@@ -21,6 +22,13 @@ class Joints:
 
 
 def find_joints(grid: Grid, tolerance: float) -> Joints:
-    """Find both; on several ranks once per machine."""
+    """Find both; on several ranks once per machine.
+
+    Raises
+    ------
+    GridError
+        When the grid has no extent in one of its dimensions.
+    """
+    require_extent(grid)
     topology = current_ranks().once(lambda: find_topology(grid, tolerance))
     return Joints(tolerance, topology, current_ranks().once(lambda: find_openings(grid, topology)))

@@ -79,8 +79,9 @@ def find_overlaps(grid: Grid, topology: Topology) -> list[Overlap]:
             within = ((middle > low) & (middle < high) | (low == high)).all(axis=1) & (other != block)
             if within.sum() < max(_FEWEST, _PART * len(sample)):
                 continue
-            surface = surfaces.setdefault(other, _Surface(grid, other))
-            depth = surface.depth(corners[within], middle[within])
+            if other not in surfaces:
+                surfaces[other] = _Surface(grid, other)
+            depth = surfaces[other].depth(corners[within], middle[within])
             if (depth > 0).sum() >= max(_FEWEST, _PART * len(sample)):
                 window, part = _largest(grid, topology, block, side, outside)
                 share = float((depth > 0).sum() / len(sample))
@@ -140,12 +141,12 @@ class _Surface:
         for side in Side:
             if grid.shapes[self._block][side.axis] == 1:
                 continue
-            x = grid.points[side_nodes(grid, self._block, side)]
+            nodes = side_nodes(grid, self._block, side)
             for axis in (0, 1):
-                n = x.shape[axis]
+                n = nodes.shape[axis]
                 if cells is not None and n > cells + 1:
-                    x = np.take(x, np.unique(np.linspace(0, n - 1, cells + 1).round().astype(int)), axis=axis)
-            found.append(_turned(x, side, self._second))
+                    nodes = np.take(nodes, np.unique(np.linspace(0, n - 1, cells + 1).round().astype(int)), axis=axis)
+            found.append(_turned(grid.points[nodes], side, self._second))
         return np.concatenate(found)
 
 

@@ -18,6 +18,7 @@ Memory is released when the last rank drops the array; ranks need not do that to
 
 import math
 import os
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import AbstractContextManager, contextmanager
@@ -142,6 +143,7 @@ class Shared(NamedTuple):
     rows: Callable[[int, int], Any] = range
 
 
+_here = threading.local()
 _limit: int | None = None
 _ranks: Ranks = OneRank()
 
@@ -193,8 +195,14 @@ def empty(shape: Sequence[int], dtype: Any = "float64") -> Any:
 
 
 def thread_count() -> int:
-    """Number of threads that loops use."""
-    return max(1, min(_limit or _ranks.cores, usable_cores()))
+    """Number of threads that loops use; in a task one less than outside, as the work beside it takes one."""
+    count = max(1, min(_limit or _ranks.cores, usable_cores()))
+    return max(1, count - 1) if getattr(_here, "beside", False) else count
+
+
+def mark_beside() -> None:
+    """Let this thread's loops leave a thread to the work beside it."""
+    _here.beside = True
 
 
 def usable_cores() -> int:

@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable
 from typing import Any, Generic, TypeVar
 
-from .loops import current_ranks, thread_count
+from .loops import current_ranks, mark_beside, thread_count
 
 T = TypeVar("T")
 
@@ -43,6 +43,7 @@ class Task(Generic[T]):
         return self._outcome  # type: ignore[return-value]
 
     def _run(self) -> None:
+        mark_beside()
         try:
             if self._after is not None and self._after._thread is not None:
                 self._after._thread.join()

@@ -6,6 +6,10 @@ import numpy as np
 
 from ..arrays import FloatArray, IntArray
 
+_TOGETHER = 1 << 14
+Vectors = FloatArray | tuple[FloatArray, FloatArray, FloatArray]
+"""Component by component."""
+
 
 def winding(points: FloatArray, triangles: IntArray, places: FloatArray) -> FloatArray:
     """How often a closed surface goes round points: 1 inside, 0 outside; turned round it counts negative.
@@ -20,15 +24,27 @@ def winding(points: FloatArray, triangles: IntArray, places: FloatArray) -> Floa
         whole number if the surface is closed
     """
     result = np.empty(len(places))
-    for index, place in enumerate(places):
-        a, b, c = (points[triangles[:, k]] - place for k in range(3))
-        la, lb, lc = (np.sqrt(np.einsum("ki,ki->k", x, x)) for x in (a, b, c))
-        volume = np.einsum("ki,ki->k", a, np.cross(b, c))
+    # Component by component, and for as many places at a time as stay in the cache.
+    corners = [np.ascontiguousarray(points[triangles[:, k]].T) for k in range(3)]
+    together = max(1, _TOGETHER // max(len(triangles), 1))
+    for first in range(0, len(places), together):
+        place = places[first : first + together].T[:, :, None]
+        a, b, c = (corner[:, None] - place for corner in corners)
+        la, lb, lc = (np.sqrt(_dot(x, x)) for x in (a, b, c))
         base = la * lb * lc
         for one, two, length in ((a, b, lc), (b, c, la), (c, a, lb)):
-            base += np.einsum("ki,ki->k", one, two) * length
-        result[index] = np.arctan2(volume, base).sum() / (2.0 * np.pi)
+            base += _dot(one, two) * length
+        result[first : first + together] = np.arctan2(_dot(a, _cross(b, c)), base).sum(axis=1) / (2.0 * np.pi)
     return result
+
+
+def _dot(a: Vectors, b: Vectors) -> FloatArray:
+    """Products of vectors (3, ...)."""
+    return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+
+
+def _cross(a: Vectors, b: Vectors) -> Vectors:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 def plane_winding(one: FloatArray, two: FloatArray, normal: FloatArray, places: FloatArray) -> FloatArray:
