@@ -24,7 +24,6 @@ from tables import MarkdownTable, Row
 
 METHODS = ("tfi", "idw", "rbf", "idw-tfi", "rbf-tfi", "idw-rbf")
 SAMPLES = ("hemisphere-48", "splitter-plate-16")
-_COMPILED = "hemisphere-8"
 _SHORT, _LONG = 3, 9
 
 
@@ -39,10 +38,6 @@ def main() -> None:
     programs = {"other": _Program(options.other), "this": _Program(Path(sys.executable))}
     table = MarkdownTable("CPU seconds, all threads, of another version and of this one")
     with tempfile.TemporaryDirectory() as name:
-        small = _sample(Path(name), _COMPILED)
-        for method in options.methods:
-            # Loops are compiled, or loaded, at their first use.
-            _row(programs, small, method, 1)
         for sample in options.samples:
             folder = _sample(Path(name), sample)
             for method in options.methods:
@@ -88,10 +83,13 @@ def _sample(folder: Path, label: str) -> Path:
 def _row(programs: dict[str, _Program], folder: Path, method: str, repeats: int) -> Row:
     """Smallest CPU seconds of both versions, and their ratios."""
     found: dict[str, list[tuple[float, float]]] = {name: [] for name in programs}
+    series = ["series", "-o", str(folder / "out"), "--suffix", ".xyz"]
+    for program in programs.values():
+        # Loops are compiled at their first use.
+        program.cpu(folder, method, [*series, f"--times={_times(2)}"])
     for _ in range(repeats):
         for name, program in programs.items():
             deform = program.cpu(folder, method, ["deform", "-o", str(folder / "out.xyz"), "--time", "1"])
-            series = ["series", "-o", str(folder / "out"), "--suffix", ".xyz"]
             short, long = (
                 program.cpu(folder, method, [*series, f"--times={_times(count)}"]) for count in (_SHORT, _LONG)
             )

@@ -9,6 +9,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from tables import MarkdownTable, Row
 
 from meshdeform_core.deform import set_up
 from meshdeform_core.grid import FloatArray
+from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.memory import COORDINATE_ARRAYS, PROGRAM_BYTES
 from meshdeform_core.methods import CATALOGUE, Options, make_method, remembering
 from meshdeform_formats import read_grid
@@ -66,68 +68,144 @@ def _cpu(work: Callable[[FloatArray], object], displacement: FloatArray) -> floa
     return time.process_time() - start
 
 
+@dataclass(frozen=True)
+class _Compared:
+    """Series to run on a sample: methods, and of how many levels one is compared with a run of its own."""
+
+    sample: str
+    size: int
+    motion: str
+    methods: tuple[str, ...]
+    every: int = 1
+    capped: tuple[str, ...] = ()
+
+
+_SERIES = (
+    _Compared("hemisphere", 16, "period", ("rbf-tfi", "tfi"), 1, ("tfi",)),
+    _Compared("hemisphere", 16, "period", ("rbf", "idw-tfi"), 5, ("rbf", "idw-tfi")),
+    _Compared("splitter-plate", 8, "period", ("idw-tfi",)),
+    _Compared("hemisphere", 16, "noise", ("rbf", "idw-tfi"), 10),
+    _Compared("hemisphere", 48, "period", ("rbf-tfi",), 10, ("rbf-tfi",)),
+)
+_QUICK = (
+    _Compared("hemisphere", 8, "period", ("rbf-tfi", "tfi"), 1, ("tfi",)),
+    _Compared("hemisphere", 8, "noise", ("rbf",), 5),
+)
+_CAPS = (3, 6, 12, 24, 48)
+"""Coordinate arrays left to the method by the caps that are tried; the least that it accepts is taken."""
+
+
 def hundred_levels(quick: bool) -> MarkdownTable:
     """Series of levels through the command line against the method prepared anew for every level."""
     table = MarkdownTable(
         "Series, file to file, against single levels",
         notes=[
-            "difference: largest distance of a node from where the method puts it when it knows of no other level, of "
-            "all levels, relative to the largest displacement",
+            "period: the case's formula times the sine of the time (the splitter plate: rotations of different "
+            "angles); noise: a table for each level, of a mode that swings and noise of half a per cent",
+            "difference: largest distance of a node from where the method puts it when it is prepared anew and knows "
+            "of no other level, of the levels compared, relative to the largest displacement",
             "computed: levels that were no combination of stored fields",
-            "capped: --max-memory for the grid and hardly more, so that no fields are stored",
+            "allowed: --max-memory for the grid and the least that the method accepts; with less room for fields, "
+            "undeformed cells and lists, results are the same",
         ],
     )
     levels = 10 if quick else 100
     with tempfile.TemporaryDirectory() as name:
-        for sample, size, methods in (
-            ("hemisphere", 8 if quick else 16, ("rbf-tfi", "tfi")), ("splitter-plate", 8, ("idw-tfi",))
-        ):  # fmt: skip
-            folder = make_sample(Path(name), sample, size)
-            _swing(folder / "case.toml", sample)
-            table.rows += [_series(folder, method, levels, "") for method in methods]
-            if sample == "hemisphere":
-                # Less than the four arrays that a stored field needs beside program and grid.
-                cap = PROGRAM_BYTES + (COORDINATE_ARRAYS + 3) * 24 * read_grid(folder / "grid.cgns").n_nodes
-                table.rows.append(_series(folder, "tfi", levels, str(cap)))
+        for each in _QUICK if quick else _SERIES:
+            folder = make_sample(Path(name), each.sample, each.size)
+            case = _noisy(folder, levels) if each.motion == "noise" else _swing(folder, each.sample, levels)
+            table.rows += [_series(case, method, each.every) for method in each.methods]
+            table.rows += [_capped(case, method, each.every) for method in each.capped]
     return table
 
 
-def _swing(case: Path, sample: str) -> None:
+@dataclass(frozen=True)
+class _Case:
+    """A grid, a case file beside it, the times of the levels, and what the motion is called."""
+
+    folder: Path
+    file: str
+    times: str
+    motion: str
+
+
+def _swing(folder: Path, sample: str, levels: int) -> _Case:
     """Let the sample's motion depend on the time, with a period of one."""
-    text = case.read_text(encoding="utf-8")
+    text = (folder / "case.toml").read_text(encoding="utf-8")
     text = text.replace("2*pi*frequency*t", "2*pi*t").replace("frequency = 1e3\n", "")
     text = text.replace('angle = "angle"', 'angle = "angle*sin(2*pi*t)"') if sample == "splitter-plate" else text
-    case.write_text(text, encoding="utf-8")
+    (folder / "period.toml").write_text(text, encoding="utf-8")
+    return _Case(folder, "period.toml", f"0:{1 - 1 / levels:.12g}:{1 / levels}", "period")
 
 
-def _series(folder: Path, method: str, levels: int, cap: str) -> Row:
+def _noisy(folder: Path, levels: int) -> _Case:
+    """A table for each level on the membrane of the hemisphere."""
+    grid = read_grid(folder / "grid.cgns")
+    nodes = grid.points[find_topology(grid).first]
+    radius = float(np.linalg.norm(nodes, axis=1).min())
+    wall = nodes[np.linalg.norm(nodes, axis=1) < radius * (1 + 1e-9)]
+    height, rng = wall[:, 2:] / radius, np.random.default_rng(0)
+    for level in range(levels):
+        moved = 0.05 * radius * np.sin(0.3 * level) * height * wall / radius * [[1.0, 0.5, 2.0]]
+        moved += 2.5e-4 * radius * height * rng.standard_normal(wall.shape)
+        rows = np.hstack([wall, moved])
+        np.savetxt(folder / f"noise_{level:03d}.csv", rows, "%.17g", delimiter=",", header="x,y,z,dx,dy,dz")
+    text = (
+        '[[boundary]]\nname = "membrane"\nselect = ["membrane"]\n'
+        f'motion = [{{ files = "noise_*.csv", times = "0:{levels - 1}:1" }}]\n\n'
+        '[[boundary]]\nname = "rigid"\nselect = ["plate", "outer"]\nkind = "fixed"\n'
+    )
+    (folder / "noise.toml").write_text(text, encoding="utf-8")
+    return _Case(folder, "noise.toml", "", "noise")
+
+
+def _capped(case: _Case, method: str, every: int) -> Row:
+    """The same with the least memory that the method accepts."""
+    size = 24 * read_grid(case.folder / "grid.cgns").n_nodes
+    for arrays in _CAPS:
+        cap = PROGRAM_BYTES + (COORDINATE_ARRAYS + arrays) * size
+        try:
+            return _series(case, method, every, str(cap))
+        except subprocess.CalledProcessError as error:
+            if error.returncode != 2:
+                raise
+    raise RuntimeError(f"{method} accepts none of the caps")
+
+
+def _series(case: _Case, method: str, every: int, cap: str = "") -> Row:
+    folder = case.folder
     out, report = folder / "out", folder / "report.json"
     report.unlink(missing_ok=True)
-    command = [sys.executable, "-m", "meshdeform", "series", f"{folder}/grid.cgns", "-c", f"{folder}/case.toml"]
+    shutil.rmtree(out, ignore_errors=True)
+    command = [sys.executable, "-m", "meshdeform", "series", f"{folder}/grid.cgns", "-c", f"{folder}/{case.file}"]
     command += ["-m", method, "-o", str(out), "--suffix", ".xyz", "--repair", "off", "--allow-invalid", "-q"]
-    command += ["--times", f"0:{1 - 1 / levels:.12g}:{1 / levels}", "--report", str(report)]
+    command += [*(["--times", case.times] if case.times else []), "--report", str(report)]
+    command += ["--max-memory", cap] if cap else []
     start = time.perf_counter()
-    subprocess.run([*command, *(["--max-memory", cap] if cap else [])], check=True, stdout=subprocess.DEVNULL)
+    # A cap that is refused is no fault worth telling.
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL if cap else None)
     wall = time.perf_counter() - start
     told = json.loads(report.read_text(encoding="utf-8"))
-    difference = _difference(folder, out, method, told["levels"])
+    compared = told["levels"][every // 2 :: every]
+    difference = _difference(case, method, compared)
     shutil.rmtree(out)
     return {
-        "case": folder.name, "method": method, "capped": bool(cap), "levels": len(told["levels"]), "wall s": wall,
-        "computed": sum("combined_from" not in json.dumps(level) for level in told["levels"]),
-        "difference": difference, "peak MB": told["peak_memory_bytes"] / 1e6,
+        "case": folder.name, "motion": case.motion, "method": method, "levels": len(told["levels"]),
+        "computed": sum("combined_from" not in json.dumps(level) for level in told["levels"]), "wall s": wall,
+        "compared": len(compared), "difference": difference, "peak MB": told["peak_memory_bytes"] / 1e6,
         "allowed MB": float(cap) / 1e6 if cap else "",
     }  # fmt: skip
 
 
-def _difference(folder: Path, out: Path, method: str, levels: list[Row]) -> float:
+def _difference(case: _Case, method: str, levels: list[Row]) -> float:
+    folder = case.folder
     grid = read_grid(folder / "grid.cgns")
-    what = read_case(folder / "case.toml", (), method, None).case
+    what = read_case(folder / case.file, (), method, None).case
     setup = set_up(grid, what)
     prepared, apart, moved = make_method(what.method), 0.0, 0.0
     for level in levels:
         displacement = setup.displacement(level["time"])[setup.problem.source_numbers]
         single = prepared.prepare(setup.problem).apply(displacement)
-        found = read_grid(out / level["file"]).points - grid.points
+        found = read_grid(folder / "out" / level["file"]).points - grid.points
         apart, moved = max(apart, float(np.abs(found - single).max())), max(moved, float(np.abs(single).max()))
     return apart / moved

@@ -11,6 +11,7 @@ from .deform import Result, Setup, Start, Timing, impose
 from .errors import CaseError
 from .grid import FloatArray
 from .methods import PreparedMethod, Progress, make_method, remembering
+from .numerics.arrays import lengths
 from .parallel import empty, for_rows
 
 ORIGINS = ("reference", "last")
@@ -169,7 +170,7 @@ class _Series:
 
     def _rotation(self, displacement: FloatArray) -> float:
         turned = self.problem.rotations.vectors(displacement)
-        return float(np.degrees(np.linalg.norm(turned, axis=1).max()))
+        return float(np.degrees(lengths(turned).max()))
 
 
 def grid_velocity(times: tuple[float, ...], points: list[FloatArray], order: str) -> FloatArray:

@@ -21,6 +21,7 @@ from .grid.joints import Joints, find_joints
 from .grid.topology import RELATIVE_TOLERANCE, Topology
 from .memory import UNLIMITED, MemoryLimit
 from .methods import Options, PreparedMethod, Problem, Progress
+from .numerics.arrays import extent
 from .numerics.jit import compile_seconds
 from .quality import Original
 from .repair import Mode, RepairOptions
@@ -109,6 +110,12 @@ class Setup:
     def original(self) -> Original:
         """The undeformed cells, against which every result is judged."""
         return Original(self.grid, self.topology, self.case.repair.min_jacobian)
+
+    @cached_property
+    def round_off(self) -> float:
+        """What rounding may leave of a displacement that returns to zero (grid length unit)."""
+        low, high = extent(self.grid.points[self.topology.first])
+        return 1e-12 * float((high - low).max())
 
     @cached_property
     def examined(self) -> list[float]:

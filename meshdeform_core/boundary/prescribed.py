@@ -8,6 +8,7 @@ from ..errors import MotionError
 from ..grid import BoolArray, FloatArray, Grid, IntArray
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology
+from ..numerics.arrays import lengths
 from .classification import Boundary, Kind
 from .periodic import Periodic
 
@@ -34,7 +35,7 @@ def prescribed_displacement(
 
 def largest_displacement(displacement: FloatArray) -> float:
     """Largest length of the rows of ``displacement`` (n, 3)."""
-    return float(np.linalg.norm(displacement, axis=1).max())
+    return float(lengths(displacement).max())
 
 
 def given_displacement(

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..boundary import Kind
 from ..grid import FloatArray
+from ..numerics.arrays import lengths, total
 from .base import Problem
 
 TFI_ROTATION = 55.0
@@ -43,13 +44,13 @@ def patch_motions(problem: Problem, displacement: FloatArray) -> tuple[PatchMoti
     displacement : (n_unique, 3) of all face nodes
     """
     sources = problem.source_numbers
-    angle = np.degrees(np.linalg.norm(problem.rotations.vectors(displacement[sources]), axis=1))
+    angle = np.degrees(lengths(problem.rotations.vectors(displacement[sources])))
     names = [patch.name for patch in problem.boundary.patches if patch.kind is Kind.MOVING]
     found = []
     for name, (nodes, _) in zip(names, problem.boundary.movers, strict=True):
         moved = displacement[nodes]
-        x, y, z = moved.mean(axis=0).tolist()
-        largest = float(np.linalg.norm(moved, axis=1).max(initial=0.0))
+        x, y, z = (total(moved) / len(moved)).tolist()
+        largest = float(lengths(moved).max(initial=0.0))
         turned = float(angle[np.searchsorted(sources, nodes)].max(initial=0.0))
         found.append(PatchMotion(name, largest, (x, y, z), turned))
     return tuple(found)
@@ -65,7 +66,7 @@ def largest_rotation(problem: Problem, displacement: FloatArray) -> float:
     turn = problem.rotations.vectors(displacement)
     if not (problem.boundary.kind[problem.source_numbers] == Kind.FIXED).any():
         turn = turn - turn.mean(axis=0)
-    return math.degrees(float(np.linalg.norm(turn, axis=1).max()))
+    return math.degrees(float(lengths(turn).max()))
 
 
 def warn_of_rotation(problem: Problem, displacement: FloatArray, limit: float, what: str, advice: str) -> list[str]:

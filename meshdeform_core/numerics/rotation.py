@@ -6,10 +6,11 @@ Arrays of n rotation vectors, matrices (n, 3, 3), unit quaternions (n, 4, scalar
 from __future__ import annotations
 
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
-from .arrays import BoolArray, FloatArray, IntArray
+from .arrays import BoolArray, FloatArray, IntArray, lengths
 
 _HALF_TURN = 1e-6
 """Cosine of half the angle below which the direction of a rotation by 180 degrees is a matter of round-off."""
@@ -38,7 +39,8 @@ class SurfaceRotations:
         self, points: FloatArray, corners: IntArray, edges: IntArray, plane_normal: FloatArray | None = None
     ) -> None:
         self._points, self._corners, self._edges, self._plane_normal = points, corners, edges, plane_normal
-        self._last: tuple[FloatArray, FloatArray] | None = None
+        self._last: tuple[FloatArray, FloatArray, FloatArray] | None = None
+        self._moved: tuple[BoolArray, _Part] | None = None
 
     @cached_property
     def _normals(self) -> FloatArray:
@@ -49,15 +51,46 @@ class SurfaceRotations:
 
         Methods, their warnings and reports all ask for those of the same displacement: the last ones are kept.
         """
-        if not displacement.any():
-            return np.tile([1.0, 0.0, 0.0, 0.0], (len(displacement), 1))
-        if self._last is None or not np.array_equal(self._last[0], displacement):
-            self._last = displacement.copy(), self._fitted(self._points + displacement)
-        return self._last[1].copy()
+        return self._of(displacement)[0].copy()
 
     def vectors(self, displacement: FloatArray) -> FloatArray:
         """The same as rotation vectors (n, 3), radians."""
-        return rotation_vector(self.quaternions(displacement))
+        return self._of(displacement)[1].copy()
+
+    def _of(self, displacement: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Quaternions and rotation vectors."""
+        if self._last is None or not np.array_equal(self._last[0], displacement):
+            found = np.tile([1.0, 0.0, 0.0, 0.0], (len(displacement), 1))
+            part = self._part_moved_by(displacement)
+            if part.turning.size:
+                surface, inside = part.surface, displacement[part.nodes]
+                found[part.nodes[part.turning]] = surface._fitted(surface._points + inside)[part.turning]
+            self._last = displacement.copy(), found, rotation_vector(found)
+        return self._last[1:]
+
+    def _part_moved_by(self, displacement: FloatArray) -> _Part:
+        """The part of the surface whose nodes may turn: usually the same at all levels of a series."""
+        x, y, z = displacement.T
+        moved = (x != 0.0) | (y != 0.0) | (z != 0.0)
+        if self._moved is None or not np.array_equal(self._moved[0], moved):
+            self._moved = moved, self._part(moved)
+        return self._moved[1]
+
+    def _part(self, moved: BoolArray) -> _Part:
+        """The nodes of faces with a ``moved`` node, and whatever their rotation depends on."""
+        corners, edges = self._corners, self._edges
+        turning, needed = np.zeros(len(moved), dtype=bool), np.zeros(len(moved), dtype=bool)
+        touched = corners[moved[corners].any(axis=1)]
+        # In 2-D an edge of the curve is a corner of both its ends.
+        plane = self._plane_normal is not None
+        turning[touched if plane else touched[:, 0]] = True
+        chosen = turning[corners].any(axis=1) if plane else turning[corners[:, 0]]
+        sides = edges[turning[edges[:, 0]]]
+        needed[corners[chosen]] = True
+        needed[sides] = True
+        nodes, number = np.flatnonzero(needed), np.cumsum(needed) - 1
+        part = SurfaceRotations(self._points[nodes], number[corners[chosen]], number[sides], self._plane_normal)
+        return _Part(part, nodes, np.flatnonzero(turning[nodes]))
 
     def _fitted(self, after: FloatArray) -> FloatArray:
         before, edges, normals = self._points, self._edges, _node_normals(after, self._corners, self._plane_normal)
@@ -74,6 +107,14 @@ class SurfaceRotations:
         return multiply(_quaternion(normals, mean), first)
 
 
+class _Part(NamedTuple):
+    """A part of a surface: its nodes as rows of the whole, and which of them have all their faces in it."""
+
+    surface: SurfaceRotations
+    nodes: IntArray
+    turning: IntArray
+
+
 def near_sharp_edges(
     points: FloatArray, corners: IntArray, edges: IntArray, plane_normal: FloatArray | None, rounds: int
 ) -> BoolArray:
@@ -83,7 +124,7 @@ def near_sharp_edges(
     :class:`SurfaceRotations`.
     """
     total, count = _sum_of_normals(points, corners, plane_normal)
-    near = (count > 0) & (np.linalg.norm(total, axis=1) < SHARP * count)
+    near = (count > 0) & (lengths(total) < SHARP * count)
     here, there = neighbours(corners, edges, plane_normal).T
     for _ in range(rounds):
         near |= np.bincount(here, near[there], minlength=len(points)) > 0
@@ -114,7 +155,7 @@ def _node_normals(x: FloatArray, corners: IntArray, plane_normal: FloatArray | N
     """Mean of the unit normals of the faces at each node, normalised; zero where it is undefined."""
     total, _ = _sum_of_normals(x, corners, plane_normal)
     # Faces that cancel (both sides of a plate without thickness) or collapse leave round-off: no direction.
-    total[np.linalg.norm(total, axis=1) < 1e-6] = 0.0
+    total[lengths(total) < 1e-6] = 0.0
     return _unit(total)
 
 
@@ -138,7 +179,7 @@ def _sum_of_normals(x: FloatArray, corners: IntArray, plane_normal: FloatArray |
 def _aligning(start: FloatArray, end: FloatArray, plane_normal: FloatArray | None = None) -> FloatArray:
     """Shortest rotation that carries unit vectors onto others; about any normal (of the plane) when opposite."""
     axis = np.cross(start, end)
-    sine = np.linalg.norm(axis, axis=1)
+    sine = lengths(axis)
     cosine = _dot(start, end)
     opposite = (sine < 1e-12) & (cosine < 0)
     if opposite.any():
@@ -154,7 +195,7 @@ def _half_turn_axes(normals: FloatArray) -> FloatArray:
     """
     common = np.linalg.eigh(normals.T @ normals)[1][:, 0]
     axes = common - _dot(normals, np.broadcast_to(common, normals.shape))[:, None] * normals
-    poor = np.linalg.norm(axes, axis=1) < 1e-3
+    poor = lengths(axes) < 1e-3
     least = np.eye(3)[np.argmin(np.abs(normals), axis=1)]
     axes[poor] = np.cross(normals, least)[poor]
     return axes
@@ -185,7 +226,7 @@ def rotation_vector(q: FloatArray) -> FloatArray:
     Half a turn one way is half a turn the other way, and round-off would choose for every node alone: all take the
     direction of those that turn a little less, or of the largest component of the axis.
     """
-    sine = np.linalg.norm(q[:, 1:], axis=1)
+    sine = lengths(q[:, 1:])
     angle = 2 * np.arctan2(sine, q[:, 0])
     # angle / sine tends to 2 for small angles.
     ratio = np.where(sine > 1e-150, angle / np.maximum(sine, 1e-150), 2.0)
@@ -203,7 +244,7 @@ def rotation_vector(q: FloatArray) -> FloatArray:
 
 def quaternion_of(w: FloatArray) -> FloatArray:
     """Unit quaternions of rotation vectors (n, 3)."""
-    angle = np.linalg.norm(w, axis=1)
+    angle = lengths(w)
     half_sinc = np.where(angle > 1e-150, np.sin(angle / 2) / np.maximum(angle, 1e-150), 0.5)
     return np.concatenate([np.cos(angle / 2)[:, None], half_sinc[:, None] * w], axis=1)
 
@@ -243,7 +284,7 @@ def _coefficients(w: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 def _unit(v: FloatArray) -> FloatArray:
     """Unit vectors; zero where there is no direction (edges without length, collapsed faces)."""
-    length = np.linalg.norm(v, axis=1, keepdims=True)
+    length = lengths(v)[:, None]
     return np.divide(v, length, out=np.zeros_like(v), where=length > 1e-100)
 
 

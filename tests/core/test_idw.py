@@ -136,6 +136,34 @@ def test_rigid_motions_of_surfaces_are_found():
             np.testing.assert_allclose(rotations.vectors(turned - x), np.tile(w, (20, 1)), atol=1e-12)
 
 
+def sheet(n, m):
+    u, v = np.meshgrid(np.linspace(0, 1, n), np.linspace(0, 1, m), indexing="ij")
+    index = np.arange(n * m).reshape(n, m)
+    quads = np.stack([index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]], axis=-1).reshape(-1, 4)
+    return np.stack([u, v, np.abs(u - 0.5) + 0.1 * v**2], axis=-1).reshape(-1, 3), quads
+
+
+@pytest.mark.parametrize("plane", [False, True])
+def test_rotations_of_a_moved_part_are_those_of_the_whole_surface(plane):
+    from meshdeform_core.methods.base import _rings
+
+    rng = np.random.default_rng(1)
+    x, quads = sheet(9, 8)
+    if plane:
+        x, quads = x * [1.0, 1.0, 0.0], quads[:, :2]
+    corners, edges = _rings(quads)
+    rotations = rot.SurfaceRotations(x, corners, edges, np.array([0.0, 0.0, 1.0]) if plane else None)
+    for chosen in ([30, 31, 40], [30, 31, 40], [0], list(range(len(x)))):
+        moved = np.zeros_like(x)
+        moved[chosen] = 0.05 * rng.standard_normal((len(chosen), 3)) * [1, 1, not plane]
+        whole = rotations._fitted(x + moved)
+        found = rotations.quaternions(moved)
+        np.testing.assert_allclose(found, whole, rtol=0, atol=1e-15)
+        np.testing.assert_array_equal(rotations.vectors(moved), rot.rotation_vector(found))
+        assert (found[:, 0] < 1.0).any()
+    assert (rotations.quaternions(0 * x) == [1.0, 0.0, 0.0, 0.0]).all()
+
+
 def test_logarithm_and_exponential_are_inverse():
     rng = np.random.default_rng(5)
     for scale in (1e-9, 1e-3, 0.0316, 0.5, 3.0):
