@@ -20,7 +20,6 @@ import math
 import os
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import AbstractContextManager, contextmanager
 from functools import partial
 from typing import Any, NamedTuple, Protocol, TypeVar
@@ -277,25 +276,41 @@ def for_rows(fill: Callable[[slice], object], array: Any) -> None:
 
 
 def _on_threads(work: Work, bounds: list[Bounds], progress: Counter | None, limit: int) -> None:
+    """Do all chunks, on this thread and on others, each of which takes the next one when it is done with its last."""
     size = sum(last - first for first, last in bounds)
-    threads = min(limit, len(bounds))
-    done = 0
-    if threads <= 1:
-        for first, last in bounds:
-            work(first, last)
-            done += last - first
-            if progress:
-                progress(done, size)
-        return
-    with ThreadPoolExecutor(threads) as pool:
-        pending = {pool.submit(work, first, last): last - first for first, last in bounds}
+    # Taking the next item of a list, and appending to one, are single steps of the interpreter.
+    pending, done, failures = iter(bounds), list[int](), list[BaseException]()
+
+    def run(report: Counter | None) -> None:
+        told = items = 0
         try:
-            for future in as_completed(pending):
-                future.result()
-                done += pending[future]
-                if progress:
-                    progress(done, size)
-        except BaseException:
+            while not failures and (ends := next(pending, None)):
+                work(*ends)
+                done.append(ends[1] - ends[0])
+                if report:
+                    new = done[told:]
+                    told, items = told + len(new), items + sum(new)
+                    report(items, size)
+        except BaseException as error:
             # An interrupt or an error ends the run: chunks that have not started need not run.
-            pool.shutdown(wait=True, cancel_futures=True)
-            raise
+            failures.append(error)
+
+    others = [threading.Thread(target=run, args=(None,), name="chunks") for _ in range(min(limit, len(bounds)) - 1)]
+    for other in others:
+        other.start()
+    run(progress)
+    _joined(others, failures)
+    if failures:
+        raise failures[0]
+    if others and progress:
+        progress(size, size)
+
+
+def _joined(others: list[threading.Thread], failures: list[BaseException]) -> None:
+    """Wait for other threads, also if that is interrupted: they write to arrays of the caller."""
+    for other in others:
+        while other.is_alive():
+            try:
+                other.join()
+            except BaseException as error:
+                failures.append(error)

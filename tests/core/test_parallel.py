@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 
 import numpy as np
@@ -142,3 +143,53 @@ def test_views_of_common_memory_are_known():
 def test_memory_that_cannot_be_found_is_an_error():
     with pytest.raises(OSError, match="No such file"):
         _mapped("/proc/self/fd/999999", 100)
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_progress_ends_with_all_items_and_comes_from_the_thread_that_asked(threads):
+    told = []
+    for_chunks(
+        lambda lo, hi: time.sleep(1e-3),
+        100,
+        7,
+        lambda done, size: told.append((done, size, threading.get_ident())),
+        threads=threads,
+    )
+    counts = [done for done, _, _ in told]
+    assert counts == sorted(counts)
+    assert told[-1] == (100, 100, threading.get_ident())
+    assert {(size, thread) for _, size, thread in told} == {(100, threading.get_ident())}
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_an_error_ends_the_loop_when_no_chunk_runs_any_more(threads):
+    begun, ended = [], []
+
+    def work(lo, hi):
+        begun.append(lo)
+        if lo == 5:
+            raise ValueError("chunk 5")
+        time.sleep(1e-2)
+        ended.append(lo)
+
+    with pytest.raises(ValueError, match="chunk 5"):
+        for_chunks(work, 1000, 1, threads=threads)
+    assert len(begun) < 20
+    assert sorted(begun) == sorted([*ended, 5])
+
+
+def test_an_interrupt_from_the_progress_ends_the_loop():
+    done = []
+
+    def work(lo, hi):
+        time.sleep(1e-3)
+        done.append(lo)
+
+    def stop(*_):
+        raise SystemExit(130)
+
+    with pytest.raises(SystemExit):
+        for_chunks(work, 10_000, 1, stop, threads=2)
+    count = len(done)
+    time.sleep(0.05)
+    assert len(done) == count < 100

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...parallel import for_chunks
-from ..arrays import BoolArray, FloatArray
+from ..arrays import BoolArray, FloatArray, IntArray
 from ..exact.direct import sum_groups
 from ..exact.single import sum_groups_single
 from ..jit import inlined, kernel
@@ -29,8 +29,8 @@ from .tree import CHARGES, SourceTree, gather_charges
 from .walk import Lists, Reach, few_nodes
 
 _STACK = 256
-# Clusters per call of a thread.
-_CLUSTERS = 16
+# Parts into which the charges of a tree are divided for threads.
+_PORTIONS = 64
 
 
 class Charges(NamedTuple):
@@ -58,11 +58,19 @@ def gather(tree: SourceTree, source: FloatArray, used: BoolArray | None = None) 
     active = charged[tree.span[:, 1]] > charged[tree.span[:, 0]]
     proxy = np.empty((len(tree.proxies), CHARGES))
     acting = active if used is None else active & used
-    for_chunks(lambda lo, hi: gather_charges(tree, source, proxy, acting, lo, hi), len(acting), _CLUSTERS)
+    cut = _portions(tree)
+    for_chunks(lambda lo, hi: gather_charges(tree, source, proxy, acting, cut[lo], cut[hi]), len(cut) - 1, 1)
     n = len(source)
     rows = np.empty((n + len(proxy), 3 + CHARGES))
     rows[:n, :3], rows[:n, 3:], rows[n:, :3], rows[n:, 3:] = tree.points, source, tree.proxies, proxy
     return Charges(rows, active, bool(source[:, [0, -1]].any()))
+
+
+def _portions(tree: SourceTree) -> IntArray:
+    """First clusters of portions that cost about the same, and one past the last: those near the root cost most."""
+    work = np.cumsum((tree.span[:, 1] - tree.span[:, 0]) * np.diff(tree.proxy))
+    inner = np.searchsorted(work, np.linspace(0.0, work[-1], _PORTIONS + 1)[1:-1], side="right")
+    return np.unique(np.concatenate([[0], inner, [len(work)]]))
 
 
 def cluster_reach(tree: SourceTree, strength: FloatArray, shift: FloatArray, turn: FloatArray) -> Reach:
