@@ -173,7 +173,7 @@ def measure(trial: Trial) -> Row:
     seconds = time.process_time() - start
     after = result.assessment.after
     heights, walls = after.first_cell_height_ratio, after.wall_normal_deviation_deg
-    layer = layers_kept(setup, result, motion) if result.repair else None
+    layer = layers_kept(setup, result, motion) if result.repair else ("", "")
     return {
         "motion": trial.label,
         "asked": trial.asked,
@@ -183,7 +183,8 @@ def measure(trial: Trial) -> Row:
         "J min": after.min_relative_jacobian,
         "heights": f"{heights.min:.2f} to {heights.max:.2f}" if heights else "",
         "walls, deg rms": walls.rms if walls else np.nan,
-        "layer J": f"{layer[0]:.2f} to {layer[1]:.2f}" if layer else "",
+        "layer J": layer[0],
+        "layer height": layer[1],
         "attempts": len(result.attempts),
         "CPU s": seconds,
     }
@@ -210,23 +211,30 @@ def _outcome(setup: Setup, result: Result, motion: BoundaryMotion) -> str:
     return f"crossing of {names}" if contact else f"{result.assessment.after.invalid_cells} invalid cells"
 
 
-def layers_kept(setup: Setup, result: Result, motion: BoundaryMotion) -> tuple[float, float] | None:
-    """Smallest and largest relative Jacobian at boundary-layer corners that the repair moved, ``None`` without any."""
+def layers_kept(setup: Setup, result: Result, motion: BoundaryMotion) -> tuple[str, str]:
+    """Ranges of the relative Jacobian at boundary-layer corners that the repair moved, and of the same over the
+    relative area of the cell face across the shortest edge; empty without any."""
     plain = impose(setup.with_repair("off"), motion, 1, "float64", Timing()).grid.points
     moved = np.abs(result.grid.points - plain).max(axis=1) > 1e-12 * np.ptp(setup.grid.points, axis=0).max()
     found = [
-        ratio
+        ratios
         for block in range(setup.grid.n_blocks)
-        for ratio in _corner_ratios(
+        for ratios in _corner_ratios(
             *(setup.grid.block(block, v) for v in (setup.grid.points, result.grid.points, moved))
         )
     ]
-    every = np.concatenate(found) if found else np.empty(0)
-    return (float(every.min()), float(every.max())) if every.size else None
+    if not found:
+        return "", ""
+    return _range(np.concatenate([one for one, _ in found])), _range(np.concatenate([two for _, two in found]))
 
 
-def _corner_ratios(before: FloatArray, after: FloatArray, moved: np.ndarray) -> Iterator[FloatArray]:
-    """Jacobians relative to the undeformed ones at thin corners of a block in space; nothing of 2-D blocks."""
+def _range(values: FloatArray) -> str:
+    return f"{values.min():.2f} to {values.max():.2f}"
+
+
+def _corner_ratios(before: FloatArray, after: FloatArray, moved: np.ndarray) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """At thin corners of a block in space Jacobians relative to the undeformed ones, and heights: these over the area
+    of the cell face across the shortest edge; nothing of 2-D blocks."""
     flat = [axis for axis in range(3) if before.shape[axis] == 1]
     for corner in np.ndindex(*(1 if axis in flat else 2 for axis in range(3))):
         edges = [[_edges(x, axis, corner) for axis in range(3) if axis not in flat] for x in (before, after)]
@@ -235,7 +243,15 @@ def _corner_ratios(before: FloatArray, after: FloatArray, moved: np.ndarray) -> 
         thin = (lengths.max(axis=0) > THIN * lengths.min(axis=0)) & (lengths.min(axis=0) > 0) & (touched > 0)
         if len(edges[0]) == 3 and thin.any():
             old, new = (np.einsum("...i,...i", e[0], np.cross(e[1], e[2]))[thin] for e in edges)
-            yield new / old
+            shortest = lengths.argmin(axis=0)[thin]
+            one, two = (_area_across([x[thin] for x in e], shortest) for e in edges)
+            yield new / old, new / old * one / two
+
+
+def _area_across(edges: list[FloatArray], axis: np.ndarray) -> FloatArray:
+    """Area (n,) between the two of three edges (n, 3) that are not the one of number ``axis`` (n,)."""
+    areas = [np.linalg.norm(np.cross(edges[k - 2], edges[k - 1]), axis=-1) for k in range(3)]
+    return np.asarray(np.choose(axis, areas))
 
 
 def _edges(x: np.ndarray, axis: int, corner: tuple[int, ...], ends: bool = False) -> np.ndarray:

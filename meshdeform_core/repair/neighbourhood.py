@@ -97,7 +97,8 @@ class Neighbourhood:
         nodes, local = np.unique(self._owners(corners.ravel()), return_inverse=True)
         unknowns, freedom = self._unknowns(nodes, owners)
         start, cells = self.grid.points[nodes] @ self.axes.T, local.reshape(corners.shape)
-        count = Weights.even(len(cells)) if even else weigh(self._from_walls[corners], start, cells)
+        walls = self._from_walls
+        count = Weights.even(len(cells)) if even else weigh(walls[corners], float(walls.min()), start, cells)
         energy = self._energy(start, cells, self._signs(touched), count, unknowns.number >= 0)
         back = self._sliding(nodes, unknowns, freedom, self.grid.points if points is None else points)
         return Plot(Region(energy, unknowns, freedom, back), nodes, free, np.searchsorted(nodes, owners), self.axes)

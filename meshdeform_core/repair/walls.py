@@ -22,9 +22,9 @@ _SHARE = 0.4
 there is little room, walls must give, too."""
 UNLIMITED = 1 << 14
 GUARDED = 0.2
-"""Cells at moving walls, up to this share of the reach, are guarded."""
-THIN, HEAVIEST, VERY_THIN = 50.0, 20.0, 500.0
-"""Cells of aspect ratio a weigh a / THIN, but at least 1 and at most HEAVIEST; VERY_THIN ones are guarded."""
+"""Cells at moving walls, up to this share of the reach, are guarded; the first ones always."""
+THIN, GROWTH, HEAVIEST, VERY_THIN = 50.0, 1.25, 40.0, 500.0
+"""Cells of aspect ratio a weigh (a / THIN)^GROWTH, but at least 1 and at most HEAVIEST; VERY_THIN ones are guarded."""
 
 
 def nearness(layers: np.ndarray) -> FloatArray:
@@ -36,12 +36,13 @@ def nearness(layers: np.ndarray) -> FloatArray:
     return np.where(layers < 0, 1.0, np.minimum((layers + 1.0) / reach, 1.0)).astype(np.float64)
 
 
-def weigh(share: FloatArray, start: FloatArray, cells: IntArray) -> Weights:
+def weigh(share: FloatArray, first: float, start: FloatArray, cells: IntArray) -> Weights:
     """Weights of cells (m, k) among the undeformed nodes ``start`` (n, d); the first ones at moving walls and thin ones
-    are guarded. ``share`` (m, k) is the :func:`nearness` of their nodes."""
+    are guarded. ``share`` (m, k) is the :func:`nearness` of their nodes, ``first`` that of nodes on moving walls."""
     near, thin = share.min(axis=1), _aspect_ratio(start, cells)
-    weight = np.maximum(near**-2.0, np.clip(thin / THIN, 1.0, HEAVIEST))
-    return Weights(weight, (near < GUARDED) | (thin > VERY_THIN))
+    weight = np.maximum(near**-2.0, np.clip((thin / THIN) ** GROWTH, 1.0, HEAVIEST))
+    at_walls = (near < GUARDED) | ((near <= first) & (near < 1.0))
+    return Weights(weight, at_walls | (thin > VERY_THIN))
 
 
 def _aspect_ratio(start: FloatArray, cells: IntArray) -> FloatArray:

@@ -11,8 +11,11 @@ from meshdeform_core.grid import Grid
 from meshdeform_core.quality.comparison import Comparison
 from meshdeform_core.quality.validity import judge
 from meshdeform_core.repair import untangle
+from meshdeform_core.repair.constraints import Constraints
+from meshdeform_core.repair.neighbourhood import Neighbourhood
 from meshdeform_core.repair.repair import Repairer
 from meshdeform_core.repair.shape import hexahedron_shapes, lost, triangle_shapes
+from meshdeform_core.repair.walls import nearness, weigh
 from meshdeform_samples.reproduce.experiment import Sample, prepare_sample
 
 CORNERS = np.array([[a >> 2, a >> 1 & 1, a & 1] for a in range(8)], dtype=float)
@@ -57,3 +60,26 @@ def test_the_worst_shape_improves_and_jacobians_are_kept(monkeypatch):
         ratio.append(outcome.verdict.ratio.min())
     assert skew[1] > 1.04 * skew[0]
     assert ratio[1] > 0.98 * ratio[0]
+
+
+def test_first_cells_at_walls_are_guarded_however_few_layers_there_are():
+    x = np.arange(9.0)
+    block = np.stack(np.meshgrid(x, x, np.zeros(1), indexing="ij"), axis=-1)
+    setup = set_up(
+        Grid.from_blocks([block]),
+        Case((BoundarySpec("floor", ("*.jmin",), Kind.MOVING, None, formulas("0", "1", "0")),)),
+    )
+    for layers in (5, 40):
+        share = nearness(np.repeat(np.arange(layers), 2))
+        cells = np.array([[0, 1, 2, 3], [2, 3, 4, 5], [6, 7, 8, 9]])
+        start = np.random.default_rng(0).uniform(1.0, 2.0, (2 * layers, 2))
+        weights = weigh(share[cells], float(share.min()), start, cells)
+        assert weights.guarded[0]
+        assert weights.sum[0] > weights.sum[1] >= weights.sum[2]
+    # Without any walls nothing is.
+    free = nearness(np.full(10, -1))
+    assert not weigh(free[cells], float(free.min()), start, cells).guarded.any()
+    near = Neighbourhood(Constraints.of(setup.grid, setup.topology, setup.boundary))
+    guarded = near.plot(near.around(np.arange(setup.grid.n_cells), None)).region.energy.weights.guarded
+    # Of 64 cells the eight at the floor: four corners each, but for two corners without a free node.
+    assert guarded.sum() == 30
