@@ -52,30 +52,38 @@ def finish_affine(sums, points, out):
 
 
 @inlined
-def _share(moving, rest, power, width):
+def _closeness(weight, power, near, crossing):
+    """One over a distance, up to a factor, from the total weight there: see :class:`Transition`."""
+    ratio = weight / crossing
+    return weight ** (1.0 / power) * (1.0 + ratio * ratio) ** (0.5 / near - 0.5 / power)
+
+
+@inlined
+def _share(moving, rest, power, near, crossing, width):
     """Share of the moving sources in the motion from their and the others' total weight.
 
-    Total weights fall off as distance^-power, so their roots give the position in the gap, 0 at the moving boundary
-    and 1 at rest. The share falls linearly there, with parabolic ends of length ``width``: walls move rigidly.
+    The distances make the position in the gap, 0 at the moving boundary and 1 at rest. The share falls linearly there,
+    with parabolic ends of length ``width``: walls move rigidly.
     """
-    near, far = rest ** (1.0 / power), moving ** (1.0 / power)
-    end = min(near, far) / (near + far)
+    to_rest, to_moving = _closeness(rest, power, near, crossing), _closeness(moving, power, near, crossing)
+    end = min(to_rest, to_moving) / (to_rest + to_moving)
     part = (end * end / (2.0 * width) if end < width else end - 0.5 * width) / (1.0 - width)
-    return 1.0 - part if near < far else part
+    return 1.0 - part if to_rest < to_moving else part
 
 
 @kernel
-def finish_twist(sums, points, out, rest, power, width):
+def finish_twist(sums, points, out, rest, power, near, crossing, width):
     """Exponential of the mean twist: (R - 1) x + V v with R = exp w.
 
     With a ``width`` sums hold the total weight of the moving sources in their last column, and twists relative to
-    ``rest`` (6,), that of all others: see :func:`_share`.
+    ``rest`` (6,), that of all others: see :class:`Transition`.
     """
     for n in range(sums.shape[0]):
         inverse = 1.0 / sums[n, 0]
         if width > 0.0:
             moving = sums[n, 7]
-            inverse = _share(moving, max(sums[n, 0] - moving, 0.0), power, width) / moving if moving > 0.0 else 0.0
+            others = max(sums[n, 0] - moving, 0.0)
+            inverse = _share(moving, others, power, near, crossing, width) / moving if moving > 0.0 else 0.0
         w0, w1, w2 = sums[n, 1] * inverse + rest[0], sums[n, 2] * inverse + rest[1], sums[n, 3] * inverse + rest[2]
         v0, v1, v2 = sums[n, 4] * inverse + rest[3], sums[n, 5] * inverse + rest[4], sums[n, 6] * inverse + rest[5]
         angle2 = w0 * w0 + w1 * w1 + w2 * w2
@@ -98,14 +106,21 @@ def finish_twist(sums, points, out, rest, power, width):
 
 
 class Transition(NamedTuple):
-    """How ``lie`` passes from moving sources to others, which all have the twist ``rest`` (6,): see :func:`_share`."""
+    """How ``lie`` passes from moving sources to others, which all have the twist ``rest`` (6,).
+
+    Total weights fall off as distance^-power far from the sources. Closer than the breadth of a surface they fall off
+    as distance^-near only; there they are larger than ``crossing``. ``width`` is the length of the parabolic ends of
+    the share as a part of the gap, 0 without a transition: see :func:`_share`.
+    """
 
     rest: FloatArray
     power: float
+    near: float
+    crossing: float
     width: float
 
 
-NO_TRANSITION = Transition(np.zeros(6), 1.0, 0.0)
+NO_TRANSITION = Transition(np.zeros(6), 1.0, 1.0, 1.0, 0.0)
 """Every source counts by its weight."""
 
 

@@ -4,11 +4,16 @@ import itertools
 
 import numpy as np
 import pytest
+from cases import problem_of
+from grids import frame, frame_2d
 
+from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.grid import Grid
+from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.methods import TFI
+from meshdeform_core.methods.transfinite.curved import CurvedLines
 from meshdeform_core.methods.transfinite.faces import Faces, Lines
-from meshdeform_core.methods.transfinite.tfi import PreparedTFI
+from meshdeform_core.methods.transfinite.tfi import PreparedTFI, _table
 
 
 def boolean_sum(d, arc, low, high):
@@ -42,6 +47,15 @@ def arcs(x, cuts):
             uniform = np.broadcast_to((np.arange(last - first) + 1.0)[:, None, None] / (last - first), part.shape)
             out[first + 1 : last + 1] = np.where(part[-1] > 0, part / np.where(part[-1] > 0, part[-1], 1), uniform)
     return arc
+
+
+def lacking(d, x, tfi_of_x, low, high):
+    """Image of the deviation of a sub-block from its TFI, under the affine map fitted to the corners."""
+    box = tuple(slice(a, b + 1) for a, b in zip(low, high, strict=True))
+    ends = tuple(np.meshgrid(*zip(low, high, strict=True), indexing="ij"))
+    one = np.ones((8, 1))
+    gradient = np.linalg.lstsq(np.hstack([x[ends].reshape(8, 3), one]), d[ends].reshape(8, 3), rcond=None)[0][:3]
+    return (x[box] - tfi_of_x) @ gradient
 
 
 def random_block(rng, shape):
@@ -79,7 +93,11 @@ def test_sub_blocks_are_blended_from_their_faces(shapes, max_cells):
             at = [slice(None)] * 3
             at[axis] = low
             arc[(*at, axis)] = 0.0
-        blended = boolean_sum(Case.grid.block(sub.block, d), arc, sub.low, sub.high)
+        block, ends = Case.grid.block(sub.block, d), (sub.low, sub.high)
+        blended = boolean_sum(block, arc, *ends)
+        if max_cells:
+            x = blocks[sub.block]
+            blended += lacking(block, x, boolean_sum(x, arc, *ends), *ends)
         Case.grid.block(sub.block, expected)[inner] = blended[1:-1, 1:-1, 1:-1]
     PreparedTFI(TFI(max_cells), Case, skeleton).fill(d)
     np.testing.assert_allclose(d, expected, rtol=0, atol=1e-12)
@@ -114,3 +132,41 @@ def test_lines_are_blended_from_their_ends():
     lines = Lines.of([np.array([3, 1, 2, 0]), np.array([0, 3])], [np.array([0, 0.25, 0.5, 1]), np.array([0.0, 1])])
     lines.blend(d)
     np.testing.assert_allclose(d, [[1, 0, 0], [2.5, 0, 3], [2, 0, 2], [3, 0, 4], [7, 7, 7]], rtol=1e-15)
+
+
+@pytest.mark.parametrize("grid", [frame(7, 5), frame_2d(9)], ids=["3-d", "2-d"])
+def test_linear_maps_are_reproduced_where_lines_are_curved(grid):
+    rng = np.random.default_rng(3)
+    topology = find_topology(grid)
+    x = grid.points
+    waves = 0.05 * np.sin(x @ rng.normal(size=(3, 3)))
+    waves[:, 2] *= grid.dimension == 3
+    bent = grid.moved(x + waves)
+    linear = np.eye(3) if grid.dimension == 3 else np.diag([1.0, 1.0, 0.0])
+    image = bent.points @ (linear @ rng.normal(size=(3, 3)) @ linear) + 1.0 * linear.sum(axis=0)
+    problem = problem_of(bent, [BoundarySpec("all", ("*",), Kind.FIXED)])
+    assert topology.n_unique == problem.topology.n_unique
+    for cells, exact in ((4, True), (0, False)):
+        method = TFI(cells)
+        skeleton = method.skeleton(problem)
+        d = np.full_like(x, np.nan)
+        d[skeleton.nodes()] = image[skeleton.nodes()]
+        method.prepare(problem, skeleton).fill(d)
+        assert np.isfinite(d).all()
+        assert (np.abs(d - image).max() < 1e-11) == exact
+
+
+def test_grids_made_by_tfi_have_no_deviations():
+    problem = problem_of(frame(7, 5), [BoundarySpec("all", ("*",), Kind.FIXED)])
+    skeleton = TFI(4).skeleton(problem)
+    subs = _table(problem.grid, list(skeleton.sub_blocks()))
+    planes = []
+
+    def blend(x, some):
+        planes.append(len(some))
+        PreparedTFI(TFI(0), problem, skeleton).fill(x)
+
+    assert CurvedLines.of(problem.grid, subs, blend) is None
+    # One plane of each sub-block was looked at, none in full.
+    assert planes[0] > 0
+    assert planes[1:] == [0]

@@ -11,8 +11,11 @@ from meshdeform_core.boundary.expression import expression
 from meshdeform_core.boundary.prescribed import prescribed_displacement
 from meshdeform_core.errors import MethodError
 from meshdeform_core.methods import IDW, Options, make_method
+from meshdeform_core.methods.scattered.mirror import mirror_images
+from meshdeform_core.methods.scattered.transition import MovingShare, attached
 from meshdeform_core.numerics import rotation as rot
 from meshdeform_core.numerics.exact.direct import weighted_sums
+from meshdeform_core.numerics.rigid import Transition, finish
 
 VARIANTS = {
     "none": IDW(rotation="none"),
@@ -172,3 +175,39 @@ def test_logarithm_and_exponential_are_inverse():
         t = rng.standard_normal((50, 3))
         np.testing.assert_allclose(rot.rotation_vector(rot.quaternion_of(w)), w, rtol=1e-12, atol=1e-18)
         np.testing.assert_allclose(rot.translation_of_twist(w, rot.twist_velocity(w, t)), t, atol=1e-12)
+
+
+def share_at(heights, gap, breadth):
+    """Shares between two planes with a = 4, one of which moves, from :func:`finish_twist`."""
+    heights = np.asarray(heights)
+    sums = np.zeros((len(heights), 8))
+    moving, rest = np.pi / heights**2, np.pi / (gap - heights) ** 2
+    sums[:, 0], sums[:, 7], sums[:, 4] = moving + rest, moving, moving
+    out = np.empty((len(heights), 3))
+    transition = Transition(np.zeros(6), 3.0, 2.0, np.pi / breadth**2, 0.5)
+    finish("lie", sums, np.zeros((len(heights), 3)), out, 1, transition)
+    return out[:, 0]
+
+
+def test_close_to_broad_surfaces_the_share_is_that_of_the_distance():
+    """Two parabolas over the gap; by the law of curves the first cells would lose more of the motion."""
+    at = np.array([1e-4, 0.01, 0.2, 0.5, 0.8, 0.99])
+    parabolas = np.where(at < 0.5, 1.0 - 2.0 * at**2, 2.0 * (1.0 - at) ** 2)
+    np.testing.assert_allclose(share_at(at, 1.0, 100.0), parabolas, atol=1e-3)
+    assert np.all(share_at(at[:3], 1.0, 1e-6) < parabolas[:3] - 1e-6)
+
+
+def test_a_membrane_is_attached_and_a_free_body_is_not():
+    grid = frame(3, 2)
+    free = problem_of(grid, body_specs(turning(20)))
+    assert not attached(free)
+    half = expression("x > 0 and abs(x) < 0.51 and abs(y) < 0.51", {"x", "y", "z"})
+    body = body_specs(turning(20))[0]
+    part = BoundarySpec("half", body.select, Kind.MOVING, half, turning(20))
+    rest = [BoundarySpec("rest", body.select, Kind.FIXED, body.where), part]
+    inner = problem_of(grid, [*rest, *body_specs(turning(20))[1:]])
+    assert attached(inner)
+    one = MovingShare.of(mirror_images(free), free, 4.0, 0.5)
+    other = MovingShare.of(mirror_images(inner), inner, 4.0, 0.5)
+    assert (one.power, one.near) == (3.0, 2.0)
+    assert (other.power, other.near) == (3.0, 3.0)

@@ -7,6 +7,7 @@ from grids import frame
 
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.grid import Grid
+from meshdeform_core.methods import TFI, Options, make_method
 from meshdeform_core.methods.transfinite.skeleton import make_skeleton
 
 
@@ -47,3 +48,22 @@ def test_blocks_with_straight_lines_have_sub_blocks_of_the_given_size():
             assert cut[0] == 0
             assert cut[-1] == n - 1
             assert np.diff(cut).max() <= 4
+
+
+@pytest.mark.parametrize(("nodes", "cells"), [(1_000, 4), (50_000, 4), (60_000, 8), (200_000, 8), (300_000, 16)])
+def test_small_grids_have_small_sub_blocks(nodes, cells):
+    """With 1000 sources 5e7 pairs are 50,000 nodes."""
+
+    class Case:
+        n_unique_nodes = nodes
+        source_numbers = range(1000)
+
+    assert TFI().cells(Case) == cells
+    assert TFI(0).cells(Case) == 0
+
+
+def test_the_size_of_sub_blocks_is_reported():
+    problem = problem_of(frame(), body_specs(turning(20)))
+    used = [make_method(Options("idw-tfi", tfi=tfi)).prepare(problem).account.settings for tfi in (TFI(), TFI(7))]
+    assert [settings["max_cells"].value for settings in used] == [4, 7]
+    assert used[1]["max_cells"].reason == "given"

@@ -56,11 +56,25 @@ def on_moving_faces(problem):
     return moving
 
 
-def shared_out(problem, w, far, width):
+def distance_of(problem, weight, far):
+    """The distance, up to a factor, at which a total weight (sum of area r^-far) is that of a surface or a curve."""
+    if problem.grid.dimension == 2 or far <= 2.0:
+        return weight ** (-1.0 / max(far - 1.0, 1.0))
+    # No test has a moving face that touches a fixed one.
+    crossing = integrate.quad(lambda r: 2 * np.pi * r * (r**2 + breadth(problem) ** 2) ** (-far / 2), 0, np.inf)[0]
+    steeper = 1.0 / (far - 2.0) - 1.0 / (far - 1.0)
+    return weight ** (-1.0 / (far - 1.0)) / np.hypot(1.0, weight / crossing) ** steeper
+
+
+def breadth(problem):
+    x, area = problem.source_points[on_moving_faces(problem)], nodal_areas(problem)[on_moving_faces(problem)]
+    return area.sum() / (5.0 * max(np.linalg.norm(p - np.average(x, axis=0, weights=area)) for p in x))
+
+
+def shared_out(problem, w, scale, far, width):
     """Weights of which the moving sources have the share of a trapezoidal slope, integrated numerically."""
     moving = on_moving_faces(problem)
-    power = max(far - 1.0, 1.0)
-    distance = [w[chosen].sum() ** (-1.0 / power) for chosen in (moving, ~moving)]
+    distance = [distance_of(problem, w[chosen].sum() / scale, far) for chosen in (moving, ~moving)]
     place = distance[0] / sum(distance)
 
     def area(to):
@@ -119,7 +133,7 @@ def weights_of(problem, p, x, area, shift, displacement, options):
             far = 2.5 if problem.grid.dimension == 2 and options.rotation == "lie" else 3.0
         w = area * ((length / r) ** far + (alpha * length / r) ** options.b)
         if width:
-            return shared_out(problem, w, far, width)
+            return shared_out(problem, w, length**far, far, width)
     return w / w.sum()
 
 

@@ -153,7 +153,7 @@ class PreparedIDW:
         self.length = self._length()
         width = self._width()
         self.far = self._far(width)
-        self._share = MovingShare.of(self._images, self.far, width) if width else None
+        self._share = MovingShare.of(self._images, problem, self.far, width) if width else None
         self._blunt = self._near_edges()
         self.groups, self.strength = self._grouped()
         auto = options.remove_mean == "auto"
@@ -206,7 +206,8 @@ class PreparedIDW:
         o, moving = self.options, self._images.moving
         everything = (np.arange(len(moving)),)
         if o.weights == "luke":
-            return everything, self.area
+            # Relative to the largest, as in fast sums: the transition needs total weights in known units.
+            return everything, self.area / self.area.max()
         if o.p_moving == o.p_fixed or moving.all() or not moving.any():
             return everything, np.ones(len(moving))
         # (L_def / r)^p: with two exponents the reference length matters, so it has to be that of the grid.

@@ -11,9 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...boundary import Kind
 from ...grid import BoolArray, FloatArray
 from ...numerics.geometry.coincidence import connected_components
 from ...numerics.rigid import Transition
+from ..base import Problem
 from .mirror import Images
 
 WIDTH, WIDTH_IN_PLANES = 0.5, 0.3
@@ -22,8 +24,11 @@ FAR_OF_ONE_BODY = 4.0
 """Exponent a of eq. 16 for one moving body: with the transition, it only matters along the body."""
 STEEPER = 1.5
 """Accuracy of fast sums is judged by displacements this much larger: the share may change faster than the weights."""
-_DECAY = 1.0
-"""The total weight of a curve falls off as r^(1 - a), so does that of a surface beyond its shorter side."""
+_CURVE, _SURFACE = 1.0, 2.0
+"""The total weight of a curve falls off as r^(1 - a), so does that of a surface beyond its breadth; closer to it, the
+total weight of a surface falls off as r^(2 - a)."""
+_PERIMETER = 5.0
+"""Of the longer section of a body, over its largest radius."""
 
 
 def with_motion(images: Images) -> BoolArray:
@@ -39,18 +44,48 @@ def bodies(images: Images) -> int:
     return len(np.unique(label[images.corners[:, 0]]))
 
 
+def attached(problem: Problem) -> bool:
+    """Whether moving faces share nodes with faces at rest, like a membrane with the plate around it."""
+    quads, kind = problem.topology.quads.corners, problem.boundary.quad_kind
+    return bool(np.intersect1d(quads[kind == Kind.MOVING], quads[kind == Kind.FIXED]).size)
+
+
+def breadth(images: Images) -> float:
+    """Shorter side of the moving surface: its area over the perimeter of its longer section.
+
+    The perimeter is between 4 (a plate) and 2 pi (a cylinder) times the largest distance from the centroid.
+    """
+    moving = with_motion(images)
+    area, x = images.area[moving], images.points[moving]
+    reach = np.linalg.norm(x - area @ x / area.sum(), axis=1).max()
+    return float(area.sum() / (_PERIMETER * reach))
+
+
 @dataclass(frozen=True)
 class MovingShare:
-    """Which sources (n,) move, and the shape of their share."""
+    """Which sources (n,) move, and the shape of their share: see :class:`.rigid.Transition`."""
 
     moving: BoolArray
     power: float
+    near: float
+    crossing: float
     width: float
 
     @classmethod
-    def of(cls, images: Images, far: float, width: float) -> MovingShare:
-        """Share for sources with the exponent ``far`` of eq. 16."""
-        return cls(with_motion(images), max(far - _DECAY, 1.0), width)
+    def of(cls, images: Images, problem: Problem, far: float, width: float) -> MovingShare:
+        """Share for sources with the exponent ``far`` of eq. 16 and weights relative to the largest nodal area.
+
+        Close to a body that is at rest nowhere, weights are taken for those of surfaces: with the law of curves, walls
+        on the other side of the body would take part of the motion of its first cells. Where moving and fixed faces
+        meet, both weights have to fall off alike.
+        """
+        power = max(far - _CURVE, 1.0)
+        if problem.plane or far <= _SURFACE or attached(problem):
+            return cls(with_motion(images), power, power, 1.0, width)
+        near = far - _SURFACE
+        # The integral of r^-a over a plane at the distance of the breadth.
+        crossing = 2.0 * np.pi / near * breadth(images) ** -near / images.area.max()
+        return cls(with_motion(images), power, near, crossing, width)
 
     def applied(self, values: FloatArray) -> tuple[FloatArray, Transition] | None:
         """Twists (6, n) relative to those at rest, a row that is 1 for moving sources, and the transition.
@@ -61,4 +96,5 @@ class MovingShare:
         if (rest != rest[:, :1]).any():
             return None
         relative = values - rest[:, :1]
-        return np.concatenate([relative, self.moving[None]]), Transition(rest[:, 0].copy(), self.power, self.width)
+        transition = Transition(rest[:, 0].copy(), self.power, self.near, self.crossing, self.width)
+        return np.concatenate([relative, self.moving[None]]), transition

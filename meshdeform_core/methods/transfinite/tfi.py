@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from functools import partial
+from typing import Literal
 
 import numpy as np
 
@@ -13,10 +15,16 @@ from ...numerics.transfinite.blend import blend_slabs
 from ...parallel import Shared, current_ranks, empty, for_chunks
 from ..base import Account, Problem, Progress, Setting, of_stage
 from ..options import option, positive, used
+from .curved import CurvedLines
 from .faces import Faces
 from .skeleton import Skeleton, SubBlock, make_skeleton
 
-DEFAULT_MAX_CELLS = 16
+FEW_PAIRS = (5e7, 4), (2e8, 8), (np.inf, 16)
+"""Up to how many pairs of nodes and sources sub-blocks have how many cells per direction.
+
+Sums over 5e7 pairs take less than a tenth of a second. Small grids are coarse: where a motion changes within a few
+cells, smaller sub-blocks follow it.
+"""
 # Planes and nodes filled per call, and calls per grid: enough to balance the load, few enough to cost nothing.
 _PLANES, _NODES, _CHUNKS = (8, 32), 65536, 64
 
@@ -31,19 +39,26 @@ class TFI:
     Attributes
     ----------
     max_cells : as the second step of a hybrid: blocks are cut into virtual sub-blocks of at most this many cells per
-        direction, whose faces the first step moves; 0 never cuts
+        direction, whose faces the first step moves; 0 never cuts; ``"auto"``: 16, and 8 or 4 in small grids
     """
 
-    max_cells: int = option(
-        DEFAULT_MAX_CELLS, "keeps wall angles close to pure IDW (2.6 degrees deviation; 10.3 without sub-blocks)"
+    max_cells: int | Literal["auto"] = option(
+        "auto", "keeps wall angles close to pure IDW (2.6 degrees deviation; 10.3 without sub-blocks)"
     )
 
     def __post_init__(self) -> None:
-        positive("tfi.max_cells", self.max_cells, whole=True, zero=True)
+        positive("tfi.max_cells", self.max_cells, whole=True, zero=True, auto=True)
+
+    def cells(self, problem: Problem) -> int:
+        """Cells per direction of a sub-block."""
+        if self.max_cells != "auto":
+            return int(self.max_cells)
+        pairs = float(problem.n_unique_nodes) * len(problem.source_numbers)
+        return next(cells for limit, cells in FEW_PAIRS if pairs <= limit)
 
     def skeleton(self, problem: Problem) -> Skeleton:
         """The nodes that the first step has to move."""
-        return make_skeleton(problem, self.max_cells)
+        return make_skeleton(problem, self.cells(problem))
 
     def prepare(self, problem: Problem, skeleton: Skeleton) -> PreparedTFI:
         """Arc-length coordinates of all sub-blocks."""
@@ -59,7 +74,8 @@ class PreparedTFI:
         grid = problem.grid
         subs = list(skeleton.sub_blocks())
         self.account = Account()
-        self.account.settings |= used(options, "max_cells")
+        cells = options.cells(problem)
+        self.account.settings["max_cells"] = dataclasses.replace(used(options, "max_cells")["max_cells"], value=cells)
         self.account.settings["sub_blocks"] = Setting(len(subs))
         planes = [_plane_nodes(grid, sub) for sub in subs] if grid.dimension == 2 else []
         self._planes = Faces.of(grid.points, planes, [np.ones(nodes.shape, dtype=bool) for nodes in planes])
@@ -73,21 +89,27 @@ class PreparedTFI:
             arc_coordinates(grid.points, self._subs, parts[lo:hi], self._arc)
 
         for_chunks(work, len(parts), 1 + len(parts) // _CHUNKS, common=[self._arc])
+        self._curved = CurvedLines.of(grid, _table(grid, subs), self._blend) if cells else None
 
     def fill(self, displacement: FloatArray, progress: Progress | None = None) -> None:
         """Interior of every sub-block from its faces, in place in ``displacement`` (n_nodes, 3)."""
+        self._blend(displacement, self._slabs, progress)
+        if self._curved:
+            self._curved.add(displacement)
+
+    def _blend(self, displacement: FloatArray, slabs: IntArray, progress: Progress | None = None) -> None:
+        """Some planes of 3-D sub-blocks, see :func:`_slabs`; in a 2-D grid everything."""
         current_ranks().alter(displacement, partial(self._planes.blend, displacement))
+        slabs = slabs if len(self._subs) else self._slabs
 
         def work(lo: int, hi: int) -> None:
-            blend_slabs(displacement, self._arc, self._subs, self._slabs[lo:hi])
+            blend_slabs(displacement, self._arc, self._subs, slabs[lo:hi])
+
+        def filled(lo: int, hi: int) -> IntArray:
+            return np.concatenate([_nodes_of(self._subs[n], i0, i1) for n, i0, i1 in slabs[lo:hi].tolist()])
 
         report = of_stage(progress, "tfi")
-        chunk = 1 + len(self._slabs) // _CHUNKS
-        for_chunks(work, len(self._slabs), chunk, report, [Shared(displacement, self._interior)])
-
-    def _interior(self, first: int, last: int) -> IntArray:
-        """Flat indices of the nodes inside some slabs."""
-        return np.concatenate([_nodes_of(self._subs[n], i0, i1) for n, i0, i1 in self._slabs[first:last].tolist()])
+        for_chunks(work, len(slabs), 1 + len(slabs) // _CHUNKS, report, [Shared(displacement, filled)])
 
 
 def _table(grid: Grid, subs: list[SubBlock]) -> IntArray:
