@@ -36,7 +36,7 @@ def picture(name: str, sample: str, size: int, panels: list[Panel], window: tupl
         for number, (ax, (title, method, options)) in enumerate(zip(axes[0], panels, strict=True)):
             output = case / f"{number}.cgns"
             call("deform", case / "grid.cgns", "-c", case / "case.toml", "-m", method, *options, "-o", output,
-                 "--allow-invalid", "-q")  # fmt: skip
+                 "--repair", "off", "--allow-invalid", "-q")  # fmt: skip
             grid = read_grid(output)
             collection = draw(ax, plane_facets(Subject(grid, find_topology(grid)), 2, 0, "f_skew"), limits=(0.0, 1.0))
             ax.set(xlim=window[:2], ylim=window[2:], title=title, ylabel="" if number else "y")
