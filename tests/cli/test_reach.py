@@ -34,7 +34,7 @@ def test_set_that_reaches_nothing_is_an_error(setting, words, bench, call):
         ("idw", ["method.idw.weights=shepard", "method.idw.p_fixed=4"]),
         ("idw", ["method.idw.rotation=division", "method.idw.divisions=4"]),
         ("rbf", ["method.rbf.basis=wendland-c2", "method.rbf.radius=4.0"]),
-        ("idw-tfi", ["method.tfi.max_cells=2"]),
+        ("idw-tfi", ["method.tfi.max_cells=0"]),
     ],
 )
 def test_set_that_is_read_is_accepted_and_changes_the_grid(method, settings, bench, call):
