@@ -100,9 +100,12 @@ class ReadAhead:
     def _find(self) -> Joints | None:
         from meshdeform_core.grid.joints import find_joints
         from meshdeform_core.grid.topology import RELATIVE_TOLERANCE
+        from meshdeform_core.numerics.jit import load_compiler
 
         grid = self._grid.result()
         left_for_method(self.memory, grid.n_nodes, grid.points.nbytes)
         if self._abandoned:
             return None
+        # Its loops may be the first.
+        load_compiler()
         return find_joints(grid, self._tolerance or RELATIVE_TOLERANCE)
