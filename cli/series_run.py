@@ -15,7 +15,7 @@ from meshdeform_core.boundary.motion import FollowSequence
 from meshdeform_core.boundary.prescribed import largest_displacement
 from meshdeform_core.deform import Setup, Timing, set_up
 from meshdeform_core.errors import CaseError, FormatError, MeshDeformError
-from meshdeform_core.memory import peak_memory
+from meshdeform_core.memory import WRITING_ARRAYS, peak_memory
 from meshdeform_core.methods import make_method
 from meshdeform_core.parallel import current_ranks, thread_count
 from meshdeform_core.series import Level, Schedule, deform_series
@@ -36,8 +36,6 @@ from .process.progress import ProgressBar, writing
 from .work import Job, cells_of
 
 _PICTURES = 8
-# Coordinate arrays that writing a level takes, at most, beside the level.
-_ARRAYS = 2
 
 
 @dataclass(frozen=True)
@@ -246,7 +244,7 @@ class Recorder:
         last = level.number + 1 == len(run.schedule.times)
         if ranks > 1 or thread_count() == 1 or last or not plain:
             return True
-        return _ARRAYS * size + run.setup.original.kept.bytes > run.setup.memory.spare
+        return WRITING_ARRAYS * size + run.setup.original.kept.bytes > run.setup.memory.spare
 
     def finish(self) -> None:
         """Wait until the last level is written and recorded.

@@ -18,6 +18,8 @@ _UNITS = ("B", "KiB", "MiB", "GiB", "TiB")
 PROGRAM_BYTES, COORDINATE_ARRAYS = 220 * 2**20, 9
 VELOCITY_ARRAYS = 2
 """The grid velocity of a series, and the levels of which it is a difference."""
+WRITING_ARRAYS, REUSED_ARRAYS = 2, 3
+"""What writing a level takes, at most, while the next one is computed; what is kept to be used again."""
 PICTURE_BYTES = 280 * 2**20
 """The library that draws the pictures of a report, and what it draws on: up to 273 MiB were measured."""
 # Coordinate arrays that each of several ranks on a machine holds privately: 0.9 to 1.05 were measured.

@@ -10,9 +10,10 @@ import numpy as np
 from .deform import Result, Setup, Start, Timing, impose
 from .errors import CaseError
 from .grid import FloatArray
+from .memory import REUSED_ARRAYS, WRITING_ARRAYS
 from .methods import PreparedMethod, Progress, make_method, remembering
 from .numerics.arrays import lengths
-from .parallel import empty, for_rows
+from .parallel import allow, empty, for_rows, reusing_memory
 
 ORIGINS = ("reference", "last")
 VELOCITIES = ("none", "first", "second")
@@ -96,11 +97,12 @@ def deform_series(
     """
     series = _Series(setup, schedule, precision, progress)
     past = [finished(n) for n in range(first - series.past(first), first)] if finished else []
-    for number in range(first, len(schedule.times)):
-        level = series.level(number, past)
-        yield level
-        past = [*past, level.result.grid.points]
-        past = past[len(past) - series.past(number + 1) :]
+    with reusing_memory():
+        for number in range(first, len(schedule.times)):
+            level = series.level(number, past)
+            yield level
+            past = [*past, level.result.grid.points]
+            past = past[len(past) - series.past(number + 1) :]
 
 
 class _Series:
@@ -118,7 +120,7 @@ class _Series:
         marching = schedule.origin == "last" and bool(past)
         start = Start(past[-1]) if marching else Start(setup.grid.points, reference, self._correction(number, past))
         result = impose(setup, setup.motion(time), schedule.steps, self.precision, timing, self.progress, start)
-        setup.expect_more()
+        self._expect_more()
         displacement = setup.displacement(time)[self.problem.source_numbers]
         drift = velocity = None
         if schedule.origin == "last":
@@ -128,6 +130,13 @@ class _Series:
             points = [*past, result.grid.points]
             velocity = grid_velocity(schedule.times[: number + 1], points, schedule.velocity)
         return Level(number, time, result, self._rotation(displacement), drift, velocity, timing)
+
+    def _expect_more(self) -> None:
+        """Keep what saves time at further levels, if memory allows."""
+        setup = self.setup
+        setup.expect_more()
+        rest = setup.memory.spare - setup.original.kept.bytes - WRITING_ARRAYS * setup.grid.points.nbytes
+        allow(min(max(rest, 0), REUSED_ARRAYS * setup.grid.points.nbytes))
 
     def past(self, number: int) -> int:
         """How many levels before level ``number`` are needed to make it; a repair starts from the one before."""

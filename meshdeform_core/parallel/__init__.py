@@ -15,6 +15,7 @@ from .loops import (
     sharing,
     thread_count,
 )
+from .reuse import allow, reusing_memory, uninitialised
 from .tasks import Task, tasks_running
 
 __all__ = [
@@ -22,15 +23,18 @@ __all__ = [
     "Ranks",
     "Shared",
     "Task",
+    "allow",
     "alone",
     "current_ranks",
     "empty",
     "for_chunks",
     "for_items",
     "for_rows",
+    "reusing_memory",
     "set_ranks",
     "set_threads",
     "sharing",
     "tasks_running",
     "thread_count",
+    "uninitialised",
 ]

@@ -24,6 +24,8 @@ from contextlib import AbstractContextManager, contextmanager
 from functools import partial
 from typing import Any, NamedTuple, Protocol, TypeVar
 
+from .reuse import uninitialised
+
 T = TypeVar("T")
 Work = Callable[[int, int], object]
 Counter = Callable[[int, int], object]
@@ -105,10 +107,7 @@ class OneRank:
         return self._cores or usable_cores()
 
     def empty(self, shape: Sequence[int], dtype: Any) -> Any:
-        # Imported late: the number of threads of linear algebra must be set before numpy is loaded.
-        import numpy as np
-
-        return np.empty(shape, dtype)
+        return uninitialised(shape, dtype)
 
     def group_of(self, arrays: Sequence[Any]) -> tuple[int, int]:
         return 0, 1
