@@ -65,8 +65,12 @@ class MemoryLimit:
 
     @property
     def spare(self) -> int:
-        """What may be taken only to save time, once a first grid has been made: a quarter, if that is still there."""
-        return min(self.size // 4, self.size + self.taken - max(self.taken, peak_memory()))
+        """What may be taken only to save time, once a first grid has been made: a quarter, if that is still there.
+
+        Another quarter is left for the fields of a method that combines levels, which it takes from the first one on.
+        """
+        share = self.size // 4
+        return min(share, self.size + self.taken - max(self.taken, peak_memory()) - share)
 
 
 UNLIMITED = MemoryLimit(2**62, "the machine has")
