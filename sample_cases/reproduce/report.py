@@ -64,7 +64,7 @@ def robustness_markdown(robustness: dict[str, Any], folder: str) -> str:
     text = (
         f"## Robustness\n\nLargest valid rotation of the body of `{robustness['sample']}` in degrees, in multiples of "
         f"{step:g}: imposed in one step, and marching in steps of {step:g} degrees from the last grid, both without "
-        f"repair; and in one step with repair, of {tried} (an empty cell: not run)"
+        f"repair; and in one step with repair, of {tried}"
     )
     head = ["method", *(f"{title} [deg]" for title in _LARGEST.values())]
     return f"{text}.\n\n{grid(head, body)}\n\n{pictures(robustness['figures'], folder)}"
