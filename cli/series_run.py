@@ -289,7 +289,12 @@ def _record(run: Run, level: Level, beside: bool = False) -> None:
     seconds = clock.perf_counter() - before
     record = level_record(level, files.path(level.number).name, seconds, manifest.head, warned)
     manifest.levels.append(record)
-    manifest.save()
+    try:
+        manifest.save()
+    except BaseException:
+        # A signal's message tells how many levels are recorded.
+        manifest.levels.pop()
+        raise
     if level.number + 1 < len(run.schedule.times):
         with run.timing.stage("publish"):
             files.publish(level.number + 1)

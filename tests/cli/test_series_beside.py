@@ -13,6 +13,7 @@ from meshdeform_core.errors import FormatError, MotionError
 from meshdeform_core.parallel import reuse
 from meshdeform_core.series import _Series
 from meshdeform_formats.series.files import LevelFiles, SingleFile
+from meshdeform_formats.series.manifest import Manifest
 
 CASE = """\
 [[boundary]]
@@ -106,6 +107,21 @@ def test_a_level_that_cannot_be_written_ends_the_series_there(swing, call, monke
     assert call(*RUN, "-o", "out", "--resume").code == call(*RUN, "-o", "whole").code == 0
     for name in (f"grid_{n:04d}.xyz" for n in range(COUNT)):
         assert Path("out", name).read_bytes() == Path("whole", name).read_bytes()
+
+
+def test_a_level_that_could_not_be_recorded_does_not_count_as_done(swing, call, monkeypatch):
+    plain, states = Manifest.save, []
+
+    def save(self):
+        states.append(self)
+        if len(self.levels) == 3:
+            raise FormatError("cannot write series.json: No space left on device")
+        plain(self)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Manifest, "save", save)
+        assert call(*RUN, "-o", "out").code == 2
+    assert len(states[-1].levels) == len(levels_of("out")) == 2
 
 
 @pytest.mark.parametrize(("writes", "told"), [(True, "level 3 cannot be made"), (False, "cannot write grid_0002.xyz")])
