@@ -25,7 +25,7 @@ _GROUPS = 2
 def plan(job: Job, output: Path | None, imposed: Imposed, variant: dict[str, str]) -> Report:
     """The report of a dry run: classification, parameters, node counts and early warnings."""
     precision = variant_of(job.grid, output, variant).precision if output is not None else job.grid.precision
-    setup = set_up(job.grid, imposed.case(job.case.case), memory=job.memory, joints=job.joints)
+    setup = set_up(job.grid, imposed.case(job.case.case), memory=job.memory)
     prepared = make_method(job.case.case.method).prepare(setup.problem)
     motion = setup.displacement(imposed.time)
     largest = largest_displacement(motion)

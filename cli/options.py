@@ -73,22 +73,13 @@ class GridInput:
 
     def read(self, boundary_file: Path | None = None) -> Grid:
         """The grid; ``boundary_file`` is that of the case, used if the command line names none."""
+        from meshdeform_formats.grids import read_grid_with_boundaries
+
         from .process.progress import reading
 
+        options = parse_pairs(self.read_as, "--read-as")
         with reading(self.path):
-            return self.with_boundaries(self.from_file(), boundary_file)
-
-    def from_file(self) -> Grid:
-        """The grid with the boundary information of its own file."""
-        from meshdeform_formats.grids import read_grid
-
-        return read_grid(self.path, parse_pairs(self.read_as, "--read-as"))
-
-    def with_boundaries(self, grid: Grid, boundary_file: Path | None) -> Grid:
-        """The grid with the boundary information of the file that the command line or the case names."""
-        from meshdeform_formats.grids import with_boundaries
-
-        return with_boundaries(grid, self.boundary_file or boundary_file)
+            return read_grid_with_boundaries(self.path, self.boundary_file or boundary_file, options)
 
     @property
     def files(self) -> tuple[Path | None, ...]:

@@ -87,7 +87,7 @@ def prepare(job: Job, source: GridInput, wanted: Wanted, options: RunInput) -> R
     case = job.case.case
     if not case.depends_on_time:
         case = replace(case, notes=(*case.notes, "the motion does not depend on t: all levels are alike"))
-    setup = set_up(grid, case, timing, job.memory, job.joints)
+    setup = set_up(grid, case, timing, job.memory)
     files.dress = lambda level: with_fields(cells_of(setup, level), wanted.fields)
     return Run(job, setup, schedule, files, manifest, timing, options.warnings, options.allow_invalid, wanted.fields)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import time as clock
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,6 @@ from meshdeform_core.boundary.matching import SurfaceData
 from meshdeform_core.boundary.motion import Follow
 from meshdeform_core.deform import Case, Setup, deform
 from meshdeform_core.grid import Grid
-from meshdeform_core.grid.joints import Joints
 from meshdeform_core.memory import MemoryLimit, left_for_method, peak_memory
 from meshdeform_core.methods import make_method
 from meshdeform_core.parallel import current_ranks, thread_count
@@ -32,10 +31,9 @@ from meshdeform_formats.report.illustrations import Illustrate, deformation_figu
 from meshdeform_formats.report.text import as_text
 
 from .exit_codes import EXIT_INVALID
-from .options import CaseInput, RunInput, keep_inputs
+from .options import CaseInput, GridInput, RunInput, keep_inputs
 from .process.messages import tell
 from .process.progress import ProgressBar, writing
-from .read_ahead import ReadAhead
 from .reporting import STDOUT, Delivery, deliver
 
 __all__ = ["Imposed", "Job", "conclude", "load", "place_of", "print_plan", "run"]
@@ -49,10 +47,9 @@ class Job:
     case: CaseFile
     read_seconds: float
     memory: MemoryLimit
-    joints: Callable[[Grid, float], Joints]
 
 
-def load(ahead: ReadAhead, case: CaseInput, outputs: Sequence[Path], more_arrays: int = 0) -> Job:
+def load(source: GridInput, case: CaseInput, memory: MemoryLimit, outputs: Sequence[Path], more_arrays: int = 0) -> Job:
     """Read the case first (it is small and most often wrong), then the grid with its boundary information.
 
     ``outputs`` must not be files named in the case; ``more_arrays`` as large as the coordinates will be needed.
@@ -62,10 +59,10 @@ def load(ahead: ReadAhead, case: CaseInput, outputs: Sequence[Path], more_arrays
         keep_inputs(path, *what.files)
     make_method(what.case.method)
     start = clock.perf_counter()
-    grid = ahead.grid(what.boundary_file, what.case.tolerance)
+    grid = source.read(what.boundary_file)
     seconds = clock.perf_counter() - start
-    left = left_for_method(ahead.memory, grid.n_nodes, grid.points.nbytes, _other_bytes(grid, what), more_arrays)
-    return Job(grid, what, seconds, left, ahead.joints)
+    left = left_for_method(memory, grid.n_nodes, grid.points.nbytes, _other_bytes(grid, what), more_arrays)
+    return Job(grid, what, seconds, left)
 
 
 def _other_bytes(grid: Grid, case: CaseFile) -> int:
@@ -126,7 +123,6 @@ def run(
         memory=job.memory,
         progress=progress,
         warn=options.warnings.tell,
-        joints=job.joints,
     )
     options.warnings.tell(result.warnings)
     target = output if result.valid or options.allow_invalid else invalid_path(output)

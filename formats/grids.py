@@ -104,11 +104,7 @@ def read_grid(path: str | Path, options: Mapping[str, Any] | None = None) -> Gri
 
 def read_grid_with_boundaries(path: Path, boundary_file: Path | None, options: Mapping[str, Any] | None = None) -> Grid:
     """Read a grid; a neutral map file replaces the boundary information of the grid file."""
-    return with_boundaries(read_grid(path, options), boundary_file)
-
-
-def with_boundaries(grid: Grid, boundary_file: Path | None) -> Grid:
-    """The grid with the boundary information of a neutral map file, if one is given."""
+    grid = read_grid(path, options)
     if boundary_file is None:
         return grid
     from .neutral_map import read_neutral_map

@@ -10,7 +10,6 @@ from .attempts import adaptively, in_equal_steps, until_valid
 from .boundary.crossing import Crossing, find_crossings
 from .errors import CaseError
 from .grid import Grid
-from .grid.joints import Joints, find_joints
 from .march import Attempt, March
 from .memory import UNLIMITED, MemoryLimit
 from .methods import Account, Progress
@@ -79,7 +78,6 @@ def deform(
     memory: MemoryLimit = UNLIMITED,
     progress: Progress | None = None,
     warn: Callable[[Sequence[str]], object] | None = None,
-    joints: Callable[[Grid, float], Joints] = find_joints,
 ) -> Result:
     """Deform ``grid`` according to ``case`` and judge the result.
 
@@ -92,7 +90,6 @@ def deform(
         applies to the coordinates as written
     memory : limit for the method, in addition to the grid
     warn : called with the warnings of the set-up (also part of the result) before anything is computed
-    joints : as in :func:`.setup.set_up`
 
     Raises
     ------
@@ -100,7 +97,7 @@ def deform(
         For any fault of the input.
     """
     timing = Timing(progress=progress)
-    setup = set_up(grid, case, timing, memory, joints)
+    setup = set_up(grid, case, timing, memory)
     if warn:
         warn(setup.warnings)
     return impose(setup, setup.motion(time), steps, precision or grid.precision, timing, progress)

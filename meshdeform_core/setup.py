@@ -17,12 +17,14 @@ from .boundary.unselected import opening_notes
 from .errors import CaseError, MotionError
 from .grid import FloatArray, Grid
 from .grid.connectivity import check_connections
-from .grid.joints import Joints, find_joints
-from .grid.topology import RELATIVE_TOLERANCE, Topology
+from .grid.extent import require_extent
+from .grid.openings import find_openings
+from .grid.topology import RELATIVE_TOLERANCE, Topology, find_topology
 from .memory import UNLIMITED, MemoryLimit
 from .methods import Options, PreparedMethod, Problem, Progress
 from .numerics.arrays import extent
 from .numerics.jit import compile_seconds
+from .parallel import current_ranks
 from .quality import Original
 from .repair import Mode, RepairOptions
 
@@ -161,16 +163,8 @@ class Start:
     correction: Callable[[], FloatArray | None] | None = None
 
 
-def set_up(
-    grid: Grid,
-    case: Case,
-    timing: Timing | None = None,
-    memory: MemoryLimit = UNLIMITED,
-    joints: Callable[[Grid, float], Joints] = find_joints,
-) -> Setup:
+def set_up(grid: Grid, case: Case, timing: Timing | None = None, memory: MemoryLimit = UNLIMITED) -> Setup:
     """Find the topology and classify the boundary; ``memory`` is the method's limit in addition to the grid.
-
-    ``joints`` is asked for topology and openings: they may have been found already.
 
     Raises
     ------
@@ -178,17 +172,18 @@ def set_up(
         When a boundary entry matches nothing or no node would move.
     """
     timing = timing or Timing()
+    require_extent(grid)
     with timing.stage("topology"):
-        found = joints(grid, case.tolerance)
-        topology = found.topology
+        topology = current_ranks().once(lambda: find_topology(grid, case.tolerance))
         warnings = [*grid.notes, *case.notes, *check_connections(grid, topology)]
         if topology.crowded:
             warnings.append(f"{topology.crowded} face quads are shared by more than two blocks")
+        openings = current_ranks().once(lambda: find_openings(grid, topology))
         topology = open_plates(grid, topology, case.plates)
         topology, boundary = classify(grid, topology, case.boundaries, case.constants)
         unselected = boundary.quads_of(lambda patch: patch.name == UNSELECTED)
         moving = boundary.quads_of(lambda patch: patch.kind is Kind.MOVING)
-        warnings += opening_notes(grid, topology, found.openings, unselected, moving, case.open_faces)
+        warnings += opening_notes(grid, topology, openings, unselected, moving, case.open_faces)
     if not boundary.count(Kind.MOVING):
         raise MotionError(
             "no node moves: no boundary entry of kind moving selects any node; "

@@ -23,7 +23,6 @@ from ..options import (
 )
 from ..process.machine import use_threads
 from ..process.progress import ProgressBar
-from ..read_ahead import ReadAhead
 
 
 @click.command("deform")
@@ -60,32 +59,19 @@ def command(
             "Nothing to do: give a case file (-c) or a displacement table (-d). To create a case file with every "
             f"boundary of the grid: meshdeform init {source.path} -o case.toml"
         )
-    with ReadAhead(source, run.memory) as ahead:
-        if not run.dry_run and output is not None:
-            check_target(output, run, *source.files, *case.files)
-        check_reports(run.reports, run.force, output, *source.files, *case.files)
-        return _carry_out(ahead, output, case, (parse_steps(steps), at_time), run, start)
-
-
-def _carry_out(
-    ahead: ReadAhead,
-    output: Path | None,
-    case: CaseInput,
-    how: tuple[int | str | None, float | None],
-    run: RunInput,
-    start: float,
-) -> int:
-    """The command once its options are known to be sound; ``how``: number of steps, and time of the motion."""
-    options = run.variant_options
+    if not run.dry_run and output is not None:
+        check_target(output, run, *source.files, *case.files)
+    check_reports(run.reports, run.force, output, *source.files, *case.files)
+    count, options, limit = parse_steps(steps), run.variant_options, run.memory
 
     from meshdeform_formats.files import invalid_path
 
     from .. import forecast, work
 
     outputs = [output, *([] if output is None or run.allow_invalid else [invalid_path(output)]), *run.reports]
-    imposed = work.Imposed(*how)
+    imposed = work.Imposed(count, at_time)
     with ProgressBar(not run.quiet) as progress:
-        job = work.load(ahead, case, [path for path in outputs if path is not None])
+        job = work.load(source, case, limit, [path for path in outputs if path is not None])
         if run.dry_run or output is None:
             planned = forecast.plan(job, output, imposed, options)
         else:
@@ -93,7 +79,7 @@ def _carry_out(
     if run.dry_run:
         work.print_plan(planned, run)
         return 0
-    files = [*ahead.source.roles, *case.roles(job.case), ("output", Path(report["output"]))]
+    files = [*source.roles, *case.roles(job.case), ("output", Path(report["output"]))]
     return work.conclude(report, run, work.Delivery(start, files, illustrate))
 
 

@@ -9,7 +9,7 @@ import click
 from meshdeform_core.errors import CaseError
 
 from ..options import PATH, check_output, force_option, quiet_option, threads_option
-from ..process.machine import use_one_library_thread, use_threads
+from ..process.machine import use_threads
 
 _RESULT = "results.json"
 
@@ -40,7 +40,6 @@ def command(
     about an hour on two cores.
     """
     use_threads(threads)
-    use_one_library_thread()
     from meshdeform_samples.reproduce import check, reproduce
     from meshdeform_samples.reproduce.report import as_markdown
 

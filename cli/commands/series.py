@@ -14,7 +14,6 @@ from meshdeform_core.parallel import current_ranks
 from ..options import PATH, CaseInput, GridInput, RunInput, case_options, check_reports, grid_options, run_options
 from ..process.machine import use_threads
 from ..process.progress import ProgressBar
-from ..read_ahead import ReadAhead
 from .deform import parse_steps
 
 
@@ -67,27 +66,26 @@ def command(
         raise click.UsageError("Displacement files (-d 'surface_*.csv') need their times: --times START:STOP:STEP.")
     if resume and run.force:
         raise click.UsageError("--resume continues a series, --force restarts it; give one of them.")
-    with ReadAhead(source, run.memory) as ahead:
-        check_reports(run.reports, run.force or resume, *source.files, *case.files)
-        count, options = parse_steps(steps), run.variant_options
+    check_reports(run.reports, run.force or resume, *source.files, *case.files)
+    count, options, limit = parse_steps(steps), run.variant_options, run.memory
 
-        from meshdeform_core.memory import VELOCITY_ARRAYS
+    from meshdeform_core.memory import VELOCITY_ARRAYS
 
-        from .. import series_run, work
+    from .. import series_run, work
 
-        wanted = series_run.Wanted(output, times, origin, velocity, count, suffix, single_file, options, run.fields)
-        with ProgressBar(not run.quiet) as progress:
-            more = VELOCITY_ARRAYS if velocity != "none" else 0
-            job = work.load(ahead, dataclasses.replace(case, times=times), run.reports, more)
-            plan = series_run.prepare(job, source, wanted, run)
-            run.warnings.tell(plan.setup.warnings)
-            if run.dry_run:
-                planned, levels = series_run.describe(plan)
-            else:
-                plan.manifest = current_ranks().on_first(lambda: series_run.open_manifest(plan, resume, run.force))
-                report = series_run.carry_out(plan, progress)
+    wanted = series_run.Wanted(output, times, origin, velocity, count, suffix, single_file, options, run.fields)
+    with ProgressBar(not run.quiet) as progress:
+        more = VELOCITY_ARRAYS if velocity != "none" else 0
+        job = work.load(source, dataclasses.replace(case, times=times), limit, run.reports, more)
+        plan = series_run.prepare(job, source, wanted, run)
+        run.warnings.tell(plan.setup.warnings)
         if run.dry_run:
-            work.print_plan(planned, run, levels)
-            return 0
-        files = [*source.roles, *case.roles(job.case), ("index", plan.files.view)]
-        return work.conclude(report, run, work.Delivery(start, files, partial(series_run.illustrate, plan)))
+            planned, levels = series_run.describe(plan)
+        else:
+            plan.manifest = current_ranks().on_first(lambda: series_run.open_manifest(plan, resume, run.force))
+            report = series_run.carry_out(plan, progress)
+    if run.dry_run:
+        work.print_plan(planned, run, levels)
+        return 0
+    files = [*source.roles, *case.roles(job.case), ("index", plan.files.view)]
+    return work.conclude(report, run, work.Delivery(start, files, partial(series_run.illustrate, plan)))

@@ -5,24 +5,18 @@ from __future__ import annotations
 import gc
 import os
 
-from meshdeform_core.parallel import current_ranks, set_threads, thread_count
+from meshdeform_core.parallel import set_threads
 
 # Environment variables that the linear algebra libraries of numpy and scipy read once, when they are loaded.
 _LIBRARIES = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 
 
 def use_threads(count: int | None) -> None:
-    """Apply ``--threads`` to our loops and to linear algebra; to be called before numpy is imported."""
-    set_threads(count)
-    if count is not None or current_ranks().count > 1:
-        os.environ.update(dict.fromkeys(_LIBRARIES, str(thread_count())))
+    """Apply ``--threads`` to our loops, and run linear algebra in one thread; to be called before numpy is imported.
 
-
-def use_one_library_thread() -> None:
-    """Run linear algebra in one thread: others would wait in busy loops and consume CPU time.
-
-    To be called before numpy is imported.
+    Our loops call it on all threads, mostly with small matrices; threads of its own would wait in busy loops.
     """
+    set_threads(count)
     os.environ.update(dict.fromkeys(_LIBRARIES, "1"))
 
 

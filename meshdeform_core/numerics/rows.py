@@ -1,7 +1,5 @@
 """Rows of displacement arrays (n, 3) picked and put by index, without arrays in between."""
 
-import numpy as np
-
 from .jit import kernel
 
 
@@ -45,8 +43,3 @@ def add_transformed_rows(values, matrix, out):
         x, y, z = values[n, 0], values[n, 1], values[n, 2]
         for c in range(3):
             out[n, c] += x * matrix[0, c] + y * matrix[1, c] + z * matrix[2, c]
-
-
-def load_first_loop() -> None:
-    """Load a loop that every method uses: the first one takes longest, whatever it does."""
-    put_rows(np.empty((0, 3)), np.empty(0, dtype=np.int64), np.empty((0, 3)))

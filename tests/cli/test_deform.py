@@ -97,16 +97,18 @@ def test_a_second_run_gives_the_same_bytes(bench, call):
     assert (bench / "out.xyz").read_bytes() == (bench / "again.xyz").read_bytes()
 
 
-def test_threads_are_honoured(bench, call, monkeypatch):
+def test_threads_are_those_of_our_loops(bench, call, monkeypatch):
     from meshdeform_core.parallel import loops as parallel
 
     with monkeypatch.context() as patch:
         patch.setattr(parallel, "_limit", None)
         for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"):
             patch.delenv(name, raising=False)
-        call(*RUN, "--threads", "1")
-        assert parallel.thread_count() == 1
-        assert os.environ["OPENBLAS_NUM_THREADS"] == "1"
+        for count in (1, 2):
+            call(*RUN, "--threads", str(count), "--force")
+            assert parallel.thread_count() == count
+            # Linear algebra is called on all threads.
+            assert os.environ["OPENBLAS_NUM_THREADS"] == "1"
         for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"):
             patch.delenv(name)
 
