@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from .boundary.prescribed import largest_displacement
+from .errors import MethodError
 from .grid import FloatArray
 from .grid.precision import rounded
 from .methods import Account, Options, PreparedMethod, Problem, Progress, make_method
@@ -206,8 +207,24 @@ class March:
         increment = (self._prescribed(fraction) - self.moved)[self.setup.problem.source_numbers]
         with self.timing.stage("apply"):
             moved = prepared.apply(increment, self.progress)
-            for_rows(lambda rows: np.add(self.points[rows], moved[rows], out=moved[rows]), moved)
+
+            def add(rows: slice) -> None:
+                np.add(self.points[rows], moved[rows], out=moved[rows])
+                # While they are in the cache: what is no number passes all tests of cells.
+                if not np.isfinite(moved[rows].sum()):
+                    self._require_finite(moved[rows], rows.start)
+
+            for_rows(add, moved)
             return moved
+
+    def _require_finite(self, points: FloatArray, first: int) -> None:
+        bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
+        if bad.size:
+            raise MethodError(
+                f"{self.options.name} moves {self.setup.grid.node_label(first + int(bad[0]))} to "
+                f"{points[bad[0]].tolist()}; expected finite coordinates, from "
+                f"options and a motion of the size of the grid"
+            )
 
     def _judged(self, fraction: float, points: FloatArray) -> Trial:
         """At the end of the motion all quality measures are taken at once: usually this grid is the result."""

@@ -185,12 +185,17 @@ def _elements_2(numbers: _Numbers) -> Iterator[tuple[int, IntArray]]:
 def _elements_2_text(numbers: _Numbers) -> Iterator[tuple[int, IntArray]]:
     words = _whole(numbers.words).tolist()
     found: dict[int, list[list[int]]] = {}
+    seen: set[int] = set()
     at = 1
     for _ in range(words[0]):
-        kind, tags = words[at + 1], words[at + 2]
+        number, kind, tags = words[at : at + 3]
         first, at = at + 3 + tags, at + 3 + tags + _NODES[kind]
         if tags < 0 or at > len(words):
             raise ValueError("$Elements ends too early")
+        # A number that is lost or too many gives other elements, among which one comes twice.
+        if number in seen:
+            raise ValueError(f"$Elements has two elements {number}")
+        seen.add(number)
         if kind in _CORNERS:
             found.setdefault(kind, []).append(words[first:at])
     if at != len(words):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 from pathlib import Path
 from typing import Any
@@ -28,7 +29,11 @@ def read(path: Path, file_format: str) -> DisplacementTable:
     """
     try:
         # Not meshio.read, which prints what goes wrong and ends the program.
-        mesh = getattr(meshio, file_format).read(_source(path, file_format))
+        with contextlib.redirect_stderr(io.StringIO()) as doubts:
+            mesh = getattr(meshio, file_format).read(_source(path, file_format))
+        if doubts.getvalue():
+            # It has left out cells.
+            raise ValueError(" ".join(doubts.getvalue().split()))
         triangles = [
             split_cells(np.asarray(block.data), _CORNERS.get(block.type, len(block.data[0])))
             for block in mesh.cells

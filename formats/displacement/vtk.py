@@ -22,6 +22,8 @@ from .table import NO_TRIANGLES, DisplacementTable, surface_table
 # Corners of VTK's two-dimensional cells, by type; nodes on edges and inside follow them.
 _CORNERS = {5: 3, 22: 3, 34: 3, 9: 4, 23: 4, 28: 4}
 _POLYGON, _STRIP = 7, 6
+_TYPES = 81
+"""Largest code of a type of cells."""
 
 
 def read_vtk_xml(path: Path) -> DisplacementTable:
@@ -72,6 +74,10 @@ def _cells(reader: ArrayReader, piece: Element) -> IntArray:
     if not number:
         return NO_TRIANGLES.copy()
     kind = reader.values(_named(reader, piece, "Cells", "types"), number, 1)
+    if (wrong := kind[(kind < 0) | (kind > _TYPES)]).size:
+        raise FormatError(
+            f"{reader.file.path} has cells of type {wrong[0]}, which VTK does not have; the file is damaged"
+        )
     corners = np.where(kind == _POLYGON, size, 0)
     for code, count in _CORNERS.items():
         corners[kind == code] = count

@@ -55,7 +55,9 @@ def finish_affine(sums, points, out):
 def _closeness(weight, power, near, crossing):
     """One over a distance, up to a factor, from the total weight there: see :class:`Transition`."""
     ratio = weight / crossing
-    return weight ** (1.0 / power) * (1.0 + ratio * ratio) ** (0.5 / near - 0.5 / power)
+    # Weights may be as large as numbers can be: their square may not.
+    bend = np.sqrt(1.0 + ratio * ratio) if ratio < 1e100 else ratio
+    return weight ** (1.0 / power) * bend ** (1.0 / near - 1.0 / power)
 
 
 @inlined

@@ -5,9 +5,14 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from cases import body_specs, constant
+from grids import frame
 
+from meshdeform_core.deform import Case, deform
+from meshdeform_core.errors import MethodError
 from meshdeform_core.grid import Grid
 from meshdeform_core.grid.topology import find_topology
+from meshdeform_core.methods import composite
 from meshdeform_core.numerics.cell.positivity import decide
 from meshdeform_core.quality import Original, assess
 from meshdeform_core.quality.validity import Test as FailedTest
@@ -213,3 +218,20 @@ def test_collapsed_edges_survive_translation_and_rotation(angle, shift):
     crushed = before.copy()
     crushed[3, 2, 1] += [0.0, 0.0, 1.5]
     assert not judge(original_of(before), crushed.reshape(-1, 3)).valid
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_coordinates_that_are_no_numbers_are_an_error(monkeypatch, value):
+    apply = composite.PreparedComposite.apply
+
+    def broken(self, *arguments):
+        out = apply(self, *arguments)
+        out[17, 1] = value
+        return out
+
+    case, grid = Case(tuple(body_specs(constant(0.01, 0, 0)))), frame()
+    assert deform(grid, case).valid
+    monkeypatch.setattr(composite.PreparedComposite, "apply", broken)
+    name = grid.node_label(17).replace("(", r"\(").replace(")", r"\)")
+    with pytest.raises(MethodError, match=rf"moves {name} to \[.*{value}.*expected finite coordinates"):
+        deform(grid, case)

@@ -264,3 +264,62 @@ def test_a_column_twice_is_refused(header, tmp_path):
     path.write_text(f"{header}\n0,0,0,1,2,3\n")
     with pytest.raises(FormatError, match=r"twice\.csv"):
         read_displacement(path)
+
+
+GMSH = """$MeshFormat
+2.2 0 8
+$EndMeshFormat
+$Nodes
+4
+1 0 0 0
+2 1 0 0
+3 1 1 0
+4 0 1 0
+$EndNodes
+$Elements
+4
+1 2 2 0 1 1 2 3
+2 2   0 1 2 3 4
+3 2 2 0 1 2 3 4
+4 2 2 0 1 1 3 4
+$EndElements
+$NodeData
+1
+"displacement"
+1
+0.0
+3
+0
+3
+4
+1 0 0 1
+2 0 0 1
+3 0 0 1
+4 0 0 1
+$EndNodeData
+"""
+
+
+def test_elements_of_gmsh_that_are_read_out_of_step(tmp_path):
+    """Without one of its numbers element 2 ends early: what follows reads as another element 4."""
+    path = tmp_path / "a.msh"
+    path.write_text(GMSH)
+    with pytest.raises(FormatError, match="has two elements 4"):
+        read_displacement(path)
+
+
+def test_cells_of_a_type_that_vtk_does_not_have(tmp_path):
+    triangles = np.array([[0, 1, 2], [0, 2, 3]])
+    mesh = meshio.Mesh(POINTS[[0, 1, 2, 3]] % 5, [("triangle", triangles)], {"displacement": np.ones((4, 3))})
+    meshio.vtk.write(tmp_path / "a.vtk", mesh, binary=False)
+    text = (tmp_path / "a.vtk").read_text()
+    head, tail = text.split("CELL_TYPES 2\n")
+    (tmp_path / "a.vtk").write_text(f"{head}CELL_TYPES 2\n{tail.replace('5', '1073741829', 1)}")
+    with pytest.raises(FormatError, match="1073741829"):
+        read_displacement(tmp_path / "a.vtk")
+    meshio.vtu.write(tmp_path / "a.vtu", mesh, binary=False)
+    text = (tmp_path / "a.vtu").read_text()
+    head, tail = text.split('Name="types"')
+    (tmp_path / "a.vtu").write_text(f'{head}Name="types"{tail.replace("5", "99", 1)}')
+    with pytest.raises(FormatError, match="cells of type 99, which VTK does not have"):
+        read_displacement(tmp_path / "a.vtu")
