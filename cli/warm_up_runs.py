@@ -36,6 +36,8 @@ def options() -> Iterator[tuple[str, int, Options]]:
     yield "hemisphere", 8, Options("rbf", rbf=_FAST_RBF)
     yield "hemisphere", 8, Options("rbf", rbf=RBF(basis="wendland-c2", radius=0.1, solver="krylov"))
     yield "cascade", 16, Options("idw-tfi")
+    # Sub-blocks with curved lines.
+    yield "airfoil", 33, Options("idw-tfi")
     yield "splitter-plate", 8, Options("idw-tfi", idw=_FAST_IDW)
 
 
@@ -47,7 +49,8 @@ def runs() -> Iterator[Callable[[], object]]:
     # A plane grid to repair, and a boundary that crosses itself.
     yield partial(_deformed, "splitter-plate", 8, Options("tfi"), angle=40.0)
     yield partial(_deformed, "splitter-plate", 8, Options("tfi"), amplitude=200.0)
-    yield partial(_series, "splitter-plate", 8, Options("tfi"))
+    # A method that keeps fields of earlier levels.
+    yield partial(_series, "splitter-plate", 8, Options("rbf-tfi"))
     yield partial(_pictures, "hemisphere", 8, Options("tfi"))
     yield _nested_sums
 
