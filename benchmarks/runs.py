@@ -182,7 +182,7 @@ def ranks(quick: bool) -> MarkdownTable:
     if missing:
         table.notes.append(f"not measured: {missing}")
         return table
-    table.notes.append(f"started by {' '.join(launcher)}")
+    table.notes.append(f"started by {' '.join([Path(launcher[0]).name, *launcher[1:]])}")
     sample, size = ("splitter-plate", 8) if quick else ("splitter-plate", 32)
     with tempfile.TemporaryDirectory() as name:
         folder = make_sample(Path(name), sample, size)
