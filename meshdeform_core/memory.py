@@ -70,7 +70,12 @@ class MemoryLimit:
         Another quarter is left for the fields of a method that combines levels, which it takes from the first one on.
         """
         share = self.size // 4
-        return min(share, self.size + self.taken - max(self.taken, peak_memory()) - share)
+        return min(share, self.left - share)
+
+    @property
+    def left(self) -> int:
+        """What the process may still take beyond its peak so far; everything if nothing has been set apart."""
+        return self.size + self.taken - max(self.taken, peak_memory()) if self.taken else self.size
 
 
 UNLIMITED = MemoryLimit(2**62, "the machine has")

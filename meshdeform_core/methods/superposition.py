@@ -137,6 +137,12 @@ class Superposition:
     def _store(self, displacement: FloatArray, found: FloatArray) -> None:
         if not self._capacity or not displacement.any():
             return
+        if len(self._fields) < self._capacity:
+            # Solving for the field may have taken what was meant for it.
+            left = current_ranks().on_first(lambda: self._problem.memory.left)
+            self._capacity = min(self._capacity, len(self._fields) + max(left, 0) // found.nbytes)
+            if not self._capacity:
+                return
         del self._fields[: max(0, len(self._fields) + 1 - self._capacity)]
         nodes: FloatArray = empty(found.shape)
         for_rows(lambda rows: np.copyto(nodes[rows], found[rows]), nodes)

@@ -9,6 +9,7 @@ import pytest
 from cases import ALL_METHODS, body_specs, problem_of, turning
 from grids import frame
 
+from meshdeform_core import memory
 from meshdeform_core.boundary import Kind
 from meshdeform_core.deform import Case, set_up
 from meshdeform_core.memory import MemoryLimit
@@ -129,6 +130,23 @@ def test_memory_limits_what_is_stored(fields, expected):
         found = method.apply(noise)
         assert len(method._fields) <= expected
         np.testing.assert_array_equal(found, alone.apply(noise))
+    assert len(method._fields) == expected
+
+
+@pytest.mark.parametrize(("free", "expected"), [(-1.0, 0), (0.5, 0), (1.5, 1), (2.0, 2)])
+def test_what_a_solution_has_taken_is_not_there_for_fields(monkeypatch, free, expected):
+    size = problem().grid.points.nbytes
+    limit = MemoryLimit(100 * size, "--max-memory allows", taken=1000 * size)
+    peak = [int((1100 - free) * size)]
+    monkeypatch.setattr(memory, "peak_memory", lambda: peak[0])
+    where = problem(memory=limit)
+    _, method = counted(Options("tfi"), where)
+    alone = make_method(Options("tfi")).prepare(where)
+    for number in range(1, 5):
+        noise = np.random.default_rng(number).standard_normal((len(where.source_points), 3))
+        np.testing.assert_array_equal(method.apply(noise), alone.apply(noise))
+        peak[0] = int((1100 - free + len(method._fields)) * size)
+        assert len(method._fields) <= expected
     assert len(method._fields) == expected
 
 
