@@ -1,6 +1,6 @@
 """Measure speed and memory of meshdeform in one run on one machine.
 
-python benchmarks/run.py                                  tables on stdout, build/benchmarks.json
+python benchmarks/run.py                                  tables on stdout
 python benchmarks/run.py --quick --only idw
 python benchmarks/run.py --write docs/performance.md      the page with all tables
 """
@@ -80,14 +80,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="small sizes: under two minutes")
     parser.add_argument("--only", action="append", choices=SECTIONS, metavar="NAME", help=f"{', '.join(SECTIONS)}")
-    parser.add_argument("--json", type=Path, default=Path("build/benchmarks.json"), help="results (%(default)s)")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the tables as JSON")
     parser.add_argument("--write", type=Path, metavar="PAGE", help="write the page with all tables")
     options = parser.parse_args()
     results, times = measure(options.only or list(SECTIONS), options.quick)
     print(times.markdown())
-    options.json.parent.mkdir(parents=True, exist_ok=True)
-    record = {name: [table.as_json() for table in tables] for name, tables in results.items()}
-    options.json.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
+    if options.json:
+        record = {name: [table.as_json() for table in tables] for name, tables in results.items()}
+        options.json.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
     if options.write:
         options.write.write_text(page(results, options.quick), encoding="utf-8")
 

@@ -170,9 +170,9 @@ def run(command: Sequence[str]) -> tuple[float, resource.struct_rusage]:
 
 
 def _environment() -> dict[str, str]:
-    """As in an installation, modules are loaded from bytecode, which is kept apart from the sources."""
+    """As in an installation, modules are loaded from bytecode."""
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
-    return environment | _LENIENT | {"PYTHONPYCACHEPREFIX": str(Path("build/bytecode").resolve())}
+    return environment | _LENIENT
 
 
 def ranks(quick: bool) -> MarkdownTable:

@@ -1,13 +1,11 @@
-"""Tables of measurements: rows of named values, printed as markdown and kept as json."""
+"""Tables of measurements: rows of named values, printed as Markdown and kept as JSON."""
 
 from __future__ import annotations
 
 import dataclasses
-import re
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -36,17 +34,6 @@ class MarkdownTable:
 
     def as_json(self) -> dict[str, Any]:
         return dataclasses.asdict(self)
-
-    def put_on(self, page: Path, program: str) -> None:
-        """Replace what stands on a page between the marks ``<!-- program begin -->`` and ``<!-- program end -->``."""
-        begin, end = f"<!-- {program} begin -->", f"<!-- {program} end -->"
-        before = page.read_text(encoding="utf-8")
-        if begin not in before or end not in before:
-            raise SystemExit(f"{page} has no lines {begin} and {end} to put the table between")
-        body = "\n".join(self.markdown().splitlines()[2:]).rstrip()
-        pattern = f"{re.escape(begin)}.*?{re.escape(end)}"
-        after = re.sub(pattern, lambda _: f"{begin}\n{body}\n{end}", before, flags=re.DOTALL)
-        page.write_text(after, encoding="utf-8")
 
 
 def _text(value: Any) -> str:

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from meshdeform_core.grid import FloatArray
-from meshdeform_core.numerics.geometry.raster import draw_polygons, draw_segments
 
 from .facets import Facets
+from .raster import draw_polygons, draw_segments
 from .view import View, Window
 
 FINE = 3

@@ -1,8 +1,8 @@
 """Which method is best for which motion: one step of large motions, without repair.
 
-python benchmarks/which_method.py                       the table on stdout
-python benchmarks/which_method.py --only beam           some of the motions
-python benchmarks/which_method.py --write docs/methods.md    put the table in its place on the page
+python studies/which_method.py                       the table on stdout
+python studies/which_method.py --only beam           some of the motions
+python studies/which_method.py --write docs/methods.md    put the table in its place on the page
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 from motions import JOBS, Job
-from tables import MarkdownTable, Row
+from tables import Row, show
 
 from meshdeform_core.methods import IDW, Options, make_method
 from meshdeform_core.quality import assess
@@ -49,17 +49,17 @@ def measure(jobs: list[Job], methods: dict[str, Options]) -> Iterator[Row]:
             }
 
 
-def table(rows: list[Row]) -> MarkdownTable:
+def table(rows: list[Row]) -> list[Row]:
     """One line per motion: ``relative Jacobian / wall deviation / f_skew``; the best valid Jacobian in bold."""
-    result = MarkdownTable("Which method wins where")
+    lines = []
     for motion in dict.fromkeys(row["motion"] for row in rows):
         mine = [row for row in rows if row["motion"] == motion]
         best = max((row["relative_jacobian"] for row in mine if not row["invalid"]), default=np.inf)
         line: Row = {"motion": motion}
         for row in mine:
             line[row["method"]] = _cell(row, best)
-        result.rows.append(line)
-    return result
+        lines.append(line)
+    return lines
 
 
 def _cell(row: Row, best: float) -> str:
@@ -88,10 +88,7 @@ def main() -> None:
         print(
             f"{row['motion']}; {row['method']}: {_cell(row, np.inf)} {row['f_skew']:.4f}", file=sys.stderr, flush=True
         )
-    found = table(rows)
-    print(found.markdown())
-    if options.write:
-        found.put_on(options.write, Path(__file__).name)
+    show(table(rows), options.write, __file__)
 
 
 if __name__ == "__main__":

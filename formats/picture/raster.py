@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from ..jit import inlined, kernel
+from meshdeform_core.numerics.jit import inlined, kernel
 
 # Grid lines: width as a fraction of the spacing of the lines, within limits (pixels), and the spacing below which they
 # fade and vanish, so that fine regions do not turn black.

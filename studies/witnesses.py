@@ -1,9 +1,9 @@
 """What two other programs say of the grids before and after a repair: MFEM and OpenFOAM's checkMesh.
 
-python benchmarks/witnesses.py                           every motion of robustness_table.py, table on stdout
-python benchmarks/witnesses.py --only plate              some of them
-python benchmarks/witnesses.py --grids FOLDER            where third-party grids lie (default: MESHDEFORM_GRIDS)
-python benchmarks/witnesses.py --write docs/validity.md  put the table in its place on the page
+python studies/witnesses.py                           every motion of robustness_table.py, table on stdout
+python studies/witnesses.py --only plate              some of them
+python studies/witnesses.py --grids FOLDER            where third-party grids lie (default: MESHDEFORM_GRIDS)
+python studies/witnesses.py --write docs/validity.md  put the table in its place on the page
 
 Needs `pip install mfem` (4.10 or later) or plot3dToFoam and checkMesh on the path (Debian: `apt install openfoam`);
 columns whose program is not installed are left out.
@@ -182,7 +182,7 @@ def main() -> None:
     """The command line."""
     if not (has_mfem() or has_check_mesh()):
         sys.exit("neither MFEM (pip install mfem) nor OpenFOAM (plot3dToFoam and checkMesh) is installed")
-    run("Verdicts of other programs", measure, __doc__, Path(__file__).name)
+    run(measure, __doc__, __file__)
 
 
 if __name__ == "__main__":

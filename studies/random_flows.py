@@ -1,9 +1,9 @@
 """How many smooth motions give a valid grid: random flows of the samples and of third-party grids.
 
-python benchmarks/validity.py                                        200 flows, table on stdout, build/validity.json
-python benchmarks/validity.py --count 30 --grid wing --steps auto    a part of them
-python benchmarks/validity.py --method idw-tfi --method rbf-tfi      several methods
-python benchmarks/validity.py --write docs/random_flows.md           the page with the table
+python studies/random_flows.py                                        200 flows, table on stdout
+python studies/random_flows.py --count 30 --grid wing --steps auto    a part of them
+python studies/random_flows.py --method idw-tfi --method rbf-tfi      several methods
+python studies/random_flows.py --write docs/validity.md               put the table in its place on the page
 
 A flow carries all nodes of a grid to a grid that is valid; the program is given the boundary only. Flow n belongs to
 grid n modulo the number of grids, whichever of them are run.
@@ -14,7 +14,6 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
-import string
 import sys
 import time
 from collections.abc import Iterator
@@ -24,14 +23,12 @@ from typing import Any
 
 import numpy as np
 from flows import Terrain, available, case_of, flowed, terrain
-from tables import MarkdownTable, Row
+from tables import Row, show
 
 from meshdeform_core.deform import Result, deform
 from meshdeform_core.grid import FloatArray
 from meshdeform_core.methods import Options
 from meshdeform_core.repair.options import RepairOptions
-
-TEMPLATE = Path(__file__).parent / "validity.md"
 
 
 @dataclass(frozen=True)
@@ -44,9 +41,9 @@ class Setting:
 
     @property
     def label(self) -> str:
-        parts = [self.method]
+        parts = [self.method] * (self.method != "idw-tfi")
         parts += [f"{name} {value}" for name in ("steps", "repair") if (value := getattr(self, name)) is not None]
-        return ", ".join(parts)
+        return ", ".join(parts) or "defaults"
 
     def run(self, place: Terrain, seed: int, points: FloatArray) -> Result:
         case = case_of(place, seed, points, Options(self.method))
@@ -93,24 +90,17 @@ def judge(result: Result, points: FloatArray) -> dict[str, Any]:
     }
 
 
-def summary(rows: list[Row], settings: list[Setting]) -> MarkdownTable:
+def summary(rows: list[Row], settings: list[Setting]) -> list[Row]:
     """Valid results of each setting by grid."""
-    table = MarkdownTable("Valid grids by grid and setting")
+    table = []
     for grid in [*dict.fromkeys(row["grid"] for row in rows), None]:
         mine = [row for row in rows if grid in (None, row["grid"])]
         line: Row = {"grid": grid or "all", "nodes": mine[0]["nodes"] if grid else ""}
         line["flows"] = len({row["flow"] for row in mine})
         for setting in settings:
             line[setting.label] = sum(row["valid"] for row in mine if row["setting"] == setting.label)
-        table.rows.append(line)
+        table.append(line)
     return table
-
-
-def page(table: MarkdownTable) -> str:
-    """The documentation page: the template with the table in its place."""
-    template = string.Template(TEMPLATE.read_text(encoding="utf-8"))
-    body = "\n".join(table.markdown().splitlines()[2:]).rstrip()
-    return template.substitute(table=body, date=time.strftime("%Y-%m-%d"))
 
 
 def main() -> None:
@@ -122,8 +112,8 @@ def main() -> None:
     parser.add_argument("--method", action="append", help="default: idw-tfi")
     parser.add_argument("--steps", action="append", type=lambda text: text if text == "auto" else int(text))
     parser.add_argument("--repair", action="append", choices=("off", "auto", "polish"))
-    parser.add_argument("--json", type=Path, default=Path("build/validity.json"), help="results (%(default)s)")
-    parser.add_argument("--write", type=Path, metavar="PAGE", help="write the page with the table")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write every flow's result")
+    parser.add_argument("--write", type=Path, metavar="PAGE", help="put the table between its marks on a page")
     options = parser.parse_args()
     settings = [
         Setting(method, steps, repair)
@@ -136,13 +126,10 @@ def main() -> None:
     for row in measure(numbers, available(), options.grid or available(), settings):
         rows.append(row)
         print(f"{row['grid']} {row['flow']} {row['setting']}: {_words(row)}", file=sys.stderr, flush=True)
-    table = summary(rows, settings)
-    print(table.markdown())
-    options.json.parent.mkdir(parents=True, exist_ok=True)
-    record = {"settings": [dataclasses.asdict(setting) for setting in settings], "flows": rows}
-    options.json.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
-    if options.write:
-        options.write.write_text(page(table), encoding="utf-8")
+    show(summary(rows, settings), options.write, __file__)
+    if options.json:
+        record = {"settings": [dataclasses.asdict(setting) for setting in settings], "flows": rows}
+        options.json.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
 
 
 def _words(row: Row) -> str:

@@ -1,9 +1,9 @@
 """Large motions in one command: validity, quality, state of the wall cells, and cost.
 
-python benchmarks/robustness_table.py                            all rows, table on stdout
-python benchmarks/robustness_table.py --only plate               some of them
-python benchmarks/robustness_table.py --grids FOLDER             where third-party grids lie (default: MESHDEFORM_GRIDS)
-python benchmarks/robustness_table.py --write docs/validity.md   put the table in its place on the page
+python studies/robustness_table.py                            all rows, table on stdout
+python studies/robustness_table.py --only plate               some of them
+python studies/robustness_table.py --grids FOLDER             where third-party grids lie (default: MESHDEFORM_GRIDS)
+python studies/robustness_table.py --write docs/validity.md   put the table in its place on the page
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from flows import grids_folder
 from motions import SPAN, displace, rotate
-from tables import MarkdownTable, Row
+from tables import Row, show
 
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.boundary.crossing import find_contact
@@ -266,10 +266,10 @@ def _edges(x: np.ndarray, axis: int, corner: tuple[int, ...], ends: bool = False
 
 def main() -> None:
     """The command line."""
-    run("Large motions in one command", measure, __doc__, Path(__file__).name)
+    run(measure, __doc__, __file__)
 
 
-def run(title: str, row: Callable[[Trial], Row], description: str | None, program: str) -> None:
+def run(row: Callable[[Trial], Row], description: str | None, program: str) -> None:
     """The command line of a program that makes a row of every motion."""
     parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", metavar="TEXT", default="", help="motions whose name contains this")
@@ -278,14 +278,12 @@ def run(title: str, row: Callable[[Trial], Row], description: str | None, progra
     options = parser.parse_args()
     if options.grids:
         os.environ["MESHDEFORM_GRIDS"] = str(options.grids)
-    table = MarkdownTable(title)
+    rows = []
     for trial in TRIALS:
         if trial.possible and options.only in trial.label:
-            table.rows.append(row(trial))
-            print(table.rows[-1], file=sys.stderr, flush=True)
-    print(table.markdown())
-    if options.write:
-        table.put_on(options.write, program)
+            rows.append(row(trial))
+            print(rows[-1], file=sys.stderr, flush=True)
+    show(rows, options.write, program)
 
 
 if __name__ == "__main__":

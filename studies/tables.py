@@ -1,0 +1,37 @@
+"""Tables of results: rows of named values as Markdown, printed and put on pages of the documentation."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+from meshdeform_samples.reproduce.report import grid
+
+Row = dict[str, Any]
+
+
+def show(rows: list[Row], page: Path | None, program: str) -> None:
+    """Print the rows as a table, whose columns are their keys, and put it in its place on a page."""
+    columns = list(dict.fromkeys(key for row in rows for key in row))
+    table = grid(columns, [[_text(row.get(column, "")) for column in columns] for row in rows])
+    print(table)
+    if page:
+        _put_on(page, Path(program).name, table)
+
+
+def _put_on(page: Path, program: str, table: str) -> None:
+    """Replace what is between the marks ``<!-- program begin -->`` and ``<!-- program end -->`` of a page."""
+    begin, end = f"<!-- {program} begin -->", f"<!-- {program} end -->"
+    before = page.read_text(encoding="utf-8")
+    if begin not in before or end not in before:
+        raise SystemExit(f"{page} has no lines {begin} and {end} to put the table between")
+    pattern = f"{re.escape(begin)}.*?{re.escape(end)}"
+    after = re.sub(pattern, lambda _: f"{begin}\n{table}\n{end}", before, flags=re.DOTALL)
+    page.write_text(after, encoding="utf-8")
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.3g}" if abs(value) < 1000 else f"{value:,.0f}"
+    return f"{value:,}" if isinstance(value, int) and not isinstance(value, bool) else str(value)

@@ -1,0 +1,58 @@
+"""The studies fit the code that they examine; each prints its table, and puts it on the page where it is told to."""
+
+import importlib
+import sys
+from pathlib import Path
+
+import pytest
+
+FOLDER = Path(__file__).parent.parent / "studies"
+pytestmark = pytest.mark.skipif(not FOLDER.is_dir(), reason="the studies are not part of the source distribution")
+
+
+@pytest.fixture
+def study(monkeypatch, capsys):
+    """``study(name, *arguments)``: what the program prints."""
+    monkeypatch.syspath_prepend(FOLDER)
+
+    def told(name: str, *arguments: object) -> str:
+        monkeypatch.setattr(sys, "argv", [str(FOLDER / f"{name}.py"), *map(str, arguments)])
+        importlib.import_module(name).main()
+        return capsys.readouterr().out
+
+    return told
+
+
+def rows(table: str) -> list[list[str]]:
+    return [[cell.strip() for cell in line.strip("| ").split(" | ")] for line in table.splitlines()]
+
+
+def test_large_motions_are_reached(study):
+    head, _, row = rows(study("robustness_table", "--only", "valve, 65"))
+    told = dict(zip(head, row, strict=True))
+    assert (told["motion"], told["reached"], told["result"]) == ("valve, 65 degrees", "yes", "valid")
+
+
+def test_methods_are_compared(study):
+    head, _, row = rows(study("which_method", "--only", "square", "--method", "tfi", "--method", "idw"))
+    assert head == ["motion", "tfi", "idw"]
+    assert row[0] == "square, as it is"
+    assert "**" in row[1] + row[2]
+
+
+def test_flows_are_counted_and_put_on_the_page(study, tmp_path):
+    page, record = tmp_path / "page.md", tmp_path / "flows.json"
+    page.write_text("before\n<!-- random_flows.py begin -->\nold\n<!-- random_flows.py end -->\nafter\n")
+    table = study("random_flows", "--count", 1, "--grid", "square", "--write", page, "--json", record)
+    assert rows(table)[0] == ["grid", "nodes", "flows", "defaults"]
+    assert rows(table)[2] == ["square", "1,681", "1", "1"]
+    assert page.read_text().splitlines()[2:-2] == table.splitlines()
+    assert '"valid": true' in record.read_text()
+
+
+def test_a_page_without_marks_is_refused(study, tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text("no marks\n")
+    with pytest.raises(SystemExit, match=r"has no lines <!-- which_method.py begin -->"):
+        study("which_method", "--only", "square", "--method", "tfi", "--write", page)
+    assert page.read_text() == "no marks\n"
