@@ -8,7 +8,7 @@ BIN := $(VENV)/bin
 help:
 	@echo "make demo       environment, install, the splitter plate deformed, report and picture in demo/"
 	@echo "make test       environment, install, all tests (FAST=1 leaves out slow ones)"
-	@echo "make check      ruff, format, mypy, import contract"
+	@echo "make check      ruff, format, tracked files, mypy, import contracts"
 	@echo "make docs       the documentation as a site in build/site"
 	@echo "make fuzz       mutated files and random grids, judged independently (N=20000, SEED=1)"
 	@echo "make bench      speed and memory tables (see docs/performance.md)"
@@ -32,6 +32,7 @@ test: $(VENV)/installed
 check: $(VENV)/installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/python tests/tracked_files.py
 	@mkdir -p build/names
 	@for pair in cli:meshdeform_cli formats:meshdeform_formats sample_cases:meshdeform_samples; do \
 	  ln -sfn "../../$${pair%%:*}" "build/names/$${pair##*:}"; done
