@@ -3,11 +3,12 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 
-.PHONY: help demo test check docs format bench reproduce clean
+.PHONY: help demo test test-all check docs format bench reproduce clean
 
 help:
 	@echo "make demo       environment, install, the splitter plate deformed, report and picture in demo/"
-	@echo "make test       environment, install, all tests (FAST=1 leaves out slow ones)"
+	@echo "make test       environment, install, the tests but for the long ones: a few minutes on two cores"
+	@echo "make test-all   all tests"
 	@echo "make check      ruff, format, tracked files, mypy, import contracts"
 	@echo "make docs       the documentation as a site in build/site"
 	@echo "make fuzz       mutated files and random grids, judged independently (N=20000, SEED=1)"
@@ -26,8 +27,14 @@ $(VENV)/installed: $(VENV)/program
 	$(PIP) -e '.[test,check]'
 	@touch $@
 
+# Compiled once, before several processes ask for the same loops.
 test: $(VENV)/installed
-	$(BIN)/pytest -n auto $(if $(FAST),-m 'not slow')
+	$(BIN)/meshdeform warm-up
+	$(BIN)/pytest -n auto -m 'not slow'
+
+test-all: $(VENV)/installed
+	$(BIN)/meshdeform warm-up
+	$(BIN)/pytest -n auto
 
 check: $(VENV)/installed
 	$(BIN)/ruff check .
