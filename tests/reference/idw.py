@@ -61,7 +61,8 @@ def distance_of(problem, weight, far):
     if problem.grid.dimension == 2 or far <= 2.0:
         return weight ** (-1.0 / max(far - 1.0, 1.0))
     # No test has a moving face that touches a fixed one.
-    crossing = integrate.quad(lambda r: 2 * np.pi * r * (r**2 + breadth(problem) ** 2) ** (-far / 2), 0, np.inf)[0]
+    b = breadth(problem)
+    crossing = integrate.quad(lambda r: 2 * np.pi * r * (r**2 + b**2) ** (-far / 2), 0, np.inf)[0]
     steeper = 1.0 / (far - 2.0) - 1.0 / (far - 1.0)
     return weight ** (-1.0 / (far - 1.0)) / np.hypot(1.0, weight / crossing) ** steeper
 
