@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX systems")]
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX systems")
 
 PROGRAM = Path(sys.executable).with_name("meshdeform")
 CODES = {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGHUP: 129}
@@ -59,12 +59,23 @@ entry.main(["info", sys.argv[1]])
 """
 
 
+def heard() -> None:
+    """Signals end the process also where those who run the tests, like nohup, have them ignored."""
+    for number in CODES:
+        signal.signal(number, signal.SIG_DFL)
+
+
+def started(how: str, folder: Path) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-c", SCRIPT, how], cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        preexec_fn=heard,
+    )  # fmt: skip
+
+
 @EACH_SIGNAL
 @pytest.mark.parametrize("how", ["plainly", "destructor", "callback", "bare"])
 def test_exit_code_is_that_of_the_signal_and_nothing_is_left(how, number, tmp_path):
-    with subprocess.Popen(
-        [sys.executable, "-c", SCRIPT, how], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
+    with started(how, tmp_path) as process:
         assert process.stdout.readline() == "ready\n"
         process.send_signal(number)
         _, err = process.communicate(timeout=20)
@@ -75,9 +86,7 @@ def test_exit_code_is_that_of_the_signal_and_nothing_is_left(how, number, tmp_pa
 
 
 def test_an_impatient_second_signal_does_not_disturb_the_cleaning_up(tmp_path):
-    with subprocess.Popen(
-        [sys.executable, "-c", SCRIPT, "plainly"], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE
-    ) as process:
+    with started("plainly", tmp_path) as process:
         process.stdout.readline()
         for number in (signal.SIGTERM, signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             process.send_signal(number)

@@ -8,8 +8,6 @@ import sys
 
 import pytest
 
-pytestmark = pytest.mark.slow
-
 DEFORM = ("deform", "grid.xyz", "-c", "case.toml", "-q")
 
 
@@ -52,14 +50,14 @@ def test_warnings_that_python_turns_into_errors(bench):
     ],
     ids=lambda arguments: f"{arguments[0]}-{arguments[-1]}",
 )  # fmt: skip
-def test_a_pipe_is_no_output(arguments, bench):
+def test_a_pipe_is_no_output(arguments, bench, call):
     """It is neither replaced by a file nor waited for."""
     name = "pipe.xyz" if arguments[-1].startswith("link") else arguments[-1]
     os.mkfifo(name)
     os.symlink("pipe.xyz", "link.xyz")
-    done = program(*arguments, "--force")
-    assert done.returncode == 2
-    assert "it is a pipe; give a file name" in done.stderr
+    done = call(*arguments, "--force")
+    assert done.code == 2
+    assert "it is a pipe; give a file name" in done.err
     assert (bench / name).is_fifo()
     assert not (bench / "out.xyz").exists()
 

@@ -52,7 +52,6 @@ def cell_sizes(problem):
     return node_sizes(grid.points, fastsum.shape_table(grid.shapes), grid.offsets, np.arange(grid.n_nodes))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("tolerance", [1e-2, 1e-4, 1e-8])
 @pytest.mark.parametrize("name", VARIANTS)
 def test_error_stays_below_the_tolerance(name, tolerance, problem):

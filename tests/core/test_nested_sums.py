@@ -42,7 +42,6 @@ def charges(n):
     return np.random.default_rng(n).standard_normal((n, 3))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("basis", RADIUS)
 @pytest.mark.parametrize("name", CLOUDS)
 def test_sums_are_the_exact_ones_to_the_tolerance(name, basis):

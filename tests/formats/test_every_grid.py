@@ -18,8 +18,6 @@ from meshdeform_core.grid import Grid
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_formats import read_grid, write_grid
 
-pytestmark = pytest.mark.slow
-
 NAMES = (
     "717_wl_L2.cgns", "717_wl_L2_hdf5.cgns", "nak_a_141.cgns", "nak_a_141.p3dfmt", "cylinder_ring_4blk.x",
     "backstep5_4levdn.p3dbin", "shear_3blk_2d.p2dfmt", "StructuredGrid.vts", "SampleStructGrid.vtk",

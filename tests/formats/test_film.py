@@ -16,8 +16,6 @@ from meshdeform_formats.picture import Choice, Request, Subject
 from meshdeform_formats.picture.film import Common, film, save_film
 from meshdeform_formats.picture.request import picture
 
-pytestmark = pytest.mark.slow
-
 SHIFTS = (0.0, 0.1, 0.3)
 
 

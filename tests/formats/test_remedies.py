@@ -19,7 +19,6 @@ def texts_of_the_core() -> list[str]:
     return found
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("words", "advice"), _REMEDIES)
 def test_some_warning_contains_the_words(words, advice):
     assert any(words in text and remedy_of(text) == advice for text in texts_of_the_core())

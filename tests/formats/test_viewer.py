@@ -43,7 +43,6 @@ def near(pixels: np.ndarray, colour: tuple[float, float, float], by: float = 0.2
     return int((np.abs(pixels - colour).max(axis=-1) < by).sum())
 
 
-@pytest.mark.slow
 def test_a_wing_and_its_cut_fill_the_picture():
     pixels = shot(wing(), Choice())
     assert (pixels.min(axis=-1) < 0.9).mean() > 0.3
@@ -68,7 +67,6 @@ def test_faces_of_cells_are_their_quads():
     assert all(len(np.unique(face, axis=0)) == 4 for face in faces)
 
 
-@pytest.mark.slow
 def test_grid_view_is_a_plotter(monkeypatch):
     pyvista = pytest.importorskip("pyvista", reason="pyvista is not installed")
     monkeypatch.setattr(pyvista, "OFF_SCREEN", True)
