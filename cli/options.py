@@ -110,11 +110,11 @@ class CaseInput:
 
         matching = None
         if self.match is not None or self.tolerance is not None:
-            from meshdeform_core.boundary.matching import Matching
+            from meshdeform_core.boundary.matching import AUTOMATIC, Matching
 
             if self.displacement is None:
                 raise click.UsageError("--match and --tolerance belong to --displacement; in a case they are keys.")
-            matching = Matching(self.match or "nearest", self.tolerance, partial=True)
+            matching = Matching(self.match or AUTOMATIC, self.tolerance, partial=True)
         return read_case(self.file, self.overrides, self.method, self.displacement, self.times, matching)
 
     def roles(self, read: CaseFile) -> list[tuple[str, Path | None]]:
@@ -154,7 +154,11 @@ def case_options(command: Command) -> Command:
 
     @click.option("-c", "--case", "case_file", type=PATH, help="Case file (TOML).")
     @click.option("-d", "--displacement", type=PATH, help="Surface displacement table.")
-    @click.option("--match", metavar="HOW", help="For -d: exact, nearest (the default) or interpolate.")
+    @click.option(
+        "--match",
+        metavar="HOW",
+        help="For -d: exact, nearest or interpolate (default: what fits the table).",
+    )
     @click.option("--tolerance", type=FiniteNumber(), metavar="T", help="For -d: largest distance of a match.")
     @click.option(
         "-m",

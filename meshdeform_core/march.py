@@ -8,6 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
+from .boundary import Kind
+from .boundary.doubts import positions_as_displacements
 from .boundary.prescribed import largest_displacement
 from .errors import MethodError
 from .grid import FloatArray
@@ -100,6 +102,9 @@ class March:
             self.warnings.append("nothing moves: the displacement is zero everywhere")
         elif alone:
             self.warnings += self._coarsely_rounded()
+        moving = np.flatnonzero(self.setup.boundary.kind == Kind.MOVING)
+        points = self.setup.grid.points[self.setup.topology.first[moving]]
+        self.warnings += positions_as_displacements(points, self.total[moving])
         departure = self.setup.boundary.slip.departure(self.total)
         # A motion that returns to zero leaves round-off in all directions.
         if departure > 1e-6 * self.max_displacement and departure > self.setup.round_off:

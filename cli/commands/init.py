@@ -15,37 +15,44 @@ from ..options import PATH, GridInput, check_output, force_option, grid_options
 @click.command("init")
 @grid_options
 @click.option("-o", "--output", type=PATH, help="Case file to write (default: print it).")
+@click.option("--table", type=PATH, help="Displacement table: the wall that it fits follows it.")
 @force_option
-def command(source: GridInput, output: Path | None, force: bool) -> int:
+def command(source: GridInput, output: Path | None, table: Path | None, force: bool) -> int:
     """Create a case file for GRID: every boundary with its position and likely role.
 
     \b
     Examples:
       meshdeform init wing.cgns -o case.toml
       meshdeform init airfoil.p3dfmt --boundary-file airfoil.nmf -o case.toml
+      meshdeform init wing.cgns --table loads.csv -o case.toml
       meshdeform deform wing.cgns -c case.toml --dry-run
 
     Boundaries are selected by family or patch, unnamed faces individually. Walls are moving, with a zero motion to fill
-    in; symmetry planes are symmetry, the end planes of extruded grids slip, and the rest is fixed.
+    in, or following --table, with a match and tolerance that fit; symmetry planes are symmetry, the end planes of
+    extruded grids slip, and the rest is fixed.
     """
     from meshdeform_core.grid.surfaces import find_outside
     from meshdeform_core.grid.topology import find_topology
+    from meshdeform_formats.case.fitted import fitted_table
     from meshdeform_formats.case.template import case_template
     from meshdeform_formats.files import replacing, shown
 
     if output is not None:
-        check_output(output, force, *source.files)
+        check_output(output, force, *source.files, table)
     grid = source.read()
     map_file = _from(source.boundary_file, output) if source.boundary_file else None
     if map_file is not None and shown(Path(map_file)) != map_file:
         raise CaseError(f"{shown(Path(map_file))}: its name is not UTF-8, so a case file cannot refer to it; rename it")
-    text = case_template(grid, find_outside(grid, find_topology(grid)), shown(source.path), map_file)
+    topology = find_topology(grid)
+    fitted = None if table is None else fitted_table(grid, topology, table, _from(table, output))
+    text = case_template(grid, find_outside(grid, topology), shown(source.path), map_file, fitted)
     if output is None:
         click.echo(text, nl=False)
         return 0
     with replacing(output) as partial:
         partial.write_text(text, encoding="utf-8")
-    click.echo(f"{output}: fill in the motion, then: meshdeform deform {source.path} -c {output} --dry-run")
+    first = "fill in the motion" if fitted is None else "check the boundaries"
+    click.echo(f"{output}: {first}, then: meshdeform deform {source.path} -c {output} --dry-run")
     return 0
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from meshdeform_core.boundary import BoundarySpec, Kind
-from meshdeform_core.boundary.matching import Matching, SurfaceData
+from meshdeform_core.boundary.matching import AUTOMATIC, Matching, SurfaceData
 from meshdeform_core.boundary.motion import VARIABLES, Displace, Follow, Motion, Rotate, Step
 from meshdeform_core.deform import Case
 from meshdeform_core.errors import CaseError, MethodError, suggestion
@@ -86,7 +86,11 @@ def read_case(
         parsed = _parse(data, folder, overrides)
     except (CaseError, MethodError) as error:
         raise type(error)(f"{path or 'command line'}: {error}") from error
-    return parsed if table is None else _with_table(parsed, Path(table), times, matching or Matching(partial=True))
+    return (
+        parsed
+        if table is None
+        else _with_table(parsed, Path(table), times, matching or Matching(AUTOMATIC, partial=True))
+    )
 
 
 def case_of(content: Mapping[str, Any], folder: str | Path = ".") -> CaseFile:

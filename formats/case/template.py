@@ -14,6 +14,8 @@ from meshdeform_core.grid.planes import FLATNESS
 from meshdeform_core.grid.roles import Role
 from meshdeform_core.grid.surfaces import Outside, Surface
 
+from .fitted import FittedTable
+
 _MOTION = """\
 # Motions are applied in order; formulas use the undeformed x, y, z and the time t, for example
 #   { rotate = { angle = 5.0, axis = [0, 0, 1], center = [0, 0, 0] } }
@@ -38,7 +40,13 @@ class _Entry:
     surfaces: tuple[Surface, ...]
 
 
-def case_template(grid: Grid, outside: Outside, source: str, boundary_file: str | None = None) -> str:
+def case_template(
+    grid: Grid,
+    outside: Outside,
+    source: str,
+    boundary_file: str | None = None,
+    table: FittedTable | None = None,
+) -> str:
     """The text of a case file for a grid.
 
     Walls of bodies are moving, floors and far fields fixed, symmetry planes symmetry, end planes slip. In a grid
@@ -48,10 +56,11 @@ def case_template(grid: Grid, outside: Outside, source: str, boundary_file: str 
     ----------
     source : the grid file, for the header
     boundary_file : neutral map file, relative to the case file
+    table : displacement table whose surfaces move; others are fixed then
     """
-    entries = list(_entries(grid, outside))
+    entries = list(_entries(grid, outside, table))
     lines = [
-        f"# A case for {source}: fill in the motion, then",
+        f"# A case for {source}: {'fill in the motion' if table is None else 'check the boundaries'}, then",
         f"#   meshdeform deform {source} -c CASE.toml --dry-run",
         "# Roles with a question mark are guessed from the shape of the grid: check them.",
         "",
@@ -61,12 +70,15 @@ def case_template(grid: Grid, outside: Outside, source: str, boundary_file: str 
     if not any(surface.role is Role.WALL for entry in entries for surface in entry.surfaces):
         lines += ['# No wall was found: set kind = "moving" for the boundary that moves.', ""]
     for entry in entries:
-        lines += [*_entry_lines(grid, entry), ""]
+        lines += [*_entry_lines(grid, entry, table), ""]
     return "\n".join([*lines, _METHOD])
 
 
-def _entries(grid: Grid, outside: Outside) -> Iterator[_Entry]:
-    moving = _moving(grid, outside.surfaces)
+def _entries(grid: Grid, outside: Outside, table: FittedTable | None) -> Iterator[_Entry]:
+    if table is None:
+        moving = _moving(grid, outside.surfaces)
+    else:
+        moving = [surface for surface in outside.surfaces if surface.name in table.surfaces]
     taken: set[str] = set()
     groups: dict[tuple[str, str], list[Surface]] = {}
     for surface in sorted(outside.surfaces, key=lambda s: list(Role).index(s.role)):
@@ -115,7 +127,7 @@ def _in_one_plane(grid: Grid, surface: Surface) -> bool:
     )
 
 
-def _entry_lines(grid: Grid, entry: _Entry) -> Iterator[str]:
+def _entry_lines(grid: Grid, entry: _Entry, table: FittedTable | None) -> Iterator[str]:
     first = entry.surfaces[0]
     mark = "" if first.declared or first.role is Role.UNKNOWN else "?"
     yield "[[boundary]]"
@@ -129,8 +141,11 @@ def _entry_lines(grid: Grid, entry: _Entry) -> Iterator[str]:
             yield f"    {_text(surface.name)},   # {_place(surface)}"
         yield "]"
     yield f'kind = "{entry.kind}"'
-    if entry.kind == "moving":
+    if entry.kind == "moving" and table is None:
         yield from _MOTION.splitlines()
+    elif entry.kind == "moving" and table is not None:
+        match = f'match = "{table.match}", tolerance = {table.tolerance:g}'
+        yield f"motion = [ {{ file = {_text(table.file)}, {match} }} ]"
 
 
 def _pattern(name: str) -> str:

@@ -68,6 +68,7 @@ def boundary_part(setup: Setup) -> Report:
                 "table_points_used": m.used[0],
                 "max_distance": float(m.distance[m.matched].max(initial=0.0)),
                 "max_extrapolation": float(m.beyond[m.matched].max(initial=0.0)),
+                "walls": list(m.walls),
                 "size_ratio": _size_ratio(m, motion),
             }
             for m, motion in matches

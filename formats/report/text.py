@@ -72,12 +72,18 @@ def _boundary(boundary: dict[str, Any]) -> Iterator[str]:
     yield f"nodes     {', '.join(counts)}"
     for match in boundary.get("matches", ()):
         yield (
-            f"table     {match['table']}: {match['matched_nodes']:,} nodes matched ({match['match']}, at most "
-            f"{match['max_distance']:.3g} away), {match['unmatched_nodes']:,} not; "
+            f"table     {match['table']}: {_fitted(match)}{match['matched_nodes']:,} nodes matched ({match['match']}, "
+            f"at most {match['max_distance']:.3g} away), {match['unmatched_nodes']:,} not; "
             f"{match['table_points_used']:,} of {match['table_points']:,} table points used"
         )
     if "max_displacement" in boundary:
         yield f"motion    largest displacement {boundary['max_displacement']:.6g}"
+
+
+def _fitted(match: dict[str, Any]) -> str:
+    """The walls that a table was found to fit."""
+    names = ", ".join(repr(name) for name in match["walls"])
+    return f"fits {names}; " if names else ""
 
 
 def _motion(patches: list[dict[str, Any]]) -> Iterator[str]:

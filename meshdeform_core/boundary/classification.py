@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
@@ -16,9 +16,11 @@ from ..grid.sides import end_planes
 from ..grid.topology import Topology
 from ..numerics.geometry.coincidence import distinct
 from .coverage import Tables
+from .doubts import tiny_rotations
 from .expression import Expression
-from .matching import Nodes
-from .motion import Motion, PreparedMotion
+from .fitting import Fit, fit_table
+from .matching import Nodes, SurfaceData
+from .motion import Follow, FollowSequence, Motion, PreparedMotion
 from .periodic import Periodic, find_periodicity
 from .plates import open_two_sided_walls
 from .slip import Slip, find_sliding
@@ -144,10 +146,16 @@ def classify(
         When a selection matches nothing or a table matches no node.
     """
     topology, notes = open_two_sided_walls(grid, topology)
-    selected = [_select(grid, topology, spec, constants) for spec in specs]
+    fits = [_fit(grid, topology, spec) for spec in specs]
+    specs = [_following(spec, fit) for spec, fit in zip(specs, fits, strict=True)]
+    selected = [
+        _select(grid, topology, spec, constants) if fit is None or fit.quads is None else fit.quads
+        for spec, fit in zip(specs, fits, strict=True)
+    ]
     quad_kind = np.zeros(len(topology.partner), dtype=np.int8)
     movers, tables = _bind_motions(grid, topology, specs, selected)
-    doubts = tables.warnings()
+    doubts = [text for spec in specs if spec.motion for text in tiny_rotations(spec.name, spec.motion)]
+    doubts += tables.warnings()
     for spec, quads in zip(specs, selected, strict=True):
         quad_kind[quads] = np.maximum(quad_kind[quads], spec.kind)
     defaults, more = _unselected(grid, topology, quad_kind, specs, movers)
@@ -183,7 +191,7 @@ def _bind_motions(
     for index, spec in enumerate(specs):
         if spec.motion is None:
             continue
-        nodes = _nodes(grid, topology, selected[index])
+        nodes = Nodes.of_quads(grid, topology, selected[index])
         prepared = spec.motion.prepare(nodes)
         moved = nodes.numbers[prepared.moved]
         movers.append((moved, prepared))
@@ -191,6 +199,22 @@ def _bind_motions(
         if not prepared.moved.all():
             selected[index] = _fully_within(topology, selected[index], moved)
     return movers, Tables(topology, asked)
+
+
+def _fit(grid: Grid, topology: Topology, spec: BoundarySpec) -> Fit | None:
+    """The wall that the table of an entry fits, if the table alone says which nodes move."""
+    if spec.motion is None or not spec.motion.partial:
+        return None
+    tables = [step for step in spec.motion.steps if isinstance(step, Follow | FollowSequence)]
+    data = tables[0].first
+    return fit_table(grid, topology, data, tables[0].matching) if isinstance(data, SurfaceData) else None
+
+
+def _following(spec: BoundarySpec, fit: Fit | None) -> BoundarySpec:
+    """The entry with the matching that fits."""
+    if fit is None or spec.motion is None:
+        return spec
+    return replace(spec, motion=spec.motion.matched_by(fit.matching))
 
 
 def _select(grid: Grid, topology: Topology, spec: BoundarySpec, constants: Mapping[str, float]) -> IntArray:
@@ -218,21 +242,6 @@ def _select(grid: Grid, topology: Topology, spec: BoundarySpec, constants: Mappi
             f"({np.count_nonzero(holds)} of {len(nodes)} nodes satisfy it; the selection spans {ranges})"
         )
     return quads
-
-
-def _nodes(grid: Grid, topology: Topology, quads: IntArray) -> Nodes:
-    """The nodes of face quads, with the shortest and longest face edge at each."""
-    corners = topology.quads.corners[quads]
-    points = grid.points[topology.first]
-    edge, longest = np.full(topology.n_unique, np.inf), np.zeros(topology.n_unique)
-    for one in range(corners.shape[1]):
-        a, b = corners[:, one], corners[:, (one + 1) % corners.shape[1]]
-        length = np.linalg.norm(points[a] - points[b], axis=1)
-        for end in (a, b):
-            np.minimum.at(edge, end, np.where(a == b, np.inf, length))
-            np.maximum.at(longest, end, length)
-    numbers = distinct(corners, topology.n_unique)
-    return Nodes(points[numbers], numbers, edge[numbers], longest[numbers], grid, topology)
 
 
 def _fully_within(topology: Topology, quads: IntArray, nodes: IntArray) -> IntArray:

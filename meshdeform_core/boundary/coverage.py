@@ -134,13 +134,19 @@ def _gaps(topology: Topology, use: _Use) -> list[str]:
     if single.size:
         text = (
             f"{match.label}: {single.size} of the {count} nodes that it moves belong to no face that moves as a whole, "
-            f"first {nodes.label(int(single[0]))}: their neighbours have no match and stay. Use match = "
-            f'"interpolate", or a table of all nodes of the wall'
+            f"first {nodes.label(int(single[0]))}: their neighbours have no match and stay"
+            f"{other_frame(match.points, nodes)}. {_remedy(match.how)}"
         )
         if single.size > _MOST * count:
             raise MotionError(text)
         return [text]
     return _abrupt_end(use, corners, whole, mixed)
+
+
+def _remedy(how: str) -> str:
+    if how == "interpolate":
+        return "Set a larger tolerance, or use a table that covers the wall"
+    return 'Use match = "interpolate", or a table of all nodes of the wall'
 
 
 def _abrupt_end(use: _Use, corners: IntArray, whole: BoolArray, mixed: BoolArray) -> list[str]:

@@ -8,7 +8,7 @@ degrees, not the midpoint of the chord.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
@@ -98,6 +98,11 @@ class Follow:
     matching: Matching
     names: ClassVar[frozenset[str]] = frozenset()
 
+    @property
+    def first(self) -> SurfaceData | Grid:
+        """The first table."""
+        return self.data
+
     def prepare(self, nodes: Nodes) -> PreparedStep:
         return Imposed(transfer(self.data, self.matching, nodes))
 
@@ -123,6 +128,11 @@ class FollowSequence:
     read: Callable[[int], SurfaceData | Grid]
     matching: Matching
     names: ClassVar[frozenset[str]] = frozenset({"t"})
+
+    @property
+    def first(self) -> SurfaceData | Grid:
+        """The first table."""
+        return self.read(0)
 
     def prepare(self, nodes: Nodes) -> PreparedStep:
         return ImposedSequence(self, nodes)
@@ -179,6 +189,12 @@ class Motion:
     def partial(self) -> bool:
         """Whether it is a table that moves only the nodes it matches."""
         return any(isinstance(step, Follow | FollowSequence) and step.matching.partial for step in self.steps)
+
+    def matched_by(self, matching: Matching) -> Motion:
+        """The same motion with another matching of its tables."""
+        tables = Follow | FollowSequence
+        steps = tuple(replace(step, matching=matching) if isinstance(step, tables) else step for step in self.steps)
+        return replace(self, steps=steps)
 
     def prepare(self, nodes: Nodes) -> PreparedMotion:
         """Bind the motion to its nodes; tables are matched here, once."""

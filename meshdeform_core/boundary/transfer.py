@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import scipy
 
@@ -14,6 +16,7 @@ from .matching import Matching, Nodes, SurfaceData, Transfer
 # Two displacements at one point are the same up to this fraction of the largest one.
 _ALIKE = 1e-6
 _LARGEST = 1e100
+_INTERPOLATE = ', match = "interpolate"'
 # Points of a table closer than this part of its extent are one point if the surface between them would be stretched by
 # more than this factor.
 _ONE_POINT, _STRETCH = 1e-6, 10.0
@@ -36,7 +39,7 @@ def transfer(data: SurfaceData | Grid, matching: Matching, nodes: Nodes) -> Tran
     else:
         result = _from_points(data, matching, nodes)
     _require_matches(result, matching, nodes, data)
-    return result
+    return dataclasses.replace(result, walls=matching.walls)
 
 
 def _require_plausible(data: SurfaceData) -> None:
@@ -116,7 +119,7 @@ def _interpolate(data: SurfaceData, matching: Matching, nodes: Nodes) -> Transfe
     if len(data.triangles):
         displacement, distance, beyond = _on_triangles(data, nodes.points)
     else:
-        displacement, distance, beyond = _between_points(data, nodes.points)
+        displacement, distance, beyond = _between_points(data, nodes)
     matched = distance <= _reach(data, matching, nodes)
     displacement = np.where(matched[:, None], displacement, 0.0)
     count = (len(data.points),) * 2
@@ -167,16 +170,29 @@ def _rim(triangles: IntArray) -> BoolArray:
     return np.asarray(count[number.reshape(-1)].reshape(-1, 3) == 1)
 
 
-def _between_points(data: SurfaceData, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Displacement from a spline through the nearest points, distance to the nearest, and beyond their spacing."""
+def _between_points(data: SurfaceData, nodes: Nodes) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Displacement from a spline through the nearest points of the node's side of the body, distance to the nearest
+    point, and beyond their spacing."""
     from ..numerics.geometry.local_spline import local_spline
 
     known, first = np.unique(data.points, axis=0, return_index=True)
-    displacement, distance = local_spline(known, data.displacement[first], points)
+    normals = _nearest_normals(nodes, known), nodes.normals
+    displacement, distance = local_spline(known, data.displacement[first], nodes.points, normals=normals)
     tree = scipy.spatial.cKDTree(known)
-    nearest = tree.query(points)[1]
+    nearest = tree.query(nodes.points)[1]
     spacing = tree.query(known, k=min(5, len(known)))[0].reshape(len(known), -1)[:, -1]
     return displacement, distance, np.maximum(distance - spacing[nearest], 0.0)
+
+
+def _nearest_normals(nodes: Nodes, points: FloatArray) -> FloatArray:
+    """Unit normals (n, 3) of the wall where it is closest to ``points`` (n, 3)."""
+    from ..numerics.geometry.surface import TriangleTree
+
+    if nodes.faces.shape[1] == 2:
+        return nodes.normals[scipy.spatial.cKDTree(nodes.points).query(points)[1]]
+    triangles = np.ascontiguousarray(np.concatenate([nodes.faces[:, [0, 1, 2]], nodes.faces[:, [0, 2, 3]]]))
+    face = TriangleTree(nodes.points, triangles).closest(points)[0] % len(nodes.faces)
+    return nodes.face_normals[face]
 
 
 def _from_deformed_grid(deformed: Grid, matching: Matching, nodes: Nodes) -> Transfer:
@@ -245,7 +261,8 @@ def _require_matches(result: Transfer, matching: Matching, nodes: Nodes, data: S
         f"farthest is {nodes.label(worst)} = {nodes.points[worst].tolist()}, {result.distance[worst]:.3g} away. "
         f"The table spans {_span(data.points)}, the nodes {_span(nodes.points)}"
         f"{other_frame(data.points, nodes)}. "
-        f'Set a larger tolerance, match = "interpolate", or a selection that the table covers'
+        f"Set a larger tolerance{'' if result.how == 'interpolate' else _INTERPOLATE}, or a selection that the table "
+        f"covers"
     )
 
 

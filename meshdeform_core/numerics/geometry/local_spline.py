@@ -9,16 +9,34 @@ from __future__ import annotations
 import numpy as np
 import scipy
 
-from ..arrays import BoolArray, FloatArray
+from ..arrays import BoolArray, FloatArray, IntArray
 
 _FLAT = 1e-6
+_SEARCHED = 4
+"""Points of the two sides of a thin body are sought among so many times as many as a spline passes through, ..."""
+_FEWEST = 6
+"""... of which each side needs so many."""
+_OPPOSITE = -0.5
+"""Cosine of the normals of opposite sides of a thin body, at most."""
+_STRETCH, _VARIATION = 1.5, 0.1
+"""The sides move differently if values differ between them by more than these multiples of the slope along the sides,
+times the distance, and of the variation there."""
 _CHUNK = 4096
 
 
 def local_spline(
-    points: FloatArray, values: FloatArray, targets: FloatArray, neighbours: int = 16
+    points: FloatArray,
+    values: FloatArray,
+    targets: FloatArray,
+    neighbours: int = 16,
+    normals: tuple[FloatArray, FloatArray] | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Values at ``targets`` (k, 3) from those (n, c) at distinct ``points`` (n, 3).
+
+    Parameters
+    ----------
+    normals : of the surface at the points (n, 3) and at the targets (k, 3). Where points of the opposite side of a thin
+        body, which moves differently, are among the nearest, only those of the target's own side are used
 
     Returns
     -------
@@ -28,6 +46,8 @@ def local_spline(
     count = min(neighbours, len(points))
     distance, near = scipy.spatial.cKDTree(points).query(targets, k=count)
     distance, near = distance.reshape(-1, count), near.reshape(-1, count)
+    if normals is not None:
+        near = _of_own_side(points, values, targets, near, normals)
     result = np.empty((len(targets), values.shape[1]))
     for first in range(0, len(targets), _CHUNK):
         rows = slice(first, first + _CHUNK)
@@ -36,6 +56,54 @@ def local_spline(
     same = distance[:, 0] == 0.0
     result[same] = values[near[same, 0]]
     return result, distance[:, 0]
+
+
+def _of_own_side(
+    points: FloatArray, values: FloatArray, targets: FloatArray, near: IntArray, normals: tuple[FloatArray, FloatArray]
+) -> IntArray:
+    """``near`` (k, m), with points of the target's own side only where the opposite side moves differently."""
+    sides, facing = normals
+    mixed = np.flatnonzero((np.einsum("kmd,kd->km", sides[near], facing) < _OPPOSITE).any(axis=1))
+    if not mixed.size:
+        return near
+    count = near.shape[1]
+    _, wide = scipy.spatial.cKDTree(points).query(targets[mixed], k=min(_SEARCHED * count, len(points)))
+    cosine = np.einsum("kmd,kd->km", sides[wide], facing[mixed])
+    own, other = _first(wide, cosine > 0.0, count), _first(wide, cosine < _OPPOSITE, count)
+    enough = np.minimum((cosine > 0.0).sum(axis=1), (cosine < _OPPOSITE).sum(axis=1)) >= min(_FEWEST, count)
+    apart = np.concatenate(
+        [_apart(points, values, own[n : n + _CHUNK], other[n : n + _CHUNK]) for n in range(0, len(own), _CHUNK)]
+    )
+    arm = np.linalg.norm(points[own] - targets[mixed, None], axis=2)
+    within = arm[:, 0] <= np.linalg.norm(points[own[:, min(4, count - 1)]] - points[own[:, 0]], axis=1)
+    chosen = enough & apart & within
+    result = near.copy()
+    result[mixed[chosen]] = own[chosen]
+    return result
+
+
+def _apart(points: FloatArray, values: FloatArray, own: IntArray, other: IntArray) -> BoolArray:
+    """Whether values (n, c) differ more between two sides, rows of ``own`` and ``other``, than along each of them."""
+    slope, spread = np.zeros((2, len(own), 1, 1))
+    for side in (own, other):
+        distance, change = _between(points, side, side), _between(values, side, side)
+        steepness = np.divide(change, distance, out=np.zeros_like(change), where=distance > 0)
+        slope = np.maximum(slope, steepness.max(axis=(1, 2), keepdims=True))
+        spread = np.maximum(spread, change.max(axis=(1, 2), keepdims=True))
+    allowed = _STRETCH * slope * _between(points, own, other) + _VARIATION * spread
+    return np.asarray((_between(values, own, other) > allowed).any(axis=(1, 2)))
+
+
+def _between(values: FloatArray, one: IntArray, other: IntArray) -> FloatArray:
+    """Distances (k, m, m) between the rows of ``values`` numbered ``one`` and ``other`` (k, m)."""
+    return np.asarray(np.linalg.norm(values[one][:, :, None] - values[other][:, None], axis=3))
+
+
+def _first(near: IntArray, wanted: BoolArray, count: int) -> IntArray:
+    """The first ``count`` of the wanted points in every row; the nearest is repeated where they are fewer."""
+    order = np.argsort(~wanted, axis=1, kind="stable")[:, :count]
+    chosen = np.take_along_axis(near, order, axis=1)
+    return np.where(np.take_along_axis(wanted, order, axis=1), chosen, chosen[:, :1])
 
 
 def _splines(points: FloatArray, values: FloatArray, targets: FloatArray) -> FloatArray:
