@@ -27,7 +27,7 @@ class PatchMotion:
     """The motion of a moving boundary entry, as evaluated.
 
     ``max_displacement`` and ``mean_displacement`` (grid length unit) are those of its nodes, ``max_rotation_deg`` the
-    largest rotation of its surface (degrees, at most 180).
+    largest rotation of its surface (degrees; above 180 only where parts of a surface turn by less).
     """
 
     boundary: str

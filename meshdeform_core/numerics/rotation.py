@@ -12,9 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .arrays import BoolArray, FloatArray, IntArray, lengths
-
-_HALF_TURN = 1e-6
-"""Cosine of half the angle below which the direction of a rotation by 180 degrees is a matter of round-off."""
+from .branches import continuous, nearest_branch
 
 SHARP = 0.9
 """Mean of the unit normals at a node, below which its faces make a sharp edge."""
@@ -54,12 +52,13 @@ class SurfaceRotations:
     def quaternions(self, displacement: FloatArray) -> FloatArray:
         """Quaternions (n, 4) for a displacement (n, 3), identity at nodes without faces.
 
+        Those of neighbours have the same sign: where :meth:`vectors` are longer than pi, scalar parts are negative.
         Methods, their warnings and reports all ask for those of the same displacement: the last ones are kept.
         """
         return self._of(displacement)[0].copy()
 
     def vectors(self, displacement: FloatArray) -> FloatArray:
-        """The same as rotation vectors (n, 3), radians."""
+        """The same as rotation vectors (n, 3), radians, continuous along every surface."""
         return self._of(displacement)[1].copy()
 
     def _of(self, displacement: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -71,7 +70,9 @@ class SurfaceRotations:
                 if part.turning.size:
                     surface, inside = part.surface, displacement[part.nodes]
                     found[part.nodes[part.turning]] = surface._fitted(surface._points + inside)[part.turning]
-                self._last = displacement.copy(), found, rotation_vector(found)
+                vectors = continuous(rotation_vector(found), neighbours(self._corners, self._edges, self._plane_normal))
+                found[lengths(vectors) > np.pi] *= -1.0
+                self._last = displacement.copy(), found, vectors
             return self._last[1:]
 
     def _part_moved_by(self, displacement: FloatArray) -> _Part:
@@ -108,9 +109,22 @@ class SurfaceRotations:
         normal = normals[edges[:, 0]]
         arm, target = (v - normal * _dot(normal, v)[:, None] for v in (arm, target))
         angle = np.arctan2(_dot(normal, np.cross(arm, target)), _dot(arm, target))
-        count = np.bincount(edges[:, 0], minlength=len(before))
-        mean = np.bincount(edges[:, 0], angle, minlength=len(before)) / np.maximum(count, 1)
-        return multiply(_quaternion(normals, mean), first)
+        return multiply(_quaternion(normals, _mean_angles(angle, edges[:, 0], len(before))), first)
+
+
+def _mean_angles(angle: FloatArray, node: IntArray, n: int) -> FloatArray:
+    """Mean (n,) of the angles of each node, zero without any; those beside half a turn count in one direction."""
+    mean = np.bincount(node, angle, minlength=n) / np.maximum(np.bincount(node, minlength=n), 1)
+    large = np.zeros(n, dtype=bool)
+    large[node[np.abs(angle) > 0.5 * np.pi]] = True
+    if large.any():
+        sine, cosine = (np.bincount(node, part, minlength=n) for part in (np.sin(angle), np.cos(angle)))
+        middle = np.arctan2(sine, cosine)
+        apart = angle - middle[node]
+        apart -= 2 * np.pi * np.rint(apart / (2 * np.pi))
+        spread = np.bincount(node, apart, minlength=n) / np.maximum(np.bincount(node, minlength=n), 1)
+        mean = np.where(large, middle + spread, mean)
+    return mean
 
 
 class _Part(NamedTuple):
@@ -142,8 +156,11 @@ def neighbours(corners: IntArray, edges: IntArray, plane_normal: FloatArray | No
     return edges if plane_normal is None else np.concatenate([corners, corners[:, ::-1]])
 
 
-def smoothed(q: FloatArray, pairs: IntArray, rounds: int) -> FloatArray:
-    """Quaternions (n, 4) of which the nodes ``pairs[:, 0]`` take half of their neighbours' mean, ``rounds`` times."""
+def smoothed(q: FloatArray, vectors: FloatArray, pairs: IntArray, rounds: int) -> tuple[FloatArray, FloatArray]:
+    """Rotations of which the nodes ``pairs[:, 0]`` take half of their neighbours' mean quaternion, ``rounds`` times.
+
+    Takes and returns the rotations as quaternions (n, 4) and as vectors (n, 3), of corresponding signs.
+    """
     here, there = pairs.T
     nodes, place = np.unique(here, return_inverse=True)
     count = np.bincount(place)[:, None]
@@ -153,8 +170,9 @@ def smoothed(q: FloatArray, pairs: IntArray, rounds: int) -> FloatArray:
         mean = np.stack([np.bincount(place, other[:, k]) for k in range(4)], axis=1) / count
         mixed = q[nodes] + mean
         q[nodes] = mixed / np.linalg.norm(mixed, axis=1, keepdims=True)
-    q[q[:, 0] < 0.0] *= -1.0
-    return q
+    new = vectors.copy()
+    new[nodes] = nearest_branch(rotation_vector(q[nodes]), vectors[nodes])
+    return q, new
 
 
 def _node_normals(x: FloatArray, corners: IntArray, plane_normal: FloatArray | None) -> FloatArray:
@@ -227,25 +245,12 @@ def rotate(q: FloatArray, v: FloatArray) -> FloatArray:
 
 
 def rotation_vector(q: FloatArray) -> FloatArray:
-    """Axis times angle (radians, at most pi) of unit quaternions with non-negative scalar part.
-
-    Half a turn one way is half a turn the other way, and round-off would choose for every node alone: all take the
-    direction of those that turn a little less, or of the largest component of the axis.
-    """
+    """Axis times angle (radians; at most pi where the scalar part is not negative) of unit quaternions (n, 4)."""
     sine = lengths(q[:, 1:])
     angle = 2 * np.arctan2(sine, q[:, 0])
     # angle / sine tends to 2 for small angles.
     ratio = np.where(sine > 1e-150, angle / np.maximum(sine, 1e-150), 2.0)
-    vector = q[:, 1:] * ratio[:, None]
-    half = q[:, 0] < _HALF_TURN
-    if half.any():
-        leading = vector[~half & (angle > 0.5 * np.pi)].sum(axis=0)
-        if np.linalg.norm(leading) < 1e-6:
-            leading = vector[np.argmax(half)]
-            leading = leading * np.sign(leading[np.argmax(np.abs(leading))])
-        back = half & (vector @ leading < 0)
-        vector[back] *= ((angle[back] - 2 * np.pi) / angle[back])[:, None]
-    return vector
+    return q[:, 1:] * ratio[:, None]
 
 
 def quaternion_of(w: FloatArray) -> FloatArray:

@@ -15,7 +15,6 @@ from meshdeform_core.boundary.prescribed import prescribed_displacement
 from meshdeform_core.deform import Case, deform, set_up
 from meshdeform_core.errors import GridError, MotionError
 from meshdeform_core.grid import Grid
-from meshdeform_core.numerics.rotation import rotation_vector
 from meshdeform_formats import write_grid
 from meshdeform_formats.report.write import as_json
 
@@ -97,13 +96,3 @@ def test_images_of_a_periodic_pair_must_move_alike():
     deform(grid, case("0.01", "0.01"))
     with pytest.raises(MotionError, match="move differently"):
         deform(grid, case("0.01", "0.02"))
-
-
-def test_rotation_vectors_of_half_a_turn_agree():
-    tiny = 1e-17
-    q = np.array([[tiny, 0, 0, 1.0], [tiny, 0, 0, -1.0], [0.0, 0, 0, -1.0]])
-    np.testing.assert_allclose(rotation_vector(q), np.tile([0, 0, np.pi], (3, 1)), atol=1e-12)
-    lead = np.array([[np.cos(1.5), 0, 0, -np.sin(1.5)]])
-    np.testing.assert_allclose(
-        rotation_vector(np.concatenate([lead, q]))[1:], np.tile([0, 0, -np.pi], (3, 1)), atol=1e-9
-    )

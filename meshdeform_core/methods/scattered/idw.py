@@ -11,6 +11,7 @@ import numpy as np
 from ...errors import MethodError
 from ...grid import FloatArray, IntArray
 from ...numerics import rotation as rot
+from ...numerics.frame import AT_REST, Frame
 from ...numerics.paper.division import division_path
 from ...numerics.rigid import NO_TRANSITION
 from ..base import Account, Problem, Progress, Setting
@@ -71,7 +72,8 @@ class IDW:
     p_moving, p_fixed : exponents of ``shepard`` for moving and fixed sources
     divisions : m of eq. 26
     reweight : paper only: ``division`` recomputes its weights in every step; m times the cost
-    remove_mean : subtract the mean displacement first and add it back; ``"auto"``: only for ``lie``
+    remove_mean : subtract the mean displacement first and add it back, for ``lie`` the mean rigid motion if the whole
+        boundary moves; ``"auto"``: only for ``lie``
     summation : ``exact`` sums, or ``fast`` ones with clusters of sources, or ``"auto"``: fast from 2000
         sources and 2e8 pairs of nodes
     summation_tolerance : of fast sums: error of a node's displacement relative to its shortest cell edge, 1e-8 to 0.1
@@ -257,22 +259,34 @@ class PreparedIDW:
         """Rigid motions of the sources for one displacement (n_sources, 3)."""
         images = self._images
         d = images.displaced(displacement)
-        q = np.tile([1.0, 0.0, 0.0, 0.0], (len(d), 1))
+        frame = self._frame(d)
+        # What turns with the whole boundary has no direction of its own: half a turn is like any other angle.
+        inside = d if frame.turn is None else frame.relative(images.points, d)
+        q, w = np.tile([1.0, 0.0, 0.0, 0.0], (len(d), 1)), np.zeros((len(d), 3))
         if self.options.rotation != "none":
-            q = rot.smoothed(self._rotations.quaternions(d), self._blunt, self._rounds)
-        mean = self.area / self.area.sum() @ d if self.remove_mean else np.zeros(3)
+            found = self._rotations.quaternions(inside), self._rotations.vectors(inside)
+            q, w = rot.smoothed(*found, self._blunt, self._rounds)
+        rest = frame.relative(images.points, d)
         # Frame-independent kinds are computed relative to the centroid: smaller numbers, less round-off.
         origin = np.zeros(3) if self.options.rotation in ("quaternion", "division") else self._problem.centroid
         start = images.points - origin
-        values = motion_values(self.options.rotation, self.options.divisions, start, d - mean, q)
+        values = motion_values(self.options.rotation, self.options.divisions, start, rest, q, w)
         path = division_path(start, values, self.options.divisions) if self.options.reweight else (start,)
-        turn = np.linalg.norm(rot.rotation_vector(q), axis=1)
+        turn = np.linalg.norm(w, axis=1)
         at_rest = np.flatnonzero((turn == 0.0) & ~d.any(axis=1))
         still = values[:, at_rest[0]] if at_rest.size else None
-        transition, shift = NO_TRANSITION, np.linalg.norm(d - mean, axis=1)
+        transition, shift = NO_TRANSITION, np.linalg.norm(rest, axis=1)
         if self._share and (divided := self._share.applied(values)):
             (values, transition), shift, still = divided, STEEPER * shift, np.zeros(len(values) + 1)
-        return SourceValues(path, values, self._weights(d), shift, turn, origin, mean, still, transition)
+        return SourceValues(path, values, self._weights(inside), shift, turn, origin, frame, still, transition)
+
+    def _frame(self, d: FloatArray) -> Frame:
+        """The mean motion of the images, which is taken out first: rigid for ``lie`` if the whole boundary moves."""
+        if not self.remove_mean:
+            return AT_REST
+        if self.options.rotation == "lie" and with_motion(self._images).all():
+            return Frame.fitted(self._images.points, d, self.area, self._problem.plane_normal)
+        return Frame(self.area / self.area.sum() @ d)
 
     def _weights(self, d: FloatArray) -> tuple[tuple[float, float, float], ...]:
         """Weight function (a, b, kappa) of each group: r^-a + kappa r^-b.

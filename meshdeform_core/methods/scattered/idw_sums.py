@@ -10,6 +10,7 @@ from ...grid import FloatArray, Grid, IntArray
 from ...numerics.exact.direct import weighted_sums
 from ...numerics.fastsum import sums as fastsum
 from ...numerics.fastsum.tree import build_tree
+from ...numerics.frame import Frame
 from ...numerics.rigid import NO_TRANSITION, Transition, finish
 from ...numerics.rows import put_rows, take_rows
 from ...parallel import Shared, Task, for_chunks
@@ -27,7 +28,7 @@ class SourceValues:
 
     ``path`` source positions (n, 3) at the start of every step, relative to ``origin`` (3,): one step, unless the
     weights are recomputed on the way; ``values`` (k, n) per source; ``weights`` (a, b, kappa) per group; ``shift`` and
-    ``turn`` (n,) displacement and rotation angle of each source; ``mean`` (3,) displacement that was subtracted;
+    ``turn`` (n,) displacement and rotation angle of each source; ``frame`` the mean motion that was taken out;
     ``still`` (k,) the values of sources that do not move, if there are any; ``transition`` from moving sources to
     others.
     """
@@ -38,7 +39,7 @@ class SourceValues:
     shift: FloatArray
     turn: FloatArray
     origin: FloatArray
-    mean: FloatArray
+    frame: Frame
     still: FloatArray | None = None
     transition: Transition = NO_TRANSITION
 
@@ -98,7 +99,7 @@ class ExactEvaluator:
         total = np.zeros_like(x)
         for sources in fit.path:
             total += self._moved(fit, x + total, self._sums(fit, x + total, sources))
-        return np.asarray(total + fit.mean)
+        return fit.frame.absolute(self.bound.grid.points[flat], total)
 
     def checked(self, fit: SourceValues, flat: IntArray, known: Weighed | None) -> tuple[FloatArray, Weighed | None]:
         """The same, and the weights of these nodes; if they are ``known``, sources at rest are not summed again."""
@@ -110,7 +111,7 @@ class ExactEvaluator:
         else:
             sums = self._sums(fit, x, fit.path[0], _CHECKED)
             known = Weighed(flat, fit.weights, sums[:, 0].copy())
-        return self._moved(fit, x, sums) + fit.mean, known
+        return fit.frame.absolute(self.bound.grid.points[flat], self._moved(fit, x, sums)), known
 
     def _moved(self, fit: SourceValues, x: FloatArray, sums: FloatArray) -> FloatArray:
         """Displacement (n, 3) in one step of targets at ``x``, relative to the origin, from their sums (n, 1 + k)."""
@@ -177,7 +178,7 @@ class FastEvaluator:
         for step, sources in enumerate(fit.path):
             if step:
                 points = bound.grid.points.copy()
-                points[bound.flat] += out[bound.flat] - fit.mean
+                points[bound.flat] += out[bound.flat] - fit.frame.shift
                 sums = self._sorted(sources + fit.origin, points)
                 sums.share = self._sums.share
 
@@ -186,8 +187,7 @@ class FastEvaluator:
                 take_rows(points, flat, x)
                 x -= fit.origin
                 finish(bound.rotation, values, x, moved, bound.repeats, fit.transition)
-                moved += out[flat] if step else fit.mean
-                put_rows(moved, flat, out)
+                put_rows(moved + out[flat] if step else fit.frame.absolute(x + fit.origin, moved), flat, out)
 
             moving = fit.values, fit.shift, fit.turn
             lasting = 1 if fit.transition.width else 0

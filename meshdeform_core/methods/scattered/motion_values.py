@@ -8,11 +8,15 @@ from ...grid import FloatArray
 from ...numerics import rotation as rot
 
 
-def motion_values(rotation: str, divisions: int, x: FloatArray, d: FloatArray, q: FloatArray) -> FloatArray:
-    """The quantities to average, (k, n), for sources at ``x`` with displacements ``d`` and rotations ``q``."""
+def motion_values(
+    rotation: str, divisions: int, x: FloatArray, d: FloatArray, q: FloatArray, w: FloatArray
+) -> FloatArray:
+    """The quantities to average, (k, n), for sources at ``x`` with displacements ``d``.
+
+    ``q`` (n, 4) and ``w`` (n, 3) are their rotations as quaternions and as vectors.
+    """
     if rotation == "none":
         return np.ascontiguousarray(d.T)
-    w = rot.rotation_vector(q)
     turned = rot.rotate(q, x) - x
     translation = d - turned
     if rotation == "lie":

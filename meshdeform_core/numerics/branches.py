@@ -1,0 +1,127 @@
+"""Which of the rotation vectors of one rotation: those of neighbours on a surface belong together.
+
+A rotation by 190 degrees is one by -170 degrees about the same axis. Logarithms of matrices or quaternions take the
+smaller angle at every node alone, so that a surface that turns by about 180 degrees has nodes that seem to turn in
+opposite directions.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import scipy
+
+from .arrays import FloatArray, IntArray, lengths
+from .geometry.coincidence import connected_components
+from .jit import kernel
+
+_FULL = 2 * math.pi
+_CERTAIN = 0.5 * math.pi
+"""Surfaces with nodes that turn by less are attached to others or nearly at rest: these nodes decide."""
+_LARGEST = 0.9 * _FULL
+"""Near a full turn a translation cannot be told from a rotation about a distant axis."""
+_AGREEMENT = 0.05
+"""Weight of the difference between surfaces against the angle itself: bodies that turn by 179 and 181 degrees in a
+fixed box agree, two that turn against each other by up to about 170 degrees keep doing so."""
+
+
+def nearest_branch(vectors: FloatArray, reference: FloatArray) -> FloatArray:
+    """The rotation vectors (n, 3) of the same rotations that are nearest to ``reference`` (n, 3)."""
+    angle = lengths(vectors)
+    # A rotation by zero has any axis.
+    axis = np.where((angle > 0.0)[:, None], vectors, reference)
+    axis = np.divide(axis, lengths(axis)[:, None], out=np.zeros_like(axis), where=lengths(axis)[:, None] > 0.0)
+    turns = np.rint((np.einsum("ni,ni->n", axis, reference) - angle) / _FULL)
+    return vectors + (_FULL * turns)[:, None] * axis
+
+
+def continuous(vectors: FloatArray, pairs: IntArray) -> FloatArray:
+    """Rotation vectors (n, 3) of the same rotations that are continuous along every connected surface.
+
+    Unchanged, to the bit, unless some node turns by more than half of half a turn.
+
+    Parameters
+    ----------
+    vectors : (n, 3) radians, at most pi long
+    pairs : (e, 2) int64 node and neighbour, in both directions
+    """
+    angle = lengths(vectors)
+    if not len(pairs) or not (angle > _CERTAIN).any():
+        return vectors
+    label = connected_components(len(vectors), pairs)
+    turning = np.unique(label[angle > _CERTAIN])
+    rows = np.flatnonzero(np.isin(label, turning))
+    found = vectors.copy()
+    _along_surfaces(found, rows[np.argsort(angle[rows], kind="stable")], *_adjacency(pairs, len(vectors)))
+    too_far = np.unique(label[lengths(found) > _LARGEST])
+    found[np.isin(label, too_far)] = vectors[np.isin(label, too_far)]
+    rows = rows[np.argsort(label[rows], kind="stable")]
+    _turn_alike(found, np.split(rows, np.flatnonzero(np.diff(label[rows])) + 1))
+    return found
+
+
+def _turn_alike(vectors: FloatArray, surfaces: list[IntArray]) -> None:
+    """Choose the direction of whole surfaces, in place: the shorter one, and where that is not clear the one in which
+    others turn."""
+    means = [vectors[rows].mean(axis=0) for rows in surfaces]
+    total, count = np.zeros(3), 0
+    for index in np.argsort([np.linalg.norm(mean) for mean in means], kind="stable"):
+        rows, mean = surfaces[index], means[index]
+        if lengths(vectors[rows]).min() > _CERTAIN:
+            lead = total / count if count else _upwards(mean)
+            other = mean - _FULL * mean / max(float(np.linalg.norm(mean)), 1e-100)
+            if _cost(other, lead) < _cost(mean, lead):
+                angle = lengths(vectors[rows])[:, None]
+                vectors[rows] *= 1.0 - _FULL / angle
+        total, count = total + vectors[rows].sum(axis=0), count + len(rows)
+
+
+def _upwards(mean: FloatArray) -> FloatArray:
+    """A small rotation about the same axis, with a positive largest component: half a turn goes in its direction."""
+    leading = mean[np.argmax(np.abs(mean).round(6))]
+    return 1e-3 * mean * np.sign(leading)
+
+
+def _cost(mean: FloatArray, lead: FloatArray) -> float:
+    apart = mean - lead
+    return float(mean @ mean + _AGREEMENT * (apart @ apart))
+
+
+def _adjacency(pairs: IntArray, n: int) -> tuple[IntArray, IntArray]:
+    matrix = scipy.sparse.csr_matrix((np.ones(len(pairs), dtype=bool), pairs.T), shape=(n, n))
+    return matrix.indptr.astype(np.int64), matrix.indices.astype(np.int64)
+
+
+@kernel
+def _along_surfaces(vectors, seeds, start, neighbour):
+    """Every node takes the rotation vector nearest to that of the node from which it is reached first, in place.
+
+    ``seeds``: nodes in the order in which they may begin; ``neighbour[start[n]:start[n + 1]]`` are those of node n.
+    """
+    n_nodes = vectors.shape[0]
+    reached = np.zeros(n_nodes, np.bool_)
+    queue = np.empty(n_nodes, np.int64)
+    for seed in seeds:
+        if reached[seed]:
+            continue
+        reached[seed] = True
+        queue[0], head, tail = seed, 0, 1
+        while head < tail:
+            here = queue[head]
+            head += 1
+            for place in range(start[here], start[here + 1]):
+                there = neighbour[place]
+                if reached[there]:
+                    continue
+                reached[there] = True
+                queue[tail] = there
+                tail += 1
+                x, y, z = vectors[there, 0], vectors[there, 1], vectors[there, 2]
+                angle = math.sqrt(x * x + y * y + z * z)
+                if angle > 0.0:
+                    along = (x * vectors[here, 0] + y * vectors[here, 1] + z * vectors[here, 2]) / angle
+                    turns = np.rint((along - angle) / _FULL)
+                    if turns != 0.0:
+                        factor = 1.0 + turns * _FULL / angle
+                        vectors[there, 0], vectors[there, 1], vectors[there, 2] = factor * x, factor * y, factor * z

@@ -1,0 +1,58 @@
+"""The rigid motion that a boundary makes on average: the frame in which the rest of its motion is interpolated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .arrays import FloatArray
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A rotation ``turn`` (3, 3) about ``centre`` (3,), or none, followed by the translation ``shift`` (3,)."""
+
+    shift: FloatArray
+    turn: FloatArray | None = None
+    centre: FloatArray | None = None
+
+    @classmethod
+    def fitted(
+        cls, points: FloatArray, displacement: FloatArray, weight: FloatArray, normal: FloatArray | None
+    ) -> Frame:
+        """The rigid motion of ``points`` (n, 3) nearest to ``displacement`` (n, 3), in the weighted square mean.
+
+        The rotation is the one of Kabsch (Acta Cryst. A32, 922, 1976); ``normal``: of the plane in which it turns.
+        """
+        share = weight / weight.sum()
+        shift, centre = share @ displacement, share @ points
+        if not (displacement - shift).any():
+            return cls(shift)
+        arm = points - centre
+        moment = (arm + displacement - shift).T @ (share[:, None] * arm)
+        if normal is not None:
+            moment += np.linalg.norm(moment) * np.outer(normal, normal)
+        left, _, right = np.linalg.svd(moment)
+        left[:, 2] *= np.linalg.det(left) * np.linalg.det(right)
+        return cls(shift, left @ right, centre)
+
+    def relative(self, points: FloatArray, displacement: FloatArray) -> FloatArray:
+        """Displacement (n, 3) of ``points`` (n, 3) as seen from the frame."""
+        rest = displacement - self.shift
+        if self.turn is None or self.centre is None:
+            return rest
+        # Turned back in one product, so that a rigid motion leaves no more than its round-off.
+        arm = points - self.centre
+        return np.asarray((arm + rest) @ self.turn - arm)
+
+    def absolute(self, points: FloatArray, displacement: FloatArray) -> FloatArray:
+        """The inverse of :meth:`relative`."""
+        if self.turn is None or self.centre is None:
+            return displacement + self.shift
+        carried = (points - self.centre) @ (self.turn - np.eye(3)).T
+        return np.asarray(displacement @ self.turn.T + carried + self.shift)
+
+
+AT_REST = Frame(np.zeros(3))
+"""The frame of the grid itself."""

@@ -1,0 +1,121 @@
+"""Rotations by about 180 degrees and beyond: where the logarithm of a rotation changes its sign."""
+
+import numpy as np
+import pytest
+from cases import ALL_METHODS, apply, body_specs, problem_of, turning
+from grids import frame, frame_2d, polar
+from scipy.spatial.transform import Rotation
+
+from meshdeform_core.methods import IDW, Options
+from meshdeform_core.methods.limits import largest_rotation
+from meshdeform_core.numerics.branches import continuous, nearest_branch
+from meshdeform_core.numerics.rotation import SurfaceRotations
+
+ANGLES = (170.0, 180.0 - 1e-7, 180.0, 180.0 + 1e-7, 190.0, 360.0, 540.0)
+AXES = ((0, 0, 1), (1, 2, 3))
+CENTRE = np.array([0.3, 0.2, 0.1])
+TURNING = [name for name in ALL_METHODS if name != "idw-none"]
+
+
+def turned(x: np.ndarray, degrees: float, axis=(0, 0, 1)) -> np.ndarray:
+    vector = np.radians(degrees) * np.array(axis) / np.linalg.norm(axis)
+    return Rotation.from_rotvec(vector).apply(x - CENTRE) + CENTRE
+
+
+def bend(x: np.ndarray) -> np.ndarray:
+    flat = np.ptp(x[:, 2]) == 0.0
+    wave = [0.05 * np.sin(3 * x[:, 1]), 0.1 * np.sin(2 * x[:, 0]), (not flat) * 0.07 * x[:, 0] * x[:, 1]]
+    return np.stack(wave, axis=1)
+
+
+@pytest.mark.parametrize("angle", ANGLES)
+@pytest.mark.parametrize("name", TURNING)
+def test_rigid_motion_of_everything_is_reproduced(name, angle):
+    for grid, axes in ((frame(), AXES), (frame_2d(), AXES[:1])):
+        problem = problem_of(grid)
+        for axis in axes:
+            moved = apply(ALL_METHODS[name], problem, lambda x, axis=axis: turned(x, angle, axis) - x)
+            limit = 1e-10 if "rbf" in name else 1e-12
+            assert np.abs(grid.points + moved - turned(grid.points, angle, axis)).max() < limit
+
+
+@pytest.mark.parametrize("angle", ANGLES)
+@pytest.mark.parametrize("grid", [frame(), frame_2d(), polar()], ids=["frame", "frame-2d", "o-grid"])
+def test_deformation_seen_from_a_turning_frame_is_the_same(grid, angle):
+    """A rigid motion superposed on the deformation of the whole boundary only carries the grid along."""
+    problem = problem_of(grid)
+    still = grid.points + apply(Options("idw"), problem, bend)
+    for axis in AXES if np.ptp(grid.points[:, 2]) else AXES[:1]:
+        moved = apply(Options("idw"), problem, lambda x, axis=axis: turned(x + bend(x), angle, axis) - x)
+        np.testing.assert_allclose(grid.points + moved, turned(still, angle, axis), atol=1e-12)
+
+
+@pytest.mark.parametrize("rotation", ["lie", "quaternion", "division", "blend"])
+def test_deforming_body_passes_half_a_turn(rotation):
+    """In a fixed box, nodes of the body that turn by 178 and 182 degrees turn in the same direction."""
+    problem = problem_of(frame(), body_specs(turning(180)))
+    near = np.exp(-((np.sum(problem.source_points[:, :2] ** 2, axis=1)) ** 4))[:, None]
+    inner = near > 0.5
+    twisted = np.zeros_like(problem.source_points)
+    for row, x in enumerate(problem.source_points):
+        if inner[row]:
+            twisted[row] = turned(x[None], 180 + 2 * np.sign(x[0]), (0, 0, 1))[0] - x
+    angle = problem.rotations.vectors(twisted)[inner[:, 0]][:, 2]
+    assert np.ptp(angle) < np.radians(20)
+    assert np.abs(angle).min() > np.radians(165)
+    smooth = apply(Options("idw", idw=IDW(rotation=rotation)), problem, twisted)
+    assert np.isfinite(smooth).all()
+
+
+def _cylinder(n: int = 24, layers: int = 30) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    around = np.linspace(0, 2 * np.pi, n, endpoint=False)
+    points = np.array([[np.cos(a), np.sin(a), 0.2 * k] for k in range(layers) for a in around])
+    number = np.arange(n * layers).reshape(layers, n)
+    quads = np.stack([number[:-1], np.roll(number[:-1], -1, 1), np.roll(number[1:], -1, 1), number[1:]], axis=-1)
+    quads = quads.reshape(-1, 4)
+    corners = np.concatenate([np.stack([quads[:, k], quads[:, (k + 1) % 4], quads[:, k - 1]], 1) for k in range(4)])
+    edges = np.unique(np.concatenate([corners[:, :2], corners[:, [0, 2]]]), axis=0)
+    return points, corners, edges
+
+
+def test_rotations_are_continuous_along_a_bar_twisted_beyond_half_a_turn():
+    points, corners, edges = _cylinder()
+    share = points[:, 2] / points[:, 2].max()
+    angle = np.radians(250.0) * share
+    turn = Rotation.from_rotvec(np.outer(angle, [0, 0, 1])).apply(points) - points
+    surface = SurfaceRotations(points, corners, edges)
+    vectors, q = surface.vectors(turn), surface.quaternions(turn)
+    inside = (share > 0) & (share < 1)
+    np.testing.assert_allclose(vectors[inside, 2], angle[inside], atol=0.15)
+    assert np.abs(np.einsum("ek,ek->e", q[edges[:, 0]], q[edges[:, 1]])).min() > 0.9
+    assert np.einsum("ek,ek->e", q[edges[:, 0]], q[edges[:, 1]]).min() > 0.9
+
+
+def test_half_turns_of_several_bodies_agree():
+    """Round-off must not choose the direction; two bodies that turn by 179 and 181 degrees turn the same way."""
+    pairs = np.array([[0, 1], [1, 0], [2, 3], [3, 2]])
+    half = np.pi * np.array([[0, 0, 1.0], [0, 0, -1.0], [0, 0, -1.0], [0, 0, 1.0]])
+    np.testing.assert_allclose(continuous(half, pairs), np.tile([0, 0, np.pi], (4, 1)), atol=1e-12)
+    degrees = np.radians([179.0, 179.0, -179.0, -179.0])
+    found = continuous(np.outer(degrees, [0, 0, 1.0]), pairs)[:, 2]
+    assert np.ptp(found) < np.radians(3)
+    against = np.outer(np.radians([120.0, 120.0, -120.0, -120.0]), [0, 0, 1.0])
+    np.testing.assert_array_equal(continuous(against, pairs), against)
+
+
+def test_branches_are_those_of_the_same_rotations():
+    rng = np.random.default_rng(3)
+    vectors, reference = rng.normal(size=(50, 3)), 4 * rng.normal(size=(50, 3))
+    found = nearest_branch(vectors, reference)
+    one, other = Rotation.from_rotvec(vectors), Rotation.from_rotvec(found)
+    assert (one.inv() * other).magnitude().max() < 1e-12
+    axis = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+    for turns in (-1, 1):
+        away = np.linalg.norm(found + 2 * np.pi * turns * axis - reference, axis=1)
+        assert (np.linalg.norm(found - reference, axis=1) <= away + 1e-12).all()
+
+
+@pytest.mark.parametrize("angle", ANGLES)
+def test_turning_everything_is_no_reason_for_a_warning(angle):
+    problem = problem_of(frame())
+    assert largest_rotation(problem, turned(problem.source_points, angle) - problem.source_points) < 1e-5
