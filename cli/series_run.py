@@ -283,7 +283,7 @@ def _record(run: Run, level: Level, beside: bool = False) -> None:
     if not level.result.valid and not run.allow_invalid:
         files.invalid.add(level.number)
     with contextlib.nullcontext() if beside else writing(level.result.grid.points.nbytes):
-        files.write(level.number, level.result.grid, level.velocity)
+        files.write(level.number, level.result.grid, level.velocity, level.faces)
     manifest.head = manifest.head or series_head(level)
     warned = [*manifest.head["warnings"], *(text for done in manifest.levels for text in done["warnings"])]
     seconds = clock.perf_counter() - before

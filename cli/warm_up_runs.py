@@ -51,6 +51,7 @@ def runs() -> Iterator[Callable[[], object]]:
     yield partial(_deformed, "splitter-plate", 8, Options("tfi"), amplitude=200.0)
     # A method that keeps fields of earlier levels.
     yield partial(_series, "splitter-plate", 8, Options("rbf-tfi"))
+    yield partial(_series, "square", 11, Options("tfi"))
     yield partial(_pictures, "hemisphere", 8, Options("tfi"))
     yield _nested_sums
 
@@ -80,7 +81,7 @@ def _deformed(name: str, size: int, method: Options, **constants: float) -> Resu
 def _series(name: str, size: int, method: Options) -> None:
     setup = set_up(*_sample(name, size, method))
     # The second level has the motion of the first one.
-    for _ in deform_series(setup, Schedule((0.0, 1.0)), "float64"):
+    for _ in deform_series(setup, Schedule((0.0, 1.0), velocity="swept"), "float64"):
         pass
 
 

@@ -6,7 +6,11 @@ from functools import cached_property
 from html import escape
 from typing import Any
 
+import numpy as np
+
 from meshdeform_core.deform import Result
+from meshdeform_core.errors import GridError
+from meshdeform_core.grid import FloatArray
 from meshdeform_core.memory import peak_memory
 from meshdeform_core.quality import InvalidCell
 from meshdeform_core.repair.repair import Repair
@@ -34,6 +38,34 @@ class Step:
     def invalid_cells(self) -> tuple[InvalidCell, ...]:
         """Cells that were valid and no longer are: block, i, j, k (from 1), position, nearest patch."""
         return self._result.assessment.invalid
+
+    def swept_volumes(self, previous: Step | Grid) -> list[tuple[FloatArray, ...]]:
+        """Volumes that the cell faces sweep on straight paths from the grid of another step, or the undeformed one.
+
+        For each block one array per index axis, of the faces across it: (ni, nj - 1, nk - 1), (ni - 1, nj, nk - 1) and
+        (ni - 1, nj - 1, nk); in 2-D areas, (ni, nj - 1) and (ni - 1, nj). Positive towards the larger index: the volume
+        of each cell (positive if valid) changes by what its far faces sweep less what its near faces sweep, exactly but
+        for round-off. Divided by the time between the two steps these are the face velocities times area of a solver
+        with backward differences of first order.
+
+        Raises
+        ------
+        GridError
+            When the two have different blocks.
+        """
+        from meshdeform_core.quality.difference import require_same_blocks
+        from meshdeform_core.velocity import at_faces, swept_volumes
+
+        grid, before = self._result.grid, previous.grid if isinstance(previous, Step) else previous
+        if not isinstance(before, Grid):
+            raise GridError(f"previous is a {type(before).__name__}; expected a step or a grid")
+        require_same_blocks(grid, before._core)
+        undeformed = self._result.setup.grid
+        found = at_faces(undeformed, swept_volumes(undeformed, before._core.points, grid.points))
+        return [
+            tuple(np.squeeze(part, axis=shape.index(1)) if 1 in shape else part for part in faces if part.size)
+            for shape, faces in zip(undeformed.shapes, found, strict=True)
+        ]
 
     @property
     def steps(self) -> int:

@@ -16,8 +16,9 @@ _UNITS = ("B", "KiB", "MiB", "GiB", "TiB")
 # 6.4 coordinate arrays were measured with tfi, idw and idw-tfi from 2.7 to 21 million nodes, of 7.6 with the earlier
 # levels of a series, 8.1 with all fields and 8.5 with repairs.
 PROGRAM_BYTES, COORDINATE_ARRAYS = 220 * 2**20, 9
-VELOCITY_ARRAYS = 2
-"""The grid velocity of a series, and the levels of which it is a difference."""
+VELOCITY_ARRAYS, SWEPT_ARRAYS = 2, 4
+"""The grid velocity of a series, and the levels of which it is a difference; with the volumes swept by faces: those of
+two intervals, their combination, and what is written."""
 WRITING_ARRAYS, REUSED_ARRAYS = 2, 3
 """What writing a level takes, at most, while the next one is computed; what is kept to be used again."""
 PICTURE_BYTES = 280 * 2**20

@@ -9,14 +9,14 @@ import numpy as np
 
 from .deform import Result, Setup, Start, Timing, impose
 from .errors import CaseError
-from .grid import FloatArray
+from .grid import Field, FloatArray
 from .memory import REUSED_ARRAYS, WRITING_ARRAYS
 from .methods import PreparedMethod, Progress, make_method, remembering
 from .numerics.arrays import lengths
 from .parallel import allow, empty, for_rows, reusing_memory
+from .velocity import PAST, VELOCITIES, face_fields, grid_velocity
 
 ORIGINS = ("reference", "last")
-VELOCITIES = ("none", "first", "second")
 _WRITTEN = 1e-6
 
 
@@ -30,7 +30,8 @@ class Schedule:
     origin : ``reference``: every level is made from the undeformed grid, so that equal boundaries give equal grids (to
         the tolerance of solvers and sums); ``last``: each level from the previous one (marching), which reaches larger
         motions but drifts
-    velocity : order of the backward differences of the grid velocity, or ``none``
+    velocity : order of the backward differences of the grid velocity, ``swept``: with the volumes that faces sweep, or
+        ``none``
     steps : increments of each level, or ``"auto"``; see :func:`meshdeform_core.deform.deform`
     """
 
@@ -48,7 +49,7 @@ class Schedule:
 
     def past(self, number: int) -> int:
         """Number of levels before level ``number`` that are needed to make it."""
-        wanted = max(VELOCITIES.index(self.velocity), int(self.origin == "last"))
+        wanted = max(PAST[self.velocity], int(self.origin == "last"))
         return min(number, wanted)
 
 
@@ -65,7 +66,7 @@ class Level:
     """One time level.
 
     ``rotation`` is the largest rotation of a moving wall against the undeformed grid (degrees), ``velocity``
-    (n_nodes, 3) the grid velocity, zero at the first level.
+    (n_nodes, 3) the grid velocity, zero at the first level; ``faces`` are fields at the cell faces.
     """
 
     number: int
@@ -74,6 +75,7 @@ class Level:
     rotation: float
     drift: Drift | None
     velocity: FloatArray | None
+    faces: tuple[Field, ...]
     timing: Timing
 
 
@@ -129,7 +131,11 @@ class _Series:
         if schedule.velocity != "none":
             points = [*past, result.grid.points]
             velocity = grid_velocity(schedule.times[: number + 1], points, schedule.velocity)
-        return Level(number, time, result, self._rotation(displacement), drift, velocity, timing)
+        faces: tuple[Field, ...] = ()
+        if schedule.velocity == "swept":
+            with timing.stage("velocity"):
+                faces = face_fields(setup.grid, schedule.times[: number + 1], [*past[-2:], result.grid.points])
+        return Level(number, time, result, self._rotation(displacement), drift, velocity, faces, timing)
 
     def _expect_more(self) -> None:
         """Keep what saves time at further levels, if memory allows."""
@@ -180,35 +186,6 @@ class _Series:
     def _rotation(self, displacement: FloatArray) -> float:
         turned = self.problem.rotations.vectors(displacement)
         return float(np.degrees(lengths(turned).max()))
-
-
-def grid_velocity(times: tuple[float, ...], points: list[FloatArray], order: str) -> FloatArray:
-    """Velocity (n_nodes, 3) at the last of ``times`` by backward differences over levels of any spacing.
-
-    ``second`` order falls back to first at the second level; at the first one, which has no past, the velocity is zero.
-
-    Parameters
-    ----------
-    points : coordinates at the last levels, the newest last
-    """
-    velocity: FloatArray = empty(points[-1].shape)
-    known = min(len(times), len(points), VELOCITIES.index(order) + 1)
-    for_rows(lambda rows: np.copyto(velocity[rows], _slope(times, [x[rows] for x in points], known)), velocity)
-    return velocity
-
-
-def _slope(times: tuple[float, ...], points: list[FloatArray], known: int) -> FloatArray | float:
-    """Velocity at the last of ``points`` from the last ``known`` levels."""
-    if known == 1:
-        return 0.0
-    h = times[-1] - times[-2]
-    slope = (points[-1] - points[-2]) / h
-    if known == 2:
-        return slope
-    before = times[-2] - times[-3]
-    earlier = (points[-2] - points[-3]) / before
-    # The derivative at the newest level of the parabola through three levels.
-    return slope + (slope - earlier) * (h / (h + before))
 
 
 def _shortened(times: tuple[float, ...]) -> str:

@@ -31,8 +31,9 @@ from .deform import parse_steps
 )  # fmt: skip
 @click.option("--steps", metavar="N|auto", help="Impose each level in N steps; by default in as many as needed.")
 @click.option(
-    "--velocity", type=click.Choice(("none", "first", "second")), default="none", show_default=True,
-    help="Write the grid velocity, by backward differences of this order (VTK and CGNS).",
+    "--velocity", type=click.Choice(("none", "first", "second", "swept")), default="none", show_default=True,
+    help="Write the grid velocity, by backward differences of this order, or the volumes swept by the cell faces as "
+    "well (VTK and CGNS).",
 )  # fmt: skip
 @click.option("--suffix", help="Format of the levels, by suffix (default: that of GRID).")
 @click.option("--single-file", is_flag=True, help="All levels in one CGNS file.")
@@ -69,13 +70,13 @@ def command(
     check_reports(run.reports, run.force or resume, *source.files, *case.files)
     count, options, limit = parse_steps(steps), run.variant_options, run.memory
 
-    from meshdeform_core.memory import VELOCITY_ARRAYS
+    from meshdeform_core.memory import SWEPT_ARRAYS, VELOCITY_ARRAYS
 
     from .. import series_run, work
 
     wanted = series_run.Wanted(output, times, origin, velocity, count, suffix, single_file, options, run.fields)
     with ProgressBar(not run.quiet) as progress:
-        more = VELOCITY_ARRAYS if velocity != "none" else 0
+        more = VELOCITY_ARRAYS * (velocity != "none") + SWEPT_ARRAYS * (velocity == "swept")
         job = work.load(source, dataclasses.replace(case, times=times), limit, run.reports, more)
         plan = series_run.prepare(job, source, wanted, run)
         run.warnings.tell(plan.setup.warnings)

@@ -105,8 +105,9 @@ def _add_level(
         ]
         nodes = {"GridCoordinatesPointers": make(f"GridCoordinates#{number + 1}", "GridCoordinates_t", None, arrays)}
         for solution in solution_nodes(grid, block, zone.counts):
-            children = solution.children
-            nodes["FlowSolutionPointers"] = make(f"{solution.name}#{number + 1}", solution.label, None, children)
+            # The standard has one pointer; solutions at other locations than the first are found by theirs.
+            key = "FlowSolutionPointers" if "FlowSolutionPointers" not in nodes else f"{solution.name}Pointers"
+            nodes[key] = make(f"{solution.name}#{number + 1}", solution.label, None, solution.children)
         for node in nodes.values():
             put_node(group, node)
         pointers.append({key: node.name for key, node in nodes.items()})

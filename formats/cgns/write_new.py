@@ -21,7 +21,13 @@ from .storage.tree import Node, make
 
 # The version of the standard whose readers know everything written here.
 _LIBRARY_VERSION = 3.2
-_LOCATIONS = {"node": "Vertex", "cell": "CellCenter"}
+_LOCATIONS = {
+    "node": "Vertex",
+    "cell": "CellCenter",
+    "iface": "IFaceCenter",
+    "jface": "JFaceCenter",
+    "kface": "KFaceCenter",
+}
 
 
 def write_new(grid: Grid, path: Path, precision: str) -> None:
@@ -66,24 +72,40 @@ def _coordinates(grid: Grid, block: int, dimension: int, precision: str) -> Node
 
 
 def solution_nodes(grid: Grid, block: int, shape: Sequence[int]) -> list[Node]:
-    """Flow solutions of a block: one for its fields at the nodes and one for those at the cells.
+    """Flow solutions of a block, one for each location of its fields: nodes, cells, and the faces across each axis.
 
     ``shape`` are the nodes of the zone along its index axes (two or three). Fields of types that CGNS lacks are
     omitted; vectors become nameX, nameY, nameZ.
     """
     solutions = []
     for location, word in _LOCATIONS.items():
-        size = shape if location == "node" else [n - 1 for n in shape]
         fields = [
             f for f in grid.fields if f.block == block and f.location == location and f.values.dtype.kind in "biuf"
         ]
+        if not fields:
+            continue
+        size, word = _located(location, word, shape, grid.shapes[block])
         arrays = [array for field in fields for array in _components(field, size)]
         names = unique_names((name for name, _ in arrays), "Field", ["GridLocation"])
         nodes = [make(name, "DataArray_t", values) for name, (_, values) in zip(names, arrays, strict=True)]
-        if nodes:
-            location_node = make("GridLocation", "GridLocation_t", word)
-            solutions.append(make(f"FlowSolution{word}", "FlowSolution_t", None, [location_node, *nodes]))
+        location_node = make("GridLocation", "GridLocation_t", word)
+        solutions.append(make(f"FlowSolution{word}", "FlowSolution_t", None, [location_node, *nodes]))
     return solutions
+
+
+def _located(location: str, word: str, shape: Sequence[int], nodes: Sequence[int]) -> tuple[list[int], str]:
+    """Values along the index axes of a zone at a location, and its name: axes are those of the zone, without the flat
+    one of a block."""
+    if location == "node":
+        return list(shape), word
+    size = [n - 1 for n in shape]
+    if location != "cell":
+        axis = "ijk".index(location[0])
+        if 1 in nodes[:axis]:
+            axis -= 1
+        size[axis] += 1
+        word = f"{'IJK'[axis]}FaceCenter"
+    return size, word
 
 
 def _components(field: Field, shape: Sequence[int]) -> list[tuple[str, NDArray[Any]]]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Field, FileFormat, FloatArray, Grid
-from meshdeform_core.series import grid_velocity
+from meshdeform_core.velocity import FLUX, SWEPT, face_fields, grid_velocity
 
 from ..fields import WITH_FIELDS
 from ..files import invalid_path, remove_partial, replacing
@@ -20,6 +20,7 @@ from ..grids import FORMATS, format_of, read_grid, variant_of, write_grid
 from .index import index_path, write_index
 
 VELOCITY = "GridVelocity"
+_WITH_FACES = (*FORMATS["vtk"].suffixes, *FORMATS["cgns"].suffixes)
 Dress = Callable[[Grid], Grid]
 """A level with fields added."""
 
@@ -58,8 +59,8 @@ class SeriesFiles(Protocol):
         """The file that holds a level when the series is complete."""
         ...
 
-    def write(self, number: int, grid: Grid, velocity: FloatArray | None) -> None:
-        """Write one level."""
+    def write(self, number: int, grid: Grid, velocity: FloatArray | None, faces: Sequence[Field] = ()) -> None:
+        """Write one level, with the grid velocity (n_nodes, 3) and fields at the cell faces."""
         ...
 
     def read(self, number: int) -> FloatArray:
@@ -88,13 +89,17 @@ class SeriesFiles(Protocol):
         ...
 
 
-def with_velocity(grid: Grid, velocity: FloatArray | None, precision: str) -> Grid:
-    """The grid with the velocity (n_nodes, 3) as a vector field at its nodes, replacing an existing one."""
+def with_velocity(grid: Grid, velocity: FloatArray | None, faces: Sequence[Field], precision: str) -> Grid:
+    """The grid with the velocity (n_nodes, 3) as a vector field at its nodes and the fields ``faces``.
+
+    Existing fields of these names are replaced. What faces sweep keeps its precision: sums of it are small.
+    """
     if velocity is None:
         return grid
     values = velocity.astype(precision, copy=False)
     new = [Field(VELOCITY, "node", b, grid.block(b, values)) for b in range(grid.n_blocks)]
-    return dataclasses.replace(grid, fields=(*(f for f in grid.fields if f.name != VELOCITY), *new))
+    kept = (field for field in grid.fields if field.name not in (VELOCITY, SWEPT, FLUX))
+    return dataclasses.replace(grid, fields=(*kept, *new, *faces))
 
 
 def level_name(stem: str, number: int, count: int, suffix: str) -> str:
@@ -117,10 +122,12 @@ class LevelFiles:
         self._grid, self._folder, self._times = grid, folder, times
         self._stem, self._suffix = Path(name).stem, Path(name).suffix.lower()
         format_of(Path(name))
-        if velocity != "none" and self._suffix not in WITH_FIELDS:
+        able = _WITH_FACES if velocity == "swept" else WITH_FIELDS
+        if velocity != "none" and self._suffix not in able:
+            what = "values at cell faces" if velocity == "swept" else "the grid velocity"
             raise FormatError(
-                f"{self._suffix} files cannot hold the grid velocity; choose one of "
-                f"{' '.join(dict.fromkeys(WITH_FIELDS))}, or omit the velocity"
+                f"{self._suffix} files cannot hold {what}; choose one of {' '.join(dict.fromkeys(able))}, or omit the "
+                f"velocity"
             )
         self._options = options
         self.dress: Dress = _as_it_is
@@ -148,8 +155,9 @@ class LevelFiles:
     def recall(self, records: Sequence[Mapping[str, Any]]) -> None:
         self.invalid = {n for n, record in enumerate(records) if record["file"] == self._names(n)[1].name}
 
-    def write(self, number: int, grid: Grid, velocity: FloatArray | None) -> None:
-        write_grid(with_velocity(self.dress(grid), velocity, self.variant.precision), self.path(number), self._options)
+    def write(self, number: int, grid: Grid, velocity: FloatArray | None, faces: Sequence[Field] = ()) -> None:
+        dressed = with_velocity(self.dress(grid), velocity, faces, self.variant.precision)
+        write_grid(dressed, self.path(number), self._options)
         # A level of an earlier run, valid where this one is not or the other way round, would be taken for it.
         self._remove(self._names(number)[number not in self.invalid])
 
@@ -242,7 +250,7 @@ class SingleFile:
     def _part(self, number: int) -> Path:
         return self._levels / level_name("level", number, len(self._times), ".npy")
 
-    def write(self, number: int, grid: Grid, velocity: FloatArray | None) -> None:
+    def write(self, number: int, grid: Grid, velocity: FloatArray | None, faces: Sequence[Field] = ()) -> None:
         # Velocities are differences of coordinates, computed when the file is assembled.
         self._levels.mkdir(exist_ok=True)
         with replacing(self._part(number)) as partial:
@@ -269,9 +277,11 @@ class SingleFile:
         grid = self.dress(dataclasses.replace(self._grid, points=self.read(number), fields=()))
         if self._velocity == "none":
             return grid
-        past = [self.read(n) for n in range(max(0, number - 2), number)]
-        velocity = grid_velocity(self._times[: number + 1], [*past, grid.points], self._velocity)
-        return with_velocity(grid, velocity, self.variant.precision)
+        points = [*(self.read(n) for n in range(max(0, number - 2), number)), grid.points]
+        times = self._times[: number + 1]
+        velocity = grid_velocity(times, points, self._velocity)
+        faces = face_fields(self._grid, times, points) if self._velocity == "swept" else ()
+        return with_velocity(grid, velocity, faces, self.variant.precision)
 
     def clean(self, complete: bool = False) -> None:
         remove_partial(self._folder)

@@ -200,6 +200,8 @@ def points_to_write(grid: Grid, block: int, precision: str) -> StoredArray:
 def arrays_to_write(grid: Grid, block: int, variant: VtkFormat) -> list[StoredArray]:
     """All arrays of a block: field data of the variant and fields of the grid.
 
+    Fields at faces become field data: ``NAME`` with the suffix I, J or K of the index axis across them.
+
     Raises
     ------
     FormatError
@@ -210,6 +212,11 @@ def arrays_to_write(grid: Grid, block: int, variant: VtkFormat) -> list[StoredAr
         if field.block != block:
             continue
         label = f"{field.location} field {field.name!r} of {grid.names[block]}"
+        if field.location.endswith("face"):
+            # VTK has no values at faces: one array for each index axis, i fastest like all others.
+            name, values = f"{field.name}{field.location[0].upper()}", native(field.values.swapaxes(0, 2)).reshape(-1)
+            found["", name] = StoredArray(name, "", values, storable_type(values, label))
+            continue
         shape = grid.shapes[block] if field.location == "node" else grid.cell_shapes[block]
         if field.values.shape[:3] != shape or field.values.ndim > 4:
             raise FormatError(f"{label} has shape {field.values.shape}; expected {shape} and at most one more axis")
@@ -219,7 +226,8 @@ def arrays_to_write(grid: Grid, block: int, variant: VtkFormat) -> list[StoredAr
         extra = (field.roles, field.components) if isinstance(field, VtkField) else ((), ())
         found[field.location, field.name] = StoredArray(field.name, field.location, values, precision, *extra)
     field_data = variant.field_data[block] if variant.field_data else ()
-    return [*(StoredArray(a.name, "", a.values, a.values.dtype, *a[3:]) for a in field_data), *found.values()]
+    kept = (a for a in field_data if ("", a.name) not in found)
+    return [*(StoredArray(a.name, "", a.values, a.values.dtype, *a[3:]) for a in kept), *found.values()]
 
 
 def storable(values: NDArray[Any], label: str) -> NDArray[Any]:

@@ -118,8 +118,8 @@ class Connection:
 class Field:
     """Values from the file other than coordinates (IBLANK, VTK arrays); written again unchanged.
 
-    ``location`` is ``"node"`` or ``"cell"``; ``values`` has the block's node or cell shape, with a trailing
-    component axis for vectors.
+    ``location`` is ``"node"``, ``"cell"``, or for the faces across an index axis ``"iface"``, ``"jface"``, ``"kface"``;
+    ``values`` has the block's node, cell or face shape, with a trailing component axis for vectors.
     """
 
     name: str

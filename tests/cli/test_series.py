@@ -262,6 +262,8 @@ def test_a_signal_says_how_to_continue(at, extra, told, swing, call):
     (1, ("--suffix", ".vtm")), (2, ("--suffix", ".vtm")), (3, ("--suffix", ".vtm")),
     (13, ("--suffix", ".vtm", "--from", "last", "--velocity", "second")),
     (12, ("--single-file", "--velocity", "first")),
+    (13, ("--suffix", ".vtm", "--velocity", "swept")),
+    (12, ("--single-file", "--velocity", "swept")),
 ])  # fmt: skip
 def test_killed_at_any_point_it_goes_on_and_ends_the_same(at, extra, swing, call):
     options = ("grid.xyz", "-c", "swing.toml", "--times", "0:1:0.25", *extra)

@@ -1,0 +1,66 @@
+"""Volumes that cell faces sweep while their nodes move along straight lines."""
+
+from __future__ import annotations
+
+from ..jit import inlined, kernel
+
+
+@kernel
+def sweep_faces(before, after, first, counts, along, across, weight, out):
+    """Volumes swept by the faces of a block that lie across one index axis.
+
+    A face moves from its nodes ``before`` to those ``after``: the two make a trilinear hexahedron, whose volume is
+    exact (Grandy 1997). Of a cell all of whose faces move, the volume changes by the sum of theirs, outwards positive.
+
+    Parameters
+    ----------
+    before, after : (n_nodes, 3)
+    first : node of the block's first face
+    counts : (3,) faces along the three index axes
+    along, across : (2,) steps between the nodes of a face; (3,) steps between neighbouring faces
+    weight : sign of the volume
+    out : (counts[0], counts[1], counts[2])
+    """
+    u, v = along
+    for i in range(counts[0]):
+        for j in range(counts[1]):
+            for k in range(counts[2]):
+                a = first + i * across[0] + j * across[1] + k * across[2]
+                b, c, d = a + v, a + u, a + u + v
+                # Diagonals of the hexahedron and of its faces, towards the far corner and from the near one.
+                a0, a1, a2 = _difference(after, d, before, c)
+                b0, b1, b2 = _difference(after, d, before, b)
+                c0, c1, c2 = _difference(after, d, after, a)
+                d0, d1, d2 = _difference(after, b, before, a)
+                e0, e1, e2 = _difference(after, c, before, a)
+                f0, f1, f2 = _difference(before, d, before, a)
+                out[i, j, k] = (weight / 12.0) * (
+                    _triple(a0 + d0, a1 + d1, a2 + d2, b0, b1, b2, f0, f1, f2)
+                    + _triple(d0, d1, d2, b0 + e0, b1 + e1, b2 + e2, c0, c1, c2)
+                    + _triple(a0, a1, a2, e0, e1, e2, c0 + f0, c1 + f1, c2 + f2)
+                )
+
+
+@kernel
+def sweep_edges(before, after, first, counts, step, across, normal, out):
+    """The same for the edges of a 2-D block: the areas of bilinear quadrilaterals, seen along ``normal`` (3,).
+
+    ``step``: between the nodes of an edge; ``out`` as for faces, one of its ``counts`` is that of the flat axis.
+    """
+    for i in range(counts[0]):
+        for j in range(counts[1]):
+            for k in range(counts[2]):
+                a = first + i * across[0] + j * across[1] + k * across[2]
+                u0, u1, u2 = _difference(after, a + step, before, a)
+                v0, v1, v2 = _difference(after, a, before, a + step)
+                out[i, j, k] = 0.5 * _triple(normal[0], normal[1], normal[2], u0, u1, u2, v0, v1, v2)
+
+
+@inlined
+def _difference(p, one, q, other):
+    return p[one, 0] - q[other, 0], p[one, 1] - q[other, 1], p[one, 2] - q[other, 2]
+
+
+@inlined
+def _triple(ux, uy, uz, vx, vy, vz, wx, wy, wz):
+    return ux * (vy * wz - vz * wy) + uy * (vz * wx - vx * wz) + uz * (vx * wy - vy * wx)

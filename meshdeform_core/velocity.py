@@ -1,0 +1,147 @@
+"""Velocities of a moving grid: at its nodes, and of its faces so that cells change their volume by what faces sweep."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from .grid import Field, FloatArray, Grid
+from .grid.planes import plane_normal
+from .grid.topology import block_handedness
+from .numerics.cell.swept import sweep_edges, sweep_faces
+from .parallel import empty, for_chunks, for_rows
+from .quality.cells import side_of_good_quads
+
+VELOCITIES = ("none", "first", "second", "swept")
+"""Orders of backward differences at the nodes, or ``swept``: first order, with the volumes swept by the faces."""
+PAST = {"none": 0, "first": 1, "second": 2, "swept": 2}
+"""Earlier levels that they need."""
+SWEPT, FLUX = "SweptVolume", "VolumeFlux"
+"""Names of the fields at the faces."""
+FACES = ("iface", "jface", "kface")
+"""Locations of fields at the faces across each index axis."""
+
+Faces = tuple[FloatArray, ...]
+"""Values at the faces of a block across the index axes i, j, k: (ni, nj - 1, nk - 1), (ni - 1, nj, nk - 1) and
+(ni - 1, nj - 1, nk); in a 2-D block one axis has a single node, and no faces across it: an empty array."""
+
+
+def grid_velocity(times: Sequence[float], points: Sequence[FloatArray], order: str) -> FloatArray:
+    """Velocity (n_nodes, 3) at the last of ``times`` by backward differences over levels of any spacing.
+
+    ``second`` order falls back to first at the second level; at the first one, which has no past, the velocity is zero.
+    Differences of first order are the velocity halfway between two levels, to second order.
+
+    Parameters
+    ----------
+    points : coordinates at the last levels, the newest last
+    """
+    velocity: FloatArray = empty(points[-1].shape)
+    known = min(len(times), len(points), 3 if order == "second" else 2)
+    rates = _rates(times[-known:])
+
+    def fill(rows: slice) -> None:
+        velocity[rows] = 0.0
+        for rate, one, other in zip(rates, points[-1:-known:-1], points[-2::-1], strict=False):
+            velocity[rows] += rate * (one[rows] - other[rows])
+
+    for_rows(fill, velocity)
+    return velocity
+
+
+def _rates(times: Sequence[float]) -> list[float]:
+    """Factors of the differences between the last two and, of three ``times``, the two levels before.
+
+    Of three: the derivative at the newest level of the parabola through them.
+    """
+    steps = np.diff(times)[::-1].tolist()
+    if len(steps) < 2:
+        return [1.0 / step for step in steps]
+    share = steps[0] / (steps[0] + steps[1])
+    return [(1.0 + share) / steps[0], -share / steps[1]]
+
+
+def swept_volumes(grid: Grid, before: FloatArray, after: FloatArray) -> FloatArray:
+    """Volumes (2-D: areas) that all faces of all blocks sweep from ``before`` to ``after``, both (n_nodes, 3).
+
+    Positive where a face moves towards the larger index. The volume of a cell, positive where it is valid, changes by
+    the sum over its faces, those at the far end added and those at the near end subtracted: exactly for straight paths
+    of the nodes, up to round-off. :func:`at_faces` tells which value belongs to which face.
+
+    ``grid`` gives the blocks and their handedness: the undeformed grid.
+    """
+    normal, handedness = plane_normal(grid), block_handedness(grid)
+    swept: FloatArray = empty([sum(_counts(grid))])
+    faces = at_faces(grid, swept)
+
+    def work(index: int, _: int) -> None:
+        block, axis = divmod(index, 3)
+        shape, out = grid.shapes[block], faces[block][axis]
+        if not out.size:
+            return
+        first, across, sign = int(grid.offsets[block]), (shape[1] * shape[2], shape[2], 1), float(handedness[block])
+        if normal is None:
+            along = across[(axis + 1) % 3], across[(axis + 2) % 3]
+            sweep_faces(before, after, first, out.shape, along, across, sign, out)
+            return
+        thin = shape.index(1)
+        other = 3 - axis - thin
+        towards = side_of_good_quads(thin, sign if other < axis else -sign, normal)
+        sweep_edges(before, after, first, out.shape, across[other], across, towards, out)
+
+    for_chunks(work, 3 * grid.n_blocks, 1, common=[swept])
+    return swept
+
+
+def volume_flux(times: Sequence[float], swept: Sequence[FloatArray]) -> FloatArray:
+    """Volume per time (2-D: area) that the faces sweep at the last of ``times``, by differences of second order.
+
+    Together with the backward differences of volumes over the same levels it keeps a uniform flow uniform: the rate of
+    a cell's volume is the sum over its faces. Of first order with one interval.
+
+    Parameters
+    ----------
+    swept : of the last intervals, one or two, the newest last
+    """
+    rates = _rates(times[-len(swept) - 1 :])
+    return np.asarray(sum(rate * part for rate, part in zip(rates, swept[::-1], strict=True)))
+
+
+def face_fields(grid: Grid, times: Sequence[float], points: Sequence[FloatArray]) -> tuple[Field, ...]:
+    """Fields ``SweptVolume`` and ``VolumeFlux`` at the faces of the last level; zero at the first one.
+
+    ``times`` and ``points``: of the last levels, at most three of the latter, the newest last.
+    """
+    parts = [swept_volumes(grid, one, other) for one, other in itertools.pairwise(points)]
+    nothing = np.zeros(0 if parts else sum(_counts(grid)))
+    values = {SWEPT: parts[-1] if parts else nothing, FLUX: volume_flux(times, parts) if parts else nothing}
+    return tuple(
+        Field(name, location, block, part)
+        for name, array in values.items()
+        for block, faces in enumerate(at_faces(grid, array))
+        for location, part in zip(FACES, faces, strict=True)
+        if part.size
+    )
+
+
+def at_faces(grid: Grid, values: FloatArray) -> list[Faces]:
+    """Views of ``values``, one for every face of the grid, for each block."""
+    ends = np.cumsum(_counts(grid)).tolist()
+    starts = [0, *ends]
+    return [
+        tuple(values[starts[3 * b + axis] : ends[3 * b + axis]].reshape(_face_shape(shape, axis)) for axis in range(3))
+        for b, shape in enumerate(grid.shapes)
+    ]
+
+
+def _counts(grid: Grid) -> list[int]:
+    """Numbers of the faces across each index axis of each block."""
+    return [math.prod(_face_shape(shape, axis)) for shape in grid.shapes for axis in range(3)]
+
+
+def _face_shape(shape: tuple[int, int, int], axis: int) -> tuple[int, int, int]:
+    i, j, k = (n if a == axis else max(n - 1, 1) for a, n in enumerate(shape))
+    return (i, j, k) if shape[axis] > 1 else (0, 0, 0)
