@@ -11,12 +11,19 @@ for _library in ("OPENBLAS", "OMP", "MKL"):
 import pytest  # noqa: E402 (numpy reads the variables when it is loaded)
 
 from meshdeform_cli.process import progress  # noqa: E402
+from meshdeform_formats.picture import figure  # noqa: E402
 
 
 @pytest.fixture(scope="session", autouse=True)
 def _no_times_in_messages() -> None:
     """Commands called in this process say nothing of their times: on a busy machine any of them may take a second."""
     progress.LOGGED = math.inf
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _small_pictures() -> None:
+    """Commands called in this process draw a tenth of the pixels; what is drawn and where stays the same."""
+    figure.STYLE["savefig.dpi"] = 70
 
 
 @pytest.fixture(scope="session")

@@ -11,7 +11,7 @@ pytestmark = pytest.mark.slow
 FOLDER = Path(__file__).parent.parent / "benchmarks"
 
 
-@pytest.mark.parametrize("section", ["passes", pytest.param("levels", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("section", ["passes", "levels"])
 def test_small_sizes_run(section, tmp_path):
     # All programs are imported by the one that runs them.
     page = tmp_path / "page.md"

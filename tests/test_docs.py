@@ -18,8 +18,6 @@ from meshdeform_cli.main import cli, run
 from meshdeform_formats.case import read_case
 from meshdeform_formats.report.schema import report_schema
 
-pytestmark = pytest.mark.slow
-
 OWN_URL = re.compile(
     r"https://(github\.com/meshdeform/meshdeform/blob|raw\.githubusercontent\.com/meshdeform/meshdeform)/main/"
 )

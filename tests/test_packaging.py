@@ -12,8 +12,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytestmark = pytest.mark.slow
-
 ROOT = Path(__file__).parents[1]
 
 
@@ -56,6 +54,7 @@ def run(*command: object, cwd: Path | None = None, timeout: float = 30) -> subpr
     return subprocess.run([str(c) for c in command], capture_output=True, text=True, cwd=cwd, timeout=timeout)
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_installed_program_runs_in_another_folder(installed, tmp_path):
     program = installed / "meshdeform"
@@ -78,6 +77,7 @@ def test_installed_program_runs_in_another_folder(installed, tmp_path):
     assert as_module.stdout.startswith("meshdeform")
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_installed_library_runs_a_coupled_solver(installed, tmp_path):
     script = ROOT / "examples" / "coupling.py"

@@ -27,6 +27,7 @@ def rows(table: str) -> list[list[str]]:
     return [[cell.strip() for cell in line.strip("| ").split(" | ")] for line in table.splitlines()]
 
 
+@pytest.mark.slow
 def test_large_motions_are_reached(study):
     head, _, row = rows(study("robustness_table", "--only", "valve, 65"))
     told = dict(zip(head, row, strict=True))
@@ -40,6 +41,7 @@ def test_methods_are_compared(study):
     assert "**" in row[1] + row[2]
 
 
+@pytest.mark.slow
 def test_flows_are_counted_and_put_on_the_page(study, tmp_path):
     page, record = tmp_path / "page.md", tmp_path / "flows.json"
     page.write_text("before\n<!-- random_flows.py begin -->\nold\n<!-- random_flows.py end -->\nafter\n")

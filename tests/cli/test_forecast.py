@@ -7,8 +7,6 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = pytest.mark.slow
-
 
 @pytest.fixture(scope="module")
 def plate(tmp_path_factory):
@@ -61,7 +59,7 @@ def test_with_repair_it_says_what_will_be_done(both):
     assert code in (0, 3)
 
 
-@pytest.mark.parametrize("repair", ["off", "auto"])
+@pytest.mark.parametrize("repair", [pytest.param("off", marks=pytest.mark.slow), "auto"])
 def test_an_amplitude_larger_than_the_domain_is_impossible(repair, plate, call):
     command = ("deform", plate / "grid.cgns", "-c", plate / "case.toml", "-m", "tfi", "-s", "constants.amplitude=200")
     result = call(*command, "--dry-run", "--repair", repair)

@@ -155,7 +155,6 @@ def test_compare_says_how_far_and_where(bench, call):
 # plot
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("suffix", "magic"), [(".png", b"\x89PNG\r\n"), (".pdf", b"%PDF-"), (".svg", b"<?xml"), (".PNG", b"\x89PNG\r\n")]
 )
@@ -165,7 +164,6 @@ def test_plot_formats(suffix, magic, bench, call):
     assert (bench / f"picture{suffix}").read_bytes().startswith(magic)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "options",
     [
@@ -224,7 +222,6 @@ def test_plot_of_a_flat_grid_and_force(bench, call):
     assert (bench / "picture.png").read_bytes()[:8] == first[:8]
 
 
-@pytest.mark.slow
 def test_a_series_becomes_a_film(bench, call):
     turning = ("-s", "boundary.body.motion.1.rotate.angle=turn*t", "--times", "0:1:0.5")
     assert call("series", "grid.cgns", "-c", "case.toml", "-o", "out", *turning, "-q").code == 0

@@ -38,6 +38,7 @@ def test_names_that_are_not_utf8(bench, call, suffix):
     np.testing.assert_array_equal(read_grid(f"again{STRANGE}{suffix}").points, grid.points)
 
 
+@pytest.mark.slow
 def test_everything_named_in_other_bytes(bench):
     for name in ("grid.xyz", "case.toml"):
         os.rename(name, STRANGE + Path(name).suffix)

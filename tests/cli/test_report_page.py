@@ -24,8 +24,6 @@ from meshdeform_core.quality.cells import measure_block
 from meshdeform_formats import read_grid
 from meshdeform_formats.report.page import as_html
 
-pytestmark = pytest.mark.slow
-
 RUN = ("deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz")
 SERIES = ("series", "grid.xyz", "-c", "case.toml", "-s", "constants.turn=1", "--times", "0:1:0.5", "-o", "levels")
 _VOID = {"meta", "img", "input", "br"}

@@ -121,7 +121,10 @@ def run_closed(redirection: str, *arguments: object, cwd: Path) -> subprocess.Co
     )
 
 
-@pytest.mark.parametrize("redirection", [">&-", "2>&-", "<&- >&- 2>&-", "2>/dev/full"])
+@pytest.mark.parametrize(
+    "redirection",
+    [*(pytest.param(each, marks=pytest.mark.slow) for each in (">&-", "2>&-", "2>/dev/full")), "<&- >&- 2>&-"],
+)
 def test_closed_streams_change_nothing(redirection, bench):
     done = run_closed(redirection, "deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz", cwd=bench)
     assert done.returncode == 0, done.stderr

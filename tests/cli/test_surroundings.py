@@ -24,6 +24,7 @@ def test_number_of_threads_that_numba_refuses(value, bench):
     assert done.stderr.startswith(f"meshdeform: error: NUMBA_NUM_THREADS={value}: expected a whole number >= 1")
 
 
+@pytest.mark.slow
 def test_libraries_set_up_for_other_programs(bench):
     """A display that does not exist and a driver that HDF5 does not know, at which it crashes."""
     done = program("plot", "grid.cgns", "-o", "grid.png", MPLBACKEND="nonsense", HDF5_DRIVER="nonsense")
@@ -33,6 +34,7 @@ def test_libraries_set_up_for_other_programs(bench):
     assert (bench / "out.cgns").stat().st_size > 0
 
 
+@pytest.mark.slow
 def test_warnings_that_python_turns_into_errors(bench):
     done = program(
         "deform", "grid.cgns", "-c", "case.toml", "-o", "out.cgns", "--report", "r.html", PYTHONWARNINGS="error"

@@ -10,14 +10,13 @@ import pytest
 from meshdeform_core import setup
 from meshdeform_core.numerics import jit
 
-pytestmark = pytest.mark.slow
-
 
 def _started(*command, cache):
     environment = os.environ | {"NUMBA_CACHE_DIR": str(cache)}
     return subprocess.run([sys.executable, *command], env=environment, capture_output=True, text=True)
 
 
+@pytest.mark.slow
 def test_the_first_run_says_that_it_compiles_and_counts_it_apart(bench, tmp_path):
     command = ["-m", "meshdeform_cli", "deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz", "--force"]
     command += ["-m", "idw-tfi"]

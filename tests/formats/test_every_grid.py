@@ -58,6 +58,7 @@ def test_file_is_read_as_its_oracle(name, third_party):
     assert_same(read_grid(third_party / name), oracle(third_party, name))
 
 
+@pytest.mark.slow
 @EACH
 def test_every_plot3d_variant_and_back(name, third_party, tmp_path):
     known, grid = oracle(third_party, name), read_grid(third_party / name)

@@ -16,8 +16,6 @@ from meshdeform_samples.reproduce.robustness import Bench, quality_of
 from meshdeform_samples.reproduce.rows import paper
 from meshdeform_samples.reproduce.tables import TABLES
 
-pytestmark = pytest.mark.slow
-
 PLATE = Sample("splitter-plate", 8)
 
 
