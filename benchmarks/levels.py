@@ -1,4 +1,4 @@
-"""Cost of a level of a series: the first, a further one, and one that is a combination of earlier ones."""
+"""Cost of a level of a series: the first and further ones."""
 
 from __future__ import annotations
 
@@ -21,12 +21,11 @@ from meshdeform_core.deform import set_up
 from meshdeform_core.grid import FloatArray
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.memory import COORDINATE_ARRAYS, PROGRAM_BYTES
-from meshdeform_core.methods import CATALOGUE, Options, make_method, remembering
+from meshdeform_core.methods import CATALOGUE, Options, make_method
 from meshdeform_formats import read_grid
 from meshdeform_formats.case import read_case
 
 METHODS = tuple(CATALOGUE)
-_COMBINED = 0.7
 
 
 def of_every_method(quick: bool) -> MarkdownTable:
@@ -35,9 +34,8 @@ def of_every_method(quick: bool) -> MarkdownTable:
         "Levels, CPU seconds of all threads",
         notes=[
             "first: the first displacement after the preparation, with all that is made when it is first needed",
-            "second, further: the same motion with other amplitudes by place, which are no combinations of earlier "
-            "ones; while the motion grows, IDW lists its clusters anew",
-            f"combined: {_COMBINED} times the first; only methods that are linear combine",
+            "second, further: the same motion with other amplitudes by place; IDW lists its clusters anew where the "
+            "largest displacement or rotation passes a power of four",
         ],
     )
     for name in METHODS:
@@ -52,14 +50,13 @@ def _levels(case: Motion, name: str) -> Row:
     problem, d = case.problem, case.displacement
     place = problem.source_points / np.abs(problem.source_points).max()
     start = time.process_time()
-    prepared = remembering(make_method(Options(name)).prepare(problem), problem)
+    prepared = make_method(Options(name)).prepare(problem)
     row = {"case": case.label, "nodes": case.setup.grid.n_nodes, "method": name, "set-up": time.process_time() - start}
     row["first"] = _cpu(prepared.apply, d)
     for which, size, waves in (("second", 1.0, 7.0), ("further", 0.8, 5.0)):
         row[which] = _cpu(prepared.apply, size * d * (1.0 + 0.1 * np.cos(waves * place)))
     row["further / first"] = row["further"] / row["first"]
-    combined = _cpu(prepared.apply, _COMBINED * d)
-    return row | {"combined": combined if "combined_from" in prepared.account.settings else ""}
+    return row
 
 
 def _cpu(work: Callable[[FloatArray], object], displacement: FloatArray) -> float:
@@ -105,9 +102,8 @@ def hundred_levels(quick: bool) -> MarkdownTable:
             "difference: largest distance of a node from where the method puts it when it is prepared anew and knows "
             "of no other level, of the levels compared, relative to the largest displacement; cells: the same in units "
             "of the shortest edge at the node, in which the tolerance of fast sums (0.01) is given",
-            "computed: levels that were no combination of stored fields",
-            "allowed: --max-memory for the grid and the least that the method accepts; with less room for fields, "
-            "undeformed cells and lists, results are the same",
+            "allowed: --max-memory for the grid and the least that the method accepts; with less room for undeformed "
+            "cells and lists, results are the same",
         ],
     )
     levels = 10 if quick else 100
@@ -192,8 +188,7 @@ def _series(case: _Case, method: str, every: int, cap: str = "") -> Row:
     shutil.rmtree(out)
     return {
         "case": folder.name, "motion": case.motion, "method": method, "levels": len(told["levels"]),
-        "computed": sum("combined_from" not in json.dumps(level) for level in told["levels"]), "wall s": wall,
-        "compared": len(compared), "difference": difference, "cells": in_cells,
+        "wall s": wall, "compared": len(compared), "difference": difference, "cells": in_cells,
         "peak MB": told["peak_memory_bytes"] / 1e6,
         "allowed MB": float(cap) / 1e6 if cap else "",
     }  # fmt: skip

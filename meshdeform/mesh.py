@@ -16,7 +16,7 @@ from meshdeform_core.boundary.prescribed import given_displacement
 from meshdeform_core.deform import BoundaryMotion, Setup, Start, Timing, impose
 from meshdeform_core.errors import CaseError, MotionError
 from meshdeform_core.grid import BoolArray, FloatArray, IntArray
-from meshdeform_core.methods import PreparedMethod, Progress, make_method, remembering
+from meshdeform_core.methods import PreparedMethod, Progress, make_method
 from meshdeform_core.parallel import Ranks, sharing
 from meshdeform_core.repair.options import Mode
 
@@ -155,8 +155,7 @@ class Mesh:
     def _method(self, timing: Timing) -> PreparedMethod:
         if self._prepared is None:
             with timing.stage("prepare"):
-                problem = self._setup.problem
-                self._prepared = remembering(make_method(self._setup.case.method).prepare(problem), problem)
+                self._prepared = make_method(self._setup.case.method).prepare(self._setup.problem)
         return self._prepared
 
     def _motion(self, displacement: Displacement | None, time: float) -> BoundaryMotion:

@@ -66,10 +66,7 @@ class MemoryLimit:
 
     @property
     def spare(self) -> int:
-        """What may be taken only to save time, once a first grid has been made: a quarter, if that is still there.
-
-        Another quarter is left for the fields of a method that combines levels, which it takes from the first one on.
-        """
+        """What may be taken only to save time, once a first grid has been made: a quarter, if that is still there."""
         share = self.size // 4
         return min(share, self.left - share)
 

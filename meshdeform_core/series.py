@@ -11,7 +11,7 @@ from .deform import Result, Setup, Start, Timing, impose
 from .errors import CaseError
 from .grid import Field, FloatArray
 from .memory import REUSED_ARRAYS, WRITING_ARRAYS
-from .methods import PreparedMethod, Progress, make_method, remembering
+from .methods import PreparedMethod, Progress, make_method
 from .numerics.arrays import lengths
 from .parallel import allow, empty, for_rows, reusing_memory
 from .velocity import PAST, VELOCITIES, face_fields, grid_velocity
@@ -171,7 +171,7 @@ class _Series:
     def _prepared(self, timing: Timing) -> PreparedMethod:
         if self._reference is None:
             with timing.stage("prepare"):
-                self._reference = remembering(make_method(self.setup.case.method).prepare(self.problem), self.problem)
+                self._reference = make_method(self.setup.case.method).prepare(self.problem)
         return self._reference
 
     def _drift(self, result: Result, displacement: FloatArray) -> Drift:

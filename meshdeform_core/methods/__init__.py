@@ -24,7 +24,6 @@ from .options import reason_of
 from .scattered.block_rbf import BlockRBF
 from .scattered.idw import IDW
 from .scattered.rbf import RBF
-from .superposition import Superposition, remembering
 from .transfinite.tfi import TFI
 
 __all__ = [
@@ -40,11 +39,9 @@ __all__ = [
     "Problem",
     "Progress",
     "Setting",
-    "Superposition",
     "entry_of",
     "make_method",
     "reason_of",
-    "remembering",
 ]
 
 ALIASES = {"tfi": "tfi-tfi", "rbf": "rbf-rbf", "idw": "idw-idw"}

@@ -188,16 +188,6 @@ class PreparedMethod(Protocol):
     """A method prepared on one undeformed grid."""
 
     @property
-    def linear(self) -> bool:
-        """Whether the result is linear in the displacement, up to errors of solvers and fast sums."""
-        ...
-
-    @property
-    def cheap(self) -> bool:
-        """Whether an apply costs no more than the few copies of the result that combining stored ones would cost."""
-        ...
-
-    @property
     def account(self) -> Account:
         """Parameters as used, with reasons, and warnings."""
         ...
@@ -215,11 +205,9 @@ class PreparedMethod(Protocol):
 
 
 class Mover(Protocol):
-    """First step, bound to its nodes; ``linear`` and ``cheap`` as in :class:`PreparedMethod`."""
+    """First step, bound to its nodes."""
 
     account: Account
-    linear: bool
-    cheap: bool
 
     def warnings_for(self, motion: FloatArray, step: FloatArray) -> list[str]:
         """Warnings for a displacement (n_sources, 3) before it is applied; ``step`` is the first increment."""
@@ -243,10 +231,9 @@ class Evaluator(Protocol):
 
 
 class PreparedInterpolation(Protocol):
-    """A scattered-data method (IDW, RBF) bound to its sources; ``linear`` as in :class:`PreparedMethod`."""
+    """A scattered-data method (IDW, RBF) bound to its sources."""
 
     account: Account
-    linear: bool
 
     def at(self, flat: IntArray) -> Evaluator:
         """Bind to the target nodes ``flat`` of the grid."""

@@ -25,11 +25,9 @@ _NODES = 100_000
 
 
 class PreparedFiller(Protocol):
-    """Second step, bound to its blocks; ``linear`` and ``cheap`` as in :class:`.base.PreparedMethod`."""
+    """Second step, bound to its blocks."""
 
     account: Account
-    linear: bool
-    cheap: bool
 
     def fill(self, displacement: FloatArray, progress: Progress | None = None) -> None:
         """Fill block interiors, in place, from the nodes that the first step moved."""
@@ -83,13 +81,11 @@ class _Scattered:
     problem: Problem
     flat: IntArray
     account: Account = field(init=False)
-    linear: bool = field(init=False)
-    cheap = False
 
     def __post_init__(self) -> None:
         self._bound = self.interpolation.bind(self.problem)
         self._evaluator = self._bound.at(self.flat)
-        self.account, self.linear = self._bound.account, self._bound.linear
+        self.account = self._bound.account
 
     def warnings_for(self, motion: FloatArray, step: FloatArray) -> list[str]:
         return self._bound.warnings_for(motion, step)
@@ -111,17 +107,6 @@ class PreparedComposite:
         self._mover = _mover(method.mover, problem, nodes)
         self._filler = method.filler.prepare(problem, skeleton) if method.filler and skeleton else None
         self._left_out = skeleton is not None and bool(skeleton.left_out)
-
-    @property
-    def linear(self) -> bool:
-        """Whether both steps and the constraints between them are linear; sliding on curved surfaces is not."""
-        filler = self._filler is None or self._filler.linear
-        return self._mover.linear and filler and not self._problem.boundary.slip.curved
-
-    @property
-    def cheap(self) -> bool:
-        """Whether both steps are."""
-        return self._mover.cheap and (self._filler is None or self._filler.cheap)
 
     @property
     def account(self) -> Account:

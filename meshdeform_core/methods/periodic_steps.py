@@ -39,16 +39,6 @@ class PreparedPeriodic:
         self._problem, self._first, self._rest, self._guided = problem, first, rest, guided
 
     @property
-    def linear(self) -> bool:
-        """Whether both steps are."""
-        return self._first.linear and self._rest.linear
-
-    @property
-    def cheap(self) -> bool:
-        """Whether both steps are."""
-        return self._first.cheap and self._rest.cheap
-
-    @property
     def account(self) -> Account:
         """Settings and warnings of the method itself."""
         return self._rest.account

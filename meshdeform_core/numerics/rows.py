@@ -34,12 +34,3 @@ def project_rows(values, rows, removed):
         x, y, z = values[r, 0], values[r, 1], values[r, 2]
         for c in range(3):
             values[r, c] -= x * removed[0, c] + y * removed[1, c] + z * removed[2, c]
-
-
-@kernel
-def add_transformed_rows(values, matrix, out):
-    """``out += values @ matrix`` for (n, 3) and (3, 3)."""
-    for n in range(values.shape[0]):
-        x, y, z = values[n, 0], values[n, 1], values[n, 2]
-        for c in range(3):
-            out[n, c] += x * matrix[0, c] + y * matrix[1, c] + z * matrix[2, c]

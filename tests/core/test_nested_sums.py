@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from clouds import SETS, bend, sphere
 
+from meshdeform_core.errors import MethodError
 from meshdeform_core.memory import MemoryLimit
 from meshdeform_core.methods import RBF
 from meshdeform_core.methods.base import Account
@@ -147,7 +148,7 @@ def test_sums_that_are_too_coarse_are_refined(nested, monkeypatch):
 def test_the_error_of_a_product_is_found(nested):
     points = Centres.of(sphere(3000), None).points
     c = charges(len(points))
-    product = product_of(0, points, 1.0, 2**40)
+    product = product_of(0, points, 1.0)
     found, exact = product(c), ExactProduct(0, points)(c)
     error = np.linalg.norm(found - exact, axis=0)
     np.testing.assert_allclose(product.error(c, found), error, rtol=0.3)
@@ -156,11 +157,26 @@ def test_the_error_of_a_product_is_found(nested):
     assert (finer < 0.1 * error).all()
 
 
-def test_little_memory_means_exact_sums(nested):
+def test_little_memory_is_refused_and_changes_no_sums(nested):
     points = sphere(3000)
-    tight, _, account = solved(points, limit=KrylovSolver.memory(3000) + 10_000)
-    assert isinstance(tight._krylov.product, ExactProduct)
-    assert account.settings["products"].value == "exact sums"
+    with pytest.raises(MethodError, match=r"3,000 centres needs about .*the machine has"):
+        solved(points, limit=KrylovSolver.memory(3000) + 10_000)
+    with pytest.raises(MethodError, match=r"3,000 centres needs about .*the machine has"):
+        solved(100 * points, "wendland-c2", 5.0, limit=KrylovSolver.memory(3000) + 10_000)
+
+
+def test_solutions_do_not_depend_on_those_before(nested, monkeypatch):
+    """The first of them makes products finer, which the others must not profit from."""
+    monkeypatch.setattr(products, "_FINER", 1e3)
+    points = sphere(3000)
+    one, two = bend(points), 1e-3 * bend(points)[:, ::-1].copy()
+    system, fresh = solved(points)[0], solved(points)[0]
+    assert len(system._krylov.product._made) > 1
+    for told in (two, one, two):
+        found, account = system.solve(told, Account(), None), Account()
+        np.testing.assert_array_equal(found[0], fresh.solve(told, account, None)[0])
+        other = RadialSystem(RBF(solver="krylov", tolerance=1e-6), Centres.of(points, None))
+        np.testing.assert_array_equal(found[0], other.solve(told, account, None)[0])
 
 
 @pytest.mark.parametrize("twin", [copy.deepcopy, lambda system: pickle.loads(pickle.dumps(system))])

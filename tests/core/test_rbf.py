@@ -182,21 +182,6 @@ def test_greedy_limit_on_points_is_a_warning():
     assert any("greedy reduction stopped with 40 points" in text for text in prepared.account.warnings)
 
 
-def test_greedy_selection_is_kept_until_its_error_grows():
-    problem = problem_of(frame(3, 2), body_specs(turning(10)))
-    options = RBF(basis="wendland-c2", radius=6.0, greedy="hybrid", greedy_tolerance=0.1, greedy_updates=40)
-    prepared = make_method(Options("rbf", rbf=options)).prepare(problem)
-    values = told(problem)
-    prepared.apply(values)
-    first = prepared.account.settings["greedy_points"].value
-    prepared.apply(0.5 * values)
-    reached = prepared.account.settings["greedy_error_reached"]
-    assert "earlier" in reached.reason
-    assert reached.value <= 0.1
-    prepared.apply(50 * bent(problem))
-    assert prepared.account.settings["greedy_points"].value > first
-
-
 @pytest.mark.parametrize("greedy", GREEDY)
 def test_thin_plate_splines_cannot_be_reduced(greedy):
     with pytest.raises(MethodError, match=r"thin plate spline.*wendland-c2"):

@@ -53,8 +53,6 @@ class _Block:
 class PreparedBlockRBF:
     """Block systems of one undeformed grid, factorised at the first use and kept while they fit."""
 
-    linear, cheap = True, False
-
     def __init__(self, options: RBF, problem: Problem, skeleton: Skeleton):
         self._options, self._problem = options, problem
         blocks = (self._block(n, skeleton.left_out) for n in range(problem.grid.n_blocks))

@@ -145,8 +145,6 @@ class PreparedIDW:
 
     def __init__(self, options: IDW, problem: Problem):
         self.options = options
-        # Rotations and eq. 18 depend on the displacement.
-        self.linear = options.rotation == "none" and (options.weights == "shepard" or options.alpha != "auto")
         self.account = Account()
         self._problem = problem
         self._images = mirror_images(problem)

@@ -102,16 +102,14 @@ class ExactEvaluator:
         return fit.frame.absolute(self.bound.grid.points[flat], total)
 
     def checked(self, fit: SourceValues, flat: IntArray, known: Weighed | None) -> tuple[FloatArray, Weighed | None]:
-        """The same, and the weights of these nodes; if they are ``known``, sources at rest are not summed again."""
+        """The same, and the weights of these nodes; where they are ``known``, they are not summed again."""
         if len(fit.path) > 1 or fit.still is None:
             return self.displacement(fit, flat), None
         x = self.bound.grid.points[flat] - fit.origin
-        if known is not None and known.weights == fit.weights and np.array_equal(known.flat, flat):
-            sums = self._sums_of_moving(fit, x, known.total)
-        else:
-            sums = self._sums(fit, x, fit.path[0], _CHECKED)
-            known = Weighed(flat, fit.weights, sums[:, 0].copy())
-        return fit.frame.absolute(self.bound.grid.points[flat], self._moved(fit, x, sums)), known
+        if known is None or known.weights != fit.weights or not np.array_equal(known.flat, flat):
+            known = Weighed(flat, fit.weights, self._weight(fit, x))
+        moved = self._moved(fit, x, self._sums_of_moving(fit, x, known.total))
+        return fit.frame.absolute(self.bound.grid.points[flat], moved), known
 
     def _moved(self, fit: SourceValues, x: FloatArray, sums: FloatArray) -> FloatArray:
         """Displacement (n, 3) in one step of targets at ``x``, relative to the origin, from their sums (n, 1 + k)."""
@@ -119,16 +117,24 @@ class ExactEvaluator:
         finish(self.bound.rotation, sums, x, moved, self.bound.repeats, fit.transition)
         return moved
 
-    def _sums(self, fit: SourceValues, x: FloatArray, sources: FloatArray, chunk: int = _CHUNK) -> FloatArray:
+    def _sums(self, fit: SourceValues, x: FloatArray, sources: FloatArray) -> FloatArray:
         """Sums (n, 1 + k) at targets ``x`` over the sources where they are in one step."""
         sums = np.zeros((len(x), 1 + len(fit.values)))
         for group, weights in zip(self.bound.groups, fit.weights, strict=True):
             near = sources[group], self.bound.strength[group]
-            sums += weighted_sums(x, *near, weights, fit.values[:, group], chunk=chunk)
+            sums += weighted_sums(x, *near, weights, fit.values[:, group])
         return sums
 
+    def _weight(self, fit: SourceValues, x: FloatArray) -> FloatArray:
+        """Total weight (n,) at targets ``x``."""
+        total = np.zeros(len(x))
+        for group, weights in zip(self.bound.groups, fit.weights, strict=True):
+            near = fit.path[0][group], self.bound.strength[group]
+            total += weighted_sums(x, *near, weights, np.empty((0, len(group))), chunk=_CHECKED)[:, 0]
+        return total
+
     def _sums_of_moving(self, fit: SourceValues, x: FloatArray, total: FloatArray) -> FloatArray:
-        """The same where the total weight (n,) is known: values relative to those at rest, over the others."""
+        """Sums (n, 1 + k) for a total weight (n,): values relative to those at rest, over the others."""
         assert fit.still is not None
         values, sums = fit.values - fit.still[:, None], np.empty((len(x), 1 + len(fit.values)))
         sums[:, 0], sums[:, 1:] = total, total[:, None] * fit.still

@@ -14,7 +14,7 @@ from ...numerics.exact.radial import radial_matrix
 from ...numerics.paper.minres import minres
 from ...numerics.systems.greedy import independent
 from ...numerics.systems.krylov import KrylovSolver
-from ...numerics.systems.products import ExactProduct, product_of
+from ...numerics.systems.products import ExactProduct, nested_bytes, product_of
 from ...numerics.systems.saddle import DirectSolver
 from ..base import Account, Progress, Setting, of_stage
 from .rbf_sums import Centres
@@ -24,8 +24,6 @@ SOLVERS: tuple[str, ...] = get_args(Solver)
 DIRECT_CENTRES = 4000
 """Most centres that ``auto`` solves directly; beyond, a factorisation takes longer than GMRES with its set-up."""
 _TOLERANCE = {"minres": 1e-10, "krylov": 1e-6}
-# Number of earlier solutions from which GMRES starts: they span a period of a motion with a few modes.
-_REMEMBERED = 12
 
 
 @dataclass(frozen=True)
@@ -39,10 +37,7 @@ class SystemOptions:
 
 
 class RadialSystem:
-    """The linear system of one set of centres; factorisation or preconditioner are made when first needed and kept.
-
-    With GMRES a solution depends on those found before, within the solver's tolerance: see :class:`KrylovSolver`.
-    """
+    """The linear system of one set of centres; factorisation or preconditioner are made when first needed and kept."""
 
     def __init__(self, options: SystemOptions, centres: Centres, limit: MemoryLimit = UNLIMITED):
         self.options, self.centres = options, centres
@@ -54,20 +49,23 @@ class RadialSystem:
         self._direct_fits = dense <= limit.size
         self.solver, self._reason = options.solver, ""
         if options.solver == "auto":
-            self.solver = "direct" if n <= DIRECT_CENTRES and self._direct_fits else "krylov"
-            self._reason = f"{n:,} centres, direct up to {DIRECT_CENTRES:,} if they fit the memory"
-        krylov = self.solver == "krylov"
-        limit.require(
-            KrylovSolver.memory(n) if krylov else dense,
-            f"a radial basis function system of {n:,} centres",
-            f"use {'' if krylov else 'solver = krylov, '}greedy reduction (a compact basis), the hybrid idw-tfi, or "
-            "fewer boundary nodes",
-        )
-        self._memory = limit.size
+            self.solver = "direct" if n <= DIRECT_CENTRES else "krylov"
+            self._reason = f"{n:,} centres, direct up to {DIRECT_CENTRES:,}"
+        self._limit = limit
+        self._require(KrylovSolver.memory(n) + nested_bytes(n) if self.solver == "krylov" else dense)
         self._tolerance = _TOLERANCE.get(self.solver, 0.0) if options.tolerance == "auto" else float(options.tolerance)
         self._direct: DirectSolver | None = None
         self._krylov: KrylovSolver | None = None
         self._matrix: FloatArray | None = None
+
+    def _require(self, needed: int) -> None:
+        """Refuse a system that needs more memory: another solver would give another result."""
+        self._limit.require(
+            needed,
+            f"a radial basis function system of {len(self.centres.points):,} centres",
+            f"use {'' if self.solver == 'krylov' else 'solver = krylov, '}greedy reduction (a compact basis), the "
+            "hybrid idw-tfi, or fewer boundary nodes",
+        )
 
     def solve(self, values: FloatArray, account: Account, progress: Progress | None) -> tuple[FloatArray, FloatArray]:
         """Coefficients (n, 3) and polynomial (q, 3) for values at the centres (n, 3)."""
@@ -97,25 +95,15 @@ class RadialSystem:
     ) -> tuple[FloatArray, FloatArray]:
         if self._krylov is None:
             points = self.centres.points
-            left = self._memory - KrylovSolver.memory(len(points))
-            product = product_of(self.kind, points, self._tolerance, left)
-            remembered = self._remembered(left - product.memory)
-            self._krylov = KrylovSolver(self.kind, points, self.terms, product, remembered)
+            solver = KrylovSolver.memory(len(points))
+            product = product_of(self.kind, points, self._tolerance, lambda size: self._require(solver + size))
+            self._krylov = KrylovSolver(self.kind, points, self.terms, product)
         report = of_stage(progress, "krylov")
         found = self._krylov.solve(values, self._tolerance, self.options.max_iterations, report)
         account.settings["products"] = Setting(self._krylov.product.how)
         account.settings["iterations"] = Setting(found.iterations, "all components together")
-        account.settings["starting_residual"] = Setting(
-            float(found.started.max()), "of the best combination of earlier solutions; 1 if there are none"
-        )
         self._report_residual(account, "GMRES", found.iterations, found.residual, found.stalled)
         return found.coefficients, found.polynomial
-
-    def _remembered(self, memory: int) -> int:
-        """Number of earlier solutions that fit into ``memory`` bytes."""
-        n = len(self.centres.points)
-        every = KrylovSolver.memory(n, 1) - KrylovSolver.memory(n)
-        return max(0, min(_REMEMBERED, memory // every))
 
     def _solve_minres(
         self, values: FloatArray, account: Account, progress: Progress | None

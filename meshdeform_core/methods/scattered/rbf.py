@@ -124,15 +124,12 @@ class PreparedRBF:
 
     def __init__(self, options: RBF, problem: Problem):
         self.options = options
-        # A greedy reduction chooses its centres for one displacement.
-        self.linear = options.greedy == "none"
         self.account = Account()
         self._problem = problem
         self._images = mirror_images(problem)
         self.centres = Centres.of(self._images.points, self._radius())
         # Without reduction the size is known, and refused if it does not fit, before anything is computed.
         self._system = None if options.greedy != "none" else RadialSystem(options.system, self.centres, problem.memory)
-        self._selection: Selection | None = None
         self.account.settings |= used(options, "basis", "solver", "tolerance", "max_iterations", "greedy") | {
             "centres": Setting(len(self._images.points)),
             "polynomial": Setting(
@@ -190,37 +187,15 @@ class PreparedRBF:
             scale = self._problem.first_cell_height[self._images.owner]
         if o.greedy_start >= n:
             raise MethodError(f"method.rbf.greedy_start = {o.greedy_start}; expected 0 to {n - 1}")
-        fit = self._refit(values, scale)
-        if fit is None:
-            report = of_stage(progress, "greedy")
-            found = select(
-                BASES[o.basis], self.centres.points, self.centres.polynomial(self.centres.points), values, scale,
-                method=o.greedy, tolerance=o.greedy_tolerance, start=o.greedy_start,
-                per_round=o.greedy_updates or n, max_points=o.greedy_max_points or n, progress=report,
-            )  # fmt: skip
-            self._selection = found
-            self._record(found)
-            points = np.ascontiguousarray(self.centres.points[found.active])
-            fit = self._with_residual(points, found.coefficients, found.polynomial, values)
-        return fit
-
-    def _refit(self, values: FloatArray, scale: FloatArray) -> Coefficients | None:
-        """Refit the kept selection to new values; ``None`` if its error exceeds the tolerance."""
-        found = self._selection
-        if found is None:
-            return None
+        report = of_stage(progress, "greedy")
+        found = select(
+            BASES[o.basis], self.centres.points, self.centres.polynomial(self.centres.points), values, scale,
+            method=o.greedy, tolerance=o.greedy_tolerance, start=o.greedy_start,
+            per_round=o.greedy_updates or n, max_points=o.greedy_max_points or n, progress=report,
+        )  # fmt: skip
+        self._record(found)
         points = np.ascontiguousarray(self.centres.points[found.active])
-        if self._system is None:
-            kept = Centres(points, self.centres.origin, self.centres.scale, self.centres.axes)
-            self._system = RadialSystem(self.options.system, kept)
-        fit = self._with_residual(points, *self._system.solve(values[found.active], self.account, None), values)
-        assert fit.residual is not None
-        error = float((np.abs(fit.residual).max(axis=1) / scale).max())
-        if error > self.options.greedy_tolerance:
-            self._system = None
-            return None
-        self.account.settings["greedy_error_reached"] = Setting(error, "with the selection of an earlier displacement")
-        return fit
+        return self._with_residual(points, found.coefficients, found.polynomial, values)
 
     def _with_residual(
         self, points: FloatArray, coefficients: FloatArray, polynomial: FloatArray, values: FloatArray

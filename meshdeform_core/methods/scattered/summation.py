@@ -43,6 +43,10 @@ def fast_pays(summation: str, n_targets: int, n_sources: int) -> tuple[bool, Set
 class Refinable(Protocol):
     """Fast sums that can be made more accurate."""
 
+    def restart(self) -> None:
+        """Return to the accuracy with which every displacement is summed first."""
+        ...
+
     def refine(self, excess: float) -> None:
         """Increase the accuracy: the error was ``excess`` times too large."""
         ...
@@ -65,8 +69,10 @@ class HasSamples(Protocol):
 def sum_accurately(method: str, sums: Refinable, once: Callable[[], float], tolerance: float, account: Account) -> None:
     """Call ``once``, which sums and returns the error found, until the error is within the tolerance.
 
-    Reports the error (in cells), and warns if it stays too large.
+    Every displacement starts with the same accuracy, whatever earlier ones needed. Reports the error (in cells), and
+    warns if it stays too large.
     """
+    sums.restart()
     for attempt in range(1 + MAX_RETRIES):
         error = once()
         if error <= tolerance or attempt == MAX_RETRIES or not np.isfinite(error):

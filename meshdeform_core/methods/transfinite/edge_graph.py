@@ -43,7 +43,6 @@ class PreparedEdgeGraph:
     """The block edges and faces of one undeformed grid, ready to move with the sources."""
 
     account: Account
-    linear, cheap = True, True
 
     def __init__(self, problem: Problem):
         self.account = Account()

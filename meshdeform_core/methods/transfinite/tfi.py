@@ -68,8 +68,6 @@ class TFI:
 class PreparedTFI:
     """Arc-length coordinates of one undeformed grid: three numbers per node inside sub-blocks."""
 
-    linear, cheap = True, True
-
     def __init__(self, options: TFI, problem: Problem, skeleton: Skeleton):
         grid = problem.grid
         subs = list(skeleton.sub_blocks())

@@ -49,7 +49,7 @@ def weighted_sums(
     a, b, kappa = (float(part) for part in weights)
     every = np.array([[0, len(sources)]]), np.array([[0, 1]])
     result = np.empty((len(targets), 1 + len(values)))
-    for first in range(0, len(values), N_VALUES):
+    for first in range(0, max(len(values), 1), N_VALUES):
         some = values[first : first + N_VALUES]
         charged = np.zeros((len(sources), 4 + N_VALUES))
         charged[:, :3], charged[:, 3], charged[:, 4 : 4 + len(some)] = sources, strength, (strength * some).T

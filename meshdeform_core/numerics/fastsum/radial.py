@@ -88,17 +88,21 @@ class FastRadial:
         self._kind, self._centres = kind, centres
         self._tree = build_tree(centres, 1, LEAF)
         self._radius = np.sqrt((self._tree.half**2).sum(axis=1))
-        self._bases: Bases | None = None
+        self._bases: dict[float, Bases] = {}
+        self.restart()
+
+    def restart(self) -> None:
+        """Return to the accuracy with which all coefficients are summed first."""
         self._tolerance, self._excess = _SKELETONS, np.inf
         self.share = 1.0
 
     def refine(self, excess: float) -> None:
-        """Raise the accuracy of all further sums: the error was ``excess`` times too large.
+        """Raise the accuracy of all sums until :meth:`restart`: the error was ``excess`` times too large.
 
         If the last increase did not help much, the skeletons are refined.
         """
         if excess > 0.5 * self._excess:
-            self._tolerance, self._bases = max(0.01 * self._tolerance, _FINEST), None
+            self._tolerance = max(0.01 * self._tolerance, _FINEST)
         self.share *= max(0.03, 0.6 * _AIM / excess)
         self._excess = excess
 
@@ -150,10 +154,10 @@ class FastRadial:
     def _clusters(self, coefficients: FloatArray) -> Clusters:
         """:class:`Clusters` with these charges (n, 3)."""
         tree = self._tree
-        bases = self._bases
+        bases = self._bases.get(self._tolerance)
         if bases is None:
             acting = np.ones(len(self._radius), dtype=bool)
-            bases = self._bases = find_bases(self._kind, tree, self._radius, acting, self._tolerance)
+            bases = self._bases[self._tolerance] = find_bases(self._kind, tree, self._radius, acting, self._tolerance)
         charges, upper = coefficients[tree.order], np.empty((len(bases.place), 3))
         gather_up(tree.span, tree.child, bases, charges, upper)
         squares = np.append(0.0, np.cumsum((upper**2).sum(axis=1)))

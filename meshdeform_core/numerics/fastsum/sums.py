@@ -9,13 +9,14 @@ from typing import NamedTuple
 import numpy as np
 
 from ...parallel import Shared, current_ranks, for_chunks
-from ..arrays import FloatArray, IntArray, Report, Shapes
+from ..arrays import BoolArray, FloatArray, IntArray, Report, Shapes
 from ..exact.direct import N_VALUES
 from .acceptance import Kernel, inverse_powers
 from .bricks import Bricks, Regions, build_bricks, make_regions, node_sizes
+from .plan import Plan, PlanKey, rounded_up
 from .tree import SourceTree
 from .treesum import Charges, add_totals, cluster_reach, gather, interpolate_sums, places_of, sum_lists
-from .walk import Lists, Reach, list_clusters
+from .walk import Reach
 
 _SAMPLES = 9
 CHUNK = 2
@@ -25,8 +26,8 @@ CHUNK = 2
 _SHARE = 16.0
 # From this tolerance upwards single precision is enough; it was measured to add less than a hundredth of it.
 _SINGLE_TOLERANCE = 1e-3
-# Margin for larger displacements when lists are rebuilt, so that a growing motion does not rebuild them every time.
-_ROOM = 1.5
+# Plans that are kept: a motion that swings passes between two sizes.
+_PLANS = 2
 
 
 class Targets(NamedTuple):
@@ -127,8 +128,9 @@ def sample_places(start: IntArray) -> IntArray:
 class FastSums:
     """Weighted sums over groups of sources, with an error per target that is small against its cells.
 
-    Which clusters act where, and the weight of every target, are kept for later displacements, as long as none moves a
-    cluster more. With the weights known, sources that do not move need not be summed again.
+    Which clusters act where, and the weight of every target, are the same for all displacements with the same
+    :class:`.plan.PlanKey`, and are kept for these. With the weights known, only sources that move are summed; as their
+    sums are always taken apart from those of the others, results are the same to the last bit.
 
     Parameters
     ----------
@@ -136,7 +138,7 @@ class FastSums:
     trees : of the sources of each group, from :func:`.tree.build_tree` for the same :func:`interpolation_order`
     targets : from :func:`make_targets`
     tolerance : error of the weighted mean displacement relative to the local cell size
-    room : limit in bytes for the data that are kept
+    room : limit in bytes for the data that are kept; results do not depend on it
 
     Attributes
     ----------
@@ -154,11 +156,18 @@ class FastSums:
     ) -> None:
         self.targets = targets
         self.tolerance = tolerance
-        order = interpolation_order(tolerance)
-        self.share = self._first_share = _SHARE / (order - 2) ** 2
         self._groups = [(np.asarray(group), tree) for group, tree in zip(groups, trees, strict=True)]
         self._room = room
-        self._plan: _Plan | None = None
+        self._plans: list[Plan] = []
+        self.restart()
+
+    def restart(self) -> None:
+        """Return to the accuracy with which every displacement is summed first."""
+        self.share = self._first_share = _SHARE / (interpolation_order(self.tolerance) - 2) ** 2
+
+    def refine(self, excess: float) -> None:
+        """Raise the accuracy of all sums until :meth:`restart`: the error was ``excess`` times too large."""
+        self.share *= 0.25 / excess
 
     def evaluate(
         self,
@@ -195,12 +204,14 @@ class FastSums:
         strength = strength / strength.max()
         middle = values @ strength / strength.sum() if still is None else still
         spread, scaled = _scaled(values - middle[:, None])
-        reaches = [cluster_reach(tree, strength[g], shift[g], turn[g]) for g, tree in self._groups]
-        plan = self._planned(weights, reaches, lasting)
+        plan = self._planned(weights, self._reaches(strength, shift, turn), scaled.any(axis=0), lasting)
         weight = plan.weight if plan.weighed else None
         if weight is not None:
             scaled[k - lasting :] = 0.0
-        passes = [self._charges(strength, scaled[first : first + N_VALUES], plan) for first in range(0, k, N_VALUES)]
+        passes = [
+            self._charges(strength, scaled[first : first + N_VALUES], plan, weight is None and first == 0)
+            for first in range(0, k, N_VALUES)
+        ]
         points, bricks, regions = targets.points, targets.bricks, targets.regions
 
         def work(lo: int, hi: int) -> None:
@@ -211,11 +222,16 @@ class FastSums:
             for number, charges in enumerate(passes):
                 everywhere = np.zeros((len(places.points), 1 + N_VALUES))
                 filled = np.zeros(len(places.span), dtype=bool)
-                for (_, tree), charge, kind, each in zip(self._groups, charges, plan.kinds, lists, strict=True):
-                    filled |= sum_lists(places, tree, charge, each, kind, everywhere)
+                for (_, tree), charge, kind, each, moving in zip(
+                    self._groups, charges, plan.key.kinds, lists, plan.moving, strict=True
+                ):
+                    filled |= sum_lists(places, tree, charge, each, kind, moving, everywhere)
+                    if weight is None and number == 0:
+                        filled |= sum_lists(places, tree, charge, each, kind, ~moving, everywhere)
                 interpolate_sums(lo, hi, bricks, regions, places, filled, everywhere)
                 part = everywhere[: len(flat)]
-                sums[:, 0] = part[:, 0] if weight is None else weight[targets.places(lo, hi), 0]
+                if number == 0:
+                    sums[:, 0] = part[:, 0] if weight is None else weight[targets.places(lo, hi), 0]
                 columns = slice(number * N_VALUES, min(k, (number + 1) * N_VALUES))
                 here = sums[:, 1 + columns.start : 1 + columns.stop]
                 np.multiply(part[:, 1 : 1 + here.shape[1]], spread[columns], out=here)
@@ -233,35 +249,36 @@ class FastSums:
         plan.weighed, plan.complete = plan.weight is not None, True
         return plan.risk
 
-    def refine(self, excess: float) -> None:
-        """Raise the accuracy of all further sums: the error was ``excess`` times too large."""
-        self.share *= 0.25 / excess
+    def _reaches(self, strength: FloatArray, shift: FloatArray, turn: FloatArray) -> list[Reach]:
+        """Possible effect of the clusters of each group, its bounds rounded up."""
+        found = [cluster_reach(tree, strength[g], shift[g], turn[g]) for g, tree in self._groups]
+        shifts, turns = (rounded_up([getattr(each, name) for each in found]) for name in ("shift", "turn"))
+        return [Reach(each.strength, *bounds) for each, *bounds in zip(found, shifts, turns, strict=True)]
 
-    def _planned(self, weights: Sequence[tuple[float, float, float]], reaches: list[Reach], lasting: int) -> _Plan:
-        """The plan of the last evaluation if it holds for these weights and motions of clusters, or a new one."""
+    def _planned(
+        self, weights: Sequence[tuple[float, float, float]], reaches: list[Reach], moving: BoolArray, lasting: int
+    ) -> Plan:
+        """The plan for these weights and motions: one of those kept, or a new one."""
         single = self.tolerance >= _SINGLE_TOLERANCE and self.share == self._first_share
         kinds = [inverse_powers(a, b, kappa, single and a in (3.0, 4.0) and b == 5.0) for a, b, kappa in weights]
-        plan = self._plan
-        if plan is None or plan.kinds != kinds or plan.share != self.share or plan.lasting != lasting:
-            plan = self._new_plan(kinds, reaches, lasting)
-        elif not all(_within(new, known) for new, known in zip(reaches, plan.reaches, strict=True)):
-            wider = [_widened(new, known) for new, known in zip(reaches, plan.reaches, strict=True)]
-            plan = self._new_plan(kinds, wider, lasting)
-        self._plan = plan
+        key = PlanKey(kinds, reaches, moving, self.share, lasting)
+        plan = next((each for each in self._plans if each.key.agrees(key)), None)
+        others = [each for each in self._plans if each is not plan]
+        if plan is None:
+            del others[_PLANS - 1 :]
+            self._plans = others
+            plan = Plan(key, self.targets, self._groups, *self._allowance(kinds, reaches), self._room // _PLANS)
+        self._plans = [plan, *others]
         return plan
 
-    def _new_plan(self, kinds: list[Kernel], reaches: list[Reach], lasting: int) -> _Plan:
-        allowed, mean = self._allowance(kinds, reaches)
-        trees = [tree for _, tree in self._groups]
-        return _Plan(self.targets, trees, kinds, reaches, self.share, allowed, mean, self._room, lasting)
-
-    def _charges(self, strength: FloatArray, values: FloatArray, plan: _Plan) -> list[Charges]:
-        """Charges of one pass, per group; without the strength if the weights are known."""
+    def _charges(self, strength: FloatArray, values: FloatArray, plan: Plan, weighing: bool) -> list[Charges]:
+        """Charges of one pass, per group; with the strength itself if weights are to be found."""
         charges = []
         for (group, tree), used in zip(self._groups, plan.used, strict=True):
             source = np.zeros((len(group), 1 + N_VALUES))
             members = group[tree.order]
-            source[:, 0] = 0.0 if plan.weighed else strength[members]
+            if weighing:
+                source[:, 0] = strength[members]
             source[:, 1 : 1 + len(values)] = (strength[members] * values[:, members]).T
             charges.append(gather(tree, source, used if plan.complete else None))
         return charges
@@ -281,70 +298,8 @@ class FastSums:
         return allowed, (moved / total).max(axis=1)
 
 
-class _Plan:
-    """Which clusters act where, for motions of the clusters up to ``reaches``; computed on demand and kept.
-
-    ``weight`` (n, 1 + lasting) of every target in the order of the bricks, and its sums of values that never change,
-    known once ``weighed``; ``None`` if there is no room.
-    ``used`` (m,) for each tree, whether the interpolation points of a cluster act anywhere, known once ``complete``.
-    """
-
-    def __init__(
-        self,
-        targets: Targets,
-        trees: list[SourceTree],
-        kinds: list[Kernel],
-        reaches: list[Reach],
-        share: float,
-        allowed: FloatArray,
-        mean: FloatArray,
-        room: int,
-        lasting: int,
-    ) -> None:
-        self.lasting = lasting
-        self.kinds, self.reaches, self.share = kinds, reaches, share
-        self.risk = np.zeros(len(allowed))
-        self._targets, self._trees = targets, trees
-        self._allowed, self._mean = allowed, mean
-        self._kept: dict[int, list[Lists]] = {}
-        size = 8 * len(targets.bricks.targets) * (1 + lasting)
-        self.weight = np.empty((len(targets.bricks.targets), 1 + lasting)) if size <= room else None
-        self.weighed = self.complete = False
-        self.used = [np.zeros(len(tree.child), dtype=bool) for tree in trees]
-        self._room = room - size
-
-    def lists_of(self, first: int, last: int) -> list[Lists]:
-        """One of :class:`.walk.Lists` per group, of the regions first <= g < last; called from several threads."""
-        if first in self._kept:
-            return self._kept[first]
-        targets = self._targets
-        self.risk[targets.numbers(first, last)] = 0.0
-        where = targets.regions, targets.bricks
-        found = [
-            list_clusters(first, last, *where, tree, reach, kind, self._allowed, self._mean, self.risk)
-            for tree, reach, kind in zip(self._trees, self.reaches, self.kinds, strict=True)
-        ]
-        for used, lists in zip(self.used, found, strict=True):
-            used[lists.codes[lists.codes & 1 == 0] >> 1] = True
-        size = sum(lists.codes.nbytes + lists.stop.nbytes for lists in found)
-        if size <= self._room:
-            self._room -= size
-            self._kept[first] = found
-        return found
-
-
 def _scaled(values: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Largest absolute value of each row, and the rows in units of it."""
     spread = np.abs(values).max(axis=1)
     spread[spread == 0.0] = 1.0
     return spread, values / spread[:, None]
-
-
-def _within(new: Reach, known: Reach) -> bool:
-    return bool((new.shift <= known.shift).all() and (new.turn <= known.turn).all())
-
-
-def _widened(new: Reach, known: Reach) -> Reach:
-    """Bounds that hold for both, with a margin."""
-    shift, turn = np.maximum(known.shift, _ROOM * new.shift), np.maximum(known.turn, _ROOM * new.turn)
-    return Reach(known.strength, shift, turn)

@@ -39,13 +39,11 @@ class Charges(NamedTuple):
     Attributes
     ----------
     rows : (n + m, 11) coordinates and charges of the sources in tree order, then of the interpolation points
-    active : whether a cluster has a source with nonzero charge; the others are skipped
     all : whether the first or the last charge is ever nonzero; the strength is left out once weights are known, and few
         kinds of rotation have seven values
     """
 
     rows: np.ndarray
-    active: np.ndarray
     all: bool
 
 
@@ -63,7 +61,7 @@ def gather(tree: SourceTree, source: FloatArray, used: BoolArray | None = None) 
     n = len(source)
     rows = np.empty((n + len(proxy), 3 + CHARGES))
     rows[:n, :3], rows[:n, 3:], rows[n:, :3], rows[n:, 3:] = tree.points, source, tree.proxies, proxy
-    return Charges(rows, active, bool(source[:, [0, -1]].any()))
+    return Charges(rows, bool(source[:, [0, -1]].any()))
 
 
 def _portions(tree: SourceTree) -> IntArray:
@@ -139,11 +137,20 @@ def places_of(first: int, last: int, points: FloatArray, bricks: Bricks, regions
 
 
 def sum_lists(
-    places: Places, tree: SourceTree, charges: Charges, lists: Lists, function: Kernel, out: FloatArray
+    places: Places,
+    tree: SourceTree,
+    charges: Charges,
+    lists: Lists,
+    function: Kernel,
+    acting: BoolArray,
+    out: FloatArray,
 ) -> BoolArray:
-    """Weighted sums over one tree at all places, added to ``out`` (n, 8); returns which (items,) have any."""
+    """Weighted sums over the ``acting`` (m,) clusters of a tree at all places, added to ``out`` (n, 8).
+
+    Returns which (items,) have any.
+    """
     number, raw = lists.codes >> 1, lists.codes & 1 == 1
-    active = charges.active[number]
+    active = acting[number]
     number, raw = number[active], raw[active]
     # Rows of the clusters: those of their sources, or of their interpolation points.
     rows = np.where(

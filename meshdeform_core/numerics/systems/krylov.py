@@ -13,7 +13,6 @@ from functools import partial
 import numpy as np
 
 from ..arrays import FloatArray, Report
-from .earlier import EarlierSolutions
 from .products import Product, product_of
 from .schwarz import SchwarzPreconditioner
 
@@ -23,30 +22,27 @@ _DEPENDENT = 1e-14
 _LARGEST_ERROR = 0.3
 # Tolerance, iterations, accuracy of the product and memory of a large coarse system, a twenty-fifth of the centres.
 _COARSE_TOLERANCE, _COARSE_ITERATIONS = 0.02, 6
-_COARSE_PRODUCT, _COARSE_MEMORY = 1e-4, 2**30
+_COARSE_PRODUCT = 1e-4
 
 
 @dataclass(frozen=True)
 class Solution:
     """Coefficients (n, 3), polynomial (q, 3), number of iterations, and ||r|| / ||b|| (3,) computed anew from them.
 
-    ``started`` is the residual (3,) of the starting guess, 1 without earlier solutions; ``stalled``: more
-    iterations would not have helped.
+    ``stalled``: more iterations would not have helped.
     """
 
     coefficients: np.ndarray
     polynomial: np.ndarray
     iterations: int
     residual: np.ndarray
-    started: np.ndarray
     stalled: bool
 
 
 class KrylovSolver:
     """Solver of ``A c + P p = b, P^T c = 0``; set up once, for any number of right-hand sides.
 
-    It starts from the best combination of the solutions found before. A solution therefore depends on what was solved
-    earlier, but only within the tolerance: its residual is computed from it, whatever the starting guess was.
+    A solution does not depend on what was solved before.
 
     Parameters
     ----------
@@ -54,24 +50,16 @@ class KrylovSolver:
     points : (n, 3) centres in units of the support radius
     polynomial : (n, q), full column rank
     product : A times (n, 3), see :class:`.products.Product`
-    remembered : how many earlier right-hand sides (n, 3) may be kept with their solutions
-
-    Attributes
-    ----------
-    earlier : the solutions kept; ``earlier.clear()`` forgets them
     """
 
-    def __init__(
-        self, kind: int, points: FloatArray, polynomial: FloatArray, product: Product, remembered: int = 0
-    ) -> None:
+    def __init__(self, kind: int, points: FloatArray, polynomial: FloatArray, product: Product) -> None:
         self._polynomial, self.product = polynomial, product
         self.preconditioner = SchwarzPreconditioner(kind, points, polynomial, product, _CoarseSolver)
-        self.earlier = EarlierSolutions(len(points), polynomial.shape[1], remembered * points.shape[1])
 
     @staticmethod
-    def memory(n: int, remembered: int = 0) -> int:
+    def memory(n: int) -> int:
         """Bytes that it takes for ``n`` centres, the product not counted."""
-        return SchwarzPreconditioner.memory(n) + 8 * n * 3 * (2 * _RESTART + 6 + 2 * remembered)
+        return SchwarzPreconditioner.memory(n) + 8 * n * 3 * (2 * _RESTART + 6)
 
     def solve(
         self, values: FloatArray, tolerance: float, max_iterations: int, progress: Report | None = None
@@ -85,12 +73,11 @@ class KrylovSolver:
         norm = np.linalg.norm(values, axis=0)
         # Unit columns: one tolerance for all, and no component drowns in another.
         scale = np.where(norm > 0, norm, 1.0)
-        right = values / scale
-        coefficients, polynomial = self.earlier.nearest(right)
-        rest, error, iterations, stalled = right, np.zeros(right.shape[1]), 0, False
-        if coefficients.any() or polynomial.any():
-            rest, error = self._rest(right, coefficients, polynomial, tolerance)
-        started = residual = np.linalg.norm(rest, axis=0) + error
+        rest = right = values / scale
+        coefficients, polynomial = np.zeros_like(right), np.zeros((self._polynomial.shape[1], right.shape[1]))
+        error, iterations, stalled = np.zeros(right.shape[1]), 0, False
+        self.product.restart()
+        residual = np.linalg.norm(rest, axis=0)
         while iterations < max_iterations and (residual > tolerance).any() and not stalled:
             report = None if progress is None else partial(_advance, progress, iterations, max_iterations)
             limit = min(_RESTART, max_iterations - iterations)
@@ -99,9 +86,7 @@ class KrylovSolver:
             rest, error = self._rest(right, coefficients, polynomial, tolerance)
             before, residual = residual, np.linalg.norm(rest, axis=0) + error
             stalled = bool(residual.max() > max(0.5 * before.max(), tolerance))
-        if iterations:
-            self.earlier.add(coefficients, polynomial, right - rest, tolerance)
-        return Solution(coefficients * scale, polynomial * scale, iterations, residual, started, stalled)
+        return Solution(coefficients * scale, polynomial * scale, iterations, residual, stalled)
 
     def _rest(
         self, right: FloatArray, coefficients: FloatArray, polynomial: FloatArray, tolerance: float
@@ -152,7 +137,7 @@ class _CoarseSolver:
     """A large coarse system, solved by the same method to two digits: errors there cost iterations on all centres."""
 
     def __init__(self, kind: int, centres: FloatArray, polynomial: FloatArray) -> None:
-        product = product_of(kind, centres, _COARSE_PRODUCT, _COARSE_MEMORY)
+        product = product_of(kind, centres, _COARSE_PRODUCT)
         self._solver = KrylovSolver(kind, centres, polynomial, product)
 
     def solve(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:

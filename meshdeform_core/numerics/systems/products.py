@@ -27,14 +27,7 @@ _NUMBERS = 250
 
 
 class Product(Protocol):
-    """A times coefficients (n, 3), with an estimate of its error.
-
-    Attributes
-    ----------
-    memory : bytes that it takes
-    """
-
-    memory: int
+    """A times coefficients (n, 3), with an estimate of its error."""
 
     @property
     def how(self) -> str:
@@ -49,8 +42,12 @@ class Product(Protocol):
         """Norm (3,) of the error of what was ``found`` (n, 3) for these coefficients, round-off aside."""
         ...
 
+    def restart(self) -> None:
+        """Return to the accuracy with which every solution starts."""
+        ...
+
     def refine(self) -> None:
-        """Raise the accuracy of all further products."""
+        """Raise the accuracy of all products until :meth:`restart`."""
         ...
 
     def roughly_at(self, rows: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
@@ -64,7 +61,6 @@ class ExactProduct:
     def __init__(self, kind: int, points: FloatArray, matrix: None = None) -> None:
         self._kind, self._points, self._matrix = kind, points, matrix
         self.how = "exact sums" if matrix is None else f"sparse matrix of {matrix.nnz:,} values"
-        self.memory = 0 if matrix is None else 16 * matrix.nnz
 
     def __call__(self, coefficients: FloatArray) -> FloatArray:
         if self._matrix is not None:
@@ -80,8 +76,10 @@ class ExactProduct:
     def error(self, coefficients: FloatArray, found: FloatArray) -> FloatArray:
         return np.zeros(3)
 
-    def refine(self) -> None:
+    def restart(self) -> None:
         """The sums are exact."""
+
+    refine = restart
 
     def roughly_at(self, rows: IntArray) -> Callable[[np.ndarray], np.ndarray]:
         if self._matrix is not None:
@@ -94,7 +92,8 @@ class NestedProduct:
 
     def __init__(self, kind: int, points: FloatArray, sums: NestedSums, tolerance: float) -> None:
         self._kind, self._points, self._sums, self._tolerance = kind, points, sums, tolerance
-        self.memory = _needed(len(points))
+        self._first = tolerance
+        self._made = {tolerance: sums}
         self._rows = sums.order[np.linspace(0, len(points) - 1, min(_SAMPLES, len(points))).astype(np.int64)]
 
     @property
@@ -108,24 +107,37 @@ class NestedProduct:
         exact = radial_sums(self._kind, self._points[self._rows], self._points, coefficients)
         return np.sqrt(((found[self._rows] - exact) ** 2).mean(axis=0) * len(self._points))
 
+    def restart(self) -> None:
+        self._use(self._first)
+
     def refine(self) -> None:
         if self._tolerance > _FINEST:
-            self._tolerance *= _REFINEMENT
-            self._sums = NestedSums(self._kind, self._points, self._tolerance, like=self._sums)
+            self._use(self._tolerance * _REFINEMENT)
+
+    def _use(self, tolerance: float) -> None:
+        if tolerance not in self._made:
+            self._made[tolerance] = NestedSums(self._kind, self._points, tolerance, like=self._sums)
+        self._tolerance, self._sums = tolerance, self._made[tolerance]
 
     def roughly_at(self, rows: IntArray) -> NestedSums:
         return NestedSums(self._kind, self._points, _ROUGH, rows, self._sums)
 
 
-def _needed(n: int) -> int:
-    """Bytes that nested sums of n centres take."""
-    return 8 * _NUMBERS * n
+def nested_bytes(n: int) -> int:
+    """Bytes that nested sums of n centres take, 0 if there are too few centres for them."""
+    return 8 * _NUMBERS * n if n >= _FEWEST else 0
 
 
-def product_of(kind: int, points: FloatArray, tolerance: float, memory: int) -> Product:
-    """The cheapest product for centres (n, 3) and a solution with ``tolerance``, within ``memory`` bytes."""
-    sparse = sparse_radial_matrix(kind, points, memory)
-    if sparse is None and len(points) >= _FEWEST and _needed(len(points)) <= memory:
+def product_of(
+    kind: int, points: FloatArray, tolerance: float, require: Callable[[int], object] = lambda size: None
+) -> Product:
+    """The cheapest product for centres (n, 3) and a solution with ``tolerance``.
+
+    ``require(bytes)`` is told beforehand what it takes, to raise an error if there is too little memory.
+    """
+    sparse = sparse_radial_matrix(kind, points, require)
+    if sparse is None and len(points) >= _FEWEST:
+        require(nested_bytes(len(points)))
         finer = max(_FINER * tolerance, _FINEST)
         sums = NestedSums(kind, points, finer)
         if sums.pairs <= _LARGEST_PART * len(points) ** 2:

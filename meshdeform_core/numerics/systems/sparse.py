@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -12,14 +13,15 @@ from ..exact.basis import BASES, apply_basis
 
 _MOST_NEIGHBOURS = 500
 _LARGEST_SHARE = 0.05
-_BYTES = 64
+# Work space for a nonzero value, and for all of them.
+_BYTES, _MOST_BYTES = 64, 2**32
 
 
-def sparse_radial_matrix(kind: int, points: FloatArray, memory: int) -> Any:
+def sparse_radial_matrix(kind: int, points: FloatArray, require: Callable[[int], object]) -> Any:
     """The matrix (n, n) of a compact basis without its zeros, in CSR format, or ``None`` if that does not pay.
 
-    It pays when centres have on average at most 500 neighbours and a twentieth of all centres, and when the work
-    space, 64 bytes per nonzero value, fits ``memory`` bytes.
+    It pays when centres have on average at most 500 neighbours and a twentieth of all centres, and the work space is at
+    most 4 GiB, a fixed number, so that results do not depend on the memory there is; ``require(bytes)`` is told.
 
     Parameters
     ----------
@@ -30,8 +32,9 @@ def sparse_radial_matrix(kind: int, points: FloatArray, memory: int) -> Any:
         return None
     tree, n = scipy.spatial.cKDTree(points), len(points)
     count = int(tree.count_neighbors(tree, 1.0))
-    if count > n * min(_MOST_NEIGHBOURS, _LARGEST_SHARE * n) or _BYTES * count > memory:
+    if count > n * min(_MOST_NEIGHBOURS, _LARGEST_SHARE * n) or _BYTES * count > _MOST_BYTES:
         return None
+    require(_BYTES * count)
     pairs = tree.query_pairs(1.0, output_type="ndarray")
     values = np.append(((points[pairs[:, 0]] - points[pairs[:, 1]]) ** 2).sum(axis=1), 0.0)
     apply_basis(kind, values, len(values))

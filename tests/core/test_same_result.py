@@ -1,0 +1,129 @@
+"""A displacement field follows from the grid, the method and the displacement alone.
+
+It does not depend on earlier displacements, the memory limit or the number of threads: compared to the last bit, with
+exact and with fast sums.
+"""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from cases import ALL_METHODS, body_specs, problem_of, turning
+from grids import frame
+
+from meshdeform_core.boundary.prescribed import prescribed_displacement
+from meshdeform_core.memory import MemoryLimit
+from meshdeform_core.methods import IDW, RBF, Options, make_method
+from meshdeform_core.parallel import set_threads
+
+FAST_IDW = {
+    "lie": {},
+    "none": {"rotation": "none"},
+    "quaternion": {"rotation": "quaternion"},
+    "blend": {"rotation": "blend"},
+    "division": {"rotation": "division", "divisions": 2, "reweight": True},
+    "automatic alpha": {"alpha": "auto"},
+    "two exponents": {"weights": "shepard", "p_moving": 4.0},
+    "one body, double precision": {"summation_tolerance": 1e-4},
+    "no transition": {"transition": 0, "remove_mean": False},
+}
+METHODS = {
+    **ALL_METHODS,
+    "rbf-greedy": Options("rbf", rbf=RBF(basis="wendland-c2", radius=6.0, greedy="hybrid", greedy_updates=40)),
+    **{f"fast {name}": Options("idw", idw=IDW(summation="fast", **kind)) for name, kind in FAST_IDW.items()},
+    "fast idw-tfi": Options("idw-tfi", idw=IDW(summation="fast")),
+    "fast rbf": Options("rbf", rbf=RBF(summation="fast", solver="krylov")),
+    "fast rbf, compact": Options("rbf", rbf=RBF(summation="fast", basis="wendland-c2", radius=1.5)),
+}
+EVERY = pytest.mark.parametrize("name", METHODS)
+
+
+def grid_of(name):
+    return frame(9, 6) if name.startswith("fast") else frame()
+
+
+def problem(name, memory=None):
+    found = problem_of(grid_of(name), body_specs(turning(20, center=(0.3, 0.1, 0.0))))
+    return found if memory is None else dataclasses.replace(found, memory=MemoryLimit(memory, "the test allows"))
+
+
+def displacements(where):
+    """Large, small, at rest in places, and of another kind."""
+    told = prescribed_displacement(where.grid, where.topology, where.boundary)[where.source_numbers]
+    x = where.source_points
+    return [told, 0.01 * told, 0.0 * told, told * (x[:, :1] > 0.0), 0.6 * told * np.cos(3 * x), 3 * told * x[:, 2:]]
+
+
+def moved(options, where, displacement):
+    return make_method(options).prepare(where).apply(displacement)
+
+
+@EVERY
+def test_earlier_displacements_change_no_bit(name):
+    where = problem(name)
+    told = displacements(where)
+    fresh = [moved(METHODS[name], where, each) for each in told]
+    prepared = make_method(METHODS[name]).prepare(where)
+    for number in np.random.default_rng(3).integers(0, len(told), 14):
+        np.testing.assert_array_equal(prepared.apply(told[number]), fresh[number])
+
+
+@EVERY
+def test_reports_do_not_depend_on_earlier_displacements(name):
+    where = problem(name)
+    told = displacements(where)
+    prepared, fresh = (make_method(METHODS[name]).prepare(where) for _ in range(2))
+    for each in (told[0], told[3], told[4]):
+        prepared.apply(each)
+    fresh.apply(told[4])
+    assert prepared.account.settings == fresh.account.settings
+    assert prepared.account.warnings == fresh.account.warnings
+
+
+@EVERY
+def test_memory_changes_no_bit(name):
+    """Twice each, so that what is kept is used: nothing of it fits into the least memory."""
+    told = displacements(problem(name))
+    expected = [moved(METHODS[name], problem(name), each) for each in told[:2]]
+    # Systems of equations have to fit.
+    least = 0 if METHODS[name].name in ("tfi", "idw", "idw-tfi") else 2**25
+    for memory in (least, 2**25, 2**33):
+        prepared = make_method(METHODS[name]).prepare(problem(name, memory))
+        for number in (0, 1, 0, 1):
+            np.testing.assert_array_equal(prepared.apply(told[number]), expected[number])
+
+
+@EVERY
+def test_threads_change_no_bit(name):
+    told = displacements(problem(name))[0]
+    found = []
+    for threads in (1, 2):
+        set_threads(threads)
+        try:
+            found.append(moved(METHODS[name], problem(name), told))
+        finally:
+            set_threads(None)
+    np.testing.assert_array_equal(*found)
+
+
+def test_sums_made_finer_for_one_displacement_are_not_for_the_next(monkeypatch):
+    """The first error allowed to a cluster is far too large here, so that every displacement takes several attempts."""
+    monkeypatch.setattr("meshdeform_core.numerics.fastsum.sums._SHARE", 1e4)
+    where = problem("fast lie")
+    told = displacements(where)
+    fresh = [moved(METHODS["fast lie"], where, each) for each in told]
+    prepared = make_method(METHODS["fast lie"]).prepare(where)
+    for number in (0, 4, 0, 1, 5, 4):
+        np.testing.assert_array_equal(prepared.apply(told[number]), fresh[number])
+    assert len({plan.key.share for plan in prepared._mover._evaluator._sums._plans}) == 2
+
+
+@pytest.mark.parametrize("basis", ["tps", "wendland-c2"])
+def test_the_solver_is_chosen_by_size_not_by_memory(basis):
+    options = Options("rbf", rbf=RBF(basis=basis))
+    settings = []
+    for memory in (2**25, 2**40):
+        prepared = make_method(options).prepare(problem("rbf", memory))
+        prepared.apply(displacements(problem("rbf"))[0])
+        settings.append(prepared.account.settings)
+    assert settings[0] == settings[1]
