@@ -254,7 +254,7 @@ def test_compact_sums_reach_every_target_of_a_region():
 
 def test_an_error_that_is_no_number_is_told_and_spoils_nothing():
     account, refined = Account(), []
-    sums = types.SimpleNamespace(refine=refined.append)
+    sums = types.SimpleNamespace(restart=refined.clear, refine=refined.append)
     sum_accurately("idw", sums, lambda: float("nan"), 1e-2, account)
     assert refined == []
     assert "fast sums" in account.warnings[0]

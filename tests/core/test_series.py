@@ -14,8 +14,7 @@ from meshdeform_core.boundary.expression import expression
 from meshdeform_core.boundary.motion import Motion, Rotate
 from meshdeform_core.deform import Case, set_up
 from meshdeform_core.errors import CaseError
-from meshdeform_core.methods import IDW, RBF, Options, make_method
-from meshdeform_core.numerics.systems import greedy
+from meshdeform_core.methods import IDW, Options, make_method
 from meshdeform_core.quality.validity import newly_invalid
 from meshdeform_core.repair import RepairOptions
 from meshdeform_core.series import Schedule, _Series, deform_series, grid_velocity
@@ -148,27 +147,6 @@ def test_2d_levels_rotate_in_their_plane():
 def test_schedules_that_make_no_sense_are_refused(wrong):
     with pytest.raises(CaseError, match="series"):
         dataclasses.replace(Schedule((0.0, 1.0)), **wrong)
-
-
-@pytest.mark.parametrize("kind", ["single", "hybrid", "double-edged"])
-def test_a_greedy_selection_is_kept_until_its_error_exceeds_the_tolerance(kind, monkeypatch):
-    from meshdeform_core.methods.scattered import rbf
-
-    selections = []
-
-    def counted(*args, **options):
-        selections.append(greedy.select(*args, **options))
-        return selections[-1]
-
-    monkeypatch.setattr(rbf, "select", counted)
-    options = RBF(basis="wendland-c0", radius=6.0, greedy=kind, greedy_tolerance=0.1, greedy_updates=20)
-    # The same shape, smaller and smaller, then another one.
-    bend = formulas("where(t > 0, 0.2*y*y/max(t, 1), 0)", "where(t > 3.5, 0.3*sin(9*x), 0)", "0")
-    levels = levels_of(setup_of(bend, Options("rbf", rbf=options)), Schedule((0.0, 1.0, 2.0, 3.0, 4.0)))
-    # At rest one centre is enough.
-    assert [len(found.active) > 1 for found in selections] == [False, True, True]
-    for level in levels:
-        assert level.result.account.settings["greedy_error_reached"].value <= 0.1
 
 
 def test_a_repair_sets_out_from_the_level_before_also_in_a_continued_series():

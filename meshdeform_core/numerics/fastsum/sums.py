@@ -204,7 +204,7 @@ class FastSums:
         strength = strength / strength.max()
         middle = values @ strength / strength.sum() if still is None else still
         spread, scaled = _scaled(values - middle[:, None])
-        plan = self._planned(weights, self._reaches(strength, shift, turn), scaled.any(axis=0), lasting)
+        plan = self._planned(weights, self._reaches(strength, shift, turn), (scaled != 0.0).any(axis=0), lasting)
         weight = plan.weight if plan.weighed else None
         if weight is not None:
             scaled[k - lasting :] = 0.0
