@@ -23,6 +23,7 @@ from meshdeform_core.numerics.fastsum import sums as fastsum
 from meshdeform_core.numerics.fastsum.bricks import build_bricks, make_regions, node_sizes
 from meshdeform_core.numerics.fastsum.radial import FastRadial
 from meshdeform_core.numerics.fastsum.radial_targets import make_radial_targets
+from meshdeform_core.numerics.fastsum.targets import shape_table
 from meshdeform_core.numerics.fastsum.tree import build_tree, gather_charges
 
 VARIANTS = {
@@ -49,7 +50,7 @@ def told(problem):
 
 def cell_sizes(problem):
     grid = problem.grid
-    return node_sizes(grid.points, fastsum.shape_table(grid.shapes), grid.offsets, np.arange(grid.n_nodes))
+    return node_sizes(grid.points, shape_table(grid.shapes), grid.offsets, np.arange(grid.n_nodes))
 
 
 @pytest.mark.parametrize("tolerance", [1e-2, 1e-4, 1e-8])
@@ -126,7 +127,7 @@ def test_small_cases_are_summed_exactly(problem):
 
 def test_bricks_hold_every_target_once():
     grid = frame(9, 7)
-    shapes = fastsum.shape_table(grid.shapes)
+    shapes = shape_table(grid.shapes)
     wanted = np.random.default_rng(0).random(grid.n_nodes) < 0.6
     bricks, first = build_bricks(grid.points, shapes, grid.offsets, wanted, 4, 100)
     np.testing.assert_array_equal(np.sort(bricks.targets), np.flatnonzero(wanted))

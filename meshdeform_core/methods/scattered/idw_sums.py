@@ -8,7 +8,8 @@ import numpy as np
 
 from ...grid import FloatArray, Grid, IntArray
 from ...numerics.exact.direct import weighted_sums
-from ...numerics.fastsum import sums as fastsum
+from ...numerics.fastsum.sums import FastSums
+from ...numerics.fastsum.targets import Targets, interpolation_order, make_targets
 from ...numerics.fastsum.tree import build_tree
 from ...numerics.frame import Frame
 from ...numerics.rigid import NO_TRANSITION, Transition, finish
@@ -155,14 +156,14 @@ class FastEvaluator:
         self._sums = self._sorted(bound.sources, bound.grid.points)
         self._weighed: Weighed | None = None
 
-    def _sorted(self, sources: FloatArray, points: FloatArray) -> fastsum.FastSums:
-        grid, order = self.bound.grid, fastsum.interpolation_order(self._tolerance)
+    def _sorted(self, sources: FloatArray, points: FloatArray) -> FastSums:
+        grid, order = self.bound.grid, interpolation_order(self._tolerance)
         trees = Task(lambda: [build_tree(sources[group], order) for group in self.bound.groups])
-        targets = fastsum.make_targets(points, grid.shapes, grid.offsets, self.bound.flat, order)
+        targets = make_targets(points, grid.shapes, grid.offsets, self.bound.flat, order)
         if points is not grid.points:
             # Accuracy is relative to the undeformed cells; in later steps only the targets have moved.
             targets = targets.sized(grid.points, grid.shapes, grid.offsets)
-        return fastsum.FastSums(self.bound.groups, trees.result(), targets, self._tolerance, self.bound.room)
+        return FastSums(self.bound.groups, trees.result(), targets, self._tolerance, self.bound.room)
 
     def evaluate(self, fit: SourceValues, out: FloatArray, progress: Progress | None) -> None:
         """Write the displacement of the targets into ``out`` (n_nodes, 3)."""
@@ -177,7 +178,7 @@ class FastEvaluator:
 
         sum_accurately("idw", self._sums, once, self._tolerance, self._account)
 
-    def _sum(self, fit: SourceValues, out: FloatArray, progress: Progress | None) -> tuple[fastsum.Targets, FloatArray]:
+    def _sum(self, fit: SourceValues, out: FloatArray, progress: Progress | None) -> tuple[Targets, FloatArray]:
         """Write displacements to ``out``; return the last targets and an error bound for each brick, up to a factor."""
         report = of_stage(progress, "idw")
         bound, sums, points = self.bound, self._sums, self.bound.grid.points

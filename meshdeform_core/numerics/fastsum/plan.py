@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from .acceptance import Kernel
+from .targets import Targets
 from .tree import SourceTree
 from .walk import Lists, Reach, list_clusters
-
-if TYPE_CHECKING:
-    from .sums import Targets
 
 
 def rounded_up(bounds: list[FloatArray]) -> list[FloatArray]:

@@ -10,8 +10,8 @@ from ...parallel import current_ranks
 from ..arrays import FloatArray, IntArray, Shapes
 from .bricks import node_sizes
 from .polynomials import Spaces, spaces_of
-from .sums import sample_places, shape_table
 from .target_tree import TargetTree, build_target_tree
+from .targets import sample_places, shape_table
 
 _CAPACITY = 350
 # Accuracy of polynomials, relative to the function at the radius of the box.
