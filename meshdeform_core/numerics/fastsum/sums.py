@@ -37,7 +37,7 @@ class FastSums:
     Parameters
     ----------
     groups : index arrays; the sources that have the same weight function
-    trees : of the sources of each group, from :func:`.tree.build_tree` for the same :func:`.targets.interpolation_order`
+    trees : of the sources of each group, from :func:`.tree.build_tree` for the order that the tolerance needs
     targets : from :func:`.targets.make_targets`
     tolerance : error of the weighted mean displacement relative to the local cell size
     room : limit in bytes for the data that are kept; results do not depend on it
