@@ -44,6 +44,7 @@ FORMATS: dict[str, Format] = {
     ),
     "cgns": Format("cgns", (".cgns", ".hdf", ".hdf5", ".adf"), "CGNS, HDF5 and ADF (ADF read-only)"),
     "vtk": Format("vtk", (".vtk", ".vts", ".vtm"), "VTK legacy, .vts and .vtm structured grids"),
+    "openfoam": Format("openfoam", (), "OpenFOAM blockMeshDict, read-only"),
     "meshio": Format("meshio_export", (".vtu", ".su2", ".msh", ".inp", ".xdmf", ".med"), "unstructured, write-only"),
 }
 
@@ -52,7 +53,6 @@ FORMATS: dict[str, Format] = {
 _FOREIGN: tuple[tuple[bytes, str], ...] = (
     (b"$MeshFormat", "a Gmsh mesh (unstructured)"),
     (b"NDIME", "an SU2 mesh (unstructured)"),
-    (b"FoamFile", "an OpenFOAM file"),
     (b"#!TDV", "a Tecplot binary file"),
     (b"CDF\x01", "a netCDF file"),
     (b"CDF\x02", "a netCDF file"),
@@ -89,9 +89,7 @@ def read_grid(path: str | Path, options: Mapping[str, Any] | None = None) -> Gri
     except (OSError, ValueError):
         # Other faults of the name are reported when the file is opened.
         pass
-    if os.path.isdir(path):
-        raise FormatError(f"{path} is a folder; expected a grid file")
-    name = _recognise(read_head(path), path)
+    name = _format_at(path)
     if options and name != "plot3d":
         raise FormatError(f"{path} is a {name} file, which declares its variant; omit {', '.join(options)}")
     try:
@@ -153,13 +151,27 @@ def format_of(path: Path) -> str:
     raise FormatError(f"cannot tell the format of {path} from its suffix {suffix!r}; known are {known}")
 
 
+def _format_at(path: Path) -> str:
+    """Name of the format of what is at a path."""
+    if path.suffix.lower() == ".foam" or os.path.isdir(path):
+        from .openfoam.case import is_case
+
+        if not is_case(path):
+            raise FormatError(f"{path} is a folder; expected a grid file, or an OpenFOAM case")
+        return "openfoam"
+    return _recognise(read_head(path), path)
+
+
 def _recognise(head: bytes, path: Path) -> str:
     if head.startswith(b"\x89HDF\r\n\x1a\n") or b"ADF Database Version" in head[:64]:
         return "cgns"
     if head.startswith(b"# vtk DataFile") or b"<VTKFile" in head:
         return "vtk"
     text = head.lstrip()
+    # Other formats have neither comments nor these words.
+    if text.startswith((b"FoamFile", b"/*", b"//", b"convertToMeters", b"scale", b"vertices")):
+        return "openfoam"
     for magic, title in _FOREIGN:
         if text.startswith(magic):
-            raise FormatError(f"{path} is {title}, not a block-structured grid (Plot3D, CGNS or VTK)")
+            raise FormatError(f"{path} is {title}, not a block-structured grid (Plot3D, CGNS, VTK or blockMeshDict)")
     return "plot3d"

@@ -84,6 +84,9 @@ def _entries(grid: Grid, outside: Outside, table: FittedTable | None) -> Iterato
     for surface in sorted(outside.surfaces, key=lambda s: list(Role).index(s.role)):
         kind = "moving" if surface in moving else _kind(grid, surface)
         name = surface.name if surface.named else surface.role.value
+        if kind == "periodic":
+            # Both sides of a pair belong to one entry.
+            name = kind
         groups.setdefault((name, kind), []).append(surface)
     for (name, kind), surfaces in groups.items():
         unique = name
@@ -105,6 +108,8 @@ def _moving(grid: Grid, surfaces: Sequence[Surface]) -> list[Surface]:
 
 
 def _kind(grid: Grid, surface: Surface) -> str:
+    if any(face.patch is not None and face.patch.bc_type == "cyclic" for face in surface.faces):
+        return "periodic"
     if surface.role is Role.END:
         return "slip"
     if surface.role is Role.SYMMETRY:
@@ -133,8 +138,8 @@ def _entry_lines(grid: Grid, entry: _Entry, table: FittedTable | None) -> Iterat
     yield "[[boundary]]"
     yield f"name = {_text(entry.name)}   # role: {first.role.value}{mark}"
     if first.named:
-        yield f"# {_place(first)}"
-        yield f"select = [{_text(_pattern(first.name))}]"
+        yield from (f"# {_place(surface)}" for surface in entry.surfaces)
+        yield f"select = [{', '.join(_text(_pattern(surface.name)) for surface in entry.surfaces)}]"
     else:
         yield "select = ["
         for surface in entry.surfaces:

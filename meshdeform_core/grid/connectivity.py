@@ -74,7 +74,8 @@ def check_connections(grid: Grid, topology: Topology) -> list[str]:
                 f"connection {connection.name!r} of {grid.names[connection.block]} with "
                 f"{grid.names[connection.donor_block]}: {problem}"
             )
-    if grid.connections:
+    # Where a file declares periodic connections only, it leaves the others to the coordinates.
+    if any(connection.periodic is None for connection in grid.connections):
         messages += _undeclared(grid, topology, declared)
     return messages
 

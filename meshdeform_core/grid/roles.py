@@ -37,6 +37,9 @@ _WORDS: tuple[tuple[Role, tuple[str, ...]], ...] = (
                 "characteristic")),
 )  # fmt: skip
 
+# Types of OpenFOAM for the sides of a plane or axisymmetric grid.
+_END_TYPES = ("empty", "wedge")
+
 _CLUSTERED = 2.0
 """Ratio of mean to first spacing above which a face counts as a wall."""
 _FIRST_IS_FINEST = 0.3
@@ -56,6 +59,8 @@ def declared_role(face: Face) -> Role | None:
     """The role that the file declares for a face: by type, then by family and name."""
     if face.patch is None:
         return None
+    if face.patch.bc_type in _END_TYPES:
+        return Role.END
     for text in (face.patch.bc_type, face.patch.family, face.patch.name):
         for role, words in _WORDS:
             if any(word in text.lower() for word in words):

@@ -1,0 +1,5 @@
+"""OpenFOAM: blockMeshDict files."""
+
+from .format import read
+
+__all__ = ["read"]

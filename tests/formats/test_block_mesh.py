@@ -1,0 +1,296 @@
+"""blockMeshDict files: against OpenFOAM's own program where it is installed, closed forms, and refusals."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from meshdeform_core.errors import FormatError
+from meshdeform_core.grid import Grid, Side
+from meshdeform_core.grid.connectivity import connected_nodes, periodic_rotation
+from meshdeform_core.grid.topology import find_topology
+from meshdeform_formats import read_grid
+from meshdeform_formats.openfoam.curves import arc_about, arc_by_angle, arc_through
+from meshdeform_formats.openfoam.divisions import Section, divide
+
+HEAD = "FoamFile { version 2.0; format ascii; class dictionary; object blockMeshDict; }\n"
+CUBE = "vertices ((0 0 0) (1 0 0) (1 1 0) (0 1 0) (0 0 1) (1 0 1) (1 1 1) (0 1 1));\n"
+BLOCK = "blocks (hex (0 1 2 3 4 5 6 7) (4 3 2) simpleGrading (1 1 1));\n"
+ONE = CUBE + BLOCK
+
+CURVED = (
+    HEAD
+    + """
+convertToMeters 0.1;   // comment
+n 6; dims ($n 5 4); common { h 2; }
+vertices
+(
+  (0 0 0) (2 0 0) (2 1.2 0) (0 1 0)
+  name v4 (0 0 $common.h) (2.1 0 2) (2 1 2) (0 1 2.2)
+  (4 0 0) (4 1.2 0) (4 0 2) (4 1 2)
+);
+blocks
+(
+  hex (0 1 2 3 v4 5 6 7) $dims edgeGrading (2 2 3 3 1 1 ((0.3 0.4 3) (0.7 0.6 0.2)) 1 4 4 -3 4)
+  hex (1 8 9 2 5 10 11 6) zone1 (7 5 4) edgeGrading (1 1 1 1 1 1 1 ((0.3 0.4 3) (0.7 0.6 0.2)) 4 1 1 -3)
+);
+edges
+(
+  spline 0 1 ((0.5 0.3 0.1) (1.4 -0.2 0))
+  BSpline 3 2 ((0.5 1.3 0.1) (1.4 1.2 0))
+  polyLine v4 5 ((1 0.2 2.1))
+  arc 1 2 (2.2 0.6 -0.1)
+  arc 10 8 (4.5 0 1)
+  line 9 11
+);
+boundary ( left { type wall; faces ((0 4 7 3)); } right { type patch; faces ((8 9 11 10)); } );
+mergePatchPairs ();
+"""
+)
+
+WEDGE = (
+    HEAD
+    + """
+vertices (
+ (0 0 0) (0.9659258262890683 -0.2588190451025207 0) (0.9659258262890683 0.2588190451025207 0)
+ (0 0 1) (0.9659258262890683 -0.2588190451025207 1) (0.9659258262890683 0.2588190451025207 1)
+ (1.9318516525781366 -0.5176380902050415 0) (1.9318516525781366 0.5176380902050415 0)
+ (1.9318516525781366 -0.5176380902050415 1) (1.9318516525781366 0.5176380902050415 1)
+);
+blocks (
+ hex (0 1 2 0 3 4 5 3) (4 3 5) simpleGrading (1 1 1)
+ hex (1 6 7 2 4 8 9 5) (4 3 5) simpleGrading (2 1 1)
+);
+edges ( arc 1 2 (1 0 0) arc 4 5 (1 0 1) arc 6 7 (2 0 0) arc 8 9 (2 0 1) );
+boundary (
+ low { type cyclic; neighbourPatch high; transform rotational; rotationAxis (0 0 1); rotationCentre (0 0 0);
+       faces ((0 1 4 3) (1 6 8 4)); }
+ high { type cyclic; neighbourPatch low; transform rotational; rotationAxis (0 0 1); rotationCentre (0 0 0);
+        faces ((0 2 5 3) (2 7 9 5)); }
+ in { type patch; faces ((0 1 2 0) (1 6 7 2)); }
+ out { type patch; faces ((3 4 5 3) (4 8 9 5)); }
+ shroud { type wall; faces ((6 7 9 8)); }
+ axis { type empty; faces ((0 3 3 0)); }
+);
+"""
+)
+
+
+def read(tmp_path: Path, text: str) -> Grid:
+    path = tmp_path / "blockMeshDict"
+    path.write_text(text)
+    return read_grid(path)
+
+
+def made_by_block_mesh(folder: Path, text: str) -> np.ndarray:
+    """The points (n, 3) that OpenFOAM's own program makes."""
+    if shutil.which("blockMesh") is None:
+        pytest.skip("OpenFOAM is not installed")
+    (folder / "system").mkdir()
+    control = (
+        "FoamFile { version 2.0; format ascii; class dictionary; object controlDict; }\napplication x; "
+        "startFrom startTime; startTime 0; stopAt endTime; endTime 1; deltaT 1; writeControl timeStep; "
+        "writeInterval 1; writePrecision 17; writeFormat ascii;\n"
+    )
+    (folder / "system/controlDict").write_text(control)
+    (folder / "system/blockMeshDict").write_text(text)
+    settings = {"WM_PROJECT_DIR": "/usr/share/openfoam", **os.environ}
+    subprocess.run(["blockMesh"], cwd=folder, env=settings, check=True, capture_output=True, timeout=60)
+    content = (folder / "constant/polyMesh/points").read_text()
+    at = content.index("\n(\n")
+    count = int(content[:at].split()[-1])
+    numbers = content[at + 2 :].replace("(", " ").replace(")", " ").split()[: 3 * count]
+    return np.array(numbers, dtype=float).reshape(-1, 3)
+
+
+@pytest.mark.parametrize("text", [CURVED, WEDGE], ids=["curved", "wedge"])
+def test_nodes_are_those_of_block_mesh(text, tmp_path):
+    """Every point of OpenFOAM's program is a node, and every node is one of its points, to round-off."""
+    known = made_by_block_mesh(tmp_path, text)
+    grid = read_grid(tmp_path)
+    far, found = cKDTree(known).query(grid.points)
+    assert far.max() < 1e-14
+    assert len(set(found.tolist())) == len(known)
+
+
+def test_public_benchmark_is_read_as_its_oracle(third_party):
+    """Turek and Hron's flap: 19 blocks with arcs and gradings, against an independent reader's nodes."""
+    grid, known = (read_grid(third_party / "turek" / name) for name in ("blockMeshDict", "turek.p3d"))
+    assert grid.shapes == known.shapes
+    np.testing.assert_allclose(grid.points, known.points, rtol=0, atol=1e-14)
+    types = {patch.name: patch.bc_type for patch in grid.patches}
+    assert types == {
+        "front": "empty", "back": "empty", "inlet": "patch", "outlet": "patch", "top": "wall", "bottom": "wall",
+        "flap": "wall", "cylinder": "wall",
+    }  # fmt: skip
+    topology = find_topology(grid)
+    assert topology.external.sum() == sum(
+        np.prod([max(h - low, 1) for low, h in zip(w.low, w.high, strict=True)])
+        for p in grid.patches
+        for w in p.windows
+    )
+
+
+def test_cyclic_patches_are_periodic_connections(tmp_path):
+    grid = read(tmp_path, WEDGE)
+    assert len(grid.connections) == 2
+    for connection in grid.connections:
+        own, donor = connected_nodes(grid, connection)
+        assert connection.periodic is not None
+        turned = grid.points[own] @ periodic_rotation(connection.periodic).T
+        np.testing.assert_allclose(turned, grid.points[donor], atol=1e-14)
+
+
+def test_translational_cyclic_patches_may_be_numbered_differently(tmp_path):
+    text = (
+        HEAD
+        + CUBE
+        + """blocks (hex (1 2 3 0 5 6 7 4) (3 4 2) simpleGrading (3 1 1));
+    boundary (
+      a { type cyclic; neighbourPatch b; faces ((0 1 5 4)); }
+      b { type cyclic; neighbourPatch a; faces ((3 2 6 7)); }
+    );"""
+    )
+    grid = read(tmp_path, text)
+    (connection,) = grid.connections
+    own, donor = connected_nodes(grid, connection)
+    np.testing.assert_allclose(grid.points[own] + [0, 1, 0], grid.points[donor], atol=1e-15)
+    assert {patch.name for patch in grid.patches} == {"a", "b", "defaultFaces"}
+
+
+def test_arcs_lie_on_their_circles():
+    first, last = np.array([1.0, 0, 0]), np.array([0, 1.0, 0])
+    at = np.linspace(0, 1, 7)
+    exact = np.stack([np.cos(at * np.pi / 2), np.sin(at * np.pi / 2), 0 * at], axis=1)
+    long = np.stack([np.cos(at * 1.5 * np.pi), -np.sin(at * 1.5 * np.pi), 0 * at], axis=1)
+    middle = np.array([np.cos(0.3), np.sin(0.3), 0])
+    for arc, known in (
+        (arc_through(first, middle, last), exact),
+        (arc_through(first, np.array([np.cos(2.0), -np.sin(2.0), 0]), last), long),
+        (arc_about(first, last, np.zeros(3)), exact),
+        (arc_by_angle(first, last, 90.0, np.array([0, 0, 2.0])), exact),
+        (arc_by_angle(first, last, -270.0, np.array([0, 0, 2.0])), long),
+    ):
+        assert arc is not None
+        np.testing.assert_allclose(arc(at), known, atol=1e-14)
+    helix = arc_by_angle(first, last + [0, 0, 3], 90.0, np.array([0, 0, 1.0]))
+    assert helix is not None
+    np.testing.assert_allclose(helix(at), exact + at[:, None] * [0, 0, 3], atol=1e-14)
+    assert arc_through(first, 0.5 * (first + last), last) is None
+
+
+def test_divisions_have_the_ratios_of_their_sections():
+    steps = np.diff(divide(10, (Section(ratio=5.0),)))
+    assert steps[-1] / steps[0] == pytest.approx(5.0)
+    assert np.ptp(steps[1:] / steps[:-1]) < 1e-13
+    nodes = divide(10, (Section(1, 1, 4.0), Section(3, 1, 0.25)))
+    assert nodes[5] == pytest.approx(0.25)
+    assert np.diff(nodes)[4] / np.diff(nodes)[0] == pytest.approx(4.0)
+    np.testing.assert_allclose(divide(1, (Section(), Section())), [0, 1])
+
+
+def test_scale_applies_to_all_coordinates(tmp_path):
+    grid = read(tmp_path, HEAD + "scale (1 2 3);" + ONE)
+    np.testing.assert_allclose(grid.points.max(axis=0), [1, 2, 3])
+    assert grid.shapes == ((5, 4, 3),)
+
+
+def test_left_handed_blocks_and_old_patches(tmp_path):
+    text = (
+        CUBE
+        + """blocks (hex (4 5 6 7 0 1 2 3) (4 3 2) simpleGrading (1 1 1));
+    patches (wall floor ((0 1 2 3)) patch rest ((0 0) (0 1)));"""
+    )
+    grid = read(tmp_path, text)
+    assert find_topology(grid).handedness.tolist() == [-1]
+    floor, rest, default = grid.patches
+    assert (floor.bc_type, floor.windows[0].side) == ("wall", Side.KMAX)
+    assert [window.side for window in rest.windows] == [Side.IMIN, Side.IMAX]
+    assert default.name == "defaultFaces"
+    assert len(default.windows) == 3
+
+
+def test_macros_of_dictionaries_and_lists(tmp_path):
+    text = (
+        HEAD
+        + CUBE
+        + """
+    grading (2 3 4); inner { cells (4 3 2); again { deep $..cells; } } base { type wall; }
+    blocks (hex (0 1 2 3 4 5 6 7) $:inner.again.deep simpleGrading $grading);
+    boundary (floor { $base; faces ((0 1 2 3)); });"""
+    )
+    grid = read(tmp_path, text)
+    assert grid.shapes == ((5, 4, 3),)
+    assert grid.patches[0].bc_type == "wall"
+    steps = np.diff(grid.block(0)[:, 0, 0, 0])
+    assert steps[-1] / steps[0] == pytest.approx(2.0)
+
+
+BAD = {
+    "calc": (ONE.replace("(4 3 2)", '(4 3 #calc "1+1")'), "#calc is not evaluated.*foamDictionary"),
+    "include": ('#include "other"\n' + ONE, "#include is not evaluated"),
+    "code": (ONE + "x #{ system(1); #};", r"#\{ system\(1\); #\} is not evaluated"),
+    "merge": (ONE + "mergePatchPairs ((a b));", "mergePatchPairs is not supported"),
+    "projected": (ONE.replace("((0 0 0)", "(project (0 0 0) (s)"), "project is not supported"),
+    "projected faces": (ONE + "faces (project (0 1 2 3) s);", "faces is not supported"),
+    "huge": (ONE.replace("(4 3 2)", "(1000000000 1 1)"), "4,000,000,004 nodes"),
+    "huger": (ONE.replace("(4 3 2)", "(1e300 1e300 1e300)"), r"line 3: a block of 1e\+300"),
+    "no cells": (ONE.replace("(4 3 2)", "(4 0 2)"), "4 x 0 x 2 cells"),
+    "deep": (ONE + "x " + "(" * 2000, "nested more than 50 deep"),
+    "bomb": ("a 1 1;" + "".join(f"{b} {8 * f'${a} '};" for a, b in pairwise("abcdefghijk")) + ONE, "more values than"),
+    "vertex": (ONE.replace("5 6 7)", "5 6 8)"), "there is no vertex 8"),
+    "few vertices": (ONE.replace("5 6 7)", "5 6)"), "found the end of the list"),
+    "macro": (ONE.replace("(4 3 2)", "$cells"), r"\$cells refers to an entry that does not exist"),
+    "open": (ONE.rstrip()[:-2], "ends within"),
+    "comment": (ONE + "/* no end", "comment begins here"),
+    "text": (ONE + 'x "no end', "text in quotes begins here"),
+    "grading": (CUBE + BLOCK.replace("(1 1 1)", "(1 0 1)"), "expansion ratio of 0"),
+    "gradings": (CUBE + BLOCK.replace("(1 1 1)", "(1 1)"), "2 expansion ratios; expected 1, 3"),
+    "section": (CUBE + BLOCK.replace("(1 1 1)", "(((1 0.01 1) (1 0.99 1)) 1 1)"), "a section has no cells"),
+    "edge": (ONE + "edges (circle 0 1 (0 0 0));", "'circle' are not supported; known are arc"),
+    "straight arc": (ONE + "edges (arc 0 1 (0.5 0 0));", "lie on one line"),
+    "patch": (ONE + "boundary (a { type wall; faces ((0 1 2 5)); });", "is not a side of any block"),
+    "twice": (ONE + "boundary (a { faces ((0 1 2 3)); } b { faces ((0 1 2 3)); });", "belongs to the patches a and b"),
+    "neighbour": (ONE + "boundary (a { type cyclic; neighbourPatch b; faces ((0 1 2 3)); });", "does not have it"),
+    "other": ("FoamFile { class volScalarField; object p; }\n", "of class volScalarField; expected a blockMeshDict"),
+    "control": (HEAD + "application icoFoam;", "without vertices; expected a blockMeshDict"),
+    "number": (ONE.replace("(1 1 0)", "(1 nan 0)"), "expected three coordinates of a vertex, found 'nan'"),
+    "scale": ("scale -1;" + ONE, "expected positive factors"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_refusals_say_where_and_what(name, tmp_path):
+    text, message = BAD[name]
+    with pytest.raises(FormatError, match=message):
+        read(tmp_path, text if text.startswith("FoamFile") else HEAD + text)
+
+
+def test_neighbours_must_agree_on_their_common_edges(tmp_path):
+    text = (
+        HEAD
+        + CUBE.replace("));", ") (2 0 0) (2 1 0) (2 0 1) (2 1 1));")
+        + "blocks (hex (0 1 2 3 4 5 6 7) (4 3 2) simpleGrading (1 1 1)"
+        " hex (1 8 9 2 5 10 11 6) (4 %s 2) simpleGrading (1 %s 1));"
+    )
+    with pytest.raises(FormatError, match="4 and 3 cells on their common edge 1 2"):
+        read(tmp_path, text % (4, 1))
+    with pytest.raises(FormatError, match="divide their common edge 1 2 differently"):
+        read(tmp_path, text % (3, 2))
+    assert find_topology(read(tmp_path, text % (3, 1))).external.sum() == 2 * 52 - 2 * 6
+
+
+def test_cases_are_read_by_folder_and_by_foam_file(tmp_path):
+    (tmp_path / "system").mkdir()
+    with pytest.raises(FormatError, match="has no system/blockMeshDict"):
+        read_grid(tmp_path)
+    (tmp_path / "system/blockMeshDict").write_text(HEAD + ONE)
+    (tmp_path / "case.foam").write_text("")
+    assert read_grid(tmp_path).shapes == read_grid(tmp_path / "case.foam").shapes == ((5, 4, 3),)
