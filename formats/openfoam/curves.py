@@ -69,7 +69,7 @@ def arc_about(first: FloatArray, last: FloatArray, origin: FloatArray, stretch: 
     ``stretch`` times the mean radius is the radius. ``None`` if origin and ends lie on one line.
     """
     r1, r3, chord = first - origin, last - origin, last - first
-    m1, m3 = np.linalg.norm(r1), np.linalg.norm(r3)
+    m1, m3 = float(np.linalg.norm(r1)), float(np.linalg.norm(r3))
     axis = np.cross(r1, r3)
     if np.linalg.norm(axis) <= 1e-10 * m1 * m3:
         return None
@@ -79,7 +79,7 @@ def arc_about(first: FloatArray, last: FloatArray, origin: FloatArray, stretch: 
         if stretch != 1.0:
             radius = max(radius * stretch, 1.001 * 0.5 * float(np.linalg.norm(chord)))
         towards = np.cross(axis, chord)
-        height = np.sqrt(max(radius**2 - 0.25 * (chord @ chord), 0.0))
+        height = np.sqrt(max(radius**2 - 0.25 * float(chord @ chord), 0.0))
         origin = 0.5 * (first + last) + height * towards / np.linalg.norm(towards)
     return Arc(first, last, origin, axis, _angle(first - origin, last - origin))
 

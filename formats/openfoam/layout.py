@@ -165,7 +165,7 @@ def _gradings(items: Reading, cells: Shape) -> tuple[Grading, ...]:
 
 
 def _curves(top: Dictionary, vertices: Vertices) -> dict[tuple[int, int], Curve]:
-    items, found = list_of(top, "edges"), {}
+    items, found = list_of(top, "edges"), dict[tuple[int, int], Curve]()
     while items.more:
         kind = items.word("the kind of an edge")
         if kind not in _EDGES:

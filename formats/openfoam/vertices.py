@@ -36,8 +36,8 @@ class Vertices:
 
 def read_vertices(top: Dictionary) -> Vertices:
     """The list ``vertices``; projected vertices are refused."""
-    items, points = list_of(top, "vertices"), []
-    names: dict[str, int] = {}
+    items, names = list_of(top, "vertices"), dict[str, int]()
+    points: list[tuple[float, float, float]] = []
     while items.more:
         word = items.next_word()
         if word == "name":
