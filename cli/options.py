@@ -27,6 +27,18 @@ Command = Callable[..., Any]
 PATH = click.Path(path_type=Path)
 
 
+class OutputPath(click.Path):
+    """The path of a grid that is written; a folder is an OpenFOAM case, of which this is the ``.foam`` file."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        path = Path(str(super().convert(value, param, ctx)))
+        case = str(value).endswith("/") or any((path / name).is_dir() for name in ("system", "constant"))
+        return path / f"{path.absolute().name}.foam" if case else path
+
+
+OUTPUT = OutputPath(path_type=Path)
+
+
 class FiniteNumber(click.FloatRange):
     """A number other than nan and inf, which would pass every range check."""
 
@@ -268,10 +280,10 @@ def parse_pairs(pairs: tuple[str, ...], option: str) -> dict[str, str]:
 
 def keep_inputs(path: Path, *inputs: Path | None) -> None:
     """Refuse an output that would replace a file which the run reads, by whatever name."""
-    # Nothing is replaced where nothing is: no need to look into the inputs.
-    if path.exists():
-        from meshdeform_formats.inputs import require_no_input
+    from meshdeform_formats.inputs import existing_outputs, require_no_input
 
+    # Nothing is replaced where nothing is: no need to look into the inputs.
+    if existing_outputs(path):
         require_no_input(path, inputs)
 
 
@@ -284,15 +296,19 @@ def check_output(path: Path, force: bool, *inputs: Path | None) -> None:
         When the output exists and ``force`` is not given, is one of the inputs, or its folder is missing.
     """
     from meshdeform_formats.files import require_replaceable
+    from meshdeform_formats.inputs import existing_outputs
 
     # First: reading the pieces of an existing .vtm would wait for ever if it were a pipe.
     require_replaceable(path)
     keep_inputs(path, *inputs)
-    if path.exists() and not force:
-        raise FormatError(f"{path} exists; use --force to overwrite it")
-    if not path.parent.is_dir():
-        reason = "is a file" if path.parent.exists() else "does not exist; create it first"
-        raise FormatError(f"cannot write {path}: the folder {path.parent} {reason}")
+    there = existing_outputs(path)
+    if there and not force:
+        raise FormatError(f"{there[0]} exists; use --force to overwrite it")
+    # The folder of a case is made with it.
+    folder = path.parent.absolute().parent if path.suffix.lower() == ".foam" else path.parent
+    if not folder.is_dir():
+        reason = "is a file" if folder.exists() else "does not exist; create it first"
+        raise FormatError(f"cannot write {path}: the folder {folder} {reason}")
 
 
 def check_reports(reports: tuple[Path, ...], force: bool, *inputs: Path | None) -> None:

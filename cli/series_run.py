@@ -15,6 +15,7 @@ from meshdeform_core.boundary.motion import FollowSequence
 from meshdeform_core.boundary.prescribed import largest_displacement
 from meshdeform_core.deform import Setup, Timing, set_up
 from meshdeform_core.errors import CaseError, FormatError, MeshDeformError
+from meshdeform_core.grid import Grid
 from meshdeform_core.memory import WRITING_ARRAYS, peak_memory
 from meshdeform_core.methods import make_method
 from meshdeform_core.parallel import current_ranks, thread_count
@@ -27,6 +28,7 @@ from meshdeform_formats.report import Report, plan_report
 from meshdeform_formats.report.illustrations import Illustrations, level_thumbnails
 from meshdeform_formats.report.series import level_record, series_head, series_report
 from meshdeform_formats.series.files import LevelFiles, SeriesFiles, SingleFile
+from meshdeform_formats.series.foam import FoamFiles
 from meshdeform_formats.series.manifest import NAME, Manifest, ingredients_of
 
 from .forecast import forecast
@@ -72,10 +74,10 @@ def prepare(job: Job, source: GridInput, wanted: Wanted, options: RunInput) -> R
     """Determine times and files, topology and boundary; nothing is written."""
     times = parse_times(wanted.times, "--times") if wanted.times else _times_of_files(job.case)
     schedule = Schedule(times, wanted.origin, wanted.velocity, wanted.steps)
-    name = source.path.stem + _suffix(source.path, wanted)
+    name = source.path.stem + _suffix(source.path, wanted, job.grid)
     check_fields(wanted.fields, Path(name), True)
     grid = complete_for_export(job.grid, Path(name))
-    kind = SingleFile if wanted.single_file else LevelFiles
+    kind = SingleFile if wanted.single_file else FoamFiles if Path(name).suffix.lower() == ".foam" else LevelFiles
     files: SeriesFiles = kind(grid, wanted.folder, name, times, wanted.variant, wanted.velocity)
     manifest = Manifest(wanted.folder / NAME, {})
     for path in [*files.replaced, manifest.path]:
@@ -92,9 +94,11 @@ def prepare(job: Job, source: GridInput, wanted: Wanted, options: RunInput) -> R
     return Run(job, setup, schedule, files, manifest, timing, options.warnings, options.allow_invalid, wanted.fields)
 
 
-def _suffix(source: Path, wanted: Wanted) -> str:
+def _suffix(source: Path, wanted: Wanted, grid: Grid) -> str:
     if wanted.suffix:
         return wanted.suffix if wanted.suffix.startswith(".") else f".{wanted.suffix}"
+    if grid.format is not None and grid.format.name == "openfoam" and not wanted.single_file:
+        return ".foam"
     # ADF files can only be read.
     cgns = wanted.single_file or source.suffix.lower() in FORMATS["cgns"].suffixes
     return ".cgns" if cgns else source.suffix

@@ -34,9 +34,7 @@ def replacing(target: Path) -> Iterator[Path]:
     if not folder.is_dir():
         raise FormatError(f"cannot write {target}: the folder {folder} does not exist; create it first")
     require_replaceable(target)
-    _remove_stale(target)
-    # The suffix is kept: some writers choose the format by it.
-    partial = folder / f".{target.stem}.{os.getpid()}-{_host()}{secrets.token_hex(2)}.partial{target.suffix}"
+    partial = partial_path(target)
     with interruption.cleaned_up(lambda: partial.unlink(missing_ok=True)):
         try:
             yield partial
@@ -44,6 +42,13 @@ def replacing(target: Path) -> Iterator[Path]:
             os.replace(partial, target)
         except OSError as error:
             raise FormatError(f"cannot write {target}: {reason_of(error)}") from error
+
+
+def partial_path(target: Path) -> Path:
+    """A temporary path next to ``target``, whose remains of killed runs on this machine are removed."""
+    _remove_stale(target)
+    # The suffix is kept: some writers choose the format by it.
+    return target.parent / f".{target.stem}.{os.getpid()}-{_host()}{secrets.token_hex(2)}.partial{target.suffix}"
 
 
 def require_replaceable(target: Path) -> None:
@@ -74,7 +79,13 @@ def followed(path: Path) -> Path:
 
 
 def invalid_path(output: Path) -> Path:
-    """Where a grid with invalid cells is written: beside ``output``, so that make does not take it for that."""
+    """Where a grid with invalid cells is written: beside ``output``, so that make does not take it for that.
+
+    A case of OpenFOAM has one mesh, so that another one needs another folder.
+    """
+    if output.suffix.lower() == ".foam":
+        folder = Path(os.path.abspath(output.parent))
+        return folder.with_name(f"{folder.name}.invalid") / output.name
     return output.with_name(f"{output.stem}.invalid{output.suffix}")
 
 
@@ -91,7 +102,7 @@ def _remove_stale(target: Path) -> None:
     with contextlib.suppress(OSError):
         for name in os.listdir(target.parent):
             if (found := pattern.fullmatch(name)) and not _runs(int(found[1])):
-                (target.parent / name).unlink(missing_ok=True)
+                _remove(target.parent / name)
 
 
 def _runs(process: int) -> bool:
@@ -105,15 +116,19 @@ def _runs(process: int) -> bool:
     return True
 
 
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
+
+
 def remove_partial(folder: Path) -> None:
     """Remove files that killed runs left in ``folder``: the temporary paths of :func:`replacing`."""
     for left in folder.glob(".*.partial*"):
         if not re.fullmatch(r"\..+\.\d+-[0-9a-f]{8}\.partial(\..+)?", left.name):
             continue
-        if left.is_dir():
-            shutil.rmtree(left)
-        else:
-            left.unlink()
+        _remove(left)
 
 
 def reason_of(error: BaseException) -> str:

@@ -56,6 +56,11 @@ def _files_behind(path: Path, state: tuple[int, ...]) -> tuple[Path, ...]:
 
 def _related(path: Path) -> Iterator[Path]:
     yield path
+    if path.is_dir() or path.suffix.lower() == ".foam":
+        from .openfoam.case import case_files
+
+        yield from case_files(path)
+        return
     # Faults of the file are reported when it is read.
     try:
         head = read_head(path)
@@ -68,6 +73,8 @@ def _related(path: Path) -> Iterator[Path]:
 
 
 def _replaced(output: Path) -> Iterable[Path]:
+    if output.suffix.lower() == ".foam":
+        return existing_outputs(output)
     if output.suffix.lower() != ".vtm":
         return [output]
     from .vtk.multiblock import replaced_files
@@ -76,6 +83,16 @@ def _replaced(output: Path) -> Iterable[Path]:
         return replaced_files(output)
     except FormatError:
         return [output]
+
+
+def existing_outputs(output: Path) -> list[Path]:
+    """What exists of the files that writing an output replaces."""
+    found = [output] if output.exists() else []
+    if output.suffix.lower() == ".foam":
+        from .openfoam.case import mesh_files
+
+        found += mesh_files(output)
+    return found
 
 
 def _pieces(path: Path) -> Iterator[Path]:

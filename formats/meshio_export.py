@@ -31,8 +31,8 @@ from meshdeform_core.grid.topology import Topology, find_topology
 
 from .files import replacing
 from .hdf5_output import target
+from .variant_options import checked_options
 from .vtk.dataset import storable
-from .vtk.options import checked_options
 
 _OPTIONS: dict[str, dict[str, tuple[str, ...]]] = {".msh": {"encoding": ("binary", "ascii")}}
 

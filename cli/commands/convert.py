@@ -12,6 +12,7 @@ from meshdeform_core.errors import FormatError
 
 from ..measured import measured
 from ..options import (
+    OUTPUT,
     PATH,
     GridInput,
     check_output,
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
 
 @click.command("convert")
 @grid_options
-@click.argument("target", metavar="OUT", type=PATH)
+@click.argument("target", metavar="OUT", type=OUTPUT)
 @field_option
 @click.option("--reference", type=PATH, help="The undeformed grid, for fields that compare with it.")
 @variant_option

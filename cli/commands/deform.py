@@ -10,7 +10,7 @@ import click
 from meshdeform_core.errors import CaseError
 
 from ..options import (
-    PATH,
+    OUTPUT,
     CaseInput,
     FiniteNumber,
     GridInput,
@@ -27,7 +27,7 @@ from ..process.progress import ProgressBar
 
 @click.command("deform")
 @grid_options
-@click.option("-o", "--output", type=PATH, help="Deformed grid; the suffix selects the format.")
+@click.option("-o", "--output", type=OUTPUT, help="Deformed grid; the suffix selects the format.")
 @case_options
 @click.option("--steps", metavar="N|auto", help="Impose the motion in N steps; by default in as many as needed.")
 @click.option(

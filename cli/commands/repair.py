@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..exit_codes import EXIT_INVALID
-from ..options import PATH, CaseInput, GridInput, RunInput, check_reports, grid_options, run_options
+from ..options import OUTPUT, PATH, CaseInput, GridInput, RunInput, check_reports, grid_options, run_options
 from ..process.machine import use_threads
 from ..process.messages import tell
 from ..process.progress import ProgressBar, writing
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 @click.command("repair")
 @grid_options
 @click.option("--reference", type=PATH, required=True, help="The original grid, whose cells are sound.")
-@click.option("-o", "--output", type=PATH, help="Repaired grid; the suffix selects the format.")
+@click.option("-o", "--output", type=OUTPUT, help="Repaired grid; the suffix selects the format.")
 @click.option("-c", "--case", "case_file", type=PATH, help="Case file: which faces move, slide or repeat.")
 @click.option("--polish", is_flag=True, help="Improve the worst cells of a valid grid, too.")
 @click.option(

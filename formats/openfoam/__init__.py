@@ -1,5 +1,5 @@
-"""OpenFOAM: blockMeshDict files."""
+"""OpenFOAM: blockMeshDict files, cases, and meshes (polyMesh)."""
 
-from .format import read
+from .format import read, variant, write
 
-__all__ = ["read"]
+__all__ = ["read", "variant", "write"]

@@ -2,22 +2,56 @@
 
 from __future__ import annotations
 
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
+from meshdeform_core import interruption
 from meshdeform_core.errors import FormatError
+
+from ..files import followed, partial_path, reason_of
 
 _DICTIONARIES = ("system/blockMeshDict", "constant/polyMesh/blockMeshDict")
 POLY_MESH = Path("constant") / "polyMesh"
+_FILES = ("points", "faces", "owner", "neighbour", "boundary")
+# Written by other tools for the faces, cells and points of one mesh.
+_DEPENDENT = ("cellZones", "faceZones", "pointZones", "sets", "cellLevel", "pointLevel", "surfaceIndex", "level0Edge",
+              "refinementHistory", "meshModifiers", "cellDecomposition")  # fmt: skip
+_CONTROL = """\
+FoamFile
+{
+    version 2.0;
+    format ascii;
+    class dictionary;
+    object controlDict;
+}
+
+application     pimpleFoam;
+startFrom       startTime;
+startTime       0;
+stopAt          endTime;
+endTime         1;
+deltaT          1;
+writeControl    timeStep;
+writeInterval   1;
+"""
 
 
 def is_case(path: Path) -> bool:
     """Whether a path is an OpenFOAM case: a folder with ``system`` or ``constant``, or a ``.foam`` file."""
-    return path.suffix.lower() == ".foam" or any((path / name).is_dir() for name in ("system", "constant"))
+    return is_foam(path) or any((path / name).is_dir() for name in ("system", "constant"))
+
+
+def is_foam(path: Path) -> bool:
+    """Whether a path is the ``.foam`` file of a case."""
+    return path.suffix.lower() == ".foam" and not path.is_dir()
 
 
 def case_folder(path: Path) -> Path:
     """The folder of a case."""
-    return path.parent if path.suffix.lower() == ".foam" and not path.is_dir() else path
+    return path.parent if is_foam(path) else path
 
 
 def dictionary_of(path: Path) -> Path:
@@ -38,3 +72,66 @@ def dictionary_of(path: Path) -> Path:
             "has a system/blockMeshDict"
         )
     raise FormatError(f"{folder} has no {_DICTIONARIES[0]}; expected an OpenFOAM case with one")
+
+
+def mesh_files(path: Path) -> list[Path]:
+    """The files of the mesh of a case that exist, packed ones too."""
+    mesh = case_folder(path) / POLY_MESH
+    return [file for name in _FILES for file in (mesh / name, mesh / f"{name}.gz") if file.is_file()]
+
+
+def case_files(path: Path) -> list[Path]:
+    """The files that reading a case reads."""
+    folder = case_folder(path)
+    return [folder / name for name in _DICTIONARIES if (folder / name).is_file()] + mesh_files(path)
+
+
+@contextmanager
+def replaced_mesh(foam: Path) -> Iterator[Path]:
+    """Yield a new folder for the files of a mesh; they replace those of the case if the block succeeds.
+
+    The points go first and come last, so that a run that is killed leaves the old mesh or none. The case gets its
+    ``.foam`` file and, if it has none, a ``system/controlDict``, which OpenFOAM's tools and ParaView need.
+
+    Raises
+    ------
+    FormatError
+        When the folder around the case does not exist, or the mesh has zones or sets, which would not fit the new one.
+    """
+    folder = followed(foam.parent)
+    if not folder.is_dir() and not folder.parent.is_dir():
+        raise FormatError(f"cannot write {foam}: the folder {folder.parent} does not exist; create it first")
+    mesh = folder / POLY_MESH
+    _require_independent(mesh)
+    try:
+        mesh.mkdir(parents=True, exist_ok=True)
+        new = partial_path(mesh / "mesh")
+        new.mkdir()
+        with interruption.cleaned_up(lambda: shutil.rmtree(new, ignore_errors=True)):
+            yield new
+            interruption.check()
+            for old in mesh_files(foam):
+                old.unlink()
+            for file in sorted(new.iterdir(), key=lambda file: file.name.startswith("points")):
+                os.replace(file, mesh / file.name)
+            _complete(foam)
+    except OSError as error:
+        raise FormatError(f"cannot write {foam}: {reason_of(error)}") from error
+
+
+def _require_independent(mesh: Path) -> None:
+    found = [name for name in _DEPENDENT for entry in (name, f"{name}.gz") if (mesh / entry).exists()]
+    if found:
+        raise FormatError(
+            f"cannot write {mesh}: it has {', '.join(found)} of another mesh, which would not fit the new one; remove "
+            "them first"
+        )
+
+
+def _complete(foam: Path) -> None:
+    control = foam.parent / "system" / "controlDict"
+    if not control.exists():
+        control.parent.mkdir(exist_ok=True)
+        control.write_text(_CONTROL, encoding="ascii")
+    if not foam.exists():
+        foam.touch()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime
-import hashlib
 import os
 import platform
 import shlex
@@ -13,6 +12,7 @@ from pathlib import Path
 
 from meshdeform_core.parallel import current_ranks, thread_count
 
+from ..contents import digest, files_of, size
 from .parts import Report
 
 _LIBRARIES = ("numpy", "scipy", "numba")
@@ -33,11 +33,9 @@ def run_part(arguments: Sequence[str], files: Iterable[tuple[str, Path | None]])
         "threads": thread_count(),
         "ranks": current_ranks().count,
         "versions": {"python": platform.python_version(), **{name: version(name) for name in _LIBRARIES}},
-        "files": [_file(role, path) for role, path in files if path is not None and path.is_file()],
+        "files": [_file(role, path) for role, path in files if path is not None and files_of(path) and path.exists()],
     }
 
 
 def _file(role: str, path: Path) -> Report:
-    with path.open("rb") as stream:
-        digest = hashlib.file_digest(stream, "sha256").hexdigest()
-    return {"role": role, "path": str(path), "bytes": path.stat().st_size, "sha256": digest}
+    return {"role": role, "path": str(path), "bytes": size(path), "sha256": digest(path)}

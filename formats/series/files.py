@@ -25,7 +25,8 @@ Dress = Callable[[Grid], Grid]
 """A level with fields added."""
 
 
-def _as_it_is(grid: Grid) -> Grid:
+def as_it_is(grid: Grid) -> Grid:
+    """The level without further fields."""
     return grid
 
 
@@ -130,7 +131,7 @@ class LevelFiles:
                 f"velocity"
             )
         self._options = options
-        self.dress: Dress = _as_it_is
+        self.dress: Dress = as_it_is
         self.invalid: set[int] = set()
         self.variant = variant_of(grid, folder / name, options)
         self.view = index_path(folder, self._stem, self._suffix)
@@ -222,7 +223,7 @@ class SingleFile:
         if format_of(self._plain) != "cgns":
             raise FormatError(f"{self._plain}: only a CGNS file can hold all levels; choose the suffix .cgns")
         require_steady(grid)
-        self.dress: Dress = _as_it_is
+        self.dress: Dress = as_it_is
         self.invalid: set[int] = set()
         self.variant = variant_of(grid, self._plain, options)
         self._levels = folder / f"{self._plain.stem}.levels"

@@ -9,8 +9,9 @@ from pathlib import Path
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Grid
 
+from ..contents import digest
 from ..grids import read_grid
-from .manifest import NAME, Manifest, digest
+from .manifest import NAME, Manifest
 
 
 @dataclass(frozen=True)
@@ -67,5 +68,5 @@ def open_levels(path: Path) -> Levels:
         raise FormatError(f"{folder}: no level of the series is done yet")
     files = tuple(folder / level["file"] for level in state.levels)
     source = Path(state.head["grid"]["file"])
-    same = source.is_file() and digest(source) == state.ingredients["grid"]
+    same = source.exists() and digest(source) == state.ingredients["grid"]
     return Levels(tuple(level["time"] for level in state.levels), files, single, source if same else None)

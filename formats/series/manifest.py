@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -16,6 +15,7 @@ from meshdeform_core.errors import CaseError, FormatError
 from meshdeform_core.series import Schedule
 
 from ..case import CaseFile
+from ..contents import digest
 from ..files import replacing
 
 NAME = "series.json"
@@ -110,12 +110,6 @@ def ingredients_of(
         **dataclasses.asdict(schedule),
         **output,
     }
-
-
-def digest(path: Path) -> str:
-    """SHA-256 of a file's content."""
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def _flattened(value: Any, name: str) -> Iterator[tuple[str, Any]]:

@@ -15,13 +15,13 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Grid
 
 from ..files import replacing
+from ..variant_options import checked_options
 from .dataset import VtkFormat, assemble
 from .legacy import read as read_legacy
 from .legacy_write import write_block as write_legacy_block
 from .multiblock import read as read_multiblock
 from .multiblock import require_replaceable
 from .multiblock import write as write_multiblock
-from .options import checked_options
 from .xml import read as vtk_xml_read
 from .xml import write as vtk_xml_write
 from .xml.codecs import require_codec

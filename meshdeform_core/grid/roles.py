@@ -12,7 +12,7 @@ from enum import Enum
 import numpy as np
 import scipy
 
-from .blocks import FloatArray, Grid, IntArray, Side
+from .blocks import FloatArray, Grid, IntArray, Patch, Side
 from .faces import Face, QuadGeometry
 from .planes import FLATNESS
 from .topology import Topology
@@ -57,11 +57,14 @@ def guess_roles(grid: Grid, topology: Topology, geometry: QuadGeometry, faces: S
 
 def declared_role(face: Face) -> Role | None:
     """The role that the file declares for a face: by type, then by family and name."""
-    if face.patch is None:
-        return None
-    if face.patch.bc_type in _END_TYPES:
+    return role_of_patch(face.patch) if face.patch is not None else None
+
+
+def role_of_patch(patch: Patch) -> Role | None:
+    """The role that a declaration of the file stands for: by type, then by family and name."""
+    if patch.bc_type in _END_TYPES:
         return Role.END
-    for text in (face.patch.bc_type, face.patch.family, face.patch.name):
+    for text in (patch.bc_type, patch.family, patch.name):
         for role, words in _WORDS:
             if any(word in text.lower() for word in words):
                 return role

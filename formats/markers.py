@@ -1,0 +1,136 @@
+"""The outside faces of a grid in named groups, one per family, as unstructured formats hold them; periodic pairs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from meshdeform_core.grid import BoolArray, FloatArray, Grid, IntArray, Patch, Periodicity, Side
+from meshdeform_core.grid.connectivity import connected_nodes, periodic_rotation
+from meshdeform_core.grid.selection import quads_of_window
+from meshdeform_core.grid.topology import Topology
+from meshdeform_core.numerics.geometry.coincidence import equal_rows
+
+
+@dataclass(frozen=True)
+class Marker:
+    """A named group of outside faces.
+
+    Attributes
+    ----------
+    quads : (n,) face quads of the topology, ascending unless it is one side of a pair
+    patch : the first declaration that it comes from; ``None`` where the file has no name for the faces
+    partner : name of the marker that a periodic motion maps it onto, or that is mapped onto it; else empty
+    motion : the motion from this marker to its partner, as of its first side
+    """
+
+    name: str
+    quads: IntArray
+    patch: Patch | None = None
+    partner: str = ""
+    motion: Periodicity | None = None
+
+
+def find_markers(grid: Grid, topology: Topology) -> list[Marker]:
+    """The outside faces by family, patch (without a family) or block face (without a patch), in the file's order.
+
+    Faces that a declared periodic connection pairs are markers of their own, the second in the order of the first. They
+    keep the name of their family if it has no other faces.
+    """
+    names, patches, group = _named(grid, topology)
+    group[~topology.external] = -1
+    pairs = _pairs(grid, topology)
+    taken = set(names)
+    markers: list[Marker] = []
+    for own, donor, motion in pairs:
+        labels = [_label(names, group, quads, taken, part) for quads, part in ((own, ""), (donor, "_donor"))]
+        if labels[0] == labels[1]:
+            labels = [f"{labels[0]}_1", f"{labels[0]}_2"]
+        declared = [patches[group[quads[0]]] for quads in (own, donor)]
+        markers.append(Marker(labels[0], own, declared[0], labels[1], motion))
+        markers.append(Marker(labels[1], donor, declared[1], labels[0]))
+    for own, donor, _ in pairs:
+        group[own] = group[donor] = -1
+    order = np.argsort(group, kind="stable")
+    ends = np.searchsorted(group[order], np.arange(len(names) + 1))
+    rest = [
+        Marker(name, order[a:b], patch)
+        for name, patch, a, b in zip(names, patches, ends[:-1], ends[1:], strict=True)
+        if b > a
+    ]
+    return [*rest, *markers]
+
+
+def _named(grid: Grid, topology: Topology) -> tuple[list[str], list[Patch | None], IntArray]:
+    """Names of families, patches and block faces, the first patch of each, and the name of every face quad."""
+    first: dict[str, Patch | None] = {}
+    for patch in grid.patches:
+        first.setdefault(patch.family or patch.name, patch)
+    sides = [f"{name}.{side.label}" for name in grid.names for side in Side]
+    for side_name in sides:
+        first.setdefault(side_name, None)
+    index = {name: number for number, name in enumerate(first)}
+    group = np.array([index[name] for name in sides], dtype=np.int64)[topology.quads.block_side]
+    for patch in grid.patches:
+        for window in patch.windows:
+            group[quads_of_window(topology.quads, window)] = index[patch.family or patch.name]
+    return list(first), list(first.values()), group
+
+
+def _label(names: list[str], group: IntArray, quads: IntArray, taken: set[str], part: str) -> str:
+    """The name of one side of a pair: its family's if that has no other faces, else a new one."""
+    numbers = np.unique(group[quads])
+    if len(numbers) == 1 and numbers[0] >= 0 and (group == numbers[0]).sum() == len(quads):
+        return names[numbers[0]]
+    count = 1
+    while f"periodic{count}{part}" in taken:
+        count += 1
+    taken.add(f"periodic{count}{part}")
+    return f"periodic{count}{part}"
+
+
+def _pairs(grid: Grid, topology: Topology) -> list[tuple[IntArray, IntArray, Periodicity]]:
+    """Outside quads on both sides of the periodic connections, a pair of arrays for each motion."""
+    free = topology.external.copy()
+    found: list[tuple[FloatArray, Periodicity, list[tuple[IntArray, IntArray]]]] = []
+    for connection in grid.connections:
+        if connection.periodic is None:
+            continue
+        one, two = (topology.numbers_of(flat) for flat in connected_nodes(grid, connection))
+        own, donor = _paired(topology, free, one, two)
+        if own.size == 0:
+            continue
+        free[own] = free[donor] = False
+        key = _signature(connection.periodic)
+        parts = next((parts for known, _, parts in found if np.allclose(known, key, rtol=0, atol=1e-9)), None)
+        if parts is None:
+            found.append((key, connection.periodic, [(own, donor)]))
+        else:
+            parts.append((own, donor))
+    return [(np.concatenate([p for p, _ in parts]), np.concatenate([q for _, q in parts]), motion)
+            for _, motion, parts in found]  # fmt: skip
+
+
+def _paired(topology: Topology, free: BoolArray, one: IntArray, two: IntArray) -> tuple[IntArray, IntArray]:
+    """Quads whose corners are all in ``one``, and those of their images in ``two``."""
+    image = np.full(topology.n_unique, -1, dtype=np.int64)
+    image[one] = two
+    corners = topology.quads.corners
+    quads = np.flatnonzero(free & (image[corners] >= 0).all(axis=1))
+    candidates = np.flatnonzero(free)
+    rows = np.sort(np.concatenate([image[corners[quads]], corners[candidates]]), axis=1)
+    partner, _ = equal_rows(rows)
+    partner = partner[: len(quads)] - len(quads)
+    matched = partner >= 0
+    own, donor = quads[matched], candidates[partner[matched]]
+    # A quad is not its own image, and belongs to one side only.
+    distinct = (own != donor) & ~np.isin(donor, own)
+    return own[distinct], donor[distinct]
+
+
+def _signature(motion: Periodicity) -> FloatArray:
+    """Numbers that are equal for equal motions: rotation, and translation relative to its size."""
+    shift = np.array(motion.translation)
+    scale = max(float(np.abs(shift).max()), 1e-300)
+    return np.concatenate([periodic_rotation(motion).ravel(), shift / scale])

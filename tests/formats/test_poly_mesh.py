@@ -1,0 +1,255 @@
+"""OpenFOAM meshes as written: judged in plain numpy, and by checkMesh where it is installed."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from poly_mesh_witness import check_mesh, read_mesh, read_points
+
+from meshdeform_cli.main import run
+from meshdeform_core.errors import FormatError
+from meshdeform_core.grid import Connection, Grid, Patch, Periodicity, Side, Window
+from meshdeform_core.quality.cells import block_volume
+from meshdeform_formats import read_grid, write_grid
+from meshdeform_formats.grids import read_grid_with_boundaries
+from meshdeform_formats.openfoam.lists import write_points
+
+THIRD_PARTY = (
+    "717_wl_L2.cgns", "nak_a_141.cgns", "nak_a_141.p3dfmt", "cylinder_ring_4blk.x", "backstep5_4levdn.p3dbin",
+    "shear_3blk_2d.p2dfmt", "StructuredGrid.vts", "SampleStructGrid.vtk", "turek/blockMeshDict",
+)  # fmt: skip
+MAPS = {"nak_a_141.p3dfmt": "nak_a_141.nmf", "backstep5_4levdn.p3dbin": "backstep5_4levdn.nmf",
+        "shear_3blk_2d.p2dfmt": "shear_3blk.nmf"}  # fmt: skip
+VARIANTS = [{"encoding": "ascii"}, {"encoding": "binary"}, {"encoding": "binary", "compression": "gzip"}]
+CASE = """
+[[boundary]]
+name = "top"
+select = ["top"]
+motion = [{ displace = ["0", "0.2*t*x*(1-x)", "0"] }]
+[[boundary]]
+name = "sides"
+select = ["defaultFaces"]
+kind = "slip"
+"""
+DICTIONARY = """FoamFile { version 2.0; format ascii; class dictionary; object blockMeshDict; }
+vertices ((0 0 0) (1 0 0) (1 1 0) (0 1 0) (0 0 0.1) (1 0 0.1) (1 1 0.1) (0 1 0.1));
+blocks (hex (0 1 2 3 4 5 6 7) (6 5 1) simpleGrading (2 1 1));
+boundary (top { type wall; faces ((3 7 6 2)); } bottom { type symmetryPlane; faces ((0 1 5 4)); }
+          in { type patch; faces ((0 4 7 3)); } out { type patch; faces ((1 2 6 5)); });
+"""
+
+
+def box(*counts: int) -> np.ndarray:
+    axes = [np.linspace(0, n / 4, n + 1) for n in counts]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", THIRD_PARTY)
+def test_third_party_grids_are_sound_meshes(name, third_party, tmp_path):
+    map_file = third_party / MAPS[name] if name in MAPS else None
+    grid = read_grid_with_boundaries(third_party / name, map_file)
+    options = VARIANTS[THIRD_PARTY.index(name) % 3]
+    write_grid(grid, tmp_path / "case.foam", options)
+    mesh = read_mesh(tmp_path)
+    mesh.check()
+    assert int(mesh.owner.max()) + 1 == grid.n_cells
+    if grid.dimension == 3:
+        total = sum(abs(block_volume(grid.block(b), 1.0)) for b in range(grid.n_blocks))
+        assert mesh.volumes().sum() == pytest.approx(total, rel=1e-9)
+    said = check_mesh(tmp_path)
+    # The cells of one of the grids are thinner than checkMesh likes: 1 to 10,000.
+    assert "Mesh OK." in said or ("backstep" in name and said.count("***") == 1 and "High aspect ratio" in said)
+
+
+def test_patches_are_families_with_their_types(tmp_path):
+    window = {side: Window(0, side, (0, 0), (3, 3)) for side in Side}
+    grid = Grid.from_blocks([box(3, 3, 3)], patches=(
+        Patch("a", (window[Side.IMIN],), "skin", "BCWallViscous"), Patch("b", (window[Side.IMAX],), "skin"),
+        Patch("mirror", (window[Side.JMIN],), "", "BCSymmetryPlane"), Patch("a b;c", (window[Side.JMAX],)),
+    ))  # fmt: skip
+    write_grid(grid, tmp_path / "case.foam")
+    mesh = read_mesh(tmp_path)
+    mesh.check()
+    assert {name: (e["type"], e["nFaces"]) for name, e in mesh.patches.items()} == {
+        "skin": ("wall", "18"), "mirror": ("symmetryPlane", "9"), "a_b_c": ("patch", "9"),
+        "block1.kmin": ("patch", "9"), "block1.kmax": ("patch", "9"),
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_cyclic_faces_correspond(turned, tmp_path):
+    """Face by face, and corner by corner in opposite order."""
+    x = box(3, 4, 2)
+    center, angle, shift = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0)
+    if turned:
+        radius, phi = 1 + x[..., 0], 0.7 * x[..., 1]
+        x = np.stack([radius * np.cos(phi), radius * np.sin(phi), x[..., 2]], axis=-1)
+        angle, shift = (0.0, 0.0, float(np.degrees(0.7))), (0.0, 0.0, 0.0)
+    motion = Periodicity(center, angle, shift)
+    ends = Connection("p", 0, (0, 0, 0), (3, 0, 2), 0, (0, 4, 0), (3, 4, 2), (1, 2, 3), motion)
+    write_grid(Grid.from_blocks([x], connections=(ends,)), tmp_path / "case.foam", {"encoding": "ascii"})
+    mesh = read_mesh(tmp_path)
+    mesh.check()
+    pair = [name for name, entries in mesh.patches.items() if entries["type"] == "cyclic"]
+    assert len(pair) == 2
+    for one, two in zip(*(mesh.patch_faces(name) for name in pair), strict=True):
+        p, q = mesh.points[one], mesh.points[[two[0], *two[:0:-1]]]
+        if turned:
+            c, s = np.cos(0.7), np.sin(0.7)
+            p = p @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+        np.testing.assert_allclose(p + np.array(shift), q, atol=1e-12)
+    said = check_mesh(tmp_path)
+    assert "Mesh OK." in said
+
+
+def test_collapsed_hexahedra_are_prisms_and_pyramids(tmp_path):
+    x = box(3, 3, 3)
+    wedge, tip = x.copy(), x.copy()
+    wedge[..., 1] *= 0.1 + 0 * x[..., 1]
+    wedge[..., 1] = x[..., 1] * x[..., 0]
+    tip[..., 1:] *= x[..., :1]
+    for number, nodes in enumerate((wedge, tip)):
+        case = tmp_path / str(number)
+        write_grid(Grid.from_blocks([nodes]), case / "case.foam")
+        mesh = read_mesh(case)
+        mesh.check()
+        corners = {len({p for f in np.flatnonzero(mesh.owner == c) for p in mesh.faces[f]}
+                       | {p for f in np.flatnonzero(mesh.neighbour == c) for p in mesh.faces[f]})
+                   for c in range(27)}  # fmt: skip
+        assert corners == ({8, 6} if number == 0 else {8, 5})
+        assert "Mesh OK." in check_mesh(case)
+
+
+def test_left_handed_blocks_and_rings(tmp_path):
+    """A ring closed on itself, left-handed, next to a right-handed block."""
+    r, phi, z = np.meshgrid(np.linspace(1, 2, 4), np.linspace(0, 2 * np.pi, 9), [0, 0.5, 1.0], indexing="ij")
+    ring = np.stack([r * np.cos(phi), r * np.sin(phi), z], axis=-1)
+    ring[:, -1] = ring[:, 0]
+    outer = ring * [1, 1, 1] + np.stack([np.cos(phi), np.sin(phi), 0 * phi], axis=-1)
+    outer[0], outer[:, -1] = ring[-1], outer[:, 0]
+    write_grid(Grid.from_blocks([ring[:, ::-1].copy(), outer]), tmp_path / "case.foam")
+    mesh = read_mesh(tmp_path)
+    mesh.check()
+    assert len(mesh.patches) == 6
+    assert "Mesh OK." in check_mesh(tmp_path)
+    # A ring of a single cell, whose first and last nodes are the same.
+    one_cell = np.stack([ring[:, 0], ring[:, 0]], axis=1)
+    with pytest.raises(FormatError, match="its own neighbour"):
+        write_grid(Grid.from_blocks([one_cell]), tmp_path / "other.foam")
+
+
+def made_case(folder: Path, shuffled: bool = True) -> np.ndarray:
+    """A case with a dictionary and a mesh of it whose points have other numbers; returns them."""
+    (folder / "system").mkdir(parents=True)
+    (folder / "system/blockMeshDict").write_text(DICTIONARY)
+    grid = read_grid(folder / "system/blockMeshDict")
+    write_grid(grid, folder / "x.foam", {"encoding": "ascii"})
+    order = np.random.default_rng(1).permutation(len(read_mesh(folder).points))
+    points = read_mesh(folder).points[order] if shuffled else read_mesh(folder).points
+    write_points(folder / "constant/polyMesh/points", points, "constant/polyMesh", False)
+    return points
+
+
+def test_an_existing_mesh_gets_new_points_only(tmp_path):
+    """Numbers of points, faces and patches stay those of the mesh, whatever they are."""
+    points = made_case(tmp_path / "old")
+    (tmp_path / "case.toml").write_text(CASE)
+    arguments = ["deform", str(tmp_path / "old"), "-c", str(tmp_path / "case.toml"), "--time", "1", "-q"]
+    assert run([*arguments, "-o", str(tmp_path / "new") + "/"]) == 0
+    for name in ("faces", "owner", "neighbour", "boundary"):
+        old, new = ((tmp_path / case / "constant/polyMesh" / name).read_bytes() for case in ("old", "new"))
+        assert old == new
+    moved = read_points(tmp_path / "new/constant/polyMesh/points")
+    top = points[:, 1] == 1
+    x = points[top, 0]
+    np.testing.assert_allclose(moved[top, 1], 1 + 0.2 * x * (1 - x), atol=1e-14)
+    np.testing.assert_array_equal(moved[~top & (points[:, 1] == 0)], points[~top & (points[:, 1] == 0)])
+    np.testing.assert_allclose(moved[:, 2], points[:, 2], atol=1e-15)
+
+
+def test_a_mesh_that_is_not_that_of_the_dictionary_is_refused(tmp_path):
+    points = made_case(tmp_path)
+    other = points.copy()
+    other[17] += 0.003
+    for wrong, message in ((other, "1 points are not where the blocks"), (points[:-1], "83 points.*have 84 nodes"),
+                           (np.vstack([points, points]), "expected at most 84")):  # fmt: skip
+        write_points(tmp_path / "constant/polyMesh/points", wrong, "x", True)
+        with pytest.raises(FormatError, match=message):
+            read_grid(tmp_path)
+    (tmp_path / "constant/polyMesh/points").write_bytes(b"FoamFile { class vectorField; format binary; } 84\n(short")
+    with pytest.raises(FormatError, match="truncated"):
+        read_grid(tmp_path)
+
+
+def test_points_of_six_digits_are_found(tmp_path):
+    points = made_case(tmp_path)
+    text = "\n".join("(" + " ".join(f"{v:.6g}" for v in p) + ")" for p in points.tolist())
+    head = "FoamFile { class vectorField; format ascii; }\n"
+    (tmp_path / "constant/polyMesh/points").write_text(f"{head}{len(points)}\n(\n{text}\n)\n")
+    grid = read_grid(tmp_path)
+    assert np.isin(np.round(grid.points, 9), np.round([[float(f"{v:.6g}") for v in p] for p in points], 9)).all()
+
+
+def test_series_of_points(tmp_path, capsys):
+    made_case(tmp_path / "old", shuffled=False)
+    (tmp_path / "case.toml").write_text(CASE)
+    arguments = ["series", str(tmp_path / "old"), "-c", str(tmp_path / "case.toml"), "--times", "0:1:0.5"]
+    out = tmp_path / "out"
+    assert run([*arguments, "-o", str(out), "-q"]) == 0
+    assert sorted(path.name for path in out.iterdir()) == [
+        "0",
+        "0.5",
+        "1",
+        "constant",
+        "old.foam",
+        "series.json",
+        "system",
+    ]
+    for time in ("0", "0.5", "1"):
+        mesh = read_mesh(out, out / time / "polyMesh/points")
+        mesh.check()
+        top = np.flatnonzero(read_mesh(out).points[:, 1] == 1)
+        x, y, _ = mesh.points[top].T
+        np.testing.assert_allclose(y, 1 + 0.2 * float(time) * x * (1 - x), atol=1e-14)
+    assert "Mesh OK." in check_mesh(out)
+    shutil.rmtree(out / "1")
+    before = (out / "0.5/polyMesh/points").stat().st_mtime_ns
+    assert run([*arguments, "-o", str(out), "-q", "--resume"]) == 0
+    assert (out / "1/polyMesh/points").is_file()
+    assert (out / "0.5/polyMesh/points").stat().st_mtime_ns == before
+    capsys.readouterr()
+    assert run([*arguments, "-o", str(tmp_path / "v"), "--velocity", "first"]) == 2
+    assert "omit --velocity" in capsys.readouterr().err
+
+
+def test_outputs_never_replace_inputs_or_other_meshes(tmp_path, capsys):
+    made_case(tmp_path / "old", shuffled=False)
+    inside = str(tmp_path / "old") + "/"
+    assert run(["convert", inside, inside, "--force"]) == 2
+    assert "would replace" in capsys.readouterr().err
+    box_file, new = tmp_path / "box.xyz", tmp_path / "new"
+    write_grid(Grid.from_blocks([box(2, 2, 2)]), box_file)
+    assert run(["convert", str(box_file), f"{new}/", "-q"]) == 0
+    before = (new / "constant/polyMesh/points").read_bytes()
+    (new / "new.foam").unlink()
+    assert run(["convert", str(box_file), f"{new}/"]) == 2
+    assert "points exists; use --force" in capsys.readouterr().err
+    (new / "constant/polyMesh/cellZones").write_text("")
+    assert run(["convert", str(box_file), f"{new}/", "--force"]) == 2
+    assert "cellZones of another mesh" in capsys.readouterr().err
+    assert (new / "constant/polyMesh/points").read_bytes() == before
+    assert run(["convert", str(box_file), str(tmp_path / "a/b") + "/"]) == 2
+    assert "does not exist" in capsys.readouterr().err
+
+
+def test_invalid_grids_go_to_a_case_of_their_own(tmp_path):
+    made_case(tmp_path / "old", shuffled=False)
+    (tmp_path / "case.toml").write_text(CASE.replace("0.2*t*x*(1-x)", "-8*t*x*(1-x)"))
+    arguments = ["deform", str(tmp_path / "old"), "-c", str(tmp_path / "case.toml"), "--time", "1", "-q"]
+    assert run([*arguments, "-o", str(tmp_path / "new") + "/", "--steps", "1", "--repair", "off"]) == 3
+    assert not (tmp_path / "new/constant").exists()
+    assert (tmp_path / "new.invalid/constant/polyMesh/points").is_file()
