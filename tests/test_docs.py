@@ -59,6 +59,7 @@ def test_commands_and_code_do_what_the_page_says(page, tmp_path, monkeypatch, ca
 
 
 SHELLS = {"sh": ["sh"], "bash -e": ["bash", "-e"]}
+EACH_SHELL = pytest.mark.parametrize("shell", [pytest.param("sh", marks=pytest.mark.slow), "bash -e"])
 SCRIPTS = [(page, text) for page in PAGES for language, text in blocks(page) if language in ("sh", "bash")]
 MAKEFILES = [(page, text) for page in PAGES for language, text in blocks(page) if language == "make"]
 
@@ -76,7 +77,7 @@ def called(*command: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
 
 
-@pytest.mark.parametrize("shell", SHELLS)
+@EACH_SHELL
 @pytest.mark.parametrize(("page", "text"), SCRIPTS, ids=[f"{page.stem}-{n}" for n, (page, _) in enumerate(SCRIPTS)])
 def test_shell_scripts_run(page, text, shell, workshop):
     before = set(workshop.iterdir())
@@ -86,6 +87,7 @@ def test_shell_scripts_run(page, text, shell, workshop):
     assert not list(workshop.glob("*.invalid.*"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shell", SHELLS)
 def test_the_shell_idiom_tells_all_outcomes_apart(shell, workshop):
     (text,) = (text for _, text in SCRIPTS if "case $code" in text)
@@ -98,6 +100,7 @@ def test_the_shell_idiom_tells_all_outcomes_apart(shell, workshop):
     assert called(*SHELLS[shell], "-c", text.replace("grid.cgns", "missing.cgns")).returncode == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("page", "text"), MAKEFILES, ids=[page.stem for page, _ in MAKEFILES])
 def test_makefiles_do_not_take_an_invalid_grid_for_done(page, text, workshop):
     # Repaired, no angle would be too large.

@@ -12,8 +12,6 @@ from meshdeform_formats import read_grid
 from meshdeform_formats.case import read_case
 from meshdeform_samples import SAMPLES, folder, load
 
-pytestmark = pytest.mark.slow
-
 
 def documented(name, command):
     """The first such command of a sample's README, without the program's name."""
