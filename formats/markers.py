@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from meshdeform_core.errors import GridError
 from meshdeform_core.grid import BoolArray, FloatArray, Grid, IntArray, Patch, Periodicity, Side
 from meshdeform_core.grid.connectivity import connected_nodes, periodic_rotation
 from meshdeform_core.grid.selection import quads_of_window
@@ -97,7 +98,11 @@ def _pairs(grid: Grid, topology: Topology) -> list[tuple[IntArray, IntArray, Per
     for connection in grid.connections:
         if connection.periodic is None:
             continue
-        one, two = (topology.numbers_of(flat) for flat in connected_nodes(grid, connection))
+        try:
+            one, two = (topology.numbers_of(flat) for flat in connected_nodes(grid, connection))
+        except GridError:
+            # The set-up warns of a range that its block does not have.
+            continue
         own, donor = _paired(topology, free, one, two)
         if own.size == 0:
             continue

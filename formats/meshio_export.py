@@ -3,14 +3,16 @@
 =========  ======================================================================================
 ``.vtu``   cells with their block number, and the fields that all blocks have
 ``.xdmf``  the same, as one XML file
-``.msh``   Gmsh 2.2: cells and boundary faces in physical groups named after blocks and patches
-``.med``   cells and boundary faces in groups named after blocks and patches
-``.su2``   cells, and a marker for each patch (written here: meshio gives markers numbers, not names)
-``.inp``   Abaqus: cells, and a node set for each patch
+``.msh``   Gmsh 2.2 or 4.1: cells and boundary faces in physical groups named after blocks and families
+``.med``   cells and boundary faces in groups named after blocks and families
+``.su2``   cells, and a marker for each family (written here: meshio gives markers numbers, not names)
+``.inp``   Abaqus: cells, and a node set for each family
 =========  ======================================================================================
 
 Coincident nodes are merged. Cells of left-handed blocks are reordered so that all volumes are positive; collapsed
-hexahedra remain hexahedra. Outside faces without a patch are named after their block face, such as ``block1.imin``.
+hexahedra remain hexahedra. Families and periodic pairs are those of :mod:`meshdeform_formats.markers`. Points are
+numbered in the order of the blocks, k running fastest: first those on block faces, each where it comes first, then
+those inside blocks.
 """
 
 from __future__ import annotations
@@ -25,16 +27,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError
-from meshdeform_core.grid import Field, FileFormat, FloatArray, Grid, IntArray, Side
-from meshdeform_core.grid.selection import quads_of_window
+from meshdeform_core.grid import Field, FileFormat, FloatArray, Grid, IntArray
 from meshdeform_core.grid.topology import Topology, find_topology
 
 from .files import replacing
+from .gmsh_export import Entity, write_msh41
 from .hdf5_output import target
+from .markers import find_markers
 from .variant_options import checked_options
 from .vtk.dataset import storable
 
-_OPTIONS: dict[str, dict[str, tuple[str, ...]]] = {".msh": {"encoding": ("binary", "ascii")}}
+_BOUNDARY = {"boundary": ("false", "true")}
+_OPTIONS: dict[str, dict[str, tuple[str, ...]]] = {
+    ".msh": {"encoding": ("binary", "ascii"), "version": ("2.2", "4.1")},
+    ".vtu": _BOUNDARY,
+    ".xdmf": _BOUNDARY,
+}
 
 _ROWS_AT_ONCE = 10_000
 
@@ -44,7 +52,10 @@ _HEXAHEDRON = (*((i, j, 0) for i, j in _QUAD), *((i, j, 1) for i, j in _QUAD))
 
 
 def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
-    """How to write ``grid``: ``.msh`` takes ``encoding`` (``binary`` or ``ascii``), the others have no options.
+    """How to write ``grid``.
+
+    ``.msh`` takes ``encoding`` (``binary`` or ``ascii``) and ``version`` (``2.2`` or ``4.1``); ``.vtu`` and ``.xdmf``
+    take ``boundary`` (``false`` or ``true``: the outside faces too, with a field ``family``).
 
     Raises
     ------
@@ -107,15 +118,15 @@ def _unstructured(grid: Grid, topology: Topology) -> _Unstructured:
     number[interior] = topology.n_unique + np.arange(len(interior))
     nodes = np.concatenate([topology.first, interior])
     cells = [_cells(grid.block(b, number), int(topology.handedness[b])) for b in range(grid.n_blocks)]
-    names, patch = _patches(grid, topology)
+    markers = find_markers(grid, topology)
     return _Unstructured(
         points=grid.points[nodes],
         nodes=nodes,
         cells=np.concatenate(cells),
         block=np.repeat(np.arange(grid.n_blocks), [len(c) for c in cells]),
-        faces=topology.quads.corners[topology.external],
-        patch=patch,
-        names=names,
+        faces=topology.quads.corners[np.concatenate([marker.quads for marker in markers] or [np.empty(0, np.int64)])],
+        patch=np.repeat(np.arange(len(markers)), [len(marker.quads) for marker in markers]),
+        names=tuple(marker.name for marker in markers),
     )
 
 
@@ -134,27 +145,31 @@ def _cells(number: NDArray[Any], handedness: int) -> IntArray:
     return np.stack([number[tuple(ends[c] for c in corner)].ravel() for corner in corners], axis=1)
 
 
-def _patches(grid: Grid, topology: Topology) -> tuple[tuple[str, ...], IntArray]:
-    """Names of patches and block faces, and the index of its name for each external face of the topology."""
-    names = dict.fromkeys(patch.name for patch in grid.patches)
-    sides = [f"{name}.{side.label}" for name in grid.names for side in Side]
-    index = {name: number for number, name in enumerate([*names, *(side for side in sides if side not in names)])}
-    patch = np.array([index[side] for side in sides])[topology.quads.block_side]
-    for declared in grid.patches:
-        for window in declared.windows:
-            patch[quads_of_window(topology.quads, window)] = index[declared.name]
-    used, patch = np.unique(patch[topology.external], return_inverse=True)
-    labels = tuple(index)
-    return tuple(labels[number] for number in used), patch.reshape(-1)
-
-
 def _write_vtu(grid: Grid, mesh: _Unstructured, path: Path, options: Mapping[str, Any]) -> None:
-    _with_fields(grid, mesh).write(path, file_format="vtu")
+    _of_variant(grid, mesh, options).write(path, file_format="vtu")
 
 
 def _write_xdmf(grid: Grid, mesh: _Unstructured, path: Path, options: Mapping[str, Any]) -> None:
     # The default writes the numbers to a second file, which could not be replaced together with the first.
-    _with_fields(grid, mesh).write(path, file_format="xdmf", data_format="XML")
+    _of_variant(grid, mesh, options).write(path, file_format="xdmf", data_format="XML")
+
+
+def _of_variant(grid: Grid, mesh: _Unstructured, options: Mapping[str, Any]) -> meshio.Mesh:
+    """The cells and, if wanted, the outside faces: ``family`` numbers them from 1, ``family NAME`` marks each."""
+    found = _with_fields(grid, mesh)
+    if options["boundary"] == "false":
+        return found
+    inside, outside = len(mesh.cells), len(mesh.faces)
+    data = {name: [values[0], _missing(values[0], outside)] for name, values in found.cell_data.items()}
+    data["family"] = [np.zeros(inside, np.int32), (mesh.patch + 1).astype(np.int32)]
+    for number, name in enumerate(mesh.names):
+        data[f"family {name}"] = [np.zeros(inside, np.int32), (mesh.patch == number).astype(np.int32)]
+    return meshio.Mesh(mesh.points, _cells_and_faces(mesh), found.point_data, data)
+
+
+def _missing(values: NDArray[Any], count: int) -> NDArray[Any]:
+    """Values of the type of those of the cells for faces, which have none: NaN, or -1."""
+    return np.full((count, *values.shape[1:]), np.nan if values.dtype.kind == "f" else -1).astype(values.dtype)
 
 
 def _with_fields(grid: Grid, mesh: _Unstructured) -> meshio.Mesh:
@@ -177,6 +192,15 @@ def _with_fields(grid: Grid, mesh: _Unstructured) -> meshio.Mesh:
 
 
 def _write_msh(grid: Grid, mesh: _Unstructured, path: Path, options: Mapping[str, Any]) -> None:
+    if options["version"] == "4.1":
+        cells, faces = mesh.kinds
+        entities = [Entity(name, grid.dimension - 1, faces, mesh.faces[mesh.patch == n])
+                    for n, name in enumerate(mesh.names)]  # fmt: skip
+        entities += [Entity(name, grid.dimension, cells, mesh.cells[mesh.block == b])
+                     for b, name in enumerate(grid.names)]  # fmt: skip
+        with path.open("wb") as stream:
+            write_msh41(stream, mesh.points, entities, options["encoding"] == "binary")
+        return
     tags = [mesh.block + 1 + len(mesh.names), mesh.patch + 1]
     dimension = grid.dimension
     groups = {name: np.array([len(mesh.names) + 1 + b, dimension]) for b, name in enumerate(grid.names)}

@@ -76,8 +76,11 @@ def command(
             _write_boundaries(grid, boundaries)
     for note in grid.notes:
         tell(f"warning: {note}")
-    if kind == "meshio" and (grid.patches or grid.connections):
-        tell(f"warning: {target.suffix} files cannot hold the {len(grid.patches)} patches of the grid; they are lost")
+    if target.suffix.lower() in (".vtu", ".xdmf") and options.get("boundary") != "true" and grid.patches:
+        tell(
+            f"warning: {target.suffix} files cannot hold the {len(grid.patches)} patches of the grid; add the outside "
+            "faces with their families by --variant boundary=true"
+        )
     if not quiet:
         beside = f"; boundaries in {boundaries}" if boundaries is not None else ""
         click.echo(f"{target}: {written.label}, {grid.n_blocks} blocks, {grid.n_nodes:,} nodes{beside}")

@@ -8,7 +8,7 @@ import pytest
 from grids import whole_face
 
 from meshdeform_core.errors import FormatError
-from meshdeform_core.grid import Field, Grid, Patch, Side, Window
+from meshdeform_core.grid import Connection, Field, Grid, Patch, Periodicity, Side, Window
 from meshdeform_formats import meshio_export, read_grid, write_grid
 
 FORMATS = {".vtu": "vtu", ".xdmf": "xdmf", ".msh": "gmsh", ".med": "med", ".su2": "su2", ".inp": "abaqus"}
@@ -192,6 +192,77 @@ def test_collapsed_hexahedra_stay_hexahedra(tmp_path):
     assert sorted(len(set(cell)) for cell in cells.tolist()) == [6, 6, 6, 6, 8, 8, 8, 8]
     assert len(mesh.points) == 27 - 6
     assert (volumes(mesh.points, cells) > 0).all()
+
+
+def with_families():
+    """Two blocks whose walls are one family; a periodic pair across y."""
+    grid = two_blocks()
+    family = [Patch(f"w{b}", (whole_face(grid.shapes[b], b, Side.KMIN),), "skin") for b in (0, 1)]
+    motion = Periodicity(translation=(0.0, 1.0, 0.0))
+    pairs = [
+        Connection(f"p{b}", b, (0, 0, 0), (i - 1, 0, k - 1), b, (0, j - 1, 0), (i - 1, j - 1, k - 1), (1, 2, 3), motion)
+        for b, (i, j, k) in enumerate(grid.shapes)
+    ]
+    return dataclasses.replace(grid, patches=tuple(family), connections=tuple(pairs))
+
+
+FAMILIES = {"skin": 4 + 8, "left.imin": 6, "left.kmax": 4, "right.imin": 6, "right.kmax": 8}
+PERIODIC = {"periodic1": 6 + 12, "periodic1_donor": 6 + 12}
+
+
+def test_su2_has_a_marker_per_family_and_side_of_a_pair(tmp_path):
+    mesh = export(with_families(), tmp_path / "a.su2")
+    markers = su2_markers(tmp_path / "a.su2")
+    assert {name: len(rows) for name, rows in markers.items()} == FAMILIES | PERIODIC
+    one, two = (mesh.points[markers[name][:, 1:]].mean(axis=1) for name in PERIODIC)
+    np.testing.assert_allclose(one + [0, 1, 0], two, atol=1e-15)
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "binary"])
+def test_gmsh_41_has_the_same_groups(tmp_path, encoding):
+    grid = with_families()
+    mesh = export(grid, tmp_path / "a.msh", encoding=encoding, version="4.1")
+    assert (tmp_path / "a.msh").read_bytes().startswith(b"$MeshFormat\n4.1 %d 8\n" % (encoding == "binary"))
+    sizes = {}
+    for block, tag in zip(mesh.cells, mesh.cell_data["gmsh:physical"], strict=True):
+        name = next(name for name, (number, _) in mesh.field_data.items() if number == tag[0])
+        sizes[name] = len(block.data)
+    assert sizes == FAMILIES | PERIODIC | {"left": 12, "right": 24}
+    old = export(grid, tmp_path / "b.msh")
+    np.testing.assert_array_equal(mesh.points, old.points)
+    cells = np.concatenate([block.data for block in mesh.cells if block.type == "hexahedron"])
+    np.testing.assert_array_equal(cells, old.cells_dict["hexahedron"])
+
+
+@pytest.mark.parametrize("suffix", [".vtu", ".xdmf"])
+def test_boundary_faces_have_their_family(tmp_path, suffix):
+    mesh = export(with_families(), tmp_path / f"a{suffix}", boundary="true")
+    assert [block.type for block in mesh.cells] == ["hexahedron", "quad"]
+    inside, family = mesh.cell_data["family"]
+    assert (inside == 0).all()
+    names = list(FAMILIES | PERIODIC)
+    assert np.bincount(family)[1:].tolist() == list((FAMILIES | PERIODIC).values())
+    for number, name in enumerate(names, start=1):
+        np.testing.assert_array_equal(mesh.cell_data[f"family {name}"][1] == 1, family == number)
+    assert np.isnan(mesh.cell_data["centre"][1]).all()
+    assert (mesh.cell_data["block"][1] == -1).all()
+
+
+def test_points_are_numbered_as_documented(tmp_path):
+    """Nodes on block faces in the order of the blocks, each where it comes first; then the others."""
+    grid = two_blocks()
+    mesh = export(grid, tmp_path / "a.su2")
+    on_face, inside, seen = [], [], set()
+    for b in range(grid.n_blocks):
+        for ijk in np.ndindex(grid.shapes[b]):
+            point = tuple(grid.block(b)[ijk].tolist())
+            outer = any(n in (0, size - 1) for n, size in zip(ijk, grid.shapes[b], strict=True))
+            if outer and point not in seen:
+                on_face.append(point)
+            seen.add(point)
+            if not outer:
+                inside.append(point)
+    np.testing.assert_array_equal(mesh.points, on_face + inside)
 
 
 def test_unknown_options(tmp_path):
