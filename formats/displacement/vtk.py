@@ -46,6 +46,7 @@ def read_vtk_xml(path: Path) -> DisplacementTable:
         points = [_points(reader, piece, n) for piece, n in zip(pieces, sizes, strict=True)]
         nodes = [read_section(reader, piece, "PointData", n, []) for piece, n in zip(pieces, sizes, strict=True)]
         triangles = [read_piece(reader, piece) for piece in pieces]
+        reader.require_no_rest()
     for numbers, first in zip(triangles, np.cumsum([0, *sizes]), strict=False):
         numbers += first
     try:

@@ -292,7 +292,9 @@ def test_appended_data(tmp_path):
         appended(RAW),
         appended(base64.b64encode(RAW), "base64"),
         appended(b"xxxx" + RAW, offset=4),
-        appended(RAW + b"</VTKFile><Piece &"),
+        appended(b"</VTKFile><Piece &" + RAW, offset=18),
+        appended(RAW + b"\n \t\r\n"),
+        appended(base64.b64encode(RAW) + b"\n", "base64"),
         appended(packed(values), root=ZLIB),
         appended(packed(values[:100], values[100:], sizes=(100, 44)), root=ZLIB),
         appended(packed(values, pack=lzma.compress), root=LZMA),
@@ -321,6 +323,10 @@ BAD_APPENDED = {
     "more blocks than bytes": (
         appended(np.array([2**30, 144, 0], "<u4").tobytes() + b"x" * 99, root=ZLIB), "the size of array Points"
     ),
+    "a line that exists twice": (appended(RAW[:40] + RAW[20:]), "go on after the last array, from byte"),
+    "bytes after the last array": (appended(RAW + b"\n</VTKFile>x"), "go on after the last array, from byte"),
+    "base64 after the last array": (appended(base64.b64encode(RAW) + b"AAAA", "base64"), "go on after the last array"),
+    "blocks after the last array": (appended(packed(PLANE.tobytes()) + b"x", root=ZLIB), "go on after the last array"),
     "lzma that needs memory": (
         appended(
             packed(

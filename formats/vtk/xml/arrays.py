@@ -96,6 +96,39 @@ class ArrayReader:
             raise self.error(element, f"has {name} {word!r}, expected a count")
         return int(word)
 
+    def require_no_rest(self) -> None:
+        """Require that the last appended array ends where the appended data do, white space aside.
+
+        Offsets count from the beginning of the data: bytes inserted into the last array would go unnoticed, and the
+        values after them would be read shifted.
+
+        Raises
+        ------
+        FormatError
+            When other bytes follow the last array.
+        """
+        arrays = [array for array in self.file.root.below() if array.get("format") == "appended"]
+        if not arrays:
+            return
+        end, closing = max(map(self._end_of, arrays)), self.file.appended[1]
+        rest = RawBytes(self._stream, end, closing)
+        while piece := rest.read(_PIECE):
+            if piece.strip(_GAPS):
+                raise FormatError(
+                    f"cannot read {self.file.path}: the appended data go on after the last array, from byte {end} to "
+                    f"{closing}; expected the closing tag there, the file is damaged"
+                )
+
+    def _end_of(self, array: Element) -> int:
+        """Position after an appended array, from its header."""
+        data, place = self._bytes_of(array)
+        if self._compression == "none":
+            (size,) = self._header(array, data, 1, place)
+        else:
+            blocks = self._header(array, data, 3, place)[0]
+            size = sum(self._header(array, data, blocks, place))
+        return data.end_after(size)
+
     def error(self, element: Element, message: str) -> FormatError:
         """An error with the element and its line."""
         what = element.tag

@@ -25,6 +25,9 @@ class ArrayBytes(Protocol):
     def next_segment(self) -> bool:
         """Continue after the header of a compressed array; False if the header did not end there."""
 
+    def end_after(self, count: int) -> int:
+        """Position in the file where the next ``count`` bytes end."""
+
 
 class RawBytes:
     """Raw bytes from ``start`` to ``end`` in the file."""
@@ -43,6 +46,9 @@ class RawBytes:
 
     def next_segment(self) -> bool:
         return True
+
+    def end_after(self, count: int) -> int:
+        return self._position + count
 
 
 class Base64Bytes:
@@ -83,3 +89,6 @@ class Base64Bytes:
 
     def next_segment(self) -> bool:
         return not self._left
+
+    def end_after(self, count: int) -> int:
+        return self._text.end_after(-(-max(0, count - len(self._left)) // 3) * 4)

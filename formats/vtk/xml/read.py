@@ -97,6 +97,7 @@ def read(path: Path) -> DataSet:
         whole = _extent(reader, data_set, "WholeExtent")
         pieces = [_read_piece(reader, data_set, piece, whole, notes) for piece in _pieces(reader, data_set, whole)]
         field_data = read_field_data(reader, data_set, notes)
+        reader.require_no_rest()
     points = _joined_points(path, whole, pieces)
     arrays = [*_joined_arrays(path, whole, pieces, "node"), *_joined_arrays(path, whole, pieces, "cell"), *field_data]
     return DataSet(points, tuple(arrays), file.options, whole.low, notes=tuple(dict.fromkeys(notes)))
