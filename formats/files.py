@@ -124,9 +124,13 @@ def _remove(path: Path) -> None:
 
 
 def remove_partial(folder: Path) -> None:
-    """Remove files that killed runs left in ``folder``: the temporary paths of :func:`replacing`."""
+    """Remove files that killed runs left in ``folder``: the temporary paths of :func:`replacing`.
+
+    Those of processes that still run on this machine stay; whether a process of another machine runs is unknown.
+    """
     for left in folder.glob(".*.partial*"):
-        if not re.fullmatch(r"\..+\.\d+-[0-9a-f]{8}\.partial(\..+)?", left.name):
+        found = re.fullmatch(r"\..+\.(\d+)-([0-9a-f]{4})[0-9a-f]{4}\.partial(\..+)?", left.name)
+        if not found or (found[2] == _host() and _runs(int(found[1]))):
             continue
         _remove(left)
 

@@ -5,8 +5,11 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import pytest
+
+from meshdeform_cli import main
 
 DEFORM = ("deform", "grid.xyz", "-c", "case.toml", "-q")
 
@@ -84,3 +87,13 @@ def test_a_full_stdout_is_named(bench):
     assert done.returncode == 2
     assert "error: cannot write to stdout: No space left on device" in done.stderr
     assert (bench / "out.xyz").exists()
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full")
+def test_what_the_last_flush_cannot_write_is_an_error(monkeypatch, capsys):
+    """A library may print without flushing; the loss shows only when the program ends."""
+    monkeypatch.setattr(main, "cli", SimpleNamespace(main=lambda **_: print("done", end="")))
+    with open("/dev/full", "w") as full:
+        monkeypatch.setattr(sys, "stdout", full)
+        assert main.run([]) == 2
+    assert capsys.readouterr().err == "meshdeform: error: cannot write to stdout: No space left on device\n"

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
 from pathlib import Path
+from unittest.mock import Mock
 from xml.etree import ElementTree
 
 import h5py
@@ -22,6 +25,7 @@ from vtkmodules.vtkIOParallel import vtkPlot3DMetaReader
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Grid
 from meshdeform_formats import read_grid, write_grid
+from meshdeform_formats.files import remove_partial, replacing
 from meshdeform_formats.series.files import LevelFiles, SingleFile
 
 TIMES = (0.0, 0.5, 2.0)
@@ -238,6 +242,30 @@ def test_a_file_that_holds_a_series_takes_no_second_one(tmp_path):
     written(frame(), tmp_path, "wing.cgns", SingleFile, "none")
     with pytest.raises(FormatError, match="already holds a series"):
         SingleFile(read_grid(tmp_path / "wing.cgns"), tmp_path, "again.cgns", TIMES, {}, "none")
+
+
+def test_what_another_program_is_writing_stays(tmp_path):
+    """Only processes that no longer run leave files behind; the name says which process writes."""
+    with replacing(tmp_path / "wing.xyz") as partial, subprocess.Popen(["sleep", "60"]) as other:
+        partial.write_text("x")
+        theirs, gone = (
+            partial.with_name(partial.name.replace(f".{os.getpid()}-", f".{n}-")) for n in (other.pid, 2**22)
+        )
+        for path in (theirs, gone):
+            path.write_text("x")
+        remove_partial(tmp_path)
+        assert (partial.exists(), theirs.exists(), gone.exists()) == (True, True, False)
+        other.kill()
+
+
+def test_a_process_of_another_user_counts_as_running(tmp_path, monkeypatch):
+    with replacing(tmp_path / "wing.xyz") as partial:
+        theirs = partial.with_name(partial.name.replace(f".{os.getpid()}-", ".1-"))
+        for path in (partial, theirs):
+            path.write_text("x")
+        monkeypatch.setattr(os, "kill", Mock(side_effect=PermissionError))
+        remove_partial(tmp_path)
+        assert theirs.exists()
 
 
 def test_what_a_killed_program_left_is_removed_and_nothing_else(tmp_path):
