@@ -48,7 +48,7 @@ def forecast(setup: Setup, time: float, steps: int | str | None, precision: str)
     motion = setup.displacement(time)
     contact = find_contact(setup.grid, setup.topology, setup.boundary, functools.partial(setup.displacement, time))
     pinned = find_pinned(setup.grid, setup.topology, setup.boundary, motion)
-    certain = [found.message for found in (contact, pinned) if found]
+    certain: list[str] = [found.message for found in (contact, pinned) if found]
     count = steps if isinstance(steps, int) else 1
     if setup.grid.n_nodes * count > TRIAL_NODES:
         return [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import time as clock
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
@@ -18,6 +19,7 @@ from meshdeform_core.errors import CaseError, FormatError, MeshDeformError
 from meshdeform_core.grid import Grid
 from meshdeform_core.memory import WRITING_ARRAYS, peak_memory
 from meshdeform_core.methods import make_method
+from meshdeform_core.notices import first_of_each_kind, kind_of
 from meshdeform_core.parallel import current_ranks, thread_count
 from meshdeform_core.series import Level, Schedule, deform_series
 from meshdeform_formats.case import CaseFile
@@ -163,6 +165,7 @@ def _keep_what_exists(run: Run, manifest: Manifest) -> None:
         return
     gone = [number for number in range(len(manifest.levels)) if not run.files.has(number)]
     manifest.levels = manifest.levels[: gone[0]] if gone else manifest.levels
+    manifest.kinds = manifest.kinds[: len(manifest.levels)]
     run.files.recall(manifest.levels)
     manifest.complete = False
 
@@ -289,15 +292,18 @@ def _record(run: Run, level: Level, beside: bool = False) -> None:
     with contextlib.nullcontext() if beside else writing(level.result.grid.points.nbytes):
         files.write(level.number, level.result.grid, level.velocity, level.faces)
     manifest.head = manifest.head or series_head(level)
-    warned = [*manifest.head["warnings"], *(text for done in manifest.levels for text in done["warnings"])]
+    known = [*map(kind_of, level.result.setup.warnings), *itertools.chain(*manifest.kinds)]
+    warnings = first_of_each_kind(level.result.warnings, known)
     seconds = clock.perf_counter() - before
-    record = level_record(level, files.path(level.number).name, seconds, manifest.head, warned)
+    record = level_record(level, files.path(level.number).name, seconds, manifest.head, warnings)
     manifest.levels.append(record)
+    manifest.kinds.append([kind_of(text) for text in warnings])
     try:
         manifest.save()
     except BaseException:
         # A signal's message tells how many levels are recorded.
         manifest.levels.pop()
+        manifest.kinds.pop()
         raise
     if level.number + 1 < len(run.schedule.times):
         with run.timing.stage("publish"):

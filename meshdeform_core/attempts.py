@@ -10,6 +10,7 @@ from .boundary.pinned import find_pinned
 from .errors import MethodError
 from .march import March, Trial
 from .methods import Options
+from .notices import Notice
 from .repair.repair import COLLAPSING, HASTILY, QUICKLY
 
 MAX_HALVINGS = 8
@@ -49,10 +50,11 @@ def adaptively(march: March) -> None:
             increment /= 2
         else:
             march.failed = trial
-            march.warnings.append(
+            text = (
                 f"only {march.fraction:.1%} of the motion was imposed; a further step of {increment:.2%} makes cells "
                 f"invalid. The grid reached so far is kept"
             )
+            march.warnings.append(Notice(text, "a part of the motion"))
             return
 
 
@@ -135,7 +137,7 @@ def _with_other_methods(march: March, names: tuple[str, ...]) -> Iterator[Trial]
         try:
             yield march.trial(1.0)
         except MethodError as error:
-            march.warnings.append(f"{name} was not tried: {error}")
+            march.warnings.append(Notice(f"{name} was not tried: {error}", f"{name} not tried"))
 
 
 @dataclass(frozen=True)
@@ -153,7 +155,7 @@ def _find_impossible(march: March) -> _Impossible | None:
     pinned = find_pinned(setup.grid, setup.topology, setup.boundary, march.total)
     if contact is None:
         setup.examined.append(march.max_displacement)
-    reasons = [found.message for found in (contact, pinned) if found]
+    reasons: list[str] = [found.message for found in (contact, pinned) if found]
     return _Impossible(reasons, contact.fraction if contact else 1.0) if reasons else None
 
 
@@ -162,7 +164,8 @@ def _give_up(march: March) -> None:
     if march.limit.reached:
         march.warnings.append(f"the time limit of {march.limit.seconds:g} s was reached ([repair] time_limit)")
     part = f"only for {reached:.1%} of it" if reached else "nor for any part of it that was tried"
-    march.warnings.append(
+    text = (
         f"no valid grid was found for the whole motion, {part}. The grid kept has the whole "
         f"motion and the fewest invalid cells of {len(march.attempts)} attempts"
     )
+    march.warnings.append(Notice(text, "no valid grid"))

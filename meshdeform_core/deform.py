@@ -14,6 +14,7 @@ from .march import Attempt, March
 from .memory import UNLIMITED, MemoryLimit
 from .methods import Account, Progress
 from .methods.limits import PatchMotion, patch_motions
+from .notices import Notice
 from .parallel import Task
 from .quality import Assessment, assess
 from .repair.repair import COLLAPSING, Repair
@@ -190,10 +191,11 @@ def _overlaps(march: March, assessment: Assessment, beside: _Beside) -> list[str
     with march.timing.stage("quality"):
         crossings = beside.crossings.result()
     if crossings:
-        return [
+        text = (
             f"the moved boundary crosses itself: {crossings[0]}. The cells are valid one by one, but the grid overlaps "
             f"itself there"
-        ]
+        )
+        return [Notice(text, f"crossing of {' and '.join(crossings[0].patches)}")]
     march.setup.examined.append(march.max_displacement)
     return []
 
@@ -203,7 +205,8 @@ def _nearly_collapsed(assessment: Assessment) -> list[str]:
     if not assessment.valid or worst.value >= COLLAPSING:
         return []
     x, y, z = worst.center
-    return [
+    text = (
         f"cell {worst.block} {worst.ijk} at ({x:.6g}, {y:.6g}, {z:.6g}) is valid but nearly collapsed: a Jacobian is "
         f"{worst.value:.2g} of its original value"
-    ]
+    )
+    return [Notice(text, "nearly collapsed cell")]

@@ -15,6 +15,7 @@ from .errors import MethodError
 from .grid import FloatArray
 from .grid.precision import rounded
 from .methods import Account, Options, PreparedMethod, Problem, Progress, make_method
+from .notices import Notice, first_of_each_kind, kind_of
 from .parallel import empty, for_rows
 from .quality.comparison import Comparison
 from .quality.validity import Verdict, judge
@@ -96,7 +97,7 @@ class March:
         self.total = self.motion(1.0)
         self.max_displacement = largest_displacement(self.total)
         # Tables of a sequence are read only when their time comes.
-        self.warnings += self.setup.boundary.tables.warnings()
+        self.warnings += first_of_each_kind(self.setup.boundary.tables.warnings(), map(kind_of, self.warnings))
         # In a series, a level may have no displacement.
         if alone and self.max_displacement == 0.0:
             self.warnings.append("nothing moves: the displacement is zero everywhere")
@@ -108,10 +109,11 @@ class March:
         departure = self.setup.boundary.slip.departure(self.total)
         # A motion that returns to zero leaves round-off in all directions.
         if departure > 1e-6 * self.max_displacement and departure > self.setup.round_off:
-            self.warnings.append(
+            text = (
                 f"the motion carries nodes out of a slip or symmetry plane by up to {departure:.3g}; "
                 f"the plane follows there; its other nodes stay in it"
             )
+            self.warnings.append(Notice(text, "motion out of a sliding plane"))
 
     def _coarsely_rounded(self) -> list[str]:
         """A warning if rounding coordinates to the precision of the output changes a visible part of the motion."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import io
 import os
-import re
 import sys
 from collections.abc import Iterable
 from typing import TextIO
@@ -13,6 +12,7 @@ from typing import TextIO
 import click
 
 from meshdeform_core.errors import CaseError
+from meshdeform_core.notices import first_of_each_kind, kind_of
 
 
 def tell(message: str) -> None:
@@ -22,7 +22,7 @@ def tell(message: str) -> None:
 
 
 class Warnings:
-    """Prints every warning once on stderr, even with ``-q``; with ``--strict`` warnings end the command."""
+    """Prints the first warning of each kind on stderr, even with ``-q``; with ``--strict`` warnings end the command."""
 
     def __init__(self, strict: bool = False):
         self._strict = strict
@@ -36,17 +36,13 @@ class Warnings:
         CaseError
             With ``--strict``, if there are any.
         """
-        # The levels of a series repeat a warning with different numbers.
-        new = [text for text in dict.fromkeys(warnings) if _without_numbers(text) not in self._told]
+        new = first_of_each_kind(warnings, self._told)
         for text in new:
             tell(f"warning: {text}")
-        self._told.update(map(_without_numbers, new))
+        # Reports that were read from a file have the texts only.
+        self._told.update(*((kind_of(text), str(text)) for text in new))
         if self._strict and new:
             raise CaseError(f"{'a warning' if len(new) == 1 else f'{len(new)} warnings'} (see above) and --strict")
-
-
-def _without_numbers(text: str) -> str:
-    return re.sub(r"\d+(\.\d+)?(e[-+]?\d+)?", "#", text)
 
 
 def open_streams() -> None:

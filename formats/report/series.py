@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import re
 from collections.abc import Mapping, Sequence
 
 from meshdeform_core.series import Level, Schedule
@@ -25,15 +24,13 @@ def series_head(level: Level) -> Report:
     }
 
 
-def level_record(level: Level, file: str, write_seconds: float, head: Report, warned: Sequence[str]) -> Report:
+def level_record(level: Level, file: str, write_seconds: float, head: Report, warnings: Sequence[str]) -> Report:
     """One level of the report.
 
-    ``method`` has the parameters that differ from those in ``head``; ``warnings`` those that no earlier level gave
-    (``warned``), regardless of the numbers in them; at most 20 invalid cells are listed.
+    ``method`` has the parameters that differ from those in ``head``; ``warnings`` are the level's new ones; at most 20
+    invalid cells are listed.
     """
     result = level.result
-    known = {_without_numbers(text) for text in warned}
-    warnings = {_without_numbers(text): text for text in reversed(result.warnings)}
     method = method_part(result.setup.case.method.name, result.account)
     seconds = {**level.timing.seconds, "write": write_seconds}
     return {
@@ -52,12 +49,8 @@ def level_record(level: Level, file: str, write_seconds: float, head: Report, wa
         "invalid_groups": [dataclasses.asdict(group) for group in result.assessment.groups],
         "method": {key: value for key, value in method.items() if head["method"].get(key) != value},
         "timing": {**seconds, "total": sum(seconds.values())},
-        "warnings": [text for key, text in warnings.items() if key not in known],
+        "warnings": list(warnings),
     }
-
-
-def _without_numbers(text: str) -> str:
-    return re.sub(r"\d+(\.\d+)?(e[-+]?\d+)?", "#", text)
 
 
 def series_report(

@@ -32,6 +32,7 @@ class Manifest:
     ingredients : everything that the levels depend on, see :func:`ingredients_of`
     head : the part of the report that all levels share; empty before the first one
     levels : a record of each finished level, in order
+    kinds : for each finished level the kinds of the warnings that no level before it gave
     complete : whether all outputs are in their final place
     """
 
@@ -39,6 +40,7 @@ class Manifest:
     ingredients: dict[str, Any]
     head: dict[str, Any] = field(default_factory=dict)
     levels: list[dict[str, Any]] = field(default_factory=list)
+    kinds: list[list[str]] = field(default_factory=list)
     complete: bool = False
 
     def save(self) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from ..errors import MotionError
 from ..grid import BoolArray, FloatArray, IntArray
 from ..grid.topology import Topology
+from ..notices import Notice
 from .frames import far_points, other_frame
 from .matching import Nodes, Transfer
 from .motion import PreparedMotion
@@ -26,11 +27,22 @@ _ABRUPT = 1e-2
 
 @dataclass(frozen=True)
 class _Use:
-    """A table as one boundary entry uses it; ``quads`` are the faces that the entry selects."""
+    """A table as one boundary entry uses it.
+
+    Attributes
+    ----------
+    quads : the faces that the entry selects
+    place : which table of which entry this is; the tables of a sequence have the same
+    """
 
     match: Transfer
     nodes: Nodes
     quads: IntArray
+    place: str
+
+    def notice(self, what: str, text: str) -> Notice:
+        """A warning about the table."""
+        return Notice(f"{self.match.label}{text}", f"{what} of {self.place}")
 
 
 class Tables:
@@ -44,29 +56,18 @@ class Tables:
     def __init__(self, topology: Topology, movers: Sequence[tuple[IntArray, PreparedMotion]]):
         self._topology, self._movers = topology, movers
         self._checked: list[Transfer] = []
-        self._told: set[str] = set()
+        self._found: list[Notice] = []
 
-    def warnings(self) -> list[str]:
-        """Warnings about the tables now in use that no earlier ones gave rise to, see :func:`table_warnings`."""
+    def warnings(self) -> list[Notice]:
+        """Warnings about the tables now in use, see :func:`table_warnings`."""
         matches = [match for _, motion in self._movers for match in motion.matches]
-        if len(matches) == len(self._checked) and all(a is b for a, b in zip(matches, self._checked, strict=True)):
-            return []
-        self._checked = matches
-        labels = {match.label for match in matches}
-        found = {_without(labels, text): text for text in table_warnings(self._topology, self._movers)}
-        new = [text for key, text in found.items() if key not in self._told]
-        self._told |= found.keys()
-        return new
+        if len(matches) != len(self._checked) or any(a is not b for a, b in zip(matches, self._checked, strict=True)):
+            self._found = table_warnings(self._topology, self._movers)
+            self._checked = matches
+        return self._found
 
 
-def _without(labels: set[str], text: str) -> str:
-    """A warning without the names of tables: the same warning about all tables of a sequence is told once."""
-    for label in labels:
-        text = text.replace(label, "")
-    return text
-
-
-def table_warnings(topology: Topology, movers: Sequence[tuple[IntArray, PreparedMotion]]) -> list[str]:
+def table_warnings(topology: Topology, movers: Sequence[tuple[IntArray, PreparedMotion]]) -> list[Notice]:
     """Warnings about tables and the walls that they move.
 
     Parameters
@@ -78,7 +79,11 @@ def table_warnings(topology: Topology, movers: Sequence[tuple[IntArray, Prepared
     MotionError
         When most of a table lies off the walls, or it moves single nodes among others that stay.
     """
-    uses = [_Use(match, motion.nodes, quads) for quads, motion in movers for match in motion.matches]
+    uses = [
+        _Use(match, motion.nodes, quads, f"table {number} of entry {entry}")
+        for entry, (quads, motion) in enumerate(movers)
+        for number, match in enumerate(motion.matches)
+    ]
     tables: dict[tuple[str, int, float], list[_Use]] = {}
     for use in uses:
         points = use.match.points
@@ -90,34 +95,35 @@ def table_warnings(topology: Topology, movers: Sequence[tuple[IntArray, Prepared
     return notes
 
 
-def _without_z(use: _Use) -> list[str]:
+def _without_z(use: _Use) -> list[Notice]:
     if use.nodes.grid.dimension == 2 or not use.match.plane:
         return []
-    return [
-        f"{use.match.label} has two components of the displacement, the grid is three-dimensional: nodes do not move "
-        f"in z. Give dz as well; a column of zeros if this is meant"
-    ]
+    text = (
+        " has two components of the displacement, the grid is three-dimensional: nodes do not move in z. Give dz as "
+        "well; a column of zeros if this is meant"
+    )
+    return [use.notice("missing z", text)]
 
 
-def _unused(uses: Sequence[_Use]) -> list[str]:
+def _unused(uses: Sequence[_Use]) -> list[Notice]:
     """Points of one table that lie on none of the faces that it moves."""
-    points, label = uses[0].match.points, uses[0].match.label
+    points = uses[0].match.points
     far = np.logical_and.reduce([far_points(points, use.nodes) for use in uses])
     if not far.any():
         return []
     hint = next((text for use in uses if (text := other_frame(points, use.nodes))), "")
     first = int(np.argmax(far))
     text = (
-        f"{label}: {int(far.sum())} of {len(points)} table points lie on no face that the table moves, first "
+        f": {int(far.sum())} of {len(points)} table points lie on no face that the table moves, first "
         f"{points[first].tolist()}{hint}"
     )
     partial = any(use.match.partial for use in uses)
     if far.mean() > _MOST and (partial or hint):
-        raise MotionError(f"{text}; expected a table of the wall, in the grid's length unit")
-    return [text]
+        raise MotionError(f"{uses[0].match.label}{text}; expected a table of the wall, in the grid's length unit")
+    return [uses[0].notice("unused points", text)]
 
 
-def _gaps(topology: Topology, use: _Use) -> list[str]:
+def _gaps(topology: Topology, use: _Use) -> list[Notice]:
     """Moving nodes among others that the table does not move."""
     match, nodes = use.match, use.nodes
     if match.matched.all():
@@ -133,13 +139,13 @@ def _gaps(topology: Topology, use: _Use) -> list[str]:
     count = int(match.matched.sum())
     if single.size:
         text = (
-            f"{match.label}: {single.size} of the {count} nodes that it moves belong to no face that moves as a whole, "
+            f": {single.size} of the {count} nodes that it moves belong to no face that moves as a whole, "
             f"first {nodes.label(int(single[0]))}: their neighbours have no match and stay"
             f"{other_frame(match.points, nodes)}. {_remedy(match.how)}"
         )
         if single.size > _MOST * count:
-            raise MotionError(text)
-        return [text]
+            raise MotionError(f"{match.label}{text}")
+        return [use.notice("single nodes", text)]
     return _abrupt_end(use, corners, whole, mixed)
 
 
@@ -149,7 +155,7 @@ def _remedy(how: str) -> str:
     return 'Use match = "interpolate", or a table of all nodes of the wall'
 
 
-def _abrupt_end(use: _Use, corners: IntArray, whole: BoolArray, mixed: BoolArray) -> list[str]:
+def _abrupt_end(use: _Use, corners: IntArray, whole: BoolArray, mixed: BoolArray) -> list[Notice]:
     """A warning if the motion ends with a jump in the middle of a smooth wall."""
     nodes, match = use.nodes, use.match
     direction = _directions(nodes.points[corners])
@@ -166,10 +172,11 @@ def _abrupt_end(use: _Use, corners: IntArray, whole: BoolArray, mixed: BoolArray
         return []
     ends = np.unique(corners[mixed][torn & smooth])
     worst = int(ends[np.argmax(step[ends])])
-    return [
-        f"{match.label}: the motion ends abruptly at {int(found.sum())} faces of a smooth wall, where nodes that move "
-        f"by up to {step[worst]:.3g} (at {nodes.label(worst)}) have neighbours without a match, which stay"
-    ]
+    text = (
+        f": the motion ends abruptly at {int(found.sum())} faces of a smooth wall, where nodes that move by up to "
+        f"{step[worst]:.3g} (at {nodes.label(worst)}) have neighbours without a match, which stay"
+    )
+    return [use.notice("abrupt end", text)]
 
 
 def _directions(points: FloatArray) -> FloatArray:
@@ -182,29 +189,32 @@ def _directions(points: FloatArray) -> FloatArray:
     return np.asarray(vector / np.where(size > 0, size, 1.0))
 
 
-def _distances(use: _Use) -> list[str]:
+def _distances(use: _Use) -> list[Notice]:
     """Warnings about nodes that take the value of a distant point, or that lie beyond the table's surface."""
     match, nodes = use.match, use.nodes
     if match.how == "interpolate":
         out = match.matched & (match.beyond > nodes.edge)
         if not out.any():
             return []
-        return [
-            f"{match.label}: {int(out.sum())} nodes lie beyond the table, by up to {match.beyond[out].max():.3g}; "
-            f"their displacement is extrapolated"
-        ]
+        text = (
+            f": {int(out.sum())} nodes lie beyond the table, by up to {match.beyond[out].max():.3g}; their "
+            f"displacement is extrapolated"
+        )
+        return [use.notice("extrapolation", text)]
     off = match.matched & (match.distance > _OFFSET * nodes.edge)
     notes = []
     if off.any():
-        notes.append(
-            f"{match.label}: {int(off.sum())} of {int(match.matched.sum())} nodes lie up to "
-            f"{match.distance[off].max():.3g} away from the table point whose displacement they take "
-            f'(match = "{match.how}"); "interpolate" interpolates between the table points'
+        text = (
+            f": {int(off.sum())} of {int(match.matched.sum())} nodes lie up to {match.distance[off].max():.3g} away "
+            f'from the table point whose displacement they take (match = "{match.how}"); "interpolate" interpolates '
+            f"between the table points"
         )
+        notes.append(use.notice("distance", text))
     taken = match.used[0]
     if match.how == "nearest" and taken < 0.9 * match.matched.sum():
-        notes.append(
-            f"{match.label}: {int(match.matched.sum())} nodes share the displacements of {taken} table points, "
-            f'stepwise; use match = "interpolate"'
+        text = (
+            f": {int(match.matched.sum())} nodes share the displacements of {taken} table points, stepwise; use "
+            f'match = "interpolate"'
         )
+        notes.append(use.notice("shared points", text))
     return notes

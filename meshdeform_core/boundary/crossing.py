@@ -22,6 +22,7 @@ import scipy
 from ..grid import BoolArray, FloatArray, Grid, IntArray
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology
+from ..notices import Notice
 from ..numerics.geometry.crossing import crossing_faces, near_faces
 from ..numerics.geometry.overlap import BESIDE, ORDINARY, SLIDING
 from ..numerics.geometry.solid_angle import plane_winding, winding
@@ -73,11 +74,13 @@ class Contact:
     crossings: tuple[Crossing, ...]
 
     @property
-    def message(self) -> str:
-        """Warning text: which patches meet, where and when."""
+    def message(self) -> Notice:
+        """Warning: which patches meet, where and when."""
         what = str(self.crossings[0]) if self.crossings else "a part of it lies outside the grid"
         verdict = "the moved boundary crosses itself, so no valid grid exists"
-        return f"{verdict}: from {self.fraction:.2%} of the motion onwards {what}"
+        where = " and ".join(self.crossings[0].patches) if self.crossings else "the outer boundary"
+        text = f"{verdict}: from {self.fraction:.2%} of the motion onwards {what}"
+        return Notice(text, f"no valid grid: crossing of {where}")
 
 
 def find_contact(

@@ -9,6 +9,7 @@ import numpy as np
 from ..grid import BoolArray, FloatArray, Grid, IntArray
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology
+from ..notices import Notice
 from .classification import Boundary
 
 # Corners of undeformed cells flatter than this, relative to the product of their edges, are collapsed and not judged.
@@ -32,18 +33,19 @@ class PinnedCells:
     center: tuple[float, float, float]
 
     @property
-    def message(self) -> str:
-        """Warning text: what is wrong and where."""
+    def message(self) -> Notice:
+        """Warning: what is wrong and where."""
         place = ", ".join(f"{x:.6g}" for x in self.center)
         cells = (
             "1 cell, whose nodes are all prescribed, is"
             if self.count == 1
             else f"{self.count} cells, whose nodes are all prescribed, are"
         )
-        return (
+        text = (
             f"{cells} inverted by the motion of the boundary itself, so no valid grid exists: first in {self.block} at "
             f"{self.ijk}, around ({place})"
         )
+        return Notice(text, f"prescribed cells inverted in {self.block}")
 
 
 def find_pinned(grid: Grid, topology: Topology, boundary: Boundary, displacement: FloatArray) -> PinnedCells | None:

@@ -19,6 +19,7 @@ from ..grid.planes import plane_normal
 from ..grid.sides import end_planes, side_numbers
 from ..grid.topology import Topology, inward_step, side_nodes
 from ..memory import UNLIMITED, MemoryLimit
+from ..notices import Notice
 from ..numerics.arrays import distinct_pairs, total
 from ..numerics.geometry.coincidence import distinct
 from ..numerics.rotation import SurfaceRotations
@@ -172,7 +173,7 @@ class Account:
         """Set the warning of a kind, or with ``None`` withdraw the one from an earlier displacement."""
         self.notices.pop(kind, None)
         if warning:
-            self.notices[kind] = warning
+            self.notices[kind] = Notice(warning, kind)
 
     @property
     def warnings(self) -> list[str]:

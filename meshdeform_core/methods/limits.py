@@ -13,6 +13,7 @@ import numpy as np
 
 from ..boundary import Kind
 from ..grid import FloatArray
+from ..notices import Notice
 from ..numerics.arrays import lengths, total
 from .base import Problem
 
@@ -74,7 +75,8 @@ def warn_of_rotation(problem: Problem, displacement: FloatArray, limit: float, w
     angle = largest_rotation(problem, displacement)
     if angle <= limit:
         return []
-    return [f"walls turn by up to {angle:.0f} degrees; beyond about {limit:.0f}, {what}: {advice}"]
+    text = f"walls turn by up to {angle:.0f} degrees; beyond about {limit:.0f}, {what}: {advice}"
+    return [Notice(text, "rotation of walls")]
 
 
 def warn_of_alpha(full: float, cap: float) -> list[str]:
@@ -82,10 +84,11 @@ def warn_of_alpha(full: float, cap: float) -> list[str]:
     if full <= cap:
         return []
     steps = math.ceil(full / cap)
-    return [
+    text = (
         f"eq. 18 gives alpha = {full:.3g} for so large a step; values above {cap} cross cells, so {cap} is used. Take "
         f"at least {steps} steps (--steps {steps}), or set method.idw.alpha"
-    ]
+    )
+    return [Notice(text, "alpha above its largest value")]
 
 
 def warn_of_radius(radius: float, terms: FloatArray, values: FloatArray) -> list[str]:
@@ -99,10 +102,11 @@ def warn_of_radius(radius: float, terms: FloatArray, values: FloatArray) -> list
     largest = float(np.linalg.norm(values - linear, axis=1).max())
     if 2.0 * largest <= radius:
         return []
-    return [
+    text = (
         f"the support radius {radius:.4g} is less than twice the largest displacement {largest:.4g} of a step (linear "
         f'part removed): cells will cross around it; use a larger method.rbf.radius, or "auto", or more steps'
-    ]
+    )
+    return [Notice(text, "support radius")]
 
 
 def warn_of_coarse_tolerance(tolerance: FloatArray, height: FloatArray, corrected: bool) -> str | None:

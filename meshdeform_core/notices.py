@@ -1,0 +1,39 @@
+"""Warnings and their kinds, by which repeated ones are recognised."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+
+class Notice(str):
+    """Text of a warning that may be given again with other figures, for example at every level of a series.
+
+    ``kind`` names the finding and what it concerns (patches, blocks), without figures. Of several warnings of one kind
+    users see the first. A plain string is a kind of its own.
+    """
+
+    __slots__ = ("kind",)
+    kind: str
+
+    def __new__(cls, text: str, kind: str) -> Notice:
+        notice = super().__new__(cls, text)
+        notice.kind = kind
+        return notice
+
+    def __getnewargs__(self) -> tuple[str, str]:  # type: ignore[override]
+        return str(self), self.kind
+
+
+def kind_of(warning: str) -> str:
+    """The kind of a warning; of a plain string the text itself."""
+    return warning.kind if isinstance(warning, Notice) else warning
+
+
+def first_of_each_kind(warnings: Iterable[str], known: Iterable[str] = ()) -> list[str]:
+    """The warnings whose kind is not in ``known``, the first one of each kind."""
+    seen, new = set(known), []
+    for warning in warnings:
+        if kind_of(warning) not in seen:
+            seen.add(kind_of(warning))
+            new.append(warning)
+    return new
