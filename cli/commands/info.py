@@ -71,13 +71,14 @@ def gather(grid: Grid, file: str) -> dict[str, Any]:
     from meshdeform_core.grid.openings import find_openings
     from meshdeform_core.grid.surfaces import find_outside, thin_direction
     from meshdeform_core.grid.topology import find_topology
+    from meshdeform_core.numerics.arrays import extent
 
     topology = find_topology(grid)
     outside = find_outside(grid, topology)
     thin = thin_direction(grid)
     sides = [f"{name}.{side}" for name in grid.names for side in ("imin", "imax", "jmin", "jmax", "kmin", "kmax")]
     external = np.bincount(topology.quads.block_side[topology.external], minlength=len(sides))
-    low, high = grid.points.min(axis=0), grid.points.max(axis=0)
+    low, high = extent(grid.points)
     return {
         "file": file,
         "format": grid.format.label if grid.format else None,
@@ -108,12 +109,14 @@ def gather(grid: Grid, file: str) -> dict[str, Any]:
 
 
 def _blocks(grid: Grid, topology: Topology) -> list[dict[str, Any]]:
+    from meshdeform_core.numerics.arrays import extent
+
     return [
         {
             "name": name,
             "nodes": list(shape),
             "handedness": "right" if hand > 0 else "left",
-            "bbox": [grid.block(b).min(axis=(0, 1, 2)).tolist(), grid.block(b).max(axis=(0, 1, 2)).tolist()],
+            "bbox": [corner.tolist() for corner in extent(grid.block(b))],
         }
         for b, (name, shape, hand) in enumerate(zip(grid.names, grid.shapes, topology.handedness, strict=True))
     ]

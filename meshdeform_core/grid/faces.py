@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -35,8 +36,9 @@ class QuadGeometry:
     outward: FloatArray
     height: FloatArray
 
-    @property
+    @cached_property
     def area(self) -> FloatArray:
+        """(n_quads,) area, in 2-D length."""
         return np.asarray(np.linalg.norm(self.outward, axis=1))
 
 

@@ -12,6 +12,7 @@ from enum import Enum
 import numpy as np
 import scipy
 
+from ..numerics.arrays import extent
 from .blocks import FloatArray, Grid, IntArray, Patch, Side
 from .faces import Face, QuadGeometry
 from .planes import FLATNESS
@@ -81,7 +82,11 @@ class _Guess:
 
     def __init__(self, grid: Grid, topology: Topology, geometry: QuadGeometry, faces: Sequence[Face]):
         self.grid, self.topology, self.geometry, self.faces = grid, topology, geometry, faces
-        self.size = float(np.ptp(grid.points, axis=0).max())
+        low, high = extent(grid.points)
+        self.extent = high - low
+        self.size = float(self.extent.max())
+        self._rim = grid.points[topology.first]
+        self._farthest: dict[tuple[float, ...], float] = {}
         self.ends = _end_sides(grid, topology, faces)
         self.outward = [self._bounding(face) for face in faces]
 
@@ -131,8 +136,15 @@ class _Guess:
             return None
         outward = self.geometry.outward[face.quads].sum(axis=0)
         normal = face.plane.normal * (1.0 if outward @ face.plane.normal >= 0 else -1.0)
-        beyond = float(((self.grid.points - face.plane.point) @ normal).max())
+        beyond = self._farthest_along(normal) - float(face.plane.point @ normal)
         return normal if beyond <= 10 * FLATNESS * self.size else None
+
+    def _farthest_along(self, direction: FloatArray) -> float:
+        """Largest component along a unit vector of the nodes on block faces; many faces ask for the same few."""
+        key = tuple(direction.round(9).tolist())
+        if key not in self._farthest:
+            self._farthest[key] = float((self._rim @ direction).max())
+        return self._farthest[key]
 
     def _bodies(self) -> set[int]:
         """Quads of the surfaces surrounded by the grid: closed except where they end on its bounding planes."""
@@ -162,11 +174,10 @@ class _Guess:
     def _closed(self, quads: IntArray) -> bool:
         """A body is smaller than the grid in some direction along each plane that bounds it."""
         corners = self.topology.first[self.topology.quads.corners[quads]]
-        extent = np.ptp(self.grid.points[corners].reshape(-1, 3), axis=0)
-        whole = np.ptp(self.grid.points, axis=0)
-        varying = whole > FLATNESS * self.size
+        own = np.ptp(self.grid.points[corners].reshape(-1, 3), axis=0)
+        varying = self.extent > FLATNESS * self.size
         # A surface that extends from border to border in two directions is a floor or a ceiling, not a body.
-        return int((extent[varying] > 0.999 * whole[varying]).sum()) <= int(varying.sum()) - 2
+        return int((own[varying] > 0.999 * self.extent[varying]).sum()) <= int(varying.sum()) - 2
 
 
 def _connected(corners: IntArray, n_unique: int) -> IntArray:
