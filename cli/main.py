@@ -18,7 +18,6 @@ from meshdeform_core import interruption
 from meshdeform_core.parallel import current_ranks, tasks_running
 
 from .exit_codes import EXIT_BUG, EXIT_INPUT, EXIT_INTERRUPTED
-from .process.machine import import_without_collecting
 from .process.messages import drop_output, flush_messages, flush_output, open_streams, tell
 from .process.mpi import place, run_on_ranks
 from .process.signals import Handler, end_of
@@ -117,7 +116,6 @@ def cli(context: click.Context) -> None:
 def main(args: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and exit."""
     open_streams()
-    import_without_collecting()
     handler = Handler()
     handler.install()
     here = place()

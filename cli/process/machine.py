@@ -1,8 +1,7 @@
-"""Number of threads of the underlying libraries, and the search for garbage while they are imported."""
+"""Number of threads of the underlying libraries."""
 
 from __future__ import annotations
 
-import gc
 import os
 
 from meshdeform_core.parallel import set_threads
@@ -18,15 +17,3 @@ def use_threads(count: int | None) -> None:
     """
     set_threads(count)
     os.environ.update(dict.fromkeys(_LIBRARIES, "1"))
-
-
-def import_without_collecting() -> None:
-    """Look for no garbage until :func:`collect_again`: imports make many objects and hardly any garbage."""
-    gc.disable()
-
-
-def collect_again() -> None:
-    """Look for garbage again, but not among what was imported."""
-    if not gc.isenabled():
-        gc.freeze()
-        gc.enable()

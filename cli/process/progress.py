@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 
 from meshdeform_core import interruption
 
-from .machine import collect_again
 from .messages import tell
 
 if TYPE_CHECKING:
@@ -93,11 +92,9 @@ class ProgressBar:
         ProgressBar.active = self
         if self._loops:
             # Imported late: it loads the compiler, which many commands do without.
-            from meshdeform_core.numerics.jit import load_compiler, on_compile
+            from meshdeform_core.numerics.jit import on_compile
 
             on_compile(self._compiling if self._compiles else None)
-            load_compiler()
-        collect_again()
         if self._shown:
             self._display = threading.Thread(target=self._show, name="progress", daemon=True)
             self._display.start()

@@ -10,9 +10,6 @@ expressions, ``zeros``, reductions and searches each pull in functions of numba'
 from __future__ import annotations
 
 import gc
-import importlib
-import sys
-import threading
 import time
 from collections.abc import Callable
 from typing import Any
@@ -104,32 +101,3 @@ def is_cached() -> bool:
 def on_compile(notice: Callable[[int], None] | None) -> None:
     """Call ``notice`` with the number compiled so far whenever a loop is compiled because it is not in the cache."""
     _clock.notice = notice
-
-
-class _WithoutLinearAlgebra:
-    """A finder of modules for which scipy has no linear algebra, on the thread that made it only.
-
-    Other threads may be importing it at that moment because they need it.
-    """
-
-    def __init__(self) -> None:
-        self._thread = threading.get_ident()
-
-    def find_spec(self, name: str, path: object = None, target: object = None) -> None:
-        """Nothing, so that others are asked."""
-        if name.startswith("scipy.linalg") and threading.get_ident() == self._thread:
-            raise ModuleNotFoundError(f"{name} is not imported for loops that do without it", name=name)
-
-
-def load_compiler() -> None:
-    """Import what numba imports when it loads the first loop, except scipy's linear algebra.
-
-    From that it only wants to know whether a BLAS is there for products of matrices inside loops, which ours do
-    without; it would take as long as all the rest. For programs whose only loops are ours.
-    """
-    finder = _WithoutLinearAlgebra()
-    sys.meta_path.insert(0, finder)
-    try:
-        importlib.import_module("numba.np.arraymath")
-    finally:
-        sys.meta_path.remove(finder)
