@@ -20,6 +20,14 @@ _MEASURES = (
     ("wall-normal deviation max [deg]", ("wall_normal_deviation_deg", "max")),
     ("first cell height ratio min", ("first_cell_height_ratio", "min")),
     ("first cell height ratio max", ("first_cell_height_ratio", "max")),
+    ("layer thickness ratio min", ("walls", "moving", "layer_thickness_ratio", "min")),
+    ("layer thickness ratio max", ("walls", "moving", "layer_thickness_ratio", "max")),
+    ("fixed walls: normal deviation rms [deg]", ("walls", "fixed", "wall_normal_deviation_deg", "rms")),
+    ("fixed walls: normal deviation max [deg]", ("walls", "fixed", "wall_normal_deviation_deg", "max")),
+    ("fixed walls: first cell ratio min", ("walls", "fixed", "first_cell_height_ratio", "min")),
+    ("fixed walls: first cell ratio max", ("walls", "fixed", "first_cell_height_ratio", "max")),
+    ("fixed walls: layer ratio min", ("walls", "fixed", "layer_thickness_ratio", "min")),
+    ("fixed walls: layer ratio max", ("walls", "fixed", "layer_thickness_ratio", "max")),
     ("interface kink rms [deg]", ("interface_kink_deg", "rms")),
     ("interface kink max [deg]", ("interface_kink_deg", "max")),
     ("interface spacing jump rms", ("interface_spacing_jump", "rms")),
@@ -65,6 +73,8 @@ def _pick(quality: Mapping[str, Any], keys: tuple[str, ...]) -> Any:
 
 def _place(quality: Mapping[str, Any], keys: tuple[str, ...]) -> str:
     """Block and indices of the worst cell, for a measure that is an extreme."""
+    if keys[0] == "walls":
+        quality, keys = quality["walls"][keys[1]], keys[2:]
     places = quality.get("worst") or {}
     worst = places.get("_".join(keys)) or places.get(keys[0])
     return "" if not worst or keys[-1] in _OF_ALL else place_text(worst)

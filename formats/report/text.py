@@ -15,7 +15,8 @@ _SHAPE_NAMES = {"non_orthogonality_deg": "non-orthogonality [deg]"}
 # Measures that compare with another grid.
 _COMPARED = (
     "smallest relative Jacobian", "first cell height ratio min", "first cell height ratio max", "volume ratio min",
-    "volume ratio max",
+    "volume ratio max", "layer thickness ratio min", "layer thickness ratio max", "fixed walls: first cell ratio min",
+    "fixed walls: first cell ratio max", "fixed walls: layer ratio min", "fixed walls: layer ratio max",
 )  # fmt: skip
 
 

@@ -24,8 +24,8 @@ def wall_cells(before: Grid, topology: Topology, after: FloatArray, quads: IntAr
     chosen[quads] = True
     normal, starts = plane_normal(before), cell_starts(before)
     for face in wall_faces(before, topology, chosen):
-        angle, height = wall_lines(face, after, normal)
-        old = wall_lines(face, before.points, normal)[1]
+        angle, height, _ = wall_lines(face, after, normal)
+        old = wall_lines(face, before.points, normal).height
         change = np.divide(height, old, out=np.full(height.shape, np.nan), where=old > 0)
         cells = starts[face.block] + _layer(before, face.block, face.side)[face.wall]
         deviation[cells] = np.fmax(deviation[cells], _corners(face, angle).max(axis=1))

@@ -1,16 +1,22 @@
-"""Measures of grid lines: at block interfaces (kink, spacing jump) and at moving walls (direction, first cell)."""
+"""Measures of grid lines: at block interfaces (kink, spacing jump) and at walls (direction, first cells)."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from ..boundary import Boundary, Kind
 from ..grid import BoolArray, FloatArray, Grid, IntArray, Side
+from ..grid.roles import Role
+from ..grid.surfaces import find_outside
 from ..grid.topology import Topology, in_index_order, inward_step, side_nodes
 from ..numerics.geometry.coincidence import distinct
+
+LAYERS = 8
+"""Cells of a grid line off a wall whose thickness together is measured, but at most half of those that it crosses."""
 
 
 @dataclass(frozen=True)
@@ -100,12 +106,14 @@ class WallFace:
     """The part of one face of a block that is a wall.
 
     ``nodes`` (na, nb) flat indices of the whole face, ``wall`` (qa, qb) which of its quads are wall, ``step`` to the
-    first node off the wall, ``inward`` +1 if the face's index order gives normals into the block, -1 if out of it.
+    first node off the wall, ``layers`` of cells that are measured together (:data:`LAYERS`), ``inward`` +1 if the
+    face's index order gives normals into the block, -1 if out of it.
     """
 
     nodes: IntArray
     wall: np.ndarray
     step: int
+    layers: int
     inward: float
     block: int
     side: Side
@@ -130,6 +138,16 @@ def moving_walls(grid: Grid, topology: Topology, boundary: Boundary) -> list[Wal
     return wall_faces(grid, topology, boundary.quad_kind == Kind.MOVING)
 
 
+def fixed_walls(grid: Grid, topology: Topology, boundary: Boundary) -> list[WallFace]:
+    """All block faces with fixed quads that are likely to be walls, not far field."""
+    fixed = np.asarray(boundary.quad_kind == Kind.FIXED)
+    if fixed.any():
+        outside = find_outside(grid, topology)
+        walls = [f.quads for f, role in zip(outside.faces, outside.roles, strict=True) if role is Role.WALL]
+        fixed &= np.isin(np.arange(len(fixed)), np.concatenate(walls) if walls else [])
+    return wall_faces(grid, topology, fixed)
+
+
 def wall_faces(grid: Grid, topology: Topology, chosen: BoolArray) -> list[WallFace]:
     """All block faces with ``chosen`` face quads (n_quads,)."""
     faces = []
@@ -139,7 +157,11 @@ def wall_faces(grid: Grid, topology: Topology, chosen: BoolArray) -> list[WallFa
         wall = chosen[topology.quads.of_side(block, side)].reshape(counts)
         nodes = side_nodes(grid, block, side)
         inward = _inward_sign(topology, block, side, nodes)
-        faces.append(WallFace(nodes, wall, inward_step(grid.shapes[block], side), inward, block, side))
+        step, layers = (
+            inward_step(grid.shapes[block], side),
+            max(1, min(LAYERS, grid.cell_shapes[block][side.axis] // 2)),
+        )
+        faces.append(WallFace(nodes, wall, step, layers, inward, block, side))
     return faces
 
 
@@ -154,11 +176,23 @@ def _inward_sign(topology: Topology, block: int, side: Side, nodes: IntArray) ->
     return index_normal if side % 2 == 0 else -index_normal
 
 
-def wall_lines(face: WallFace, points: FloatArray, plane_normal: FloatArray | None) -> tuple[FloatArray, FloatArray]:
-    """Angle (degrees) of the first grid line to the wall normal and wall-normal height of the first cell.
-
-    One value per node of the wall quads of the face, ``face.touched``, in their order.
+class WallLines(NamedTuple):
+    """Angle (degrees) of the first grid line to the wall normal, and the wall-normal height of the first cell and
+    thickness of the first layers: one value per node of the wall quads of a face, ``WallFace.touched``, in their order.
     """
+
+    angle: FloatArray
+    height: FloatArray
+    thickness: FloatArray
+
+    @classmethod
+    def joined(cls, lines: Sequence[WallLines]) -> WallLines:
+        """The lines of several faces."""
+        return cls(*(np.concatenate(values) for values in zip(*lines, strict=True)))
+
+
+def wall_lines(face: WallFace, points: FloatArray, plane_normal: FloatArray | None) -> WallLines:
+    """Measures of the grid lines off the wall quads of a face."""
     x = points[face.nodes]
     if plane_normal is None:
         diagonals = (x[1:, 1:] - x[:-1, :-1], x[:-1, 1:] - x[1:, :-1])
@@ -178,4 +212,5 @@ def wall_lines(face: WallFace, points: FloatArray, plane_normal: FloatArray | No
     arm = points[face.nodes[touched] + face.step] - x[touched]
     height = np.einsum("ni,ni->n", n, arm)
     across = np.linalg.norm(np.cross(n, arm), axis=1)
-    return np.rad2deg(np.arctan2(across, height)), height
+    layers = points[face.nodes[touched] + face.layers * face.step] - x[touched]
+    return WallLines(np.rad2deg(np.arctan2(across, height)), height, np.einsum("ni,ni->n", n, layers))

@@ -10,10 +10,25 @@ from ..grid import FloatArray, Grid
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology
 from .kept import KeptCells
-from .lines import InterfaceLines, WallFace, interface_lines, kink_and_jump, moving_walls, wall_lines
+from .lines import (
+    InterfaceLines,
+    WallFace,
+    WallLines,
+    fixed_walls,
+    interface_lines,
+    kink_and_jump,
+    moving_walls,
+    wall_lines,
+)
 from .tally import Tally
 
-Lines = list[tuple[FloatArray, FloatArray]]
+
+@dataclass(frozen=True)
+class Walls:
+    """Faces of blocks that are walls, and their grid lines in the undeformed grid."""
+
+    faces: list[WallFace]
+    lines: list[WallLines]
 
 
 @dataclass
@@ -30,7 +45,7 @@ class Original:
     min_jacobian: float = 0.0
     measured: Tally | None = field(default=None, init=False)
     kept: KeptCells = field(init=False)
-    _walls: tuple[Boundary, list[WallFace], Lines] | None = field(default=None, init=False)
+    _walls: tuple[Boundary, dict[str, Walls]] | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
         self.kept = KeptCells(self.grid)
@@ -47,10 +62,12 @@ class Original:
         lines = interface_lines(self.grid, self.topology)
         return lines, kink_and_jump(lines, self.grid.points)
 
-    def walls(self, boundary: Boundary) -> tuple[list[WallFace], Lines]:
-        """The moving walls of a boundary, and :func:`.lines.wall_lines` of each; the last ones are kept."""
+    def walls(self, boundary: Boundary) -> dict[str, Walls]:
+        """The ``moving`` and the ``fixed`` walls of a boundary; the last ones are kept."""
         if self._walls is None or self._walls[0] is not boundary:
-            faces = moving_walls(self.grid, self.topology, boundary)
-            normal = plane_normal(self.grid)
-            self._walls = boundary, faces, [wall_lines(face, self.grid.points, normal) for face in faces]
-        return self._walls[1:]
+            normal, found = plane_normal(self.grid), {}
+            for name, find in (("moving", moving_walls), ("fixed", fixed_walls)):
+                faces = find(self.grid, self.topology, boundary)
+                found[name] = Walls(faces, [wall_lines(face, self.grid.points, normal) for face in faces])
+            self._walls = boundary, found
+        return self._walls[1]

@@ -11,32 +11,18 @@ import numpy as np
 
 from ..boundary import Boundary
 from ..grid import FloatArray, Grid
-from ..grid.planes import plane_normal
-from .boundary_cells import cell_at_interface, cell_at_wall
+from .boundary_cells import cell_at_interface
 from .cells import cell_starts
 from .comparison import Comparison
 from .groups import InvalidGroup, group_cells
-from .lines import kink_and_jump, wall_lines
+from .lines import kink_and_jump
 from .listed import InvalidCell, Worst, list_cells, with_nearest_patch, worst_cell
 from .original import Original
 from .per_block import BlockQuality, per_block
-from .tally import Range, Skew, Tally
+from .tally import Range, Skew, Spread, Tally
+from .walls import Extremes, WallQuality, extremes_of, measure_walls
 
 MAX_LISTED = 200
-
-
-@dataclass(frozen=True)
-class Spread:
-    """Root mean square and largest value."""
-
-    rms: float
-    max: float
-
-    @classmethod
-    def of(cls, values: FloatArray) -> Spread:
-        if values.size == 0:
-            return cls(0.0, 0.0)
-        return cls(float(np.sqrt(np.mean(values**2))), float(np.abs(values).max()))
 
 
 @dataclass(frozen=True)
@@ -44,11 +30,11 @@ class Quality:
     """Quality of one grid, as in the report's ``before`` and ``after``.
 
     Kink and spacing jump of a deformed grid are changes against its original. ``None`` where the grid has no moving
-    wall or no interface. ``min_relative_jacobian`` is the smallest corner Jacobian relative to the undeformed one,
-    collapsed corners aside. ``worst`` names the cells with the extremes: ``f_skew``, ``min_scaled_jacobian``,
-    ``min_relative_jacobian``, ``wall_normal_deviation_deg``, ``first_cell_height_ratio_min`` and ``_max``,
-    ``interface_kink_deg``, ``interface_spacing_jump``, ``volume_ratio_min`` and ``_max``; before only the first two. A
-    measure with the same value everywhere has none.
+    wall or no interface; ``walls`` has the measures of ``moving`` and of ``fixed`` walls. ``min_relative_jacobian`` is
+    the smallest corner Jacobian relative to the undeformed one, collapsed corners aside. ``worst`` names the cells with
+    the extremes: ``f_skew``, ``min_scaled_jacobian``, ``min_relative_jacobian``, ``wall_normal_deviation_deg``,
+    ``first_cell_height_ratio_min`` and ``_max``, ``interface_kink_deg``, ``interface_spacing_jump``,
+    ``volume_ratio_min`` and ``_max``; before only the first two. A measure with the same value everywhere has none.
     """
 
     f_skew: Skew
@@ -63,6 +49,7 @@ class Quality:
     interface_spacing_jump: Spread | None
     volume_ratio: Range
     total_volume: float
+    walls: Mapping[str, WallQuality | None]
     worst: Mapping[str, Worst]
 
 
@@ -84,7 +71,8 @@ class Assessment:
     def change(self) -> dict[str, Any]:
         """After minus before for every number that has both."""
         change = _difference(dataclasses.asdict(self.before), dataclasses.asdict(self.after))
-        del change["worst"]
+        for part in (change, *change["walls"].values()):
+            del part["worst"]
         return change
 
     def with_steps(self, grid: Grid, first_bad: Mapping[int, int], otherwise: int) -> Assessment:
@@ -120,20 +108,19 @@ def assess(
 
     Parameters
     ----------
-    boundary : for the moving walls and the nearest patch; without it the wall measures are ``None``
+    boundary : for the walls and the nearest patch; without it the wall measures are ``None``
     cells : the comparison of these coordinates, if there is one already
     """
     grid, topology = original.grid, original.topology
     start, cells = grid.points, cells or Comparison(original, after)
     broken = cells.verdict.invalid
     invalid = list(list_cells(original, after, broken[:MAX_LISTED], cells.verdict))
-    walls, interfaces = _walls(original, boundary, after), _interfaces(original, after)
+    walls, interfaces = measure_walls(original, boundary, after), _interfaces(original, after)
     worst = {
         "f_skew": cells.after.worst,
         "min_scaled_jacobian": cells.after.smallest_scaled,
         "min_relative_jacobian": cells.smallest_ratio,
-        **_spread_of("volume_ratio", cells.volume_ratios),
-        **walls[2],
+        **extremes_of("volume_ratio", cells.volume_ratios),
         **interfaces[2],
     }
     worst_before = {"f_skew": original.tally.worst, "min_scaled_jacobian": original.tally.smallest_scaled}
@@ -152,7 +139,8 @@ def assess(
             walls[1],
             interfaces[1],
             cells.ratio,
-            {name: worst_cell(grid, after, *found) for name, found in worst.items()},
+            {name: worst_cell(grid, after, *found) for name, found in worst.items()}
+            | _of_moving_walls(walls[1]["moving"]),
         ),
         with_nearest_patch(grid, topology, boundary, start, invalid),
         per_block(original, cells),
@@ -160,10 +148,16 @@ def assess(
     )
 
 
+def _of_moving_walls(walls: WallQuality | None) -> dict[str, Worst]:
+    """The worst places at moving walls that are given for the grid as a whole, too."""
+    places = walls.worst.items() if walls else ()
+    return {name: worst for name, worst in places if not name.startswith("layer")}
+
+
 def _quality(
     cells: Tally,
     verdict: tuple[int, int, float],
-    walls: Walls,
+    walls: Mapping[str, WallQuality | None],
     interfaces: Interfaces,
     ratio: Range,
     worst: Mapping[str, Worst],
@@ -172,43 +166,12 @@ def _quality(
     invalid, inherited, relative = verdict
     counts = invalid, inherited, cells.negative
     scaled = cells.smallest_scaled[1]
-    return Quality(cells.skew, *counts, scaled, relative, *walls, *interfaces, ratio, cells.volume, worst)
+    moving = walls["moving"]
+    angle, height = (moving.wall_normal_deviation_deg, moving.first_cell_height_ratio) if moving else (None, None)
+    return Quality(cells.skew, *counts, scaled, relative, angle, height, *interfaces, ratio, cells.volume, walls, worst)
 
 
-Walls = tuple[Spread | None, Range | None]
 Interfaces = tuple[Spread | None, Spread | None]
-Extremes = dict[str, tuple[int, float]]
-"""The number of the worst cell and its value by measure; none for a measure that is the same everywhere."""
-
-
-def _walls(original: Original, boundary: Boundary | None, after: FloatArray) -> tuple[Walls, Walls, Extremes]:
-    faces, old = original.walls(boundary) if boundary is not None else ([], [])
-    if not faces:
-        return (None, None), (None, None), {}
-    grid, normal = original.grid, plane_normal(original.grid)
-    new = [wall_lines(face, after, normal) for face in faces]
-    angles = [np.concatenate([angle for angle, _ in lines]) for lines in (old, new)]
-    heights = [np.concatenate([height for _, height in lines]) for lines in (old, new)]
-    sound = np.flatnonzero(heights[0] > 0)
-    ratio = heights[1][sound] / heights[0][sound]
-    worst: Extremes = {}
-    if angles[1].any():
-        line = int(angles[1].argmax())
-        worst["wall_normal_deviation_deg"] = cell_at_wall(grid, faces, line), float(angles[1][line])
-    change = None
-    if ratio.size:
-        low, high = int(ratio.argmin()), int(ratio.argmax())
-        change = Range(float(ratio[low]), float(ratio[high]))
-        ends = [(cell_at_wall(grid, faces, int(sound[n])), float(ratio[n])) for n in (low, high)]
-        worst |= _spread_of("first_cell_height_ratio", (ends[0], ends[1]))
-    return (Spread.of(angles[0]), Range(1.0, 1.0)), (Spread.of(angles[1]), change), worst
-
-
-def _spread_of(measure: str, ends: tuple[tuple[int, float], tuple[int, float]] | None) -> Extremes:
-    """The smallest and the largest value of a measure, unless they are the same."""
-    if ends is None or ends[0][1] == ends[1][1]:
-        return {}
-    return {f"{measure}_min": ends[0], f"{measure}_max": ends[1]}
 
 
 def _interfaces(original: Original, after: FloatArray) -> tuple[Interfaces, Interfaces, Extremes]:

@@ -23,6 +23,20 @@ class Range:
 
 
 @dataclass(frozen=True)
+class Spread:
+    """Root mean square and largest value."""
+
+    rms: float
+    max: float
+
+    @classmethod
+    def of(cls, values: FloatArray) -> Spread:
+        if values.size == 0:
+            return cls(0.0, 0.0)
+        return cls(float(np.sqrt(np.mean(values**2))), float(np.abs(values).max()))
+
+
+@dataclass(frozen=True)
 class Skew:
     """Distribution of f_skew: 1 is orthogonal, 0 is invalid. ``histogram`` counts cells in 20 equal bins of [0, 1]."""
 
