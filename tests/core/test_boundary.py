@@ -16,7 +16,7 @@ from meshdeform_core.boundary.plates import open_plates
 from meshdeform_core.boundary.prescribed import prescribed_displacement
 from meshdeform_core.deform import Case, deform, set_up
 from meshdeform_core.errors import CaseError, GridError, MotionError
-from meshdeform_core.grid import Grid, Patch, Side, Window
+from meshdeform_core.grid import Connection, Grid, Patch, Periodicity, Side, Window
 from meshdeform_core.grid.planes import plane_normal
 from meshdeform_core.grid.selection import select_quads
 from meshdeform_core.grid.topology import find_topology
@@ -236,23 +236,44 @@ def test_periodic_sides_move_alike_by_translation(name):
     assert np.abs(moved[order[0]][interior]).max() > 1e-3
 
 
-def test_periodic_sector_moves_alike_by_rotation():
+C, S = np.cos(np.pi / 3), np.sin(np.pi / 3)
+PITCH = np.array([[C, -S, 0], [S, C, 0], [0, 0, 1]])
+
+
+def sector():
+    """A sixth of a ring, i around the z axis, and what its boundary does except at the two periodic sides."""
     angle, radius, z = np.linspace(0, np.pi / 3, 7), np.linspace(1, 2, 5), np.linspace(0, 1, 4)
     a, r, h = np.meshgrid(angle, radius, z, indexing="ij")
-    grid = Grid.from_blocks([np.stack([r * np.cos(a), r * np.sin(a), h], axis=-1)])
     specs = specs_of(
         ("hub", "block1.jmin", Kind.MOVING, formulas("0.1*x", "0.1*y", "0")),
         ("casing", "block1.jmax", Kind.FIXED, None),
-        ("pitch", ("block1.imin", "block1.imax"), Kind.PERIODIC, None),
         ("span", "*.k*", Kind.SLIP, None),
     )
-    problem = problem_of(grid, specs)
+    return Grid.from_blocks([np.stack([r * np.cos(a), r * np.sin(a), h], axis=-1)]), specs
+
+
+def test_periodic_sector_moves_alike_by_rotation():
+    grid, specs = sector()
+    problem = problem_of(grid, [*specs, *specs_of(("pitch", ("block1.imin", "block1.imax"), Kind.PERIODIC, None))])
     moved = grid.block(0, apply(Options("idw"), problem, prescribed_at(problem)))
-    c, s = np.cos(np.pi / 3), np.sin(np.pi / 3)
-    turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-    np.testing.assert_allclose(moved[-1], moved[0] @ turn.T, atol=1e-14)
+    np.testing.assert_allclose(moved[-1], moved[0] @ PITCH.T, atol=1e-14)
     with pytest.raises(CaseError, match="do not match by a translation"):
         problem_of(grid, [*specs[:2], *specs_of(("pitch", ("block1.imin", "block1.kmax"), Kind.PERIODIC, None))])
+
+
+def test_a_declared_rotation_turns_the_displacement():
+    """One pattern for both sides: only the file says which node belongs to which."""
+    grid, specs = sector()
+    ni, nj, nk = grid.shapes[0]
+    turned = Connection(
+        "pitch", 0, (0, 0, 0), (0, nj - 1, nk - 1), 0, (ni - 1, 0, 0), (ni - 1, nj - 1, nk - 1), (1, 2, 3),
+        Periodicity(rotation_angle=(0.0, 0.0, 60.0)),
+    )  # fmt: skip
+    grid = dataclasses.replace(grid, connections=(turned,))
+    problem = problem_of(grid, [*specs, *specs_of(("pitch", "block1.i*", Kind.PERIODIC, None))])
+    moved = grid.block(0, apply(Options("idw"), problem, prescribed_at(problem)))
+    np.testing.assert_allclose(moved[-1], moved[0] @ PITCH.T, atol=1e-14)
+    assert np.abs(moved[0, 1:-1]).max() > 1e-3
 
 
 def test_motion_steps_act_in_order_on_undeformed_formulas():
@@ -369,6 +390,9 @@ def test_deformed_grids_as_displacement():
     problem = problem_of(FRAME, following(surface))
     again = prescribed_displacement(problem.grid, problem.topology, problem.boundary)
     np.testing.assert_array_equal(again[nodes], told[nodes])
+    between = Grid.from_blocks([0.5 * (target.block(1)[-1] + target.block(6)[0])[:, :, None]])
+    with pytest.raises(MotionError, match=r"could be any of the faces block2\.imax, block7\.imin"):
+        problem_of(FRAME, following(between))
     wrong = Grid.from_blocks([np.zeros((9, 9, 1, 3)) + np.arange(9)[:, None, None, None]])
     with pytest.raises(MotionError, match="no selected block face has this size"):
         problem_of(FRAME, following(wrong))
