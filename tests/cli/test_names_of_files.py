@@ -150,3 +150,20 @@ def test_temporary_files_of_killed_runs_are_removed(tmp_path):
     with replacing(target) as partial:
         partial.write_text("y")
     assert sorted(os.listdir(tmp_path)) == sorted(["a.xyz", *kept])
+
+
+def test_temporary_files_of_other_users_stay(tmp_path, monkeypatch):
+    """Their processes may not even be asked whether they run."""
+
+    def forbidden(*_: int) -> None:
+        raise PermissionError(1, "Operation not permitted")
+
+    target = tmp_path / "a.xyz"
+    with replacing(target) as partial:
+        partial.write_text("x")
+        theirs = tmp_path / partial.name.replace(f".{os.getpid()}-", ".1-")
+    theirs.write_text("half")
+    monkeypatch.setattr(os, "kill", forbidden)
+    with replacing(target) as partial:
+        partial.write_text("y")
+    assert theirs.exists()
