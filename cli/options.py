@@ -202,13 +202,16 @@ def case_options(command: Command) -> Command:
     @functools.wraps(command)
     def packed(case_file: Path | None, repair: str | None, min_jacobian: float | None, **options: Any) -> Any:
         own = {name: options.pop(name) for name in ("displacement", "method", "overrides", "match", "tolerance")}
-        if repair is not None:
-            own["overrides"] += (f'repair.mode="{repair}"',)
-        if min_jacobian is not None:
-            own["overrides"] += (f"repair.min_jacobian={min_jacobian!r}",)
+        own["overrides"] += _repair_overrides(repair, min_jacobian)
         return command(case=CaseInput(case_file, **own), **options)
 
     return packed
+
+
+def _repair_overrides(mode: str | None, min_jacobian: float | None) -> tuple[str, ...]:
+    """The options of the repair as keys of the case."""
+    chosen = [] if mode is None else [f'repair.mode="{mode}"']
+    return (*chosen, *([] if min_jacobian is None else [f"repair.min_jacobian={min_jacobian!r}"]))
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 numba leaves a loop scalar that computes a hundred numbers from fifty rows, as LLVM cannot exclude that a result
 overwrites another row, and numba has no option that says so. Here Python functions append the vector instructions
-themselves, and LLVM maps them to the registers of the processor. The pass over hexahedra takes a fifth to a sixth of the
+themselves; LLVM maps them to the registers of the processor. The pass over hexahedra takes a fifth to a sixth of the
 time of the same formulas in a plain loop (docs/performance.md, "Vector instructions").
 """
 

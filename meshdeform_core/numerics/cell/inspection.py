@@ -17,8 +17,8 @@ with the largest length of each kind. Where this is positive J is positive every
 **Rounding.** The comparison is made in single precision, with quotients and roots that the processor estimates and
 refines once (``arcp``, ``afn``), and is still a proof, because it leaves more room than rounding can take. An edge is
 rounded twice, by 6e-8 of its length each time, and a product of three edges errs by less than 1e-6 of the product of
-their lengths. Corners where J is below 0.01 of that product (``_FLAT``) are never decided here, so the smallest J errs by
-less than 1e-4 of itself. Twists, differences of two edges, are raised by ``_ROUNDING`` of the longest edge; what remains
+their lengths. Corners where J is below 0.01 of that product (``_FLAT``) are never decided here: the smallest J errs by
+less than 1e-4 of itself. Twists, differences of two edges, are raised by ``_ROUNDING`` of the longest edge; the rest
 are relative errors below 1e-5 of the products, estimates included. Together this is a fifth of the margin by which the
 smallest J must outweigh the twists (``_MARGIN``). Comparisons with not-a-number fail. Every other cell is left open and
 decided in double precision. The figures (f_skew, ratios) do not enter the verdict.
