@@ -11,7 +11,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from meshdeform_core.errors import FormatError, GridError
+from meshdeform_core.errors import FormatError, GridError, MeshDeformError
 from meshdeform_core.grid import FileFormat, Grid
 from meshdeform_core.parallel import current_ranks
 
@@ -133,6 +133,29 @@ def write_grid(grid: Grid, path: str | Path, options: Mapping[str, Any] | None =
     variant = variant_of(grid, path, options)
     FORMATS[format_of(path)].load().write(grid, path, variant)
     return variant
+
+
+def require_earlier_grid(path: Path, grid: Grid) -> None:
+    """Refuse to replace a file that is not an earlier version of ``grid``: one with the same blocks.
+
+    Formats that are only written cannot be checked.
+
+    Raises
+    ------
+    FormatError
+        When there is anything else at ``path``.
+    """
+    if not path.exists() or format_of(path) == "meshio":
+        return
+    try:
+        same = read_grid(path).shapes == grid.shapes
+    except MeshDeformError:
+        same = False
+    if not same:
+        raise FormatError(
+            f"{path} exists and is not a grid of an earlier run, which would be replaced where cells become invalid; "
+            f"rename it, choose another output, or use --force"
+        )
 
 
 def variant_of(grid: Grid, path: Path, options: Mapping[str, Any] | None = None) -> FileFormat:

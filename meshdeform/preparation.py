@@ -156,7 +156,7 @@ def _entries(kind: Kind, selection: Selection | None) -> dict[str, tuple[str, ..
     if isinstance(selection, str):
         return {selection: (selection,)}
     if isinstance(selection, Mapping):
-        if not all(isinstance(name, str) and _is_patterns(one) for name, one in selection.items()):
+        if not all(isinstance(name, str) and _is_patterns(one) and one for name, one in selection.items()):
             raise _not_a_selection(kind, selection)
         return {name: (one,) if isinstance(one, str) else tuple(one) for name, one in selection.items()}
     if not _is_patterns(selection):

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from meshdeform_core.boundary.matching import SurfaceData
     from meshdeform_core.grid import Grid
 
+_LARGEST = 10
+"""Samples are at most so many times finer than the finest that has a name."""
+
 SAMPLES = {
     "square": "square",
     "airfoil": "airfoil",
@@ -72,6 +75,9 @@ def generate(name: str, size: int | str | None = None) -> tuple[Grid, dict[str, 
     """
     module = load(name)
     number = module.DEFAULT_SIZE if size is None else _size(name, str(size), module.SIZES)
+    largest = _LARGEST * max(module.SIZES.values())
+    if number > largest:
+        raise CaseError(f"sample {name}: size = {number}; expected at most {largest}")
     try:
         return module.generate(number), module.tables(number) if hasattr(module, "tables") else {}
     except ValueError as error:

@@ -65,6 +65,7 @@ def command(
     count, options, limit = parse_steps(steps), run.variant_options, run.memory
 
     from meshdeform_formats.files import invalid_path
+    from meshdeform_formats.grids import require_earlier_grid
 
     from .. import forecast, work
 
@@ -72,6 +73,8 @@ def command(
     imposed = work.Imposed(count, at_time)
     with ProgressBar(not run.quiet) as progress:
         job = work.load(source, case, limit, [path for path in outputs if path is not None])
+        if output is not None and not (run.force or run.dry_run or run.allow_invalid):
+            require_earlier_grid(invalid_path(output), job.grid)
         if run.dry_run or output is None:
             planned = forecast.plan(job, output, imposed, options)
         else:

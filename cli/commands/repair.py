@@ -78,7 +78,8 @@ def repaired(
     """Repair and write; returns the report."""
     from meshdeform_core.memory import left_for_method, peak_memory
     from meshdeform_core.mending import mend
-    from meshdeform_formats.grids import complete_for_export, read_grid, variant_of
+    from meshdeform_formats.files import invalid_path
+    from meshdeform_formats.grids import complete_for_export, read_grid, require_earlier_grid, variant_of
     from meshdeform_formats.report import mended_report
 
     from ..options import keep_inputs
@@ -91,6 +92,8 @@ def repaired(
     # The reference is what boundaries are selected on.
     original = original if original.patches else dataclasses.replace(original, patches=grid.patches)
     seconds = {"read": clock.perf_counter() - start}
+    if output is not None and not (run.force or run.dry_run or run.allow_invalid):
+        require_earlier_grid(invalid_path(output), grid)
     options = run.variant_options
     precision = variant_of(grid, output, options).precision if output else None
     memory = left_for_method(run.memory, grid.n_nodes, 2 * grid.points.nbytes, 0)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import time
+from typing import Any
 
 from meshdeform_core import interruption
 
@@ -22,6 +24,7 @@ class Handler:
 
     def install(self) -> None:
         """Handle every signal that the caller does not ignore (as nohup ignores SIGHUP)."""
+        sys.unraisablehook = _unraisable
         for name in ("SIGINT", "SIGTERM", "SIGHUP"):
             number = getattr(signal, name, None)
             if number is not None and signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
@@ -44,6 +47,12 @@ class Handler:
             # The exit code is settled.
             for number in self._numbers:
                 signal.signal(number, signal.SIG_IGN)
+
+
+def _unraisable(lost: Any) -> None:
+    """Python cannot deliver an exception raised within a callback of the collector: the next check raises it again."""
+    if not (isinstance(lost.exc_value, SystemExit) and interruption.requested() is not None):
+        sys.__unraisablehook__(lost)
 
 
 def end_of(number: int) -> str:

@@ -143,7 +143,7 @@ def _entry_lines(grid: Grid, entry: _Entry, table: FittedTable | None) -> Iterat
     else:
         yield "select = ["
         for surface in entry.surfaces:
-            yield f"    {_text(surface.name)},   # {_place(surface)}"
+            yield f"    {_text(_face_pattern(grid, surface))},   # {_place(surface)}"
         yield "]"
     yield f'kind = "{entry.kind}"'
     if entry.kind == "moving" and table is None:
@@ -156,6 +156,12 @@ def _entry_lines(grid: Grid, entry: _Entry, table: FittedTable | None) -> Iterat
 def _pattern(name: str) -> str:
     """A pattern that matches a name; characters that would be wildcards match any character."""
     return re.sub(r"[\[\]]", "?", name)
+
+
+def _face_pattern(grid: Grid, surface: Surface) -> str:
+    """The label of an unnamed face as a pattern: only brackets of the block's name match any character."""
+    block = grid.names[surface.faces[0].window.block]
+    return _pattern(block) + surface.name.removeprefix(block)
 
 
 def _place(surface: Surface) -> str:

@@ -12,6 +12,9 @@ from meshdeform_core.errors import CaseError, FormatError
 from ..files import require_regular
 from .values import Table
 
+_PART = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
+_DEEP_KEY = re.compile(rf"(?<![\w.-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{30}}")
+"""More parts than any key of a case; the parser's work and memory grow with their square."""
 _TOO_LONG = "it has an integer of more than 64 bits; write large numbers like 1e30"
 
 
@@ -30,7 +33,8 @@ def load(path: Path | None) -> Table:
     except FormatError as error:
         raise CaseError(str(error)) from error
     try:
-        return _toml(path.read_text(encoding="utf-8"))
+        # Some editors of Windows begin a file with a byte order mark.
+        return _toml(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise CaseError(f"cannot read the case file {path}: {error.strerror or error}") from error
     except ValueError as error:
@@ -39,6 +43,9 @@ def load(path: Path | None) -> Table:
 
 def _toml(text: str) -> Table:
     """Parse TOML; ``ValueError`` for anything else, including integers beyond 64 bits, which TOML excludes."""
+    if deep := _DEEP_KEY.search(text):
+        line = text.count("\n", 0, deep.start()) + 1
+        raise ValueError(f"line {line}: the key {deep[0][:40]}... has more than 30 parts; expected a key of a case")
     try:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError:

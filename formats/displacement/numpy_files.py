@@ -17,6 +17,8 @@ from ..files import reason_of
 
 # Deflate cannot compress more; other methods exceed this only for zeros.
 _LARGEST_RATIO = 1100
+# Coordinates and displacements are compressed by far less on the whole; zeros alone may be compressed by more.
+_LARGEST_WHOLE_RATIO, _SMALL = 100, 1 << 28
 _ENCRYPTED = 1
 _SUFFIX = ".npy"
 
@@ -49,6 +51,7 @@ def load_arrays(path: Path) -> dict[str, NDArray[Any]]:
     """
     try:
         with zipfile.ZipFile(path) as archive:
+            _require_plausible(archive)
             arrays: dict[str, NDArray[Any]] = {}
             for name, values in _members(archive):
                 if name in arrays:
@@ -64,6 +67,17 @@ def load_arrays(path: Path) -> dict[str, NDArray[Any]]:
 
 def _damaged(path: Path, error: Exception) -> FormatError:
     return FormatError(f"cannot read {path}: {reason_of(error)}")
+
+
+def _require_plausible(archive: zipfile.ZipFile) -> None:
+    """Refuse, before memory is allocated, members that unpack to far more than data would."""
+    members = archive.infolist()
+    packed, unpacked = (sum(sizes) for sizes in zip(*((m.compress_size, m.file_size) for m in members), strict=True))
+    if unpacked > max(_SMALL, _LARGEST_WHOLE_RATIO * packed):
+        raise FormatError(
+            f"its {len(members)} arrays unpack from {packed:,} to {unpacked:,} bytes, which no table of displacements "
+            f"does; expected at most {_LARGEST_WHOLE_RATIO} times as many"
+        )
 
 
 def _members(archive: zipfile.ZipFile) -> Iterator[tuple[str, NDArray[Any]]]:

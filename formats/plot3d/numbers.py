@@ -7,6 +7,7 @@ cannot belong to a number, so a piece of text is first checked to consist of pla
 
 from __future__ import annotations
 
+import codecs
 import io
 import os
 import re
@@ -76,6 +77,13 @@ def read_numbers(stream: BinaryIO, path: Path) -> FloatArray:
     return np.concatenate([np.empty(0), *_read_pieces(stream, path)])
 
 
+def skip_mark(stream: BinaryIO) -> None:
+    """Go to the beginning of a text, behind the byte order mark that some editors write."""
+    stream.seek(0)
+    if stream.read(len(codecs.BOM_UTF8)) != codecs.BOM_UTF8:
+        stream.seek(0)
+
+
 def ends_with_integer(stream: BinaryIO) -> bool:
     """Whether the last number of a text is written without dot and exponent."""
     stream.seek(-min(stream.seek(0, os.SEEK_END), _LONGEST_NUMBER), os.SEEK_END)
@@ -85,7 +93,7 @@ def ends_with_integer(stream: BinaryIO) -> bool:
 
 def count_integers(stream: BinaryIO) -> int:
     """How many numbers of a text are written without dot and exponent."""
-    stream.seek(0)
+    skip_mark(stream)
     count, rest = 0, b""
     while chunk := stream.read(_PIECE):
         text = rest + chunk
@@ -115,6 +123,7 @@ def number_lines(values: NDArray[Any], dotted: bool = False) -> bytes | memoryvi
 
 def _read_pieces(stream: BinaryIO, path: Path) -> Iterator[FloatArray]:
     """Numbers in pieces of text that begin with a number."""
+    skip_mark(stream)
     line, rest = 1, b""
     while chunk := stream.read(_PIECE):
         text = rest + chunk

@@ -82,8 +82,10 @@ def fit_table(grid: Grid, topology: Topology, data: SurfaceData, matching: Match
 def _misfit(grid: Grid, topology: Topology, quads: IntArray, data: SurfaceData, on: BoolArray) -> MotionError:
     first = data.points[:: max(1, len(data.points) // _SAMPLE)][int(np.argmin(on))]
     hint = other_frame(data.points, Nodes.of_quads(grid, topology, quads))
+    whole = len(on) == len(data.points)
+    how_many = f"{int((~on).sum())} of {len(on)}" if whole else f"{1 - on.mean():.0%} of {len(data.points)}"
     return MotionError(
-        f"{data.label}: {int((~on).sum())} of {len(on)} table points lie on no outside face of the grid, first "
+        f"{data.label}: {how_many} table points lie on no outside face of the grid, first "
         f"{first.tolist()}{hint}; expected a table of the wall, in the grid's length unit"
     )
 

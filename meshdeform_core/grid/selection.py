@@ -13,7 +13,7 @@ from ..numerics.geometry.coincidence import distinct
 from .blocks import Grid, IntArray, Patch, Side, Window
 from .topology import FaceQuads, Topology
 
-_FACE = re.compile(r"(?P<block>.+)\.(?P<side>[ijk*?][a-z*?]*)(?:\[(?P<window>[^\]]*)\])?")
+_FACE = re.compile(r"(?P<block>.+)\.(?P<side>[ijk*?][a-z*?]*)(?:\[(?P<window>[^\]]*)\])?", re.DOTALL)
 
 
 def select_quads(grid: Grid, topology: Topology, patterns: Iterable[str], owner: str) -> IntArray:
