@@ -6,7 +6,6 @@ import dataclasses
 import functools
 from pathlib import Path
 
-from meshdeform_core.boundary.crossing import find_contact
 from meshdeform_core.boundary.pinned import find_pinned
 from meshdeform_core.boundary.prescribed import largest_displacement
 from meshdeform_core.deform import Result, Setup, Timing, impose, set_up
@@ -46,7 +45,7 @@ def forecast(setup: Setup, time: float, steps: int | str | None, precision: str)
     run itself would. It says nothing about smaller steps and repairs, which the run tries afterwards.
     """
     motion = setup.displacement(time)
-    contact = find_contact(setup.grid, setup.topology, setup.boundary, functools.partial(setup.displacement, time))
+    contact = setup.undeformed.crossing_test.contact(functools.partial(setup.displacement, time))
     pinned = find_pinned(setup.grid, setup.topology, setup.boundary, motion)
     certain: list[str] = [found.message for found in (contact, pinned) if found]
     count = steps if isinstance(steps, int) else 1

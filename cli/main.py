@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import atexit
 import errno
 import importlib
 import importlib.util
@@ -15,7 +14,7 @@ from typing import NoReturn
 import click
 
 from meshdeform_core import interruption
-from meshdeform_core.parallel import current_ranks, tasks_running
+from meshdeform_core.parallel import current_ranks
 
 from .exit_codes import EXIT_BUG, EXIT_INPUT, EXIT_INTERRUPTED
 from .process.messages import drop_output, flush_messages, flush_output, open_streams, tell
@@ -123,20 +122,7 @@ def main(args: Sequence[str] | None = None) -> NoReturn:
     handler.finish()
     stopped = interruption.requested()
     flush_messages()
-    _leave(code if stopped is None else 128 + stopped, alone=here is None)
-
-
-def _leave(code: int, alone: bool) -> NoReturn:
-    """Exit; everything is written.
-
-    Taking the interpreter down with all that it has imported takes 0.3 s, and it would wait for tasks whose results are
-    not wanted any more; the system frees the memory anyway. MPI and profilers need the interpreter's own end.
-    """
-    if not alone or sys.gettrace() or sys.getprofile():
-        sys.exit(code)
-    if not tasks_running():
-        atexit._run_exitfuncs()
-    os._exit(code)
+    sys.exit(code if stopped is None else 128 + stopped)
 
 
 def run(args: Sequence[str] | None = None) -> int:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshdeform_core.grid import FloatArray
-from meshdeform_core.parallel import for_chunks, thread_count, uninitialised
+from meshdeform_core.parallel import for_chunks, thread_count
 
 T = TypeVar("T")
 # Larger blocks are converted component by component, so that no copy of them is needed.
@@ -28,7 +28,7 @@ _AHEAD = 3
 def split(block: FloatArray, kind: np.dtype[Any], count: int = 3) -> Iterator[NDArray[Any]]:
     """The first ``count`` components (nk, nj, ni) of a block (ni, nj, nk, 3), of type ``kind``."""
     for axes in _groups(block, count):
-        out = uninitialised((axes.stop - axes.start, *block.shape[2::-1]), kind)
+        out = np.empty((axes.stop - axes.start, *block.shape[2::-1]), kind)
 
         def work(lo: int, hi: int, out: NDArray[Any] = out, axes: slice = axes) -> None:
             out[:, :, lo:hi] = block[:, lo:hi, :, axes].T

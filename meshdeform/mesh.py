@@ -143,7 +143,7 @@ class Mesh:
             setup = self._setup if repair is None else self._setup.with_repair(repair)
             start = Start(setup.grid.points, self._method(timing))
             result = impose(setup, motion, steps, setup.grid.precision, timing, progress, start)
-            setup.expect_more()
+            setup.undeformed.expect_more()
         return Step(result, self._plane)
 
     @cached_property

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
-from .boundary.crossing import find_contact
 from .boundary.pinned import find_pinned
+from .course import Course
 from .errors import MethodError
-from .march import March, Trial
 from .methods import Options
 from .notices import Notice
 from .repair.repair import COLLAPSING, HASTILY, QUICKLY
+from .steps import State, Trial, accept, beginning, insist, patient_step, plain_step, repaired, step, warnings_ahead
 
 MAX_HALVINGS = 8
 # The same for steps with a repair in each, which cost much more.
@@ -23,42 +24,51 @@ _BEFORE = 0.9
 RESCUE = "rbf-tfi"
 """The method tried when the chosen one finds no valid grid: it succeeds most often."""
 SQUEEZED = ("tfi", RESCUE)
-"""Those tried when the valid grid found is nearly collapsed: where the boundary leaves little room, lines between its
-sides are often better kept by interpolation along them."""
+"""Methods tried when the best valid grid is nearly collapsed; in narrow gaps TFI often preserves grid lines better."""
 
 
-def in_equal_steps(march: March, count: int) -> None:
+class Reached(NamedTuple):
+    """The state kept in the end, and the step that failed if it was not the whole motion."""
+
+    state: State
+    failed: Trial | None = None
+
+
+def in_equal_steps(course: Course, count: int) -> Reached:
     """Impose the motion in as many steps as the user asked for, valid or not."""
-    march.warn_ahead(1 / count)
-    for step in range(1, count + 1):
-        march.accept(march.patient_trial(step / count))
+    state = beginning(course, course.setup.case.method)
+    course.log.warn(*warnings_ahead(state, 1 / count))
+    for number in range(1, count + 1):
+        state = accept(patient_step(state, number / count))
+    return Reached(state)
 
 
-def adaptively(march: March) -> None:
+def adaptively(course: Course) -> Reached:
     """Impose the motion in one step if that keeps the grid valid; else halve this step and all that follow.
 
     Stops at the last valid grid when no step succeeds any more.
     """
+    state = beginning(course, course.setup.case.method)
     # Steps that are halved until they succeed are never too large.
-    march.warn_ahead(0.0)
+    course.log.warn(*warnings_ahead(state, 0.0))
     increment, smallest = 1.0, 0.5**MAX_HALVINGS
-    while march.fraction < 1.0:
-        trial = march.trial(min(1.0, march.fraction + increment))
-        if trial.verdict.valid:
-            march.accept(trial)
+    while state.fraction < 1.0:
+        trial = step(state, min(1.0, state.fraction + increment))
+        if trial.valid:
+            state = accept(trial)
         elif increment > smallest:
             increment /= 2
         else:
-            march.failed = trial
             text = (
-                f"only {march.fraction:.1%} of the motion was imposed; a further step of {increment:.2%} makes cells "
+                f"only {state.fraction:.1%} of the motion was imposed; a further step of {increment:.2%} makes cells "
                 f"invalid. The grid reached so far is kept"
             )
-            march.warnings.append(Notice(text, "a part of the motion"))
-            return
+            course.log.warn(Notice(text, "a part of the motion"))
+            return Reached(state, trial)
+    return Reached(state)
 
 
-def until_valid(march: March) -> None:
+def until_valid(course: Course) -> Reached:
     """Try one step with a repair, quick and then patient, then smaller steps with a repair in each, then the same with
     another method. Where the boundary alone shows that no valid grid exists, one step and a part of the motion, each
     with a short repair, are all that is tried.
@@ -67,77 +77,77 @@ def until_valid(march: March) -> None:
     If nothing helps, the grid with the fewest invalid cells is kept, with its boundary where it was prescribed; the
     warnings say why, and for what part of the motion a valid grid was found.
     """
-    march.warn_ahead(0.0)
-    best, options = march.plain_trial(1.0), march.options
-    impossible = None if best.verdict.valid else _find_impossible(march)
-    best = march.repaired(best, HASTILY if impossible else QUICKLY)
-    if impossible and not best.verdict.valid:
-        march.warnings += impossible.reasons
-        march.trial(_BEFORE * impossible.fraction, HASTILY)
-    elif not best.verdict.valid:
-        persistent = _persistently(march, best)
-        if persistent is None:
-            return
-        best, options = persistent
-    if best.verdict.valid and best.verdict.ratio.min() < COLLAPSING:
-        for trial in _with_other_methods(march, SQUEEZED):
-            if trial.verdict.valid and trial.verdict.ratio.min() > best.verdict.ratio.min():
-                best, options = trial, march.options
-    march.restart(options)
-    march.accept(best)
-    if not best.verdict.valid:
-        _give_up(march)
+    state = beginning(course, course.setup.case.method)
+    course.log.warn(*warnings_ahead(state, 0.0))
+    plain = plain_step(state, 1.0)
+    impossible = None if plain.valid else _find_impossible(course)
+    best = repaired(plain, HASTILY if impossible else QUICKLY)
+    if impossible and not best.valid:
+        course.log.warn(*impossible.reasons)
+        step(state, _BEFORE * impossible.fraction, HASTILY)
+    elif not best.valid:
+        found = _persistently(best)
+        if isinstance(found, State):
+            return Reached(found)
+        best = found
+    if best.valid and best.smallest_ratio < COLLAPSING:
+        for trial in _with_other_methods(course, SQUEEZED, best.state.options):
+            if trial.valid and trial.smallest_ratio > best.smallest_ratio:
+                best = trial
+    if not best.valid:
+        _give_up(course)
+    return Reached(accept(best))
 
 
-def _persistently(march: March, best: Trial) -> tuple[Trial, Options] | None:
-    """The best grid of one step, after a quick repair has failed, and its method; ``None`` when the motion has been
-    imposed in smaller steps."""
-    options, best = march.options, march.insist(best)
-    if best.verdict.valid:
-        return best, options
-    if _in_smaller_steps(march):
-        return None
-    for trial in _with_other_methods(march, (RESCUE,)):
-        other = trial if trial.verdict.valid else march.insist(trial)
-        if len(other.verdict.invalid) < len(best.verdict.invalid):
-            best, options = other, march.options
-        if not best.verdict.valid and _in_smaller_steps(march):
+def _persistently(best: Trial) -> Trial | State:
+    """After a quick repair has failed: the best grid of one step, or what smaller steps have reached if that is the
+    whole motion."""
+    course, options = best.state.course, best.state.options
+    best = insist(best)
+    if best.valid:
+        return best
+    reached = _in_smaller_steps(course, options)
+    if reached:
+        return reached
+    for trial in _with_other_methods(course, (RESCUE,), options):
+        other = trial if trial.valid else insist(trial)
+        if other.invalid_cells < best.invalid_cells:
+            best = other
+        if not best.valid and (reached := _in_smaller_steps(course, trial.state.options)):
+            return reached
+    return best
+
+
+def _in_smaller_steps(course: Course, options: Options) -> State | None:
+    """Take the largest steps that succeed, growing them again; ``None`` if they do not reach the whole motion."""
+    state, increment, smallest = beginning(course, options), 0.5, 0.5**MAX_REPAIRED_HALVINGS
+    while state.fraction < 1.0:
+        if _enough(course):
             return None
-    return best, options
-
-
-def _in_smaller_steps(march: March) -> bool:
-    """Take the largest steps that succeed, growing them again; return whether the whole motion was imposed."""
-    increment, smallest = 0.5, 0.5**MAX_REPAIRED_HALVINGS
-    while march.fraction < 1.0:
-        if _enough(march):
-            return False
-        trial = march.trial(min(1.0, march.fraction + increment))
-        if trial.verdict.valid:
-            march.accept(trial)
+        trial = step(state, min(1.0, state.fraction + increment))
+        if trial.valid:
+            state = accept(trial)
             increment *= 2
         elif increment > smallest:
             increment /= 2
         else:
-            return False
-    return True
+            return None
+    return state
 
 
-def _enough(march: March) -> bool:
-    return len(march.attempts) >= MAX_ATTEMPTS or march.limit.reached
+def _enough(course: Course) -> bool:
+    return len(course.log.attempts) >= MAX_ATTEMPTS or course.limit.reached
 
 
-def _with_other_methods(march: March, names: tuple[str, ...]) -> Iterator[Trial]:
+def _with_other_methods(course: Course, names: tuple[str, ...], chosen: Options) -> Iterator[Trial]:
     """One step with each of some methods that fits into memory and is not the chosen one."""
-    chosen = march.options.name
     for name in names:
-        if name == chosen or _enough(march):
+        if name == chosen.name or _enough(course):
             continue
-        march.restart(Options(name))
         try:
-            yield march.trial(1.0)
+            yield step(beginning(course, Options(name)), 1.0)
         except MethodError as error:
-            march.warnings.append(Notice(f"{name} was not tried: {error}", f"{name} not tried"))
+            course.log.warn(Notice(f"{name} was not tried: {error}", f"{name} not tried"))
 
 
 @dataclass(frozen=True)
@@ -149,23 +159,22 @@ class _Impossible:
     fraction: float
 
 
-def _find_impossible(march: March) -> _Impossible | None:
-    setup, motion = march.setup, march.motion
-    contact = find_contact(setup.grid, setup.topology, setup.boundary, motion)
-    pinned = find_pinned(setup.grid, setup.topology, setup.boundary, march.total)
-    if contact is None:
-        setup.examined.append(march.max_displacement)
+def _find_impossible(course: Course) -> _Impossible | None:
+    setup = course.setup
+    contact = setup.undeformed.crossing_test.contact(course.path)
+    pinned = find_pinned(setup.grid, setup.topology, setup.boundary, course.total)
     reasons: list[str] = [found.message for found in (contact, pinned) if found]
     return _Impossible(reasons, contact.fraction if contact else 1.0) if reasons else None
 
 
-def _give_up(march: March) -> None:
-    reached = max((a.reached for a in march.attempts if not a.invalid_cells), default=0.0)
-    if march.limit.reached:
-        march.warnings.append(f"the time limit of {march.limit.seconds:g} s was reached ([repair] time_limit)")
+def _give_up(course: Course) -> None:
+    attempts = course.log.attempts
+    reached = max((a.reached for a in attempts if not a.invalid_cells), default=0.0)
+    if course.limit.reached:
+        course.log.warn(f"the time limit of {course.limit.seconds:g} s was reached ([repair] time_limit)")
     part = f"only for {reached:.1%} of it" if reached else "nor for any part of it that was tried"
     text = (
         f"no valid grid was found for the whole motion, {part}. The grid kept has the whole "
-        f"motion and the fewest invalid cells of {len(march.attempts)} attempts"
+        f"motion and the fewest invalid cells of {len(attempts)} attempts"
     )
-    march.warnings.append(Notice(text, "no valid grid"))
+    course.log.warn(Notice(text, "no valid grid"))

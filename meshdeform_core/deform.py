@@ -6,22 +6,20 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from .attempts import adaptively, in_equal_steps, until_valid
-from .boundary.crossing import Crossing, find_crossings
+from .attempts import Reached, adaptively, in_equal_steps, until_valid
+from .boundary.prescribed import largest_displacement
+from .course import Attempt, Course, doubts
 from .errors import CaseError
-from .grid import Grid
-from .march import Attempt, March
+from .grid import FloatArray, Grid
 from .memory import UNLIMITED, MemoryLimit
 from .methods import Account, Progress
 from .methods.limits import PatchMotion, patch_motions
 from .notices import Notice
-from .parallel import Task
 from .quality import Assessment, assess
 from .repair.repair import COLLAPSING, Repair
+from .repair.time_limit import TimeLimit
 from .setup import BoundaryMotion, Case, Setup, Start, Timing, set_up
-
-# Larger by this factor than those tested before, a displacement is tested for a boundary that crosses itself.
-_GROWTH = 1.25
+from .steps import State
 
 __all__ = [
     "Attempt",
@@ -43,8 +41,9 @@ class Result:
     """A deformed grid, how it was made and how good it is.
 
     ``reached`` is the fraction of the motion that was imposed: below 1 only when marching stopped before a step that
-    would have made cells invalid; the invalid cells of the assessment are then those of that step. ``attempts`` lists
-    the steps that were tried, in order; ``repair`` summarises the repairs made, or is ``None``.
+    would have made cells invalid; the invalid cells of the assessment are then those of that step. ``displacement``
+    (n_unique, 3) is that of the boundary at the end of the motion. ``attempts`` lists the steps that were tried, in
+    order; ``repair`` summarises the repairs of the steps that led to the grid, or is ``None``.
     """
 
     setup: Setup
@@ -53,7 +52,7 @@ class Result:
     account: Account
     steps: int
     reached: float
-    max_displacement: float
+    displacement: FloatArray
     timing: Timing
     warnings: tuple[str, ...]
     motion: tuple[PatchMotion, ...] = ()
@@ -62,6 +61,11 @@ class Result:
 
     def __repr__(self) -> str:
         return f"Result(valid={self.valid}, steps={self.steps}, reached={self.reached:g})"
+
+    @property
+    def max_displacement(self) -> float:
+        """Largest displacement of the boundary."""
+        return largest_displacement(self.displacement)
 
     @property
     def valid(self) -> bool:
@@ -114,90 +118,71 @@ def impose(
     start: Start | None = None,
 ) -> Result:
     """Impose a motion of the boundary, from the undeformed grid or from ``start``; see :func:`deform`."""
-    march = March(setup, motion, precision, timing, progress, start)
-    beside = _Beside.begun(march)
-    repairs = setup.case.repair.mode != "off"
+    limit = TimeLimit(setup.case.repair.time_limit)
+    begin = start or Start(setup.grid.points)
+    course = Course(setup, motion, precision, timing, progress, begin, limit)
+    course.latest.put(begin.points, setup.case.method, begin.prepared)
+    course.log.warn(*setup.warnings, *doubts(course, one_of_many=start is not None))
     if steps is None:
-        steps = "auto" if repairs else 1
+        steps = "auto" if course.repairs else 1
     if steps == "auto":
-        until_valid(march) if repairs else adaptively(march)
-    elif isinstance(steps, int) and steps > 0:
-        in_equal_steps(march, steps)
-    else:
-        raise CaseError(f'steps = {steps!r}; expected a whole number >= 1 or "auto"')
-    return _result(march, beside)
+        return _result(until_valid(course) if course.repairs else adaptively(course))
+    if isinstance(steps, int) and steps > 0:
+        return _result(in_equal_steps(course, steps))
+    raise CaseError(f'steps = {steps!r}; expected a whole number >= 1 or "auto"')
 
 
-def _result(march: March, beside: _Beside) -> Result:
-    setup, last = march.setup, march.last
-    final = march.rounded(march.points)
-    with march.timing.stage("quality"):
+def _result(reached: Reached) -> Result:
+    state, failed = reached
+    course, setup, last = state.course, state.course.setup, state.last
+    final = course.rounded(state.points)
+    with course.timing.stage("quality"):
         assessment = assess(setup.original, final, setup.boundary, last.cells if last else None)
-        if march.failed is not None:
+        if failed is not None:
             # The kept grid is valid; the user needs to know which cells the next step would break.
-            broken = assess(setup.original, march.rounded(march.failed.points), setup.boundary, march.failed.cells)
+            points, cells = course.rounded(failed.found.points), failed.found.cells
+            broken = assess(setup.original, points, setup.boundary, cells)
             assessment = dataclasses.replace(assessment, invalid=broken.invalid, groups=broken.groups)
-        assessment = assessment.with_steps(setup.grid, march.first_bad, march.steps + (march.failed is not None))
+        assessment = assessment.with_steps(setup.grid, state.first_bad, state.steps + (failed is not None))
+    account = state.account or (failed.account if failed else Account())
     return Result(
         setup,
         setup.grid.moved(final),
         assessment,
-        march.account,
-        march.steps,
-        march.fraction,
-        march.max_displacement,
-        march.timing,
+        account,
+        state.steps,
+        state.fraction,
+        course.total,
+        course.timing,
         (
-            *march.warnings,
-            *march.notices.values(),
+            *course.log.warnings,
+            *state.notices.values(),
             *_nearly_collapsed(assessment),
-            *_overlaps(march, assessment, beside),
+            *_overlaps(state, assessment),
         ),
-        beside.motions.result(),
-        tuple(march.attempts),
-        sum(march.repairs[1:], march.repairs[0]) if march.repairs else None,
+        patch_motions(setup.problem, course.total),
+        tuple(course.log.attempts),
+        sum(state.repairs[1:], state.repairs[0]) if state.repairs else None,
     )
 
 
-@dataclass(frozen=True)
-class _Beside:
-    """What is found of the moving boundary alone, beside the deformation of the grid.
-
-    ``crossings`` are where it crosses itself. Of the levels of a series, those are examined whose displacement is
-    larger than at the levels before; ``None`` for the others.
-    """
-
-    motions: Task[tuple[PatchMotion, ...]]
-    crossings: Task[tuple[Crossing, ...]] | None
-
-    @classmethod
-    def begun(cls, march: March) -> _Beside:
-        setup, total = march.setup, march.total
-        # The method asks for the rotations that this finds.
-        motions = Task(lambda: patch_motions(setup.problem, total))
-        if march.max_displacement <= _GROWTH * max(setup.examined, default=0.0):
-            return cls(motions, None)
-        where = setup.grid, setup.topology, setup.boundary
-        return cls(motions, Task(lambda: find_crossings(*where, total), after=motions))
-
-
-def _overlaps(march: March, assessment: Assessment, beside: _Beside) -> list[str]:
+def _overlaps(state: State, assessment: Assessment) -> list[str]:
     """A warning if valid cells overlap others: a wall may pass through itself where no cells lie between its sides.
 
     Other boundaries cannot meet while all cells are valid.
     """
-    if not assessment.valid or march.fraction < 1.0 or beside.crossings is None:
+    course = state.course
+    if not assessment.valid or state.fraction < 1.0:
         return []
-    with march.timing.stage("quality"):
-        crossings = beside.crossings.result()
-    if crossings:
-        text = (
-            f"the moved boundary crosses itself: {crossings[0]}. The cells are valid one by one, but the grid overlaps "
-            f"itself there"
-        )
-        return [Notice(text, f"crossing of {' and '.join(crossings[0].patches)}")]
-    march.setup.examined.append(march.max_displacement)
-    return []
+    with course.timing.stage("quality"):
+        crossings = course.setup.undeformed.crossing_test.crossings(course.total)
+    if not crossings:
+        return []
+    text = (
+        f"the moved boundary crosses itself: {crossings[0]}. The cells are valid one by one, but the grid overlaps "
+        f"itself there"
+    )
+    return [Notice(text, f"crossing of {' and '.join(crossings[0].patches)}")]
 
 
 def _nearly_collapsed(assessment: Assessment) -> list[str]:

@@ -19,8 +19,8 @@ PROGRAM_BYTES, COORDINATE_ARRAYS = 220 * 2**20, 9
 VELOCITY_ARRAYS, SWEPT_ARRAYS = 2, 4
 """The grid velocity of a series, and the levels of which it is a difference; with the volumes swept by faces: those of
 two intervals, their combination, and what is written."""
-WRITING_ARRAYS, REUSED_ARRAYS = 2, 3
-"""What writing a level takes, at most, while the next one is computed; what is kept to be used again."""
+WRITING_ARRAYS = 2
+"""What writing a level takes, at most, while the next one is computed."""
 PICTURE_BYTES = 280 * 2**20
 """The library that draws the pictures of a report, and what it draws on: up to 273 MiB were measured."""
 # Coordinate arrays that each of several ranks on a machine holds privately: 0.9 to 1.05 were measured.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .boundary import Boundary, classify
-from .boundary.crossing import find_crossings
+from .boundary.crossing import CrossingTest
 from .boundary.pinned import find_pinned
 from .errors import GridError
 from .grid import FloatArray, Grid
@@ -111,7 +111,7 @@ def _reasons(original: Grid, topology: Topology, boundary: Boundary, points: Flo
     """Why no valid grid can be found, if the boundary alone shows it."""
     change = (points - original.points)[topology.first]
     found = []
-    for crossing in find_crossings(original, topology, boundary, change)[:1]:
+    for crossing in CrossingTest(original, topology, boundary).crossings(change)[:1]:
         place = ", ".join(f"{x:.6g}" for x in crossing.point)
         names = " and ".join(dict.fromkeys(crossing.patches))
         found.append(f"the boundary crosses itself, so no valid grid exists: {names} near ({place})")

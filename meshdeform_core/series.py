@@ -10,11 +10,16 @@ import numpy as np
 from .deform import Result, Setup, Start, Timing, impose
 from .errors import CaseError
 from .grid import Field, FloatArray
-from .memory import REUSED_ARRAYS, WRITING_ARRAYS
 from .methods import PreparedMethod, Progress, make_method
 from .numerics.arrays import lengths
-from .parallel import allow, empty, for_rows, reusing_memory
+from .parallel import empty, for_rows
 from .velocity import PAST, VELOCITIES, face_fields, grid_velocity
+
+REVISION = 2
+"""Number of the algorithms: a series is continued only by a program with the same one.
+
+Raise it with every change after which a level of some series gets other coordinates or another verdict.
+"""
 
 ORIGINS = ("reference", "last")
 _WRITTEN = 1e-6
@@ -99,12 +104,11 @@ def deform_series(
     """
     series = _Series(setup, schedule, precision, progress)
     past = [finished(n) for n in range(first - series.past(first), first)] if finished else []
-    with reusing_memory():
-        for number in range(first, len(schedule.times)):
-            level = series.level(number, past)
-            yield level
-            past = [*past, level.result.grid.points]
-            past = past[len(past) - series.past(number + 1) :]
+    for number in range(first, len(schedule.times)):
+        level = series.level(number, past)
+        yield level
+        past = [*past, level.result.grid.points]
+        past = past[len(past) - series.past(number + 1) :]
 
 
 class _Series:
@@ -122,8 +126,8 @@ class _Series:
         marching = schedule.origin == "last" and bool(past)
         start = Start(past[-1]) if marching else Start(setup.grid.points, reference, self._correction(number, past))
         result = impose(setup, setup.motion(time), schedule.steps, self.precision, timing, self.progress, start)
-        self._expect_more()
-        displacement = setup.displacement(time)[self.problem.source_numbers]
+        setup.undeformed.expect_more()
+        displacement = result.displacement[self.problem.source_numbers]
         drift = velocity = None
         if schedule.origin == "last":
             with timing.stage("drift"):
@@ -136,13 +140,6 @@ class _Series:
             with timing.stage("velocity"):
                 faces = face_fields(setup.grid, schedule.times[: number + 1], [*past[-2:], result.grid.points])
         return Level(number, time, result, self._rotation(displacement), drift, velocity, faces, timing)
-
-    def _expect_more(self) -> None:
-        """Keep what saves time at further levels, if memory allows."""
-        setup = self.setup
-        setup.expect_more()
-        rest = setup.memory.spare - setup.original.kept.bytes - WRITING_ARRAYS * setup.grid.points.nbytes
-        allow(min(max(rest, 0), REUSED_ARRAYS * setup.grid.points.nbytes))
 
     def past(self, number: int) -> int:
         """How many levels before level ``number`` are needed to make it; a repair starts from the one before."""

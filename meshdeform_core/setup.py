@@ -11,6 +11,7 @@ from functools import cached_property, partial
 
 from .boundary import Boundary, BoundarySpec, Kind, classify
 from .boundary.classification import UNSELECTED
+from .boundary.crossing import CrossingTest
 from .boundary.plates import open_plates
 from .boundary.prescribed import prescribed_displacement
 from .boundary.unselected import opening_notes
@@ -90,18 +91,18 @@ class Timing:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Setup:
-    """A grid with everything that is known before the boundary moves; ``--dry-run`` shows it."""
+class Undeformed:
+    """The undeformed grid and its classified boundary, with what is computed from them once, when it is first needed.
+
+    Set-ups that differ in the method or the repair mode share it. ``min_jacobian``: cells with a corner below this
+    share of its undeformed Jacobian count as invalid.
+    """
 
     grid: Grid
-    case: Case
     topology: Topology
     boundary: Boundary
-    warnings: tuple[str, ...]
     memory: MemoryLimit = UNLIMITED
-
-    def __repr__(self) -> str:
-        return f"Setup({self.grid!r}, {self.case.method.name})"
+    min_jacobian: float = 0.0
 
     @cached_property
     def problem(self) -> Problem:
@@ -111,7 +112,12 @@ class Setup:
     @cached_property
     def original(self) -> Original:
         """The undeformed cells, against which every result is judged."""
-        return Original(self.grid, self.topology, self.case.repair.min_jacobian)
+        return Original(self.grid, self.topology, self.min_jacobian)
+
+    @cached_property
+    def crossing_test(self) -> CrossingTest:
+        """Whether the boundary crosses itself after a displacement."""
+        return CrossingTest(self.grid, self.topology, self.boundary)
 
     @cached_property
     def round_off(self) -> float:
@@ -119,26 +125,58 @@ class Setup:
         low, high = extent(self.grid.points[self.topology.first])
         return 1e-12 * float((high - low).max())
 
-    @cached_property
-    def examined(self) -> list[float]:
-        """Largest displacements whose boundary was tested for crossing itself."""
-        return []
-
-    def with_repair(self, mode: Mode) -> Setup:
-        """A copy with another repair mode; data of the undeformed grid are shared."""
-        if mode == self.case.repair.mode:
-            return self
-        repair = dataclasses.replace(self.case.repair, mode=mode)
-        other = dataclasses.replace(self, case=dataclasses.replace(self.case, repair=repair))
-        # The values of cached properties lie in the instance's dictionary.
-        vars(other).update(problem=self.problem, original=self.original, examined=self.examined)
-        return other
-
     def expect_more(self) -> None:
         """Keep what the judgement of further grids needs of the undeformed one, if memory allows; for a series."""
         kept = self.original.kept
         if not kept.begun and kept.bytes <= self.memory.spare:
             kept.begin()
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Setup:
+    """A grid with everything that is known before the boundary moves; ``--dry-run`` shows it."""
+
+    undeformed: Undeformed
+    case: Case
+    warnings: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        return f"Setup({self.grid!r}, {self.case.method.name})"
+
+    @property
+    def grid(self) -> Grid:
+        """The undeformed grid."""
+        return self.undeformed.grid
+
+    @property
+    def topology(self) -> Topology:
+        """Coincident nodes and outside faces of the grid."""
+        return self.undeformed.topology
+
+    @property
+    def boundary(self) -> Boundary:
+        """Which node moves, stays or slides."""
+        return self.undeformed.boundary
+
+    @property
+    def memory(self) -> MemoryLimit:
+        """The limit of methods and repairs, in addition to the grid."""
+        return self.undeformed.memory
+
+    @property
+    def problem(self) -> Problem:
+        """The input of a method's ``prepare``."""
+        return self.undeformed.problem
+
+    @property
+    def original(self) -> Original:
+        """The undeformed cells, against which every result is judged."""
+        return self.undeformed.original
+
+    def with_repair(self, mode: Mode) -> Setup:
+        """The same with another repair mode."""
+        repair = dataclasses.replace(self.case.repair, mode=mode)
+        return dataclasses.replace(self, case=dataclasses.replace(self.case, repair=repair))
 
     def displacement(self, time: float, fraction: float = 1.0) -> FloatArray:
         """Prescribed displacement of all unique face nodes (n_unique, 3)."""
@@ -189,4 +227,5 @@ def set_up(grid: Grid, case: Case, timing: Timing | None = None, memory: MemoryL
             "no node moves: no boundary entry of kind moving selects any node; "
             'expected a [[boundary]] with kind = "moving" and a motion, or a displacement table'
         )
-    return Setup(grid, case, topology, boundary, (*warnings, *boundary.notes), memory)
+    undeformed = Undeformed(grid, topology, boundary, memory, case.repair.min_jacobian)
+    return Setup(undeformed, case, (*warnings, *boundary.notes))

@@ -11,8 +11,10 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from meshdeform_core.deform import Case
 from meshdeform_core.errors import CaseError, FormatError
-from meshdeform_core.series import Schedule
+from meshdeform_core.methods import entry_of
+from meshdeform_core.series import REVISION, Schedule
 
 from ..case import CaseFile
 from ..contents import digest
@@ -20,6 +22,8 @@ from ..files import replacing
 
 NAME = "series.json"
 _SHOWN = 6
+# Keys of a case that are stored as the options that they resolve to.
+_RESOLVED = ("method.", "repair.")
 
 
 @dataclass
@@ -101,17 +105,32 @@ def ingredients_of(
 ) -> dict[str, Any]:
     """Everything that the levels depend on, by name: the contents of the files, keys of the case, times, options.
 
-    ``output`` defines how levels are written.
+    Options of the method and of repairs are stored with their values, given or not: another program may have other
+    defaults. What an option ``auto`` stands for depends on the grid and on ``algorithms``. ``output`` defines how
+    levels are written.
     """
     files = [path for path in (boundary_file or case.boundary_file, *case.files) if path is not None]
     return {
         "program": f"meshdeform {version('meshdeform')}",
+        "algorithms": REVISION,
         "grid": digest(grid),
         **{f"file {path}": digest(path) for path in files},
-        **{f"case {key}": value for key, value in _flattened(case.content, "")},
+        **{f"case {key}": value for key, value in _flattened(case.content, "") if not key.startswith(_RESOLVED)},
+        **_resolved(case.case),
         **dataclasses.asdict(schedule),
         **output,
     }
+
+
+def _resolved(case: Case) -> dict[str, Any]:
+    """The options of the method and of repairs by the names of their keys in a case, and the tolerance."""
+    method, used = case.method, entry_of(case.method.name).parts
+    tables = {part: getattr(method, part) for part in ("idw", "rbf", "tfi") if type(getattr(method, part)) in used}
+    options = {"method": {part: dataclasses.asdict(table) for part, table in tables.items()}}
+    options |= {"repair": dataclasses.asdict(case.repair)}
+    # JSON has no infinity.
+    values = {key: str(v) if isinstance(v, float) and not math.isfinite(v) else v for key, v in _flattened(options, "")}
+    return {"method.name": method.name, **values, "tolerance": case.tolerance}
 
 
 def _flattened(value: Any, name: str) -> Iterator[tuple[str, Any]]:

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy
@@ -23,8 +24,8 @@ from ..grid import BoolArray, FloatArray, Grid, IntArray
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology
 from ..notices import Notice
-from ..numerics.geometry.crossing import crossing_faces, near_faces
-from ..numerics.geometry.overlap import BESIDE, ORDINARY, SLIDING
+from ..numerics.geometry.crossing import crossing_faces, displaced, near_faces, with_moved
+from ..numerics.geometry.overlap import BESIDE, ORDINARY, SLIDING, FaceTree
 from ..numerics.geometry.solid_angle import plane_winding, winding
 from .classification import Boundary, Kind
 
@@ -83,125 +84,99 @@ class Contact:
         return Notice(text, f"no valid grid: crossing of {where}")
 
 
-def find_contact(
-    grid: Grid, topology: Topology, boundary: Boundary, path: Callable[[float], FloatArray]
-) -> Contact | None:
-    """First contact of the boundary with itself; ``None`` if there is no crossing at the end of the motion.
+class CrossingTest:
+    """Tests whether a boundary crosses itself after a displacement (n_unique, 3).
 
-    Parameters
-    ----------
-    path : displacement (n_unique, 3) of the boundary at a fraction of the motion
-    """
-    last = path(1.0)
-    surface = _Surface(grid, topology, boundary, last)
-    found = surface.crossings(last)
-    if not found and not surface.outside(last):
-        return None
-    low, high = 0.0, 1.0
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
-        crossings = surface.crossings(path(middle))
-        if crossings or surface.outside(path(middle)):
-            high, found = middle, crossings or found
-        else:
-            low = middle
-    # Faces that meet between the two fractions are at most that far apart: parallel walls count as crossing, too.
-    at = path(high)
-    gap = 2.0 * float(np.abs(at - path(low)).max())
-    return Contact(low, surface.crossings(at, gap) or found)
-
-
-def find_crossings(
-    grid: Grid, topology: Topology, boundary: Boundary, displacement: FloatArray
-) -> tuple[Crossing, ...]:
-    """Patches whose faces cross after a displacement (n_unique, 3) of the boundary but not before.
-
-    Sorted by the number of pairs of faces, most first. Walls that have passed each other completely are not found
-    here but by :func:`find_contact`.
-    """
-    return _Surface(grid, topology, boundary, displacement).crossings(displacement)
-
-
-class _Surface:
-    """The boundary's faces (m, 4) between its unique nodes.
-
-    A 2-D grid is given a thickness: its edges become strips.
+    What does not depend on the displacement is kept for further ones.
     """
 
-    def __init__(self, grid: Grid, topology: Topology, boundary: Boundary, displacement: FloatArray):
-        self.topology, self.boundary = topology, boundary
-        self.points = grid.points[topology.first]
-        kind, corners = boundary.quad_kind, topology.quads.corners
-        # A plane that nodes leave moves with them: the position of its faces is unknown.
-        departs = boundary.slip.departure(displacement) > 1e-9 * float(np.ptp(self.points, axis=0).max())
-        sliding = np.isin(kind, (Kind.SLIP, Kind.SYMMETRY)) & (not departs)
-        self.quads = np.flatnonzero((kind >= Kind.FIXED) & boundary.known[corners].all(axis=1) | sliding)
-        self.faces = corners[self.quads]
-        on_slip = np.zeros(topology.n_unique, dtype=bool)
-        on_slip[corners[sliding]] = True
-        self.role = np.where(on_slip[self.faces].any(axis=1), BESIDE, ORDINARY).astype(np.int8)
-        self.role[sliding[self.quads]] = SLIDING
-        self.edge = _shortest_edge(self.points, self.faces)
-        self.all_faces = corners[topology.external]
-        self.normal = plane_normal(grid)
-        if self.normal is not None:
-            self._thicken(self.normal)
-
-    def _thicken(self, normal: FloatArray) -> None:
-        thickness, n = self.edge[np.isfinite(self.edge)].max(), self.topology.n_unique
-        self.points = np.concatenate([self.points, self.points + thickness * normal])
-        self.faces = np.concatenate([self.faces, self.faces[:, ::-1] + n], axis=1)
-        self.edge = np.tile(self.edge, 2)
+    def __init__(self, grid: Grid, topology: Topology, boundary: Boundary):
+        self._grid, self._topology, self._boundary = grid, topology, boundary
+        self._normal = plane_normal(grid)
+        self._size = float(np.ptp(grid.points[topology.first], axis=0).max())
 
     def crossings(self, displacement: FloatArray, gap: float = 0.0) -> tuple[Crossing, ...]:
-        """Faces that cross after a displacement (n_unique, 3), or come closer than ``gap``."""
-        copies = len(self.points) // self.topology.n_unique
-        moved = np.tile((displacement != 0.0).any(axis=1), copies)
-        asked = moved[self.faces].any(axis=1) & (self.role != SLIDING)
+        """Patches whose faces cross after a displacement but not before, or come closer than ``gap``.
+
+        Sorted by the number of pairs of faces, most first. Walls that have passed each other completely are not found
+        here but by :meth:`contact`.
+        """
+        surface = self._surface_for(displacement)
+        after, moved = displaced(surface.points, displacement, surface.shift(gap))
+        asked = with_moved(surface.faces, moved) & (surface.role != SLIDING)
         if not asked.any():
             return ()
-        # Parts are tested for lying outside at a small distance from their faces, by which they may come closer.
-        reach = gap + 4.0 * _INSIDE * self.edge if gap else 0.0
-        amplitude = np.clip(reach, TOUCH * self.edge, 0.05 * self.edge)
-        after = self.points + np.tile(displacement, (copies, 1))
-        used = np.isfinite(amplitude)
-        after[used] += (np.random.default_rng(0).uniform(-1.0, 1.0, after.shape) * amplitude[:, None])[used]
-        pairs, places = crossing_faces(after, self.faces, asked, self.role)
+        pairs, places = crossing_faces(surface.tree, after, surface.faces, asked)
         if len(pairs):
-            new = self._new(pairs, amplitude)
+            new = surface.were_apart(pairs, gap)
             pairs, places = pairs[new], places[new]
-        return _grouped(self._names(moved)[pairs], places)
+        return _grouped(self._names(surface, moved)[pairs], places) if len(pairs) else ()
 
-    def _new(self, pairs: IntArray, amplitude: FloatArray) -> BoolArray:
-        """Which pairs (c, 2) contain a face that touched no other one before it moved."""
-        crossing = np.zeros(len(self.faces), dtype=bool)
-        crossing[pairs] = True
-        close = np.maximum(_ABUTTING * self.edge, 4.0 * amplitude)[self.faces].min(axis=1)
-        return np.asarray(~near_faces(self.points, self.faces, crossing, close)[pairs].all(axis=1))
+    def contact(self, path: Callable[[float], FloatArray]) -> Contact | None:
+        """First contact of the boundary with itself; ``None`` if there is no crossing at the end of the motion.
 
-    def _names(self, moved: BoolArray) -> np.ndarray:
+        Parameters
+        ----------
+        path : displacement at a fraction of the motion
+        """
+        last = path(1.0)
+        found = self.crossings(last)
+        if not found and not self._outside(last):
+            return None
+        low, high = 0.0, 1.0
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (low + high)
+            crossings = self.crossings(path(middle))
+            if crossings or self._outside(path(middle)):
+                high, found = middle, crossings or found
+            else:
+                low = middle
+        # Faces that meet between the two fractions are at most that far apart: parallel walls count as crossing, too.
+        at = path(high)
+        gap = 2.0 * float(np.abs(at - path(low)).max())
+        return Contact(low, self.crossings(at, gap) or found)
+
+    def _surface_for(self, displacement: FloatArray) -> _Surface:
+        """A plane that nodes leave moves with them: the position of its faces is unknown, and they are left out."""
+        departs = self._boundary.slip.departure(displacement) > 1e-9 * self._size
+        return self._open if departs else self._whole
+
+    @cached_property
+    def _whole(self) -> _Surface:
+        return _Surface(self._grid, self._topology, self._boundary, with_sliding=True)
+
+    @cached_property
+    def _open(self) -> _Surface:
+        return _Surface(self._grid, self._topology, self._boundary, with_sliding=False)
+
+    def _names(self, surface: _Surface, moved: BoolArray) -> np.ndarray:
         """Name of the patch (m,) of every face; fixed faces that moving patches drag along belong to these."""
-        owner = np.zeros(len(self.topology.partner), dtype=np.int64)
-        carrier = np.full(self.topology.n_unique, -1)
-        patches = self.boundary.patches
+        topology, boundary = self._topology, self._boundary
+        owner = np.zeros(len(topology.partner), dtype=np.int64)
+        carrier = np.full(topology.n_unique, -1)
+        patches = boundary.patches
         # Ascending strength: a face on several patches is named after the strongest.
         for index in sorted(range(len(patches)), key=lambda n: patches[n].kind):
             owner[patches[index].quads] = index
             if patches[index].kind is Kind.MOVING:
                 carrier[patches[index].nodes] = index
-        corners = self.faces % self.topology.n_unique
+        corners = surface.faces % topology.n_unique
         carried = np.where(moved[corners], carrier[corners], -1).max(axis=1)
-        fixed = self.boundary.quad_kind[self.quads] == Kind.FIXED
-        name = np.where(fixed & (carried >= 0), carried, owner[self.quads])
+        fixed = boundary.quad_kind[surface.quads] == Kind.FIXED
+        name = np.where(fixed & (carried >= 0), carried, owner[surface.quads])
         return np.array([patch.name for patch in patches])[name]
 
-    def outside(self, displacement: FloatArray) -> bool:
+    @cached_property
+    def _outside_faces(self) -> IntArray:
+        return self._topology.quads.corners[self._topology.external]
+
+    def _outside(self, displacement: FloatArray) -> bool:
         """Whether a part of the boundary that moves has come to lie outside of the rest (or inside out)."""
-        faces = self.all_faces[(displacement[self.all_faces] != 0.0).any(axis=2).all(axis=1)]
+        faces = self._outside_faces[(displacement[self._outside_faces] != 0.0).any(axis=2).all(axis=1)]
         if not len(faces):
             return False
-        samples = faces[_samples(faces, self.topology.n_unique)]
-        before = self.points[: self.topology.n_unique]
+        samples = faces[_samples(faces, self._topology.n_unique)]
+        before = self._grid.points[self._topology.first]
         inside = [self._winding(x, samples) for x in (before, before + displacement)]
         # Only where the boundary is closed, before and after, the number tells.
         sure = (np.abs(inside[0] - 1.0) < 0.02) & (np.abs(inside[1] - np.round(inside[1])) < 0.02)
@@ -209,9 +184,9 @@ class _Surface:
 
     def _winding(self, points: FloatArray, samples: IntArray) -> FloatArray:
         """Winding number (k,) of the boundary about points just inside the faces ``samples`` (k, 2 or 4)."""
-        if self.normal is not None:
+        if self._normal is not None:
             return self._plane_winding(points, samples)
-        triangles = np.concatenate([self.all_faces[:, [0, 1, 2]], self.all_faces[:, [2, 3, 0]]])
+        triangles = np.concatenate([self._outside_faces[:, [0, 1, 2]], self._outside_faces[:, [2, 3, 0]]])
         a, b, c = (points[samples[:, k]] for k in range(3))
         area = np.cross(b - a, c - a)
         size = np.linalg.norm(area, axis=1, keepdims=True)
@@ -219,11 +194,73 @@ class _Surface:
 
     def _plane_winding(self, points: FloatArray, samples: IntArray) -> FloatArray:
         """The same in 2-D, where the outside lies to the right of an edge."""
-        assert self.normal is not None
+        assert self._normal is not None
         a, b = points[samples[:, 0]], points[samples[:, 1]]
-        places = 0.5 * (a + b) + _INSIDE * np.cross(self.normal, b - a)
-        one, two = (points[self.all_faces[:, k]] for k in (0, 1))
-        return plane_winding(one, two, self.normal, places)
+        places = 0.5 * (a + b) + _INSIDE * np.cross(self._normal, b - a)
+        one, two = (points[self._outside_faces[:, k]] for k in (0, 1))
+        return plane_winding(one, two, self._normal, places)
+
+
+class _Surface:
+    """The faces (m, 4) of a boundary between its unique nodes, as far as their position is known.
+
+    A 2-D grid is given a thickness: its edges become strips.
+
+    Attributes
+    ----------
+    points : (n, 3) undeformed, in 2-D those of both sides of the strips
+    quads : (m,) numbers of the faces in the topology
+    role : (m,) int8, ``ORDINARY``, ``BESIDE`` or ``SLIDING``
+    edge : (n,) shortest edge of a face at each point
+    """
+
+    def __init__(self, grid: Grid, topology: Topology, boundary: Boundary, with_sliding: bool):
+        kind, corners = boundary.quad_kind, topology.quads.corners
+        sliding = np.isin(kind, (Kind.SLIP, Kind.SYMMETRY)) & with_sliding
+        self.quads = np.flatnonzero((kind >= Kind.FIXED) & boundary.known[corners].all(axis=1) | sliding)
+        self.points, self.faces = grid.points[topology.first], corners[self.quads]
+        on_slip = np.zeros(topology.n_unique, dtype=bool)
+        on_slip[corners[sliding]] = True
+        self.role = np.where(on_slip[self.faces].any(axis=1), BESIDE, ORDINARY).astype(np.int8)
+        self.role[sliding[self.quads]] = SLIDING
+        self.edge = _shortest_edge(self.points, self.faces)
+        normal = plane_normal(grid)
+        if normal is not None:
+            self._thicken(normal)
+
+    def _thicken(self, normal: FloatArray) -> None:
+        thickness, n = self.edge[np.isfinite(self.edge)].max(), len(self.points)
+        self.points = np.concatenate([self.points, self.points + thickness * normal])
+        self.faces = np.concatenate([self.faces, self.faces[:, ::-1] + n], axis=1)
+        self.edge = np.tile(self.edge, 2)
+
+    @cached_property
+    def tree(self) -> FaceTree:
+        return FaceTree(self.points, self.faces, self.role)
+
+    def shift(self, gap: float) -> FloatArray:
+        """Pseudo-random shift (n, 3) of the points, by which faces that come closer than ``gap`` cross somewhere."""
+        return self._perturbation(gap) if gap else self._touching
+
+    @cached_property
+    def _touching(self) -> FloatArray:
+        return self._perturbation(0.0)
+
+    def _perturbation(self, gap: float) -> FloatArray:
+        amplitude = np.where(np.isfinite(self.edge), self._amplitude(gap), 0.0)
+        return np.random.default_rng(0).uniform(-1.0, 1.0, self.points.shape) * amplitude[:, None]
+
+    def _amplitude(self, gap: float) -> FloatArray:
+        # Parts are tested for lying outside at a small distance from their faces, by which they may come closer.
+        reach = gap + 4.0 * _INSIDE * self.edge if gap else 0.0
+        return np.clip(reach, TOUCH * self.edge, 0.05 * self.edge)
+
+    def were_apart(self, pairs: IntArray, gap: float) -> BoolArray:
+        """Which pairs (c, 2) contain a face that touched no other one before it moved."""
+        crossing = np.zeros(len(self.faces), dtype=bool)
+        crossing[pairs] = True
+        close = np.maximum(_ABUTTING * self.edge, 4.0 * self._amplitude(gap))[self.faces].min(axis=1)
+        return np.asarray(~near_faces(self.points, self.faces, crossing, close)[pairs].all(axis=1))
 
 
 def _shortest_edge(points: FloatArray, faces: IntArray) -> FloatArray:

@@ -5,7 +5,6 @@ Arrays of n rotation vectors, matrices (n, 3, 3), unit quaternions (n, 4, scalar
 
 from __future__ import annotations
 
-import threading
 from functools import cached_property
 from typing import NamedTuple
 
@@ -16,10 +15,6 @@ from .branches import continuous, nearest_branch
 
 SHARP = 0.9
 """Mean of the unit normals at a node, below which its faces make a sharp edge."""
-
-
-# Not of the object, which must be possible to copy.
-_fitting = threading.Lock()
 
 
 class SurfaceRotations:
@@ -62,18 +57,17 @@ class SurfaceRotations:
         return self._of(displacement)[1].copy()
 
     def _of(self, displacement: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Quaternions and rotation vectors; of threads that ask at the same time, one fits them."""
-        with _fitting:
-            if self._last is None or not np.array_equal(self._last[0], displacement):
-                found = np.tile([1.0, 0.0, 0.0, 0.0], (len(displacement), 1))
-                part = self._part_moved_by(displacement)
-                if part.turning.size:
-                    surface, inside = part.surface, displacement[part.nodes]
-                    found[part.nodes[part.turning]] = surface._fitted(surface._points + inside)[part.turning]
-                vectors = continuous(rotation_vector(found), neighbours(self._corners, self._edges, self._plane_normal))
-                found[lengths(vectors) > np.pi] *= -1.0
-                self._last = displacement.copy(), found, vectors
-            return self._last[1:]
+        """Quaternions and rotation vectors."""
+        if self._last is None or not np.array_equal(self._last[0], displacement):
+            found = np.tile([1.0, 0.0, 0.0, 0.0], (len(displacement), 1))
+            part = self._part_moved_by(displacement)
+            if part.turning.size:
+                surface, inside = part.surface, displacement[part.nodes]
+                found[part.nodes[part.turning]] = surface._fitted(surface._points + inside)[part.turning]
+            vectors = continuous(rotation_vector(found), neighbours(self._corners, self._edges, self._plane_normal))
+            found[lengths(vectors) > np.pi] *= -1.0
+            self._last = displacement.copy(), found, vectors
+        return self._last[1:]
 
     def _part_moved_by(self, displacement: FloatArray) -> _Part:
         """The part of the surface whose nodes may turn: usually the same at all levels of a series."""

@@ -24,8 +24,6 @@ from contextlib import AbstractContextManager, contextmanager
 from functools import partial
 from typing import Any, NamedTuple, Protocol, TypeVar
 
-from .reuse import uninitialised
-
 T = TypeVar("T")
 Work = Callable[[int, int], object]
 Counter = Callable[[int, int], object]
@@ -107,7 +105,10 @@ class OneRank:
         return self._cores or usable_cores()
 
     def empty(self, shape: Sequence[int], dtype: Any) -> Any:
-        return uninitialised(shape, dtype)
+        # Imported late: the number of threads of linear algebra must be set before numpy is loaded.
+        import numpy as np
+
+        return np.empty(shape, dtype)
 
     def group_of(self, arrays: Sequence[Any]) -> tuple[int, int]:
         return 0, 1
@@ -141,7 +142,6 @@ class Shared(NamedTuple):
     rows: Callable[[int, int], Any] = range
 
 
-_here = threading.local()
 _limit: int | None = None
 _ranks: Ranks = OneRank()
 
@@ -193,14 +193,8 @@ def empty(shape: Sequence[int], dtype: Any = "float64") -> Any:
 
 
 def thread_count() -> int:
-    """Number of threads that loops use; in a task one less than outside, as the work beside it takes one."""
-    count = max(1, min(_limit or _ranks.cores, usable_cores()))
-    return max(1, count - 1) if getattr(_here, "beside", False) else count
-
-
-def mark_beside() -> None:
-    """Let this thread's loops leave a thread to the work beside it."""
-    _here.beside = True
+    """Number of threads that loops use."""
+    return max(1, min(_limit or _ranks.cores, usable_cores()))
 
 
 def usable_cores() -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import re
@@ -13,6 +14,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from meshdeform_core.methods import Options
+from meshdeform_core.repair import RepairOptions
+from meshdeform_core.series import REVISION
 from meshdeform_formats import read_grid, write_grid
 
 SWING = """\
@@ -314,7 +318,8 @@ def test_a_level_that_was_deleted_is_made_again(swing, call):
         (lambda: write_grid(read_grid("grid.xyz").moved(1.01 * read_grid("grid.xyz").points), "grid.xyz"), "grid has"),
         (("--times", "0:1:0.5"), "times was 5 values from 0.0 to 1.0, is [0.0, 0.5, 1.0]"),
         (("--from", "last"), "origin was 'reference', is 'last'"),
-        (("--set", "method.idw.alpha=0.3"), "case method.idw.alpha is new (0.3)"),
+        (("--set", "method.idw.alpha=0.3"), "method.idw.alpha was 0.1, is 0.3"),
+        (("--repair", "off"), "repair.mode was 'auto', is 'off'"),
         (("--suffix", ".vtm"), "output was 'grid.xyz', is 'grid.vtm'"),
     ],
 )  # fmt: skip
@@ -326,6 +331,50 @@ def test_a_changed_series_is_refused_with_what_changed(change, words, swing, cal
     assert result.code == 2
     assert words in result.err
     assert snapshot(swing) == before
+
+
+def _as_by_an_older_program(state):
+    """As version 0.1.0 wrote it: the keys of the case, no defaults, no number of the algorithms."""
+    state["ingredients"] = {key: v for key, v in state["ingredients"].items() if not key.startswith(("repair.", "alg"))}
+
+
+def _as_with_another_default(state):
+    state["ingredients"]["method.idw.a"] = 2.75
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda state: state["ingredients"].update(algorithms=REVISION - 1), f"algorithms was 1, is {REVISION}"),
+        (_as_with_another_default, "method.idw.a was 2.75, is "),
+        (_as_by_an_older_program, f"algorithms is new ({REVISION}); repair.mode is new ('auto')"),
+    ],
+)
+def test_a_series_begun_by_a_program_with_other_results_is_refused(change, words, swing, call, snapshot):
+    assert call(*RUN, "-q").code == 0
+    path = Path("out/series.json")
+    state = json.loads(path.read_text())
+    change(state)
+    state["levels"].pop()
+    path.write_text(json.dumps(state))
+    before = snapshot(swing)
+    result = call(*RUN, "--resume")
+    assert result.code == 2
+    assert "cannot continue the series in out, its inputs have changed: " in result.err
+    assert words in result.err
+    assert snapshot(swing) == before
+
+
+def test_the_state_of_a_series_holds_every_option_with_its_value(swing, call):
+    assert call(*RUN, "-q").code == 0
+    stored = json.loads(Path("out/series.json").read_text())["ingredients"]
+    options = Options("idw-tfi")
+    for part in ("idw", "tfi"):
+        for each in dataclasses.fields(getattr(options, part)):
+            assert f"method.{part}.{each.name}" in stored
+    assert {f"repair.{each.name}" for each in dataclasses.fields(RepairOptions)} < stored.keys()
+    assert stored["method.name"] == "idw-tfi"
+    assert stored["steps"] is None
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,6 @@ import pytest
 
 from meshdeform_cli import series_run
 from meshdeform_core.errors import FormatError, MotionError
-from meshdeform_core.parallel import reuse
 from meshdeform_core.series import _Series
 from meshdeform_formats.series.files import LevelFiles, SingleFile
 from meshdeform_formats.series.manifest import Manifest
@@ -60,13 +59,10 @@ def written(monkeypatch):
     ("--single-file",),
 ], ids=lambda extra: extra[-1])  # fmt: skip
 def test_files_are_the_same_as_when_levels_are_written_alone(extra, swing, call, written, monkeypatch):
-    # All arrays of the small grid are made in memory that is used again, and none of the other run.
-    monkeypatch.setattr(reuse, "_SMALL", 0)
     assert call(*RUN, *extra, "-o", "beside").code == 0
     # The folder for the levels of a single file is made with the first one; the last level has no next one.
     assert [alone for _, alone in written] == [extra == ("--single-file",), *[False] * (COUNT - 2), True]
     monkeypatch.setattr(series_run.Recorder, "_alone", lambda *_: True)
-    monkeypatch.setattr(reuse, "_SMALL", 2**62)
     assert call(*RUN, *extra, "-o", "alone").code == 0
     assert written[COUNT:] == [(n, True) for n in range(COUNT)]
     files = sorted(path.relative_to("alone") for path in Path("alone").rglob("*") if path.is_file())

@@ -10,13 +10,14 @@ from cases import INNER, constant, formulas, turning
 from grids import block_around, frame, frame_2d, polar
 
 from meshdeform_core.boundary import BoundarySpec, Kind
-from meshdeform_core.boundary.crossing import Contact, find_contact, find_crossings
+from meshdeform_core.boundary.crossing import Contact
 from meshdeform_core.boundary.expression import expression
 from meshdeform_core.boundary.motion import Motion
-from meshdeform_core.deform import Case, Setup, deform, set_up
+from meshdeform_core.deform import Case, Setup, Timing, deform, impose, set_up
 from meshdeform_core.grid import Grid, Patch, Side, Window
 from meshdeform_core.methods import Options
 from meshdeform_core.numerics.geometry.crossing import cross_exactly, crossing_faces
+from meshdeform_core.numerics.geometry.overlap import FaceTree
 from meshdeform_core.numerics.geometry.solid_angle import winding
 from meshdeform_core.repair import RepairOptions
 from meshdeform_core.series import Schedule, deform_series
@@ -26,11 +27,11 @@ NEAR = expression(INNER, {"x", "y", "z"})
 
 def contact(grid: Grid, *specs: BoundarySpec) -> Contact | None:
     setup = set_up(grid, Case(specs))
-    return find_contact(grid, setup.topology, setup.boundary, lambda part: setup.displacement(0.0, part))
+    return setup.undeformed.crossing_test.contact(lambda part: setup.displacement(0.0, part))
 
 
 def crossings(setup: Setup):
-    return find_crossings(setup.grid, setup.topology, setup.boundary, setup.displacement(0.0))
+    return setup.undeformed.crossing_test.crossings(setup.displacement(0.0))
 
 
 def moving(name: str, select: str, motion: Motion, where=None) -> BoundarySpec:
@@ -59,7 +60,8 @@ def test_pairs_are_those_of_exact_arithmetic(lattice):
     faces[::7, 3] = faces[::7, 0]
     faces[1::9, 0] = faces[::9, 1][: len(faces[1::9])]
     asked = random.random(60) < 0.7
-    pairs, places = crossing_faces(points, faces, asked, np.zeros(60, dtype=np.int8))
+    tree = FaceTree(points + random.normal(0, 1, points.shape), faces, np.zeros(60, dtype=np.int8))
+    pairs, places = crossing_faces(tree, points, faces, asked)
     wanted = [
         (a, b)
         for a, b in combinations(range(60), 2)
@@ -196,12 +198,34 @@ def test_a_wall_through_its_body_is_told_although_every_cell_is_valid(grid, dept
         assert "the moved boundary crosses itself: '(not selected)' and 'left' meet at (0." in told[0]
 
 
-def test_smaller_motions_of_a_series_are_not_tested_again(monkeypatch):
-    asked = []
-    monkeypatch.setattr("meshdeform_core.deform.find_crossings", lambda *args: asked.append(args) or ())
-    wall = [BoundarySpec("cylinder", ("block1.jmin",), Kind.MOVING, None, formulas("0.1*sin(t)", "0", "0"))]
-    setup = set_up(polar(), Case(tuple(wall), {}, Options("tfi"), repair=RepairOptions("off")))
-    for _ in deform_series(setup, Schedule((0.0, 0.5, 1.0, 1.1, 1.5, 3.0)), "float64"):
-        pass
-    # At t = 0 nothing has moved.
-    assert len(asked) == 2
+def told(warnings) -> bool:
+    return any("the moved boundary crosses itself" in text for text in warnings)
+
+
+@pytest.mark.parametrize("times", [(2.0,), (1.0, 2.0), (0.0, 0.5, 1.0, 1.5, 2.0), (2.0, 2.00001), (1.0, 2.0, 3.0)])
+def test_every_level_of_a_series_is_tested(times):
+    """Whatever was tested before, and however little larger or smaller the displacement is."""
+    left = moving("left", "block2.imax", formulas("1.2 * (1 - 4*y*y) * sin(pi * (t - 1.5))", "0", "0"))
+    setup = set_up(frame_2d(), Case((left,), {}, Options("tfi"), repair=RepairOptions("off")))
+    found = {level.time: told(level.result.warnings) for level in deform_series(setup, Schedule(times), "float64")}
+    assert found == {t: np.sin(np.pi * (t - 1.5)) > 0.9 for t in times}
+
+
+@pytest.mark.parametrize("before", [-1.2, 0.7, 1.19])
+def test_a_displacement_is_tested_whatever_was_imposed_before(before):
+    left = moving("left", "block2.imax", formulas("0", "0", "0"))
+    setup = set_up(frame_2d(), Case((left,), {}, Options("tfi"), repair=RepairOptions("off")))
+    height = setup.grid.points[setup.topology.first][:, 1]
+
+    def bulge(depth):
+        total = setup.displacement(0.0)
+        rows = setup.boundary.movers[0][0]
+        total[rows, 0] = depth * (1.0 - 4.0 * height[rows] ** 2)
+        result = impose(setup, lambda part: part * total, 1, "float64", Timing())
+        assert result.valid
+        return told(result.warnings)
+
+    assert bulge(before) == (before > 1.0)
+    assert bulge(1.2)
+    assert not bulge(-before if before > 0 else before)
+    assert bulge(1.2)

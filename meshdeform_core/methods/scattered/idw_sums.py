@@ -14,7 +14,7 @@ from ...numerics.fastsum.tree import build_tree
 from ...numerics.frame import Frame
 from ...numerics.rigid import NO_TRANSITION, Transition, finish
 from ...numerics.rows import put_rows, take_rows
-from ...parallel import Shared, Task, for_chunks
+from ...parallel import Shared, for_chunks
 from ..base import Account, Progress, of_stage
 from .summation import largest_error, sum_accurately
 
@@ -158,12 +158,12 @@ class FastEvaluator:
 
     def _sorted(self, sources: FloatArray, points: FloatArray) -> FastSums:
         grid, order = self.bound.grid, interpolation_order(self._tolerance)
-        trees = Task(lambda: [build_tree(sources[group], order) for group in self.bound.groups])
+        trees = [build_tree(sources[group], order) for group in self.bound.groups]
         targets = make_targets(points, grid.shapes, grid.offsets, self.bound.flat, order)
         if points is not grid.points:
             # Accuracy is relative to the undeformed cells; in later steps only the targets have moved.
             targets = targets.sized(grid.points, grid.shapes, grid.offsets)
-        return FastSums(self.bound.groups, trees.result(), targets, self._tolerance, self.bound.room)
+        return FastSums(self.bound.groups, trees, targets, self._tolerance, self.bound.room)
 
     def evaluate(self, fit: SourceValues, out: FloatArray, progress: Progress | None) -> None:
         """Write the displacement of the targets into ``out`` (n_nodes, 3)."""

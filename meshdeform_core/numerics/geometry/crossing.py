@@ -11,11 +11,10 @@ from __future__ import annotations
 from fractions import Fraction
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..jit import kernel
-from .overlap import close_pairs
+from .overlap import ORDINARY, FaceTree
 
 # Bound of the round-off of a 3 x 3 determinant of differences, relative to its permanent (Shewchuk 1997, table 3).
 _ROUND_OFF = 8e-16
@@ -27,8 +26,25 @@ _Point = list[Fraction]
 _Triangle = tuple[_Point, _Point, _Point]
 
 
+def displaced(points: FloatArray, displacement: FloatArray, shift: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Points (n, 3) after a displacement (k, 3) and a small shift (n, 3), and whether the displacement moves them (n,).
+
+    Row r of the points has row r modulo k of the displacement.
+    """
+    after, moved = np.empty(points.shape), np.empty(len(points), dtype=np.bool_)
+    _displace(points, displacement, shift, after, moved)
+    return after, moved
+
+
+def with_moved(faces: IntArray, moved: BoolArray) -> BoolArray:
+    """Which faces (m, 4) have a node that is ``moved`` (n,)."""
+    found = np.empty(len(faces), dtype=np.bool_)
+    _with_moved(faces, moved, found)
+    return found
+
+
 def crossing_faces(
-    points: FloatArray, faces: IntArray, asked: BoolArray, role: NDArray[np.int8]
+    tree: FaceTree, points: FloatArray, faces: IntArray, asked: BoolArray
 ) -> tuple[IntArray, FloatArray]:
     """Pairs of faces that cross and have no node in common, of which at least one is ``asked``.
 
@@ -36,18 +52,17 @@ def crossing_faces(
 
     Parameters
     ----------
+    tree : of the faces
     points : (n, 3) float64
     faces : (m, 4) int64, m >= 1; triangles repeat a node
     asked : (m,) bool
-    role : (m,) int8, ``ORDINARY``, ``BESIDE`` or ``SLIDING``
 
     Returns
     -------
     pairs : (c, 2) int64, each pair once, ascending
     places : (c, 3) a point that both faces have in common
     """
-    corners = points[faces]
-    pairs = close_pairs(faces, corners.min(axis=1), corners.max(axis=1), asked, role)
+    pairs = tree.overlapping(points, asked)
     verdict, places = np.empty(len(pairs), dtype=np.int8), np.empty((len(pairs), 3))
     _decide(points, faces, pairs, verdict, places)
     for index in np.flatnonzero(verdict == _DOUBTFUL):
@@ -70,9 +85,8 @@ def near_faces(points: FloatArray, faces: IntArray, asked: BoolArray, tolerance:
     -------
     near : (m,) bool
     """
-    corners, margin = points[faces], tolerance[:, None]
-    low, high = corners.min(axis=1) - margin, corners.max(axis=1) + margin
-    pairs = close_pairs(faces, low, high, asked, np.zeros(len(faces), dtype=np.int8))
+    tree = FaceTree(points, faces, np.full(len(faces), ORDINARY, dtype=np.int8))
+    pairs = tree.overlapping(points, asked, tolerance)
     verdict, places = np.empty(len(pairs), dtype=np.int8), np.empty((len(pairs), 3))
     _decide(points, faces, pairs, verdict, places)
     touching = verdict == _YES
@@ -100,6 +114,22 @@ def _over(points: FloatArray, corner: FloatArray, reach: FloatArray) -> BoolArra
     slack = reach / np.sqrt(np.sqrt(safe))
     inside = (b >= -slack) & (c >= -slack) & (b + c <= 1.0 + slack)
     return whole & inside & (height <= reach)
+
+
+@kernel
+def _displace(points, displacement, shift, after, moved):
+    for row in range(points.shape[0]):
+        d = displacement[row % displacement.shape[0]]
+        moved[row] = d[0] != 0.0 or d[1] != 0.0 or d[2] != 0.0
+        for axis in range(3):
+            after[row, axis] = points[row, axis] + d[axis] + shift[row, axis]
+
+
+@kernel
+def _with_moved(faces, moved, found):
+    for face in range(faces.shape[0]):
+        c = faces[face]
+        found[face] = moved[c[0]] or moved[c[1]] or moved[c[2]] or moved[c[3]]
 
 
 @kernel

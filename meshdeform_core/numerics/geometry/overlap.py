@@ -1,4 +1,8 @@
-"""Which of many boxes overlap: a tree of boxes in the order of a space-filling curve."""
+"""Which of many faces have overlapping boxes: a tree in the order of a space-filling curve.
+
+The order is that of the undeformed faces. For every displacement only the boxes are computed anew, from the leaves to
+the root, and two copies of the tree are descended together: neighbours on the curve are tested as one.
+"""
 
 from __future__ import annotations
 
@@ -8,65 +12,63 @@ from numpy.typing import NDArray
 from ..arrays import BoolArray, FloatArray, IntArray, KeyArray
 from ..jit import kernel
 
-_LEAF, _DEPTH = 8, 64
+_LEAF = 8
+# Pairs of nodes that wait while a tree of 2^60 leaves is descended.
+_DEPTH = 256
 
 ORDINARY, BESIDE, SLIDING = 0, 1, 2
 """Roles of faces: those beside a sliding face touch it and are not tested against any sliding one."""
 
 
-def close_pairs(
-    faces: IntArray, low: FloatArray, high: FloatArray, asked: BoolArray, role: NDArray[np.int8]
-) -> IntArray:
-    """Pairs of faces, at least one of them ``asked``, whose boxes overlap and that have no node in common.
+class FaceTree:
+    """A balanced tree over faces.
 
     Parameters
     ----------
-    faces : (m, 4) int64 nodes
-    low, high : (m, 3) corners of the boxes
-    asked : (m,) bool
+    points : (n, 3) undeformed nodes; the tree is good as long as neighbours in space remain neighbours
+    faces : (m, 4) int64 nodes, m >= 1; triangles repeat a node
     role : (m,) int8, ``ORDINARY``, ``BESIDE`` or ``SLIDING``
-
-    Returns
-    -------
-    pairs : (c, 2) int64, the smaller number first, in no order
     """
-    order, box = _box_tree(low, high)
-    capacity = 4 * len(faces)
-    while True:
-        pairs = np.empty((capacity, 2), dtype=np.int64)
-        count = _search(faces, asked, role, low, high, order, box, pairs)
-        if count <= capacity:
-            return pairs[:count]
+
+    def __init__(self, points: FloatArray, faces: IntArray, role: NDArray[np.int8]):
+        self._order = _curve(points[faces].mean(axis=1))
+        self._faces, self._role = faces[self._order], role[self._order]
+        self._leaves = 1 << max(0, int(len(faces) - 1).bit_length() - (_LEAF.bit_length() - 1))
+
+    def overlapping(self, points: FloatArray, asked: BoolArray, margin: FloatArray | None = None) -> IntArray:
+        """Pairs of faces whose boxes overlap and that have no node in common, with at least one that is ``asked``.
+
+        Parameters
+        ----------
+        points : (n, 3) nodes
+        asked : (m,) bool
+        margin : (m,) by which the box of a face is larger than the face; none by default
+
+        Returns
+        -------
+        pairs : (c, 2) int64, the smaller number first, in no order
+        """
+        count, some = len(self._faces), asked[self._order]
+        wider = np.zeros(count) if margin is None else margin[self._order]
+        box, tree = np.empty((count, 6)), np.empty((2 * self._leaves, 6))
+        active = np.zeros(2 * self._leaves, dtype=np.bool_)
+        _fit(points, self._faces, some, wider, box, tree, active)
         capacity = count
+        while True:
+            pairs = np.empty((capacity, 2), dtype=np.int64)
+            found = _descend(self._faces, self._role, self._order, some, box, tree, active, pairs)
+            if found <= capacity:
+                return pairs[:found]
+            capacity = found
 
 
-def _box_tree(low: FloatArray, high: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Balanced tree over boxes: their order (padded with -1), and the boxes (2 p, 6) of its nodes.
-
-    Node 1 is the root, 2 n and 2 n + 1 are the children of n, and leaf p + l holds the boxes ``_LEAF`` l and following.
-    The order is that of a space-filling (Morton) curve, with coordinates that are finer where most faces are.
-    """
-    center = 0.5 * (low + high)
+def _curve(center: FloatArray) -> IntArray:
+    """Order of points along a space-filling (Morton) curve, on a lattice that is finer where most of them are."""
     away = center - np.median(center, axis=0)
     fine = 1e-3 * max(float(np.median(np.abs(away).max(axis=1))), 1e-300)
     key = np.arcsinh(away / fine)
     key -= key.min(axis=0)
-    order = np.argsort(_morton((key * ((1 << 21) - 1) / max(float(key.max()), 1e-300)).astype(np.uint64)))
-    leaves = 1 << max(0, int(len(order) - 1).bit_length() - (_LEAF.bit_length() - 1))
-    padded = np.full(leaves * _LEAF, -1, dtype=np.int64)
-    padded[: len(order)] = order
-    box = np.empty((2 * leaves, 6))
-    box[leaves:] = np.repeat([[np.inf] * 3 + [-np.inf] * 3], leaves, axis=0)
-    leaf = np.where(padded >= 0, padded, 0).reshape(leaves, _LEAF)
-    empty = (padded < 0).reshape(leaves, _LEAF, 1)
-    box[leaves:, :3] = np.where(empty, np.inf, low[leaf]).min(axis=1)
-    box[leaves:, 3:] = np.where(empty, -np.inf, high[leaf]).max(axis=1)
-    while leaves > 1:
-        children = box[leaves : 2 * leaves].reshape(-1, 2, 6)
-        leaves //= 2
-        box[leaves : 2 * leaves, :3] = children[:, :, :3].min(axis=1)
-        box[leaves : 2 * leaves, 3:] = children[:, :, 3:].max(axis=1)
-    return padded, box
+    return np.argsort(_morton((key * ((1 << 21) - 1) / max(float(key.max()), 1e-300)).astype(np.uint64)))
 
 
 def _morton(index: KeyArray) -> KeyArray:
@@ -84,41 +86,77 @@ def _morton(index: KeyArray) -> KeyArray:
 
 
 @kernel
-def _search(faces, asked, role, low, high, order, box, pairs):
-    count = 0
-    leaves = box.shape[0] // 2
-    stack = np.empty(_DEPTH, dtype=np.int64)
-    for one in range(faces.shape[0]):
-        if not asked[one]:
+def _fit(points, faces, asked, margin, box, tree, active):
+    """Boxes of faces and of all nodes of their tree: (low x, y, z, high x, y, z); nodes with a face that is asked."""
+    leaves = tree.shape[0] // 2
+    for node in range(tree.shape[0]):
+        for axis in range(3):
+            tree[node, axis], tree[node, 3 + axis] = np.inf, -np.inf
+    for face in range(faces.shape[0]):
+        leaf = leaves + face // _LEAF
+        active[leaf] |= asked[face]
+        for axis in range(3):
+            low = high = points[faces[face, 0], axis]
+            for corner in range(1, 4):
+                x = points[faces[face, corner], axis]
+                low, high = min(low, x), max(high, x)
+            low, high = low - margin[face], high + margin[face]
+            box[face, axis], box[face, 3 + axis] = low, high
+            tree[leaf, axis], tree[leaf, 3 + axis] = min(tree[leaf, axis], low), max(tree[leaf, 3 + axis], high)
+    for node in range(leaves - 1, 0, -1):
+        one, two = 2 * node, 2 * node + 1
+        active[node] = active[one] or active[two]
+        for axis in range(3):
+            tree[node, axis] = min(tree[one, axis], tree[two, axis])
+            tree[node, 3 + axis] = max(tree[one, 3 + axis], tree[two, 3 + axis])
+
+
+@kernel
+def _descend(faces, role, order, asked, box, tree, active, pairs):
+    """Pairs of leaves, found from pairs of nodes, each with itself or one beside it."""
+    leaves = tree.shape[0] // 2
+    stack = np.empty((_DEPTH, 2), dtype=np.int64)
+    stack[0, 0] = stack[0, 1] = 1
+    depth, count = 1, 0
+    while depth:
+        depth -= 1
+        a, b = stack[depth, 0], stack[depth, 1]
+        if not (active[a] or active[b]) or _apart(tree, a, tree, b):
             continue
-        stack[0] = 1
-        depth = 1
-        while depth:
-            depth -= 1
-            current = stack[depth]
-            if _apart(low[one], high[one], box[current, :3], box[current, 3:]):
-                continue
-            if current < leaves:
-                stack[depth], stack[depth + 1] = 2 * current, 2 * current + 1
-                depth += 2
-                continue
-            for slot in range((current - leaves) * _LEAF, (current - leaves + 1) * _LEAF):
-                two = order[slot]
-                if two < 0 or two == one or (asked[two] and two < one) or role[one] + role[two] == BESIDE + SLIDING:
-                    continue
-                if _apart(low[one], high[one], low[two], high[two]) or _share(faces[one], faces[two]):
-                    continue
-                if count < pairs.shape[0]:
-                    pairs[count, 0], pairs[count, 1] = min(one, two), max(one, two)
-                count += 1
+        if a >= leaves:
+            count = _leaf(faces, role, order, asked, box, tree, a - leaves, b - leaves, count, pairs)
+            continue
+        for one in range(2 * a, 2 * a + 2):
+            for two in range(max(one, 2 * b), 2 * b + 2):
+                stack[depth, 0], stack[depth, 1] = one, two
+                depth += 1
     return count
 
 
 @kernel
-def _apart(low, high, other_low, other_high):
+def _leaf(faces, role, order, asked, box, tree, a, b, count, pairs):
+    """Pairs of the faces of two leaves, or of one."""
+    leaves, last = tree.shape[0] // 2, min((b + 1) * _LEAF, faces.shape[0])
+    for i in range(a * _LEAF, min((a + 1) * _LEAF, faces.shape[0])):
+        if _apart(box, i, tree, leaves + b):
+            continue
+        for j in range(i + 1 if a == b else b * _LEAF, last):
+            if not (asked[i] or asked[j]) or _apart(box, i, box, j) or role[i] + role[j] == BESIDE + SLIDING:
+                continue
+            if _share(faces[i], faces[j]):
+                continue
+            if count < pairs.shape[0]:
+                one, two = order[i], order[j]
+                pairs[count, 0], pairs[count, 1] = min(one, two), max(one, two)
+            count += 1
+    return count
+
+
+@kernel
+def _apart(some, one, others, two):
     apart = False
     for axis in range(3):
-        apart |= low[axis] > other_high[axis] or other_low[axis] > high[axis]
+        apart |= some[one, axis] > others[two, 3 + axis] or others[two, axis] > some[one, 3 + axis]
     return apart
 
 
