@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,15 +20,32 @@ from .methods import Progress
 from .quality import Assessment, Original, assess
 from .quality.comparison import Comparison
 from .quality.difference import require_same_blocks
+from .quality.validity import Verdict, judge
+from .renewal import renewed
 from .repair.constraints import Constraints
-from .repair.repair import Repair, Repairer
+from .repair.repair import WEAK, Repair, Repairer
 from .repair.time_limit import TimeLimit
 from .setup import Case
+
+MANY = 0.01
+"""Where more than this share of the cells is bad, their positions say little: the interior is made again at once."""
+
+
+@dataclass(frozen=True)
+class Renewal:
+    """An interior made again: by which method, in how many steps, and why."""
+
+    method: str
+    steps: int
+    reason: str
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Mended:
-    """A repaired grid, its assessment against the original, what was done (``None``: nothing), and what is doubtful."""
+    """A repaired grid, its assessment against the original, what was done (``None``: nothing), and what is doubtful.
+
+    ``renewal`` is what was done instead where the interior was made again from the original.
+    """
 
     grid: Grid
     original: Grid
@@ -36,6 +54,7 @@ class Mended:
     assessment: Assessment
     repair: Repair | None
     warnings: tuple[str, ...]
+    renewal: Renewal | None = None
 
     def __repr__(self) -> str:
         return f"Mended(valid={self.assessment.valid})"
@@ -50,6 +69,9 @@ def mend(
     progress: Progress | None = None,
 ) -> Mended:
     """Move nodes of ``grid``, the deformed ``original``, until every cell is sound that is sound in ``original``.
+
+    Where many cells are bad, or moving nodes does not make all of them valid, ``original`` is deformed again with the
+    boundary of ``grid`` by the method of the case, and the better grid of the two is the result.
 
     Nodes of moving and fixed boundaries of the case stay exactly in place, others slide or repeat as it specifies;
     without boundary entries all outside nodes stay, except on the end planes of a grid that is one cell thick. With
@@ -76,21 +98,56 @@ def mend(
     limit = TimeLimit(case.repair.time_limit)
     repairer = Repairer(measured, constraints, lambda points: rounded(points, width), memory, progress, limit)
     cells = Comparison(measured, rounded(grid.points, width))
-    points, verdict, repair = grid.points, cells.verdict, None
+    found = _Found(grid.points, cells.verdict)
     mode = case.repair.mode
-    if mode == "polish" or (mode == "auto" and repairer.needed(verdict, cells)):
-        outcome = repairer.repair(points, verdict, polish=mode == "polish")
-        points, verdict = outcome.points, outcome.verdict
-        repair = outcome.repair if outcome.repair.newton_steps else None
-    final = rounded(points, width)
+    if mode == "polish" or (mode == "auto" and repairer.needed(cells.verdict, cells)):
+
+        def renew(reason: str, than: _Found) -> _Found:
+            result = renewed(grid, original, (topology, boundary), case, width, memory, progress)
+            if result is None:
+                return than
+            points, how = result.grid.points, Renewal(case.method.name, result.steps, reason)
+            return than.or_better(_Found(points, judge(measured, rounded(points, width)), result.repair, how))
+
+        found = _mended(found, repairer, renew, mode == "polish")
+    final = rounded(found.points, width)
     walls = boundary if case.boundaries else None
     notes = (*original.notes, *(boundary.notes if case.boundaries else ()))
-    reasons = [] if verdict.valid else _reasons(original, topology, boundary, grid.points)
-    if not verdict.valid and not case.boundaries:
+    reasons = [] if found.verdict.valid else _reasons(original, topology, boundary, grid.points)
+    if not found.verdict.valid and not case.boundaries:
         reasons.append("all outside nodes stay where they are; a case file (-c) tells which faces may slide")
-    return Mended(
-        grid.moved(final), original, topology, boundary, assess(measured, final, walls), repair, (*notes, *reasons)
-    )
+    assessment, told = assess(measured, final, walls), (*notes, *reasons)
+    return Mended(grid.moved(final), original, topology, boundary, assessment, found.repair, told, found.renewal)
+
+
+@dataclass(frozen=True)
+class _Found:
+    """Coordinates (n_nodes, 3), the verdict on them, and how they were found."""
+
+    points: FloatArray
+    verdict: Verdict
+    repair: Repair | None = None
+    renewal: Renewal | None = None
+
+    def or_better(self, other: _Found) -> _Found:
+        """The one with fewer invalid cells; this one if they are as many."""
+        return other if len(other.verdict.invalid) < len(self.verdict.invalid) else self
+
+
+def _mended(start: _Found, repairer: Repairer, renew: Callable[[str, _Found], _Found], polish: bool) -> _Found:
+    """Move nodes, make the interior again, or both, the likelier one first, until the grid is valid."""
+    found, verdict = start, start.verdict
+    bad = int(np.count_nonzero((verdict.ratio < WEAK) | (verdict.failed != 0)))
+    many = not verdict.valid and bad > MANY * len(verdict.failed)
+    if many:
+        found = renew(f"{bad:,} of {len(verdict.failed):,} cells were bad", found)
+    if found.renewal is None or not found.verdict.valid:
+        outcome = repairer.repair(start.points, verdict, polish)
+        moved = _Found(outcome.points, outcome.verdict, outcome.repair if outcome.repair.newton_steps else None)
+        found = moved if found is start else found.or_better(moved)
+    if not many and not found.verdict.valid:
+        found = renew(f"moving nodes left {len(found.verdict.invalid):,} invalid cells", found)
+    return found
 
 
 def _require_closed(grid: Grid, topology: Topology, tolerance: float) -> None:

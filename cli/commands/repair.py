@@ -44,7 +44,8 @@ def command(
       meshdeform repair bent.xyz --reference wing.xyz -c case.toml -o repaired.xyz --report repair.json
 
     GRID and the reference have the same blocks. Cells that are sound in the reference and not in GRID are repaired by
-    moving nodes around them. Nodes on outside faces stay; with a case file those on slip, symmetry and periodic
+    moving nodes around them; where many are not, or that fails, the reference is deformed again with the boundary of
+    GRID. Nodes on outside faces stay; with a case file those on slip, symmetry and periodic
     boundaries slide or move alike. What is still invalid is written beside OUT, with .invalid before the suffix (exit
     code 3).
     """

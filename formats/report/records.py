@@ -74,6 +74,7 @@ def mended_report(mended: Mended, reference: str, seconds: Mapping[str, float], 
     return {
         **quality_report(mended.grid, mended.assessment, mended.warnings, reference, mended.original),
         "repair": None if found is None else dataclasses.asdict(found),
+        "new_interior": None if mended.renewal is None else dataclasses.asdict(mended.renewal),
         "timing": dict(seconds),
         "peak_memory_bytes": peak_memory,
     }

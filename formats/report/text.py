@@ -38,6 +38,9 @@ def _lines(report: dict[str, Any]) -> Iterator[str]:
         yield from series_lines(report)
     elif "quality" in report:
         yield from _quality(report)
+    if new := report.get("new_interior"):
+        count = "1 step" if new["steps"] == 1 else f"{new['steps']} steps"
+        yield f"interior  made again from the reference by {new['method']} in {count}: {new['reason']}"
     if report.get("repair"):
         yield _repair(report["repair"])
     if "timing" in report:

@@ -90,6 +90,9 @@ def attempts_section(report: Report) -> str:
     heads = ("method", "steps", "with repair", "invalid cells", "motion imposed")
     title = "Attempts, in order; the last one is the grid that was written"
     html = table(title, heads, rows, text=(0, 2)) if rows else ""
+    if new := report.get("new_interior"):
+        reason = f"by {escape(new['method'])}: {escape(new['reason'])}"
+        html += f"<p>The interior was made again from the reference {reason}.</p>"
     repair = report.get("repair")
     if repair:
         html += (

@@ -1,0 +1,66 @@
+"""A new interior for a grid whose boundary is given: the reference is deformed again, whatever the cells were like."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from .boundary import Boundary, Kind
+from .boundary.classification import ClassifiedPatch
+from .boundary.matching import Nodes
+from .boundary.motion import GIVEN
+from .deform import Result, Timing, impose
+from .grid import FloatArray, Grid
+from .grid.topology import Topology
+from .memory import MemoryLimit
+from .methods import Progress
+from .numerics.geometry.coincidence import distinct
+from .setup import Case, Setup
+
+
+def renewed(
+    grid: Grid,
+    original: Grid,
+    placed: tuple[Topology, Boundary],
+    case: Case,
+    precision: str,
+    memory: MemoryLimit,
+    progress: Progress | None = None,
+) -> Result | None:
+    """Deform ``original`` with the positions that known boundary nodes have in ``grid``; ``None`` if none has moved.
+
+    ``placed`` are the classified faces of the case. Where known nodes have moved, faces count as moving, elsewhere as
+    fixed. The positions of known nodes in the result are those of ``grid``, to the bit.
+    """
+    topology, boundary = placed
+    change = np.where(boundary.known[:, None], (grid.points - original.points)[topology.first], 0.0)
+    moved = change.any(axis=1)
+    if not moved.any():
+        return None
+    setup = Setup(original, case, topology, _moving_where(original, topology, boundary, moved), (), memory)
+    result = impose(setup, lambda fraction: fraction * change, None, precision, Timing(progress=progress), progress)
+    points: FloatArray = np.array(result.grid.points)
+    held = topology.face_nodes[boundary.known[topology.number]]
+    points[held] = grid.points[held]
+    return dataclasses.replace(result, grid=original.moved(points))
+
+
+def _moving_where(grid: Grid, topology: Topology, boundary: Boundary, moved: np.ndarray) -> Boundary:
+    """The boundary with faces moving that have ``moved`` nodes (n_unique,), and all other known ones fixed."""
+    known = boundary.quad_kind >= Kind.FIXED
+    moving = known & moved[topology.quads.corners].any(axis=1)
+    quad_kind = np.where(moving, Kind.MOVING, np.where(known, Kind.FIXED, boundary.quad_kind)).astype(np.int8)
+    kind = np.where(boundary.known, Kind.FIXED, boundary.kind).astype(np.int8)
+    quads = np.flatnonzero(moving)
+    numbers = distinct(topology.quads.corners[quads], topology.n_unique)
+    kind[numbers] = Kind.MOVING
+    kind[moved] = Kind.MOVING
+    rest = np.flatnonzero(known & ~moving)
+    patches = (
+        ClassifiedPatch("moved", Kind.MOVING, numbers, quads),
+        ClassifiedPatch("at rest", Kind.FIXED, distinct(topology.quads.corners[rest], topology.n_unique), rest),
+        *(patch for patch in boundary.patches if patch.kind < Kind.FIXED),
+    )
+    movers = ((numbers, GIVEN.prepare(Nodes.of_quads(grid, topology, quads))),)
+    return dataclasses.replace(boundary, kind=kind, quad_kind=quad_kind, patches=patches, movers=movers)
