@@ -31,9 +31,9 @@ Displacement = ArrayLike | Mapping[str, ArrayLike] | Callable[[FloatArray, float
 class Mesh:
     """A grid, its classified boundary and a prepared method; made by :func:`meshdeform.prepare`.
 
-    Every :meth:`deform` starts from the undeformed grid: the same displacement gives the same step, independent of
-    earlier calls (to the solver's tolerance where RBF systems are solved iteratively). Calls from several threads take
-    turns, as each uses all cores.
+    Every :meth:`deform` starts from the undeformed grid: the same displacement gives the same step to the last bit,
+    with the same warnings, whatever was called before. Calls from several threads run one at a time, as each uses all
+    cores.
     """
 
     def __init__(self, setup: Setup, plane: bool, ranks: Ranks, threads: int | None):

@@ -32,8 +32,8 @@ class Schedule:
     Attributes
     ----------
     times : of the levels, ascending
-    origin : ``reference``: every level is made from the undeformed grid, so that equal boundaries give equal grids (to
-        the tolerance of solvers and sums); ``last``: each level from the previous one (marching), which reaches larger
+    origin : ``reference``: every level is made from the undeformed grid, so that equal boundaries give equal grids;
+        ``last``: each level from the previous one (marching), which reaches larger
         motions but drifts
     velocity : order of the backward differences of the grid velocity, ``swept``: with the volumes that faces sweep, or
         ``none``
