@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from meshdeform_core.grid import Grid
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.quality.difference import require_same_blocks
-from meshdeform_formats.picture import Choice, Subject, Wish, page_figure, picture
+from meshdeform_formats.picture import Choice, Subject, page_figure, picture, request_of
 
 if TYPE_CHECKING:
     import pyvista
@@ -20,10 +20,8 @@ def plot(grid: Grid, reference: Grid | None, title: str | None, **words: Any) ->
     for name in ("zoom", "limits"):
         if words[name] is not None and not isinstance(words[name], str):
             words[name] = ",".join(repr(float(number)) for number in words[name])
-    wish = Wish(**words)
-    request, subject = wish.request(), _subject(grid, reference)
-    page = picture(subject, wish.complete(request, grid), _title(grid) if title is None else title)
-    return page_figure(page)
+    request, subject = request_of(**words), _subject(grid, reference)
+    return page_figure(picture(subject, request, _title(grid) if title is None else title))
 
 
 def view(grid: Grid, reference: Grid | None, metric: str, log: bool) -> pyvista.Plotter:

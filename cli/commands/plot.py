@@ -18,7 +18,7 @@ from ..process.progress import ProgressBar
 
 if TYPE_CHECKING:
     from meshdeform_core.grid import Grid
-    from meshdeform_formats.picture import Subject, Wish
+    from meshdeform_formats.picture import Request, Subject
 
 
 @click.command("plot")
@@ -79,17 +79,15 @@ def command(
     installed; the reference is then the grid that the series was made of, unless it has changed.
     """
     from meshdeform_formats.files import shown
-    from meshdeform_formats.picture import Wish, check_picture_path, picture, save_page
+    from meshdeform_formats.picture import check_picture_path, picture, request_of, save_page
     from meshdeform_formats.series.levels import is_series
 
-    wish = Wish(**options, lead="--")  # type: ignore[arg-type]
+    request = request_of(**options, lead="--")  # type: ignore[arg-type]
     if is_series(source.path):
-        return _film(source, output, reference, title, rate, force, wish)
+        return _film(source, output, reference, title, rate, force, request)
     check_picture_path(output)
     check_output(output, force, *source.files, reference)
-    request = wish.request()
     subject = _subject(source.read(), reference)
-    request = wish.complete(request, subject.grid)
     save_page(picture(subject, request, shown(Path(source.path.name)) if title is None else title), output)
     return 0
 
@@ -102,7 +100,13 @@ def _subject(grid: Grid, reference: Path | None) -> Subject:
 
 
 def _film(
-    source: GridInput, output: Path, reference: Path | None, title: str | None, rate: float, force: bool, wish: Wish
+    source: GridInput,
+    output: Path,
+    reference: Path | None,
+    title: str | None,
+    rate: float,
+    force: bool,
+    request: Request,
 ) -> int:
     from meshdeform_formats.files import shown
     from meshdeform_formats.picture.film import check_film_path, film, save_film
@@ -110,7 +114,7 @@ def _film(
 
     check_film_path(output)
     check_output(output, force, reference)
-    request, levels = wish.request(), open_levels(source.path)
+    levels = open_levels(source.path)
     first = _subject(levels.read(0), reference or levels.undeformed)
     name = shown(Path(source.path.resolve().name)) if title is None else title
     with ProgressBar() as progress:
@@ -123,5 +127,5 @@ def _film(
                 yield f"{name}, t = {time:g}", moved
 
         drawn = itertools.count()
-        save_film(film(every, lambda subject: wish.complete(request, subject.grid)), output, rate)
+        save_film(film(every, request), output, rate)
     return 0

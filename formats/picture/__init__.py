@@ -12,7 +12,7 @@ from .request import Request, picture
 from .subject import METRICS, Subject
 from .vector import draw
 from .view import along
-from .wish import Wish
+from .words import request_of
 from .worst import worst_cell
 
 __all__ = [
@@ -27,7 +27,6 @@ __all__ = [
     "Panel",
     "Request",
     "Subject",
-    "Wish",
     "along",
     "apart",
     "block_facets",
@@ -44,6 +43,7 @@ __all__ = [
     "plane_around",
     "plane_facets",
     "quality_planes",
+    "request_of",
     "save_page",
     "surface_facets",
     "worst_cell",

@@ -76,25 +76,24 @@ def check_film_path(path: Path) -> None:
         raise FormatError(f"{path}: .mp4 films need the program ffmpeg, which was not found; write a .gif")
 
 
-def film(levels: Callable[[], Iterable[tuple[str, Subject]]], request: Callable[[Subject], Request]) -> Iterator[bytes]:
+def film(levels: Callable[[], Iterable[tuple[str, Subject]]], request: Request) -> Iterator[bytes]:
     """The pictures of a film, as PNG files of one size.
 
     Parameters
     ----------
     levels : gives title and grid of every level, in order; called twice
-    request : what to draw of a grid
+    request : what to draw of every grid
     """
     common: Common | None = None
     for title, subject in levels():
-        found = Common.of(picture(subject, request(subject), title))
+        found = Common.of(picture(subject, request, title))
         common = found if common is None else common.joined(found)
     if common is None:
         raise FormatError("the series has no level yet")
     for title, subject in levels():
-        wanted = request(subject)
-        scale = common.scale(wanted.choice)
-        choice = dataclasses.replace(wanted.choice, limits=(scale.low, scale.high))
-        page = picture(subject, dataclasses.replace(wanted, choice=choice), title)
+        scale = common.scale(request.choice)
+        choice = dataclasses.replace(request.choice, limits=(scale.low, scale.high))
+        page = picture(subject, dataclasses.replace(request, choice=choice), title)
         yield page_png(common.on(page, scale), _WIDTH, _DPI)
 
 

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
+import fnmatch
+from collections.abc import Sequence
 
 import numpy as np
 
 from meshdeform_core.errors import CaseError
-from meshdeform_core.grid import FloatArray, IntArray
+from meshdeform_core.grid import FloatArray, Grid, IntArray
 from meshdeform_core.grid.planes import Plane
 from meshdeform_core.grid.roles import Role
 from meshdeform_core.grid.selection import select_quads
+from meshdeform_core.numerics.arrays import extent
 
 from .colours import Scale
 from .comparison import Pair, worst_cells
@@ -33,31 +36,33 @@ class Request:
     Attributes
     ----------
     index_plane : index axis and node (0-based, ``None``: the middle)
-    space_plane : a plane in space, through all blocks
-    blocks : numbers of the blocks of an index plane
+    space_plane : coordinate axis (``x``, ``y`` or ``z``) and position of a plane through all blocks
+    blocks : names of the blocks of an index plane, with wildcards; all if there are none
     select : patterns of patches or block faces, as in a case file
     view : direction of view, ``None`` for a suitable one
     window : part of the picture
     zoom : ``worst``, ``walls`` or nothing
     before : ``side``, ``overlay`` or nothing: draw the undeformed grid too
     arrows : displacements as arrows
+    lead : what stands before the names of options in messages
     """
 
     choice: Choice = dataclasses.field(default_factory=Choice)
     index_plane: tuple[int, int | None] | None = None
-    space_plane: Plane | None = None
-    blocks: tuple[int, ...] | None = None
+    space_plane: tuple[str, float] | None = None
+    blocks: tuple[str, ...] = ()
     select: tuple[str, ...] = ()
     view: View | None = None
     window: Window | None = None
     zoom: str = ""
     before: str = ""
     arrows: bool = False
+    lead: str = ""
 
     @property
     def plain(self) -> bool:
         """Nothing is asked for but how to colour."""
-        return dataclasses.replace(self, choice=Choice()) == Request()
+        return dataclasses.replace(self, choice=Choice(), lead="") == Request()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -77,7 +82,7 @@ def picture(subject: Subject, request: Request, title: str = "") -> Page:
     Raises
     ------
     CaseError
-        When a plane does not meet the grid, a selection matches nothing, or something needs the undeformed grid.
+        When a plane does not meet the grid, a name matches nothing, or something needs the undeformed grid.
     """
     if (request.before or request.arrows) and subject.reference is None:
         raise CaseError("before and after, and arrows, need the undeformed grid: give --reference")
@@ -116,12 +121,13 @@ def _part(subject: Subject, request: Request) -> _Part:
     if request.select:
         return _selected(subject, request, metric)
     if request.space_plane is not None:
-        facets = cut_facets(subject, request.space_plane, metric)
-        return _Part(facets, np.empty((0, 2, 3)), facing(request.space_plane.normal), False)
-    if request.index_plane is not None or request.blocks is not None:
+        plane = _space_plane(subject.grid, *request.space_plane, request.lead)
+        return _Part(cut_facets(subject, plane, metric), np.empty((0, 2, 3)), facing(plane.normal), False)
+    if request.index_plane is not None or request.blocks:
         axis, index = request.index_plane or (2, None)
-        facets = plane_facets(subject, axis, index, metric, request.blocks)
-        outlines = plane_outlines(subject, axis, index, request.blocks)
+        blocks = _blocks(subject.grid.names, request)
+        facets = plane_facets(subject, axis, index, metric, blocks)
+        outlines = plane_outlines(subject, axis, index, blocks)
         return _Part(facets, outlines, *_view_of(facets))
     flat = plane_of_grid(subject, request.choice)
     if flat is not None:
@@ -129,6 +135,30 @@ def _part(subject: Subject, request: Request) -> _Part:
     walls = subject.outside.of_role(Role.WALL)
     quads = np.concatenate([w.quads for w in walls]) if walls else np.flatnonzero(subject.topology.external)
     return _surface(subject, quads, metric, onto_walls(subject) if walls else iso())
+
+
+def _blocks(names: Sequence[str], request: Request) -> tuple[int, ...] | None:
+    """Numbers of the blocks whose names match the patterns; ``None`` stands for all."""
+    found: list[int] = []
+    for pattern in request.blocks:
+        matching = [n for n, name in enumerate(names) if fnmatch.fnmatchcase(name, pattern)]
+        if not matching:
+            raise CaseError(f"{request.lead}block {pattern!r} matches no block; blocks are {', '.join(names[:12])}")
+        found += matching
+    return tuple(dict.fromkeys(found)) or None
+
+
+def _space_plane(grid: Grid, axis: str, at: float, lead: str) -> Plane:
+    """The plane on which the coordinate ``axis`` is ``at``."""
+    number = "xyz".index(axis)
+    if grid.dimension == 2:
+        raise CaseError(f"a 2-D grid cannot be cut; leave {lead}plane out to draw the whole grid")
+    lowest, highest = extent(grid.points)
+    low, high, tiny = lowest[number], highest[number], 1e-9 * float((highest - lowest).max())
+    if not low - tiny <= at <= high + tiny:
+        raise CaseError(f"no part of the grid lies at {axis} = {at:g}; it spans {axis} = {low:.6g} to {high:.6g}")
+    normal = np.eye(3)[number]
+    return Plane(at * normal, normal)
 
 
 def _selected(subject: Subject, request: Request, metric: str) -> _Part:
@@ -146,9 +176,9 @@ def _surface(subject: Subject, quads: IntArray, metric: str, view: View) -> _Par
 
 def _view_of(facets: Facets) -> tuple[View, bool]:
     """From where to look at polygons, and whether they are not flat along an axis."""
-    extent = np.ptp(facets.corners.reshape(-1, 3), axis=0)
-    axis = int(np.argmin(extent))
-    if extent[axis] <= 1e-6 * extent.max():
+    size = np.ptp(facets.corners.reshape(-1, 3), axis=0)
+    axis = int(np.argmin(size))
+    if size[axis] <= 1e-6 * size.max():
         return along("xyz"[axis]), False
     return iso(), True
 

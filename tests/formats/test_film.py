@@ -27,12 +27,11 @@ def levels():
         yield f"shift {shift}", Subject(grid.moved(moved), topology, grid)
 
 
-def of_displacement(subject):
-    return Request(Choice("displacement"))
+OF_DISPLACEMENT = Request(Choice("displacement"))
 
 
 def test_pictures_have_one_size_one_window_and_one_scale():
-    pages = [picture(subject, of_displacement(subject), title) for title, subject in levels()]
+    pages = [picture(subject, OF_DISPLACEMENT, title) for title, subject in levels()]
     common = Common.of(pages[0])
     for page in pages[1:]:
         common = common.joined(Common.of(page))
@@ -41,12 +40,12 @@ def test_pictures_have_one_size_one_window_and_one_scale():
         for panel, window in zip(page.panels, common.windows, strict=False):
             assert window[0] <= panel.window[0]
             assert window[3] >= panel.window[3]
-    sizes = {png[16:24] for png in film(levels, of_displacement)}
+    sizes = {png[16:24] for png in film(levels, OF_DISPLACEMENT)}
     assert len(sizes) == 1
 
 
 def test_gif(tmp_path):
-    save_film(film(levels, of_displacement), tmp_path / "a.gif", 4.0)
+    save_film(film(levels, OF_DISPLACEMENT), tmp_path / "a.gif", 4.0)
     with Image.open(tmp_path / "a.gif") as found:
         assert found.n_frames == len(SHIFTS)
         assert found.info["duration"] == 250
@@ -64,7 +63,7 @@ def test_gif(tmp_path):
 
 @pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="ffmpeg is not installed")
 def test_mp4(tmp_path):
-    save_film(film(levels, of_displacement), tmp_path / "a.mp4", 5.0)
+    save_film(film(levels, OF_DISPLACEMENT), tmp_path / "a.mp4", 5.0)
     ask = ["ffprobe", "-v", "error", "-select_streams", "v", "-show_entries", "stream=nb_frames,r_frame_rate", "-of",
            "csv=p=0", str(tmp_path / "a.mp4")]  # fmt: skip
     assert subprocess.run(ask, capture_output=True, text=True, check=True).stdout.strip() == f"5/1,{len(SHIFTS)}"
