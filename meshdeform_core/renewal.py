@@ -16,7 +16,7 @@ from .grid.topology import Topology
 from .memory import MemoryLimit
 from .methods import Progress
 from .numerics.geometry.coincidence import distinct
-from .setup import Case, Setup
+from .setup import Case, Setup, Undeformed
 
 
 def renewed(
@@ -35,10 +35,11 @@ def renewed(
     """
     topology, boundary = placed
     change = np.where(boundary.known[:, None], (grid.points - original.points)[topology.first], 0.0)
-    moved = change.any(axis=1)
+    moved = np.asarray(change.any(axis=1))
     if not moved.any():
         return None
-    setup = Setup(original, case, topology, _moving_where(original, topology, boundary, moved), (), memory)
+    moving = _moving_where(original, topology, boundary, moved)
+    setup = Setup(Undeformed(original, topology, moving, memory, case.repair.min_jacobian), case, ())
     result = impose(setup, lambda fraction: fraction * change, None, precision, Timing(progress=progress), progress)
     points: FloatArray = np.array(result.grid.points)
     held = topology.face_nodes[boundary.known[topology.number]]

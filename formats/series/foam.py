@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from meshdeform_core.errors import FormatError
-from meshdeform_core.grid import FloatArray, Grid
+from meshdeform_core.grid import Field, FloatArray, Grid
 
 from ..files import remove_partial, replacing
 from ..grids import variant_of
@@ -69,7 +69,7 @@ class FoamFiles:
     def recall(self, records: Sequence[Mapping[str, Any]]) -> None:
         self.invalid = {n for n, record in enumerate(records) if record["file"] == self._folders(n)[1].name}
 
-    def write(self, number: int, grid: Grid, velocity: FloatArray | None) -> None:
+    def write(self, number: int, grid: Grid, velocity: FloatArray | None, faces: Sequence[Field] = ()) -> None:
         if not self._begun:
             with replaced_mesh(self.view) as folder:
                 self._writer.write(folder, self._grid)
