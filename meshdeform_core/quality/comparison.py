@@ -8,7 +8,7 @@ from ..grid import FloatArray, Grid
 from ..grid.topology import Topology
 from ..numerics.cell.measures import scattered_hexahedra
 from .cells import Slab, block_volume, corners_of, for_slabs, places, slabs
-from .inspection import Figures, inspect_slab, relative_jacobian
+from .inspection import SlabMeasures, inspect_slab, relative_jacobian
 from .original import Original
 from .tally import Range, Tally
 from .validity import Verdict
@@ -89,7 +89,7 @@ class Comparison:
         return Range(found[0][1], found[1][1]) if found else Range(1.0, 1.0)
 
 
-def _extremes(slab: Slab, f: Figures) -> tuple[tuple[float, float, float], tuple[int, int, int]]:
+def _extremes(slab: Slab, f: SlabMeasures) -> tuple[tuple[float, float, float], tuple[int, int, int]]:
     change = f.change
     if not np.isfinite(change.sum()):
         sound = np.isfinite(change)

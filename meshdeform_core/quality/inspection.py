@@ -23,8 +23,8 @@ from .original import Original
 from .tally import HISTOGRAM_BINS, Sums
 
 
-class Test(IntEnum):
-    """Which test a cell failed.
+class Failure(IntEnum):
+    """Why a cell is invalid.
 
     ``CORNER``: a corner Jacobian that was positive is not, or is below the smallest share allowed; ``INSIDE``: the
     Jacobian is negative between positive corners, or could not be proved positive; ``VOLUME``: the volume alone.
@@ -41,15 +41,17 @@ class Test(IntEnum):
 
 
 @dataclass
-class Figures:
-    """A slab of n cells; arrays (n,) float32 unless said otherwise, good until the thread asks for the next ones.
+class SlabMeasures:
+    """Measures of a slab of n cells: arrays (n,) float32 unless said otherwise.
+
+    They are views of a buffer of this thread, which its next call overwrites.
 
     Attributes
     ----------
     skew, scaled : f_skew and smallest scaled corner Jacobian, deformed
     ratio : smallest corner Jacobian relative to the undeformed one, infinite where that has no sound corner
     change : volume relative to the undeformed one, not-a-number where that has none
-    failed : int8, :class:`Test`
+    failed : int8, :class:`Failure`
     after, before : sums; ``before`` only if asked for
     inherited : cells with a bad corner before and after that failed no test
     skew_before, scaled_before : if asked for
@@ -67,11 +69,11 @@ class Figures:
     scaled_before: FloatArray | None = None
 
 
-def inspect_slab(original: Original, after: FloatArray, slab: Slab, both: bool) -> Figures:
-    """Figures of one slab with coordinates ``after`` (n_nodes, 3); of the undeformed cells too with ``both``."""
+def inspect_slab(original: Original, after: FloatArray, slab: Slab, both: bool) -> SlabMeasures:
+    """Measures of one slab with coordinates ``after`` (n_nodes, 3); of the undeformed cells too with ``both``."""
     figures = (_quads if original.grid.dimension == 2 else _hexahedra)(original, after, slab, both)
     low = (figures.ratio <= 0.0) | (figures.ratio < original.min_jacobian)
-    figures.failed[low] = Test.CORNER
+    figures.failed[low] = Failure.CORNER
     return figures
 
 
@@ -85,7 +87,7 @@ def _scratch(cells: int) -> tuple[FloatArray, BoolArray]:
     return _memory.out[: 6 * cells].reshape(6, cells), _memory.open[:cells]
 
 
-def _hexahedra(original: Original, after: FloatArray, slab: Slab, both: bool) -> Figures:
+def _hexahedra(original: Original, after: FloatArray, slab: Slab, both: bool) -> SlabMeasures:
     grid, sign = original.grid, float(original.topology.handedness[slab.block])
     before, x = grid.block(slab.block), grid.block(slab.block, after)
     shape = (slab.last - slab.first, *grid.cell_shapes[slab.block][1:])
@@ -98,7 +100,7 @@ def _hexahedra(original: Original, after: FloatArray, slab: Slab, both: bool) ->
         out.reshape(6, *shape), is_open.reshape(shape), sums, counts, kept, known,
     )  # fmt: skip
     original.kept.put(slab, kept)
-    figures = Figures(
+    figures = SlabMeasures(
         out[rows.SKEW], out[rows.SCALED], out[rows.RATIO], out[rows.CHANGE], np.zeros(len(is_open), np.int8),
         Sums(float(sums[0, 0]), float(sums[0, 1]), counts[0]), Sums(float(sums[1, 0]), float(sums[1, 1]), counts[1]),
         skew_before=out[rows.SKEW_BEFORE] if both else None, scaled_before=out[rows.SCALED_BEFORE] if both else None,
@@ -126,7 +128,7 @@ def _corners(original: Original, after: FloatArray, slab: Slab, cells: IntArray)
     return corners_of(original.grid, original.grid.points, number), corners_of(original.grid, after, number)
 
 
-def _look_again(original: Original, after: FloatArray, slab: Slab, cells: IntArray, f: Figures) -> None:
+def _look_again(original: Original, after: FloatArray, slab: Slab, cells: IntArray, f: SlabMeasures) -> None:
     """Measure and judge ``cells`` of a slab in double precision."""
     if cells.size == 0:
         return
@@ -138,7 +140,7 @@ def _look_again(original: Original, after: FloatArray, slab: Slab, cells: IntArr
     solid = old_volume > 0
     f.change[cells] = np.where(solid, volume / np.where(solid, old_volume, 1.0), np.nan)
     failed = decide(old, new, sign)
-    f.failed[cells] = np.array([Test.NONE, Test.INSIDE, Test.VOLUME])[failed]
+    f.failed[cells] = np.array([Failure.NONE, Failure.INSIDE, Failure.VOLUME])[failed]
     bad: BoolArray = np.asarray((jacobian <= 0).any(axis=1))
     old_bad: BoolArray = np.asarray((old_jacobian <= 0).any(axis=1))
     f.after.add(skew, volume, bad)
@@ -155,7 +157,7 @@ def relative_jacobian(old: FloatArray, new: FloatArray) -> FloatArray:
     return np.asarray(np.where(sound, new / np.where(sound, old, 1.0), np.inf).min(axis=1))
 
 
-def _quads(original: Original, after: FloatArray, slab: Slab, both: bool) -> Figures:
+def _quads(original: Original, after: FloatArray, slab: Slab, both: bool) -> SlabMeasures:
     grid, sign = original.grid, float(original.topology.handedness[slab.block])
     normal = plane_normal(grid)
     assert normal is not None
@@ -172,7 +174,7 @@ def _quads(original: Original, after: FloatArray, slab: Slab, both: bool) -> Fig
     after_sums, before_sums = (Sums.of(m.skew.ravel(), m.volume.ravel(), m.bad.ravel() != 0) for m in (new, old))
     sound = (ratio > 0.0) & (ratio >= original.min_jacobian)
     inherited = int(((old.bad != 0) & (new.bad != 0) & sound).sum())
-    found = Figures(
+    found = SlabMeasures(
         new.skew.ravel(), new.scaled.ravel(), ratio.ravel(), change, failed, after_sums, before_sums, inherited
     )
     if both:

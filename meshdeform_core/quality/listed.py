@@ -14,7 +14,7 @@ from ..grid.planes import plane_normal
 from ..grid.topology import Topology
 from .cells import cell_starts, measure_block
 from .original import Original
-from .validity import Test, Verdict
+from .validity import Failure, Verdict
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Worst:
 class InvalidCell:
     """A cell that was valid and no longer is.
 
-    ``test`` is the one it failed, see :class:`.validity.Test`; ``ijk`` are 1-based; ``center`` is the mean of the
+    ``test`` is the one it failed, see :class:`.validity.Failure`; ``ijk`` are 1-based; ``center`` is the mean of the
     corners; ``step`` the first step that broke it.
     """
 
@@ -75,7 +75,7 @@ def list_cells(original: Original, points: FloatArray, cells: IntArray, verdict:
             measures.skew.item(),
             measures.jacobian.item(),
             (float(center[0]), float(center[1]), float(center[2])),
-            Test(verdict.failed[cell]).label,
+            Failure(verdict.failed[cell]).label,
         )
 
 

@@ -14,17 +14,17 @@ import numpy as np
 from ..grid import FloatArray, IntArray
 from ..parallel import empty
 from .cells import Slab, for_slabs
-from .inspection import Figures, Test, inspect_slab
+from .inspection import Failure, SlabMeasures, inspect_slab
 from .original import Original
 
-__all__ = ["Test", "Verdict", "judge", "newly_invalid"]
+__all__ = ["Failure", "Verdict", "judge", "newly_invalid"]
 
 
 @dataclass(frozen=True)
 class Verdict:
     """The verdict on all cells, counted block after block, C-ordered within each block.
 
-    ``failed`` (n_cells,) int8, :class:`Test`; ``ratio`` (n_cells,) float32, smallest corner Jacobian relative to the
+    ``failed`` (n_cells,) int8, :class:`Failure`; ``ratio`` (n_cells,) float32, smallest corner Jacobian relative to the
     undeformed one, infinite where the undeformed cell has no sound corner.
     """
 
@@ -36,7 +36,7 @@ class Verdict:
         """Empty arrays for :meth:`put` to fill."""
         return cls(empty([n_cells], np.int8), empty([n_cells], np.float32))
 
-    def put(self, slab: Slab, figures: Figures) -> None:
+    def put(self, slab: Slab, figures: SlabMeasures) -> None:
         """Record one slab."""
         self.failed[slab.cells], self.ratio[slab.cells] = figures.failed, figures.ratio
 

@@ -15,8 +15,7 @@ from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.methods import composite
 from meshdeform_core.numerics.cell.positivity import decide
 from meshdeform_core.quality import Original, assess
-from meshdeform_core.quality.validity import Test as FailedTest
-from meshdeform_core.quality.validity import judge
+from meshdeform_core.quality.validity import Failure, judge
 
 CORNERS = np.array(list(itertools.product((0.0, 1.0), repeat=3)))
 
@@ -135,7 +134,7 @@ def test_a_cell_that_is_negative_between_positive_corners_is_invalid():
     original = original_of(block(2))
     after = inside_negative()
     verdict = judge(original, after)
-    assert verdict.failed.tolist() == [FailedTest.INSIDE]
+    assert verdict.failed.tolist() == [Failure.INSIDE]
     assessment = assess(original, after, None)
     assert assessment.after.invalid_cells == 1
     assert assessment.invalid[0].test == "inside"
@@ -157,7 +156,7 @@ def test_relative_jacobians_are_those_of_a_plain_loop(flip):
     verdict = judge(original_of(before), after.reshape(-1, 3))
     ratio = corner_jacobians(after) / corner_jacobians(before)
     np.testing.assert_allclose(verdict.ratio, ratio.min(axis=-1).ravel(), rtol=1e-6)
-    np.testing.assert_array_equal(verdict.failed == FailedTest.CORNER, ratio.min(axis=-1).ravel() <= 0)
+    np.testing.assert_array_equal(verdict.failed == Failure.CORNER, ratio.min(axis=-1).ravel() <= 0)
 
 
 def corner_jacobians(x):
