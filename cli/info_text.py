@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from meshdeform_formats.wording import counted
+
 _MAX_LISTED = 24
 """Most unnamed faces that are listed individually; more are summarised by role."""
 
@@ -29,7 +31,7 @@ def _head(facts: dict[str, Any]) -> list[str]:
         layer = f", one cell thick along {_direction(thin)}"
     return [
         f"{facts['file']}: {facts['format']}",
-        f"{facts['dimension']}-D{layer}, {_count(len(facts['blocks']), 'block')}, {facts['nodes']:,} nodes "
+        f"{facts['dimension']}-D{layer}, {counted(len(facts['blocks']), 'block')}, {facts['nodes']:,} nodes "
         f"({facts['unique_nodes']:,} unique), {facts['cells']:,} cells",
         f"extent {_box(facts['bounding_box'])}, shortest edge on a block face {facts['shortest_face_edge']:.3g}",
     ]
@@ -97,8 +99,8 @@ def _title(surface: dict[str, Any]) -> str:
     if not surface["named"]:
         return str(surface["name"])
     if not patches:
-        return f"{surface['name']} ({_count(len(surface['faces']), 'face')})"
-    return f"{surface['name']} ({_count(len(surface['patches']), 'patch', 'patches')})"
+        return f"{surface['name']} ({counted(len(surface['faces']), 'face')})"
+    return f"{surface['name']} ({counted(len(surface['patches']), 'patch', 'patches')})"
 
 
 def _interfaces(facts: dict[str, Any], verbose: bool) -> list[str]:
@@ -151,7 +153,3 @@ def _direction(normal: list[float]) -> str:
         if abs(component) > 1 - 1e-6:
             return name
     return f"({', '.join(f'{c:.3g}' for c in normal)})"
-
-
-def _count(n: int, one: str, many: str = "") -> str:
-    return f"{n} {one if n == 1 else many or one + 's'}"

@@ -30,8 +30,15 @@ class Delivery:
     illustrate: Illustrate = field(default=Illustrations)
 
 
-def deliver(report: Report, reports: Iterable[Path], to_stdout: bool, quiet: bool, delivery: Delivery) -> None:
-    """Write the reports; if JSON is requested on stdout, the text goes to stderr."""
+def deliver(
+    report: Report,
+    reports: Iterable[Path],
+    to_stdout: bool,
+    quiet: bool,
+    delivery: Delivery,
+    verbose: bool = False,
+) -> None:
+    """Write the reports; if JSON is requested on stdout, the text goes to stderr; ``verbose``: with all settings."""
     files = [path for path in reports if path != STDOUT]
     to_stdout = to_stdout or STDOUT in reports
     if files or to_stdout:
@@ -44,7 +51,7 @@ def deliver(report: Report, reports: Iterable[Path], to_stdout: bool, quiet: boo
         click.echo(as_json(report), nl=False)
     if not quiet:
         # Warnings are already on stderr.
-        click.echo(as_text({**report, "warnings": []}), nl=False, err=to_stdout)
+        click.echo(as_text({**report, "warnings": []}, verbose), nl=False, err=to_stdout)
 
 
 def _arguments() -> Sequence[str]:

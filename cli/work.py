@@ -144,7 +144,7 @@ def cells_of(setup: Setup, after: Grid) -> CellFields:
 
 def conclude(report: Report, run: RunInput, delivery: Delivery) -> int:
     """Write the reports, print the verdict; returns the exit code."""
-    deliver(report, run.reports, run.as_json, run.quiet, delivery)
+    deliver(report, run.reports, run.as_json, run.quiet, delivery, run.verbose)
     if not report["valid"]:
         tell(_verdict(report))
     if run.verbose:

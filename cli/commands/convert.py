@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from meshdeform_core.errors import FormatError
+from meshdeform_formats.wording import counted
 
 from ..measured import measured
 from ..options import (
@@ -83,7 +84,7 @@ def command(
         )
     if not quiet:
         beside = f"; boundaries in {boundaries}" if boundaries is not None else ""
-        click.echo(f"{target}: {written.label}, {grid.n_blocks} blocks, {grid.n_nodes:,} nodes{beside}")
+        click.echo(f"{target}: {written.label}, {counted(grid.n_blocks, 'block')}, {grid.n_nodes:,} nodes{beside}")
     return 0
 
 

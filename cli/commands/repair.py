@@ -66,7 +66,7 @@ def command(
         report = repaired(source, reference, output, case, run, progress)
     run.warnings.tell(report["warnings"])
     files = [*source.roles, ("reference", reference), ("case", case_file), ("output", output)]
-    deliver(report, run.reports, run.as_json, run.quiet, Delivery(start, files))
+    deliver(report, run.reports, run.as_json, run.quiet, Delivery(start, files), run.verbose)
     if run.dry_run or not report["valid"]:
         where = "; dry run, nothing written" if run.dry_run else f". The grid is in {report['output']}"
         tell(f"{report['quality']['after']['invalid_cells']} cells are invalid{where}")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from meshdeform_core.errors import CaseError
+from meshdeform_formats.wording import counted
 
 from .. import completion
 from ..options import PATH, check_output, force_option, parse_pairs, variant_option
@@ -74,7 +75,7 @@ def command(
     for file, text in texts.items():
         with replacing(output / file) as partial:
             partial.write_text(text, encoding="utf-8")
-    click.echo(f"{target}: {grid.n_blocks} blocks, {grid.n_nodes:,} nodes; case in {output / 'case.toml'}")
+    click.echo(f"{target}: {counted(grid.n_blocks, 'block')}, {grid.n_nodes:,} nodes; case in {output / 'case.toml'}")
     return 0
 
 

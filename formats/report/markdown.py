@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 
+from ..wording import counted
 from .measures import measure_rows
 from .parts import Report
 from .remedies import remedy_of
@@ -21,7 +22,7 @@ def _lines(report: Report) -> Iterator[str]:
     grid = report["grid"]
     yield f"## {'✅' if report['valid'] else '❌'} {_escaped(grid['file'] or 'grid')}: {_verdict(report)}"
     yield ""
-    yield f"{grid['dimension']}-D, {grid['blocks']:,} blocks, {grid['nodes']:,} nodes, {grid['cells']:,} cells"
+    yield f"{grid['dimension']}-D, {counted(grid['blocks'], 'block')}, {grid['nodes']:,} nodes, {grid['cells']:,} cells"
     if "levels" in report:
         yield from _levels(report)
     else:

@@ -28,7 +28,6 @@ def series_lines(report: Report) -> Iterator[str]:
             f"{level['quality']['invalid_cells']:8,} {shown} {timing.get('prepare', 0.0):8.2f} "
             f"{timing.get('apply', 0.0):8.2f} {timing['total']:8.2f}"
         )
-    yield f"verdict   {'valid' if report['valid'] else 'INVALID'}"
     if series["drift"]:
         yield (
             f"drift     {series['drift']['max']:.3g} at most, {series['drift']['rms']:.3g} rms: distance of the last "

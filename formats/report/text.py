@@ -7,6 +7,7 @@ from typing import Any
 
 from meshdeform_core.memory import readable
 
+from ..wording import counted
 from .measures import measure_rows, place_text
 from .series_text import series_lines
 
@@ -20,17 +21,22 @@ _COMPARED = (
 )  # fmt: skip
 
 
-def as_text(report: dict[str, Any]) -> str:
-    """The whole report, section by section."""
-    return "\n".join(_lines(report)) + "\n"
+def as_text(report: dict[str, Any], parameters: bool = True) -> str:
+    """The report, section by section, the verdict first; with or without the parameters of the method."""
+    return "\n".join(_lines(report, parameters)) + "\n"
 
 
-def _lines(report: dict[str, Any]) -> Iterator[str]:
+def _lines(report: dict[str, Any], parameters: bool) -> Iterator[str]:
+    if "valid" in report:
+        yield from _verdict(report)
     grid = report["grid"]
     yield f"grid      {grid['file'] or '(in memory)'}: {grid['format'] or 'no file'}"
-    yield f"          {grid['dimension']}-D, {grid['blocks']} blocks, {grid['nodes']:,} nodes, {grid['cells']:,} cells"
+    yield (
+        f"          {grid['dimension']}-D, {counted(grid['blocks'], 'block')}, {grid['nodes']:,} nodes, "
+        f"{grid['cells']:,} cells"
+    )
     if "method" in report:
-        yield from _method(report["method"])
+        yield f"method    {report['method']['name']}" + ("" if parameters else "  (-v shows its parameters)")
     if "boundary" in report:
         yield from _boundary(report["boundary"])
         yield from _motion(report.get("motion", []))
@@ -38,11 +44,8 @@ def _lines(report: dict[str, Any]) -> Iterator[str]:
         yield from series_lines(report)
     elif "quality" in report:
         yield from _quality(report)
-    if new := report.get("new_interior"):
-        count = "1 step" if new["steps"] == 1 else f"{new['steps']} steps"
-        yield f"interior  made again from the reference by {new['method']} in {count}: {new['reason']}"
-    if report.get("repair"):
-        yield _repair(report["repair"])
+    if parameters and "method" in report:
+        yield from _parameters(report["method"])
     if "timing" in report:
         timing = report["timing"]
         yield "seconds   " + "  ".join(f"{name} {value:.2f}" for name, value in timing.items())
@@ -51,19 +54,43 @@ def _lines(report: dict[str, Any]) -> Iterator[str]:
         yield f"warning   {warning}"
 
 
+def _verdict(report: dict[str, Any]) -> Iterator[str]:
+    """Whether the grid is valid, how that was reached, and the cells that are not."""
+    yield f"verdict   {'valid' if report['valid'] else 'INVALID'}"
+    cells = report.get("invalid_cells", [])
+    for cell in cells[:_LISTED]:
+        i, j, k = cell["ijk"]
+        near = f", nearest patch {cell['nearest_patch']}" if cell["nearest_patch"] else ""
+        yield (
+            f"          {cell['block']} ({i}, {j}, {k}): Jacobian {cell['min_jacobian']:.3g}, step {cell['step']}{near}"
+        )
+    if len(cells) > _LISTED:
+        yield f"          ... {len(cells) - _LISTED} more in the json report"
+    if "steps" in report:
+        reached = "" if report["reached"] == 1.0 else f", {report['reached']:.1%} of the motion imposed"
+        yield f"steps     {report['steps']}{reached}"
+    if new := report.get("new_interior"):
+        yield (
+            f"interior  made again from the reference by {new['method']} in {counted(new['steps'], 'step')}: "
+            f"{new['reason']}"
+        )
+    if report.get("repair"):
+        yield _repair(report["repair"])
+
+
 def _repair(done: dict[str, Any]) -> str:
+    cells = f"{counted(done['cells'], 'cell')} repaired" if done["cells"] else "weak cells improved"
     return (
-        f"repair    {done['cells']:,} cells, {done['nodes']:,} nodes moved by up to {number(done['max_movement'])}, "
+        f"repair    {cells}, {counted(done['nodes'], 'node')} moved by up to {number(done['max_movement'])}, "
         f"{done['newton_steps']} Newton steps"
     )
 
 
-def _method(method: dict[str, Any]) -> Iterator[str]:
-    yield f"method    {method['name']}"
-    for name, setting in method.items():
-        if name != "name":
-            reason = f"  ({setting['reason']})" if "reason" in setting else ""
-            yield f"          {name} = {number(setting['value'])}{reason}"
+def _parameters(method: dict[str, Any]) -> Iterator[str]:
+    for index, (name, setting) in enumerate((key, value) for key, value in method.items() if key != "name"):
+        lead = "settings" if index == 0 else ""
+        reason = f"  ({setting['reason']})" if "reason" in setting else ""
+        yield f"{lead:9s} {name} = {number(setting['value'])}{reason}"
 
 
 def _boundary(boundary: dict[str, Any]) -> Iterator[str]:
@@ -113,19 +140,6 @@ def _quality(report: dict[str, Any]) -> Iterator[str]:
         yield f"{'':9s} {row.name:34s}{columns}" + (f"  at {row.place}" if row.place else "")
     if "shape" in report:
         yield from _shape(report["shape"], alone)
-    if "steps" in report:
-        reached = "" if report["reached"] == 1.0 else f", {report['reached']:.1%} of the motion imposed"
-        yield f"steps     {report['steps']}{reached}"
-    yield f"verdict   {'valid' if report['valid'] else 'INVALID'}"
-    cells = report["invalid_cells"]
-    for cell in cells[:_LISTED]:
-        i, j, k = cell["ijk"]
-        near = f", nearest patch {cell['nearest_patch']}" if cell["nearest_patch"] else ""
-        yield (
-            f"          {cell['block']} ({i}, {j}, {k}): Jacobian {cell['min_jacobian']:.3g}, step {cell['step']}{near}"
-        )
-    if len(cells) > _LISTED:
-        yield f"          ... {len(cells) - _LISTED} more in the json report"
 
 
 def _shape(shape: dict[str, Any], alone: bool) -> Iterator[str]:
