@@ -69,7 +69,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_levels_follow_the_file_of_their_time_and_one_is_in_memory(folder, monkeypatch):
+def test_levels_follow_the_file_of_their_time_and_one_is_in_memory(folder, monkeypatch, own_garbage):
     alive: list[weakref.ref] = []
     read = case_files.read_displacement
 

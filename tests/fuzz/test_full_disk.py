@@ -30,7 +30,7 @@ SERIES = (".xyz", ".cgns", ".vtm")
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
+def folder(tmp_path, monkeypatch, own_garbage):
     monkeypatch.chdir(tmp_path)
     grid = frame(4, 3)
     Path("case.toml").write_text(CASE)
@@ -40,10 +40,7 @@ def folder(tmp_path, monkeypatch):
     write_grid(
         Grid.from_blocks([rng.random((5, 4, 3, 3))], fields=(Field("p", "node", 0, rng.random((5, 4, 3))),)), "one.vts"
     )
-    # Only what the commands leave behind is searched for garbage, not all that is imported.
-    gc.freeze()
-    yield tmp_path
-    gc.unfreeze()
+    return tmp_path
 
 
 def state(folder: Path) -> dict[Path, bytes | None]:
