@@ -23,15 +23,15 @@ from meshdeform_core.notices import first_of_each_kind, kind_of
 from meshdeform_core.parallel import current_ranks, thread_count
 from meshdeform_core.series import Level, Schedule, deform_series
 from meshdeform_formats.case import CaseFile
-from meshdeform_formats.case.files import parse_times
+from meshdeform_formats.case.sequences import parse_times
 from meshdeform_formats.fields import check_fields, with_fields
 from meshdeform_formats.grids import FORMATS, complete_for_export
 from meshdeform_formats.report import Report, plan_report
 from meshdeform_formats.report.illustrations import Illustrations, level_thumbnails
-from meshdeform_formats.report.series import level_record, series_head, series_report
-from meshdeform_formats.series.files import LevelFiles, SeriesFiles, SingleFile
+from meshdeform_formats.report.series_report import level_record, series_head, series_report
 from meshdeform_formats.series.foam import FoamFiles
 from meshdeform_formats.series.manifest import NAME, Manifest, ingredients_of
+from meshdeform_formats.series.outputs import LevelFiles, SeriesFiles, SingleFile
 
 from .forecast import forecast
 from .options import GridInput, RunInput, keep_inputs

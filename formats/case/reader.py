@@ -21,8 +21,8 @@ from meshdeform_core.methods import IDW, RBF, TFI, Options
 from meshdeform_core.repair import RepairOptions
 
 from ..displacement import read_displacement
-from .files import named_files, read_sequence, sequence_files
 from .reach import unread
+from .sequences import named_files, read_sequence, sequence_files
 from .toml import load, override
 from .values import Table, check_keys, fail, file_of, formula_of, number_of, plain, table_of, three_of
 

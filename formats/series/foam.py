@@ -14,7 +14,7 @@ from ..files import remove_partial, replacing
 from ..grids import variant_of
 from ..openfoam.case import POLY_MESH, mesh_files, replaced_mesh
 from ..openfoam.format import MeshWriter
-from .files import Dress, as_it_is
+from .outputs import Dress, as_it_is
 
 _LONGEST = 17
 

@@ -38,7 +38,7 @@ class Levels:
         grid = read_grid(path)
         if not self.single:
             return grid
-        from ..cgns.series import read_level
+        from ..cgns.time_steps import read_level
 
         return dataclasses.replace(grid, points=read_level(grid, path, number))
 

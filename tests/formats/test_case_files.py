@@ -15,7 +15,7 @@ from meshdeform_core.errors import CaseError, MotionError
 from meshdeform_core.series import Schedule, deform_series
 from meshdeform_formats.case import files as case_files
 from meshdeform_formats.case import read_case
-from meshdeform_formats.case.files import parse_times
+from meshdeform_formats.case.sequences import parse_times
 
 CASE = """\
 [[boundary]]

@@ -17,7 +17,7 @@ from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.quality.fields import CELL_MEASURES, CellFields
 from meshdeform_formats.fields import WITH_FIELDS, check_fields, with_fields
 from meshdeform_formats.grids import write_grid
-from meshdeform_formats.series.files import SingleFile
+from meshdeform_formats.series.outputs import SingleFile
 
 
 def moved(grid: Grid) -> CellFields:

@@ -216,7 +216,7 @@ class SingleFile:
     def __init__(
         self, grid: Grid, folder: Path, name: str, times: tuple[float, ...], options: Mapping[str, Any], velocity: str
     ):
-        from ..cgns.series import require_steady
+        from ..cgns.time_steps import require_steady
 
         self._grid, self._folder, self._times, self._velocity = grid, folder, times, velocity
         self._plain = folder / name
@@ -269,7 +269,7 @@ class SingleFile:
 
     def publish(self, done: int) -> None:
         if done == len(self._times):
-            from ..cgns.series import write_series
+            from ..cgns.time_steps import write_series
 
             write_series(self._grid, self.view, self.variant, self._times, self._level)
             (self._plain if self.invalid else invalid_path(self._plain)).unlink(missing_ok=True)
