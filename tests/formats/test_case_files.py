@@ -13,8 +13,7 @@ from grids import frame
 from meshdeform_core.deform import set_up
 from meshdeform_core.errors import CaseError, MotionError
 from meshdeform_core.series import Schedule, deform_series
-from meshdeform_formats.case import files as case_files
-from meshdeform_formats.case import read_case
+from meshdeform_formats.case import read_case, sequences
 from meshdeform_formats.case.sequences import parse_times
 
 CASE = """\
@@ -71,7 +70,7 @@ def folder(tmp_path: Path) -> Path:
 
 def test_levels_follow_the_file_of_their_time_and_one_is_in_memory(folder, monkeypatch, own_garbage):
     alive: list[weakref.ref] = []
-    read = case_files.read_displacement
+    read = sequences.read_displacement
 
     def watched(path):
         gc.collect()
@@ -80,7 +79,7 @@ def test_levels_follow_the_file_of_their_time_and_one_is_in_memory(folder, monke
         alive.append(weakref.ref(table))
         return table
 
-    monkeypatch.setattr(case_files, "read_displacement", watched)
+    monkeypatch.setattr(sequences, "read_displacement", watched)
     case = read_case(folder / "case.toml")
     assert [path.name for path in case.files] == [f"surface_{n}.csv" for n in range(11)]
     grid = frame()
