@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from ..errors import GridError
 from ..numerics.arrays import FloatArray, IntArray
 from ..parallel import Shared, empty, for_items
+from .lattice import SideLattice
 
 Shape = tuple[int, int, int]
 
@@ -210,7 +211,12 @@ class Grid:
     @cached_property
     def offsets(self) -> IntArray:
         """Flat index of each block's first node; one more entry than blocks."""
-        return np.concatenate([[0], np.cumsum([ni * nj * nk for ni, nj, nk in self.shapes])]).astype(np.int64)
+        return np.concatenate([[0], np.cumsum(np.prod(self.shapes, axis=1, dtype=np.int64))]).astype(np.int64)
+
+    @cached_property
+    def sides(self) -> SideLattice:
+        """Where the nodes of all block sides lie."""
+        return SideLattice.of(self.shapes, self.offsets)
 
     @property
     def n_blocks(self) -> int:

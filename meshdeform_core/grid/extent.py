@@ -5,12 +5,63 @@ from __future__ import annotations
 import numpy as np
 
 from ..errors import GridError
-from ..numerics.arrays import extent
-from .blocks import Grid
+from ..numerics.arrays import batches, extent
+from .blocks import FloatArray, Grid
 
 _SMALLEST = 1e-100
 _FLAT = 1e-14
 _SAMPLE = 100_000
+_TOGETHER = 100_000
+
+
+def block_extents(grid: Grid) -> tuple[FloatArray, FloatArray]:
+    """Smallest and largest coordinates (n_blocks, 3) of every block."""
+    low, high = (np.empty((grid.n_blocks, 3)) for _ in range(2))
+    for first, last in batches(np.diff(grid.offsets), _TOGETHER):
+        rows = grid.points[grid.offsets[first] : grid.offsets[last]]
+        if last == first + 1:
+            low[first], high[first] = extent(rows)
+            continue
+        starts = grid.offsets[first:last] - grid.offsets[first]
+        for extreme, found in ((np.minimum, low), (np.maximum, high)):
+            extreme.reduceat(rows, starts, axis=0, out=found[first:last])
+    return low, high
+
+
+class Bounds:
+    """The extent of a grid in any direction, mostly from those of its blocks."""
+
+    def __init__(self, grid: Grid):
+        self._grid = grid
+        self.low, self.high = block_extents(grid)
+        last = np.array(grid.shapes)[:, None] - 1
+        i, j, k = np.moveaxis(np.indices((2, 2, 2)).reshape(3, 8).T * last, -1, 0)
+        nj, nk = last[..., 1] + 1, last[..., 2] + 1
+        self._corners = grid.points[grid.offsets[:-1, None] + (i * nj + j) * nk + k].reshape(-1, 3)
+        self._farthest: dict[tuple[float, ...], float] = {}
+
+    def within(self, normal: FloatArray, level: float) -> bool:
+        """Whether x . ``normal`` is at most ``level`` at all nodes x."""
+        highest = np.maximum(self.low * normal, self.high * normal).sum(axis=1)
+        if highest.max() <= level:
+            return True
+        if (self._corners @ normal).max() > level:
+            return False
+        # The faces of one plane differ in their normals by round-off only.
+        key = tuple(np.round(normal, 9).tolist())
+        if key not in self._farthest:
+            self._farthest[key] = self._support(normal, highest)
+        return self._farthest[key] <= level
+
+    def _support(self, normal: FloatArray, highest: FloatArray) -> float:
+        """Largest x . ``normal``; block by block, until the others cannot reach it: ``highest`` (n_blocks,)."""
+        found = -np.inf
+        for block in np.argsort(-highest):
+            if highest[block] <= found:
+                break
+            rows = self._grid.points[self._grid.offsets[block] : self._grid.offsets[block + 1]]
+            found = max(found, float((rows @ normal).max()))
+        return found
 
 
 def require_extent(grid: Grid) -> None:

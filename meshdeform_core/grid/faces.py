@@ -6,19 +6,21 @@ unnamed outside face. :mod:`meshdeform_core.grid.roles` guesses the role of each
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 
-from .blocks import FloatArray, Grid, IntArray, Patch, Side, Window
-from .planes import Plane, plane_normal, plane_of
-from .selection import quads_of_patch, quads_of_window
-from .topology import Topology, inward_step, side_nodes
-from .windows import windows_of_quads
+from ..numerics.arrays import batches, medians, spans, spread
+from .blocks import FloatArray, Grid, IntArray, Patch, Window
+from .planes import Plane, plane_normal, planes_of
+from .selection import quads_of_patch
+from .topology import FaceQuads, Topology
+from .windows import Rectangles, rectangles
 
 _SAMPLED_LINES = 12
+_TOGETHER = 100_000
+"""Nodes or quads that are looked at together: few enough for the processor's cache."""
 
 
 @dataclass(frozen=True)
@@ -99,103 +101,114 @@ def quad_geometry(grid: Grid, topology: Topology) -> QuadGeometry:
         outward = 0.5 * np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
     area = np.linalg.norm(outward, axis=1, keepdims=True)
     unit = np.divide(outward, area, out=np.zeros_like(outward), where=area > 0)
-    height = np.zeros(len(outward))
-    for block in range(grid.n_blocks):
-        for side in Side:
-            quads = topology.quads.of_side(block, side)
-            if quads.start < quads.stop:
-                step = inward_step(grid.shapes[block], side)
-                arm = _quad_means(_first_edges(grid, side_nodes(grid, block, side), step))
-                height[quads] = -np.einsum("ni,ni->n", unit[quads], arm)
+    height = np.empty(len(outward))
+    for lo in range(0, len(height), _TOGETHER):
+        some = slice(lo, min(lo + _TOGETHER, len(height)))
+        arm = _mean_first_edges(grid, topology.quads, np.arange(some.start, some.stop))
+        height[some] = -np.einsum("ni,ni->n", unit[some], arm)
     return QuadGeometry(corners.mean(axis=1), outward, height)
 
 
-def _first_edges(grid: Grid, nodes: IntArray, step: int) -> FloatArray:
-    return grid.points[nodes + step] - grid.points[nodes]
-
-
-def _quad_means(x: FloatArray) -> FloatArray:
-    """Mean over the corners of every quad of node values (na, nb, 3); (n_quads, 3)."""
-    for axis in (0, 1):
-        if x.shape[axis] > 1:
-            low, high = (np.take(x, np.arange(x.shape[axis] - 1) + shift, axis=axis) for shift in (0, 1))
-            x = 0.5 * (low + high)
-    return x.reshape(-1, 3)
+def _mean_first_edges(grid: Grid, faces: FaceQuads, quads: IntArray) -> FloatArray:
+    """Mean over the corners of face quads (n,) of the first edges into the block (n, 3)."""
+    side, u, v = faces.places(quads)
+    du, dv = grid.sides.corner_steps[side].T
+    inward = grid.sides.inward[side]
+    ends = []
+    for more in (0 * dv, dv):
+        corners = (grid.sides.at(side, at, v + more) for at in (u, u + du))
+        low, high = (grid.points[nodes + inward] - grid.points[nodes] for nodes in corners)
+        ends.append(0.5 * (low + high))
+    return np.asarray(0.5 * (ends[0] + ends[1]))
 
 
 def find_faces(grid: Grid, topology: Topology, geometry: QuadGeometry | None = None) -> list[Face]:
     """All block sides as pieces: of patches, of interfaces, and the rest; without collapsed quads."""
     geometry = geometry or quad_geometry(grid, topology)
-    flat = plane_normal(grid)
-    return [
-        _face(grid, topology, geometry, flat, window, patch, outside)
-        for window, patch, outside in _windows(grid, topology)
-    ]
-
-
-def _windows(grid: Grid, topology: Topology) -> Iterator[tuple[Window, Patch | None, bool]]:
-    owner = np.full(len(topology.partner), -1, dtype=np.int64)
-    for number, patch in enumerate(grid.patches):
-        owner[quads_of_patch(topology.quads, patch)] = number
-    for block, shape in enumerate(grid.shapes):
-        for side in Side:
-            quads = topology.quads.of_side(block, side)
-            counts = tuple(topology.quads.counts[block, side].tolist())
-            outside = topology.external[quads]
-            shared = topology.partner[quads] >= 0
-            for number in np.unique(owner[quads]).tolist():
-                name = grid.patches[number] if number >= 0 else None
-                mine = owner[quads] == number
-                for kind, is_outside in ((outside, True), (shared, False)):
-                    for window in windows_of_quads(shape, block, side, (mine & kind).reshape(counts)):
-                        yield window, name, is_outside
-
-
-def _face(
-    grid: Grid,
-    topology: Topology,
-    geometry: QuadGeometry,
-    flat: FloatArray | None,
-    window: Window,
-    patch: Patch | None,
-    outside: bool,
-) -> Face:
-    quads = quads_of_window(topology.quads, window)
-    nodes = side_nodes(grid, window.block, window.side)[_slices(window)]
-    points = grid.points[nodes.ravel()]
-    height = geometry.height[quads]
-    return Face(
-        window,
-        quads,
-        patch,
-        outside,
-        np.stack([points.min(axis=0), points.max(axis=0)]),
-        float(geometry.area[quads].sum()),
-        float(height.min()),
-        float(np.median(height)),
-        *_spacing(grid, window),
-        plane_of(points, flat),
+    pieces = _pieces(grid, topology)
+    if len(pieces) == 0:
+        return []
+    owner, shared = np.divmod(pieces.label, 2)
+    run = np.repeat(np.arange(len(pieces)), np.diff(pieces.start))
+    height, area = geometry.height[pieces.quads], geometry.area[pieces.quads]
+    bounds = list(zip(pieces.start[:-1].tolist(), pieces.start[1:].tolist(), strict=True))
+    rows = zip(
+        pieces.windows(),
+        [pieces.quads[lo:hi] for lo, hi in bounds],
+        [grid.patches[number - 1] if number else None for number in owner.tolist()],
+        (shared == 0).tolist(),
+        _boxes(grid, topology.quads, pieces),
+        [float(area[lo:hi].sum()) for lo, hi in bounds],
+        np.minimum.reduceat(height, pieces.start[:-1]).tolist(),
+        medians(height, run, len(pieces), np.nan).tolist(),
+        *(ratio.tolist() for ratio in _spacing(grid, pieces)),
+        _planes(grid, pieces),
+        strict=True,
     )
+    return [Face(*row) for row in rows]
 
 
-def _slices(window: Window) -> tuple[slice, slice]:
-    (low_a, low_b), (high_a, high_b) = window.low, window.high
-    return slice(low_a, high_a + 1), slice(low_b, high_b + 1)
+def _pieces(grid: Grid, topology: Topology) -> Rectangles:
+    """The pieces; the label is twice the number of the patch, from 1 on, and one more where blocks share the quads."""
+    label = np.zeros(len(topology.partner), dtype=np.int64)
+    for number, patch in enumerate(grid.patches, 1):
+        label[quads_of_patch(topology.quads, patch)] = 2 * number
+    shared = topology.partner >= 0
+    label[shared] += 1
+    label[~(shared | topology.external)] = -1
+    return rectangles(grid, topology.quads, label)
 
 
-def _spacing(grid: Grid, window: Window) -> tuple[float, float]:
-    """Ratios of mean and smallest to first spacing; medians over a sample of the grid lines that begin in a window."""
-    x = np.moveaxis(grid.block(window.block), window.side.axis, 0)
-    if window.side % 2:
-        x = x[::-1]
-    picks = (
-        np.unique(np.linspace(low, high, min(high - low + 1, _SAMPLED_LINES)).astype(int))
-        for low, high in zip(window.low, window.high, strict=True)
-    )
-    rows, columns = np.ix_(*picks)
-    lines = x[:, rows, columns]
-    spacing = np.linalg.norm(np.diff(lines, axis=0), axis=-1).reshape(len(lines) - 1, -1)
-    spacing = spacing[:, spacing[0] > 0]
-    if spacing.size == 0:
-        return 1.0, 1.0
-    return float(np.median(spacing.mean(axis=0) / spacing[0])), float(np.median(spacing.min(axis=0) / spacing[0]))
+def _boxes(grid: Grid, faces: FaceQuads, pieces: Rectangles) -> FloatArray:
+    """Lowest and highest coordinates (n, 2, 3) of the nodes of every piece."""
+    side, u, v = faces.places(pieces.quads)
+    du, dv = grid.sides.corner_steps[side].T
+    corners = [(u, v), (u + du, v), (u, v + dv), (u + du, v + dv)]
+    found = []
+    for extreme in (np.minimum, np.maximum):
+        whole = grid.points[grid.sides.at(side, *corners[0])]
+        for corner in corners[1:]:
+            extreme(whole, grid.points[grid.sides.at(side, *corner)], out=whole)
+        found.append(extreme.reduceat(whole, pieces.start[:-1], axis=0))
+    return np.stack(found, axis=1)
+
+
+def _spacing(grid: Grid, pieces: Rectangles) -> tuple[FloatArray, FloatArray]:
+    """Ratios of mean and smallest to first spacing; medians over a sample of the grid lines that begin in each piece."""
+    sizes = pieces.high - pieces.low + 1
+    picks = [spread(sizes[:, axis], _SAMPLED_LINES, pieces.low[:, axis])[1] for axis in (0, 1)]
+    taken = np.minimum(sizes, _SAMPLED_LINES)
+    first = np.cumsum(taken, axis=0) - taken
+    run, place = spans(taken.prod(axis=1))
+    a, b = np.divmod(place, taken[run, 1])
+    side = pieces.side[run]
+    start = grid.sides.at(side, picks[0][first[run, 0] + a], picks[1][first[run, 1] + b])
+    mean, least = np.full(len(run), np.nan), np.full(len(run), np.nan)
+    for depth in np.unique(grid.sides.depth[side]).tolist():
+        alike = np.flatnonzero(grid.sides.depth[side] == depth)
+        for lo, hi in batches(np.full(len(alike), depth), _TOGETHER):
+            some = alike[lo:hi]
+            lines = grid.points[start[some] + np.arange(depth)[:, None] * grid.sides.inward[side[some]]]
+            spacing = np.linalg.norm(np.diff(lines, axis=0), axis=-1)
+            sound = spacing[0] > 0
+            spacing, some = spacing[:, sound], some[sound]
+            mean[some], least[some] = spacing.mean(axis=0) / spacing[0], spacing.min(axis=0) / spacing[0]
+    sound = ~np.isnan(mean)
+    found = (medians(ratio[sound], run[sound], len(pieces), 1.0) for ratio in (mean, least))
+    return next(found), next(found)
+
+
+def _planes(grid: Grid, pieces: Rectangles) -> list[Plane | None]:
+    """The plane (in 2-D the line) that contains each piece, if there is one."""
+    flat, sizes = plane_normal(grid), pieces.high - pieces.low + 1
+    numbers = sizes.prod(axis=1)
+    planes: list[Plane | None] = [None] * len(pieces)
+    for count in np.unique(numbers).tolist():
+        alike = np.flatnonzero(numbers == count)
+        for lo, hi in batches(np.full(len(alike), count), _TOGETHER):
+            some = alike[lo:hi, None]
+            a, b = np.divmod(np.arange(count), sizes[some, 1])
+            nodes = grid.sides.at(pieces.side[some], pieces.low[some, 0] + a, pieces.low[some, 1] + b)
+            for number, plane in zip(alike[lo:hi].tolist(), planes_of(grid.points[nodes], flat), strict=True):
+                planes[number] = plane
+    return planes

@@ -9,13 +9,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..numerics.arrays import extent
+from ..numerics.arrays import BoolArray, batches, runs, spans, spread
+from ..numerics.geometry.boxes import overlapping_boxes
 from ..numerics.geometry.coincidence import close_pairs, distinct, equal_rows
 from ..numerics.geometry.distance import distance_to_faces
 from .blocks import FloatArray, Grid, IntArray, Side, Window
 from .overset import Overlap, find_overlaps
 from .topology import Topology
-from .windows import windows_of_quads
+from .windows import largest_rectangles, rectangles
 
 NEAR = 0.25
 """Nodes closer than this part of the shortest edge at either of them look like one node."""
@@ -23,9 +24,8 @@ _ABUTTING = 0.1
 """Faces whose middle lies closer than this part of its shortest edge to another face touch it."""
 _SAMPLES = 48
 _FEWEST = 2
-
-Box = tuple[FloatArray, FloatArray]
-"""Smallest and largest coordinates."""
+_TOGETHER = 300_000
+"""Samples that are compared at once."""
 
 
 @dataclass(frozen=True)
@@ -112,87 +112,111 @@ def _near_partners(grid: Grid, topology: Topology, outside: IntArray) -> tuple[I
 
 
 def _matching(grid: Grid, topology: Topology, paired: IntArray, gap: FloatArray, relative: FloatArray) -> list[Opening]:
-    found = []
-    sides = topology.quads.block_side
     near = np.flatnonzero(paired >= 0)
-    for own in np.unique(sides[near]):
-        block, side = int(own) // 6, Side(int(own) % 6)
-        span = topology.quads.of_side(block, side)
-        partner = paired[span]
-        others = np.where(partner >= 0, sides[np.maximum(partner, 0)], -1)
-        for other in np.unique(others[others >= own]):
-            mine = others == other
-            if other == own:
-                # A seam within one side: each pair once.
-                mine &= partner > np.arange(span.start, span.stop)
-            for window, quads in _windows(grid, topology, block, side, mine):
-                partner_side = int(other) // 6, Side(int(other) % 6)
-                corners = topology.quads.corners[quads]
-                worst = float(gap[corners].max()), float(relative[corners].max())
-                found.append(Opening(quads, window, block, side, *partner_side, *worst, matching=True))
-    return found
-
-
-def _windows(grid: Grid, topology: Topology, block: int, side: Side, mine: np.ndarray) -> list[tuple[Window, IntArray]]:
-    """Rectangles of the marked quads of a side, and the quads in each."""
-    counts = tuple(int(n) for n in topology.quads.counts[block, side])
-    numbers = np.arange(topology.quads.start[block, side], topology.quads.start[block, side] + len(mine))
+    own, other = (topology.quads.block_side[quads] for quads in (near, paired[near]))
+    # Each pair of sides from its lower one; of a seam within one side each pair of quads once.
+    chosen = (own < other) | ((own == other) & (near < paired[near]))
+    label = np.full(len(paired), -1)
+    label[near[chosen]] = other[chosen]
     found = []
-    for window in windows_of_quads(grid.shapes[block], block, side, mine.reshape(counts)):
-        inside = np.zeros(counts, dtype=bool)
-        (a, b), (c, d) = window.low, window.high
-        inside[a : max(c, a + 1), b : max(d, b + 1)] = True
-        found.append((window, numbers[(inside.ravel()) & mine]))
+    pieces = rectangles(grid, topology.quads, label)
+    for number, window in enumerate(pieces.windows()):
+        quads = pieces.quads_of(number)
+        corners = topology.quads.corners[quads]
+        worst = float(gap[corners].max()), float(relative[corners].max())
+        partner = divmod(int(pieces.label[number]), 6)
+        found.append(Opening(quads, window, window.block, window.side, partner[0], Side(partner[1]), *worst, True))
     return found
 
 
 def _abutting(grid: Grid, topology: Topology, paired: IntArray) -> list[Opening]:
     """Block sides that touch others with non-matching nodes, found from samples of their quads."""
-    rest = topology.external & (paired < 0)
-    sides = np.unique(topology.quads.block_side[rest])
-    points = grid.points[topology.first]
-    patches = {int(own): np.flatnonzero(rest[_span(topology, own)]) + _span(topology, own).start for own in sides}
-    corners = {own: points[topology.quads.corners[quads]] for own, quads in patches.items()}
-    boxes = {own: extent(x) for own, x in corners.items()}
+    rest = np.flatnonzero(topology.external & (paired < 0))
+    if rest.size == 0:
+        return []
+    walls = _Walls.of(grid, topology, rest)
+    pieces: dict[int, tuple[Window, IntArray]] = {}
     found = []
-    for own, quads in patches.items():
-        for other in patches:
-            if other == own or not _overlap(boxes[own], boxes[other]):
-                continue
-            touching, gap, relative = _touching(corners[own], corners[other], boxes[other])
-            if len(touching) >= _FEWEST:
-                block, side = own // 6, Side(own % 6)
-                mine = np.isin(np.arange(_span(topology, own).start, _span(topology, own).stop), quads)
-                window, chosen = max(_windows(grid, topology, block, side, mine), key=lambda each: len(each[1]))
-                found.append(Opening(chosen, window, block, side, other // 6, Side(other % 6), gap, relative, False))
+    for own, other in walls.candidates():
+        touching, gap, relative = walls.touching(own, other)
+        if touching >= _FEWEST:
+            pieces = pieces or largest_rectangles(grid, topology.quads, rest)
+            window, quads = pieces[int(walls.side[own])]
+            block, side = divmod(int(walls.side[other]), 6)
+            found.append(Opening(quads, window, window.block, window.side, block, Side(side), gap, relative, False))
     return found
 
 
-def _span(topology: Topology, own: int) -> slice:
-    return topology.quads.of_side(int(own) // 6, Side(int(own) % 6))
+@dataclass(frozen=True)
+class _Walls:
+    """Some face quads, side by side, and samples of them.
 
-
-def _overlap(one: Box, two: Box) -> bool:
-    slack = 1e-6 * float(np.linalg.norm(one[1] - one[0]))
-    return bool((one[0] <= two[1] + slack).all() and (two[0] <= one[1] + slack).all())
-
-
-def _touching(own: FloatArray, other: FloatArray, box: Box) -> tuple[IntArray, float, float]:
-    """Samples of quads (n, c, 3) whose middles lie on the quads (m, c, 3), the largest distance, also over the edge.
-
-    ``box``: extent of the quads (m, c, 3).
+    Attributes
+    ----------
+    side : (m,) block sides
+    corners : (n, c, 3) of the quads of all sides
+    start : (m + 1,) first quad of each
+    low, high : (m, 3) their extent
+    middle, edge : (k, 3), (k,) of the samples: mean of the corners, shortest edge
+    sample : (m + 1,) first sample of each side
     """
-    sample = np.unique(np.linspace(0, len(own) - 1, min(len(own), _SAMPLES)).astype(int))
-    edges = np.linalg.norm(own[sample] - np.roll(own[sample], 1, axis=1), axis=2)
-    edge = np.where(edges > 0, edges, np.inf).min(axis=1)
-    middle = own[sample].mean(axis=1)
-    slack = _ABUTTING * edge[:, None]
-    inside = ((middle >= box[0] - slack) & (middle <= box[1] + slack)).all(axis=1)
-    distance = np.full(len(sample), np.inf)
-    if inside.sum() >= _FEWEST:
-        distance[inside] = distance_to_faces(middle[inside], other)
-    hit = distance < _ABUTTING * edge
-    # Two walls that meet in a sharp edge are close to each other in only a few quads.
-    if hit.sum() < max(_FEWEST, 0.1 * len(sample)):
-        return np.empty(0, dtype=np.int64), 0.0, 0.0
-    return sample[hit], float(distance[hit].max()), float((distance / edge)[hit].max())
+
+    side: IntArray
+    corners: FloatArray
+    start: IntArray
+    low: FloatArray
+    high: FloatArray
+    middle: FloatArray
+    edge: FloatArray
+    sample: IntArray
+
+    @classmethod
+    def of(cls, grid: Grid, topology: Topology, quads: IntArray) -> _Walls:
+        side = topology.quads.block_side[quads]
+        first, last = runs(side)
+        corners = grid.points[topology.first[topology.quads.corners[quads]]]
+        low = np.minimum.reduceat(corners.min(axis=1), first)
+        high = np.maximum.reduceat(corners.max(axis=1), first)
+        run, place = spread(last - first, _SAMPLES)
+        some = corners[first[run] + place]
+        edges = np.linalg.norm(some - np.roll(some, 1, axis=1), axis=2)
+        edge = np.where(edges > 0, edges, np.inf).min(axis=1)
+        sample = np.append(0, np.cumsum(np.bincount(run)))
+        return cls(side[first], corners, np.append(first, len(quads)), low, high, some.mean(axis=1), edge, sample)
+
+    def candidates(self) -> IntArray:
+        """Pairs (p, 2) of different sides of which enough samples of the first lie in the extent of the second."""
+        slack = 1e-6 * np.linalg.norm(self.high - self.low, axis=1)[:, None]
+        pairs = overlapping_boxes((self.low - slack, self.high + slack), (self.low, self.high))
+        pairs = pairs[pairs[:, 0] != pairs[:, 1]]
+        counts = np.diff(self.sample)[pairs[:, 0]]
+        enough = [
+            self._within(pairs[lo:hi], counts[lo:hi]) >= _FEWEST for lo, hi in batches(counts, _TOGETHER)
+        ]
+        return pairs[np.concatenate([np.empty(0, dtype=bool), *enough])]
+
+    def _within(self, pairs: IntArray, counts: IntArray) -> IntArray:
+        """How many (p,) samples of the first side of each pair lie in the extent of the second."""
+        run, place = spans(counts)
+        own, other = pairs[run].T
+        return np.bincount(run[self._inside(self.sample[own] + place, other)], minlength=len(pairs))
+
+    def _inside(self, sample: IntArray, other: IntArray) -> BoolArray:
+        """Which samples lie in the extents of sides ``other``."""
+        middle, slack = self.middle[sample], _ABUTTING * self.edge[sample, None]
+        within = (middle >= self.low[other] - slack) & (middle <= self.high[other] + slack)
+        return np.asarray(within.all(axis=1))
+
+    def touching(self, own: int, other: int) -> tuple[int, float, float]:
+        """How many samples of one side lie on the quads of another, the largest distance, also over the edge."""
+        sample = np.arange(self.sample[own], self.sample[own + 1])
+        edge = self.edge[sample]
+        inside = self._inside(sample, np.full(len(sample), other))
+        distance = np.full(len(sample), np.inf)
+        faces = self.corners[self.start[other] : self.start[other + 1]]
+        distance[inside] = distance_to_faces(self.middle[sample[inside]], faces)
+        hit = distance < _ABUTTING * edge
+        # Two walls that meet in a sharp edge are close to each other in only a few quads.
+        if hit.sum() < max(_FEWEST, 0.1 * len(sample)):
+            return 0, 0.0, 0.0
+        return int(hit.sum()), float(distance[hit].max()), float((distance / edge)[hit].max())

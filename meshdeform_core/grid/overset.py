@@ -6,17 +6,20 @@ and what moves would pull the two apart.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from ..numerics.arrays import extent
+from ..numerics.arrays import BoolArray, batches, runs, spans, spread
+from ..numerics.geometry.boxes import overlapping_boxes
 from ..numerics.geometry.distance import distance_to_faces
 from ..numerics.geometry.solid_angle import plane_winding, winding
 from .blocks import FloatArray, Grid, IntArray, Side, Window
-from .planes import plane_normal
+from .extent import block_extents
+from .planes import FLATNESS, plane_normal
 from .topology import Topology, side_nodes
-from .windows import windows_of_quads
+from .windows import largest_rectangles
 
 _SAMPLES = 24
 _FEWEST = 2
@@ -27,6 +30,8 @@ _DEEP = 0.1
 _COARSE = 12
 """Cells per direction of the surface by which most blocks are ruled out."""
 _SOME, _SURE = 0.1, 0.9
+_TOGETHER = 300_000
+"""Samples that are compared at once."""
 
 
 @dataclass(frozen=True)
@@ -63,50 +68,63 @@ class Overlap:
 
 def find_overlaps(grid: Grid, topology: Topology) -> list[Overlap]:
     """Outside faces inside other blocks, found from samples of the quads of each block side."""
-    quads = topology.quads
-    boxes = [extent(grid.block(b)) for b in range(grid.n_blocks)]
+    outside = np.flatnonzero(topology.external)
+    side = topology.quads.block_side[outside]
+    first, last = runs(side)
+    run, place = spread(last - first, _SAMPLES)
+    corners = grid.points[topology.first[topology.quads.corners[outside[first[run] + place]]]]
+    middle, start = corners.mean(axis=1), np.append(0, np.cumsum(np.bincount(run, minlength=len(first))))
+    pieces: dict[int, tuple[Window, IntArray]] = {}
     surfaces: dict[int, _Surface] = {}
-    found = []
-    for own in np.unique(quads.block_side[topology.external]):
-        block, side = int(own) // 6, Side(int(own) % 6)
-        span = quads.of_side(block, side)
-        outside = topology.external[span]
-        chosen = np.flatnonzero(outside) + span.start
-        sample = chosen[np.unique(np.linspace(0, len(chosen) - 1, min(len(chosen), _SAMPLES)).astype(int))]
-        corners = grid.points[topology.first[quads.corners[sample]]]
-        middle = corners.mean(axis=1)
-        for other, (low, high) in enumerate(boxes):
-            within = ((middle > low) & (middle < high) | (low == high)).all(axis=1) & (other != block)
-            if within.sum() < max(_FEWEST, _PART * len(sample)):
-                continue
-            if other not in surfaces:
-                surfaces[other] = _Surface(grid, other)
-            depth = surfaces[other].depth(corners[within], middle[within])
-            if (depth > 0).sum() >= max(_FEWEST, _PART * len(sample)):
-                window, part = _largest(grid, topology, block, side, outside)
-                share = float((depth > 0).sum() / len(sample))
-                found.append(Overlap(part, window, block, side, other, share, float(depth.max())))
+    normal, found = plane_normal(grid), []
+    for own, other, within in _candidates(grid, middle, start, side[first] // 6):
+        sample = slice(start[own], start[own + 1])
+        if other not in surfaces:
+            surfaces[other] = _Surface(grid, other, normal)
+        depth = surfaces[other].depth(corners[sample][within], middle[sample][within])
+        deep = int((depth > 0).sum())
+        if deep >= _enough(len(within)):
+            pieces = pieces or largest_rectangles(grid, topology.quads, outside)
+            window, quads = pieces[int(side[first[own]])]
+            share = float(deep / len(within))
+            found.append(Overlap(quads, window, window.block, window.side, other, share, float(depth.max())))
     return found
 
 
-def _largest(grid: Grid, topology: Topology, block: int, side: Side, mine: np.ndarray) -> tuple[Window, IntArray]:
-    """The largest rectangle of marked quads of a side, and their numbers."""
-    counts = tuple(int(n) for n in topology.quads.counts[block, side])
-    windows = windows_of_quads(grid.shapes[block], block, side, mine.reshape(counts))
-    sizes = [np.prod([max(d - a, 1) for a, d in zip(w.low, w.high, strict=True)]) for w in windows]
-    window = windows[int(np.argmax(sizes))]
-    inside = np.zeros(counts, dtype=bool)
-    (a, b), (c, d) = window.low, window.high
-    inside[a : max(c, a + 1), b : max(d, b + 1)] = True
-    return window, np.flatnonzero(inside.ravel() & mine) + topology.quads.start[block, side]
+def _enough(samples: int) -> float:
+    return max(_FEWEST, _PART * samples)
+
+
+def _candidates(
+    grid: Grid, middle: FloatArray, start: IntArray, block: IntArray
+) -> Iterator[tuple[int, int, BoolArray]]:
+    """Sides and other blocks in whose extent enough samples ``middle`` of the side lie, and which of them do.
+
+    ``start``: first sample of each side; ``block``: to which it belongs.
+    """
+    if len(block) == 0:
+        return
+    low, high = block_extents(grid)
+    # The plane of a 2-D grid is as flat as reading and writing it leave it.
+    slack = FLATNESS * float((high.max(axis=0) - low.min(axis=0)).max())
+    own = np.minimum.reduceat(middle, start[:-1]), np.maximum.reduceat(middle, start[:-1])
+    pairs = overlapping_boxes(own, (low - slack, high + slack))
+    pairs = pairs[block[pairs[:, 0]] != pairs[:, 1]]
+    counts = np.diff(start)[pairs[:, 0]]
+    for lo, hi in batches(counts, _TOGETHER):
+        some, (run, place) = pairs[lo:hi], spans(counts[lo:hi])
+        x, other = middle[start[some[run, 0]] + place], some[run, 1]
+        inside = ((x > low[other]) & (x < high[other]) | (low[other] == high[other])).all(axis=1)
+        ends = np.append(0, np.cumsum(counts[lo:hi]))
+        for number in np.flatnonzero(np.bincount(run, weights=inside) >= np.maximum(_FEWEST, _PART * counts[lo:hi])):
+            yield int(some[number, 0]), int(some[number, 1]), inside[ends[number] : ends[number + 1]]
 
 
 class _Surface:
     """The closed surface of a block, coarse for a first look and as it is."""
 
-    def __init__(self, grid: Grid, block: int):
-        self._grid, self._block = grid, block
-        self._normal = plane_normal(grid)
+    def __init__(self, grid: Grid, block: int, normal: FloatArray | None):
+        self._grid, self._block, self._normal = grid, block, normal
         # Of the two axes beside the first one, the sides of this one are wound the other way round; see _turned.
         shape = grid.shapes[block]
         self._second = 1 if self._normal is None else max(axis for axis in range(3) if shape[axis] > 1)

@@ -26,17 +26,26 @@ def plane_of(points: FloatArray, plane_normal: FloatArray | None) -> Plane | Non
 
     In a 2-D grid (``plane_normal`` given) the "plane" is the straight line through the points.
     """
-    center = points.mean(axis=0)
-    arms = points - center
-    size = float(np.abs(arms).max())
-    if size == 0.0:
-        return None
-    _, _, directions = np.linalg.svd(arms, full_matrices=False)
-    normal = directions[-1] if plane_normal is None else np.cross(plane_normal, directions[0])
-    normal = _snapped(normal / np.linalg.norm(normal))
-    if float(np.abs(arms @ normal).max()) > FLATNESS * size:
-        return None
-    return Plane(center, normal)
+    return planes_of(points[None], plane_normal)[0]
+
+
+def planes_of(points: FloatArray, plane_normal: FloatArray | None) -> list[Plane | None]:
+    """The same of each of several sets of equally many points (m, n, 3)."""
+    center = points.mean(axis=1)
+    arms = points - center[:, None]
+    size = np.abs(arms).max(axis=(1, 2), initial=0.0)
+    found: list[Plane | None] = [None] * len(points)
+    for number, axes in zip(np.flatnonzero(size), _main_axes(arms[size > 0.0]), strict=True):
+        normal = axes[-1] if plane_normal is None else np.cross(plane_normal, axes[0])
+        normal = _snapped(normal / np.linalg.norm(normal))
+        if float(np.abs(arms[number] @ normal).max()) <= FLATNESS * size[number]:
+            found[number] = Plane(center[number], normal)
+    return found
+
+
+def _main_axes(arms: FloatArray) -> FloatArray:
+    """Principal directions (m, 3, 3) of sets of points (m, n, 3), the longest extent first."""
+    return np.asarray(np.linalg.svd(arms, full_matrices=False)[2])
 
 
 def _snapped(normal: FloatArray) -> FloatArray:

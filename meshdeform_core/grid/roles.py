@@ -12,8 +12,9 @@ from enum import Enum
 import numpy as np
 import scipy
 
-from ..numerics.arrays import extent
+from ..numerics.arrays import BoolArray, runs
 from .blocks import FloatArray, Grid, IntArray, Patch, Side
+from .extent import Bounds
 from .faces import Face, QuadGeometry
 from .planes import FLATNESS
 from .topology import Topology
@@ -82,16 +83,15 @@ class _Guess:
 
     def __init__(self, grid: Grid, topology: Topology, geometry: QuadGeometry, faces: Sequence[Face]):
         self.grid, self.topology, self.geometry, self.faces = grid, topology, geometry, faces
-        low, high = extent(grid.points)
-        self.extent = high - low
-        self.size = float(self.extent.max())
-        self._rim = grid.points[topology.first]
-        self._farthest: dict[tuple[float, ...], float] = {}
+        self.bounds = Bounds(grid)
+        low, high = self.bounds.low.min(axis=0), self.bounds.high.max(axis=0)
+        self.extent, self.size = high - low, float((high - low).max())
         self.ends = _end_sides(grid, topology, faces)
         self.outward = [self._bounding(face) for face in faces]
+        self.body = self._bodies()
+        self.has_bodies = bool(self.body.any())
 
     def roles(self) -> list[Role]:
-        self.bodies = self._bodies()
         roles = [self._first_role(face) for face in self.faces]
         near = np.zeros(self.topology.n_unique, dtype=bool)
         for face, role in zip(self.faces, roles, strict=True):
@@ -99,8 +99,9 @@ class _Guess:
                 near[self.topology.quads.corners[face.quads]] = True
         touched = [bool(near[self.topology.quads.corners[face.quads]].any()) for face in self.faces]
         # Walls that extend from border to border belong to a channel, whose ends are not symmetry planes.
-        borders = [out for out, touch, role in zip(self.outward, touched, roles, strict=True)
-                   if out is not None and touch and role is None]  # fmt: skip
+        outwards = [out for out, touch, role in zip(self.outward, touched, roles, strict=True)
+                    if out is not None and touch and role is None]  # fmt: skip
+        borders = np.unique(np.reshape(outwards, (-1, 3)), axis=0)
         return [
             role or self._rest(face, out, touch, borders)
             for face, role, out, touch in zip(self.faces, roles, self.outward, touched, strict=True)
@@ -116,15 +117,15 @@ class _Guess:
             return Role.END
         if declared is not None:
             return declared
-        return Role.WALL if clusters(face) or self.bodies.intersection(face.quads[:1].tolist()) else None
+        return Role.WALL if clusters(face) or self.body[face.quads[0]] else None
 
-    def _rest(self, face: Face, outward: FloatArray | None, touched: bool, borders: list[FloatArray]) -> Role:
+    def _rest(self, face: Face, outward: FloatArray | None, touched: bool, borders: FloatArray) -> Role:
         """Faces without clustered cells: planes that a wall stands on may be mirrors, cells grow to the far field."""
         if outward is not None and touched and face.stretching > _COARSENED**2:
-            channel = any(other @ outward < -0.99 for other in borders)
+            channel = bool((borders @ outward < -0.99).any())
             return Role.UNKNOWN if channel else Role.SYMMETRY
         # What bounds a grid around a body, away from it.
-        if face.stretching < _COARSENED or (self.bodies and outward is not None and not touched):
+        if face.stretching < _COARSENED or (self.has_bodies and outward is not None and not touched):
             return Role.FAR
         # A step: plane, part of the same surface as a wall, and the grid goes on beyond its plane.
         step = face.plane is not None and outward is None and touched
@@ -136,32 +137,23 @@ class _Guess:
             return None
         outward = self.geometry.outward[face.quads].sum(axis=0)
         normal = face.plane.normal * (1.0 if outward @ face.plane.normal >= 0 else -1.0)
-        beyond = self._farthest_along(normal) - float(face.plane.point @ normal)
-        return normal if beyond <= 10 * FLATNESS * self.size else None
+        level = float(face.plane.point @ normal) + 10 * FLATNESS * self.size
+        return normal if self.bounds.within(normal, level) else None
 
-    def _farthest_along(self, direction: FloatArray) -> float:
-        """Largest component along a unit vector of the nodes on block faces; many faces ask for the same few."""
-        key = tuple(direction.round(9).tolist())
-        if key not in self._farthest:
-            self._farthest[key] = float((self._rim @ direction).max())
-        return self._farthest[key]
-
-    def _bodies(self) -> set[int]:
-        """Quads of the surfaces surrounded by the grid: closed except where they end on its bounding planes."""
-        inner = np.zeros(len(self.topology.partner), dtype=bool)
+    def _bodies(self) -> BoolArray:
+        """(n_quads,) the surfaces surrounded by the grid: closed except where they end on its bounding planes."""
+        inner, body = np.zeros((2, len(self.topology.partner)), dtype=bool)
         for face, outward in zip(self.faces, self.outward, strict=True):
             if face.outside and outward is None:
                 inner[face.quads] = True
         quads = np.flatnonzero(inner)
-        if quads.size == 0:
-            return set()
-        part = _connected(self.topology.quads.corners[quads], self.topology.n_unique)
-        found: set[int] = set()
-        for number in range(int(part.max()) + 1):
-            mine = quads[part == number]
-            if self._encloses(mine) and self._closed(mine):
-                found.update(mine.tolist())
-        return found
+        if quads.size:
+            part = _connected(self.topology.quads.corners[quads], self.topology.n_unique)
+            order = np.argsort(part, kind="stable")
+            for lo, hi in zip(*runs(part[order]), strict=True):
+                mine = quads[order[lo:hi]]
+                body[mine] = self._encloses(mine) and self._closed(mine)
+        return body
 
     def _encloses(self, quads: IntArray) -> bool:
         area = self.geometry.area[quads]
@@ -202,18 +194,29 @@ def _end_sides(grid: Grid, topology: Topology, faces: Sequence[Face]) -> set[tup
     clustered = {(f.window.block, f.window.side) for f in faces if f.outside and clusters(f)}
     choices = []
     for direction in np.eye(3):
-        axes = [_extruded_axis(grid.block(b), direction) for b in range(grid.n_blocks)]
-        if any(axis is None for axis in axes):
+        axes = _extruded_axes(grid, direction)
+        if axes is None:
             continue
-        sides = {(b, Side(2 * axis + far)) for b, axis in enumerate(axes) if axis is not None for far in (0, 1)}
+        sides = {(b, Side(2 * axis + far)) for b, axis in enumerate(axes) for far in (0, 1)}
         outside = {key for key in sides if topology.external[topology.quads.of_side(*key)].all()}
-        cells = max(grid.cell_shapes[b][axis] for b, axis in enumerate(axes) if axis is not None)
+        cells = max(grid.cell_shapes[b][axis] for b, axis in enumerate(axes))
         if outside and not outside & clustered:
             choices.append((cells, outside))
     choices.sort(key=lambda choice: choice[0])
     if not choices or (len(choices) > 1 and choices[0][0] == choices[1][0]):
         return set()
     return choices[0][1]
+
+
+def _extruded_axes(grid: Grid, direction: FloatArray) -> list[int] | None:
+    """The axis of every block along which it is extruded, ``None`` if one of them is not."""
+    axes = []
+    for block in range(grid.n_blocks):
+        axis = _extruded_axis(grid.block(block), direction)
+        if axis is None:
+            return None
+        axes.append(axis)
+    return axes
 
 
 def _extruded_axis(x: FloatArray, direction: FloatArray) -> int | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .blocks import Grid, IntArray, Shape, Side
-from .topology import Topology, in_index_order, side_nodes
+from .topology import Topology, side_nodes
 
 
 def side_numbers(grid: Grid, topology: Topology, block: int, side: Side) -> IntArray:
@@ -16,7 +16,7 @@ def side_numbers(grid: Grid, topology: Topology, block: int, side: Side) -> IntA
     shape = grid.shapes[block]
     counts = tuple(shape[axis] for axis in side.tangential)
     corners = topology.quads.corners[topology.quads.of_side(block, side)]
-    if not in_index_order(side, counts, grid.dimension, int(topology.handedness[block])):
+    if not topology.quads.in_order[block, side]:
         corners = corners[:, ::-1]
     if grid.dimension == 2:
         return np.append(corners[:, 0], corners[-1:, 1]).reshape(counts)

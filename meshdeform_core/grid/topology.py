@@ -12,13 +12,16 @@ from functools import cached_property
 
 import numpy as np
 
+from ..numerics.arrays import BoolArray, batches, runs, spans
 from ..numerics.geometry.coincidence import coincident_groups, distinct, equal_rows
 from .blocks import FloatArray, Grid, IntArray, Shape, Side
+from .handedness import block_handedness, index_order
 
 RELATIVE_TOLERANCE = 1e-3
 """Coincident means closer than this fraction of the shortest edge at either node."""
 
-_ALL, _LATER, _EARLIER = slice(None), slice(1, None), slice(None, -1)
+_TOGETHER = 100_000
+"""Nodes whose edges are measured at once: few enough for the processor's cache."""
 COLLAPSED = -2
 EXTERNAL = -1
 
@@ -32,11 +35,24 @@ class FaceQuads:
     start : (n_blocks, 6) first quad of each block side; quads of a side are C-ordered in ``counts``
     counts : (n_blocks, 6, 2) quads along ``side.tangential``
     corners : (n_quads, 4) unique node numbers, counter-clockwise as seen from outside the block; (n_quads, 2) in 2-D
+    in_order : (n_blocks, 6) whether the corners go round in the order of the side's indices, not in the opposite one
     """
 
     start: IntArray
     counts: IntArray
     corners: IntArray
+    in_order: BoolArray
+
+    def places(self, quads: IntArray) -> tuple[IntArray, IntArray, IntArray]:
+        """Block side (n,), and number along both of its axes, of face quads (n,)."""
+        side = self.block_side[quads]
+        u, v = np.divmod(quads - self.start.ravel()[side], self.counts[..., 1].ravel()[side])
+        return side, u, v
+
+    def by_side(self, quads: IntArray) -> list[tuple[int, IntArray]]:
+        """Some quads in ascending order, side by side: ``6 * block + side`` and those on it."""
+        side = self.block_side[quads]
+        return [(int(side[lo]), quads[lo:hi]) for lo, hi in zip(*runs(side), strict=True)]
 
     def of_side(self, block: int, side: Side) -> slice:
         """The quads of one block side."""
@@ -111,11 +127,11 @@ def find_topology(grid: Grid, tolerance: float = RELATIVE_TOLERANCE) -> Topology
     ----------
     tolerance : largest distance between coincident nodes relative to the shortest edge at either of them
     """
-    sides = [(b, side) for b in range(grid.n_blocks) for side in Side if _has_quads(grid.shapes[b], side)]
-    on_side = {key: side_nodes(grid, *key) for key in sides}
-    face_nodes = distinct(np.concatenate([nodes.ravel() for nodes in on_side.values()]), grid.n_nodes)
-    at = {key: np.searchsorted(face_nodes, nodes) for key, nodes in on_side.items()}
-    edge = _shortest_edges(grid, at, face_nodes)
+    sides = np.flatnonzero(grid.sides.has_quads)
+    flat = grid.sides.all_nodes(sides)[3]
+    face_nodes = distinct(flat, grid.n_nodes)
+    rows = np.searchsorted(face_nodes, flat)
+    edge = _shortest_edges(grid, sides, rows, face_nodes)
     number = coincident_groups(grid.points[face_nodes], tolerance * edge)
     n_unique = int(number.max()) + 1
     first = np.empty(n_unique, dtype=np.int64)
@@ -123,7 +139,7 @@ def find_topology(grid: Grid, tolerance: float = RELATIVE_TOLERANCE) -> Topology
     unique_edge = np.full(n_unique, np.inf)
     np.minimum.at(unique_edge, number, edge)
     handedness = block_handedness(grid)
-    quads = _face_quads(grid, {key: number[rows] for key, rows in at.items()}, handedness)
+    quads = _face_quads(grid, sides, number[rows], handedness)
     partner, crowded = _partners(quads.corners, np.bincount(number) > 1)
     return Topology(face_nodes, number, first, unique_edge, quads, partner, handedness, crowded)
 
@@ -144,63 +160,37 @@ def inward_step(shape: Shape, side: Side) -> int:
     return -stride if side % 2 else stride
 
 
-def block_handedness(grid: Grid) -> IntArray:
-    """+1 or -1 per block, from the majority of a regular sample of at most 8 cells per direction."""
-    return np.array([_handedness(grid.block(b)) for b in range(grid.n_blocks)], dtype=np.int64)
+def _shortest_edges(grid: Grid, sides: IntArray, rows: IntArray, face_nodes: IntArray) -> FloatArray:
+    """Shortest edge at every face node that is longer than the round-off of the file's precision.
 
-
-def _handedness(x: FloatArray) -> int:
-    # A 2-D block is treated as one layer of cells extruded along +x, +y or +z, whichever is normal to its plane.
-    if 1 in x.shape[:3]:
-        flat = x.shape.index(1)
-        a, b = (axis for axis in range(3) if axis != flat)
-        plane = x.squeeze(axis=flat)
-        first, second = _mean_edges(plane, 2)
-        normal = np.cross(first, second)
-        signs = np.sign(normal[..., int(np.argmax(np.abs(normal).sum(axis=0)))])
-        # Index order (a, b) is cyclic for a flat i or k axis and reversed for a flat j axis.
-        return -1 if (signs.sum() < 0) != ((b - a) == 2) else 1
-    edges = _mean_edges(x, 3)
-    signs = np.sign(np.einsum("...i,...i->...", edges[0], np.cross(edges[1], edges[2])))
-    return -1 if signs.sum() < 0 else 1
-
-
-def _mean_edges(x: FloatArray, dimension: int) -> list[FloatArray]:
-    """Mean edge vectors of every sampled cell along each of its directions."""
-    samples = [np.unique(np.linspace(0, n - 2, min(n - 1, 8)).astype(int)) for n in x.shape[:dimension]]
-    picked = np.stack(
-        [x[np.ix_(*(s + c for s, c in zip(samples, corner, strict=True)))] for corner in np.ndindex(*(2,) * dimension)]
-    ).reshape(*(2,) * dimension, -1, 3)
-    means = [picked.mean(axis=tuple(a for a in range(dimension) if a != axis)) for axis in range(dimension)]
-    return [mean[1] - mean[0] for mean in means]
-
-
-def _has_quads(shape: Shape, side: Side) -> bool:
-    return shape[side.axis] > 1
-
-
-def _shortest_edges(grid: Grid, at: dict[tuple[int, Side], IntArray], face_nodes: IntArray) -> FloatArray:
-    """Shortest edge at every face node that is longer than the round-off of the file's precision."""
+    ``rows``: of every node of the ``sides`` in ``face_nodes``.
+    """
     shortest = np.full(len(face_nodes), np.inf)
     epsilon = 4 * float(np.finfo(grid.precision).eps)
-    for (block, side), rows in at.items():
-        p, q = (_layer(grid.block(block), side, depth) for depth in (0, 1))
-        size = _largest(p), _largest(q)
-        local = _sound_square(p - q, epsilon, *size)
-        for one, two in (((_LATER,), (_EARLIER,)), ((_ALL, _LATER), (_ALL, _EARLIER))):
-            square = _sound_square(p[(_ALL, *one)] - p[(_ALL, *two)], epsilon, size[0][one], size[0][two])
-            np.minimum(local[one], square, out=local[one])
-            np.minimum(local[two], square, out=local[two])
-        shortest[rows] = np.minimum(shortest[rows], local)
+    sizes, done = grid.sides.nodes[sides].prod(axis=1), 0
+    for lo, hi in batches(sizes, _TOGETHER):
+        square = _edges_of_sides(grid, sides[lo:hi], epsilon)
+        np.minimum.at(shortest, rows[done : done + len(square)], square)
+        done += len(square)
     endless = np.flatnonzero(np.isinf(shortest))
     shortest[endless] = (epsilon * np.abs(grid.points[face_nodes[endless]]).max(axis=1, initial=0.0)) ** 2
     return np.asarray(np.sqrt(shortest))
 
 
-def _layer(x: FloatArray, side: Side, depth: int) -> FloatArray:
-    """Coordinates (3, na, nb) of the nodes of a block side, or ``depth`` layers inside, component by component."""
-    at = -1 - depth if side % 2 else depth
-    return np.ascontiguousarray(np.moveaxis(x, (3, side.axis), (0, 1))[:, at])
+def _edges_of_sides(grid: Grid, sides: IntArray, epsilon: float) -> FloatArray:
+    """Square of the shortest edge on its side, or into the block, of every node of some sides."""
+    side, u, v, flat = grid.sides.all_nodes(sides)
+    here = grid.points[flat].T.copy()
+    size = _largest(here)
+    inside = grid.points[flat + grid.sides.inward[side]].T.copy()
+    shortest = _sound_square(here - inside, epsilon, size, _largest(inside))
+    for step, number in ((grid.sides.nodes[side, 1], u), (np.ones_like(v), v)):
+        two = np.flatnonzero(number)
+        one = two - step[two]
+        square = _sound_square(here[:, two] - here[:, one], epsilon, size[two], size[one])
+        for end in (one, two):
+            shortest[end] = np.minimum(shortest[end], square)
+    return shortest
 
 
 def _largest(x: FloatArray) -> FloatArray:
@@ -209,61 +199,34 @@ def _largest(x: FloatArray) -> FloatArray:
 
 
 def _sound_square(edge: FloatArray, epsilon: float, one: FloatArray, two: FloatArray) -> FloatArray:
-    """Squared length of edges (3, ...), infinite where it is nothing but noise at ends of this size."""
+    """Squared length of edges (3, n), infinite where it is nothing but noise at ends of this size."""
     square = edge[0] * edge[0] + edge[1] * edge[1] + edge[2] * edge[2]
-    if square.size and square.min() <= (epsilon * max(one.max(), two.max())) ** 2:
-        square[square <= (epsilon * np.maximum(one, two)) ** 2] = np.inf
+    square[square <= (epsilon * np.maximum(one, two)) ** 2] = np.inf
     return np.asarray(square)
 
 
-def _face_quads(
-    grid: Grid,
-    numbers: dict[tuple[int, Side], IntArray],
-    handedness: IntArray,
-) -> FaceQuads:
-    """The quads of all sides from the unique numbers of their nodes."""
-    start = np.zeros((grid.n_blocks, 6), dtype=np.int64)
-    counts = np.zeros((grid.n_blocks, 6, 2), dtype=np.int64)
-    parts: list[IntArray] = []
-    total = 0
-    for block in range(grid.n_blocks):
-        for side in Side:
-            start[block, side] = total
-            if (block, side) not in numbers:
-                continue
-            own = numbers[block, side]
-            corners = _side_corners(own, side, grid.dimension, int(handedness[block]))
-            counts[block, side] = [max(n - 1, 1) for n in own.shape]
-            parts.append(corners)
-            total += len(corners)
-    return FaceQuads(start, counts, np.concatenate(parts))
-
-
-def _side_corners(nodes: IntArray, side: Side, dimension: int, handedness: int) -> IntArray:
-    """Corners of a side's quads as values of ``nodes``, counter-clockwise as seen from outside; in 2-D both ends.
-
-    In 2-D the direction is such that the outside lies to the right, looking against the plane's positive normal.
-    """
-    if dimension == 2:
-        line = nodes.ravel()
-        corners = [line[:-1], line[1:]]
+def _face_quads(grid: Grid, sides: IntArray, numbers: IntArray, handedness: IntArray) -> FaceQuads:
+    """The quads of all sides from the unique numbers of all nodes of those ``sides`` that have quads."""
+    lattice = grid.sides
+    counts = np.where(lattice.has_quads[:, None], lattice.cells, 0)
+    sizes = counts.prod(axis=1)
+    start = np.cumsum(sizes) - sizes
+    nodes = lattice.nodes[sides].prod(axis=1)
+    first = np.zeros(len(sizes), dtype=np.int64)
+    first[sides] = np.cumsum(nodes) - nodes
+    side, local = spans(sizes)
+    u, v = np.divmod(local, counts[side, 1])
+    width, in_order = lattice.nodes[side, 1], index_order(grid, handedness)
+    ordered = in_order.ravel()[side]
+    at = first[side] + u * width + v
+    if grid.dimension == 2:
+        ends = [at, at + np.where(lattice.nodes[side, 0] > 1, width, 1)]
     else:
-        corners = [c.ravel() for c in (nodes[:-1, :-1], nodes[1:, :-1], nodes[1:, 1:], nodes[:-1, 1:])]
-    return np.stack(corners if in_index_order(side, nodes.shape, dimension, handedness) else corners[::-1], axis=1)
-
-
-def in_index_order(side: Side, shape: tuple[int, ...], dimension: int, handedness: int) -> bool:
-    """Whether the corners of a side's quads go round in the order of its indices, not in the opposite one.
-
-    ``shape``: nodes along ``side.tangential``.
-    """
-    outward = (1 if side % 2 else -1) * handedness
-    if dimension == 2:
-        # (i, j), (j, k) planes are cyclic, the (i, k) plane is not: the same rule as for the normals in 3-D.
-        first_axis = side.axis < min(a for a, n in zip(side.tangential, shape, strict=True) if n > 1)
-        return outward > 0 if first_axis else outward < 0
-    # e_b x e_c points along +a for a = i and k, along -a for a = j.
-    return outward > 0 if side.axis != 1 else outward < 0
+        ends = [at, at + width, at + width + 1, at + 1]
+    corners = np.empty((len(at), len(ends)), dtype=np.int64)
+    for column, other in zip(range(len(ends)), reversed(range(len(ends))), strict=True):
+        corners[:, column] = numbers[np.where(ordered, ends[column], ends[other])]
+    return FaceQuads(start.reshape(-1, 6), counts.reshape(-1, 6, 2), corners, in_order)
 
 
 def _partners(corners: IntArray, shared: np.ndarray) -> tuple[IntArray, int]:

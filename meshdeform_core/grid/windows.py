@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
-from .blocks import Shape, Side, Window
+from ..numerics.arrays import IntArray, runs, spans
+from .blocks import Grid, Shape, Side, Window
+from .topology import FaceQuads
 
 
 def windows_of_quads(shape: Shape, block: int, side: Side, quads: NDArray[np.bool_]) -> list[Window]:
@@ -39,3 +43,99 @@ def windows_of_quads(shape: Shape, block: int, side: Side, quads: NDArray[np.boo
         )
         for begin, last in zip(begins, lasts, strict=True)
     ]
+
+
+@dataclass(frozen=True)
+class Rectangles:
+    """Rectangles of face quads on block sides, a row each.
+
+    Attributes
+    ----------
+    side : (n,) ``6 * block + side``
+    label : (n,) what its quads have in common
+    low, high : (n, 2) first and last node along ``side.tangential``
+    quads : the face quads of all, rectangle after rectangle and in ascending order in each
+    start : (n + 1,) where those of each begin
+    """
+
+    side: IntArray
+    label: IntArray
+    low: IntArray
+    high: IntArray
+    quads: IntArray
+    start: IntArray
+
+    def __len__(self) -> int:
+        return len(self.side)
+
+    def windows(self) -> list[Window]:
+        """The same as objects."""
+        rows = zip(self.side.tolist(), self.low.tolist(), self.high.tolist(), strict=True)
+        return [Window(side // 6, _SIDES[side % 6], (a, b), (c, d)) for side, (a, b), (c, d) in rows]
+
+    def quads_of(self, number: int) -> IntArray:
+        """The face quads of one rectangle."""
+        return self.quads[self.start[number] : self.start[number + 1]]
+
+    def chosen(self, some: IntArray) -> Rectangles:
+        """Some of them, in the order of the numbers ``some``."""
+        sizes = np.diff(self.start)[some]
+        run, place = spans(sizes)
+        quads = self.quads[self.start[some][run] + place]
+        rows = (values[some] for values in (self.side, self.label, self.low, self.high))
+        return Rectangles(*rows, quads, np.append(0, np.cumsum(sizes)))
+
+
+_SIDES = tuple(Side)
+
+
+def rectangles(grid: Grid, faces: FaceQuads, label: IntArray) -> Rectangles:
+    """Rectangles of face quads with equal labels, on all block sides: what :func:`windows_of_quads` finds of each.
+
+    Parameters
+    ----------
+    label : (n_quads,) the quads to be covered have labels from 0 on
+
+    Returns
+    -------
+    They are ordered by side, label, first node along the second axis, last one, first node along the first axis.
+    """
+    some = np.flatnonzero(label >= 0)
+    side, u, v = faces.places(some)
+    # Runs of quads within one row of a side, then equal runs of successive rows.
+    new = np.ones(len(some), dtype=bool)
+    new[1:] = (np.diff(some) != 1) | (v[1:] == 0) | (label[some[1:]] != label[some[:-1]])
+    first = np.flatnonzero(new)
+    last = np.append(first[1:], len(some))[: len(first)] - 1
+    order = np.lexsort((u[first], v[last], v[first], label[some[first]], side[first]))
+    first, last = first[order], last[order]
+    keys = side[first], label[some[first]], v[first], v[last], u[first]
+    begins = np.ones(len(first), dtype=bool)
+    begins[1:] = np.any([key[1:] != key[:-1] for key in keys[:4]], axis=0) | (np.diff(keys[4]) != 1)
+    top = np.flatnonzero(begins)
+    bottom = np.append(top[1:], len(first))[: len(top)] - 1
+    number = np.empty(len(first), dtype=np.int64)
+    number[order] = np.cumsum(begins) - 1
+    number = number[np.cumsum(new) - 1]
+    more = grid.sides.corner_steps[keys[0][top]]
+    return Rectangles(
+        keys[0][top],
+        keys[1][top],
+        np.stack([keys[4][top], keys[2][top]], axis=1),
+        np.stack([keys[4][bottom], keys[3][top]], axis=1) + more,
+        some[np.argsort(number, kind="stable")],
+        np.append(0, np.cumsum(np.bincount(number, minlength=len(top)))),
+    )
+
+
+def largest_rectangles(grid: Grid, faces: FaceQuads, quads: IntArray) -> dict[int, tuple[Window, IntArray]]:
+    """The largest rectangle of ``quads`` on every block side (``6 * block + side``), and the quads in it."""
+    label = np.full(len(faces.corners), -1)
+    label[quads] = 0
+    every = rectangles(grid, faces, label)
+    order = np.lexsort((np.arange(len(every)), -np.diff(every.start), every.side))
+    largest = every.chosen(order[runs(every.side[order])[0]])
+    return {
+        int(side): (window, largest.quads_of(number))
+        for number, (side, window) in enumerate(zip(largest.side, largest.windows(), strict=True))
+    }

@@ -46,6 +46,55 @@ def lengths(vectors: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.einsum("ni,ni->n", vectors, vectors)))
 
 
+def spans(sizes: IntArray) -> tuple[IntArray, IntArray]:
+    """Runs of the given sizes, one after the other: the number of each item's run, and its place in it."""
+    run = np.repeat(np.arange(len(sizes)), sizes)
+    start = np.cumsum(sizes) - sizes
+    return run, np.arange(len(run)) - start[run]
+
+
+def runs(keys: IntArray) -> tuple[IntArray, IntArray]:
+    """First (m,) and one past the last (m,) place of every run of equal ``keys`` (n,)."""
+    first = np.flatnonzero(np.append(True, keys[1:] != keys[:-1])[: len(keys)])
+    return first, np.append(first[1:], len(keys))[: len(first)]
+
+
+def batches(sizes: IntArray, most: int) -> list[tuple[int, int]]:
+    """Ranges ``lo, hi`` of items that together have at most ``most`` (or are one item): bounds what a loop allocates."""
+    ends = np.cumsum(sizes)
+    found, lo = [], 0
+    while lo < len(sizes):
+        done = int(ends[lo - 1]) if lo else 0
+        hi = max(int(np.searchsorted(ends, done + most, side="right")), lo + 1)
+        found.append((lo, hi))
+        lo = hi
+    return found
+
+
+def spread(sizes: IntArray, most: int, first: IntArray | None = None) -> tuple[IntArray, IntArray]:
+    """At most ``most`` places spread evenly over each of several runs of the given sizes, first and last included.
+
+    Returns the run of each place, and the place, counted from ``first`` (0) of the run: what ``numpy.linspace(first,
+    first + size - 1, min(size, most))`` gives, rounded down.
+    """
+    begin = np.zeros(len(sizes), dtype=np.int64) if first is None else first
+    taken = np.minimum(sizes, most)
+    run, number = spans(taken)
+    step = (sizes - 1) / np.maximum(taken - 1, 1)
+    place = (number * step[run] + begin[run]).astype(np.int64)
+    last = (number == taken[run] - 1) & (number > 0)
+    return run, np.where(last, begin[run] + sizes[run] - 1, place)
+
+
+def medians(values: FloatArray, run: IntArray, count: int, empty: float) -> FloatArray:
+    """Median (count,) of the ``values`` (n,) of every run; ``run`` (n,): to which each belongs; ``empty`` without any."""
+    sizes = np.bincount(run, minlength=count)
+    start = np.cumsum(sizes) - sizes
+    ordered = np.append(values[np.lexsort((values, run))], empty)
+    lower, upper = (ordered[np.where(sizes > 0, start + half, -1)] for half in ((sizes - 1) // 2, sizes // 2))
+    return np.asarray(0.5 * (lower + upper))
+
+
 def distinct_pairs(pairs: IntArray) -> IntArray:
     """The different rows of pairs (n, 2) of non-negative integers, in lexicographical order."""
     if not len(pairs):

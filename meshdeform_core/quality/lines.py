@@ -12,7 +12,7 @@ from ..boundary import Boundary, Kind
 from ..grid import BoolArray, FloatArray, Grid, IntArray, Side
 from ..grid.roles import Role
 from ..grid.surfaces import find_outside
-from ..grid.topology import Topology, in_index_order, inward_step, side_nodes
+from ..grid.topology import Topology, inward_step, side_nodes
 from ..numerics.geometry.coincidence import distinct
 
 LAYERS = 8
@@ -52,37 +52,20 @@ def lines_across(grid: Grid, topology: Topology, quads: IntArray) -> tuple[Inter
     here, number, side = _corners(grid, topology, quads)
     other, partner_number, other_side = _corners(grid, topology, topology.partner[quads])
     match = np.argmax(partner_number[:, None, :] == number[:, :, None], axis=2)
-    there, steps = np.take_along_axis(other, match, axis=1), _inward_steps(grid)
+    there, steps = np.take_along_axis(other, match, axis=1), grid.sides.inward
     before, beyond = here + steps[side][:, None], there + steps[other_side][:, None]
     return InterfaceLines(before, here, there, beyond), (side, other_side)
 
 
-def _inward_steps(grid: Grid) -> IntArray:
-    """Flat index step into the block for every block side, (6 * n_blocks,)."""
-    return np.array([inward_step(shape, side) for shape in grid.shapes for side in Side], dtype=np.int64)
-
-
 def _corners(grid: Grid, topology: Topology, quads: IntArray) -> tuple[IntArray, IntArray, IntArray]:
     """Corners (n, 4) (in 2-D (n, 2)) of face quads, as flat nodes and as unique nodes, and the block side of each."""
-    side_of = topology.quads.block_side[quads]
+    side, u, v = topology.quads.places(quads)
+    du, dv = grid.sides.corner_steps[side].T
+    around = [(u, v), (u + du, v), (u + du, v + dv), (u, v + dv)] if grid.dimension == 3 else [(u, v), (u + du, v + dv)]
+    corners = np.stack([grid.sides.at(side, *corner) for corner in around], axis=1)
     numbers = topology.quads.corners[quads]
-    width = numbers.shape[1]
-    corners = np.empty((len(quads), width), dtype=np.int64)
-    for block_side in distinct(side_of, 6 * grid.n_blocks):
-        block, side = int(block_side) // 6, Side(int(block_side) % 6)
-        nodes = side_nodes(grid, block, side)
-        mine = side_of == block_side
-        local = quads[mine] - topology.quads.start[block, side]
-        if width == 2:
-            line = nodes.ravel()
-            corners[mine] = np.stack([line[local], line[local + 1]], axis=1)
-        else:
-            u, v = np.divmod(local, topology.quads.counts[block, side, 1])
-            around = [nodes[u, v], nodes[u + 1, v], nodes[u + 1, v + 1], nodes[u, v + 1]]
-            corners[mine] = np.stack(around, axis=1)
-        if not in_index_order(side, nodes.shape, grid.dimension, int(topology.handedness[block])):
-            numbers[mine] = numbers[mine, ::-1]
-    return corners, numbers, side_of
+    ordered = topology.quads.in_order.ravel()[side]
+    return corners, np.where(ordered[:, None], numbers, numbers[:, ::-1]), side
 
 
 def kink_and_jump(lines: InterfaceLines, points: FloatArray) -> tuple[FloatArray, FloatArray]:

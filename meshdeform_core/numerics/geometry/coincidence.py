@@ -166,10 +166,10 @@ def equal_rows(rows: IntArray) -> tuple[IntArray, IntArray]:
     """
     if not len(rows):
         return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
-    order = np.argsort(_mixed(rows), kind="stable")
+    order = np.argsort(mixed(rows), kind="stable")
     ordered = rows[order]
     differ = _differ(ordered)
-    if np.count_nonzero(differ) > np.count_nonzero(np.diff(_mixed(ordered))):
+    if np.count_nonzero(differ) > np.count_nonzero(np.diff(mixed(ordered))):
         # Two different rows have the same key.
         order = np.lexsort(rows.T[::-1])
         ordered = rows[order]
@@ -185,7 +185,7 @@ def equal_rows(rows: IntArray) -> tuple[IntArray, IntArray]:
     return np.where(count > 1, partner, -1), count
 
 
-def _mixed(rows: IntArray) -> KeyArray:
+def mixed(rows: IntArray) -> KeyArray:
     """One key per row of integers, hardly ever the same for different rows."""
     factors = np.array(
         [0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9, 0x27D4EB2F165667C5], dtype=np.uint64

@@ -1,0 +1,136 @@
+"""Grids of many blocks, and the processor time of every command on the same nodes in 10 to 10,000 blocks."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from meshdeform_core.grid import Connection, FloatArray, Grid, Patch, Side, Window
+from meshdeform_core.grid.blocks import FileFormat
+
+_FAMILIES = {
+    Side.IMIN: "inflow", Side.IMAX: "outflow", Side.JMIN: "wall", Side.JMAX: "far", Side.KMIN: "left", Side.KMAX: "right"
+}  # fmt: skip
+CASE = """[[boundary]]
+name = "wall"
+select = ["wall"]
+kind = "moving"
+motion = [{ displace = ["0.01*sin(5*y)", "0.03*sin(3*x)*cos(2*z)", "0.0"] }]
+
+[[boundary]]
+name = "outer"
+select = ["inflow", "outflow", "far"]
+kind = "fixed"
+
+[[boundary]]
+name = "sides"
+select = ["left", "right"]
+kind = "slip"
+"""
+
+
+def box(blocks: tuple[int, int, int], nodes: tuple[int, int, int], ring: bool = False) -> Grid:
+    """A box cut into blocks of the same number of nodes; every outside face of a block is a patch of a family.
+
+    Parameters
+    ----------
+    ring : bent into a ring around a wall, closed along i: an O-grid with a seam, cells that grow off the wall
+    """
+    at = [_positions(count, n) for count, n in zip(blocks, nodes, strict=True)]
+    grids, patches, connections = [], [], []
+    for number, place in enumerate(np.ndindex(*blocks)):
+        u, v, w = np.meshgrid(*(along[start] for along, start in zip(at, place, strict=True)), indexing="ij")
+        grids.append(_ring(u, v, w) if ring else _bent(u, v, w))
+        patches += _patches(number, place, blocks, nodes, closed=ring)
+        connections += _connections(number, place, blocks, nodes, closed=ring)
+    names = [f"zone{number + 1}" for number in range(len(grids))]
+    declared = {"patches": tuple(patches), "connections": tuple(connections)}
+    return Grid.from_blocks(grids, names, **declared, format=FileFormat("cgns"))
+
+
+def _positions(count: int, n: int) -> FloatArray:
+    """Parameters (count, n) of the nodes of every block along one direction; blocks share their ends exactly."""
+    step = np.arange(count * (n - 1) + 1) / (count * (n - 1))
+    return step[np.arange(count)[:, None] * (n - 1) + np.arange(n)]
+
+
+def _bent(u: FloatArray, v: FloatArray, w: FloatArray) -> FloatArray:
+    """A box whose lines are slightly curved."""
+    wave = 0.02 * np.sin(2 * np.pi * u) * np.sin(2 * np.pi * v)
+    return np.stack([u + wave, v + wave * np.cos(w), w + 0 * u], axis=-1)
+
+
+def _ring(u: FloatArray, v: FloatArray, w: FloatArray) -> FloatArray:
+    radius = 0.5 + 2.0 * np.expm1(2.5 * v) / np.expm1(2.5)
+    angle = 2 * np.pi * (u % 1.0)
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle), w * (1 + 0.1 * np.sin(angle))], axis=-1)
+
+
+def _patches(
+    number: int, place: tuple[int, ...], blocks: tuple[int, int, int], nodes: tuple[int, int, int], closed: bool
+) -> list[Patch]:
+    found = []
+    for side, family in _FAMILIES.items():
+        if closed and side.axis == 0:
+            continue
+        if place[side.axis] == (blocks[side.axis] - 1 if side % 2 else 0):
+            a, b = side.tangential
+            window = Window(number, side, (0, 0), (nodes[a] - 1, nodes[b] - 1))
+            kind = "BCWallViscous" if family == "wall" else "BCFarfield"
+            found.append(Patch(f"{family}{number + 1}", (window,), family, kind))
+    return found
+
+
+def _connections(
+    number: int, place: tuple[int, ...], blocks: tuple[int, int, int], nodes: tuple[int, int, int], closed: bool
+) -> list[Connection]:
+    """The interfaces with the next block along i, j and k."""
+    found = []
+    for axis in range(3):
+        following = list(place)
+        following[axis] += 1
+        if following[axis] == blocks[axis]:
+            if not (closed and axis == 0):
+                continue
+            following[axis] = 0
+        begin, donor_end = [0, 0, 0], [n - 1 for n in nodes]
+        begin[axis], donor_end[axis] = nodes[axis] - 1, 0
+        donor = int(np.ravel_multi_index(following, blocks))
+        found.append(
+            Connection(
+                f"to{donor + 1}along{'ijk'[axis]}", number, tuple(begin), tuple(n - 1 for n in nodes), donor, (0, 0, 0),
+                tuple(donor_end), (1, 2, 3),
+            )  # fmt: skip
+        )
+    return found
+
+
+SIZES = {
+    10: ((5, 2, 1), (51, 51, 51)), 100: ((5, 5, 4), (24, 24, 24)), 1000: ((10, 10, 10), (11, 11, 11)),
+    10_000: ((25, 20, 20), (5, 5, 5)),
+}  # fmt: skip
+
+
+def main() -> None:
+    from meshdeform_formats.grids import write_grid
+
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--blocks", type=int, default=1000)
+    parser.add_argument("--ring", action="store_true")
+    parser.add_argument("--nodes", type=int)
+    parser.add_argument("--suffix", default=".cgns")
+    parser.add_argument("-o", type=Path, required=True)
+    options = parser.parse_args()
+    count, nodes = SIZES[options.blocks]
+    if options.nodes:
+        nodes = (options.nodes,) * 3
+    options.o.mkdir(parents=True, exist_ok=True)
+    grid = box(count, nodes, options.ring)
+    write_grid(grid, options.o / f"grid{options.suffix}")
+    (options.o / "case.toml").write_text(CASE.replace('"inflow", "outflow", ', "") if options.ring else CASE)
+
+
+if __name__ == "__main__":
+    main()
