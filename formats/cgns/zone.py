@@ -86,7 +86,8 @@ def structured_zones(base: Base, notes: Notes) -> list[Zone]:
         When a zone is unstructured, has no Cartesian coordinates, or its sizes and arrays disagree.
     """
     nodes = base.node.labelled("Zone_t")
-    others = [(node.name, _zone_type(node)) for node in nodes if _zone_type(node) != "Structured"]
+    types = [(node.name, _zone_type(node)) for node in nodes]
+    others = [(name, kind) for name, kind in types if kind != "Structured"]
     if others:
         raise FormatError(
             f"{len(others)} of {len(nodes)} zones are not Structured; the first is {others[0][0]!r} ({others[0][1]}); "
@@ -98,9 +99,8 @@ def structured_zones(base: Base, notes: Notes) -> list[Zone]:
 
 def _note_dangling(node: Node, notes: Notes) -> None:
     """Note broken links that cannot be part of the grid."""
-    for child in node.target.children:
-        if child.dangling:
-            notes.add("broken links are kept as they are", f"{node.name}/{child.name} -> {child.link}")
+    for child in node.target.broken_links:
+        notes.add("broken links are kept as they are", f"{node.name}/{child.name} -> {child.link}")
 
 
 def _zone_type(node: Node) -> str:

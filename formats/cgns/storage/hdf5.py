@@ -10,7 +10,7 @@ Files of hundreds of zones have tens of thousands of nodes, for which h5py's hig
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -18,13 +18,13 @@ from typing import Any
 
 import h5py
 import numpy as np
-from h5py import h5a, h5d, h5g, h5l, h5o, h5p, h5s
+from h5py import h5a, h5ac, h5d, h5g, h5l, h5o, h5p, h5s, h5t
 from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError
 
 from ...files import reason_of
-from .tree import Link, Node, decoded
+from .tree import DTYPES, Link, Node, decoded
 
 # Members of a group that are no child nodes; CGNS names never begin with a blank.
 DATA = " data"
@@ -34,8 +34,17 @@ LINK_FILE = " file"
 _OLD_VERSION = b" version"
 # Deflate cannot compress more; a dataset that declares more was never written or is damaged.
 _MAXIMUM_COMPRESSION = 1100
+_FEW_BYTES = 1024
+_CACHE_BYTES = 16 << 20
 # A longer chain of links is circular (the CGNS library has the same limit).
 _MAXIMUM_LINKS = 100
+# Longer than any text attribute of a node, which have 32 characters.
+_TEXT = h5t.C_S1.copy()
+_TEXT.set_size(256)
+_TEXT_DTYPE = _TEXT.dtype
+# What most files hold, recognised in a fraction of the time that h5py takes to describe a type.
+_NATIVE = {name: h5t.py_create(dtype) for name, dtype in DTYPES.items()}
+_NATIVE_TYPES = {DTYPES[name]: kind for name, kind in _NATIVE.items()}
 
 
 @contextmanager
@@ -55,6 +64,7 @@ def hdf5_errors(path: Path, action: str) -> Iterator[None]:
 def opened_hdf5(path: Path) -> Iterator[Node]:
     """Root node of a CGNS file in HDF5; children and data can be read while the context lasts."""
     with hdf5_errors(path, "read"), h5py.File(path, "r") as file:
+        file.id.set_mdc_config(_large_cache(file))
         root = h5g.open(file.id, b"/")
         if _OLD_VERSION in root:
             raise FormatError(
@@ -64,9 +74,26 @@ def opened_hdf5(path: Path) -> Iterator[Node]:
         yield Node("", path, "", expand=lambda: _children(root, path, ""))
 
 
+def _large_cache(file: h5py.File) -> h5ac.CacheConfig:
+    """Settings with which the library keeps the headers of thousands of nodes in memory, rather than a megabyte."""
+    config = file.id.get_mdc_config()
+    config.set_initial_size, config.initial_size = True, _CACHE_BYTES
+    config.min_size, config.max_size = _CACHE_BYTES, 2 * _CACHE_BYTES
+    return config
+
+
 def attribute(group: h5g.GroupID, name: bytes) -> str:
     """A text attribute; writers differ in string type and padding."""
     stored = h5a.open(group, name)
+    value = np.empty((), _TEXT_DTYPE)
+    try:
+        stored.read(value, _TEXT)
+    except (OSError, TypeError, ValueError):  # not one string of fixed length
+        return _other_attribute(stored)
+    return decoded(value.tobytes())
+
+
+def _other_attribute(stored: h5a.AttrID) -> str:
     value = np.empty(stored.shape, stored.dtype)
     stored.read(value)
     return decoded(value[()].encode() if isinstance(value[()], str) else np.asarray(value[()]).tobytes())
@@ -107,32 +134,50 @@ def _destination(group: h5g.GroupID, name: bytes) -> tuple[bytes, bytes]:
 
 def _node(group: h5g.GroupID | h5d.DatasetID, file: Path, path: str, links: int = 0) -> Node:
     """The node of a group that was reached through ``links`` links."""
-    if not isinstance(group, h5g.GroupID) or not all(h5a.exists(group, key) for key in (b"label", b"type")):
+    try:
+        label, data_type = attribute(group, b"label"), attribute(group, b"type").upper()
+    except KeyError:
+        label = data_type = ""
+    if not data_type or not isinstance(group, h5g.GroupID):
         raise FormatError(
             f"{file} is HDF5 but not CGNS: {path} is not a group with the attributes label and type, "
             f"which every CGNS node has"
         )
-    name, data_type = path.rsplit("/", 1)[-1], attribute(group, b"type").upper()
+    name = path.rsplit("/", 1)[-1]
     if data_type == "LK":
         link = Link(_hidden_text(group, LINK_FILE), _hidden_text(group, LINK_PATH))
         follow = partial(_follow, group, LINK.encode(), links + 1)
         return Node(name, file, path, data_type="LK", link=link, follow=follow)
-    dims, dtype = (), None
-    if data_type != "MT" and DATA.encode() in group:
+    node = Node(name, file, path, label, data_type)
+    members = group.get_num_objs()
+    if data_type != "MT" and group.links.exists(DATA.encode()):
+        members -= 1
         dataset = h5d.open(group, DATA.encode())
-        dims, dtype = dataset.shape[::-1], dataset.dtype
-    return Node(
-        name,
-        file,
-        path,
-        attribute(group, b"label"),
-        data_type,
-        dims,
-        dtype,
-        read=lambda: _values(group) if dims else np.empty(0, np.uint8),
-        require=lambda: _require_stored(group, file, path),
-        expand=lambda: _children(group, file, path),
-    )
+        node.dims, node.dtype = dataset.shape[::-1], _dtype(dataset, data_type)
+        node.require = partial(_require_stored, group, file, path)
+        node.read = _reading(group, dataset, node.dims, node.dtype) if node.dims else node.read
+    if members:
+        node.expand = lambda: _children(group, file, path)
+    return node
+
+
+def _dtype(dataset: h5d.DatasetID, data_type: str) -> np.dtype[Any]:
+    known = _NATIVE.get(data_type)
+    return DTYPES[data_type] if known is not None and dataset.get_type().equal(known) else dataset.dtype
+
+
+def _reading(
+    group: h5g.GroupID, dataset: h5d.DatasetID, dims: tuple[int, ...], dtype: np.dtype[Any]
+) -> Callable[[], NDArray[Any]]:
+    """What reads the values. A few are read at once: they take less memory than an open group of the library."""
+    if math.prod(dims) * dtype.itemsize <= _FEW_BYTES:
+        try:
+            values = np.empty(dims[::-1], dtype)
+            dataset.read(h5s.ALL, h5s.ALL, values, _NATIVE_TYPES.get(dtype))
+            return lambda: values.T
+        except (OSError, RuntimeError, KeyError, ValueError, TypeError):  # reported if they are asked for
+            pass
+    return lambda: _values(group)
 
 
 def _follow(group: h5g.GroupID, name: bytes, links: int) -> Node | None:

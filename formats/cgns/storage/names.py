@@ -12,14 +12,15 @@ def unique_names(names: Iterable[str], otherwise: str, taken: Iterable[str] = ()
 
     ``otherwise`` replaces empty names.
     """
-    used = set(taken)
+    used, counts = set(taken), dict[str, int]()
     result = []
     for name in names:
         base = _cut(name.replace("/", "_").strip(), NAME_LENGTH).strip(". ") or otherwise
-        unique, count = base, 1
+        unique, count = base, counts.get(base, 1)
         while unique in used:
             count += 1
             unique = f"{_cut(base, NAME_LENGTH - len(str(count)) - 1)}_{count}"
+        counts[base] = count
         used.add(unique)
         result.append(unique)
     return tuple(result)

@@ -133,11 +133,11 @@ class Node:
         FormatError
             When it is a broken link.
         """
-        for child in self.target.children:
-            if child.name == name:
-                child.require_target()
-                return child.target
-        return None
+        child = self.target._by_name.get(name)
+        if child is None:
+            return None
+        child.require_target()
+        return child.target
 
     def labelled(self, label: str) -> list[Node]:
         """Children of that label in file order, under their names here (links are not followed).
@@ -147,10 +147,29 @@ class Node:
         FormatError
             When a broken link could be one of them.
         """
-        for child in self.target.children:
-            if child.dangling and _may_be(child.name, label):
+        for child in self.target.broken_links:
+            if _may_be(child.name, label):
                 child.require_target()
-        return [child for child in self.target.children if child.target.label == label]
+        return list(self.target._by_label.get(label, ()))
+
+    @cached_property
+    def broken_links(self) -> tuple[Node, ...]:
+        """The children whose targets cannot be found."""
+        return tuple(child for child in self.children if child.dangling)
+
+    # Files of thousands of zones: each of them asks the base for its units.
+    @cached_property
+    def _by_name(self) -> dict[str, Node]:
+        """The first child of every name."""
+        return {child.name: child for child in reversed(self.children)}
+
+    @cached_property
+    def _by_label(self) -> dict[str, list[Node]]:
+        """The children of every label, in file order."""
+        found: dict[str, list[Node]] = {}
+        for child in self.children:
+            found.setdefault(child.target.label, []).append(child)
+        return found
 
     def require_target(self) -> None:
         """Refuse a broken link: its target would be missing without any message."""
