@@ -100,8 +100,14 @@ def _connections(
         donor = int(np.ravel_multi_index(following, blocks))
         found.append(
             Connection(
-                f"to{donor + 1}along{'ijk'[axis]}", number, tuple(begin), tuple(n - 1 for n in nodes), donor, (0, 0, 0),
-                tuple(donor_end), (1, 2, 3),
+                f"to{donor + 1}along{'ijk'[axis]}",
+                number,
+                tuple(begin),
+                tuple(n - 1 for n in nodes),
+                donor,
+                (0, 0, 0),
+                tuple(donor_end),
+                (1, 2, 3),
             )  # fmt: skip
         )
     return found

@@ -100,9 +100,9 @@ def _facets(subject: Subject, block: int, cells: Cells, quads: FloatArray, metri
 def surface_facets(subject: Subject, quads: IntArray, metric: str = "", group: int = 0) -> Facets:
     """Face quads of a 3-D grid, with the value of the cell behind each; without ``metric`` only their shape."""
     topology, parts = subject.topology, []
-    for block_side in np.unique(topology.quads.block_side[quads]):
-        block, side = int(block_side) // 6, Side(int(block_side) % 6)
-        local = quads[topology.quads.block_side[quads] == block_side] - topology.quads.start[block, side]
+    for block_side, some in topology.quads.by_side(quads):
+        block, side = block_side // 6, Side(block_side % 6)
+        local = some - topology.quads.start[block, side]
         corners = quads_of(subject.grid.points[side_nodes(subject.grid, block, side)])
         if metric:
             layer = subject.grid.cell_shapes[block][side.axis] - 1 if side % 2 else 0
@@ -129,8 +129,11 @@ def cut_facets(subject: Subject, plane: Plane, metric: str) -> Facets:
         raise CaseError(f"the plane misses the grid, which lies {min(abs(low), abs(high)):.4g} away from it")
     # A plane along faces of cells is shifted slightly into the cells.
     shift = -tiny if high <= 2 * tiny else tiny
-    parts = [_cut_block(subject, block, level - shift, metric) for block in range(grid.n_blocks)]
-    return joined(parts)
+    level -= shift
+    starts = grid.offsets[:-1]
+    touched = (np.minimum.reduceat(level, starts) <= 0) & (np.maximum.reduceat(level, starts) > 0)
+    blocks = np.flatnonzero(touched) if touched.any() else range(1)
+    return joined([_cut_block(subject, int(block), level, metric) for block in blocks])
 
 
 def _cut_block(subject: Subject, block: int, level: FloatArray, metric: str) -> Facets:
@@ -180,10 +183,10 @@ def _polygons(points: FloatArray, values: FloatArray) -> FloatArray:
 def block_outlines(grid: Grid, topology: Topology, quads: IntArray) -> FloatArray:
     """Edges (n, 2, 3) of face quads along which blocks or their sides end."""
     parts = []
-    for block_side in np.unique(topology.quads.block_side[quads]):
-        block, side = int(block_side) // 6, Side(int(block_side) % 6)
+    for block_side, some in topology.quads.by_side(quads):
+        block, side = block_side // 6, Side(block_side % 6)
         mask = np.zeros(tuple(topology.quads.counts[block, side]), dtype=bool)
-        mask.ravel()[quads[topology.quads.block_side[quads] == block_side] - topology.quads.start[block, side]] = True
+        mask.ravel()[some - topology.quads.start[block, side]] = True
         parts.append(_outline(grid.points[side_nodes(grid, block, side)], mask))
     return np.concatenate(parts) if parts else np.empty((0, 2, 3))
 

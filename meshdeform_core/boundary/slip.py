@@ -13,7 +13,6 @@ from ..errors import CaseError
 from ..grid import BoolArray, FloatArray, Grid, IntArray
 from ..grid.planes import FLATNESS, Plane, plane_normal, plane_of
 from ..grid.topology import Topology
-from ..numerics.geometry.coincidence import distinct
 
 if TYPE_CHECKING:
     from ..numerics.geometry.surface import TriangleTree
@@ -103,9 +102,8 @@ def find_sliding(
     normal = plane_normal(grid)
     for name, quads, symmetry in slipping:
         bent = []
-        for side in distinct(topology.quads.block_side[quads], 6 * grid.n_blocks):
-            part = quads[topology.quads.block_side[quads] == side]
-            nodes = distinct(topology.quads.corners[part], topology.n_unique)
+        for _, part in topology.quads.by_side(quads):
+            nodes = np.unique(topology.quads.corners[part])
             plane = plane_of(grid.points[topology.first[nodes]], normal)
             if plane is None:
                 bent.append(part)

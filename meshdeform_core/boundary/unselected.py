@@ -7,13 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..errors import CaseError
-from ..grid import Grid, IntArray, Side, Window
+from ..grid import Grid, IntArray, Window
 from ..grid.openings import Opening
 from ..grid.overset import Overlap
 from ..grid.planes import plane_normal, plane_of
 from ..grid.selection import quads_of_window, select_quads
 from ..grid.topology import Topology
-from ..grid.windows import windows_of_quads
+from ..grid.windows import rectangles
 
 _LISTED = 6
 
@@ -22,14 +22,10 @@ Region = tuple[Window, IntArray]
 
 def regions(grid: Grid, topology: Topology, quads: IntArray) -> list[Region]:
     """Rectangles of nodes that cover ``quads``, with the quads in each, largest first."""
-    found: list[Region] = []
-    for own in np.unique(topology.quads.block_side[quads]):
-        block, side = int(own) // 6, Side(int(own) % 6)
-        span = topology.quads.of_side(block, side)
-        counts = tuple(int(n) for n in topology.quads.counts[block, side])
-        marked = np.isin(np.arange(span.start, span.stop), quads).reshape(counts)
-        windows = windows_of_quads(grid.shapes[block], block, side, marked)
-        found += [(window, quads_of_window(topology.quads, window)) for window in windows]
+    label = np.full(len(topology.partner), -1)
+    label[quads] = 0
+    pieces = rectangles(grid, topology.quads, label)
+    found = [(window, pieces.quads_of(number)) for number, window in enumerate(pieces.windows())]
     return sorted(found, key=lambda region: -len(region[1]))
 
 

@@ -13,7 +13,6 @@ from ..numerics.geometry.coincidence import distinct
 from .blocks import Connection, FloatArray, Grid, IntArray, Periodicity
 from .topology import RELATIVE_TOLERANCE, Topology
 
-
 _TOGETHER = 300_000
 """Pairs of nodes that are compared at once."""
 
@@ -116,7 +115,14 @@ class _Table:
             used = np.flatnonzero(transform[:, axis])
             steps[row[used], 1, abs(transform[used, axis]) - 1, axis] = (np.sign(transform) * sign)[used, axis]
         blocks = np.array([(each.block, each.donor_block) for each in every], dtype=np.int64)
-        return cls(np.array(grid.shapes), grid.offsets, blocks, np.stack([begin, donor], axis=1), np.abs(end - begin) + 1, steps)
+        return cls(
+            np.array(grid.shapes),
+            grid.offsets,
+            blocks,
+            np.stack([begin, donor], axis=1),
+            np.abs(end - begin) + 1,
+            steps,
+        )
 
     def within(self) -> BoolArray:
         """Whether both ranges lie within their blocks: the steps are whole multiples of index axes."""
@@ -148,7 +154,9 @@ def _remark(grid: Grid, topology: Topology, connection: Connection) -> list[str]
     except GridError as error:
         return [str(error)]
     problem = _mismatch(grid, topology, connection, own, donor)
-    where = f"connection {connection.name!r} of {grid.names[connection.block]} with {grid.names[connection.donor_block]}"
+    where = (
+        f"connection {connection.name!r} of {grid.names[connection.block]} with {grid.names[connection.donor_block]}"
+    )
     return [f"{where}: {problem}"] if problem else []
 
 

@@ -190,9 +190,7 @@ class _Walls:
         pairs = overlapping_boxes((self.low - slack, self.high + slack), (self.low, self.high))
         pairs = pairs[pairs[:, 0] != pairs[:, 1]]
         counts = np.diff(self.sample)[pairs[:, 0]]
-        enough = [
-            self._within(pairs[lo:hi], counts[lo:hi]) >= _FEWEST for lo, hi in batches(counts, _TOGETHER)
-        ]
+        enough = [self._within(pairs[lo:hi], counts[lo:hi]) >= _FEWEST for lo, hi in batches(counts, _TOGETHER)]
         return pairs[np.concatenate([np.empty(0, dtype=bool), *enough])]
 
     def _within(self, pairs: IntArray, counts: IntArray) -> IntArray:

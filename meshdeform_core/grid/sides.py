@@ -32,9 +32,11 @@ def end_planes(grid: Grid, topology: Topology) -> list[int]:
     A block that is one cell thick between outside faces in two directions is thin in the one in which its neighbours
     are; where neighbours do not tell, there are no end planes.
     """
-    thin = [_thin_axes(shape, topology, block) for block, shape in enumerate(grid.shapes)]
-    if not all(thin):
-        return []
+    thin = []
+    for block, shape in enumerate(grid.shapes):
+        thin.append(_thin_axes(shape, topology, block))
+        if not thin[-1]:
+            return []
     if all(len(axes) == 1 for axes in thin):
         return _sides(thin)
     across = [{axis: _edges_across(grid, topology, b, axis) for axis in axes} for b, axes in enumerate(thin)]

@@ -50,8 +50,11 @@ class FaceQuads:
         return side, u, v
 
     def by_side(self, quads: IntArray) -> list[tuple[int, IntArray]]:
-        """Some quads in ascending order, side by side: ``6 * block + side`` and those on it."""
+        """Some quads side by side, in their order on each: ``6 * block + side`` and those on it."""
         side = self.block_side[quads]
+        if np.any(side[1:] < side[:-1]):
+            order = np.argsort(side, kind="stable")
+            side, quads = side[order], quads[order]
         return [(int(side[lo]), quads[lo:hi]) for lo, hi in zip(*runs(side), strict=True)]
 
     def of_side(self, block: int, side: Side) -> slice:

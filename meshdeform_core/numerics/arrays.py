@@ -60,7 +60,7 @@ def runs(keys: IntArray) -> tuple[IntArray, IntArray]:
 
 
 def batches(sizes: IntArray, most: int) -> list[tuple[int, int]]:
-    """Ranges ``lo, hi`` of items that together have at most ``most`` (or are one item): bounds what a loop allocates."""
+    """Ranges ``lo, hi`` of items that together have at most ``most``, or are one item: so much a loop allocates."""
     ends = np.cumsum(sizes)
     found, lo = [], 0
     while lo < len(sizes):
@@ -87,7 +87,7 @@ def spread(sizes: IntArray, most: int, first: IntArray | None = None) -> tuple[I
 
 
 def medians(values: FloatArray, run: IntArray, count: int, empty: float) -> FloatArray:
-    """Median (count,) of the ``values`` (n,) of every run; ``run`` (n,): to which each belongs; ``empty`` without any."""
+    """Median (count,) of the ``values`` (n,) of every run, ``empty`` if it has none; ``run`` (n,): that of each."""
     sizes = np.bincount(run, minlength=count)
     start = np.cumsum(sizes) - sizes
     ordered = np.append(values[np.lexsort((values, run))], empty)

@@ -81,13 +81,15 @@ def interface_cells(
 
 def _cells_behind(grid: Grid, topology: Topology, quads: IntArray) -> IntArray:
     """Numbers (n,) in the whole grid of the cells behind face quads (n,)."""
-    starts, cells = cell_starts(grid), np.empty(len(quads), dtype=np.int64)
-    for block_side in np.unique(topology.quads.block_side[quads]):
-        block, side = int(block_side) // 6, Side(int(block_side) % 6)
-        mine = topology.quads.block_side[quads] == block_side
-        local = quads[mine] - topology.quads.start[block, side]
-        cells[mine] = starts[block] + _layer(grid, block, side).ravel()[local]
-    return cells
+    side, u, v = topology.quads.places(quads)
+    block, shapes = side // 6, np.array(grid.cell_shapes)[side // 6]
+    axis, far = side % 6 // 2, side % 2
+    # The places along the other two axes, and the first or the last layer along this one.
+    row = np.arange(len(quads))
+    at = np.stack([np.where(axis == 0, 0, u), np.where(axis == 0, u, v), v], axis=1)
+    at[axis == 1, 1] = 0
+    at[row, axis] = far * (shapes[row, axis] - 1)
+    return np.asarray(cell_starts(grid)[block] + (at[:, 0] * shapes[:, 1] + at[:, 1]) * shapes[:, 2] + at[:, 2])
 
 
 def cell_at_wall(grid: Grid, faces: Sequence[WallFace], number: int) -> int:

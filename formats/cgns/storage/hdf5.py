@@ -85,15 +85,11 @@ def _large_cache(file: h5py.File) -> h5ac.CacheConfig:
 def attribute(group: h5g.GroupID, name: bytes) -> str:
     """A text attribute; writers differ in string type and padding."""
     stored = h5a.open(group, name)
-    value = np.empty((), _TEXT_DTYPE)
-    try:
+    kind = stored.get_type()
+    if isinstance(kind, h5t.TypeStringID) and not kind.is_variable_str() and stored.shape == ():
+        value = np.empty((), _TEXT_DTYPE)
         stored.read(value, _TEXT)
-    except (OSError, TypeError, ValueError):  # not one string of fixed length
-        return _other_attribute(stored)
-    return decoded(value.tobytes())
-
-
-def _other_attribute(stored: h5a.AttrID) -> str:
+        return decoded(value.tobytes())
     value = np.empty(stored.shape, stored.dtype)
     stored.read(value)
     return decoded(value[()].encode() if isinstance(value[()], str) else np.asarray(value[()]).tobytes())

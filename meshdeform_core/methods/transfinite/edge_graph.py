@@ -17,7 +17,6 @@ import scipy
 from ...grid import BoolArray, FloatArray, IntArray, Side
 from ...grid.sides import side_numbers
 from ...grid.windows import windows_of_quads
-from ...numerics.geometry.coincidence import distinct
 from ...numerics.rows import put_rows
 from ..base import Account, Problem, Progress
 from ..limits import TFI_ROTATION, warn_of_rotation
@@ -169,8 +168,7 @@ def _face_parts(problem: Problem, reached: BoolArray) -> tuple[list[IntArray], l
         partner = topology.partner[quads]
         neighbour = np.where(partner >= 0, topology.quads.block_side[partner], partner)
         neighbour = neighbour.reshape(topology.quads.counts[block, side])
-        # The partners of a face without one count from -2 on.
-        for label in distinct(neighbour + 2, 6 * grid.n_blocks + 2) - 2:
+        for label in np.unique(neighbour):
             for window in windows_of_quads(shape, block, side, neighbour == label):
                 (a0, b0), (a1, b1) = window.low, window.high
                 nodes = numbers[a0 : a1 + 1, b0 : b1 + 1]
