@@ -10,9 +10,6 @@ from meshdeform_core.errors import FormatError
 
 from .files import read_head
 
-# Real files have about ten thousand.
-_MOST_NODES = 100_000
-
 
 def require_no_input(output: Path, inputs: Iterable[Path | None]) -> None:
     """Refuse an output that would replace a file which the run reads, by whatever name.
@@ -105,32 +102,15 @@ def _pieces(path: Path) -> Iterator[Path]:
 
 def _linked_files(path: Path) -> Iterator[Path]:
     """The targets of links, including the targets of links in these files."""
+    from .cgns.storage.file import linked_files
+
     found, waiting = {_identity(path)}, [path]
     while waiting:
-        for target in _targets(waiting.pop()):
+        for target in linked_files(waiting.pop()):
             if _identity(target) not in found:
                 found.add(_identity(target))
                 waiting.append(target)
                 yield target
-
-
-def _targets(path: Path) -> Iterator[Path]:
-    """The targets of the links of one file; links are not followed, so that circular links end."""
-    from .cgns.storage.file import opened_cgns
-    from .cgns.storage.tree import MAXIMUM_DEPTH
-
-    with opened_cgns(path) as root:
-        waiting, count = [(root, 0)], 0
-        while waiting:
-            node, depth = waiting.pop()
-            for child in node.children:
-                count += 1
-                if count > _MOST_NODES or depth > MAXIMUM_DEPTH:
-                    raise FormatError(f"{path} has more nodes than any CGNS file; it is damaged")
-                if child.link is None:
-                    waiting.append((child, depth + 1))
-                elif child.link.file and not child.dangling:
-                    yield child.target.file
 
 
 def _identity(path: Path) -> tuple[int, int] | None:

@@ -9,7 +9,10 @@ from pathlib import Path
 from meshdeform_core.errors import FormatError
 
 from .adf import is_adf, read_adf
-from .tree import Node
+from .tree import MAXIMUM_DEPTH, Node
+
+# Thirty per zone, with all its connections.
+_MOST_NODES = 10_000_000
 
 
 @contextmanager
@@ -41,3 +44,29 @@ def naming(path: Path) -> Iterator[None]:
         raise FormatError(message if str(path) in message else f"{path}: {message}") from error
     except RecursionError as error:
         raise FormatError(f"{path} has a chain of too many links") from error
+
+
+def linked_files(path: Path) -> Iterator[Path]:
+    """The files that the links of a CGNS file lead to; links are not followed, so that circular links end.
+
+    Raises
+    ------
+    FormatError
+        When the file is damaged.
+    """
+    if not is_adf(path):
+        from .hdf5 import external_targets
+
+        yield from external_targets(path)
+        return
+    waiting, count = [(read_adf(path), 0)], 0
+    while waiting:
+        node, depth = waiting.pop()
+        for child in node.children:
+            count += 1
+            if count > _MOST_NODES or depth > MAXIMUM_DEPTH:
+                raise FormatError(f"{path} has more nodes than any CGNS file; it is damaged")
+            if child.link is None:
+                waiting.append((child, depth + 1))
+            elif child.link.file and not child.dangling:
+                yield child.target.file

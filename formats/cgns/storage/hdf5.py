@@ -187,6 +187,16 @@ def _follow(group: h5g.GroupID, name: bytes, links: int) -> Node | None:
     return _node(target, Path(place.file.filename), place.name, links)
 
 
+def external_targets(path: Path) -> list[Path]:
+    """The files that the external links of a file lead to, unless they are broken."""
+    names: list[bytes] = []
+    with hdf5_errors(path, "read"), h5py.File(path, "r") as file:
+        root = h5g.open(file.id, b"/")
+        root.links.visit(lambda name, info: names.append(name) if info.type == h5l.TYPE_EXTERNAL else None, info=True)
+        found = [node.target for node in (_follow(root, name, 1) for name in names) if node is not None]
+        return [target.file for target in found if target.label]
+
+
 def _require_stored(group: h5g.GroupID, file: Path, path: str) -> None:
     dataset = h5d.open(group, DATA.encode())
     layout = dataset.get_create_plist()
