@@ -10,9 +10,7 @@ import numpy as np
 from meshdeform_core.grid import Connection, FloatArray, Grid, Patch, Side, Window
 from meshdeform_core.grid.blocks import FileFormat
 
-_FAMILIES = {
-    Side.IMIN: "inflow", Side.IMAX: "outflow", Side.JMIN: "wall", Side.JMAX: "far", Side.KMIN: "left", Side.KMAX: "right"
-}  # fmt: skip
+_FAMILIES = dict(zip(Side, ("inflow", "outflow", "wall", "far", "left", "right"), strict=True))
 CASE = """[[boundary]]
 name = "wall"
 select = ["wall"]
@@ -108,7 +106,7 @@ def _connections(
                 (0, 0, 0),
                 tuple(donor_end),
                 (1, 2, 3),
-            )  # fmt: skip
+            )
         )
     return found
 

@@ -174,7 +174,7 @@ def _boxes(grid: Grid, faces: FaceQuads, pieces: Rectangles) -> FloatArray:
 
 
 def _spacing(grid: Grid, pieces: Rectangles) -> tuple[FloatArray, FloatArray]:
-    """Ratios of mean and smallest to first spacing; medians over a sample of the grid lines that begin in each piece."""
+    """Ratios of mean and smallest to first spacing: medians over some of the grid lines that begin in each piece."""
     sizes = pieces.high - pieces.low + 1
     picks = [spread(sizes[:, axis], _SAMPLED_LINES, pieces.low[:, axis])[1] for axis in (0, 1)]
     taken = np.minimum(sizes, _SAMPLED_LINES)

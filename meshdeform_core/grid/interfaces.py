@@ -48,8 +48,8 @@ class _Maps:
 def _index_maps(grid: Grid, topology: Topology, quads: IntArray, pair: IntArray) -> tuple[IntArray, _Maps]:
     """The transformations of all ``pair`` (n,) of sides and which one maps each of the ``quads`` (n,), -1: none does.
 
-    Each round finds one transformation of every pair from one of its quads, and takes the quads that it maps. Faces with
-    a collapsed edge fit several transformations: quads that are not collapsed come first.
+    Each round finds one transformation of every pair from one of its quads, and takes the quads that it maps. Faces
+    with a collapsed edge fit several transformations: quads that are not collapsed come first.
     """
     faces, partner = topology.quads, topology.partner[quads]
     corners = np.sort(faces.corners[quads], axis=1)

@@ -82,8 +82,8 @@ class Rectangles:
         sizes = np.diff(self.start)[some]
         run, place = spans(sizes)
         quads = self.quads[self.start[some][run] + place]
-        rows = (values[some] for values in (self.side, self.label, self.low, self.high))
-        return Rectangles(*rows, quads, np.append(0, np.cumsum(sizes)))
+        side, label, low, high = (values[some] for values in (self.side, self.label, self.low, self.high))
+        return Rectangles(side, label, low, high, quads, np.append(0, np.cumsum(sizes)))
 
 
 _SIDES = tuple(Side)
