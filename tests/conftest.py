@@ -25,7 +25,7 @@ def _no_times_in_messages() -> None:
 @pytest.fixture(scope="session", autouse=True)
 def _small_pictures() -> None:
     """Commands called in this process draw a tenth of the pixels; what is drawn and where stays the same."""
-    figure.STYLE["savefig.dpi"] = 70
+    figure.STYLE |= {"figure.dpi": 60, "savefig.dpi": 70}
 
 
 @pytest.fixture

@@ -109,10 +109,10 @@ def save_page(page: Page, path: Path, width: float = 7.2) -> None:
         partial.write_bytes(buffer.getbuffer())
 
 
-def page_png(page: Page, width: float = 7.2, dpi: int = 150) -> bytes:
-    """A page as the bytes of a PNG file."""
+def page_png(page: Page, width: float = 7.2, dpi: int | None = None) -> bytes:
+    """A page as the bytes of a PNG file, by default with the resolution of ``STYLE`` for the screen."""
     buffer = io.BytesIO()
-    _save(page, buffer, "png", width, dpi, fine=2)
+    _save(page, buffer, "png", width, dpi or STYLE["figure.dpi"], fine=2)
     return buffer.getvalue()
 
 
