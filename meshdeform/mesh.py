@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from functools import cached_property
 from types import MappingProxyType
 from typing import Any, Literal
@@ -22,6 +23,7 @@ from meshdeform_core.repair.options import Mode
 
 from .gate import checked_array, checked_time, whole
 from .grids import Grid
+from .linearisation import Linearisation, Moving
 from .step import Step
 from .turns import one_at_a_time
 
@@ -137,7 +139,7 @@ class Mesh:
         moment, steps = checked_time(time, MotionError), whole(steps)
         if steps is True:
             raise CaseError('steps = True; expected a whole number >= 1 or "auto"')
-        with one_at_a_time(), sharing(self._ranks, self._threads):
+        with self._at_work():
             motion = self._motion(displacement, moment)
             timing = Timing()
             setup = self._setup if repair is None else self._setup.with_repair(repair)
@@ -145,6 +147,41 @@ class Mesh:
             result = impose(setup, motion, steps, setup.grid.precision, timing, progress, start)
             setup.undeformed.expect_more()
         return Step(result, self._plane)
+
+    def linearise(
+        self,
+        displacement: Displacement | None = None,
+        *,
+        steps: int | Literal["auto"] | None = None,
+        repair: Mode | None = None,
+    ) -> Linearisation:
+        """The derivative of the grid with respect to the displacement of the moving nodes.
+
+        Parameters
+        ----------
+        displacement : at which it is taken, as for :meth:`deform`; ``None``: the undeformed grid
+        steps, repair : as for :meth:`deform`. A grid made in several steps or repaired is not what the method gives in
+            one step: ``.exact`` is then false
+
+        Raises
+        ------
+        MotionError
+            As for :meth:`deform`.
+        MethodError
+            For options without a derivative: greedy RBF, and IDW with weights that are recomputed on the way.
+        """
+        at = np.zeros((len(self.points), 3)) if displacement is None else displacement
+        step = self.deform(at, steps=steps, repair=repair)
+        with self._at_work():
+            total = self._motion(at, 0.0)(1.0)[self._setup.problem.source_numbers]
+            moving = Moving(self._numbers, self._checked, self._at_work)
+            return Linearisation(moving, self._method(Timing()), step, total)
+
+    @contextmanager
+    def _at_work(self) -> Iterator[None]:
+        """Alone, with the threads and ranks of this mesh."""
+        with one_at_a_time(), sharing(self._ranks, self._threads):
+            yield
 
     @cached_property
     def _numbers(self) -> IntArray:

@@ -55,6 +55,26 @@ def given_displacement(
     return _completed(grid, boundary, displacement, given)
 
 
+def given_gradient(grid: Grid, boundary: Boundary, nodes: IntArray, gradient: FloatArray) -> FloatArray:
+    """The transpose of :func:`given_displacement`: gradients (n, 3) of ``nodes`` from those (n_unique, 3) of all."""
+    periodic, normal = boundary.periodic, plane_normal(grid)
+    total = gradient.copy()
+    if periodic.one.size:
+        given = np.zeros(len(gradient), dtype=bool)
+        given[nodes] = True
+        images, root, turn = periodic.frames(len(gradient))
+        moving = given[images]
+        home, copied = np.zeros_like(gradient), np.isin(root, root[moving]) & ~moving
+        np.add.at(home, root[copied], np.einsum("nji,nj->ni", turn[copied], total[images[copied]]))
+        # Of several given images, the last one is copied.
+        source = np.full(len(gradient), -1)
+        source[root[moving]] = np.flatnonzero(moving)
+        last = source[source >= 0]
+        total[images[last]] += np.einsum("nij,nj->ni", turn[last], home[root[last]])
+    found = total[nodes]
+    return found if normal is None else found - np.outer(found @ normal, normal)
+
+
 def _completed(grid: Grid, boundary: Boundary, displacement: FloatArray, given: BoolArray) -> FloatArray:
     """The displacement completed at periodic images; in 2-D it must stay in the plane."""
     if boundary.periodic.one.size:

@@ -43,7 +43,8 @@ def total(points: FloatArray) -> FloatArray:
 
 def lengths(vectors: FloatArray) -> FloatArray:
     """Lengths (n,) of vectors (n, m): what ``numpy.linalg.norm`` gives, in a tenth of the time for short rows."""
-    return np.asarray(np.sqrt(np.einsum("ni,ni->n", vectors, vectors)))
+    found: FloatArray = np.sqrt(np.einsum("ni,ni->n", vectors, vectors))
+    return found
 
 
 def spans(sizes: IntArray) -> tuple[IntArray, IntArray]:

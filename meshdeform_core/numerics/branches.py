@@ -15,6 +15,7 @@ import scipy
 from .arrays import FloatArray, IntArray, lengths
 from .geometry.coincidence import connected_components
 from .jit import kernel
+from .tape import Tracked, plain
 
 _FULL = 2 * math.pi
 _CERTAIN = 0.5 * math.pi
@@ -46,6 +47,8 @@ def continuous(vectors: FloatArray, pairs: IntArray) -> FloatArray:
     vectors : (n, 3) radians, at most pi long
     pairs : (e, 2) int64 node and neighbour, in both directions
     """
+    if isinstance(vectors, Tracked):
+        return nearest_branch(vectors, continuous(plain(vectors), pairs))
     angle = lengths(vectors)
     if not len(pairs) or not (angle > _CERTAIN).any():
         return vectors

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .arrays import FloatArray
+from .tape import Tracked
 
 
 @dataclass(frozen=True)
@@ -27,15 +28,13 @@ class Frame:
         """
         share = weight / weight.sum()
         shift, centre = share @ displacement, share @ points
-        if not (displacement - shift).any():
+        if not isinstance(displacement, Tracked) and not (displacement - shift).any():
             return cls(shift)
         arm = points - centre
         moment = (arm + displacement - shift).T @ (share[:, None] * arm)
         if normal is not None:
             moment += np.linalg.norm(moment) * np.outer(normal, normal)
-        left, _, right = np.linalg.svd(moment)
-        left[:, 2] *= np.linalg.det(left) * np.linalg.det(right)
-        return cls(shift, left @ right, centre)
+        return cls(shift, _nearest_rotation(moment), centre)
 
     def relative(self, points: FloatArray, displacement: FloatArray) -> FloatArray:
         """Displacement (n, 3) of ``points`` (n, 3) as seen from the frame."""
@@ -44,7 +43,8 @@ class Frame:
             return rest
         # Turned back in one product, so that a rigid motion leaves no more than its round-off.
         arm = points - self.centre
-        return np.asarray((arm + rest) @ self.turn - arm)
+        inside: FloatArray = (arm + rest) @ self.turn - arm
+        return inside
 
     def absolute(self, points: FloatArray, displacement: FloatArray) -> FloatArray:
         """The inverse of :meth:`relative`."""
@@ -52,6 +52,35 @@ class Frame:
             return displacement + self.shift
         carried = (points - self.centre) @ (self.turn - np.eye(3)).T
         return np.asarray(displacement @ self.turn.T + carried + self.shift)
+
+
+def _nearest_rotation(moment: FloatArray) -> FloatArray:
+    """The rotation (3, 3) nearest to a matrix."""
+    if isinstance(moment, Tracked):
+        return _differentiated_rotation(moment)
+    left, _, right = np.linalg.svd(moment)
+    left[:, 2] *= np.linalg.det(left) * np.linalg.det(right)
+    return np.asarray(left @ right)
+
+
+def _differentiated_rotation(moment: Tracked) -> Tracked:
+    """The same with its derivative: R U^T dM V antisymmetric, divided by sums of singular values."""
+    left, size, right = np.linalg.svd(moment.value)
+    sign = np.linalg.det(left) * np.linalg.det(right)
+    left[:, 2] *= sign
+    size[2] *= sign
+    sums = size[:, None] + size
+    share = np.divide(1.0, sums, out=np.zeros((3, 3)), where=np.abs(sums) > 1e-12 * size[0])
+
+    def push(t: FloatArray) -> FloatArray:
+        inner = left.T @ t @ right.T
+        return np.asarray(left @ (share * (inner - inner.T)) @ right)
+
+    def pull(g: FloatArray) -> FloatArray:
+        inner = share * (left.T @ g @ right.T)
+        return np.asarray(left @ (inner - inner.T) @ right)
+
+    return moment.tape.result(left @ right, [(moment, push, pull)])
 
 
 AT_REST = Frame(np.zeros(3))

@@ -12,6 +12,7 @@ import numpy as np
 
 from .arrays import BoolArray, FloatArray, IntArray, lengths
 from .branches import continuous, nearest_branch
+from .tape import Tracked
 
 SHARP = 0.9
 """Mean of the unit normals at a node, below which its faces make a sharp edge."""
@@ -58,6 +59,8 @@ class SurfaceRotations:
 
     def _of(self, displacement: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Quaternions and rotation vectors."""
+        if isinstance(displacement, Tracked):
+            return self._differentiated(displacement)
         if self._last is None or not np.array_equal(self._last[0], displacement):
             found = np.tile([1.0, 0.0, 0.0, 0.0], (len(displacement), 1))
             part = self._part_moved_by(displacement)
@@ -68,6 +71,13 @@ class SurfaceRotations:
             found[lengths(vectors) > np.pi] *= -1.0
             self._last = displacement.copy(), found, vectors
         return self._last[1:]
+
+    def _differentiated(self, displacement: Tracked) -> tuple[FloatArray, FloatArray]:
+        """The same with derivatives; nodes at rest turn too when they or their neighbours begin to move."""
+        found = self._fitted(self._points + displacement)
+        vectors = continuous(rotation_vector(found), neighbours(self._corners, self._edges, self._plane_normal))
+        found[lengths(vectors) > np.pi] *= -1.0
+        return found, vectors
 
     def _part_moved_by(self, displacement: FloatArray) -> _Part:
         """The part of the surface whose nodes may turn: usually the same at all levels of a series."""
@@ -202,7 +212,10 @@ def _aligning(start: FloatArray, end: FloatArray, plane_normal: FloatArray | Non
     opposite = (sine < 1e-12) & (cosine < 0)
     if opposite.any():
         axis[opposite] = _half_turn_axes(start[opposite]) if plane_normal is None else plane_normal
-    return _quaternion(_unit(axis), np.arctan2(sine, cosine))
+    # Up to a right angle by the half-angle formula, which is smooth at rest.
+    half = np.sqrt(0.5 * (1.0 + np.maximum(cosine, 0.0)))[:, None]
+    near = np.concatenate([half, axis / (2.0 * half)], axis=1)
+    return np.where((cosine > 0.0)[:, None], near, _quaternion(_unit(axis), np.arctan2(sine, cosine)))
 
 
 def _half_turn_axes(normals: FloatArray) -> FloatArray:
@@ -240,18 +253,24 @@ def rotate(q: FloatArray, v: FloatArray) -> FloatArray:
 
 def rotation_vector(q: FloatArray) -> FloatArray:
     """Axis times angle (radians; at most pi where the scalar part is not negative) of unit quaternions (n, 4)."""
-    sine = lengths(q[:, 1:])
-    angle = 2 * np.arctan2(sine, q[:, 0])
-    # angle / sine tends to 2 for small angles.
-    ratio = np.where(sine > 1e-150, angle / np.maximum(sine, 1e-150), 2.0)
+    sine2, scalar = _dot(q[:, 1:], q[:, 1:]), q[:, 0]
+    small = (sine2 < 1e-4) & (scalar > 0.0)
+    sine = np.sqrt(np.where(small, 1.0, sine2))
+    # angle / sine = 2 atan(t) / (t q0) for t = sine / q0, smooth at zero.
+    safe = np.where(small, scalar, 1.0)
+    t2 = np.where(small, sine2, 0.0) / (safe * safe)
+    series = 2.0 * (1.0 - t2 * (1 / 3 - t2 * (1 / 5 - t2 * (1 / 7 - t2 / 9)))) / safe
+    ratio = np.where(small, series, 2 * np.arctan2(sine, scalar) / sine)
     return q[:, 1:] * ratio[:, None]
 
 
 def quaternion_of(w: FloatArray) -> FloatArray:
     """Unit quaternions of rotation vectors (n, 3)."""
-    angle = lengths(w)
-    half_sinc = np.where(angle > 1e-150, np.sin(angle / 2) / np.maximum(angle, 1e-150), 0.5)
-    return np.concatenate([np.cos(angle / 2)[:, None], half_sinc[:, None] * w], axis=1)
+    # (1 - cos x) / x^2 and sin(x) / x are smooth at zero, with x half the angle.
+    half = 0.5 * w
+    sinc, versine, _ = _coefficients(half)
+    scalar = 1.0 - versine * _dot(half, half)
+    return np.concatenate([scalar[:, None], sinc[:, None] * half], axis=1)
 
 
 def translation_of_twist(w: FloatArray, v: FloatArray) -> FloatArray:

@@ -14,6 +14,7 @@ from ...numerics import rotation as rot
 from ...numerics.frame import AT_REST, Frame
 from ...numerics.paper.division import division_path
 from ...numerics.rigid import NO_TRANSITION
+from ...numerics.tape import plain
 from ..base import Account, Problem, Progress, Setting
 from ..limits import LARGEST_ROTATION, PLAIN_ROTATION, warn_of_alpha, warn_of_rotation
 from ..options import choose, option, positive, used
@@ -276,7 +277,7 @@ class PreparedIDW:
         transition, shift = NO_TRANSITION, np.linalg.norm(rest, axis=1)
         if self._share and (divided := self._share.applied(values)):
             (values, transition), shift, still = divided, STEEPER * shift, np.zeros(len(values) + 1)
-        return SourceValues(path, values, self._weights(inside), shift, turn, origin, frame, still, transition)
+        return SourceValues(path, values, self._weights(plain(inside)), shift, turn, origin, frame, still, transition)
 
     def _frame(self, d: FloatArray) -> Frame:
         """The mean motion of the images, which is taken out first: rigid for ``lie`` if the whole boundary moves."""

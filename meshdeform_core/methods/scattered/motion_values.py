@@ -16,7 +16,7 @@ def motion_values(
     ``q`` (n, 4) and ``w`` (n, 3) are their rotations as quaternions and as vectors.
     """
     if rotation == "none":
-        return np.ascontiguousarray(d.T)
+        return d.T.copy()
     turned = rot.rotate(q, x) - x
     translation = d - turned
     if rotation == "lie":

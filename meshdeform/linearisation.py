@@ -1,0 +1,165 @@
+"""Derivatives of a deformed grid with respect to the displacement of its moving nodes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from meshdeform_core.boundary.prescribed import given_displacement, given_gradient
+from meshdeform_core.errors import GridError
+from meshdeform_core.grid import FloatArray, IntArray
+from meshdeform_core.methods import PreparedMethod
+from meshdeform_core.methods.derivative import derivative_of
+
+from .step import Step
+
+if TYPE_CHECKING:
+    from scipy.sparse.linalg import LinearOperator
+
+
+@dataclass(frozen=True)
+class Moving:
+    """The moving nodes of a mesh: their unique ``numbers``, the check of arrays like them, and how calls take turns."""
+
+    numbers: IntArray
+    checked: Callable[[ArrayLike, str, int], FloatArray]
+    at_work: Callable[[], AbstractContextManager[None]]
+
+
+class Linearisation:
+    """The derivative of the grid at one displacement; made by :meth:`Mesh.linearise`.
+
+    It is that of the method in one step, for a fixed undeformed grid: rotations, their smoothing and mean motions are
+    differentiated as they depend on the displacement. Sums over boundary nodes are exact, whatever ``summation`` is.
+    """
+
+    def __init__(self, moving: Moving, method: PreparedMethod, step: Step, displacement: FloatArray) -> None:
+        setup = step._result.setup
+        self._moving, self._setup, self._step = moving, setup, step
+        self._derivative = derivative_of(method, displacement)
+        self._reason = _difference(setup.grid.points, method.apply(displacement), step)
+        if not self._reason and setup.boundary.slip.curved:
+            self._reason = "nodes slide on a curved surface of flat faces, at whose edges there is no derivative"
+
+    @property
+    def step(self) -> Step:
+        """The deformed grid at this displacement, as :meth:`Mesh.deform` gives it."""
+        return self._step
+
+    @property
+    def exact(self) -> bool:
+        """Whether this is the derivative of :attr:`step`; else :attr:`reason` says why not."""
+        return not self._reason
+
+    @property
+    def reason(self) -> str:
+        """Why the derivative is not that of :attr:`step`; empty if it is."""
+        return self._reason
+
+    def jvp(self, displacement: ArrayLike) -> list[FloatArray]:
+        """Change of the blocks' coordinates, arrays like ``mesh.grid.blocks``, for one of the moving nodes.
+
+        Parameters
+        ----------
+        displacement : (n_moving, 3) change of the displacement, rows as in :attr:`Mesh.points`
+
+        Raises
+        ------
+        MotionError
+            For an array of another shape, values that are not finite, or a change out of the plane of a 2-D grid.
+        """
+        with self._moving.at_work():
+            change = self._moving.checked(displacement, "displacement", len(self._moving.numbers))
+            return self._blocks(self._pushed(change))
+
+    def vjp(self, gradients: Sequence[ArrayLike]) -> FloatArray:
+        """Gradient (n_moving, 3) with respect to the displacement from that with respect to the coordinates.
+
+        The transpose of :meth:`jvp`. Block nodes that stand for one point each add their part.
+
+        Parameters
+        ----------
+        gradients : one array per block, like ``mesh.grid.blocks``
+
+        Raises
+        ------
+        GridError
+            When their number or shapes are not those of the blocks, or values are not finite.
+        """
+        with self._moving.at_work():
+            return self._pulled(self._flat(gradients))
+
+    @property
+    def operator(self) -> LinearOperator:
+        """The derivative as a scipy ``LinearOperator`` of shape (3 n_nodes, 3 n_moving), with its transpose.
+
+        Rows: nodes of all blocks in block order, C order within a block, x y z last; columns: rows of ``mesh.points``.
+        """
+        from scipy.sparse.linalg import LinearOperator
+
+        nodes, moving = self._setup.grid.n_nodes, len(self._moving.numbers)
+
+        def push(x: FloatArray) -> FloatArray:
+            with self._moving.at_work():
+                return self._pushed(np.asarray(x, dtype=np.float64).reshape(moving, 3)).ravel()
+
+        def pull(w: FloatArray) -> FloatArray:
+            with self._moving.at_work():
+                return self._pulled(np.asarray(w, dtype=np.float64).reshape(nodes, 3)).ravel()
+
+        return LinearOperator((3 * nodes, 3 * moving), matvec=push, rmatvec=pull, dtype=np.float64)
+
+    def _pushed(self, change: FloatArray) -> FloatArray:
+        setup = self._setup
+        total = given_displacement(setup.grid, setup.topology, setup.boundary, self._moving.numbers, change)
+        return self._derivative.push(total[setup.problem.source_numbers])
+
+    def _pulled(self, gradient: FloatArray) -> FloatArray:
+        setup = self._setup
+        total = np.zeros((setup.topology.n_unique, 3))
+        total[setup.problem.source_numbers] = self._derivative.pull(gradient)
+        return given_gradient(setup.grid, setup.boundary, self._moving.numbers, total)
+
+    def _blocks(self, values: FloatArray) -> list[FloatArray]:
+        grid = self._setup.grid
+        blocks = [grid.block(b, values) for b in range(grid.n_blocks)]
+        return [block[:, :, 0, :2].copy() if self._step._plane else block for block in blocks]
+
+    def _flat(self, gradients: Sequence[Any]) -> FloatArray:
+        grid, wanted = self._setup.grid, [block.shape for block in self._step.grid.blocks]
+        found = [np.asarray(each, dtype=np.float64) for each in gradients]
+        if [each.shape for each in found] != wanted:
+            shapes = ", ".join(str(each.shape) for each in found[:4])
+            raise GridError(
+                f"gradients have the shapes {shapes}; expected those of the {len(wanted)} blocks: "
+                f"{', '.join(map(str, wanted[:4]))}"
+            )
+        if not all(np.isfinite(each).all() for each in found):
+            raise GridError("gradients contain values that are not finite; expected numbers")
+        flat = np.zeros((grid.n_nodes, 3))
+        for block, each in enumerate(found):
+            rows = flat[grid.offsets[block] : grid.offsets[block + 1]]
+            rows[:, : each.shape[-1]] = each.reshape(-1, each.shape[-1])
+        return flat
+
+
+def _difference(start: FloatArray, moved: FloatArray, step: Step) -> str:
+    """Why a step is not what the method gives in one application; empty if it is."""
+    result = step._result
+    scale = np.finfo(result.setup.grid.precision).eps * np.abs(start).max()
+    if np.abs(start + moved - result.grid.points).max() <= 4.0 * scale:
+        return ""
+    if result.reached < 1.0:
+        return (
+            f"only {result.reached:.1%} of the motion was imposed; the derivative is that of the method for all of it"
+        )
+    if result.steps > 1:
+        return f"the motion was imposed in {result.steps} steps; the derivative is that of the method in one step"
+    if result.repair is not None:
+        return "the grid was repaired; the derivative is that of the method before the repair"
+    return "another method replaced the chosen one; the derivative is that of the chosen one"

@@ -1,0 +1,184 @@
+"""Derivative of a composite: of its two steps and of the constraints between them."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from ...grid import FloatArray
+from ..base import Mover, PreparedMethod, Problem
+from ..composite import PreparedComposite, PreparedFiller, _on_faces, _Scattered
+from ..periodic_steps import PreparedPeriodic
+from ..scattered.block_rbf import PreparedBlockRBF
+from ..scattered.idw import PreparedIDW
+from ..transfinite.edge_graph import PreparedEdgeGraph
+from ..transfinite.tfi import PreparedTFI
+from .constraints import Constraints
+from .radial import BlockRBFDerivative, RBFDerivative
+from .transfinite import EdgeGraphDerivative, TFIDerivative
+from .weighting import IDWDerivative
+
+
+class Derivative(Protocol):
+    """Derivative of the displacement (n_nodes, 3) of all block nodes with respect to that (n_sources, 3) of the
+    sources."""
+
+    def push(self, change: FloatArray) -> FloatArray:
+        """Change (n_nodes, 3) for one of the sources (n_sources, 3)."""
+        ...
+
+    def pull(self, gradient: FloatArray) -> FloatArray:
+        """Gradient (n_sources, 3) from that (n_nodes, 3) of all block nodes."""
+        ...
+
+
+def derivative_of(method: PreparedMethod, displacement: FloatArray) -> Derivative:
+    """The derivative of a prepared method at one displacement (n_sources, 3).
+
+    Raises
+    ------
+    MethodError
+        For options without a derivative: greedy reduction, and weights that are recomputed on the way.
+    """
+    if isinstance(method, PreparedPeriodic):
+        return _Periodic(method, displacement)
+    assert isinstance(method, PreparedComposite)
+    return _Composite(method, displacement)
+
+
+class _Composite:
+    def __init__(self, method: PreparedComposite, displacement: FloatArray) -> None:
+        problem = method._problem
+        self._problem, self._left_out = problem, method._left_out
+        self._mover = _first_step(method._mover, problem, displacement)
+        self._filler = _filling(method._filler, problem) if method._filler else None
+        out = np.full((problem.grid.n_nodes, 3), np.nan)
+        face = method._mover.move(displacement, out)
+        self._first = Constraints(problem, face.copy())
+        if self._left_out and self._filler:
+            method._constrain(face, out)
+            self._filler.push(out)
+            self._second = Constraints(problem, _on_faces(out, problem))
+
+    def push(self, change: FloatArray) -> FloatArray:
+        problem, out = self._problem, np.full((self._problem.grid.n_nodes, 3), np.nan)
+        face = self._mover.push(change, out)
+        self._impose(self._first, face, out)
+        if self._filler:
+            self._filler.push(out)
+            if self._left_out:
+                self._impose(self._second, _on_faces(out, problem), out)
+        return out
+
+    def pull(self, gradient: FloatArray) -> FloatArray:
+        g = np.array(gradient)
+        if self._filler:
+            if self._left_out:
+                face = self._gathered(self._second, g)
+                g[self._problem.topology.first] += face
+            self._filler.pull(g)
+        return self._mover.pull(self._gathered(self._first, g), g)
+
+    def _impose(self, constraints: Constraints, face: FloatArray, out: FloatArray) -> None:
+        constraints.push(face)
+        topology = self._problem.topology
+        out[topology.face_nodes] = face[topology.number]
+
+    def _gathered(self, constraints: Constraints, g: FloatArray) -> FloatArray:
+        """Gradient (n_unique, 3) of the face nodes, to which all coincident block nodes add; theirs become zero."""
+        topology = self._problem.topology
+        rows = g[topology.face_nodes]
+        face: FloatArray = np.zeros((topology.n_unique, 3))
+        for c in range(3):
+            face[:, c] = np.bincount(topology.number, rows[:, c], topology.n_unique)
+        g[topology.face_nodes] = 0.0
+        constraints.pull(face)
+        return face
+
+
+class _Periodic:
+    """Periodic nodes first, the others with them as sources."""
+
+    def __init__(self, method: PreparedPeriodic, displacement: FloatArray) -> None:
+        problem = method._problem
+        self._problem, self._sources = problem, method._guided.source_numbers
+        self._mover = _first_step(method._first, problem, displacement)
+        face = method._on_faces(displacement, None)
+        self._constraints = Constraints(problem, face.copy())
+        topology, boundary = problem.topology, problem.boundary
+        boundary.slip.constrain(face, problem.grid.points, topology.first)
+        boundary.periodic.constrain(face, ~boundary.known)
+        self._rest = derivative_of(method._rest, face[self._sources])
+
+    def push(self, change: FloatArray) -> FloatArray:
+        face = self._mover.push(change, np.zeros((self._problem.grid.n_nodes, 3)))
+        self._constraints.push(face)
+        return self._rest.push(face[self._sources])
+
+    def pull(self, gradient: FloatArray) -> FloatArray:
+        face = np.zeros((self._problem.topology.n_unique, 3))
+        face[self._sources] = self._rest.pull(gradient)
+        self._constraints.pull(face)
+        return self._mover.pull(face, np.zeros((self._problem.grid.n_nodes, 3)))
+
+
+class _FirstStep(Protocol):
+    def push(self, change: FloatArray, out: FloatArray) -> FloatArray: ...
+
+    def pull(self, face: FloatArray, g: FloatArray) -> FloatArray: ...
+
+
+class _Filling(Protocol):
+    def push(self, change: FloatArray) -> None: ...
+
+    def pull(self, gradient: FloatArray) -> None: ...
+
+
+def _first_step(mover: Mover, problem: Problem, displacement: FloatArray) -> _FirstStep:
+    if isinstance(mover, PreparedEdgeGraph):
+        return _Edges(mover)
+    assert isinstance(mover, _Scattered)
+    return _Interpolated(mover, problem, displacement)
+
+
+def _filling(filler: PreparedFiller, problem: Problem) -> _Filling:
+    if isinstance(filler, PreparedBlockRBF):
+        return BlockRBFDerivative(filler, problem)
+    assert isinstance(filler, PreparedTFI)
+    return TFIDerivative(filler)
+
+
+class _Edges:
+    def __init__(self, mover: PreparedEdgeGraph) -> None:
+        self._derivative = EdgeGraphDerivative(mover)
+
+    def push(self, change: FloatArray, out: FloatArray) -> FloatArray:
+        return self._derivative.push(change, out)
+
+    def pull(self, face: FloatArray, g: FloatArray) -> FloatArray:
+        return self._derivative.pull(face)
+
+
+class _Interpolated:
+    """An interpolation as the first step; sources on faces move as they are told."""
+
+    def __init__(self, mover: _Scattered, problem: Problem, displacement: FloatArray) -> None:
+        self._problem, bound = problem, mover._bound
+        self._derivative: IDWDerivative | RBFDerivative
+        if isinstance(bound, PreparedIDW):
+            self._derivative = IDWDerivative(bound, mover._evaluator.bound, displacement)  # type: ignore[attr-defined]
+        else:
+            self._derivative = RBFDerivative(bound, problem, mover.flat)  # type: ignore[arg-type]
+
+    def push(self, change: FloatArray, out: FloatArray) -> FloatArray:
+        self._derivative.push(change, out)
+        face = _on_faces(out, self._problem)
+        face[self._problem.source_numbers] = change
+        return face
+
+    def pull(self, face: FloatArray, g: FloatArray) -> FloatArray:
+        own = face[self._problem.source_numbers].copy()
+        face[self._problem.source_numbers] = 0.0
+        g[self._problem.topology.first] += face
+        return np.asarray(own + self._derivative.pull(g))

@@ -1,0 +1,110 @@
+"""``mesh.linearise``: shapes, errors, and when it is not the derivative of the step."""
+
+import numpy as np
+import pytest
+from grids import frame, frame_2d
+
+import meshdeform as md
+
+BODY = {"where": "abs(x) < 0.51 and abs(y) < 0.51", "select": ["*.i*", "*.j*"], "kind": "moving", "name": "body"}
+
+
+def case(**method):
+    motion = [{"displace": ["0.05*sin(x+1)", "0.05*y", "0"]}]
+    span = {"name": "span", "select": ["*.kmin", "*.kmax"], "kind": "slip"}
+    return {"boundary": [{**BODY, "motion": motion}, span], "method": method or {"name": "idw-tfi"}}
+
+
+@pytest.fixture(scope="module")
+def mesh():
+    return md.prepare(md.Grid([block.copy() for block in md.Grid._of(frame()).blocks]), case())
+
+
+def bend(mesh, size=0.05):
+    return size * np.sin(mesh.points[:, [1, 0, 2]] + 1.0) * [1.0, 1.0, 0.0]
+
+
+def test_undeformed_and_deformed(mesh):
+    change = bend(mesh, 1.0)[:, [1, 0, 2]]
+    for at in (None, bend(mesh)):
+        found = mesh.linearise(at)
+        assert found.exact
+        assert found.reason == ""
+        assert found.step.valid
+        moved, h = found.jvp(change), 1e-5
+        base = np.zeros_like(mesh.points) if at is None else at
+        one, two = (mesh.deform(base + s * h * change).grid.blocks for s in (1, -1))
+        for a, b, block, whole in zip(one, two, moved, mesh.grid.blocks, strict=True):
+            assert block.shape == whole.shape
+            np.testing.assert_allclose((a - b) / (2 * h), block, atol=1e-7)
+
+
+def test_operator_and_transpose(mesh):
+    found = mesh.linearise(bend(mesh))
+    random = np.random.default_rng(1)
+    weights = [random.standard_normal(block.shape) for block in mesh.grid.blocks]
+    gradient = found.vjp(weights)
+    assert gradient.shape == mesh.points.shape
+    change = random.standard_normal(mesh.points.shape)
+    moved = found.jvp(change)
+    product = sum((w * m).sum() for w, m in zip(weights, moved, strict=True))
+    assert product == pytest.approx((gradient * change).sum(), rel=1e-11)
+    operator = found.operator
+    assert operator.shape == (3 * mesh.grid.n_nodes, change.size)
+    flat = np.concatenate([m.ravel() for m in moved])
+    np.testing.assert_array_equal(operator @ change.ravel(), flat)
+    np.testing.assert_array_equal(operator.T @ np.concatenate([w.ravel() for w in weights]), gradient.ravel())
+
+
+def test_plane_grid():
+    blocks = md.Grid._of(frame_2d(5), True).blocks
+    body = {**BODY, "motion": [{"displace": ["0.1", "0", "0"]}]}
+    flat = md.prepare(md.Grid([block.copy() for block in blocks]), {"boundary": [body]})
+    found = flat.linearise()
+    moved = found.jvp(np.ones((len(flat.points), 2)))
+    assert [m.shape for m in moved] == [b.shape for b in blocks]
+    gradient = found.vjp(moved)
+    assert not gradient[:, 2].any()
+    with pytest.raises(md.MotionError, match="plane"):
+        found.jvp(np.ones((len(flat.points), 3)))
+
+
+def test_a_grid_of_several_steps_says_so(mesh):
+    found = mesh.linearise(bend(mesh), steps=3)
+    assert not found.exact
+    assert "3 steps" in found.reason
+
+
+def test_a_repaired_grid_says_so(mesh):
+    large = 1.5 * bend(mesh, 1.0)
+    assert not mesh.deform(large, repair="off").valid
+    found = mesh.linearise(large)
+    assert found.step.repair is not None or found.step.steps > 1
+    assert not found.exact
+    assert "repaired" in found.reason or "steps" in found.reason or "method" in found.reason
+    assert mesh.linearise(large, repair="off").exact
+
+
+def test_bad_arrays(mesh):
+    found = mesh.linearise()
+    with pytest.raises(md.MotionError, match="displacement"):
+        found.jvp(np.ones((3, 3)))
+    with pytest.raises(md.GridError, match="expected those of the"):
+        found.vjp([np.ones((2, 2, 2, 3))])
+    with pytest.raises(md.GridError, match="not finite"):
+        found.vjp([np.full(block.shape, np.nan) for block in mesh.grid.blocks])
+
+
+def test_methods_without_derivative():
+    rbf = {"basis": "wendland-c2", "radius": 6.0, "greedy": "hybrid"}
+    greedy = md.prepare(md.Grid([b.copy() for b in md.Grid._of(frame()).blocks]), case(name="rbf", rbf=rbf))
+    with pytest.raises(md.MethodError, match="greedy"):
+        greedy.linearise()
+
+
+def test_a_derivative_changes_no_later_step(mesh):
+    before = mesh.deform(bend(mesh)).grid.blocks
+    found = mesh.linearise(0.5 * bend(mesh))
+    found.vjp(found.jvp(bend(mesh)))
+    for one, two in zip(before, mesh.deform(bend(mesh)).grid.blocks, strict=True):
+        np.testing.assert_array_equal(one, two)

@@ -1,0 +1,159 @@
+"""Derivatives of methods: central differences fall as h^2, and the two modes are transposes of each other."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from cases import ALL_METHODS, body_specs, everything_moves, problem_of, turning
+from grids import frame, frame_2d
+
+from meshdeform_core.boundary import BoundarySpec, Kind
+from meshdeform_core.boundary.prescribed import prescribed_displacement
+from meshdeform_core.errors import MethodError
+from meshdeform_core.methods import IDW, RBF, Options, make_method
+from meshdeform_core.methods.derivative import derivative_of
+from meshdeform_core.numerics.tape import Tape
+
+METHODS = {name: options for name, options in ALL_METHODS.items() if name != "idw-division-reweight"} | {
+    "idw-alpha": Options("idw", idw=IDW(alpha="auto", eta=4.0)),
+    "idw-alpha-none": Options("idw", idw=IDW(rotation="none", alpha="auto", eta=4.0)),
+    "idw-smoothed": Options("idw", idw=IDW(rotation="blend", smoothing=3)),
+    "idw-two-exponents": Options("idw", idw=IDW(weights="shepard", p_moving=4.0)),
+    "idw-no-transition": Options("idw", idw=IDW(transition=0, remove_mean=False)),
+}
+FEW = ("tfi", "rbf-tfi", "idw-rbf", "idw-quaternion", "idw-lie", "idw-tfi")
+
+
+def bulged():
+    grid = frame()
+    x = grid.points.copy()
+    x[:, 2] += 0.15 * np.sin(1.1 * x[:, 0]) * np.cos(0.8 * x[:, 1])
+    return grid.moved(x)
+
+
+KINDS = {
+    "slip": lambda: problem_of(frame(), body_specs(turning(10))),
+    "symmetry": lambda: problem_of(frame(), body_specs(turning(10), Kind.SYMMETRY)),
+    "periodic": lambda: problem_of(frame(), body_specs(turning(10), Kind.PERIODIC)),
+    "free": lambda: problem_of(frame(), body_specs(turning(10), Kind.FREE)),
+    "curved slip": lambda: problem_of(bulged(), body_specs(turning(10))),
+    "all moving": lambda: problem_of(frame(), everything_moves()),
+    "plane": lambda: problem_of(frame_2d(6), body_specs(turning(20))[:1]),
+    "plane, all moving": lambda: problem_of(frame_2d(4), [BoundarySpec("all", ("*",), Kind.MOVING, None, turning(5))]),
+}
+
+
+def directions(where):
+    """Displacement of the moving sources: smooth, and rough changes of it."""
+    moving = (where.boundary.kind[where.source_numbers] == Kind.MOVING)[:, None]
+    inside = moving * (1.0 if where.plane_normal is None else 1.0 - np.abs(where.plane_normal))
+    x = where.source_points
+    smooth = 0.1 * np.sin(1.3 * x[:, [1, 0, 2]] + np.arange(3)) * inside
+    rough = np.random.default_rng(5).standard_normal(x.shape) * inside
+    return smooth, rough
+
+
+def check(method, at, change):
+    derivative = derivative_of(method, at)
+    found = derivative.push(change)
+    size = np.abs(found).max()
+    assert np.isfinite(found).all()
+    errors = []
+    for h in (1e-4, 2.5e-5):
+        difference = (method.apply(at + h * change) - method.apply(at - h * change)) / (2 * h)
+        errors.append(np.abs(difference - found).max() / size)
+    assert errors[1] < 1e-6
+    # A sixteenth, or the round-off of the differences.
+    assert errors[1] < errors[0] / 12 or errors[1] < 1e-8
+    weight = np.random.default_rng(6).standard_normal(found.shape)
+    product = (derivative.pull(weight) * change).sum()
+    assert abs((weight * found).sum() - product) < 1e-12 * np.linalg.norm(weight) * np.linalg.norm(found)
+
+
+@pytest.mark.parametrize("state", ["undeformed", "deformed"])
+@pytest.mark.parametrize("name", METHODS)
+def test_central_differences_and_transposes(name, state):
+    where = KINDS["slip"]()
+    smooth, rough = directions(where)
+    method = make_method(METHODS[name]).prepare(where)
+    at = np.zeros_like(smooth) if state == "undeformed" else smooth
+    if name.startswith("idw-alpha"):
+        # Eq. 18 takes the largest displacement: there is no derivative where two nodes have it.
+        at = at * (1.0 + 0.2 * where.source_points @ [[1.0], [0.5], [0.3]])
+    for change in (smooth[:, [1, 2, 0]] * 5, rough):
+        check(method, at, change)
+
+
+@pytest.mark.parametrize("state", ["undeformed", "deformed"])
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in ("slip", "curved slip")])
+@pytest.mark.parametrize("name", FEW)
+def test_every_kind_of_boundary(name, kind, state):
+    where = KINDS[kind]()
+    smooth, rough = directions(where)
+    check(make_method(METHODS[name]).prepare(where), np.zeros_like(smooth) if state == "undeformed" else smooth, rough)
+
+
+@pytest.mark.parametrize("name", ["tfi", "idw-lie", "idw-tfi"])
+def test_sliding_on_a_curved_surface(name):
+    where = KINDS["curved slip"]()
+    assert where.boundary.slip.curved
+    smooth, rough = directions(where)
+    # No node may come to the edge of a flat face within the step.
+    check(make_method(METHODS[name]).prepare(where), 0.3 * smooth, 1e-2 * rough)
+
+
+@pytest.mark.parametrize("angle", [70.0, 130.0, 179.0])
+@pytest.mark.parametrize("name", ["idw-lie", "idw-quaternion", "idw-blend", "idw-division"])
+def test_large_rotations(name, angle):
+    where = problem_of(frame(), body_specs(turning(angle)))
+    at = prescribed_displacement(where.grid, where.topology, where.boundary)[where.source_numbers]
+    _, rough = directions(where)
+    check(make_method(METHODS[name]).prepare(where), at, 0.05 * rough)
+
+
+def test_fast_sums_are_differentiated_within_their_tolerance():
+    where = problem_of(frame(9, 6), body_specs(turning(20)))
+    smooth, rough = directions(where)
+    exact, fast = (make_method(Options("idw", idw=IDW(summation=kind))).prepare(where) for kind in ("exact", "fast"))
+    one, two = (derivative_of(method, smooth).push(rough) for method in (exact, fast))
+    np.testing.assert_array_equal(one, two)
+
+
+@pytest.mark.parametrize(
+    ("options", "found"),
+    [
+        (Options("idw", idw=IDW(rotation="division", reweight=True)), "reweight has no derivative"),
+        (Options("rbf", rbf=RBF(basis="wendland-c2", radius=6.0, greedy="hybrid")), "greedy has no derivative"),
+    ],
+)
+def test_what_has_no_derivative_is_refused(options, found):
+    where = KINDS["slip"]()
+    with pytest.raises(MethodError, match=found):
+        derivative_of(make_method(options).prepare(where), directions(where)[0])
+
+
+def test_an_operation_without_a_rule_is_an_error_and_no_lost_derivative():
+    x = Tape().variable(np.ones((3, 3)))
+    with pytest.raises(TypeError, match="lose its derivative"):
+        np.asarray(x)
+    with pytest.raises(TypeError, match="no derivative of numpy's argsort"):
+        np.argsort(x)
+    with pytest.raises(KeyError):
+        np.tanh(x)
+
+
+def test_coincident_block_nodes_add_their_gradients():
+    """A gradient of one at every block node: what a rigid translation gives."""
+    where = problem_of(frame(), everything_moves())
+    method = make_method(Options("idw-tfi")).prepare(where)
+    shift = np.tile([0.3, -0.2, 0.5], (len(where.source_points), 1))
+    gradient = derivative_of(method, np.zeros_like(shift)).pull(np.ones((where.grid.n_nodes, 3)))
+    assert (gradient * shift).sum() == pytest.approx(where.grid.n_nodes * 0.6, rel=1e-12)
+
+
+def test_memory_limits_change_no_derivative():
+    where = KINDS["slip"]()
+    smooth, rough = directions(where)
+    tight = dataclasses.replace(where, memory=dataclasses.replace(where.memory, size=2**24))
+    one, two = (derivative_of(make_method(Options("rbf-tfi")).prepare(each), smooth) for each in (where, tight))
+    np.testing.assert_array_equal(one.push(rough), two.push(rough))
