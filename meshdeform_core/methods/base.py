@@ -35,13 +35,13 @@ def of_stage(progress: Progress | None, stage: str) -> Callable[[int, int], None
 
 @dataclass(frozen=True)
 class Surface:
-    """The faces between the sources, from which areas and rotations are computed. All indices are into the sources.
+    """Surface faces between sources, from which nodal areas and rotations are computed; indices refer to sources.
 
     Attributes
     ----------
     area : (n_sources,) nodal area (in 2-D length): a quarter of each adjacent face (half of each edge)
     corners : (c, 3) node, next and previous node of each corner of a moving face; in 2-D (c, 2) edge ends
-    edges : (e, 2) node and neighbour along moving faces, each neighbour once
+    edges : (e, 2) node and neighbour along moving faces, each pair once
     """
 
     area: FloatArray
@@ -108,7 +108,7 @@ class Problem:
 
     @cached_property
     def first_cell_height(self) -> FloatArray:
-        """Distance (n_sources,) from each source to the next node off the face; the smallest over its faces."""
+        """Distance (n_sources,) from each source to the next node off the wall, the smallest over its faces."""
         topology, grid = self.topology, self.grid
         height = np.full(topology.n_unique, np.inf)
         known = self.boundary.quad_kind >= Kind.FIXED
@@ -122,7 +122,7 @@ class Problem:
 
     @cached_property
     def n_unique_nodes(self) -> int:
-        """All nodes of the grid with coincident ones counted once (N_s + N_v)."""
+        """Number of nodes with coincident ones counted once (N_s + N_v)."""
         return self.grid.n_nodes - len(self.topology.face_nodes) + self.topology.n_unique
 
     @cached_property
@@ -206,7 +206,7 @@ class PreparedMethod(Protocol):
 
 
 class Mover(Protocol):
-    """First step, bound to its nodes."""
+    """The first step of a method, bound to the nodes that it moves."""
 
     account: Account
 
@@ -245,12 +245,12 @@ class PreparedInterpolation(Protocol):
         ...
 
     def fit(self, displacement: FloatArray, progress: Progress | None = None) -> Any:
-        """The data that the evaluation needs, from the displacement (n_sources, 3) of the sources."""
+        """Fit the displacement (n_sources, 3) of the sources; returns the coefficients for the evaluation."""
         ...
 
 
 class Interpolation(Protocol):
-    """IDW or RBF with its options."""
+    """An interpolation method, IDW or RBF, with its options."""
 
     def bind(self, problem: Problem) -> PreparedInterpolation:
         """Bind to the sources of a problem."""

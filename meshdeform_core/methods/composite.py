@@ -20,12 +20,12 @@ from .periodic_steps import PreparedPeriodic, free_periodic, with_known_periodic
 from .transfinite.edge_graph import PreparedEdgeGraph
 from .transfinite.skeleton import Skeleton
 
-# Face nodes written by one call: enough to be worth a thread.
+# Face nodes per chunk: large enough to outweigh the cost of starting a thread.
 _NODES = 100_000
 
 
 class PreparedFiller(Protocol):
-    """Second step, bound to its blocks."""
+    """The second step of a method, bound to its blocks."""
 
     account: Account
 
@@ -128,7 +128,7 @@ class PreparedComposite:
         # Every node lies on a block face, in the skeleton, or inside a block or sub-block: none is left unset.
         out = empty((problem.grid.n_nodes, 3))
         if self._left_out:
-            # These are read before the second step moves them.
+            # Read the face values before the second step overwrites them.
             for_rows(lambda rows: out[rows].fill(np.nan), out)
         self._constrain(self._mover.move(displacement, out, progress), out)
         if self._filler:
@@ -138,7 +138,7 @@ class PreparedComposite:
         return out
 
     def _constrain(self, face: FloatArray, out: FloatArray) -> None:
-        """Slip and periodicity, then one displacement for coincident nodes: from ``face`` (n_unique, 3) to ``out``."""
+        """Impose slip and periodicity on ``face`` (n_unique, 3) and copy it to all coincident nodes of ``out``."""
         topology, boundary = self._problem.topology, self._problem.boundary
         boundary.slip.constrain(face, self._problem.grid.points, topology.first)
         boundary.periodic.constrain(face, ~boundary.known)
@@ -188,7 +188,8 @@ def first_step_nodes(problem: Problem, skeleton: Skeleton | None) -> IntArray:
         chosen[:] = True
     else:
         chosen[skeleton.nodes()] = True
-    # A node counts if any of its copies does: coincident faces may be cut at different places.
+    # A node belongs to the skeleton if any coincident node does: the blocks on both sides of an interface may be cut
+    # at different places.
     wanted = np.zeros(topology.n_unique, dtype=bool)
     wanted[topology.number[chosen[topology.face_nodes]]] = True
     wanted[problem.source_numbers] = False

@@ -20,7 +20,7 @@ from .base import Problem
 TFI_ROTATION = 55.0
 PLAIN_ROTATION = 35.0
 LARGEST_ROTATION = 150.0
-"""Largest rotations in one step, degrees: of TFI, of averaged displacements, and of averaged rigid motions."""
+"""Largest rotation in one step (degrees) with TFI, with IDW of displacements, and with IDW of rigid motions."""
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
-"""Periodic boundaries in two steps: first their nodes, pairwise alike; then the rest, with them as known boundary.
+"""Periodic boundaries in two steps: first the periodic nodes, in pairs; then all others, with these as sources.
 
-Equalising the pairs after everything has moved would leave a jump beside the boundary, because an interpolation does
-not see the images of the body beyond it.
+Averaging the pairs afterwards would leave a jump next to the boundary, because the interpolation ignores the periodic
+images of the body.
 """
 
 from __future__ import annotations

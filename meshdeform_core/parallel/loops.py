@@ -1,4 +1,4 @@
-"""Chunks of work for the threads of one process and, where several processes share a case, for all of them.
+"""Distribution of loops over the threads of a process and over MPI ranks.
 
 The numba loops release the interpreter lock, so plain threads suffice within a process. Processes (MPI ranks) run the
 same program on the same data; loops that declare the arrays they fill are distributed among the ranks, and the results
@@ -29,14 +29,14 @@ Work = Callable[[int, int], object]
 Counter = Callable[[int, int], object]
 Bounds = tuple[int, int]
 
-# Smaller arrays are not worth the synchronisation of all ranks that shared memory takes.
+# For smaller arrays the synchronisation of shared memory costs more than it saves.
 _SMALL = 1 << 20
-# Rows of coordinates that stay in the cache of a core.
+# Rows of coordinates per chunk; they fit into the cache of a core.
 _ROWS = 1 << 14
 
 
 class Ranks(Protocol):
-    """The processes that share the work, seen from one of them.
+    """The MPI ranks that share the work, as one of them sees them.
 
     Attributes
     ----------
@@ -259,7 +259,7 @@ def for_items(
 
     for_chunks(attempt, count, 1, progress, shared, threads=1)
     if found := _ranks.gather(failures):
-        # The one that a single process would have raised.
+        # Raise the error that a single process would have met first.
         raise min(found, key=lambda each: each[0])[1]
 
 
@@ -269,9 +269,9 @@ def for_rows(fill: Callable[[slice], object], array: Any) -> None:
 
 
 def _on_threads(work: Work, bounds: list[Bounds], progress: Counter | None, limit: int) -> None:
-    """Do all chunks, on this thread and on others, each of which takes the next one when it is done with its last."""
+    """Process all chunks on several threads; each thread takes the next chunk when it is free."""
     size = sum(last - first for first, last in bounds)
-    # Taking the next item of a list, and appending to one, are single steps of the interpreter.
+    # ``next`` on an iterator and ``list.append`` are atomic in the interpreter.
     pending, done, failures = iter(bounds), list[int](), list[BaseException]()
 
     def run(report: Counter | None) -> None:
@@ -300,7 +300,7 @@ def _on_threads(work: Work, bounds: list[Bounds], progress: Counter | None, limi
 
 
 def _joined(others: list[threading.Thread], failures: list[BaseException]) -> None:
-    """Wait for other threads, also if that is interrupted: they write to arrays of the caller."""
+    """Wait for the other threads, even after an interrupt, because they still write to arrays of the caller."""
     for other in others:
         while other.is_alive():
             try:

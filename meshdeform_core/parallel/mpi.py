@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-# A rank that failed waits so many seconds for the others to fail alike, which most errors in the input make them do.
+# Seconds for which a failed rank waits for the others: most input errors occur on all ranks.
 _GRACE = 5.0
 _POLL = 0.002
-# How often a rank asks, without a pause, whether all others have arrived: some ten microseconds.
+# Number of polls without a pause, some ten microseconds, before a waiting rank sleeps.
 _TRIES = 50
-# Bytes at whose multiples arrays begin: a cache line.
+# Alignment of arrays in bytes: a cache line.
 _LINE = 64
 
 
@@ -52,11 +52,11 @@ class MPIRanks:
         self.cores = max(1, min(len(usable), len(every) // machine.size))
         self._machine = machine.Split(machine.rank * machines // machine.size)
         machine.Free()
-        # The first ranks of all machines exchange what common memory holds, each for its machine.
+        # Shared arrays are exchanged between machines by the first rank of each.
         leads = self._machine.rank == 0
         self._leaders = world.Split(0 if leads else MPI.UNDEFINED)
         self._leader_of = world.allgather(self._machine.bcast(self._leaders.rank if leads else None))
-        # The same everywhere, also where a rank has its machine for itself: all must take the same way to share.
+        # Decided for all ranks together, even those alone on their machine: all must use the same way of sharing.
         several = max(world.allgather(self._machine.size)) > 1
         self.private = next(filter(None, world.allgather(self._why_private())), "") if several else ""
         self._together = several and not self.private
@@ -75,7 +75,7 @@ class MPIRanks:
         return "" if same else "the ranks of a machine do not see the same memory"
 
     def _map(self, size: int) -> CommonMemory:
-        """New memory, mapped by all ranks of the machine; gone when the last of them has dropped it or died."""
+        """New memory mapped by all ranks of the machine; freed when the last of them unmaps it or ends."""
         name = self._from_first(self._machine, lambda: _memory_file(size))
         failures = []
         try:
@@ -85,7 +85,7 @@ class MPIRanks:
         for failure in self._gather(self._machine, failures):
             raise failure
         if self._machine.rank == 0:
-            # A mapping holds the memory by itself.
+            # The mapping keeps the memory alive; the descriptor is no longer needed.
             os.close(int(name.rpartition("/")[2]))
         return memory
 
@@ -201,7 +201,7 @@ class MPIRanks:
         start = time.monotonic()
         while not arrived.Test():
             if time.monotonic() - start > patience:
-                # The others wait for this rank or are still working: they cannot be asked.
+                # The other ranks are still working or wait for this one: no collective call is possible.
                 self._tell(self.number, messages)
                 self._end.Abort(code)
             time.sleep(_POLL)
@@ -218,7 +218,7 @@ class MPIRanks:
 
 
 def _meet(comm: Comm) -> None:
-    """Wait for all processes, sleeping if it takes long: the one that all wait for may need the core."""
+    """Barrier that sleeps after a while, because the rank that is late may need the core."""
     arrived, tries = comm.Ibarrier(), 0
     while not arrived.Test():
         tries += 1

@@ -1,4 +1,4 @@
-"""Measures of grid lines at walls and interfaces, given to the cells beside them."""
+"""Measures of grid lines at walls and interfaces, assigned to the adjacent cells."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def cell_at_wall(grid: Grid, faces: Sequence[WallFace], number: int) -> int:
     for face in faces:
         touched = np.argwhere(face.touched)
         if number < len(touched):
-            # Beside the edge of a wall some of the cells around a node do not belong to it.
+            # At the edge of a wall, some cells around a node are not wall cells.
             quads = np.argwhere(face.wall)
             away = touched[number] - quads
             a, b = quads[int(np.argmax(((away == 0) | (away == 1)).all(axis=1)))]

@@ -54,7 +54,7 @@ def measure_block(
 
 
 def side_of_good_quads(flat: int, sign: float, plane_normal: FloatArray) -> FloatArray:
-    """The unit normal that the good cells of a 2-D block face, one node thick along ``flat``, in index order."""
+    """Unit normal of positively oriented cells of a 2-D block, one node thick along ``flat``, in index order."""
     # Handedness is judged from the side of a positive largest component. The positive normal of (i, j) and (j, k)
     # index planes follows their order, that of (i, k) is opposite.
     side = plane_normal * np.sign(plane_normal[int(np.argmax(np.abs(plane_normal)))])

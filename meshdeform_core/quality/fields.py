@@ -29,7 +29,7 @@ Cells = tuple[slice, slice, slice]
 
 @dataclass(frozen=True)
 class CellMeasure:
-    """What one value per cell means.
+    """A cell measure: its meaning and what it requires.
 
     ``from_reference`` ones compare with the undeformed grid, ``of_walls`` ones need to know where walls are.
     """
@@ -57,7 +57,7 @@ CELL_MEASURES = {
     "wall_distance": CellMeasure("distance to the nearest wall node", of_walls=True),
     "displacement": CellMeasure("displacement", from_reference=True),
 }
-"""All measures by name. Those of walls have no value (NaN) but in the cells at walls, those of interfaces but beside
+"""All measures by name. Measures of walls are NaN except in cells at walls, those of interfaces except beside
 interfaces. Kinks and jumps are changes where there is an undeformed grid."""
 
 _SHAPE = ("aspect_ratio", "growth_ratio", "non_orthogonality_deg", "skewness")

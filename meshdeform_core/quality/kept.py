@@ -1,4 +1,4 @@
-"""What the judgement of further grids needs of the undeformed cells, kept instead of computed again."""
+"""Measures of undeformed cells that are stored for the assessment of further deformed grids."""
 
 from __future__ import annotations
 
@@ -26,23 +26,23 @@ class KeptCells:
 
     @cached_property
     def bytes(self) -> int:
-        """The memory that all of them take; several ranks share it."""
+        """Bytes that all of them take together, shared by the ranks of a machine."""
         if self._grid.dimension == 2:
             return 0
         return sum(self._size(slab) for slab in slabs(self._grid)) * NOTHING.itemsize
 
     def begin(self) -> None:
-        """Keep what the next pass computes."""
+        """Begin to store what the next pass computes."""
         self.begun = True
 
     def of(self, slab: Slab, both: bool) -> tuple[FloatArray, bool]:
-        """The array of a slab, to be read if it is known, else to be filled; empty for a pass that needs more."""
+        """The array of a slab: to read if its values are known, else to fill; empty for passes that cannot use it."""
         if slab.start in self._parts:
             return (NOTHING, False) if both else (self._parts[slab.start], True)
         return np.empty(self._size(slab) if self.begun else 0, np.float32), False
 
     def put(self, slab: Slab, part: FloatArray) -> None:
-        """Keep the array of a slab that has been filled."""
+        """Store the filled array of a slab."""
         if part.size:
             self._parts[slab.start] = part
 

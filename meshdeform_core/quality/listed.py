@@ -1,4 +1,4 @@
-"""Cells that a report names: the invalid ones and the worst ones, with their places."""
+"""Cells listed in reports: invalid and worst cells with their locations."""
 
 from __future__ import annotations
 

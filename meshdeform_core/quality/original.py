@@ -36,8 +36,8 @@ class Original:
     """An undeformed grid with the data that the judgement needs.
 
     ``min_jacobian``: cells with a corner below this share of its undeformed Jacobian count as invalid; ``measured``:
-    totals over its cells, from the first comparison with another grid; ``kept``: what the judgement of further grids
-    needs of them.
+    totals over its cells, from the first comparison with another grid; ``kept``: stored measures
+    of undeformed cells.
     """
 
     grid: Grid
@@ -63,7 +63,7 @@ class Original:
         return lines, kink_and_jump(lines, self.grid.points)
 
     def walls(self, boundary: Boundary) -> dict[str, Walls]:
-        """The ``moving`` and the ``fixed`` walls of a boundary; the last ones are kept."""
+        """The ``moving`` and the ``fixed`` walls of a boundary; those of the last boundary are cached."""
         if self._walls is None or self._walls[0] is not boundary:
             normal, found = plane_normal(self.grid), {}
             for name, find in (("moving", moving_walls), ("fixed", fixed_walls)):

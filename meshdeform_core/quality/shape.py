@@ -17,7 +17,7 @@ DEFINITIONS = {
     "non_orthogonality_deg": "angle between the line of two cell centres and the normal of their face (as checkMesh)",
     "skewness": "where that line meets the face: distance to the face's centre over the line's length",
 }
-"""What is measured; neighbours are those within a block."""
+"""Definitions of the measures; neighbours are cells of the same block."""
 
 
 _NO_CELLS = np.empty((0, 0, 0, 4))

@@ -76,7 +76,7 @@ class Sums:
 
 
 class Tally:
-    """The cells of one grid: one row per slab, summed in the grid's order when everything is there.
+    """Sums over the cells of one grid: one row per slab, added in the order of the grid once all are complete.
 
     ``sums`` (n_slabs, 5): 1/f_skew, f_skew, area (2-D), cells with negative volume, with a bad corner; ``lows``
     (n_slabs, 2): smallest f_skew and scaled Jacobian; ``low_cells`` (n_slabs, 2) where; ``counts`` (n_slabs, 20):
@@ -131,7 +131,7 @@ class Tally:
 
     @cached_property
     def skew(self) -> Skew:
-        """The distribution of f_skew, when everything is there."""
+        """The distribution of f_skew, once all rows are complete."""
         n = len(self.skews)
         inverse, total = self.sums[:, 0].sum(), self.sums[:, 1].sum()
         histogram = self.counts.sum(axis=0)

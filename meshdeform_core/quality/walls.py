@@ -17,7 +17,7 @@ from .original import Original, Walls
 from .tally import Range, Spread
 
 Extremes = dict[str, tuple[int, float]]
-"""The number of the worst cell and its value by measure; none for a measure that is the same everywhere."""
+"""Number and value of the worst cell for each measure; measures with the same value everywhere are left out."""
 
 
 @dataclass(frozen=True)

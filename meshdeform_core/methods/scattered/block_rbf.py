@@ -22,12 +22,12 @@ from .rbf import RBF, Centres
 
 @dataclass(frozen=True)
 class BlockRBF:
-    """A small system per block; ``options`` are those of ``[method.rbf]``."""
+    """One small RBF system per block; ``options`` are those of ``[method.rbf]``."""
 
     options: RBF
 
     def skeleton(self, problem: Problem) -> Skeleton:
-        """The first step moves block faces, but not slip planes, whose nodes are no centres."""
+        """The first step moves block faces except slip planes, whose nodes are not centres."""
         return dataclasses.replace(make_skeleton(problem, 0), left_out=_slip_sides(problem))
 
     def prepare(self, problem: Problem, skeleton: Skeleton) -> PreparedBlockRBF:
@@ -51,14 +51,14 @@ class _Block:
 
 
 class PreparedBlockRBF:
-    """Block systems of one undeformed grid, factorised at the first use and kept while they fit."""
+    """Block systems of one undeformed grid, factorised at first use and kept as long as they fit into memory."""
 
     def __init__(self, options: RBF, problem: Problem, skeleton: Skeleton):
         self._options, self._problem = options, problem
         blocks = (self._block(n, skeleton.left_out) for n in range(problem.grid.n_blocks))
         self._blocks = [block for block in blocks if block.targets.size]
         sizes = [len(block.known) for block in self._blocks]
-        # Each rank keeps those of its own blocks.
+        # Each rank keeps the systems of its own blocks.
         ranks = current_ranks().count
         self._keep = 8 * max(sum(n * n for n in sizes[r::ranks]) for r in range(ranks)) < problem.memory.size // 2
         self.account = Account()
@@ -84,7 +84,7 @@ class PreparedBlockRBF:
             return None
         if self._options.radius != "auto":
             return float(self._options.radius)
-        # Every node of a block sees all of its faces.
+        # Every node of a block depends on all of its faces.
         return float(np.linalg.norm(np.ptp(self._problem.grid.points[faces], axis=0)))
 
     @property

@@ -44,7 +44,7 @@ _KEPT = 2
 
 
 _LARGEST_ALPHA, _LARGEST_POWER = 1e4, 20.0
-"""Beyond all use; distances relative to the grid to these powers are still finite numbers."""
+"""Largest exponent accepted: powers of distances relative to the grid stay finite."""
 
 
 @dataclass(frozen=True)
@@ -64,9 +64,9 @@ class IDW:
     eta : factor of eq. 18
     a, b : exponents of eq. 16; a may be ``"auto"``: for ``lie`` 4 with one moving body and a transition, else 2.5 in
         plane grids; 3 otherwise
-    transition : the share of the moving sources falls linearly across the gap to fixed ones, but for this part of it
-        at either end, at most 0.5; 0: weights alone decide, as in eq. 14; ``"auto"``: for ``lie`` 0.5, in plane
-        grids 0.3
+    transition : the share of the moving sources falls linearly across the gap to the fixed ones, except over this
+        fraction of it at either end (at most 0.5); 0: weights alone decide, as in eq. 14; ``"auto"``: for ``lie``
+        0.5, in plane grids 0.3
     smoothing : number of times that rotations of nodes within as many edges of a sharp edge are averaged, or
         ``"auto"``: 8 for ``lie``, none for the others
     length : L_def of eq. 16 (grid length unit), or ``"auto"``: eq. 17
@@ -173,7 +173,7 @@ class PreparedIDW:
         return float(np.linalg.norm(self._problem.source_points - self._problem.centroid, axis=1).max())
 
     def _width(self) -> float:
-        """Ends of the transition from moving sources to others, as a part of the gap; 0 without one."""
+        """Fraction of the gap at either end of the transition, see ``transition``; 0 without a transition."""
         o, moving = self.options, with_motion(self._images)
         if "transition" in o.idle or moving.all() or not moving.any():
             return 0.0
@@ -259,7 +259,7 @@ class PreparedIDW:
         images = self._images
         d = images.displaced(displacement)
         frame = self._frame(d)
-        # What turns with the whole boundary has no direction of its own: half a turn is like any other angle.
+        # After the common rotation is removed, half a turn of the whole boundary is no special case.
         inside = d if frame.turn is None else frame.relative(images.points, d)
         q, w = np.tile([1.0, 0.0, 0.0, 0.0], (len(d), 1)), np.zeros((len(d), 3))
         if self.options.rotation != "none":
@@ -294,7 +294,7 @@ class PreparedIDW:
         """
         o = self.options
         if o.weights == "shepard":
-            # The second exponent has no effect here; Luke's has the fastest loop.
+            # The second exponent has no effect here; Luke's selects the fastest loop.
             return tuple((p, 5.0, 0.0) for p in (o.p_moving, o.p_fixed)[: len(self.groups)])
         alpha = self._alpha(d) if o.alpha == "auto" else float(o.alpha)
         try:

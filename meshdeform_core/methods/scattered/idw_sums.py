@@ -25,7 +25,7 @@ _CHECKED = 64
 
 @dataclass(frozen=True)
 class SourceValues:
-    """A displacement in the form that the sums need.
+    """A displacement prepared for summation.
 
     ``path`` source positions (n, 3) at the start of every step, relative to ``origin`` (3,): one step, unless the
     weights are recomputed on the way; ``values`` (k, n) per source; ``weights`` (a, b, kappa) per group; ``shift`` and
@@ -64,7 +64,7 @@ class Bound:
 
     @property
     def repeats(self) -> int:
-        """How often the mean rigid motion of one set of sums is applied."""
+        """Number of steps in which the mean rigid motion is applied."""
         return self.divisions if self.rotation == "division" and not self.reweight else 1
 
 
@@ -135,7 +135,7 @@ class ExactEvaluator:
         return total
 
     def _sums_of_moving(self, fit: SourceValues, x: FloatArray, total: FloatArray) -> FloatArray:
-        """Sums (n, 1 + k) for a total weight (n,): values relative to those at rest, over the others."""
+        """Sums (n, 1 + k) for a total weight (n,), over the moving sources, relative to the value of those at rest."""
         assert fit.still is not None
         values, sums = fit.values - fit.still[:, None], np.empty((len(x), 1 + len(fit.values)))
         sums[:, 0], sums[:, 1:] = total, total[:, None] * fit.still
@@ -147,7 +147,7 @@ class ExactEvaluator:
 
 
 class FastEvaluator:
-    """Clusters of sources seen from bricks of targets; the error is checked against exact sums at the worst nodes."""
+    """Fast sums: clusters of sources evaluated at bricks of targets, checked against exact sums at the worst nodes."""
 
     def __init__(self, bound: Bound, tolerance: float, account: Account):
         self.bound = bound

@@ -16,7 +16,7 @@ from ..base import Problem
 
 @dataclass(frozen=True)
 class Images:
-    """Sources with their mirror images, as one surface that closes across symmetry planes.
+    """Sources and their mirror images as one surface, connected across symmetry planes.
 
     ``owner`` (n,) is the source of each image, ``reflection`` (n, 3, 3) the reflection that made it;
     ``corners`` and ``edges`` as in :class:`.base.Surface`, into the images.
@@ -50,7 +50,7 @@ def mirror_images(problem: Problem) -> Images:
 
 
 def _reflected(images: Images, plane: Plane, problem: Problem) -> Images:
-    """The images and their reflection; a node on the plane is its own image, with both halves of its area."""
+    """The images of one plane; a node on the plane is its own image and counts the area on both sides."""
     height = (images.points - plane.point) @ plane.normal
     edge = problem.topology.edge[problem.source_numbers][images.owner]
     on_plane = np.abs(height) <= RELATIVE_TOLERANCE * edge

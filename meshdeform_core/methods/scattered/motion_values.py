@@ -1,4 +1,4 @@
-"""What IDW averages: the rigid motions of sources in one of the forms of :mod:`..numerics.rigid`."""
+"""The quantities that IDW averages: rigid motions of the sources, represented as in :mod:`..numerics.rigid`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Solving for the coefficients of radial basis functions: choice of solver, and report."""
+"""The linear system of radial basis functions: choice of solver, solution, report."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class RadialSystem:
     def __init__(self, options: SystemOptions, centres: Centres, limit: MemoryLimit = UNLIMITED):
         self.options, self.centres = options, centres
         self.kind = BASES[options.basis]
-        # A few kept centres (one, while nothing moves) may not determine all terms.
+        # A small set of greedy centres (one, if nothing moves) may not determine all polynomial terms.
         self.terms = independent(centres.polynomial(centres.points))
         n = len(centres.points)
         dense = 8 * n * n
@@ -59,7 +59,7 @@ class RadialSystem:
         self._matrix: FloatArray | None = None
 
     def _require(self, needed: int) -> None:
-        """Refuse a system that needs more memory: another solver would give another result."""
+        """Refuse a system that exceeds the memory limit; another solver would change the result."""
         self._limit.require(
             needed,
             f"a radial basis function system of {len(self.centres.points):,} centres",

@@ -39,8 +39,8 @@ class RBF:
     Attributes
     ----------
     basis : ``tps`` (global), ``wendland-c0``, ``wendland-c2``, ``ctps-c1``, ``ctps-c2a``, ``ctps-c2b`` (Table I)
-    radius : support radius of the compact bases (grid length unit), or ``"auto"``: every node sees the whole moving
-        body
+    radius : support radius of the compact bases (grid length unit), or ``"auto"``: the support of every centre
+        covers the whole moving body
     solver : ``direct`` (Cholesky on the null space of the side conditions), ``krylov`` (preconditioned GMRES,
         for any number of centres), or ``"auto"``: direct up to 4000 centres, then krylov; paper only: ``minres``
     tolerance : of the iterative solvers: ||r|| <= tolerance ||b||; ``"auto"``: 1e-10 for ``minres`` (eps_c of the
@@ -128,7 +128,7 @@ class PreparedRBF:
         self._problem = problem
         self._images = mirror_images(problem)
         self.centres = Centres.of(self._images.points, self._radius())
-        # Without reduction the size is known, and refused if it does not fit, before anything is computed.
+        # Without greedy reduction the size of the system is known: refuse it before anything is computed.
         self._system = None if options.greedy != "none" else RadialSystem(options.system, self.centres, problem.memory)
         self.account.settings |= used(options, "basis", "solver", "tolerance", "max_iterations", "greedy") | {
             "centres": Setting(len(self._images.points)),
@@ -203,7 +203,7 @@ class PreparedRBF:
         here = self.centres.points
         residual = values - radial_sums(BASES[self.options.basis], here, points, coefficients)
         residual -= self.centres.polynomial(here)[:, : len(polynomial)] @ polynomial
-        # Spread over many times the size of the correction, so that it cannot fold cells.
+        # The support is many times the size of the correction, so that the correction cannot fold cells.
         reach = 20.0 * float(np.linalg.norm(residual, axis=1).max())
         return Coefficients(points, coefficients, polynomial, residual, reach)
 

@@ -54,7 +54,7 @@ class Refinable(Protocol):
 
 
 class HasSamples(Protocol):
-    """Targets in groups."""
+    """Target nodes in groups (bricks)."""
 
     @property
     def samples(self) -> IntArray:

@@ -1,8 +1,8 @@
-"""From the moving sources to those at rest: how ``lie`` divides the motion between them.
+"""Transition between moving sources and sources at rest: how ``lie`` distributes the motion across the gap.
 
 Weights alone give the moving sources a share that falls off as a power of the distance, steeply half-way between two
 boundaries: cells there shear most. The share that :func:`.rigid.finish_twist` computes from the same sums falls
-linearly across the gap instead, but for its ends, where cells follow their wall.
+linearly across the gap instead, except near both ends, where cells follow their wall.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from ..base import Problem
 from .mirror import Images
 
 WIDTH, WIDTH_IN_PLANES = 0.5, 0.3
-"""Part of the gap at either end over which the share of the moving sources changes its slope."""
+"""Fraction of the gap at either end over which the slope of the share changes."""
 FAR_OF_ONE_BODY = 4.0
 """Exponent a of eq. 16 for one moving body: with the transition, it only matters along the body."""
 STEEPER = 1.5
-"""Accuracy of fast sums is judged by displacements this much larger: the share may change faster than the weights."""
+"""Fast sums are made more accurate by this factor, because the share may vary faster than the weights."""
 _CURVE, _SURFACE = 1.0, 2.0
 """The total weight of a curve falls off as r^(1 - a), so does that of a surface beyond its breadth; closer to it, the
 total weight of a surface falls off as r^(2 - a)."""
 _PERIMETER = 5.0
-"""Of the longer section of a body, over its largest radius."""
+"""Perimeter of the longer section of a body over its largest radius."""
 
 
 def with_motion(images: Images) -> BoolArray:
@@ -39,13 +39,13 @@ def with_motion(images: Images) -> BoolArray:
 
 
 def bodies(images: Images) -> int:
-    """Number of connected surfaces that the moving faces make."""
+    """Number of connected components of the moving surface."""
     label = connected_components(len(images.moving), images.corners[:, :2])
     return len(np.unique(label[images.corners[:, 0]]))
 
 
 def attached(problem: Problem) -> bool:
-    """Whether moving faces share nodes with faces at rest, like a membrane with the plate around it."""
+    """Whether moving faces share nodes with faces at rest, as a membrane clamped in a plate does."""
     quads, kind = problem.topology.quads.corners, problem.boundary.quad_kind
     return bool(np.intersect1d(quads[kind == Kind.MOVING], quads[kind == Kind.FIXED]).size)
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Segment:
-    """A part of a block edge between two nodes whose displacement is known before that of the nodes in between.
+    """A section of a block edge whose two end nodes are moved before the nodes in between.
 
     ``nodes`` (n,) unique node numbers, ends included; ``arc`` (n,) from 0 to 1; ``length`` in grid length units.
     """
@@ -59,7 +59,7 @@ class PreparedEdgeGraph:
             reached[segment.nodes] = True
         nodes, wanted = _face_parts(problem, reached)
         for part in nodes:
-            # A rectangle of an L-shaped face has a border that is not a block edge.
+            # L-shaped faces are divided into rectangles, some borders of which are not block edges.
             borders = [b for b in (part[0], part[-1], part[:, 0], part[:, -1]) if not reached[b].all()]
             segments += _segments(points, borders, reached, reached)
         self._lines = Lines.of([segment.nodes for segment in segments], [segment.arc for segment in segments])
@@ -72,7 +72,7 @@ class PreparedEdgeGraph:
 
     def move(self, displacement: FloatArray, out: FloatArray, progress: Progress | None = None) -> FloatArray:
         """Displacement (n_unique, 3) of all face nodes from that of the sources (n_sources, 3); nothing to ``out``."""
-        # NaN, so that a node that is not reached cannot be mistaken for one that does not move.
+        # NaN marks nodes that are not reached; zero would pass for a node that does not move.
         face = np.full((self._problem.topology.n_unique, 3), np.nan)
         put_rows(displacement, self._problem.source_numbers, face)
         if self._graph:
@@ -111,7 +111,7 @@ def _segments(points: FloatArray, lines: list[IntArray], knot: BoolArray, known:
             nodes = line[first : last + 1]
             arc = np.cumsum([0.0, *np.linalg.norm(np.diff(points[nodes], axis=0), axis=1)])
             if arc[-1] > 0.0:
-                # Blocks that share an edge see it once each, in either direction.
+                # Each block that shares an edge contributes it, in either direction.
                 key = (int(min(nodes[[0, -1]])), int(max(nodes[[0, -1]])), int(nodes[1:-1].min(initial=2**62)))
                 found.setdefault(key, Segment(nodes, arc / arc[-1], float(arc[-1])))
     return list(found.values())

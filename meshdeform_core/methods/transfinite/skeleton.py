@@ -67,7 +67,7 @@ class Skeleton:
 _TURNING = np.deg2rad(50.0)
 """Grid lines that turn by more than this within a sub-block are cut twice as often: TFI does not move them rigidly."""
 _LINES = 12
-"""Lines per direction from which the turning is judged."""
+"""Number of grid lines per direction that are sampled for their turning angle."""
 
 
 def make_skeleton(problem: Problem, max_cells: int) -> Skeleton:
@@ -91,7 +91,7 @@ def _cuts(points: FloatArray, max_cells: int) -> Cuts:
         if max_cells > 1 and _turning(points, axis, max_cells) > _TURNING:
             most = -(-max_cells // 2)
         parts = -(-cells // most) if most else 1
-        # A coarse block can span as large an angle of a body as a fine one: only short blocks stay whole.
+        # Coarse blocks turn around a body as much as fine ones do: only short blocks stay uncut.
         if parts == 1 and max_cells and 2 * cells > max_cells:
             parts = 2
         # The same planes seen from either end: an odd number of cells has no middle plane to cut at.

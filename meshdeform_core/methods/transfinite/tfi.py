@@ -20,12 +20,12 @@ from .faces import Faces
 from .skeleton import Skeleton, SubBlock, make_skeleton
 
 FEW_PAIRS = (5e7, 4), (2e8, 8), (np.inf, 16)
-"""Up to how many pairs of nodes and sources sub-blocks have how many cells per direction.
+"""Automatic ``max_cells``: largest number of pairs of nodes and sources, and cells per direction up to it.
 
 Sums over 5e7 pairs take less than a tenth of a second. Small grids are coarse: where a motion changes within a few
 cells, smaller sub-blocks follow it.
 """
-# Planes and nodes filled per call, and calls per grid: enough to balance the load, few enough to cost nothing.
+# Planes and nodes per chunk, and chunks per grid: enough to balance the load at negligible cost.
 _PLANES, _NODES, _CHUNKS = (8, 32), 65536, 64
 
 
