@@ -118,6 +118,7 @@ def test_walls_in_space_and_a_cut_of_bodies(name, size):
 @pytest.mark.parametrize("grid", [frame(), frame_2d(), polar()])
 def test_flat_and_extruded_grids_from_above(grid):
     page = overview(subject(grid), Choice())
+    assert page.panels
     assert all(panel.view.flat and panel.view.labels == ("x", "y") for panel in page.panels)
 
 
