@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from meshdeform_core.errors import CaseError
-from meshdeform_core.judgement import judge
+from meshdeform_core.judgement import judge_grid
 from meshdeform_core.quality.difference import Difference, compare_points
 from meshdeform_core.repair.options import Mode
 
@@ -62,7 +62,7 @@ def quality(
     own = core_grid(grid)
     what = parsed_case({} if case is None else case)
     original = None if reference is None else core_grid(reference)
-    assessment, notes = judge(own, original or own, what.case)
+    assessment, notes = judge_grid(own, original or own, what.case)
     return quality_report(own, assessment, notes, original=original)
 
 

@@ -1,4 +1,4 @@
-"""Calls that use all cores, and the settings that go with them, one after the other."""
+"""A process-wide lock: API calls run one at a time, as each sets the threads and ranks of all loops."""
 
 from __future__ import annotations
 

@@ -126,7 +126,7 @@ class Course:
         return Repairer(setup.original, setup.boundary, self.rounded, setup.memory, self.progress, self.limit)
 
     @property
-    def repairs(self) -> bool:
+    def repairing(self) -> bool:
         """Whether the case asks for repairs."""
         return self.setup.case.repair.mode != "off"
 

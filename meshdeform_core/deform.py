@@ -124,9 +124,9 @@ def impose(
     course.latest.put(begin.points, setup.case.method, begin.prepared)
     course.log.warn(*setup.warnings, *doubts(course, one_of_many=start is not None))
     if steps is None:
-        steps = "auto" if course.repairs else 1
+        steps = "auto" if course.repairing else 1
     if steps == "auto":
-        return _result(until_valid(course) if course.repairs else adaptively(course))
+        return _result(until_valid(course) if course.repairing else adaptively(course))
     if isinstance(steps, int) and steps > 0:
         return _result(in_equal_steps(course, steps))
     raise CaseError(f'steps = {steps!r}; expected a whole number >= 1 or "auto"')

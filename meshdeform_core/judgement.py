@@ -11,7 +11,7 @@ from .quality import Assessment, Original, assess
 from .quality.difference import require_same_blocks
 
 
-def judge(grid: Grid, original: Grid, case: Case) -> tuple[Assessment, tuple[str, ...]]:
+def judge_grid(grid: Grid, original: Grid, case: Case) -> tuple[Assessment, tuple[str, ...]]:
     """Judge ``grid`` against ``original``, which may be the same; the case defines the moving walls.
 
     Returns the assessment and the warnings about the original.

@@ -135,7 +135,7 @@ def repaired(trial: Trial, ways: tuple[Way, ...] = QUICKLY) -> Trial:
 def patient_step(state: State, fraction: float) -> Trial:
     """A step whose repair, where it fails, is done once more with patience."""
     trial = step(state, fraction)
-    return insist(trial) if state.course.repairs and not trial.valid else trial
+    return insist(trial) if state.course.repairing and not trial.valid else trial
 
 
 def insist(trial: Trial) -> Trial:

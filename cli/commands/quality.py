@@ -76,13 +76,13 @@ def command(
 
 def judged(source: GridInput, reference: Path | None, what: CaseFile, progress: ProgressBar) -> dict[str, Any]:
     """The quality report of a grid against ``reference``, or on its own."""
-    from meshdeform_core.judgement import judge
+    from meshdeform_core.judgement import judge_grid
     from meshdeform_formats.report import quality_report
 
     grid = source.read(what.boundary_file)
     original = None if reference is None else _original(grid, reference)
     progress("quality", 0, 0)
-    assessment, notes = judge(grid, original or grid, what.case)
+    assessment, notes = judge_grid(grid, original or grid, what.case)
     return quality_report(grid, assessment, notes, str(reference) if reference else None, original)
 
 

@@ -129,7 +129,7 @@ def _square(x: Any) -> Lanes:
 
 @lanes
 def keep(t: Array, old: ir.Value, kept: Array, at: ir.Value) -> None:
-    """Put what :func:`judge` needs of undeformed cells into ``kept``; no volume of cells that are always left open."""
+    """Put what :func:`compare_cells` needs of undeformed cells into ``kept``; no volume of cells always left open."""
     for n in range(8):
         kept.store(at, t.load(old, (_JACOBIAN + n) * WIDTH), n * WIDTH)
     least, unit, volume = (t.load(old, n * WIDTH) for n in (_LEAST, _LEAST_UNIT, _VOLUME))
@@ -171,7 +171,7 @@ def skewness(t: Array, to: ir.Value) -> None:
 
 
 @lanes
-def judge(
+def compare_cells(
     e: Array,
     m: ir.Value,
     low: ir.Value,

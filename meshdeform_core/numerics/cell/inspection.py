@@ -55,8 +55,8 @@ from .formulas import (
     N,
     answer,
     collect,
+    compare_cells,
     edges,
-    judge,
     keep,
     measure,
     move,
@@ -135,7 +135,7 @@ def inspect_hexahedra(before, x, compare, both, sign, scale, i0, i1, out, is_ope
                                 keep(t, CELLS, kept, place)
                         if kept.size:
                             place += KEPT
-                        judge(e, m, m + last, m + here, width, t, 0, CELLS if compare else 0, r)
+                        compare_cells(e, m, m + last, m + here, width, t, 0, CELLS if compare else 0, r)
                         for g in range(left + 1 if both else 1):
                             skewness(t, g * CELLS)
                             collect(t, g * CELLS, r, m, 4 * g * N, inside, total, 2 * g * WIDTH, bins, g * COUNTS)
