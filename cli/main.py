@@ -14,6 +14,7 @@ from typing import NoReturn
 import click
 
 from meshdeform_core import interruption
+from meshdeform_core.errors import suggestion
 from meshdeform_core.parallel import current_ranks
 
 from .exit_codes import EXIT_BUG, EXIT_INPUT, EXIT_INTERRUPTED
@@ -45,6 +46,14 @@ class LazyGroup(click.Group):
             return None
         command: click.Command = importlib.import_module(f"{__package__}.commands.{_module(cmd_name)}").command
         return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        name = args[0]
+        if not name.startswith("-") and name not in _COMMANDS:
+            raise click.UsageError(f"No such command {name!r}{suggestion(name, _COMMANDS)}", ctx)
+        return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         # One-line descriptions without importing every command.

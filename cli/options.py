@@ -161,25 +161,14 @@ def grid_options(command: Command) -> Command:
     return packed
 
 
-def case_options(command: Command) -> Command:
-    """Options that define the case, passed as ``case``."""
-
-    @click.option("-c", "--case", "case_file", type=PATH, help="Case file (TOML).")
-    @click.option("-d", "--displacement", type=PATH, help="Surface displacement table.")
-    @click.option(
-        "--match",
-        metavar="HOW",
-        help="For -d: exact, nearest or interpolate (default: what fits the table).",
-    )
-    @click.option("--tolerance", type=FiniteNumber(), metavar="T", help="For -d: largest distance of a match.")
-    @click.option(
-        "-m",
-        "--method",
-        metavar="NAME",
-        shell_complete=completion.methods,
-        help="tfi, idw, rbf or a hybrid like idw-tfi (the default).",
-    )
-    @click.option(
+_WALL_OPTIONS = (
+    click.option("-c", "--case", "case_file", type=PATH, help="Case file (TOML)."),
+    click.option("-d", "--displacement", type=PATH, help="Surface displacement table."),
+    click.option(
+        "--match", metavar="HOW", help="For -d: exact, nearest or interpolate (default: what fits the table)."
+    ),
+    click.option("--tolerance", type=FiniteNumber(), metavar="T", help="For -d: largest distance of a match."),
+    click.option(
         "-s",
         "--set",
         "overrides",
@@ -187,31 +176,60 @@ def case_options(command: Command) -> Command:
         multiple=True,
         shell_complete=completion.settings,
         help="Override a key of the case, like method.idw.alpha=0.3 (repeatable).",
-    )
-    @click.option(
-        "--repair",
-        type=click.Choice(["auto", "off", "polish"]),
-        help="auto (default): repair invalid cells; off: never; polish: also improve the worst cells of a valid grid.",
-    )
-    @click.option(
+    ),
+    click.option(
         "--min-jacobian",
         type=float,
         metavar="R",
         help="Count a cell as invalid below R times its undeformed Jacobian.",
-    )
+    ),
+)
+_DEFORMING_OPTIONS = (
+    click.option(
+        "-m",
+        "--method",
+        metavar="NAME",
+        shell_complete=completion.methods,
+        help="tfi, idw, rbf or a hybrid like idw-tfi (the default).",
+    ),
+    click.option(
+        "--repair",
+        type=click.Choice(["auto", "off", "polish"]),
+        help="auto (default): repair invalid cells; off: never; polish: also improve the worst cells of a valid grid.",
+    ),
+)
+
+
+def case_options(command: Command) -> Command:
+    """Options that define the case, passed as ``case``."""
+    return _with_options(judged_case_options(command), _DEFORMING_OPTIONS)
+
+
+def judged_case_options(command: Command) -> Command:
+    """Those of commands that deform nothing: which walls move, and which cells count as invalid."""
+
     @functools.wraps(command)
-    def packed(case_file: Path | None, repair: str | None, min_jacobian: float | None, **options: Any) -> Any:
-        own = {name: options.pop(name) for name in ("displacement", "method", "overrides", "match", "tolerance")}
-        own["overrides"] += _repair_overrides(repair, min_jacobian)
-        return command(case=CaseInput(case_file, **own), **options)
+    def packed(
+        case_file: Path | None,
+        min_jacobian: float | None,
+        repair: str | None = None,
+        method: str | None = None,
+        **options: Any,
+    ) -> Any:
+        own = {name: options.pop(name) for name in ("displacement", "overrides", "match", "tolerance")}
+        if repair is not None:
+            own["overrides"] += (f'repair.mode="{repair}"',)
+        if min_jacobian is not None:
+            own["overrides"] += (f"repair.min_jacobian={min_jacobian!r}",)
+        return command(case=CaseInput(case_file, method=method, **own), **options)
 
-    return packed
+    return _with_options(packed, _WALL_OPTIONS)
 
 
-def _repair_overrides(mode: str | None, min_jacobian: float | None) -> tuple[str, ...]:
-    """The options of the repair as keys of the case."""
-    chosen = [] if mode is None else [f'repair.mode="{mode}"']
-    return (*chosen, *([] if min_jacobian is None else [f"repair.min_jacobian={min_jacobian!r}"]))
+def _with_options(command: Command, options: tuple[Callable[[Command], Command], ...]) -> Command:
+    for option in reversed(options):
+        command = option(command)
+    return command
 
 
 @dataclass(frozen=True)

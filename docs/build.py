@@ -1,4 +1,5 @@
-"""Build the site (`make docs`): pages, generated reference, gallery; then mkdocs, which fails on a dead link.
+"""Build the site (`make docs`): pages, generated reference, gallery; then mkdocs, which fails on a dead link;
+at last every built page is opened in a parser.
 
 ``--quick`` leaves out the gallery, which deforms every sample; ``--pictures`` runs the commands of the pages first and
 renews the pictures that they show.
@@ -12,6 +13,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+from site_check import broken
 from site_gallery import gallery_page
 from site_pages import renew_pictures
 from site_reference import command_page, python_page, schema_page
@@ -22,7 +24,7 @@ FROM_ROOT = ("ARCHITECTURE.md", "CHANGELOG.md", "CONTRIBUTING.md")
 
 
 def main(options: list[str]) -> int:
-    """Put everything together; returns the exit code of mkdocs."""
+    """Put everything together; returns the exit code: that of mkdocs, or 1 if a page has a flaw."""
     if "--pictures" in options:
         renew_pictures(DOCS)
     shutil.rmtree(TARGET, ignore_errors=True)
@@ -43,7 +45,11 @@ def main(options: list[str]) -> int:
     settings = TARGET.parent / "mkdocs.yml"
     settings.write_text(without_missing((DOCS / "mkdocs.yml").read_text(encoding="utf-8")), encoding="utf-8")
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "-f", str(settings)]
-    return subprocess.run(command, check=False).returncode
+    if code := subprocess.run(command, check=False).returncode:
+        return code
+    flaws = broken(TARGET.parent / "site")
+    print(*flaws, sep="\n", file=sys.stderr)
+    return 1 if flaws else 0
 
 
 def without_missing(settings: str) -> str:

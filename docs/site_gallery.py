@@ -53,13 +53,14 @@ def _entry(name: str, folder: Path) -> str:
         report = json.loads((case / "r.json").read_text())
     skew = report["quality"]["after"]["f_skew"]
     lines = "\n".join(f"meshdeform {' '.join(command)}" for command in (sample, deform))
-    images = "".join(
+    images = "\n".join(
         f'<figure markdown="span">![{name}, {grid}](gallery/{name}-{grid}.png)</figure>'
         for grid in ("grid", "deformed")
     )
     return (
-        f'## {name}\n\n<div class="gallery">{images}</div>\n\n'
-        f"{report['grid']['nodes']:,} nodes; f_skew after: mean {skew['harmonic_mean']:.3f}, minimum {skew['min']:.3f}."
+        f'## {name}\n\n<div class="gallery" markdown>\n{images}\n</div>\n\n'
+        f"{report['grid']['nodes']:,} nodes; f_skew after: harmonic mean {skew['harmonic_mean']:.3f}, "
+        f"minimum {skew['min']:.3f}."
         f"\n\n```sh\n{lines}\n```"
     )
 

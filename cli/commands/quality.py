@@ -14,11 +14,11 @@ from ..options import (
     PATH,
     CaseInput,
     GridInput,
-    case_options,
     check_reports,
     force_option,
     grid_options,
     json_option,
+    judged_case_options,
     keep_inputs,
     quiet_option,
     report_option,
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 @click.command("quality")
 @grid_options
 @click.option("--reference", type=PATH, help="The original grid: judge GRID against it.")
-@case_options
+@judged_case_options
 @report_option
 @threads_option
 @force_option
