@@ -1,4 +1,4 @@
-"""What a dry run tells beside the parameters: whether the motion is bound to fail, by tests and by a trial."""
+"""Warnings of a dry run: whether the motion is bound to fail, found by tests and by a trial."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from meshdeform_formats.report import Report, plan_report
 from .work import Imposed, Job, place_of
 
 TRIAL_NODES = 5_000_000
-"""Nodes times steps up to which the motion is tried."""
+"""Largest number of nodes times steps for which the motion is tried."""
 _GROUPS = 2
 
 
@@ -29,7 +29,7 @@ def plan(job: Job, output: Path | None, imposed: Imposed, variant: dict[str, str
     motion = setup.displacement(imposed.time)
     largest = largest_displacement(motion)
     report = plan_report(setup, prepared.account, largest, patch_motions(setup.problem, motion))
-    # Steps that are halved until they succeed are never too large.
+    # Adaptive steps are halved until they succeed, so none is too large.
     part = 1 / imposed.steps if isinstance(imposed.steps, int) else 0.0
     first = setup.displacement(imposed.time, part)
     sources = setup.problem.source_numbers
@@ -65,7 +65,7 @@ def _steps(count: int) -> str:
 
 
 def _failure(setup: Setup, result: Result, steps: int | str | None, certain: bool) -> str:
-    """What the trial came to, and what the run will do about it."""
+    """The result of the trial, and what the run will do about it."""
     cells, count = result.assessment.after.invalid_cells, result.steps
     groups = [place_of(dataclasses.asdict(group)) for group in result.assessment.groups[:_GROUPS]]
     found = (

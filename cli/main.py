@@ -189,7 +189,7 @@ def _invoke(args: Sequence[str] | None) -> int:
 
 
 def _check_environment() -> None:
-    """What would make libraries fail when they are imported: variables, and a current folder that was removed."""
+    """Check environment variables and the current folder, on which imports of libraries would fail."""
     from meshdeform_core.errors import CaseError
 
     try:
@@ -197,7 +197,7 @@ def _check_environment() -> None:
     except FileNotFoundError:
         raise CaseError("the current folder does not exist any more; change to another one") from None
 
-    # Pictures are drawn into files, whatever shows those of other programs.
+    # Pictures are drawn into files, whatever backend the user has set for matplotlib.
     os.environ["MPLBACKEND"] = "agg"
     # The HDF5 library crashes on a driver that it does not know, and none but the default is of use here.
     os.environ.pop("HDF5_DRIVER", None)

@@ -1,8 +1,8 @@
-"""What cells are measured by, as options name it; the meanings are in ``meshdeform_core.quality.fields``."""
+"""Names of the cell measures for options; their meanings are in ``meshdeform_core.quality.fields``."""
 
 MEASURES = (
     "f_skew", "scaled_jacobian", "jacobian", "relative_jacobian", "volume", "volume_ratio", "aspect_ratio",
     "growth_ratio", "non_orthogonality_deg", "skewness", "wall_normal_deviation_deg", "first_cell_height_ratio",
     "interface_kink_deg", "interface_spacing_jump", "wall_distance", "displacement",
 )  # fmt: skip
-"""Kept here as well because ``--help`` loads no compiled loops."""
+"""Repeated here because ``--help`` must not load compiled loops."""

@@ -1,4 +1,4 @@
-"""Types of arrays and of what reports progress; reductions over many short rows."""
+"""Types of arrays and of progress callbacks; reductions over many short rows."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _TOGETHER = 64
 def extent(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Smallest and largest coordinates (3,) of points (..., 3).
 
-    Many points side by side form a row: numpy reduces long rows much faster than short ones.
+    Many points are reduced as one row, because numpy reduces long rows much faster than short ones.
     """
     rows = np.ascontiguousarray(points).reshape(-1, 3)
     even = len(rows) // _TOGETHER * _TOGETHER
@@ -61,7 +61,7 @@ def runs(keys: IntArray) -> tuple[IntArray, IntArray]:
 
 
 def batches(sizes: IntArray, most: int) -> list[tuple[int, int]]:
-    """Ranges ``lo, hi`` of items that together have at most ``most``, or are one item: so much a loop allocates."""
+    """Ranges ``lo, hi`` of items whose sizes add up to at most ``most``, or of one larger item; limits memory."""
     ends = np.cumsum(sizes)
     found, lo = [], 0
     while lo < len(sizes):
@@ -101,7 +101,7 @@ def distinct_pairs(pairs: IntArray) -> IntArray:
     if not len(pairs):
         return pairs
     base = int(pairs.max()) + 1
-    # numpy's own search for distinct integers hashes them, which takes longer.
+    # numpy.unique hashes integers, which takes longer.
     keys = np.sort(pairs[:, 0] * base + pairs[:, 1])
     new = np.append(True, keys[1:] != keys[:-1])
     return np.stack(np.divmod(keys[new], base), axis=1)

@@ -1,4 +1,4 @@
-"""Which of the rotation vectors of one rotation: those of neighbours on a surface belong together.
+"""Choice among equivalent rotation vectors, so that they are continuous along surfaces.
 
 A rotation by 190 degrees is one by -170 degrees about the same axis. Logarithms of matrices or quaternions take the
 smaller angle at every node alone, so that a surface that turns by about 180 degrees has nodes that seem to turn in
@@ -19,7 +19,7 @@ from .tape import Tracked, plain
 
 _FULL = 2 * math.pi
 _CERTAIN = 0.5 * math.pi
-"""Surfaces with nodes that turn by less are attached to others or nearly at rest: these nodes decide."""
+"""Surfaces with nodes that turn by less are attached to others or nearly at rest; these nodes fix the branch."""
 _LARGEST = 0.9 * _FULL
 """Near a full turn a translation cannot be told from a rotation about a distant axis."""
 _AGREEMENT = 0.05

@@ -41,7 +41,7 @@ class Frame:
         rest = displacement - self.shift
         if self.turn is None or self.centre is None:
             return rest
-        # Turned back in one product, so that a rigid motion leaves no more than its round-off.
+        # One product for the inverse rotation, so that a rigid motion leaves only round-off.
         arm = points - self.centre
         inside: FloatArray = (arm + rest) @ self.turn - arm
         return inside

@@ -32,13 +32,13 @@ class _CompileClock(event.Listener):
         self.notice: Callable[[int], None] | None = None
         self._depth, self._start, self._collecting = 0, 0.0, True
 
-    # numba holds a lock of its own while it compiles, so two threads are never here at the same time.
+    # Called under numba's compiler lock, hence by one thread at a time.
     def on_start(self, event: Any) -> None:
         if self._depth == 0:
             self._start = time.perf_counter()
             if self.notice:
                 self.notice(self.loops)
-            # A compiler makes millions of small objects; searching them for garbage takes a sixth of its time.
+            # Garbage collection takes a sixth of the compile time, as the compiler allocates millions of objects.
             self._collecting = gc.isenabled()
             gc.disable()
         self._depth += 1
@@ -74,13 +74,13 @@ kernel = _compiled(no_cfunc_wrapper=True)
 """Decorator for loops whose results must not depend on the order of operations."""
 
 fast_kernel = _compiled(no_cfunc_wrapper=True, fastmath=True)
-"""Decorator for sums: additions may be reordered, so that they become vector instructions."""
+"""Decorator for sums: additions may be reordered, so that loops are vectorised."""
 
 contracted_kernel = _compiled(no_cfunc_wrapper=True, fastmath={"contract"}, forceinline=True)
 """Decorator for functions that may fuse multiplications with additions but must keep their order."""
 
 inlined = _compiled(inline="always")
-"""Decorator for parts of a loop: inlined before compiling, with the rules of the loop that uses them."""
+"""Decorator for parts of a loop: inlined before compilation, with the options of the calling loop."""
 
 
 def compile_seconds() -> float:

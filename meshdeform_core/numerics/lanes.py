@@ -93,7 +93,7 @@ class Lanes:
         return Lanes(self.builder, self.builder.fpext(self.value, _DOUBLE))
 
     def running_sum(self) -> Lanes:
-        """Of every number and those before it."""
+        """Prefix sums: each lane plus all lanes before it."""
         total, zero = self, self._same(0.0)
         for step in (1, 2, 4, 8):
             places = [n - step if n >= step else WIDTH for n in range(WIDTH)]
@@ -101,7 +101,7 @@ class Lanes:
         return total
 
     def last(self) -> Lanes:
-        """The last number, sixteen times."""
+        """The last lane in all sixteen."""
         return _shuffle(self, self, [WIDTH - 1] * WIDTH)
 
     def _same(self, other: Lanes | float) -> Lanes:
@@ -114,7 +114,7 @@ class Lanes:
 
 
 class Mask:
-    """Sixteen answers, yes or no."""
+    """Sixteen booleans."""
 
     def __init__(self, builder: ir.IRBuilder, value: ir.Value):
         self.builder, self.value = builder, value
@@ -150,7 +150,7 @@ class Array:
         return Lanes(self.builder, value)
 
     def store_some(self, at: ir.Value, lanes: Lanes | Mask, count: ir.Value) -> None:
-        """Store the first ``count`` of sixteen numbers, or of sixteen answers in bytes."""
+        """Store the first ``count`` of sixteen numbers, or of sixteen booleans as bytes."""
         value = lanes.value if isinstance(lanes, Lanes) else self.builder.zext(lanes.value, _BYTES)
         self._masked("store", at, value.type, [value], [], count)
 
@@ -180,7 +180,7 @@ class Array:
             self.builder.store(self.builder.add(self.builder.load(pointer), ir.Constant(kind, 1)), pointer)
 
     def load_points(self, at: ir.Value) -> list[Lanes]:
-        """Sixteen points in order, three numbers each: three vectors, see :func:`components`."""
+        """Sixteen points, interleaved x, y, z, as three vectors; :func:`components` separates them."""
         return [self.load(at, WIDTH * n) for n in range(3)]
 
     def load_some_points(self, at: ir.Value, count: ir.Value) -> list[Lanes]:

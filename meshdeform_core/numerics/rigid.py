@@ -53,9 +53,9 @@ def finish_affine(sums, points, out):
 
 @inlined
 def _closeness(weight, power, near, crossing):
-    """One over a distance, up to a factor, from the total weight there: see :class:`Transition`."""
+    """Inverse distance, up to a factor, from the total weight: see :class:`Transition`."""
     ratio = weight / crossing
-    # Weights may be as large as numbers can be: their square may not.
+    # The square of a large weight would overflow.
     bend = np.sqrt(1.0 + ratio * ratio) if ratio < 1e100 else ratio
     return weight ** (1.0 / power) * bend ** (1.0 / near - 1.0 / power)
 
@@ -64,8 +64,8 @@ def _closeness(weight, power, near, crossing):
 def _share(moving, rest, power, near, crossing, width):
     """Share of the moving sources in the motion from their and the others' total weight.
 
-    The distances make the position in the gap, 0 at the moving boundary and 1 at rest. The share falls linearly there,
-    with parabolic ends of length ``width``: walls move rigidly.
+    The ratio of the distances gives the position in the gap, 0 at the moving boundary and 1 at rest. The share falls
+    linearly there, with parabolic ends of length ``width``: walls move rigidly.
     """
     to_rest, to_moving = _closeness(rest, power, near, crossing), _closeness(moving, power, near, crossing)
     end = min(to_rest, to_moving) / (to_rest + to_moving)

@@ -6,10 +6,10 @@ matrix of the map from the undeformed cell to the deformed one, D = det A, and
     f = |A|^2 / (3 chi^(2/3)) + (D^2 + 1) / (2 chi),    chi = (D + sqrt(eps^2 + D^2)) / 2
 
 (Garanzha, Kaporin, Kudryavtseva, Protais, Ray, Sokolov: Foldover-free maps in 50 lines of code, ACM TOG 40(4), 2021,
-eqs. 3 and 4 with lambda = 1). A cell that only turns has the smallest value, 2, whatever its aspect ratio. Samples
+eqs. 3 and 4 with lambda = 1). A cell in rigid motion has the minimum, 2, whatever its aspect ratio. Samples
 count as their cells do, see :mod:`meshdeform_core.repair.walls`. With t > 0 the sum is over f / (1 - t f) - a barrier
-that keeps every f below 1 / t (Garanzha et al.: Practical lowest distortion mapping, arXiv 2201.12112). A cell may have
-a larger t of its own. Plane grids have :mod:`.foldover_plane`.
+that keeps every f below 1 / t (Garanzha et al.: Practical lowest distortion mapping, arXiv 2201.12112). Cells may have
+a larger t individually. Plane grids have :mod:`.foldover_plane`.
 """
 
 from __future__ import annotations
@@ -262,7 +262,7 @@ def _turn(one, two, block, work):
 
 @inlined
 def _find(columns, low, high, wanted):
-    """Place of ``wanted`` in the ascending ``columns[low:high]``."""
+    """Position of ``wanted`` in the ascending ``columns[low:high]``."""
     while high - low > 1:
         middle = (low + high) // 2
         if columns[middle] <= wanted:

@@ -6,7 +6,7 @@ the undeformed grid to the deformed one, and D = det A,
     f = (|A|^2 + D^2 + 1) / (2 chi),    chi = (D + sqrt(eps^2 + D^2)) / 2
 
 (Garanzha, Kaporin, Kudryavtseva, Protais, Ray, Sokolov: Foldover-free maps in 50 lines of code, ACM TOG 40(4), 2021,
-eqs. 3 and 4 with d = 2 and lambda = 1); 2 is the value of a triangle that only turns. With t > 0 the sum is over
+eqs. 3 and 4 with d = 2 and lambda = 1); 2 is the value of a triangle in rigid motion. With t > 0 the sum is over
 f / (1 - t f), see :mod:`.foldover`.
 
 The second derivatives are diagonal but for one 2 x 2 matrix in the basis of similarities and of their mirror images,

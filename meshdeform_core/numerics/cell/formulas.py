@@ -17,18 +17,19 @@ NODES, LONGEST = N - 2 * WIDTH, 160
 ALONG_I, ALONG_J, ALONG_K, PLANE, ROWS = 0, 4, 8, 8, 20
 SKEW, SCALED, RATIO, CHANGE, SKEW_BEFORE, SCALED_BEFORE = 0, 1, 2, 3, 4, 5
 OPEN, RESULTS = 6, 7
-# Vectors of figures of sixteen cells: corner Jacobians, as they are and for edges of length one; the smallest of each,
+# Vectors of measures of sixteen cells: corner Jacobians, plain and divided by the edge lengths; the smallest of each,
 # volume, f_skew.
 _JACOBIAN, _UNIT, _LEAST, _LEAST_UNIT, _VOLUME, _SKEW, _FIGURES = 0, 8, 16, 17, 18, 19, 20
 BINS = 20
 # Sizes of the parts of an array that belong to a plane of points, a grid, and sixteen cells of it.
 POINTS, GRID, CELLS = 3 * N, (ROWS + 1) * N, _FIGURES * WIDTH
-# Bins of each of the sixteen numbers in a vector, so that none has to wait for another.
+# Each lane of a vector has its own histogram, so that the increments do not depend on each other.
 BIN_ROW = 32
 COUNTS = BIN_ROW * WIDTH
-# Numbers of sixteen undeformed cells that are kept: corner Jacobians and volume.
+# Numbers stored per sixteen undeformed cells: corner Jacobians and volume.
 KEPT = 9 * WIDTH
-# Corners flatter than this, in terms of sin of the angle, have a second look; so do those that cannot be.
+# Scaled Jacobians below the first limit are decided in double precision, and so are those above the second, which
+# only overflow or not-a-number can cause.
 _FLAT, _IMPOSSIBLE = 0.01, 1.001
 _TINY, _SPREAD = 1e-33, 1e-6
 # Rounding of a twist relative to the edges; of corners and products relative to the smallest corner: see "Rounding" in
@@ -53,7 +54,7 @@ def answer(numbers: Array, at: ir.Value, answers: Array, to: ir.Value, count: ir
 
 @lanes
 def edges(points: Array, one: ir.Value, other: ir.Value, e: Array, to: ir.Value, scale: Lanes) -> None:
-    """Differences of sixteen points, scaled, with one over their lengths."""
+    """Edges between sixteen pairs of points, scaled, and their inverse lengths."""
     apart = [(b - a).single() for a, b in zip(points.load_points(one), points.load_points(other), strict=True)]
     x, y, z = (difference * scale for difference in components(apart))
     for row, value in enumerate((x, y, z, 1.0 / _square((x, y, z)).sqrt())):
@@ -84,7 +85,7 @@ def _cell_edges(e: Array, m: ir.Value, low: ir.Value, high: ir.Value, width: ir.
 
 @lanes
 def measure(e: Array, m: ir.Value, low: ir.Value, high: ir.Value, width: ir.Value, t: Array, to: ir.Value) -> None:
-    """Corner Jacobians, as they are and for edges of length one, the smallest of each, and the volume."""
+    """Corner Jacobians, plain and divided by the edge lengths, the smallest of each, and the volume."""
     _measure(_cell_edges(e, m, low, high, width), t, to)
 
 
@@ -100,14 +101,14 @@ def _measure(cell: tuple[Lines, Lines, Lines], t: Array, to: ir.Value) -> None:
         total = total + jacobian
     t.store(to, least, _LEAST * WIDTH)
     t.store(to, least_unit, _LEAST_UNIT * WIDTH)
-    # The Jacobian of the mean edges, and the mean of those of the corners, which is the volume and three times as far
-    # from it on the other side as the first: only the squares of each local coordinate contribute to both.
+    # The Jacobian at the centre and the mean of the corner Jacobians deviate from the volume with opposite signs, the
+    # second one twice as far: terms quadratic in one local coordinate contribute to both.
     mean = _triple(*(_total(lines) for lines in cell))
     t.store(to, mean * (2 / 3 / 64) + total * (1 / 24), _VOLUME * WIDTH)
 
 
 def _corner(u: Edge, v: Edge, w: Edge) -> tuple[Lanes, Lanes]:
-    """Jacobian of a corner, and the same for edges of length one; zero where that is no number below one."""
+    """Jacobian of a corner, plain and divided by the edge lengths; the latter is 0 where above 1 or not a number."""
     jacobian = _triple(u, v, w)
     unit = jacobian * u[3] * v[3] * w[3]
     return jacobian, unit.below(_IMPOSSIBLE).choose(unit, 0.0)
@@ -129,7 +130,7 @@ def _square(x: Any) -> Lanes:
 
 @lanes
 def keep(t: Array, old: ir.Value, kept: Array, at: ir.Value) -> None:
-    """Put what :func:`compare_cells` needs of undeformed cells into ``kept``; no volume of cells always left open."""
+    """Store what :func:`compare_cells` needs of undeformed cells; the volume is NaN if they always stay undecided."""
     for n in range(8):
         kept.store(at, t.load(old, (_JACOBIAN + n) * WIDTH), n * WIDTH)
     least, unit, volume = (t.load(old, n * WIDTH) for n in (_LEAST, _LEAST_UNIT, _VOLUME))
@@ -138,7 +139,7 @@ def keep(t: Array, old: ir.Value, kept: Array, at: ir.Value) -> None:
 
 @lanes
 def recall(kept: Array, at: ir.Value, t: Array, old: ir.Value) -> None:
-    """The other way round."""
+    """Restore what :func:`keep` has stored."""
     corners = [kept.load(at, n * WIDTH) for n in range(8)]
     least = corners[0]
     for n, jacobian in enumerate(corners):
@@ -150,7 +151,7 @@ def recall(kept: Array, at: ir.Value, t: Array, old: ir.Value) -> None:
 
 
 def _comparable(least: Lanes, unit: Lanes, volume: Lanes) -> Mask:
-    """Undeformed cells that are not so flat, small or distorted that deformed ones are left open."""
+    """Undeformed cells that are neither too flat, nor too small, nor too distorted for single precision."""
     return _above(unit, _FLAT) & _above(least, _TINY) & (volume * _SPREAD).below(least)
 
 
@@ -182,9 +183,9 @@ def compare_cells(
     old: ir.Value,
     r: Array,
 ) -> None:
-    """Measures of deformed cells and ratios to undeformed ones, which have been measured.
+    """Measures of deformed cells and ratios to the undeformed ones, which were measured before.
 
-    Open is what is not proved sound: its smallest corner does not outweigh the twists.
+    Cells that are not proved sound are marked open: their smallest corner Jacobian does not exceed the twists.
     """
     u, v, w = cell = _cell_edges(e, m, low, high, width)
     _measure(cell, t, new)

@@ -1,7 +1,8 @@
-"""Shape and soundness of hexahedra, one pass over a block, in single precision; a second look for the doubtful ones.
+"""Shape and validity of hexahedra: one pass over a block in single precision, which leaves doubtful cells undecided.
 
 Edges are differences in double precision, rounded once; everything else is relative to the edges of the cell itself, so
-that the figures of cells without nearly flat corners are right to some 1e-6 wherever they lie. Cells that are nearly
+that the measures of cells without nearly flat corners have relative errors of about 1e-6 at any distance from the
+origin. Cells that are nearly
 flat, collapsed, of extreme size or not proved positive inside are left open for :mod:`.measures` and
 :mod:`.positivity`, which work in double precision.
 
@@ -100,7 +101,7 @@ def inspect_hexahedra(before, x, compare, both, sign, scale, i0, i1, out, is_ope
     kept : float32, what an earlier pass over these cells has kept of ``before``, if it is ``known``; else to be filled,
         if it is not empty (:func:`kept_numbers`). ``known`` data are not for ``both``
     """
-    # Flat, as numba counts the references to every view, with an atomic operation.
+    # One-dimensional arrays without views: numba counts references to views with atomic operations.
     points, e = np.zeros(4 * POINTS), np.ones(2 * GRID, np.float32)
     t, r = np.empty(2 * CELLS, np.float32), np.empty((RESULTS + 1) * N, np.float32)
     inside, total, bins = np.empty(N, np.float32), np.zeros(4 * WIDTH), np.zeros(2 * COUNTS, np.int32)

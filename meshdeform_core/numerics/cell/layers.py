@@ -18,7 +18,7 @@ def layers_from(seeds, layers, shapes, offsets, classes, start, copies):
     """
     reached = np.full(classes.size, -1, dtype=np.int16)
     queue = np.empty(1 << 12, dtype=np.int64)
-    # Not plain zeros, for which the function that takes them would be compiled apart.
+    # int64, not plain zeros: numba would compile ``_visit`` a second time for literals.
     count, nearest = np.int64(0), np.int64(0)
     for node in seeds:
         queue, count = _visit(node, nearest, reached, queue, count, classes, start, copies)

@@ -33,7 +33,7 @@ def measure_hexahedra(x, sign, i0, i1, skew, scaled, jacobian, volume, bad):
     volume : out, exact volume of the trilinear cell
     bad : out, uint8, bit c set where corner c has a Jacobian <= 0
     """
-    # Of fixed size and the only array of the inner loops: the compiler sees that its rows are apart.
+    # A single array of fixed size: the compiler sees that its rows do not alias.
     work = np.empty((_ROWS, _TILE))
     cells = x.shape[2] - 1
     for i in range(i0, i1):
@@ -59,7 +59,7 @@ def measure_hexahedra(x, sign, i0, i1, skew, scaled, jacobian, volume, bad):
 @inlined
 def _corner_areas(work, count):
     """Area vectors at all nodes of the four lines: cross products of the edges along i and j."""
-    # Every line on its own, and by name: loops over the lines would keep the loop over k scalar.
+    # The lines are written out: a loop over them would prevent vectorisation of the loop over k.
     for k in range(count):
         # r = 2 a + b: along i from line b to line 2 + b, along j from line 2 a to line 2 a + 1.
         _area(work, k, 0, 0, 6, 0, 3)
@@ -86,7 +86,7 @@ def _cell_measures(work, count, sign):
         work[_SKEW, k], work[_BAD, k] = 0.0, 0.0
         work[_JACOBIAN, k], work[_SCALED, k] = np.inf, np.inf
         work[_VOLUME, k] = sign * _twelve_volumes(work, k) / 12.0
-    # One loop for all four lines, or over them, would stay scalar.
+    # One loop for all four lines, or a loop over them, would not be vectorised.
     _add_corners(work, count, sign, 0)
     _add_corners(work, count, sign, 1)
     _add_corners(work, count, sign, 2)
@@ -97,7 +97,7 @@ def _cell_measures(work, count, sign):
 
 @inlined
 def _add_corners(work, count, sign, r):
-    """Add the corners on line r to the results of each cell, without branches: vector code."""
+    """Add the corners on line r to the results of each cell; free of branches, so that it is vectorised."""
     n = _AREA + 3 * r
     for k in range(count):
         wx, wy, wz = _difference(work, 3 * r, k + 1, 3 * r, k)
@@ -115,7 +115,7 @@ def _add_corners(work, count, sign, r):
 
 @inlined
 def _skewness(jacobian, square):
-    """(l11 l22 l33 / a^2)^(1/3) of a corner; of no use where the Jacobian a is not positive."""
+    """(l11 l22 l33 / a^2)^(1/3) of a corner; meaningless where the Jacobian a is not positive."""
     return cube_root(min(square / max(jacobian * jacobian, _TINY), _HUGE))
 
 

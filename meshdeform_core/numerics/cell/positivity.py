@@ -1,10 +1,10 @@
-"""Is the Jacobian of a cell positive everywhere? Its Bernstein coefficients prove it.
+"""Proof that the Jacobian of a cell is positive everywhere, by its Bernstein coefficients.
 
 The Jacobian of a trilinear hexahedron is a polynomial of degree 2 in each coordinate. Its 27 coefficients in the basis
-of Bernstein bound it, the corner ones are its values at the corners, and halving the cell brings the others nearer to
-values (Johnen, Weill & Remacle: Robust and efficient validation of the linear hexahedral element, Procedia Engineering
-203, 2017, arXiv 1706.01613). With u, v, w the edges along i, j, k, at corners (b, c), (a, c), (a, b), a coefficient is
-a mean of triple products u x v . w.
+of Bernstein bound it, the corner ones are its values at the corners, and halving the cell brings the others closer to
+values of it (Johnen, Weill & Remacle: Robust and efficient validation of the linear hexahedral element, Procedia
+Engineering 203, 2017, arXiv 1706.01613). With u, v, w the edges along i, j, k, at corners (b, c), (a, c), (a, b), a
+coefficient is a mean of triple products u x v . w.
 """
 
 import numpy as np
@@ -20,7 +20,7 @@ _DEPTH = 10
 def judge_quads(before, x, normal, i0, i1, ratio):
     """Smallest corner Jacobian of quadrilaterals relative to the undeformed one, infinite without a sound one.
 
-    ``before`` and ``x`` (na, nb, 3), ``normal`` the side that good cells look to. Where all corners are positive, the
+    ``before`` and ``x`` (na, nb, 3), ``normal`` the orientation of valid cells. Where all corners are positive, the
     cell is: the Jacobian is linear along every grid line.
     """
     old, new = np.empty(4), np.empty(4)
@@ -47,7 +47,7 @@ def _quad_corner(x, normal, i, j, a, b):
 
 @kernel
 def decide(before, x, sign):
-    """Which hexahedra that were sound are not any more: (m,) int8, 0 if sound, 1 if negative inside, 2 if by volume.
+    """Which hexahedra have become invalid: (m,) int8, 0 valid, 1 Jacobian negative inside, 2 negative volume.
 
     Where the undeformed Jacobian is negative somewhere only the volume is judged. Coefficients that vanish in the
     undeformed cell, beside collapsed edges, do not count.
@@ -96,7 +96,7 @@ def _bernstein(x, sign, b):
 
 @kernel
 def _positive(b, zero, stack):
-    """Is the polynomial with coefficients ``b`` positive, but where coefficients in ``zero`` vanish by construction?"""
+    """Whether the coefficients ``b`` prove positivity; those in ``zero`` vanish by construction and do not count."""
     lowest = np.inf
     for n in range(27):
         if not zero.flat[n]:
@@ -104,7 +104,7 @@ def _positive(b, zero, stack):
     if lowest > 0.0 or zero.all():
         return lowest > 0.0
     if zero.any():
-        # Beside a collapsed edge no subdivision is exact; positive coefficients are asked for.
+        # Next to a collapsed edge subdivision is not exact: all coefficients must be positive.
         return False
     stack[0] = b
     depth = np.zeros(len(stack), dtype=np.int64)

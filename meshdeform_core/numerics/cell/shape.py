@@ -1,4 +1,4 @@
-"""Shape of cells by themselves and against their neighbours along grid lines."""
+"""Shape of cells, and changes between neighbours along grid lines."""
 
 import math
 
@@ -63,7 +63,7 @@ def _note(worst, place, total, count, m, value, i, j, k):
 
 @inlined
 def _ratio(high, low):
-    """Of two lengths; where the smaller one is collapsed there is none to judge."""
+    """Ratio of two lengths; none where the smaller one is collapsed."""
     return high / low if low > 0.0 and low < math.inf else 1.0
 
 
@@ -107,7 +107,8 @@ def _face(x, n, a, center, area):
 def _across(center, beyond, face, area):
     """Angle (degrees) between the line of two cell centres and the normal of their face; skewness there.
 
-    Skewness: from where the line meets the plane of the face to the centre of the face, relative to the line.
+    Skewness: distance between the intersection of that line with the face and the centre of the face, relative to the
+    length of the line.
     """
     dot, along, square, normal = 0.0, 0.0, 0.0, 0.0
     for d in range(3):

@@ -1,6 +1,6 @@
 """Radial basis functions (Sen et al. Table I) of squared distances.
 
-One integer names the function: functions passed as arguments would be compiled at every start.
+The function is chosen by an integer: numba recompiles loops that take functions at every start.
 """
 
 import math
@@ -16,7 +16,7 @@ BASES = {"tps": 0, "wendland-c0": 1, "wendland-c2": 2, "ctps-c1": 3, "ctps-c2a":
 def apply_basis(kind, r2, n):
     """Replace ``r2[:n]``, squared distances in units of the squared support radius (TPS: any unit), by basis values.
 
-    One loop per function, chosen once per call: a choice inside the loop would keep it scalar.
+    One loop per function, chosen once per call: a branch inside the loop would prevent vectorisation.
     """
     if kind == 0:
         for i in range(n):

@@ -81,8 +81,8 @@ def sum_groups(targets, target_span, charged, pieces, piece_span, a, b, kappa, o
     three, four = (1.0, 0.0) if a == 3.0 else (0.0, 1.0)
     # Square roots take a fraction of the time of logarithms and exponentials.
     roots = a == 2.5 and b == 5.0
-    # A tile of sources stays in the first-level cache while all targets pass over it. It is an array of fixed size,
-    # whose rows the compiler sees to be apart.
+    # A tile of sources stays in the first-level cache while all targets are summed over it. Its size is fixed, so that
+    # the compiler sees that its rows do not alias.
     tile, weight = np.empty((11, _TILE)), np.empty(_TILE)
     for group in range(target_span.shape[0]):
         piece, end = piece_span[group, 0], piece_span[group, 1]
@@ -108,7 +108,7 @@ def sum_groups(targets, target_span, charged, pieces, piece_span, a, b, kappa, o
 
 @inlined
 def _add(px, py, pz, tile, m, three, four, kappa, whole, weight, out, t):
-    """What a tile does to one target; ``whole``: weights three r^-3 + four r^-4 + kappa r^-5, one vector loop."""
+    """Contribution of a tile to one target; ``whole``: weights three r^-3 + four r^-4 + kappa r^-5, one vector loop."""
     a0 = a1 = a2 = a3 = a4 = a5 = a6 = a7 = 0.0
     for s in range(m):
         if whole:

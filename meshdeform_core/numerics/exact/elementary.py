@@ -1,4 +1,4 @@
-"""Logarithm, exponential and cube root without branches, so that loops over them become vector code."""
+"""Logarithm, exponential and cube root without branches, so that loops over them are vectorised."""
 
 from __future__ import annotations
 

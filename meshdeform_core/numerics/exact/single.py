@@ -10,7 +10,7 @@ import numpy as np
 
 from ..jit import fast_kernel, inlined
 
-# Sums over the lanes of a vector end every tile: long tiles, as many as the first-level cache holds.
+# Every tile ends with sums over the lanes of a vector: tiles are as long as the first-level cache allows.
 _TILE = 512
 
 

@@ -11,7 +11,7 @@ Boxes = tuple[FloatArray, FloatArray]
 """Smallest and largest coordinates, (n, 3) each."""
 
 _FINEST = 20
-"""Smaller boxes than the largest by more than this power of two are sought as if they were not smaller."""
+"""Boxes smaller than the largest by more than this power of two are treated like those at this limit."""
 
 
 def overlapping_boxes(one: Boxes, two: Boxes) -> IntArray:

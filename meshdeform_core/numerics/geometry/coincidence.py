@@ -92,7 +92,7 @@ def _sweep(key: FloatArray, points: FloatArray, tolerance: FloatArray) -> IntArr
     """The same for points in the order of their keys."""
     gap = np.diff(key)
     near = np.zeros(len(key), dtype=bool)
-    # A pair is as close in its keys (to their round-off and length) and has no farther ones between.
+    # The keys of a close pair differ by no more than its distance (up to round-off), nor do consecutive keys between.
     near[1:] = gap <= 1.01 * tolerance[1:]
     near[:-1] |= gap <= 1.01 * tolerance[:-1]
     chosen = np.flatnonzero(near)
@@ -122,7 +122,7 @@ def _sweep_all(key: FloatArray, points: FloatArray, tolerance: FloatArray) -> In
 
 def _within(points: FloatArray, tolerance: FloatArray, a: IntArray, b: IntArray) -> BoolArray:
     reach = np.minimum(tolerance[a], tolerance[b])
-    # Most are told apart by one coordinate.
+    # One coordinate separates most pairs.
     near = np.abs(points[a, 0] - points[b, 0]) <= reach
     few = np.flatnonzero(near)
     near[few] = np.linalg.norm(points[a[few]] - points[b[few]], axis=1) <= reach[few]
@@ -199,7 +199,7 @@ def mixed(rows: IntArray) -> KeyArray:
 def distinct(numbers: IntArray, size: int) -> IntArray:
     """The different ones of ``numbers`` (any shape, integers in 0 ... size - 1), ascending, int64.
 
-    By marks instead of sorting or hashing, as there are few numbers to choose from.
+    Marks them in an array of length ``size``, which is faster than sorting or hashing.
     """
     marked = np.zeros(size, dtype=bool)
     marked[numbers] = True

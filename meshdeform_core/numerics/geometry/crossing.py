@@ -3,7 +3,7 @@
 A face is a quadrilateral between four nodes, which is not flat: it lies between the two pairs of triangles that its
 diagonals make. Two faces cross if they do with every choice of diagonals, and if an edge of one triangle pierces the
 inside of the other (touching is not crossing; see :mod:`meshdeform_core.boundary.crossing` for that). The signs are
-those of exact arithmetic: where round-off could turn one, the pair is decided again with fractions.
+exact: where round-off could change one, the pair is decided in rational arithmetic.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from .overlap import ORDINARY, FaceTree
 # Bound of the round-off of a 3 x 3 determinant of differences, relative to its permanent (Shewchuk 1997, table 3).
 _ROUND_OFF = 8e-16
 
-# Ascending: any of several parts crosses if the largest of their verdicts says so.
+# Ascending, so that the verdict on several parts is the largest of their verdicts.
 _NO, _DOUBTFUL, _YES = 0, 1, 2
 
 _Point = list[Fraction]
@@ -224,7 +224,7 @@ def _pierces(points, edges, k, volume, triangle, place):
 
 @kernel
 def _orient(points, a, b, c, d):
-    """Six times the signed volume of a tetrahedron, and what round-off may make of it at most."""
+    """Six times the signed volume of a tetrahedron, and a bound of its round-off."""
     ax, ay, az = points[a, 0] - points[d, 0], points[a, 1] - points[d, 1], points[a, 2] - points[d, 2]
     bx, by, bz = points[b, 0] - points[d, 0], points[b, 1] - points[d, 1], points[b, 2] - points[d, 2]
     cx, cy, cz = points[c, 0] - points[d, 0], points[c, 1] - points[d, 1], points[c, 2] - points[d, 2]
@@ -253,7 +253,7 @@ def _halves(face: FloatArray) -> tuple[tuple[_Triangle, _Triangle], tuple[_Trian
 
 
 def _pierced(one: _Triangle, two: _Triangle) -> list[float] | None:
-    """Where an edge of one triangle pierces the other, if it does."""
+    """The point where an edge of one triangle pierces the other, or ``None``."""
     for edges, triangle in ((one, two), (two, one)):
         for k in range(3):
             p, q = edges[k], edges[(k + 1) % 3]

@@ -13,11 +13,11 @@ from ..arrays import BoolArray, FloatArray, IntArray
 
 _FLAT = 1e-6
 _SEARCHED = 4
-"""Points of the two sides of a thin body are sought among so many times as many as a spline passes through, ..."""
+"""To find both sides of a thin body, this many times the points of a spline are searched."""
 _FEWEST = 6
-"""... of which each side needs so many."""
+"""Fewest points that each side needs."""
 _OPPOSITE = -0.5
-"""Cosine of the normals of opposite sides of a thin body, at most."""
+"""Largest cosine between the normals of opposite sides of a thin body."""
 _STRETCH, _VARIATION = 1.5, 0.1
 """The sides move differently if values differ between them by more than these multiples of the slope along the sides,
 times the distance, and of the variation there."""
@@ -52,7 +52,7 @@ def local_spline(
     for first in range(0, len(targets), _CHUNK):
         rows = slice(first, first + _CHUNK)
         result[rows] = _splines(points[near[rows]], values[near[rows]], targets[rows])
-    # Round-off of the solution must not move what the table gives exactly.
+    # Targets that are table points take their values exactly, without the round-off of the solution.
     same = distance[:, 0] == 0.0
     result[same] = values[near[same, 0]]
     return result, distance[:, 0]

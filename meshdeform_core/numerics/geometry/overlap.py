@@ -1,7 +1,7 @@
 """Which of many faces have overlapping boxes: a tree in the order of a space-filling curve.
 
-The order is that of the undeformed faces. For every displacement only the boxes are computed anew, from the leaves to
-the root, and two copies of the tree are descended together: neighbours on the curve are tested as one.
+The order is that of the undeformed faces. For every displacement only the boxes are recomputed, from the leaves to
+the root, and the tree is traversed against itself.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from ..arrays import BoolArray, FloatArray, IntArray, KeyArray
 from ..jit import kernel
 
 _LEAF = 8
-# Pairs of nodes that wait while a tree of 2^60 leaves is descended.
+# Stack of node pairs, sufficient for a tree of 2^60 leaves.
 _DEPTH = 256
 
 ORDINARY, BESIDE, SLIDING = 0, 1, 2

@@ -1,4 +1,4 @@
-"""How often a closed surface, or a closed line in a plane, goes round a point."""
+"""Winding number of a closed surface, or of a closed line in a plane, about a point."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Vectors = FloatArray | tuple[FloatArray, FloatArray, FloatArray]
 
 
 def winding(points: FloatArray, triangles: IntArray, places: FloatArray) -> FloatArray:
-    """How often a closed surface goes round points: 1 inside, 0 outside; turned round it counts negative.
+    """Winding number of a closed surface about points: 1 inside, 0 outside, -1 inside if its orientation is reversed.
 
     Parameters
     ----------
