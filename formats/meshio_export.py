@@ -37,7 +37,7 @@ from .markers import find_markers
 from .variant_options import checked_options
 from .vtk.dataset import storable
 
-_BOUNDARY = {"boundary": ("false", "true")}
+_BOUNDARY: dict[str, tuple[str, ...]] = {"boundary": ("false", "true")}
 _OPTIONS: dict[str, dict[str, tuple[str, ...]]] = {
     ".msh": {"encoding": ("binary", "ascii"), "version": ("2.2", "4.1")},
     ".vtu": _BOUNDARY,

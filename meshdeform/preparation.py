@@ -38,6 +38,7 @@ def prepare(
     slip: Selection | None = None,
     symmetry: Selection | None = None,
     periodic: Selection | None = None,
+    free: Selection | None = None,
     method: Method | None = None,
     comm: Comm | None = None,
     threads: int | None = None,
@@ -48,10 +49,10 @@ def prepare(
     Parameters
     ----------
     grid : a grid, or the name of a grid file
-    case : a case file, or its content as a mapping; replaces the five selections
-    moving, fixed, slip, symmetry, periodic : patch names of the grid or block faces, like ``"wing"``,
+    case : a case file, or its content as a mapping; replaces the six selections
+    moving, fixed, slip, symmetry, periodic, free : patch names of the grid or block faces, like ``"wing"``,
         ``["wing", "block2.jmin[1:65,*]"]`` (each a separate patch) or ``{"body": ["wing", "tail"]}``. Outside faces
-        that are not selected are fixed
+        that are not selected are fixed; ``free`` faces move along like the interior
     method : a name like ``"idw-tfi"``, :class:`IDW`, :class:`RBF`, :class:`TFI` or :class:`Hybrid`; by default the
         case's method, ``"idw-tfi"`` if it has none
     comm : mpi4py communicator whose ranks share the work; every rank must make the same calls in the same order
@@ -73,6 +74,7 @@ def prepare(
         Kind.SLIP: slip,
         Kind.SYMMETRY: symmetry,
         Kind.PERIODIC: periodic,
+        Kind.FREE: free,
     }
     with one_at_a_time(), sharing(ranks, threads):
         what = _case(case, selections)

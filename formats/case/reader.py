@@ -21,6 +21,7 @@ from meshdeform_core.methods import IDW, RBF, TFI, Options
 from meshdeform_core.repair import RepairOptions
 
 from ..displacement import read_displacement
+from .motions import WITHOUT_MATCHING, modes_of
 from .reach import unread
 from .sequences import named_files, read_sequence, sequence_files
 from .toml import load, override
@@ -33,6 +34,10 @@ _STEPS = {
     "displace": ("displace",),
     "file": ("file", "match", "tolerance"),
     "files": ("files", "times", "match", "tolerance"),
+    "ffd": ("ffd",),
+    "rigid": ("rigid",),
+    "modes": ("modes", "match", "tolerance"),
+    "airfoil": ("airfoil",),
 }
 
 
@@ -234,6 +239,10 @@ def _step(step: Table, number: int, known: tuple[str, ...], where: str, folder: 
         return Follow(data, _matching(step, where))
     if kinds[0] == "files":
         return read_sequence(value, step.get("times"), folder, _matching(step, where), where)
+    if kinds[0] == "modes":
+        return modes_of(value, _matching(step, where), known, folder, where)
+    if kinds[0] in WITHOUT_MATCHING:
+        return WITHOUT_MATCHING[kinds[0]](value, known, folder, where)
     if kinds[0] == "rotate":
         return _rotation(value, known, where)
     x, y, z = (formula_of(part, known, where) for part in three_of(value, f"{where}: {kinds[0]}"))

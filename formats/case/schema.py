@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import re
+from collections.abc import Mapping
 from typing import Any
 
 from meshdeform_core.boundary import Kind
@@ -130,8 +131,54 @@ def _motion() -> Schema:
         _table("", displace={**_THREE_FORMULAS, "description": "Displacement as formulas of x, y, z, t."}),
         _table("", file=_text("Displacement table, relative to the case file."), **table),
         _table("", files=pattern, times=times, **table),
+        *_given_motions(pattern, table),
     )
     return {"oneOf": [{**kind, "required": [next(iter(kind["properties"]))]} for kind in kinds]}
+
+
+def _given_motions(pattern: Schema, table: Mapping[str, Schema]) -> tuple[Schema, ...]:
+    """Motions with tables of their own; ``pattern`` names files, ``table`` has the keys of matching."""
+    place = {"anyOf": [{"type": "integer", "minimum": 1}, {"const": "*"}]}
+    move = _table(
+        "Control points, counted from 1 (* for all of them), and their displacement.",
+        at={"type": "array", "items": place, "minItems": 3, "maxItems": 3},
+        by={**_THREE_FORMULAS, "description": "Displacement as formulas of t."},
+    )
+    counts = {"type": "array", "items": {"type": "integer", "minimum": 2}, "minItems": 3, "maxItems": 3}
+    edges = {"type": "array", "items": _THREE_NUMBERS, "minItems": 3, "maxItems": 3}
+    box = _table(
+        "Free-form deformation: a box of control points carries along the nodes inside it.",
+        origin={**_THREE_NUMBERS, "description": "A corner of the box."},
+        edges={**edges, "description": "Its three edges from there."},
+        points={**counts, "description": "Control points along each edge."},
+        move={"type": "array", "items": {**move, "required": ["at", "by"]}, "minItems": 1},
+    )
+    rigid = _table(
+        "A rigid body with six degrees of freedom.",
+        file=_text("Table with t, x y z, and rx ry rz (degrees) or qx qy qz qw."),
+        order=_text('Sequence of the axes of the angles: "xyz" about fixed axes, "XYZ" about those of the body.'),
+        center={**_THREE_NUMBERS, "description": "The point about which it turns; default the origin."},
+    )
+    amplitudes = {
+        "description": "A formula of t for each shape, or a table with t and a column for each.",
+        "anyOf": [
+            {"type": "array", "items": {"$ref": "#/$defs/formula"}},
+            {**_table("", file=_text("Table of amplitudes.")), "required": ["file"]},
+        ],
+    }
+    modes = _table("A sum of shapes, each times its amplitude.", files=pattern, amplitudes=amplitudes)
+    airfoil = _table(
+        "A new shape of an airfoil.",
+        file=_text("Coordinates in Selig's or Lednicer's form."),
+        plane=_text('Axes along the chord and upwards; default "xy".'),
+        fit={"enum": ["chord", "none"], "description": "chord (default): leading and trailing edge stay."},
+    )
+    return (
+        _table("", ffd={**box, "required": ["origin", "edges", "points", "move"]}),
+        _table("", rigid={**rigid, "required": ["file"]}),
+        _table("", modes={**modes, "required": ["files", "amplitudes"]}, **table),
+        _table("", airfoil={**airfoil, "required": ["file"]}),
+    )
 
 
 def _method() -> Schema:

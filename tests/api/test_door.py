@@ -127,6 +127,18 @@ def test_plane_grids_take_and_give_two_coordinates():
     np.testing.assert_allclose(step.grid.blocks[0][:, 0, 1], 0.1)
 
 
+def test_free_faces_follow_the_wall():
+    """Opposite to a wall that is translated, a free side moves too; by default it stays."""
+    ends = []
+    for free in (None, ["block1.jmax", "block1.imin", "block1.imax"]):
+        mesh = md.prepare(square(), moving="block1.jmin", free=free, method="idw")
+        displacement = np.zeros_like(mesh.points)
+        displacement[:, 1] = 0.1
+        ends.append(mesh.deform(displacement).grid.blocks[0][:, -1, 1])
+    np.testing.assert_array_equal(ends[0], 1.0)
+    np.testing.assert_allclose(ends[1], 1.1, atol=1e-12)
+
+
 def test_periodic_images_follow():
     mesh = md.prepare(square(), moving={"low": "block1.jmin"}, periodic=["block1.imin", "block1.imax"], method="idw")
     displacement = np.zeros_like(mesh.points)

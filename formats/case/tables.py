@@ -1,0 +1,113 @@
+"""Text files that motions refer to: histories over time, and airfoil coordinates."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from meshdeform_core.boundary.histories import History
+from meshdeform_core.errors import FormatError
+from meshdeform_core.grid import FloatArray
+
+from ..files import require_regular
+
+_LARGEST = 256 * 2**20
+_MOST_POINTS = 100_000
+
+
+def read_history(path: Path) -> tuple[list[str], FloatArray]:
+    """Column names, in lower case, and rows (n, m) of a table whose first column is the time ``t``.
+
+    Raises
+    ------
+    FormatError
+        With the line, for anything but a header and rows of finite numbers with ascending times.
+    """
+    lines = _lines(path)
+    if not lines:
+        raise FormatError(f"{path} is empty; expected a header like t,x,y,z and rows of numbers")
+    names = [name.strip().strip('"').lower() for name in re.split(r"[,;\s]+", lines[0][1].lstrip("# ").strip())]
+    if names[0] != "t" or len(set(names)) < len(names) or len(names) < 2:
+        raise FormatError(f"{path}, line {lines[0][0]}: found {lines[0][1][:60]!r}; expected a header like t,x,y,z")
+    rows = [_row(path, number, text, len(names)) for number, text in lines[1:] if not text.startswith("#")]
+    values = np.array(rows, dtype=np.float64).reshape(-1, len(names))
+    if len(values) == 0:
+        raise FormatError(f"{path} has no rows of numbers below its header")
+    back = np.flatnonzero(np.diff(values[:, 0]) <= 0)
+    if back.size:
+        raise FormatError(f"{path}: the times do not ascend: {values[back[0], 0]:g} before {values[back[0] + 1, 0]:g}")
+    return names, values
+
+
+def columns(names: Sequence[str], values: FloatArray, wanted: Sequence[str], label: str) -> History | None:
+    """The history of some columns; ``None`` if there are none of them."""
+    found = [name for name in wanted if name in names]
+    if not found:
+        return None
+    if len(found) < len(wanted):
+        raise FormatError(f"{label} has the columns {', '.join(found)}; expected all of {', '.join(wanted)}")
+    return History(values[:, 0], values[:, [names.index(name) for name in wanted]], label)
+
+
+def read_airfoil(path: Path) -> FloatArray:
+    """Coordinates (n, 2) from the trailing edge over the upper side to the leading edge, and back.
+
+    Selig's form has the points in this order; Lednicer's has the numbers of points of both sides first, and each side
+    from the leading edge. Lines of text at the beginning are the name.
+
+    Raises
+    ------
+    FormatError
+        With the line.
+    """
+    rows: list[list[float]] = []
+    for number, text in _lines(path):
+        if not rows and not re.match(r"[-+.\d]", text):
+            continue
+        rows.append(_row(path, number, text, 2))
+        if len(rows) > _MOST_POINTS:
+            raise FormatError(f"{path} has more than {_MOST_POINTS} points")
+    points = np.array(rows, dtype=np.float64).reshape(-1, 2)
+    if len(points) < 5:
+        raise FormatError(f"{path} has {len(points)} points; expected an airfoil: x and y from the trailing edge on")
+    counts = points[0]
+    if (counts > 2).all() and (counts == np.round(counts)).all():
+        upper, lower = (int(n) for n in counts)
+        if upper + lower != len(points) - 1:
+            raise FormatError(f"{path} announces {upper} and {lower} points, but has {len(points) - 1}")
+        over, under = points[1 : upper + 1], points[upper + 1 :]
+        if np.abs(over[0] - under[0]).max() > 1e-6:
+            raise FormatError(
+                f"{path}: its sides begin at {over[0].tolist()} and {under[0].tolist()}; expected one nose"
+            )
+        points = np.concatenate([over[::-1], under[1:]])
+    x, y = points.T
+    if x @ np.roll(y, -1) - y @ np.roll(x, -1) < 0:
+        points = points[::-1]
+    return points
+
+
+def _lines(path: Path) -> list[tuple[int, str]]:
+    """Numbers and text of the lines that are not blank."""
+    require_regular(path)
+    if path.stat().st_size > _LARGEST:
+        raise FormatError(f"{path} is larger than any such table ({_LARGEST >> 20} MiB)")
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise FormatError(f"{path} is not UTF-8 text: {error}") from error
+    return [(number, line.strip()) for number, line in enumerate(text.splitlines(), start=1) if line.strip()]
+
+
+def _row(path: Path, number: int, text: str, width: int) -> list[float]:
+    words = [word for word in re.split(r"[,;\s]+", text) if word]
+    try:
+        values = [float(word) for word in words]
+    except ValueError as error:
+        raise FormatError(f"{path}, line {number}: {error}") from None
+    if len(values) != width or not np.isfinite(values).all():
+        raise FormatError(f"{path}, line {number}: found {text[:60]!r}; expected {width} finite numbers")
+    return values

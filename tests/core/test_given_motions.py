@@ -1,0 +1,281 @@
+"""Motions with tables of their own: boxes, rigid bodies, modes, airfoils; against closed forms and slow twins."""
+
+from __future__ import annotations
+
+from math import comb
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from meshdeform_core.boundary import Kind
+from meshdeform_core.boundary.matching import Nodes
+from meshdeform_core.errors import CaseError, FormatError, MotionError
+from meshdeform_core.grid import FloatArray, Grid, Side
+from meshdeform_core.grid.topology import find_topology
+from meshdeform_formats.case import case_of
+from meshdeform_formats.case.tables import read_airfoil
+
+
+def box_nodes() -> Nodes:
+    axes = [np.linspace(-1, 1, n) for n in (5, 4, 6)]
+    grid = Grid.from_blocks([np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)])
+    topology = find_topology(grid)
+    return Nodes.of_quads(grid, topology, np.flatnonzero(topology.external))
+
+
+def moved(nodes: Nodes, step: dict, folder: Path = Path(), time: float = 0.0, fraction: float = 1.0) -> FloatArray:
+    case = case_of({"boundary": [{"select": ["*"], "motion": step}]}, folder).case
+    (spec,) = case.boundaries
+    assert spec.kind is Kind.MOVING
+    assert spec.motion is not None
+    return spec.motion.prepare(nodes).displacement(time, fraction)
+
+
+FRAME = Rotation.from_euler("xyz", [20, -30, 50], degrees=True).as_matrix()
+ORIGIN, EDGES = np.array([-0.4, -0.9, -0.8]), FRAME * np.array([[1.1], [1.7], [1.3]])
+MOVES = [([2, 1, 2], [0.1, -0.2, 0.3]), ([3, 3, 2], [-0.3, 0.1, 0.05]), ([1, "*", 1], [0.0, 0.02, 0.0])]
+
+
+def box(moves=MOVES) -> dict:
+    entries = [{"at": at, "by": by} for at, by in moves]
+    return {"ffd": {"origin": ORIGIN.tolist(), "edges": EDGES.tolist(), "points": [3, 4, 2], "move": entries}}
+
+
+def bernstein_by_hand(x: np.ndarray, moves) -> np.ndarray:
+    """One node and one control point after the other."""
+    place = np.linalg.solve(EDGES.T, x - ORIGIN)
+    if not ((place >= 0) & (place <= 1)).all():
+        return np.zeros(3)
+    total = np.zeros(3)
+    for at, by in moves:
+        choices = [range(n) if entry == "*" else [entry - 1] for entry, n in zip(at, (3, 4, 2), strict=True)]
+        for ijk in ((i, j, k) for i in choices[0] for j in choices[1] for k in choices[2]):
+            weight = 1.0
+            for i, degree, u in zip(ijk, (2, 3, 1), place, strict=True):
+                weight *= comb(degree, i) * u**i * (1 - u) ** (degree - i)
+            total += weight * np.array(by)
+    return total
+
+
+def test_boxes_are_bernstein_polynomials_and_move_what_is_inside():
+    nodes = box_nodes()
+    found = moved(nodes, box())
+    exact = np.array([bernstein_by_hand(x, MOVES) for x in nodes.points])
+    np.testing.assert_allclose(found, exact, rtol=0, atol=1e-14)
+    inside = (exact != 0).any(axis=1)
+    assert 0 < inside.sum() < len(inside)
+    np.testing.assert_array_equal(found[~inside], 0)
+    np.testing.assert_allclose(moved(nodes, box(), fraction=0.5), 0.5 * exact, atol=1e-14)
+
+
+def test_all_control_points_together_translate():
+    nodes = box_nodes()
+    found = moved(nodes, box([(["*", "*", "*"], ["0.1*t", 0, 0.2])]), time=3.0)
+    inside = (found != 0).any(axis=1)
+    np.testing.assert_allclose(found[inside], np.tile([0.3, 0, 0.2], (inside.sum(), 1)), atol=1e-15)
+
+
+def test_several_boxes_follow_each_other():
+    nodes = box_nodes()
+    one, two = box(), box([([1, 1, 1], [0.2, 0, 0])])
+    case = case_of({"boundary": [{"motion": [one, two]}]}).case
+    motion = case.boundaries[0].motion
+    assert motion is not None
+    first = np.array([bernstein_by_hand(x, MOVES) for x in nodes.points])
+    second = np.array([bernstein_by_hand(x, [([1, 1, 1], [0.2, 0, 0])]) for x in nodes.points + first])
+    np.testing.assert_allclose(motion.prepare(nodes).displacement(), first + second, atol=1e-14)
+
+
+def test_a_box_without_nodes_is_an_error():
+    away = box()
+    away["ffd"]["origin"] = [10, 0, 0]
+    with pytest.raises(MotionError, match="no node of the boundary is in the box"):
+        moved(box_nodes(), away)
+
+
+def table(folder: Path, text: str) -> dict:
+    (folder / "m.csv").write_text(text)
+    return {"file": "m.csv"}
+
+
+def test_angles_about_the_axes_of_the_body(tmp_path):
+    step = {"rigid": {**table(tmp_path, "t,x,y,z,rx,ry,rz\n0,0,0,0,0,0,0\n2,2,0,4,20,40,60\n"), "order": "ZYX",
+                      "center": [0.1, 0.2, 0.3]}}  # fmt: skip
+    nodes = box_nodes()
+    for time, fraction in ((1.0, 1.0), (2.0, 0.5)):
+        turn = Rotation.from_euler("ZYX", [30, 20, 10], degrees=True)
+        exact = turn.apply(nodes.points - [0.1, 0.2, 0.3]) + [0.1, 0.2, 0.3] + [1, 0, 2] - nodes.points
+        np.testing.assert_allclose(moved(nodes, step, tmp_path, time, fraction), exact, atol=1e-14)
+    np.testing.assert_array_equal(moved(nodes, step, tmp_path, 0.0), 0)
+    with pytest.raises(MotionError, match=r"times from 0 to 2; t = 2\.1"):
+        moved(nodes, step, tmp_path, 2.1)
+
+
+def test_quaternions_turn_uniformly(tmp_path):
+    half = np.radians(45)
+    text = f"t qx qy qz qw\n0 0 0 0 1\n1 0 0 {np.sin(half):.17g} {np.cos(half):.17g}\n"
+    step, nodes = {"rigid": table(tmp_path, text)}, box_nodes()
+    exact = Rotation.from_rotvec([0, 0, np.radians(30)]).apply(nodes.points) - nodes.points
+    np.testing.assert_allclose(moved(nodes, step, tmp_path, 1 / 3), exact, atol=1e-14)
+
+
+BAD_RIGID = {
+    "t,x,y,z,rx,ry,rz\n0,0,0,0,0,0,0\n": (CaseError, "order = ''; expected, for angles"),
+    "t,x,y\n0,0,0\n": (FormatError, "columns x, y; expected all of x, y, z"),
+    "t,x,y,z,w\n0,0,0,0,0\n": (CaseError, "column 'w'"),
+    "t,x,y,z\n1,0,0,0\n0,0,0,0\n": (FormatError, "the times do not ascend: 1 before 0"),
+    "t,x,y,z\n1,0,0\n": (FormatError, "line 2: found '1,0,0'; expected 4 finite numbers"),
+    "t,x,y,z\n1,0,0,nan\n": (FormatError, "line 2"),
+    "time,x,y,z\n": (FormatError, "line 1.*expected a header"),
+    "t,qx,qy,qz,qw\n0,0,0,0,2\n": (FormatError, "quaternion at t = 0 has the length 2"),
+    "": (FormatError, "is empty"),
+}
+
+
+@pytest.mark.parametrize("text", BAD_RIGID)
+def test_tables_of_rigid_bodies_are_checked(text, tmp_path):
+    kind, message = BAD_RIGID[text]
+    with pytest.raises(kind, match=message):
+        moved(box_nodes(), {"rigid": table(tmp_path, text)}, tmp_path)
+
+
+def test_modes_add_up(tmp_path):
+    nodes = box_nodes()
+    shapes = [np.sin(nodes.points + n) for n in (1, 2)]
+    for n, shape in enumerate(shapes):
+        np.savetxt(tmp_path / f"mode{n}.csv", np.hstack([nodes.points, shape]), delimiter=",")
+    (tmp_path / "q.csv").write_text("t,q1,q2\n0,0,1\n1,2,3\n")
+    files = {"files": ["mode0.csv", "mode1.csv"]}
+    for amplitudes, exact in (({"file": "q.csv"}, (1.0, 2.0)), (["t", "1 - t**2"], (0.5, 0.75))):
+        found = moved(nodes, {"modes": {**files, "amplitudes": amplitudes}, "match": "exact"}, tmp_path, 0.5)
+        np.testing.assert_allclose(found, exact[0] * shapes[0] + exact[1] * shapes[1], atol=1e-12)
+    with pytest.raises(CaseError, match="1 amplitudes for 2 files"):
+        moved(nodes, {"modes": {**files, "amplitudes": [1]}}, tmp_path)
+
+
+def naca(thickness: float, camber: float, n: int, close: float = 0.1036) -> np.ndarray:
+    """NACA four-digit section with the camber at 0.4 chords, from the trailing edge over the upper side."""
+    x = 0.5 * (1 + np.cos(np.linspace(0, np.pi, n)))
+    y = 5 * thickness * (0.2969 * np.sqrt(x) - 0.126 * x - 0.3516 * x**2 + 0.2843 * x**3 - close * x**4)
+    c = np.where(x < 0.4, camber / 0.16 * (0.8 * x - x**2), camber / 0.36 * (0.2 + 0.8 * x - x**2))
+    return np.concatenate([np.stack([x, c + y], 1), np.stack([x, c - y], 1)[-2::-1]])
+
+
+def wall(outline: np.ndarray, layers: int = 2) -> Nodes:
+    """An O-grid about a section, extruded along z."""
+    ring = outline if np.allclose(outline[0], outline[-1]) else np.concatenate([outline, outline[:1]])
+    far = 3 * np.stack([np.cos(t := np.linspace(0, 2 * np.pi, len(ring))), np.sin(t)], axis=1)
+    far[-1] = far[0]
+    plane = np.stack([ring, far], axis=1)
+    points = np.zeros((*plane.shape[:2], layers, 3))
+    points[..., :2], points[..., 2] = plane[:, :, None], np.arange(layers)
+    grid = Grid.from_blocks([points])
+    topology = find_topology(grid)
+    return Nodes.of_quads(grid, topology, np.arange(*topology.quads.of_side(0, Side.JMIN).indices(10**9)[:2]))
+
+
+def write_selig(path: Path, outline: np.ndarray) -> dict:
+    path.write_text("NACA\n" + "\n".join(f"{x:.17g} {y:.17g}" for x, y in outline.tolist()))
+    return {"airfoil": {"file": path.name}}
+
+
+def distance_to_curve(points: np.ndarray, outline: np.ndarray) -> np.ndarray:
+    """Distances to the spline through an outline, by dense search and refinement."""
+    from scipy.interpolate import CubicSpline
+    from scipy.optimize import minimize_scalar
+
+    knots = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(outline, axis=0), axis=1))])
+    spline = CubicSpline(knots, outline)
+    dense = np.linspace(0, knots[-1], 20_001)
+    found = []
+    for p in points:
+        near = dense[np.argmin(np.linalg.norm(spline(dense) - p, axis=1))]
+        step = dense[1]
+        ends = (max(near - step, 0), min(near + step, knots[-1]))
+        best = minimize_scalar(
+            lambda s, p=p: float(((spline(s) - p) ** 2).sum()), method="bounded", bounds=ends, options={"xatol": 1e-14}
+        )
+        found.append(min(np.sqrt(best.fun), np.linalg.norm(spline(near) - p)))
+    return np.array(found)
+
+
+@pytest.mark.parametrize("blunt", [False, True])
+def test_walls_become_the_new_airfoil(blunt, tmp_path):
+    close = 0.1015 if blunt else 0.1036
+    old, new = naca(0.12, 0.0, 41, close), naca(0.15, 0.04, 90, close)
+    nodes = wall(old)
+    displacement = moved(nodes, write_selig(tmp_path / "new.dat", new), tmp_path)
+    assert (displacement[:, 2] == 0).all()
+    places = (nodes.points + displacement)[:, :2]
+    assert distance_to_curve(places, new).max() < 1e-9
+    assert np.abs(displacement).max() > 0.01
+    for edge in (old[0], [0.0, 0.0]):
+        at = np.linalg.norm(nodes.points[:, :2] - edge, axis=1) < 1e-12
+        assert at.sum() == 2
+        assert np.abs(displacement[at][:, 0]).max() < 2e-3
+    # Arc lengths: the node half-way along the upper side of the wall is half-way along the new one.
+    same = moved(nodes, write_selig(tmp_path / "same.dat", old), tmp_path)
+    assert np.abs(same).max() < 1e-13
+
+
+def test_arc_length_is_kept(tmp_path):
+    """On a wall that is scaled by 2 everything is scaled, whatever the spacing of the file."""
+    old = naca(0.12, 0.02, 61)
+    nodes = wall(old)
+    step = write_selig(tmp_path / "twice.dat", 2 * old)
+    step["airfoil"]["fit"] = "none"
+    np.testing.assert_allclose(moved(nodes, step, tmp_path)[:, :2], nodes.points[:, :2], atol=1e-12)
+    assert np.abs(moved(nodes, write_selig(tmp_path / "twice.dat", 2 * old), tmp_path)).max() < 1e-12
+
+
+def test_lednicer_and_selig_are_the_same(tmp_path):
+    outline = naca(0.12, 0.02, 11)
+    upper, lower = outline[:11][::-1], outline[10:]
+    write_selig(tmp_path / "s.dat", outline)
+    rows = "\n".join(" ".join(map(repr, p)) for p in np.concatenate([upper, lower]).tolist())
+    (tmp_path / "l.dat").write_text(f"name 12\n 11. 11.\n\n{rows}\n")
+    np.testing.assert_array_equal(read_airfoil(tmp_path / "l.dat"), read_airfoil(tmp_path / "s.dat"))
+    np.testing.assert_array_equal(read_airfoil(tmp_path / "s.dat"), outline)
+    write_selig(tmp_path / "r.dat", outline[::-1])
+    np.testing.assert_array_equal(read_airfoil(tmp_path / "r.dat"), outline)
+
+
+def test_what_cannot_be_matched_is_refused(tmp_path):
+    sharp, blunt = naca(0.12, 0, 41), naca(0.12, 0, 41, 0.1015)
+    with pytest.raises(MotionError, match=r"has a blunt trailing edge, that of the wall at \[1\.0, .*\] is sharp"):
+        moved(wall(sharp), write_selig(tmp_path / "a.dat", blunt), tmp_path)
+    with pytest.raises(MotionError, match="has a sharp trailing edge, that of the wall"):
+        moved(wall(blunt), write_selig(tmp_path / "a.dat", sharp), tmp_path)
+    with pytest.raises(MotionError, match="not a closed outline extruded along one axis; at"):
+        moved(box_nodes(), write_selig(tmp_path / "a.dat", sharp), tmp_path)
+    circle = np.stack([np.cos(t := np.linspace(0, 2 * np.pi, 41)), np.sin(t)], axis=1)
+    with pytest.raises(MotionError, match="has 0 corners"):
+        moved(wall(circle), write_selig(tmp_path / "a.dat", sharp), tmp_path)
+    (tmp_path / "a.dat").write_text("x\n1 0\n0.5 zero\n")
+    with pytest.raises(FormatError, match="line 3"):
+        moved(wall(sharp), {"airfoil": {"file": "a.dat"}}, tmp_path)
+
+
+BAD_BOXES = {
+    "edges": ([[1, 0, 0], [2, 0, 0], [0, 0, 1]], "span no volume"), "points": ([1, 2, 2], "at least 2"),
+    "move": ([], "expected move"), "origin": ([0, 0], "expected three values"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("key", BAD_BOXES)
+def test_boxes_are_checked(key):
+    step = box()
+    step["ffd"][key], message = BAD_BOXES[key]
+    with pytest.raises(CaseError, match=message):
+        moved(box_nodes(), step)
+
+
+def test_control_points_are_checked():
+    for at, message in (([4, 1, 1], "from 1 to 3"), ([0, 1, 1], "from 1 to 3"), ([True, 1, 1], "from 1 to 3"),
+                        (["a", 1, 1], "from 1 to 3")):  # fmt: skip
+        with pytest.raises(CaseError, match=message):
+            moved(box_nodes(), box([(at, [0, 0, 0])]))
+    with pytest.raises(CaseError, match="x"):
+        moved(box_nodes(), box([([1, 1, 1], ["x", 0, 0])]))
