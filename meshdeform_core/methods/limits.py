@@ -1,7 +1,8 @@
 """Warnings for a displacement before it is applied.
 
-The limits were measured on the splitter plate (Sen et al. section 4), whose plate turns by up to 14 degrees more than
-its body: one step is valid up to a rotation of 54 degrees with TFI, and of 34 with IDW of displacements.
+The limits were measured on the splitter plate (Sen et al. section 4; ``meshdeform reproduce robustness``), whose plate
+turns by up to 14 degrees more than its body: one step is valid up to a rotation of 54 degrees with TFI, and of 34 with
+IDW of displacements.
 """
 
 from __future__ import annotations

@@ -11,8 +11,9 @@ from ...numerics.rigid import finish
 from ...numerics.tangents import finish_gradients, finish_tangents
 from ...numerics.tape import Tape, Tracked, plain
 from ...parallel import for_chunks
-from ..scattered.idw import ALPHA_CAP, PreparedIDW
+from ..scattered.idw import PreparedIDW
 from ..scattered.idw_sums import Bound
+from ..scattered.tuned import ALPHA_CAP
 
 _LEAST_ALPHA = 1e-3
 _CHUNK = 4096

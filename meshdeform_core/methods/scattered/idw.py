@@ -22,21 +22,13 @@ from .idw_sums import Bound, ExactEvaluator, FastEvaluator, SourceValues
 from .mirror import mirror_images
 from .motion_values import motion_values
 from .summation import Summation, check_summation, fast_pays
-from .transition import FAR_OF_ONE_BODY, STEEPER, WIDTH, WIDTH_IN_PLANES, MovingShare, bodies, with_motion
+from .transition import MovingShare, bodies, with_motion
+from .tuned import ALPHA_CAP, FAR, FAR_IN_PLANES, FAR_OF_ONE_BODY, ROUNDS, STEEPER, WIDTH, WIDTH_IN_PLANES
 
 Rotation = Literal["none", "quaternion", "division", "blend", "lie"]
 Weights = Literal["luke", "shepard"]
 ROTATIONS: tuple[str, ...] = get_args(Rotation)
 WEIGHTS: tuple[str, ...] = get_args(Weights)
-ALPHA_CAP = 0.3
-FAR, FAR_IN_PLANES = 3.0, 2.5
-"""Exponent a of eq. 16: Luke's, and that of ``lie`` in plane grids without a transition.
-
-The weights of a surface fall off as r^(2 - a), those of a curve as r^(1 - a): between two surfaces Luke's exponent
-spreads the deformation evenly, between two curves it concentrates it half-way.
-"""
-ROUNDS = 8
-"""Rounds of smoothing near sharp edges with ``lie``."""
 
 
 # Fraction of the remaining memory for data kept between displacements.

@@ -14,11 +14,12 @@ from ...numerics.fastsum.targets import shape_table
 from ..base import Account, Setting
 from ..options import choose, positive
 
-_FAST_PAIRS = 2e8
-_FAST_SOURCES = 2000
+_FAST_PAIRS, _FAST_SOURCES = 2e8, 2000
+"""Pairs of nodes and sources, and sources, from which fast sums are faster than exact ones (``benchmarks/idw.py``)."""
 _WORST_BRICKS, _RANDOM_NODES = 64, 256
+"""Bricks with the largest error bounds, and random nodes, at which fast sums are compared with exact ones."""
 MAX_RETRIES = 3
-
+"""Most times that fast sums are repeated with a higher accuracy."""
 
 Summation = Literal["auto", "exact", "fast"]
 SUMMATIONS: tuple[str, ...] = get_args(Summation)

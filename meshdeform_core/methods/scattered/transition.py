@@ -18,12 +18,6 @@ from ...numerics.rigid import Transition
 from ..base import Problem
 from .mirror import Images
 
-WIDTH, WIDTH_IN_PLANES = 0.5, 0.3
-"""Fraction of the gap at either end over which the slope of the share changes."""
-FAR_OF_ONE_BODY = 4.0
-"""Exponent a of eq. 16 for one moving body: with the transition, it only matters along the body."""
-STEEPER = 1.5
-"""Fast sums are made more accurate by this factor, because the share may vary faster than the weights."""
 _CURVE, _SURFACE = 1.0, 2.0
 """The total weight of a curve falls off as r^(1 - a), so does that of a surface beyond its breadth; closer to it, the
 total weight of a surface falls off as r^(2 - a)."""
