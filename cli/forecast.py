@@ -21,8 +21,17 @@ TRIAL_NODES = 5_000_000
 _GROUPS = 2
 
 
-def plan(job: Job, output: Path | None, imposed: Imposed, variant: dict[str, str]) -> Report:
-    """The report of a dry run: classification, parameters, node counts and early warnings."""
+@dataclasses.dataclass(frozen=True)
+class Forecast:
+    """Warnings about a motion, and whether the boundary alone shows that no valid grid exists for it."""
+
+    warnings: list[str]
+    impossible: bool
+
+
+def plan(job: Job, output: Path | None, imposed: Imposed, variant: dict[str, str]) -> tuple[Report, bool]:
+    """The report of a dry run (classification, parameters, node counts, early warnings), and whether no valid grid
+    exists."""
     precision = variant_of(job.grid, output, variant).precision if output is not None else job.grid.precision
     setup = set_up(job.grid, imposed.case(job.case.case), memory=job.memory)
     prepared = make_method(job.case.case.method).prepare(setup.problem)
@@ -34,11 +43,12 @@ def plan(job: Job, output: Path | None, imposed: Imposed, variant: dict[str, str
     first = setup.displacement(imposed.time, part)
     sources = setup.problem.source_numbers
     report["warnings"] += prepared.warnings_for(motion[sources], first[sources])
-    report["warnings"] += forecast(setup, imposed.time, imposed.steps, precision)
-    return report
+    expected = forecast(setup, imposed.time, imposed.steps, precision)
+    report["warnings"] += expected.warnings
+    return report, expected.impossible
 
 
-def forecast(setup: Setup, time: float, steps: int | str | None, precision: str) -> list[str]:
+def forecast(setup: Setup, time: float, steps: int | str | None, precision: str) -> Forecast:
     """Warnings about a motion that is bound to fail: the boundary by itself, and the method by a trial.
 
     The trial imposes the motion without repair, in the steps that were asked for or in one, and judges the grid as the
@@ -50,14 +60,15 @@ def forecast(setup: Setup, time: float, steps: int | str | None, precision: str)
     certain: list[str] = [found.message for found in (contact, pinned) if found]
     count = steps if isinstance(steps, int) else 1
     if setup.grid.n_nodes * count > TRIAL_NODES:
-        return [
-            *certain,
+        untried = (
             f"not tried: {_steps(count)} with {setup.grid.n_nodes:,} nodes; trials are made up to {TRIAL_NODES:,} "
-            f"nodes times steps",
-        ]
+            f"nodes times steps"
+        )
+        return Forecast([*certain, untried], bool(certain))
     alone = setup.with_repair("off")
     result = impose(alone, alone.motion(time), count, precision, Timing())
-    return certain if result.valid else [*certain, _failure(setup, result, steps, bool(certain))]
+    failures = [] if result.valid else [_failure(setup, result, steps, bool(certain))]
+    return Forecast([*certain, *failures], bool(certain))
 
 
 def _steps(count: int) -> str:

@@ -116,17 +116,19 @@ def _times_of_files(case: CaseFile) -> tuple[float, ...]:
     return found.pop()
 
 
-def describe(run: Run) -> tuple[Report, str]:
-    """The report of a dry run (classification, parameters, node counts), and the levels as a line of text."""
+def describe(run: Run) -> tuple[Report, bool, str]:
+    """The report of a dry run (classification, parameters, node counts), whether no valid grid exists at the level of
+    the largest displacement, and the levels as a line of text."""
     prepared = make_method(run.setup.case.method).prepare(run.setup.problem)
     times = run.schedule.times
     largest, worst = max((largest_displacement(run.setup.displacement(t)), t) for t in times)
     last = run.files.path(len(times) - 1)
     report = plan_report(run.setup, prepared.account, largest)
-    doubts = forecast(run.setup, worst, run.schedule.steps, run.files.variant.precision)
-    report["warnings"] += [f"at t = {worst:g}, where the displacement is largest: {text}" for text in doubts]
+    expected = forecast(run.setup, worst, run.schedule.steps, run.files.variant.precision)
+    report["warnings"] += [f"at t = {worst:g}, where the displacement is largest: {text}" for text in expected.warnings]
     return (
         report,
+        expected.impossible,
         f"series    {len(times)} levels from t = {times[0]:g} to {times[-1]:g}: {run.files.path(0)} ... {last}\n",
     )
 

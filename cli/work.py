@@ -97,8 +97,9 @@ class Imposed:
         return dataclasses.replace(case, notes=(*case.notes, note))
 
 
-def print_plan(report: Report, run: RunInput, more: str = "") -> None:
-    """Print the result of a dry run: the report as JSON on stdout if requested, and the text."""
+def print_plan(report: Report, impossible: bool, run: RunInput, more: str = "") -> int:
+    """Print the result of a dry run: the report as JSON on stdout if requested, and the text; returns the exit code,
+    which tells that no valid grid exists (``impossible``)."""
     to_stdout = run.as_json or STDOUT in run.reports
     if to_stdout:
         click.echo(as_json(report), nl=False)
@@ -106,6 +107,7 @@ def print_plan(report: Report, run: RunInput, more: str = "") -> None:
         text = as_text({**report, "warnings": []})
         click.echo(f"{text}{more}dry run   nothing written", err=to_stdout)
     run.warnings.tell(report["warnings"])
+    return EXIT_INVALID if impossible and not run.allow_invalid else 0
 
 
 def run(

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 import numbers
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from meshdeform_core.boundary.motion import LARGEST
-from meshdeform_core.errors import MeshDeformError
+from meshdeform_core.errors import MeshDeformError, MotionError
 from meshdeform_core.grid import FloatArray
 
 _NUMBERS = "iuf"
@@ -87,3 +88,22 @@ def checked_time(value: Any, error: type[MeshDeformError]) -> float:
 def whole(value: Any) -> Any:
     """A whole number of any type, such as numpy's, as ``int``; anything else as it is."""
     return int(value) if isinstance(value, numbers.Integral) and not isinstance(value, bool) else value
+
+
+def require_arguments(function: Callable[..., Any], what: str, *names: str) -> None:
+    """Refuse a function that cannot be called with as many arguments as there are ``names``.
+
+    Raises
+    ------
+    MotionError
+        With the arguments that it has and those expected.
+    """
+    try:
+        signature = inspect.signature(function)
+    except (TypeError, ValueError):
+        # Some compiled functions do not say.
+        return
+    try:
+        signature.bind(*names)
+    except TypeError:
+        raise MotionError(f"{what} is a function{signature}; expected one of ({', '.join(names)})") from None

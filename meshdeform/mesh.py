@@ -21,7 +21,7 @@ from meshdeform_core.methods import PreparedMethod, Progress, make_method
 from meshdeform_core.parallel import Ranks, sharing
 from meshdeform_core.repair.options import Mode
 
-from .gate import checked_array, checked_time, whole
+from .gate import checked_array, checked_time, require_arguments, whole
 from .grids import Grid
 from .linearisation import Linearisation, Moving
 from .step import Step
@@ -203,6 +203,7 @@ class Mesh:
         if isinstance(displacement, Mapping):
             values = self._from_patches(displacement)
         elif callable(displacement):
+            require_arguments(displacement, "displacement", "points", "time")
             values = self._checked(displacement(self.points, time), "displacement(points, time)", len(self.points))
         else:
             values = self._checked(displacement, "displacement", len(self.points))

@@ -76,12 +76,11 @@ def command(
         if output is not None and not (run.force or run.dry_run or run.allow_invalid):
             require_earlier_grid(invalid_path(output), job.grid)
         if run.dry_run or output is None:
-            planned = forecast.plan(job, output, imposed, options)
+            planned, impossible = forecast.plan(job, output, imposed, options)
         else:
             report, illustrate = work.run(job, output, imposed, options, run, progress)
     if run.dry_run:
-        work.print_plan(planned, run)
-        return 0
+        return work.print_plan(planned, impossible, run)
     files = [*source.roles, *case.roles(job.case), ("output", Path(report["output"]))]
     return work.conclude(report, run, work.Delivery(start, files, illustrate))
 

@@ -81,12 +81,11 @@ def command(
         plan = series_run.prepare(job, source, wanted, run)
         run.warnings.tell(plan.setup.warnings)
         if run.dry_run:
-            planned, levels = series_run.describe(plan)
+            planned, impossible, levels = series_run.describe(plan)
         else:
             plan.manifest = current_ranks().on_first(lambda: series_run.open_manifest(plan, resume, run.force))
             report = series_run.carry_out(plan, progress)
     if run.dry_run:
-        work.print_plan(planned, run, levels)
-        return 0
+        return work.print_plan(planned, impossible, run, levels)
     files = [*source.roles, *case.roles(job.case), ("index", plan.files.view)]
     return work.conclude(report, run, work.Delivery(start, files, partial(series_run.illustrate, plan)))

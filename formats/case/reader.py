@@ -17,14 +17,14 @@ from meshdeform_core.boundary.motion import VARIABLES, Displace, Follow, Motion,
 from meshdeform_core.deform import Case
 from meshdeform_core.errors import CaseError, MethodError, suggestion
 from meshdeform_core.grid.topology import RELATIVE_TOLERANCE
-from meshdeform_core.methods import IDW, RBF, TFI, Options
+from meshdeform_core.methods import IDW, RBF, TFI, Options, entry_of
 from meshdeform_core.repair import RepairOptions
 
 from ..displacement import read_displacement
 from .motions import WITHOUT_MATCHING, modes_of
 from .reach import unread
 from .sequences import named_files, read_sequence, sequence_files
-from .toml import load, override
+from .toml import TABLES, load, override
 from .values import Table, check_keys, fail, file_of, formula_of, number_of, plain, table_of, three_of
 
 _KINDS = {kind.label: kind for kind in reversed(Kind) if kind is not Kind.INTERFACE}
@@ -84,6 +84,8 @@ def read_case(
     for text in overrides:
         override(data, text)
     folder = path.parent if path else Path()
+    if method:
+        _require_method(method)
     try:
         if method:
             data.setdefault("method", {})
@@ -96,6 +98,14 @@ def read_case(
         if table is None
         else _with_table(parsed, Path(table), times, matching or Matching(AUTOMATIC, partial=True))
     )
+
+
+def _require_method(name: str) -> None:
+    """Refuse a method of the command line before the case file is looked at, which is not to blame."""
+    try:
+        entry_of(name)
+    except MethodError as error:
+        raise MethodError(f"--method {name}: {error}") from None
 
 
 def case_of(content: Mapping[str, Any], folder: str | Path = ".") -> CaseFile:
@@ -127,7 +137,7 @@ def _with_table(parsed: CaseFile, table: Path, times: str | None, matching: Matc
 
 
 def _parse(data: Table, folder: Path, overrides: Sequence[str] = ()) -> CaseFile:
-    check_keys(data, ("grid", "constants", "boundary", "method", "repair"), "case")
+    check_keys(data, TABLES, "case")
     grid = table_of(data, "grid")
     check_keys(grid, ("boundary_file", "tolerance", "open", "plates"), "[grid]")
     constants = _constants(table_of(data, "constants"))

@@ -15,6 +15,8 @@ from .values import Table
 _PART = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
 _DEEP_KEY = re.compile(rf"(?<![\w.-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{30}}")
 """More parts than any key of a case; the parser's work and memory grow with their square."""
+TABLES = ("grid", "constants", "boundary", "method", "repair")
+"""The tables of a case."""
 _TOO_LONG = "it has an integer of more than 64 bits; write large numbers like 1e30"
 
 
@@ -93,6 +95,8 @@ def override(data: Table, text: str) -> None:
         When there is no ``=``, or the key passes through a value or refers to an entry that does not exist.
     """
     (*path, last), parsed = parsed_override(text)
+    if not path and last not in TABLES and last in data.get("constants", {}):
+        raise CaseError(f"--set {text!r}: unknown key {last!r}; did you mean 'constants.{last}'?")
     target: Any = data
     for name in path:
         target = target.setdefault(name, {}) if isinstance(target, dict) else _entry(target, name, text)

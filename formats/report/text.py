@@ -12,6 +12,7 @@ from .measures import measure_rows, place_text
 from .series_text import series_lines
 
 _LISTED = 20
+_ALONG = 0.9994
 _SHAPE_NAMES = {"non_orthogonality_deg": "non-orthogonality [deg]"}
 # Measures that compare with another grid.
 _COMPARED = (
@@ -123,8 +124,18 @@ def _motion(patches: list[dict[str, Any]]) -> Iterator[str]:
         mean = ", ".join(f"{part:.4g}" for part in patch["mean_displacement"])
         yield (
             f"          {patch['boundary']}: up to {patch['max_displacement']:.6g}, mean ({mean}), "
-            f"rotated by up to {patch['max_rotation_deg']:.4g} degrees"
+            f"rotated by up to {patch['max_rotation_deg']:.4g} degrees{axis_text(patch['rotation_axis'])}"
         )
+
+
+def axis_text(axis: list[float]) -> str:
+    """`` about +z``: the axis of a right-handed rotation, as a coordinate axis if it is one within 2 degrees."""
+    if not any(axis):
+        return ""
+    for name, part in zip("xyz", axis, strict=True):
+        if abs(part) > _ALONG:
+            return f" about {'+' if part > 0 else '-'}{name}"
+    return f" about ({', '.join(f'{part:.3g}' for part in axis)})"
 
 
 def _quality(report: dict[str, Any]) -> Iterator[str]:

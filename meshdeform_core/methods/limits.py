@@ -29,13 +29,15 @@ class PatchMotion:
     """The motion of a moving boundary entry, as evaluated.
 
     ``max_displacement`` and ``mean_displacement`` (grid length unit) are those of its nodes, ``max_rotation_deg`` the
-    largest rotation of its surface (degrees; above 180 only where parts of a surface turn by less).
+    largest rotation of its surface (degrees; above 180 only where parts of a surface turn by less), ``rotation_axis``
+    the unit vector about which it turns there, right-handed; zero without a rotation.
     """
 
     boundary: str
     max_displacement: float
     mean_displacement: tuple[float, float, float]
     max_rotation_deg: float
+    rotation_axis: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 def patch_motions(problem: Problem, displacement: FloatArray) -> tuple[PatchMotion, ...]:
@@ -46,16 +48,25 @@ def patch_motions(problem: Problem, displacement: FloatArray) -> tuple[PatchMoti
     displacement : (n_unique, 3) of all face nodes
     """
     sources = problem.source_numbers
-    angle = np.degrees(lengths(problem.rotations.vectors(displacement[sources])))
+    turns = problem.rotations.vectors(displacement[sources])
     names = [patch.name for patch in problem.boundary.patches if patch.kind is Kind.MOVING]
     found = []
     for name, (nodes, _) in zip(names, problem.boundary.movers, strict=True):
         moved = displacement[nodes]
         x, y, z = (total(moved) / len(moved)).tolist()
         largest = float(lengths(moved).max(initial=0.0))
-        turned = float(angle[np.searchsorted(sources, nodes)].max(initial=0.0))
-        found.append(PatchMotion(name, largest, (x, y, z), turned))
+        angle, axis = _largest_turn(turns[np.searchsorted(sources, nodes)])
+        found.append(PatchMotion(name, largest, (x, y, z), angle, axis))
     return tuple(found)
+
+
+def _largest_turn(turns: FloatArray) -> tuple[float, tuple[float, float, float]]:
+    """Angle (degrees) and axis of the largest of the rotation vectors (n, 3); a zero axis if nothing turns."""
+    angles = lengths(turns)
+    if not angles.max(initial=0.0) > 0.0:
+        return 0.0, (0.0, 0.0, 0.0)
+    x, y, z = (turns[int(np.argmax(angles))] / angles.max()).tolist()
+    return math.degrees(float(angles.max())), (x, y, z)
 
 
 def largest_rotation(problem: Problem, displacement: FloatArray) -> float:

@@ -64,6 +64,7 @@ def test_an_amplitude_larger_than_the_domain_is_impossible(repair, plate, call):
     command = ("deform", plate / "grid.cgns", "-c", plate / "case.toml", "-m", "tfi", "-s", "constants.amplitude=200")
     result = call(*command, "--dry-run", "--repair", repair)
     assert any("crosses itself, so no valid grid exists" in text for text in result.warnings)
+    assert result.code == 3
     assert any("no repair can mend that" in text for text in result.warnings)
     assert call(*command, "--dry-run", "--strict").code == 2
 
