@@ -323,7 +323,9 @@ def test_displacements_that_are_denormal_are_zero(mesh, bend):
     assert mesh.deform(np.full_like(bend, 1e-310)).grid == mesh.grid
 
 
-@pytest.mark.parametrize("method", ["tfi", "idw-tfi", "rbf-tfi"])
+@pytest.mark.parametrize(
+    "method", ["tfi", *(pytest.param(name, marks=pytest.mark.slow) for name in ("idw-tfi", "rbf-tfi"))]
+)
 def test_threads_take_turns(plate, method):
     """What earlier displacements leave behind in a mesh is not mixed up by calls at the same time."""
     mesh, other = (md.prepare(plate.grid, plate.case, method=method, threads=n) for n in (1, 2))

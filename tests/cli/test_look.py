@@ -222,6 +222,7 @@ def test_plot_of_a_flat_grid_and_force(bench, call):
     assert (bench / "picture.png").read_bytes()[:8] == first[:8]
 
 
+@pytest.mark.slow
 def test_a_series_becomes_a_film(bench, call):
     turning = ("-s", "boundary.body.motion.1.rotate.angle=turn*t", "--times", "0:1:0.5")
     assert call("series", "grid.cgns", "-c", "case.toml", "-o", "out", *turning, "-q").code == 0

@@ -245,9 +245,9 @@ main(sys.argv[2:])
 
 
 @pytest.mark.parametrize(("at", "extra", "told"), [
-    (1, (), ""),
+    pytest.param(1, (), "", marks=pytest.mark.slow),
     (4, (), "1 of 5 levels are done: the same command with --resume (without --force) continues"),
-    (4, ("--from", "last", "--suffix", ".vtu"), ""),
+    pytest.param(4, ("--from", "last", "--suffix", ".vtu"), "", marks=pytest.mark.slow),
 ])  # fmt: skip
 def test_a_signal_says_how_to_continue(at, extra, told, swing, call):
     options = ("series", "grid.xyz", "-c", "swing.toml", "--times", "0:1:0.25", *extra, "-o", "stopped")
@@ -420,6 +420,7 @@ def test_an_earlier_series_is_in_the_way(swing, call, snapshot):
     assert call(*RUN, "--force", "-q").code == 0
 
 
+@pytest.mark.slow
 def test_the_hemisphere_returns_after_a_period(bench, call):
     assert call("sample", "hemisphere", "-o", "case", "--size", "8").code == 0
     run = ("series", "case/grid.cgns", "-c", "case/case.toml", "-o")
