@@ -15,10 +15,10 @@ from .repair.repair import COLLAPSING, HASTILY, QUICKLY
 from .steps import State, Trial, accept, beginning, insist, patient_step, plain_step, repaired, step, warnings_ahead
 
 MAX_HALVINGS = 8
-# The same for steps with a repair in each, which cost much more.
+# The same for steps with a repair each, which are far more expensive.
 MAX_REPAIRED_HALVINGS = 4
 MAX_ATTEMPTS = 24
-"""Most steps tried with repairs, so that hopeless cases end."""
+"""Largest number of steps tried with repairs, so that hopeless cases end."""
 _BEFORE = 0.9
 """Where the boundary crosses itself, this share of the motion before that point is tried and reported to the user."""
 RESCUE = "rbf-tfi"

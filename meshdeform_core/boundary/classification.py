@@ -101,7 +101,7 @@ class Boundary:
     slip, periodic : constraints on displacements
     mirrors : symmetry planes
     notes : warnings for the report
-    tables : displacement tables, which are to be checked whenever they change
+    tables : displacement tables, checked again whenever they change
     """
 
     kind: np.ndarray
@@ -119,7 +119,7 @@ class Boundary:
 
     @property
     def known(self) -> np.ndarray:
-        """(n_unique,) bool: nodes with a prescribed displacement, moving or fixed (the sources)."""
+        """(n_unique,) bool: nodes with prescribed displacement, moving or fixed (the sources)."""
         return self.kind >= Kind.FIXED
 
     def quads_of(self, chosen: Callable[[ClassifiedPatch], bool]) -> IntArray:

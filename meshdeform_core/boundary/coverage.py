@@ -16,9 +16,9 @@ from .matching import Nodes, Transfer
 from .motion import PreparedMotion
 
 _MOST = 0.5
-"""A table with more than this fraction of its points off the walls was not made for them."""
+"""A table with a larger fraction of its points off the walls is refused: it belongs to another grid."""
 _OFFSET = 0.1
-"""Matched points farther away than this fraction of the shortest edge are not points of the wall."""
+"""Matched points farther away than this fraction of the shortest edge are reported as not on the wall."""
 _SMOOTH = 0.85
 """Faces whose normals have at least this cosine belong to one smooth surface."""
 _ABRUPT = 1e-2

@@ -30,7 +30,7 @@ from ..numerics.geometry.solid_angle import plane_winding, winding
 from .classification import Boundary, Kind
 
 TOUCH = 1e-7
-"""Faces closer than this part of their shortest edge touch each other."""
+"""Faces closer than this fraction of their shortest edge count as touching."""
 
 _HALVINGS = 20
 # How close undeformed faces of abutting blocks are to each other, relative to their shortest edge.
@@ -87,7 +87,7 @@ class Contact:
 class CrossingTest:
     """Tests whether a boundary crosses itself after a displacement (n_unique, 3).
 
-    What does not depend on the displacement is kept for further ones.
+    Everything independent of the displacement is computed once.
     """
 
     def __init__(self, grid: Grid, topology: Topology, boundary: Boundary):
@@ -131,7 +131,7 @@ class CrossingTest:
                 high, found = middle, crossings or found
             else:
                 low = middle
-        # Faces that meet between the two fractions are at most that far apart: parallel walls count as crossing, too.
+        # Faces that meet between the two fractions are at most that far apart; this also finds parallel walls.
         at = path(high)
         gap = 2.0 * float(np.abs(at - path(low)).max())
         return Contact(low, self.crossings(at, gap) or found)
@@ -178,7 +178,7 @@ class CrossingTest:
         samples = faces[_samples(faces, self._topology.n_unique)]
         before = self._grid.points[self._topology.first]
         inside = [self._winding(x, samples) for x in (before, before + displacement)]
-        # Only where the boundary is closed, before and after, the number tells.
+        # The winding number is meaningful only where the boundary is closed before and after.
         sure = (np.abs(inside[0] - 1.0) < 0.02) & (np.abs(inside[1] - np.round(inside[1])) < 0.02)
         return bool((sure & (np.round(inside[1]) != 1.0)).any())
 

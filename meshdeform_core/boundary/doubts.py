@@ -1,4 +1,4 @@
-"""Motions that are probably not what was meant: positions given as displacements, radians as degrees."""
+"""Motions that are probably mistaken: positions given as displacements, radians as degrees."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _ALIKE = 0.1
 """Displacements are positions if they differ from the coordinates by less than this part of the coordinates' spread."""
 _FEWEST = 4
 _SMALL_ANGLE = 0.2
-"""A constant rotation by fewer degrees would be one of up to 11 degrees in radians."""
+"""Constant rotations by fewer degrees may be meant in radians (up to 11 degrees)."""
 
 
 def positions_as_displacements(points: FloatArray, displacement: FloatArray) -> list[str]:
@@ -20,7 +20,7 @@ def positions_as_displacements(points: FloatArray, displacement: FloatArray) -> 
         return []
     spread = float(np.sqrt(((points - points.mean(axis=0)) ** 2).mean()))
     off = float(np.sqrt(((displacement - points) ** 2).mean()))
-    # A motion of a wall far from the origin is small beside its coordinates, whatever it is.
+    # Far from the origin every motion is small relative to the coordinates.
     if spread == 0.0 or off > _ALIKE * spread:
         return []
     return [

@@ -23,7 +23,7 @@ MAX_LENGTH = 1000
 
 
 def _truth(value: Any) -> tuple[Any, Any]:
-    """Where a value is true, and where it is neither true nor false (NaN)."""
+    """Where a value is true, and where it is undefined (NaN)."""
     unknown = np.isnan(value)
     return np.not_equal(value, 0) & ~unknown, unknown
 

@@ -17,13 +17,13 @@ from .matching import AUTOMATIC, Matching, Nodes, SurfaceData
 
 _SAMPLE = 5000
 _POINTS = 0.5
-"""A surface on which this share of the table's points lies is a wall of the table, ..."""
+"""A surface belongs to the table if at least this share of the table's points lies on it, ..."""
 _COVERED = 0.5
-"""... and so is one whose area the table covers to this share."""
+"""... or if the table covers at least this share of its area."""
 _SOME = 0.1
-"""Where there is no such surface, those are taken that have at least this part of the points of the first of them."""
+"""Without such a surface: those with at least this fraction of the points of the best one."""
 _FITS = 0.5
-"""A table of which fewer points lie on the boundary was not made for this grid."""
+"""A table with a smaller share of its points on the boundary is refused: it belongs to another grid."""
 _OWN, _SAME_NODE = 0.9, 1e-3
 """A table is one of nodes if this share of its points lies on nodes, within this part of the shortest edge there."""
 _REACH = 0.1

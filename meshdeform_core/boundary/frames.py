@@ -30,7 +30,7 @@ _SAMPLE = 2000
 _FITS = 0.9
 """A frame is proposed if this share of the points would lie on the nodes, ..."""
 _GAIN = 0.25
-"""... which is by so much more than the share as given."""
+"""... and if this share exceeds that of the points as given by at least so much."""
 _SPREAD = 0.2
 """Points that fit spread over at least this part of the diagonal of the nodes, or of the wall around them: a table
 shrunk to a point lies on any wall."""

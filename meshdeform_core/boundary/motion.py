@@ -21,9 +21,9 @@ from .transfer import transfer
 
 VARIABLES = ("x", "y", "z", "t")
 SMALLEST = 1e-30
-"""No displacement is smaller but zero: products with weights would be denormal numbers, which no file should hold."""
+"""Smaller displacements are set to zero: their products with weights would be denormal numbers."""
 LARGEST = 1e30
-"""No coordinate is larger (``formats.plausible``), and so no displacement: squares of it are finite."""
+"""Largest displacement, as for coordinates (``formats.plausible``): its square is finite."""
 
 
 class Step(Protocol):
@@ -65,7 +65,7 @@ class Rotate:
     def increment(self, current: FloatArray, values: Mapping[str, Any], fraction: float) -> FloatArray:
         arm = current - _vector(self.center, values, len(current))
         angle = np.deg2rad(fraction * np.broadcast_to(self.angle(values), len(current)))[:, None]
-        # Scaled first: squares of lengths beyond 1e154 are not finite.
+        # Scaled first, because squares of lengths above 1e154 overflow.
         axis = np.asarray(self.axis) / np.abs(self.axis).max()
         axis /= np.linalg.norm(axis)
         # Rodrigues' formula as a displacement: exactly zero for a zero rotation.

@@ -1,4 +1,4 @@
-"""Cells whose nodes are all prescribed: the boundary's motion alone determines them, and no method can help."""
+"""Cells all of whose nodes are prescribed: their shape follows from the boundary's motion, whatever the method."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Thin plates between blocks: two faces at one place that are walls on both sides, not an interface."""
+"""Thin plates between blocks: coincident faces that are walls on both sides instead of an interface."""
 
 from __future__ import annotations
 

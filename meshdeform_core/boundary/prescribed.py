@@ -66,7 +66,7 @@ def given_gradient(grid: Grid, boundary: Boundary, nodes: IntArray, gradient: Fl
         moving = given[images]
         home, copied = np.zeros_like(gradient), np.isin(root, root[moving]) & ~moving
         np.add.at(home, root[copied], np.einsum("nji,nj->ni", turn[copied], total[images[copied]]))
-        # Of several given images, the last one is copied.
+        # If several images are given, the last one is used.
         source = np.full(len(gradient), -1)
         source[root[moving]] = np.flatnonzero(moving)
         last = source[source >= 0]

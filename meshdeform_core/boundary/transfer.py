@@ -17,8 +17,8 @@ from .matching import Matching, Nodes, SurfaceData, Transfer
 _ALIKE = 1e-6
 _LARGEST = 1e100
 _INTERPOLATE = ', match = "interpolate"'
-# Points of a table closer than this part of its extent are one point if the surface between them would be stretched by
-# more than this factor.
+# Points of a table closer than the first fraction of its extent are treated as one point if the surface between them
+# would be stretched by more than the second factor.
 _ONE_POINT, _STRETCH = 1e-6, 10.0
 
 
@@ -94,7 +94,7 @@ def _require_one_displacement(data: SurfaceData, nodes: Nodes, tree: scipy.spati
 
 
 def _require_continuous(data: SurfaceData) -> None:
-    """Refuse different displacements of points that are practically one: no surface is stretched so much."""
+    """Refuse different displacements of nearly coincident points, which would stretch the surface beyond reason."""
     points, displacement = data.points, data.displacement
     if len(points) < 2:
         return
