@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import cached_property
 from html import escape
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,6 +16,13 @@ from meshdeform_core.quality import InvalidCell
 from meshdeform_core.repair.repair import Repair
 
 from .grids import Grid
+
+
+class QualityGradient(NamedTuple):
+    """A quality measure and its gradient, one array per block like ``step.grid.blocks``."""
+
+    value: float
+    blocks: list[FloatArray]
 
 
 class Step:
@@ -66,6 +73,29 @@ class Step:
             tuple(np.squeeze(part, axis=shape.index(1)) if 1 in shape else part for part in faces if part.size)
             for shape, faces in zip(undeformed.shapes, found, strict=True)
         ]
+
+    def quality_gradient(self, measure: str, sharpness: float = 100.0) -> QualityGradient:
+        """A quality measure of the grid with its gradient with respect to the coordinates, for optimisers.
+
+        :meth:`Linearisation.vjp` of the gradient is the gradient with respect to the displacement.
+
+        Parameters
+        ----------
+        measure : ``f_skew`` (harmonic mean over the cells), ``f_skew_min`` and ``scaled_jacobian_min`` (smooth lower
+            bounds of the smallest f_skew of a cell and scaled Jacobian of a corner), ``volume`` (in 2-D area)
+        sharpness : of the smooth minima: they are too low by at most log(number of values) / sharpness
+
+        Raises
+        ------
+        GridError
+            For an unknown measure, and for f_skew of a grid with invalid cells, where it is zero without a gradient.
+        """
+        from meshdeform_core.quality.gradients import quality_gradient
+
+        grid, setup = self._result.grid, self._result.setup
+        value, gradient = quality_gradient(grid, grid.points, setup.topology, measure, sharpness)
+        blocks = [grid.block(b, gradient) for b in range(grid.n_blocks)]
+        return QualityGradient(value, [block[:, :, 0, :2].copy() if self._plane else block for block in blocks])
 
     @property
     def steps(self) -> int:

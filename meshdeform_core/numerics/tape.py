@@ -242,7 +242,7 @@ _PARTIALS: dict[str, Callable[..., tuple[Any, ...]]] = {
     "sqrt": lambda y, a: (_quotient(0.5, y),),
     "sin": lambda y, a: (np.cos(a),),
     "cos": lambda y, a: (-np.sin(a),),
-    "power": lambda y, a, n: (n * a ** (n - 1), 0.0),
+    "power": lambda y, a, n: (n * a ** (n - 1.0), 0.0),
     "square": lambda y, a: (2.0 * a,),
     "arctan2": lambda y, a, b: (_quotient(b, a**2 + b**2), -_quotient(a, a**2 + b**2)),
     "maximum": lambda y, a, b: ((np.asarray(a) >= b) * 1.0, (np.asarray(a) < b) * 1.0),
