@@ -13,13 +13,14 @@ from meshdeform_core.boundary.histories import History, Modes, RigidHistory
 from meshdeform_core.boundary.lattice import ControlMove, Lattice
 from meshdeform_core.boundary.matching import Matching
 from meshdeform_core.boundary.motion import Step
+from meshdeform_core.boundary.numbered import FollowNumbers
 from meshdeform_core.boundary.section import Airfoil
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray, IntArray
 
 from ..displacement import read_displacement
-from .sequences import sequence_files
-from .tables import columns, read_airfoil, read_history
+from .sequences import files_over_time, sequence_files
+from .tables import columns, read_airfoil, read_history, read_positions
 from .values import Table, check_keys, fail, file_of, formula_of, number_of, three_of
 
 _MOST_CONTROLS = 10_000
@@ -149,6 +150,19 @@ def _airfoil(value: Any, known: Sequence[str], folder: Path, where: str) -> Step
     return Airfoil(read_airfoil(path), axes, fit == "chord", str(path))
 
 
+def _positions(value: Any, known: Sequence[str], folder: Path, where: str) -> Step:
+    """Positions by number: one file, or several with their times."""
+    where = f"{where}, positions"
+    table = _table(value, ("file", "files", "times"), where)
+    if ("file" in table) == ("files" in table) or ("files" in table) != ("times" in table):
+        raise fail(where, f"found {sorted(table)}; expected file, or files and times")
+    if "file" in table:
+        data = read_positions(file_of(table["file"], folder, f"{where}: file"))
+        return FollowNumbers((), lambda number: data)
+    paths, times = files_over_time(table["files"], table["times"], folder, where)
+    return FollowNumbers(times, lambda number: read_positions(paths[number]))
+
+
 def _table(value: Any, known: Sequence[str], where: str) -> Table:
     if not isinstance(value, dict):
         raise fail(where, f"found {value!r}; expected a table with {', '.join(known)}")
@@ -161,6 +175,6 @@ def _vector(value: Any, where: str) -> FloatArray:
 
 
 WITHOUT_MATCHING: dict[str, Callable[[Any, Sequence[str], Path, str], Step]] = {
-    "ffd": _ffd, "rigid": _rigid, "airfoil": _airfoil,
+    "ffd": _ffd, "rigid": _rigid, "airfoil": _airfoil, "positions": _positions,
 }  # fmt: skip
 """How to read the motions that need no matching, by name."""

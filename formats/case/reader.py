@@ -38,6 +38,7 @@ _STEPS = {
     "rigid": ("rigid",),
     "modes": ("modes", "match", "tolerance"),
     "airfoil": ("airfoil",),
+    "positions": ("positions",),
 }
 
 

@@ -131,13 +131,13 @@ def _motion() -> Schema:
         _table("", displace={**_THREE_FORMULAS, "description": "Displacement as formulas of x, y, z, t."}),
         _table("", file=_text("Displacement table, relative to the case file."), **table),
         _table("", files=pattern, times=times, **table),
-        *_given_motions(pattern, table),
+        *_given_motions(pattern, times, table),
     )
     return {"oneOf": [{**kind, "required": [next(iter(kind["properties"]))]} for kind in kinds]}
 
 
-def _given_motions(pattern: Schema, table: Mapping[str, Schema]) -> tuple[Schema, ...]:
-    """Motions with tables of their own; ``pattern`` names files, ``table`` has the keys of matching."""
+def _given_motions(pattern: Schema, times: Schema, table: Mapping[str, Schema]) -> tuple[Schema, ...]:
+    """Motions with tables of their own; ``pattern`` names files, ``times`` their times, ``table`` how they match."""
     place = {"anyOf": [{"type": "integer", "minimum": 1}, {"const": "*"}]}
     move = _table(
         "Control points, counted from 1 (* for all of them), and their displacement.",
@@ -167,6 +167,12 @@ def _given_motions(pattern: Schema, table: Mapping[str, Schema]) -> tuple[Schema
         ],
     }
     modes = _table("A sum of shapes, each times its amplitude.", files=pattern, amplitudes=amplitudes)
+    positions = _table(
+        "New positions by the numbers of the points, like SU2's surface_positions.dat.",
+        file=_text("Lines of a number and coordinates, relative to the case file."),
+        files=pattern,
+        times=times,
+    )
     airfoil = _table(
         "A new shape of an airfoil.",
         file=_text("Coordinates in Selig's or Lednicer's form."),
@@ -178,6 +184,7 @@ def _given_motions(pattern: Schema, table: Mapping[str, Schema]) -> tuple[Schema
         _table("", rigid={**rigid, "required": ["file"]}),
         _table("", modes={**modes, "required": ["files", "amplitudes"]}, **table),
         _table("", airfoil={**airfoil, "required": ["file"]}),
+        _table("", positions=positions),
     )
 
 

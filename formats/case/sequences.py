@@ -90,6 +90,22 @@ def read_sequence(files: Any, times: Any, folder: Path, matching: Matching, wher
     CaseError
         When files are missing, or their number differs from that of the times.
     """
+    paths, when = files_over_time(files, times, folder, where)
+
+    def read(index: int) -> SurfaceData | Grid:
+        return read_displacement(paths[index])
+
+    return FollowSequence(when, read, matching)
+
+
+def files_over_time(files: Any, times: Any, folder: Path, where: str) -> tuple[list[Path], tuple[float, ...]]:
+    """Existing files and as many times.
+
+    Raises
+    ------
+    CaseError
+        When files are missing, or their number differs from that of the times.
+    """
     paths = sequence_files(files, folder, where)
     for path in paths:
         if not path.is_file():
@@ -100,11 +116,7 @@ def read_sequence(files: Any, times: Any, folder: Path, matching: Matching, wher
             f"{where}: {len(paths)} files ({paths[0].name} to {paths[-1].name}) for {len(when)} times; "
             f"expected one time for each"
         )
-
-    def read(index: int) -> SurfaceData | Grid:
-        return read_displacement(paths[index])
-
-    return FollowSequence(when, read, matching)
+    return paths, when
 
 
 def _times(value: Any, where: str) -> tuple[float, ...]:

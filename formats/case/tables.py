@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from meshdeform_core.boundary.histories import History
+from meshdeform_core.boundary.numbered import Positions
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray
 
@@ -88,6 +89,34 @@ def read_airfoil(path: Path) -> FloatArray:
     if x @ np.roll(y, -1) - y @ np.roll(x, -1) < 0:
         points = points[::-1]
     return points
+
+
+def read_positions(path: Path) -> Positions:
+    """SU2's ``surface_positions.dat``: the number and the new coordinates of a point in each line.
+
+    Raises
+    ------
+    FormatError
+        With the line; and for a number with two positions.
+    """
+    lines = [(number, text) for number, text in _lines(path) if not text.startswith(("#", "%"))]
+    if not lines:
+        raise FormatError(f"{path} has no positions; expected lines of a number and coordinates")
+    width = len(re.split(r"[,;\s]+", lines[0][1]))
+    if width not in (3, 4):
+        raise FormatError(f"{path}, line {lines[0][0]}: found {width} columns; expected a number and x y z (or x y)")
+    rows = np.array([_row(path, number, text, width) for number, text in lines])
+    numbers = rows[:, 0].astype(np.int64)
+    if (numbers != rows[:, 0]).any():
+        at = int(np.argmax(numbers != rows[:, 0]))
+        raise FormatError(f"{path}, line {lines[at][0]}: {rows[at, 0]:g} is not the number of a point")
+    order = np.argsort(numbers, kind="stable")
+    numbers, rows = numbers[order], rows[order]
+    twice = np.flatnonzero((np.diff(numbers) == 0) & (np.diff(rows, axis=0) != 0).any(axis=1))
+    if twice.size:
+        raise FormatError(f"{path}: point {numbers[twice[0]]} has two positions")
+    first = np.concatenate([[True], np.diff(numbers) > 0])
+    return Positions(numbers[first], rows[first, 1:], str(path))
 
 
 def _lines(path: Path) -> list[tuple[int, str]]:

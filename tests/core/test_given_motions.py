@@ -279,3 +279,39 @@ def test_control_points_are_checked():
             moved(box_nodes(), box([(at, [0, 0, 0])]))
     with pytest.raises(CaseError, match="x"):
         moved(box_nodes(), box([([1, 1, 1], ["x", 0, 0])]))
+
+
+def test_positions_by_number(tmp_path):
+    """As SU2 has them: numbers of the exported mesh, in any order, one file or one for each time."""
+    nodes = box_nodes()
+    order = np.random.default_rng(3).permutation(len(nodes.numbers))
+    exact = {}
+    for n in (0, 1):
+        exact[n] = 0.1 * n * np.sin(nodes.points)
+        rows = np.column_stack([nodes.numbers, nodes.points + exact[n]])[order]
+        np.savetxt(tmp_path / f"s_{n}.dat", rows, fmt=["%d", "%.17g", "%.17g", "%.17g"])
+    step = {"positions": {"file": "s_1.dat"}}
+    np.testing.assert_allclose(moved(nodes, step, tmp_path), exact[1], atol=1e-15)
+    step = {"positions": {"files": "s_*.dat", "times": [0, 2]}}
+    for n in (0, 1):
+        np.testing.assert_allclose(moved(nodes, step, tmp_path, 2.0 * n), exact[n], atol=1e-15)
+    np.savetxt(tmp_path / "w.dat", np.column_stack([nodes.numbers, nodes.points[order]]), fmt=["%d", *3 * ["%.17g"]])
+    with pytest.raises(MotionError, match="of another mesh"):
+        moved(nodes, {"positions": {"file": "w.dat"}}, tmp_path)
+
+
+BAD_POSITIONS = {
+    "0 0 0\n1.5 0 0\n": (FormatError, "line 2: 1.5 is not the number"),
+    "0 0 0 0\n0 0 0 1\n": (FormatError, "point 0 has two positions"),
+    "0 0 0 0\n": (MotionError, "no position for"),
+    "99999 0 0 0\n": (MotionError, "1 numbers are not of points on block faces, the first 99999"),
+    "0 0 0 0 0\n": (FormatError, "found 5 columns"),
+    "# nothing\n": (FormatError, "no positions"),
+}
+
+
+@pytest.mark.parametrize("text", BAD_POSITIONS)
+def test_positions_are_checked(text, tmp_path):
+    kind, message = BAD_POSITIONS[text]
+    with pytest.raises(kind, match=message):
+        moved(box_nodes(), {"positions": table(tmp_path, text)}, tmp_path)
