@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +14,7 @@ from meshdeform_core.errors import GridError
 from meshdeform_core.grid import FloatArray
 
 from .gate import checked_array
+from .notebook import html_table
 
 if TYPE_CHECKING:
     import meshio
@@ -207,12 +207,10 @@ class Grid:
         )
 
     def _repr_html_(self) -> str:
-        rows = [
-            f"<tr><td>{escape(name)}</td><td>{' × '.join(map(str, shape))}</td></tr>"
-            for name, shape in zip(self.names[:12], self.shapes, strict=False)
-        ]
-        more = f"<tr><td colspan=2>and {len(self) - 12} more</td></tr>" if len(self) > 12 else ""
-        return f"<p>{escape(repr(self))}</p><table><tr><th>block</th><th>nodes</th></tr>{''.join(rows)}{more}</table>"
+        shown = zip(self.names[:12], self.shapes, strict=False)
+        rows = [(name, " × ".join(map(str, shape))) for name, shape in shown]
+        more = [(f"and {len(self) - 12} more", "")] if len(self) > 12 else []
+        return html_table(repr(self), [*rows, *more], ("block", "nodes"))
 
 
 def _checked_block(block: Any, name: str) -> FloatArray:

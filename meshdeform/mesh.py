@@ -24,6 +24,7 @@ from meshdeform_core.repair.options import Mode
 from .gate import checked_array, checked_time, require_arguments, whole
 from .grids import Grid
 from .linearisation import Linearisation, Moving
+from .notebook import html_table
 from .step import Step
 from .turns import one_at_a_time
 
@@ -251,3 +252,8 @@ class Mesh:
     def __repr__(self) -> str:
         patches = ", ".join(self.patches)
         return f"Mesh({self.method}, {len(self.points):,} moving nodes of {patches}; {self.grid!r})"
+
+    def _repr_html_(self) -> str:
+        patches = self._setup.boundary.patches
+        rows = [(patch.name, patch.kind.label, f"{len(patch.nodes):,}") for patch in patches]
+        return html_table(repr(self), rows, ("boundary", "kind", "nodes"))

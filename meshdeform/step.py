@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from functools import cached_property
-from html import escape
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,6 +16,7 @@ from meshdeform_core.quality import InvalidCell
 from meshdeform_core.repair.repair import Repair
 
 from .grids import Grid
+from .notebook import html_table, quality_rows
 
 
 class QualityGradient(NamedTuple):
@@ -129,12 +130,4 @@ class Step:
         return f"Step({verdict}; {count}, largest displacement {self._result.max_displacement:.6g})"
 
     def _repr_html_(self) -> str:
-        quality = self._result.assessment.after
-        rows = (
-            ("f_skew mean", f"{quality.f_skew.harmonic_mean:.4f}"),
-            ("f_skew minimum", f"{quality.f_skew.min:.4f}"),
-            ("smallest scaled Jacobian", f"{quality.min_scaled_jacobian:.4f}"),
-            ("invalid cells", f"{quality.invalid_cells:,}"),
-        )
-        table = "".join(f"<tr><td>{name}</td><td>{value}</td></tr>" for name, value in rows)
-        return f"<p>{escape(repr(self))}</p><table>{table}</table>"
+        return html_table(repr(self), quality_rows(asdict(self._result.assessment.after)))

@@ -13,6 +13,7 @@ from meshdeform_core.repair.options import Mode
 from .choice import Method
 from .grids import Grid
 from .inputs import core_grid
+from .notebook import QualityReport
 from .preparation import CaseLike, parsed_case, prepare
 from .step import Step
 
@@ -44,8 +45,8 @@ def deform(
 
 def quality(
     grid: Grid | str | Path, reference: Grid | str | Path | None = None, case: CaseLike | None = None
-) -> dict[str, Any]:
-    """The quality report of a grid, by itself or against its original (see docs/report.md).
+) -> QualityReport:
+    """The quality report of a grid, by itself or against its original: a dictionary (see docs/report.md).
 
     Parameters
     ----------
@@ -63,7 +64,7 @@ def quality(
     what = parsed_case({} if case is None else case)
     original = None if reference is None else core_grid(reference)
     assessment, notes = judge_grid(own, original or own, what.case)
-    return quality_report(own, assessment, notes, original=original)
+    return QualityReport(quality_report(own, assessment, notes, original=original))
 
 
 def compare(a: Grid | str | Path, b: Grid | str | Path) -> Difference:

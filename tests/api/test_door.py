@@ -399,6 +399,9 @@ def test_objects_are_pleasant_at_a_prompt(plate, mesh, bend):
     assert repr(step).startswith("Step(valid; 1 step, ")
     assert "<table>" in step._repr_html_()
     assert "upstream-top" in plate.grid._repr_html_()
+    assert "<td>slip</td>" in md.prepare(plate.grid, plate.case)._repr_html_()
+    assert "<th>before</th>" in md.quality(step.grid, plate.grid)._repr_html_()
+    assert "<th>before</th>" not in md.quality(plate.grid)._repr_html_()
     with pytest.raises(TypeError, match="unhashable"):
         hash(plate.grid)
 
