@@ -27,6 +27,15 @@ def test_every_package_on_disk_is_listed():
     assert found == set(setup["packages"])
 
 
+def test_the_version_is_stated_alike():
+    """pyproject.toml, citation, manual page, and the newest release of the changelog."""
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+    assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text()
+    assert f'"meshdeform {version}"' in (ROOT / "docs/man/meshdeform.1").read_text().splitlines()[0]
+    released = [line for line in (ROOT / "CHANGELOG.md").read_text().splitlines() if line.startswith("## ")][1]
+    assert released.startswith(f"## {version} (")
+
+
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Scripts of a fresh environment with the program installed as `pip install .` does, dependencies borrowed."""
