@@ -20,6 +20,7 @@ from dataclasses import dataclass, field
 from ..errors import MethodError
 from .base import Account, PreparedMethod, Problem, Progress, Setting
 from .composite import Composite
+from .gaps import InGaps
 from .options import reason_of
 from .scattered.block_rbf import BlockRBF
 from .scattered.idw import IDW
@@ -81,7 +82,13 @@ class MethodEntry:
     summary: str
     advice: str
     parts: tuple[type, ...]
-    make: Callable[[Options], Composite]
+    make: Callable[[Options], Composite | InGaps]
+
+
+def _default(options: Options) -> Composite | InGaps:
+    method = Composite(options.idw, options.tfi)
+    # The paper's kinds of rotation and blocks that are never cut are as they are printed.
+    return InGaps(method) if options.idw.rotation == "lie" and options.tfi.max_cells != 0 else method
 
 
 CATALOGUE: dict[str, MethodEntry] = {
@@ -121,7 +128,7 @@ CATALOGUE: dict[str, MethodEntry] = {
         "its cost",
         "Cost N_s x N_v^(2/3) + N_v. max_cells trades cost for quality: smaller sub-blocks are closer to IDW.",
         (IDW, TFI),
-        lambda options: Composite(options.idw, options.tfi),
+        _default,
     ),
 }
 """All methods by their full names."""
@@ -151,6 +158,6 @@ def entry_of(name: str) -> MethodEntry:
     return CATALOGUE[full]
 
 
-def make_method(options: Options) -> Composite:
+def make_method(options: Options) -> Composite | InGaps:
     """The method that ``options`` describe."""
     return entry_of(options.name).make(options)

@@ -137,6 +137,10 @@ class PreparedComposite:
                 self._constrain(_on_faces(out, problem), out)
         return out
 
+    def constrain_again(self, out: FloatArray) -> None:
+        """Impose the constraints on displacements (n_nodes, 3) that were changed, in place."""
+        self._constrain(_on_faces(out, self._problem), out)
+
     def _constrain(self, face: FloatArray, out: FloatArray) -> None:
         """Impose slip and periodicity on ``face`` (n_unique, 3) and copy it to all coincident nodes of ``out``."""
         topology, boundary = self._problem.topology, self._problem.boundary

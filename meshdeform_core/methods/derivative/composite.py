@@ -33,14 +33,8 @@ class Derivative(Protocol):
         ...
 
 
-def derivative_of(method: PreparedMethod, displacement: FloatArray) -> Derivative:
-    """The derivative of a prepared method at one displacement (n_sources, 3).
-
-    Raises
-    ------
-    MethodError
-        For options without a derivative: greedy reduction, and weights that are recomputed on the way.
-    """
+def derivative_of_composite(method: PreparedMethod, displacement: FloatArray) -> Derivative:
+    """The derivative of a prepared composite at one displacement (n_sources, 3); see :func:`.derivative_of`."""
     if isinstance(method, PreparedPeriodic):
         return _Periodic(method, displacement)
     assert isinstance(method, PreparedComposite)
@@ -109,7 +103,7 @@ class _Periodic:
         topology, boundary = problem.topology, problem.boundary
         boundary.slip.constrain(face, problem.grid.points, topology.first)
         boundary.periodic.constrain(face, ~boundary.known)
-        self._rest = derivative_of(method._rest, face[self._sources])
+        self._rest = derivative_of_composite(method._rest, face[self._sources])
 
     def push(self, change: FloatArray) -> FloatArray:
         face = self._mover.push(change, np.zeros((self._problem.grid.n_nodes, 3)))

@@ -1,0 +1,39 @@
+"""Derivative of a composite that gives way to TFI in closing gaps."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...grid import FloatArray
+from ..gaps import Closing, PreparedInGaps
+from .composite import Derivative, derivative_of_composite
+
+
+class InGapsDerivative:
+    """Of the method, of TFI, and of the share of the latter."""
+
+    def __init__(self, method: PreparedInGaps, closing: Closing, displacement: FloatArray) -> None:
+        self._closing, self._share = closing, method.spread(closing.share)
+        inside = (self._share > 0.0) & (self._share < 1.0)
+        self._apart = inside * (method.transfinite.apply(displacement) - method.method.apply(displacement))
+        self._own: Derivative = derivative_of_composite(method.method, displacement)
+        self._lines: Derivative = derivative_of_composite(method.transfinite, displacement)
+        self._scalar: Derivative = derivative_of_composite(method.scalar, displacement)
+
+    def push(self, change: FloatArray) -> FloatArray:
+        """Change (n_nodes, 3) for one of the sources (n_sources, 3)."""
+        closing, own = self._closing, self._own.push(change)
+        share = np.zeros_like(change)
+        share[closing.rows, 0] = np.einsum("ni,ni->n", closing.slope, change[closing.rows] - change[closing.other])
+        spread = self._scalar.push(share)[:, :1]
+        return np.asarray(own + self._share * (self._lines.push(change) - own) + spread * self._apart)
+
+    def pull(self, gradient: FloatArray) -> FloatArray:
+        """Gradient (n_sources, 3) from that (n_nodes, 3) of all block nodes."""
+        closing, spread = self._closing, np.zeros_like(gradient)
+        spread[:, 0] = np.einsum("ni,ni->n", gradient, self._apart)
+        share = self._scalar.pull(spread)[closing.rows, :1] * closing.slope
+        found = self._own.pull((1.0 - self._share) * gradient) + self._lines.pull(self._share * gradient)
+        np.add.at(found, closing.rows, share)
+        np.subtract.at(found, closing.other, share)
+        return np.asarray(found)

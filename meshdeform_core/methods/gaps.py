@@ -1,0 +1,156 @@
+"""Closing gaps between moving walls and others: there grid lines follow both walls, as transfinite interpolation does.
+
+A method that moves the cells at a wall rigidly with it needs room for them. Where a gap loses its thickness there is
+none: its cells have to share what is left.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy
+
+from ..boundary import Kind
+from ..boundary.slip import Slip
+from ..grid import BoolArray, FloatArray, IntArray
+from ..numerics.arrays import lengths
+from ..parallel import current_ranks, for_rows, thread_count
+from .base import Account, Interpolation, PreparedMethod, Problem, Progress, Setting
+from .composite import Composite, Filler, PreparedComposite
+from .transfinite.tfi import TFI
+
+OPEN = 0.8
+"""Share of its thickness that a gap keeps before its cells begin to be shared out (studies/default_method.py)."""
+_TRANSFINITE = Composite(None, TFI(max_cells=0))
+
+
+@dataclass(frozen=True)
+class InGaps:
+    """A composite that gives way to TFI, gradually, where the gap between a moving wall and another boundary closes."""
+
+    method: Composite
+
+    @property
+    def mover(self) -> Interpolation | None:
+        """The first step of the method."""
+        return self.method.mover
+
+    @property
+    def filler(self) -> Filler | None:
+        """The second step of the method."""
+        return self.method.filler
+
+    def prepare(self, problem: Problem) -> PreparedMethod:
+        """Bind to the undeformed grid. With periodic boundaries, or if all of the boundary moves, no gap is sought."""
+        prepared = self.method.prepare(problem)
+        moving = problem.boundary.kind[problem.source_numbers] == Kind.MOVING
+        if moving.all() or not moving.any() or problem.boundary.periodic.one.size:
+            return prepared
+        assert isinstance(prepared, PreparedComposite)
+        return PreparedInGaps(prepared, problem, np.asarray(moving))
+
+
+@dataclass(frozen=True)
+class Closing:
+    """How far gaps have closed at the sources: ``share`` (n_sources,) from 0, open, to 1, closed.
+
+    ``rows`` (m,) are the sources with a share, ``other`` (m,) those across the gap, ``slope`` (m, 3) the derivative of
+    the share with respect to the displacement of the former, and less that of the latter.
+    """
+
+    share: FloatArray
+    rows: IntArray
+    other: IntArray
+    slope: FloatArray
+
+
+class PreparedInGaps:
+    """A prepared composite, and TFI for the gaps that close."""
+
+    linear = cheap = False
+
+    def __init__(self, method: PreparedComposite, problem: Problem, moving: BoolArray):
+        self.method, self._problem, self._moving = method, problem, moving
+        self._account = Account()
+        why = "share of its thickness that a gap to a moving wall keeps before its cells follow both walls as TFI does"
+        self._account.settings["open_gap"] = Setting(OPEN, why)
+
+    @property
+    def account(self) -> Account:
+        """Settings and warnings of the method, and of the gaps."""
+        merged = Account()
+        merged.include(self.method.account)
+        merged.include(self._account)
+        return merged
+
+    def warnings_for(self, motion: FloatArray, step: FloatArray) -> list[str]:
+        """Warnings for a displacement (n_sources, 3) before it is applied; ``step`` is the first increment."""
+        return self.method.warnings_for(motion, step)
+
+    def apply(self, displacement: FloatArray, progress: Progress | None = None) -> FloatArray:
+        """Displacement (n_nodes, 3) of all block nodes from that of the sources (n_sources, 3)."""
+        out = self.method.apply(displacement, progress)
+        closing = self.closing(displacement)
+        if closing is None:
+            return out
+        lines, share = self.transfinite.apply(displacement), self.spread(closing.share)
+
+        def blend(rows: slice) -> None:
+            out[rows] += share[rows] * (lines[rows] - out[rows])
+
+        for_rows(blend, out)
+        if self._problem.boundary.slip.curved:
+            self.method.constrain_again(out)
+        return out
+
+    @cached_property
+    def transfinite(self) -> PreparedMethod:
+        """TFI on the whole grid, prepared when a gap closes for the first time."""
+        return _TRANSFINITE.prepare(self._problem)
+
+    @cached_property
+    def scalar(self) -> PreparedMethod:
+        """The same without constraints: for numbers instead of displacements."""
+        boundary = dataclasses.replace(self._problem.boundary, slip=Slip())
+        return _TRANSFINITE.prepare(dataclasses.replace(self._problem, boundary=boundary))
+
+    def spread(self, share: FloatArray) -> FloatArray:
+        """Values (n_nodes, 1) at all nodes from 0 to 1 by TFI of those (n_sources,) at the sources."""
+        found = self.scalar.apply(np.outer(share, [1.0, 0.0, 0.0]))
+        return np.clip(found[:, :1], 0.0, 1.0)
+
+    @cached_property
+    def _gap(self) -> FloatArray:
+        """Distance (n_sources,) of every moving source from the nearest of the others, and of these from the former."""
+        return current_ranks().once(lambda: self._across(self._problem.source_points)[0])
+
+    def _across(self, points: FloatArray) -> tuple[FloatArray, IntArray]:
+        distance, other = np.empty(len(points)), np.empty(len(points), dtype=np.int64)
+        for side in (self._moving, ~self._moving):
+            rows = np.flatnonzero(~side)
+            tree = scipy.spatial.cKDTree(points[rows])
+            distance[side], nearest = tree.query(points[side], workers=thread_count())
+            other[side] = rows[nearest]
+        return distance, other
+
+    def closing(self, displacement: FloatArray) -> Closing | None:
+        """Where gaps close by a displacement (n_sources, 3) of the sources; ``None`` where all stay open."""
+        longest = float(lengths(displacement).max())
+        if longest <= (1.0 - OPEN) * float(self._gap.min()):
+            return None
+        points = self._problem.source_points + displacement
+        distance, other = self._across(points)
+        # Boundaries that touch where they are undeformed, but do not share nodes, make no gap.
+        part = np.divide(distance, self._gap, out=np.full(len(distance), np.inf), where=self._gap > 0.0) / OPEN
+        rows = np.flatnonzero(part < 1.0)
+        if not rows.size:
+            return None
+        t, share = part[rows], np.zeros(len(part))
+        share[rows] = 1.0 - t * t * (3.0 - 2.0 * t)
+        arm = points[rows] - points[other[rows]]
+        away = np.divide(arm, distance[rows, None], out=np.zeros_like(arm), where=distance[rows, None] > 0.0)
+        slope = (-6.0 * t * (1.0 - t) / (OPEN * self._gap[rows]))[:, None] * away
+        return Closing(share, rows, other[rows], slope)

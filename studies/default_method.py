@@ -1,0 +1,109 @@
+"""How far the default is from the best of the program's own methods: channels that close, flaps, bodies that turn.
+
+python studies/default_method.py                        the table on stdout
+python studies/default_method.py --only channel         some of the motions
+python studies/default_method.py --write docs/validity.md    put the table in its place on the page
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+from flows import SAMPLES, grids_folder
+from motions import displace
+from tables import Row, show
+
+from meshdeform_core.boundary import BoundarySpec, Kind
+from meshdeform_core.boundary.motion import Motion
+from meshdeform_core.deform import Case, Setup, Timing, impose, set_up
+from meshdeform_core.grid import Grid
+from meshdeform_core.methods import Options
+from meshdeform_core.quality import Quality
+from meshdeform_formats.case import read_case
+from meshdeform_formats.grids import read_grid
+from meshdeform_samples.reproduce.experiment import Sample, prepare_sample
+
+METHODS = ("idw-tfi", "tfi", "rbf", "idw")
+
+
+def channel(ni: int = 121, nj: int = 41) -> Grid:
+    """Three blocks of height 1 with a bump of .2 at the floor; cells cluster at floor and roof."""
+    x, s = np.linspace(-3.0, 3.0, ni), np.linspace(-1.0, 1.0, nj)
+    share = 0.5 * (1.0 + np.tanh(2.2 * s) / np.tanh(2.2))
+    floor = 0.2 * np.exp(-((x / 0.5) ** 2))
+    y = floor[:, None] + (1.0 - floor[:, None]) * share
+    whole = np.stack([np.tile(x[:, None], (1, nj)), y, 0 * y], axis=-1)[:, :, None]
+    third = ni // 3
+    return Grid.from_blocks([whole[: third + 1], whole[third : 2 * third + 1], whole[2 * third :]])
+
+
+def _lowered(left: float) -> Setup:
+    roof = Motion((displace("0", f"-{0.8 * (1.0 - left)}*exp(-(x/0.8)**2)", "0"),), {})
+    walls = BoundarySpec("roof", ("*.jmax",), Kind.MOVING, None, roof), BoundarySpec("floor", ("*.jmin",), Kind.FIXED)
+    return set_up(channel(), Case(walls))
+
+
+def _flap(tip: float) -> Setup:
+    folder = grids_folder() / "turek"
+    case = read_case(folder / "case.toml", overrides=(f"constants.tip={tip}",)).case
+    return set_up(read_grid(folder / "turek.p3d"), case)
+
+
+def _sample(name: str, **constants: float) -> Setup:
+    return prepare_sample(Sample(name, SAMPLES[name], constants=tuple(constants.items())))
+
+
+MOTIONS: dict[str, Callable[[], Setup]] = {
+    **{f"channel, roof down to {left:.0%}": (lambda left=left: _lowered(left)) for left in (0.3, 0.1, 0.03)},
+    **{f"flap, tip by {tip:g}": (lambda tip=tip: _flap(tip)) for tip in (0.08, 0.14)},
+    **{f"splitter-plate, {a:g} degrees": (lambda a=a: _sample("splitter-plate", angle=a)) for a in (30.0, 60.0)},
+    **{f"valve, {a:g} degrees": (lambda a=a: _sample("valve", opening=a)) for a in (35.0, 80.0)},
+}
+
+
+def measure(name: str, setup: Setup) -> Iterator[tuple[str, Quality]]:
+    """Quality of one motion by every method, repaired where needed."""
+    for method in METHODS:
+        case = dataclasses.replace(setup.case, method=Options(method))
+        own = dataclasses.replace(setup, case=case)
+        time = 0.1 if name.startswith("valve") else 0.0
+        yield method, impose(own, own.motion(time), None, "float64", Timing()).assessment.after
+
+
+def wall_angle(quality: Quality) -> float:
+    """Deviation from the normal over moving and fixed walls, degrees rms."""
+    both = [walls.wall_normal_deviation_deg.rms for walls in quality.walls.values() if walls]
+    return float(np.sqrt(np.mean(np.square(both))))
+
+
+def _cell(quality: Quality) -> str:
+    if quality.invalid_cells:
+        return f"{quality.invalid_cells} invalid"
+    return f"{quality.min_scaled_jacobian:.3f} / {quality.f_skew.min:.3f} / {wall_angle(quality):.1f}"
+
+
+def main() -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", metavar="TEXT", default="", help="motions whose name contains this")
+    parser.add_argument("--write", type=Path, metavar="PAGE", help="put the table between its marks on a page")
+    options = parser.parse_args()
+    rows: list[Row] = []
+    for name, make in MOTIONS.items():
+        if options.only not in name or (name.startswith("flap") and not (grids_folder() / "turek").is_dir()):
+            continue
+        found = dict(measure(name, make()))
+        best = max(quality.min_scaled_jacobian for quality in found.values() if not quality.invalid_cells)
+        share = found[METHODS[0]].min_scaled_jacobian / best
+        rows.append({"motion": name, **{m: _cell(q) for m, q in found.items()}, "default of best": f"{share:.2f}"})
+        print(rows[-1], file=sys.stderr, flush=True)
+    show(rows, options.write, __file__)
+
+
+if __name__ == "__main__":
+    main()
