@@ -15,7 +15,7 @@ from .numerics.arrays import lengths
 from .parallel import empty, for_rows
 from .velocity import PAST, VELOCITIES, face_fields, grid_velocity
 
-REVISION = 2
+REVISION = 3
 """Number of the algorithms: a series is continued only by a program with the same one.
 
 Raise it with every change after which a level of some series gets other coordinates or another verdict.

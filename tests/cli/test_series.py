@@ -345,7 +345,10 @@ def _as_with_another_default(state):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda state: state["ingredients"].update(algorithms=REVISION - 1), f"algorithms was 1, is {REVISION}"),
+        (
+            lambda state: state["ingredients"].update(algorithms=REVISION - 1),
+            f"algorithms was {REVISION - 1}, is {REVISION}",
+        ),
         (_as_with_another_default, "method.idw.a was 2.75, is "),
         (_as_by_an_older_program, f"algorithms is new ({REVISION}); repair.mode is new ('auto')"),
     ],
