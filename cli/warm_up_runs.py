@@ -11,7 +11,8 @@ import numpy as np
 
 from meshdeform_core.deform import Case, Result, deform, set_up
 from meshdeform_core.grid import Grid
-from meshdeform_core.methods import IDW, RBF, Options, Progress
+from meshdeform_core.methods import IDW, RBF, Options, Progress, make_method
+from meshdeform_core.methods.derivative import derivative_of
 from meshdeform_core.numerics.exact.basis import BASES
 from meshdeform_core.numerics.fastsum.nested import NestedSums
 from meshdeform_core.series import Schedule, deform_series
@@ -49,9 +50,9 @@ def runs() -> Iterator[Callable[[], object]]:
     # A plane grid to repair, and a boundary that crosses itself.
     yield partial(_deformed, "splitter-plate", 8, Options("tfi"), angle=40.0)
     yield partial(_deformed, "splitter-plate", 8, Options("tfi"), amplitude=200.0)
-    # A method that keeps fields of earlier levels.
-    yield partial(_series, "splitter-plate", 8, Options("rbf-tfi"))
     yield partial(_series, "square", 11, Options("tfi"))
+    yield partial(_derivatives, "hemisphere", 8, Options("tfi"))
+    yield partial(_derivatives, "airfoil", 33, Options("idw-tfi"))
     yield partial(_pictures, "hemisphere", 8, Options("tfi"))
     yield _nested_sums
 
@@ -76,6 +77,13 @@ def _sample(name: str, size: int, method: Options, **constants: float) -> tuple[
 
 def _deformed(name: str, size: int, method: Options, **constants: float) -> Result:
     return deform(*_sample(name, size, method, **constants), time=2.5e-4)
+
+
+def _derivatives(name: str, size: int, method: Options) -> None:
+    setup = set_up(*_sample(name, size, method))
+    displacement = setup.displacement(2.5e-4)[setup.problem.source_numbers]
+    derivative = derivative_of(make_method(method).prepare(setup.problem), displacement)
+    derivative.pull(derivative.push(displacement))
 
 
 def _series(name: str, size: int, method: Options) -> None:
