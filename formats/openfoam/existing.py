@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Grid, IntArray
 from meshdeform_core.grid.topology import RELATIVE_TOLERANCE, Topology, find_topology
+from meshdeform_core.parallel import empty
 
 from .lists import read_points
 from .numbering import point_numbers
@@ -56,8 +59,14 @@ def with_points_of(grid: Grid, path: Path) -> tuple[Grid, IntArray]:
         )
     if len(np.unique(found)) < len(found):
         raise FormatError(f"{path}: two nodes of {grid.path} are nearest to one point; give it more digits")
-    numbering = found[number]
-    return dataclasses.replace(grid, points=points[numbering]), np.asarray(numbering, dtype=np.int64)
+    numbering: NDArray[Any] = np.asarray(found[number], dtype=np.int64)
+    placed = dataclasses.replace(grid, points=empty(grid.points.shape))
+
+    def put(block: int) -> None:
+        placed.block(block)[...] = points[grid.block(block, numbering)]
+
+    placed.fill(put)
+    return placed, numbering
 
 
 def _edges(grid: Grid, topology: Topology, nodes: IntArray) -> np.ndarray:
