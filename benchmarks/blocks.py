@@ -3,30 +3,37 @@
 from __future__ import annotations
 
 import argparse
+import json
+import sys
+import tempfile
 from pathlib import Path
 
 import numpy as np
+from runs import run
+from tables import MarkdownTable, Row, exponent
 
 from meshdeform_core.grid import Connection, FloatArray, Grid, Patch, Side, Window
 from meshdeform_core.grid.blocks import FileFormat
+from meshdeform_formats.grids import write_grid
 
 _FAMILIES = dict(zip(Side, ("inflow", "outflow", "wall", "far", "left", "right"), strict=True))
 CASE = """[[boundary]]
 name = "wall"
-select = ["wall"]
+select = ["*.jmin"]
 kind = "moving"
 motion = [{ displace = ["0.01*sin(5*y)", "0.03*sin(3*x)*cos(2*z)", "0.0"] }]
 
 [[boundary]]
-name = "outer"
-select = ["inflow", "outflow", "far"]
-kind = "fixed"
+name = "sides"
+select = ["*.kmin", "*.kmax"]
+kind = "slip"
 
 [[boundary]]
-name = "sides"
-select = ["left", "right"]
-kind = "slip"
+name = "outer"
+select = ["*.i*", "*.jmax"]
+kind = "fixed"
 """
+"""The wall moves, whatever the format keeps of patches."""
 
 
 def box(blocks: tuple[int, int, int], nodes: tuple[int, int, int], ring: bool = False) -> Grid:
@@ -112,28 +119,70 @@ def _connections(
 
 
 SIZES = {
-    10: ((5, 2, 1), (51, 51, 51)), 100: ((5, 5, 4), (24, 24, 24)), 1000: ((10, 10, 10), (11, 11, 11)),
-    10_000: ((25, 20, 20), (5, 5, 5)),
+    10: ((5, 2, 1), 51), 100: ((5, 5, 4), 24), 1000: ((10, 10, 10), 11), 10_000: ((25, 20, 20), 5),
 }  # fmt: skip
+"""Blocks along i, j, k and nodes along each index of a block: about 1.3 million nodes in 10 to 10,000 blocks."""
+_STAGES = ("read", "topology", "prepare", "apply", "quality", "write")
+
+
+def make(folder: Path, count: int, suffix: str, ring: bool = False, nodes: int | None = None) -> Path:
+    """Grid and case in a folder."""
+    blocks, size = SIZES[count]
+    write_grid(box(blocks, (nodes or size,) * 3, ring), folder / f"grid{suffix}")
+    (folder / "case.toml").write_text(CASE, encoding="utf-8")
+    return folder
+
+
+def by_blocks(quick: bool, suffix: str = ".p3dbin") -> MarkdownTable:
+    """``deform`` with reports in JSON and HTML, and ``info --json``, of the same nodes in more and more blocks."""
+    table = MarkdownTable(
+        "The same nodes in 10 to 10,000 blocks",
+        notes=[
+            f"{suffix} files; seconds of processor time with one thread, start of Python included; `deform` writes a "
+            "report as JSON and as a page, the stages are those of its report (wall time)",
+            "exponent: p of seconds = c blocks^p, by least squares",
+        ],
+    )
+    rows = []
+    for count in (10, 100) if quick else SIZES:
+        with tempfile.TemporaryDirectory() as name:
+            rows.append({"blocks": count, **_measured(make(Path(name), count, suffix), suffix)})
+    table.rows += rows
+    counts = [row["blocks"] for row in rows]
+    powers = {key: exponent(counts, [max(row[key], 1e-3) for row in rows]) for key in list(rows[0])[2:]}
+    table.rows.append({"blocks": "exponent", "nodes": "", **powers})
+    return table
+
+
+def _measured(folder: Path, suffix: str) -> Row:
+    grid, report = str(folder / f"grid{suffix}"), folder / "report.json"
+    command = [sys.executable, "-m", "meshdeform"]
+    job = [
+        *command, "deform", grid, "-c", f"{folder}/case.toml", "-o", f"{folder}/out{suffix}", "--report", str(report),
+        "--report", f"{folder}/report.html", "-q", "--force", "--threads", "1",
+    ]  # fmt: skip
+    usages = [run(each)[1] for each in ([*command, "info", grid, "--json"], job)]
+    info, deform = (usage.ru_utime + usage.ru_stime for usage in usages)
+    facts = json.loads(report.read_text(encoding="utf-8"))
+    stages = {stage: facts["timing"].get(stage, 0.0) for stage in _STAGES}
+    return {"nodes": facts["grid"]["nodes"], "info s": info, "deform s": deform, **stages}
 
 
 def main() -> None:
-    from meshdeform_formats.grids import write_grid
-
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--blocks", type=int, default=1000)
-    parser.add_argument("--ring", action="store_true")
-    parser.add_argument("--nodes", type=int)
-    parser.add_argument("--suffix", default=".cgns")
-    parser.add_argument("-o", type=Path, required=True)
+    """The command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="10 and 100 blocks only")
+    parser.add_argument("--suffix", default=".p3dbin", help="format of the grids (%(default)s)")
+    parser.add_argument("--make", type=Path, metavar="FOLDER", help="only write a grid and its case there")
+    parser.add_argument("--blocks", type=int, choices=SIZES, default=1000, help="for --make (%(default)s)")
+    parser.add_argument("--nodes", type=int, help="for --make: nodes along each index of a block")
+    parser.add_argument("--ring", action="store_true", help="for --make: an O-grid instead of a box")
     options = parser.parse_args()
-    count, nodes = SIZES[options.blocks]
-    if options.nodes:
-        nodes = (options.nodes,) * 3
-    options.o.mkdir(parents=True, exist_ok=True)
-    grid = box(count, nodes, options.ring)
-    write_grid(grid, options.o / f"grid{options.suffix}")
-    (options.o / "case.toml").write_text(CASE.replace('"inflow", "outflow", ', "") if options.ring else CASE)
+    if options.make:
+        options.make.mkdir(parents=True, exist_ok=True)
+        make(options.make, options.blocks, options.suffix, options.ring, options.nodes)
+    else:
+        print(by_blocks(options.quick, options.suffix).markdown())
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import blocks
 import idw
 import levels
 import machine
@@ -34,6 +35,7 @@ SECTIONS: dict[str, tuple[Callable[[bool], MarkdownTable], ...]] = {
     "passes": (passes.memory_speed,),
     "levels": (levels.of_every_method, levels.hundred_levels),
     "runs": (runs.file_to_file, runs.with_threads),
+    "blocks": (blocks.by_blocks,),
     "ranks": (runs.ranks,),
     "start": (runs.start_up,),
 }

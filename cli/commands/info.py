@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
+
+from meshdeform_formats.json_text import json_text
 
 from ..info_text import as_text
 from ..options import PATH, GridInput, check_output, force_option, grid_options, json_option
@@ -46,7 +47,7 @@ def command(source: GridInput, verbose: bool, picture: Path | None, force: bool,
     facts = gather(grid, str(source.path))
     if picture is not None:
         _draw(grid, picture, source.path.name)
-    click.echo(json.dumps(facts, indent=2) if as_json else as_text(facts, verbose))
+    click.echo(json_text(facts) if as_json else as_text(facts, verbose))
     return 0
 
 

@@ -39,7 +39,7 @@ class Pair:
 
     @cached_property
     def new(self) -> Subject:
-        return Subject(self.after, self.topology, self.before)
+        return Subject(self.after, self.topology, self.before, original=self.old)
 
 
 def moved_walls(pair: Pair, quads: IntArray, title: str = "") -> Page:

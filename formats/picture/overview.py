@@ -148,9 +148,14 @@ def _declared_ends(subject: Subject) -> list[Face]:
     """Faces in two parallel symmetry planes between which all walls stand upright."""
     found = subject.outside
     planes = [f for f, role in zip(found.faces, found.roles, strict=True) if role is Role.SYMMETRY and f.plane]
+    normals: list[FloatArray] = []
     for face in planes:
         assert face.plane is not None
         normal = face.plane.normal
+        # The faces of many blocks lie in the same few planes.
+        if any(abs(tried @ normal) > 1 - 1e-12 for tried in normals):
+            continue
+        normals.append(normal)
         same = [f for f in planes if f.plane is not None and abs(f.plane.normal @ normal) > 1 - 1e-6]
         heights = [float(f.plane.point @ normal) for f in same if f.plane is not None]
         level = subject.grid.points @ normal

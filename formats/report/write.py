@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any
 from meshdeform_core.errors import FormatError
 
 from ..files import replacing
+from ..json_text import json_text
 from .illustrations import Illustrate, Illustrations
 from .parts import Report
 
@@ -51,7 +51,7 @@ def _render(report: Report, path: Path, illustrate: Illustrate) -> str:
 
 def as_json(report: Report) -> str:
     """The report as JSON; non-finite numbers, which JSON lacks, are null."""
-    return json.dumps(_finite(report), indent=2, allow_nan=False) + "\n"
+    return json_text(_finite(report), allow_nan=False) + "\n"
 
 
 def _finite(value: Any) -> Any:

@@ -234,7 +234,12 @@ class Grid:
 
     @property
     def n_cells(self) -> int:
-        return sum(a * b * c for a, b, c in self.cell_shapes)
+        return int(self.cell_offsets[-1])
+
+    @cached_property
+    def cell_offsets(self) -> IntArray:
+        """Number of each block's first cell; one more entry than blocks."""
+        return np.concatenate([[0], np.cumsum(np.prod(self.cell_shapes, axis=1, dtype=np.int64))])
 
     @property
     def dimension(self) -> int:

@@ -128,7 +128,7 @@ def places(grid: Grid, cells: IntArray) -> tuple[IntArray, IntArray]:
 
 def cell_starts(grid: Grid) -> IntArray:
     """Number (n_blocks + 1,) of the first cell of every block."""
-    return np.concatenate([[0], np.cumsum([a * b * c for a, b, c in grid.cell_shapes])])
+    return grid.cell_offsets
 
 
 def corner_nodes(grid: Grid, block: IntArray, ijk: IntArray) -> IntArray:

@@ -72,17 +72,19 @@ class CellFields:
     topology : of the undeformed grid
     reference : the undeformed grid; cells that became invalid are judged against it
     moving : numbers of face quads that move, which are walls whatever they look like
+    original : the same of the undeformed grid, where it is at hand: its faces need not be found again
     """
 
     grid: Grid
     topology: Topology
     reference: Grid | None = None
     moving: IntArray | None = None
+    original: CellFields | None = None
 
     @cached_property
     def outside(self) -> Outside:
         """Faces and roles, of the undeformed grid where there is one."""
-        return find_outside(self.reference or self.grid, self.topology)
+        return self.original.outside if self.original else find_outside(self.reference or self.grid, self.topology)
 
     def whole(self, block: int) -> Cells:
         """All cells of a block."""

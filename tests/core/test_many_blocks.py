@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 import sys
 from collections.abc import Callable
 
@@ -27,6 +28,7 @@ from meshdeform_core.numerics.arrays import batches, medians, runs, spans, sprea
 from meshdeform_core.numerics.geometry.boxes import overlapping_boxes
 from meshdeform_core.quality.boundary_cells import interface_cells
 from meshdeform_core.quality.lines import interface_lines
+from meshdeform_formats.json_text import json_text
 
 
 def lattice(counts: tuple[int, int, int], nodes: int = 3, turned: bool = False, gap: float = 0.0) -> Grid:
@@ -264,3 +266,18 @@ def test_sides_of_separate_blocks_are_not_compared_with_all_others():
         module.overlapping_boxes = original
     # Each side has the four beside it on its own block, and itself.
     assert 0 < sum(map(len, compared)) <= 5 * 6 * grid.n_blocks
+
+
+def test_long_lists_of_a_report_have_an_entry_per_line():
+    record = {
+        "few": [{"a": 1.5}, {"b": [2]}],
+        "many": [{"n": n, "text": "line\nbreak"} for n in range(150)],
+        "none": None,
+    }
+    text = json_text(record)
+    assert json.loads(text) == record
+    assert json_text({"few": record["few"], "none": None}) == json.dumps({"few": record["few"], "none": None}, indent=2)
+    assert text.count("\n") == len(json.dumps({"few": record["few"]}, indent=2).splitlines()) + 152
+    with pytest.raises(ValueError, match="JSON"):
+        json_text({"x": [float("nan")] * 101}, allow_nan=False)
+    assert json_text({}) == "{}"
