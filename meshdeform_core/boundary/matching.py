@@ -77,9 +77,9 @@ class Nodes:
     @property
     def face_normals(self) -> FloatArray:
         """Unit normals (m, 3) of the faces, out of the grid."""
-        corners = self.points[self.faces]
-        if self.faces.shape[1] == 2:
-            normal = np.cross(corners[:, 1] - corners[:, 0], plane_normal(self.grid))
+        corners, plane = self.points[self.faces], plane_normal(self.grid)
+        if plane is not None:
+            normal = np.cross(corners[:, 1] - corners[:, 0], plane)
         else:
             normal = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
         size = np.linalg.norm(normal, axis=1, keepdims=True)
