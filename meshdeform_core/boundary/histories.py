@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
+import scipy
 
 from ..errors import MotionError
 from ..grid import FloatArray, Grid
@@ -82,11 +82,15 @@ class RigidHistory:
     def _turn(self, rotation: History, time: float, fraction: float) -> FloatArray:
         """The rotation vector (3,) of a fraction of the rotation at a time."""
         if self.order:
-            return np.asarray(Rotation.from_euler(self.order, fraction * rotation.at(time), degrees=True).as_rotvec())
+            return np.asarray(
+                scipy.spatial.transform.Rotation.from_euler(
+                    self.order, fraction * rotation.at(time), degrees=True
+                ).as_rotvec()
+            )
         rotation.require(time)
-        turns = Rotation.from_quat(rotation.values)
+        turns = scipy.spatial.transform.Rotation.from_quat(rotation.values)
         within = np.clip(time, rotation.times[0], rotation.times[-1])
-        found = Slerp(rotation.times, turns)(within) if len(rotation.times) > 1 else turns[0]
+        found = scipy.spatial.transform.Slerp(rotation.times, turns)(within) if len(rotation.times) > 1 else turns[0]
         return np.asarray(fraction * found.as_rotvec())
 
 

@@ -11,7 +11,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.special import comb
+import scipy
 
 from ..errors import MotionError
 from ..grid import FloatArray, IntArray
@@ -85,4 +85,4 @@ def bernstein(degree: int, place: FloatArray) -> FloatArray:
     """All Bernstein polynomials of a degree at places (n,) between 0 and 1: (n, degree + 1)."""
     power = np.arange(degree + 1)
     x = place[:, None]
-    return np.asarray(comb(degree, power) * x**power * (1.0 - x) ** (degree - power))
+    return np.asarray(scipy.special.comb(degree, power) * x**power * (1.0 - x) ** (degree - power))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+import scipy
 
 from ..errors import MotionError
 from ..grid import FloatArray, IntArray
@@ -100,7 +100,7 @@ class Outline:
     """
 
     points: FloatArray
-    spline: CubicSpline
+    spline: scipy.interpolate.CubicSpline
     knots: FloatArray
     lengths: FloatArray
     nose: int
@@ -116,7 +116,7 @@ class Outline:
                 "expected at least 5 different ones in order"
             )
         knots = np.concatenate([[0.0], np.cumsum(steps)])
-        spline = CubicSpline(knots, points)
+        spline = scipy.interpolate.CubicSpline(knots, points)
         nose = int(np.argmax(np.linalg.norm(points - 0.5 * (points[0] + points[-1]), axis=1)))
         if not 2 <= nose <= len(points) - 3:
             raise MotionError(f"{label}: its leading edge is at an end of the list; the trailing edge must be")
@@ -160,7 +160,7 @@ class Outline:
         return np.asarray(self.spline(place))
 
 
-def _arc(spline: CubicSpline, low: FloatArray, high: FloatArray) -> FloatArray:
+def _arc(spline: scipy.interpolate.CubicSpline, low: FloatArray, high: FloatArray) -> FloatArray:
     """Arc lengths (n,) of pieces of a spline."""
     x, w = _GAUSS
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
