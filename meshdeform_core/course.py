@@ -123,7 +123,7 @@ class Course:
     def repairer(self) -> Repairer:
         """Repairs cells relative to the undeformed grid."""
         setup = self.setup
-        return Repairer(setup.original, setup.boundary, self.rounded, setup.memory, self.progress, self.limit)
+        return Repairer(setup.undeformed.repairs, self.rounded, setup.memory, self.progress, self.limit)
 
     @property
     def repairing(self) -> bool:

@@ -23,7 +23,7 @@ from .quality.difference import require_same_blocks
 from .quality.validity import Verdict, judge
 from .renewal import renewed
 from .repair.constraints import Constraints
-from .repair.repair import WEAK, Repair, Repairer
+from .repair.repair import WEAK, Basis, Repair, Repairer
 from .repair.time_limit import TimeLimit
 from .setup import Case
 
@@ -96,11 +96,11 @@ def mend(
     moved = np.abs(grid.points - original.points)[topology.first].max(axis=1) > 0.0
     constraints = dataclasses.replace(constraints, walls=constraints.held & moved)
     limit = TimeLimit(case.repair.time_limit)
-    repairer = Repairer(measured, constraints, lambda points: rounded(points, width), memory, progress, limit)
+    repairer = Repairer(Basis(measured, constraints), lambda points: rounded(points, width), memory, progress, limit)
     cells = Comparison(measured, rounded(grid.points, width))
     found = _Found(grid.points, cells.verdict)
     mode = case.repair.mode
-    if mode == "polish" or (mode == "auto" and repairer.needed(cells.verdict, cells)):
+    if mode == "polish" or (mode == "auto" and repairer.needed(grid.points, cells.verdict, cells)):
 
         def renew(reason: str, than: _Found) -> _Found:
             result = renewed(grid, original, (topology, boundary), case, width, memory, progress)

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
+from .boundary import Kind
 from .deform import Result, Setup, Start, Timing, impose
 from .errors import CaseError
-from .grid import Field, FloatArray
+from .grid import Field, FloatArray, IntArray
 from .methods import PreparedMethod, Progress, make_method
 from .numerics.arrays import lengths
 from .parallel import empty, for_rows
+from .smoothness import Moment, Smoothness, shortest_edges, smoothness
 from .velocity import PAST, VELOCITIES, face_fields, grid_velocity
 
-REVISION = 3
+REVISION = 4
 """Number of the algorithms: a series is continued only by a program with the same one.
 
 Raise it with every change after which a level of some series gets other coordinates or another verdict.
@@ -72,6 +76,7 @@ class Level:
 
     ``rotation`` is the largest rotation of a moving wall against the undeformed grid (degrees), ``velocity``
     (n_nodes, 3) the grid velocity, zero at the first level; ``faces`` are fields at the cell faces.
+    ``smoothness`` counts levels from the first that the same call has made.
     """
 
     number: int
@@ -82,6 +87,7 @@ class Level:
     velocity: FloatArray | None
     faces: tuple[Field, ...]
     timing: Timing
+    smoothness: Smoothness
 
 
 def deform_series(
@@ -118,6 +124,7 @@ class _Series:
         self.setup, self.schedule, self.precision, self.progress = setup, schedule, precision, progress
         self.problem = setup.problem
         self._reference: PreparedMethod | None = None
+        self._recent: list[Moment] = []
 
     def level(self, number: int, past: list[FloatArray]) -> Level:
         setup, schedule = self.setup, self.schedule
@@ -139,7 +146,27 @@ class _Series:
         if schedule.velocity == "swept":
             with timing.stage("velocity"):
                 faces = face_fields(setup.grid, schedule.times[: number + 1], [*past[-2:], result.grid.points])
-        return Level(number, time, result, self._rotation(displacement), drift, velocity, faces, timing)
+        smooth = self._smoothness(time, result)
+        if smooth.warning:
+            result = dataclasses.replace(result, warnings=(*result.warnings, smooth.warning))
+        return Level(number, time, result, self._rotation(displacement), drift, velocity, faces, timing, smooth)
+
+    def _smoothness(self, time: float, result: Result) -> Smoothness:
+        """Of the levels that this run has made."""
+        self._recent = [
+            *self._recent[-2:],
+            Moment(time, result.grid.points, result.repair is None and result.steps == 1),
+        ]
+        return smoothness(self._recent, self._walls, self._edges)
+
+    @cached_property
+    def _walls(self) -> IntArray:
+        boundary, topology = self.setup.boundary, self.setup.topology
+        return np.asarray(topology.first[boundary.kind == Kind.MOVING])
+
+    @cached_property
+    def _edges(self) -> FloatArray:
+        return shortest_edges(self.setup.grid)
 
     def past(self, number: int) -> int:
         """How many levels before level ``number`` are needed to make it; a repair starts from the one before."""

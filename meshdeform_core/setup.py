@@ -28,6 +28,7 @@ from .numerics.jit import compile_seconds
 from .parallel import current_ranks
 from .quality import Original
 from .repair import Mode, RepairOptions
+from .repair.repair import Basis
 
 BoundaryMotion = Callable[[float], FloatArray]
 """``motion(fraction)``: displacement (n_unique, 3) of all face nodes with that fraction of the motion imposed."""
@@ -118,6 +119,11 @@ class Undeformed:
     def crossing_test(self) -> CrossingTest:
         """Whether the boundary crosses itself after a displacement."""
         return CrossingTest(self.grid, self.topology, self.boundary)
+
+    @cached_property
+    def repairs(self) -> Basis:
+        """What all repairs share."""
+        return Basis(self.original, self.boundary)
 
     @cached_property
     def round_off(self) -> float:

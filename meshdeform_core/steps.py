@@ -12,7 +12,7 @@ from .course import Attempt, Course
 from .errors import MethodError
 from .grid import FloatArray
 from .methods import Account, Options, PreparedMethod, Problem, make_method
-from .parallel import empty, for_rows
+from .parallel import for_rows
 from .quality.comparison import Comparison
 from .quality.validity import Verdict, judge
 from .repair.repair import PATIENTLY, QUICKLY, Repair, Way
@@ -120,16 +120,9 @@ def repaired(trial: Trial, ways: tuple[Way, ...] = QUICKLY) -> Trial:
     """A plain trial, repaired if its cells need that and the case asks for it."""
     course, plain = trial.state.course, trial.plain
     mode = course.setup.case.repair.mode
-    if mode == "off" or not (mode == "polish" or course.repairer.needed(plain.verdict, plain.cells)):
+    if mode == "off" or not (mode == "polish" or course.repairer.needed(plain.points, plain.verdict, plain.cells)):
         return trial
-    correction = course.start.correction() if course.start.correction else None
-    if correction is not None:
-        plain = _judged(course, trial.fraction, _sum(plain.points, correction))
-        trial = dataclasses.replace(trial, plain=plain, found=plain, repair=Repair.carried(correction))
-        if mode != "polish" and not course.repairer.needed(plain.verdict, plain.cells):
-            # Another minimum nearby would only make nodes jump in time.
-            return _noted(trial, repair=True)
-    return _repaired(trial, ways)
+    return _repaired(trial, ways, course.start.correction() if course.start.correction else None)
 
 
 def patient_step(state: State, fraction: float) -> Trial:
@@ -213,11 +206,11 @@ def _judged(course: Course, fraction: float, points: FloatArray) -> Coordinates:
         return Coordinates(points, cells.verdict, cells)
 
 
-def _repaired(trial: Trial, ways: tuple[Way, ...]) -> Trial:
+def _repaired(trial: Trial, ways: tuple[Way, ...], guess: FloatArray | None = None) -> Trial:
     course, plain = trial.state.course, trial.plain
     polish = course.setup.case.repair.mode == "polish"
     with course.timing.stage("repair"):
-        outcome = course.repairer.repair(plain.points, plain.verdict, polish, ways)
+        outcome = course.repairer.repair(plain.points, plain.verdict, polish, ways, guess)
     moved = outcome.repair.newton_steps > 0
     found = Coordinates(outcome.points, outcome.verdict) if moved else plain
     # A valid grid in which nothing was moved counts as not repaired.
@@ -231,12 +224,6 @@ def _noted(trial: Trial, repair: bool) -> Trial:
     attempt = Attempt(state.options.name, state.steps + 1, repair, trial.invalid_cells, trial.fraction)
     state.course.log.attempts.append(attempt)
     return trial
-
-
-def _sum(one: FloatArray, two: FloatArray) -> FloatArray:
-    result: FloatArray = empty(one.shape)
-    for_rows(lambda rows: np.add(one[rows], two[rows], out=result[rows]), result)
-    return result
 
 
 def _copy(account: Account) -> Account:

@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 
 from meshdeform_core.series import Level, Schedule
+from meshdeform_core.smoothness import Smoothness
 
 from .parts import Report, boundary_part, cell_part, head_part, method_part
 
@@ -44,6 +45,9 @@ def level_record(level: Level, file: str, write_seconds: float, head: Report, wa
         "max_rotation_deg": level.rotation,
         "motion": [dataclasses.asdict(patch) for patch in result.motion],
         "drift": dataclasses.asdict(level.drift) if level.drift else None,
+        "smoothness": smoothness_part(level.smoothness),
+        "attempts": [dataclasses.asdict(attempt) for attempt in result.attempts],
+        "repair": None if result.repair is None else dataclasses.asdict(result.repair),
         "quality": dataclasses.asdict(result.assessment.after),
         "invalid_cells": [cell_part(cell) for cell in result.assessment.invalid[:_LISTED]],
         "invalid_groups": [dataclasses.asdict(group) for group in result.assessment.groups],
@@ -51,6 +55,12 @@ def level_record(level: Level, file: str, write_seconds: float, head: Report, wa
         "timing": {**seconds, "total": sum(seconds.values())},
         "warnings": list(warnings),
     }
+
+
+def smoothness_part(found: Smoothness) -> Report:
+    """Velocity and acceleration of a level's nodes."""
+    names = ("velocity", "acceleration", "acceleration_in_edges")
+    return {name: getattr(found, name) for name in names}
 
 
 def series_report(

@@ -17,7 +17,7 @@ def series_lines(report: Report) -> Iterator[str]:
     yield f"          f_skew of the undeformed grid: mean {before['harmonic_mean']:.4f}, minimum {before['min']:.4f}"
     yield (
         f"level     {'time':>12s} {'moved':>10s} {'turned':>8s} {'f_skew':>7s} {'min':>7s} {'invalid':>8s}"
-        f" {'drift':>9s} {'prepare':>8s} {'apply':>8s} {'total s':>8s}"
+        f" {'accel.':>8s} {'repaired':>8s} {'drift':>9s} {'prepare':>8s} {'apply':>8s} {'total s':>8s}"
     )
     for level in levels:
         skew, drift, timing = level["quality"]["f_skew"], level["drift"], level["timing"]
@@ -25,7 +25,7 @@ def series_lines(report: Report) -> Iterator[str]:
         yield (
             f"{level['number']:5d}     {level['time']:12.6g} {level['max_displacement']:10.4g} "
             f"{level['max_rotation_deg']:7.2f}° {skew['harmonic_mean']:7.4f} {skew['min']:7.4f} "
-            f"{level['quality']['invalid_cells']:8,} {shown} {timing.get('prepare', 0.0):8.2f} "
+            f"{level['quality']['invalid_cells']:8,} {_motion(level)} {shown} {timing.get('prepare', 0.0):8.2f} "
             f"{timing.get('apply', 0.0):8.2f} {timing['total']:8.2f}"
         )
     if series["drift"]:
@@ -33,6 +33,15 @@ def series_lines(report: Report) -> Iterator[str]:
             f"drift     {series['drift']['max']:.3g} at most, {series['drift']['rms']:.3g} rms: distance of the last "
             f"level from the grid made from the undeformed one"
         )
+
+
+def _motion(level: Report) -> str:
+    """The largest acceleration in steps of the walls, and whether nodes were moved by a repair."""
+    smooth, repair = level.get("smoothness") or {}, level.get("repair")
+    acceleration = smooth.get("acceleration")
+    shown = "" if acceleration is None else f"{acceleration:8.3f}"
+    done = "" if not repair else "yes" if repair["converged"] else "other"
+    return f"{shown:>8s} {done:>8s}"
 
 
 _ORIGINS = {"reference": "undeformed grid", "last": "previous level (marching)"}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Iterator
 from functools import cached_property, partial
 from typing import NamedTuple
 
@@ -14,7 +14,7 @@ from ..grid.planes import plane_axes, plane_normal
 from ..numerics.cell.foldover import cell_samples, samples_with_any, sound_samples
 from ..numerics.cell.layers import cells_at, layers_from
 from .constraints import Constraints
-from .region import COLLAPSED, Energy, Hexahedra, Region, Triangles, Unknowns, Weights
+from .region import COLLAPSED, Energy, Hexahedra, Region, Slide, Triangles, Unknowns
 from .sliding import Sliding
 from .walls import UNLIMITED, nearness, weigh
 
@@ -86,11 +86,8 @@ class Neighbourhood:
         on_face = self.number[near] >= 0
         return near[~on_face | ~self.constraints.held[self.number[near]]]
 
-    def plot(self, free: IntArray, even: bool = False, points: FloatArray | None = None) -> Plot:
-        """The region that block nodes ``free`` from :meth:`around` span; ``even``: cells at walls count like others.
-
-        ``points`` (n_nodes, 3) is where nodes begin that slide on curved surfaces, if not undeformed.
-        """
+    def plot(self, free: IntArray, even: bool = False) -> Plot:
+        """The region that block nodes ``free`` from :meth:`around` span; ``even``: cells at walls count like others."""
         owners = self._owners(free)
         touched = cells_at(free, self._shapes, self.grid.offsets, self.grid.n_cells)
         corners = self._corners(touched)
@@ -98,45 +95,44 @@ class Neighbourhood:
         unknowns, freedom = self._unknowns(nodes, owners)
         start, cells = self.grid.points[nodes] @ self.axes.T, local.reshape(corners.shape)
         walls = self._from_walls
-        count = Weights.even(len(cells)) if even else weigh(walls[corners], float(walls.min()), start, cells)
-        energy = self._energy(start, cells, self._signs(touched), count, unknowns.number >= 0)
-        back = self._sliding(nodes, unknowns, freedom, self.grid.points if points is None else points)
-        return Plot(Region(energy, unknowns, freedom, back), nodes, free, np.searchsorted(nodes, owners), self.axes)
+        weight = np.ones(len(cells)) if even else weigh(walls[corners], float(walls.min()), start, cells)
+        energy = self._energy(start, cells, self._signs(touched), weight, unknowns.number >= 0)
+        slides = tuple(self._slides(nodes, unknowns))
+        return Plot(Region(energy, unknowns, freedom, slides), nodes, free, np.searchsorted(nodes, owners), self.axes)
 
-    def _sliding(
-        self, nodes: IntArray, unknowns: Unknowns, freedom: FloatArray, points: FloatArray
-    ) -> tuple[tuple[IntArray, Callable[[FloatArray], FloatArray]], ...]:
-        """See :class:`Region`; the ``freedom`` of unknowns on curved surfaces loses the directions across."""
-        found = []
+    def _slides(self, nodes: IntArray, unknowns: Unknowns) -> Iterator[Slide]:
+        """See :class:`Region`."""
         for each in self.constraints.sliding:
             local = np.flatnonzero(np.isin(nodes, self.topology.first[each.nodes]) & (unknowns.number >= 0))
-            if not local.size:
-                continue
-            across = each.normals(points[nodes[local]]) @ self.axes.T
-            freedom[unknowns.number[local]] -= across[:, :, None] * across[:, None, :]
-            unknowns.frame[local] = freedom[unknowns.number[local]]
-            unknowns.plain[local] = False
-            found.append((local, partial(self._onto, each)))
-        return tuple(found)
+            if local.size:
+                yield Slide(local, partial(self._normals, each), partial(self._onto, each))
+
+    def _normals(self, sliding: Sliding, x: FloatArray) -> FloatArray:
+        """Unit normals of a surface, in coordinates (k, d) of the region."""
+        return np.asarray(sliding.normals(self._outside(x)) @ self.axes.T)
 
     def _onto(self, sliding: Sliding, x: FloatArray) -> FloatArray:
         """The closest places on a surface, in coordinates (k, d) of the region."""
-        outside = self.grid.points[0] - self.axes.T @ (self.axes @ self.grid.points[0])
-        return np.asarray(sliding.project(x @ self.axes + outside) @ self.axes.T)
+        return np.asarray(sliding.project(self._outside(x)) @ self.axes.T)
+
+    def _outside(self, x: FloatArray) -> FloatArray:
+        """The place in space (k, 3) of coordinates (k, d) of a region."""
+        return np.asarray(x @ self.axes + self.grid.points[0] - self.axes.T @ (self.axes @ self.grid.points[0]))
 
     def _layers(self, seeds: IntArray, layers: int) -> np.ndarray:
         found: np.ndarray = layers_from(seeds, layers, self._shapes, self.grid.offsets, *self._classes)
         return found
 
     def _energy(
-        self, start: FloatArray, cells: IntArray, sign: FloatArray, weights: Weights, moves: BoolArray
+        self, start: FloatArray, cells: IntArray, sign: FloatArray, weight: FloatArray, moves: BoolArray
     ) -> Energy:
         """The energy of the samples that depend on a node that ``moves`` (n,): the others cannot be improved."""
         if self.grid.dimension == 2:
-            return Triangles.at_corners(start, cells, sign, weights).with_any(moves)
+            return Triangles.at_corners(start, cells, sign, weight).with_any(moves)
         samples = cell_samples()
         mask = sound_samples(start, cells, samples, sign, COLLAPSED)
-        return Hexahedra(start, cells, mask & samples_with_any(moves[cells], samples), samples, weights)
+        mask &= samples_with_any(moves[cells], samples)
+        return Hexahedra(start, cells, mask, samples, weight, np.ones(len(cells)))
 
     def _owners(self, flat: IntArray) -> IntArray:
         """The block node that stands for each of ``flat``."""

@@ -23,11 +23,12 @@ class NewtonSystem:
     """Gradient and Hessian of a region's energy, filled anew in every step.
 
     The Hessian is scaled from both sides by the Cholesky factors of its diagonal blocks (block-Jacobi
-    preconditioning) and kept in single precision: conjugate gradients stop long before that matters.
+    preconditioning) and kept in single precision, which only makes steps a little inexact.
     """
 
     def __init__(self, region: Region) -> None:
-        self._region, n, d = region, region.n_unknowns, region.dimension
+        n, d = region.n_unknowns, region.dimension
+        self.unknowns = region.unknowns
         of_element = region.number[region.energy.nodes]
         used = of_element >= 0
         element = np.broadcast_to(np.arange(len(of_element))[:, None], of_element.shape)[used]
@@ -52,17 +53,23 @@ class NewtonSystem:
         """Bytes that it takes, while the pattern is being found."""
         return n_unknowns * (27 * (36 + 24) + 300 if dimension == 3 else 9 * (16 + 24) + 700)
 
-    def fill(self, x: FloatArray, penalty: Penalty) -> None:
-        """Gradient and scaled Hessian at the coordinates ``x`` (n, d); see :mod:`..cell.foldover`."""
-        region, starts, columns = self._region, self._starts, self._columns
+    def fill(self, region: Region, x: FloatArray, reference: FloatArray, penalty: Penalty) -> bool:
+        """Gradient and scaled Hessian at the coordinates ``x`` (n, d); see :mod:`..cell.foldover`.
+
+        The ``region`` is the one that the system was made for, but for shares of samples.
+        ``False`` if a diagonal block is not positive definite; that never happens with the convex part.
+        """
+        starts, columns = self._starts, self._columns
+        self.unknowns, freedom = region.directions(x)
         self.gradient[...] = 0.0
+        bad = np.zeros(-(-region.n_unknowns // _ROWS), dtype=np.int64)
 
         def add(low: int, high: int) -> None:
             first, last = starts[low], starts[high]
             blocks = np.zeros((last - first, *self._matrix.shape[1:]))
             rows = Rows(low, high, starts, columns, blocks, self.gradient)
-            region.energy.add(x, penalty, self._elements[low // _ROWS], region.unknowns, rows)
-            factor_diagonal(blocks, rows.pattern, region.freedom, self._factor)
+            region.energy.add(x, reference, penalty, self._elements[low // _ROWS], self.unknowns, rows)
+            bad[low // _ROWS] = factor_diagonal(blocks, rows.pattern, freedom, self._factor)
             scale_left(blocks, rows.pattern, self._factor)
             self._matrix[first:last] = blocks
 
@@ -70,27 +77,30 @@ class NewtonSystem:
         for_chunks(
             lambda *ends: scale_right(self._matrix, starts, columns, self._factor, *ends), region.n_unknowns, _ROWS
         )
+        return not penalty.exact or not bad.any()
 
-    def direction(self, tolerance: float, most: int) -> tuple[FloatArray, int]:
-        """The Newton step (n_unknowns, d), by conjugate gradients until ``|r| <= tolerance |b|``; iterations."""
+    def direction(self, tolerance: float, most: int) -> tuple[FloatArray, bool]:
+        """The Newton step (n_unknowns, d), by conjugate gradients until ``|r| <= tolerance |b|``; whether no direction
+        of negative curvature was met. Where one is, the step so far is one of descent."""
         factor, (n, d) = self._factor, self.gradient.shape
         r = -np.einsum("nij,nj->ni", factor, self.gradient)
         y, p, image = np.zeros_like(r), r.copy(), np.empty_like(r)
         flat = [v.ravel() for v in (y, r, p, image)]
         rho = _sum_over_rows(partial(dot_rows, flat[1], flat[1]), n * d)
-        goal, count = tolerance * tolerance * rho, 0
+        goal, convex = tolerance * tolerance * rho, True
         matrix = self._matrix, self._starts, self._columns
-        while rho > goal and count < most:
+        for _ in range(most):
+            if rho <= goal:
+                break
             curvature = _sum_over_rows(partial(self._multiply, *matrix, p, image), n)
             if curvature <= 0.0:
-                # Round-off: what has been found so far is a direction of descent.
+                convex = False
                 break
             length, before = rho / curvature, rho
             rho = _sum_over_rows(partial(advance_rows, *flat, length), n * d)
             p *= rho / before
             p += r
-            count += 1
-        return np.einsum("nji,nj->ni", factor, y), count
+        return np.einsum("nji,nj->ni", factor, y), convex
 
     def dense(self) -> FloatArray:
         """The scaled Hessian as one matrix (d n, d n), for small regions."""
@@ -112,13 +122,14 @@ def _sum_over_rows(work: Callable[[int, int], float], n: int) -> float:
 
 @kernel
 def factor_diagonal(blocks, rows, freedom, factor):
-    """The inverse Cholesky factors of the diagonal blocks of ``rows``, see :func:`..cell.foldover.add_derivatives`.
+    """The inverse Cholesky factors of the diagonal blocks of ``rows``, see :func:`..cell.foldover.add_derivatives`;
+    returns how many pivots were not positive.
 
     ``freedom`` (n, d, d) projects on the directions in which an unknown may move; the others get a stiffness of their
     own.
     """
     first, last, starts, columns = rows
-    size = freedom.shape[1]
+    size, bad = freedom.shape[1], 0
     for row in range(first, last):
         at = starts[row]
         while columns[at] != row:
@@ -128,7 +139,7 @@ def factor_diagonal(blocks, rows, freedom, factor):
         for d in range(size):
             trace += a[d, d]
         # An unknown that no sample depends on does not move.
-        small = 1e-14 * trace + 1e-300
+        small = 1e-14 * abs(trace) + 1e-300
         for d in range(size):
             for e in range(d + 1):
                 a[d, e] += ((1.0 if d == e else 0.0) - freedom[row, d, e]) * trace
@@ -138,6 +149,8 @@ def factor_diagonal(blocks, rows, freedom, factor):
                 total = a[d, e]
                 for o in range(e):
                     total -= f[d, o] * f[e, o]
+                if d == e and total < -small:
+                    bad += 1
                 f[d, e] = np.sqrt(max(total, small)) if d == e else total / f[e, e]
             for e in range(d + 1, size):
                 a[d, e] = a[d, e] - freedom[row, d, e] * trace
@@ -149,6 +162,7 @@ def factor_diagonal(blocks, rows, freedom, factor):
                 for o in range(e, d):
                     total += f[d, o] * f[o, e]
                 f[d, e] = -total / f[d, d]
+    return bad
 
 
 @kernel

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from ..grid import BoolArray, FloatArray, IntArray
-from ..numerics.cell.foldover import Samples, add_derivatives, energy_of_cells, measure_samples
-from ..numerics.cell.foldover_plane import add_triangles, corner_triangles, energy_of_triangles
-from .shape import hexahedron_shapes, lost, triangle_shapes
+from ..numerics.cell.foldover import Samples, add_derivatives, energy_of_cells, excess_of_cells, shortest_edges
+from ..numerics.cell.foldover_plane import add_triangles, corner_triangles, energy_of_triangles, excess_of_triangles
 
 COLLAPSED = 1e-10
 """A Jacobian below this share of the product of the edges is that of a collapsed corner."""
 _CORNERS = (1 << 8) - 1
+HEALTHY, SOFT, NORM = 2.5, 0.5, 24.0
+"""An element is healthy while its f, regularised by SOFT, is below HEALTHY: sheared by less than 45 degrees, or shorter
+or longer by less than 2. The excess log(f / HEALTHY) of the corners of a cell is combined in a NORM, as that of cells
+is."""
 
 
 class Unknowns(NamedTuple):
@@ -28,10 +33,14 @@ class Unknowns(NamedTuple):
 
 
 class Penalty(NamedTuple):
-    """The regularisation ``eps`` and the barrier ``t`` of the energy."""
+    """The parameters of the energy, see :mod:`..numerics.cell.foldover`; ``exact``: all of its second derivatives,
+    else their convex part."""
 
-    eps: float
-    t: float = 0.0
+    eps: float = 0.0
+    share: float = 1.0
+    cubic: float = 0.0
+    elastic: float = 0.0
+    exact: bool = False
 
 
 class Rows(NamedTuple):
@@ -51,86 +60,38 @@ class Rows(NamedTuple):
         return self[:4]
 
 
-class Margin(NamedTuple):
-    """By which ``factor`` the excess of a density over 2 may grow, with at least a ``smallest`` excess."""
-
-    factor: float
-    smallest: float
-
-    def barrier(self, density: FloatArray) -> FloatArray:
-        """Barriers t (m,) for present densities (m,)."""
-        return np.asarray(1.0 / (2.0 + self.factor * np.maximum(density - 2.0, self.smallest)))
-
-
-GUARDED, FIRM, PRESSED = Margin(1.25, 0.2), Margin(1.1, 0.05), Margin(1.05, 0.02)
-"""Of guarded elements while others improve, and while shapes do; of those pressed towards a better shape."""
-
-
-class Weights(NamedTuple):
-    """Of elements: how much each counts in the sum, ``sum`` (m,), and whether it is ``guarded`` (m,): it may not
-    deteriorate where others improve."""
-
-    sum: FloatArray
-    guarded: BoolArray
-
-    @classmethod
-    def even(cls, count: int) -> Weights:
-        """All count alike."""
-        return cls(np.ones(count), np.zeros(count, dtype=bool))
-
-    def of(self, which: IntArray | BoolArray) -> Weights:
-        """Those of some elements."""
-        return Weights(self.sum[which], self.guarded[which])
-
-    def guard(self, density: FloatArray, margin: Margin) -> FloatArray:
-        """Weights and own barriers (m, 2) of the energy; guarded elements have the largest ``density`` (m,) now."""
-        return np.stack([self.sum, np.where(self.guarded, margin.barrier(density), 0.0)], axis=1)
-
-    @staticmethod
-    def press(weight: FloatArray, density: FloatArray, weak: BoolArray) -> FloatArray:
-        """The same, after :meth:`guard`, with a barrier just above the ``density`` (m,) of ``weak`` (m,) elements."""
-        result = weight.copy()
-        result[weak, 1] = np.maximum(weight[weak, 1], PRESSED.barrier(density[weak]))
-        return result
-
-    @property
-    def free(self) -> FloatArray:
-        """The same (m, 2) without barriers."""
-        return np.stack([self.sum, np.zeros(len(self.sum))], axis=1)
-
-
 class Energy(Protocol):
     """A sum over elements, each of which depends on some nodes: ``nodes`` (m, k)."""
 
     @property
     def nodes(self) -> IntArray: ...
 
-    def guard(self, x: FloatArray, margin: Margin = GUARDED) -> None:
-        """Keep guarded elements, all of them valid at ``x`` (n, d), from deteriorating much."""
+    def edges(self) -> FloatArray:
+        """(n,) the shortest undeformed edge at every node, infinite where there is none of any length."""
         ...
 
-    def press(self, weak: BoolArray, density: FloatArray) -> None:
-        """The same, and ``weak`` elements (m,) of the given densities (m,) from deteriorating at all."""
+    def softened(self, power: float) -> Energy:
+        """The same with the given power of all weights."""
         ...
 
-    def measure(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(m,) smallest determinant and largest density of valid elements."""
+    def excess(self, x: FloatArray) -> FloatArray:
+        """(m,) how weak elements are, see :mod:`.onset`."""
         ...
 
-    def shapes(self, x: FloatArray) -> FloatArray:
-        """(m,) f_skew of valid elements over their corners; 1 where it is close to that of the undeformed ones."""
+    def sum(
+        self, x: FloatArray, reference: FloatArray, penalty: Penalty, low: int, high: int
+    ) -> tuple[float, float, float]:
+        """Over elements low <= m < high: energy, smallest determinant, largest f."""
         ...
 
-    def sum(self, x: FloatArray, penalty: Penalty, low: int, high: int) -> tuple[float, float, float]:
-        """Over elements low <= m < high: energy, smallest determinant, largest density."""
-        ...
-
-    def add(self, x: FloatArray, penalty: Penalty, which: IntArray, unknowns: Unknowns, rows: Rows) -> None:
+    def add(
+        self, x: FloatArray, reference: FloatArray, penalty: Penalty, which: IntArray, unknowns: Unknowns, rows: Rows
+    ) -> None:
         """See :func:`..numerics.cell.foldover.add_derivatives`."""
         ...
 
 
-@dataclass
+@dataclass(frozen=True)
 class Hexahedra:
     """The energy of hexahedra.
 
@@ -140,137 +101,146 @@ class Hexahedra:
     nodes : (m, 8) as in :func:`..numerics.cell.foldover.cell_samples`
     mask : (m,) int64, bit s set where sample point s counts
     samples : the sample points
-    weights : of the cells
+    weight : (m,) of the cells
+    between : (m,) share of the samples between corners
     """
 
     start: FloatArray
     nodes: IntArray
     mask: IntArray
     samples: Samples
-    weights: Weights
+    weight: FloatArray
+    between: FloatArray
 
-    def __post_init__(self) -> None:
-        self._weight = self._guard = self.weights.free
-        self._undeformed: FloatArray | None = None
+    def edges(self) -> FloatArray:
+        pairs = [(a, a | bit) for a in range(8) for bit in (1, 2, 4) if not a & bit]
+        return shortest_edges(self.start, self.nodes, np.array(pairs))
 
-    def guard(self, x: FloatArray, margin: Margin = GUARDED) -> None:
-        self._weight = self._guard = self.weights.guard(self.measure(x)[1], margin)
+    def softened(self, power: float) -> Hexahedra:
+        return dataclasses.replace(self, weight=self.weight**power)
 
-    def press(self, weak: BoolArray, density: FloatArray) -> None:
-        self._weight = self.weights.press(self._guard, density, weak)
+    def excess(self, x: FloatArray) -> FloatArray:
+        found = excess_of_cells(x, self.start, self.nodes, self.mask & _CORNERS, self.samples, HEALTHY, NORM, SOFT)
+        return np.asarray(found)
 
-    def shapes(self, x: FloatArray) -> FloatArray:
-        if self._undeformed is None:
-            self._undeformed = hexahedron_shapes(self.start, self.nodes, self.mask)
-        return lost(hexahedron_shapes(x, self.nodes, self.mask), self._undeformed)
+    def with_between(self, share: FloatArray) -> Hexahedra:
+        """The same with shares (m,) of the samples between corners; those without are left out."""
+        return dataclasses.replace(self, mask=np.where(share > 0.0, self.mask, self.mask & _CORNERS), between=share)
 
-    def measure(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        lowest, highest = measure_samples(x, self.start, self.nodes, self.mask, self.samples)
-        return lowest, highest
+    def sum(
+        self, x: FloatArray, reference: FloatArray, penalty: Penalty, low: int, high: int
+    ) -> tuple[float, float, float]:
+        return energy_of_cells(x, *self._loops, reference, tuple(penalty), low, high)
 
-    def focus(self, x: FloatArray, weak: float) -> None:
-        """Take all samples of hexahedra that have a determinant below ``weak``, and only the corners of the others."""
-        sound = self.mask
-        self.mask = sound & _CORNERS
-        lowest, _ = measure_samples(x, self.start, self.nodes, self.mask, self.samples)
-        self.mask[lowest < weak] = sound[lowest < weak]
+    def add(
+        self, x: FloatArray, reference: FloatArray, penalty: Penalty, which: IntArray, unknowns: Unknowns, rows: Rows
+    ) -> None:
+        rest = tuple(penalty), which, unknowns, rows.pattern, rows.matrix, rows.gradient
+        add_derivatives(x, *self._loops, reference, *rest)
 
-    def sum(self, x: FloatArray, penalty: Penalty, low: int, high: int) -> tuple[float, float, float]:
-        return energy_of_cells(x, *self._loops, *penalty, low, high)
-
-    def add(self, x: FloatArray, penalty: Penalty, which: IntArray, unknowns: Unknowns, rows: Rows) -> None:
-        add_derivatives(x, *self._loops, *penalty, which, unknowns, rows.pattern, rows.matrix, rows.gradient)
-
-    @property
+    @cached_property
     def _loops(self) -> tuple[Any, ...]:
-        return self.start, self.nodes, self.mask, self.samples, self._weight
+        return self.start, self.nodes, self.mask, self.samples, np.stack([self.weight, self.between], axis=1)
 
 
-@dataclass
+@dataclass(frozen=True)
 class Triangles:
     """The energy of the corners of quadrilaterals: ``nodes`` (m, 3), ``slope`` (m, 3, 2) the undeformed gradients of
-    their shape functions, ``start`` (n, 2) undeformed coordinates, ``weights`` those of their cells."""
+    their shape functions, ``start`` (n, 2) undeformed coordinates, ``weight`` (m,) those of their cells."""
 
     nodes: IntArray
     slope: FloatArray
     start: FloatArray
-    weights: Weights
+    weight: FloatArray
 
-    def __post_init__(self) -> None:
-        self._weight = self._guard = self.weights.free
+    def edges(self) -> FloatArray:
+        return shortest_edges(self.start, self.nodes, np.array([(0, 1), (0, 2)]))
 
-    def guard(self, x: FloatArray, margin: Margin = GUARDED) -> None:
-        self._weight = self._guard = self.weights.guard(self.measure(x)[1], margin)
+    def softened(self, power: float) -> Triangles:
+        return dataclasses.replace(self, weight=self.weight**power)
 
-    def press(self, weak: BoolArray, density: FloatArray) -> None:
-        self._weight = self.weights.press(self._guard, density, weak)
-
-    def shapes(self, x: FloatArray) -> FloatArray:
-        return lost(triangle_shapes(x, self.nodes), triangle_shapes(self.start, self.nodes))
-
-    def measure(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        a = np.einsum("mnd,mnk->mdk", x[self.nodes], self.slope)
-        det = np.linalg.det(a)
-        return det, np.asarray(((a**2).sum(axis=(1, 2)) + det**2 + 1.0) / (2.0 * det))
+    def excess(self, x: FloatArray) -> FloatArray:
+        return np.asarray(excess_of_triangles(x, self.nodes, self.slope, HEALTHY, SOFT))
 
     @classmethod
-    def at_corners(cls, start: FloatArray, cells: IntArray, sign: FloatArray, weights: Weights) -> Triangles:
+    def at_corners(cls, start: FloatArray, cells: IntArray, sign: FloatArray, weight: FloatArray) -> Triangles:
         """Of the sound corners of undeformed quadrilaterals (m, 4); ``sign`` (m,) is that of sound Jacobians."""
         most = 4 * len(cells)
         nodes, slope, cell = np.empty((most, 3), np.int64), np.empty((most, 3, 2)), np.empty(most, np.int64)
         count = corner_triangles(start, cells, sign, COLLAPSED, nodes, slope, cell)
-        return cls(nodes[:count], slope[:count], start, weights.of(cell[:count]))
+        return cls(nodes[:count], slope[:count], start, weight[cell[:count]])
 
     def with_any(self, moves: BoolArray) -> Triangles:
         """Those that have one of the nodes that ``moves`` (n,) is true for."""
         kept = np.asarray(moves[self.nodes].any(axis=1))
-        return self if kept.all() else Triangles(self.nodes[kept], self.slope[kept], self.start, self.weights.of(kept))
+        return self if kept.all() else Triangles(self.nodes[kept], self.slope[kept], self.start, self.weight[kept])
 
-    def sum(self, x: FloatArray, penalty: Penalty, low: int, high: int) -> tuple[float, float, float]:
-        return energy_of_triangles(x, *self._loops, *penalty, low, high)
+    def sum(
+        self, x: FloatArray, reference: FloatArray, penalty: Penalty, low: int, high: int
+    ) -> tuple[float, float, float]:
+        return energy_of_triangles(x, self.nodes, self.slope, self.weight, reference, tuple(penalty), low, high)
 
-    def add(self, x: FloatArray, penalty: Penalty, which: IntArray, unknowns: Unknowns, rows: Rows) -> None:
-        add_triangles(x, *self._loops, *penalty, which, unknowns, rows.pattern, rows.matrix, rows.gradient)
+    def add(
+        self, x: FloatArray, reference: FloatArray, penalty: Penalty, which: IntArray, unknowns: Unknowns, rows: Rows
+    ) -> None:
+        rest = tuple(penalty), which, unknowns, rows.pattern, rows.matrix, rows.gradient
+        add_triangles(x, self.nodes, self.slope, self.weight, reference, *rest)
 
-    @property
-    def _loops(self) -> tuple[Any, ...]:
-        return self.nodes, self.slope, self._weight
+
+class Slide(NamedTuple):
+    """Nodes (k,) that stay on a surface: its unit ``normals`` (k, d) next to coordinates (k, d), and the way ``back``
+    onto it."""
+
+    nodes: IntArray
+    normals: Callable[[FloatArray], FloatArray]
+    back: Callable[[FloatArray], FloatArray]
 
 
-@dataclass
+@dataclass(frozen=True)
 class Region:
     """Some cells whose nodes are moved, with nodes of their own numbering, in coordinates (n, d) of space or plane.
 
-    ``freedom`` (n_unknowns, d, d) projects on the directions in which unknowns may move; ``back`` takes nodes (k,) to
-    their places on surfaces, given where they went along those directions, both (k, d).
+    ``fixed`` (n_unknowns, d, d) projects on the directions in which unknowns may move, without regard to ``slides``.
     """
 
     energy: Energy
     unknowns: Unknowns
-    freedom: FloatArray
-    back: tuple[tuple[IntArray, Callable[[FloatArray], FloatArray]], ...] = ()
+    fixed: FloatArray
+    slides: tuple[Slide, ...] = ()
 
     @property
     def n_unknowns(self) -> int:
-        return len(self.freedom)
+        return len(self.fixed)
 
     @property
     def dimension(self) -> int:
-        return self.freedom.shape[1]
+        return self.fixed.shape[1]
 
     @property
     def number(self) -> IntArray:
         return self.unknowns.number
 
-    def moved(self, x: FloatArray, step: FloatArray, length: float) -> FloatArray:
+    def directions(self, x: FloatArray) -> tuple[Unknowns, FloatArray]:
+        """How nodes at ``x`` (n, d) follow the unknowns, and the projectors on the directions of these."""
+        if not self.slides:
+            return self.unknowns, self.fixed
+        frame, plain, freedom = self.unknowns.frame.copy(), self.unknowns.plain.copy(), self.fixed.copy()
+        for slide in self.slides:
+            across = slide.normals(x[slide.nodes])
+            unknown = self.number[slide.nodes]
+            freedom[unknown] -= across[:, :, None] * across[:, None, :]
+            frame[slide.nodes], plain[slide.nodes] = freedom[unknown], False
+        return Unknowns(self.number, frame, plain), freedom
+
+    def moved(self, x: FloatArray, unknowns: Unknowns, step: FloatArray, length: float) -> FloatArray:
         """Coordinates after ``length`` times the step (n_unknowns, d) of the unknowns."""
-        number, frame, plain = self.unknowns
+        number, frame, plain = unknowns
         free = number >= 0
         move = step[number[free]]
         turned = ~plain[free]
         move[turned] = np.einsum("nij,nj->ni", frame[free][turned], move[turned])
         result = x.copy()
         result[free] += length * move
-        for nodes, project in self.back:
-            result[nodes] = project(result[nodes])
+        for slide in self.slides:
+            result[slide.nodes] = slide.back(result[slide.nodes])
         return result

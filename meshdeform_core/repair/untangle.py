@@ -1,42 +1,36 @@
-"""Newton's method for the foldover-free energy: first until no sample is inverted, then to improve the worst ones."""
+"""Newton's method for the energy of a region: first until no sample is inverted, then to its minimum."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..grid import FloatArray
 from ..parallel import for_chunks
 from .newton import NewtonSystem
-from .region import FIRM, GUARDED, Penalty, Region
+from .region import Penalty, Region
 
 _ELEMENTS = 4096
-_TOLERANCE = 3e-2
-_MOST_ITERATIONS = 200
+_ROUGH, _ROUGH_ITERATIONS = 3e-2, 200
+_FINE, _FINE_ITERATIONS = 1e-5, 5000
+SOFTENED = 0.5
+"""Power of the weights of cells while they are untangled."""
+CUBIC = 2.0
+"""Of the energy that is minimised: the larger, the more the worst cells count."""
 # A determinant that stays below -_LOCKED eps while eps falls has nowhere to go in this region.
 _LOCKED = 100.0
-# Where the largest density is low enough; it stalls if _WINDOW steps do not lower it below that share.
-_GOOD = 2.6
-_WINDOW, _STALLED = 5, 0.95
-# Plain steps after untangling.
-_SETTLING = 3
-# Elements of a shape below _WEAKEST times the worst are pressed, in at most _SHAPING steps, until _IDLE of these have
-# not improved the worst by the factor _HELPS. The largest density may grow by the part _LOOSE of its excess, the
-# smallest determinant may fall to the part _KEPT.
-_WEAKEST, _SHAPING, _IDLE = 1.15, 8, 2
-_HELPS, _LOOSE, _KEPT = 1.01, 0.02, 0.995
-# By which part of the distance to the largest density a barrier approaches it at least.
-_CLOSER = 0.3
+CLOSE = 1e-6
+"""The minimum is reached when a step moves no node by more than this share of its shortest edge."""
 _SMALLEST_STEP = 1e-4
-# Sufficient decrease of a line search (Armijo).
-_DECREASE = 1e-4
+# Sufficient decrease of a line search (Armijo), but for round-off of the energy.
+_DECREASE, _ROUND_OFF = 1e-4, 1e-13
 
 
 @dataclass(frozen=True)
 class State:
-    """Coordinates with the energy there, its smallest determinant and its largest density."""
+    """Coordinates with the energy there, its smallest determinant and its largest f."""
 
     x: FloatArray
     energy: float
@@ -56,23 +50,25 @@ class Pace:
 
 @dataclass
 class Untangler:
-    """Moves the unknowns of a region from coordinates ``x`` (n, 3), until it is ``late``."""
+    """Moves the unknowns of a region from coordinates ``x`` (n, d), until it is ``late``.
+
+    ``reference`` (n, d) is where the elastic energy holds them.
+    """
 
     region: Region
     x: FloatArray
+    reference: FloatArray
+    system: NewtonSystem
     steps: int = 0
     progress: Callable[[str, int, int], None] | None = None
     late: Callable[[], bool] = lambda: False
-
-    def __post_init__(self) -> None:
-        self._system = NewtonSystem(self.region)
 
     def state(self, x: FloatArray, penalty: Penalty) -> State:
         n = len(self.region.energy.nodes)
         parts = np.empty((-(-n // _ELEMENTS), 3))
 
         def work(low: int, high: int) -> None:
-            parts[low // _ELEMENTS] = self.region.energy.sum(x, penalty, low, high)
+            parts[low // _ELEMENTS] = self.region.energy.sum(x, self.reference, penalty, low, high)
 
         for_chunks(work, n, _ELEMENTS)
         return State(x, parts[:, 0].sum(), parts[:, 1].min(), parts[:, 2].max())
@@ -80,10 +76,18 @@ class Untangler:
     def untangle(self, pace: Pace) -> bool:
         """Newton steps until every determinant is positive.
 
+        Cells at walls weigh less here than in the energy to be minimised: a fold opens sooner where all take part.
+
         The regularisation falls as in Garanzha et al. 2021 (section 2.3), but by at least ``pace.slowest`` where the
         energy hardly changes any more: a few extra steps at the end cost less than many on the way.
         """
-        eps = pace.first
+        region, eps = self.region, pace.first
+        self.region = replace(region, energy=region.energy.softened(SOFTENED))
+        untangled = self._untangle(pace, eps)
+        self.region = region
+        return untangled
+
+    def _untangle(self, pace: Pace, eps: float) -> bool:
         for step in range(pace.steps + 1):
             now = self.state(self.x, Penalty(eps))
             if now.lowest > 0.0:
@@ -91,76 +95,55 @@ class Untangler:
             if step == pace.steps or now.lowest < -_LOCKED * eps or self.late():
                 break
             self._tell(step, pace.steps)
-            after = self._step(now, Penalty(eps))
+            after = self._step(now, Penalty(eps), _ROUGH)
             self.x = after.x
             eps = _next_eps(eps, after.lowest, max(pace.slowest, 1.0 - after.energy / now.energy))
         return False
 
-    def improve(self, most: int) -> float:
-        """Newton steps that lower the largest density from a valid start, while they help; returns it.
+    def minimise(self, share: float, most: int, edges: FloatArray) -> bool:
+        """At most so many Newton steps to the minimum from a valid start; whether it was reached.
 
-        The barrier approaches the largest density as the energy converges, but always by some part of the distance.
-        Guarded elements keep a barrier of their own.
+        ``edges`` (n,) are the shortest undeformed edges at the nodes.
         """
-        first = best = now = self.state(self.x, Penalty(0.0))
-        for _ in range(_SETTLING if self.steps else 0):
-            # What the regularisation has moved without need returns, before guarded elements are compared with it.
-            now = self._step(now, Penalty(0.0))
-        self.region.energy.guard(now.x, GUARDED)
-        best = min(best, now, key=lambda state: state.highest)
-        t, recent = 0.5 / now.highest, [np.inf] * _WINDOW
+        penalty = Penalty(0.0, share, CUBIC, 1.0)
+        now, length = self.state(self.x, penalty), np.inf
         for step in range(most):
-            if self.late() or now.highest < _GOOD or best.highest > _STALLED * recent[-_WINDOW]:
+            if self.late():
                 break
             self._tell(step, most)
-            recent.append(best.highest)
-            before = self.state(now.x, Penalty(0.0, t))
-            now = self._step(before, Penalty(0.0, t))
-            best = min(best, now, key=lambda state: state.highest)
-            t += max(_CLOSER, 1.0 - now.energy / before.energy) * (1.0 - t * now.highest) / now.highest
-        self.x = (best if best is first else self._straightened(best)).x
-        return best.highest
-
-    def _straightened(self, now: State) -> State:
-        """The state after a few steps that improve the worst shapes without spoiling what has been improved.
-
-        The largest densities are often those of cells that have lost volume; skew ones may be below them.
-        """
-        if now.highest < _GOOD:
-            return now
-        energy = self.region.energy
-        energy.guard(now.x, FIRM)
-        t = 1.0 / (2.0 + (1.0 + _LOOSE) * (now.highest - 2.0))
-        best, value, idle, smallest = now, float(energy.shapes(now.x).min()), 0, now.lowest
-        for _ in range(_SHAPING):
-            shapes, (lowest, density) = energy.shapes(now.x), energy.measure(now.x)
-            energy.press((shapes < _WEAKEST * shapes.min()) | (lowest < _WEAKEST * smallest), density)
-            now = self._step(self.state(now.x, Penalty(0.0, t)), Penalty(0.0, t))
-            worst = float(energy.shapes(now.x).min())
-            idle += 1
-            if worst > _HELPS * value and now.lowest > _KEPT * smallest:
-                best, value, idle = now, worst, 0
-            if idle == _IDLE or self.late():
-                break
-        return best
+            after = self._step(now, penalty, min(_ROUGH, max(_FINE, 0.1 * length)))
+            length = float((np.abs(after.x - now.x).max(axis=1) / edges).max())
+            now = after
+            self.x = now.x
+            if length < CLOSE:
+                return True
+        return False
 
     def _tell(self, done: int, most: int) -> None:
         if self.progress:
             self.progress("repair", done, most)
 
-    def _step(self, now: State, penalty: Penalty) -> State:
-        system = self._system
-        system.fill(now.x, penalty)
-        step, _ = system.direction(_TOLERANCE, _MOST_ITERATIONS)
-        slope = float(np.vdot(step, system.gradient))
+    def _step(self, now: State, penalty: Penalty, tolerance: float) -> State:
+        """A step with the complete second derivatives where they are positive definite, and eps is 0."""
+        step = self._exact(now, penalty, tolerance) if penalty.eps == 0.0 else None
+        if step is None:
+            self.system.fill(self.region, now.x, self.reference, penalty)
+            step, _ = self.system.direction(tolerance, _ROUGH_ITERATIONS)
+        slope = float(np.vdot(step, self.system.gradient))
         self.steps += 1
         length = 1.0
         while length > _SMALLEST_STEP:
-            after = self.state(self.region.moved(now.x, step, length), penalty)
-            if after.energy <= now.energy + _DECREASE * length * slope:
+            after = self.state(self.region.moved(now.x, self.system.unknowns, step, length), penalty)
+            if after.energy <= now.energy + _DECREASE * length * slope + _ROUND_OFF * abs(now.energy):
                 return after
             length /= 2
         return now
+
+    def _exact(self, now: State, penalty: Penalty, tolerance: float) -> FloatArray | None:
+        if not self.system.fill(self.region, now.x, self.reference, penalty._replace(exact=True)):
+            return None
+        step, convex = self.system.direction(tolerance, _FINE_ITERATIONS)
+        return step if convex else None
 
 
 def _next_eps(eps: float, lowest: float, change: float) -> float:

@@ -1,7 +1,7 @@
 """Weights of cells in a repair: those near moving walls turn with the wall, boundary layers keep their heights.
 
 With equal weights everywhere, the minimum of the energy concentrates shear at a rotating wall (in a ring, as 1 / r^2),
-where first cells would lose nine tenths of their height. Weights that fall with the square of distance reverse that.
+where first cells would lose nine tenths of their height. Weights that fall with a high power of distance reverse that.
 
 Where a grid is squeezed, the smallest largest distortion is that of all cells alike, boundary layers included. So thin
 cells, at walls that move or not, are kept from it, at little cost: they take up little of the space.
@@ -14,17 +14,17 @@ import itertools
 import numpy as np
 
 from ..grid import FloatArray, IntArray
-from .region import Weights
 
 REACH = 32
 _SHARE = 0.4
 """Cells count more up to REACH cells from moving walls, and up to this share of the largest distance in the grid: where
 there is little room, walls must give, too."""
+FALL, FIRST, STEEP = 2.5, 400.0, 4.0
+"""At a share s of that distance, cells count s^-FALL times as much, and those in layer l at least FIRST / l^STEEP times
+that distance in cells."""
 UNLIMITED = 1 << 14
-GUARDED = 0.2
-"""Cells at moving walls, up to this share of the reach, are guarded; the first ones always."""
-THIN, GROWTH, HEAVIEST, VERY_THIN = 50.0, 1.25, 40.0, 500.0
-"""Cells of aspect ratio a weigh (a / THIN)^GROWTH, but at least 1 and at most HEAVIEST; VERY_THIN ones are guarded."""
+THIN, GROWTH, HEAVIEST = 50.0, 1.25, 40.0
+"""Cells of aspect ratio a weigh (a / THIN)^GROWTH, but at least 1 and at most HEAVIEST."""
 
 
 def nearness(layers: np.ndarray) -> FloatArray:
@@ -36,13 +36,14 @@ def nearness(layers: np.ndarray) -> FloatArray:
     return np.where(layers < 0, 1.0, np.minimum((layers + 1.0) / reach, 1.0)).astype(np.float64)
 
 
-def weigh(share: FloatArray, first: float, start: FloatArray, cells: IntArray) -> Weights:
-    """Weights of cells (m, k) among the undeformed nodes ``start`` (n, d); the first ones at moving walls and thin ones
-    are guarded. ``share`` (m, k) is the :func:`nearness` of their nodes, ``first`` that of nodes on moving walls."""
-    near, thin = share.min(axis=1), _aspect_ratio(start, cells)
-    weight = np.maximum(near**-2.0, np.clip((thin / THIN) ** GROWTH, 1.0, HEAVIEST))
-    at_walls = (near < GUARDED) | ((near <= first) & (near < 1.0))
-    return Weights(weight, at_walls | (thin > VERY_THIN))
+def weigh(share: FloatArray, first: float, start: FloatArray, cells: IntArray) -> FloatArray:
+    """Weights (m,) of cells (m, k) among the undeformed nodes ``start`` (n, d); ``share`` (m, k) is the
+    :func:`nearness` of their nodes, ``first`` that of nodes on moving walls."""
+    near = share.min(axis=1)
+    thin = np.clip((_aspect_ratio(start, cells) / THIN) ** GROWTH, 1.0, HEAVIEST)
+    # The layer, from 1 at walls.
+    layer = np.where(near < 1.0, near / first, np.inf)
+    return np.asarray(np.maximum.reduce([near**-FALL, FIRST / first / layer**STEEP, thin]))
 
 
 def _aspect_ratio(start: FloatArray, cells: IntArray) -> FloatArray:

@@ -1,10 +1,10 @@
-"""Which cells of a valid grid are weak, and which of two grids is the sounder one."""
+"""Which cells of a valid grid are weak, where the grid is too large for the measure of :mod:`.onset`."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from ..grid import BoolArray, FloatArray
+from ..grid import BoolArray
 from ..quality import Original
 from ..quality.comparison import Comparison
 from ..quality.validity import Verdict
@@ -27,18 +27,3 @@ def skewed(original: Original, cells: Comparison) -> BoolArray:
     assert original.measured is not None
     after = cells.after.skews
     return np.asarray((after < SKEWED) & (after < LOST * original.measured.skews))
-
-
-def is_sounder(original: Original, one: Comparison, other: Comparison) -> bool:
-    """Whether the worst of the cells in which two grids differ is better in ``one``; prescribed ones are alike."""
-    mine, theirs = _soundness(original, one), _soundness(original, other)
-    differ = mine != theirs
-    return bool(differ.any()) and float(mine[differ].min()) > float(theirs[differ].min())
-
-
-def _soundness(original: Original, cells: Comparison) -> FloatArray:
-    """(n_cells,) the smaller ratio of corner Jacobians and of f_skew to the undeformed ones."""
-    assert original.measured is not None
-    before = original.measured.skews
-    kept = np.divide(cells.after.skews, before, out=np.ones_like(before), where=before > 0.0)
-    return np.asarray(np.minimum(cells.verdict.ratio, kept))

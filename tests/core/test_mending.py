@@ -40,12 +40,14 @@ def test_the_boundary_of_a_grid_from_elsewhere_stays_and_its_cells_become_valid(
 
 def test_a_valid_grid_is_left_alone_but_for_polish():
     grid = frame(6, 2)
-    case = Case(tuple(body_specs(turning("60"))))
+    case = Case(tuple(body_specs(turning("20"))))
     good = deform(grid, case, steps=1)
     assert good.repair is None
     same = mend(good.grid, grid, case)
     assert same.repair is None
     np.testing.assert_array_equal(same.grid.points, good.grid.points)
+    case = Case(tuple(body_specs(turning("60"))))
+    good = deform(grid, dataclasses.replace(case, repair=RepairOptions("off")), steps=1)
     polish = dataclasses.replace(case, repair=RepairOptions("polish"))
     better = mend(good.grid, grid, polish)
     assert better.assessment.valid

@@ -9,16 +9,17 @@ import pytest
 from cases import body_specs, formulas, turning
 from grids import frame, frame_2d
 
-from meshdeform_core.boundary import BoundarySpec, Kind
+from meshdeform_core.boundary import Kind
 from meshdeform_core.boundary.expression import expression
 from meshdeform_core.boundary.motion import Motion, Rotate
-from meshdeform_core.deform import Case, set_up
+from meshdeform_core.deform import Case, Timing, impose, set_up
 from meshdeform_core.errors import CaseError
+from meshdeform_core.grid import Grid
 from meshdeform_core.methods import IDW, Options, make_method
 from meshdeform_core.quality.validity import newly_invalid
 from meshdeform_core.repair import RepairOptions
-from meshdeform_core.series import Schedule, _Series, deform_series, grid_velocity
-from meshdeform_samples import load
+from meshdeform_core.series import Schedule, deform_series, grid_velocity
+from meshdeform_core.smoothness import Moment, shortest_edges, smoothness
 
 SWING = turning("20*sin(2*pi*t)")
 QUARTERS = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -149,7 +150,7 @@ def test_schedules_that_make_no_sense_are_refused(wrong):
         dataclasses.replace(Schedule((0.0, 1.0)), **wrong)
 
 
-def test_a_repair_sets_out_from_the_level_before_also_in_a_continued_series():
+def test_a_continued_series_equals_an_uninterrupted_one_also_where_a_repair_has_several_minima():
     times = tuple(np.linspace(1.0, 1.1, 5))
     setup = set_up(frame(6, 2), Case(tuple(body_specs(turning("108*t")))))
     levels = levels_of(setup, Schedule(times))
@@ -161,20 +162,43 @@ def test_a_repair_sets_out_from_the_level_before_also_in_a_continued_series():
     assert np.abs(alone.grid.points - grids[-1]).max() > 1e-6
 
 
-@pytest.mark.slow
-def test_repaired_regions_do_not_jump_in_time(monkeypatch):
-    """Paths of nodes of the splitter plate have smaller second differences than when every level is repaired alone."""
-    grid = load("splitter-plate").generate(8)
-    turn = Motion((Rotate(expression("60*t", {"t"}), (0, 0, 1), (expression(0.0, ()),) * 3),), {})
-    specs = (
-        BoundarySpec("body", ("body",), Kind.MOVING, None, turn),
-        BoundarySpec("span", ("span",), Kind.SLIP),
-    )
-    times, rough = (0.95, 1.0, 1.05, 1.1), []
-    for _ in range(2):
-        levels = levels_of(set_up(grid, Case(specs)), Schedule(times))
-        assert all(level.result.valid and level.result.repair for level in levels)
-        paths = np.stack([level.result.grid.points for level in levels])
-        rough.append(np.sqrt((np.diff(paths, 2, axis=0) ** 2).mean()))
-        monkeypatch.setattr(_Series, "_correction", lambda *_: None)
-    assert rough[0] < 0.8 * rough[1]
+def bar(degrees):
+    """A plane bar that turns by an angle of time."""
+    turn = Motion((Rotate(expression(degrees, {"t"}), (0, 0, 1), (expression(0.0, ()),) * 3),), {})
+    body, _ = body_specs(turning("0"), Kind.SLIP)
+    return set_up(frame_2d(6), Case((dataclasses.replace(body, select=("*",), motion=turn),)))
+
+
+def test_repaired_levels_depend_on_the_boundary_only():
+    """Levels equal single runs, whatever came before; up and down stroke agree; the motion is smooth."""
+    setup = bar("t")
+    up = list(np.arange(49.0, 67.0, 2.0))
+    levels = levels_of(setup, Schedule(tuple(up)))
+    assert all(level.result.valid and level.result.repair.converged for level in levels)
+    for level in (levels[0], levels[5], levels[-1]):
+        alone = impose(setup, setup.motion(level.time), None, "float64", Timing()).grid.points
+        assert np.abs(alone - level.result.grid.points).max() < 1e-7
+    # Down again.
+    there_and_back = levels_of(bar("65 - 6*t"), Schedule((0.0, 1.0, 2.0)))
+    for level, other in zip(there_and_back, (-1, -4, -7), strict=True):
+        assert np.abs(level.result.grid.points - levels[other].result.grid.points).max() < 1e-7
+    smooth = [level.smoothness for level in levels[2:]]
+    assert max(s.acceleration for s in smooth) < 0.5
+    assert levels[0].smoothness.velocity is None
+    assert levels[1].smoothness.acceleration is None
+
+
+def test_a_jump_of_the_grid_alone_is_told():
+    still = np.zeros((3, 3))
+    points = [still, still + [[0.1, 0, 0], [0.1, 0, 0], [0.1, 0, 0]], still + [[0.2, 0, 0], [0.2, 0, 0], [0.9, 0, 0]]]
+    moments = [Moment(float(t), x, False) for t, x in enumerate(points)]
+    found = smoothness(moments, np.array([0]), np.full(3, 0.5))
+    assert found.velocity == pytest.approx(8.0)
+    assert found.acceleration == pytest.approx(7.0)
+    assert found.acceleration_in_edges == pytest.approx(0.7 / 0.5)
+    assert "jumps" in found.warning
+    plain = [moment._replace(plain=True) for moment in moments]
+    assert smoothness(plain, np.array([0]), np.full(3, 0.5)).warning is None
+    assert smoothness(moments, np.array([2]), np.full(3, 0.5)).warning is None
+    block = np.stack(np.meshgrid([0.0, 1.0, 3.0], [0.0, 2.0], [0.0], indexing="ij"), axis=-1)
+    np.testing.assert_array_equal(shortest_edges(Grid.from_blocks([block])).reshape(3, 2), [[1, 1], [1, 1], [2, 2]])

@@ -1,4 +1,4 @@
-"""The foldover-free energy of a deformed grid, its gradient and the convex part of its second derivatives.
+"""The energy of a deformed grid that forbids foldover, its gradient and second derivatives, or their convex part.
 
 At sample points of every cell (corners; in weak hexahedra also the middles of edges, faces and cell) A is the Jacobian
 matrix of the map from the undeformed cell to the deformed one, D = det A, and
@@ -6,10 +6,15 @@ matrix of the map from the undeformed cell to the deformed one, D = det A, and
     f = |A|^2 / (3 chi^(2/3)) + (D^2 + 1) / (2 chi),    chi = (D + sqrt(eps^2 + D^2)) / 2
 
 (Garanzha, Kaporin, Kudryavtseva, Protais, Ray, Sokolov: Foldover-free maps in 50 lines of code, ACM TOG 40(4), 2021,
-eqs. 3 and 4 with lambda = 1). A cell in rigid motion has the minimum, 2, whatever its aspect ratio. Samples
-count as their cells do, see :mod:`meshdeform_core.repair.walls`. With t > 0 the sum is over f / (1 - t f) - a barrier
-that keeps every f below 1 / t (Garanzha et al.: Practical lowest distortion mapping, arXiv 2201.12112). Cells may have
-a larger t individually. Plane grids have :mod:`.foldover_plane`.
+eqs. 3 and 4 with lambda = 1). A cell in rigid motion has the minimum, 2, whatever its aspect ratio. With the
+weight w of its cell (:mod:`meshdeform_core.repair.walls`), a sample has the energy
+
+    share (w f + cubic p^3 / (1 + p / 4)) + elastic / 2 |A - A_reference|^2,    p = f - 2
+
+where A_reference is that of the same cell in another grid. The cubic term makes the largest f count most, without
+pressing first cells at walls flat where f is very large; the elastic one ties the grid to the reference.
+
+Plane grids have :mod:`.foldover_plane`.
 """
 
 from __future__ import annotations
@@ -124,14 +129,35 @@ def _square(a):
 
 
 @inlined
+def growth(f):
+    """p^3 / (1 + p / 4), p = f - 2, and its two derivatives."""
+    p = f - 2.0
+    q = 1.0 + 0.25 * p
+    return p * p * p / q, p * p * (3.0 + 0.5 * p) / (q * q), p * (6.0 + p * (1.5 + 0.125 * p)) / (q * q * q)
+
+
+@inlined
 def _regular(det, eps):
     """chi and sqrt(eps^2 + D^2), without cancellation."""
     root = np.sqrt(eps * eps + det * det)
     return 0.5 * (det + root) if det > 0.0 else 0.5 * eps * eps / (root - det), root
 
 
+@inlined
+def _differ(x, reference, cell, count, node, b, e):
+    """The Jacobian matrix ``e`` (3, 3) of the difference of two maps at a sample point."""
+    for d in range(3):
+        for k in range(3):
+            e[d, k] = 0.0
+    for n in range(count):
+        p = cell[node[n]]
+        for d in range(3):
+            for k in range(3):
+                e[d, k] += (x[p, d] - reference[p, d]) * b[n, k]
+
+
 @kernel
-def energy_of_cells(x, start, cells, mask, samples, weight, eps, t, low, high):
+def energy_of_cells(x, start, cells, mask, samples, weight, reference, penalty, low, high):
     """Sum of the energy over the cells low <= c < high, smallest D, and largest f.
 
     Parameters
@@ -140,10 +166,13 @@ def energy_of_cells(x, start, cells, mask, samples, weight, eps, t, low, high):
     cells : (m, 8) nodes
     mask : (m,) int64, bit s set where sample point s counts
     samples : see :class:`Samples`
-    weight : (m, 2) of the cells in the sum, and their own t
-    eps, t : of the energy; with eps = 0 it is infinite where D <= 0, and with t > 0 where f >= 1 / t
+    weight : (m, 2) w of the cells, and the share of their samples between corners
+    reference : (n, 3) coordinates of the reference grid
+    penalty : eps, share, cubic and elastic of the energy, whether second derivatives are exact; with eps = 0 the energy
+        is infinite where D <= 0
     """
     count, node, slope = samples
+    eps, share, cubic, elastic, _ = penalty
     inverse, b, a = np.empty((3, 3)), np.empty((8, 3)), np.empty((3, 3))
     total, lowest, highest = 0.0, np.inf, 0.0
     for c in range(low, high):
@@ -157,18 +186,21 @@ def energy_of_cells(x, start, cells, mask, samples, weight, eps, t, low, high):
             if chi > 0.0:
                 f = _square(a) / 3.0 * chi ** (-2.0 / 3.0) + 0.5 * (det * det + 1.0) / chi
             highest = max(highest, f)
-            left = 1.0 - max(t, weight[c, 1]) * f
-            total += weight[c, 0] * f / left if left > 0.0 else np.inf
+            one = share if s < 8 else share * weight[c, 1]
+            total += one * (weight[c, 0] * f + cubic * growth(f)[0])
+            if elastic > 0.0 and s < 8:
+                _differ(x, reference, cells[c], count[s], node[s], b, a)
+                total += 0.5 * elastic * _square(a)
     return total, lowest, highest
 
 
 @inlined
-def _coefficients(g, det, eps, t, weight):
-    """Derivatives of the energy of one sample, g = |A|^2: gradient u A + v K, Hessian
-    w I + p A A^T + q (A K^T + K A^T) + r K K^T with the cofactors K.
+def _coefficients(g, det, eps, weight, cubic, exact):
+    """Derivatives of the energy of one sample, g = |A|^2, but for the elastic term: gradient u A + v K, Hessian
+    w I + p A A^T + q (A K^T + K A^T) + r K K^T with the cofactors K, and v times the derivative of K.
 
-    In the 2 x 2 matrix of second derivatives along A and D the entry of D is raised until it has no negative
-    eigenvalue; what is left out is the derivative of K.
+    Without ``exact``, in the 2 x 2 matrix of second derivatives along A and D the entry of D is raised until it has no
+    negative eigenvalue, and the derivative of K is to be left out.
     """
     chi, root = _regular(det, eps)
     h = chi ** (-2.0 / 3.0)
@@ -179,15 +211,18 @@ def _coefficients(g, det, eps, t, weight):
     q2 = (2.0 - 2.0 * det / root + whole * det / (root * root * root)) / chi - q1 / root
     f = g * h / 3.0 + 0.5 * whole / chi
     u, v = 2.0 * h / 3.0, g * h1 / 3.0 + 0.5 * q1
-    w, q, r = u, 2.0 * h1 / 3.0, max(g * h2 / 3.0 + 0.5 * q2, 2.0 / 3.0 * h1 * h1 / h * g)
-    t = max(t, weight[1])
-    one = weight[0] / (1.0 - t * f) ** 2
-    two = 2.0 * t * one / (1.0 - t * f)
+    w, q, r = u, 2.0 * h1 / 3.0, g * h2 / 3.0 + 0.5 * q2
+    if not exact:
+        r = max(r, 2.0 / 3.0 * h1 * h1 / h * g)
+    _, one, two = growth(f)
+    one, two = weight + cubic * one, cubic * two
     return u * one, v * one, w * one, two * u * u, q * one + two * u * v, r * one + two * v * v
 
 
 @kernel
-def add_derivatives(x, start, cells, mask, samples, weight, eps, t, which, unknowns, rows, matrix, gradient):
+def add_derivatives(
+    x, start, cells, mask, samples, weight, reference, penalty, which, unknowns, rows, matrix, gradient
+):
     """Add the derivatives of the energy of the cells ``which`` to rows of the gradient and of the Hessian.
 
     Parameters
@@ -200,9 +235,11 @@ def add_derivatives(x, start, cells, mask, samples, weight, eps, t, which, unkno
         rows are written
     """
     count, node, slope = samples
+    eps, share, cubic, elastic, exact = penalty
     number, frame, plain = unknowns
     first, last, starts, columns = rows
     inverse, b, a, k = np.empty((3, 3)), np.empty((8, 3)), np.empty((3, 3)), np.empty((3, 3))
+    difference, cross, turn = np.zeros((3, 3)), np.empty(3), np.empty(3)
     along, across, force = np.empty((8, 3)), np.empty((8, 3)), np.empty(3)
     block, work = np.empty((3, 3)), np.empty((3, 3))
     for c in which:
@@ -212,38 +249,55 @@ def add_derivatives(x, start, cells, mask, samples, weight, eps, t, which, unkno
             m = count[s]
             det = _map(x, start, cells[c], m, node[s], slope[s], inverse, b, a)
             _cofactors(a, k)
-            u, v, w, p, q, r = _coefficients(_square(a), det, eps, t, weight[c])
+            one = share if s < 8 else share * weight[c, 1]
+            stiff = elastic if s < 8 else 0.0
+            u, v, w, p, q, r = _coefficients(_square(a), det, eps, one * weight[c, 0], one * cubic, exact)
+            if stiff > 0.0:
+                _differ(x, reference, cells[c], m, node[s], b, difference)
             for n in range(m):
                 for d in range(3):
                     along[n, d] = a[d, 0] * b[n, 0] + a[d, 1] * b[n, 1] + a[d, 2] * b[n, 2]
                     across[n, d] = k[d, 0] * b[n, 0] + k[d, 1] * b[n, 1] + k[d, 2] * b[n, 2]
             for n in range(m):
-                one = cells[c, node[s, n]]
-                row = number[one]
+                here = cells[c, node[s, n]]
+                row = number[here]
                 if row < first or row >= last:
                     continue
                 for d in range(3):
                     force[d] = u * along[n, d] + v * across[n, d]
+                    for e in range(3):
+                        force[d] += stiff * difference[d, e] * b[n, e]
                 for d in range(3):
-                    if plain[one]:
+                    if plain[here]:
                         gradient[row, d] += force[d]
                     else:
                         for e in range(3):
-                            gradient[row, d] += frame[one, e, d] * force[e]
+                            gradient[row, d] += frame[here, e, d] * force[e]
                 for o in range(m):
-                    two = cells[c, node[s, o]]
-                    if number[two] < 0:
+                    there = cells[c, node[s, o]]
+                    if number[there] < 0:
                         continue
-                    dot = w * (b[n, 0] * b[o, 0] + b[n, 1] * b[o, 1] + b[n, 2] * b[o, 2])
+                    dot = (w + stiff) * (b[n, 0] * b[o, 0] + b[n, 1] * b[o, 1] + b[n, 2] * b[o, 2])
                     for d in range(3):
                         left = p * along[n, d] + q * across[n, d]
                         right = q * along[n, d] + r * across[n, d]
                         for e in range(3):
                             block[d, e] = left * along[o, e] + right * across[o, e]
                         block[d, d] += dot
-                    if not (plain[one] and plain[two]):
-                        _turn(frame[one], frame[two], block, work)
-                    at = _find(columns, starts[row], starts[row + 1], number[two]) - starts[first]
+                    if exact:
+                        # The derivative of the cofactors: v times the matrix of a cross product.
+                        for d in range(3):
+                            e, other = (d + 1) % 3, (d + 2) % 3
+                            cross[d] = b[n, e] * b[o, other] - b[n, other] * b[o, e]
+                        for d in range(3):
+                            turn[d] = v * (a[d, 0] * cross[0] + a[d, 1] * cross[1] + a[d, 2] * cross[2])
+                        for d in range(3):
+                            e, other = (d + 1) % 3, (d + 2) % 3
+                            block[d, e] += turn[other]
+                            block[e, d] -= turn[other]
+                    if not (plain[here] and plain[there]):
+                        _turn(frame[here], frame[there], block, work)
+                    at = _find(columns, starts[row], starts[row + 1], number[there]) - starts[first]
                     for d in range(3):
                         for e in range(3):
                             matrix[at, d, e] += block[d, e]
@@ -305,18 +359,35 @@ def sound_samples(start, cells, samples, sign, tolerance):
 
 
 @kernel
-def measure_samples(x, start, cells, mask, samples):
-    """Smallest D and largest f, without regularisation, of every cell over its sample points: two arrays (m,)."""
+def excess_of_cells(x, start, cells, mask, samples, healthy, norm, eps):
+    """Of every cell (m,), the norm over its sample points of log(f / healthy) where that is positive."""
     count, node, slope = samples
     inverse, b, a = np.empty((3, 3)), np.empty((8, 3)), np.empty((3, 3))
-    lowest, highest = np.full(len(cells), np.inf), np.zeros(len(cells))
+    result = np.empty(len(cells))
     for c in range(len(cells)):
+        total = 0.0
         for s in range(count.size):
             if mask[c] >> s & 1:
                 det = _map(x, start, cells[c], count[s], node[s], slope[s], inverse, b, a)
-                lowest[c] = min(lowest[c], det)
-                f = np.inf
-                if det > 0.0:
-                    f = _square(a) / 3.0 * det ** (-2.0 / 3.0) + 0.5 * (det * det + 1.0) / det
-                highest[c] = max(highest[c], f)
-    return lowest, highest
+                chi, _ = _regular(det, eps)
+                f = _square(a) / 3.0 * chi ** (-2.0 / 3.0) + 0.5 * (det * det + 1.0) / chi
+                if f > healthy:
+                    total += np.log(f / healthy) ** norm
+        result[c] = total ** (1.0 / norm)
+    return result
+
+
+@kernel
+def shortest_edges(start, cells, pairs):
+    """The shortest edge (n,) at every node of ``start`` (n, d), of the ``pairs`` (p, 2) of nodes of ``cells`` (m, k);
+    edges without length do not count."""
+    result = np.full(len(start), np.inf)
+    for c in range(len(cells)):
+        for n in range(len(pairs)):
+            p, q = cells[c, pairs[n, 0]], cells[c, pairs[n, 1]]
+            square = 0.0
+            for d in range(start.shape[1]):
+                square += (start[p, d] - start[q, d]) ** 2
+            if square > 0.0:
+                result[p], result[q] = min(result[p], np.sqrt(square)), min(result[q], np.sqrt(square))
+    return result

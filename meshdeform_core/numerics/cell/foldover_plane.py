@@ -6,16 +6,17 @@ the undeformed grid to the deformed one, and D = det A,
     f = (|A|^2 + D^2 + 1) / (2 chi),    chi = (D + sqrt(eps^2 + D^2)) / 2
 
 (Garanzha, Kaporin, Kudryavtseva, Protais, Ray, Sokolov: Foldover-free maps in 50 lines of code, ACM TOG 40(4), 2021,
-eqs. 3 and 4 with d = 2 and lambda = 1); 2 is the value of a triangle in rigid motion. With t > 0 the sum is over
-f / (1 - t f), see :mod:`.foldover`.
+eqs. 3 and 4 with d = 2 and lambda = 1); 2 is the value of a triangle in rigid motion. The energy of a triangle is that
+of :mod:`.foldover`.
 
 The second derivatives are diagonal but for one 2 x 2 matrix in the basis of similarities and of their mirror images,
-A = C + M: |A|^2 = |C|^2 + |M|^2 and 2 D = |C|^2 - |M|^2. So their negative part is left out exactly.
+A = C + M: |A|^2 = |C|^2 + |M|^2 and 2 D = |C|^2 - |M|^2. So their negative part can be left out exactly.
 """
 
 import numpy as np
 
 from ..jit import inlined, kernel
+from .foldover import growth
 
 
 @inlined
@@ -39,16 +40,17 @@ def _regular(det, eps):
 
 
 @kernel
-def energy_of_triangles(x, node, slope, weight, eps, t, low, high):
+def energy_of_triangles(x, node, slope, weight, reference, penalty, low, high):
     """Sum of the energy over the triangles low <= m < high, smallest D, and largest f.
 
     Parameters
     ----------
     x : (n, 2) deformed coordinates
     node, slope : (m, 3), (m, 3, 2) nodes and undeformed gradients of their shape functions
-    weight : (m, 2) in the sum, and their own t
-    eps, t : of the energy; with eps = 0 it is infinite where D <= 0, and with t > 0 where f >= 1 / t
+    weight : (m,) w, see :mod:`.foldover`
+    reference, penalty : see :func:`.foldover.energy_of_cells`
     """
+    eps, share, cubic, elastic, _ = penalty
     total, lowest, highest = 0.0, np.inf, 0.0
     for m in range(low, high):
         a, b, c, d = _matrix(x, node[m], slope[m])
@@ -59,14 +61,16 @@ def energy_of_triangles(x, node, slope, weight, eps, t, low, high):
         if chi > 0.0:
             f = 0.5 * (a * a + b * b + c * c + d * d + det * det + 1.0) / chi
         highest = max(highest, f)
-        left = 1.0 - max(t, weight[m, 1]) * f
-        total += weight[m, 0] * f / left if left > 0.0 else np.inf
+        total += share * (weight[m] * f + cubic * growth(f)[0])
+        if elastic > 0.0:
+            p, q, r, s = _matrix(reference, node[m], slope[m])
+            total += 0.5 * elastic * ((a - p) ** 2 + (b - q) ** 2 + (c - r) ** 2 + (d - s) ** 2)
     return total, lowest, highest
 
 
 @inlined
-def _convex(c, m, u, v, gg, gd, dd, values, vectors):
-    """Eigenvalues (4,), those below zero replaced by it, and eigenvectors (4, 4) of the second derivatives.
+def _spectrum(c, m, u, v, gg, gd, dd, lowest, values, vectors):
+    """Eigenvalues (4,), those below ``lowest`` replaced by it, and eigenvectors (4, 4) of the second derivatives.
 
     ``c`` (2,) and ``m`` (2,) are coordinates of the two parts of A, ``u`` twice the derivative along g = |A|^2, ``v``
     that along D, ``gg``, ``gd``, ``dd`` the second ones.
@@ -84,8 +88,8 @@ def _convex(c, m, u, v, gg, gd, dd, values, vectors):
     p, q = (half + radius, mixed) if half >= 0.0 else (mixed, radius - half)
     size = np.sqrt(p * p + q * q)
     p, q = (p / size, q / size) if size > 0.0 else (1.0, 0.0)
-    values[0], values[1] = max(u + v, 0.0), max(u - v, 0.0)
-    values[2], values[3] = max(middle + radius, 0.0), max(middle - radius, 0.0)
+    values[0], values[1] = max(u + v, lowest), max(u - v, lowest)
+    values[2], values[3] = max(middle + radius, lowest), max(middle - radius, lowest)
     vectors[0, 0], vectors[0, 1], vectors[0, 2], vectors[0, 3] = -c1, c0, 0.0, 0.0
     vectors[1, 0], vectors[1, 1], vectors[1, 2], vectors[1, 3] = 0.0, 0.0, -m1, m0
     vectors[2, 0], vectors[2, 1], vectors[2, 2], vectors[2, 3] = p * c0, p * c1, q * m0, q * m1
@@ -93,14 +97,15 @@ def _convex(c, m, u, v, gg, gd, dd, values, vectors):
 
 
 @kernel
-def add_triangles(x, node, slope, weight, eps, t, which, unknowns, rows, matrix, gradient):
+def add_triangles(x, node, slope, weight, reference, penalty, which, unknowns, rows, matrix, gradient):
     """Add the derivatives of the energy of the triangles ``which`` to rows of the gradient and of the Hessian.
 
     As :func:`.foldover.add_derivatives`, in two dimensions.
     """
+    eps, share, cubic, elastic, exact = penalty
     number, frame, plain = unknowns
     first, last, starts, columns = rows
-    base, half = starts[first], np.sqrt(0.5)
+    base, half, lowest = starts[first], np.sqrt(0.5), -np.inf if exact else 0.0
     c, m, values, vectors = np.empty(2), np.empty(2), np.empty(4), np.empty((4, 4))
     turned, force = np.empty((3, 4, 2)), np.empty((3, 2))
     for at in which:
@@ -109,21 +114,24 @@ def add_triangles(x, node, slope, weight, eps, t, which, unknowns, rows, matrix,
         chi, root = _regular(det, eps)
         g = a00 * a00 + a01 * a01 + a10 * a10 + a11 * a11
         f = 0.5 * (g + det * det + 1.0) / chi
-        own = max(t, weight[at, 1])
-        one = weight[at, 0] / ((1.0 - own * f) * (1.0 - own * f))
-        two = 2.0 * own * one / (1.0 - own * f)
+        _, one, two = growth(f)
+        one = share * (weight[at] + cubic * one)
+        two = share * cubic * two
         dg, dd = 0.5 / chi, det / chi - f / root
         gd = -0.5 / (chi * root)
         ddd = 1.0 / chi - 2.0 * det / (chi * root) + f * (1.0 + det / root) / (root * root)
         c[0], c[1], m[0], m[1] = half * (a00 + a11), half * (a10 - a01), half * (a00 - a11), half * (a01 + a10)
         u, v = 2.0 * dg * one, dd * one
-        _convex(
-            c, m, u, v, two * dg * dg, one * gd + two * dg * dd, one * ddd + two * dd * dd, values, vectors
-        )  # fmt: skip
+        gg, gd, ddd = two * dg * dg, one * gd + two * dg * dd, one * ddd + two * dd * dd
+        _spectrum(c, m, u, v, gg, gd, ddd, lowest, values, vectors)
+        for i in range(4):
+            values[i] += elastic
+        p00, p01, p10, p11 = _matrix(reference, node[at], slope[at])
+        e00, e01, e10, e11 = elastic * (a00 - p00), elastic * (a01 - p01), elastic * (a10 - p10), elastic * (a11 - p11)
         for n in range(3):
             b0, b1 = slope[at, n, 0], slope[at, n, 1]
-            force[n, 0] = u * (a00 * b0 + a01 * b1) + v * (a11 * b0 - a10 * b1)
-            force[n, 1] = u * (a10 * b0 + a11 * b1) + v * (a00 * b1 - a01 * b0)
+            force[n, 0] = u * (a00 * b0 + a01 * b1) + v * (a11 * b0 - a10 * b1) + e00 * b0 + e01 * b1
+            force[n, 1] = u * (a10 * b0 + a11 * b1) + v * (a00 * b1 - a01 * b0) + e10 * b0 + e11 * b1
             for i in range(4):
                 e = vectors[i]
                 y0 = half * ((e[0] + e[2]) * b0 + (e[3] - e[1]) * b1)
@@ -157,6 +165,20 @@ def add_triangles(x, node, slope, weight, eps, t, which, unknowns, rows, matrix,
                     matrix[place, 0, 1] += y0 * turned[o, i, 1]
                     matrix[place, 1, 0] += y1 * turned[o, i, 0]
                     matrix[place, 1, 1] += y1 * turned[o, i, 1]
+
+
+@kernel
+def excess_of_triangles(x, node, slope, healthy, eps):
+    """log(f / healthy) of every triangle (m,), 0 where that is negative."""
+    result = np.zeros(len(node))
+    for m in range(len(node)):
+        a, b, c, d = _matrix(x, node[m], slope[m])
+        det = a * d - b * c
+        chi, _ = _regular(det, eps)
+        f = 0.5 * (a * a + b * b + c * c + d * d + det * det + 1.0) / chi
+        if f > healthy:
+            result[m] = np.log(f / healthy)
+    return result
 
 
 @kernel

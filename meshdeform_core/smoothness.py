@@ -1,0 +1,86 @@
+"""How smoothly the nodes of a grid move from level to level of a series."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from .grid import FloatArray, Grid, IntArray
+from .numerics.arrays import lengths
+
+_JUMP, _JUMP_IN_EDGES = 0.5, 0.2
+"""The grid jumps where its acceleration exceeds that of the walls by JUMP wall steps, and JUMP_IN_EDGES local edges."""
+
+
+@dataclass(frozen=True)
+class Smoothness:
+    """Largest node ``velocity`` and ``acceleration``, times the interval and its square, relative to the largest step
+    of the walls, and the acceleration relative to the shortest undeformed edge at the node; ``None`` where nothing
+    moves or the levels before are not known. ``wall`` is the acceleration of the walls in the same measure, ``plain``
+    whether the levels are those of the method alone."""
+
+    velocity: float | None
+    acceleration: float | None
+    acceleration_in_edges: float | None
+    wall: float | None = None
+    plain: bool = True
+
+    @property
+    def warning(self) -> str | None:
+        """A warning if the grid jumps although the walls do not."""
+        if self.plain or self.acceleration is None or self.acceleration_in_edges is None or self.wall is None:
+            return None
+        if self.acceleration - self.wall < _JUMP or self.acceleration_in_edges < _JUMP_IN_EDGES:
+            return None
+        return (
+            f"the grid jumps although its walls do not: a node is accelerated by {self.acceleration:.3g} steps of the "
+            f"walls ({self.acceleration_in_edges:.3g} local edges) at this level, the walls by {self.wall:.3g}"
+        )
+
+
+class Moment(NamedTuple):
+    """A level: its time and coordinates (n_nodes, 3), and whether it is a method's grid in one step, without a repair;
+    those are as smooth as their walls."""
+
+    time: float
+    points: FloatArray
+    plain: bool
+
+
+def shortest_edges(grid: Grid) -> FloatArray:
+    """(n_nodes,) the shortest edge of any length at every node, infinite where there is none."""
+    result = np.full(grid.n_nodes, np.inf)
+    for b, shape in enumerate(grid.shapes):
+        block, mine = grid.block(b), result[grid.offsets[b] : grid.offsets[b + 1]].reshape(shape)
+        for axis in range(3):
+            if shape[axis] < 2:
+                continue
+            length = np.linalg.norm(np.diff(block, axis=axis), axis=-1)
+            length[length == 0.0] = np.inf
+            low, high = np.moveaxis(mine, axis, 0)[:-1], np.moveaxis(mine, axis, 0)[1:]
+            np.minimum(low, np.moveaxis(length, axis, 0), out=low)
+            np.minimum(high, np.moveaxis(length, axis, 0), out=high)
+    return result
+
+
+def smoothness(levels: list[Moment], walls: IntArray, edges: FloatArray) -> Smoothness:
+    """Of the last of up to three consecutive levels; ``walls`` are block nodes on moving walls."""
+    if len(levels) < 2:
+        return Smoothness(None, None, None)
+    last = levels[-1].points - levels[-2].points
+    step = float(lengths(last[walls]).max(initial=0.0))
+    if len(levels) == 2:
+        return Smoothness(float(lengths(last).max()) / step if step else None, None, None)
+    before = levels[-2].points - levels[-3].points
+    before *= (levels[-1].time - levels[-2].time) / (levels[-2].time - levels[-3].time)
+    step = max(step, float(lengths(before[walls]).max(initial=0.0)))
+    if step == 0.0:
+        return Smoothness(None, None, None)
+    speed = float(lengths(last).max()) / step
+    last -= before
+    change = lengths(last)
+    wall = float(change[walls].max(initial=0.0)) / step
+    plain = all(level.plain for level in levels)
+    return Smoothness(speed, float(change.max()) / step, float((change / edges).max()), wall, plain)
