@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from enum import Enum
 
 import numpy as np
-import scipy
 
 from ..numerics.arrays import BoolArray, runs
+from ..numerics.geometry.coincidence import connected_components
 from .blocks import FloatArray, Grid, IntArray, Patch, Side
 from .extent import Bounds
 from .faces import Face, QuadGeometry
@@ -176,11 +176,8 @@ def _connected(corners: IntArray, n_unique: int) -> IntArray:
     """Label of the connected component of every quad (n,), by common corner nodes."""
     n = len(corners)
     rows = np.repeat(np.arange(n), corners.shape[1])
-    graph = scipy.sparse.coo_matrix(
-        (np.ones(corners.size, dtype=np.int8), (rows, n + corners.ravel())), shape=(n + n_unique,) * 2
-    )
-    _, label = scipy.sparse.csgraph.connected_components(graph, directed=False)
-    return np.asarray(np.unique(label[:n], return_inverse=True)[1])
+    pairs = np.stack([rows, n + corners.ravel()], axis=1)
+    return np.asarray(np.unique(connected_components(n + n_unique, pairs)[:n], return_inverse=True)[1])
 
 
 def _end_sides(grid: Grid, topology: Topology, faces: Sequence[Face]) -> set[tuple[int, Side]]:
