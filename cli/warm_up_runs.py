@@ -50,6 +50,7 @@ def runs() -> Iterator[Callable[[], object]]:
     # A plane grid to repair, and a boundary that crosses itself.
     yield partial(_deformed, "splitter-plate", 8, Options("tfi"), angle=40.0)
     yield partial(_deformed, "splitter-plate", 8, Options("tfi"), amplitude=200.0)
+    yield partial(_series, "splitter-plate", 8, Options("tfi"))
     yield partial(_series, "square", 11, Options("tfi"))
     yield partial(_derivatives, "hemisphere", 8, Options("tfi"))
     yield partial(_derivatives, "airfoil", 33, Options("idw-tfi"))
