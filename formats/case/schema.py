@@ -136,8 +136,8 @@ def _motion() -> Schema:
     return {"oneOf": [{**kind, "required": [next(iter(kind["properties"]))]} for kind in kinds]}
 
 
-def _given_motions(pattern: Schema, times: Schema, table: Mapping[str, Schema]) -> tuple[Schema, ...]:
-    """Motions with tables of their own; ``pattern`` names files, ``times`` their times, ``table`` how they match."""
+def _lattice() -> Schema:
+    """The box of a free-form deformation."""
     place = {"anyOf": [{"type": "integer", "minimum": 1}, {"const": "*"}]}
     move = _table(
         "Control points, counted from 1 (* for all of them), and their displacement.",
@@ -146,13 +146,17 @@ def _given_motions(pattern: Schema, times: Schema, table: Mapping[str, Schema]) 
     )
     counts = {"type": "array", "items": {"type": "integer", "minimum": 2}, "minItems": 3, "maxItems": 3}
     edges = {"type": "array", "items": _THREE_NUMBERS, "minItems": 3, "maxItems": 3}
-    box = _table(
+    return _table(
         "Free-form deformation: a box of control points carries along the nodes inside it.",
         origin={**_THREE_NUMBERS, "description": "A corner of the box."},
         edges={**edges, "description": "Its three edges from there."},
         points={**counts, "description": "Control points along each edge."},
         move={"type": "array", "items": {**move, "required": ["at", "by"]}, "minItems": 1},
     )
+
+
+def _given_motions(pattern: Schema, times: Schema, table: Mapping[str, Schema]) -> tuple[Schema, ...]:
+    """Motions with tables of their own; ``pattern`` names files, ``times`` their times, ``table`` how they match."""
     rigid = _table(
         "A rigid body with six degrees of freedom.",
         file=_text("Table with t, x y z, and rx ry rz (degrees) or qx qy qz qw."),
@@ -180,7 +184,7 @@ def _given_motions(pattern: Schema, times: Schema, table: Mapping[str, Schema]) 
         fit={"enum": ["chord", "none"], "description": "chord (default): leading and trailing edge stay."},
     )
     return (
-        _table("", ffd={**box, "required": ["origin", "edges", "points", "move"]}),
+        _table("", ffd={**_lattice(), "required": ["origin", "edges", "points", "move"]}),
         _table("", rigid={**rigid, "required": ["file"]}),
         _table("", modes={**modes, "required": ["files", "amplitudes"]}, **table),
         _table("", airfoil={**airfoil, "required": ["file"]}),
