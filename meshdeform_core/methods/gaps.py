@@ -11,13 +11,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import scipy
 
 from ..boundary import Kind
 from ..boundary.slip import Slip
 from ..grid import BoolArray, FloatArray, IntArray
 from ..numerics.arrays import lengths
-from ..parallel import current_ranks, for_rows, thread_count
+from ..numerics.geometry.surface import TriangleTree
+from ..parallel import current_ranks, for_rows
 from .base import Account, Interpolation, PreparedMethod, Problem, Progress, Setting
 from .composite import Composite, Filler, PreparedComposite
 from .transfinite.tfi import TFI
@@ -131,8 +131,9 @@ class PreparedInGaps:
         distance, other = np.empty(len(points)), np.empty(len(points), dtype=np.int64)
         for side in (self._moving, ~self._moving):
             rows = np.flatnonzero(~side)
-            tree = scipy.spatial.cKDTree(points[rows])
-            distance[side], nearest = tree.query(points[side], workers=thread_count())
+            # A tree of points is one of triangles without extent; importing scipy's takes longer than the search.
+            tree = TriangleTree(points[rows], np.repeat(np.arange(len(rows)), 3).reshape(-1, 3))
+            nearest, _, distance[side] = tree.closest(points[side])
             other[side] = rows[nearest]
         return distance, other
 
