@@ -30,7 +30,7 @@ class QualityReport(dict[str, Any]):
     def _repr_html_(self) -> str:
         before, after = (quality_rows(self["quality"][when]) for when in ("before", "after"))
         verdict = "valid" if self["valid"] else f"INVALID: {self['quality']['after']['invalid_cells']:,} cells"
-        if self["reference"] is None:
+        if self["shape"]["before"] is None:
             return html_table(verdict, after)
         rows = [(name, old, new) for (name, old), (_, new) in zip(before, after, strict=True)]
         return html_table(verdict, rows, ("", "before", "after"))

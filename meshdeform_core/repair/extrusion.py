@@ -93,12 +93,14 @@ def find_extrusion(constraints: Constraints) -> Extrusion | None:
 
 
 def _heights(block: FloatArray, scale: float) -> list[FloatArray]:
-    """Vectors from one end of a block to the other that are the same everywhere."""
+    """Vectors from one end of a block to the other that are the same everywhere; not of blocks that close."""
     found = []
     for axis in range(3):
         height = block.take(-1, axis=axis) - block.take(0, axis=axis)
-        if np.ptp(height.reshape(-1, 3), axis=0).max() <= _STRAIGHT * scale:
-            found.append(height.reshape(-1, 3).mean(axis=0))
+        mean = height.reshape(-1, 3).mean(axis=0)
+        straight = np.ptp(height.reshape(-1, 3), axis=0).max() <= _STRAIGHT * scale
+        if straight and np.linalg.norm(mean) > _STRAIGHT * scale:
+            found.append(mean)
     return found
 
 

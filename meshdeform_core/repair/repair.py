@@ -17,6 +17,7 @@ import numpy as np
 from ..boundary import Boundary
 from ..grid import FloatArray, IntArray
 from ..memory import UNLIMITED, MemoryLimit
+from ..numerics.cell.health import all_healthy
 from ..parallel import alone, current_ranks, empty, for_rows
 from ..quality import Original
 from ..quality.comparison import Comparison
@@ -26,7 +27,7 @@ from .extrusion import Extrusion, find_extrusion
 from .neighbourhood import Neighbourhood, Plot
 from .newton import NewtonSystem
 from .onset import share_of
-from .region import Penalty
+from .region import COLLAPSED, HEALTHY, SOFT, Penalty
 from .time_limit import TimeLimit
 from .untangle import Pace, Untangler
 from .weakness import POOR, is_weak
@@ -131,6 +132,15 @@ class Basis:
         original = Original(found.plane, found.constraints.topology, self.original.min_jacobian)
         return found, Basis(original, found.constraints)
 
+    def healthy(self, points: FloatArray) -> bool:
+        """Whether the corners of all cells are healthy, told without building a region; not of plane grids."""
+        grid = self.original.grid
+        if grid.dimension == 2 or grid.n_nodes > 2 * LARGE:
+            return False
+        blocks = (grid.moved(points).block(n) for n in range(grid.n_blocks))
+        pairs = zip(blocks, (grid.block(n) for n in range(grid.n_blocks)), strict=True)
+        return all(all_healthy(x, start, HEALTHY, SOFT, COLLAPSED) for x, start in pairs)
+
     @cached_property
     def whole(self) -> Whole | None:
         """All nodes that may move, ``None`` where there are none or too many."""
@@ -181,6 +191,8 @@ class Repairer:
 
         def weak() -> bool:
             flat, basis = self._flattened(points) or (points, self.basis)
+            if basis.healthy(flat):
+                return False
             if basis.whole is None:
                 return is_weak(self.original, verdict, cells)
             plot = basis.whole.plot

@@ -138,7 +138,7 @@ def test_dry_run_tells_that_the_boundary_crosses_itself(bench, call):
     case = (bench / "case.toml").read_text().split("motion")[0] + 'motion = [{ displace = ["1.6", "0", "0"] }]\n'
     (bench / "case.toml").write_text(case + '[[boundary]]\nname = "span"\nselect = ["*.k*"]\nkind = "slip"\n')
     result = call("deform", "grid.xyz", "-c", "case.toml", "--dry-run")
-    assert result.code == 0
+    assert result.code == 3
     assert "crosses itself" in result.err
     assert "'(not selected)' and 'body' meet at (2, " in result.err
     assert "from 93.75% of the motion on" in result.err

@@ -87,7 +87,7 @@ def test_a_warning_is_given_once_and_not_for_round_off(swing, call):
 
 
 def test_text_and_page_have_a_line_per_level(swing, call):
-    result = call(*RUN, "--report", "r.txt", "--report", "r.html")
+    result = call(*RUN, "-v", "--report", "r.txt", "--report", "r.html")
     assert result.code == 0
     (warning,) = result.warnings
     assert Path("r.txt").read_text() == f"{result.out}warning   {warning}\n"

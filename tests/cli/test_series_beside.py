@@ -46,9 +46,9 @@ def written(monkeypatch):
     found: list[tuple[int, bool]] = []
     for kind in (LevelFiles, SingleFile):
 
-        def write(self, number, grid, velocity, kind=kind, plain=kind.write):
+        def write(self, number, grid, *rest, kind=kind, plain=kind.write):
             found.append((number, threading.current_thread() is threading.main_thread()))
-            plain(self, number, grid, velocity)
+            plain(self, number, grid, *rest)
 
         monkeypatch.setattr(kind, "write", write)
     return found
@@ -88,10 +88,10 @@ def test_without_threads_or_memory_to_spare_levels_are_written_alone(extra, swin
 def test_a_level_that_cannot_be_written_ends_the_series_there(swing, call, monkeypatch):
     plain = LevelFiles.write
 
-    def write(self, number, grid, velocity):
+    def write(self, number, grid, *rest):
         if number == 2:
             raise FormatError("cannot write grid_0002.xyz: No space left on device")
-        plain(self, number, grid, velocity)
+        plain(self, number, grid, *rest)
 
     with monkeypatch.context() as patch:
         patch.setattr(LevelFiles, "write", write)
@@ -124,10 +124,10 @@ def test_a_level_that_could_not_be_recorded_does_not_count_as_done(swing, call, 
 def test_of_two_failures_the_earlier_level_counts(writes, told, swing, call, monkeypatch):
     plain, make = LevelFiles.write, _Series.level
 
-    def write(self, number, grid, velocity):
+    def write(self, number, grid, *rest):
         if number == 2 and not writes:
             raise FormatError("cannot write grid_0002.xyz")
-        plain(self, number, grid, velocity)
+        plain(self, number, grid, *rest)
 
     def level(self, number, past):
         if number == 3:
