@@ -8,6 +8,7 @@ from ..wording import counted
 from .measures import measure_rows
 from .parts import Report
 from .remedies import remedy_of
+from .repaired import repair_sentence
 from .text import number
 
 _SHOWN = 10
@@ -22,6 +23,9 @@ def _lines(report: Report) -> Iterator[str]:
     grid = report["grid"]
     yield f"## {'✅' if report['valid'] else '❌'} {_escaped(grid['file'] or 'grid')}: {_verdict(report)}"
     yield ""
+    if done := repair_sentence(report):
+        yield f"**After a repair:** {_escaped(done)}."
+        yield ""
     yield f"{grid['dimension']}-D, {counted(grid['blocks'], 'block')}, {grid['nodes']:,} nodes, {grid['cells']:,} cells"
     if "levels" in report:
         yield from _levels(report)

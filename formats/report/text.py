@@ -9,6 +9,7 @@ from meshdeform_core.memory import readable
 
 from ..wording import counted
 from .measures import measure_rows, place_text
+from .repaired import repair_sentence
 from .series_text import series_lines
 
 _LISTED = 20
@@ -75,16 +76,8 @@ def _verdict(report: dict[str, Any]) -> Iterator[str]:
             f"interior  made again from the reference by {new['method']} in {counted(new['steps'], 'step')}: "
             f"{new['reason']}"
         )
-    if report.get("repair"):
-        yield _repair(report["repair"])
-
-
-def _repair(done: dict[str, Any]) -> str:
-    cells = f"{counted(done['cells'], 'cell')} repaired" if done["cells"] else "weak cells improved"
-    return (
-        f"repair    {cells}, {counted(done['nodes'], 'node')} moved by up to {number(done['max_movement'])}, "
-        f"{done['newton_steps']} Newton steps"
-    )
+    if done := repair_sentence(report):
+        yield f"repair    {done}"
 
 
 def _parameters(method: dict[str, Any]) -> Iterator[str]:

@@ -6,6 +6,7 @@ from html import escape
 from typing import Any
 
 from ..parts import Report
+from ..repaired import repair_sentence
 from .tables import table
 
 _SHOWN = 12
@@ -14,7 +15,9 @@ _SHOWN = 12
 def verdict_section(report: Report) -> str:
     """The banner at the top, with the positions of invalid cells."""
     if report["valid"]:
-        return f'<div class="verdict good"><strong>✓ {_good(report)}</strong></div>'
+        done = repair_sentence(report)
+        how = f"<p>After a repair: {escape(done)}.</p>" if done else ""
+        return f'<div class="verdict good"><strong>✓ {_good(report)}</strong>{how}</div>'
     if "levels" in report:
         return _bad_levels(report)
     return _bad(report)
