@@ -19,6 +19,8 @@ PROGRAM_BYTES, COORDINATE_ARRAYS = 220 * 2**20, 9
 VELOCITY_ARRAYS, SWEPT_ARRAYS = 2, 4
 """The grid velocity of a series, and the levels of which it is a difference; with the volumes swept by faces: those of
 two intervals, their combination, and what is written."""
+SMOOTHNESS_ARRAYS = 2
+"""The two earlier levels of a series from which the acceleration of its nodes is told."""
 WRITING_ARRAYS = 2
 """What writing a level takes, at most, while the next one is computed."""
 PICTURE_BYTES = 280 * 2**20

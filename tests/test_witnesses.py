@@ -63,4 +63,5 @@ def test_distorted_cubes_by_mfem(spread, left):
 def test_check_mesh_agrees(turned):
     _, plain, final = turned
     assert witnesses.check_mesh(final.grid) == "0 / 0"
-    assert int(witnesses.check_mesh(plain.grid).split(" / ")[0]) > 100
+    # Faces between cells that are all wrong alike have no wrong orientation: fewer than invalid cells.
+    assert int(witnesses.check_mesh(plain.grid).split(" / ")[0]) > 0.25 * plain.assessment.after.invalid_cells > 0

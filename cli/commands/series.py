@@ -70,13 +70,13 @@ def command(
     check_reports(run.reports, run.force or resume, *source.files, *case.files)
     count, options, limit = parse_steps(steps), run.variant_options, run.memory
 
-    from meshdeform_core.memory import SWEPT_ARRAYS, VELOCITY_ARRAYS
+    from meshdeform_core.memory import SMOOTHNESS_ARRAYS, SWEPT_ARRAYS, VELOCITY_ARRAYS
 
     from .. import series_run, work
 
     wanted = series_run.Wanted(output, times, origin, velocity, count, suffix, single_file, options, run.fields)
     with ProgressBar(not run.quiet) as progress:
-        more = VELOCITY_ARRAYS * (velocity != "none") + SWEPT_ARRAYS * (velocity == "swept")
+        more = SMOOTHNESS_ARRAYS + VELOCITY_ARRAYS * (velocity != "none") + SWEPT_ARRAYS * (velocity == "swept")
         job = work.load(source, dataclasses.replace(case, times=times), limit, run.reports, more)
         plan = series_run.prepare(job, source, wanted, run)
         run.warnings.tell(plan.setup.warnings)

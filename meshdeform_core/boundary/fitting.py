@@ -20,6 +20,8 @@ _POINTS = 0.5
 """A surface belongs to the table if at least this share of the table's points lies on it, ..."""
 _COVERED = 0.5
 """... or if the table covers at least this share of its area."""
+_WHOLE = 0.9
+"""A surface of another guessed role than a wall counts as one if the table covers this share of its area."""
 _SOME = 0.1
 """Without such a surface: those with at least this fraction of the points of the best one."""
 _FITS = 0.5
@@ -63,12 +65,19 @@ def fit_table(grid: Grid, topology: Topology, data: SurfaceData, matching: Match
     if on.mean() < _FITS:
         raise _misfit(grid, topology, quads, data, on)
     votes = np.bincount(owner[nearest[on]], minlength=len(surfaces)) / len(points)
-    covered = _covered(points, center, reach, owner, _areas(corners))
-    chosen = (votes >= _POINTS) | ((votes > 0) & (covered >= _COVERED))
+    whole = np.bincount(owner, _areas(corners), minlength=len(surfaces))
+    under = np.bincount(owner, _areas(corners) * _under(data, points, center, reach), minlength=len(surfaces))
+    covered = np.divide(under, whole, out=np.zeros_like(whole), where=whole > 0)
+    chosen = (votes >= _POINTS) | (covered >= _COVERED)
     if not chosen.any():
         chosen = votes >= _SOME * votes.max()
-    walls = chosen & np.array([surface.role in (Role.WALL, Role.UNKNOWN) for surface in surfaces])
-    # Along its rim a wall lies on symmetry and end planes too.
+    # Along its rim a wall lies on symmetry and end planes too. A guessed role may be wrong where the table covers all.
+    walls = chosen & np.array(
+        [
+            surface.role in (Role.WALL, Role.UNKNOWN) or (not surface.declared and part >= _WHOLE)
+            for surface, part in zip(surfaces, covered, strict=True)
+        ]
+    )
     chosen = walls if walls.any() else chosen
     mine = quads[chosen[owner]]
     found = tuple(surface for surface, taken in zip(surfaces, chosen, strict=True) if taken)
@@ -103,16 +112,18 @@ def _require_wall(
         raise MotionError(f"{data.label}: its points lie on {places}{hint}; expected a table of a wall")
 
 
-def _covered(
-    points: FloatArray, center: FloatArray, reach: FloatArray, owner: IntArray, area: FloatArray
-) -> FloatArray:
-    """Share of the area of each surface (n,) that lies within the table's own spacing of its points."""
+def _under(data: SurfaceData, points: FloatArray, center: FloatArray, reach: FloatArray) -> BoolArray:
+    """Which faces with ``center`` (n, 3) lie within their size of the table's triangles, or within the spacing of its
+    points of one of them."""
     tree = scipy.spatial.cKDTree(points)
     spacing = tree.query(points, k=min(5, len(points)))[0].reshape(len(points), -1)[:, -1]
     distance, nearest = tree.query(center)
     under = distance <= np.maximum(reach, spacing[nearest])
-    whole = np.bincount(owner, area)
-    return np.divide(np.bincount(owner, area * under), whole, out=np.zeros_like(whole), where=whole > 0)
+    if len(data.triangles):
+        from ..numerics.geometry.surface import TriangleTree
+
+        under |= TriangleTree(data.points, data.triangles).closest(center)[2] <= reach
+    return np.asarray(under)
 
 
 def _areas(corners: FloatArray) -> FloatArray:

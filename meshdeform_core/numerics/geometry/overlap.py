@@ -117,7 +117,8 @@ def _descend(faces, role, order, asked, box, tree, active, pairs):
     leaves = tree.shape[0] // 2
     stack = np.empty((_DEPTH, 2), dtype=np.int64)
     stack[0, 0] = stack[0, 1] = 1
-    depth, count = 1, 0
+    # Typed: a literal would compile a second signature of the leaf.
+    depth, count = 1, np.int64(0)
     while depth:
         depth -= 1
         a, b = stack[depth, 0], stack[depth, 1]
