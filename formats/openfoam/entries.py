@@ -111,6 +111,7 @@ def number_in(text: str) -> float | None:
 
 
 def describe(item: Item) -> str:
+    """An entry in words, for messages on what was found in its place."""
     if isinstance(item, Atom):
         return repr(item.text)
     return "a list" if isinstance(item, Items) else "a dictionary"

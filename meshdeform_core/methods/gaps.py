@@ -70,8 +70,6 @@ class Closing:
 class PreparedInGaps:
     """A prepared composite, and TFI for the gaps that close."""
 
-    linear = cheap = False
-
     def __init__(self, method: PreparedComposite, problem: Problem, moving: BoolArray):
         self.method, self._problem, self._moving = method, problem, moving
         self._account = Account()

@@ -6,6 +6,7 @@ import re
 
 import numpy as np
 import pytest
+from grids import frame
 
 from meshdeform_core.boundary.classification import BoundarySpec, Kind
 from meshdeform_core.boundary.doubts import positions_as_displacements, tiny_rotations
@@ -76,6 +77,22 @@ def test_a_table_on_the_symmetry_plane_that_would_fit_the_wing_is_refused():
     swapped = SurfaceData(TABLE.points[:, [0, 2, 1]], TABLE.displacement, TABLE.triangles, "swapped.csv")
     with pytest.raises(MotionError, match=r"columns exchanged|lie on no outside face"):
         on_table_alone(swapped)
+
+
+def test_a_coarse_table_moves_all_sides_of_the_wall():
+    """Its points lie at the edges of the body, where they are as near to one side as to the next."""
+    ring = [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)]
+    points = np.array([(x, y, z) for z in (0.0, 1.0) for x, y in ring])
+    quads = np.array([(n, (n + 1) % 4, (n + 1) % 4 + 4, n + 4) for n in range(4)])
+    halves = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    data = SurfaceData(points, 0.01 + 0.0 * points, halves, "coarse.csv")
+    grid = frame(2, 2)
+    motion = Motion((Follow(data, Matching("interpolate", partial=True)),), {})
+    case = Case((BoundarySpec("table", ("*",), Kind.MOVING, None, motion), BoundarySpec("rest", ("*",), Kind.SLIP)))
+    setup = set_up(grid, case)
+    nodes = setup.boundary.movers[0][0]
+    body = np.abs(grid.points[setup.topology.first][:, :2]).max(axis=1) < 0.51
+    assert set(nodes) >= set(np.flatnonzero(body))
 
 
 def plate(gap: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
