@@ -92,7 +92,7 @@ def _contents(folder: Path) -> dict[Path, bytes | None]:
 
 
 _SIZES = (
-    "0", "-1GiB", "1", "1e9", "4 GB", "220MiB", "221.5MiB", "300MiB", " 2GiB ", "2GiBB", "GiB", "", "9" * 400,
+    "0", "-1GiB", "1", "1e9", "4 GB", "240MiB", "241.5MiB", "300MiB", " 2GiB ", "2GiBB", "GiB", "", "9" * 400,
     "9" * 400 + "GiB", "\uff12GiB", "0.0000001B", "nan", "inf", "1.GiB", "1TiB", "99999999999TiB", "2**40", "1,5GiB",
     "0x10", "1_000MB", "220.3MiB",
 )  # fmt: skip
