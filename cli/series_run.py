@@ -20,7 +20,7 @@ from meshdeform_core.grid import Grid
 from meshdeform_core.memory import WRITING_ARRAYS, peak_memory
 from meshdeform_core.methods import make_method
 from meshdeform_core.notices import first_of_each_kind, kind_of
-from meshdeform_core.parallel import current_ranks, thread_count
+from meshdeform_core.parallel import carried, current_ranks, thread_count
 from meshdeform_core.series import Level, Schedule, deform_series
 from meshdeform_formats.case import CaseFile
 from meshdeform_formats.case.sequences import parse_times
@@ -243,7 +243,7 @@ class Recorder:
         if self._alone(level, ranks.count):
             ranks.on_first(partial(_record, self._run, level))
         else:
-            self._level, self._writing = level, self._thread.submit(_record, self._run, level, beside=True)
+            self._level, self._writing = level, self._thread.submit(carried(_record), self._run, level, beside=True)
 
     def _alone(self, level: Level, ranks: int) -> bool:
         """Whether nothing may be computed at the same time."""

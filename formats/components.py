@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshdeform_core.grid import FloatArray
-from meshdeform_core.parallel import for_chunks, thread_count
+from meshdeform_core.parallel import carried, for_chunks, thread_count
 
 T = TypeVar("T")
 # Larger blocks are converted component by component, so that no copy of them is needed.
@@ -62,9 +62,9 @@ def ahead(items: Iterable[T]) -> Iterator[T]:
     if thread_count() == 1:
         yield from items
         return
-    iterator, end = iter(items), object()
+    iterator, end, following = iter(items), object(), carried(next)
     with ThreadPoolExecutor(1) as pool:
-        coming = deque(pool.submit(next, iterator, end) for _ in range(_AHEAD))
+        coming = deque(pool.submit(following, iterator, end) for _ in range(_AHEAD))
         while (item := coming.popleft().result()) is not end:
-            coming.append(pool.submit(next, iterator, end))
+            coming.append(pool.submit(following, iterator, end))
             yield item  # type: ignore[misc]

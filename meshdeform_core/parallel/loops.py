@@ -21,10 +21,12 @@ import os
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
+from contextvars import ContextVar, copy_context
 from functools import partial
-from typing import Any, NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple, ParamSpec, Protocol, TypeVar
 
 T = TypeVar("T")
+P = ParamSpec("P")
 Work = Callable[[int, int], object]
 Counter = Callable[[int, int], object]
 Bounds = tuple[int, int]
@@ -142,43 +144,53 @@ class Shared(NamedTuple):
     rows: Callable[[int, int], Any] = range
 
 
-_limit: int | None = None
-_ranks: Ranks = OneRank()
+class Sharing(NamedTuple):
+    """Who shares the work: MPI ranks, and at most this number of threads on each; ``None`` for all its cores."""
+
+    ranks: Ranks
+    threads: int | None
+
+
+# A context variable, not a global one: calls in different threads of a program do not change each other's setting, and
+# a block that sets it, such as work that one rank does alone, sets it for nobody else.
+_ONE_PROCESS = Sharing(OneRank(), None)
+_sharing = ContextVar("sharing", default=_ONE_PROCESS)
 
 
 def set_threads(count: int | None) -> None:
     """Use at most ``count`` threads from now on; ``None`` for this process's share of the cores."""
-    global _limit
-    _limit = count
+    _sharing.set(_sharing.get()._replace(threads=count))
 
 
 def set_ranks(ranks: Ranks) -> None:
     """Share the work with other processes from now on; all of them must make the same calls in the same order."""
-    global _ranks
-    _ranks = ranks
+    _sharing.set(_sharing.get()._replace(ranks=ranks))
 
 
 def current_ranks() -> Ranks:
     """The processes that share the work."""
-    return _ranks
+    return _sharing.get().ranks
 
 
 @contextmanager
 def sharing(ranks: Ranks, threads: int | None) -> Iterator[None]:
     """Share the work with these ranks, with this number of threads, within the block."""
-    before = _ranks, _limit
-    set_ranks(ranks)
-    set_threads(threads)
+    before = _sharing.set(Sharing(ranks, threads))
     try:
         yield
     finally:
-        set_ranks(before[0])
-        set_threads(before[1])
+        _sharing.reset(before)
 
 
 def alone() -> AbstractContextManager[None]:
     """Share nothing within the block: for work that one rank does alone."""
-    return sharing(OneRank(_ranks.cores), _limit)
+    ranks, threads = _sharing.get()
+    return sharing(OneRank(ranks.cores), threads)
+
+
+def carried(action: Callable[P, T]) -> Callable[P, T]:
+    """``action`` for another thread, which shares the work as the caller does; for one call at a time."""
+    return partial(copy_context().run, action)
 
 
 def empty(shape: Sequence[int], dtype: Any = "float64") -> Any:
@@ -189,12 +201,13 @@ def empty(shape: Sequence[int], dtype: Any = "float64") -> Any:
     import numpy as np
 
     large = math.prod(shape) * np.dtype(dtype).itemsize >= _SMALL
-    return (_ranks if large else OneRank()).empty(shape, dtype)
+    return (current_ranks() if large else OneRank()).empty(shape, dtype)
 
 
 def thread_count() -> int:
     """Number of threads that loops use."""
-    return max(1, min(_limit or _ranks.cores, usable_cores()))
+    ranks, threads = _sharing.get()
+    return max(1, min(threads or ranks.cores, usable_cores()))
 
 
 def usable_cores() -> int:
@@ -228,12 +241,13 @@ def for_chunks(
     """
     bounds = [(first, min(first + chunk, size)) for first in range(0, size, chunk)]
     filled = [*(array for array, _ in shared or ()), *common]
-    number, count = _ranks.group_of(common) if shared is None else (_ranks.number, _ranks.count)
-    _ranks.begin(filled)
+    ranks = current_ranks()
+    number, count = ranks.group_of(common) if shared is None else (ranks.number, ranks.count)
+    ranks.begin(filled)
     _on_threads(work, bounds[number::count], progress, threads or thread_count())
     for array, rows in shared or ():
-        _ranks.share(array, partial(_rows_of, rows, bounds, count))
-    _ranks.finish(filled)
+        ranks.share(array, partial(_rows_of, rows, bounds, count))
+    ranks.finish(filled)
 
 
 def _rows_of(rows: Callable[[int, int], Any], bounds: list[Bounds], count: int, rank: int) -> list[Any]:
@@ -258,7 +272,7 @@ def for_items(
             failures.append((number, error))
 
     for_chunks(attempt, count, 1, progress, shared, threads=1)
-    if found := _ranks.gather(failures):
+    if found := current_ranks().gather(failures):
         # Raise the error that a single process would have met first.
         raise min(found, key=lambda each: each[0])[1]
 
@@ -288,7 +302,9 @@ def _on_threads(work: Work, bounds: list[Bounds], progress: Counter | None, limi
             # An interrupt or an error ends the run: chunks that have not started need not run.
             failures.append(error)
 
-    others = [threading.Thread(target=run, args=(None,), name="chunks") for _ in range(min(limit, len(bounds)) - 1)]
+    others = [
+        threading.Thread(target=carried(run), args=(None,), name="chunks") for _ in range(min(limit, len(bounds)) - 1)
+    ]
     for other in others:
         other.start()
     run(progress)

@@ -14,7 +14,19 @@ from grids import frame
 from pretended import UNTOUCHED, rank
 
 from meshdeform_core.grid import Grid
-from meshdeform_core.parallel import OneRank, Shared, alone, current_ranks, empty, for_chunks, for_rows, set_threads
+from meshdeform_core.parallel import (
+    OneRank,
+    Shared,
+    alone,
+    carried,
+    current_ranks,
+    empty,
+    for_chunks,
+    for_rows,
+    set_threads,
+    sharing,
+    thread_count,
+)
 from meshdeform_core.parallel.mpi import _is_common, _mapped, _memory_file
 
 needs_linux = pytest.mark.skipif(not hasattr(os, "memfd_create"), reason="shared memory requires Linux")
@@ -193,3 +205,40 @@ def test_an_interrupt_from_the_progress_ends_the_loop():
     count = len(done)
     time.sleep(0.05)
     assert len(done) == count < 100
+
+
+def test_threads_of_a_program_do_not_change_each_others_setting():
+    set_threads(3)
+    found, inside, leave = {}, threading.Event(), threading.Event()
+
+    def other() -> None:
+        with sharing(OneRank(1), 1):
+            inside.set()
+            assert leave.wait(10)
+            found["other"] = thread_count()
+
+    thread = threading.Thread(target=other)
+    thread.start()
+    try:
+        assert inside.wait(10)
+        found["this"] = sharing_of_this()
+        with alone():
+            found["alone"] = sharing_of_this()
+    finally:
+        leave.set()
+        thread.join()
+        set_threads(None)
+    assert found == {"this": 3, "alone": 3, "other": 1}
+
+
+def sharing_of_this() -> int | None:
+    """The number of threads asked for, whatever this machine has; a thread for whom it is carried sees the same."""
+    from meshdeform_core.parallel.loops import _sharing
+
+    here = _sharing.get().threads
+    seen: list[int | None] = []
+    thread = threading.Thread(target=carried(lambda: seen.append(_sharing.get().threads)))
+    thread.start()
+    thread.join()
+    assert seen == [here]
+    return here
