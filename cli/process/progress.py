@@ -1,4 +1,4 @@
-"""Progress of whatever takes longer than a second: a bar on a terminal, one line in a log."""
+"""Progress of whatever takes longer than a second: a bar on a terminal, lines at growing intervals in a log."""
 
 from __future__ import annotations
 
@@ -23,6 +23,10 @@ PATIENCE = 1.0
 """A stage that takes longer has a bar (seconds)."""
 LOGGED = 1.0
 """Work that takes longer leaves a line with its stages where stderr is no terminal (seconds)."""
+SELDOM, SELDOMEST = 10.0, 60.0
+"""Where stderr is no terminal, a line says how far the work is after so many seconds, then at intervals that grow with
+the time taken, up to the second number of seconds."""
+_GROWTH = 0.5
 # Stages that would show as 0.0 s are left out.
 _LISTED = 0.05
 _TICK = 0.1
@@ -38,9 +42,9 @@ Extent = Callable[[], tuple[int, int]]
 class ProgressBar:
     """Callback for the core's progress, ``bar(stage, done, total)``; ``total`` is 0 where it is not known.
 
-    On a terminal a stage that takes longer than a second is shown with what remains of it; elsewhere, when all is
-    done and took more than a second, one line says how long the stages took. That loops are being compiled is said in
-    any case, unless it is not ``enabled``, or nothing ``compiles``.
+    On a terminal a stage that takes longer than a second is shown with what remains of it. Elsewhere a line says now
+    and then how far long work is and, when all is done and took more than a second, one line how long the stages took.
+    That loops are being compiled is said in any case, unless it is not ``enabled``, or nothing ``compiles``.
     """
 
     active: ProgressBar | None = None
@@ -95,8 +99,9 @@ class ProgressBar:
             from meshdeform_core.numerics.jit import on_compile
 
             on_compile(self._compiling if self._compiles else None)
-        if self._shown:
-            self._display = threading.Thread(target=self._show, name="progress", daemon=True)
+        if self._wanted:
+            display = self._show if self._shown else self._log
+            self._display = threading.Thread(target=display, name="progress", daemon=True)
             self._display.start()
         return self
 
@@ -126,6 +131,16 @@ class ProgressBar:
                     while not self._over.wait(_TICK):
                         self._update(bar, tasks)
 
+    def _log(self) -> None:
+        """Tell now and then; runs in a thread of its own."""
+        elapsed = 0.0
+        while not self._over.wait(min(SELDOMEST, max(SELDOM, _GROWTH * elapsed))):
+            elapsed = time.perf_counter() - self._start
+            parts = [_words(_OUTER, *self._levels)] if self._levels else []
+            if self._stage:
+                parts.append(_words(self._stage, *self._extent()))
+            tell(", ".join([f"{elapsed:.0f} s", *parts]))
+
     def _update(self, bar: Bar, tasks: dict[str, TaskID]) -> None:
         """One task for the levels of a series, if it is one, and one for what is being done."""
         stage, extent = self._stage, self._extent
@@ -138,6 +153,10 @@ class ProgressBar:
             if name not in tasks:
                 tasks[name] = bar.add_task(name, total=None)
             bar.update(tasks[name], completed=min(done, total), total=total or None)
+
+
+def _words(stage: str, done: int, total: int) -> str:
+    return f"{stage} {min(done, total):,} of {total:,}" if total else stage
 
 
 def _bar() -> Bar:

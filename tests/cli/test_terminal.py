@@ -220,6 +220,23 @@ with progress.ProgressBar(compiles=False) as bar:
     assert done.stderr == ""
 
 
+def test_long_work_tells_a_log_how_far_it_is():
+    """At intervals that grow with the time taken, but not without bound."""
+    told = SLOW.format(logged=100, enabled=True).replace("progress.PATIENCE", "progress.SELDOM, progress.PATIENCE")
+    told = told.replace("= 0.2,", "= 0.25, 0.2,")
+    done = subprocess.run([sys.executable, "-c", told], capture_output=True, text=True, check=True)
+    lines = done.stderr.splitlines()
+    assert re.fullmatch(r"meshdeform: 0 s, levels 0 of 2, idw \d of 8", lines[0])
+    # The next ones after .25, .25, .37 s and so on: some of eight stages of .15 s.
+    assert 2 <= len(lines) <= 8
+    assert (
+        subprocess.run(
+            [sys.executable, "-c", told.replace("True", "False")], capture_output=True, text=True, check=True
+        ).stderr
+        == ""
+    )
+
+
 @pytest.mark.skipif(not Path("/proc/self/io").exists(), reason="the system does not count bytes")
 def test_bytes_that_were_written_are_counted(tmp_path):
     extent = progress._counted("wchar", 10_000)
