@@ -13,7 +13,7 @@ from meshdeform_core.errors import GridError
 from meshdeform_core.grid import FloatArray
 from meshdeform_core.memory import peak_memory
 from meshdeform_core.quality import InvalidCell
-from meshdeform_core.repair.repair import Repair
+from meshdeform_core.repair.outcome import Repair
 
 from .grids import Grid
 from .notebook import html_table, quality_rows

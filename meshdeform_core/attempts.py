@@ -11,7 +11,8 @@ from .course import Course
 from .errors import MethodError
 from .methods import Options
 from .notices import Notice
-from .repair.repair import COLLAPSING, HASTILY, QUICKLY
+from .repair.regions import HASTILY, QUICKLY
+from .repair.repair import COLLAPSING
 from .steps import State, Trial, accept, beginning, insist, patient_step, plain_step, repaired, step, warnings_ahead
 
 MAX_HALVINGS = 8

@@ -16,7 +16,8 @@ from .methods import Account, Progress
 from .methods.limits import PatchMotion, patch_motions
 from .notices import Notice
 from .quality import Assessment, assess
-from .repair.repair import COLLAPSING, Repair
+from .repair.outcome import Repair
+from .repair.repair import COLLAPSING
 from .repair.time_limit import TimeLimit
 from .setup import BoundaryMotion, Case, Setup, Start, Timing, set_up
 from .steps import State

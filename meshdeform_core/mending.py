@@ -22,8 +22,11 @@ from .quality.comparison import Comparison
 from .quality.difference import require_same_blocks
 from .quality.validity import Verdict, judge
 from .renewal import renewed
+from .repair.basis import Basis
 from .repair.constraints import Constraints
-from .repair.repair import WEAK, Basis, Repair, Repairer
+from .repair.outcome import Repair
+from .repair.regions import WEAK
+from .repair.repair import Repairer
 from .repair.time_limit import TimeLimit
 from .setup import Case
 
@@ -100,7 +103,7 @@ def mend(
     cells = Comparison(measured, rounded(grid.points, width))
     found = _Found(grid.points, cells.verdict)
     mode = case.repair.mode
-    if mode == "polish" or (mode == "auto" and repairer.needed(grid.points, cells.verdict, cells)):
+    if mode == "polish" or (mode == "auto" and repairer.needed(grid.points, cells.verdict)):
 
         def renew(reason: str, than: _Found) -> _Found:
             result = renewed(grid, original, (topology, boundary), case, width, memory, progress)

@@ -28,7 +28,7 @@ from .numerics.jit import compile_seconds
 from .parallel import current_ranks
 from .quality import Original
 from .repair import Mode, RepairOptions
-from .repair.repair import Basis
+from .repair.basis import Basis
 
 BoundaryMotion = Callable[[float], FloatArray]
 """``motion(fraction)``: displacement (n_unique, 3) of all face nodes with that fraction of the motion imposed."""

@@ -15,7 +15,8 @@ from .methods import Account, Options, PreparedMethod, Problem, make_method
 from .parallel import for_rows
 from .quality.comparison import Comparison
 from .quality.validity import Verdict, judge
-from .repair.repair import PATIENTLY, QUICKLY, Repair, Way
+from .repair.outcome import Repair
+from .repair.regions import PATIENTLY, QUICKLY, Way
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +121,7 @@ def repaired(trial: Trial, ways: tuple[Way, ...] = QUICKLY) -> Trial:
     """A plain trial, repaired if its cells need that and the case asks for it."""
     course, plain = trial.state.course, trial.plain
     mode = course.setup.case.repair.mode
-    if mode == "off" or not (mode == "polish" or course.repairer.needed(plain.points, plain.verdict, plain.cells)):
+    if mode == "off" or not (mode == "polish" or course.repairer.needed(plain.points, plain.verdict)):
         return trial
     return _repaired(trial, ways, course.start.correction() if course.start.correction else None)
 

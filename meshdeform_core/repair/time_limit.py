@@ -18,3 +18,7 @@ class TimeLimit:
     def reached(self) -> bool:
         """Whether the time is over, the same on all ranks: all of them must ask."""
         return current_ranks().on_first(lambda: clock.monotonic() >= self._end)
+
+    def over(self) -> bool:
+        """Whether the time is over; never where several ranks compute the same, which are not equally fast."""
+        return current_ranks().count == 1 and clock.monotonic() >= self._end

@@ -18,12 +18,13 @@ from meshdeform_core.numerics.cell.foldover_plane import add_triangles
 from meshdeform_core.parallel import set_threads
 from meshdeform_core.quality.validity import judge, newly_invalid
 from meshdeform_core.repair import RepairOptions
+from meshdeform_core.repair.basis import Basis
 from meshdeform_core.repair.constraints import Constraints
 from meshdeform_core.repair.extrusion import find_extrusion
 from meshdeform_core.repair.neighbourhood import Neighbourhood
 from meshdeform_core.repair.newton import NewtonSystem
 from meshdeform_core.repair.region import Penalty
-from meshdeform_core.repair.repair import Basis, Repairer
+from meshdeform_core.repair.repair import Repairer
 from meshdeform_core.repair.untangle import Untangler
 from meshdeform_samples.reproduce.experiment import Sample, prepare_sample
 

@@ -1,0 +1,74 @@
+"""What all repairs of one undeformed grid share."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+
+from ..boundary import Boundary
+from ..grid import FloatArray
+from ..numerics.cell.health import all_healthy
+from ..quality import Original
+from .constraints import Constraints
+from .extrusion import Extrusion, find_extrusion
+from .neighbourhood import Neighbourhood, Plot
+from .newton import NewtonSystem
+from .region import COLLAPSED, HEALTHY, SOFT
+
+
+class Basis:
+    """What all repairs of one undeformed grid share; its parts are made when the first one needs them."""
+
+    def __init__(self, original: Original, boundary: Boundary | Constraints):
+        self.original, self._boundary = original, boundary
+
+    @cached_property
+    def _constraints(self) -> Constraints:
+        if isinstance(self._boundary, Constraints):
+            return self._boundary
+        return Constraints.of(self.original.grid, self.original.topology, self._boundary)
+
+    @cached_property
+    def neighbourhood(self) -> Neighbourhood:
+        """See :class:`Neighbourhood`."""
+        return Neighbourhood(self._constraints)
+
+    @cached_property
+    def extrusion(self) -> tuple[Extrusion, Basis] | None:
+        """The plane grid that this one is extruded from."""
+        found = find_extrusion(self._constraints)
+        if found is None:
+            return None
+        original = Original(found.plane, found.constraints.topology, self.original.min_jacobian)
+        return found, Basis(original, found.constraints)
+
+    def healthy(self, points: FloatArray) -> bool:
+        """Whether the corners of all cells are healthy, told without building a region; not of plane grids."""
+        grid = self.original.grid
+        if grid.dimension == 2:
+            return False
+        blocks = (grid.moved(points).block(n) for n in range(grid.n_blocks))
+        pairs = zip(blocks, (grid.block(n) for n in range(grid.n_blocks)), strict=True)
+        return all(all_healthy(x, start, HEALTHY, SOFT, COLLAPSED) for x, start in pairs)
+
+    @cached_property
+    def whole(self) -> Whole | None:
+        """All nodes that may move, ``None`` where there are none."""
+        free = self.neighbourhood.around(np.empty(0, dtype=np.int64), None)
+        if not free.size:
+            return None
+        plot = self.neighbourhood.plot(free)
+        return Whole(plot, plot.region.energy.edges())
+
+
+class Whole:
+    """The region of all nodes that may move, and the shortest undeformed edges (n,) at its nodes."""
+
+    def __init__(self, plot: Plot, edges: FloatArray):
+        self.plot, self.edges = plot, edges
+
+    @cached_property
+    def system(self) -> NewtonSystem:
+        """Of Newton's method, its pattern found once."""
+        return NewtonSystem(self.plot.region)

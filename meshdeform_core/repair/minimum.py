@@ -1,0 +1,68 @@
+"""The minimum of the energy over all nodes that may move."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from ..grid import FloatArray, IntArray
+from .basis import Whole
+from .onset import share_of
+from .untangle import Pace, Untangler
+
+# A regularisation that begins large and falls slowly finds valid grids where a quick one is caught.
+QUICK, PATIENT = Pace(60, 2.0, 0.2), Pace(200, 50.0, 0.1)
+# Where no valid grid exists, most cells that can become valid do so early.
+HASTY = Pace(30, 2.0, 0.3)
+_CONVERGING = 60
+# A region of n nodes takes at most _WORK / n Newton steps, so that time is bounded on large grids.
+_WORK, _FEWEST = 20_000_000, 6
+
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class Search:
+    """Where a search has ended.
+
+    Block nodes ``moved`` (k,) with their ``shift`` (k, 3); whether it has ``succeeded``: the minimum is reached, or no
+    sample of a region is inverted any more; the largest f ``before``, infinite where a sample was inverted, and after.
+    """
+
+    moved: IntArray
+    shift: FloatArray
+    succeeded: bool
+    steps: int
+    before: float = 0.0
+    after: float = 0.0
+
+
+def most_steps(n_unknowns: int) -> int:
+    """Newton steps that a region may take."""
+    return max(_FEWEST, _WORK // n_unknowns)
+
+
+def minimise(
+    whole: Whole,
+    points: FloatArray,
+    polish: bool,
+    guess: FloatArray | None,
+    progress: Progress | None,
+    late: Callable[[], bool],
+) -> Search | None:
+    """Search the minimum from ``points`` (n_nodes, 3) of the method, moved by a ``guess``; ``None`` where no cell is
+    weak. ``polish``: the energy has its full share in any case."""
+    plot = whole.plot
+    reference = plot.inside(points)
+    share, energy = share_of(plot.region.energy, reference)
+    if polish:
+        share = max(share, 1.0)
+    if share == 0.0:
+        return None
+    region = replace(plot.region, energy=energy)
+    start = reference if guess is None else plot.inside(points + guess)
+    untangler = Untangler(region, start, reference, whole.system, progress=progress, late=late)
+    most = most_steps(region.n_unknowns)
+    converged = untangler.untangle(replace(QUICK, steps=min(QUICK.steps, most)))
+    converged = converged and untangler.minimise(share, min(_CONVERGING, most), whole.edges)
+    return Search(plot.moved, plot.shift(untangler.x - reference), converged, untangler.steps)

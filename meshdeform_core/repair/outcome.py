@@ -1,0 +1,63 @@
+"""What a repair has done."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..grid import FloatArray
+from ..quality.validity import Verdict
+
+
+@dataclass(frozen=True)
+class Repair:
+    """Summary of repairs.
+
+    ``cells`` that were invalid or weak before, ``nodes`` moved and how far at most (grid length unit), Newton steps,
+    seconds. ``converged``: the grid is the minimum of the energy over all nodes, a smooth function of the displacement
+    of the boundary; otherwise it depends on the way on which it was found, and the next one may differ much.
+    ``unique``: whether Newton's method arrived at the same minimum from another start; ``None`` where that was not
+    tried.
+    """
+
+    cells: int
+    nodes: int
+    max_movement: float
+    newton_steps: int
+    seconds: float
+    converged: bool = False
+    unique: bool | None = None
+
+    def __add__(self, other: Repair) -> Repair:
+        return Repair(
+            self.cells + other.cells,
+            max(self.nodes, other.nodes),
+            max(self.max_movement, other.max_movement),
+            self.newton_steps + other.newton_steps,
+            self.seconds + other.seconds,
+            other.converged,
+            other.unique,
+        )
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Coordinates (n_nodes, 3) after a repair, their verdict, and what was done."""
+
+    points: FloatArray
+    verdict: Verdict
+    repair: Repair
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Coordinates (n_nodes, 3) and the verdict on them."""
+
+    points: FloatArray
+    verdict: Verdict
+
+    @property
+    def count(self) -> int:
+        """Invalid cells."""
+        return int(np.count_nonzero(self.verdict.failed))

@@ -1,0 +1,126 @@
+"""Where the minimum over all nodes is out of reach: cells are untangled in regions around the invalid ones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from ..parallel import alone, current_ranks
+from .basis import Basis
+from .minimum import HASTY, PATIENT, QUICK, Progress, Search, most_steps
+from .neighbourhood import Plot
+from .newton import NewtonSystem
+from .onset import share_of
+from .outcome import Judged
+from .region import Penalty
+from .time_limit import TimeLimit
+from .untangle import Pace, Untangler
+
+WEAK = 0.35
+"""Cells with a corner below this share of its undeformed Jacobian are the middle of what a repair moves."""
+_LAYERS: dict[int, tuple[int | None, ...]] = {2: (32, None), 3: (8, 32, None)}
+_IMPROVING = 20
+_ROUNDS, _LAST_ROUNDS = 2, 6
+# More layers are tried while the largest f is above this; for valid grids, if the first ones lower it by a tenth.
+_ENOUGH, _GAIN = 2.9, 0.9
+
+
+class Way(NamedTuple):
+    """How cells are untangled: ``patient`` or quickly; ``even``: cells at walls count like all others; ``hasty``: only
+    around weak cells, and no improvement follows."""
+
+    patient: bool = False
+    even: bool = False
+    hasty: bool = False
+
+    @property
+    def pace(self) -> Pace:
+        """Of the Newton steps."""
+        return PATIENT if self.patient else HASTY if self.hasty else QUICK
+
+
+QUICKLY, PATIENTLY, HASTILY = (Way(),), (Way(patient=True), Way(patient=True, even=True)), (Way(hasty=True),)
+EVERY_WAY = QUICKLY + PATIENTLY
+
+
+@dataclass(frozen=True)
+class Growth:
+    """Regions that grow by stages until all cells are sound.
+
+    ``moved`` gives the grid after a search.
+    """
+
+    basis: Basis
+    moved: Callable[[Judged, Search], Judged]
+    progress: Progress | None
+    limit: TimeLimit
+
+    def best(self, start: Judged, weak: float, way: Way) -> tuple[Judged, int]:
+        """The best grid, and the Newton steps taken; cells with a relative Jacobian below ``weak`` are in the middle.
+
+        First the nodes within some layers move, then more, until the worst cell is no longer far from its undeformed
+        shape, or until more nodes do not help; with patience all of them at once.
+        """
+        stages = _LAYERS[self.basis.original.grid.dimension][-1 if way.patient else 0 : 1 if way.hasty else None]
+        best = now = start
+        steps, density, done = 0, np.inf, 0
+        for layers in stages:
+            if self.limit.reached:
+                break
+            now, found, taken = self._stage(now, layers, weak, way, done)
+            steps += taken
+            if found is None or (start.verdict.valid and found.after > _GAIN * found.before):
+                # No nodes are left to move, or the weak cells cannot be improved.
+                break
+            if now.count < best.count or (now.count == best.count and found.after < density):
+                best, density = now, found.after
+            if now.verdict.valid and density < _ENOUGH:
+                break
+            done = len(found.moved) if now.verdict.valid else 0
+        return best, steps
+
+    def _stage(
+        self, now: Judged, layers: int | None, weak: float, way: Way, done: int
+    ) -> tuple[Judged, Search | None, int]:
+        """Some searches with so many layers: the grid, the last search, and the Newton steps taken."""
+        steps, found = 0, None
+        for _ in range(_ROUNDS if layers else _LAST_ROUNDS):
+            other = self._search(now, layers, weak, way, done)
+            if other is None:
+                break
+            found, steps, now = other, steps + other.steps, self.moved(now, other)
+            helped = _ENOUGH < found.after < _GAIN * found.before
+            if not found.succeeded or (now.verdict.valid and (layers or not helped)):
+                break
+        return now, found, steps
+
+    def _search(self, now: Judged, layers: int | None, limit: float, way: Way, done: int) -> Search | None:
+        """Move the nodes within ``layers`` layers of weak cells; ``None`` if there are none, or only those that have
+        been ``done``."""
+        weak = np.flatnonzero((now.verdict.failed != 0) | (now.verdict.ratio < limit))
+
+        def make() -> Search | None:
+            with alone():
+                neighbourhood = self.basis.neighbourhood
+                free = neighbourhood.around(weak, layers)
+                if free.size in (0, done):
+                    return None
+                return self._untangle(neighbourhood.plot(free, way.even), now, way)
+
+        return current_ranks().once(make)
+
+    def _untangle(self, plot: Plot, now: Judged, way: Way) -> Search:
+        start, region = plot.inside(now.points), plot.region
+        share, energy = share_of(region.energy, start)
+        region = replace(region, energy=energy)
+        untangler = Untangler(region, start, start, NewtonSystem(region), progress=self.progress, late=self.limit.over)
+        before = untangler.state(start, Penalty()).highest
+        most = most_steps(region.n_unknowns)
+        untangled = untangler.untangle(replace(way.pace, steps=min(way.pace.steps, most)))
+        if untangled and not way.hasty:
+            untangler.minimise(max(share, 1.0), min(_IMPROVING, most), region.energy.edges())
+        after = untangler.state(untangler.x, Penalty()).highest
+        return Search(plot.moved, plot.shift(untangler.x - start), untangled, untangler.steps, before, after)
