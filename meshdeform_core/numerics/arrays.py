@@ -54,6 +54,13 @@ def spans(sizes: IntArray) -> tuple[IntArray, IntArray]:
     return run, np.arange(len(run)) - start[run]
 
 
+def portions(sizes: IntArray, steps: IntArray) -> IntArray:
+    """Ranges of at most ``steps`` (n,) things of each of n items with ``sizes`` things: rows (m, 3) item, from, to."""
+    item, number = spans(-(-sizes // steps))
+    first = number * steps[item]
+    return np.stack([item, first, np.minimum(first + steps[item], sizes[item])], axis=1)
+
+
 def runs(keys: IntArray) -> tuple[IntArray, IntArray]:
     """First (m,) and one past the last (m,) place of every run of equal ``keys`` (n,)."""
     first = np.flatnonzero(np.append(True, keys[1:] != keys[:-1])[: len(keys)])

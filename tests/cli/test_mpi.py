@@ -41,7 +41,7 @@ FAILING = """
 from meshdeform_cli.process import mpi
 from meshdeform_cli.main import main
 from meshdeform_core.errors import MethodError
-from meshdeform_core.methods.transfinite import tfi
+from meshdeform_core.methods import composite
 from meshdeform_core.parallel import mpi as ranks
 
 ranks._GRACE = 0.5
@@ -50,7 +50,7 @@ def fail(*_):
     raise MethodError("made to fail")
 
 if mpi.place().number == 1:
-    tfi.blend_slabs = fail
+    composite._on_faces = fail
 main()
 """
 # With all arrays in common memory, and on two machines if asked to.

@@ -1,5 +1,6 @@
 """Transfinite interpolation of blocks against eqs. 1 and 3-9 as they are printed."""
 
+import dataclasses
 import itertools
 
 import numpy as np
@@ -11,9 +12,12 @@ from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.grid import Grid
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.methods import TFI
+from meshdeform_core.methods.transfinite import groups, tfi
 from meshdeform_core.methods.transfinite.curved import CurvedLines
 from meshdeform_core.methods.transfinite.faces import Faces, Lines
-from meshdeform_core.methods.transfinite.tfi import PreparedTFI, _table
+from meshdeform_core.methods.transfinite.groups import Group
+from meshdeform_core.methods.transfinite.tfi import PreparedTFI
+from meshdeform_core.numerics.transfinite.blend import blend_slabs
 
 
 def boolean_sum(d, arc, low, high):
@@ -85,20 +89,21 @@ def test_sub_blocks_are_blended_from_their_faces(shapes, max_cells):
     skeleton = TFI(max_cells).skeleton(Case)
     d = rng.normal(size=Case.grid.points.shape)
     expected = d.copy()
-    for sub in skeleton.sub_blocks():
-        inner = tuple(slice(low + 1, high) for low, high in zip(sub.low, sub.high, strict=True))
-        arc = arcs(blocks[sub.block], skeleton.cuts[sub.block])
-        for axis, low in enumerate(sub.low):
+    for offset, *_, i0, j0, k0, i1, j1, k1, _ in skeleton.sub_blocks().tolist():
+        number, ends = Case.grid.offsets.tolist().index(offset), ((i0, j0, k0), (i1, j1, k1))
+        inner = tuple(slice(low + 1, high) for low, high in zip(*ends, strict=True))
+        arc = arcs(blocks[number], skeleton.cuts[number])
+        for axis, low in enumerate(ends[0]):
             # The low face belongs to the sub-block before, where its coordinate is 1.
             at = [slice(None)] * 3
             at[axis] = low
             arc[(*at, axis)] = 0.0
-        block, ends = Case.grid.block(sub.block, d), (sub.low, sub.high)
+        block = Case.grid.block(number, d)
         blended = boolean_sum(block, arc, *ends)
         if max_cells:
-            x = blocks[sub.block]
+            x = blocks[number]
             blended += lacking(block, x, boolean_sum(x, arc, *ends), *ends)
-        Case.grid.block(sub.block, expected)[inner] = blended[1:-1, 1:-1, 1:-1]
+        Case.grid.block(number, expected)[inner] = blended[1:-1, 1:-1, 1:-1]
     PreparedTFI(TFI(max_cells), Case, skeleton).fill(d)
     np.testing.assert_allclose(d, expected, rtol=0, atol=1e-12)
 
@@ -156,17 +161,36 @@ def test_linear_maps_are_reproduced_where_lines_are_curved(grid):
         assert (np.abs(d - image).max() < 1e-11) == exact
 
 
-def test_grids_made_by_tfi_have_no_deviations():
+def test_grids_made_by_tfi_have_no_deviations(monkeypatch):
     problem = problem_of(frame(7, 5), [BoundarySpec("all", ("*",), Kind.FIXED)])
-    skeleton = TFI(4).skeleton(problem)
-    subs = _table(problem.grid, list(skeleton.sub_blocks()))
+    group = Group.of(problem.grid.points, TFI(4).skeleton(problem).sub_blocks())
     planes = []
 
-    def blend(x, some):
-        planes.append(len(some))
-        PreparedTFI(TFI(0), problem, skeleton).fill(x)
+    def blend(values, arc, subs, slabs):
+        planes.extend(slabs.tolist())
+        blend_slabs(values, arc, subs, slabs)
 
-    assert CurvedLines.of(problem.grid, subs, blend) is None
+    monkeypatch.setattr(groups, "blend_slabs", blend)
+    assert len(CurvedLines.of(group).bent.rows) == 0
     # One plane of each sub-block was looked at, none in full.
-    assert planes[0] > 0
-    assert planes[1:] == [0]
+    rows = [row for row, _, _ in planes]
+    assert rows
+    assert len(rows) == len(set(rows))
+    assert all(last == first + 1 for _, first, last in planes)
+
+
+def test_groups_and_a_second_call_give_the_same_bits(monkeypatch):
+    rng = np.random.default_rng(4)
+    problem = problem_of(frame(9, 7), [BoundarySpec("all", ("*",), Kind.FIXED)])
+    bent = problem.grid.points + 0.05 * np.sin(problem.grid.points @ rng.normal(size=(3, 3)))
+    problem = dataclasses.replace(problem, grid=problem.grid.moved(bent))
+    skeleton, d = TFI(4).skeleton(problem), rng.normal(size=problem.grid.points.shape)
+    found = []
+    for together in (1, 100, 1 << 20):
+        monkeypatch.setattr(tfi, "_TOGETHER", together)
+        prepared = TFI(4).prepare(problem, skeleton)
+        for _ in range(2):
+            found.append(d.copy())
+            prepared.fill(found[-1])
+    assert prepared.n_groups == 1
+    assert len({each.tobytes() for each in found}) == 1

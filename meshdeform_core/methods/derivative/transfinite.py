@@ -23,15 +23,17 @@ class TFIDerivative:
 
     def pull(self, gradient: FloatArray) -> None:
         """Pass gradients from inside sub-blocks on to their faces, in place."""
-        method = self._method
-        if method._curved:
-            curved = method._curved
-            found = np.empty((len(curved.subs), 3, 3))
-            images_transposed(gradient, curved.deviation, curved.subs, found)
-            corners = np.einsum("nac,nak->nkc", found, curved.inverse)
-            np.add.at(gradient, curved.corners, corners)
-        blend_transposed(gradient, method._arc, method._subs)
-        _pull_faces(gradient, method._planes)
+        for number in range(self._method.n_groups):
+            group, curved = self._method.group(number)
+            if curved:
+                found = np.empty((len(curved.subs), 3, 3))
+                images_transposed(gradient, curved.deviation, curved.subs, found)
+                corners = np.einsum("nac,nak->nkc", found, curved.bent.inverse)
+                np.add.at(gradient, curved.bent.corners, corners)
+            if group.faces:
+                _pull_faces(gradient, group.faces)
+            else:
+                blend_transposed(gradient, group.arc, group.subs)
 
 
 class EdgeGraphDerivative:

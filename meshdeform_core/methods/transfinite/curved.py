@@ -8,14 +8,15 @@ no deviations, and this costs nothing there.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from ...grid import FloatArray, Grid, IntArray
-from ...numerics.transfinite.deviation import add_images, deviations, inner_numbers
-from ...parallel import Shared, empty, for_chunks, for_rows
+from ...grid import FloatArray, IntArray
+from ...numerics.transfinite.boxes import inner_numbers
+from ...numerics.transfinite.deviation import add_images, deviations
+from ...parallel import for_chunks
+from .groups import Group
 
 # Deviations relative to the size of a sub-block that are round-off.
 _ROUND_OFF = 1e-8
@@ -25,86 +26,84 @@ _CHUNKS = 64
 
 
 @dataclass(frozen=True)
-class CurvedLines:
-    """Deviations of the nodes inside sub-blocks.
+class Bent:
+    """The sub-blocks of a group that have deviations.
 
-    Attributes
-    ----------
-    subs : (m, 11) sub-blocks with deviations, see :mod:`..numerics.transfinite.deviation`
-    deviation : (n_inner, 3) of the nodes inside them
-    corners : (m, 8) their corner nodes
-    inverse : (m, 3, 8) gradient from the values at the corners, by least squares
+    ``rows`` (m,) of the group, ``corners`` (m, 8) their corner nodes, ``inverse`` (m, 3, 8) the gradient from the
+    values at the corners, by least squares.
     """
 
-    subs: IntArray
-    deviation: FloatArray
+    rows: IntArray
     corners: IntArray
     inverse: FloatArray
 
-    @classmethod
-    def of(cls, grid: Grid, subs: IntArray, blend: Callable[[FloatArray, IntArray], None]) -> CurvedLines | None:
-        """The deviations of a grid, ``None`` without any.
 
-        Parameters
-        ----------
-        subs : (n, 11) with any last column
-        blend : fills planes of sub-blocks from their faces, in place: (m, 3) rows of ``subs``, planes from .. to
-        """
-        blended = empty(grid.points.shape)
-        for_rows(lambda rows: np.copyto(blended[rows], grid.points[rows]), blended)
-        chosen = np.flatnonzero(inner_numbers(subs))
-        # Most sub-blocks without deviations are found from one plane each; testing all would double the cost of the
-        # set-up.
-        for planes in (_planes_at_a_third, _planes_inside):
-            some = planes(subs[chosen])
-            blend(blended, np.column_stack([chosen, some[:, 4] + 1, some[:, 7]]))
-            table, deviation, largest = _measured(grid.points, blended, some)
-            bent = largest > _ROUND_OFF * np.abs(_arms(grid.points, _corners(subs[chosen]))).max(axis=(1, 2))
-            chosen = chosen[bent]
-        if not len(chosen):
-            return None
-        corners = _corners(subs[chosen])
-        inverse = np.asarray(np.linalg.pinv(_arms(grid.points, corners), rcond=_THINNEST), dtype=np.float64)
-        return cls(table[bent], deviation, corners, inverse)
+@dataclass(frozen=True)
+class CurvedLines:
+    """Deviations of the nodes inside the sub-blocks of a group.
+
+    Attributes
+    ----------
+    bent : the sub-blocks with deviations
+    subs : (m, 11) of them, see :mod:`..numerics.transfinite.deviation`
+    deviation : (n_inner, 3) of the nodes inside
+    """
+
+    bent: Bent
+    subs: IntArray
+    deviation: FloatArray
+
+    @classmethod
+    def of(cls, group: Group, bent: Bent | None = None) -> CurvedLines:
+        """The deviations of a group; ``bent``, if it is known, saves looking for them."""
+        if bent:
+            table, deviation, _ = _measured(group, bent.rows)
+            return cls(bent, table, deviation)
+        rows = np.flatnonzero(inner_numbers(group.subs))
+        corners = _corners(group.subs)
+        size = np.abs(_arms(group.points, corners)).max(axis=(1, 2))
+        # Most sub-blocks without deviations are found from one plane each; testing all would double the cost.
+        _, _, largest = _measured(group, rows, one_plane=True)
+        rows = rows[largest > _ROUND_OFF * size[rows]]
+        table, deviation, largest = _measured(group, rows)
+        found = largest > _ROUND_OFF * size[rows]
+        rows, corners = rows[found], corners[rows[found]]
+        inverse = np.linalg.pinv(_arms(group.points, corners), rcond=_THINNEST)
+        return cls(Bent(rows, corners, np.asarray(inverse, dtype=np.float64)), table[found], deviation)
 
     def add(self, displacement: FloatArray) -> None:
         """Add the missing linear part to the displacement (n_nodes, 3) of inner nodes, in place."""
-        gradient = self.inverse @ displacement[self.corners]
+        gradient = self.bent.inverse @ displacement[self.bent.corners]
 
         def work(lo: int, hi: int) -> None:
             add_images(displacement, self.deviation, self.subs, lo, hi, gradient)
 
-        for_chunks(work, len(self.subs), _chunk(self.subs), shared=[Shared(displacement, self._inside)])
-
-    def _inside(self, first: int, last: int) -> IntArray:
-        """Flat indices of the nodes inside some of the sub-blocks."""
-        return np.concatenate([_inner_nodes(sub) for sub in self.subs[first:last]])
+        for_chunks(work, len(self.subs), _chunk(self.subs))
 
 
-def _planes_inside(subs: IntArray) -> IntArray:
-    return subs
+def _measured(group: Group, rows: IntArray, one_plane: bool = False) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Deviations inside some sub-blocks, or in one plane of each: their table, a row per node, the largest of each."""
+    part = group.apart(rows)
+    blended, subs = part.points.copy(), _plane_at_a_third(part.subs) if one_plane else part.subs
+    part.blend(blended, np.column_stack([np.arange(len(rows)), subs[:, 4] + 1, subs[:, 7]]) if one_plane else None)
+    numbers = inner_numbers(subs)
+    table = np.column_stack([subs[:, :10], np.cumsum(numbers) - numbers])
+    deviation, largest = np.empty((int(numbers.sum()), 3)), np.empty(len(rows))
+
+    def work(lo: int, hi: int) -> None:
+        deviations(part.points, blended, table, lo, hi, deviation, largest)
+
+    for_chunks(work, len(table), _chunk(table))
+    return np.column_stack([group.subs[rows, :10], table[:, 10]]), deviation, largest
 
 
-def _planes_at_a_third(subs: IntArray) -> IntArray:
+def _plane_at_a_third(subs: IntArray) -> IntArray:
     """Sub-blocks restricted to one plane, not the middle one, where S-shaped lines have no deviation."""
     low, high = subs[:, 4], subs[:, 7]
     plane = low + np.maximum((high - low) // 3, 1)
     some = subs.copy()
     some[:, 4], some[:, 7] = np.where(high > low, [plane - 1, plane + 1], [low, high])
     return some
-
-
-def _measured(points: FloatArray, blended: FloatArray, subs: IntArray) -> tuple[IntArray, FloatArray, FloatArray]:
-    """The table with rows of inner nodes, their deviations, and the largest of every sub-block."""
-    numbers = inner_numbers(subs)
-    table = np.column_stack([subs[:, :10], np.cumsum(numbers) - numbers])
-    deviation, largest = empty((int(numbers.sum()), 3)), empty([len(subs)])
-
-    def work(lo: int, hi: int) -> None:
-        deviations(points, blended, table, lo, hi, deviation, largest)
-
-    for_chunks(work, len(table), _chunk(table), common=[deviation, largest])
-    return table, deviation, largest
 
 
 def _chunk(subs: IntArray) -> int:
@@ -122,12 +121,3 @@ def _corners(subs: IntArray) -> IntArray:
     i, j, k = (ends[:, n, axis] for axis, n in enumerate(np.indices((2, 2, 2)).reshape(3, 8)))
     shape = subs[:, 1:4, None]
     return np.asarray(subs[:, :1] + (i * shape[:, 1] + j) * shape[:, 2] + k)
-
-
-def _inner_nodes(sub: IntArray) -> IntArray:
-    """Flat indices of the nodes inside a sub-block."""
-    i, j, k = (
-        np.arange(low + 1, high) if high > low else np.arange(low, low + 1)
-        for low, high in zip(sub[4:7].tolist(), sub[7:10].tolist(), strict=True)
-    )
-    return np.asarray(int(sub[0]) + ((i[:, None, None] * int(sub[2]) + j[:, None]) * int(sub[3]) + k).ravel())

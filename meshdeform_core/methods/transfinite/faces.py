@@ -58,11 +58,15 @@ class Faces:
     @classmethod
     def of(cls, points: FloatArray, nodes: Sequence[IntArray], wanted: Sequence[BoolArray]) -> Faces:
         """One array (na, nb) per rectangle; node numbers are rows of ``points``."""
-        start, joined = _starts(nodes), _joined(nodes, np.int64)
         width = np.array([part.shape[1] for part in nodes], dtype=np.int64)
-        s, t = np.empty(len(joined)), np.empty(len(joined))
-        face_coordinates(points, start, width, joined, s, t)
-        return cls(start, width, joined, _joined(wanted, np.bool_), s, t)
+        return cls.on(points, _starts(nodes), width, _joined(nodes, np.int64), _joined(wanted, np.bool_))
+
+    @classmethod
+    def on(cls, points: FloatArray, start: IntArray, width: IntArray, nodes: IntArray, wanted: BoolArray) -> Faces:
+        """With the coordinates of rectangles in the form of this class."""
+        s, t = np.empty(len(nodes)), np.empty(len(nodes))
+        face_coordinates(points, start, width, nodes, s, t)
+        return cls(start, width, nodes, wanted, s, t)
 
     def blend(self, displacement: FloatArray) -> None:
         """Displacement inside the rectangles from that of their edges, in place, rectangle by rectangle."""

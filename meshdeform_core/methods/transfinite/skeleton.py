@@ -2,24 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from ...grid import FloatArray, Grid, IntArray, Shape, Side
+from ...grid import FloatArray, Grid, IntArray, Side
+from ...numerics.arrays import spans
 from ..base import Problem
 
 Cuts = tuple[IntArray, IntArray, IntArray]
-
-
-@dataclass(frozen=True)
-class SubBlock:
-    """A virtual sub-block: nodes ``low`` to ``high`` (inclusive) of one block."""
-
-    block: int
-    low: Shape
-    high: Shape
 
 
 @dataclass(frozen=True)
@@ -36,14 +27,22 @@ class Skeleton:
     cuts: tuple[Cuts, ...]
     left_out: frozenset[tuple[int, Side]] = frozenset()
 
-    def sub_blocks(self) -> Iterator[SubBlock]:
-        """All sub-blocks of all blocks."""
-        for block, axes in enumerate(self.cuts):
-            spans = [list(zip(c[:-1].tolist(), c[1:].tolist(), strict=True)) or [(0, 0)] for c in axes]
-            for i in spans[0]:
-                for j in spans[1]:
-                    for k in spans[2]:
-                        yield SubBlock(block, (i[0], j[0], k[0]), (i[1], j[1], k[1]))
+    def sub_blocks(self) -> IntArray:
+        """All sub-blocks (n, 11) of all blocks, see :mod:`...numerics.transfinite.arcs`; the last column is not set."""
+        counts = np.array([[max(len(cut) - 1, 1) for cut in cuts] for cuts in self.cuts])
+        block, place = spans(counts.prod(axis=1))
+        # The one plane of a 2-D block is both ends of a sub-block.
+        number = np.stack([place // counts[block, 1:].prod(axis=1), place // counts[block, 2], place]) % counts[block].T
+        ends = np.empty((2, len(block), 3), dtype=np.int64)
+        for axis, along in enumerate(zip(*self.cuts, strict=True)):
+            sizes = np.array([len(cut) for cut in along])
+            first = (np.cumsum(sizes) - sizes)[block]
+            last = first + sizes[block] - 1
+            for end in range(2):
+                ends[end, :, axis] = np.concatenate(along)[np.minimum(first + number[axis] + end, last)]
+        unset = np.zeros(len(block), dtype=np.int64)
+        shapes = np.array(self.grid.shapes, dtype=np.int64)[block]
+        return np.column_stack([self.grid.offsets[block], shapes, *ends, unset])
 
     def nodes(self) -> IntArray:
         """Flat indices of all nodes that the first step moves, including coincident ones, ascending."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from llvmlite import ir
 
-from ..arrays import IntArray
+from ..arrays import IntArray, portions
 from ..jit import inlined, kernel
 from ..lanes import WIDTH, Array, Lanes, components, lanes
 
@@ -41,13 +41,11 @@ def arc_parts(subs: IntArray) -> IntArray:
 
     Kind 0: the coordinates along i and j of nodes from .. to along k; kind 1: those along k of planes from .. to.
     """
-    inside = np.maximum(subs[:, 7:10] - subs[:, 4:7] - 1, 0).tolist()
-    parts = []
-    for number, (ni, nj, nk) in enumerate(inside):
-        planes = max(1, _PART // max(nj * nk, 1))
-        parts += [(number, 0, k, min(k + TILE, nk)) for k in range(0, nk, TILE)]
-        parts += [(number, 1, i, min(i + planes, ni)) for i in range(0, ni, planes)]
-    return np.array(parts, dtype=np.int64).reshape(-1, 4)
+    inside = np.maximum(subs[:, 7:10] - subs[:, 4:7] - 1, 0)
+    planes = np.maximum(_PART // np.maximum(inside[:, 1] * inside[:, 2], 1), 1)
+    both = portions(inside[:, 2], np.full(len(subs), TILE)), portions(inside[:, 0], planes)
+    parts = np.concatenate([np.insert(part, 1, kind, axis=1) for kind, part in enumerate(both)])
+    return np.asarray(parts[np.argsort(parts[:, 0], kind="stable")])
 
 
 @inlined

@@ -1,27 +1,13 @@
 """What transfinite interpolation lacks where grid lines are curved, see :mod:`..methods.transfinite.curved`.
 
 A table ``subs`` (n, 11) lists sub-blocks as in :mod:`.arcs`; its last column is the row of the first inner node in
-arrays that have a row for every node inside a sub-block. A 2-D sub-block, one node thick, is inner across.
+arrays that have a row for every node inside a sub-block (:func:`.boxes.inner_numbers`).
 """
 
 from __future__ import annotations
 
-import numpy as np
-
-from ..arrays import IntArray
-from ..jit import inlined, kernel
-
-
-def inner_numbers(subs: IntArray) -> IntArray:
-    """Number of nodes inside each sub-block."""
-    across = subs[:, 7:10] - subs[:, 4:7]
-    return np.asarray(np.where(across > 0, across - 1, 1).prod(axis=1))
-
-
-@inlined
-def _inner(low, high):
-    """First inner node and one past the last."""
-    return (low + 1, high) if high > low else (low, low + 1)
+from ..jit import kernel
+from .boxes import inner
 
 
 @kernel
@@ -36,9 +22,9 @@ def deviations(points, blended, subs, first, last, out, largest):
     largest : largest absolute component in each sub-block
     """
     for n in range(first, last):
-        i0, i1 = _inner(subs[n, 4], subs[n, 7])
-        j0, j1 = _inner(subs[n, 5], subs[n, 8])
-        k0, k1 = _inner(subs[n, 6], subs[n, 9])
+        i0, i1 = inner(subs[n, 4], subs[n, 7])
+        j0, j1 = inner(subs[n, 5], subs[n, 8])
+        k0, k1 = inner(subs[n, 6], subs[n, 9])
         row, most = subs[n, 10], 0.0
         for i in range(i0, i1):
             for j in range(j0, j1):
@@ -59,9 +45,9 @@ def add_images(d, deviation, subs, first, last, gradient):
     ``gradient`` (n, 3, 3) of each sub-block: derivative along the first index of the component of the second.
     """
     for n in range(first, last):
-        i0, i1 = _inner(subs[n, 4], subs[n, 7])
-        j0, j1 = _inner(subs[n, 5], subs[n, 8])
-        k0, k1 = _inner(subs[n, 6], subs[n, 9])
+        i0, i1 = inner(subs[n, 4], subs[n, 7])
+        j0, j1 = inner(subs[n, 5], subs[n, 8])
+        k0, k1 = inner(subs[n, 6], subs[n, 9])
         row = subs[n, 10]
         for i in range(i0, i1):
             for j in range(j0, j1):

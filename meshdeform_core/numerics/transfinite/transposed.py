@@ -10,7 +10,7 @@ import numpy as np
 
 from ..jit import inlined, kernel
 from .arcs import TILE, padded, tile_start
-from .deviation import _inner
+from .boxes import inner
 
 
 @kernel
@@ -103,9 +103,9 @@ def faces_transposed(g, start, width, nodes, wanted, s, t):
 def images_transposed(g, deviation, subs, out):
     """Of :func:`.deviation.add_images`: gradients ``out`` (n, 3, 3) of those of the sub-blocks; ``g`` stays."""
     for n in range(subs.shape[0]):
-        i0, i1 = _inner(subs[n, 4], subs[n, 7])
-        j0, j1 = _inner(subs[n, 5], subs[n, 8])
-        k0, k1 = _inner(subs[n, 6], subs[n, 9])
+        i0, i1 = inner(subs[n, 4], subs[n, 7])
+        j0, j1 = inner(subs[n, 5], subs[n, 8])
+        k0, k1 = inner(subs[n, 6], subs[n, 9])
         row = subs[n, 10]
         for a in range(3):
             for c in range(3):

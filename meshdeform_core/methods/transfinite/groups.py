@@ -1,0 +1,86 @@
+"""Sub-blocks that are filled together, with the arc-length coordinates of the nodes inside them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...grid import FloatArray, IntArray
+from ...numerics.arrays import portions
+from ...numerics.transfinite.arcs import arc_coordinates, arc_numbers, arc_parts
+from ...numerics.transfinite.blend import blend_slabs
+from ...numerics.transfinite.boxes import apart, box_nodes, box_numbers
+from ...parallel import for_chunks
+from .faces import Faces
+
+# Planes and nodes per chunk, and chunks per group: enough to balance the load at negligible cost.
+_PLANES, _NODES, _CHUNKS = (8, 32), 65536, 64
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Neighbouring sub-blocks and the coordinates of the nodes inside them; in a 2-D grid these are ``faces``.
+
+    Attributes
+    ----------
+    points : (n_nodes, 3)
+    subs : (n, 11) sub-blocks, and ``arc`` the coordinates, see :mod:`...numerics.transfinite.arcs`
+    """
+
+    points: FloatArray
+    subs: IntArray
+    arc: FloatArray
+    faces: Faces | None = None
+
+    @classmethod
+    def of(cls, points: FloatArray, rows: IntArray) -> Group:
+        """The sub-blocks ``rows`` (n, 11), whose last column is not used, of a grid with these coordinates."""
+        subs = rows.copy()
+        if (subs[:1, 1:4] == 1).any():
+            return cls(points, subs, np.empty(0), _faces(points, subs))
+        numbers = arc_numbers(subs)
+        subs[:, 10] = np.cumsum(numbers) - numbers
+        arc, parts = np.empty(int(numbers.sum())), arc_parts(subs)
+
+        def work(lo: int, hi: int) -> None:
+            arc_coordinates(points, subs, parts[lo:hi], arc)
+
+        for_chunks(work, len(parts), 1 + len(parts) // _CHUNKS)
+        return cls(points, subs, arc)
+
+    def apart(self, rows: IntArray) -> Group:
+        """Some of the sub-blocks, in arrays of their own."""
+        copies, table = apart(self.points, self.subs[rows])
+        return Group(copies, table, self.arc, self.faces and _faces(copies, table))
+
+    def blend(self, values: FloatArray, slabs: IntArray | None = None) -> None:
+        """Values (n_nodes, 3) inside the sub-blocks from those on their faces, in place.
+
+        ``slabs`` (m, 3): only these planes, each row a row of ``subs`` and planes from .. to; in a 2-D grid everything.
+        """
+        if self.faces:
+            self.faces.blend(values)
+            return
+        chosen = self.slabs if slabs is None else slabs
+
+        def work(lo: int, hi: int) -> None:
+            blend_slabs(values, self.arc, self.subs, chosen[lo:hi])
+
+        for_chunks(work, len(chosen), 1 + len(chosen) // _CHUNKS)
+
+    @property
+    def slabs(self) -> IntArray:
+        """All planes inside, a few at a time so that threads can share the work."""
+        low, high = self.subs[:, 4:7], self.subs[:, 7:10]
+        planes = np.clip(_NODES // np.prod(high[:, 1:] - low[:, 1:], axis=1), *_PLANES)
+        found = portions(np.maximum(high[:, 0] - low[:, 0] - 1, 0), planes)
+        return np.asarray(found + low[found[:, 0], :1] * [0, 1, 1] + [0, 1, 1])
+
+
+def _faces(points: FloatArray, subs: IntArray) -> Faces:
+    """Sub-blocks of a 2-D grid as rectangles."""
+    shapes = subs[:, 7:10] - subs[:, 4:7] + 1
+    width = np.where(subs[:, 3] > 1, shapes[:, 2], shapes[:, 1])
+    start, nodes = np.append(0, np.cumsum(box_numbers(subs))), box_nodes(subs)
+    return Faces.on(points, start, width, nodes, np.ones(len(nodes), dtype=bool))
