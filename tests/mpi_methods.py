@@ -16,6 +16,7 @@ from mpi_witness import Witness
 from meshdeform_core.boundary import Kind
 from meshdeform_core.boundary.prescribed import prescribed_displacement
 from meshdeform_core.methods import IDW, RBF, Options, make_method
+from meshdeform_core.methods.derivative import derivative_of
 from meshdeform_core.parallel import OneRank, set_ranks
 from meshdeform_core.parallel import mpi as memory
 from meshdeform_core.quality import Original, assess
@@ -35,6 +36,8 @@ FAST = {
 CHOSEN = {name: options for name, options in ALL_METHODS.items() if "ctps" not in name and name != "rbf-minres"}
 
 # Where ranks have less in common the loops are the same: one method for each kind of exchange.
+DIFFERENTIATED = ("rbf-krylov", "idw-rbf", "idw-tfi-cut", "idw-none", "idw-fast", "rbf-fast")
+
 FEW = ("tfi", "rbf-krylov", "idw-rbf", "idw-tfi-cut", "idw-none", "idw-fast", "rbf-greedy")
 
 
@@ -46,6 +49,14 @@ def results(options, problem):
     original = Original(problem.grid, problem.topology)
     verdict = assess(original, after, problem.boundary)
     return moved, verdict, newly_invalid(original, after)
+
+
+def derivatives(options, problem):
+    """Changes and gradients: the derivatives of one displacement, forward and transposed."""
+    told = prescribed_displacement(problem.grid, problem.topology, problem.boundary)[problem.source_numbers]
+    found = derivative_of(make_method(options).prepare(problem), told)
+    weight = np.sin(np.arange(3.0 * problem.grid.n_nodes)).reshape(-1, 3)
+    return found.push(told[:, [2, 0, 1]]), found.pull(weight)
 
 
 def no_memory(size):
@@ -76,6 +87,11 @@ def main(machines):
             assert shared[1] == alone[1], name
             np.testing.assert_array_equal(shared[2], alone[2], err_msg=name)
             broken += len(alone[2])
+            if name in DIFFERENTIATED:
+                slopes = derivatives(options, problem)
+                set_ranks(OneRank())
+                for one, two in zip(slopes, derivatives(options, problem), strict=True):
+                    np.testing.assert_array_equal(one, two, err_msg=name)
     assert broken, "no method broke a cell: the lists of invalid cells were compared empty"
     # Loops with fewer chunks than ranks leave some of them idle on grids as small as these.
     part = ranks.own * ranks.count / ranks.every
@@ -87,5 +103,7 @@ def main(machines):
 if sys.argv[1] == "compile":
     for each, case in itertools.product(*every_case()):
         results(CHOSEN.get(each) or FAST[each], case)
+        if each in DIFFERENTIATED:
+            derivatives(FAST.get(each) or CHOSEN[each], case)
 else:
     main(int(sys.argv[1]))

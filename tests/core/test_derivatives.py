@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import meshdeform as md
 import numpy as np
 import pytest
 from cases import ALL_METHODS, body_specs, everything_moves, problem_of, turning
@@ -12,7 +13,9 @@ from meshdeform_core.boundary.prescribed import prescribed_displacement
 from meshdeform_core.errors import MethodError
 from meshdeform_core.methods import IDW, RBF, Options, make_method
 from meshdeform_core.methods.derivative import derivative_of
+from meshdeform_core.methods.derivative.sums import TOLERANCE
 from meshdeform_core.numerics.tape import Tape
+from meshdeform_core.parallel import OneRank, sharing
 
 METHODS = {name: options for name, options in ALL_METHODS.items() if name != "idw-division-reweight"} | {
     "idw-alpha": Options("idw", idw=IDW(alpha="auto", eta=4.0)),
@@ -111,12 +114,66 @@ def test_large_rotations(name, angle):
     check(make_method(METHODS[name]).prepare(where), at, 0.05 * rough)
 
 
-def test_fast_sums_are_differentiated_within_their_tolerance():
+FAST = {
+    "lie": IDW(),
+    "no transition": IDW(transition=0, rotation="quaternion"),
+    "twelve values": IDW(rotation="blend"),
+    "two exponents": IDW(weights="shepard", p_moving=4.0),
+    "alpha": IDW(rotation="none", alpha="auto", eta=4.0),
+    "coarse": IDW(summation_tolerance=0.1),
+}
+
+
+@pytest.mark.parametrize("name", FAST)
+def test_fast_sums_are_differentiated_within_their_tolerance(name):
     where = problem_of(frame(9, 6), body_specs(turning(20)))
     smooth, rough = directions(where)
-    exact, fast = (make_method(Options("idw", idw=IDW(summation=kind))).prepare(where) for kind in ("exact", "fast"))
-    one, two = (derivative_of(method, smooth).push(rough) for method in (exact, fast))
-    np.testing.assert_array_equal(one, two)
+    at = smooth * (1.0 + 0.2 * where.source_points @ [[1.0], [0.5], [0.3]])
+    exact, fast = (
+        derivative_of(make_method(Options("idw", idw=dataclasses.replace(FAST[name], summation=kind))).prepare(where), at)
+        for kind in ("exact", "fast")
+    )
+    weight = np.random.default_rng(6).standard_normal((where.grid.n_nodes, 3))
+    for change in (rough, smooth):
+        one, two = exact.push(change), fast.push(change)
+        gap = np.abs(one - two).max()
+        assert 0.0 < gap < TOLERANCE * np.abs(one).max()
+        product, size = (fast.pull(weight) * change).sum(), np.linalg.norm(weight) * np.linalg.norm(two)
+        assert abs((weight * two).sum() - product) < 1e-12 * size
+    # The gradient of sources that no case moves is not defined with fast sums.
+    moving = where.boundary.kind[where.source_numbers] == Kind.MOVING
+    one, two = exact.pull(weight)[moving], fast.pull(weight)[moving]
+    assert np.abs(one - two).max() < TOLERANCE * np.abs(one).max()
+
+
+def test_threads_change_no_bit_of_a_derivative():
+    where = problem_of(frame(9, 6), body_specs(turning(20)))
+    smooth, rough = directions(where)
+    weight = np.random.default_rng(6).standard_normal((where.grid.n_nodes, 3))
+    found = []
+    for kind in ("exact", "fast"):
+        method = make_method(Options("idw-tfi", idw=IDW(summation=kind))).prepare(where)
+        for threads in (1, 2, 3):
+            with sharing(OneRank(), threads):
+                derivative = derivative_of(method, smooth)
+                found.append((derivative.push(rough), derivative.pull(weight)))
+    for one, two, three in (found[:3], found[3:]):
+        for part in range(2):
+            np.testing.assert_array_equal(one[part], two[part])
+            np.testing.assert_array_equal(one[part], three[part])
+
+
+@pytest.mark.slow
+def test_fast_sums_of_many_nodes():
+    """Some 90,000 nodes and 7,900 sources, of which 2,400 move."""
+    sample = md.sample("hemisphere", 24)
+    meshes = [md.prepare(sample.grid, sample.case, method=md.IDW(summation=kind)) for kind in ("exact", "fast")]
+    at = 0.001 * np.sin(60.0 * meshes[0].points[:, [1, 2, 0]])
+    exact, fast = (mesh.linearise(at, steps=1, repair="off") for mesh in meshes)
+    rough = np.random.default_rng(1).standard_normal(at.shape)
+    for change in (rough, 1000.0 * at[:, [2, 0, 1]]):
+        one, two = (np.concatenate([block.ravel() for block in found.jvp(change)]) for found in (exact, fast))
+        assert np.abs(one - two).max() < TOLERANCE * np.abs(one).max()
 
 
 @pytest.mark.parametrize(

@@ -105,7 +105,7 @@ def test_two_dimensional_grid():
 def test_error_that_is_too_large_is_found_and_mended(problem, monkeypatch):
     options = Options("idw", idw=IDW(summation="fast", summation_tolerance=1e-3))
     exact = apply(Options("idw", idw=IDW(summation="exact")), problem, told(problem))
-    monkeypatch.setattr(fastsum, "_SHARE", 3e4)
+    monkeypatch.setattr(fastsum, "SHARE", 3e4)
     prepared = make_method(options).prepare(problem)
     error = np.linalg.norm(prepared.apply(told(problem)) - exact, axis=1) / cell_sizes(problem)
     assert prepared.account.settings["sampled_error"].value <= 1e-3

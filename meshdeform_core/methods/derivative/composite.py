@@ -161,7 +161,7 @@ class _Interpolated:
         self._problem, bound = problem, mover._bound
         self._derivative: IDWDerivative | RBFDerivative
         if isinstance(bound, PreparedIDW):
-            self._derivative = IDWDerivative(bound, mover._evaluator.bound, displacement)  # type: ignore[attr-defined]
+            self._derivative = IDWDerivative(bound, mover._evaluator, displacement)  # type: ignore[arg-type]
         else:
             self._derivative = RBFDerivative(bound, problem, mover.flat)  # type: ignore[arg-type]
 

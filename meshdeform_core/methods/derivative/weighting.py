@@ -5,38 +5,41 @@ from __future__ import annotations
 import numpy as np
 
 from ...errors import MethodError
-from ...grid import FloatArray, IntArray
-from ...numerics.exact.direct import weighted_sums
+from ...grid import BoolArray, FloatArray, IntArray
 from ...numerics.rigid import finish
 from ...numerics.tangents import finish_gradients, finish_tangents
 from ...numerics.tape import Tape, Tracked, plain
-from ...parallel import for_chunks
+from ...parallel import current_ranks, empty
 from ..scattered.idw import PreparedIDW
-from ..scattered.idw_sums import Bound
+from ..scattered.idw_sums import ExactEvaluator, FastEvaluator
+from ..scattered.transition import with_motion
 from ..scattered.tuned import ALPHA_CAP
+from .sums import LinearSums, sums_of
 
 _LEAST_ALPHA = 1e-3
-_CHUNK = 4096
 
 
 class IDWDerivative:
-    """Derivative of the displacement of the nodes ``bound.flat`` at one displacement (n_sources, 3) of the sources.
+    """Derivative of the displacement of the nodes of an evaluator at one displacement (n_sources, 3) of the sources.
 
     The rotations, their smoothing and the mean motion are differentiated as they are computed; sums over sources are
-    exact sums of derivatives, and their transposes exact sums over nodes.
+    sums of derivatives, exact or fast as those of the method, and their transposes sums over nodes.
     """
 
-    def __init__(self, method: PreparedIDW, bound: Bound, displacement: FloatArray) -> None:
+    def __init__(
+        self, method: PreparedIDW, evaluator: ExactEvaluator | FastEvaluator, displacement: FloatArray
+    ) -> None:
+        bound = evaluator.bound
         if bound.reweight:
             raise MethodError(
                 "method.idw.reweight has no derivative: its weights depend on the displacement of the nodes; "
                 "use reweight = false"
             )
-        self._bound, self._tape = bound, Tape()
+        self._bound, self._tape, fast = bound, Tape(), isinstance(evaluator, FastEvaluator)
         variable = self._tape.variable(displacement)
         self._variable = variable.number
         fit = method.fit(variable)  # type: ignore[arg-type]
-        self._fit, self._values = fit, plain(fit.values)
+        self._fit = fit
         self._transition = fit.transition._replace(rest=plain(fit.transition.rest))
         self._alpha, self._slope = self._automatic_alpha(method, variable)
         wanted = {
@@ -44,19 +47,23 @@ class IDWDerivative:
             "rest": fit.transition.rest, "alpha": self._alpha,
         }  # fmt: skip
         self._numbers = {name: each.number for name, each in wanted.items() if isinstance(each, Tracked)}
-        self._x = bound.grid.points[bound.flat] - fit.origin
-        self._sums = self._summed(self._values, fit.weights)
-        self._sums_near = self._summed(self._values, self._near) if self._slope else None
+        # Sources at rest all move alike, as the mean motion that is taken out does.
+        images = method._images
+        acting = with_motion(images) | images.displaced(displacement).any(axis=1)
+        self._still = -1 if acting.all() else int(np.argmin(acting))
+        self._sums = sums_of(bound, fast, fit.weights, acting)
+        self._base = _AtNodes(self._sums, plain(fit.values), self._still, fast, self._transition.width > 0.0)
+        self._near = self._near_field(fast, acting) if self._slope else None
 
     @property
     def flat(self) -> IntArray:
         """The nodes that it moves."""
         return self._bound.flat
 
-    @property
-    def _near(self) -> tuple[tuple[float, float, float], ...]:
-        """The part of the weights that alpha multiplies."""
-        return tuple((b, 5.0, 0.0) for _, b, _ in self._fit.weights)
+    def _near_field(self, fast: bool, acting: BoolArray) -> _AtNodes:
+        """Sums with the part of the weights that alpha multiplies."""
+        sums = sums_of(self._bound, fast, tuple((b, 5.0, 0.0) for _, b, _ in self._fit.weights), acting)
+        return _AtNodes(sums, plain(self._fit.values), self._still, fast, self._transition.width > 0.0)
 
     def _automatic_alpha(self, method: PreparedIDW, variable: Tracked) -> tuple[Tracked | None, float]:
         """Alpha by eq. 18, and the derivative of the factor of r^-b; none where alpha is given or at its limits."""
@@ -74,79 +81,96 @@ class IDWDerivative:
             return None, 0.0
         return alpha, o.b * value ** (o.b - 1.0) * method.length ** (o.b - method.far)
 
-    def _summed(self, values: FloatArray, weights: tuple[tuple[float, float, float], ...]) -> FloatArray:
-        """Sums (n, 1 + k) over all sources at all nodes."""
-        bound, total = self._bound, np.zeros((len(self._x), 1 + len(values)))
-        for group, weight in zip(bound.groups, weights, strict=True):
-            near = self._fit.path[0][group], bound.strength[group]
-            total += weighted_sums(self._x, *near, weight, values[:, group])
-        return total
-
-    def _spread(self, gradient: FloatArray) -> FloatArray:
-        """The transpose: gradients (k, n_sources) from those (n, k) of the sums of values."""
-        bound = self._bound
-        total = np.zeros((gradient.shape[1], len(bound.sources)))
-        ones = np.ones(len(self._x))
-        for group, weight in zip(bound.groups, self._fit.weights, strict=True):
-            found = weighted_sums(self._fit.path[0][group], self._x, ones, weight, np.ascontiguousarray(gradient.T))
-            total[:, group] = bound.strength[group] * found[:, 1:].T
-        return total
-
     def _turned(self) -> FloatArray | None:
         turn = self._fit.frame.turn
         return None if turn is None else plain(turn)
 
-    def _seen(self, rows: slice) -> FloatArray:
+    def _seen(self, sums: FloatArray, flat: IntArray) -> FloatArray:
         """Positions relative to the centre of the mean rotation, moved within the frame."""
         assert self._fit.frame.centre is not None
-        bound, moved = self._bound, np.empty_like(self._x[rows])
-        finish(bound.rotation, self._sums[rows], self._x[rows], moved, bound.repeats, self._transition)
-        return np.asarray(moved + bound.grid.points[bound.flat[rows]] - self._fit.frame.centre)
+        bound, points = self._bound, self._bound.grid.points[flat]
+        moved = np.empty_like(points)
+        finish(bound.rotation, sums, points - self._fit.origin, moved, bound.repeats, self._transition)
+        return np.asarray(moved + points - self._fit.frame.centre)
 
     def push(self, change: FloatArray, out: FloatArray) -> None:
         """Write the change of the nodes into their rows of ``out`` (n_nodes, 3), for one of the sources."""
         found = dict(
             zip(self._numbers, self._tape.push(self._variable, change, list(self._numbers.values())), strict=True)
         )
-        changes = self._summed(found["values"], self._fit.weights)
-        # The weights themselves change with an automatic alpha only.
-        changes[:, 0] = 0.0
-        if self._sums_near is not None:
-            changes += self._slope * found["alpha"] * self._sums_near
         bound, turn, rest = self._bound, self._turned(), found.get("rest", np.zeros(6))
+        values = found["values"]
+        common = values[:, self._still] if self._still >= 0 else np.zeros(len(values))
 
-        def work(lo: int, hi: int) -> None:
-            rows = slice(lo, hi)
-            moved = finish_tangents(
-                bound.rotation, self._sums[rows], self._x[rows], changes[rows], bound.repeats, self._transition, rest
-            )
+        def use(rows: slice, flat: IntArray, changes: FloatArray) -> None:
+            sums = self._base.rows(rows)
+            changes[:, 1:] += sums[:, :1] * common
+            if self._near:
+                # The weights themselves change with an automatic alpha only.
+                changes += self._slope * found["alpha"] * self._near.rows(rows)
+            x = bound.grid.points[flat] - self._fit.origin
+            moved = finish_tangents(bound.rotation, sums, x, changes, bound.repeats, self._transition, rest)
             if turn is not None:
-                moved = moved @ turn.T + self._seen(rows) @ found["turn"].T
-            out[bound.flat[rows]] = moved + found.get("shift", 0.0)
+                moved = moved @ turn.T + self._seen(sums, flat) @ found["turn"].T
+            out[flat] = moved + found.get("shift", 0.0)
 
-        for_chunks(work, len(self._x), _CHUNK)
+        self._sums.push(values - common[:, None], use, out)
 
     def pull(self, gradient: FloatArray) -> FloatArray:
         """Gradient (n_sources, 3) from that of the nodes, rows of ``gradient`` (n_nodes, 3)."""
-        bound, turn = self._bound, self._turned()
-        parts: dict[int, tuple[FloatArray, FloatArray]] = {}
-        sums = np.empty_like(self._sums)
+        bound, turn, k = self._bound, self._turned(), len(self._fit.values)
+        # Of every portion: turn, rest, alpha, and the value common to sources at rest.
+        parts = np.zeros((self._sums.portions, 9 + 6 + 1 + k))
 
-        def work(lo: int, hi: int) -> None:
-            rows = slice(lo, hi)
-            g = gradient[bound.flat[rows]]
-            turning = np.zeros((3, 3))
+        def make(rows: slice, flat: IntArray, portion: int) -> FloatArray:
+            g, sums, part = gradient[flat], self._base.rows(rows), parts[portion]
             if turn is not None:
-                turning, g = g.T @ self._seen(rows), g @ turn
-            sums[rows], rest = finish_gradients(
-                bound.rotation, self._sums[rows], self._x[rows], g, bound.repeats, self._transition
-            )
-            parts[lo] = turning, rest
+                part[:9] += (g.T @ self._seen(sums, flat)).ravel()
+                g = g @ turn
+            x = bound.grid.points[flat] - self._fit.origin
+            found, rest = finish_gradients(bound.rotation, sums, x, g, bound.repeats, self._transition)
+            part[9:15] += rest
+            if self._near:
+                part[15] += self._slope * np.einsum("nk,nk->", found, self._near.rows(rows))
+            part[16:] += sums[:, 0] @ found[:, 1:]
+            return found[:, 1:]
 
-        for_chunks(work, len(self._x), _CHUNK)
-        known = {"values": self._spread(sums[:, 1:]), "shift": gradient[bound.flat].sum(axis=0)}
-        known["turn"] = sum((parts[lo][0] for lo in sorted(parts)), np.zeros((3, 3)))
-        known["rest"] = sum((parts[lo][1] for lo in sorted(parts)), np.zeros(6))
-        if self._sums_near is not None:
-            known["alpha"] = np.asarray(self._slope * np.einsum("nk,nk->", sums, self._sums_near))
+        values = self._sums.pull(make, k)
+        part = np.sum(current_ranks().gather([parts]), axis=(0, 1))
+        if self._still >= 0:
+            values[:, self._still] += part[16:] - values.sum(axis=1)
+        known = {
+            "values": values, "shift": gradient[bound.flat].sum(axis=0), "turn": part[:9].reshape(3, 3),
+            "rest": part[9:15], "alpha": part[15],
+        }  # fmt: skip
         return self._tape.pull(self._variable, {number: known[name] for name, number in self._numbers.items()})
+
+
+class _AtNodes:
+    """Sums (n, 1 + k) of the values at the nodes, kept as total weights and means.
+
+    Weights, also those of moving sources alone, need all digits, as their difference is taken; for the means of fast
+    sums single precision is enough.
+    """
+
+    def __init__(self, sums: LinearSums, values: FloatArray, still: int, fast: bool, transition: bool) -> None:
+        common = values[:, still] if still >= 0 else np.zeros(len(values))
+        lasting = 1 if transition else 0
+        self._weight = empty((len(sums.flat), 1 + lasting))
+        self._means = empty((len(sums.flat), len(values) - lasting), np.float32 if fast else np.float64)
+        self._k = 1 + len(values)
+
+        def keep(rows: slice, flat: IntArray, found: FloatArray) -> None:
+            found[:, 1:] += found[:, :1] * common
+            self._weight[rows, 0], self._weight[rows, -1] = found[:, 0], found[:, -1] if transition else found[:, 0]
+            self._means[rows] = found[:, 1 : self._k - lasting] / found[:, :1]
+
+        sums.push(values - common[:, None], keep, kept=(self._weight, self._means), weigh=True)
+
+    def rows(self, rows: slice) -> FloatArray:
+        """The sums (m, 1 + k) of some rows."""
+        weight, means = self._weight[rows], self._means[rows]
+        found = np.empty((len(weight), self._k))
+        found[:, 0], found[:, -1] = weight[:, 0], weight[:, -1]
+        np.multiply(means, weight[:, :1], out=found[:, 1 : 1 + means.shape[1]])
+        return found

@@ -20,7 +20,7 @@ CHUNK = 2
 """Regions per call."""
 # The error allowed to one cluster, as a multiple of the error allowed to all together, is this divided by the square of
 # (interpolation order - 2): errors of many clusters mostly cancel, small ones less so. Measured on the sample cases.
-_SHARE = 16.0
+SHARE = 16.0
 # From this tolerance upwards single precision is enough; it was measured to add less than a hundredth of it.
 _SINGLE_TOLERANCE = 1e-3
 # Plans that are kept: a motion that swings passes between two sizes.
@@ -65,7 +65,7 @@ class FastSums:
 
     def restart(self) -> None:
         """Return to the accuracy with which every displacement is summed first."""
-        self.share = self._first_share = _SHARE / (interpolation_order(self.tolerance) - 2) ** 2
+        self.share = self._first_share = SHARE / (interpolation_order(self.tolerance) - 2) ** 2
 
     def refine(self, excess: float) -> None:
         """Raise the accuracy of all sums until :meth:`restart`: the error was ``excess`` times too large."""
@@ -169,7 +169,10 @@ class FastSums:
         if plan is None:
             del others[_PLANS - 1 :]
             self._plans = others
-            plan = Plan(key, self.targets, self._groups, *self._allowance(kinds, reaches), self._room // _PLANS)
+            allowed = allowance(
+                self.targets, [tree for _, tree in self._groups], kinds, reaches, self.tolerance * self.share
+            )
+            plan = Plan(key, self.targets, self._groups, *allowed, self._room // _PLANS)
         self._plans = [plan, *others]
         return plan
 
@@ -185,19 +188,24 @@ class FastSums:
             charges.append(gather(tree, source, used if plan.complete else None))
         return charges
 
-    def _allowance(self, kinds: list[Kernel], reaches: list[Reach]) -> tuple[FloatArray, FloatArray]:
-        """Weighted displacement error that one cluster may cause in each brick, and the mean displacement there."""
-        points, samples = self.targets.points, self.targets.samples
-        total, moved = np.zeros(samples.shape), np.zeros(samples.shape)
 
-        def work(lo: int, hi: int) -> None:
-            at = points[samples[lo:hi].ravel()]
-            for (_, tree), reach, kind in zip(self._groups, reaches, kinds, strict=True):
-                add_totals(at, tree, reach, kind, total[lo:hi].reshape(-1), moved[lo:hi].reshape(-1))
+def allowance(
+    targets: Targets, trees: Sequence[SourceTree], kinds: list[Kernel], reaches: list[Reach], tolerance: float
+) -> tuple[FloatArray, FloatArray]:
+    """Weighted displacement error that one cluster may cause in each brick, and the mean displacement there.
 
-        for_chunks(work, len(samples), 64, shared=[Shared(total), Shared(moved)])
-        allowed = (total * self.targets.sizes).min(axis=1) * self.tolerance * self.share
-        return allowed, (moved / total).max(axis=1)
+    ``tolerance`` is that of one cluster, relative to the sizes of the targets.
+    """
+    points, samples = targets.points, targets.samples
+    total, moved = np.zeros(samples.shape), np.zeros(samples.shape)
+
+    def work(lo: int, hi: int) -> None:
+        at = points[samples[lo:hi].ravel()]
+        for tree, reach, kind in zip(trees, reaches, kinds, strict=True):
+            add_totals(at, tree, reach, kind, total[lo:hi].reshape(-1), moved[lo:hi].reshape(-1))
+
+    for_chunks(work, len(samples), 64, shared=[Shared(total), Shared(moved)])
+    return (total * targets.sizes).min(axis=1) * tolerance, (moved / total).max(axis=1)
 
 
 def _scaled(values: FloatArray) -> tuple[FloatArray, FloatArray]:

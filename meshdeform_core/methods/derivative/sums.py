@@ -1,0 +1,122 @@
+"""Sums over the sources of inverse distance weighting as a linear map of their values, and its transpose."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+
+from ...grid import BoolArray, FloatArray, IntArray
+from ...numerics.exact.direct import weighted_sums
+from ...numerics.fastsum.frozen import FrozenSums, Make, Use
+from ...numerics.fastsum.targets import interpolation_order, make_targets
+from ...numerics.fastsum.tree import build_tree
+from ...parallel import Shared, empty, for_chunks
+from ..scattered.idw_sums import Bound
+
+TOLERANCE = 1e-5
+"""Error of fast sums in derivatives, relative to the largest change of a value."""
+_CHUNK = 2048
+_PORTIONS = 32
+
+Weights = tuple[tuple[float, float, float], ...]
+
+
+class LinearSums(Protocol):
+    """See :class:`..fastsum.frozen.FrozenSums`."""
+
+    portions: int
+    acting: BoolArray
+
+    @property
+    def flat(self) -> IntArray: ...
+
+    def push(
+        self,
+        values: FloatArray,
+        use: Use,
+        result: FloatArray | None = None,
+        kept: Sequence[FloatArray] = (),
+        weigh: bool = False,
+    ) -> None: ...
+
+    def pull(self, make: Make, k: int) -> FloatArray: ...
+
+
+def sums_of(bound: Bound, fast: bool, weights: Weights, acting: BoolArray) -> LinearSums:
+    """Exact sums over all sources, or fast ones with fixed clusters."""
+    if not fast:
+        return ExactSums(bound, weights, acting)
+    grid, order = bound.grid, interpolation_order(TOLERANCE)
+    trees = [build_tree(bound.sources[group], order) for group in bound.groups]
+    targets = make_targets(grid.points, grid.shapes, grid.offsets, bound.flat, order)
+    return FrozenSums(bound.groups, trees, targets, bound.strength, weights, acting, TOLERANCE, bound.room)
+
+
+class ExactSums:
+    """Every node with every source; see :class:`..fastsum.frozen.FrozenSums`."""
+
+    def __init__(self, bound: Bound, weights: Weights, acting: BoolArray) -> None:
+        self._bound, self._weights, self.acting = bound, weights, acting
+        self.portions = max(1, min(_PORTIONS, len(bound.flat) // _CHUNK))
+
+    @property
+    def flat(self) -> IntArray:
+        """The nodes (n,) at which sums are taken."""
+        return self._bound.flat
+
+    def push(
+        self,
+        values: FloatArray,
+        use: Use,
+        result: FloatArray | None = None,
+        kept: Sequence[FloatArray] = (),
+        weigh: bool = False,
+    ) -> None:
+        """Hand sums (m, 1 + k) of values (k, n) to ``use``, some rows at a time."""
+        bound = self._bound
+
+        def work(lo: int, hi: int) -> None:
+            flat = bound.flat[lo:hi]
+            x = bound.grid.points[flat]
+            sums = np.zeros((len(flat), 1 + len(values)))
+            for group, weights in zip(bound.groups, self._weights, strict=True):
+                for some, kept in self._parts(group, values, weigh):
+                    near = bound.sources[some], bound.strength[some]
+                    sums[:, : 1 + len(kept)] += weighted_sums(x, *near, weights, kept[:, some], chunk=len(x))
+            if not weigh:
+                sums[:, 0] = 0.0
+            use(slice(lo, hi), flat, sums)
+
+        shared = [Shared(each) for each in kept]
+        shared += [] if result is None else [Shared(result, lambda lo, hi: bound.flat[lo:hi])]
+        for_chunks(work, len(bound.flat), _CHUNK, shared=shared)
+
+    def _parts(self, group: IntArray, values: FloatArray, weigh: bool) -> list[tuple[IntArray, FloatArray]]:
+        """Sources with values; if weights are wanted, also the others, with none."""
+        acting = self.acting[group]
+        others = [(group[~acting], values[:0])] if weigh and not acting.all() else []
+        return [(group[acting], values), *others]
+
+    def pull(self, make: Make, k: int) -> FloatArray:
+        """The transpose: gradients (k, n_sources) from those (m, k) of the sums of values."""
+        bound, n = self._bound, len(self._bound.sources)
+        cut = np.linspace(0, len(bound.flat), self.portions + 1).astype(np.int64)
+        totals = empty((self.portions, k, n))
+
+        def work(lo: int, hi: int) -> None:
+            for portion in range(lo, hi):
+                totals[portion] = 0.0
+                for first in range(cut[portion], cut[portion + 1], _CHUNK):
+                    rows = slice(first, min(first + _CHUNK, int(cut[portion + 1])))
+                    flat = bound.flat[rows]
+                    given = np.ascontiguousarray(make(rows, flat, portion).T)
+                    x, ones = bound.grid.points[flat], np.ones(len(flat))
+                    for group, weights in zip(bound.groups, self._weights, strict=True):
+                        some = group[self.acting[group]]
+                        found = weighted_sums(bound.sources[some], x, ones, weights, given, chunk=n)
+                        totals[portion][:, some] += bound.strength[some] * found[:, 1:].T
+
+        for_chunks(work, self.portions, 1, shared=[Shared(totals)])
+        return np.asarray(sum(totals[portion] for portion in range(self.portions)))
