@@ -35,7 +35,7 @@ class Linearisation:
     """The derivative of the grid at one displacement; made by :meth:`Mesh.linearise`.
 
     It is that of the method in one step, for a fixed undeformed grid: rotations, their smoothing and mean motions are
-    differentiated as they depend on the displacement. Sums over boundary nodes are exact, whatever ``summation`` is.
+    differentiated as they depend on the displacement.
     """
 
     def __init__(self, moving: Moving, method: PreparedMethod, step: Step, displacement: FloatArray) -> None:

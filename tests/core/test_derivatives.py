@@ -130,7 +130,9 @@ def test_fast_sums_are_differentiated_within_their_tolerance(name):
     smooth, rough = directions(where)
     at = smooth * (1.0 + 0.2 * where.source_points @ [[1.0], [0.5], [0.3]])
     exact, fast = (
-        derivative_of(make_method(Options("idw", idw=dataclasses.replace(FAST[name], summation=kind))).prepare(where), at)
+        derivative_of(
+            make_method(Options("idw", idw=dataclasses.replace(FAST[name], summation=kind))).prepare(where), at
+        )
         for kind in ("exact", "fast")
     )
     weight = np.random.default_rng(6).standard_normal((where.grid.n_nodes, 3))

@@ -56,8 +56,8 @@ class FrozenSums:
         self._groups = [(np.asarray(group), tree) for group, tree in zip(groups, trees, strict=True)]
         self._targets, self._strength, self.acting = targets, strength / strength.max(), acting
         kinds = [inverse_powers(*each) for each in weights]
-        still = np.zeros(len(strength))
-        reaches = [cluster_reach(tree, self._strength[g], 1.0 * acting[g], still[g]) for g, tree in self._groups]
+        unit, still = np.where(acting, 1.0, 0.0), np.zeros(len(strength))
+        reaches = [cluster_reach(tree, self._strength[g], unit[g], still[g]) for g, tree in self._groups]
         share = SHARE / (interpolation_order(tolerance) - 2) ** 2
         alike = targets._replace(sizes=np.ones_like(targets.sizes))
         allowed, mean = allowance(alike, trees, kinds, reaches, tolerance * share)
