@@ -2,12 +2,12 @@
 
 import dataclasses
 
-import meshdeform as md
 import numpy as np
 import pytest
 from cases import ALL_METHODS, body_specs, everything_moves, problem_of, turning
 from grids import frame, frame_2d
 
+import meshdeform as md
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.boundary.prescribed import prescribed_displacement
 from meshdeform_core.errors import MethodError
