@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from grids import frame
 
+import meshdeform as md
 from meshdeform_cli.process.mpi import Place, place
 from meshdeform_formats import read_grid, write_grid
 
@@ -123,6 +124,16 @@ def test_every_method_gives_the_same_bits(count, machines, compiled):
     done = on_ranks(count, machines, program=(TESTS / "mpi_methods.py",))
     assert done.returncode == 0, done.stderr
     assert sorted(done.stdout.splitlines()) == [f"rank {n} of {count} agrees" for n in range(count)]
+
+
+@needs_mpi
+@pytest.mark.parametrize("count", [2, pytest.param(3, marks=pytest.mark.slow)])
+def test_interface_of_idwarp(count, tmp_path):
+    """A distributed solver with split zones; the last of three ranks has none."""
+    md.write(md.sample("wing", "small").grid, tmp_path / "wing.cgns")
+    done = on_ranks(count, tmp_path / "wing.cgns", program=(TESTS / "mpi_idwarp.py",))
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count(f"of {count} agrees") == count
 
 
 @needs_mpi

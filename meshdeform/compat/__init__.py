@@ -1,0 +1,1 @@
+"""The interfaces of other programs, so that their callers need not change."""

@@ -1,0 +1,223 @@
+"""Zones that move together: the whole grid, or one component of overset grids."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from meshdeform_core.boundary.plates import open_two_sided_walls
+from meshdeform_core.errors import CaseError, GridError, MotionError
+from meshdeform_core.grid import FloatArray, Grid, IntArray, Patch
+from meshdeform_core.grid.selection import quads_of_patch
+from meshdeform_core.grid.topology import Topology, find_topology
+from meshdeform_core.grid.windows import rectangles
+
+from .. import grids
+from ..choice import options_of
+from ..linearisation import Linearisation
+from ..mesh import Mesh
+from ..preparation import prepare
+from ..step import Step
+from .options import Options
+
+if TYPE_CHECKING:
+    from mpi4py.MPI import Comm
+
+SURFACE = "surface"
+_AGREE, _DISAGREE = 1e-6, 0.1
+"""Copies of a point closer than this fraction of the local edge agree; farther apart than the second is an error."""
+
+
+class Zones:
+    """Some zones of a grid with their topology, before it is known what moves."""
+
+    def __init__(self, grid: Grid, zones: IntArray, options: Options):
+        self.options, self.zones = options, zones
+        whole = len(zones) == grid.n_blocks
+        rows = [np.arange(grid.offsets[z], grid.offsets[z + 1]) for z in zones]
+        self.rows = slice(None) if whole else np.concatenate(rows)
+        place = {int(zone): number for number, zone in enumerate(zones)}
+        # Single precision is that of the file, not of the motion: derivatives are checked with small steps.
+        self.grid = Grid(
+            grid.points if whole else grid.points[self.rows],
+            tuple(grid.shapes[z] for z in zones),
+            tuple(grid.names[z] for z in zones),
+            patches=tuple(filter(None, (_within(patch, place) for patch in grid.patches))),
+        )
+        self.topology: Topology = open_two_sided_walls(self.grid, find_topology(self.grid))[0]
+
+    def wall_quads(self) -> IntArray:
+        """The outside face quads that the options select as the surface.
+
+        Raises
+        ------
+        CaseError
+            When a family is unknown, or there is no wall.
+        """
+        families = self.options["specifiedSurfaces"]
+        if families is None:
+            chosen = [patch for patch in self.grid.patches if patch.bc_type.lower().startswith("bcwall")]
+        else:
+            chosen = _of_families(self.grid, families, "specifiedSurfaces")
+        if not chosen:
+            raise CaseError(
+                "the file declares no wall (BCWall...); expected specifiedSurfaces, or a call of setSurfaceDefinition"
+            )
+        quads = np.unique(np.concatenate([quads_of_patch(self.topology.quads, patch) for patch in chosen]))
+        return np.asarray(quads[self.topology.external[quads]])
+
+    def symmetry(self) -> list[IntArray]:
+        """Face quads of each symmetry plane."""
+        planes, families = self.options["symmetryPlanes"], self.options["symmetrySurfaces"]
+        if planes is not None:
+            return [self._on_plane(np.asarray(point), np.asarray(normal)) for point, normal in planes]
+        if families is not None:
+            chosen = _of_families(self.grid, families, "symmetrySurfaces")
+        else:
+            chosen = [patch for patch in self.grid.patches if patch.bc_type.lower().startswith("bcsymmetry")]
+        return [quads_of_patch(self.topology.quads, patch) for patch in chosen]
+
+    def _on_plane(self, point: FloatArray, normal: FloatArray) -> IntArray:
+        outside = np.flatnonzero(self.topology.external)
+        corners = self.grid.points[self.topology.first[self.topology.quads.corners[outside]]]
+        height = np.abs((corners - point) @ (normal / np.linalg.norm(normal))).max(axis=1)
+        found = np.asarray(outside[height <= self.options["symmTol"]])
+        if not found.size:
+            raise CaseError(
+                f"symmetryPlanes: no outside face lies within symmTol = {self.options['symmTol']:g} of the plane "
+                f"through {point.tolist()} normal to {normal.tolist()}; the nearest is {height.min():.3g} away"
+            )
+        return found
+
+    def patch(self, name: str, quads: IntArray, bc_type: str) -> Patch:
+        """A patch of exactly these face quads."""
+        label = np.full(len(self.topology.partner), -1)
+        label[quads] = 0
+        return Patch(name, tuple(rectangles(self.grid, self.topology.quads, label).windows()), bc_type=bc_type)
+
+
+class Component:
+    """Zones, the surface that moves them, and what the last displacement made of them.
+
+    ``point`` and ``node`` are pairs: a point of the whole surface, and its unique node. Copies of a point at one node
+    move it by their mean.
+    """
+
+    def __init__(self, zones: Zones, quads: IntArray, pairs: tuple[IntArray, IntArray], comm: Comm | None):
+        self.rows = zones.rows
+        self._mesh, self._repair = _mesh(zones, quads, comm), zones.options["repair"]
+        numbers, topology = self._mesh._numbers, self._mesh._setup.topology
+        self.point, node = pairs
+        self._row = np.searchsorted(numbers, node)
+        if not np.array_equal(numbers[self._row], node):
+            raise GridError("points of the surface lie on no face of it; expected every point in a face")
+        self._copies = np.bincount(self._row, minlength=len(numbers))
+        self._first = np.full(len(numbers), -1, dtype=np.int64)
+        self._first[self._row[::-1]] = self.point[::-1]
+        every = np.searchsorted(numbers, topology.number)
+        at = np.flatnonzero(numbers[np.minimum(every, len(numbers) - 1)] == topology.number)
+        wall = topology.face_nodes[at]
+        self._wall, self._wall_row = wall if isinstance(self.rows, slice) else self.rows[wall], every[at]
+        self._positions = self._mesh.points
+        self._step: Step | None = None
+        self._derivative: Linearisation | None = None
+
+    @property
+    def points(self) -> FloatArray:
+        """Undeformed positions (n, 3) of the nodes that the surface moves, each once."""
+        return self._mesh.points
+
+    def warp(self, surface: FloatArray) -> tuple[Step, float]:
+        """Deform for the positions (n, 3) of all points; the verdict, and how far apart copies are in edges."""
+        positions, apart = self._positions_of(surface)
+        self._step = self._mesh.deform(positions - self.points, steps=1, repair=self._repair)
+        self._positions, self._derivative = positions, None
+        return self._step, apart
+
+    def put(self, whole: FloatArray) -> None:
+        """Write the deformed nodes into an array (n_nodes, 3) of all zones; walls are exactly where they were set."""
+        if self._step is not None:
+            whole[self.rows] = self._step._result.grid.points
+            whole[self._wall] = self._positions[self._wall_row]
+
+    def derivative(self) -> Linearisation:
+        """The derivative at the last displacement."""
+        if self._derivative is None:
+            at = self._positions - self.points
+            self._derivative = self._mesh.linearise(at, steps=1, repair=self._repair)
+        return self._derivative
+
+    def forward(self, change: FloatArray) -> FloatArray:
+        """Change (n, 3) of the nodes of these zones for that of all points."""
+        moved = self._sum(change[self.point]) / self._copies[:, None]
+        return np.asarray(self.derivative().operator.matvec(moved.ravel())).reshape(-1, 3)
+
+    def reverse(self, gradient: FloatArray, total: FloatArray) -> None:
+        """Add the gradient of all points from that (n_nodes, 3) of all nodes: the transpose of :meth:`forward`."""
+        found = np.asarray(self.derivative().operator.rmatvec(gradient[self.rows].ravel())).reshape(-1, 3)
+        np.add.at(total, self.point, (found / self._copies[:, None])[self._row])
+
+    def _sum(self, values: FloatArray) -> FloatArray:
+        """Sums (n_moving, 3) over the copies of each node."""
+        count = len(self._copies)
+        return np.stack([np.bincount(self._row, each, minlength=count) for each in values.T], axis=1)
+
+    def _positions_of(self, surface: FloatArray) -> tuple[FloatArray, float]:
+        """Where the nodes go (n_moving, 3): exactly to their points where the copies agree, else to their mean."""
+        start = surface[self._first]
+        apart = surface[self.point] - start[self._row]
+        edge = self._mesh._setup.topology.edge[self._mesh._numbers]
+        gap = np.linalg.norm(apart, axis=1) / edge[self._row]
+        worst = int(np.argmax(gap))
+        if gap[worst] > _DISAGREE:
+            raise MotionError(
+                f"copies of the surface point {self.points[self._row[worst]].tolist()} are {gap[worst]:.3g} edges "
+                f"apart: {start[self._row[worst]].tolist()} and {surface[self.point[worst]].tolist()}; "
+                f"expected the same"
+            )
+        return start + self._sum(apart) / self._copies[:, None], float(gap[worst]) if gap[worst] > _AGREE else 0.0
+
+
+def _mesh(zones: Zones, quads: IntArray, comm: Comm | None) -> Mesh:
+    """The mesh whose surface ``quads`` move: symmetry planes mirror them, all other outside nodes are free."""
+    mirrors = [zones.patch(f"symmetry{n}", each, "BCSymmetryPlane") for n, each in enumerate(zones.symmetry(), 1)]
+    patches = (zones.patch(SURFACE, quads, "BCWall"), *mirrors)
+    held = grids.Grid._of(dataclasses.replace(zones.grid, patches=patches))
+    rest = zones.topology.external.copy()
+    rest[np.concatenate([quads, *(quads_of_patch(zones.topology.quads, patch) for patch in mirrors)])] = False
+    mesh = prepare(
+        held,
+        moving=[SURFACE],
+        symmetry=[patch.name for patch in mirrors] or None,
+        free={"free": ["*"]} if rest.any() else None,
+        method="idw",
+        comm=comm,
+    )
+    # L_def needs the sources, which the set-up has found; it is then completed with the method.
+    problem = mesh._setup.problem
+    length = float(np.linalg.norm(problem.source_points - problem.centroid, axis=1).max())
+    case = dataclasses.replace(mesh._setup.case, method=options_of(zones.options.method(length)))
+    return Mesh(dataclasses.replace(mesh._setup, case=case), False, mesh._ranks, None)
+
+
+def _within(patch: Patch, place: dict[int, int]) -> Patch | None:
+    """The part of a patch in some zones, numbered anew."""
+    windows = tuple(dataclasses.replace(w, block=place[w.block]) for w in patch.windows if w.block in place)
+    return dataclasses.replace(patch, windows=windows) if windows else None
+
+
+def _of_families(grid: Grid, names: list[str], option: str) -> list[Patch]:
+    chosen: dict[int, Patch] = {}
+    for name in names:
+        found = {
+            number: patch
+            for number, patch in enumerate(grid.patches)
+            if name.lower() in (patch.family.lower(), patch.name.lower())
+        }
+        if not found:
+            known = sorted({patch.family or patch.name for patch in grid.patches})
+            raise CaseError(f"{option}: no family {name!r}; expected some of {', '.join(known) or '(none declared)'}")
+        chosen |= found
+    return list(chosen.values())

@@ -1,0 +1,280 @@
+"""``USMesh`` and ``MultiUSMesh`` with the interface of IDWarp (mdolab), for solvers and scripts that call it.
+
+    from meshdeform.compat.idwarp import USMesh
+
+    mesh = USMesh(options={"gridFile": "wing.cgns"}, comm=MPI.COMM_WORLD)
+
+Written from the documented behaviour and from what callers do; docs/guides/idwarp.md says which option is honoured,
+mapped or refused. Nothing is fixed: outside nodes that are neither surface nor symmetry plane move along.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from meshdeform_core.errors import CaseError, MotionError
+from meshdeform_core.grid import FloatArray
+
+from .options import Options
+from .surface import Definition
+from .warp import Warp, grid_of, ranks_of
+
+if TYPE_CHECKING:
+    from mpi4py.MPI import Comm
+
+__all__ = ["MultiUSMesh", "USMesh"]
+
+
+class _Interface:
+    """What both kinds of mesh offer to solvers. All calls are collective."""
+
+    _warp: Warp
+    _comm: Comm | None
+    _file: str
+
+    def setExternalMeshIndices(self, ind: ArrayLike) -> None:
+        """The degrees of freedom (3 n,) that the solver holds on this rank.
+
+        A node counts (zone offset + (k - 1) ni nj + (j - 1) ni + (i - 1)), zones in the order of the file; its x, y, z
+        are three times that, plus 0, 1, 2. Nodes may repeat.
+        """
+        self._warp.set_solver_nodes(ind)
+
+    def setSurfaceDefinition(
+        self, pts: ArrayLike, conn: ArrayLike, faceSizes: ArrayLike, cgnsBlockIDs: ArrayLike | None = None
+    ) -> None:
+        """The solver's surface on this rank: undeformed points (n, 3), corners of the faces from 0, 3 or 4 each.
+
+        Points may repeat; a rank may have none. ``cgnsBlockIDs``: the zone of each face, from 1.
+        """
+        self._warp.define(Definition.of(pts, conn, faceSizes, cgnsBlockIDs))
+
+    def setSurfaceDefinitionFromFile(self, surfFile: str) -> None:
+        """The surface from a Plot3D file with a block for each patch; the first rank holds its points."""
+        points, faces = _surface_file(surfFile)
+        own = slice(None) if self._rank == 0 else slice(0)
+        flat = faces[own]
+        self._warp.define(Definition.of(points[own], flat, np.full(len(flat), 4), None))
+
+    def setSurfaceFromFile(self, surfFile: str) -> None:
+        """New surface coordinates from a file like that of :meth:`setSurfaceDefinitionFromFile`."""
+        points = _surface_file(surfFile)[0]
+        self._warp.set_surface(points if self._rank == 0 else points[:0])
+
+    def getSurfaceCoordinates(self) -> FloatArray:
+        """This rank's points (n, 3), exactly as they were set."""
+        return self._warp.surface
+
+    def setSurfaceCoordinates(self, coordinates: ArrayLike) -> None:
+        """Where this rank's points (n, 3) go; :meth:`warpMesh` moves the grid."""
+        self._warp.set_surface(coordinates)
+
+    def warpMesh(self) -> None:
+        """Move the grid. An invalid grid is a warning: solvers find it by their own checks, too."""
+        self._warp.warp()
+
+    def getSolverGrid(self) -> FloatArray:
+        """The solver's nodes (3 n,) on this rank; wall nodes are exactly where they were set."""
+        return self._warp.coordinates(self._warp.solver_rows)
+
+    def getWarpGrid(self) -> FloatArray:
+        """This rank's share (3 n,) of all nodes, which are divided evenly in the order of the file."""
+        return self._warp.coordinates(self._warp.own_rows)
+
+    def getCommonGrid(self) -> FloatArray:
+        """As :meth:`getWarpGrid`: there is no other order than that of the file."""
+        return self.getWarpGrid()
+
+    def getdXs(self) -> FloatArray:
+        """The gradient (n, 3) of this rank's points that the last :meth:`warpDeriv` found."""
+        return self._warp.gradient
+
+    def warpDerivFwd(self, dXs: ArrayLike, solverVec: bool = True) -> FloatArray:
+        """Change (3 n,) of the solver's nodes, or of :meth:`getWarpGrid`'s, for that of the points, (n, 3) or flat."""
+        return self._warp.forward(dXs, self._rows(solverVec))
+
+    def verifyWarpDeriv(
+        self, dXv: ArrayLike | None = None, solverVec: bool = True, dofStart: int = 0, dofEnd: int = 10,
+        h: float = 1e-6, randomSeed: int = 314,
+    ) -> None:  # fmt: skip
+        """Compare the gradient with central differences of :meth:`warpMesh` for some coordinates of the first rank.
+
+        Parameters
+        ----------
+        dXv : gradient of the nodes (3 n,); random numbers by default
+        dofStart, dofEnd : numbers of the coordinates of the surface, the second is the first one not compared
+        h : step (grid length unit)
+
+        Raises
+        ------
+        AssertionError
+            When one differs by more than 1e-4 of the largest.
+        """
+        rows = self._rows(solverVec)
+        if dXv is None:
+            dXv = np.random.default_rng(randomSeed).random(3 * len(rows))
+        weights, at = np.asarray(dXv, dtype=np.float64).ravel(), self.getSurfaceCoordinates()
+        self._warp.warp()
+        found = self._sum_of_first(self._warp.reverse(weights, rows).ravel()[dofStart:dofEnd])
+        expected = np.zeros_like(found)
+        for number in range(len(found)):
+            ends = []
+            for step in (h, -h):
+                moved = at.ravel().copy()
+                if self._rank == 0:
+                    moved[dofStart + number] += step
+                self._warp.set_surface(moved)
+                self._warp.warp()
+                ends.append(self._total(float(weights @ self._warp.coordinates(rows))))
+            expected[number] = (ends[0] - ends[1]) / (2 * h)
+        self._warp.set_surface(at)
+        self._warp.warp()
+        error = np.abs(found - expected).max(initial=0.0)
+        if error > 1e-4 * np.abs(expected).max(initial=0.0):
+            raise AssertionError(f"gradients {found.tolist()}; differences with h = {h:g}: {expected.tolist()}")
+
+    def writeGrid(self, fileName: str | None = None) -> None:
+        """The grid as a copy of its file, by default beside it with ``_warped`` in its name."""
+        source = Path(self._file)
+        self._warp.write(fileName or str(source.with_name(f"{source.stem}_warped{source.suffix}")))
+
+    @property
+    def warp(self) -> SimpleNamespace:
+        """Sizes as callers ask for them: ``warp.griddata.warpmeshdof``, ``solvermeshdof``, ``commonmeshdof``."""
+        own = 3 * len(self._warp.own_rows)
+        solver = 0 if self._warp._solver_rows is None else 3 * len(self._warp.solver_rows)
+        return SimpleNamespace(griddata=SimpleNamespace(warpmeshdof=own, commonmeshdof=own, solvermeshdof=solver))
+
+    @property
+    def _rank(self) -> int:
+        return 0 if self._comm is None else self._comm.rank
+
+    def _total(self, value: float) -> float:
+        return value if self._comm is None else self._comm.allreduce(value)
+
+    def _sum_of_first(self, values: FloatArray) -> FloatArray:
+        return values if self._comm is None else self._comm.bcast(values)
+
+    def _rows(self, solver: bool) -> Any:
+        return self._warp.solver_rows if solver else self._warp.own_rows
+
+
+class USMesh(_Interface):
+    """A grid that moves with its surface.
+
+    Parameters
+    ----------
+    options : see docs/guides/idwarp.md; names without regard to case
+    comm : communicator of the ranks that share it; all ranks by default
+    debug : ignored
+
+    Raises
+    ------
+    CaseError
+        Without options, for unknown or refused ones.
+    """
+
+    def __init__(self, options: Mapping[str, Any] | None = None, comm: Comm | None = None, debug: bool = False) -> None:
+        self._options = Options(options)
+        self._comm, ranks = ranks_of(comm)
+        self._file = self._options["gridFile"]
+        grid = grid_of(self._file, self._options["fileType"], ranks)
+        self._warp = Warp(grid, [(np.arange(grid.n_blocks), self._options)], self._comm, ranks)
+
+    def getOption(self, name: str) -> Any:
+        """Value of an option."""
+        return self._options[name]
+
+    def setOption(self, name: str, value: Any) -> None:
+        """Change an option before the surface is defined."""
+        if self._warp.defined:
+            raise CaseError(f"setOption({name!r}) after the surface was defined; expected options before that")
+        self._options.set(name, value)
+
+    def printOptions(self) -> None:
+        """Print every option with its value, and what it means here where that differs."""
+        if self._rank == 0:
+            for name, value, note in self._options.items():
+                print(f"{name:20} {value!r}" + (f"  ({note})" if note else ""))
+
+    def warpDeriv(self, dXv: ArrayLike, solverVec: bool = True) -> None:
+        """The transposed derivative of the gradient (3 n,) of the nodes; :meth:`getdXs` returns it.
+
+        Gradients of solver nodes that repeat are added.
+        """
+        self._warp.reverse(dXv, self._rows(solverVec))
+
+
+class MultiUSMesh(_Interface):
+    """Components of overset grids in one file, which move independently by their surfaces.
+
+    Parameters
+    ----------
+    CGNSFile : zones belong to the component whose name comes before the dot in theirs
+    optionsDict : options (see :class:`USMesh`) of components by name; the others stay
+    comm : communicator of the ranks that share it; all ranks by default
+    dtype : ``"d"``; complex numbers are refused
+    debug : ignored
+
+    Raises
+    ------
+    CaseError
+        For an unknown component, unknown or refused options.
+    """
+
+    def __init__(
+        self, CGNSFile: str, optionsDict: Mapping[str, Mapping[str, Any]], comm: Comm | None = None,
+        dtype: str = "d", debug: bool = False,
+    ) -> None:  # fmt: skip
+        if dtype != "d":
+            raise CaseError(f"dtype = {dtype!r}; expected 'd': derivatives do not need complex numbers")
+        self._comm, ranks = ranks_of(comm)
+        self._file = str(CGNSFile)
+        grid = grid_of(self._file, "CGNS", ranks)
+        member = np.array([name.split(".")[0].lower() for name in grid.names])
+        groups = []
+        for name, options in optionsDict.items():
+            zones = np.flatnonzero(member == name.lower())
+            if not zones.size:
+                known = ", ".join(dict.fromkeys(member.tolist()))
+                raise CaseError(f"no zone of component {name!r}; expected some of {known}")
+            groups.append((zones, Options({**options, "gridFile": self._file})))
+        if not groups:
+            raise CaseError("optionsDict is empty; expected options for at least one component")
+        self._warp = Warp(grid, groups, self._comm, ranks)
+
+    def setSurfaceDefinition(
+        self, pts: ArrayLike, conn: ArrayLike, faceSizes: ArrayLike, cgnsBlockIDs: ArrayLike | None = None
+    ) -> None:
+        """As :meth:`USMesh.setSurfaceDefinition`, after :meth:`setExternalMeshIndices`."""
+        self._warp.solver_rows  # noqa: B018  (refuses the wrong order)
+        super().setSurfaceDefinition(pts, conn, faceSizes, cgnsBlockIDs)
+
+    def warpDeriv(self, dXv: ArrayLike, solverVec: bool = True) -> FloatArray:
+        """As :meth:`USMesh.warpDeriv`; returns the gradient (n, 3), too."""
+        return self._warp.reverse(dXv, self._rows(solverVec)).copy()
+
+
+def _surface_file(name: str) -> tuple[FloatArray, np.ndarray[Any, Any]]:
+    """Points (n, 3), i fastest in each block, and faces (n_faces, 4) of a Plot3D file of surfaces."""
+    from ..files import read
+
+    blocks, points, faces, first = read(name)._core, [], [], 0
+    for block in range(blocks.n_blocks):
+        patch = blocks.block(block)
+        flat = [axis for axis, size in enumerate(patch.shape[:3]) if size == 1]
+        if not flat:
+            raise MotionError(f"{name}: block {block + 1} has {patch.shape[:3]} nodes; expected a surface")
+        sheet = np.take(patch, 0, axis=flat[0])
+        nodes = first + np.arange(sheet.shape[0] * sheet.shape[1]).reshape(sheet.shape[1], sheet.shape[0]).T
+        corners = [nodes[:-1, :-1], nodes[1:, :-1], nodes[1:, 1:], nodes[:-1, 1:]]
+        points.append(sheet.transpose(1, 0, 2).reshape(-1, 3))
+        faces.append(np.stack(corners, axis=-1).reshape(-1, 4))
+        first += len(points[-1])
+    return np.concatenate(points), np.concatenate(faces)

@@ -1,0 +1,129 @@
+"""A solver's surface, points and faces, found again on the grid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial import cKDTree
+
+from meshdeform_core.errors import GridError, MotionError
+from meshdeform_core.grid import BoolArray, FloatArray, Grid, IntArray
+from meshdeform_core.grid.topology import RELATIVE_TOLERANCE, Topology
+
+
+@dataclass(frozen=True)
+class Definition:
+    """The surface that a solver defines.
+
+    Attributes
+    ----------
+    points : (n, 3) undeformed; points may repeat
+    faces : (n_faces, 4) their corners; triangles repeat the last one
+    zone : (n_faces,) number of the zone from 0; -1 if not told
+    """
+
+    points: FloatArray
+    faces: IntArray
+    zone: IntArray
+
+    @classmethod
+    def of(cls, points: ArrayLike, conn: ArrayLike, sizes: ArrayLike, zones: ArrayLike | None) -> Definition:
+        """From the arguments of ``setSurfaceDefinition``.
+
+        Raises
+        ------
+        MotionError
+            When shapes or numbers contradict each other.
+        """
+        pts = np.array(points, dtype=np.float64).reshape(-1, 3)
+        count, flat = np.asarray(sizes, dtype=np.int64).ravel(), np.asarray(conn, dtype=np.int64).ravel()
+        if not np.isin(count, (3, 4)).all() or count.sum() != len(flat):
+            raise MotionError(
+                f"faceSizes sum up to {count.sum()}, conn has {len(flat)} entries; expected faces of 3 or 4 corners"
+            )
+        if len(flat) and (flat.min() < 0 or flat.max() >= len(pts)):
+            raise MotionError(f"conn has {flat.min()} to {flat.max()}; expected 0 to {len(pts) - 1}, rows of pts")
+        last = np.cumsum(count) - 1
+        at = np.minimum((last - count + 1)[:, None] + np.arange(4), last[:, None])
+        if zones is None:
+            zone = np.full(len(count), -1)
+        else:
+            zone = np.asarray(zones, dtype=np.int64).ravel() - 1
+        if len(zone) != len(count):
+            raise MotionError(f"{len(zone)} cgnsBlockIDs for {len(count)} faces; expected one each")
+        return cls(pts, flat[at], zone)
+
+    def moved_by(self, first: int) -> Definition:
+        """The same faces where ``first`` other points come before these."""
+        return Definition(self.points, self.faces + first, self.zone)
+
+
+@dataclass(frozen=True)
+class Match:
+    """Where the faces and points of a definition lie on one grid.
+
+    Attributes
+    ----------
+    found : (n_faces,) bool: faces of this grid
+    quads : their face quads, ascending
+    point, node : pairs: a point of these faces and its unique node
+    """
+
+    found: BoolArray
+    quads: IntArray
+    point: IntArray
+    node: IntArray
+
+
+def match(grid: Grid, topology: Topology, definition: Definition, candidates: IntArray) -> Match:
+    """Find the faces ``candidates`` of a definition among the outside faces of a grid.
+
+    Points match nodes closer than ``RELATIVE_TOLERANCE`` times the shortest edge there.
+    """
+    outside = np.flatnonzero(topology.external)
+    nodes = np.unique(topology.quads.corners[outside])
+    points = np.unique(definition.faces[candidates])
+    distance, nearest = cKDTree(grid.points[topology.first[nodes]]).query(definition.points[points])
+    node = np.full(len(definition.points), -1, dtype=np.int64)
+    node[points] = nodes[nearest]
+    node[points[distance > RELATIVE_TOLERANCE * topology.edge[node[points]]]] = -1
+    corners = node[definition.faces[candidates]]
+    known = (corners >= 0).all(axis=1)
+    keys = _keys(np.concatenate([corners[known], topology.quads.corners[outside]]))
+    asked, offered = keys[: known.sum()], keys[known.sum() :]
+    found = np.zeros(len(definition.faces), dtype=bool)
+    found[candidates[known]] = np.isin(asked, offered)
+    used = np.unique(definition.faces[found])
+    return Match(found, outside[np.isin(offered, asked)], used, node[used])
+
+
+def _keys(corners: IntArray) -> IntArray:
+    """A number for each set of corners (n, 4): equal where the sets are."""
+    ordered = np.sort(corners, axis=1)
+    repeated = np.zeros(ordered.shape, dtype=bool)
+    repeated[:, 1:] = ordered[:, 1:] == ordered[:, :-1]
+    ordered[repeated] = -1
+    return np.asarray(np.unique(np.sort(ordered, axis=1), axis=0, return_inverse=True)[1]).ravel()
+
+
+def require_found(definition: Definition, times: IntArray) -> None:
+    """Every face must lie on one grid.
+
+    Raises
+    ------
+    GridError
+        With the number of faces that were not found, or found on several components.
+    """
+    for number, what, advice in (
+        (0, "are not faces on the outside of the grid", "the undeformed surface of the same grid, in its length unit"),
+        (2, "lie on several components", "cgnsBlockIDs, which tell the zone of each face"),
+    ):
+        bad = np.flatnonzero(np.minimum(times, 2) == number)
+        if bad.size:
+            center = definition.points[definition.faces[bad[0]]].mean(axis=0)
+            raise GridError(
+                f"{bad.size:,} of {len(times):,} faces of the surface {what}, the first around "
+                f"{np.round(center, 9).tolist()}; expected {advice}"
+            )

@@ -1,0 +1,332 @@
+"""``meshdeform.compat.idwarp``: the calls of solvers and scripts, and derivatives against differences."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from grids import polar
+from solver_stub import Solver
+
+import meshdeform as md
+from meshdeform.compat.idwarp import MultiUSMesh, USMesh
+from meshdeform_core.grid import Grid, Patch, Side, Window
+
+H = 1e-6
+
+
+@pytest.fixture(scope="module")
+def wing(tmp_path_factory):
+    path = str(tmp_path_factory.mktemp("idwarp") / "wing.cgns")
+    md.write(md.sample("wing", "small").grid, path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def mesh(wing):
+    return USMesh({"gridFile": wing, "EVALMODE": "exact"})
+
+
+@pytest.fixture
+def overset(tmp_path):
+    """Two O-grids that overlap, the first in two zones, and a box around them."""
+    blocks, patches = [], []
+    ring = polar(12, 5, 2).block(0)
+    box = np.stack(np.meshgrid(*[np.linspace(-6, 6, 4)] * 2, np.linspace(0, 1, 3), indexing="ij"), axis=-1)
+    names = ["wing.00001", "wing.00002", "flap.00001", "back.00001"]
+    for block in (ring[:7], ring[6:], ring + [2.0, 0.5, 0.0], box):
+        blocks.append(np.ascontiguousarray(block))
+    for zone in range(3):
+        ni, nj, nk = blocks[zone].shape[:3]
+        patches.append(Patch("wall", (Window(zone, Side.JMIN, (0, 0), (ni - 1, nk - 1)),), "wall", "BCWallViscous"))
+        for side in (Side.KMIN, Side.KMAX):
+            patches.append(Patch("sym", (Window(zone, side, (0, 0), (ni - 1, nj - 1)),), "sym", "BCSymmetryPlane"))
+    path = tmp_path / "overset.cgns"
+    md.write(md.Grid._of(Grid.from_blocks(blocks, names, patches=tuple(patches))), path)
+    return str(path)
+
+
+def bend(points, size=0.05):
+    """A smooth motion that keeps the symmetry plane of the wing, y = 0."""
+    return points + size * points[:, 1:2] ** 2 * [0.3, 0.0, 1.0]
+
+
+def differences(mesh, change, grid):
+    at = mesh.getSurfaceCoordinates()
+    ends = []
+    for step in (H, -H):
+        mesh.setSurfaceCoordinates(at + step * change)
+        mesh.warpMesh()
+        ends.append(grid())
+    mesh.setSurfaceCoordinates(at)
+    mesh.warpMesh()
+    return (ends[0] - ends[1]) / (2 * H)
+
+
+def test_derivatives_at_the_undeformed_grid(wing):
+    """What IDWarp's pull request 111 asks for: no deformation first, and the motion itself as the reference."""
+    mesh = USMesh({"gridFile": wing, "errTol": 0.0005, "evalMode": "fast", "symmTol": 1e-6, "bucketSize": 8})
+    start = mesh.getSurfaceCoordinates()
+    mesh.setSurfaceCoordinates(start)
+    mesh.warpMesh()
+    random = np.random.default_rng(314)
+    change = random.random(start.shape) - 0.5
+    found = mesh.warpDerivFwd(change, solverVec=False)
+    expected = differences(mesh, change, mesh.getWarpGrid)
+    assert np.linalg.norm(found - expected) < 1e-5 * np.linalg.norm(expected)
+    weights = random.random(expected.shape) - 0.5
+    assert mesh.warpDeriv(weights, solverVec=False) is None
+    product = float(weights @ expected)
+    assert abs(product - (mesh.getdXs() * change).sum()) < 1e-5 * abs(product)
+    mesh.verifyWarpDeriv(weights, solverVec=False, dofStart=3, dofEnd=5)
+
+
+def test_a_wrong_derivative_is_found(mesh, monkeypatch):
+    found = mesh._warp.reverse
+    monkeypatch.setattr(mesh._warp, "reverse", lambda *given: 1.01 * found(*given))
+    with pytest.raises(AssertionError, match="differences"):
+        mesh.verifyWarpDeriv(solverVec=False, dofEnd=3)
+
+
+def test_sequence_of_a_solver(wing):
+    solver, mesh = Solver.of(wing), USMesh(options={"gridFile": wing}, comm=None)
+    solver.set_mesh(mesh)
+    np.testing.assert_array_equal(mesh.getSolverGrid().reshape(-1, 3), solver.start)
+    moved = bend(solver.points)
+    mesh.setSurfaceCoordinates(moved)
+    mesh.warpMesh()
+    np.testing.assert_array_equal(mesh.getSurfaceCoordinates(), moved)
+    grid = mesh.getSolverGrid().reshape(-1, 3)
+    np.testing.assert_array_equal(grid[solver.wall_of], moved)
+    assert np.abs(grid - solver.start).max() >= np.abs(moved - solver.points).max()
+    # Nodes of two pieces stay together.
+    _, first, number = np.unique(solver.indices[::3], return_index=True, return_inverse=True)
+    np.testing.assert_array_equal(grid, grid[first][number])
+    random = np.random.default_rng(1)
+    weights = random.standard_normal(mesh.warp.griddata.solvermeshdof)
+    change = random.standard_normal(moved.shape)
+    mesh.warpDeriv(weights)
+    pushed = mesh.warpDerivFwd(change.ravel())
+    assert weights @ pushed == pytest.approx((mesh.getdXs() * change).sum(), rel=1e-11)
+    # Copies of a point move alike, as those of a parametrised surface do.
+    smooth = np.sin(moved[:, [1, 2, 0]])
+    expected = differences(mesh, smooth, mesh.getSolverGrid)
+    np.testing.assert_allclose(mesh.warpDerivFwd(smooth), expected, atol=1e-6 * np.abs(expected).max())
+
+
+def test_duplicated_nodes_add(mesh, wing):
+    solver = Solver.of(wing)
+    mesh.setExternalMeshIndices(solver.indices.astype(np.int64))
+    nodes = solver.indices[::3] // 3
+    twice = np.flatnonzero(np.bincount(nodes) == 2)[0]
+    weights = np.zeros(len(solver.indices))
+    weights[np.repeat(nodes == twice, 3)] = 1.0
+    mesh.warpDeriv(weights)
+    found = mesh.getdXs()
+    once = np.zeros(mesh.warp.griddata.warpmeshdof)
+    once[3 * twice : 3 * twice + 3] = 2.0
+    mesh.warpDeriv(once, solverVec=False)
+    np.testing.assert_allclose(found, mesh.getdXs(), rtol=1e-12, atol=1e-15)
+    assert np.abs(found).max() > 0
+
+
+def test_free_and_mirrored_nodes(mesh):
+    """Nothing is fixed: a translated wing takes the whole grid along; symmetry planes stay planes."""
+    start = mesh.getSurfaceCoordinates()
+    mesh.setSurfaceCoordinates(start + [0.3, 0.0, 0.2])
+    mesh.warpMesh()
+    moved = (mesh.getWarpGrid() - mesh._warp.grid.points[mesh._warp.own_rows].ravel()).reshape(-1, 3)
+    np.testing.assert_allclose(moved, np.broadcast_to([0.3, 0.0, 0.2], moved.shape), atol=1e-12)
+    mesh.setSurfaceCoordinates(start)
+    mesh.warpMesh()
+
+
+def test_written_grid(mesh, wing, tmp_path):
+    start = mesh.getSurfaceCoordinates()
+    mesh.setSurfaceCoordinates(bend(start))
+    mesh.warpMesh()
+    mesh.writeGrid(str(tmp_path / "moved.cgns"))
+    moved = md.read(tmp_path / "moved.cgns")
+    flat = np.concatenate([block.transpose(2, 1, 0, 3).ravel() for block in moved.blocks])
+    np.testing.assert_array_equal(flat, mesh.getCommonGrid())
+    assert moved.patches == md.read(wing).patches
+    mesh.setSurfaceCoordinates(start)
+
+
+def test_plot3d_and_surface_files(tmp_path):
+    ring = polar(12, 5, 2)
+    md.write(md.Grid._of(ring), tmp_path / "ring.xyz")
+    wall = md.Grid([ring.block(0)[:, :1]])
+    md.write(wall, tmp_path / "wall.xyz")
+    wider = [1.1, 1.1, 1.0]
+    md.write(md.Grid([wider * wall.blocks[0]]), tmp_path / "wider.xyz")
+    given = {"gridFile": str(tmp_path / "ring.xyz"), "fileType": "plot3d"}
+    with pytest.raises(md.CaseError, match="symmetryPlanes is missing"):
+        USMesh(given)
+    mesh = USMesh({**given, "symmetryPlanes": [[[0, 0, 0], [0, 0, 1]], [[0, 0, 1], [0, 0, 2]]]})
+    with pytest.raises(md.CaseError, match="declares no wall"):
+        mesh.getSurfaceCoordinates()
+    mesh.setSurfaceDefinitionFromFile(str(tmp_path / "wall.xyz"))
+    order = wall.blocks[0][:, 0].transpose(1, 0, 2).reshape(-1, 3)
+    np.testing.assert_allclose(mesh.getSurfaceCoordinates(), order)
+    mesh.setSurfaceFromFile(str(tmp_path / "wider.xyz"))
+    np.testing.assert_allclose(mesh.getSurfaceCoordinates(), wider * order)
+    mesh.warpMesh()
+    assert np.ptp(mesh.getWarpGrid().reshape(-1, 3)[:, 2]) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_components_move_together(overset):
+    solver = Solver.of(overset)
+    component = {"evalMode": "exact"}
+    mesh = MultiUSMesh(overset, {"wing": {**component, "method": "idw-tfi"}, "flap": component})
+    with pytest.raises(md.CaseError, match="setExternalMeshIndices"):
+        solver.set_mesh(SurfaceFirst(mesh))
+    solver.set_mesh(mesh, zones=True)
+    zone = np.searchsorted(mesh._warp.grid.offsets, solver.indices[::3] // 3, side="right") - 1
+    moved = solver.points.copy()
+    flap = zone[solver.wall_of] == 2
+    moved[flap] += [0.1, 0.2, 0.0]
+    moved[~flap, :2] *= 1.05
+    mesh.setSurfaceCoordinates(moved)
+    mesh.warpMesh()
+    grid = mesh.getSolverGrid().reshape(-1, 3)
+    np.testing.assert_array_equal(grid[solver.wall_of], moved)
+    np.testing.assert_array_equal(grid[zone == 3], solver.start[zone == 3])
+    shift = grid[zone == 2] - solver.start[zone == 2]
+    np.testing.assert_allclose(shift, np.broadcast_to([0.1, 0.2, 0.0], shift.shape), atol=1e-12)
+    random = np.random.default_rng(2)
+    weights, change = random.standard_normal(grid.size), random.standard_normal(moved.shape) * [1, 1, 0]
+    gradient = mesh.warpDeriv(weights)
+    np.testing.assert_array_equal(gradient, mesh.getdXs())
+    assert weights @ mesh.warpDerivFwd(change) == pytest.approx((gradient * change).sum(), rel=1e-11)
+
+
+class SurfaceFirst:
+    """A solver that forgets the indices."""
+
+    def __init__(self, mesh):
+        self.setSurfaceDefinition = mesh.setSurfaceDefinition
+
+    def setExternalMeshIndices(self, indices):
+        """Nothing."""
+
+
+def test_components_that_stay(overset):
+    solver = Solver.of(overset)
+    mesh = MultiUSMesh(overset, {"flap": {}})
+    solver.set_mesh(mesh, zones=True)
+    mesh.setSurfaceCoordinates(1.1 * solver.points)
+    with pytest.raises(md.MotionError, match="zones without options"):
+        mesh.warpMesh()
+    with pytest.raises(md.CaseError, match="no zone of component 'tail'"):
+        MultiUSMesh(overset, {"tail": {}})
+    with pytest.raises(md.CaseError, match="dtype"):
+        MultiUSMesh(overset, {"flap": {}}, dtype="D")
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (None, "options = None"),
+        ({"gridFile": "g.cgns", "aEx": 3.0}, "did you mean 'aExp'"),
+        ({}, "gridFile = None"),
+        ({"gridFile": "g", "fileType": "OpenFOAM"}, "unstructured"),
+        ({"gridFile": "g.cgns", "fileType": "su2"}, "fileType"),
+        ({"gridFile": "g.cgns", "alpha": -1.0}, "alpha = -1.0"),
+        ({"gridFile": "g.cgns", "cornerAngle": 60.0}, "cornerAngle"),
+        ({"gridFile": "g.cgns", "useRotations": 1}, "useRotations"),
+        ({"gridFile": "g.cgns", "specifiedSurfaces": "wing"}, "list of family names"),
+        ({"gridFile": "g.cgns", "symmetryPlanes": [[0, 0, 1]]}, "symmetryPlanes"),
+        ({"gridFile": "g.cgns", "evalMode": "slow"}, "evalMode"),
+        ({"gridFile": "g.cgns", "method": "magic"}, "magic"),
+        ({"gridFile": "g.cgns", "repair": "maybe"}, "repair"),
+    ],
+)
+def test_options_that_are_refused(given, message):
+    with pytest.raises(md.MeshDeformError, match=message):
+        USMesh(given)
+
+
+def test_options_are_honoured(wing, capsys):
+    given = {"gridFile": wing, "SPECIFIEDsurfaces": ["WING"], "aexp": 2.0, "ldeffact": 50, "useRotations": False}
+    mesh = USMesh(given)
+    assert mesh.getOption("AEXP") == 2.0
+    mesh.setOption("alpha", 0.3)
+    mesh.getSurfaceCoordinates()
+    part = mesh._warp._components[0]._mesh._setup.case.method.idw
+    reach = USMesh({"gridFile": wing})
+    reach.getSurfaceCoordinates()
+    usual = reach._warp._components[0]._mesh._setup.case.method.idw
+    assert (part.a, part.alpha, part.rotation, usual.rotation) == (2.0, 0.3, "none", "lie")
+    assert part.length == pytest.approx(50 * usual.length)
+    assert part.summation_tolerance == usual.summation_tolerance == 0.0005
+    with pytest.raises(md.CaseError, match="after the surface"):
+        mesh.setOption("alpha", 0.1)
+    mesh.printOptions()
+    assert "aExp                 2.0" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda s: {"points": s.points + 0.01}, "not faces on the outside"),
+        (lambda s: {"conn": s.conn[:-1]}, "conn has"),
+        (lambda s: {"conn": s.conn + 10**6}, "rows of pts"),
+        (lambda s: {"indices": s.indices[::-1]}, "x, y, z"),
+        (lambda s: {"indices": s.indices + 3 * 10**6}, "numbered from 0"),
+        (lambda s: {"zones": s.zones[:-1]}, "cgnsBlockIDs"),
+        (lambda s: {"conn": s.conn[:400], "sizes": s.sizes[:100], "zones": s.zones[:100]}, None),
+    ],
+)
+def test_surfaces_that_are_refused(wing, spoil, message):
+    solver = Solver.of(wing)
+    vars(solver).update(spoil(solver))
+    mesh = USMesh({"gridFile": wing})
+    if message is None:
+        # Part of the wall: the rest is free, and points outside of the faces must not move.
+        solver.set_mesh(mesh)
+        mesh.setSurfaceCoordinates(bend(solver.points))
+        with pytest.raises(md.MotionError, match="stay"):
+            mesh.warpMesh()
+        return
+    with pytest.raises(md.MeshDeformError, match=message):
+        solver.set_mesh(mesh, zones=True)
+
+
+def test_copies_that_disagree(wing):
+    solver, mesh = Solver.of(wing), USMesh({"gridFile": wing})
+    solver.set_mesh(mesh)
+    _, first, count = np.unique(solver.points.round(9), axis=0, return_index=True, return_counts=True)
+    at = first[np.argmax(count > 1)]
+    moved = solver.points.copy()
+    moved[at] += 1e-4
+    mesh.setSurfaceCoordinates(moved)
+    with pytest.warns(UserWarning, match="mean"):
+        mesh.warpMesh()
+    moved[at] += 1.0
+    mesh.setSurfaceCoordinates(moved)
+    with pytest.raises(md.MotionError, match="copies"):
+        mesh.warpMesh()
+
+
+def test_an_invalid_grid_is_a_warning(mesh):
+    start = mesh.getSurfaceCoordinates()
+    mesh.setSurfaceCoordinates(start * [1.0, 1.0, -30.0])
+    with pytest.warns(UserWarning, match="invalid"):
+        mesh.warpMesh()
+    mesh.setSurfaceCoordinates(start)
+    mesh.warpMesh()
+
+
+def test_without_mpi4py(wing):
+    """In serial nothing needs mpi4py, and ``import meshdeform`` loads nothing of it."""
+    code = (
+        "import sys, json; sys.modules['mpi4py'] = None; import meshdeform; before = sorted(sys.modules); "
+        "from meshdeform.compat.idwarp import USMesh; mesh = USMesh({'gridFile': sys.argv[1]}); mesh.warpMesh(); "
+        "print(json.dumps([len(mesh.getSurfaceCoordinates()), 'numpy' in before, 'meshdeform.compat' in before]))"
+    )
+    done = subprocess.run([sys.executable, "-c", code, wing], capture_output=True, text=True, check=True)
+    count, *loaded = json.loads(done.stdout)
+    assert count > 100
+    assert loaded == [False, False]
