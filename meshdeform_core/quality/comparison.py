@@ -31,9 +31,8 @@ class Comparison:
             np.empty(n_slabs), np.empty((n_slabs, 3)), np.empty((n_slabs, 3), dtype=np.int64)
         )  # fmt: skip
         tallies = [self.after, *([self._before] if self._before else [])]
-        per_cell = [*(t.skews for t in tallies), *self.verdict.arrays]
         per_slab = [array for t in tallies for array in t.per_slab] + [self._inherited, self._extremes, self._cells]
-        for_slabs(grid, self._put, per_cell, per_slab)
+        for_slabs(grid, self._put, self.verdict.arrays, per_slab)
         for tally, points in zip(tallies, (after, grid.points), strict=False):
             _complete(tally, grid, original.topology, points)
         original.measured = original.measured or self._before or self.after
@@ -102,7 +101,8 @@ def _extremes(slab: Slab, f: SlabMeasures) -> tuple[tuple[float, float, float], 
 
 
 def _complete(tally: Tally, grid: Grid, topology: Topology, points: FloatArray) -> None:
-    """Volume, and the smallest values of the slabs, found in single precision, in double precision."""
+    """The quantile and the volume; the smallest values of the slabs, found in single precision, in double precision."""
+    tally.lowest.complete()
     if grid.dimension == 2:
         return
     tally.solid = sum(block_volume(grid.block(b, points), float(topology.handedness[b])) for b in range(grid.n_blocks))

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from ..grid import BoolArray, FloatArray, IntArray
-from ..parallel import empty
+from ..parallel import current_ranks
 from .cells import Slab
 
 HISTOGRAM_BINS = 20
+# Not kept by the objects that it guards, as these are copied.
+_adding = threading.Lock()
 
 
 @dataclass(frozen=True)
@@ -80,19 +83,19 @@ class Tally:
 
     ``sums`` (n_slabs, 5): 1/f_skew, f_skew, area (2-D), cells with negative volume, with a bad corner; ``lows``
     (n_slabs, 2): smallest f_skew and scaled Jacobian; ``low_cells`` (n_slabs, 2) where; ``counts`` (n_slabs, 20):
-    histogram of f_skew; ``skews`` (n_cells,).
+    histogram of f_skew; ``lowest``: the hundredth of the cells with the smallest f_skew.
     """
 
     def __init__(self, n_cells: int, n_slabs: int):
-        # Single precision is enough for the quantile and the histogram.
-        self.skews = empty([n_cells], np.float32)
+        self.n_cells, self.lowest = n_cells, Lowest(-(-n_cells // 100))
         self.sums, self.lows = np.empty((n_slabs, 5)), np.empty((n_slabs, 2))
         self.counts, self.low_cells = (np.empty((n_slabs, n), dtype=np.int64) for n in (HISTOGRAM_BINS, 2))
         self.solid: float | None = None
 
     def put(self, number: int, slab: Slab, skew: FloatArray, scaled: FloatArray, sums: Sums) -> None:
         """Record one slab of cells with these values (n,)."""
-        self.skews[slab.cells] = skew
+        # Single precision is enough for the quantile and the histogram.
+        self.lowest.add(skew.astype(np.float32, copy=False))
         at = int(skew.argmin()), int(scaled.argmin())
         self.lows[number] = skew[at[0]], scaled[at[1]]
         self.low_cells[number] = slab.start + at[0], slab.start + at[1]
@@ -132,18 +135,46 @@ class Tally:
     @cached_property
     def skew(self) -> Skew:
         """The distribution of f_skew, once all rows are complete."""
-        n = len(self.skews)
+        n = self.n_cells
         inverse, total = self.sums[:, 0].sum(), self.sums[:, 1].sum()
-        histogram = self.counts.sum(axis=0)
-        at = max(0, -(-n // 100) - 1)
-        # Only the cells in the lowest bins are copied and sorted, as there may be millions.
-        last = int(np.searchsorted(np.cumsum(histogram), at, side="right"))
-        bound = np.float32((last + 1) / HISTOGRAM_BINS + 1e-5)
-        parts = np.array_split(self.skews, len(self.counts))
-        lowest = np.concatenate([part[part < bound] for part in parts])
-        p01 = float(np.partition(lowest, at)[at])
         harmonic = n / float(inverse) if np.isfinite(inverse) else 0.0
-        return Skew(harmonic, float(total) / n, float(self.lows[:, 0].min()), p01, tuple(histogram.tolist()))
+        histogram = tuple(self.counts.sum(axis=0).tolist())
+        return Skew(harmonic, float(total) / n, float(self.lows[:, 0].min()), self.lowest.largest, histogram)
+
+
+class Lowest:
+    """The ``count`` smallest of values (at least as many) that arrive in parts: the same for any parts in any order."""
+
+    def __init__(self, count: int):
+        self._count, self._limit = count, np.float32(np.inf)
+        self._parts: list[np.ndarray] = []
+        self._size = 0
+
+    def add(self, values: np.ndarray) -> None:
+        """Take account of values (n,) float32; from several threads."""
+        found = values[values < self._limit]
+        with _adding:
+            self._parts.append(found)
+            self._size += found.size
+            if self._size > 2 * self._count:
+                self._shorten()
+
+    def complete(self) -> None:
+        """Take account of the values of all ranks, which must call this together."""
+        self._parts = current_ranks().gather(self._parts)
+        self._shorten()
+
+    @property
+    def largest(self) -> float:
+        """The largest of them, once all values have arrived."""
+        return float(self._limit)
+
+    def _shorten(self) -> None:
+        values = np.concatenate(self._parts)
+        if values.size >= self._count:
+            values = np.partition(values, self._count - 1)[: self._count]
+            self._limit = values[-1]
+        self._parts, self._size = [values], values.size
 
 
 def _bins(skews: FloatArray) -> IntArray:

@@ -5,6 +5,8 @@ import itertools
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from meshdeform_core.grid import Grid
 from meshdeform_core.grid.topology import find_topology
@@ -14,6 +16,7 @@ from meshdeform_core.numerics.cell.measures import scattered_hexahedra
 from meshdeform_core.quality import Original, assess
 from meshdeform_core.quality.cells import block_volume
 from meshdeform_core.quality.comparison import Comparison
+from meshdeform_core.quality.tally import Lowest
 from meshdeform_core.quality.validity import newly_invalid
 
 TOLERANCE = 2e-5
@@ -227,7 +230,25 @@ def test_the_undeformed_grid_is_measured_once():
     Comparison(original, grid.points * [1.0, 1.0, 0.7])
     assert original.tally is tally
     assert tally.volume == pytest.approx(64.0, rel=1e-14)
-    np.testing.assert_allclose(tally.skews, 1.0, rtol=1e-6)
+    assert tally.skew.p01 == pytest.approx(1.0, rel=1e-6)
+
+
+@given(st.lists(st.floats(0.0, 1.0, width=32), min_size=1, max_size=300), st.randoms(use_true_random=False))
+def test_the_quantile_does_not_depend_on_how_values_arrive(values, random):
+    """Any parts in any order, dealt to pretended ranks."""
+    count = -(-len(values) // 100)
+    expected = np.sort(np.array(values, np.float32))[count - 1]
+    random.shuffle(values)
+    ranks = [Lowest(count) for _ in range(random.randint(1, 4))]
+    while values:
+        part = [values.pop() for _ in range(random.randint(1, len(values)))]
+        random.choice(ranks).add(np.array(part, np.float32))
+    whole = ranks[0]
+    for other in ranks[1:]:
+        for part in other._parts:
+            whole.add(part)
+    whole.complete()
+    assert whole.largest == expected
 
 
 def test_volume_of_a_block_by_its_surface():
