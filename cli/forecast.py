@@ -9,7 +9,7 @@ from pathlib import Path
 from meshdeform_core.boundary.pinned import find_pinned
 from meshdeform_core.boundary.prescribed import largest_displacement
 from meshdeform_core.deform import Result, Setup, Timing, impose, set_up
-from meshdeform_core.methods import make_method
+from meshdeform_core.methods import prepare_method
 from meshdeform_core.methods.limits import patch_motions
 from meshdeform_formats.grids import variant_of
 from meshdeform_formats.report import Report, plan_report
@@ -34,7 +34,7 @@ def plan(job: Job, output: Path | None, imposed: Imposed, variant: dict[str, str
     exists."""
     precision = variant_of(job.grid, output, variant).precision if output is not None else job.grid.precision
     setup = set_up(job.grid, imposed.case(job.case.case), memory=job.memory)
-    prepared = make_method(job.case.case.method).prepare(setup.problem)
+    prepared = prepare_method(job.case.case.method, setup.problem)
     motion = setup.displacement(imposed.time)
     largest = largest_displacement(motion)
     report = plan_report(setup, prepared.account, largest, patch_motions(setup.problem, motion))

@@ -18,7 +18,7 @@ from meshdeform_core.deform import Setup, Timing, set_up
 from meshdeform_core.errors import CaseError, FormatError, MeshDeformError
 from meshdeform_core.grid import Grid
 from meshdeform_core.memory import WRITING_ARRAYS, peak_memory
-from meshdeform_core.methods import make_method
+from meshdeform_core.methods import prepare_method
 from meshdeform_core.notices import first_of_each_kind, kind_of
 from meshdeform_core.parallel import carried, current_ranks, thread_count
 from meshdeform_core.series import Level, Schedule, deform_series
@@ -119,7 +119,7 @@ def _times_of_files(case: CaseFile) -> tuple[float, ...]:
 def describe(run: Run) -> tuple[Report, bool, str]:
     """The report of a dry run (classification, parameters, node counts), whether no valid grid exists at the level of
     the largest displacement, and the levels as a line of text."""
-    prepared = make_method(run.setup.case.method).prepare(run.setup.problem)
+    prepared = prepare_method(run.setup.case.method, run.setup.problem)
     times = run.schedule.times
     largest, worst = max((largest_displacement(run.setup.displacement(t)), t) for t in times)
     last = run.files.path(len(times) - 1)

@@ -26,6 +26,7 @@ from meshdeform_formats.case import CaseFile
 from meshdeform_formats.fields import with_fields
 from meshdeform_formats.files import invalid_path
 from meshdeform_formats.grids import complete_for_export, variant_of, write_grid
+from meshdeform_formats.joined import grid_of_case
 from meshdeform_formats.report import Report, as_json, deformation_report
 from meshdeform_formats.report.illustrations import Illustrate, deformation_figures
 from meshdeform_formats.report.text import as_text
@@ -59,7 +60,7 @@ def load(source: GridInput, case: CaseInput, memory: MemoryLimit, outputs: Seque
         keep_inputs(path, *what.files)
     make_method(what.case.method)
     start = clock.perf_counter()
-    grid = source.read(what.boundary_file)
+    grid = grid_of_case(source.read(what.boundary_file), what)
     seconds = clock.perf_counter() - start
     left = left_for_method(memory, grid.n_nodes, grid.points.nbytes, _other_bytes(grid, what), more_arrays)
     return Job(grid, what, seconds, left)

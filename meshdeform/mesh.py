@@ -17,7 +17,7 @@ from meshdeform_core.boundary.prescribed import given_displacement
 from meshdeform_core.deform import BoundaryMotion, Setup, Start, Timing, impose
 from meshdeform_core.errors import CaseError, MotionError
 from meshdeform_core.grid import BoolArray, FloatArray, IntArray
-from meshdeform_core.methods import PreparedMethod, Progress, make_method
+from meshdeform_core.methods import PreparedMethod, Progress, prepare_method
 from meshdeform_core.parallel import Ranks, sharing
 from meshdeform_core.repair.options import Mode
 
@@ -193,7 +193,7 @@ class Mesh:
     def _method(self, timing: Timing) -> PreparedMethod:
         if self._prepared is None:
             with timing.stage("prepare"):
-                self._prepared = make_method(self._setup.case.method).prepare(self._setup.problem)
+                self._prepared = prepare_method(self._setup.case.method, self._setup.problem)
         return self._prepared
 
     def _motion(self, displacement: Displacement | None, time: float) -> BoundaryMotion:

@@ -11,6 +11,7 @@ from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.boundary.motion import GIVEN
 from meshdeform_core.deform import Case, set_up
 from meshdeform_core.errors import CaseError
+from meshdeform_core.grid.components import Components
 from meshdeform_core.memory import MemoryLimit, left_for_method, machine_memory, parse_memory
 from meshdeform_core.parallel import OneRank, Ranks, sharing
 from meshdeform_formats.case import CaseFile, case_of, read_case
@@ -39,6 +40,7 @@ def prepare(
     symmetry: Selection | None = None,
     periodic: Selection | None = None,
     free: Selection | None = None,
+    components: Components | None = None,
     method: Method | None = None,
     comm: Comm | None = None,
     threads: int | None = None,
@@ -49,10 +51,12 @@ def prepare(
     Parameters
     ----------
     grid : a grid, or the name of a grid file
-    case : a case file, or its content as a mapping; replaces the six selections
+    case : a case file, or its content as a mapping; replaces selections and ``components``
     moving, fixed, slip, symmetry, periodic, free : patch names of the grid or block faces, like ``"wing"``,
         ``["wing", "block2.jmin[1:65,*]"]`` (each a separate patch) or ``{"body": ["wing", "tail"]}``. Outside faces
         that are not selected are fixed; ``free`` faces move along like the interior
+    components : of an overset grid, each of which moves by its own boundary: ``"zone prefix"``, or patterns of block
+        names like ``{"wing": ["wing*"], "flap": ["flap*"]}``
     method : a name like ``"idw-tfi"``, :class:`IDW`, :class:`RBF`, :class:`TFI` or :class:`Hybrid`; by default the
         case's method, ``"idw-tfi"`` if it has none
     comm : mpi4py communicator whose ranks share the work; every rank must make the same calls in the same order
@@ -77,12 +81,16 @@ def prepare(
         Kind.FREE: free,
     }
     with one_at_a_time(), sharing(ranks, threads):
-        what = _case(case, selections)
+        what = _case(case, selections, components)
         held = user_grid(grid)
         if what.boundary_file is not None:
             from meshdeform_formats.neutral_map import read_neutral_map
 
             held = Grid._of(read_neutral_map(what.boundary_file, held._core), held._plane)
+        if what.component_files:
+            from meshdeform_formats.joined import grid_of_case
+
+            held = Grid._of(grid_of_case(held._core, what), held._plane)
         chosen = what.case if method is None else dataclasses.replace(what.case, method=options_of(method))
         own = held._core
         memory = left_for_method(_memory(max_memory), own.n_nodes, own.points.nbytes)
@@ -107,15 +115,19 @@ def _memory(size: int | str | None) -> MemoryLimit:
     return parse_memory(str(size), "max_memory")
 
 
-def _case(case: CaseLike | None, selections: Mapping[Kind, Selection | None]) -> CaseFile:
+def _case(
+    case: CaseLike | None, selections: Mapping[Kind, Selection | None], components: Components | None
+) -> CaseFile:
     given = [kind.label for kind, selection in selections.items() if selection is not None]
     if case is not None:
+        given += ["components"] * (components is not None)
         if given:
             raise CaseError(f"found a case and {', '.join(given)}; expected only one of them: the case says what moves")
         return parsed_case(case)
     if Kind.MOVING.label not in given:
         raise CaseError('nothing moves; expected moving = ["patch", ...], or a case')
-    return CaseFile(Case(tuple(_specs(selections))))
+    own = case_of({"grid": {"components": components or ""}}).case.components
+    return CaseFile(Case(tuple(_specs(selections)), components=own))
 
 
 def parsed_case(case: CaseLike) -> CaseFile:

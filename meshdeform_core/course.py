@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
 from .boundary import Kind
 from .boundary.doubts import positions_as_displacements
 from .boundary.prescribed import largest_displacement
-from .grid import FloatArray
+from .grid import FloatArray, Grid
+from .grid.components import Component
 from .grid.precision import rounded
 from .methods import Options, PreparedMethod, Progress
+from .methods.components import PreparedComponents
 from .notices import Notice, first_of_each_kind, kind_of
 from .repair.repair import Repairer
 from .repair.time_limit import TimeLimit
@@ -125,10 +128,37 @@ class Course:
         setup = self.setup
         return Repairer(setup.undeformed.repairs, self.rounded, setup.memory, self.progress, self.limit)
 
+    @cached_property
+    def components(self) -> tuple[tuple[Component, Course], ...]:
+        """The same motion of every component of an overset grid by itself; none if all blocks are one."""
+        whole, start, parts = self.setup, self.start, self.setup.undeformed.components
+        methods = start.prepared.methods if isinstance(start.prepared, PreparedComponents) else (None,) * len(parts)
+        found = []
+        for (component, own), method in zip(parts, methods, strict=True):
+            points = own.grid.points if start.points is whole.grid.points else component.rows(whole.grid, start.points)
+            correction = partial(_part_of, component, whole.grid, start.correction) if start.correction else None
+            begin = dataclasses.replace(start, points=points, prepared=method, correction=correction)
+            setup, limit = Setup(own, whole.case, ()), TimeLimit(whole.case.repair.time_limit)
+            path = partial(_motion_of, component, self)
+            course = Course(setup, path, self.precision, self.timing, self.progress, begin, limit)
+            course.latest.put(points, whole.case.method, method)
+            found.append((component, course))
+        return tuple(found)
+
     @property
     def repairing(self) -> bool:
         """Whether the case asks for repairs."""
         return self.setup.case.repair.mode != "off"
+
+
+def _motion_of(component: Component, whole: Course, fraction: float) -> FloatArray:
+    displacement = whole.total if fraction == 1.0 else whole.path(fraction)
+    return displacement[component.numbers]
+
+
+def _part_of(component: Component, whole: Grid, correction: Callable[[], FloatArray | None]) -> FloatArray | None:
+    found = correction()
+    return None if found is None else component.rows(whole, found)
 
 
 def doubts(course: Course, one_of_many: bool) -> Sequence[str]:

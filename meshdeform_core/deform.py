@@ -3,24 +3,30 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from .attempts import Reached, adaptively, in_equal_steps, until_valid
+from .boundary import Kind
 from .boundary.prescribed import largest_displacement
 from .course import Attempt, Course, doubts
 from .errors import CaseError
 from .grid import FloatArray, Grid
+from .grid.components import Component, assembled
 from .memory import UNLIMITED, MemoryLimit
 from .methods import Account, Progress
+from .methods.components import account_of, named
 from .methods.limits import PatchMotion, patch_motions
 from .notices import Notice
 from .quality import Assessment, assess
+from .quality.groups import MAX_GROUPS
+from .quality.report import MAX_LISTED
 from .repair.outcome import Repair
 from .repair.repair import COLLAPSING
 from .repair.time_limit import TimeLimit
 from .setup import BoundaryMotion, Case, Setup, Start, Timing, set_up
-from .steps import State
+from .steps import State, beginning
 
 __all__ = [
     "Attempt",
@@ -44,7 +50,8 @@ class Result:
     ``reached`` is the fraction of the motion that was imposed: below 1 only when marching stopped before a step that
     would have made cells invalid; the invalid cells of the assessment are then those of that step. ``displacement``
     (n_unique, 3) is that of the boundary at the end of the motion. ``attempts`` lists the steps that were tried, in
-    order; ``repair`` summarises the repairs of the steps that led to the grid, or is ``None``.
+    order; ``repair`` summarises the repairs of the steps that led to the grid, or is ``None``. Each of the named
+    ``components`` of an overset grid has a result of its own.
     """
 
     setup: Setup
@@ -59,6 +66,7 @@ class Result:
     motion: tuple[PatchMotion, ...] = ()
     attempts: tuple[Attempt, ...] = ()
     repair: Repair | None = None
+    components: tuple[tuple[str, Result], ...] = ()
 
     def __repr__(self) -> str:
         return f"Result(valid={self.valid}, steps={self.steps}, reached={self.reached:g})"
@@ -126,11 +134,47 @@ def impose(
     course.log.warn(*setup.warnings, *doubts(course, one_of_many=start is not None))
     if steps is None:
         steps = "auto" if course.repairing else 1
-    if steps == "auto":
-        return _result(until_valid(course) if course.repairing else adaptively(course))
-    if isinstance(steps, int) and steps > 0:
-        return _result(in_equal_steps(course, steps))
-    raise CaseError(f'steps = {steps!r}; expected a whole number >= 1 or "auto"')
+    if steps != "auto" and not (isinstance(steps, int) and steps > 0):
+        raise CaseError(f'steps = {steps!r}; expected a whole number >= 1 or "auto"')
+    if course.components:
+        return _joined(course, [(own, _result(_imposed(each, steps))) for own, each in course.components])
+    return _result(_imposed(course, steps))
+
+
+def _imposed(course: Course, steps: int | str) -> Reached:
+    if not course.setup.boundary.count(Kind.MOVING):
+        # A component in which nothing moves.
+        return Reached(dataclasses.replace(beginning(course, course.setup.case.method), fraction=1.0, steps=1))
+    if isinstance(steps, int):
+        return in_equal_steps(course, steps)
+    return until_valid(course) if course.repairing else adaptively(course)
+
+
+def _joined(course: Course, found: list[tuple[Component, Result]]) -> Result:
+    """The result for an overset grid from those of all of its components."""
+    setup, results = course.setup, [result for _, result in found]
+    points = assembled(setup.grid, [(component, result.grid.points) for component, result in found])
+    with course.timing.stage("quality"):
+        whole = assess(setup.original, points, setup.boundary)
+    listed, groups = ([each for r in results for each in getattr(r.assessment, name)] for name in ("invalid", "groups"))
+    groups.sort(key=lambda group: -group.cells)
+    warnings = [named(component.name, text) for component, result in found for text in result.warnings]
+    repairs = [result.repair for result in results if result.repair]
+    return Result(
+        setup,
+        setup.grid.moved(points),
+        dataclasses.replace(whole, invalid=tuple(listed[:MAX_LISTED]), groups=tuple(groups[:MAX_GROUPS])),
+        account_of({component.name: result.account for component, result in found if result.account.settings}),
+        max(result.steps for result in results),
+        min(result.reached for result in results),
+        course.total,
+        course.timing,
+        (*course.log.warnings, *warnings),
+        patch_motions(setup.problem, course.total),
+        tuple(attempt for result in results for attempt in result.attempts),
+        functools.reduce(Repair.beside, repairs) if repairs else None,
+        tuple((component.name, result) for component, result in found),
+    )
 
 
 def _result(reached: Reached) -> Result:

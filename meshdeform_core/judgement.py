@@ -6,6 +6,7 @@ from .boundary import classify
 from .boundary.plates import open_plates
 from .deform import Case
 from .grid import Grid
+from .grid.components import with_components
 from .grid.topology import find_topology
 from .quality import Assessment, Original, assess
 from .quality.difference import require_same_blocks
@@ -22,6 +23,7 @@ def judge_grid(grid: Grid, original: Grid, case: Case) -> tuple[Assessment, tupl
         When the two have different blocks.
     """
     require_same_blocks(grid, original)
+    original = with_components(original, case.components)
     topology = open_plates(original, find_topology(original, case.tolerance), case.plates)
     boundary = None
     notes = original.notes

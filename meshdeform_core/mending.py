@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from .boundary import Boundary, classify
-from .boundary.crossing import CrossingTest
 from .boundary.pinned import find_pinned
 from .errors import GridError
 from .grid import FloatArray, Grid
+from .grid.components import with_components
 from .grid.precision import rounded
 from .grid.topology import Topology, find_topology
 from .memory import UNLIMITED, MemoryLimit
@@ -28,7 +28,7 @@ from .repair.outcome import Repair
 from .repair.regions import WEAK
 from .repair.repair import Repairer
 from .repair.time_limit import TimeLimit
-from .setup import Case
+from .setup import Case, Undeformed
 
 MANY = 0.01
 """Where more than this share of the cells is bad, their positions say little: the interior is made again at once."""
@@ -90,6 +90,7 @@ def mend(
         When the two have different blocks, or nodes that coincide in the original are apart.
     """
     require_same_blocks(grid, original)
+    original = with_components(original, case.components)
     topology, boundary = classify(original, find_topology(original, case.tolerance), case.boundaries, case.constants)
     _require_closed(grid, topology, case.tolerance)
     width = precision or grid.precision
@@ -171,7 +172,7 @@ def _reasons(original: Grid, topology: Topology, boundary: Boundary, points: Flo
     """Why no valid grid can be found, if the boundary alone shows it."""
     change = (points - original.points)[topology.first]
     found = []
-    for crossing in CrossingTest(original, topology, boundary).crossings(change)[:1]:
+    for crossing in Undeformed(original, topology, boundary).crossing_test.crossings(change)[:1]:
         place = ", ".join(f"{x:.6g}" for x in crossing.point)
         names = " and ".join(dict.fromkeys(crossing.patches))
         found.append(f"the boundary crosses itself, so no valid grid exists: {names} near ({place})")

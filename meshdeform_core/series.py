@@ -13,7 +13,7 @@ from .boundary import Kind
 from .deform import Result, Setup, Start, Timing, impose
 from .errors import CaseError
 from .grid import Field, FloatArray, IntArray
-from .methods import PreparedMethod, Progress, make_method
+from .methods import PreparedMethod, Progress, prepare_method
 from .numerics.arrays import lengths
 from .parallel import empty, for_rows
 from .smoothness import Moment, Smoothness, shortest_edges, smoothness
@@ -195,7 +195,7 @@ class _Series:
     def _prepared(self, timing: Timing) -> PreparedMethod:
         if self._reference is None:
             with timing.stage("prepare"):
-                self._reference = make_method(self.setup.case.method).prepare(self.problem)
+                self._reference = prepare_method(self.setup.case.method, self.problem)
         return self._reference
 
     def _drift(self, result: Result, displacement: FloatArray) -> Drift:

@@ -11,12 +11,14 @@ from functools import cached_property, partial
 
 from .boundary import Boundary, BoundarySpec, Kind, classify
 from .boundary.classification import UNSELECTED
+from .boundary.components import ComponentCrossings, boundary_of
 from .boundary.crossing import CrossingTest
 from .boundary.plates import open_plates
 from .boundary.prescribed import prescribed_displacement
 from .boundary.unselected import opening_notes
 from .errors import CaseError, MotionError
 from .grid import FloatArray, Grid
+from .grid.components import BY_PREFIX, Component, Components, require_apart, split, with_components
 from .grid.connectivity import check_connections
 from .grid.extent import require_extent
 from .grid.openings import find_openings
@@ -40,7 +42,8 @@ class Case:
 
     ``tolerance`` is the largest distance between coincident nodes, relative to the local edge; ``notes`` are warnings
     from reading the case, for the report; ``open_faces`` are outside faces (``True``: all) that are meant to lie close
-    to others; ``plates`` are faces between blocks that are walls on both sides.
+    to others; ``plates`` are faces between blocks that are walls on both sides; ``components`` are those of an overset
+    grid, see :func:`meshdeform_core.grid.components.with_components`.
     """
 
     boundaries: tuple[BoundarySpec, ...]
@@ -51,6 +54,7 @@ class Case:
     open_faces: bool | tuple[str, ...] = False
     repair: RepairOptions = field(default_factory=RepairOptions)
     plates: tuple[str, ...] = ()
+    components: Components = ""
 
     def __post_init__(self) -> None:
         if not isinstance(self.method, Options):
@@ -108,7 +112,19 @@ class Undeformed:
     @cached_property
     def problem(self) -> Problem:
         """The input of a method's ``prepare``."""
-        return Problem(self.grid, self.topology, self.boundary, self.memory)
+        components = tuple((component, own.problem) for component, own in self.components)
+        return Problem(self.grid, self.topology, self.boundary, self.memory, components)
+
+    @cached_property
+    def components(self) -> tuple[tuple[Component, Undeformed], ...]:
+        """The components of an overset grid, each a grid of its own; none if all blocks are one."""
+        memory = self.memory
+        if self.grid.components:
+            memory = memory.after(self.grid.points.nbytes, "components as grids of their own")
+        return tuple(
+            (each, Undeformed(each.grid, each.topology, boundary_of(each, self.boundary), memory, self.min_jacobian))
+            for each in split(self.grid, self.topology)
+        )
 
     @cached_property
     def original(self) -> Original:
@@ -116,8 +132,10 @@ class Undeformed:
         return Original(self.grid, self.topology, self.min_jacobian)
 
     @cached_property
-    def crossing_test(self) -> CrossingTest:
+    def crossing_test(self) -> CrossingTest | ComponentCrossings:
         """Whether the boundary crosses itself after a displacement."""
+        if self.components:
+            return ComponentCrossings([(component, own.crossing_test) for component, own in self.components])
         return CrossingTest(self.grid, self.topology, self.boundary)
 
     @cached_property
@@ -133,9 +151,10 @@ class Undeformed:
 
     def expect_more(self) -> None:
         """Keep what the judgement of further grids needs of the undeformed one, if memory allows; for a series."""
-        kept = self.original.kept
-        if not kept.begun and kept.bytes <= self.memory.spare:
-            kept.begin()
+        for each in (self, *(own for _, own in self.components)):
+            kept = each.original.kept
+            if not kept.begun and kept.bytes <= self.memory.spare:
+                kept.begin()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -217,12 +236,21 @@ def set_up(grid: Grid, case: Case, timing: Timing | None = None, memory: MemoryL
     """
     timing = timing or Timing()
     require_extent(grid)
+    grid = with_components(grid, case.components)
+    if grid.overset and not grid.components:
+        raise CaseError(
+            f"the {grid.n_blocks} blocks are connected by overset (Chimera) connectivity only, so nothing would keep "
+            f"them together; the case has to name the blocks that belong together: [grid] components = "
+            f'"{BY_PREFIX}", or patterns of block names'
+        )
     with timing.stage("topology"):
         topology = current_ranks().once(lambda: find_topology(grid, case.tolerance))
         warnings = [*grid.notes, *case.notes, *check_connections(grid, topology)]
         if topology.crowded:
             warnings.append(f"{topology.crowded} face quads are shared by more than two blocks")
         openings = current_ranks().once(lambda: find_openings(grid, topology))
+        if grid.components and case.open_faces is not True:
+            require_apart(grid, topology)
         topology = open_plates(grid, topology, case.plates)
         topology, boundary = classify(grid, topology, case.boundaries, case.constants)
         unselected = boundary.quads_of(lambda patch: patch.name == UNSELECTED)

@@ -11,7 +11,7 @@ import numpy as np
 from .course import Attempt, Course
 from .errors import MethodError
 from .grid import FloatArray
-from .methods import Account, Options, PreparedMethod, Problem, make_method
+from .methods import Account, Options, PreparedMethod, Problem, prepare_method
 from .parallel import for_rows
 from .quality.comparison import Comparison
 from .quality.validity import Verdict, judge
@@ -171,7 +171,7 @@ def prepared_on(state: State) -> PreparedMethod:
         if state.points is not setup.grid.points:
             problem = dataclasses.replace(problem, grid=setup.grid.moved(state.points))
         with course.timing.stage("prepare"):
-            found = make_method(state.options).prepare(problem)
+            found = prepare_method(state.options, problem)
         course.latest.put(state.points, state.options, found)
     return found
 

@@ -21,6 +21,7 @@ from meshdeform_core.methods import IDW, RBF, TFI, Options, entry_of
 from meshdeform_core.repair import RepairOptions
 
 from ..displacement import read_displacement
+from .components import ComponentFile, components_of
 from .motions import WITHOUT_MATCHING, modes_of
 from .reach import unread
 from .sequences import named_files, read_sequence, sequence_files
@@ -47,13 +48,15 @@ class CaseFile:
     """A case with the content of its file.
 
     ``boundary_file`` is a neutral map file with the grid's boundary information, or ``None``; ``files`` are all files
-    that the case names; ``content`` are its tables, including the changes by the command line.
+    that the case names; ``content`` are its tables, including the changes by the command line; ``component_files`` are
+    components in files of their own.
     """
 
     case: Case
     boundary_file: Path | None = None
     files: tuple[Path, ...] = ()
     content: Mapping[str, Any] = field(default_factory=dict)
+    component_files: Mapping[str, ComponentFile] = field(default_factory=dict)
 
 
 def read_case(
@@ -140,7 +143,7 @@ def _with_table(parsed: CaseFile, table: Path, times: str | None, matching: Matc
 def _parse(data: Table, folder: Path, overrides: Sequence[str] = ()) -> CaseFile:
     check_keys(data, TABLES, "case")
     grid = table_of(data, "grid")
-    check_keys(grid, ("boundary_file", "tolerance", "open", "plates"), "[grid]")
+    check_keys(grid, ("boundary_file", "tolerance", "open", "plates", "components"), "[grid]")
     constants = _constants(table_of(data, "constants"))
     entries = data.get("boundary", [])
     if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
@@ -154,9 +157,12 @@ def _parse(data: Table, folder: Path, overrides: Sequence[str] = ()) -> CaseFile
         raise fail("grid.tolerance", f"{tolerance} of the local edge; expected a fraction between 0 and 0.5")
     options = _options(table_of(data, "method"))
     notes, repair = unread(data, specs, options, overrides), _repair(table_of(data, "repair"))
-    case = Case(specs, constants, options, tolerance, notes, _open_faces(grid), repair, _plates(grid))
+    components = components_of(grid, folder)
+    case = Case(
+        specs, constants, options, tolerance, notes, _open_faces(grid), repair, _plates(grid), components.patterns
+    )
     boundary_file = file_of(grid["boundary_file"], folder, "[grid]: boundary_file") if "boundary_file" in grid else None
-    return CaseFile(case, boundary_file, tuple(named_files(data, folder)), data)
+    return CaseFile(case, boundary_file, tuple(named_files(data, folder)), data, components.files)
 
 
 def _open_faces(grid: Table) -> bool | tuple[str, ...]:

@@ -10,6 +10,7 @@ from typing import Any
 
 from meshdeform_core.boundary import Kind
 from meshdeform_core.boundary.matching import HOW
+from meshdeform_core.grid.components import BY_PREFIX
 from meshdeform_core.methods import ALIASES, CATALOGUE, IDW, RBF, TFI, Options
 from meshdeform_core.methods.scattered.idw import ROTATIONS, WEIGHTS
 from meshdeform_core.methods.scattered.radial_system import SOLVERS
@@ -56,6 +57,7 @@ def case_schema() -> Schema:
                     "items": {"type": "string"},
                     "description": "Faces between blocks that are thin plates: walls on both sides.",
                 },
+                components=_components(),
             ),
             constants={
                 "type": "object",
@@ -75,6 +77,20 @@ def case_schema() -> Schema:
             ),
         ),
         "$defs": {"formula": _FORMULA, "motion": _motion()},
+    }
+
+
+def _components() -> Schema:
+    own_file = _table(
+        "A component in a file of its own.",
+        file=_text("Grid file, relative to the case file."),
+        boundary_file=_text("Its neutral map file (.nmf)."),
+    )
+    patterns = {"type": "array", "items": {"type": "string"}, "minItems": 1}
+    named = {"anyOf": [{"type": "string"}, patterns, {**own_file, "required": ["file"]}]}
+    return {
+        "description": "Components of an overset grid: by the prefix of block names, or by patterns of block names.",
+        "anyOf": [{"const": BY_PREFIX}, {"type": "object", "additionalProperties": named, "minProperties": 1}],
     }
 
 

@@ -16,17 +16,10 @@ from .storage.tree import Node
 from .zone import Base, Zone
 
 
-def refuse_overset(zones: Sequence[Zone]) -> None:
-    """Refuse a grid of several zones that are connected only by overset (Chimera) interpolation.
-
-    Its blocks overlap instead of sharing nodes, so nothing would keep them together during the deformation.
-    """
+def overset_only(zones: Sequence[Zone]) -> bool:
+    """Whether several zones are connected only by overset (Chimera) interpolation: they overlap and share no nodes."""
     kinds = [_kind(node) for zone in zones for group in _groups(zone) for node in _members(group)]
-    if len(zones) > 1 and "Overset" in kinds and not {"1to1", "Abutting1to1", "Abutting"} & set(kinds):
-        raise FormatError(
-            f"the {len(zones)} zones are connected by overset (Chimera) connectivity only; meshdeform moves blocks "
-            f"that share nodes: deform each zone, or the zones of each component, in a separate file"
-        )
+    return len(zones) > 1 and "Overset" in kinds and not {"1to1", "Abutting1to1", "Abutting"} & set(kinds)
 
 
 def zone_connections(base: Base, zones: Sequence[Zone], grid: Grid, notes: Notes) -> list[Connection]:

@@ -16,7 +16,7 @@ from meshdeform_core.errors import FormatError, suggestion
 from meshdeform_core.grid import FileFormat, Grid
 
 from .boundary import family_conditions, zone_patches
-from .connectivity import refuse_overset, zone_connections
+from .connectivity import overset_only, zone_connections
 from .notes import Notes
 from .storage.adf import is_adf
 from .storage.file import naming, opened_cgns
@@ -35,13 +35,12 @@ def read(path: Path) -> Grid:
     Raises
     ------
     FormatError
-        When the file is damaged, or its zones are unstructured, in cylindrical coordinates, or overset.
+        When the file is damaged, or its zones are unstructured or in cylindrical coordinates.
     """
     notes = Notes()
     with naming(path), opened_cgns(path) as root:
         base = find_base(root, notes)
         zones = structured_zones(base, notes)
-        refuse_overset(zones)
         families = family_conditions(base)
         patches = [p for block, zone in enumerate(zones) for p in zone_patches(zone, block, families, notes)]
         grid = Grid.allocate(
@@ -50,6 +49,7 @@ def read(path: Path) -> Grid:
             patches=tuple(patches),
             format=_format(path, zones),
             path=path,
+            overset=overset_only(zones),
         )
         grid.fill(lambda block: zones[block].read(grid.block(block)))
         connections = zone_connections(base, zones, grid, notes)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 
 from ..wording import counted
+from .components import HEADS, component_rows
 from .measures import measure_rows
 from .parts import Report
 from .remedies import remedy_of
@@ -27,6 +28,9 @@ def _lines(report: Report) -> Iterator[str]:
         yield f"**After a repair:** {_escaped(done)}."
         yield ""
     yield f"{grid['dimension']}-D, {counted(grid['blocks'], 'block')}, {grid['nodes']:,} nodes, {grid['cells']:,} cells"
+    if rows := component_rows(report):
+        yield ""
+        yield from _table(HEADS, [[each if isinstance(each, str) else number(each) for each in row] for row in rows], 3)
     if "levels" in report:
         yield from _levels(report)
     else:

@@ -13,6 +13,7 @@ from meshdeform_core.methods.limits import PatchMotion
 from meshdeform_core.quality import Assessment
 from meshdeform_core.quality.shape import shape_measures
 
+from .components import component_part
 from .parts import Report, boundary_part, cell_part, head_part, method_part, quality_part
 
 
@@ -26,6 +27,7 @@ def deformation_report(result: Result, timing: Mapping[str, float], peak_memory:
     """
     setup = result.setup
     boundary = boundary_part(setup) | {"max_displacement": result.max_displacement}
+    components = [component_part(name, own) for name, own in result.components]
     seconds = dict.fromkeys(("read", "topology", "prepare", "apply", "quality", "write"), 0.0)
     return {
         **head_part(setup.grid),
@@ -41,6 +43,7 @@ def deformation_report(result: Result, timing: Mapping[str, float], peak_memory:
         "reached": result.reached,
         "attempts": [dataclasses.asdict(attempt) for attempt in result.attempts],
         "repair": None if result.repair is None else dataclasses.asdict(result.repair),
+        **({"components": components} if components else {}),
         "timing": seconds | result.timing.seconds | dict(timing),
         "peak_memory_bytes": peak_memory,
         "warnings": list(result.warnings),

@@ -16,8 +16,9 @@ def repair_sentence(report: dict[str, Any]) -> str:
     cells = f"{counted(done['cells'], 'cell')} repaired" if done["cells"] else "weak cells improved"
     largest = report.get("boundary", {}).get("max_displacement")
     part = f" ({done['max_movement'] / largest:.2g} of the largest displacement)" if largest else ""
-    alone = [attempt for attempt in report.get("attempts", ()) if not attempt["repair"]]
-    before = f"; the method alone leaves {counted(alone[0]['invalid_cells'], 'invalid cell')}" if alone else ""
+    tried = [part["attempts"] for part in report.get("components", ())] or [report.get("attempts", ())]
+    alone = [next((a["invalid_cells"] for a in attempts if not a["repair"]), 0) for attempts in tried if attempts]
+    before = f"; the method alone leaves {counted(sum(alone), 'invalid cell')}" if alone else ""
     return (
         f"{cells}, {counted(done['nodes'], 'node')} moved by up to {done['max_movement']:.4g}{part}, "
         f"{counted(done['newton_steps'], 'Newton step')}{before}"

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from meshdeform_core.series import Level, Schedule
 from meshdeform_core.smoothness import Smoothness
 
+from .components import outcome_part
 from .parts import Report, boundary_part, cell_part, head_part, method_part
 
 _LISTED = 20
@@ -48,6 +49,7 @@ def level_record(level: Level, file: str, write_seconds: float, head: Report, wa
         "smoothness": smoothness_part(level.smoothness),
         "attempts": [dataclasses.asdict(attempt) for attempt in result.attempts],
         "repair": None if result.repair is None else dataclasses.asdict(result.repair),
+        **({"components": [outcome_part(*each) for each in result.components]} if result.components else {}),
         "quality": dataclasses.asdict(result.assessment.after),
         "invalid_cells": [cell_part(cell) for cell in result.assessment.invalid[:_LISTED]],
         "invalid_groups": [dataclasses.asdict(group) for group in result.assessment.groups],

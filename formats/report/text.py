@@ -8,6 +8,7 @@ from typing import Any
 from meshdeform_core.memory import readable
 
 from ..wording import counted
+from .components import component_lines
 from .measures import measure_rows, place_text
 from .repaired import repair_sentence
 from .series_text import series_lines
@@ -32,7 +33,7 @@ def _lines(report: dict[str, Any], parameters: bool) -> Iterator[str]:
     if "valid" in report:
         yield from _verdict(report)
     grid = report["grid"]
-    yield f"grid      {grid['file'] or '(in memory)'}: {grid['format'] or 'no file'}"
+    yield f"grid      {grid['file'] or '(in memory)'}: {grid['format'] or _no_format(grid)}"
     yield (
         f"          {grid['dimension']}-D, {counted(grid['blocks'], 'block')}, {grid['nodes']:,} nodes, "
         f"{grid['cells']:,} cells"
@@ -42,6 +43,7 @@ def _lines(report: dict[str, Any], parameters: bool) -> Iterator[str]:
     if "boundary" in report:
         yield from _boundary(report["boundary"])
         yield from _motion(report.get("motion", []))
+    yield from component_lines(report)
     if "levels" in report:
         yield from series_lines(report)
     elif "quality" in report:
@@ -54,6 +56,10 @@ def _lines(report: dict[str, Any], parameters: bool) -> Iterator[str]:
         yield f"memory    {readable(report['peak_memory_bytes'])} at most"
     for warning in report["warnings"]:
         yield f"warning   {warning}"
+
+
+def _no_format(grid: dict[str, Any]) -> str:
+    return "several files" if grid["file"] else "no file"
 
 
 def _verdict(report: dict[str, Any]) -> Iterator[str]:

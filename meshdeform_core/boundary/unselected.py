@@ -105,12 +105,15 @@ def opening_notes(
         if np.isin(opening.quads, meant).all() or np.isin(opening.quads, moving).all():
             continue
         text = opening.describe(grid)
+        overset = isinstance(opening, Overlap) and not grid.components
+        apart = "; blocks that overlap on purpose: name their groups in [grid] components" if overset else ""
         if np.isin(opening.quads, unselected).any():
             count = f" ({len(openings)} such places, see `meshdeform info`)" if len(openings) > 1 else ""
             close = "Close the gap with that tolerance, or say" if opening.matching else "Say"
             raise CaseError(
                 f"{text}{count}. Nothing selects them, so they would be fixed walls, at which the grid tears. {close} "
                 f"that they are walls: [grid] open = true, or a list of faces; or select them in a boundary entry"
+                f"{apart}"
             )
-        notes.append(text)
+        notes.append(text + apart)
     return notes

@@ -161,6 +161,8 @@ class Grid:
     patches, connections, fields : declarations and data from the file
     format, path : of the file; ``None`` for grids made in memory
     notes : warnings of the reader, for the report
+    components : name of the overset component of every block; empty if all blocks are one
+    overset : whether the file connects its blocks by overset interpolation only
     """
 
     points: FloatArray
@@ -172,6 +174,8 @@ class Grid:
     format: FileFormat | None = None
     path: Path | None = None
     notes: tuple[str, ...] = ()
+    components: tuple[str, ...] = ()
+    overset: bool = False
 
     def __repr__(self) -> str:
         return f"Grid({self.n_blocks} blocks, {self.n_nodes} nodes)"
@@ -217,6 +221,12 @@ class Grid:
     def sides(self) -> SideLattice:
         """Where the nodes of all block sides lie."""
         return SideLattice.of(self.shapes, self.offsets)
+
+    @cached_property
+    def component_numbers(self) -> IntArray:
+        """Number (n_blocks,) of the component of every block, from 0, in the order in which they come."""
+        names = list(dict.fromkeys(self.components))
+        return np.array([names.index(name) for name in self.components] or [0] * self.n_blocks, dtype=np.int64)
 
     @property
     def n_blocks(self) -> int:

@@ -94,6 +94,8 @@ def _near_partners(grid: Grid, topology: Topology, outside: IntArray) -> tuple[I
     nodes = distinct(corners[outside], topology.n_unique)
     points, edge = grid.points[topology.first[nodes]], topology.edge[nodes]
     one, two = close_pairs(points, NEAR * edge).T
+    part = grid.component_numbers[np.searchsorted(grid.offsets, topology.first[nodes], side="right") - 1]
+    one, two = one[part[one] == part[two]], two[part[one] == part[two]]
     distance = np.linalg.norm(points[one] - points[two], axis=1)
     label = np.arange(topology.n_unique)
     # Interfaces have two sides; each pair is represented by its smaller number.
@@ -159,6 +161,7 @@ class _Walls:
     low, high : (m, 3) their extent
     middle, edge : (k, 3), (k,) of the samples: mean of the corners, shortest edge
     sample : (m + 1,) first sample of each side
+    component : (n_blocks,) of the grid
     """
 
     side: IntArray
@@ -169,6 +172,7 @@ class _Walls:
     middle: FloatArray
     edge: FloatArray
     sample: IntArray
+    component: IntArray
 
     @classmethod
     def of(cls, grid: Grid, topology: Topology, quads: IntArray) -> _Walls:
@@ -182,13 +186,15 @@ class _Walls:
         edges = np.linalg.norm(some - np.roll(some, 1, axis=1), axis=2)
         edge = np.where(edges > 0, edges, np.inf).min(axis=1)
         sample = np.append(0, np.cumsum(np.bincount(run)))
-        return cls(side[first], corners, np.append(first, len(quads)), low, high, some.mean(axis=1), edge, sample)
+        start, middle = np.append(first, len(quads)), some.mean(axis=1)
+        return cls(side[first], corners, start, low, high, middle, edge, sample, grid.component_numbers)
 
     def candidates(self) -> IntArray:
         """Pairs (p, 2) of different sides of which enough samples of the first lie in the extent of the second."""
         slack = 1e-6 * np.linalg.norm(self.high - self.low, axis=1)[:, None]
         pairs = overlapping_boxes((self.low - slack, self.high + slack), (self.low, self.high))
-        pairs = pairs[pairs[:, 0] != pairs[:, 1]]
+        block = self.side[pairs] // 6
+        pairs = pairs[(pairs[:, 0] != pairs[:, 1]) & (self.component[block[:, 0]] == self.component[block[:, 1]])]
         counts = np.diff(self.sample)[pairs[:, 0]]
         enough = [self._within(pairs[lo:hi], counts[lo:hi]) >= _FEWEST for lo, hi in batches(counts, _TOGETHER)]
         return pairs[np.concatenate([np.empty(0, dtype=bool), *enough])]

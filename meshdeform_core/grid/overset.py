@@ -1,7 +1,7 @@
 """Outside faces that lie inside another block: overset grids, and blocks that overlap by mistake.
 
 A solver for overset grids interpolates at such a face. Here it would be a fixed wall in the middle of the other block,
-and what moves would pull the two apart.
+and what moves would pull the two apart, unless the blocks are of different components.
 """
 
 from __future__ import annotations
@@ -109,7 +109,9 @@ def _candidates(
     slack = FLATNESS * float((high.max(axis=0) - low.min(axis=0)).max())
     own = np.minimum.reduceat(middle, start[:-1]), np.maximum.reduceat(middle, start[:-1])
     pairs = overlapping_boxes(own, (low - slack, high + slack))
-    pairs = pairs[block[pairs[:, 0]] != pairs[:, 1]]
+    component = grid.component_numbers
+    same = component[block[pairs[:, 0]]] == component[pairs[:, 1]]
+    pairs = pairs[same & (block[pairs[:, 0]] != pairs[:, 1])]
     counts = np.diff(start)[pairs[:, 0]]
     for lo, hi in batches(counts, _TOGETHER):
         some, (run, place) = pairs[lo:hi], spans(counts[lo:hi])

@@ -19,9 +19,9 @@ _FACE = re.compile(r"(?P<block>.+)\.(?P<side>[ijk*?][a-z*?]*)(?:\[(?P<window>[^\
 def select_quads(grid: Grid, topology: Topology, patterns: Iterable[str], owner: str) -> IntArray:
     """External face quads that any of ``patterns`` selects, ascending.
 
-    A pattern is a patch name, a family name, ``block/patch``, or a block face ``block.side`` with an optional window
-    ``[a:b,c:d]`` of nodes (1-based, inclusive); ``*`` and ``?`` are wildcards. ``owner`` names the boundary entry in
-    messages.
+    A pattern is a patch name, a family name, ``block/patch``, ``block/family``, or a block face ``block.side`` with an
+    optional window ``[a:b,c:d]`` of nodes (1-based, inclusive); ``*`` and ``?`` are wildcards. ``owner`` names the
+    boundary entry in messages.
 
     Raises
     ------
@@ -62,9 +62,9 @@ def quads_of_pattern(grid: Grid, quads: FaceQuads, pattern: str, owner: str) -> 
     """Face quads, shared or not, that a pattern selects; see :func:`select_quads`."""
     if pattern == "*":
         return np.arange(len(quads.corners))
-    patches = [patch for patch in grid.patches if _names_match(grid, patch, pattern)]
-    if patches:
-        return np.concatenate([quads_of_patch(quads, patch) for patch in patches])
+    named = [window for patch in grid.patches for window in _named_windows(grid, patch, pattern)]
+    if named:
+        return np.concatenate([quads_of_window(quads, window) for window in named])
     windows = list(_face_windows(grid, pattern, owner))
     if not windows:
         raise CaseError(f"boundary {owner!r}: {pattern!r} matches no patch, family or block face{_hint(grid, pattern)}")
@@ -74,9 +74,16 @@ def quads_of_pattern(grid: Grid, quads: FaceQuads, pattern: str, owner: str) -> 
     return found
 
 
-def _names_match(grid: Grid, patch: Patch, pattern: str) -> bool:
-    names = [patch.name, patch.family, *(f"{grid.names[w.block]}/{patch.name}" for w in patch.windows)]
-    return any(name and fnmatch.fnmatchcase(name, pattern) for name in names)
+def _named_windows(grid: Grid, patch: Patch, pattern: str) -> tuple[Window, ...]:
+    """The windows of a patch that a pattern names by patch or family, ``BLOCK/`` before it for those in one block."""
+    names = [name for name in (patch.name, patch.family) if name]
+    if any(fnmatch.fnmatchcase(name, pattern) for name in names):
+        return patch.windows
+    return tuple(
+        window
+        for window in patch.windows
+        if any(fnmatch.fnmatchcase(f"{grid.names[window.block]}/{name}", pattern) for name in names)
+    )
 
 
 def _face_windows(grid: Grid, pattern: str, owner: str) -> Iterable[Window]:

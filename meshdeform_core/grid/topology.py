@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from ..numerics.arrays import BoolArray, batches, runs, spans
-from ..numerics.geometry.coincidence import coincident_groups, distinct, equal_rows
+from ..numerics.geometry.coincidence import coincident_groups, coincident_within, distinct, equal_rows
 from .blocks import FloatArray, Grid, IntArray, Shape, Side
 from .handedness import block_handedness, index_order
 
@@ -135,7 +135,7 @@ def find_topology(grid: Grid, tolerance: float = RELATIVE_TOLERANCE) -> Topology
     face_nodes = distinct(flat, grid.n_nodes)
     rows = np.searchsorted(face_nodes, flat)
     edge = _shortest_edges(grid, sides, rows, face_nodes)
-    number = coincident_groups(grid.points[face_nodes], tolerance * edge)
+    number = _coincident(grid, face_nodes, tolerance * edge)
     n_unique = int(number.max()) + 1
     first = np.empty(n_unique, dtype=np.int64)
     first[number[::-1]] = face_nodes[::-1]
@@ -145,6 +145,14 @@ def find_topology(grid: Grid, tolerance: float = RELATIVE_TOLERANCE) -> Topology
     quads = _face_quads(grid, sides, number[rows], handedness)
     partner, crowded = _partners(quads.corners, np.bincount(number) > 1)
     return Topology(face_nodes, number, first, unique_edge, quads, partner, handedness, crowded)
+
+
+def _coincident(grid: Grid, face_nodes: IntArray, tolerance: FloatArray) -> IntArray:
+    """Unique number of every face node; components have no nodes in common."""
+    if not grid.component_numbers.any():
+        return coincident_groups(grid.points[face_nodes], tolerance)
+    part = np.repeat(grid.component_numbers, np.diff(np.searchsorted(face_nodes, grid.offsets)))
+    return coincident_within(part, grid.points[face_nodes], tolerance)
 
 
 def side_nodes(grid: Grid, block: int, side: Side) -> IntArray:

@@ -17,8 +17,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from ..boundary import Kind
 from ..errors import MethodError
 from .base import Account, PreparedMethod, Problem, Progress, Setting
+from .components import PreparedComponents
 from .composite import Composite
 from .gaps import InGaps
 from .options import reason_of
@@ -42,6 +44,7 @@ __all__ = [
     "Setting",
     "entry_of",
     "make_method",
+    "prepare_method",
     "reason_of",
 ]
 
@@ -161,3 +164,15 @@ def entry_of(name: str) -> MethodEntry:
 def make_method(options: Options) -> Composite | InGaps:
     """The method that ``options`` describe."""
     return entry_of(options.name).make(options)
+
+
+def prepare_method(options: Options, problem: Problem) -> PreparedMethod:
+    """The method that ``options`` describe, bound to a grid, or to every component of an overset grid."""
+    method = make_method(options)
+    if not problem.components:
+        return method.prepare(problem)
+    moving = [own.boundary.count(Kind.MOVING) for _, own in problem.components]
+    return PreparedComponents(
+        problem,
+        tuple(method.prepare(own) if n else None for n, (_, own) in zip(moving, problem.components, strict=True)),
+    )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -39,6 +39,13 @@ class Repair:
             other.converged,
             other.unique,
         )
+
+    def beside(self, other: Repair) -> Repair:
+        """The summary of repairs in two different parts of a grid."""
+        both = (self.unique, other.unique)
+        unique = False if False in both else None if None in both else True
+        nodes, converged = self.nodes + other.nodes, self.converged and other.converged
+        return replace(self + other, nodes=nodes, converged=converged, unique=unique)
 
 
 @dataclass(frozen=True)

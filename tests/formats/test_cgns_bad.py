@@ -5,9 +5,12 @@ from dataclasses import replace
 import h5py
 import numpy as np
 import pytest
+from cases import constant
 from cgns_witness import N, bc, box, connectivity, one_to_one, periodic, tree, two_zones, write_hdf5, zone, zone_bc
 
-from meshdeform_core.errors import FormatError, GridError
+from meshdeform_core.boundary import BoundarySpec, Kind
+from meshdeform_core.deform import Case, set_up
+from meshdeform_core.errors import CaseError, FormatError, GridError
 from meshdeform_formats import cgns, read_grid
 
 SHAPE = (4, 3, 5)
@@ -94,8 +97,6 @@ def joined(child: N) -> N:
             tree(connected(joined(periodic([0] * 4, [0] * 3, [0] * 3)))),
             r"RotationCenter holds \(4,\) float32 values; expected 2 or 3 real numbers",
         ),
-        (overset("Overset"), r"2 zones are connected by overset \(Chimera\) connectivity only"),
-        (overset("Overset", "Overset"), "only; meshdeform moves blocks that share nodes"),
         (tree(good(), replace(good(), name="g", children=good().children[:1])), "zone g has no GridCoordinates_t"),
     ],
 )  # fmt: skip
@@ -106,8 +107,18 @@ def test_refused_with_the_reason(tmp_path, root, message):
     assert str(path) in str(refusal.value)
 
 
-def test_overset_beside_other_connectivity_is_not_refused(tmp_path):
-    assert read_grid(write_hdf5(tmp_path / "grid.cgns", overset("Overset", "Abutting1to1"))).n_blocks == 2
+@pytest.mark.parametrize("kinds", [("Overset",), ("Overset", "Overset")])
+def test_overset_zones_are_deformed_only_as_components(tmp_path, kinds):
+    grid = read_grid(write_hdf5(tmp_path / "grid.cgns", overset(*kinds)))
+    assert grid.overset
+    specs = (BoundarySpec("all", ("*",), Kind.MOVING, None, constant(0.1, 0, 0)),)
+    with pytest.raises(CaseError, match=r"2 blocks are connected by overset \(Chimera\) connectivity only"):
+        set_up(grid, Case(specs))
+    assert len(set_up(grid, Case(specs, components={"one": ["a"], "two": ["b"]})).undeformed.components) == 2
+
+
+def test_overset_beside_other_connectivity_is_an_ordinary_grid(tmp_path):
+    assert not read_grid(write_hdf5(tmp_path / "grid.cgns", overset("Overset", "Abutting1to1"))).overset
 
 
 def test_coordinates_that_are_not_numbers(tmp_path):

@@ -13,6 +13,7 @@ from .sections import (
     attempts_section,
     blocks_section,
     boundary_section,
+    components_section,
     method_section,
     quality_section,
     run_section,
@@ -103,6 +104,8 @@ def _sections(
     else:
         yield "cells", "Invalid cells", cells_section(report)
         yield "quality", "Quality", quality_section(report)
+    if report.get("components"):
+        yield "components", "Components", components_section(report)
     if report.get("shape"):
         yield "shape", "Shape of cells", shape_section(report)
     if len(report.get("attempts") or ()) > 1 or report.get("repair"):

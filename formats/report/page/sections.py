@@ -7,6 +7,7 @@ from typing import Any
 
 from meshdeform_core.memory import readable
 
+from ..components import HEADS, component_rows
 from ..measures import measure_rows, place_text
 from ..parts import Report
 from ..remedies import remedy_of
@@ -79,6 +80,13 @@ def blocks_section(report: Report) -> str:
     ]
     flagged = [n for n, row in enumerate(rows) if row[2]]
     return table(f"{len(rows)} blocks, the one with the worst cell first", heads, rows, sortable=True, flagged=flagged)
+
+
+def components_section(report: Report) -> str:
+    """Every component of an overset grid."""
+    rows = component_rows(report)
+    flagged = [n for n, part in enumerate(report["components"]) if not part["valid"]]
+    return table(f"{len(rows)} components, each moved by its own boundary", HEADS, rows, text=(0, 5), flagged=flagged)
 
 
 def attempts_section(report: Report) -> str:

@@ -51,6 +51,16 @@ def coincident_groups(points: FloatArray, tolerance: FloatArray) -> IntArray:
     return _by_first_occurrence(connected_components(len(first), pairs)[exact], len(first))
 
 
+def coincident_within(part: IntArray, points: FloatArray, tolerance: FloatArray) -> IntArray:
+    """The same, but only points of the same ``part`` (n,), numbered from 0, coincide."""
+    labels, count = np.empty(len(points), dtype=np.int64), 0
+    for number in range(int(part.max(initial=0)) + 1):
+        own = np.flatnonzero(part == number)
+        labels[own] = count + coincident_groups(points[own], tolerance[own])
+        count = int(labels[own].max(initial=count - 1)) + 1
+    return _by_first_occurrence(labels, count)
+
+
 def _differ(rows: FloatArray | IntArray) -> BoolArray:
     """Which rows (n, m) differ from the one before, (n - 1,); a reduction over so short an axis would be slow."""
     differ = rows[1:, 0] != rows[:-1, 0]

@@ -1,0 +1,85 @@
+"""Components in files of their own, joined with the grid to one."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Mapping, Sequence
+
+from meshdeform_core.errors import CaseError, GridError
+from meshdeform_core.grid import FileFormat, Grid, Patch
+from meshdeform_core.grid.components import with_components
+
+from .case import CaseFile
+from .grids import read_grid_with_boundaries
+
+_WITHOUT_TREE = ("plot3d", "vtk")
+"""Formats whose files hold nothing but what a grid holds."""
+
+
+def grid_of_case(grid: Grid, case: CaseFile) -> Grid:
+    """The grid with the components of a case: those in files of their own follow, as ``NAME.BLOCK``.
+
+    Raises
+    ------
+    CaseError, FormatError, GridError
+        When a file cannot be read, the dimensions differ, or components do not fit the blocks.
+    """
+    others = {
+        name: read_grid_with_boundaries(file.path, file.boundary_file) for name, file in case.component_files.items()
+    }
+    return with_components(join(grid, others) if others else grid, case.case.components)
+
+
+def join(grid: Grid, others: Mapping[str, Grid]) -> Grid:
+    """One grid of the blocks of several; those of ``others`` are called ``NAME.BLOCK``."""
+    grids = [grid, *others.values()]
+    for name, other in others.items():
+        if other.dimension != grid.dimension:
+            raise CaseError(
+                f"grid.components: {name!r} ({other.path}) is {other.dimension}-D, the grid ({grid.path}) "
+                f"{grid.dimension}-D; expected the same"
+            )
+    names = [*grid.names, *(f"{name}.{block}" for name, other in others.items() for block in other.names)]
+    if len(set(names)) < len(names):
+        raise GridError(f"blocks of {', '.join(others)} have the names of others; rename these components")
+    first = [sum(each.n_blocks for each in grids[:n]) for n in range(len(grids))]
+    form = _format(grids)
+    notes = [note for each in grids for note in each.notes]
+    if form is None and any(each.format and each.format.name not in _WITHOUT_TREE for each in grids):
+        notes.append(
+            "components of several files are written as one new file: blocks, boundaries, connections and fields are "
+            "kept, other data of these files are not"
+        )
+    return Grid.from_blocks(
+        [each.block(b) for each in grids for b in range(each.n_blocks)],
+        names,
+        patches=tuple(_shifted_patches(grids, first)),
+        connections=tuple(
+            dataclasses.replace(c, block=c.block + start, donor_block=c.donor_block + start)
+            for each, start in zip(grids, first, strict=True)
+            for c in each.connections
+        ),
+        fields=tuple(
+            dataclasses.replace(field, block=field.block + start)
+            for each, start in zip(grids, first, strict=True)
+            for field in each.fields
+        ),
+        format=form,
+        path=grid.path,
+        overset=any(each.overset for each in grids),
+        notes=tuple(notes),
+    )
+
+
+def _shifted_patches(grids: Sequence[Grid], first: Sequence[int]) -> Iterable[Patch]:
+    for grid, start in zip(grids, first, strict=True):
+        for patch in grid.patches:
+            windows = tuple(dataclasses.replace(window, block=window.block + start) for window in patch.windows)
+            yield dataclasses.replace(patch, windows=windows)
+
+
+def _format(grids: Sequence[Grid]) -> FileFormat | None:
+    """The common format, if it is one whose files can be written anew."""
+    form = grids[0].format
+    alike = form is not None and form.name in _WITHOUT_TREE and all(each.format == form for each in grids)
+    return form if alike else None
