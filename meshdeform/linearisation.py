@@ -15,11 +15,16 @@ from meshdeform_core.errors import GridError
 from meshdeform_core.grid import FloatArray, IntArray
 from meshdeform_core.methods import PreparedMethod
 from meshdeform_core.methods.derivative import derivative_of
+from meshdeform_core.repair.derivative import RepairDerivative, derivative_of_repair
 
 from .step import Step
 
 if TYPE_CHECKING:
     from scipy.sparse.linalg import LinearOperator
+
+
+_CLOSE = 1e-4
+"""Of shortest edges: a repaired grid farther from the minimum was found otherwise."""
 
 
 @dataclass(frozen=True)
@@ -34,15 +39,16 @@ class Moving:
 class Linearisation:
     """The derivative of the grid at one displacement; made by :meth:`Mesh.linearise`.
 
-    It is that of the method in one step, for a fixed undeformed grid: rotations, their smoothing and mean motions are
-    differentiated as they depend on the displacement.
+    It is that of the method in one step and of its repair, for a fixed undeformed grid: rotations, their smoothing and
+    mean motions are differentiated as they depend on the displacement, the repair as the minimum that it is.
     """
 
     def __init__(self, moving: Moving, method: PreparedMethod, step: Step, displacement: FloatArray) -> None:
         setup = step._result.setup
         self._moving, self._setup, self._step = moving, setup, step
         self._derivative = derivative_of(method, displacement)
-        self._reason = _difference(setup.grid.points, method.apply(displacement), step)
+        plain = setup.grid.points + method.apply(displacement)
+        self._repair, self._reason = _difference(plain, step)
         if not self._reason and setup.boundary.slip.curved:
             self._reason = "nodes slide on a curved surface of flat faces, at whose edges there is no derivative"
 
@@ -117,10 +123,13 @@ class Linearisation:
     def _pushed(self, change: FloatArray) -> FloatArray:
         setup = self._setup
         total = given_displacement(setup.grid, setup.topology, setup.boundary, self._moving.numbers, change)
-        return self._derivative.push(total[setup.problem.source_numbers])
+        moved = self._derivative.push(total[setup.problem.source_numbers])
+        return self._repair.push(moved) if self._repair else moved
 
     def _pulled(self, gradient: FloatArray) -> FloatArray:
         setup = self._setup
+        if self._repair:
+            gradient = self._repair.pull(gradient)
         total = np.zeros((setup.topology.n_unique, 3))
         total[setup.problem.source_numbers] = self._derivative.pull(gradient)
         return given_gradient(setup.grid, setup.boundary, self._moving.numbers, total)
@@ -148,18 +157,27 @@ class Linearisation:
         return flat
 
 
-def _difference(start: FloatArray, moved: FloatArray, step: Step) -> str:
-    """Why a step is not what the method gives in one application; empty if it is."""
+def _difference(plain: FloatArray, step: Step) -> tuple[RepairDerivative | None, str]:
+    """The derivative of the repair that a step has made of the method's grid ``plain``, and why the step is neither
+    that grid nor its repair; empty if it is."""
     result = step._result
-    scale = np.finfo(result.setup.grid.precision).eps * np.abs(start).max()
-    if np.abs(start + moved - result.grid.points).max() <= 4.0 * scale:
-        return ""
+    scale = np.finfo(result.setup.grid.precision).eps * np.abs(result.setup.grid.points).max()
+    if np.abs(plain - result.grid.points).max() <= 4.0 * scale:
+        return None, ""
     if result.reached < 1.0:
-        return (
-            f"only {result.reached:.1%} of the motion was imposed; the derivative is that of the method for all of it"
-        )
+        part = f"only {result.reached:.1%} of the motion was imposed"
+        return None, f"{part}; the derivative is that of the method for all of it"
     if result.steps > 1:
-        return f"the motion was imposed in {result.steps} steps; the derivative is that of the method in one step"
-    if result.repair is not None:
-        return "the grid was repaired; the derivative is that of the method before the repair"
-    return "another method replaced the chosen one; the derivative is that of the chosen one"
+        return None, f"the motion was imposed in {result.steps} steps; the derivative is that of the method in one step"
+    if result.repair is None:
+        return None, "another method replaced the chosen one; the derivative is that of the chosen one"
+    if result.setup.boundary.slip.curved:
+        return None, "nodes slide on a curved surface; the derivative is that of the method before the repair"
+    basis, polish = result.setup.undeformed.repairs, result.setup.case.repair.mode == "polish"
+    found = derivative_of_repair(basis, plain, result.grid.points, polish) if result.repair.converged else None
+    if found and found.distance() <= _CLOSE:
+        return found, ""
+    return None, (
+        "the grid was repaired, but is not the minimum of the repair's energy; "
+        "the derivative is that of the method before the repair"
+    )

@@ -161,8 +161,8 @@ class Mesh:
         Parameters
         ----------
         displacement : at which it is taken, as for :meth:`deform`; ``None``: the undeformed grid
-        steps, repair : as for :meth:`deform`. A grid made in several steps or repaired is not what the method gives in
-            one step: ``.exact`` is then false
+        steps, repair : as for :meth:`deform`. ``.exact`` is false for a grid made in several steps, or repaired without
+            reaching the minimum of the repair's energy
 
         Raises
         ------

@@ -40,6 +40,21 @@ class Extrusion:
     def _count(self) -> IntArray:
         return np.bincount(self.line, minlength=self.plane.n_nodes)
 
+    def mean(self, change: FloatArray) -> FloatArray:
+        """The mean along lines (n_plane, 3) of a displacement (n_nodes, 3), in the plane."""
+        return self._in_plane(self.summed(change) / self._count[:, None])
+
+    def of_mean(self, gradient: FloatArray) -> FloatArray:
+        """The transpose of :meth:`mean`."""
+        return np.asarray((self._in_plane(gradient) / self._count[:, None])[self.line])
+
+    def summed(self, gradient: FloatArray) -> FloatArray:
+        """Sums along lines (n_plane, 3) of values (n_nodes, 3): the transpose of a copy to all nodes of a line."""
+        return np.stack([np.bincount(self.line, c, self.plane.n_nodes) for c in gradient.T], axis=1)
+
+    def _in_plane(self, vectors: FloatArray) -> FloatArray:
+        return np.asarray(vectors - (vectors @ self.direction)[:, None] * self.direction)
+
     def flattened(self, change: FloatArray) -> FloatArray | None:
         """The displacement (n_plane, 3) of the plane grid for one of the grid (n_nodes, 3), a mean along lines.
 
@@ -48,8 +63,7 @@ class Extrusion:
         normal = change @ self.direction
         if np.abs(normal).max() > _STRAIGHT * self.scale:
             return None
-        mean = np.stack([np.bincount(self.line, c, self.plane.n_nodes) / self._count for c in change.T], axis=1)
-        mean -= (mean @ self.direction)[:, None] * self.direction
+        mean = self.mean(change)
         topology = self.constraints.topology
         held = np.zeros(self.plane.n_nodes, dtype=bool)
         held[topology.face_nodes] = self.constraints.held[topology.number]

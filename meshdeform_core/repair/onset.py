@@ -32,5 +32,18 @@ def share_of(energy: Energy, x: FloatArray) -> tuple[float, Energy]:
     return float(_share(whole)), energy
 
 
+def share_slopes(energy: Energy, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """How the share, and that of the samples between corners of each cell, follow the excess of the cells (m,)."""
+    excess = energy.excess(x)
+    largest = float(excess.max(initial=0.0))
+    if largest == 0.0:
+        return np.zeros_like(excess), np.zeros_like(excess)
+    whole = largest * float(((excess / largest) ** NORM).sum()) ** (1.0 / NORM)
+    alone = _share(excess)
+    inside = (excess > 0.0) & (alone < 1.0)
+    between = np.divide(_POWER * alone, excess, out=np.zeros_like(excess), where=inside)
+    return _POWER * _share(whole) / whole * (excess / whole) ** (NORM - 1.0), between
+
+
 def _share(excess: float | FloatArray) -> float | FloatArray:
     return (excess / np.log(_FULL / HEALTHY)) ** _POWER

@@ -75,16 +75,6 @@ def test_a_grid_of_several_steps_says_so(mesh):
     assert "3 steps" in found.reason
 
 
-def test_a_repaired_grid_says_so(mesh):
-    large = 1.5 * bend(mesh, 1.0)
-    assert not mesh.deform(large, repair="off").valid
-    found = mesh.linearise(large)
-    assert found.step.repair is not None or found.step.steps > 1
-    assert not found.exact
-    assert "repaired" in found.reason or "steps" in found.reason or "method" in found.reason
-    assert mesh.linearise(large, repair="off").exact
-
-
 def test_bad_arrays(mesh):
     found = mesh.linearise()
     with pytest.raises(md.MotionError, match="displacement"):

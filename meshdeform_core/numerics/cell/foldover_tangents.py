@@ -1,0 +1,118 @@
+"""Products with the second derivatives of the foldover-free energy of hexahedra, and those of its onset.
+
+For derivatives of its minimum, see :mod:`meshdeform_core.repair.derivative`; arguments as in :mod:`.foldover`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..jit import inlined, kernel
+from .foldover import _coefficients, _cofactors, _differ, _map, _regular, _square
+
+
+@inlined
+def _inner(a, b):
+    total = 0.0
+    for d in range(3):
+        for k in range(3):
+            total += a[d, k] * b[d, k]
+    return total
+
+
+@kernel
+def products_of_cells(
+    x, start, cells, mask, samples, weight, penalty, change, zero, d_share, d_between, out, g_between
+):
+    """Change of the gradient of the energy for a ``change`` (n, 3) of ``x``, added to ``out`` (n, 3).
+
+    It includes those for a change of the share of all samples, and of that of the samples between corners of each cell
+    (m,). ``zero`` (n, 3) is zero. Returns the transpose with respect to the former: the change of the derivative of the
+    energy with respect to the share; ``g_between`` (m,) gets the latter.
+    """
+    count, node, slope = samples
+    eps, share, cubic, elastic, _ = penalty
+    inverse, b, a, k = np.empty((3, 3)), np.empty((8, 3)), np.empty((3, 3)), np.empty((3, 3))
+    t, turned, force = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    g_share = 0.0
+    for c in range(len(cells)):
+        g_between[c] = 0.0
+        for s in range(count.size):
+            if not mask[c] >> s & 1:
+                continue
+            m = count[s]
+            det = _map(x, start, cells[c], m, node[s], slope[s], inverse, b, a)
+            _cofactors(a, k)
+            u, v, w, p, q, r = _coefficients(_square(a), det, eps, weight[c, 0], cubic, True)
+            _differ(change, zero, cells[c], m, node[s], b, t)
+            between = 1.0 if s < 8 else weight[c, 1]
+            part = d_share * between + (0.0 if s < 8 else share * d_between[c])
+            ta, tk = _inner(t, a), _inner(t, k)
+            _turned_cofactors(a, t, turned)
+            stiff = elastic if s < 8 else 0.0
+            for d in range(3):
+                for e in range(3):
+                    force[d, e] = (
+                        share
+                        * between
+                        * (w * t[d, e] + v * turned[d, e] + (p * ta + q * tk) * a[d, e] + (q * ta + r * tk) * k[d, e])
+                        + part * (u * a[d, e] + v * k[d, e])
+                        + stiff * t[d, e]
+                    )
+            for n in range(m):
+                here = cells[c, node[s, n]]
+                for d in range(3):
+                    out[here, d] += force[d, 0] * b[n, 0] + force[d, 1] * b[n, 1] + force[d, 2] * b[n, 2]
+            along = u * ta + v * tk
+            g_share += between * along
+            if s >= 8:
+                g_between[c] += share * along
+    return g_share
+
+
+@inlined
+def _turned_cofactors(a, t, result):
+    """The change of the cofactors of ``a`` for a change ``t``."""
+    for i in range(3):
+        m, n = (i + 1) % 3, (i + 2) % 3
+        for j in range(3):
+            p, q = (j + 1) % 3, (j + 2) % 3
+            result[i, j] = t[m, p] * a[n, q] + a[m, p] * t[n, q] - t[m, q] * a[n, p] - a[m, q] * t[n, p]
+
+
+@kernel
+def slopes_of_cells(x, start, cells, mask, samples, healthy, norm, eps, change, zero, gradient, d_excess, out):
+    """Change ``d_excess`` (m,) of :func:`.foldover.excess_of_cells` for a ``change`` (n, 3) of ``x``; and the
+    transpose: the ``gradient`` (m,) of cells gives that of nodes, added to ``out`` (n, 3)."""
+    count, node, slope = samples
+    inverse, b, a, k = np.empty((3, 3)), np.empty((8, 3)), np.empty((3, 3)), np.empty((3, 3))
+    t, f = np.empty((3, 3)), np.empty(count.size)
+    for c in range(len(cells)):
+        d_excess[c] = 0.0
+        largest = total = 0.0
+        for s in range(count.size):
+            f[s] = 0.0
+            if mask[c] >> s & 1:
+                det = _map(x, start, cells[c], count[s], node[s], slope[s], inverse, b, a)
+                chi, _ = _regular(det, eps)
+                f[s] = _square(a) / 3.0 * chi ** (-2.0 / 3.0) + 0.5 * (det * det + 1.0) / chi
+                largest = max(largest, np.log(f[s] / healthy))
+        if largest == 0.0:
+            continue
+        for s in range(count.size):
+            if f[s] > healthy:
+                total += (np.log(f[s] / healthy) / largest) ** norm
+        for s in range(count.size):
+            if f[s] <= healthy:
+                continue
+            det = _map(x, start, cells[c], count[s], node[s], slope[s], inverse, b, a)
+            _cofactors(a, k)
+            u, v, _, _, _, _ = _coefficients(_square(a), det, eps, 1.0, 0.0, True)
+            part = (np.log(f[s] / healthy) / largest) ** (norm - 1.0) * total ** (1.0 / norm - 1.0) / f[s]
+            _differ(change, zero, cells[c], count[s], node[s], b, t)
+            d_excess[c] += part * (u * _inner(t, a) + v * _inner(t, k))
+            for n in range(count[s]):
+                here = cells[c, node[s, n]]
+                for d in range(3):
+                    for e in range(3):
+                        out[here, d] += gradient[c] * part * (u * a[d, e] + v * k[d, e]) * b[n, e]

@@ -1,0 +1,210 @@
+"""The derivative of a repaired grid with respect to the grid of the method.
+
+At the minimum the gradient of the energy vanishes, whatever the grid of the method: a change of that grid moves the
+nodes by the solution of one linear system with the Hessian of the energy. What the energy takes from that grid changes,
+too: the elastic reference, and the shares with which cells count.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Protocol
+
+import numpy as np
+
+from ..grid import BoolArray, FloatArray
+from ..numerics.cell.foldover_plane_tangents import products_of_triangles, slopes_of_triangles
+from ..numerics.cell.foldover_tangents import products_of_cells, slopes_of_cells
+from ..parallel import alone, current_ranks
+from .basis import Basis, Whole
+from .extrusion import Extrusion
+from .onset import share_of, share_slopes
+from .region import HEALTHY, NORM, SOFT, Hexahedra, Penalty, Triangles
+from .untangle import CUBIC
+
+_LOOSE, _ITERATIONS, _REFINEMENTS = 1e-3, 5000, 40
+"""The system is kept in single precision, so that its solution is refined."""
+_ENOUGH = 1e-15
+
+
+class RepairDerivative(Protocol):
+    """Changes and gradients (n_nodes, 3) of block nodes."""
+
+    def push(self, change: FloatArray) -> FloatArray:
+        """Change of the repaired grid for one of the method's."""
+        ...
+
+    def pull(self, gradient: FloatArray) -> FloatArray:
+        """Gradient with respect to the method's grid from that with respect to the repaired one."""
+        ...
+
+    def distance(self) -> float:
+        """How far from the minimum the repaired grid is, in shortest edges, at most."""
+        ...
+
+
+def derivative_of_repair(basis: Basis, start: FloatArray, end: FloatArray, polish: bool) -> RepairDerivative | None:
+    """The derivative at a grid of the method ``start`` (n_nodes, 3) whose repair is ``end``, if that is the minimum of
+    the energy; ``None`` where no cell is weak, or nodes slide on curved surfaces."""
+    undeformed = basis.original.grid.points
+    if basis.extrusion is not None:
+        extrusion, plane = basis.extrusion
+        flat = [extrusion.flattened(points - undeformed) for points in (start, end)]
+        if flat[0] is not None and flat[1] is not None:
+            first, last = (extrusion.plane.points + each for each in flat)
+            inside = derivative_of_repair(plane, first, last, polish)
+            return None if inside is None else _Extruded(extrusion, inside)
+    whole = basis.whole
+    if whole is None or whole.plot.region.slides:
+        return None
+    found = _AtMinimum(whole, start, end, polish)
+    return found if found.share > 0.0 else None
+
+
+class _AtMinimum:
+    """With x = y + F u, the coordinates of the repaired grid, those of the method's, and the unknowns."""
+
+    def __init__(self, whole: Whole, start: FloatArray, end: FloatArray, polish: bool) -> None:
+        self._whole, self._plot = whole, whole.plot
+        self._start, self._x = self._plot.inside(start), self._plot.inside(end)
+        self.share, energy = share_of(self._plot.region.energy, self._start)
+        of_share, of_between = share_slopes(energy, self._start)
+        if polish and self.share <= 1.0:
+            self.share, of_share = 1.0, np.zeros_like(of_share)
+        self._slopes = of_share, of_between
+        self._region = replace(self._plot.region, energy=energy)
+
+    def push(self, change: FloatArray) -> FloatArray:
+        plot, moved = self._plot, np.array(change)
+        given = plot.inside(change)
+
+        def make() -> FloatArray:
+            with alone():
+                excess, _ = self._of_excess(given, np.zeros(self._cells))
+                shares = float(self._slopes[0] @ excess), self._slopes[1] * excess
+                force, _, _ = self._products(given, 0.0, *shares)
+                return plot.shift(self._spread(self._solved(-self._gathered(force))))
+
+        moved[plot.moved] += current_ranks().once(make)
+        return moved
+
+    def pull(self, gradient: FloatArray) -> FloatArray:
+        plot, pulled = self._plot, np.array(gradient)
+
+        def make() -> FloatArray:
+            with alone():
+                own = np.zeros_like(self._x)
+                np.add.at(own, plot.at, gradient[plot.moved] @ plot.axes.T)
+                step = self._spread(self._solved(-self._gathered(own)))
+                found, share, between = self._products(step, 0.0, 0.0, np.zeros(self._cells))
+                _, rest = self._of_excess(step, share * self._slopes[0] + between * self._slopes[1])
+                return np.asarray((found + rest) @ plot.axes)
+
+        pulled[plot.nodes] += current_ranks().once(make)
+        return pulled
+
+    def distance(self) -> float:
+        system = self._whole.system
+        with alone():
+            self._fill()
+            step = self._spread(self._solved(-system.gradient.copy()))
+        return float((np.abs(step).max(axis=1) / self._whole.edges).max())
+
+    @property
+    def _cells(self) -> int:
+        return len(self._region.energy.nodes)
+
+    def _penalty(self, elastic: float) -> Penalty:
+        return Penalty(0.0, self.share, CUBIC, elastic, True)
+
+    def _fill(self) -> None:
+        self._whole.system.fill(self._region, self._x, self._start, self._penalty(1.0))
+
+    def _solved(self, right: FloatArray) -> FloatArray:
+        """The unknowns (n_unknowns, d) that the Hessian takes to a right-hand side."""
+        self._fill()
+        system, found, rest = self._whole.system, np.zeros_like(right), right
+        size = before = np.linalg.norm(right)
+        for _ in range(_REFINEMENTS):
+            if before <= _ENOUGH * size:
+                break
+            system.gradient[...] = -rest
+            step, _ = system.direction(_LOOSE, _ITERATIONS)
+            image, _, _ = self._products(self._spread(found + step), 1.0, 0.0, np.zeros(self._cells))
+            rest = right - self._gathered(image)
+            after = np.linalg.norm(rest)
+            if after >= before:
+                break
+            found, before = found + step, after
+        return found
+
+    def _spread(self, unknowns: FloatArray) -> FloatArray:
+        """The change F u (n, d) of the nodes."""
+        number, frame, _ = self._region.unknowns
+        free, result = number >= 0, np.zeros_like(self._x)
+        result[free] = np.einsum("nij,nj->ni", frame[free], unknowns[number[free]])
+        return result
+
+    def _gathered(self, force: FloatArray) -> FloatArray:
+        """The transpose of :meth:`_spread`."""
+        number, frame, _ = self._region.unknowns
+        free = number >= 0
+        turned = np.einsum("nji,nj->ni", frame[free], force[free])
+        n = self._region.n_unknowns
+        return np.stack([np.bincount(number[free], column, n) for column in turned.T], axis=1)
+
+    def _products(
+        self, change: FloatArray, elastic: float, share: float, between: FloatArray
+    ) -> tuple[FloatArray, float, FloatArray]:
+        """See :func:`..numerics.cell.foldover_tangents.products_of_cells`."""
+        energy, found, gradient = self._region.energy, np.zeros_like(change), np.zeros(self._cells)
+        penalty = tuple(self._penalty(elastic))
+        if isinstance(energy, Hexahedra):
+            given = change, np.zeros_like(change), share, between
+            total = products_of_cells(self._x, *energy._loops, penalty, *given, found, gradient)
+        else:
+            assert isinstance(energy, Triangles)
+            where = energy.nodes, energy.slope, energy.weight
+            total = products_of_triangles(self._x, *where, penalty, change, share, found)
+        return found, total, gradient
+
+    def _of_excess(self, change: FloatArray, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Change (m,) of the excess of cells at the method's grid, and the transpose for a ``gradient`` (m,) of it."""
+        energy, excess, found = self._region.energy, np.zeros(self._cells), np.zeros_like(change)
+        if isinstance(energy, Hexahedra):
+            start, nodes, mask, samples, _ = energy._loops
+            given = change, np.zeros_like(change), gradient
+            corners = mask & ((1 << 8) - 1)
+            slopes_of_cells(self._start, start, nodes, corners, samples, HEALTHY, NORM, SOFT, *given, excess, found)
+        else:
+            assert isinstance(energy, Triangles)
+            rest = energy.nodes, energy.slope, HEALTHY, SOFT, change, gradient
+            slopes_of_triangles(self._start, *rest, excess, found)
+        return excess, found
+
+
+class _Extruded:
+    """The same on the plane grid that a grid is extruded from; held nodes follow the method."""
+
+    def __init__(self, extrusion: Extrusion, inside: RepairDerivative) -> None:
+        self._extrusion, self._inside = extrusion, inside
+
+    @property
+    def _held(self) -> BoolArray:
+        """(n_nodes, 1) nodes on lines that are held."""
+        extrusion, held = self._extrusion, np.zeros(self._extrusion.plane.n_nodes, dtype=bool)
+        topology = extrusion.constraints.topology
+        held[topology.face_nodes] = extrusion.constraints.held[topology.number]
+        return np.asarray(held[extrusion.line, None])
+
+    def push(self, change: FloatArray) -> FloatArray:
+        moved = self._inside.push(self._extrusion.mean(change))
+        return np.where(self._held, change, moved[self._extrusion.line])
+
+    def pull(self, gradient: FloatArray) -> FloatArray:
+        held, extrusion = self._held, self._extrusion
+        found = self._inside.pull(extrusion.summed(np.where(held, 0.0, gradient)))
+        return np.where(held, gradient, 0.0) + extrusion.of_mean(found)
+
+    def distance(self) -> float:
+        return self._inside.distance()

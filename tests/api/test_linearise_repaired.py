@@ -1,0 +1,98 @@
+"""``mesh.linearise`` at repaired grids: the minimum of the repair's energy is differentiated."""
+
+import numpy as np
+import pytest
+from grids import frame, frame_2d
+
+import meshdeform as md
+from meshdeform_core.repair.derivative import derivative_of_repair
+
+BODY = {"where": "abs(x) < 0.51 and abs(y) < 0.51", "select": ["*.i*", "*.j*"], "kind": "moving", "name": "body"}
+STILL = [{"displace": ["0", "0", "0"]}]
+
+
+def prepared(grid, plane=False, ends="slip", **options):
+    own = md.Grid([block.copy() for block in md.Grid._of(grid, plane).blocks])
+    span = [] if plane else [{"name": "span", "select": ["*.kmin", "*.kmax"], "kind": ends}]
+    return md.prepare(own, {"boundary": [{**BODY, "motion": STILL}, *span], "method": {"name": "idw-tfi"}, **options})
+
+
+def bend(mesh, size, twist=0.0):
+    x = mesh.points
+    wave = twist * np.cos(2.0 * x[:, 2] + x[:, 0])
+    return size * np.stack([np.sin(x[:, 1] + 1.0), 0.3 * x[:, 0], wave], axis=1)
+
+
+CASES = {
+    "plane": (lambda: prepared(frame_2d(9), plane=True), 0.8, 0.0),
+    "extruded": (lambda: prepared(frame(7, 5)), 0.9, 0.0),
+    "space": (lambda: prepared(frame(5, 4)), 0.6, 0.3),
+    "symmetry": (lambda: prepared(frame(5, 4), ends="symmetry"), 0.7, 0.3),
+    "periodic": (lambda: prepared(frame(5, 4), ends="periodic"), 0.7, 0.0),
+    "polished": (lambda: prepared(frame(5, 4), repair={"mode": "polish"}), 0.3, 0.3),
+}
+
+
+def flat(blocks):
+    return np.concatenate([np.ravel(block) for block in blocks])
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_central_differences_through_a_repair(name):
+    make, size, twist = CASES[name]
+    mesh = make()
+    at = bend(mesh, size, twist)
+    found = mesh.linearise(at, steps=1)
+    assert found.step.repair.converged
+    assert found.exact, found.reason
+    x = mesh.points
+    change = np.stack([np.cos(3.0 * x[:, 1]), np.sin(4.0 * x[:, 0]), twist * np.cos(x[:, 0])], axis=1)
+    moved = flat(found.jvp(change))
+    # The method alone would be wrong by far.
+    method = flat(found._blocks(found._derivative.push(given(found, change))))
+    assert np.abs(moved - method).max() > 0.05 * np.abs(moved).max()
+    errors = []
+    for h in (2e-4, 5e-5):
+        one, two = (flat(mesh.deform(at + s * h * change, steps=1).grid.blocks) for s in (1, -1))
+        errors.append(np.abs((one - two) / (2.0 * h) - moved).max() / np.abs(moved).max())
+    assert errors[1] < 1e-6
+    assert errors[1] < errors[0] / 8 or errors[1] < 1e-7
+    weights = [np.random.default_rng(1).standard_normal(block.shape) for block in found.jvp(change)]
+    product = (found.vjp(weights) * change).sum()
+    size = np.linalg.norm(flat(weights)) * np.linalg.norm(moved)
+    assert abs((flat(weights) * moved).sum() - product) < 1e-12 * size
+
+
+def given(found, change):
+    from meshdeform_core.boundary.prescribed import given_displacement
+
+    setup = found._setup
+    total = given_displacement(setup.grid, setup.topology, setup.boundary, found._moving.numbers, change)
+    return total[setup.problem.source_numbers]
+
+
+def test_a_repair_that_ends_elsewhere_says_so():
+    mesh = prepared(frame_2d(9), plane=True)
+    found = mesh.linearise(bend(mesh, 1.5), steps=1)
+    assert found.step.repair is not None
+    assert not found.step.repair.converged
+    assert not found.exact
+    assert "not the minimum" in found.reason
+    assert mesh.linearise(bend(mesh, 1.5), steps=1, repair="off").exact
+
+
+def test_a_grid_that_is_not_the_minimum_is_told():
+    mesh = prepared(frame(5, 4))
+    at = bend(mesh, 0.6, 0.3)
+    step, setup = mesh.deform(at, steps=1), mesh._setup
+    plain = mesh.deform(at, steps=1, repair="off")
+    start, end = plain._result.grid.points, step._result.grid.points
+    there = derivative_of_repair(setup.undeformed.repairs, start, end, polish=False)
+    beside = derivative_of_repair(setup.undeformed.repairs, start, 0.99 * end + 0.01 * start, polish=False)
+    assert there.distance() < 1e-9 < 1e-4 < beside.distance()
+
+
+def test_healthy_grids_have_no_repair_to_differentiate():
+    mesh = prepared(frame(5, 4))
+    points = mesh._setup.grid.points
+    assert derivative_of_repair(mesh._setup.undeformed.repairs, points, points, polish=False) is None
