@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
 
 from .boundary.pinned import find_pinned
 from .course import Course
@@ -13,7 +12,21 @@ from .methods import Options
 from .notices import Notice
 from .repair.regions import HASTILY, QUICKLY
 from .repair.repair import COLLAPSING
-from .steps import State, Trial, accept, beginning, insist, patient_step, plain_step, repaired, step, warnings_ahead
+from .steps import (
+    Reached,
+    State,
+    Trial,
+    accept,
+    beginning,
+    insist,
+    patient_step,
+    plain_step,
+    repaired,
+    settled,
+    step,
+    warnings_ahead,
+)
+from .uniqueness import compared
 
 MAX_HALVINGS = 8
 # The same for steps with a repair each, which are far more expensive.
@@ -28,13 +41,6 @@ SQUEEZED = ("tfi", RESCUE)
 """Methods tried when the best valid grid is nearly collapsed; in narrow gaps TFI often preserves grid lines better."""
 
 
-class Reached(NamedTuple):
-    """The state kept in the end, and the step that failed if it was not the whole motion."""
-
-    state: State
-    failed: Trial | None = None
-
-
 def in_equal_steps(course: Course, count: int) -> Reached:
     """Impose the motion in as many steps as the user asked for, valid or not."""
     state = beginning(course, course.setup.case.method)
@@ -47,7 +53,8 @@ def in_equal_steps(course: Course, count: int) -> Reached:
 def adaptively(course: Course) -> Reached:
     """Impose the motion in one step if that keeps the grid valid; else halve this step and all that follow.
 
-    Stops at the last valid grid when no step succeeds any more.
+    Stops at the last valid grid when no step succeeds any more. Where the number of steps changes, a moving grid jumps:
+    a series says so.
     """
     state = beginning(course, course.setup.case.method)
     # Steps that are halved until they succeed are never too large.
@@ -74,7 +81,9 @@ def until_valid(course: Course) -> Reached:
     another method. Where the boundary alone shows that no valid grid exists, one step and a part of the motion, each
     with a short repair, are all that is tried.
 
-    If the grid of one step is valid but nearly collapsed, the best one of several methods is taken.
+    Smaller steps and other methods are ways to a valid grid; from there the minimum is searched that the repair of one
+    step with the chosen method defines, so that the result does not depend on which way succeeds. Where that minimum
+    is not found, the grid found is kept; if it is nearly collapsed, the best one of several methods.
     If nothing helps, the grid with the fewest invalid cells is kept, with its boundary where it was prescribed; the
     warnings say why, and for what part of the motion a valid grid was found.
     """
@@ -82,7 +91,7 @@ def until_valid(course: Course) -> Reached:
     course.log.warn(*warnings_ahead(state, 0.0))
     plain = plain_step(state, 1.0)
     impossible = None if plain.valid else _find_impossible(course)
-    best = repaired(plain, HASTILY if impossible else QUICKLY)
+    best = compared(repaired(plain, HASTILY if impossible else QUICKLY))
     if impossible and not best.valid:
         course.log.warn(*impossible.reasons)
         step(state, _BEFORE * impossible.fraction, HASTILY)
@@ -91,7 +100,7 @@ def until_valid(course: Course) -> Reached:
         if isinstance(found, State):
             return Reached(found)
         best = found
-    if best.valid and best.smallest_ratio < COLLAPSING:
+    if best.valid and best.smallest_ratio < COLLAPSING and not (best.repair and best.repair.converged):
         for trial in _with_other_methods(course, SQUEEZED, best.state.options):
             if trial.valid and trial.smallest_ratio > best.smallest_ratio:
                 best = trial
@@ -100,22 +109,24 @@ def until_valid(course: Course) -> Reached:
     return Reached(accept(best))
 
 
-def _persistently(best: Trial) -> Trial | State:
+def _persistently(first: Trial) -> Trial | State:
     """After a quick repair has failed: the best grid of one step, or what smaller steps have reached if that is the
     whole motion."""
-    course, options = best.state.course, best.state.options
-    best = insist(best)
+    course, options = first.state.course, first.state.options
+    best = insist(first)
     if best.valid:
         return best
     reached = _in_smaller_steps(course, options)
     if reached:
-        return reached
+        return settled(first, reached.points) or reached
     for trial in _with_other_methods(course, (RESCUE,), options):
         other = trial if trial.valid else insist(trial)
         if other.invalid_cells < best.invalid_cells:
             best = other
-        if not best.valid and (reached := _in_smaller_steps(course, trial.state.options)):
-            return reached
+        if best.valid:
+            return settled(first, best.found.points) or best
+        if reached := _in_smaller_steps(course, trial.state.options):
+            return settled(first, reached.points) or reached
     return best
 
 

@@ -136,7 +136,7 @@ class Course:
         found = []
         for (component, own), method in zip(parts, methods, strict=True):
             points = own.grid.points if start.points is whole.grid.points else component.rows(whole.grid, start.points)
-            correction = partial(_part_of, component, whole.grid, start.correction) if start.correction else None
+            correction = partial(_part_of, component, whole.grid, start.correction)
             begin = dataclasses.replace(start, points=points, prepared=method, correction=correction)
             setup, limit = Setup(own, whole.case, ()), TimeLimit(whole.case.repair.time_limit)
             path = partial(_motion_of, component, self)

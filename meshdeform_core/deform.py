@@ -7,7 +7,7 @@ import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from .attempts import Reached, adaptively, in_equal_steps, until_valid
+from .attempts import adaptively, in_equal_steps, until_valid
 from .boundary import Kind
 from .boundary.prescribed import largest_displacement
 from .course import Attempt, Course, doubts
@@ -26,7 +26,7 @@ from .repair.outcome import Repair
 from .repair.repair import COLLAPSING
 from .repair.time_limit import TimeLimit
 from .setup import BoundaryMotion, Case, Setup, Start, Timing, set_up
-from .steps import State, beginning
+from .steps import Reached, State, beginning
 
 __all__ = [
     "Attempt",
@@ -51,7 +51,9 @@ class Result:
     would have made cells invalid; the invalid cells of the assessment are then those of that step. ``displacement``
     (n_unique, 3) is that of the boundary at the end of the motion. ``attempts`` lists the steps that were tried, in
     order; ``repair`` summarises the repairs of the steps that led to the grid, or is ``None``. Each of the named
-    ``components`` of an overset grid has a result of its own.
+    ``components`` of an overset grid has a result of its own. ``way`` tells how the grid was made: among grids made in
+    the same way it is a continuous function of the displacement. ``plain`` (n_nodes, 3) is the grid before the repair,
+    if there was one step with a repair.
     """
 
     setup: Setup
@@ -67,6 +69,8 @@ class Result:
     attempts: tuple[Attempt, ...] = ()
     repair: Repair | None = None
     components: tuple[tuple[str, Result], ...] = ()
+    way: str = ""
+    plain: FloatArray | None = None
 
     def __repr__(self) -> str:
         return f"Result(valid={self.valid}, steps={self.steps}, reached={self.reached:g})"
@@ -174,6 +178,7 @@ def _joined(course: Course, found: list[tuple[Component, Result]]) -> Result:
         tuple(attempt for result in results for attempt in result.attempts),
         functools.reduce(Repair.beside, repairs) if repairs else None,
         tuple((component.name, result) for component, result in found),
+        "; ".join(f"{component.name}: {result.way}" for component, result in found),
     )
 
 
@@ -208,6 +213,8 @@ def _result(reached: Reached) -> Result:
         patch_motions(setup.problem, course.total),
         tuple(course.log.attempts),
         sum(state.repairs[1:], state.repairs[0]) if state.repairs else None,
+        way=state.way,
+        plain=state.plain,
     )
 
 

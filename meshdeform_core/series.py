@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property, partial
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from .parallel import empty, for_rows
 from .smoothness import Moment, Smoothness, shortest_edges, smoothness
 from .velocity import PAST, VELOCITIES, face_fields, grid_velocity
 
-REVISION = 4
+REVISION = 5
 """Number of the algorithms: a series is continued only by a program with the same one.
 
 Raise it with every change after which a level of some series gets other coordinates or another verdict.
@@ -27,6 +27,7 @@ Raise it with every change after which a level of some series gets other coordin
 
 ORIGINS = ("reference", "last")
 _WRITTEN = 1e-6
+_SAMPLED = 8
 
 
 @dataclass(frozen=True)
@@ -125,13 +126,15 @@ class _Series:
         self.problem = setup.problem
         self._reference: PreparedMethod | None = None
         self._recent: list[Moment] = []
+        self._last: Result | None = None
+        self._doubtful = True
 
     def level(self, number: int, past: list[FloatArray]) -> Level:
         setup, schedule = self.setup, self.schedule
         time, timing = schedule.times[number], Timing(progress=self.progress)
         reference = self._prepared(timing)
         marching = schedule.origin == "last" and bool(past)
-        start = Start(past[-1]) if marching else Start(setup.grid.points, reference, self._correction(number, past))
+        start = Start(past[-1]) if marching else self._start(number, past, reference)
         result = impose(setup, setup.motion(time), schedule.steps, self.precision, timing, self.progress, start)
         setup.undeformed.expect_more()
         displacement = result.displacement[self.problem.source_numbers]
@@ -149,13 +152,14 @@ class _Series:
         smooth = self._smoothness(time, result)
         if smooth.warning:
             result = dataclasses.replace(result, warnings=(*result.warnings, smooth.warning))
+        self._last, self._doubtful = result, bool(smooth.warning or (result.repair and result.repair.unique is False))
         return Level(number, time, result, self._rotation(displacement), drift, velocity, faces, timing, smooth)
 
     def _smoothness(self, time: float, result: Result) -> Smoothness:
         """Of the levels that this run has made."""
         self._recent = [
             *self._recent[-2:],
-            Moment(time, result.grid.points, result.repair is None and result.steps == 1),
+            Moment(time, result.grid.points, result.repair is None and result.steps == 1, result.way),
         ]
         return smoothness(self._recent, self._walls, self._edges)
 
@@ -173,24 +177,31 @@ class _Series:
         repairs = self.setup.case.repair.mode != "off"
         return max(self.schedule.past(number), min(number, int(repairs)))
 
-    def _correction(self, number: int, past: list[FloatArray]) -> Callable[[], FloatArray | None] | None:
-        """By how much repairs moved the nodes at the level before, computed on demand.
+    def _start(self, number: int, past: list[FloatArray], reference: PreparedMethod) -> Start:
+        """A repair starts from the level before; some are compared with one that starts anew: every eighth, the first,
+        and those after a level where the two differed or the grid jumped."""
+        points = self.setup.grid.points
+        if not past or self.setup.case.repair.mode == "off":
+            return Start(points, reference)
+        compare = self._doubtful or number % _SAMPLED == 0
+        return Start(points, reference, cache(partial(self._correction, number, past)), compare)
+
+    def _correction(self, number: int, past: list[FloatArray]) -> FloatArray | None:
+        """By how much repairs moved the nodes at the level before.
 
         That is the difference of its coordinates as written and of those without a repair.
         """
-        if not past or self.setup.case.repair.mode == "off":
+        before, last = past[-1], self._last
+        if last and last.repair is None and last.steps == 1:
             return None
-        start, before = self.setup.grid.points, past[-1]
-
-        def correction() -> FloatArray | None:
+        plain = last.plain if last else None
+        if plain is None:
             known = self.setup.displacement(self.schedule.times[number - 1])[self.problem.source_numbers]
-            moved: FloatArray = self._prepared(Timing()).apply(known, self.progress)
-            result: FloatArray = empty(start.shape)
-            for_rows(lambda rows: np.copyto(result[rows], before[rows] - start[rows] - moved[rows]), result)
-            # Rounding to the single precision of a file is not a repair.
-            return result if np.abs(result).max() > _WRITTEN * np.abs(before).max() else None
-
-        return correction
+            plain = self.setup.grid.points + self._prepared(Timing()).apply(known, self.progress)
+        result: FloatArray = empty(before.shape)
+        for_rows(lambda rows: np.subtract(before[rows], plain[rows], out=result[rows]), result)
+        # Rounding to the single precision of a file is not a repair.
+        return result if np.abs(result).max() > _WRITTEN * np.abs(before).max() else None
 
     def _prepared(self, timing: Timing) -> PreparedMethod:
         if self._reference is None:

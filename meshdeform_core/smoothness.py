@@ -19,17 +19,23 @@ class Smoothness:
     """Largest node ``velocity`` and ``acceleration``, times the interval and its square, relative to the largest step
     of the walls, and the acceleration relative to the shortest undeformed edge at the node; ``None`` where nothing
     moves or the levels before are not known. ``wall`` is the acceleration of the walls in the same measure, ``plain``
-    whether the levels are those of the method alone."""
+    whether the levels are those of the method alone, ``ways`` how the level and the one before were made, if that
+    differs."""
 
     velocity: float | None
     acceleration: float | None
     acceleration_in_edges: float | None
     wall: float | None = None
     plain: bool = True
+    ways: tuple[str, str] | None = None
 
     @property
     def warning(self) -> str | None:
-        """A warning if the grid jumps although the walls do not."""
+        """A warning if the grid jumps although the walls do not, or was made in another way than before."""
+        if self.ways:
+            return (
+                f"the grid is made in another way from this level on: {self.ways[1]}, before {self.ways[0]}{self._jump}"
+            )
         if self.plain or self.acceleration is None or self.acceleration_in_edges is None or self.wall is None:
             return None
         if self.acceleration - self.wall < _JUMP or self.acceleration_in_edges < _JUMP_IN_EDGES:
@@ -39,14 +45,24 @@ class Smoothness:
             f"walls ({self.acceleration_in_edges:.3g} local edges) at this level, the walls by {self.wall:.3g}"
         )
 
+    @property
+    def _jump(self) -> str:
+        if self.acceleration is not None and self.wall is not None and self.acceleration_in_edges is not None:
+            return (
+                f". Its nodes are accelerated by up to {self.acceleration:.3g} steps of the walls "
+                f"({self.acceleration_in_edges:.3g} local edges), the walls by {self.wall:.3g}"
+            )
+        return "" if self.velocity is None else f". Its nodes move by up to {self.velocity:.3g} steps of the walls"
+
 
 class Moment(NamedTuple):
-    """A level: its time and coordinates (n_nodes, 3), and whether it is a method's grid in one step, without a repair;
-    those are as smooth as their walls."""
+    """A level: its time and coordinates (n_nodes, 3), whether it is a method's grid in one step, without a repair, and
+    so as smooth as its walls, and the way in which it was made."""
 
     time: float
     points: FloatArray
     plain: bool
+    way: str = ""
 
 
 def shortest_edges(grid: Grid) -> FloatArray:
@@ -69,18 +85,19 @@ def smoothness(levels: list[Moment], walls: IntArray, edges: FloatArray) -> Smoo
     """Of the last of up to three consecutive levels; ``walls`` are block nodes on moving walls."""
     if len(levels) < 2:
         return Smoothness(None, None, None)
+    ways = (levels[-2].way, levels[-1].way) if levels[-2].way != levels[-1].way else None
     last = levels[-1].points - levels[-2].points
     step = float(lengths(last[walls]).max(initial=0.0))
     if len(levels) == 2:
-        return Smoothness(float(lengths(last).max()) / step if step else None, None, None)
+        return Smoothness(float(lengths(last).max()) / step if step else None, None, None, ways=ways)
     before = levels[-2].points - levels[-3].points
     before *= (levels[-1].time - levels[-2].time) / (levels[-2].time - levels[-3].time)
     step = max(step, float(lengths(before[walls]).max(initial=0.0)))
     if step == 0.0:
-        return Smoothness(None, None, None)
+        return Smoothness(None, None, None, ways=ways)
     speed = float(lengths(last).max()) / step
     last -= before
     change = lengths(last)
     wall = float(change[walls].max(initial=0.0)) / step
     plain = all(level.plain for level in levels)
-    return Smoothness(speed, float(change.max()) / step, float((change / edges).max()), wall, plain)
+    return Smoothness(speed, float(change.max()) / step, float((change / edges).max()), wall, plain, ways)

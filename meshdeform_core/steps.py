@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -42,6 +43,7 @@ class State:
     notices : the method's warnings in all steps, the last one of each kind
     repairs : of all steps
     first_bad : cell number -> the step that made it invalid
+    plain : (n_nodes, 3) the grid before the repair, if one step with a repair of the chosen method led here
     """
 
     course: Course
@@ -55,6 +57,23 @@ class State:
     notices: Mapping[str, str] = field(default_factory=dict)
     repairs: tuple[Repair, ...] = ()
     first_bad: Mapping[int, int] = field(default_factory=dict)
+    plain: FloatArray | None = None
+
+    @property
+    def way(self) -> str:
+        """How the grid was made. Grids made in the same way are a continuous function of the displacement."""
+        untangled = not all(repair.converged for repair in self.repairs)
+        if self.fraction < 1.0:
+            return f"{self.options.name} with a part of the motion"
+        steps = "one step" if self.steps == 1 else f"{self.steps} steps"
+        return f"{self.options.name} in {steps}{', cells untangled in regions' if untangled else ''}"
+
+
+class Reached(NamedTuple):
+    """The state kept in the end, and the step that failed if it was not the whole motion."""
+
+    state: State
+    failed: Trial | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +142,15 @@ def repaired(trial: Trial, ways: tuple[Way, ...] = QUICKLY) -> Trial:
     mode = course.setup.case.repair.mode
     if mode == "off" or not (mode == "polish" or course.repairer.needed(plain.points, plain.verdict)):
         return trial
-    return _repaired(trial, ways, course.start.correction() if course.start.correction else None)
+    return _repaired(trial, ways, course.start.correction())
+
+
+def settled(trial: Trial, points: FloatArray) -> Trial | None:
+    """The minimum that a repair of a plain trial should find, searched from a valid grid (n_nodes, 3) that was made in
+    another way; ``None`` if it is not found."""
+    plain = dataclasses.replace(trial, found=trial.plain, repair=None)
+    found = _repaired(plain, (), points - trial.plain.points)
+    return found if found.repair and found.repair.converged else None
 
 
 def patient_step(state: State, fraction: float) -> Trial:
@@ -147,6 +174,7 @@ def insist(trial: Trial) -> Trial:
 def accept(trial: Trial) -> State:
     """The state after a trial."""
     before, course, steps = trial.state, trial.state.course, trial.state.steps + 1
+    chosen = before.options is course.setup.case.method
     return dataclasses.replace(
         before,
         points=trial.found.points,
@@ -158,6 +186,7 @@ def accept(trial: Trial) -> State:
         notices={**before.notices, **trial.account.notices},
         repairs=(*before.repairs, trial.repair) if trial.repair else before.repairs,
         first_bad={**dict.fromkeys(trial.found.verdict.invalid.tolist(), steps), **before.first_bad},
+        plain=trial.plain.points if steps == 1 and trial.repair and chosen else None,
     )
 
 

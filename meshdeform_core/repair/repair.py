@@ -50,6 +50,12 @@ class Repairer:
         self.basis, self.original, self.rounded = basis, basis.original, rounded
         self.memory, self.progress, self.limit = memory, progress, limit or TimeLimit()
 
+    @property
+    def size(self) -> int:
+        """Nodes of the grid that is repaired: of the plane grid, where there is one."""
+        basis = self.basis.extrusion[1] if self.basis.extrusion else self.basis
+        return basis.original.grid.n_nodes
+
     def needed(self, points: FloatArray, verdict: Verdict) -> bool:
         """Are there cells that are invalid or weak?
 
@@ -83,9 +89,9 @@ class Repairer:
         The grid is the minimum of the energy over all nodes, if that is found. Newton's method starts from ``guess``
         (n_nodes, 3), the displacement by the repair of a grid close to this one, which saves time.
 
-        If not, cells are untangled in regions, and the minimum is searched again from the grid found. The ``ways`` are
-        tried in turn until one succeeds; without any, only the minimum is searched. ``polish``: the weakest cells count
-        as weak however good they are.
+        If not, it is searched without the guess; then cells are untangled in regions, and it is searched from the grid
+        found. The ``ways`` are tried in turn until one succeeds; without any, the minimum is searched once. ``polish``:
+        the weakest cells count as weak however good they are.
 
         Raises
         ------
@@ -99,7 +105,7 @@ class Repairer:
         best, steps, converged = start, 0, False
         if not any(way.hasty for way in ways):
             best, steps, converged = self._minimum(start, polish, guess)
-        if guess is not None and not (converged and best.verdict.valid):
+        if guess is not None and ways and not (converged and best.verdict.valid):
             best, more, converged = self._minimum(start, polish, None)
             steps += more
         if not best.verdict.valid:
