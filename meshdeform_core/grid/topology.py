@@ -49,6 +49,18 @@ class FaceQuads:
         u, v = np.divmod(quads - self.start.ravel()[side], self.counts[..., 1].ravel()[side])
         return side, u, v
 
+    def numbers_at(self, side: IntArray, u: IntArray, v: IntArray) -> IntArray:
+        """Unique numbers of nodes (u, v) of sides ``6 * block + side``, arrays of any common shape.
+
+        From the corners of the quads, which is much faster than looking up every node.
+        """
+        counts = self.counts.reshape(-1, 2)[side]
+        a, b = np.minimum(u, counts[..., 0] - 1), np.minimum(v, counts[..., 1] - 1)
+        quad = self.start.ravel()[side] + a * counts[..., 1] + b
+        last = self.corners.shape[1] - 1
+        corner = np.where(u > a, 1 + (v > b), last * (v > b))
+        return np.asarray(self.corners[quad, np.where(self.in_order.ravel()[side], corner, last - corner)])
+
     def by_side(self, quads: IntArray) -> list[tuple[int, IntArray]]:
         """Some quads side by side, in their order on each: ``6 * block + side`` and those on it."""
         side = self.block_side[quads]

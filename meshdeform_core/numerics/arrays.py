@@ -103,6 +103,14 @@ def medians(values: FloatArray, run: IntArray, count: int, empty: float) -> Floa
     return np.asarray(0.5 * (lower + upper))
 
 
+def distinct_rows(keys: IntArray) -> IntArray:
+    """Places, ascending, of the first of every set of equal rows of ``keys`` (n, m)."""
+    order = np.lexsort(keys.T)
+    new = np.ones(len(order), dtype=bool)
+    new[1:] = (keys[order[1:]] != keys[order[:-1]]).any(axis=1)
+    return np.sort(order[new])
+
+
 def distinct_pairs(pairs: IntArray) -> IntArray:
     """The different rows of pairs (n, 2) of non-negative integers, in lexicographical order."""
     if not len(pairs):

@@ -134,7 +134,7 @@ def test_faces_are_blended_from_their_edges():
 
 def test_lines_are_blended_from_their_ends():
     d = np.array([[1.0, 0, 0], [9, 9, 9], [9, 9, 9], [3, 0, 4], [7, 7, 7]])
-    lines = Lines.of([np.array([3, 1, 2, 0]), np.array([0, 3])], [np.array([0, 0.25, 0.5, 1]), np.array([0.0, 1])])
+    lines = Lines(np.array([0, 4, 6]), np.array([3, 1, 2, 0, 0, 3]), np.array([0, 0.25, 0.5, 1, 0, 1]))
     lines.blend(d)
     np.testing.assert_allclose(d, [[1, 0, 0], [2.5, 0, 3], [2, 0, 2], [3, 0, 4], [7, 7, 7]], rtol=1e-15)
 

@@ -6,17 +6,16 @@ the graph of block edges with weights 1/length.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
 
-from ...grid import BoolArray, FloatArray, IntArray, Side
-from ...grid.sides import side_numbers
-from ...grid.windows import windows_of_quads
+from ...grid import BoolArray, FloatArray, Grid, IntArray
+from ...grid.topology import Topology
+from ...grid.windows import rectangles
+from ...numerics.arrays import distinct_rows, spans
 from ...numerics.rows import put_rows
 from ..base import Account, Problem, Progress
 from ..limits import TFI_ROTATION, warn_of_rotation
@@ -27,15 +26,49 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Segment:
-    """A section of a block edge whose two end nodes are moved before the nodes in between.
+class _Rows:
+    """Rows of unique node numbers of different lengths, one after another.
 
-    ``nodes`` (n,) unique node numbers, ends included; ``arc`` (n,) from 0 to 1; ``length`` in grid length units.
+    Attributes
+    ----------
+    start : (n + 1,) index at which each row begins
+    nodes : their node numbers
     """
 
+    start: IntArray
     nodes: IntArray
-    arc: FloatArray
-    length: float
+
+    @classmethod
+    def of(cls, sizes: IntArray, nodes: IntArray) -> _Rows:
+        return cls(np.append(0, np.cumsum(sizes)), nodes)
+
+    def __len__(self) -> int:
+        return len(self.start) - 1
+
+    def chosen(self, some: IntArray | BoolArray) -> _Rows:
+        """Some of the rows."""
+        sizes = np.diff(self.start)[some]
+        row, place = spans(sizes)
+        return _Rows.of(sizes, self.nodes[self.start[:-1][some][row] + place])
+
+    def ends(self) -> IntArray:
+        """First and last node (n, 2) of every row."""
+        return np.stack([self.nodes[self.start[:-1]], self.nodes[self.start[1:] - 1]], axis=1)
+
+    def any(self, marked: BoolArray) -> BoolArray:
+        """Whether some of the items of every row are ``marked``, (n,)."""
+        return np.logical_or.reduceat(marked, self.start[:-1]) if len(self) else np.zeros(0, dtype=bool)
+
+
+@dataclass(frozen=True)
+class _Segments:
+    """Sections of block edges whose two end nodes are moved before the nodes in between.
+
+    ``rows``: their nodes, ends included; ``length`` (n,) in grid length units.
+    """
+
+    rows: _Rows
+    length: FloatArray
 
 
 class PreparedEdgeGraph:
@@ -46,24 +79,27 @@ class PreparedEdgeGraph:
     def __init__(self, problem: Problem):
         self.account = Account()
         self._problem = problem
+        grid, topology = problem.grid, problem.topology
         known = problem.boundary.known
         reached = known.copy()
-        lines = list(_block_edges(problem))
-        for line in lines:
-            reached[line[[0, -1]]] = True
-        points = problem.grid.points[problem.topology.first]
+        edges = _block_edges(grid, topology)
+        reached[edges.ends()] = True
+        points = grid.points[topology.first]
         self._free = np.flatnonzero(reached & ~known)
-        segments = _segments(points, lines, reached, known)
+        segments = _segments(points, edges, np.zeros(len(edges), dtype=np.int64), reached, known)
         self._graph = _Graph.of(segments, self._free, len(known)) if self._free.size else None
-        for segment in segments:
-            reached[segment.nodes] = True
-        nodes, wanted = _face_parts(problem, reached)
-        for part in nodes:
-            # L-shaped faces are divided into rectangles, some borders of which are not block edges.
-            borders = [b for b in (part[0], part[-1], part[:, 0], part[:, -1]) if not reached[b].all()]
-            segments += _segments(points, borders, reached, reached)
-        self._lines = Lines.of([segment.nodes for segment in segments], [segment.arc for segment in segments])
-        self._faces = Faces.of(points, nodes, wanted)
+        reached[segments.rows.nodes] = True
+        parts, width, wanted = _face_parts(grid, topology, reached)
+        # L-shaped faces are divided into rectangles, some borders of which are not block edges.
+        borders, part = _borders(parts, width)
+        inside = borders.any(~reached[borders.nodes])
+        rest = _segments(points, borders.chosen(inside), part[inside], reached, reached)
+        self._lines = Lines.on(
+            points,
+            np.append(segments.rows.start, segments.rows.start[-1] + rest.rows.start[1:]),
+            np.append(segments.rows.nodes, rest.rows.nodes),
+        )
+        self._faces = Faces.on(points, parts.start, width, parts.nodes, wanted)
 
     def warnings_for(self, motion: FloatArray, step: FloatArray) -> list[str]:
         """Warnings for a displacement (n_sources, 3) before it is applied; ``step`` is the first increment."""
@@ -82,39 +118,61 @@ class PreparedEdgeGraph:
         return face
 
 
-def _block_edges(problem: Problem) -> Iterator[IntArray]:
+def _block_edges(grid: Grid, topology: Topology) -> _Rows:
     """Unique node numbers along every block edge."""
-    grid = problem.grid
-    for block, shape in enumerate(grid.shapes):
-        for side in Side:
-            if shape[side.axis] == 1:
-                continue
-            nodes = side_numbers(grid, problem.topology, block, side)
-            if grid.dimension == 2:
-                yield nodes.ravel()
-            elif side.axis < 2:
-                # The four edges of the i faces and the k edges of the j faces cover all twelve.
-                yield from (nodes[0], nodes[-1], nodes[:, 0], nodes[:, -1])
+    sides = np.flatnonzero(grid.sides.has_quads)
+    if grid.dimension == 3:
+        # The four edges of the i faces and the k edges of the j faces cover all twelve.
+        sides = sides[sides % 6 < 4]
+    high = grid.sides.nodes[sides] - 1
+    whole, width = _nodes_of(topology, sides, np.zeros_like(high), high)
+    return whole if grid.dimension == 2 else _borders(whole, width)[0]
 
 
-def _segments(points: FloatArray, lines: list[IntArray], knot: BoolArray, known: BoolArray) -> list[Segment]:
+def _nodes_of(topology: Topology, side: IntArray, low: IntArray, high: IntArray) -> tuple[_Rows, IntArray]:
+    """Node numbers of rectangles on block sides, and how many there are along the second index of each."""
+    counts = high - low + 1
+    sizes = counts.prod(axis=1)
+    rectangle, place = spans(sizes)
+    u, v = np.divmod(place, counts[rectangle, 1])
+    at = side[rectangle], low[rectangle, 0] + u, low[rectangle, 1] + v
+    return _Rows.of(sizes, topology.quads.numbers_at(*at)), counts[:, 1]
+
+
+def _borders(rectangles: _Rows, width: IntArray) -> tuple[_Rows, IntArray]:
+    """The four borders of every rectangle: the ends of its first index, then of its second; and its number (4 n,)."""
+    start, size = rectangles.start[:-1], np.diff(rectangles.start)
+    first = np.stack([start, start + size - width, start, start + width - 1], axis=1).ravel()
+    step = np.stack([np.ones_like(width), np.ones_like(width), width, width], axis=1).ravel()
+    count = np.stack([width, width, size // width, size // width], axis=1).ravel()
+    border, place = spans(count)
+    nodes = rectangles.nodes[first[border] + place * step[border]]
+    return _Rows.of(count, nodes), np.repeat(np.arange(len(rectangles)), 4)
+
+
+def _segments(points: FloatArray, lines: _Rows, group: IntArray, knot: BoolArray, known: BoolArray) -> _Segments:
     """Segments of ``lines`` between the nodes where ``knot`` holds; ``points`` (n_unique, 3).
 
-    Two ``known`` neighbours form no segment: there is nothing between them to fill.
+    Two ``known`` neighbours form no segment: there is nothing between them to fill. Each block that shares an edge
+    contributes it, in either direction: of those with equal ``group`` the first is kept.
     """
-    found: dict[tuple[int, int, int], Segment] = {}
-    for line in lines:
-        at = np.flatnonzero(knot[line])
-        ends = known[line[at]]
-        chosen = np.flatnonzero((np.diff(at) > 1) | ~(ends[:-1] & ends[1:]))
-        for first, last in zip(at[chosen].tolist(), at[chosen + 1].tolist(), strict=True):
-            nodes = line[first : last + 1]
-            arc = np.cumsum([0.0, *np.linalg.norm(np.diff(points[nodes], axis=0), axis=1)])
-            if arc[-1] > 0.0:
-                # Each block that shares an edge contributes it, in either direction.
-                key = (int(min(nodes[[0, -1]])), int(max(nodes[[0, -1]])), int(nodes[1:-1].min(initial=2**62)))
-                found.setdefault(key, Segment(nodes, arc / arc[-1], float(arc[-1])))
-    return list(found.values())
+    line = np.repeat(np.arange(len(lines)), np.diff(lines.start))
+    at = np.flatnonzero(knot[lines.nodes])
+    first, last = at[:-1], at[1:]
+    between = (last - first > 1) | ~(known[lines.nodes[first]] & known[lines.nodes[last]])
+    chosen = np.flatnonzero((line[first] == line[last]) & between)
+    first, sizes = first[chosen], last[chosen] - first[chosen] + 1
+    row, place = spans(sizes)
+    rows = _Rows.of(sizes, lines.nodes[first[row] + place])
+    steps = np.linalg.norm(points[rows.nodes[1:]] - points[rows.nodes[:-1]], axis=1)
+    inner = place[1:] > 0
+    length = np.bincount(row[1:][inner], steps[inner], len(rows))
+    ends, middle = rows.ends(), (place > 0) & (place < sizes[row] - 1)
+    lowest = np.minimum.reduceat(np.where(middle, rows.nodes, len(points)), rows.start[:-1]) if len(rows) else sizes
+    sound = np.flatnonzero(length > 0.0)
+    keys = np.stack([group[line[first]], ends.min(axis=1), ends.max(axis=1), lowest], axis=1)
+    sound = sound[distinct_rows(keys[sound])]
+    return _Segments(rows.chosen(sound), length[sound])
 
 
 @dataclass(frozen=True)
@@ -131,12 +189,12 @@ class _Graph:
     weight: FloatArray
 
     @classmethod
-    def of(cls, segments: list[Segment], free: IntArray, n_unique: int) -> _Graph:
+    def of(cls, segments: _Segments, free: IntArray, n_unique: int) -> _Graph:
         n = len(free)
         index = np.full(n_unique, -1)
         index[free] = np.arange(n)
-        ends = np.array([segment.nodes[[0, -1]] for segment in segments]).reshape(-1, 2)
-        weight = np.tile([1 / segment.length for segment in segments], 2)
+        ends = segments.rows.ends()
+        weight = np.tile(1 / segments.length, 2)
         one, two = index[np.r_[ends[:, 0], ends[:, 1]]], np.r_[ends[:, 1], ends[:, 0]]
         inner, outer = (one >= 0) & (index[two] >= 0), (one >= 0) & (index[two] < 0)
         diagonal = np.bincount(one[one >= 0], weight[one >= 0], n)
@@ -156,24 +214,17 @@ class _Graph:
         return np.asarray(self.factor.solve(np.stack(pull, axis=1)))
 
 
-def _face_parts(problem: Problem, reached: BoolArray) -> tuple[list[IntArray], list[BoolArray]]:
-    """Rectangles of each face with one neighbour: their nodes (na, nb), and which of them only this one moves."""
-    grid, topology = problem.grid, problem.topology
-    done, parts, wanted = reached.copy(), [], []
-    for block, side in product(range(grid.n_blocks), Side) if grid.dimension == 3 else ():
-        shape, quads = grid.shapes[block], topology.quads.of_side(block, side)
-        numbers = side_numbers(grid, topology, block, side)
-        if done[numbers].all():
-            continue
-        partner = topology.partner[quads]
-        neighbour = np.where(partner >= 0, topology.quads.block_side[partner], partner)
-        neighbour = neighbour.reshape(topology.quads.counts[block, side])
-        for label in np.unique(neighbour):
-            for window in windows_of_quads(shape, block, side, neighbour == label):
-                (a0, b0), (a1, b1) = window.low, window.high
-                nodes = numbers[a0 : a1 + 1, b0 : b1 + 1]
-                if not done[nodes].all():
-                    parts.append(nodes)
-                    wanted.append(~done[nodes])
-                    done[nodes] = True
-    return parts, wanted
+def _face_parts(grid: Grid, topology: Topology, reached: BoolArray) -> tuple[_Rows, IntArray, BoolArray]:
+    """Rectangles of each face with one neighbour: their nodes, their widths, and which nodes only this one moves."""
+    quads, partner = topology.quads, topology.partner
+    if grid.dimension == 2:
+        return _Rows.of(*np.zeros((2, 0), dtype=np.int64)), np.zeros(0, dtype=np.int64), np.zeros(0, dtype=bool)
+    neighbour = np.where(partner >= 0, quads.block_side[partner], partner)
+    found = rectangles(grid, quads, neighbour - neighbour.min())
+    parts, width = _nodes_of(topology, found.side, found.low, found.high)
+    number = np.repeat(np.arange(len(parts)), np.diff(parts.start))
+    owner = np.full(topology.n_unique, len(parts))
+    np.minimum.at(owner, parts.nodes, number)
+    wanted = (owner[parts.nodes] == number) & ~reached[parts.nodes]
+    some = parts.any(wanted)
+    return parts.chosen(some), width[some], wanted[some[number]]

@@ -26,9 +26,11 @@ class Lines:
     arc: FloatArray
 
     @classmethod
-    def of(cls, nodes: Sequence[IntArray], arc: Sequence[FloatArray]) -> Lines:
-        """One array per line."""
-        return cls(_starts(nodes), _joined(nodes, np.int64), _joined(arc, np.float64))
+    def on(cls, points: FloatArray, start: IntArray, nodes: IntArray) -> Lines:
+        """With the arc coordinates of lines in the form of this class, as of rectangles that are one node wide."""
+        arc, across = np.empty(len(nodes)), np.empty(len(nodes))
+        face_coordinates(points, start, np.ones(len(start) - 1, dtype=np.int64), nodes, arc, across)
+        return cls(start, nodes, arc)
 
     def blend(self, displacement: FloatArray) -> None:
         """Displacement inside the lines from that of their ends, in place, line by line."""

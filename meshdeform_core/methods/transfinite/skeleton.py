@@ -87,7 +87,8 @@ def _cuts(points: FloatArray, max_cells: int) -> Cuts:
             return np.zeros(1, dtype=np.int64)
         cells = n - 1
         most = max_cells
-        if max_cells > 1 and _turning(points, axis, max_cells) > _TURNING:
+        # Short blocks stay uncut whether their lines turn or not.
+        if max_cells > 1 and 2 * cells > max_cells and _turning(points, axis, max_cells) > _TURNING:
             most = -(-max_cells // 2)
         parts = -(-cells // most) if most else 1
         # Coarse blocks turn around a body as much as fine ones do: only short blocks stay uncut.
@@ -95,6 +96,8 @@ def _cuts(points: FloatArray, max_cells: int) -> Cuts:
             parts = 2
         # The same planes seen from either end: an odd number of cells has no middle plane to cut at.
         parts += cells % 2 == 1 and parts % 2 == 0
+        if parts == 1:
+            return np.array([0, n - 1])
         return np.round(np.linspace(0, n - 1, parts + 1)).astype(np.int64)
 
     i, j, k = (along(axis) for axis in range(3))
