@@ -9,7 +9,7 @@ import numpy as np
 from meshdeform_core.errors import GridError
 from meshdeform_core.grid import BoolArray, FloatArray, Grid, IntArray, Patch, Periodicity, Side
 from meshdeform_core.grid.connectivity import connected_nodes, periodic_rotation
-from meshdeform_core.grid.selection import quads_of_window
+from meshdeform_core.grid.selection import quads_of_patches
 from meshdeform_core.grid.topology import Topology
 from meshdeform_core.numerics.geometry.coincidence import equal_rows
 
@@ -73,9 +73,8 @@ def _named(grid: Grid, topology: Topology) -> tuple[list[str], list[Patch | None
         first.setdefault(side_name, None)
     index = {name: number for number, name in enumerate(first)}
     group = np.array([index[name] for name in sides], dtype=np.int64)[topology.quads.block_side]
-    for patch in grid.patches:
-        for window in patch.windows:
-            group[quads_of_window(topology.quads, window)] = index[patch.family or patch.name]
+    quads, patch = quads_of_patches(topology.quads, grid.patches)
+    group[quads] = np.array([index[patch.family or patch.name] for patch in grid.patches], dtype=np.int64)[patch]
     return list(first), list(first.values()), group
 
 

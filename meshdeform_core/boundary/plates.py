@@ -8,16 +8,15 @@ import numpy as np
 
 from ..errors import CaseError
 from ..grid import Grid
-from ..grid.selection import quads_of_patch, quads_of_pattern
+from ..grid.selection import quads_of_patches, quads_of_pattern
 from ..grid.topology import Topology
 
 
 def open_two_sided_walls(grid: Grid, topology: Topology) -> tuple[Topology, list[str]]:
     """Open the plates that the file declares: the faces coincide, and both are walls."""
     wall = np.zeros(len(topology.partner), dtype=bool)
-    for patch in grid.patches:
-        if any(word in patch.bc_type.lower() for word in ("wall", "solid")):
-            wall[quads_of_patch(topology.quads, patch)] = True
+    walls = [patch for patch in grid.patches if any(word in patch.bc_type.lower() for word in ("wall", "solid"))]
+    wall[quads_of_patches(topology.quads, walls)[0]] = True
     shared = np.flatnonzero(wall & (topology.partner >= 0))
     both = shared[wall[topology.partner[shared]]]
     if both.size == 0:

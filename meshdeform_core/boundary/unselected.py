@@ -11,7 +11,7 @@ from ..grid import Grid, IntArray, Window
 from ..grid.openings import Opening
 from ..grid.overset import Overlap
 from ..grid.planes import plane_normal, plane_of
-from ..grid.selection import quads_of_window, select_quads
+from ..grid.selection import quads_of_windows, select_quads
 from ..grid.topology import Topology
 from ..grid.windows import rectangles
 
@@ -73,7 +73,7 @@ def unselected_notes(grid: Grid, topology: Topology, quads: IntArray, moving: In
 
 
 def _points(grid: Grid, topology: Topology, window: Window) -> np.ndarray:
-    corners = topology.quads.corners[quads_of_window(topology.quads, window)]
+    corners = topology.quads.corners[quads_of_windows(topology.quads, [window])[0]]
     return grid.points[topology.first[np.unique(corners)]]
 
 

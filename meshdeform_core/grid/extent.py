@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from ..errors import GridError
@@ -28,6 +30,14 @@ def block_extents(grid: Grid) -> tuple[FloatArray, FloatArray]:
     return low, high
 
 
+@dataclass
+class _Reach:
+    """Bounds of the largest x . normal of a grid: that of the corners of its blocks, and of the boxes around them."""
+
+    least: float
+    most: float
+
+
 class Bounds:
     """The extent of a grid in any direction, mostly from those of its blocks."""
 
@@ -38,23 +48,23 @@ class Bounds:
         i, j, k = np.moveaxis(np.indices((2, 2, 2)).reshape(3, 8).T * last, -1, 0)
         nj, nk = last[..., 1] + 1, last[..., 2] + 1
         self._corners = grid.points[grid.offsets[:-1, None] + (i * nj + j) * nk + k].reshape(-1, 3)
-        self._farthest: dict[tuple[float, ...], float] = {}
+        self._reach: dict[tuple[float, ...], _Reach] = {}
 
     def within(self, normal: FloatArray, level: float) -> bool:
         """Whether x . ``normal`` is at most ``level`` at all nodes x."""
-        highest = np.maximum(self.low * normal, self.high * normal).sum(axis=1)
-        if highest.max() <= level:
-            return True
-        if (self._corners @ normal).max() > level:
-            return False
         # The faces of one plane differ in their normals by round-off only.
-        key = tuple(np.round(normal, 9).tolist())
-        if key not in self._farthest:
-            self._farthest[key] = self._support(normal, highest)
-        return self._farthest[key] <= level
+        key = tuple(round(part, 9) for part in normal.tolist())
+        reach = self._reach.get(key)
+        if reach is None:
+            highest = np.maximum(self.low * normal, self.high * normal).sum(axis=1)
+            reach = self._reach[key] = _Reach(float((self._corners @ normal).max()), float(highest.max()))
+        if reach.most > level >= reach.least:
+            reach.least = reach.most = self._support(normal)
+        return reach.most <= level
 
-    def _support(self, normal: FloatArray, highest: FloatArray) -> float:
-        """Largest x . ``normal``; block by block, until the others cannot reach it: ``highest`` (n_blocks,)."""
+    def _support(self, normal: FloatArray) -> float:
+        """Largest x . ``normal``; block by block, until the others cannot reach it."""
+        highest = np.maximum(self.low * normal, self.high * normal).sum(axis=1)
         found = -np.inf
         for block in np.argsort(-highest):
             if highest[block] <= found:

@@ -14,7 +14,7 @@ import numpy as np
 from ..numerics.arrays import batches, medians, spans, spread
 from .blocks import FloatArray, Grid, IntArray, Patch, Window
 from .planes import Plane, plane_normal, planes_of
-from .selection import quads_of_patch
+from .selection import quads_of_patches
 from .topology import FaceQuads, Topology
 from .windows import Rectangles, rectangles
 
@@ -151,8 +151,8 @@ def find_faces(grid: Grid, topology: Topology, geometry: QuadGeometry | None = N
 def _pieces(grid: Grid, topology: Topology) -> Rectangles:
     """The pieces; the label is twice the number of the patch, from 1 on, and one more where blocks share the quads."""
     label = np.zeros(len(topology.partner), dtype=np.int64)
-    for number, patch in enumerate(grid.patches, 1):
-        label[quads_of_patch(topology.quads, patch)] = 2 * number
+    quads, patch = quads_of_patches(topology.quads, grid.patches)
+    label[quads] = 2 * (patch + 1)
     shared = topology.partner >= 0
     label[shared] += 1
     label[~(shared | topology.external)] = -1

@@ -35,11 +35,13 @@ def planes_of(points: FloatArray, plane_normal: FloatArray | None) -> list[Plane
     arms = points - center[:, None]
     size = np.abs(arms).max(axis=(1, 2), initial=0.0)
     found: list[Plane | None] = [None] * len(points)
-    for number, axes in zip(np.flatnonzero(size), _main_axes(arms[size > 0.0]), strict=True):
-        normal = axes[-1] if plane_normal is None else np.cross(plane_normal, axes[0])
-        normal = _snapped(normal / np.linalg.norm(normal))
-        if float(np.abs(arms[number] @ normal).max()) <= FLATNESS * size[number]:
-            found[number] = Plane(center[number], normal)
+    some = np.flatnonzero(size)
+    axes = _main_axes(arms[some])
+    normal = axes[:, -1] if plane_normal is None else np.cross(plane_normal, axes[:, 0])
+    normal = _snapped(normal / np.linalg.norm(normal, axis=1, keepdims=True))
+    flat = np.abs((arms[some] @ normal[..., None])[..., 0]).max(axis=1, initial=0.0) <= FLATNESS * size[some]
+    for number, one in zip(some[flat].tolist(), normal[flat], strict=True):
+        found[number] = Plane(center[number], one)
     return found
 
 
@@ -49,12 +51,11 @@ def _main_axes(arms: FloatArray) -> FloatArray:
 
 
 def _snapped(normal: FloatArray) -> FloatArray:
-    axis = int(np.argmax(np.abs(normal)))
-    unit = np.zeros(3)
-    unit[axis] = 1.0
-    if np.linalg.norm(normal * np.sign(normal[axis]) - unit) < FLATNESS:
-        return unit
-    return normal * np.sign(normal[axis])
+    """Unit normals (m, 3) with a positive largest component; those along an axis, but for round-off, exactly so."""
+    unit = np.eye(3)[np.argmax(np.abs(normal), axis=1)]
+    positive = normal * np.sign((normal * unit).sum(axis=1, keepdims=True))
+    near = np.linalg.norm(positive - unit, axis=1) < FLATNESS
+    return np.asarray(np.where(near[:, None], unit, positive))
 
 
 def plane_normal(grid: Grid) -> FloatArray | None:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import fnmatch
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from ..errors import CaseError, suggestion
+from ..numerics.arrays import spans
 from ..numerics.geometry.coincidence import distinct
 from .blocks import Grid, IntArray, Patch, Side, Window
 from .topology import FaceQuads, Topology
@@ -41,21 +42,29 @@ def select_quads(grid: Grid, topology: Topology, patterns: Iterable[str], owner:
     return selected[topology.external[selected]]
 
 
-def quads_of_window(quads: FaceQuads, window: Window) -> IntArray:
-    """Quads that lie within a window; none if it is only a line of nodes."""
-    columns_of_side = quads.counts[window.block, window.side, 1]
-    first = quads.start[window.block, window.side]
-    rows, columns = (np.arange(low, high) for low, high in zip(window.low, window.high, strict=True))
-    if quads.corners.shape[1] == 2 and window.low != window.high:
+def quads_of_windows(quads: FaceQuads, windows: Sequence[Window]) -> tuple[IntArray, IntArray]:
+    """Quads within windows, window after window, and the number of the window of each; a line of nodes has none."""
+    rows = [(6 * window.block + window.side, *window.low, *window.high) for window in windows]
+    side, u0, v0, u1, v1 = np.array(rows, dtype=np.int64).reshape(-1, 5).T
+    size = np.stack([u1 - u0, v1 - v0], axis=1)
+    if quads.corners.shape[1] == 2:
         # In a 2-D grid a window has no extent across the single plane of nodes, yet contains one cell edge.
-        rows, columns = (r if r.size else np.zeros(1, dtype=np.int64) for r in (rows, columns))
-    inside = (rows[:, None] * columns_of_side + columns).ravel()
-    return np.asarray(first + inside, dtype=np.int64)
+        size[(size > 0).any(axis=1)] = np.maximum(size[(size > 0).any(axis=1)], 1)
+    window, place = spans(size.prod(axis=1))
+    u, v = np.divmod(place, size[window, 1])
+    columns = quads.counts[..., 1].ravel()[side]
+    return (quads.start.ravel()[side] + u0 * columns + v0)[window] + u * columns[window] + v, window
 
 
 def quads_of_patch(quads: FaceQuads, patch: Patch) -> IntArray:
     """Quads of all windows of a patch."""
-    return np.concatenate([np.empty(0, dtype=np.int64), *(quads_of_window(quads, w) for w in patch.windows)])
+    return quads_of_windows(quads, patch.windows)[0]
+
+
+def quads_of_patches(quads: FaceQuads, patches: Sequence[Patch]) -> tuple[IntArray, IntArray]:
+    """Quads of all windows of patches, patch after patch, and the number of the patch of each."""
+    found, window = quads_of_windows(quads, [window for patch in patches for window in patch.windows])
+    return found, np.repeat(np.arange(len(patches)), [len(patch.windows) for patch in patches])[window]
 
 
 def quads_of_pattern(grid: Grid, quads: FaceQuads, pattern: str, owner: str) -> IntArray:
@@ -64,11 +73,11 @@ def quads_of_pattern(grid: Grid, quads: FaceQuads, pattern: str, owner: str) -> 
         return np.arange(len(quads.corners))
     named = [window for patch in grid.patches for window in _named_windows(grid, patch, pattern)]
     if named:
-        return np.concatenate([quads_of_window(quads, window) for window in named])
+        return quads_of_windows(quads, named)[0]
     windows = list(_face_windows(grid, pattern, owner))
     if not windows:
         raise CaseError(f"boundary {owner!r}: {pattern!r} matches no patch, family or block face{_hint(grid, pattern)}")
-    found = np.concatenate([quads_of_window(quads, window) for window in windows])
+    found = quads_of_windows(quads, windows)[0]
     if found.size == 0:
         raise CaseError(f"boundary {owner!r}: {pattern!r} contains no cell face (a window needs two nodes each way)")
     return found
@@ -90,13 +99,12 @@ def _face_windows(grid: Grid, pattern: str, owner: str) -> Iterable[Window]:
     match = _FACE.fullmatch(pattern)
     if not match:
         return
-    for block, name in enumerate(grid.names):
+    sides = [(side, side.axis, *side.tangential) for side in Side if fnmatch.fnmatchcase(side.label, match["side"])]
+    for block, (name, shape) in enumerate(zip(grid.names, grid.shapes, strict=True)):
         if not fnmatch.fnmatchcase(name, match["block"]):
             continue
-        for side in Side:
-            a, b = side.tangential
-            shape = grid.shapes[block]
-            if fnmatch.fnmatchcase(side.label, match["side"]) and shape[side.axis] > 1:
+        for side, axis, a, b in sides:
+            if shape[axis] > 1:
                 size = (shape[a], shape[b])
                 low, high = _window_bounds(match["window"], size, f"boundary {owner!r}: {pattern!r} on {name}")
                 yield Window(block, side, low, high)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..grid import FloatArray, Grid, IntArray
+from ..numerics.arrays import batches
 from ..numerics.cell.measures import measure_hexahedra, measure_quads
 from ..parallel import Shared, for_chunks
 
@@ -145,20 +146,41 @@ def corners_of(grid: Grid, points: FloatArray, cells: IntArray) -> FloatArray:
     return np.asarray(points[corner_nodes(grid, *places(grid, cells))])
 
 
-def block_volume(x: FloatArray, sign: float) -> float:
-    """Volume of a block ``x`` (ni, nj, nk, 3) of trilinear cells, from its surface.
+def block_volumes(grid: Grid, points: FloatArray, sign: IntArray) -> FloatArray:
+    """Volumes (n_blocks,) of blocks of trilinear cells with coordinates ``points`` (n_nodes, 3), from their surfaces.
 
     The flux of a third of the position through a bilinear face with diagonals p and q is its mean corner . p x q / 6.
+
+    Parameters
+    ----------
+    sign : (n_blocks,) handedness of each
     """
-    center = 0.5 * (x[0, 0, 0] + x[-1, -1, -1])
-    total = 0.0
-    for axis in range(3):
-        for end in (0, -1):
-            # Component by component: a cross product over so short an axis would be slow.
-            face = np.ascontiguousarray(np.moveaxis(np.take(x, end, axis=axis) - center, -1, 0))
-            low, high, right, left = face[:, :-1, :-1], face[:, 1:, 1:], face[:, 1:, :-1], face[:, :-1, 1:]
-            (px, py, pz), (qx, qy, qz), (mx, my, mz) = high - low, left - right, low + high + left + right
-            flux = mx * (py * qz - pz * qy) + my * (pz * qx - px * qz) + mz * (px * qy - py * qx)
-            # The other two axes in their order are a right-handed frame with i and k, a left-handed one with j.
-            total += (1.0 if end else -1.0) * (-1.0 if axis == 1 else 1.0) * float(flux.sum())
-    return sign * total / 24.0
+    center = 0.5 * (points[grid.offsets[:-1]] + points[grid.offsets[1:] - 1])
+    flux = np.empty(6 * grid.n_blocks)
+    for alike in _alike(grid.sides.nodes):
+        for lo, hi in batches(grid.sides.nodes[alike].prod(axis=1), _SLAB_CELLS):
+            flux[alike[lo:hi]] = _flux(grid, points, center, alike[lo:hi])
+    # The other two axes in their order are a right-handed frame with i and k, a left-handed one with j.
+    total: FloatArray = np.zeros(grid.n_blocks)
+    for side, outward in enumerate((-1, 1, 1, -1, -1, 1)):
+        total = total + outward * flux[side::6]
+    return np.asarray(sign * total / 24.0)
+
+
+def _alike(shapes: IntArray) -> list[IntArray]:
+    """The numbers of those of equal ``shapes`` (n, 2), ascending, for every shape."""
+    order = np.lexsort(shapes.T)
+    new = np.append(True, (shapes[order[1:]] != shapes[order[:-1]]).any(axis=1))
+    return np.split(order, np.flatnonzero(new)[1:])
+
+
+def _flux(grid: Grid, points: FloatArray, center: FloatArray, sides: IntArray) -> FloatArray:
+    """24 times the flux through sides of one shape of a third of the position relative to ``center`` (n_blocks, 3)."""
+    na, nb = grid.sides.nodes[sides[0]]
+    nodes = grid.sides.at(sides[:, None, None], np.arange(na)[:, None], np.arange(nb))
+    # Component by component: a cross product over so short an axis would be slow.
+    face = np.ascontiguousarray(np.moveaxis(points[nodes] - center[sides // 6, None, None], -1, 0))
+    low, high, right, left = face[..., :-1, :-1], face[..., 1:, 1:], face[..., 1:, :-1], face[..., :-1, 1:]
+    (px, py, pz), (qx, qy, qz), (mx, my, mz) = high - low, left - right, low + high + left + right
+    flux = mx * (py * qz - pz * qy) + my * (pz * qx - px * qz) + mz * (px * qy - py * qx)
+    return np.asarray(flux.reshape(len(sides), -1).sum(axis=1))

@@ -7,7 +7,7 @@ import numpy as np
 from ..grid import FloatArray, Grid
 from ..grid.topology import Topology
 from ..numerics.cell.measures import scattered_hexahedra
-from .cells import Slab, block_volume, corners_of, for_slabs, places, slabs
+from .cells import Slab, block_volumes, corners_of, for_slabs, places, slabs
 from .inspection import SlabMeasures, inspect_slab, relative_jacobian
 from .original import Original
 from .tally import Range, Tally
@@ -105,7 +105,7 @@ def _complete(tally: Tally, grid: Grid, topology: Topology, points: FloatArray) 
     tally.lowest.complete()
     if grid.dimension == 2:
         return
-    tally.solid = sum(block_volume(grid.block(b, points), float(topology.handedness[b])) for b in range(grid.n_blocks))
+    tally.solid = sum(block_volumes(grid, points, topology.handedness).tolist())
     cells = tally.low_cells.ravel()
     sign = topology.handedness[places(grid, cells)[0]].astype(float)
     skew, scaled, *_ = scattered_hexahedra(corners_of(grid, points, cells), sign)

@@ -14,7 +14,7 @@ from meshdeform_core.numerics.cell.formulas import KEPT
 from meshdeform_core.numerics.cell.inspection import inspect_hexahedra, kept_numbers
 from meshdeform_core.numerics.cell.measures import scattered_hexahedra
 from meshdeform_core.quality import Original, assess
-from meshdeform_core.quality.cells import block_volume
+from meshdeform_core.quality.cells import block_volumes
 from meshdeform_core.quality.comparison import Comparison
 from meshdeform_core.quality.tally import Lowest
 from meshdeform_core.quality.validity import newly_invalid
@@ -253,5 +253,9 @@ def test_the_quantile_does_not_depend_on_how_values_arrive(values, random):
 
 def test_volume_of_a_block_by_its_surface():
     x = box((5, 4, 6)) + 0.2 * np.random.default_rng(1).standard_normal((5, 4, 6, 3)) + 1e3
-    assert block_volume(x, 1.0) == pytest.approx(plain(x, 1.0)[3].sum(), rel=1e-11)
-    assert block_volume(np.ascontiguousarray(x[::-1]), -1.0) == pytest.approx(block_volume(x, 1.0), rel=1e-11)
+    # Blocks of the same and of other shapes, of either handedness.
+    blocks = [x, 2.0 * x, box((3, 4, 6)), np.ascontiguousarray(x[::-1])]
+    grid, sign = Grid.from_blocks(blocks), np.array([1, 1, 1, -1])
+    expected = plain(x, 1.0)[3].sum() * np.array([1.0, 8.0, 0.0, 1.0])
+    expected[2] = plain(blocks[2], 1.0)[3].sum()
+    np.testing.assert_allclose(block_volumes(grid, grid.points, sign), expected, rtol=1e-11)

@@ -91,7 +91,7 @@ def build_bricks(
     starts, firsts, targets = [np.zeros(1, np.int64)], [np.zeros(1, np.int64)], [np.empty(0, np.int64)]
     for block in sorted(cuts):
         start, first, flat = cuts[block]
-        firsts.append(first[1:] + sum(map(len, starts)) - 1)
+        firsts.append(first[1:] + firsts[-1][-1])
         starts.append(start[1:] + starts[-1][-1])
         targets.append(flat + offsets[block])
     start, flat = np.concatenate(starts), np.concatenate(targets)

@@ -17,7 +17,9 @@ from .treesum import Charges, add_totals, cluster_reach, gather, interpolate_sum
 from .walk import Reach
 
 CHUNK = 2
-"""Regions per call."""
+"""Regions per call, if they are no smaller than usual."""
+_TARGETS = 4096
+"""Targets per call of small regions, about: those of small blocks."""
 # The error allowed to one cluster, as a multiple of the error allowed to all together, is this divided by the square of
 # (interpolation order - 2): errors of many clusters mostly cancel, small ones less so. Measured on the sample cases.
 SHARE = 16.0
@@ -147,7 +149,8 @@ class FastSums:
             use(flat, sums)
 
         shared = [Shared(result, targets.flat), Shared(plan.risk, targets.numbers)]
-        for_chunks(work, targets.n_regions, CHUNK, progress, shared)
+        chunk = max(CHUNK, _TARGETS * targets.n_regions // max(len(targets.every), 1))
+        for_chunks(work, targets.n_regions, chunk, progress, shared)
         plan.weighed, plan.complete = plan.weight is not None, True
         return plan.risk
 
