@@ -10,6 +10,7 @@ from collections.abc import Callable
 import grids
 import numpy as np
 import pytest
+from cases import problem_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from random_grids import turn_block
@@ -21,12 +22,16 @@ from meshdeform_core.grid.faces import find_faces
 from meshdeform_core.grid.handedness import block_handedness
 from meshdeform_core.grid.interfaces import find_interfaces
 from meshdeform_core.grid.openings import find_openings
+from meshdeform_core.grid.selection import quads_of_windows, select_quads
+from meshdeform_core.grid.sides import side_numbers
 from meshdeform_core.grid.surfaces import find_outside
 from meshdeform_core.grid.topology import find_topology, side_nodes
 from meshdeform_core.grid.windows import rectangles, windows_of_quads
+from meshdeform_core.methods.transfinite.edge_graph import PreparedEdgeGraph, _face_parts, _Rows, _segments
 from meshdeform_core.numerics.arrays import batches, medians, runs, spans, spread
 from meshdeform_core.numerics.geometry.boxes import overlapping_boxes
 from meshdeform_core.quality.boundary_cells import interface_cells
+from meshdeform_core.quality.cells import block_volumes
 from meshdeform_core.quality.lines import interface_lines
 from meshdeform_formats.json_text import json_text
 
@@ -97,6 +102,66 @@ def test_rectangles_are_the_windows_of_every_side(grid, seed):
     for number in range(len(found)):
         assert (label[found.quads_of(number)] == found.label[number]).all()
         assert (faces.block_side[found.quads_of(number)] == found.side[number]).all()
+
+
+def test_quads_of_windows_are_those_between_its_nodes(grid):
+    faces = find_topology(grid).quads
+    label = np.random.default_rng(1).integers(-1, 3, len(faces.corners))
+    pieces = rectangles(grid, faces, label)
+    found, number = quads_of_windows(faces, pieces.windows())
+    np.testing.assert_array_equal(found, pieces.quads)
+    np.testing.assert_array_equal(number, np.repeat(np.arange(len(pieces)), np.diff(pieces.start)))
+    assert quads_of_windows(faces, [])[0].shape == (0,)
+
+
+def test_rectangles_of_interfaces_are_those_found_face_by_face(grid):
+    topology = find_topology(grid)
+    reached = np.random.default_rng(2).random(topology.n_unique) < 0.3
+    parts, width, wanted = _face_parts(grid, topology, reached)
+    done, expected = reached.copy(), []
+    for block, side in itertools.product(range(grid.n_blocks), Side) if grid.dimension == 3 else ():
+        quads, numbers = topology.quads.of_side(block, side), side_numbers(grid, topology, block, side)
+        partner = topology.partner[quads]
+        neighbour = np.where(partner >= 0, topology.quads.block_side[partner], partner)
+        for label in np.unique(neighbour):
+            marked = (neighbour == label).reshape(topology.quads.counts[block, side])
+            for window in windows_of_quads(grid.shapes[block], block, side, marked):
+                nodes = numbers[window.low[0] : window.high[0] + 1, window.low[1] : window.high[1] + 1]
+                if not done[nodes].all():
+                    expected.append((nodes, ~done[nodes]))
+                    done[nodes] = True
+    assert len(parts) == len(width) == len(expected)
+    for number, (nodes, own) in enumerate(expected):
+        some = slice(parts.start[number], parts.start[number + 1])
+        assert width[number] == nodes.shape[1]
+        np.testing.assert_array_equal(parts.nodes[some], nodes.ravel())
+        np.testing.assert_array_equal(wanted[some], own.ravel())
+
+
+def test_segments_of_lines_are_those_found_one_by_one():
+    random = np.random.default_rng(3)
+    points = random.random((30, 3))
+    points[7] = points[8]
+    lines = [random.permutation(30)[: random.integers(2, 9)] for _ in range(12)]
+    lines += [lines[0][::-1], lines[1], np.array([7, 8])]
+    knot = random.random(30) < 0.5
+    knot[[line[end] for line in lines for end in (0, -1)]] = True
+    known = knot & (random.random(30) < 0.4)
+    expected = {}
+    for line in lines:
+        at = np.flatnonzero(knot[line])
+        for first, last in itertools.pairwise(at.tolist()):
+            nodes = line[first : last + 1]
+            length = np.linalg.norm(np.diff(points[nodes], axis=0), axis=1).sum()
+            if length > 0 and (last - first > 1 or not known[nodes[[0, -1]]].all()):
+                key = frozenset(nodes[[0, -1]].tolist()), nodes[1:-1].min(initial=30)
+                expected.setdefault(key, (nodes, length))
+    rows = _Rows.of(np.array([len(line) for line in lines]), np.concatenate(lines))
+    found = _segments(points, rows, np.zeros(len(lines), dtype=np.int64), knot, known)
+    nodes, length = zip(*expected.values(), strict=True)
+    np.testing.assert_array_equal(found.rows.nodes, np.concatenate(nodes))
+    np.testing.assert_array_equal(np.diff(found.rows.start), [len(each) for each in nodes])
+    np.testing.assert_allclose(found.length, length, rtol=1e-14)
 
 
 def test_interfaces_cover_every_shared_quad_once(grid):
@@ -233,12 +298,15 @@ def calls(work: Callable[[], object]) -> int:
         (lambda grid, topology: find_topology(grid), 6.0),
         (lambda grid, topology: find_openings(grid, topology), 6.0),
         (lambda grid, topology: find_interfaces(grid, topology), 30.0),
-        (lambda grid, topology: find_faces(grid, topology), 400.0),
-        (lambda grid, topology: find_outside(grid, topology), 600.0),
+        (lambda grid, topology: find_faces(grid, topology), 60.0),
+        (lambda grid, topology: find_outside(grid, topology), 200.0),
+        (lambda grid, topology: select_quads(grid, topology, ["*.jmin", "*.?max"], "all"), 60.0),
+        (lambda grid, topology: PreparedEdgeGraph(problem_of(grid, [])), 120.0),
+        (lambda grid, topology: block_volumes(grid, grid.points, topology.handedness), 1.0),
         (lambda grid, topology: interface_lines(grid, topology), 2.0),
         (lambda grid, topology: interface_cells(grid, topology, grid.points, None), 4.0),
     ],
-    ids=["topology", "openings", "interfaces", "faces", "outside", "lines", "cells"],
+    ids=["topology", "openings", "interfaces", "faces", "outside", "selection", "edges", "volumes", "lines", "cells"],
 )
 def test_calls_per_block_do_not_grow(work, per_block):
     few, many = lattice((3, 3, 3)), lattice((6, 6, 6))
