@@ -101,7 +101,8 @@ def deform_series(
 ) -> Iterator[Level]:
     """Make the levels ``first``, ``first + 1``, ... in order; only the data that the next one needs are kept.
 
-    An invalid level does not stop the series; its result says so.
+    An invalid level does not stop the series; its result says so. Times that a table does not cover are refused before
+    the first level.
 
     Parameters
     ----------
@@ -109,6 +110,9 @@ def deform_series(
         they match the files and a continued series equals an uninterrupted one
     finished : coordinates (n_nodes, 3) as written of a level before ``first``; required if ``first`` needs any
     """
+    for spec in setup.case.boundaries:
+        if spec.motion:
+            spec.motion.require(schedule.times)
     series = _Series(setup, schedule, precision, progress)
     past = [finished(n) for n in range(first - series.past(first), first)] if finished else []
     for number in range(first, len(schedule.times)):

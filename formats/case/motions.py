@@ -11,14 +11,15 @@ import numpy as np
 
 from meshdeform_core.boundary.histories import History, Modes, RigidHistory
 from meshdeform_core.boundary.lattice import ControlMove, Lattice
-from meshdeform_core.boundary.matching import Matching
+from meshdeform_core.boundary.matching import Matching, SurfaceData
 from meshdeform_core.boundary.motion import Step
 from meshdeform_core.boundary.numbered import FollowNumbers
 from meshdeform_core.boundary.section import Airfoil
 from meshdeform_core.errors import FormatError
-from meshdeform_core.grid import FloatArray, IntArray
+from meshdeform_core.grid import FloatArray, Grid, IntArray
 
 from ..displacement import read_displacement
+from ..displacement.structural import read_shapes
 from .sequences import files_over_time, sequence_files
 from .tables import columns, read_airfoil, read_history, read_positions
 from .values import Table, check_keys, fail, file_of, formula_of, number_of, three_of
@@ -118,21 +119,39 @@ def _require_turns(quaternions: History, path: Path) -> None:
 def modes_of(value: Any, matching: Matching, known: Sequence[str], folder: Path, where: str) -> Step:
     """Shapes from displacement tables, amplitudes as formulas or from a table with t and a column for each shape."""
     where = f"{where}, modes"
-    table = _table(value, ("files", "amplitudes"), where)
-    shapes = tuple(read_displacement(path) for path in sequence_files(table.get("files"), folder, where))
+    table = _table(value, ("files", "file", "geometry", "shapes", "amplitudes"), where)
+    shapes = _shapes(table, folder, where)
     given = table.get("amplitudes")
     if isinstance(given, list):
         if len(given) != len(shapes):
-            raise fail(where, f"{len(given)} amplitudes for {len(shapes)} files; expected one for each")
+            raise fail(where, f"{len(given)} amplitudes for {len(shapes)} shapes; expected one for each")
         formulas = [name for name in known if name not in ("x", "y", "z")]
         return Modes(shapes, tuple(formula_of(part, formulas, f"{where}: amplitudes") for part in given), matching)
     path = file_of(_table(given, ("file",), f"{where}: amplitudes").get("file"), folder, f"{where}: amplitudes")
     names, values = read_history(path)
     if len(names) != len(shapes) + 1:
         raise fail(
-            where, f"{path} has {len(names) - 1} columns beside t for {len(shapes)} files; expected one for each"
+            where, f"{path} has {len(names) - 1} columns beside t for {len(shapes)} shapes; expected one for each"
         )
     return Modes(shapes, History(values[:, 0], values[:, 1:], str(path)), matching)
+
+
+def _shapes(table: Table, folder: Path, where: str) -> tuple[SurfaceData | Grid, ...]:
+    """One shape per file, or some of those in a result file of a structural solver."""
+    if ("file" in table) == ("files" in table) or ("files" in table and {"geometry", "shapes"} & set(table)):
+        raise fail(
+            where, f"found {sorted(table)}; expected files, with one shape each, or file, with shapes and geometry"
+        )
+    if "files" in table:
+        return tuple(read_displacement(path) for path in sequence_files(table["files"], folder, where))
+    geometry = file_of(table["geometry"], folder, f"{where}: geometry") if "geometry" in table else None
+    path = file_of(table["file"], folder, f"{where}: file")
+    found = read_shapes(path, geometry)
+    chosen = table.get("shapes", list(range(1, len(found) + 1)))
+    known = range(1, len(found) + 1)
+    if not isinstance(chosen, list) or not chosen or any(isinstance(n, bool) or n not in known for n in chosen):
+        raise fail(where, f"shapes = {chosen!r}; expected numbers from 1 to {len(found)}, which {path} has")
+    return tuple(found[int(n) - 1] for n in chosen)
 
 
 def _airfoil(value: Any, known: Sequence[str], folder: Path, where: str) -> Step:

@@ -186,7 +186,14 @@ def _given_motions(pattern: Schema, times: Schema, table: Mapping[str, Schema]) 
             {**_table("", file=_text("Table of amplitudes.")), "required": ["file"]},
         ],
     }
-    modes = _table("A sum of shapes, each times its amplitude.", files=pattern, amplitudes=amplitudes)
+    modes = _table(
+        "A sum of shapes, each times its amplitude.",
+        files=pattern,
+        file=_text("Result file of CalculiX (.frd) or Nastran (.op2) with several shapes."),
+        geometry=_text("Bulk data file (.bdf) with the nodes of an .op2 file."),
+        shapes={"type": "array", "items": {"type": "integer", "minimum": 1}, "description": "Numbers of the shapes."},
+        amplitudes=amplitudes,
+    )
     positions = _table(
         "New positions by the numbers of the points, like SU2's surface_positions.dat.",
         file=_text("Lines of a number and coordinates, relative to the case file."),
@@ -202,7 +209,7 @@ def _given_motions(pattern: Schema, times: Schema, table: Mapping[str, Schema]) 
     return (
         _table("", ffd={**_lattice(), "required": ["origin", "edges", "points", "move"]}),
         _table("", rigid={**rigid, "required": ["file"]}),
-        _table("", modes={**modes, "required": ["files", "amplitudes"]}, **table),
+        _table("", modes={**modes, "required": ["amplitudes"]}, **table),
         _table("", airfoil={**airfoil, "required": ["file"]}),
         _table("", positions=positions),
     )

@@ -36,6 +36,8 @@ _MESHIO_FORMATS = {
     ".xmf": "xdmf",
 }
 _OWN_FORMATS = {".avs": "avs", ".msh": "gmsh", ".ply": "ply"}
+STRUCTURAL = (".frd", ".op2")
+"""Results of structural solvers, which may hold several displacements."""
 _TEXT_SUFFIXES = (".csv", ".txt", ".dat", ".tsv")
 
 
@@ -91,6 +93,9 @@ def _read(path: Path, head: bytes) -> DisplacementTable | Grid:
         return _module("text").read(path)
     if b"ADF Database Version" in head[:64] or path.suffix.lower() in FORMATS["plot3d"].suffixes:
         return _read_structured(path)
+    if path.suffix.lower() in STRUCTURAL:
+        table: DisplacementTable = _module("structural").read_single(path)
+        return table
     if path.suffix.lower() in _OWN_FORMATS:
         return _module(_OWN_FORMATS[path.suffix.lower()]).read(path)
     return _module("meshio").read(path, _meshio_format(path))
@@ -109,7 +114,7 @@ def _is_tecplot(head: bytes) -> bool:
 def _meshio_format(path: Path) -> str:
     suffix = path.suffix.lower()
     if suffix not in _MESHIO_FORMATS:
-        known = " ".join(sorted({**_OWN_FORMATS, **_MESHIO_FORMATS}))
+        known = " ".join(sorted({**_OWN_FORMATS, **_MESHIO_FORMATS, ".frd": ""}))
         called = f"with suffix {suffix}" if suffix else "without suffix"
         raise FormatError(
             f"{path}: a file {called} is not a displacement table; expected text "

@@ -13,7 +13,7 @@ from ..errors import MotionError
 from ..grid import FloatArray, Grid
 from .expression import Expression
 from .matching import Matching, Nodes, SurfaceData
-from .motion import Imposed
+from .motion import Imposed, at_time
 from .transfer import transfer
 
 
@@ -63,6 +63,11 @@ class RigidHistory:
     center: tuple[float, float, float]
     names: ClassVar[frozenset[str]] = frozenset({"t"})
 
+    def require(self, time: float, constants: Mapping[str, float]) -> None:
+        for table in (self.translation, self.rotation):
+            if table is not None:
+                table.require(time)
+
     def prepare(self, nodes: Nodes) -> RigidHistory:
         return self
 
@@ -108,6 +113,15 @@ class Modes:
             return frozenset({"t"})
         return frozenset().union(*(part.names for part in self.amplitudes))
 
+    def require(self, time: float, constants: Mapping[str, float]) -> None:
+        self.factors(time, constants)
+
+    def factors(self, time: float, constants: Mapping[str, float]) -> FloatArray:
+        """The amplitudes (m,) at a time."""
+        if isinstance(self.amplitudes, History):
+            return self.amplitudes.at(time)
+        return np.array([at_time(part, time, constants, "amplitude") for part in self.amplitudes])
+
     def prepare(self, nodes: Nodes) -> ImposedModes:
         matches = [transfer(shape, self.matching, nodes) for shape in self.shapes]
         return ImposedModes(matches[0], self, np.stack([match.displacement for match in matches]))
@@ -121,9 +135,5 @@ class ImposedModes(Imposed):
     shapes: FloatArray
 
     def increment(self, current: FloatArray, values: Mapping[str, Any], fraction: float) -> FloatArray:
-        amplitudes = self.modes.amplitudes
-        if isinstance(amplitudes, History):
-            factors = amplitudes.at(float(values["t"]))
-        else:
-            factors = np.array([float(part({**values, "x": 0.0, "y": 0.0, "z": 0.0})) for part in amplitudes])
+        factors = self.modes.factors(float(values["t"]), values)
         return np.asarray(fraction * np.tensordot(factors, self.shapes, axes=1))

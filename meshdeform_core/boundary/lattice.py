@@ -17,6 +17,7 @@ from ..errors import MotionError
 from ..grid import FloatArray, IntArray
 from .expression import Expression
 from .matching import Nodes
+from .motion import at_time
 
 _ROWS_AT_ONCE = 20_000
 
@@ -57,6 +58,17 @@ class Lattice:
     def _to_box(self) -> FloatArray:
         return np.asarray(np.linalg.inv(self.edges))
 
+    def require(self, time: float, constants: Mapping[str, float]) -> None:
+        self._controls(time, constants)
+
+    def _controls(self, time: float, constants: Mapping[str, float]) -> FloatArray:
+        """Displacements (counts, 3) of the control points."""
+        found = np.zeros((*self.counts, 3))
+        for move in self.moves:
+            i, j, k = move.points.T
+            found[i, j, k] += [at_time(part, time, constants, "displacement of control points") for part in move.vector]
+        return found
+
     def prepare(self, nodes: Nodes) -> Lattice:
         return self
 
@@ -69,10 +81,7 @@ class Lattice:
                 f"no node of the boundary is in the box at {self.origin.tolist()} with edges {self.edges.tolist()}; "
                 f"the nodes extend from {low.tolist()} to {high.tolist()}"
             )
-        control = np.zeros((*self.counts, 3))
-        for move in self.moves:
-            i, j, k = move.points.T
-            control[i, j, k] += [float(part({**values, "x": 0.0, "y": 0.0, "z": 0.0})) for part in move.vector]
+        control = self._controls(float(values["t"]), values)
         displacement = np.zeros_like(current)
         for begin in range(0, len(inside), _ROWS_AT_ONCE):
             rows = inside[begin : begin + _ROWS_AT_ONCE]

@@ -7,9 +7,9 @@ degrees, not the midpoint of the chord.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -36,6 +36,15 @@ class Step(Protocol):
 
     def prepare(self, nodes: Nodes) -> PreparedStep:
         """Compute everything that depends only on the undeformed nodes."""
+        ...
+
+
+@runtime_checkable
+class Timed(Protocol):
+    """A step that is not defined at all times."""
+
+    def require(self, time: float, constants: Mapping[str, float]) -> None:
+        """Refuse a time at which it is not defined."""
         ...
 
 
@@ -134,6 +143,9 @@ class FollowSequence:
         """The first table."""
         return self.read(0)
 
+    def require(self, time: float, constants: Mapping[str, float]) -> None:
+        level_at(self.times, time)
+
     def prepare(self, nodes: Nodes) -> PreparedStep:
         return ImposedSequence(self, nodes)
 
@@ -147,7 +159,7 @@ class ImposedSequence:
         self.match = self._transfer(0)
 
     def increment(self, current: FloatArray, values: Mapping[str, Any], fraction: float) -> FloatArray:
-        wanted = self._index(values["t"])
+        wanted = level_at(self._sequence.times, values["t"])
         if wanted != self._current:
             match = self._transfer(wanted)
             if (match.matched != self.match.matched).any():
@@ -160,17 +172,6 @@ class ImposedSequence:
 
     def _transfer(self, index: int) -> Transfer:
         return transfer(self._sequence.read(index), self._sequence.matching, self._nodes)
-
-    def _index(self, time: float) -> int:
-        times = np.asarray(self._sequence.times)
-        nearest = int(np.argmin(np.abs(times - time)))
-        spacing = np.diff(times).min() if len(times) > 1 else max(abs(time), abs(times[0]))
-        if abs(times[nearest] - time) > 1e-6 * spacing:
-            raise MotionError(
-                f"the sequence of displacement files has no level at t = {time:g}; it has {len(times)} levels from "
-                f"{times[0]:g} to {times[-1]:g}, the nearest at {times[nearest]:g}. Choose one of its times"
-            )
-        return nearest
 
 
 @dataclass(frozen=True)
@@ -189,6 +190,19 @@ class Motion:
     def partial(self) -> bool:
         """Whether it is a table that moves only the nodes it matches."""
         return any(isinstance(step, Follow | FollowSequence) and step.matching.partial for step in self.steps)
+
+    def require(self, times: Iterable[float]) -> None:
+        """Refuse times at which a step is not defined, before anything is computed.
+
+        Raises
+        ------
+        MotionError
+            With the table and the time.
+        """
+        for step in self.steps:
+            if isinstance(step, Timed):
+                for time in times:
+                    step.require(time, self.constants)
 
     def matched_by(self, matching: Matching) -> Motion:
         """The same motion with another matching of its tables."""
@@ -253,6 +267,38 @@ class PreparedMotion:
                 f"t = {time:g} ({int(bad.sum())} of {len(bad)} nodes); expected finite numbers up to "
                 f"{LARGEST:g}: check the formulas"
             )
+
+
+def level_at(times: Sequence[float], time: float) -> int:
+    """Number of the file of a sequence with these ``times`` at one of them.
+
+    Raises
+    ------
+    MotionError
+        When there is none.
+    """
+    nearest = int(np.argmin(np.abs(np.asarray(times) - time)))
+    spacing = np.diff(times).min() if len(times) > 1 else max(abs(time), abs(times[0]))
+    if abs(times[nearest] - time) > 1e-6 * spacing:
+        raise MotionError(
+            f"the sequence of displacement files has no level at t = {time:g}; it has {len(times)} levels from "
+            f"{times[0]:g} to {times[-1]:g}, the nearest at {times[nearest]:g}. Choose one of its times"
+        )
+    return nearest
+
+
+def at_time(formula: Expression, time: float, constants: Mapping[str, Any], what: str) -> float:
+    """The value of a formula of t and constants.
+
+    Raises
+    ------
+    MotionError
+        When it is not finite.
+    """
+    value = float(formula({**constants, "x": 0.0, "y": 0.0, "z": 0.0, "t": time}))
+    if not abs(value) <= LARGEST:
+        raise MotionError(f"the {what} {formula.text!r} is {value:g} at t = {time:g}; expected a finite number")
+    return value
 
 
 def _vector(parts: tuple[Expression, Expression, Expression], values: Mapping[str, Any], n: int) -> FloatArray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from ..errors import MotionError
 from ..grid import FloatArray, IntArray
 from .matching import Matching, Nodes, SurfaceData
-from .motion import FollowSequence, Imposed, PreparedStep
+from .motion import FollowSequence, Imposed, PreparedStep, level_at
 from .transfer import transfer
 
 _ROUGH = 3.0
@@ -79,6 +79,10 @@ class FollowNumbers:
     @property
     def names(self) -> frozenset[str]:
         return frozenset({"t"} if self.times else ())
+
+    def require(self, time: float, constants: Mapping[str, float]) -> None:
+        if self.times:
+            level_at(self.times, time)
 
     def prepare(self, nodes: Nodes) -> PreparedStep:
         exact = Matching("exact")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
 from math import comb
 from pathlib import Path
 
@@ -11,9 +12,11 @@ from scipy.spatial.transform import Rotation
 
 from meshdeform_core.boundary import Kind
 from meshdeform_core.boundary.matching import Nodes
+from meshdeform_core.deform import set_up
 from meshdeform_core.errors import CaseError, FormatError, MotionError
 from meshdeform_core.grid import FloatArray, Grid, Side
 from meshdeform_core.grid.topology import find_topology
+from meshdeform_core.series import Schedule, deform_series
 from meshdeform_formats.case import case_of
 from meshdeform_formats.case.tables import read_airfoil
 
@@ -88,6 +91,57 @@ def test_several_boxes_follow_each_other():
     np.testing.assert_allclose(motion.prepare(nodes).displacement(), first + second, atol=1e-14)
 
 
+def test_boxes_are_bernstein_polynomials_in_exact_fractions():
+    """Many control points in a skewed box, all of them displaced; the exact sums are rounded once."""
+    counts, random = (6, 9, 4), np.random.default_rng(1)
+    edges = [[2.0, 0.25, 0.0], [-0.5, 1.5, 0.125], [0.0, 0.5, 2.5]]
+    by = random.integers(-64, 64, (*counts, 3)) / 256
+    entries = [{"at": [i + 1, j + 1, k + 1], "by": by[i, j, k].tolist()} for i, j, k in np.ndindex(*counts)]
+    step = {"ffd": {"origin": [-1.0, -1.25, -1.5], "edges": edges, "points": list(counts), "move": entries}}
+    nodes = box_nodes()
+    found = moved(nodes, step)
+    frame = [[Fraction(v) for v in row] for row in edges]
+    for x, displacement in zip(nodes.points, found, strict=True):
+        place = solved(frame, [Fraction(v) - Fraction(o) for v, o in zip(x, (-1.0, -1.25, -1.5), strict=True)])
+        exact = [Fraction(0)] * 3
+        if all(0 <= u <= 1 for u in place):
+            weights = [[comb(n - 1, i) * u**i * (1 - u) ** (n - 1 - i) for i in range(n)]
+                       for n, u in zip(counts, place, strict=True)]  # fmt: skip
+            for i, j, k in np.ndindex(*counts):
+                weight = weights[0][i] * weights[1][j] * weights[2][k]
+                exact = [e + weight * Fraction(d) for e, d in zip(exact, by[i, j, k], strict=True)]
+        assert np.abs(displacement - [float(e) for e in exact]).max() < 1e-14
+    assert (np.abs(found).max(axis=1) > 0.01).sum() > 20
+
+
+def solved(frame: list[list[Fraction]], arm: list[Fraction]) -> list[Fraction]:
+    """Parts of the three edges that make up ``arm``, by Cramer's rule."""
+    whole = determinant(frame)
+    return [determinant([arm if n == axis else frame[n] for n in range(3)]) / whole for axis in range(3)]
+
+
+def determinant(m: list[list[Fraction]]) -> Fraction:
+    (a, b, c), (d, e, f), (g, h, i) = m
+    return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+
+
+def test_times_are_checked_before_a_series_starts(tmp_path):
+    (tmp_path / "m.csv").write_text("t,x,y,z\n0,0,0,0\n1,0.1,0,0\n")
+    (tmp_path / "q.csv").write_text("t,q\n0,0\n1,1\n")
+    grid = box_nodes().grid
+    np.savetxt(tmp_path / "shape.csv", np.hstack([box_nodes().points] * 2), delimiter=",")
+    modes = {"modes": {"files": ["shape.csv"], "amplitudes": {"file": "q.csv"}}}
+    for step in ({"rigid": {"file": "m.csv"}}, modes):
+        setup = set_up(grid, case_of({"boundary": [{"motion": step}]}, tmp_path).case)
+        levels = deform_series(setup, Schedule((0.5, 1.0, 1.5)), "float64")
+        with pytest.raises(MotionError, match=r"times from 0 to 1; t = 1\.5"):
+            next(levels)
+    step = box([([1, 1, 1], ["1/(t - 2)", 0, 0])])
+    setup = set_up(grid, case_of({"boundary": [{"motion": step}]}).case)
+    with pytest.raises(MotionError, match=r"control points '1/\(t - 2\)' is inf at t = 2"):
+        next(deform_series(setup, Schedule((0.0, 1.0, 2.0)), "float64"))
+
+
 def test_a_box_without_nodes_is_an_error():
     away = box()
     away["ffd"]["origin"] = [10, 0, 0]
@@ -151,7 +205,7 @@ def test_modes_add_up(tmp_path):
     for amplitudes, exact in (({"file": "q.csv"}, (1.0, 2.0)), (["t", "1 - t**2"], (0.5, 0.75))):
         found = moved(nodes, {"modes": {**files, "amplitudes": amplitudes}, "match": "exact"}, tmp_path, 0.5)
         np.testing.assert_allclose(found, exact[0] * shapes[0] + exact[1] * shapes[1], atol=1e-12)
-    with pytest.raises(CaseError, match="1 amplitudes for 2 files"):
+    with pytest.raises(CaseError, match="1 amplitudes for 2 shapes"):
         moved(nodes, {"modes": {**files, "amplitudes": [1]}}, tmp_path)
 
 

@@ -1,0 +1,268 @@
+"""Results of structural solvers: CalculiX as text by a writer of the test, Nastran by pyNastran's."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from meshdeform_core.boundary.histories import Modes
+from meshdeform_core.errors import CaseError, FormatError
+from meshdeform_formats.case import case_of
+from meshdeform_formats.displacement import read_displacement
+from meshdeform_formats.displacement.structural import read_shapes
+from meshdeform_formats.displacement.structural.results import SOLIDS, outer_faces
+
+HEXAHEDRON = 1
+QUAD = 9
+
+
+def box(ni: int, nj: int, nk: int):
+    """Points, node numbers from 11 in steps of 3, and hexahedra of a block."""
+    number = 11 + 3 * np.arange(ni * nj * nk).reshape(ni, nj, nk)
+    points = np.stack(np.meshgrid(*map(np.arange, (ni, nj, nk)), indexing="ij"), axis=-1).reshape(-1, 3) * [
+        1.0,
+        2.0,
+        0.5,
+    ]
+    corner = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]
+    cells = np.stack([number[a : ni - 1 + a, b : nj - 1 + b, c : nk - 1 + c].ravel() for a, b, c in corner], axis=1)
+    return number.ravel(), points, cells
+
+
+def rows(numbers, values) -> list[str]:
+    return [f" -1{n:10d}" + "".join(f"{v:12.5E}" for v in row) for n, row in zip(numbers, values, strict=True)]
+
+
+def frd(numbers, points, cells, shapes, kind=HEXAHEDRON, name="DISP", analysis=2) -> str:
+    lines = ["    1C", f"    2C{'':18s}{len(numbers):12d}{'':37s}1", *rows(numbers, points), " -3"]
+    lines += [f"    3C{'':18s}{len(cells):12d}{'':37s}1"]
+    for n, cell in enumerate(cells, start=1):
+        lines += [f" -1{n:10d}{kind:5d}    0    1", " -2" + "".join(f"{node:10d}" for node in cell)]
+    lines.append(" -3")
+    for n, shape in enumerate(shapes, start=1):
+        lines += [f"    1PMODE{n:25d}"]
+        lines += [f"  100CL  10{n} {10.0 * n:11.6f}{len(numbers):12d}{'':20s}{analysis:2d}{n:5d}MODAL     {1:2d}"]
+        lines += [
+            f" -4  {name:8s}    4    1",
+            " -5  D1          1    2    1    0",
+            " -5  ALL         1    2    0    0    1ALL",
+        ]
+        lines += [*rows(numbers, shape), " -3"]
+    return "\n".join([*lines, " 9999", ""])
+
+
+@pytest.fixture
+def model():
+    numbers, points, cells = box(3, 3, 4)
+    shapes = [np.round(np.sin(points + n) * 10.0**-n, 6) for n in (1, 2)]
+    return numbers, points, cells, shapes
+
+
+def test_shapes_of_a_solid_at_its_surface(tmp_path, model):
+    numbers, points, cells, shapes = model
+    (tmp_path / "m.frd").write_text(frd(numbers, points, cells, shapes))
+    found = read_shapes(tmp_path / "m.frd")
+    inner = ((points > points.min(axis=0)) & (points < points.max(axis=0))).all(axis=1)
+    assert len(found) == 2
+    for each, shape in zip(found, shapes, strict=True):
+        np.testing.assert_array_equal(each.points, points[~inner])
+        np.testing.assert_allclose(each.displacement, shape[~inner], rtol=1e-5, atol=1e-12)
+    # The surface is closed and encloses the volume of the box.
+    a, b, c = found[0].points[found[0].triangles].transpose(1, 0, 2)
+    assert np.einsum("ni,ni->", a, np.cross(b, c)) / 6.0 == pytest.approx(2 * 4 * 1.5)
+
+
+def test_shells_and_beams(tmp_path, model):
+    numbers, points, _, shapes = model
+    quads = np.array([[11, 20, 32, 23], [20, 29, 41, 32]])
+    (tmp_path / "shell.frd").write_text(frd(numbers, points, quads, shapes, kind=QUAD))
+    found = read_shapes(tmp_path / "shell.frd")[1]
+    used = np.isin(numbers, quads)
+    np.testing.assert_array_equal(found.points, points[used])
+    np.testing.assert_allclose(found.displacement, shapes[1][used], rtol=1e-5, atol=1e-12)
+    assert len(found.triangles) == 4
+    (tmp_path / "beam.frd").write_text(frd(numbers, points, [[11, 14]], shapes, kind=11))
+    beam = read_shapes(tmp_path / "beam.frd")[0]
+    np.testing.assert_array_equal(beam.points, points)
+    assert not len(beam.triangles)
+
+
+def test_exponents_of_three_digits(tmp_path, model):
+    numbers, points, cells, shapes = model
+    text = frd(numbers, points, cells, shapes).replace("E-0", "E-00").replace("E+0", "E+00")
+    (tmp_path / "m.frd").write_text(text)
+    (tmp_path / "n.frd").write_text(frd(numbers, points, cells, shapes))
+    for one, two in zip(read_shapes(tmp_path / "m.frd"), read_shapes(tmp_path / "n.frd"), strict=True):
+        np.testing.assert_array_equal(one.displacement, two.displacement)
+
+
+@pytest.mark.parametrize("corners", SOLIDS)
+def test_faces_of_solids_show_outwards(corners):
+    """By the volume that they enclose."""
+    top = {4: [[0, 0, 1]], 5: [[0.5, 0.5, 1]]}
+    base = {4: 3, 5: 4, 6: 3, 8: 4}[corners]
+    low = np.array(
+        [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]] if base == 4 else [[0, 0, 0], [1, 0, 0], [0, 1, 0]], float
+    )
+    points = np.concatenate([low, np.array(top[corners], float) if corners in top else low + [0, 0, 1]])
+    volume = 0.0
+    for faces in outer_faces([np.arange(corners)[None]]):
+        for second in range(1, faces.shape[1] - 1):
+            a, b, c = (points[faces[:, n]] for n in (0, second, second + 1))
+            volume += np.einsum("ni,ni->", a, np.cross(b, c)) / 6.0
+    assert volume == pytest.approx({4: 1 / 6, 5: 1 / 3, 6: 1 / 2, 8: 1.0}[corners])
+
+
+def test_a_single_displacement_is_a_table(tmp_path, model):
+    numbers, points, cells, shapes = model
+    (tmp_path / "static.frd").write_text(frd(numbers, points, cells, shapes[:1], analysis=0))
+    data = read_displacement(tmp_path / "static.frd")
+    assert data.label == "static.frd"
+    (tmp_path / "modes.frd").write_text(frd(numbers, points, cells, shapes))
+    with pytest.raises(FormatError, match=r"has 2 displacements \(1: shape 1 \(10 Hz\); 2: shape 2 \(20 Hz\)\)"):
+        read_displacement(tmp_path / "modes.frd")
+
+
+def test_modes_of_a_case(tmp_path, model):
+    numbers, points, cells, shapes = model
+    (tmp_path / "m.frd").write_text(frd(numbers, points, cells, [*shapes, shapes[0] * 3]))
+    modes = {"file": "m.frd", "shapes": [3, 1], "amplitudes": ["t", 2]}
+    case = case_of({"boundary": [{"motion": {"modes": modes}}]}, tmp_path)
+    assert case.files == (tmp_path / "m.frd",)
+    (step,) = case.case.boundaries[0].motion.steps
+    assert isinstance(step, Modes)
+    np.testing.assert_allclose(step.shapes[0].displacement, 3 * step.shapes[1].displacement, rtol=2e-5, atol=1e-9)
+
+
+BAD_MODES = {
+    "found ['amplitudes']": {},
+    "found ['amplitudes', 'file', 'files']": {"file": "m.frd", "files": ["m.frd"]},
+    "found ['amplitudes', 'files', 'shapes']": {"files": ["m.frd"], "shapes": [1]},
+    "shapes = [3]; expected numbers from 1 to 2": {"file": "m.frd", "shapes": [3]},
+    "shapes = [True]": {"file": "m.frd", "shapes": [True]},
+    "2 amplitudes for 1 shapes": {"file": "m.frd", "shapes": [1], "amplitudes": [1, 2]},
+}
+
+
+@pytest.mark.parametrize("message", BAD_MODES)
+def test_modes_that_do_not_fit_are_refused(tmp_path, model, message):
+    (tmp_path / "m.frd").write_text(frd(*model))
+    with pytest.raises(CaseError) as refusal:
+        case_of({"boundary": [{"motion": {"modes": {"amplitudes": [1, 1], **BAD_MODES[message]}}}]}, tmp_path)
+    assert message in str(refusal.value)
+
+
+DAMAGE = {
+    "does not end with 9999": lambda text: text[:-6],
+    "a block has 35 lines, 36 are announced": lambda text: text.replace(text.splitlines()[2] + "\n", "", 1),
+    "does not hold a number and 3 values": lambda text: text.replace("1.00000E+00", "1.0000xE+00", 1),
+    "has the form 2; expected text": lambda text: text.replace(f"{'':37s}1", f"{'':37s}2", 1),
+    "an element has the unknown type 17": lambda text: text.replace("    1    0    1\n -2", "   17    0    1\n -2", 1),
+    "has 7 nodes, not 8": lambda text: text.replace(f"{47:10d}{59:10d}{23:10d}", f"{47:10d}{59:10d}", 1),
+    "a block has no end": lambda text: text.replace(" -3", " -1", 3).rsplit(" -3", 1)[0] + " 9999\n",
+    "complex displacements": lambda text: text.replace("DISP ", "DISPI", 1),
+    "has no displacements of nodes": lambda text: text.replace("DISP ", "FORC "),
+    "two nodes have the number 11": lambda text: text.replace(" -1        14", " -1        11"),
+    "has no nodes": lambda text: " 9999\n",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("message", DAMAGE)
+def test_damaged_files_are_refused(tmp_path, model, message):
+    text = frd(*model)
+    broken = DAMAGE[message](text)
+    assert broken != text
+    (tmp_path / "m.frd").write_text(broken)
+    with pytest.raises(FormatError) as refusal:
+        read_shapes(tmp_path / "m.frd")
+    assert message in str(refusal.value)
+    assert "m.frd" in str(refusal.value)
+
+
+def test_a_surface_node_without_displacement_is_named(tmp_path, model):
+    numbers, points, cells, shapes = model
+    text = frd(numbers, points, cells, shapes)
+    head, tail = text.split(" -4  DISP", 1)
+    line = rows([11], shapes[0][:1])[0] + "\n"
+    assert line in tail
+    head = head.rsplit("\n", 2)[0] + "\n" + head.rsplit("\n", 2)[1].replace("          36", "          35") + "\n"
+    (tmp_path / "m.frd").write_text(head + " -4  DISP" + tail.replace(line, "", 1))
+    with pytest.raises(FormatError, match=r"shape 1 \(10 Hz\) has no displacement at 1 nodes of the surface, first 11"):
+        read_shapes(tmp_path / "m.frd")
+
+
+def test_other_files_are_no_results(tmp_path):
+    with pytest.raises(FormatError, match=r"expected CalculiX \.frd or Nastran \.op2"):
+        read_shapes(tmp_path / "modes.csv")
+    with pytest.raises(FormatError, match=r'has no nodes; .* geometry = "wing.bdf"'):
+        read_displacement_of(tmp_path / "wing.op2")
+
+
+def read_displacement_of(path):
+    path.write_bytes(b"\0" * 64)
+    return read_displacement(path)
+
+
+BULK = """\
+CEND
+BEGIN BULK
+CORD2R         7       0      0.      0.      0.      0.      0.      1.
+              0.      1.      0.
+GRID           1              0.      0.      0.
+GRID           2              1.      0.      0.
+GRID           3              1.      1.      0.       7
+GRID           4              0.      1.      0.
+GRID           9              .5      .5     -1.
+CQUAD4         1       1       1       2       3       4
+CBAR           2       2       1       9      1.      0.      0.
+PSHELL         1       1      .1
+PBAR           2       1      1.      1.      1.      1.
+MAT1           1    2.+7             .3
+ENDDATA
+"""
+
+
+@pytest.fixture
+def nastran(tmp_path):
+    try:
+        from pyNastran.op2.op2 import OP2
+        from pyNastran.op2.tables.oug.oug_eigenvectors import RealEigenvectorArray
+    except (ImportError, AttributeError):
+        pytest.skip("pyNastran is not installed, or does not fit numpy")
+    (tmp_path / "wing.bdf").write_text(BULK)
+    nodes = np.array([[1, 1], [2, 1], [3, 1], [4, 1], [9, 1]])
+    data = np.random.default_rng(0).normal(size=(2, 5, 6)).astype(np.float32)
+    model = OP2(debug=None)
+    model.set_as_msc()
+    model.eigenvectors[1] = RealEigenvectorArray.add_modal_case(
+        "OUGV1", nodes, data, 1, np.array([1, 2]), np.array([4.0, 9.0]), np.array([2.0, 3.0])
+    )
+    model.write_op2(str(tmp_path / "wing.op2"), nastran_format="msc")
+    return tmp_path, data[:, :, :3]
+
+
+def test_mode_shapes_of_nastran(nastran):
+    folder, data = nastran
+    found = read_shapes(folder / "wing.op2", folder / "wing.bdf")
+    assert len(found) == 2
+    for each, shape in zip(found, data, strict=True):
+        np.testing.assert_array_equal(each.points, [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+        # The system 7 has its x axis along y, its y axis along -x.
+        basic = shape[:4].copy()
+        basic[2] = [-shape[2, 1], shape[2, 0], shape[2, 2]]
+        np.testing.assert_allclose(each.displacement, basic, atol=1e-7)
+        assert len(each.triangles) == 2
+
+
+def test_files_that_do_not_belong_together(nastran):
+    folder, _ = nastran
+    (folder / "other.bdf").write_text(
+        BULK.replace("GRID           9", "GRID          99").replace("1       9", "1      99")
+    )
+    with pytest.raises(FormatError, match="does not have the node 9 of"):
+        read_shapes(folder / "wing.op2", folder / "other.bdf")
+    (folder / "bad.op2").write_bytes((folder / "wing.op2").read_bytes()[:200])
+    with pytest.raises(FormatError, match=r"pyNastran cannot read .*bad\.op2"):
+        read_shapes(folder / "bad.op2", folder / "wing.bdf")
+    with pytest.raises(FormatError, match=r"pyNastran cannot read .*none\.bdf"):
+        read_shapes(folder / "wing.op2", folder / "none.bdf")
