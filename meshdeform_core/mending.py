@@ -113,7 +113,11 @@ def mend(
             points, how = result.grid.points, Renewal(case.method.name, result.steps, reason)
             return than.or_better(_Found(points, judge(measured, rounded(points, width)), result.repair, how))
 
-        found = _mended(found, repairer, renew, mode == "polish")
+        start, found = found, _mended(found, repairer, renew, mode == "polish")
+        if mode == "polish" and cells.verdict.valid:
+            # Polishing minimises another measure of cells.
+            polished = Comparison(measured, rounded(found.points, width)).after.smallest_scaled[1]
+            found = found if polished >= cells.after.smallest_scaled[1] else start
     final = rounded(found.points, width)
     walls = boundary if case.boundaries else None
     notes = (*original.notes, *(boundary.notes if case.boundaries else ()))

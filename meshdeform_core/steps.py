@@ -62,11 +62,13 @@ class State:
     @property
     def way(self) -> str:
         """How the grid was made. Grids made in the same way are a continuous function of the displacement."""
-        untangled = not all(repair.converged for repair in self.repairs)
         if self.fraction < 1.0:
             return f"{self.options.name} with a part of the motion"
-        steps = "one step" if self.steps == 1 else f"{self.steps} steps"
-        return f"{self.options.name} in {steps}{', cells untangled in regions' if untangled else ''}"
+        way = f"{self.options.name} in {'one step' if self.steps == 1 else f'{self.steps} steps'}"
+        if not all(repair.converged for repair in self.repairs):
+            return f"{way}, cells untangled in regions"
+        polished = self.repairs or self.course.setup.case.repair.mode != "polish"
+        return way if polished else f"{way}, not polished, which would lower the smallest scaled Jacobian"
 
 
 class Reached(NamedTuple):
@@ -140,7 +142,13 @@ def repaired(trial: Trial, ways: tuple[Way, ...] = QUICKLY) -> Trial:
     """A plain trial, repaired if its cells need that and the case asks for it."""
     course, plain = trial.state.course, trial.plain
     mode = course.setup.case.repair.mode
-    if mode == "off" or not (mode == "polish" or course.repairer.needed(plain.points, plain.verdict)):
+    if mode == "off":
+        return trial
+    if mode == "polish":
+        polished = _repaired(trial, ways, course.start.correction(), polish=True)
+        if not plain.verdict.valid or _smallest_scaled(course, polished.found) >= _smallest_scaled(course, plain):
+            return polished
+    if not course.repairer.needed(plain.points, plain.verdict):
         return trial
     return _repaired(trial, ways, course.start.correction())
 
@@ -149,7 +157,8 @@ def settled(trial: Trial, points: FloatArray) -> Trial | None:
     """The minimum that a repair of a plain trial should find, searched from a valid grid (n_nodes, 3) that was made in
     another way; ``None`` if it is not found."""
     plain = dataclasses.replace(trial, found=trial.plain, repair=None)
-    found = _repaired(plain, (), points - trial.plain.points)
+    polish = trial.state.course.setup.case.repair.mode == "polish"
+    found = _repaired(plain, (), points - trial.plain.points, polish)
     return found if found.repair and found.repair.converged else None
 
 
@@ -163,7 +172,8 @@ def insist(trial: Trial) -> Trial:
     """Repair the plain grid of a trial once more, with more patience; returns the better of both."""
     if trial.state.course.limit.reached:
         return trial
-    other = _repaired(dataclasses.replace(trial, found=trial.plain, repair=None), PATIENTLY)
+    polish = trial.state.course.setup.case.repair.mode == "polish"
+    other = _repaired(dataclasses.replace(trial, found=trial.plain, repair=None), PATIENTLY, polish=polish)
     better = other if other.invalid_cells < trial.invalid_cells else trial
     if trial.repair and other.repair:
         both = dataclasses.replace(trial.repair + other.repair, cells=trial.repair.cells)
@@ -236,9 +246,14 @@ def _judged(course: Course, fraction: float, points: FloatArray) -> Coordinates:
         return Coordinates(points, cells.verdict, cells)
 
 
-def _repaired(trial: Trial, ways: tuple[Way, ...], guess: FloatArray | None = None) -> Trial:
+def _smallest_scaled(course: Course, found: Coordinates) -> float:
+    """The smallest scaled Jacobian, which polishing must not lower: it minimises another measure of cells."""
+    cells = found.cells or Comparison(course.setup.original, course.rounded(found.points))
+    return cells.after.smallest_scaled[1]
+
+
+def _repaired(trial: Trial, ways: tuple[Way, ...], guess: FloatArray | None = None, polish: bool = False) -> Trial:
     course, plain = trial.state.course, trial.plain
-    polish = course.setup.case.repair.mode == "polish"
     with course.timing.stage("repair"):
         outcome = course.repairer.repair(plain.points, plain.verdict, polish, ways, guess)
     moved = outcome.repair.newton_steps > 0

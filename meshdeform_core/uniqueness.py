@@ -32,7 +32,7 @@ FOLLOWED = 50_000
 def compared(trial: Trial) -> Trial:
     """The same with ``repair.unique`` set where another start was tried; where that led elsewhere, a warning."""
     course, repair = trial.state.course, trial.repair
-    if repair is None or not repair.converged or course.limit.reached:
+    if repair is None or not repair.converged or course.setup.case.repair.mode == "polish" or course.limit.reached:
         return trial
     with course.timing.stage("repair"):
         other = _from_another_start(trial)
@@ -50,17 +50,16 @@ def compared(trial: Trial) -> Trial:
 
 def _from_another_start(trial: Trial) -> Outcome | None:
     course, plain = trial.state.course, trial.plain
-    polish = course.setup.case.repair.mode == "polish"
     if course.start.correction() is not None:
         if not course.start.compare:
             return None
-        return course.repairer.repair(plain.points, plain.verdict, polish, ())
+        return course.repairer.repair(plain.points, plain.verdict, ways=())
     if plain.verdict.valid or course.repairer.size > FOLLOWED:
         return None
-    return _follow(trial, polish)
+    return _follow(trial)
 
 
-def _follow(trial: Trial, polish: bool) -> Outcome | None:
+def _follow(trial: Trial) -> Outcome | None:
     """The minimum at the end of the motion, followed from a part of it at which the method keeps all cells valid.
 
     Every step is so short that the correction of the last one keeps the grid valid, too; ``None`` where that fails.
@@ -71,7 +70,7 @@ def _follow(trial: Trial, polish: bool) -> Outcome | None:
     if reached is None:
         return None
     start = _plain(trial, reached)
-    outcome, step = repairer.repair(start, _verdict(course, start), polish, ()), 1.0 - _PART
+    outcome, step = repairer.repair(start, _verdict(course, start), ways=()), 1.0 - _PART
     correction = outcome.points - start
     for _ in range(_STEPS):
         if reached == 1.0 or step < _SHORTEST:
@@ -80,7 +79,7 @@ def _follow(trial: Trial, polish: bool) -> Outcome | None:
         plain = _plain(trial, part)
         found = None
         if _verdict(course, plain + correction).valid:
-            found = repairer.repair(plain, _verdict(course, plain), polish, (), correction)
+            found = repairer.repair(plain, _verdict(course, plain), ways=(), guess=correction)
         if found and found.repair.converged:
             outcome, correction, reached, step = found, found.points - plain, part, 1.5 * step
         else:

@@ -18,6 +18,7 @@ from ..numerics.cell.foldover_tangents import products_of_cells, slopes_of_cells
 from ..parallel import alone, current_ranks
 from .basis import Basis, Whole
 from .extrusion import Extrusion
+from .minimum import POLISHED
 from .onset import share_of, share_slopes
 from .region import HEALTHY, NORM, SOFT, Hexahedra, Penalty, Triangles
 from .untangle import CUBIC
@@ -72,7 +73,7 @@ class _AtMinimum:
         if polish and self.share <= 1.0:
             self.share, of_share = 1.0, np.zeros_like(of_share)
         self._slopes = of_share, of_between
-        self._region = replace(self._plot.region, energy=energy)
+        self._region = replace(self._plot.region, energy=energy.softened(POLISHED) if polish else energy)
 
     def push(self, change: FloatArray) -> FloatArray:
         plot, moved = self._plot, np.array(change)

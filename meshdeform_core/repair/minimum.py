@@ -15,6 +15,8 @@ QUICK, PATIENT = Pace(60, 2.0, 0.2), Pace(200, 50.0, 0.1)
 # Where no valid grid exists, most cells that can become valid do so early.
 HASTY = Pace(30, 2.0, 0.3)
 _CONVERGING = 60
+POLISHED = 0.25
+"""Power of the weights of cells where a healthy grid is polished: those at walls are good already."""
 # A region of n nodes takes at most _WORK / n Newton steps, so that time is bounded on large grids.
 _WORK, _FEWEST = 20_000_000, 6
 
@@ -51,12 +53,12 @@ def minimise(
     late: Callable[[], bool],
 ) -> Search | None:
     """Search the minimum from ``points`` (n_nodes, 3) of the method, moved by a ``guess``; ``None`` where no cell is
-    weak. ``polish``: the energy has its full share in any case."""
+    weak. ``polish``: the energy has its full share in any case, and cells at walls count little more than others."""
     plot = whole.plot
     reference = plot.inside(points)
     share, energy = share_of(plot.region.energy, reference)
     if polish:
-        share = max(share, 1.0)
+        share, energy = max(share, 1.0), energy.softened(POLISHED)
     if share == 0.0:
         return None
     region = replace(plot.region, energy=energy)

@@ -17,7 +17,7 @@ from meshdeform_core.grid import Grid
 from meshdeform_core.numerics.cell.foldover_plane import add_triangles
 from meshdeform_core.parallel import set_threads
 from meshdeform_core.quality.validity import judge, newly_invalid
-from meshdeform_core.repair import RepairOptions
+from meshdeform_core.repair import RepairOptions, minimum
 from meshdeform_core.repair.basis import Basis
 from meshdeform_core.repair.constraints import Constraints
 from meshdeform_core.repair.extrusion import find_extrusion
@@ -162,6 +162,21 @@ def test_attempts_are_told_and_options_mean_what_they_say():
     easy = turned(frame(6, 2), 20)
     assert (easy.repair, len(easy.attempts)) == (None, 1)
     np.testing.assert_array_equal(easy.grid.points, turned(frame(6, 2), 20, mode="off").grid.points)
+
+
+@pytest.mark.parametrize("angle", [3, 40])
+def test_polishing_a_healthy_grid_improves_its_worst_cells(angle):
+    plain, polished = (turned(frame_2d(6), angle, mode=mode).assessment.after for mode in ("off", "polish"))
+    assert plain.min_scaled_jacobian < polished.min_scaled_jacobian
+    assert plain.f_skew.min < polished.f_skew.min
+
+
+def test_a_polished_grid_with_a_smaller_scaled_jacobian_is_not_taken(monkeypatch):
+    monkeypatch.setattr(minimum, "POLISHED", 1.0)
+    plain, polished = (turned(frame_2d(6), 20, mode=mode) for mode in ("off", "polish"))
+    np.testing.assert_array_equal(polished.grid.points, plain.grid.points)
+    assert polished.repair is None
+    assert "not polished" in polished.way
 
 
 def test_2d_grids_and_grids_one_cell_thick_are_repaired_alike():
