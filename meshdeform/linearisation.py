@@ -49,8 +49,11 @@ class Linearisation:
         self._derivative = derivative_of(method, displacement)
         plain = setup.grid.points + method.apply(displacement)
         self._repair, self._reason = _difference(plain, step)
-        if not self._reason and setup.boundary.slip.curved:
-            self._reason = "nodes slide on a curved surface of flat faces, at whose edges there is no derivative"
+        if not self._reason and self._derivative.on_edges:
+            self._reason = (
+                f"{self._derivative.on_edges:,} nodes that slide on curved surfaces are at edges of their flat faces, "
+                "where there is no derivative"
+            )
 
     @property
     def step(self) -> Step:

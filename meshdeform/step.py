@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -75,7 +76,9 @@ class Step:
             for shape, faces in zip(undeformed.shapes, found, strict=True)
         ]
 
-    def quality_gradient(self, measure: str, sharpness: float = 100.0) -> QualityGradient:
+    def quality_gradient(
+        self, measure: str, sharpness: float = 100.0, blocks: Sequence[int] | None = None
+    ) -> QualityGradient:
         """A quality measure of the grid with its gradient with respect to the coordinates, for optimisers.
 
         :meth:`Linearisation.vjp` of the gradient is the gradient with respect to the displacement.
@@ -85,18 +88,20 @@ class Step:
         measure : ``f_skew`` (harmonic mean over the cells), ``f_skew_min`` and ``scaled_jacobian_min`` (smooth lower
             bounds of the smallest f_skew of a cell and scaled Jacobian of a corner), ``volume`` (in 2-D area)
         sharpness : of the smooth minima: they are too low by at most log(number of values) / sharpness
+        blocks : numbers of blocks from 0, to measure their cells only: the volume of a tank, for instance
 
         Raises
         ------
         GridError
-            For an unknown measure, and for f_skew of a grid with invalid cells, where it is zero without a gradient.
+            For an unknown measure or block, and for f_skew of a grid with invalid cells, where it is zero without a
+                gradient.
         """
         from meshdeform_core.quality.gradients import quality_gradient
 
         grid, setup = self._result.grid, self._result.setup
-        value, gradient = quality_gradient(grid, grid.points, setup.topology, measure, sharpness)
-        blocks = [grid.block(b, gradient) for b in range(grid.n_blocks)]
-        return QualityGradient(value, [block[:, :, 0, :2].copy() if self._plane else block for block in blocks])
+        value, gradient = quality_gradient(grid, grid.points, setup.topology, measure, sharpness, blocks)
+        found = [grid.block(b, gradient) for b in range(grid.n_blocks)]
+        return QualityGradient(value, [block[:, :, 0, :2].copy() if self._plane else block for block in found])
 
     @property
     def steps(self) -> int:

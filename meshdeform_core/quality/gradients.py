@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -33,18 +33,29 @@ class Measure:
 
 
 def quality_gradient(
-    grid: Grid, points: FloatArray, topology: Topology, measure: str, sharpness: float
+    grid: Grid,
+    points: FloatArray,
+    topology: Topology,
+    measure: str,
+    sharpness: float,
+    blocks: Sequence[int] | None = None,
 ) -> tuple[float, FloatArray]:
     """A measure of the grid with coordinates ``points`` (n_nodes, 3), and its gradient (n_nodes, 3).
+
+    With ``blocks``, numbers from 0, it is that of their cells only.
 
     Raises
     ------
     GridError
-        For an unknown measure, and for f_skew of a grid with a corner Jacobian that is not positive: it is zero there.
+        For an unknown measure or block, and for f_skew of a grid with a corner Jacobian that is not positive: it is
+        zero there.
     """
     if measure not in MEASURES:
         raise GridError(f"no quality measure {measure!r}; expected one of {', '.join(MEASURES)}")
-    chosen, parts = MEASURES[measure], list(_parts(grid, topology))
+    some = range(grid.n_blocks) if blocks is None else sorted(set(blocks))
+    if not some or not all(0 <= block < grid.n_blocks for block in some):
+        raise GridError(f"blocks = {list(some)}; expected numbers from 0 to {grid.n_blocks - 1}")
+    chosen, parts = MEASURES[measure], list(_parts(grid, topology, some))
     with np.errstate(all="ignore"):
         every = [chosen.values(points[nodes], side) for nodes, side in parts]
     found = np.concatenate(every)
@@ -65,10 +76,10 @@ def quality_gradient(
     return value, gradient
 
 
-def _parts(grid: Grid, topology: Topology) -> Iterator[tuple[IntArray, Any]]:
+def _parts(grid: Grid, topology: Topology, blocks: Iterable[int]) -> Iterator[tuple[IntArray, Any]]:
     """Corner nodes (n, 8) of some cells of a block at a time, and its handedness, or in 2-D the normal of its cells."""
     starts, normal = cell_starts(grid), plane_normal(grid)
-    for block in range(grid.n_blocks):
+    for block in blocks:
         side: Any = float(topology.handedness[block])
         if normal is not None:
             flat = grid.shapes[block].index(1)

@@ -50,10 +50,10 @@ def derivative_of_repair(basis: Basis, start: FloatArray, end: FloatArray, polis
     undeformed = basis.original.grid.points
     if basis.extrusion is not None:
         extrusion, plane = basis.extrusion
-        flat = [extrusion.flattened(points - undeformed) for points in (start, end)]
-        if flat[0] is not None and flat[1] is not None:
-            first, last = (extrusion.plane.points + each for each in flat)
-            inside = derivative_of_repair(plane, first, last, polish)
+        first, last = (extrusion.flattened(points - undeformed) for points in (start, end))
+        if first is not None and last is not None:
+            flat = extrusion.plane.points
+            inside = derivative_of_repair(plane, flat + first, flat + last, polish)
             return None if inside is None else _Extruded(extrusion, inside)
     whole = basis.whole
     if whole is None or whole.plot.region.slides:

@@ -70,3 +70,17 @@ def test_refusals(step):
     with pytest.raises(md.GridError, match=r"f_skew is zero in .* cells"):
         crossed.quality_gradient("f_skew")
     assert crossed.quality_gradient("scaled_jacobian_min").value < 0
+
+
+def test_the_volume_of_some_blocks():
+    step = bent(frame())
+    each = [step.quality_gradient("volume", blocks=[b]) for b in range(len(step.grid.blocks))]
+    whole = step.quality_gradient("volume")
+    assert sum(found.value for found in each) == pytest.approx(whole.value, rel=1e-12)
+    some = step.quality_gradient("volume", blocks=[2, 0])
+    assert some.value == pytest.approx(each[0].value + each[2].value, rel=1e-12)
+    assert some.blocks[0].any()
+    assert not some.blocks[1].any()
+    for blocks in ([], [-1], [99]):
+        with pytest.raises(md.GridError, match="blocks = "):
+            step.quality_gradient("volume", blocks=blocks)

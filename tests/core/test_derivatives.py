@@ -102,7 +102,22 @@ def test_sliding_on_a_curved_surface(name):
     assert where.boundary.slip.curved
     smooth, rough = directions(where)
     # No node may come to the edge of a flat face within the step.
-    check(make_method(METHODS[name]).prepare(where), 0.3 * smooth, 1e-2 * rough)
+    method = make_method(METHODS[name]).prepare(where)
+    check(method, 0.3 * smooth, 1e-2 * rough)
+    assert derivative_of(method, 0.3 * smooth).on_edges == 0
+    # Undeformed, they all are at corners of these faces.
+    assert derivative_of(method, 0.0 * smooth).on_edges > 0
+
+
+def test_sliding_where_a_gap_closes():
+    """What is blended there slides on the surface once more."""
+    where = KINDS["curved slip"]()
+    moving = (where.boundary.kind[where.source_numbers] == Kind.MOVING)[:, None]
+    _, rough = directions(where)
+    method = make_method(Options("idw-tfi")).prepare(where)
+    at = moving * np.array([0.9, 0.13, 0.0])
+    assert method.closing(at) is not None
+    check(method, at, 1e-3 * rough)
 
 
 @pytest.mark.parametrize("angle", [70.0, 130.0, 179.0])

@@ -39,6 +39,7 @@ class ComponentsDerivative:
     def __init__(self, method: PreparedComponents, displacement: FloatArray) -> None:
         self._method, self._grid = method, method.problem.grid
         self._own = [derivative_of(own, displacement[rows]) if own else None for _, own, rows in method.parts]
+        self.on_edges = sum(own.on_edges for own in self._own if own)
 
     def push(self, change: FloatArray) -> FloatArray:
         """Change (n_nodes, 3) for one of the sources (n_sources, 3)."""

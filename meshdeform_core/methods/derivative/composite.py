@@ -22,7 +22,10 @@ from .weighting import IDWDerivative
 
 class Derivative(Protocol):
     """Derivative of the displacement (n_nodes, 3) of all block nodes with respect to that (n_sources, 3) of the
-    sources."""
+    sources; ``on_edges`` is the number of sliding nodes at which there is none, see :class:`.constraints.Constraints`.
+    """
+
+    on_edges: int
 
     def push(self, change: FloatArray) -> FloatArray:
         """Change (n_nodes, 3) for one of the sources (n_sources, 3)."""
@@ -50,45 +53,31 @@ class _Composite:
         out = np.full((problem.grid.n_nodes, 3), np.nan)
         face = method._mover.move(displacement, out)
         self._first = Constraints(problem, face.copy())
+        self.on_edges = self._first.on_edges
         if self._left_out and self._filler:
             method._constrain(face, out)
             self._filler.push(out)
             self._second = Constraints(problem, _on_faces(out, problem))
+            self.on_edges += self._second.on_edges
 
     def push(self, change: FloatArray) -> FloatArray:
         problem, out = self._problem, np.full((self._problem.grid.n_nodes, 3), np.nan)
         face = self._mover.push(change, out)
-        self._impose(self._first, face, out)
+        self._first.impose(face, out)
         if self._filler:
             self._filler.push(out)
             if self._left_out:
-                self._impose(self._second, _on_faces(out, problem), out)
+                self._second.impose(_on_faces(out, problem), out)
         return out
 
     def pull(self, gradient: FloatArray) -> FloatArray:
         g = np.array(gradient)
         if self._filler:
             if self._left_out:
-                face = self._gathered(self._second, g)
+                face = self._second.gathered(g)
                 g[self._problem.topology.first] += face
             self._filler.pull(g)
-        return self._mover.pull(self._gathered(self._first, g), g)
-
-    def _impose(self, constraints: Constraints, face: FloatArray, out: FloatArray) -> None:
-        constraints.push(face)
-        topology = self._problem.topology
-        out[topology.face_nodes] = face[topology.number]
-
-    def _gathered(self, constraints: Constraints, g: FloatArray) -> FloatArray:
-        """Gradient (n_unique, 3) of the face nodes, to which all coincident block nodes add; theirs become zero."""
-        topology = self._problem.topology
-        rows = g[topology.face_nodes]
-        face: FloatArray = np.zeros((topology.n_unique, 3))
-        for c in range(3):
-            face[:, c] = np.bincount(topology.number, rows[:, c], topology.n_unique)
-        g[topology.face_nodes] = 0.0
-        constraints.pull(face)
-        return face
+        return self._mover.pull(self._first.gathered(g), g)
 
 
 class _Periodic:
@@ -104,6 +93,7 @@ class _Periodic:
         boundary.slip.constrain(face, problem.grid.points, topology.first)
         boundary.periodic.constrain(face, ~boundary.known)
         self._rest = derivative_of_composite(method._rest, face[self._sources])
+        self.on_edges = self._constraints.on_edges + self._rest.on_edges
 
     def push(self, change: FloatArray) -> FloatArray:
         face = self._mover.push(change, np.zeros((self._problem.grid.n_nodes, 3)))

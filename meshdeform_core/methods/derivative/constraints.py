@@ -10,24 +10,35 @@ from ..base import Problem
 
 
 class Constraints:
-    """Slip and periodicity at one displacement ``face`` (n_unique, 3), before they are imposed on it."""
+    """Slip and periodicity at one displacement ``face`` (n_unique, 3), before they are imposed on it.
+
+    Attributes
+    ----------
+    on_edges : number of nodes that slide on a curved surface and are at the edge of a flat face, where there is no
+        derivative
+    """
 
     def __init__(self, problem: Problem, face: FloatArray) -> None:
         self._problem = problem
+        self.on_edges = 0
         self._sliding = [self._tangents(surface, face) for surface in problem.boundary.slip.curved]
 
     def _tangents(self, surface: CurvedSurface, face: FloatArray) -> tuple[IntArray, FloatArray]:
         """Nodes that slide and projectors (n, 3, 3) on the triangle, or the edge of one, on which they are."""
         problem = self._problem
         target = problem.grid.points[problem.topology.first[surface.nodes]] + face[surface.nodes]
-        triangle, weights, _ = surface.tree.closest(target)
-        corners = surface.points[surface.triangles[triangle]]
-        inside = (weights > 1e-9).sum(axis=1) != 2
-        # On an edge only the direction along it is left; at a vertex the whole triangle stands for the surface.
-        base = np.where((weights > 1e-9) | inside[:, None], 1.0, 0.0)
+        triangle, weights, distance = surface.tree.closest(target)
+        corners, positive = surface.points[surface.triangles[triangle]], weights > 1e-9
+        count, size = positive.sum(axis=1), np.ptp(corners, axis=1).max(axis=1)
+        # Curves in a plane are made of triangles without width.
+        whole = 2 if (surface.triangles[:, 1] == surface.triangles[:, 2]).all() else 3
+        edge = (count < whole) & (distance <= 1e-9 * size)
+        self.on_edges += int(np.count_nonzero(edge))
+        # On an edge only the direction along it is left, at a vertex none; on the surface the triangle stands for it.
+        base = np.where(positive | (edge & (count == 1))[:, None], 1.0, 0.0)
         middle = np.einsum("nc,ncd->nd", base, corners) / base.sum(axis=1)[:, None]
-        left, size, _ = np.linalg.svd(((corners - middle[:, None]) * base[:, :, None]).transpose(0, 2, 1))
-        kept = left[:, :, :2] * (size[:, None, :2] > 1e-9 * size[:, None, :1])
+        left, length, _ = np.linalg.svd(((corners - middle[:, None]) * base[:, :, None]).transpose(0, 2, 1))
+        kept = left[:, :, :2] * (length[:, None, :2] > 1e-9 * size[:, None, None])
         return surface.nodes, np.asarray(kept @ kept.transpose(0, 2, 1))
 
     def push(self, face: FloatArray) -> None:
@@ -54,3 +65,21 @@ class Constraints:
             face[nodes] -= face[nodes] @ removed.T
         for nodes, tangent in self._sliding:
             face[nodes] = np.einsum("nji,nj->ni", tangent, face[nodes])
+
+    def impose(self, face: FloatArray, out: FloatArray) -> None:
+        """Impose them on a change ``face``, and copy it to all coincident nodes of ``out`` (n_nodes, 3)."""
+        self.push(face)
+        topology = self._problem.topology
+        out[topology.face_nodes] = face[topology.number]
+
+    def gathered(self, gradient: FloatArray) -> FloatArray:
+        """The transpose: gradient (n_unique, 3) of the face nodes from that (n_nodes, 3) of all block nodes, of which
+        coincident ones add; theirs become zero."""
+        topology = self._problem.topology
+        rows = gradient[topology.face_nodes]
+        face: FloatArray = np.zeros((topology.n_unique, 3))
+        for c in range(3):
+            face[:, c] = np.bincount(topology.number, rows[:, c], topology.n_unique)
+        gradient[topology.face_nodes] = 0.0
+        self.pull(face)
+        return face

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from ...grid import FloatArray
+from ..composite import _on_faces
 from ..gaps import Closing, PreparedInGaps
 from .composite import Derivative, derivative_of_composite
+from .constraints import Constraints
 
 
 class InGapsDerivative:
@@ -15,10 +17,19 @@ class InGapsDerivative:
     def __init__(self, method: PreparedInGaps, closing: Closing, displacement: FloatArray) -> None:
         self._closing, self._share = closing, method.spread(closing.share)
         inside = (self._share > 0.0) & (self._share < 1.0)
-        self._apart = inside * (method.transfinite.apply(displacement) - method.method.apply(displacement))
+        own = method.method.apply(displacement)
+        apart = method.transfinite.apply(displacement) - own
+        self._apart = inside * apart
         self._own: Derivative = derivative_of_composite(method.method, displacement)
         self._lines: Derivative = derivative_of_composite(method.transfinite, displacement)
         self._scalar: Derivative = derivative_of_composite(method.scalar, displacement)
+        self.on_edges = self._own.on_edges + self._lines.on_edges
+        # Blended nodes are put back on curved surfaces.
+        self._problem, self._again = method._problem, None
+        if self._problem.boundary.slip.curved:
+            blend = own + self._share * apart
+            self._again = Constraints(self._problem, _on_faces(blend, self._problem))
+            self.on_edges += self._again.on_edges
 
     def push(self, change: FloatArray) -> FloatArray:
         """Change (n_nodes, 3) for one of the sources (n_sources, 3)."""
@@ -26,10 +37,17 @@ class InGapsDerivative:
         share = np.zeros_like(change)
         share[closing.rows, 0] = np.einsum("ni,ni->n", closing.slope, change[closing.rows] - change[closing.other])
         spread = self._scalar.push(share)[:, :1]
-        return np.asarray(own + self._share * (self._lines.push(change) - own) + spread * self._apart)
+        out = own + self._share * (self._lines.push(change) - own) + spread * self._apart
+        if self._again:
+            self._again.impose(_on_faces(out, self._problem), out)
+        return np.asarray(out)
 
     def pull(self, gradient: FloatArray) -> FloatArray:
         """Gradient (n_sources, 3) from that (n_nodes, 3) of all block nodes."""
+        if self._again:
+            gradient = np.array(gradient)
+            face = self._again.gathered(gradient)
+            gradient[self._problem.topology.first] += face
         closing, spread = self._closing, np.zeros_like(gradient)
         spread[:, 0] = np.einsum("ni,ni->n", gradient, self._apart)
         share = self._scalar.pull(spread)[closing.rows, :1] * closing.slope
