@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 from meshdeform_core.grid import Grid, Shape, Side, Window
@@ -91,3 +93,36 @@ def whole_face(shape: Shape, block: int, side: Side) -> Window:
     """The window that covers a whole block face."""
     a, b = side.tangential
     return Window(block, side, (0, 0), (shape[a] - 1, shape[b] - 1))
+
+
+def clustered(start: float, end: float, cells: int, strength: float) -> np.ndarray:
+    """Nodes whose spacing grows exponentially from ``start``."""
+    return start + (end - start) * np.expm1(strength * np.linspace(0.0, 1.0, cells + 1)) / np.expm1(strength)
+
+
+def plate_wing() -> Grid:
+    """Half a wing without thickness, 0 < x < 1, 0 < z < 1 in the plane y = 0: faces of two of twelve blocks."""
+    x = clustered(0, -20, 6, 4.0)[::-1], np.linspace(0, 1, 7), clustered(1, 20, 6, 4.0)
+    y = clustered(0, 20, 8, 8.0), clustered(0, -20, 8, 8.0)[::-1]
+    z = np.linspace(0, 1, 7), clustered(1, 10, 5, 3.0)
+    return Grid.from_blocks([block_around(*lines) for lines in itertools.product(x, y, z)])
+
+
+def plenum() -> Grid:
+    """A square duct, -10 < x < 0 and 2 wide, that ends in the wall of a large box, x > 0 and 200 wide."""
+    half = clustered(0, 1, 4, 2.0)
+    duct = np.concatenate([half - 1, (1 - half)[::-1][1:]])
+    across = clustered(-1, -100, 8, 6.0)[::-1], duct, clustered(1, 100, 8, 6.0)
+    downstream = clustered(0, 200, 10, 6.0)
+    room = [block_around(downstream, *lines) for lines in itertools.product(across, across)]
+    return Grid.from_blocks([block_around(np.linspace(-10, 0, 11), duct, duct), *room])
+
+
+def thin_layers() -> Grid:
+    """An ellipse of chord 1 in a circle of radius 30, first cells 3e-5 high: one plane O-grid."""
+    angle = np.linspace(0.0, 2 * np.pi, 65)
+    inner, outer = (np.stack([a * np.cos(angle), b * np.sin(angle)], axis=1) for a, b in ((0.5, 0.06), (30.0, 30.0)))
+    share = clustered(0, 1, 60, 11.0)[:, None]
+    x = inner[:, None] + share * (outer - inner)[:, None]
+    x[-1] = x[0]
+    return Grid.from_blocks([np.concatenate([x, np.zeros((*x.shape[:2], 1))], axis=2)[:, :, None]])

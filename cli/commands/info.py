@@ -165,27 +165,34 @@ def _face(grid: Grid, face: Face, role: Role) -> dict[str, Any]:
 
 def _remarks(grid: Grid, topology: Topology, outside: Outside) -> list[str]:
     """Remarks that follow from the shape of the grid but not from the file."""
-    from meshdeform_core.grid.roles import Role, clusters
+    from meshdeform_core.grid.roles import Role
+    from meshdeform_core.grid.surfaces import clustered_interfaces
+    from meshdeform_formats.case.template import plates_line
 
+    if outside.plates:
+        return [
+            f"{_named([plate.name for plate in outside.plates])}: likely a thin plate (a wall without thickness "
+            f"between blocks): cells cluster from both sides, and it does not reach the far field; if it "
+            f"is a wall, the case needs: [grid] {plates_line(outside.plates)}"
+        ]
     if outside.of_role(Role.WALL):
         return []
-    shared = [
-        face
-        for face, role in zip(outside.faces, outside.roles, strict=True)
-        if role is Role.INTERFACE and clusters(face)
-    ]
-    fine = np.zeros(len(topology.partner), dtype=bool)
-    for face in shared:
-        fine[face.quads] = True
-    names = [face.label(grid) for face in shared if fine[topology.partner[face.quads]].all()]
+    names = [face.label(grid) for face in clustered_interfaces(topology, outside)]
     if not names:
         return []
     return [
-        f"no wall was found, but cells cluster from both sides towards {', '.join(names[:6])}: a wake, or a thin plate "
-        f"(which the case can declare: [grid] plates)"
+        f"no wall was found, but cells cluster from both sides towards {_named(names)}: a wake, or in part a thin "
+        f'plate, whose nodes the case can name: [grid] plates = ["{names[0]}[1:9,*]"]'
     ]
 
 
+def _named(names: Sequence[str]) -> str:
+    """The first few names."""
+    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    return ", ".join(names[:_NAMED]) + more
+
+
+_NAMED = 6
 # Chords of models and bodies in metres, and first cells of boundary layers: what is common, by a wide margin.
 _LARGEST_BODY, _THICKEST_LAYER = 150.0, 0.02
 

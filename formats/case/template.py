@@ -65,8 +65,12 @@ def case_template(
         "# Roles with a question mark are guessed from the shape of the grid: check them.",
         "",
     ]
-    if boundary_file is not None:
-        lines += ["[grid]", f"boundary_file = {_text(boundary_file)}", ""]
+    header = [] if boundary_file is None else [f"boundary_file = {_text(boundary_file)}"]
+    if outside.plates:
+        header += ["# Likely thin plates, walls without thickness between blocks. If they are, remove the #, and give",
+                   "# them an entry below that moves them:", f"# {plates_line(outside.plates)}"]  # fmt: skip
+    if header:
+        lines += ["[grid]", *header, ""]
     if not any(surface.role is Role.WALL for entry in entries for surface in entry.surfaces):
         lines += ['# No wall was found: set kind = "moving" for the boundary that moves.', ""]
     for entry in entries:
@@ -74,11 +78,16 @@ def case_template(
     return "\n".join([*lines, _METHOD])
 
 
+def plates_line(plates: Sequence[Surface]) -> str:
+    """The line of ``[grid]`` that declares faces between blocks thin plates."""
+    return f"plates = [{', '.join(_text(_pattern(plate.name)) for plate in plates)}]"
+
+
 def _entries(grid: Grid, outside: Outside, table: FittedTable | None) -> Iterator[_Entry]:
     if table is None:
-        moving = _moving(grid, outside.surfaces)
+        moving = _moving(outside)
     else:
-        moving = [surface for surface in outside.surfaces if surface.name in table.surfaces]
+        moving = tuple(surface for surface in outside.surfaces if surface.name in table.surfaces)
     taken: set[str] = set()
     groups: dict[tuple[str, str], list[Surface]] = {}
     for surface in sorted(outside.surfaces, key=lambda s: list(Role).index(s.role)):
@@ -96,15 +105,13 @@ def _entries(grid: Grid, outside: Outside, table: FittedTable | None) -> Iterato
         yield _Entry(unique, kind, tuple(surfaces))
 
 
-def _moving(grid: Grid, surfaces: Sequence[Surface]) -> list[Surface]:
+def _moving(outside: Outside) -> tuple[Surface, ...]:
     """Walls of bodies; else all walls; else the largest face of unknown role; else the largest face."""
-    walls = [s for s in surfaces if s.role is Role.WALL]
-    whole = np.ptp(grid.points, axis=0)
-    bodies = [s for s in walls if int((np.ptp(s.box, axis=0) > 0.6 * whole).sum()) < 2]
-    if bodies or walls:
-        return bodies or walls
-    unknown = [s for s in surfaces if s.role is Role.UNKNOWN] or list(surfaces)
-    return [max(unknown, key=lambda s: s.area)] if unknown else []
+    walls = outside.bodies or outside.of_role(Role.WALL)
+    if walls:
+        return walls
+    unknown = outside.of_role(Role.UNKNOWN) or outside.surfaces
+    return (max(unknown, key=lambda s: s.area),) if unknown else ()
 
 
 def _kind(grid: Grid, surface: Surface) -> str:

@@ -11,12 +11,13 @@ from meshdeform_core.grid.roles import Role
 from meshdeform_core.grid.surfaces import Surface
 
 from .colours import colour_of, group_colours
-from .facets import Facets, block_outlines, joined, surface_facets
+from .facets import Facets, block_outlines, joined
 from .figure import Page, Panel
 from .image import Scene
-from .overview import Choice, body_walls, onto_walls, overview
+from .overview import Choice, overview
 from .subject import Subject
 from .view import View, shaped, window_of
+from .walls import body_walls, corners_of, onto_walls
 
 _MOST = 14
 
@@ -42,8 +43,7 @@ def boundaries(subject: Subject, title: str = "") -> Page:
     panels = [whole]
     walls = body_walls(subject)
     if walls:
-        corners = np.concatenate([surface_facets(subject, wall.quads).corners for wall in walls])
-        near = shaped(window_of(view, corners, 0.1), (0.7, 1.0))
+        near = shaped(window_of(view, corners_of(subject, walls), 0.1), (0.7, 1.0))
         if near[1] - near[0] < 0.5 * (whole.window[1] - whole.window[0]):
             panels.append(dataclasses.replace(whole, window=near, title="walls"))
     return Page(tuple(panels), title, None, legend)

@@ -13,6 +13,8 @@ from .facets import Facets
 from .image import INVALID_COLOUR
 from .subject import METRICS
 
+_REACHES = (0.01, 0.02, 0.05)
+"""Shortest ranges of metrics with an end that is always shown; longer ones are whole tenths."""
 SEQUENTIAL, DIVERGING = "viridis", "PuOr"
 NO_VALUE = (0.86, 0.86, 0.87)
 GROUPS = (
@@ -88,9 +90,10 @@ def _range(
     finite: FloatArray, fixed: tuple[float, float] | None, diverging: bool, logarithmic: bool
 ) -> tuple[float, float]:
     if fixed is not None:
-        # The good end stays; the other follows the data, in tenths.
-        lowest = float(finite.min()) if finite.size else 0.0
-        return min(max(np.floor(10 * lowest + 1e-9) / 10, fixed[0]), fixed[1] - 0.1), fixed[1]
+        # The good end stays; the other follows the data, in steps that make round labels.
+        worst = fixed[1] - max(float(finite.min()) if finite.size else fixed[0], fixed[0])
+        reach = next((step for step in _REACHES if worst <= step + 1e-9), np.ceil(10 * worst - 1e-9) / 10)
+        return round(fixed[1] - reach, 2), fixed[1]
     low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
     if diverging:
         # The neutral value, 1, in the middle.

@@ -16,9 +16,10 @@ from meshdeform_core.grid.topology import Topology
 from .facets import Facets, block_facets, block_outlines, cut_facets, joined, surface_facets
 from .figure import Page, Panel
 from .image import Scene
-from .overview import Choice, body_walls, flat_scene, middle_plane, moved_into, onto_walls, plane_of_grid
+from .overview import Choice, flat_scene, moved_into, plane_of_grid
 from .subject import Subject
 from .view import View, Window, facing, shaped, window_of
+from .walls import body_walls, middle_plane, nodes_of, onto_walls
 
 _GREY = np.array([0.72, 0.74, 0.78])
 _AROUND = 7
@@ -228,8 +229,4 @@ def _window_around(view: View, facets: Facets, points: FloatArray) -> Window:
 
 def _wall_points(pair: Pair, walls: Sequence[Surface]) -> FloatArray:
     """Nodes of walls before and after."""
-    if not walls:
-        return np.empty((0, 3))
-    nodes = np.unique(pair.topology.quads.corners[np.concatenate([wall.quads for wall in walls])])
-    first = pair.topology.first[nodes]
-    return np.concatenate([pair.before.points[first], pair.after.points[first]])
+    return np.concatenate([nodes_of(subject, walls) for subject in (pair.old, pair.new)])

@@ -14,7 +14,7 @@ from meshdeform_core.grid import FloatArray
 
 from ..files import replacing
 from .colours import Scale
-from .image import FINE, INVALID_COLOUR, Scene, render
+from .image import FINE, INVALID_COLOUR, Image, Scene, render
 from .view import View, Window
 
 if TYPE_CHECKING:
@@ -37,6 +37,8 @@ STYLE: dict[Any, Any] = {
     "svg.hashsalt": "meshdeform",
     "svg.fonttype": "none",
 }
+_CORNER = 0.3
+"""Part of a panel's shorter side that the triad of axes takes."""
 _VECTOR_POLYGONS = 6000
 """Most polygons that flat pictures in .svg and .pdf files draw as lines; larger ones are an image."""
 
@@ -152,9 +154,15 @@ def _size(page: Page, width: float) -> tuple[float, float]:
     if _stacked(page):
         height = sum((width - side - 0.5) * min(aspect, 0.8) + 0.6 for aspect in aspects)
     else:
-        each = (width - side) / len(aspects) - 0.55
-        height = max(each * aspect for aspect in aspects) + 0.75
+        shares = _shares(page)
+        each = (width - side - 0.55 * len(aspects)) / sum(shares)
+        height = max(each * share * aspect for share, aspect in zip(shares, aspects, strict=True)) + 0.95
     return width, min(max(height, 2.2), 1.4 * width) + (0.3 if page.title else 0.0) + (0.35 if page.legend else 0.0)
+
+
+def _shares(page: Page) -> list[float]:
+    """Relative widths of panels side by side, so that they are equally high."""
+    return [1 / max(panel.aspect, 0.4) for panel in page.panels]
 
 
 def _frames(figure: Figure, page: Page) -> list[Axes]:
@@ -166,7 +174,7 @@ def _frames(figure: Figure, page: Page) -> list[Axes]:
     if _stacked(page):
         grid = figure.subplots(n, 1, squeeze=False, height_ratios=[min(p.aspect, 0.8) for p in page.panels])
     else:
-        grid = figure.subplots(1, n, squeeze=False, width_ratios=[1 / max(p.aspect, 0.4) for p in page.panels])
+        grid = figure.subplots(1, n, squeeze=False, width_ratios=_shares(page))
     axes = list(grid.ravel())
     for ax, panel in zip(axes, page.panels, strict=True):
         left, right, bottom, top = panel.window
@@ -196,11 +204,11 @@ def _fill(ax: Axes, panel: Panel, fine: int, vector: bool) -> None:
 
     if panel.under is not None:
         _paint(ax, panel.under, panel, fine, vector)
-    _paint(ax, panel.scene, panel, fine, vector, alpha=1.0 if panel.under is None else 0.75)
+    image = _paint(ax, panel.scene, panel, fine, vector, alpha=1.0 if panel.under is None else 0.75)
     _mark_invalid(ax, panel)
     ax.set(xlim=panel.window[:2], ylim=panel.window[2:])
     if not panel.view.flat:
-        _triad(ax, panel.view)
+        _triad(ax, panel.view, _free_corner(panel.scene, image))
     if len(panel.arrows):
         at, shift = panel.view.project(panel.arrows[:, 0]), panel.view.project(panel.arrows[:, 1])
         ax.quiver(at[:, 0], at[:, 1], shift[:, 0], shift[:, 1], angles="xy", scale_units="xy", scale=1.0,
@@ -231,16 +239,19 @@ def _mark_invalid(ax: Axes, panel: Panel) -> None:
     )
 
 
-def _paint(ax: Axes, scene: Scene, panel: Panel, fine: int, vector: bool, alpha: float = 1.0) -> None:
+def _paint(ax: Axes, scene: Scene, panel: Panel, fine: int, vector: bool, alpha: float = 1.0) -> Image | None:
     """The scene as lines where it is flat and small enough and the file can hold them, else as an image."""
     if vector and panel.view.flat and not scene.lit and len(scene.facets) <= _VECTOR_POLYGONS:
         from .vector import add_polygons
 
         add_polygons(ax, scene, panel.view, panel.window, alpha)
-        return
-    width = round(ax.get_window_extent().width * (2 if vector else 1))
-    image = render(scene, panel.view, panel.window, max(64, width), fine)
+        return None
+    # More pixels, each of fewer samples: a file that is enlarged later takes as long as another.
+    more, fine = (1.5, min(fine, 2)) if vector else (1.0, fine)
+    width = max(64, round(ax.get_window_extent().width * more))
+    image = render(scene, panel.view, panel.window, width, fine)
     ax.imshow(image.pixels, extent=panel.window, interpolation="nearest", aspect="equal", zorder=1, alpha=alpha)
+    return image
 
 
 def _names(ax: Axes, panel: Panel) -> None:
@@ -254,29 +265,37 @@ def _names(ax: Axes, panel: Panel) -> None:
                     path_effects=[withStroke(linewidth=2.0, foreground="white")])  # fmt: skip
 
 
-def _triad(ax: Axes, view: View) -> None:
-    """The directions of x, y and z in the lower left corner."""
-    from matplotlib.patches import Circle
-    from matplotlib.transforms import Affine2D
+def _free_corner(scene: Scene, image: Image | None) -> tuple[float, float]:
+    """The corner of a panel, in parts of its width and height, that shows least of what is not mere backdrop."""
+    corners = ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0))
+    if image is None:
+        return corners[0]
+    drawn = (image.item >= 0) & (image.item < len(scene.facets) - scene.unlit)
+    reach = round(_CORNER * min(drawn.shape))
+    rows = {0.0: np.s_[-reach:], 1.0: np.s_[:reach]}
+    columns = {0.0: np.s_[:reach], 1.0: np.s_[-reach:]}
+    return min(corners, key=lambda corner: float(drawn[rows[corner[1]], columns[corner[0]]].mean()))
 
-    box = ax.get_window_extent()
-    points = Affine2D().scale(ax.figure.dpi / 72) + Affine2D().translate(*box.min)
-    size = min(1.0, box.width * 72 / ax.figure.dpi / 260)
-    at = 32 * size
-    ax.add_patch(
-        Circle((at, at), 31 * size, transform=points, facecolor="white", alpha=0.7, edgecolor="none", zorder=4)
-    )
+
+def _triad(ax: Axes, view: View, corner: tuple[float, float]) -> None:
+    """The directions of x, y and z in a corner."""
+    from matplotlib.patheffects import withStroke
+
+    white = [withStroke(linewidth=2.0, foreground="white")]
+    width, height = (float(n) * 72 / ax.figure.dpi for n in ax.get_window_extent().size)
+    size = min(1.0, width / 260)
+    middle = [32 * size + part * (length - 64 * size) for part, length in zip(corner, (width, height), strict=True)]
     for name, unit in zip("xyz", np.eye(3), strict=True):
-        right, up, _ = view.project(unit) * size
+        way = view.project(unit)[:2] * size
         # Seen end-on, an axis would be a meaningless dot.
-        if np.hypot(right, up) < 0.15 * size:
+        if np.hypot(*way) < 0.15 * size:
             continue
         ax.annotate(
-            "", xy=(at + 20 * right, at + 20 * up), xytext=(at, at), xycoords="axes points", zorder=5,
-            textcoords="axes points", arrowprops={"arrowstyle": "-|>", "linewidth": 0.75, "color": "0.15",
-                                                  "shrinkA": 0, "shrinkB": 0, "mutation_scale": 6 * size},
+            "", xy=middle + 20 * way, xytext=middle, xycoords="axes points", zorder=5, textcoords="axes points",
+            arrowprops={"arrowstyle": "-|>", "linewidth": 0.75, "color": "0.15", "shrinkA": 0, "shrinkB": 0,
+                        "mutation_scale": 6 * size, "path_effects": white},
         )  # fmt: skip
         ax.annotate(
-            name, xy=(at + 27 * right, at + 27 * up), xycoords="axes points", ha="center", va="center",
-            fontsize=5 + 3 * size, zorder=5,
+            name, xy=middle + 27 * way, xycoords="axes points", ha="center", va="center", fontsize=5 + 3 * size,
+            zorder=5, path_effects=white,
         )  # fmt: skip

@@ -18,10 +18,16 @@ from .facets import Facets, block_outlines, cut_facets, joined, plane_facets, pl
 from .figure import Page, Panel
 from .image import Scene
 from .subject import Subject
-from .view import View, Window, facing, iso, shaped, towards, window_of
+from .view import View, Window, facing, iso, shaped, window_of
+from .walls import all_walls, body_walls, corners_of, cut_plane, nodes_of, onto_walls, quads_of
 
 _SMALL = 0.3
 """A detail smaller than this fraction of the picture, along its larger side, has a close-up."""
+_LOST, _NOSE_NODES = 1e-3, (4, 9)
+"""First cells lower than this part of a close-up have another one, with so many nodes of the wall."""
+_NOSE = 0.08
+"""Largest close-up of a leading edge, as a part of the picture that it is taken from."""
+_SQUARE = (0.85, 1.15)
 _TALL, _FLAT = 1.15, 0.05
 _PALE = np.array([0.93, 0.94, 0.96])
 
@@ -56,13 +62,6 @@ def overview(subject: Subject, choice: Choice, title: str = "") -> Page:
     return _walls_and_cut(subject, choice, walls, title) if walls else _outside(subject, choice, title)
 
 
-def body_walls(subject: Subject) -> tuple[Surface, ...]:
-    """Walls of bodies in the grid, not the floors and sides of a channel or a box."""
-    whole = np.ptp(subject.grid.points, axis=0)
-    walls = subject.outside.of_role(Role.WALL)
-    return tuple(wall for wall in walls if int((np.ptp(wall.box, axis=0) > 0.6 * whole).sum()) < 2)
-
-
 def flat_page(
     subject: Subject, choice: Choice, facets: Facets, outlines: FloatArray, view: View, title: str = ""
 ) -> Page:
@@ -73,13 +72,39 @@ def flat_page(
     panels = [Panel(scene, view, whole)]
     detail = _detail(subject, facets, view)
     if detail is not None:
+        nose = _nose(subject, scene.walls.reshape(-1, 3), view, detail)
         wanted = max(_FLAT, min(0.5, panels[0].aspect)), min(_TALL, max(panels[0].aspect, 0.5))
-        near = moved_into(shaped(detail, wanted), window_of(view, facets.corners, 0.0))
+        near = moved_into(shaped(detail, wanted if nose is None else _SQUARE), window_of(view, facets.corners, 0.0))
         panels = [
             dataclasses.replace(panels[0], title="whole grid", frames=(near,)),
-            Panel(scene, view, near, "close-up"),
+            *_close(Panel(scene, view, near, "close-up"), nose),
         ]
     return Page(tuple(panels), title, scale)
+
+
+def _close(panel: Panel, nose: Window | None) -> list[Panel]:
+    """A panel, and a close-up of a leading edge in it."""
+    if nose is None:
+        return [panel]
+    return [
+        dataclasses.replace(panel, frames=(nose,)),
+        dataclasses.replace(panel, window=nose, title="leading edge"),
+    ]
+
+
+def _nose(subject: Subject, points: FloatArray, view: View, window: Window) -> Window | None:
+    """Around the leading edge (the left end) of walls with ``points`` (n, 3) whose first cells are lost in a window."""
+    walls = body_walls(subject)
+    height = min((wall.median_height for wall in walls), default=np.inf)
+    flat = np.unique(view.project(points)[:, :2], axis=0)
+    if height > _LOST * _extent(window) or len(flat) < _NOSE_NODES[1]:
+        return None
+    distance = np.sort(np.linalg.norm(flat - flat[0], axis=1))
+    reach = float(np.clip(200 * height, *distance[list(_NOSE_NODES)]))
+    if reach == 0.0 or reach > _NOSE * _extent(window):
+        return None
+    x, y = flat[0].tolist()
+    return shaped((x - reach, x + reach, y - reach, y + reach), _SQUARE)
 
 
 def flat_scene(
@@ -92,11 +117,9 @@ def flat_scene(
 
 def _wall_edges(subject: Subject, facets: Facets, view: View) -> FloatArray:
     """Edges (n, 2, 3) of walls in the plane of a flat picture."""
-    walls = subject.outside.of_role(Role.WALL)
-    if not walls:
+    x = corners_of(subject, all_walls(subject))
+    if not len(x):
         return np.empty((0, 2, 3))
-    nodes = subject.topology.quads.corners[np.concatenate([wall.quads for wall in walls])]
-    x = subject.grid.points[subject.topology.first[nodes]]
     edges = np.concatenate([x[:, [n, (n + 1) % x.shape[1]]] for n in range(x.shape[1])])
     level = float(view.project(facets.corners[0, 0])[2])
     inside = np.abs(view.project(edges)[..., 2] - level).max(axis=1) <= 1e-6 * subject.size
@@ -138,6 +161,8 @@ def _end_plane(subject: Subject) -> tuple[IntArray, FloatArray] | None:
     if not ends or ends[0].plane is None:
         return None
     normal = ends[0].plane.normal
+    if not all(_upright(subject, plate, normal) for plate in subject.outside.plates):
+        return None
     height = [float(face.plane.point @ normal) if face.plane is not None else np.inf for face in ends]
     low = min(height)
     chosen = [f for f, h in zip(ends, height, strict=True) if h - low <= 1e-6 * subject.size]
@@ -162,20 +187,23 @@ def _declared_ends(subject: Subject) -> list[Face]:
         reach = 1e-6 * subject.size
         both = min(heights) <= level.min() + reach and max(heights) >= level.max() - reach
         walls = [f for f, role in zip(found.faces, found.roles, strict=True) if role is Role.WALL]
-        upright = all(f.box[1] @ np.abs(normal) - f.box[0] @ np.abs(normal) >= 0.99 * np.ptp(level) for f in walls)
+        upright = all(_upright(subject, face, normal) for face in walls)
         if both and upright and walls and np.ptp(heights) > reach:
             return same
     return []
 
 
+def _upright(subject: Subject, wall: Face | Surface, normal: FloatArray) -> bool:
+    """Whether a wall reaches through the whole grid along a direction."""
+    return bool(np.ptp(wall.box, axis=0) @ np.abs(normal) >= 0.99 * np.ptp(subject.grid.points @ normal))
+
+
 def _detail(subject: Subject, facets: Facets, view: View) -> Window | None:
     """Where the nodes of walls crowd, else where the cells are smallest; ``None`` if that is most of the picture."""
     whole = window_of(view, facets.corners, 0.0)
-    walls = subject.outside.of_role(Role.WALL)
+    walls = all_walls(subject)
     if walls:
-        quads = np.concatenate([wall.quads for wall in walls])
-        nodes = np.unique(subject.topology.quads.corners[quads])
-        points = view.project(subject.grid.points[subject.topology.first[nodes]])[:, :2]
+        points = view.project(nodes_of(subject, walls))[:, :2]
         # Bodies are shown whole; walls from border to border where their nodes crowd.
         if _extent(_box(points)) > 0.7 * _extent(whole):
             points = _middle(points)
@@ -213,28 +241,29 @@ def _extent(window: Window) -> float:
 
 
 def _walls_and_cut(subject: Subject, choice: Choice, walls: Sequence[Surface], title: str) -> Page:
-    quads = np.concatenate([wall.quads for wall in walls])
+    quads = quads_of(walls)
     surface = surface_facets(subject, quads, choice.metric)
     view = onto_walls(subject)
     others = subject.outside.of_role(Role.SYMMETRY, Role.WALL)
-    backdrop = [each.quads for each in others if each not in walls]
+    backdrop = [each for each in others if each not in walls]
     plane = cut_plane(subject, walls)
     cut = cut_facets(subject, plane, choice.metric)
     scale = choice.scale(surface, cut)
     lit = Scene(surface, scale.colours(surface), block_outlines(subject.grid, subject.topology, quads), lit=True,
                 lines=choice.lines)  # fmt: skip
     if backdrop:
-        lit = before_backdrop(lit, surface_facets(subject, np.concatenate(backdrop)))
+        lit = before_backdrop(lit, surface_facets(subject, quads_of(backdrop)))
     seen = shaped(window_of(view, surface.corners, 0.08), (0.7, 0.95))
     box = facing(plane.normal)
-    near = _cut_window(subject, plane, box, walls)
+    edges = _section(corners_of(subject, walls), plane)
+    points = edges.reshape(-1, 3) if len(edges) else nodes_of(subject, walls)
+    near = _cut_window(subject, points, box)
+    nose = _nose(subject, points, box, near)
+    near = near if nose is None else shaped(near, _SQUARE)
     axis = int(np.argmax(np.abs(plane.normal)))
-    panels = (
-        Panel(lit, view, seen, "walls"),
-        Panel(Scene(cut, scale.colours(cut), lines=choice.lines), box, near,
-              f"cut {'xyz'[axis]} = {plane.point[axis]:.4g}"),
-    )  # fmt: skip
-    return Page(panels, title, scale)
+    name = f"cut {'xyz'[axis]} = {plane.point[axis]:.4g}"
+    close = _close(Panel(Scene(cut, scale.colours(cut), walls=edges, lines=choice.lines), box, near, name), nose)
+    return Page((Panel(lit, view, seen, "walls"), *close), title, scale)
 
 
 def before_backdrop(scene: Scene, facets: Facets) -> Scene:
@@ -248,60 +277,20 @@ def before_backdrop(scene: Scene, facets: Facets) -> Scene:
     )
 
 
-def onto_walls(subject: Subject) -> View:
-    """From in front of all axes, with symmetry planes behind the walls."""
-    direction = np.array([0.8, -1.0, 0.7])
-    walls = body_walls(subject)
-    for surface in subject.outside.of_role(Role.SYMMETRY, Role.END, Role.WALL):
-        if surface in walls:
-            continue
-        outward = _outward(subject, surface)
-        if direction @ outward > 0:
-            direction = direction - 2 * (direction @ outward) * outward
-    return towards(direction)
+def _section(corners: FloatArray, plane: Plane) -> FloatArray:
+    """Where a plane cuts face quads (n, m, 3), as segments (k, 2, 3)."""
+    following = np.roll(corners, -1, axis=1)
+    here, there = ((x - plane.point) @ plane.normal for x in (corners, following))
+    cut = (here > 0) != (there > 0)
+    share = np.divide(here, here - there, out=np.zeros_like(here), where=cut)[..., None]
+    points = corners + share * (following - corners)
+    quads = np.flatnonzero(cut.any(axis=1))
+    first, last = cut.argmax(axis=1), cut.shape[1] - 1 - cut[:, ::-1].argmax(axis=1)
+    return np.stack([points[quads, end[quads]] for end in (first, last)], axis=1)
 
 
-def _outward(subject: Subject, surface: Surface) -> FloatArray:
-    """Mean unit normal out of the grid."""
-    corners = subject.grid.points[subject.topology.first[subject.topology.quads.corners[surface.quads]]]
-    total = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1]).sum(axis=0)
-    length = float(np.linalg.norm(total))
-    return np.asarray(total / length) if length > 0 else np.zeros(3)
-
-
-def _box_of(walls: Sequence[Surface]) -> FloatArray:
-    boxes = np.array([wall.box for wall in walls])
-    return np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
-
-
-def cut_plane(subject: Subject, walls: Sequence[Surface]) -> Plane:
-    """Through the middle of the walls, parallel to a symmetry plane, else across their longest extent."""
-    box = _box_of(walls)
-    normal = np.zeros(3)
-    mirrors = subject.outside.of_role(Role.SYMMETRY)
-    if mirrors:
-        normal[int(np.argmax(np.abs(_outward(subject, mirrors[0]))))] = 1.0
-    else:
-        normal[int(np.argmax(box[1] - box[0]))] = 1.0
-    return Plane(box.mean(axis=0), normal)
-
-
-def middle_plane(subject: Subject) -> Plane:
-    """Through the middle of the bodies, else of the grid, across its shortest extent."""
-    walls = body_walls(subject)
-    if walls:
-        return cut_plane(subject, walls)
-    low, high = subject.grid.points.min(axis=0), subject.grid.points.max(axis=0)
-    return Plane(0.5 * (low + high), np.eye(3)[int(np.argmin(high - low))])
-
-
-def _cut_window(subject: Subject, plane: Plane, view: View, walls: Sequence[Surface]) -> Window:
+def _cut_window(subject: Subject, points: FloatArray, view: View) -> Window:
     """Around the part of the walls near a plane."""
-    quads = np.concatenate([wall.quads for wall in walls])
-    corners = subject.grid.points[subject.topology.first[subject.topology.quads.corners[quads]]]
-    level = (corners - plane.point) @ plane.normal
-    crossing = (level.min(axis=1) <= 0) & (level.max(axis=1) >= 0)
-    points = corners[crossing] if crossing.any() else corners
     whole = window_of(view, subject.grid.points, 0.0)
     return moved_into(shaped(window_of(view, points, 0.3), (0.6, _TALL)), whole)
 

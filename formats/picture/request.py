@@ -11,7 +11,6 @@ import numpy as np
 from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import FloatArray, Grid, IntArray
 from meshdeform_core.grid.planes import Plane
-from meshdeform_core.grid.roles import Role
 from meshdeform_core.grid.selection import select_quads
 from meshdeform_core.numerics.arrays import extent
 
@@ -20,9 +19,10 @@ from .comparison import Pair, worst_cells
 from .facets import Facets, block_outlines, cut_facets, plane_facets, plane_outlines, surface_facets
 from .figure import Page, Panel
 from .image import Scene
-from .overview import Choice, flat_scene, onto_walls, overview, plane_of_grid
+from .overview import Choice, flat_scene, overview, plane_of_grid
 from .subject import Subject
 from .view import View, Window, along, facing, iso, shaped, window_of
+from .walls import all_walls, corners_of, onto_walls, quads_of
 from .worst import worst_cell
 
 _ARROWS = 20
@@ -132,8 +132,8 @@ def _part(subject: Subject, request: Request) -> _Part:
     flat = plane_of_grid(subject, request.choice)
     if flat is not None:
         return _Part(*flat, False)
-    walls = subject.outside.of_role(Role.WALL)
-    quads = np.concatenate([w.quads for w in walls]) if walls else np.flatnonzero(subject.topology.external)
+    walls = all_walls(subject)
+    quads = quads_of(walls) if walls else np.flatnonzero(subject.topology.external)
     return _surface(subject, quads, metric, onto_walls(subject) if walls else iso())
 
 
@@ -194,13 +194,10 @@ def _window(subject: Subject, request: Request, part: _Part, old: _Part | None, 
         return request.window
     corners = np.concatenate([p.facets.corners.reshape(-1, 3) for p in (part, old) if p is not None])
     if request.zoom == "walls":
-        walls = subject.outside.of_role(Role.WALL)
+        walls = all_walls(subject)
         if not walls:
             raise CaseError("--zoom walls: no wall is known; see `meshdeform info`")
-        nodes = subject.topology.first[
-            np.unique(subject.topology.quads.corners[np.concatenate([w.quads for w in walls])])
-        ]
-        return shaped(window_of(view, subject.grid.points[nodes], 0.3), (0.4, 1.2))
+        return shaped(window_of(view, corners_of(subject, walls), 0.3), (0.4, 1.2))
     return shaped(window_of(view, corners, 0.03), (0.05, 1.4))
 
 

@@ -16,9 +16,10 @@ from ..files import replacing
 from .colours import Scale
 from .facets import Facets, block_outlines, joined, surface_facets
 from .image import INVALID_COLOUR
-from .overview import Choice, body_walls, middle_plane, onto_walls, plane_of_grid
+from .overview import Choice, plane_of_grid
 from .subject import Subject
 from .view import View
+from .walls import all_walls, body_walls, corners_of, middle_plane, onto_walls, quads_of
 
 if TYPE_CHECKING:
     import pyvista
@@ -76,8 +77,8 @@ def _solid(
     plotter: pyvista.Plotter, subject: Subject, choice: Choice, off_screen: bool
 ) -> tuple[FloatArray, View, FloatArray]:
     """Walls, other boundaries and a cut of a grid in space; outlines, view and what the view is filled with."""
-    walls = subject.outside.of_role(Role.WALL)
-    quads = np.concatenate([w.quads for w in walls]) if walls else np.flatnonzero(subject.topology.external)
+    walls = all_walls(subject)
+    quads = quads_of(walls) if walls else np.flatnonzero(subject.topology.external)
     surface = surface_facets(subject, quads, choice.metric)
     cells = _cells(subject, choice.metric)
     values = np.concatenate([block.cell_data[_MEASURE] for block in cells])
@@ -88,8 +89,8 @@ def _solid(
         _add_cut(plotter, cells, middle_plane(subject), scale, off_screen)
         _add_others(plotter, subject, off_screen)
     bodies = body_walls(subject)
-    filled = surface_facets(subject, np.concatenate([w.quads for w in bodies])) if bodies else surface
-    return block_outlines(subject.grid, subject.topology, quads), onto_walls(subject), filled.corners
+    filled = corners_of(subject, bodies) if bodies else surface.corners
+    return block_outlines(subject.grid, subject.topology, quads), onto_walls(subject), filled
 
 
 def _cells(subject: Subject, metric: str) -> Any:

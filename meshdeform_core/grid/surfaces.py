@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from ..numerics.arrays import extent
 from .blocks import FloatArray, Grid, IntArray
 from .faces import Face, find_faces, quad_geometry
 from .planes import plane_normal, plane_of
-from .roles import Role, declared_role, guess_roles
+from .roles import Role, clusters, declared_role, guess_roles
 from .topology import Topology
+
+_MOST = 0.6
+"""Walls longer than this part of the grid in two directions are floors and sides, not bodies."""
 
 
 @dataclass(frozen=True)
@@ -67,14 +72,44 @@ class Surface:
 
 @dataclass(frozen=True)
 class Outside:
-    """All faces of a grid with their roles, and its surfaces."""
+    """All faces of a grid with their roles, and its surfaces.
+
+    ``plates`` are faces between blocks that are likely walls without thickness; nothing treats them as walls before the
+    case names them. ``extent`` (3,) of the grid.
+    """
 
     faces: tuple[Face, ...]
     roles: tuple[Role, ...]
     surfaces: tuple[Surface, ...]
+    plates: tuple[Surface, ...]
+    extent: FloatArray
 
     def of_role(self, *roles: Role) -> tuple[Surface, ...]:
         return tuple(surface for surface in self.surfaces if surface.role in roles)
+
+    @property
+    def bodies(self) -> tuple[Surface, ...]:
+        """Walls of bodies in the grid, not the floors and sides of a channel or a box.
+
+        Those extend over most of the grid in two directions, alone or with other walls in the same plane.
+        """
+        found = []
+        walls = self.of_role(Role.WALL)
+        boxes = np.array([wall.box for wall in walls])
+        for wall in walls:
+            level = _level(wall, self.extent)
+            same = [level is not None and _level(other, self.extent) == level for other in walls]
+            box = boxes[same] if level is not None else wall.box[None]
+            size = box[:, 1].max(axis=0) - box[:, 0].min(axis=0)
+            if int((size > _MOST * self.extent).sum()) < 2:
+                found.append(wall)
+        return tuple(found)
+
+
+def _level(surface: Surface, extent: FloatArray) -> tuple[int, float] | None:
+    """The axis and coordinate of a surface in a plane across an axis, else ``None``."""
+    thin = np.flatnonzero(np.ptp(surface.box, axis=0) <= 1e-6 * extent)
+    return (int(thin[0]), round(float(surface.box[0, thin[0]] / extent.max()), 6)) if len(thin) == 1 else None
 
 
 def find_outside(grid: Grid, topology: Topology) -> Outside:
@@ -88,7 +123,39 @@ def find_outside(grid: Grid, topology: Topology) -> Outside:
             name = (face.patch.family or face.patch.name) if face.patch else ""
             groups.setdefault((name or face.label(grid), bool(name)), []).append(number)
     surfaces = tuple(_surface(name, named, members, faces, roles) for (name, named), members in groups.items())
-    return Outside(tuple(faces), tuple(roles), surfaces)
+    low, high = extent(grid.points)
+    found = Outside(tuple(faces), tuple(roles), surfaces, (), high - low)
+    return dataclasses.replace(found, plates=_likely_plates(grid, topology, found))
+
+
+def _likely_plates(grid: Grid, topology: Topology, outside: Outside) -> tuple[Surface, ...]:
+    """Faces between blocks with cells clustered towards both sides that, unlike wakes, do not reach the far field.
+
+    Only where they are larger than the bodies that are known: beside a wing such a face is more likely a wake.
+    """
+    far = outside.of_role(Role.FAR)
+    if not far:
+        return ()
+    open_end = np.zeros(topology.n_unique, dtype=bool)
+    open_end[topology.quads.corners[np.concatenate([surface.quads for surface in far])]] = True
+    shared = clustered_interfaces(topology, outside)
+    inner = [face for face in shared if not open_end[topology.quads.corners[face.quads]].any()]
+    if 0.5 * sum(face.area for face in inner) <= sum(body.area for body in outside.bodies):
+        return ()
+    return tuple(Surface(face.label(grid), False, Role.WALL, False, (face,)) for face in inner)
+
+
+def clustered_interfaces(topology: Topology, outside: Outside) -> list[Face]:
+    """Faces between blocks towards which cells cluster from both sides: wakes and thin plates."""
+    shared = [
+        face
+        for face, role in zip(outside.faces, outside.roles, strict=True)
+        if role is Role.INTERFACE and clusters(face)
+    ]
+    fine = np.zeros(len(topology.partner), dtype=bool)
+    for face in shared:
+        fine[face.quads] = True
+    return [face for face in shared if fine[topology.partner[face.quads]].all()]
 
 
 def _surface(name: str, named: bool, members: list[int], faces: Sequence[Face], roles: Sequence[Role]) -> Surface:

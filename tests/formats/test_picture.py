@@ -108,7 +108,7 @@ def test_surfaces_and_planes_have_the_values_of_the_cells_behind():
 @pytest.mark.parametrize(("name", "size"), [("wing", 8), ("hemisphere", 8)])
 def test_walls_in_space_and_a_cut_of_bodies(name, size):
     page = overview(subject(load(name).generate(size)), Choice())
-    solid, cut = page.panels
+    solid, cut = page.panels[:2]
     assert solid.scene.lit
     assert not solid.view.flat
     assert cut.view.flat
@@ -124,7 +124,7 @@ def test_flat_and_extruded_grids_from_above(grid):
 
 def test_a_small_body_has_a_close_up():
     page = overview(subject(load("airfoil").generate(41)), Choice())
-    whole, near = page.panels
+    whole, near = page.panels[:2]
     assert whole.frames == (near.window,)
     assert near.window[1] - near.window[0] < 2.5 < whole.window[1] - whole.window[0]
 
@@ -167,6 +167,12 @@ def test_collapsed_edges_alone_are_not_invalid():
 def test_ranges_follow_the_data():
     values = np.array([0.87, 0.93, 0.99])
     assert (scale_of("f_skew", values).low, scale_of("f_skew", values).high) == (0.8, 1.0)
+    assert [scale_of("f_skew", 1 - spread * values).low for spread in (0.0, 0.005, 0.01, 0.05)] == [
+        0.99,
+        0.99,
+        0.99,
+        0.95,
+    ]
     assert (scale_of("volume", values).low, scale_of("volume", values).high) == (0.87, 0.99)
     ratio = scale_of("volume_ratio", np.array([0.5, 1.2]))
     assert (ratio.low, ratio.high) == (0.5, 1.5)
