@@ -29,7 +29,7 @@ CASES = {
     "space": (lambda: prepared(frame(5, 4)), 0.6, 0.3),
     "symmetry": (lambda: prepared(frame(5, 4), ends="symmetry"), 0.7, 0.3),
     "periodic": (lambda: prepared(frame(5, 4), ends="periodic"), 0.7, 0.0),
-    "polished": (lambda: prepared(frame(5, 4), repair={"mode": "polish"}), 0.3, 0.3),
+    "polished": (lambda: prepared(frame(5, 4), repair={"mode": "polish"}), 0.6, 0.3),
 }
 
 
