@@ -125,13 +125,13 @@ class PreparedInGaps:
         """Distance (n_sources,) of every moving source from the nearest of the others, and of these from the former."""
         return current_ranks().once(lambda: self._across(self._problem.source_points)[0])
 
-    def _across(self, points: FloatArray) -> tuple[FloatArray, IntArray]:
+    def _across(self, points: FloatArray, within: FloatArray | None = None) -> tuple[FloatArray, IntArray]:
         distance, other = np.empty(len(points)), np.empty(len(points), dtype=np.int64)
         for side in (self._moving, ~self._moving):
             rows = np.flatnonzero(~side)
             # A tree of points is one of triangles without extent; importing scipy's takes longer than the search.
             tree = TriangleTree(points[rows], np.repeat(np.arange(len(rows)), 3).reshape(-1, 3))
-            nearest, _, distance[side] = tree.closest(points[side])
+            nearest, _, distance[side] = tree.closest(points[side], within if within is None else within[side])
             other[side] = rows[nearest]
         return distance, other
 
@@ -141,7 +141,8 @@ class PreparedInGaps:
         if longest <= (1.0 - OPEN) * float(self._gap.min()):
             return None
         points = self._problem.source_points + displacement
-        distance, other = self._across(points)
+        # Sources farther apart than that are in no gap that closes; a little more than that, for round-off.
+        distance, other = self._across(points, OPEN * (1.0 + 1e-9) * self._gap)
         # Boundaries that touch where they are undeformed, but do not share nodes, make no gap.
         part = np.divide(distance, self._gap, out=np.full(len(distance), np.inf), where=self._gap > 0.0) / OPEN
         rows = np.flatnonzero(part < 1.0)

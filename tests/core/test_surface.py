@@ -40,3 +40,16 @@ def test_closest_points_are_those_of_all_triangles(count):
     np.testing.assert_allclose(weights.sum(axis=1), 1.0, rtol=1e-14)
     at = np.einsum("nc,ncd->nd", weights, corners[triangle])
     np.testing.assert_allclose(np.linalg.norm(points - at, axis=1), distance, rtol=1e-10)
+
+
+def test_only_points_within_a_distance_are_looked_for():
+    rng = np.random.default_rng(5)
+    corners = rng.uniform(-1, 1, (50, 3, 3))
+    tree, points = TriangleTree(corners.reshape(-1, 3), np.arange(150).reshape(-1, 3)), rng.uniform(-2, 2, (200, 3))
+    triangle, weights, distance = tree.closest(points)
+    within = distance * rng.choice([0.5, 0.999, 1.001, 3.0], 200)
+    near = within > distance
+    some = tree.closest(points, within)
+    assert np.isinf(some[2][~near]).all()
+    for all_found, found in zip((triangle, weights, distance), some, strict=True):
+        np.testing.assert_array_equal(found[near], all_found[near])

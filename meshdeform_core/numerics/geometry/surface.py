@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..arrays import FloatArray, IntArray
-from ..jit import kernel
+from ..jit import inlined, kernel
 
 _LEAF = 8
 _DEPTH = 64
@@ -26,17 +26,18 @@ class TriangleTree:
         self._order, self._node, self._box = _build(corners.min(axis=1), corners.max(axis=1))
         self._corners = corners[self._order]
 
-    def closest(self, targets: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
-        """Closest surface points of ``targets`` (k, 3).
+    def closest(self, targets: FloatArray, within: FloatArray | None = None) -> tuple[IntArray, FloatArray, FloatArray]:
+        """Closest surface points of ``targets`` (k, 3), or only those ``within`` a distance (k,), which is much faster.
 
         Returns
         -------
         triangle : (k,) int64
         weights : (k, 3) barycentric coordinates, in [0, 1] and summing to 1
-        distance : (k,)
+        distance : (k,), infinite where nothing is within
         """
+        limit = np.full(len(targets), np.inf) if within is None else np.ascontiguousarray(within)
         found, weights, distance = _search(
-            np.ascontiguousarray(targets, dtype=np.float64), self._corners, self._node, self._box
+            np.ascontiguousarray(targets, dtype=np.float64), limit, self._corners, self._node, self._box
         )
         return self._order[found], weights, distance
 
@@ -73,63 +74,68 @@ def _build(low, high):
 
 
 @kernel
-def _search(targets, corners, node, box):
+def _search(targets, limit, corners, node, box):
     n = targets.shape[0]
     found = np.zeros(n, dtype=np.int64)
     weights = np.zeros((n, 3))
     distance = np.empty(n)
-    stack = np.empty(_DEPTH, dtype=np.int64)
-    trial = np.empty(3)
+    stack, trial = np.empty(_DEPTH, dtype=np.int64), np.empty(3)
     for t in range(n):
-        p = targets[t]
-        best = np.inf
+        x, y, z = targets[t, 0], targets[t, 1], targets[t, 2]
+        best = limit[t] * limit[t]
+        first = best
         stack[0] = 0
         depth = 1
         while depth:
             depth -= 1
             current = stack[depth]
-            if _box_distance2(p, box[current]) >= best:
+            if _box_distance2(x, y, z, box, current) >= best:
                 continue
             child = node[current, 2]
             if child < 0:
                 for m in range(node[current, 0], node[current, 0] + node[current, 1]):
-                    d2 = _triangle_distance2(p, corners[m], trial)
+                    d2 = _triangle_distance2(x, y, z, corners, m, trial)
                     if d2 < best:
                         best = d2
                         found[t] = m
-                        weights[t] = trial
+                        for c in range(3):
+                            weights[t, c] = trial[c]
             else:
                 near, far = child, child + 1
-                if _box_distance2(p, box[far]) < _box_distance2(p, box[near]):
+                if _box_distance2(x, y, z, box, far) < _box_distance2(x, y, z, box, near):
                     near, far = far, near
                 stack[depth] = far
                 stack[depth + 1] = near
                 depth += 2
-        distance[t] = np.sqrt(best)
+        distance[t] = np.sqrt(best) if best < first else np.inf
     return found, weights, distance
 
 
-@kernel
-def _box_distance2(p, box):
-    total = 0.0
-    for axis in range(3):
-        gap = max(box[axis] - p[axis], 0.0, p[axis] - box[3 + axis])
-        total += gap * gap
-    return total
+# One-dimensional views of points would be counted by atomic operations, and each sum of them would allocate.
 
 
-@kernel
-def _triangle_distance2(p, corner, weights):
-    """Squared distance to a triangle; fills the barycentric coordinates of the closest point.
+@inlined
+def _box_distance2(x, y, z, box, n):
+    a = max(box[n, 0] - x, 0.0, x - box[n, 3])
+    b = max(box[n, 1] - y, 0.0, y - box[n, 4])
+    c = max(box[n, 2] - z, 0.0, z - box[n, 5])
+    return a * a + b * b + c * c
+
+
+@inlined
+def _triangle_distance2(x, y, z, corners, m, weights):
+    """Squared distance to triangle ``m``; fills the barycentric coordinates of the closest point.
 
     Voronoi regions of corners, edges and face (Ericson, Real-Time Collision Detection, section 5.1.5).
     """
-    a, b, c = corner[0], corner[1], corner[2]
-    ab, ac, ap = b - a, c - a, p - a
-    d1, d2 = _dot(ab, ap), _dot(ac, ap)
-    bp, cp = p - b, p - c
-    d3, d4 = _dot(ab, bp), _dot(ac, bp)
-    d5, d6 = _dot(ab, cp), _dot(ac, cp)
+    a0, a1, a2 = corners[m, 0, 0], corners[m, 0, 1], corners[m, 0, 2]
+    b0, b1, b2 = corners[m, 1, 0], corners[m, 1, 1], corners[m, 1, 2]
+    c0, c1, c2 = corners[m, 2, 0], corners[m, 2, 1], corners[m, 2, 2]
+    u0, u1, u2, v0, v1, v2 = b0 - a0, b1 - a1, b2 - a2, c0 - a0, c1 - a1, c2 - a2
+    p0, p1, p2 = x - a0, y - a1, z - a2
+    d1, d2 = _dot(u0, u1, u2, p0, p1, p2), _dot(v0, v1, v2, p0, p1, p2)
+    d3, d4 = _dot(u0, u1, u2, x - b0, y - b1, z - b2), _dot(v0, v1, v2, x - b0, y - b1, z - b2)
+    d5, d6 = _dot(u0, u1, u2, x - c0, y - c1, z - c2), _dot(v0, v1, v2, x - c0, y - c1, z - c2)
     va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
     v = w = 0.0
     if d1 <= 0.0 and d2 <= 0.0:
@@ -149,10 +155,10 @@ def _triangle_distance2(p, corner, weights):
         total = va + vb + vc
         v, w = vb / total, vc / total
     weights[0], weights[1], weights[2] = 1.0 - v - w, v, w
-    gap = ap - v * ab - w * ac
-    return _dot(gap, gap)
+    g0, g1, g2 = p0 - v * u0 - w * v0, p1 - v * u1 - w * v1, p2 - v * u2 - w * v2
+    return g0 * g0 + g1 * g1 + g2 * g2
 
 
-@kernel
-def _dot(u, v):
-    return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
+@inlined
+def _dot(a, b, c, x, y, z):
+    return a * x + b * y + c * z
