@@ -137,6 +137,17 @@ def test_interface_of_idwarp(count, tmp_path):
 
 
 @needs_mpi
+def test_openmdao_components(tmp_path, monkeypatch):
+    """Products of two ranks together against those of one process."""
+    pytest.importorskip("openmdao")
+    pytest.importorskip("mphys")
+    monkeypatch.chdir(tmp_path)
+    done = on_ranks(2, program=(TESTS / "mpi_openmdao.py",))
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("of 2 agrees") == 2
+
+
+@needs_mpi
 def test_command_writes_the_same_file_and_speaks_once(bench, compiled):
     turned = ("-s", "constants.turn=75", "--repair", "off", "--allow-invalid")
     args = ("deform", "grid.xyz", "-c", "case.toml", "-m", "idw-tfi", *turned, "-v")

@@ -1,0 +1,346 @@
+"""Grid deformation in OpenMDAO models and MPhys scenarios; needs the extra ``openmdao``.
+
+    import openmdao.api as om
+    from meshdeform.openmdao import MeshDeformComp
+
+    problem.model.add_subsystem("deform", MeshDeformComp(mesh=md.prepare("wing.cgns", moving=["wing"])))
+
+Surface and volume coordinates are flat vectors, distributed if there are several ranks. Rank r of P holds the rows
+int(n r / P) to int(n (r + 1) / P) of ``mesh.points``, and of the nodes of all blocks in block order, C order within a
+block.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import openmdao.api as om
+from mphys.core import Builder, MPhysGroup, MPhysVariables
+
+from meshdeform_core.boundary import Kind
+from meshdeform_core.errors import CaseError, MethodError
+from meshdeform_core.grid import FloatArray, IntArray
+from meshdeform_core.quality.gradients import quality_gradient
+
+from .grids import Grid
+from .linearisation import Linearisation
+from .mesh import Mesh
+from .pieces import gathered, share_of
+from .preparation import prepare
+
+if TYPE_CHECKING:
+    from mpi4py.MPI import Comm
+
+__all__ = ["MeshCoordinates", "MeshDeformBuilder", "MeshDeformComp", "MeshQualityComp"]
+
+_SURFACE = MPhysVariables.Aerodynamics.Surface
+VOLUME = "x_aero_volume"
+"""Name of the volume coordinates unless options say otherwise."""
+
+
+class _OnMesh(om.ExplicitComponent):
+    """A component whose vectors are divided among the ranks of a mesh."""
+
+    def initialize(self) -> None:
+        self.options.declare("mesh", types=Mesh, recordable=False, desc="prepared grid")
+
+    def setup(self) -> None:
+        mesh = self.options["mesh"]
+        self.mesh, self.ranks = mesh, mesh._ranks
+        if self.comm.size != self.ranks.count:
+            raise CaseError(
+                f"the mesh was prepared for {self.ranks.count} ranks, the component runs on {self.comm.size}; expected "
+                f"prepare(..., comm=comm) with the communicator of the component"
+            )
+        # Vectors of one process are not distributed ones: these need PETSc.
+        self.divided = self.ranks.count > 1
+        self.own_points = share_of(len(mesh.points), self.ranks)
+        self.own_nodes = share_of(mesh.grid.n_nodes, self.ranks)
+
+    def whole(self, values: Any) -> FloatArray:
+        """The rows (n, 3) of all ranks from this rank's, flat."""
+        if np.iscomplexobj(values):
+            raise MethodError("complex steps through the grid are not offered; expected differences (fd)")
+        return gathered(self.ranks, np.asarray(values, dtype=np.float64).reshape(-1, 3))
+
+
+class MeshDeformComp(_OnMesh):
+    """Volume coordinates from surface coordinates, with matrix-free derivatives in both directions.
+
+    Options
+    -------
+    mesh : made by :func:`meshdeform.prepare`, with the communicator of the component if that has several ranks
+    surface, volume : names of the input and the output
+    steps, repair : as of :meth:`Mesh.deform`, by default one step without repair, which has an exact derivative
+
+    Raises
+    ------
+    openmdao.api.AnalysisError
+        When the grid is invalid, so that drivers back up.
+    """
+
+    def initialize(self) -> None:
+        super().initialize()
+        self.options.declare("surface", default=_SURFACE.COORDINATES, desc="name of the surface coordinates")
+        self.options.declare("volume", default=VOLUME, desc="name of the volume coordinates")
+        self.options.declare("steps", default=1, desc="as of Mesh.deform")
+        self.options.declare("repair", default="off", values=["off", "auto", "polish"], desc="as of Mesh.deform")
+        self._derivative: Linearisation | None = None
+        self._at: FloatArray = np.empty((0, 3))
+
+    def setup(self) -> None:
+        super().setup()
+        o, mesh = self.options, self.mesh
+        points, nodes = mesh.points[self.own_points], mesh._setup.grid.points[self.own_nodes]
+        self.add_input(o["surface"], points.ravel(), distributed=self.divided, tags=["mphys_coordinates"])
+        self.add_output(o["volume"], nodes.ravel(), distributed=self.divided, tags=["mphys_coupling"])
+
+    def compute(self, inputs: Any, outputs: Any) -> None:
+        """Deform; all ranks come to the same verdict."""
+        displacement = self.whole(inputs[self.options["surface"]]) - self.mesh.points
+        step = self.mesh.deform(displacement, steps=self.options["steps"], repair=self.options["repair"])
+        if not step.valid:
+            first = step.invalid_cells[0] if step.invalid_cells else "none is invalid"
+            raise om.AnalysisError(f"{self.pathname}: the deformed grid cannot be used: {step!r}; first cell: {first}")
+        outputs[self.options["volume"]] = step._result.grid.points[self.own_nodes].ravel()
+
+    def compute_jacvec_product(self, inputs: Any, d_inputs: Any, d_outputs: Any, mode: str) -> None:
+        """Products with the derivative at ``inputs``, which is found once for each."""
+        surface, volume = self.options["surface"], self.options["volume"]
+        if surface not in d_inputs or volume not in d_outputs:
+            return
+        operator = self._linearised(inputs).operator
+        if mode == "fwd":
+            moved = operator.matvec(self.whole(d_inputs[surface]).ravel()).reshape(-1, 3)
+            d_outputs[volume] += moved[self.own_nodes].ravel()
+        else:
+            found = operator.rmatvec(self.whole(d_outputs[volume]).ravel()).reshape(-1, 3)
+            d_inputs[surface] += found[self.own_points].ravel()
+
+    def _linearised(self, inputs: Any) -> Linearisation:
+        at = self.whole(inputs[self.options["surface"]]) - self.mesh.points
+        if self._derivative is None or not np.array_equal(at, self._at):
+            self._at = at
+            self._derivative = self.mesh.linearise(at, steps=self.options["steps"], repair=self.options["repair"])
+            if not self._derivative.exact:
+                om.issue_warning(
+                    f"the derivative is not that of the grid: {self._derivative.reason}",
+                    prefix=self.pathname,
+                    category=om.DerivativesWarning,
+                )
+        return self._derivative
+
+
+class MeshQualityComp(_OnMesh):
+    """Measures of the deformed grid with their derivatives, for constraints.
+
+    Options
+    -------
+    mesh : as of :class:`MeshDeformComp`
+    measures : of :meth:`Step.quality_gradient`; each is an output ``quality_MEASURE``
+    sharpness : as there
+    volume : name of the volume coordinates, the input
+    """
+
+    def initialize(self) -> None:
+        super().initialize()
+        self.options.declare("measures", default=("scaled_jacobian_min",), desc="measures of Step.quality_gradient")
+        self.options.declare("sharpness", default=100.0, desc="of smooth minima")
+        self.options.declare("volume", default=VOLUME, desc="name of the volume coordinates")
+
+    def setup(self) -> None:
+        super().setup()
+        nodes = self.mesh._setup.grid.points[self.own_nodes]
+        self.add_input(self.options["volume"], nodes.ravel(), distributed=self.divided, tags=["mphys_coupling"])
+        for measure in self.options["measures"]:
+            self.add_output(f"quality_{measure}", 0.0, tags=["mphys_result"])
+
+    def compute(self, inputs: Any, outputs: Any) -> None:
+        """The measures of the whole grid, the same on every rank."""
+        for measure in self.options["measures"]:
+            outputs[f"quality_{measure}"] = self._measured(inputs, measure)[0]
+
+    def compute_jacvec_product(self, inputs: Any, d_inputs: Any, d_outputs: Any, mode: str) -> None:
+        """Products with the gradients."""
+        volume = self.options["volume"]
+        for measure in self.options["measures"]:
+            name = f"quality_{measure}"
+            if volume not in d_inputs or name not in d_outputs:
+                continue
+            own = self._measured(inputs, measure)[1][self.own_nodes].ravel()
+            if mode == "fwd":
+                d_outputs[name] += sum(self.ranks.gather([float(own @ d_inputs[volume])]))
+            else:
+                # A serial output is the same on every rank; OpenMDAO divides its seed among them.
+                d_inputs[volume] += sum(self.ranks.gather([float(d_outputs[name][0])])) * own
+
+    def _measured(self, inputs: Any, measure: str) -> tuple[float, FloatArray]:
+        setup, points = self.mesh._setup, self.whole(inputs[self.options["volume"]])
+        with self.mesh._at_work():
+            return quality_gradient(setup.grid, points, setup.topology, measure, self.options["sharpness"])
+
+
+class MeshCoordinates(_OnMesh):
+    """The undeformed surface as MPhys asks for it: ``x_aero0_mesh``.
+
+    After :meth:`mphys_add_coordinate_input` it hands on coordinates that a geometry gives.
+    """
+
+    _GIVEN = "x_aero0_points"
+
+    def initialize(self) -> None:
+        super().initialize()
+        self._given = False
+
+    def setup(self) -> None:
+        super().setup()
+        tags = ["mphys_coordinates"]
+        self.add_output(_SURFACE.Mesh.COORDINATES, self.mphys_get_surface_mesh(), distributed=self.divided, tags=tags)
+
+    def mphys_add_coordinate_input(self) -> tuple[str, FloatArray]:
+        """Add an input of surface coordinates; its name and undeformed value."""
+        self._given = True
+        points = self.mphys_get_surface_mesh()
+        self.add_input(self._GIVEN, points, distributed=self.divided)
+        return self._GIVEN, points
+
+    def mphys_get_surface_mesh(self) -> FloatArray:
+        """This rank's undeformed surface nodes, flat."""
+        return self.mesh.points[self.own_points].ravel()
+
+    def mphys_get_triangulated_surface(self, groupName: str | None = None) -> list[FloatArray]:
+        """All triangles of the surface on every rank: a corner (n, 3), and the edges (n, 3) to the other two.
+
+        Parameters
+        ----------
+        groupName : a moving patch; all by default
+        """
+        setup, names = self.mesh._setup, self.mesh.patches if groupName is None else [groupName]
+        patches = [p for p in setup.boundary.patches if p.kind is Kind.MOVING and p.name in names]
+        if not patches:
+            raise CaseError(f"no moving patch {groupName!r}; expected one of {', '.join(self.mesh.patches)}")
+        corners = setup.topology.quads.corners[np.unique(np.concatenate([patch.quads for patch in patches]))]
+        if corners.shape[1] != 4:
+            raise CaseError("a plane grid has edges, not faces; expected a grid in space")
+        at = setup.grid.points[setup.topology.first[np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]])]]
+        return [at[:, 0], at[:, 1] - at[:, 0], at[:, 2] - at[:, 0]]
+
+    def compute(self, inputs: Any, outputs: Any) -> None:
+        """What the geometry gives, if there is one."""
+        if self._given:
+            outputs[_SURFACE.Mesh.COORDINATES] = inputs[self._GIVEN]
+
+    def compute_jacvec_product(self, inputs: Any, d_inputs: Any, d_outputs: Any, mode: str) -> None:
+        """Products with the identity."""
+        if self._GIVEN in d_inputs and _SURFACE.Mesh.COORDINATES in d_outputs:
+            if mode == "fwd":
+                d_outputs[_SURFACE.Mesh.COORDINATES] += d_inputs[self._GIVEN]
+            else:
+                d_inputs[self._GIVEN] += d_outputs[_SURFACE.Mesh.COORDINATES]
+
+
+class DeformationGroup(MPhysGroup):
+    """The deformation, then the solver that takes the volume coordinates."""
+
+    def initialize(self) -> None:
+        self.options.declare("parts", recordable=False, desc="subsystems by name, in their order")
+
+    def setup(self) -> None:
+        for name, part in self.options["parts"].items():
+            self.mphys_add_subsystem(name, part)
+
+
+class MeshDeformBuilder(Builder):
+    """An MPhys builder: the surface of a grid, its deformation in the coupling group, a solver on the volume.
+
+    Parameters
+    ----------
+    grid : a grid, the name of its file, or a function that prepares a mesh for a communicator
+    solver : builder of a solver whose coupling subsystem has an input ``x_aero_volume`` (distributed, see
+        :mod:`meshdeform.openmdao`); its subsystems before and after the coupling are added, too
+    measures : of :class:`MeshQualityComp`, added after the coupling
+    steps, repair : as of :class:`MeshDeformComp`
+    prepare_options : arguments of :func:`meshdeform.prepare`
+    """
+
+    def __init__(
+        self, grid: Grid | str | Path | Callable[[Comm | None], Mesh], *, solver: Any = None,
+        measures: Sequence[str] = (), steps: int | str = 1, repair: str = "off", **prepare_options: Any,
+    ) -> None:  # fmt: skip
+        self._grid, self._solver, self._measures = grid, solver, tuple(measures)
+        self._options, self._prepare = {"steps": steps, "repair": repair}, prepare_options
+        self._mesh: Mesh | None = None
+
+    def initialize(self, comm: Any) -> None:
+        """Prepare the mesh, and the solver, for the ranks of a communicator."""
+        shared = comm if comm is not None and comm.size > 1 else None
+        if callable(self._grid):
+            self._mesh = self._grid(shared)
+        else:
+            self._mesh = prepare(self._grid, comm=shared, **self._prepare)
+        if self._solver is not None:
+            self._solver.initialize(comm)
+
+    @property
+    def mesh(self) -> Mesh:
+        """The prepared mesh.
+
+        Raises
+        ------
+        CaseError
+            Before :meth:`initialize`.
+        """
+        if self._mesh is None:
+            raise CaseError("the builder has no communicator yet; expected a call of initialize(comm)")
+        return self._mesh
+
+    def get_mesh_coordinate_subsystem(self, scenario_name: str | None = None) -> MeshCoordinates:
+        """The undeformed surface."""
+        return MeshCoordinates(mesh=self.mesh)
+
+    def get_pre_coupling_subsystem(self, scenario_name: str | None = None) -> Any:
+        """That of the solver."""
+        return None if self._solver is None else self._solver.get_pre_coupling_subsystem(scenario_name)
+
+    def get_coupling_group_subsystem(self, scenario_name: str | None = None) -> Any:
+        """The deformation, followed by the solver if there is one."""
+        deformation = MeshDeformComp(mesh=self.mesh, **self._options)
+        if self._solver is None:
+            return deformation
+        solver = self._solver.get_coupling_group_subsystem(scenario_name)
+        return DeformationGroup(parts={"deformation": deformation, "solver": solver})
+
+    def get_post_coupling_subsystem(self, scenario_name: str | None = None) -> Any:
+        """That of the solver, and the measures of the grid."""
+        parts: dict[str, Any] = {}
+        if self._measures:
+            parts["quality"] = MeshQualityComp(mesh=self.mesh, measures=self._measures)
+        solver = None if self._solver is None else self._solver.get_post_coupling_subsystem(scenario_name)
+        if solver is None:
+            return parts.get("quality")
+        return DeformationGroup(parts={**parts, "solver": solver})
+
+    def get_number_of_nodes(self, groupName: str | None = None) -> int:
+        """This rank's surface nodes, all or those of a moving patch."""
+        return len(self._rows(None if groupName is None else [groupName]))
+
+    def get_ndof(self) -> int:
+        """Coordinates of a node."""
+        return 3
+
+    def get_tagged_indices(self, tags: Any) -> list[int]:
+        """Numbers, within this rank's share, of the nodes of moving patches; -1 for all."""
+        given: list[Any] = [tags] if isinstance(tags, str | int) else list(tags)
+        return [int(row) for row in self._rows(None if -1 in given else given)]
+
+    def _rows(self, names: Sequence[str] | None) -> IntArray:
+        mesh = self.mesh
+        chosen = np.ones(len(mesh.points), dtype=bool)
+        if names is not None:
+            chosen[:] = False
+            for name in names:
+                chosen |= mesh.mask(name)
+        return np.flatnonzero(chosen[share_of(len(chosen), mesh._ranks)])

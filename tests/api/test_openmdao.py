@@ -1,0 +1,212 @@
+"""OpenMDAO components and the MPhys builder: partial and total derivatives, invalid grids, names and tags."""
+
+import numpy as np
+import pytest
+from grids import frame
+
+import meshdeform as md
+
+om = pytest.importorskip("openmdao.api")
+pytest.importorskip("mphys")
+from mphys.core import Builder, MPhysVariables, Multipoint  # noqa: E402
+from mphys.scenarios.aerodynamic import ScenarioAerodynamic  # noqa: E402
+
+from meshdeform.openmdao import MeshDeformBuilder, MeshDeformComp, MeshQualityComp  # noqa: E402
+
+BODY = {"body": ["block2.imax", "block4.jmax", "block5.jmin", "block7.imin"]}
+X = MPhysVariables.Aerodynamics.Surface
+
+
+def prepared(comm=None, size=(2, 1)):
+    blocks = [np.array(block) for block in md.Grid._of(frame(*size)).blocks]
+    return md.prepare(md.Grid(blocks), moving=BODY, slip={"span": ["*.kmin", "*.kmax"]}, comm=comm)
+
+
+def bent(points):
+    return points + 0.05 * np.sin(points[:, [1, 0, 2]] + 1.0) * [1.0, 1.0, 0.0]
+
+
+@pytest.fixture(scope="module")
+def mesh():
+    return prepared()
+
+
+@pytest.fixture(autouse=True)
+def _away(monkeypatch, tmp_path):
+    """OpenMDAO makes folders where it runs."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("OPENMDAO_REPORTS", "0")
+
+
+def model_of(mesh, **options):
+    """Surface coordinates as the design, their grid and its worst corner."""
+    problem = om.Problem()
+    add = problem.model.add_subsystem
+    add("deform", MeshDeformComp(mesh=mesh, **options), promotes=["*"])
+    add("quality", MeshQualityComp(mesh=mesh, measures=("scaled_jacobian_min", "volume")), promotes=["*"])
+    for part in (problem.model.deform, problem.model.quality):
+        # One random direction in place of every coordinate.
+        part.set_check_partial_options("*", directional=True, form="central", step=1e-6)
+    problem.setup()
+    problem.set_val("x_aero", bent(mesh.points).ravel())
+    return problem
+
+
+def test_partial_derivatives(mesh):
+    problem = model_of(mesh)
+    problem.run_model()
+    found = problem.check_partials(out_stream=None)
+    assert sum(len(component) for component in found.values()) == 3
+    for component in found.values():
+        for pair in component.values():
+            assert_exact(pair)
+
+
+def assert_exact(pair):
+    """Both directions of a directional check, and one against the other."""
+    scale = np.abs(pair["J_fd"]).max()
+    assert scale > 0
+    if "J_fwd" in pair:
+        assert np.abs(pair["J_fwd"] - pair["J_fd"]).max() < 1e-6 * scale
+    for key in ("directional_fd_rev", "directional_fwd_rev"):
+        if key in pair:
+            one, two = pair[key]
+            assert np.abs(one - two).max() < 1e-6 * np.abs(two).max()
+
+
+def test_total_derivatives_of_quality(mesh):
+    problem = model_of(mesh)
+    problem.run_model()
+    step = mesh.deform(bent(mesh.points) - mesh.points, repair="off")
+    assert problem.get_val("quality_volume")[0] == pytest.approx(step.quality_gradient("volume").value)
+    names = ["quality_scaled_jacobian_min", "quality_volume"]
+    found = problem.compute_totals(of=names, wrt=["x_aero"])
+    for name in names:
+        expected = mesh.linearise(bent(mesh.points) - mesh.points, repair="off").vjp(
+            step.quality_gradient(name.removeprefix("quality_")).blocks
+        )
+        np.testing.assert_allclose(found[name, "x_aero"].reshape(-1, 3), expected, atol=1e-12)
+
+
+def test_volume_is_that_of_the_mesh(mesh):
+    problem = model_of(mesh)
+    problem.run_model()
+    step = mesh.deform(bent(mesh.points) - mesh.points, repair="off")
+    whole = np.concatenate([block.ravel() for block in step.grid.blocks])
+    np.testing.assert_array_equal(problem.get_val("x_aero_volume"), whole)
+
+
+def test_an_invalid_grid_is_an_analysis_error(mesh):
+    problem = model_of(mesh)
+    problem.set_val("x_aero", (mesh.points * [-1.0, 1.0, 1.0]).ravel())
+    with pytest.raises(om.AnalysisError, match=r"INVALID.*first cell"):
+        problem.run_model()
+    # Drivers back up: the same problem goes on.
+    problem.set_val("x_aero", bent(mesh.points).ravel())
+    problem.run_model()
+
+
+def test_an_inexact_derivative_is_a_warning(mesh, monkeypatch):
+    problem = model_of(mesh)
+    problem.run_model()
+    monkeypatch.setattr(type(mesh.linearise()), "exact", False)
+    with pytest.warns(om.DerivativesWarning, match="not that of the grid"):
+        problem.compute_totals(of=["quality_volume"], wrt=["x_aero"])
+
+
+def test_complex_steps_are_refused(mesh):
+    problem = om.Problem()
+    problem.model.add_subsystem("deform", MeshDeformComp(mesh=mesh))
+    problem.setup(force_alloc_complex=True)
+    problem.final_setup()
+    problem.set_complex_step_mode(True)
+    with pytest.raises(md.MethodError, match="complex"):
+        problem.run_model()
+
+
+def test_other_ranks_than_those_of_the_mesh(mesh, monkeypatch):
+    monkeypatch.setattr(type(mesh._ranks), "count", 3)
+    problem = om.Problem()
+    problem.model.add_subsystem("deform", MeshDeformComp(mesh=mesh))
+    with pytest.raises(md.CaseError, match="prepared for 3 ranks"):
+        problem.setup()
+
+
+class Flow(om.ExplicitComponent):
+    """A solver: the sum of squares of the volume coordinates."""
+
+    def setup(self):
+        self.add_input("x_aero_volume", shape_by_conn=True, tags=["mphys_coupling"])
+        self.add_output("lift", tags=["mphys_result"])
+        self.declare_partials("lift", "x_aero_volume")
+
+    def compute(self, inputs, outputs):
+        outputs["lift"] = (inputs["x_aero_volume"] ** 2).sum()
+
+    def compute_partials(self, inputs, partials):
+        partials["lift", "x_aero_volume"] = 2 * inputs["x_aero_volume"]
+
+
+class FlowBuilder(Builder):
+    def get_coupling_group_subsystem(self, scenario_name=None):
+        return Flow()
+
+
+def test_a_scenario_of_mphys(mesh):
+    """The builder with a solver: coordinates from the mesh, the deformation, the flow, the quality."""
+
+    class Top(Multipoint):
+        def setup(self):
+            builder = MeshDeformBuilder(lambda comm: mesh, solver=FlowBuilder(), measures=("scaled_jacobian_min",))
+            builder.initialize(self.comm)
+            self.add_subsystem("mesh", builder.get_mesh_coordinate_subsystem())
+            self.mphys_add_scenario("cruise", ScenarioAerodynamic(aero_builder=builder))
+            self.connect(f"mesh.{X.Mesh.COORDINATES}", f"cruise.{X.COORDINATES}")
+
+        def configure(self):
+            super().configure()
+            self.name_of_input = self.mesh.mphys_add_coordinate_input()[0]
+
+    problem = om.Problem(model=Top())
+    problem.setup(mode="rev")
+    problem.set_val("mesh.x_aero0_points", bent(mesh.points).ravel())
+    problem.run_model()
+    assert problem.model.name_of_input == "x_aero0_points"
+    assert 0 < problem.get_val("cruise.quality_scaled_jacobian_min")[0] < 1
+    found = problem.check_totals(
+        of=["cruise.lift", "cruise.quality_scaled_jacobian_min"], wrt=["mesh.x_aero0_points"], form="central",
+        step=1e-6, directional=True, out_stream=None,
+    )  # fmt: skip
+    assert len(found) == 2
+    for pair in found.values():
+        assert_exact(pair)
+
+
+def test_what_mphys_asks_a_builder(mesh):
+    builder = MeshDeformBuilder(lambda comm: mesh)
+    with pytest.raises(md.CaseError, match="initialize"):
+        builder.get_number_of_nodes()
+    builder.initialize(None)
+    count = len(mesh.points)
+    assert (builder.get_number_of_nodes(), builder.get_number_of_nodes("body"), builder.get_ndof()) == (count, count, 3)
+    assert builder.get_tagged_indices(-1) == builder.get_tagged_indices(["body"]) == list(range(count))
+    with pytest.raises(md.MotionError, match="no moving patch 'tail'"):
+        builder.get_tagged_indices(["tail"])
+    assert builder.get_pre_coupling_subsystem() is builder.get_post_coupling_subsystem() is None
+    problem = om.Problem()
+    coordinates = problem.model.add_subsystem("mesh", builder.get_mesh_coordinate_subsystem("cruise"))
+    problem.setup()
+    p, u, v = coordinates.mphys_get_triangulated_surface()
+    normal = np.cross(u, v)
+    # The sides of a bar of 1 x 1 x 1, seen from the grid.
+    assert np.linalg.norm(normal, axis=1).sum() / 2 == pytest.approx(4.0)
+    assert ((p - [0, 0, p[0, 2]]) * normal)[:, :2].sum(axis=1).max() < 0
+    with pytest.raises(md.CaseError, match="no moving patch"):
+        coordinates.mphys_get_triangulated_surface("tail")
+
+
+def test_a_builder_prepares(mesh):
+    builder = MeshDeformBuilder(mesh.grid, moving={"body": ["block2.imax"]}, method="tfi")
+    builder.initialize(None)
+    assert builder.mesh.method == "tfi"
+    assert list(builder.mesh.patches) == ["body"]
