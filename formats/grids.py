@@ -111,9 +111,14 @@ def read_grid_with_boundaries(path: Path, boundary_file: Path | None, options: M
 
 
 def complete_for_export(grid: Grid, path: Path) -> Grid:
-    """Add the interfaces found from coordinates if the target can hold them and the source declared none."""
+    """The grid with the interfaces found from coordinates, if the target can hold them and the source declared none,
+    and with a note of the data that the target cannot hold."""
+    from .losses import losses
+
+    kind = format_of(path)
+    grid = dataclasses.replace(grid, notes=(*grid.notes, *losses(grid, path, kind)))
     own = grid.format is not None and grid.format.name == "cgns"
-    if format_of(path) != "cgns" or grid.connections or own:
+    if kind != "cgns" or grid.connections or own:
         return grid
     from meshdeform_core.grid.interfaces import find_interfaces
     from meshdeform_core.grid.topology import find_topology

@@ -40,7 +40,13 @@ def command(
     from meshdeform_formats.files import shown
     from meshdeform_formats.picture import Choice, Subject
     from meshdeform_formats.picture.viewer import save_screenshot, scene
+    from meshdeform_formats.series.levels import is_series
 
+    if is_series(source.path):
+        raise click.UsageError(
+            f"{source.path} is a series; a window shows one grid: name a level, or draw all with "
+            f"`meshdeform plot {source.path} -o film.gif`."
+        )
     if screenshot is None:
         require_display()
     else:

@@ -56,6 +56,15 @@ def read(path: Path) -> Grid:
     return dataclasses.replace(grid, connections=tuple(connections), notes=notes.lines())
 
 
+def solutions(path: Path) -> list[str]:
+    """Names of the flow solutions in the zones of a file, each once."""
+    with naming(path), opened_cgns(path) as root:
+        zones = structured_zones(find_base(root, Notes()), Notes())
+        children = (child for zone in zones for child in zone.node.target.children)
+        found = (child.name for child in children if child.target.label == "FlowSolution_t")
+        return list(dict.fromkeys(found))
+
+
 def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
     """How ``grid`` will be written to ``path``: HDF5, in the precision of ``options`` or else of the grid's file."""
     for key in options:

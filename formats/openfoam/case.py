@@ -54,6 +54,11 @@ def case_folder(path: Path) -> Path:
     return path.parent if is_foam(path) else path
 
 
+def has_dictionary(path: Path) -> bool:
+    """Whether a case can be read."""
+    return any((case_folder(path) / name).is_file() for name in _DICTIONARIES)
+
+
 def dictionary_of(path: Path) -> Path:
     """The blockMeshDict of a case.
 

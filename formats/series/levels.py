@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Grid
 
 from ..contents import digest
-from ..grids import read_grid
+from ..grids import read_grid, variant_of
+from ..openfoam.case import has_dictionary, is_foam
+from ..openfoam.existing import points_file
+from ..openfoam.format import MeshWriter
 from .manifest import NAME, Manifest
 
 
@@ -18,13 +22,15 @@ from .manifest import NAME, Manifest
 class Levels:
     """Times of the levels that are done and the files that hold them.
 
-    ``undeformed`` is the grid that they were made of, if it is still where and what it was.
+    ``undeformed`` is the grid that they were made of, if it is still where and what it was. ``foam`` is the ``.foam``
+    file of a series whose levels are points of an OpenFOAM mesh.
     """
 
     times: tuple[float, ...]
     files: tuple[Path, ...]
     single: bool
     undeformed: Path | None
+    foam: Path | None = None
 
     def read(self, number: int) -> Grid:
         """The grid of a level.
@@ -35,6 +41,8 @@ class Levels:
             When its file is gone or cannot be read.
         """
         path = self.files[number]
+        if self.foam is not None:
+            return self._with_points(path)
         grid = read_grid(path)
         if not self.single:
             return grid
@@ -42,12 +50,33 @@ class Levels:
 
         return dataclasses.replace(grid, points=read_level(grid, path, number))
 
+    def _with_points(self, folder: Path) -> Grid:
+        """The undeformed grid with the points of a level."""
+        grid, writer = self._mesh
+        points = points_file(folder / "polyMesh")
+        if points is None:
+            raise FormatError(f"{folder} has no polyMesh/points")
+        return grid.moved(writer.read_points(points))
+
+    @cached_property
+    def _mesh(self) -> tuple[Grid, MeshWriter]:
+        assert self.foam is not None
+        if self.undeformed is None:
+            raise FormatError(
+                f"{self.foam.parent}: its levels are points of OpenFOAM, and the grid that they were made of is not "
+                f"where and what it was; expected it unchanged"
+            )
+        grid = read_grid(self.undeformed)
+        return grid, MeshWriter(grid, variant_of(grid, self.foam))
+
     def __len__(self) -> int:
         return len(self.times)
 
 
 def is_series(path: Path) -> bool:
-    """Whether a path is the folder of a series, or its ``series.json``."""
+    """Whether a path is the folder of a series, its ``series.json``, or its ``.foam`` file that is no grid."""
+    if is_foam(path):
+        return (path.parent / NAME).is_file() and not has_dictionary(path)
     return path.name == NAME or (path / NAME).is_file()
 
 
@@ -59,7 +88,7 @@ def open_levels(path: Path) -> Levels:
     FormatError
         When there is none.
     """
-    folder = path.parent if path.name == NAME else path
+    folder = path if path.is_dir() else path.parent
     state = Manifest.load(folder / NAME)
     single = bool(state.ingredients.get("single file"))
     if single and not state.complete:
@@ -69,4 +98,6 @@ def open_levels(path: Path) -> Levels:
     files = tuple(folder / level["file"] for level in state.levels)
     source = Path(state.head["grid"]["file"])
     same = source.exists() and digest(source) == state.ingredients["grid"]
-    return Levels(tuple(level["time"] for level in state.levels), files, single, source if same else None)
+    output = folder / str(state.ingredients.get("output", ""))
+    foam = output if is_foam(output) else None
+    return Levels(tuple(level["time"] for level in state.levels), files, single, source if same else None, foam)

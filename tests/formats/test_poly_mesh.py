@@ -16,6 +16,7 @@ from meshdeform_core.quality.cells import block_volumes
 from meshdeform_formats import read_grid, write_grid
 from meshdeform_formats.grids import read_grid_with_boundaries
 from meshdeform_formats.openfoam.lists import write_points
+from meshdeform_formats.series.levels import is_series, open_levels
 
 THIRD_PARTY = (
     "717_wl_L2.cgns", "nak_a_141.cgns", "nak_a_141.p3dfmt", "cylinder_ring_4blk.x", "backstep5_4levdn.p3dbin",
@@ -224,6 +225,31 @@ def test_series_of_points(tmp_path, capsys):
     capsys.readouterr()
     assert run([*arguments, "-o", str(tmp_path / "v"), "--velocity", "first"]) == 2
     assert "omit --velocity" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("source", ["case", "grid"])
+def test_a_series_of_points_is_drawn_from_its_folder(source, tmp_path, capsys):
+    """Its levels are the undeformed grid with the points of the folders."""
+    made_case(tmp_path / "old")
+    (tmp_path / "case.toml").write_text(CASE)
+    given = tmp_path / "old"
+    if source == "grid":
+        given = tmp_path / "grid.cgns"
+        write_grid(read_grid(tmp_path / "old"), given)
+    command = ["series", str(given), "-c", str(tmp_path / "case.toml"), "--times", "0:1:0.5", "-q", "-o"]
+    assert run([*command, str(tmp_path / "foam"), "--suffix", ".foam"]) == 0
+    assert run([*command, str(tmp_path / "cgns"), "--suffix", ".cgns"]) == 0
+    foam, cgns = (open_levels(tmp_path / name) for name in ("foam", "cgns"))
+    for number in range(3):
+        np.testing.assert_array_equal(foam.read(number).points, cgns.read(number).points)
+    assert is_series(next((tmp_path / "foam").glob("*.foam")))
+    assert not is_series(tmp_path / "old" / "x.foam")
+    capsys.readouterr()
+    assert run(["view", str(tmp_path / "foam"), "--screenshot", str(tmp_path / "a.png")]) == 2
+    assert "is a series; a window shows one grid" in capsys.readouterr().err
+    given.rename(tmp_path / "gone")
+    assert run(["plot", str(tmp_path / "foam"), "-o", str(tmp_path / "a.gif")]) == 2
+    assert "the grid that they were made of is not where and what it was" in capsys.readouterr().err
 
 
 def test_outputs_never_replace_inputs_or_other_meshes(tmp_path, capsys):

@@ -1,0 +1,44 @@
+"""Data of a grid that the format of an output cannot hold."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from meshdeform_core.grid import Grid
+
+from .plot3d.blocks import IBLANK
+
+_LISTED = 6
+_ALL = ("vtk", "cgns")
+_OF_ALL_BLOCKS = (".vtu", ".xdmf")
+
+
+def losses(grid: Grid, target: Path, kind: str) -> list[str]:
+    """Warnings about fields, IBLANK and solutions that a file ``target`` of the format ``kind`` does not get.
+
+    Fields that were made for the file, and data that every format holds, are not looked at.
+    """
+    names = list(dict.fromkeys(_lost_fields(grid, target, kind)))
+    if grid.format is not None and grid.format.name == "cgns" and kind != "cgns" and grid.path is not None:
+        from .cgns.format import solutions
+
+        names += solutions(grid.path)
+    if not names:
+        return []
+    listed = ", ".join(names[:_LISTED]) + (f" and {len(names) - _LISTED} more" if len(names) > _LISTED else "")
+    return [f"{target.suffix} files cannot hold these data of the grid, which are not written: {listed}"]
+
+
+def _lost_fields(grid: Grid, target: Path, kind: str) -> Iterator[str]:
+    everywhere = {
+        (field.location, field.name): sum(f.location == field.location and f.name == field.name for f in grid.fields)
+        for field in grid.fields
+    }
+    for field in grid.fields:
+        blanking = field.location == "node" and field.name.lower() == IBLANK
+        kept = kind in _ALL or (kind == "plot3d" and blanking)
+        if target.suffix.lower() in _OF_ALL_BLOCKS:
+            kept = field.location in ("node", "cell") and everywhere[field.location, field.name] == grid.n_blocks
+        if not kept:
+            yield field.name.upper() if blanking else field.name
