@@ -97,7 +97,7 @@ def _series(name: str, size: int, method: Options) -> None:
 def _pictures(name: str, size: int, method: Options) -> None:
     result = _deformed(name, size, method)
     with_fields(cells_of(result.setup, result.grid), [ALL])
-    deformation_figures(result.setup, result.grid, result.assessment.invalid)
+    deformation_figures(result)
 
 
 def _nested_sums() -> None:

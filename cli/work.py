@@ -135,7 +135,7 @@ def run(
             lambda: write_grid(with_fields(cells_of(result.setup, result.grid), options.fields), target, variant)
         )
     seconds = {"read": job.read_seconds, "write": clock.perf_counter() - before}
-    illustrate = functools.partial(deformation_figures, result.setup, result.grid, result.assessment.invalid)
+    illustrate = functools.partial(deformation_figures, result)
     return deformation_report(result, seconds, peak_memory()) | {"output": str(target)}, illustrate
 
 

@@ -28,19 +28,23 @@ _AROUND = 7
 
 @dataclasses.dataclass(frozen=True)
 class Pair:
-    """The same grid before and after, with the topology of the undeformed one."""
+    """The same grid before and after, with the topology of the undeformed one.
+
+    ``undeformed`` is the grid that both are judged against, where it is not the one before.
+    """
 
     before: Grid
     after: Grid
     topology: Topology
+    undeformed: Grid | None = None
 
     @cached_property
     def old(self) -> Subject:
-        return Subject(self.before, self.topology)
+        return Subject(self.before, self.topology, self.undeformed)
 
     @cached_property
     def new(self) -> Subject:
-        return Subject(self.after, self.topology, self.before, original=self.old)
+        return Subject(self.after, self.topology, self.undeformed or self.before, original=self.old)
 
 
 def moved_walls(pair: Pair, quads: IntArray, title: str = "") -> Page:
@@ -106,8 +110,16 @@ def _twins(
     return Page(tuple(panels), title, scale)
 
 
-def worst_cells(pair: Pair, block: int, cell: Shape, choice: Choice | None = None, title: str = "") -> Page:
-    """The surroundings of a cell (0-based ``cell`` of ``block``) before and after, on the same scale."""
+def worst_cells(
+    pair: Pair,
+    block: int,
+    cell: Shape,
+    choice: Choice | None = None,
+    title: str = "",
+    names: tuple[str, str] = ("before", "after"),
+) -> Page:
+    """The surroundings of a cell (0-based ``cell`` of ``block``) before and after, on the same scale; ``names`` of the
+    panels."""
     choice = choice or Choice()
     old, new = pair.old, pair.new
     flat = plane_of_grid(old, choice), plane_of_grid(new, choice)
@@ -120,7 +132,9 @@ def worst_cells(pair: Pair, block: int, cell: Shape, choice: Choice | None = Non
         planes = [(_around(subject, block, axis, cell, normal, choice), np.empty((0, 2, 3)), view)
                   for subject in (old, new)]  # fmt: skip
         sizes = _surroundings(pair, block, cell, view)
-    return _twins(pair, choice, planes, view, sizes, title)
+    page = _twins(pair, choice, planes, view, sizes, title)
+    panels = (dataclasses.replace(panel, title=name) for panel, name in zip(page.panels, names, strict=True))
+    return dataclasses.replace(page, panels=tuple(panels))
 
 
 def _corners(grid: Grid, block: int, cell: Shape, more: int = 0) -> FloatArray:

@@ -126,6 +126,7 @@ def page_figure(page: Page, width: float = 7.2, dpi: int = 150, fine: int = FINE
 
     with mpl.rc_context(STYLE | {"figure.dpi": dpi, "savefig.dpi": dpi}):
         figure = Figure(figsize=_size(page, width), layout="constrained")
+        figure.get_layout_engine().set(w_pad=0.08)
         FigureCanvasAgg(figure)
         axes = _frames(figure, page)
         figure.canvas.draw()
@@ -156,7 +157,7 @@ def _size(page: Page, width: float) -> tuple[float, float]:
     else:
         shares = _shares(page)
         each = (width - side - 0.55 * len(aspects)) / sum(shares)
-        height = max(each * share * aspect for share, aspect in zip(shares, aspects, strict=True)) + 0.95
+        height = max(each * share * aspect for share, aspect in zip(shares, aspects, strict=True)) + 0.8
     return width, min(max(height, 2.2), 1.4 * width) + (0.3 if page.title else 0.0) + (0.35 if page.legend else 0.0)
 
 
@@ -179,7 +180,6 @@ def _frames(figure: Figure, page: Page) -> list[Axes]:
     for ax, panel in zip(axes, page.panels, strict=True):
         left, right, bottom, top = panel.window
         ax.set(xlim=(left, right), ylim=(bottom, top), title=panel.title)
-        ax.set_aspect("equal")
         if panel.view.flat:
             ax.set(xlabel=panel.view.labels[0], ylabel=panel.view.labels[1])
         else:
@@ -206,7 +206,8 @@ def _fill(ax: Axes, panel: Panel, fine: int, vector: bool) -> None:
         _paint(ax, panel.under, panel, fine, vector)
     image = _paint(ax, panel.scene, panel, fine, vector, alpha=1.0 if panel.under is None else 0.75)
     _mark_invalid(ax, panel)
-    ax.set(xlim=panel.window[:2], ylim=panel.window[2:])
+    # Only now: the layout measures labels and titles where they are when the panel fills its place.
+    ax.set(xlim=panel.window[:2], ylim=panel.window[2:], aspect="equal")
     if not panel.view.flat:
         _triad(ax, panel.view, _free_corner(panel.scene, image))
     if len(panel.arrows):
@@ -284,18 +285,18 @@ def _triad(ax: Axes, view: View, corner: tuple[float, float]) -> None:
     white = [withStroke(linewidth=2.0, foreground="white")]
     width, height = (float(n) * 72 / ax.figure.dpi for n in ax.get_window_extent().size)
     size = min(1.0, width / 260)
-    middle = [32 * size + part * (length - 64 * size) for part, length in zip(corner, (width, height), strict=True)]
+    x, y = (32 * size + part * (length - 64 * size) for part, length in zip(corner, (width, height), strict=True))
     for name, unit in zip("xyz", np.eye(3), strict=True):
-        way = view.project(unit)[:2] * size
+        right, up, _ = view.project(unit) * size
         # Seen end-on, an axis would be a meaningless dot.
-        if np.hypot(*way) < 0.15 * size:
+        if np.hypot(right, up) < 0.15 * size:
             continue
         ax.annotate(
-            "", xy=middle + 20 * way, xytext=middle, xycoords="axes points", zorder=5, textcoords="axes points",
-            arrowprops={"arrowstyle": "-|>", "linewidth": 0.75, "color": "0.15", "shrinkA": 0, "shrinkB": 0,
-                        "mutation_scale": 6 * size, "path_effects": white},
+            "", xy=(x + 20 * right, y + 20 * up), xytext=(x, y), xycoords="axes points", textcoords="axes points",
+            zorder=5, arrowprops={"arrowstyle": "-|>", "linewidth": 0.75, "color": "0.15", "shrinkA": 0, "shrinkB": 0,
+                                  "mutation_scale": 6 * size, "path_effects": white},
         )  # fmt: skip
         ax.annotate(
-            name, xy=middle + 27 * way, xycoords="axes points", ha="center", va="center", fontsize=5 + 3 * size,
-            zorder=5, path_effects=white,
+            name, xy=(x + 27 * right, y + 27 * up), xycoords="axes points", ha="center", va="center",
+            fontsize=5 + 3 * size, zorder=5, path_effects=white,
         )  # fmt: skip

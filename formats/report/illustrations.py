@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from meshdeform_core.boundary import Kind
-from meshdeform_core.deform import Setup
+from meshdeform_core.deform import Result, Setup
 from meshdeform_core.grid import FloatArray, Grid
-from meshdeform_core.quality import InvalidCell
 
 from ..picture import (
     Choice,
@@ -39,8 +39,9 @@ class Illustrations:
 Illustrate = Callable[[], Illustrations]
 
 
-def deformation_figures(setup: Setup, after: Grid, invalid: Sequence[InvalidCell]) -> Illustrations:
-    """The moving walls, a plane around them and the worst cells, before and after."""
+def deformation_figures(result: Result) -> Illustrations:
+    """The moving walls, a plane around them, the worst cells and what a repair changed, before and after."""
+    setup, after, invalid = result.setup, result.grid, result.assessment.invalid
     pair = Pair(setup.grid, after, setup.topology)
     figures = [_slider("Around the walls", "A plane through the grid, coloured by f_skew.", *quality_planes(pair))]
     block, cell = worst_cell(pair.new, "f_skew")
@@ -58,7 +59,22 @@ def deformation_figures(setup: Setup, after: Grid, invalid: Sequence[InvalidCell
         if solid:
             caption = "The moving walls before and after, coloured by their displacement."
             figures.insert(0, Figure("The moving walls", caption, page_png(page)))
+    if result.plain is not None:
+        figures.append(_repaired_region(setup, setup.grid.moved(result.plain), after))
     return Illustrations(tuple(figures))
+
+
+def _repaired_region(setup: Setup, plain: Grid, after: Grid) -> Figure:
+    """Around the worst cell that the method alone gives, without and with the repair."""
+    pair = Pair(plain, after, setup.topology, setup.grid)
+    block, cell = worst_cell(pair.old, "f_skew")
+    where = f"{setup.grid.names[block]} ({', '.join(str(n + 1) for n in cell)})"
+    caption = f"Around cell {where}, the worst that the method alone gives: without the repair and with it."
+    page = worst_cells(pair, block, cell, names=("the method alone", "repaired"))
+    # The same place, not the same cell, which the repair has moved.
+    panels = tuple(dataclasses.replace(panel, window=page.panels[0].window) for panel in page.panels)
+    page = dataclasses.replace(page, panels=panels)
+    return Figure("What the repair changed", caption, page_png(page))
 
 
 def _slider(title: str, caption: str, before: Page, after: Page) -> Figure:

@@ -12,6 +12,7 @@ from meshdeform_core.methods import Account
 from meshdeform_core.methods.limits import PatchMotion
 from meshdeform_core.quality import Assessment
 from meshdeform_core.quality.shape import shape_measures
+from meshdeform_core.quality.walls import layer_changes
 
 from .components import component_part
 from .parts import Report, boundary_part, cell_part, head_part, method_part, quality_part
@@ -43,11 +44,21 @@ def deformation_report(result: Result, timing: Mapping[str, float], peak_memory:
         "reached": result.reached,
         "attempts": [dataclasses.asdict(attempt) for attempt in result.attempts],
         "repair": None if result.repair is None else dataclasses.asdict(result.repair),
+        "repaired_layers": _repaired_layers(result),
         **({"components": components} if components else {}),
         "timing": seconds | result.timing.seconds | dict(timing),
         "peak_memory_bytes": peak_memory,
         "warnings": list(result.warnings),
     }
+
+
+def _repaired_layers(result: Result) -> Report | None:
+    """What a repair changed in the layers at the walls, where the grid before it is known."""
+    if result.plain is None:
+        return None
+    setup = result.setup
+    found = layer_changes(setup.original, setup.boundary, result.plain, result.grid.points)
+    return {name: None if change is None else dataclasses.asdict(change) for name, change in found.items()}
 
 
 def quality_report(

@@ -6,6 +6,8 @@ from typing import Any
 
 from ..wording import counted
 
+_LAYERS = (("first cell", "first_cell_height_ratio"), ("first cells together", "layer_thickness_ratio"))
+
 
 def repair_sentence(report: dict[str, Any]) -> str:
     """How many cells a repair mended, how far nodes moved, and what the method alone would have given; empty without
@@ -21,5 +23,19 @@ def repair_sentence(report: dict[str, Any]) -> str:
     before = f"; the method alone leaves {counted(sum(alone), 'invalid cell')}" if alone else ""
     return (
         f"{cells}, {counted(done['nodes'], 'node')} moved by up to {done['max_movement']:.4g}{part}, "
-        f"{counted(done['newton_steps'], 'Newton step')}{before}"
+        f"{counted(done['newton_steps'], 'Newton step')}{before}{_layers(report.get('repaired_layers') or {})}"
     )
+
+
+def _layers(changes: dict[str, Any]) -> str:
+    """Which part of the layers at the walls was changed."""
+    return "".join(f"; {_layer_text(name, change)}" for name, change in changes.items() if change)
+
+
+def _layer_text(name: str, change: dict[str, Any]) -> str:
+    walls = f"of the {change['lines']:,} grid lines off {name} walls"
+    if not change["changed"]:
+        return f"none {walls} changed by more than 1 % in its first cells"
+    ranges = [(what, change[key]) for what, key in _LAYERS if change[key]]
+    heights = ", ".join(f"{what} to {ratio['min']:.3g}..{ratio['max']:.3g}" for what, ratio in ranges)
+    return f"{change['changed']:,} {walls} changed by more than 1 % ({heights} of the height that the method gave)"

@@ -16,6 +16,9 @@ from .listed import Worst, worst_cell
 from .original import Original, Walls
 from .tally import Range, Spread
 
+CHANGED = 0.01
+"""A grid line off a wall is changed where its first cells are thicker or thinner by more than this part."""
+
 Extremes = dict[str, tuple[int, float]]
 """Number and value of the worst cell for each measure; measures with the same value everywhere are left out."""
 
@@ -33,6 +36,20 @@ class WallQuality:
     first_cell_height_ratio: Range | None
     layer_thickness_ratio: Range | None
     worst: Mapping[str, Worst]
+
+
+@dataclass(frozen=True)
+class LayerChange:
+    """What a repair has made of the grid lines off the moving or the fixed walls.
+
+    Of ``lines`` grid lines ``changed`` have a first cell, or first cells together (see :data:`.lines.LAYERS`), whose
+    height along the wall's normal differs by more than :data:`CHANGED`; ratios are to the heights before the repair.
+    """
+
+    lines: int
+    changed: int
+    first_cell_height_ratio: Range | None
+    layer_thickness_ratio: Range | None
 
 
 WallQualities = dict[str, WallQuality | None]
@@ -73,6 +90,27 @@ def _compared(original: Original, walls: Walls, after: FloatArray) -> tuple[Wall
     alike = Range(1.0, 1.0)
     before = WallQuality(Spread.of(old.angle), alike if heights else None, alike if layers else None, {})
     return before, WallQuality(Spread.of(new.angle), _range(heights), _range(layers), places)
+
+
+def layer_changes(
+    original: Original, boundary: Boundary, plain: FloatArray, after: FloatArray
+) -> dict[str, LayerChange | None]:
+    """What a repair changed at the ``moving`` and the ``fixed`` walls, from coordinates ``plain`` to ``after``, both
+    (n_nodes, 3); ``None`` where there are none."""
+    normal = plane_normal(original.grid)
+    found: dict[str, LayerChange | None] = {}
+    for name, walls in original.walls(boundary).items():
+        old, new = (WallLines.joined([wall_lines(face, x, normal) for face in walls.faces]) if walls.faces else None
+                    for x in (plain, after))  # fmt: skip
+        found[name] = None if old is None or new is None else _layer_change(old, new)
+    return found
+
+
+def _layer_change(old: WallLines, new: WallLines) -> LayerChange:
+    pairs = (old.height, new.height), (old.thickness, new.thickness)
+    changed = np.any([np.abs(after - before) > CHANGED * np.abs(before) for before, after in pairs], axis=0)
+    ranges = (_range(_ratios(before, after)) for before, after in pairs)
+    return LayerChange(len(changed), int(np.count_nonzero(changed)), *ranges)
 
 
 Ends = tuple[tuple[int, float], tuple[int, float]]

@@ -228,7 +228,9 @@ def test_a_series_becomes_a_film(bench, call):
     assert call("series", "grid.cgns", "-c", "case.toml", "-o", "out", *turning, "-q").code == 0
     # Displacement needs the undeformed grid, which is still where the series says.
     result = call("plot", "out", "-o", "out.gif", "--metric", "displacement", "--rate", "4")
-    assert (result.code, result.out, result.err) == (0, "", "")
+    assert (result.code, result.out) == (0, "")
+    # A busy machine takes so long that the progress is logged.
+    assert [line for line in result.err.splitlines() if ", draw " not in line] == []
     with Image.open(bench / "out.gif") as film:
         assert film.n_frames == 3
     assert call("plot", "out/series.json", "-o", "again.gif", "--metric", "displacement", "--rate", "4").code == 0

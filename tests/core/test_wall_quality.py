@@ -12,6 +12,7 @@ from meshdeform_core.deform import Case, deform
 from meshdeform_core.grid import Grid
 from meshdeform_core.methods import Options
 from meshdeform_core.quality.lines import LAYERS
+from meshdeform_core.quality.walls import layer_changes
 from meshdeform_formats.report import deformation_report
 from meshdeform_formats.report.schema import report_schema
 from meshdeform_formats.report.text import as_text
@@ -101,3 +102,17 @@ def test_all_reports_show_both_kinds_of_walls():
     assert "fixed walls: normal deviation max [deg]" in text
     (line,) = [line for line in text.splitlines() if "fixed walls: normal deviation max" in line]
     assert str(tuple(worst)) in line
+
+
+def test_layers_that_a_repair_changed_are_counted():
+    """The first node off one place of the floor is moved up by a tenth of its height, and nothing else."""
+    grid = channel()
+    setup = deform(grid, case("tfi", constant(0.0, -0.01, 0.0))).setup
+    before, after = grid.points, grid.points.copy()
+    nodes = grid.block(0, after)
+    nodes[0, 1, 0, 1] += 0.1 * (nodes[0, 1, 0, 1] - nodes[0, 0, 0, 1])
+    changes = layer_changes(setup.original, setup.boundary, before, after)
+    assert changes["moving"].changed == 0
+    assert (changes["fixed"].lines, changes["fixed"].changed) == (41, 1)
+    assert changes["fixed"].first_cell_height_ratio.max == pytest.approx(1.1, rel=1e-2)
+    assert changes["fixed"].layer_thickness_ratio.max == 1.0

@@ -19,3 +19,20 @@ def test_it_says_what_was_done_and_what_the_method_alone_gives():
 def test_nothing_is_said_without_a_repair_and_no_cells_are_counted_where_none_were_bad():
     assert repair_sentence({"repair": None}) == ""
     assert repair_sentence({"repair": DONE | {"cells": 0}}).startswith("weak cells improved, 1 node moved")
+
+
+def test_it_says_which_part_of_the_layers_changed():
+    layers = {
+        "moving": {
+            "lines": 600,
+            "changed": 573,
+            "first_cell_height_ratio": {"min": 0.5, "max": 1.25},
+            "layer_thickness_ratio": {"min": 0.75, "max": 1.5},
+        },
+        "fixed": {"lines": 40, "changed": 0, "first_cell_height_ratio": None, "layer_thickness_ratio": None},
+    }
+    assert repair_sentence({"repair": DONE, "repaired_layers": layers}).endswith(
+        "; 573 of the 600 grid lines off moving walls changed by more than 1 % (first cell to 0.5..1.25, first cells "
+        "together to 0.75..1.5 of the height that the method gave); none of the 40 grid lines off fixed walls "
+        "changed by more than 1 % in its first cells"
+    )
