@@ -36,7 +36,7 @@ FAST = {
 CHOSEN = {name: options for name, options in ALL_METHODS.items() if "ctps" not in name and name != "rbf-minres"}
 
 # Where ranks have less in common the loops are the same: one method for each kind of exchange.
-DIFFERENTIATED = ("rbf-krylov", "idw-rbf", "idw-tfi-cut", "idw-none", "idw-fast", "rbf-fast")
+DIFFERENTIATED = ("idw-rbf", "idw-fast", "rbf-fast")
 
 FEW = ("tfi", "rbf-krylov", "idw-rbf", "idw-tfi-cut", "idw-none", "idw-fast", "rbf-greedy")
 

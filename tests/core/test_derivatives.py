@@ -163,18 +163,38 @@ def test_fast_sums_are_differentiated_within_their_tolerance(name):
     assert np.abs(one - two).max() < TOLERANCE * np.abs(one).max()
 
 
+@pytest.mark.parametrize("plane", [False, True])
+@pytest.mark.parametrize("options", [{}, {"basis": "wendland-c2", "radius": 1.0}, {"basis": "ctps-c1", "radius": 6.0}])
+def test_fast_radial_sums_are_differentiated(options, plane):
+    turn = body_specs(turning(20))
+    where = problem_of(frame_2d(30), turn[:1]) if plane else problem_of(frame(9, 6), turn)
+    smooth, rough = directions(where)
+    methods = [make_method(Options("rbf", rbf=RBF(summation=kind, **options))) for kind in ("exact", "fast")]
+    exact, fast = (derivative_of(method.prepare(where), smooth) for method in methods)
+    weight = np.random.default_rng(6).standard_normal((where.grid.n_nodes, 3))
+    for change in (rough, smooth):
+        one, two = exact.push(change), fast.push(change)
+        gap = np.abs(one - two).max()
+        assert 0.0 < gap < TOLERANCE * np.abs(one).max()
+        product, size = (fast.pull(weight) * change).sum(), np.linalg.norm(weight) * np.linalg.norm(two)
+        assert abs((weight * two).sum() - product) < 1e-12 * size
+    one, two = exact.pull(weight), fast.pull(weight)
+    assert np.abs(one - two).max() < TOLERANCE * np.abs(one).max()
+
+
 def test_threads_change_no_bit_of_a_derivative():
     where = problem_of(frame(9, 6), body_specs(turning(20)))
     smooth, rough = directions(where)
     weight = np.random.default_rng(6).standard_normal((where.grid.n_nodes, 3))
     found = []
-    for kind in ("exact", "fast"):
-        method = make_method(Options("idw-tfi", idw=IDW(summation=kind))).prepare(where)
+    ways = [Options("idw-tfi", idw=IDW(summation=kind)) for kind in ("exact", "fast")]
+    for options in [*ways, Options("rbf", rbf=RBF(summation="fast"))]:
+        method = make_method(options).prepare(where)
         for threads in (1, 2, 3):
             with sharing(OneRank(), threads):
                 derivative = derivative_of(method, smooth)
                 found.append((derivative.push(rough), derivative.pull(weight)))
-    for one, two, three in (found[:3], found[3:]):
+    for one, two, three in (found[:3], found[3:6], found[6:]):
         for part in range(2):
             np.testing.assert_array_equal(one[part], two[part])
             np.testing.assert_array_equal(one[part], three[part])

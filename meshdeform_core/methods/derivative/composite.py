@@ -153,7 +153,7 @@ class _Interpolated:
         if isinstance(bound, PreparedIDW):
             self._derivative = IDWDerivative(bound, mover._evaluator, displacement)  # type: ignore[arg-type]
         else:
-            self._derivative = RBFDerivative(bound, problem, mover.flat)  # type: ignore[arg-type]
+            self._derivative = RBFDerivative(bound, problem, mover._evaluator)  # type: ignore[arg-type]
 
     def push(self, change: FloatArray, out: FloatArray) -> FloatArray:
         self._derivative.push(change, out)

@@ -10,14 +10,17 @@ from ...errors import MethodError
 from ...grid import FloatArray, IntArray
 from ...numerics.exact.basis import BASES
 from ...numerics.exact.radial import radial_sums
+from ...numerics.fastsum.radial_frozen import FrozenRadial
 from ..base import Account, Problem
 from ..scattered.block_rbf import PreparedBlockRBF
 from ..scattered.radial_system import RadialSystem, SystemOptions
 from ..scattered.rbf import PreparedRBF
-from ..scattered.rbf_sums import Centres
+from ..scattered.rbf_sums import Centres, RadialSums
+from .sums import TOLERANCE
 
 _TOLERANCE = 1e-13
 """Of iterative solutions: a transpose is one to this accuracy only."""
+_ROWS = 1 << 16
 
 
 class RadialMap:
@@ -35,16 +38,20 @@ class RadialMap:
         return np.asarray(sums + self._terms @ polynomial)
 
     def pull(self, gradient: FloatArray) -> FloatArray:
-        """Gradient (m, 3) from that at the points.
+        """Gradient (m, 3) from that at the points."""
+        upper = radial_sums(self._kind, self._system.centres.points, self._x, np.ascontiguousarray(gradient))
+        return solved_transposed(self._system, upper, self._terms.T @ gradient)
 
-        The matrix [A P; P^T 0] is symmetric; a right-hand side of its lower rows is met by a combination of the
-        columns of P, the rest by the solver as it is.
-        """
-        centres, terms = self._system.centres.points, self._system.terms
-        upper = radial_sums(self._kind, centres, self._x, np.ascontiguousarray(gradient))
-        part = terms @ np.linalg.solve(terms.T @ terms, self._terms.T @ gradient)
-        rest = upper - radial_sums(self._kind, centres, centres, part)
-        return np.asarray(part + self._system.solve(rest, Account(), None)[0])
+
+def solved_transposed(system: RadialSystem, upper: FloatArray, lower: FloatArray) -> FloatArray:
+    """Gradient (m, 3) of the values at centres from those of coefficients (m, 3) and polynomial (q, 3).
+
+    The matrix [A P; P^T 0] is symmetric; a right-hand side of its lower rows is met by a combination of the columns of
+    P, the rest by the solver as it is.
+    """
+    terms = system.terms
+    part = terms @ np.linalg.solve(terms.T @ terms, lower)
+    return np.asarray(part + system.solve(upper - system.multiply(part), Account(), None)[0])
 
 
 def accurate(options: SystemOptions, centres: Centres, problem: Problem) -> RadialSystem:
@@ -53,27 +60,62 @@ def accurate(options: SystemOptions, centres: Centres, problem: Problem) -> Radi
 
 
 class RBFDerivative:
-    """Derivative of the displacement of some nodes with respect to that of the sources; the same at all of them."""
+    """Derivative of the displacement of some nodes with respect to that of the sources; the same at all of them.
 
-    def __init__(self, method: PreparedRBF, problem: Problem, flat: IntArray) -> None:
+    Fast sums of the method are fast here, too, with an error below :data:`.sums.TOLERANCE` of the largest change.
+    """
+
+    def __init__(self, method: PreparedRBF, problem: Problem, sums: RadialSums) -> None:
         if method.options.greedy != "none":
             raise MethodError(
                 "method.rbf.greedy has no derivative: the centres that it keeps change abruptly with the displacement; "
                 'use greedy = "none"'
             )
-        self._images, self.flat = method._images, flat
-        self._map = RadialMap(accurate(method.options.system, method.centres, problem), problem.grid.points[flat])
+        self._images, self._points, self.flat = method._images, problem.grid.points, sums.flat
         self._n = len(problem.source_numbers)
+        self._system = accurate(method.options.system, method.centres, problem)
+        self._exact, self._fast = None, None
+        if sums.targets is None:
+            self._exact = RadialMap(self._system, self._points[self.flat])
+        else:
+            rough = np.random.default_rng(0).uniform(-1.0, 1.0, method.centres.points.shape)
+            coefficients, _ = self._system.solve(rough, Account(), None)
+            kind, centres = BASES[method.options.basis], method.centres.points
+            self._fast = FrozenRadial(kind, centres, sums.targets, coefficients, TOLERANCE)
 
     def push(self, change: FloatArray, out: FloatArray) -> None:
         """Write the change of the nodes into their rows of ``out`` (n_nodes, 3), for one of the sources."""
-        out[self.flat] = self._map.push(self._images.displaced(change))
+        values = self._images.displaced(change)
+        if self._exact:
+            out[self.flat] = self._exact.push(values)
+            return
+        assert self._fast is not None
+        coefficients, polynomial = self._system.solve(values, Account(), None)
+
+        def use(flat: IntArray, sums: FloatArray) -> None:
+            out[flat] = sums + self._terms(flat) @ polynomial
+
+        self._fast.push(coefficients, use, out)
 
     def pull(self, gradient: FloatArray) -> FloatArray:
         """Gradient (n_sources, 3) from that of the nodes, rows of ``gradient`` (n_nodes, 3)."""
-        found, total = self._map.pull(gradient[self.flat]), np.zeros((self._n, 3))
+        total = np.zeros((self._n, 3))
+        if self._exact:
+            found = self._exact.pull(gradient[self.flat])
+        else:
+            assert self._fast is not None
+            lower = np.zeros((self._system.terms.shape[1], 3))
+            for first in range(0, len(self.flat), _ROWS):
+                flat = self.flat[first : first + _ROWS]
+                lower += self._terms(flat).T @ gradient[flat]
+            found = solved_transposed(self._system, self._fast.pull(gradient), lower)
         np.add.at(total, self._images.owner, np.einsum("nij,ni->nj", self._images.reflection, found))
         return total
+
+    def _terms(self, flat: IntArray) -> FloatArray:
+        """Polynomial terms (n, q) at some nodes."""
+        centres = self._system.centres
+        return centres.polynomial(centres.normalised(self._points[flat]))[:, : self._system.terms.shape[1]]
 
 
 class BlockRBFDerivative:

@@ -76,6 +76,12 @@ class RadialSystem:
             return self._solve_krylov(values, account, progress)
         return self._solve_direct(values, account)
 
+    def multiply(self, coefficients: FloatArray) -> FloatArray:
+        """The matrix of basis values between centres times coefficients (n, 3), as the solver last took it."""
+        if self._krylov is not None:
+            return np.asarray(self._krylov.product(coefficients))
+        return ExactProduct(self.kind, self.centres.points)(coefficients)
+
     def _solve_direct(self, values: FloatArray, account: Account) -> tuple[FloatArray, FloatArray]:
         if self._direct is None:
             self._direct = DirectSolver(lambda: radial_matrix(self.kind, *(self.centres.points,) * 2), self.terms)

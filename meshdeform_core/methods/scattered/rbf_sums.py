@@ -83,25 +83,25 @@ class RadialSums:
         correct: bool,
         account: Account,
     ):
-        self._grid, self._flat, self._centres, self._basis = grid, flat, centres, basis
+        self._grid, self.flat, self._centres, self._basis = grid, flat, centres, basis
         self._summation, self._tolerance = summation, tolerance
         self._correct, self._account = correct, account
         self._is_fast = False
-        self._targets: RadialTargets | None = None
+        self.targets: RadialTargets | None = None
         self._tree: tuple[FloatArray, FastRadial] | None = None
         self._nearest: tuple[FloatArray, IntArray] | None = None
 
     def prepare(self, n_centres: int) -> None:
         """Sort the target nodes for fast sums, if these pay off for this number of centres."""
-        self._is_fast, self._account.settings["summation"] = fast_pays(self._summation, len(self._flat), n_centres)
-        if not self._is_fast or self._targets is not None:
+        self._is_fast, self._account.settings["summation"] = fast_pays(self._summation, len(self.flat), n_centres)
+        if not self._is_fast or self.targets is not None:
             return
         self._account.settings["summation_tolerance"] = Setting(self._tolerance, "error relative to the local cell")
         grid = self._grid
         points = empty(grid.points.shape)
         for_rows(lambda rows: np.copyto(points[rows], self._centres.normalised(grid.points[rows])), points)
-        targets = make_radial_targets(points, grid.shapes, grid.offsets, self._flat)
-        self._targets = targets._replace(sizes=targets.sizes * self._centres.scale)
+        targets = make_radial_targets(points, grid.shapes, grid.offsets, self.flat)
+        self.targets = targets._replace(sizes=targets.sizes * self._centres.scale)
 
     def evaluate(self, fit: Coefficients, out: FloatArray, progress: Progress | None) -> None:
         """Write the displacement of the targets into ``out`` (n_nodes, 3)."""
@@ -122,14 +122,14 @@ class RadialSums:
 
     def _exact(self, fit: Coefficients, out: FloatArray, report: Report | None) -> None:
         def work(lo: int, hi: int) -> None:
-            flat = self._flat[lo:hi]
+            flat = self.flat[lo:hi]
             out[flat] = self._displacement(fit, flat)
 
-        for_chunks(work, len(self._flat), _CHUNK, report, [Shared(out, lambda lo, hi: self._flat[lo:hi])])
+        for_chunks(work, len(self.flat), _CHUNK, report, [Shared(out, lambda lo, hi: self.flat[lo:hi])])
 
     def _fast(self, fit: Coefficients, out: FloatArray, report: Report | None) -> None:
-        assert self._targets is not None
-        targets = self._targets
+        assert self.targets is not None
+        targets = self.targets
         if self._tree is None or not np.array_equal(self._tree[0], fit.centres):
             self._tree = fit.centres, FastRadial(BASES[self._basis], fit.centres)
 
@@ -150,9 +150,9 @@ class RadialSums:
         assert fit.residual is not None
         if self._nearest is None:
             tree = scipy.spatial.cKDTree(self._centres.points * self._centres.scale + self._centres.origin)
-            self._nearest = tree.query(self._grid.points[self._flat], workers=thread_count())
+            self._nearest = tree.query(self._grid.points[self.flat], workers=thread_count())
         distance, nearest = self._nearest
-        residual, flat = fit.residual, self._flat
+        residual, flat = fit.residual, self.flat
 
         def work(lo: int, hi: int) -> None:
             r = np.minimum(distance[lo:hi] / fit.reach, 1.0)

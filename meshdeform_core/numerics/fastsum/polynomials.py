@@ -169,6 +169,33 @@ def add_polynomial(center, axes, half, degree, coefficients, points, out):
 
 
 @fast_kernel
+def add_transposed(center, axes, half, degree, points, gradient, out):
+    """Of :func:`add_polynomial`: add to the gradients (m, 3) of coefficients those (n, 3) of the values."""
+    n, most = points.shape[0], degree.max() + 1
+    value = np.empty((3, most, n))
+    for d in range(3):
+        _chebyshev(center, axes, half, d, points, value[d])
+    given, pair, product = np.empty((3, n)), np.empty(n), np.empty(n)
+    for t in range(n):
+        for c in range(3):
+            given[c, t] = gradient[t, c]
+    for m in range(degree.shape[0]):
+        i, j, k = degree[m]
+        if k == 0:
+            for t in range(n):
+                pair[t] = value[0, i, t] * value[1, j, t]
+        a = b = c = 0.0
+        for t in range(n):
+            product[t] = pair[t] * value[2, k, t]
+            a += product[t] * given[0, t]
+            b += product[t] * given[1, t]
+            c += product[t] * given[2, t]
+        out[m, 0] += a
+        out[m, 1] += b
+        out[m, 2] += c
+
+
+@fast_kernel
 def _chebyshev(center, axes, half, d, points, value):
     """Chebyshev polynomials (degrees, n) along one side of a box."""
     n = points.shape[0]

@@ -33,7 +33,7 @@ _SKELETONS, _FINEST = 1e-6, 1e-13
 _TRIALS, _AIM = 6, 0.25
 _TRIAL_LEAVES = 24
 _CHUNK = 1
-_DEPTH = 32
+DEPTH = 32
 _STACK = 512
 
 
@@ -128,6 +128,18 @@ class FastRadial:
         -------
         risk : (b,) of each leaf's error, in units that only allow comparing
         """
+        clusters, boxes = self.fitted(coefficients, targets, tolerance)
+        risk = np.zeros(len(boxes.allowed))
+
+        def work(lo: int, hi: int) -> None:
+            use(targets.flat(lo, hi), self.of_regions(lo, hi, targets, boxes, clusters, risk))
+
+        shared = [Shared(result, targets.flat), Shared(risk, targets.nodes)]
+        for_chunks(work, len(targets.tree.region) - 1, _CHUNK, progress, shared)
+        return risk[targets.leaves]
+
+    def fitted(self, coefficients: FloatArray, targets: RadialTargets, tolerance: float) -> tuple[Clusters, Boxes]:
+        """Clusters with these coefficients and boxes with which sums keep the tolerance on trial leaves."""
         chosen = np.unique(np.linspace(0, len(targets.leaves) - 1, _TRIAL_LEAVES).astype(int))
         samples = targets.samples[chosen]
         exact = radial_sums(self._kind, targets.points[samples.ravel()], self._centres, coefficients)
@@ -142,14 +154,18 @@ class FastRadial:
             if error <= _AIM:
                 break
             self.refine(error)
-        risk = np.zeros(len(permitted))
+        return clusters, boxes
 
-        def work(lo: int, hi: int) -> None:
-            use(targets.flat(lo, hi), self._of_regions(lo, hi, targets, boxes, clusters, risk))
+    @property
+    def order(self) -> IntArray:
+        """The centre (n,) at each place of the tree's order."""
+        return self._tree.order
 
-        shared = [Shared(result, targets.flat), Shared(risk, targets.nodes)]
-        for_chunks(work, len(targets.tree.region) - 1, _CHUNK, progress, shared)
-        return risk[targets.leaves]
+    def charged(self, clusters: Clusters, coefficients: FloatArray) -> Clusters:
+        """The same clusters, seen as before, with other coefficients (n, 3)."""
+        charges, upper = coefficients[self._tree.order], np.empty_like(clusters.upper)
+        gather_up(clusters.span, clusters.child, clusters.bases, charges, upper)
+        return clusters._replace(charges=charges, upper=upper)
 
     def _clusters(self, coefficients: FloatArray) -> Clusters:
         """:class:`Clusters` with these charges (n, 3)."""
@@ -174,12 +190,12 @@ class FastRadial:
         regions = np.searchsorted(tree.region, leaves, side="right") - 1
         found, boxes = np.empty((*targets.samples[chosen].shape, 3)), boxes._replace(wanted=wanted)
         for region in np.unique(regions):
-            sums = self._of_regions(region, region + 1, targets, boxes, clusters, np.zeros(len(wanted)))
+            sums = self.of_regions(region, region + 1, targets, boxes, clusters, np.zeros(len(wanted)))
             here = regions == region
             found[here] = sums[targets.places[chosen[here]] - tree.span[tree.region[region], 0]]
         return found
 
-    def _of_regions(
+    def of_regions(
         self, lo: int, hi: int, targets: RadialTargets, boxes: Boxes, clusters: Clusters, risk: FloatArray
     ) -> FloatArray:
         """Sums (n, 3) at the targets of some regions, as far as boxes are wanted."""
@@ -194,10 +210,10 @@ def sum_regions(kind, lo, hi, points, boxes, clusters, out, risk):
     tree, spaces = boxes.tree, boxes.spaces
     total = clusters.points.shape[0] + clusters.bases.points.shape[0]
     far, near = np.empty((6, total)), np.empty((6, total))
-    left = np.empty((_DEPTH, clusters.child.size), dtype=np.int64)
-    n_left, known = np.zeros(_DEPTH, dtype=np.int64), np.zeros(_DEPTH, dtype=np.bool_)
-    polynomial = np.empty((_DEPTH, np.diff(spaces.start).max(), 3))
-    stack = np.empty((_DEPTH, 3), dtype=np.int64)
+    left = np.empty((DEPTH, clusters.child.size), dtype=np.int64)
+    n_left, known = np.zeros(DEPTH, dtype=np.int64), np.zeros(DEPTH, dtype=np.bool_)
+    polynomial = np.empty((DEPTH, np.diff(spaces.start).max(), 3))
+    stack = np.empty((DEPTH, 3), dtype=np.int64)
     origin = tree.span[tree.region[lo], 0]
     # Level 0 is before the root: the cluster of all centres is left to it.
     left[0, 0], n_left[0] = 0, 1
@@ -210,7 +226,7 @@ def sum_regions(kind, lo, hi, points, boxes, clusters, out, risk):
             if not boxes.wanted[n] or tree.span[n, 0] == tree.span[n, 1]:
                 continue
             tops = left[level - 1, : n_left[level - 1]]
-            n_far, n_near, n_left[level] = _look(n, boxes, tops, clusters, far, near, left[level], risk)
+            n_far, n_near, n_left[level] = look(n, boxes, tops, clusters, far, near, left[level], risk)
             known[level] = n_far > 0 or known[level - 1]
             if known[level]:
                 if not known[level - 1]:
@@ -259,7 +275,7 @@ def _error(error, distance, radius):
 
 
 @kernel
-def _look(n, boxes, tops, clusters, far, near, left, risk):
+def look(n, boxes, tops, clusters, far, near, left, risk):
     """Sort the clusters left by the parent of a node: those that act on its polynomial (far), on its targets (near, for
     leaves), and those left to its children."""
     tree, child = boxes.tree, clusters.child
