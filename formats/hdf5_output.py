@@ -18,6 +18,9 @@ from h5py import h5f
 
 from meshdeform_core import interruption
 
+_MOST = 1 << 20
+"""Bytes that wait to be written together."""
+
 
 @contextmanager
 def hdf5_output(path: Path, mode: str, **options: Any) -> Iterator[h5py.File]:
@@ -67,12 +70,17 @@ class Sink:
         flags = os.O_RDWR | getattr(os, "O_BINARY", 0) | (os.O_CREAT | os.O_TRUNC if mode == "w" else 0)
         self._file = os.open(path, flags, 0o666)
         self._at = 0
+        # The library writes the headers of thousands of nodes one by one, most of them in the order of their places.
+        self._begin, self._waiting = 0, bytearray()
         self.failure: OSError | None = None
 
     def close(self) -> None:
+        self.flush()
         os.close(self._file)
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
+        if whence == os.SEEK_END:
+            self.flush()
         start = {os.SEEK_SET: 0, os.SEEK_CUR: self._at}.get(whence)
         self._at = offset + (os.fstat(self._file).st_size if start is None else start)
         return self._at
@@ -82,6 +90,7 @@ class Sink:
 
     def readinto(self, buffer: Any) -> int:
         """Fill ``buffer``; dropped bytes read as zeros."""
+        self.flush()
         view = memoryview(buffer).cast("B")
         done = 0
         os.lseek(self._file, self._at, os.SEEK_SET)
@@ -94,18 +103,36 @@ class Sink:
 
     def write(self, buffer: Any) -> int:
         view = memoryview(buffer).cast("B")
+        if self._at != self._begin + len(self._waiting) or len(self._waiting) > _MOST:
+            self.flush()
+        if not self._waiting:
+            self._begin = self._at
+        if len(view) > _MOST:
+            self.flush()
+            self._put(view, self._at)
+        else:
+            self._waiting += view
+        self._at += len(view)
+        return len(view)
+
+    def flush(self) -> None:
+        """Write what waits."""
+        if self._waiting:
+            self._put(memoryview(self._waiting), self._begin)
+        self._waiting = bytearray()
+
+    def _put(self, view: memoryview, at: int) -> None:
         if self.failure is None and interruption.requested() is None:
             try:
-                os.lseek(self._file, self._at, os.SEEK_SET)
+                os.lseek(self._file, at, os.SEEK_SET)
                 done = 0
                 while done < len(view):
                     done += os.write(self._file, view[done:])
             except OSError as error:
                 self.failure = error
-        self._at += len(view)
-        return len(view)
 
     def truncate(self, size: int | None = None) -> int:
+        self.flush()
         size = self._at if size is None else size
         if self.failure is None:
             try:
@@ -113,9 +140,6 @@ class Sink:
             except OSError as error:
                 self.failure = error
         return size
-
-    def flush(self) -> None:
-        pass
 
     def read(self, size: int) -> bytes:
         data = bytearray(size)

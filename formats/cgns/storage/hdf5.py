@@ -11,14 +11,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
-from h5py import h5a, h5ac, h5d, h5g, h5l, h5o, h5p, h5s, h5t
+from h5py import h5, h5a, h5ac, h5d, h5g, h5l, h5o, h5p, h5s, h5t
 from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError
@@ -28,6 +28,7 @@ from .tree import DTYPES, Link, Node, decoded
 
 # Members of a group that are no child nodes; CGNS names never begin with a blank.
 DATA = " data"
+_DATA = DATA.encode()
 LINK = " link"
 LINK_PATH = " path"
 LINK_FILE = " file"
@@ -85,21 +86,23 @@ def _large_cache(file: h5py.File) -> h5ac.CacheConfig:
 def attribute(group: h5g.GroupID, name: bytes) -> str:
     """A text attribute; writers differ in string type and padding."""
     stored = h5a.open(group, name)
-    kind = stored.get_type()
-    if isinstance(kind, h5t.TypeStringID) and not kind.is_variable_str() and stored.shape == ():
+    shape = stored.shape
+    if shape == ():
         value = np.empty((), _TEXT_DTYPE)
-        stored.read(value, _TEXT)
-        return decoded(value.tobytes())
-    value = np.empty(stored.shape, stored.dtype)
+        # HDF5 raises this for text of variable length, and for numbers.
+        with suppress(OSError):
+            stored.read(value, _TEXT)
+            return decoded(value.item())
+    value = np.empty(shape, stored.dtype)
     stored.read(value)
     return decoded(value[()].encode() if isinstance(value[()], str) else np.asarray(value[()]).tobytes())
 
 
 def _children(group: h5g.GroupID, file: Path, parent: str) -> Iterator[Node]:
-    for name in _in_order(group):
+    for name, kind in _in_order(group):
         text = _name(name, file, parent)
         path = f"{parent}/{text}"
-        if group.links.get_info(name).type == h5l.TYPE_HARD:
+        if kind == h5l.TYPE_HARD:
             yield _node(h5o.open(group, name), file, path)
         else:
             link = Link(*(_name(part, file, path) for part in _destination(group, name)))
@@ -113,13 +116,23 @@ def _name(raw: bytes, file: Path, parent: str) -> str:
         raise FormatError(f"{file}: the name {raw!r} in {parent or '/'} is not UTF-8; rename it") from error
 
 
-def _in_order(group: h5g.GroupID) -> list[bytes]:
-    """Names of the child nodes in creation order; by the attribute ``order`` if HDF5 did not track creation."""
-    names = [name for name in group if not name.startswith(b" ")]
-    if group.get_create_plist().get_link_creation_order() & h5p.CRT_ORDER_TRACKED:
-        return names
+def _in_order(group: h5g.GroupID) -> list[tuple[bytes, int]]:
+    """Names of the child nodes and types of the links to them in creation order.
+
+    By the attribute ``order`` if HDF5 did not track creation.
+    """
+    found: list[tuple[bytes, int]] = []
+
+    def add(name: bytes, info: h5l.LinkInfo) -> None:
+        if not name.startswith(b" "):
+            found.append((name, info.type))
+
+    tracked = group.get_create_plist().get_link_creation_order() & h5p.CRT_ORDER_TRACKED
+    group.links.iterate(add, idx_type=h5.INDEX_CRT_ORDER if tracked else h5.INDEX_NAME, info=True)
+    if tracked:
+        return found
     members = h5py.Group(group)
-    return sorted(names, key=lambda name: (int(np.ravel(members[name].attrs.get("order", 0))[0]), name))
+    return sorted(found, key=lambda each: (int(np.ravel(members[each[0]].attrs.get("order", 0))[0]), each))
 
 
 def _destination(group: h5g.GroupID, name: bytes) -> tuple[bytes, bytes]:
@@ -146,9 +159,9 @@ def _node(group: h5g.GroupID | h5d.DatasetID, file: Path, path: str, links: int 
         return Node(name, file, path, data_type="LK", link=link, follow=follow)
     node = Node(name, file, path, label, data_type)
     members = group.get_num_objs()
-    if data_type != "MT" and group.links.exists(DATA.encode()):
+    if data_type != "MT" and members and group.links.exists(_DATA):
         members -= 1
-        dataset = h5d.open(group, DATA.encode())
+        dataset = h5d.open(group, _DATA)
         node.dims, node.dtype = dataset.shape[::-1], _dtype(dataset, data_type)
         node.require = partial(_require_stored, group, file, path)
         node.read = _reading(group, dataset, node.dims, node.dtype) if node.dims else node.read
@@ -198,7 +211,7 @@ def external_targets(path: Path) -> list[Path]:
 
 
 def _require_stored(group: h5g.GroupID, file: Path, path: str) -> None:
-    dataset = h5d.open(group, DATA.encode())
+    dataset = h5d.open(group, _DATA)
     layout = dataset.get_create_plist()
     if layout.get_layout() == h5d.VIRTUAL or layout.get_external_count():
         raise FormatError(
@@ -212,7 +225,7 @@ def _require_stored(group: h5g.GroupID, file: Path, path: str) -> None:
 
 
 def _values(group: h5g.GroupID) -> NDArray[Any]:
-    dataset = h5d.open(group, DATA.encode())
+    dataset = h5d.open(group, _DATA)
     values = np.empty(dataset.shape, dataset.dtype)
     dataset.read(h5s.ALL, h5s.ALL, values)
     return values.T

@@ -35,7 +35,11 @@ def _ordered() -> h5p.PropGCID:
 
 
 _NAME, _TYPE = _text_type(NAME_LENGTH), _text_type(2)
-_SCALAR = h5s.create(h5s.SCALAR)
+# Asking the library for a type takes as long as writing a value of it.
+_NAMED, _TYPED = (_NAME, _NAME.dtype), (_TYPE, _TYPE.dtype)
+_KINDS = {dtype: h5t.py_create(dtype, logical=True) for dtype in DTYPES.values()}
+_SCALAR, _ONE = h5s.create(h5s.SCALAR), h5s.create_simple((1,))
+_FLAGS = np.ones(1, np.int32)
 _ORDERED = _ordered()
 
 
@@ -90,7 +94,7 @@ def _write(parent: h5g.GroupID, node: Node, home: Path, depth: int) -> None:
     keep = node.link is not None and (node.dangling or (node.file == home and not node.link.file))
     content = node if keep else node.target
     _describe(group, node.name, content.label, content.data_type)
-    h5a.create(group, b"flags", h5t.NATIVE_INT32, h5s.create_simple((1,))).write(np.ones(1, np.int32))
+    h5a.create(group, b"flags", h5t.NATIVE_INT32, _ONE).write(_FLAGS, h5t.NATIVE_INT32)
     if keep:
         _write_link(group, node)
     else:
@@ -118,14 +122,15 @@ def _write_link(group: h5g.GroupID, node: Node) -> None:
 
 def write_dataset(group: h5g.GroupID, name: str, values: NDArray[Any]) -> None:
     """Create a dataset of ``values``, which must be C-contiguous."""
-    space = h5s.create_simple(values.shape)
-    dataset = h5d.create(group, name.encode(), h5t.py_create(values.dtype, logical=True), space)
-    dataset.write(h5s.ALL, h5s.ALL, values)
+    kind = _KINDS.get(values.dtype) or h5t.py_create(values.dtype, logical=True)
+    dataset = h5d.create(group, name.encode(), kind, h5s.create_simple(values.shape))
+    dataset.write(h5s.ALL, h5s.ALL, values, kind)
 
 
 def _describe(group: h5g.GroupID, name: str, label: str, data_type: str) -> None:
-    for key, text, kind in ((b"name", name, _NAME), (b"label", label, _NAME), (b"type", data_type, _TYPE)):
-        h5a.create(group, key, kind, _SCALAR).write(np.array(text.encode(), dtype=kind.dtype))
+    texts = (b"name", name, _NAMED), (b"label", label, _NAMED), (b"type", data_type, _TYPED)
+    for key, text, (kind, dtype) in texts:
+        h5a.create(group, key, kind, _SCALAR).write(np.array(text.encode(), dtype=dtype), kind)
 
 
 def characters(text: str) -> NDArray[np.int8]:
