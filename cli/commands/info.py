@@ -69,7 +69,7 @@ def gather(grid: Grid, file: str) -> dict[str, Any]:
     """Everything ``info`` prints, as one dictionary; node indices are 1-based."""
     from meshdeform_core.grid.connectivity import check_connections
     from meshdeform_core.grid.interfaces import find_interfaces
-    from meshdeform_core.grid.openings import find_openings
+    from meshdeform_core.grid.openings import describe_group, find_openings, patched_groups
     from meshdeform_core.grid.surfaces import find_outside, thin_direction
     from meshdeform_core.grid.topology import find_topology
     from meshdeform_core.numerics.arrays import extent
@@ -102,7 +102,7 @@ def gather(grid: Grid, file: str) -> dict[str, Any]:
         "notes": [
             *grid.notes,
             *check_connections(grid, topology),
-            *(opening.describe(grid) for opening in find_openings(grid, topology)),
+            *(describe_group(grid, group) for group in patched_groups(find_openings(grid, topology))),
             *_remarks(grid, topology, outside),
             *_units(outside),
         ],

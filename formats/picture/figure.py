@@ -123,10 +123,12 @@ def page_figure(page: Page, width: float = 7.2, dpi: int = 150, fine: int = FINE
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     with mpl.rc_context(STYLE | {"figure.dpi": dpi, "savefig.dpi": dpi}):
-        figure = Figure(figsize=_size(page, width), layout="constrained")
-        figure.get_layout_engine().set(w_pad=0.08)
+        # Ticks may change when panels get their final shape: some room for their labels.
+        layout = ConstrainedLayoutEngine(w_pad=0.08)
+        figure = Figure(figsize=_size(page, width), layout=layout)
         FigureCanvasAgg(figure)
         axes = _frames(figure, page)
         figure.canvas.draw()

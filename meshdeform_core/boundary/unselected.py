@@ -8,7 +8,7 @@ import numpy as np
 
 from ..errors import CaseError
 from ..grid import Grid, IntArray, Window
-from ..grid.openings import Opening
+from ..grid.openings import Opening, describe_group, patched_groups
 from ..grid.overset import Overlap
 from ..grid.planes import plane_normal, plane_of
 from ..grid.selection import quads_of_windows, select_quads
@@ -100,13 +100,12 @@ def opening_notes(
     if declared is True or not openings:
         return []
     meant = select_quads(grid, topology, declared, "grid.open") if declared else np.empty(0, dtype=np.int64)
-    notes = []
+    told = []
     for opening in openings:
         if np.isin(opening.quads, meant).all() or np.isin(opening.quads, moving).all():
             continue
         text = opening.describe(grid)
-        overset = isinstance(opening, Overlap) and not grid.components
-        apart = "; blocks that overlap on purpose: name their groups in [grid] components" if overset else ""
+        apart = _overset_advice(grid, opening)
         if np.isin(opening.quads, unselected).any():
             count = f" ({len(openings)} such places, see `meshdeform info`)" if len(openings) > 1 else ""
             close = "Close the gap with that tolerance, or say" if opening.matching else "Say"
@@ -115,5 +114,10 @@ def opening_notes(
                 f"that they are walls: [grid] open = true, or a list of faces; or select them in a boundary entry"
                 f"{apart}"
             )
-        notes.append(text + apart)
-    return notes
+        told.append(opening)
+    return [describe_group(grid, group) + _overset_advice(grid, group[0]) for group in patched_groups(told)]
+
+
+def _overset_advice(grid: Grid, opening: Opening | Overlap) -> str:
+    overset = isinstance(opening, Overlap) and not grid.components
+    return "; blocks that overlap on purpose: name their groups in [grid] components" if overset else ""

@@ -5,13 +5,14 @@ Nothing is welded by mere proximity, so such a face is a wall, and a motion woul
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..numerics.arrays import BoolArray, batches, runs, spans, spread
 from ..numerics.geometry.boxes import overlapping_boxes
-from ..numerics.geometry.coincidence import close_pairs, distinct, equal_rows
+from ..numerics.geometry.coincidence import close_pairs, connected_components, distinct, equal_rows
 from ..numerics.geometry.distance import distance_to_faces
 from .blocks import FloatArray, Grid, IntArray, Side, Window
 from .overset import Overlap, find_overlaps
@@ -22,6 +23,8 @@ NEAR = 0.25
 """Nodes closer than this part of the shortest edge at either of them look like one node."""
 _ABUTTING = 0.1
 """Faces whose middle lies closer than this part of its shortest edge to another face touch it."""
+_ROUND_OFF = 1e-9
+_LISTED = 6
 _SAMPLES = 48
 _FEWEST = 2
 _TOGETHER = 300_000
@@ -65,10 +68,50 @@ class Opening:
         where = f"{one}[{ranges}] ({len(self.quads)} quads) and {two}"
         if self.matching:
             return (
-                f"{where} nearly coincide: the gap is up to {self.gap:.3g}, {self.relative:.2%} of the local edge; "
+                f"{where} nearly coincide: the gap is up to {self.gap:.3g}, {self.relative:.2g} of the local edge; "
                 f"grid.tolerance = {self.tolerance:g} closes it"
             )
-        return f"{where} touch, at most {self.gap:.3g} apart, but their nodes do not match (patched blocks)"
+        return f"{where} touch{_apart([self])}, but their nodes do not match (patched blocks)"
+
+    @property
+    def sides(self) -> tuple[tuple[int, Side], tuple[int, Side]]:
+        """The two block sides."""
+        return (self.block, self.side), (self.other, self.other_side)
+
+
+def patched_groups(openings: Sequence[Opening | Overlap]) -> list[list[Opening | Overlap]]:
+    """The patched faces of each surface together, for example of the plane between a rotor and a stator; others
+    alone."""
+    patched = [opening for opening in openings if isinstance(opening, Opening) and not opening.matching]
+    number = {side: n for n, side in enumerate(dict.fromkeys(side for opening in patched for side in opening.sides))}
+    pairs = [[number[side] for side in opening.sides] for opening in patched]
+    label = connected_components(len(number), np.array(pairs, dtype=np.int64).reshape(-1, 2))
+    groups: dict[int, list[Opening | Overlap]] = {}
+    for n, opening in enumerate(openings):
+        first = isinstance(opening, Opening) and not opening.matching
+        key = int(label[number[opening.sides[0]]]) if first and isinstance(opening, Opening) else len(number) + n
+        groups.setdefault(key, []).append(opening)
+    return list(groups.values())
+
+
+def describe_group(grid: Grid, group: Sequence[Opening | Overlap]) -> str:
+    """One line for openings that belong together."""
+    first, patched = group[0], [opening for opening in group if isinstance(opening, Opening)]
+    sides = list(dict.fromkeys(side for opening in patched for side in opening.sides))
+    if len(sides) <= 2:
+        return first.describe(grid)
+    names = [f"{grid.names[block]}.{side.label}" for block, side in sides]
+    more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
+    return (
+        f"{len(names)} faces touch each other{_apart(patched)}, but their nodes do not match (patched blocks, for "
+        f"example a rotor and a stator): {', '.join(names[:_LISTED])}{more}"
+    )
+
+
+def _apart(openings: Sequence[Opening]) -> str:
+    """How far faces are apart, where that is more than round-off."""
+    gap = max(opening.gap for opening in openings)
+    return f", at most {gap:.3g} apart" if max(opening.relative for opening in openings) > _ROUND_OFF else ""
 
 
 def find_openings(grid: Grid, topology: Topology) -> tuple[Opening | Overlap, ...]:

@@ -11,7 +11,7 @@ from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.deform import Case, set_up
 from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import Grid
-from meshdeform_core.grid.openings import find_openings
+from meshdeform_core.grid.openings import describe_group, find_openings, patched_groups
 from meshdeform_core.grid.overset import Overlap
 from meshdeform_core.grid.topology import find_topology
 
@@ -179,3 +179,28 @@ def test_overset_faces_are_refused_unless_the_case_says_so():
     set_up(grid, Case((WALL,), open_faces=True))
     outer = BoundarySpec("rest", ("*",), Kind.FIXED)
     assert any("lies inside block2" in text for text in set_up(grid, Case((WALL, outer))).warnings)
+
+
+def test_patched_planes_of_a_rotor_and_a_stator_are_one_note():
+    """Two blocks meet three with other nodes: six pairs of faces, one surface."""
+    y = np.linspace(0.0, 1.0, 13)
+    one, z = np.linspace(0.0, 1.0, 5), np.linspace(0.0, 1.0, 4)
+    rotor = [block_around(one - 1.0, y[6 * n : 6 * n + 7], z) for n in range(2)]
+    stator = [block_around(one, np.linspace(n / 3, (n + 1) / 3, 4), z) for n in range(3)]
+    grid = Grid.from_blocks([*rotor, *stator])
+    found = openings(grid)
+    assert len(found) > 4
+    (group,) = patched_groups(found)
+    text = describe_group(grid, group)
+    assert text.startswith(
+        "5 faces touch each other, but their nodes do not match (patched blocks, for example a rotor and a stator): "
+    )
+    assert all(name in text for name in ("block1.imax", "block2.imax", "block3.imin", "block4.imin", "block5.imin"))
+
+
+def test_gaps_and_two_patched_faces_are_described_one_by_one():
+    (gap,) = patched_groups(openings(pair(0.01)))
+    assert "nearly coincide: the gap is up to 0.01, 0.04 of the local edge" in describe_group(pair(0.01), gap)
+    grid = pair(other=6)
+    (patched,) = patched_groups(openings(grid))
+    assert describe_group(grid, patched).endswith("block1.imax touch, but their nodes do not match (patched blocks)")

@@ -52,8 +52,7 @@ class TFI:
         """Cells per direction of a sub-block."""
         if self.max_cells != "auto":
             return int(self.max_cells)
-        pairs = float(problem.n_unique_nodes) * len(problem.source_numbers)
-        return next(cells for limit, cells in FEW_PAIRS if pairs <= limit)
+        return next(cells for limit, cells in FEW_PAIRS if _pairs(problem) <= limit)
 
     def skeleton(self, problem: Problem) -> Skeleton:
         """The nodes that the first step has to move."""
@@ -62,6 +61,22 @@ class TFI:
     def prepare(self, problem: Problem, skeleton: Skeleton) -> PreparedTFI:
         """Bind to the undeformed grid."""
         return PreparedTFI(self, problem, skeleton)
+
+
+def _pairs(problem: Problem) -> float:
+    return float(problem.n_unique_nodes) * len(problem.source_numbers)
+
+
+def _reason(problem: Problem, usual: str) -> str:
+    """Why sub-blocks have so many cells in this grid."""
+    pairs = _pairs(problem)
+    limit = next(limit for limit, _ in FEW_PAIRS if pairs <= limit)
+    if np.isfinite(limit):
+        return (
+            f"a small grid: up to {limit:.0e} pairs of nodes and sources, here {pairs:.1e}, such sub-blocks cost little "
+            f"and follow a motion that changes within a few cells"
+        )
+    return f"{pairs:.1e} pairs of nodes and sources: smaller sub-blocks would take longer; this {usual}"
 
 
 class PreparedTFI:
@@ -75,7 +90,10 @@ class PreparedTFI:
         self._points, self._subs = problem.grid.points, skeleton.sub_blocks()
         self.account = Account()
         cells = options.cells(problem)
-        self.account.settings["max_cells"] = dataclasses.replace(used(options, "max_cells")["max_cells"], value=cells)
+        setting = dataclasses.replace(used(options, "max_cells")["max_cells"], value=cells)
+        if options.max_cells == "auto":
+            setting = dataclasses.replace(setting, reason=_reason(problem, setting.reason))
+        self.account.settings["max_cells"] = setting
         self.account.settings["sub_blocks"] = Setting(len(self._subs))
         self._groups = batches(box_numbers(self._subs), _TOGETHER)
         self._straight = cells == 0
