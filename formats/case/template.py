@@ -9,17 +9,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from meshdeform_core.grid import Grid
+from meshdeform_core.grid import FloatArray, Grid
 from meshdeform_core.grid.planes import FLATNESS
 from meshdeform_core.grid.roles import Role
-from meshdeform_core.grid.surfaces import Outside, Surface
+from meshdeform_core.grid.surfaces import Outside, Surface, thin_direction
 
 from .fitted import FittedTable
 
 _MOTION = """\
 # Motions are applied in order; formulas use the undeformed x, y, z and the time t, for example
-#   { rotate = { angle = 5.0, axis = [0, 0, 1], center = [0, 0, 0] } }
-#   { displace = ["0", "0.1*sin(pi*x)", "0"] }
+#   { rotate = { angle = 5.0, axis = AXIS, center = [0, 0, 0] } }
+#   { displace = DISPLACE }
 #   { file = "displacement.csv", match = "nearest" }
 motion = [
     { translate = [0.0, 0.0, 0.0] },   # fill in
@@ -74,7 +74,7 @@ def case_template(
     if not any(surface.role is Role.WALL for entry in entries for surface in entry.surfaces):
         lines += ['# No wall was found: set kind = "moving" for the boundary that moves.', ""]
     for entry in entries:
-        lines += [*_entry_lines(grid, entry, table), ""]
+        lines += [*_entry_lines(grid, outside, entry, table), ""]
     return "\n".join([*lines, _METHOD])
 
 
@@ -139,7 +139,25 @@ def _in_one_plane(grid: Grid, surface: Surface) -> bool:
     )
 
 
-def _entry_lines(grid: Grid, entry: _Entry, table: FittedTable | None) -> Iterator[str]:
+def _motion(grid: Grid, outside: Outside) -> list[str]:
+    """A motion to fill in; the examples stay in the plane of a plane or extruded grid."""
+    normal = _out_of_plane(grid, outside)
+    axis = 2 if normal is None else int(np.argmax(np.abs(normal)))
+    # A displacement across the first direction along it, both in the plane.
+    along, across = [number for number in range(3) if number != axis][:2]
+    parts = ["0", "0", "0"]
+    parts[across] = f"0.1*sin(pi*{'xyz'[along]})"
+    text = _MOTION.replace("AXIS", str([int(number == axis) for number in range(3)]))
+    return text.replace("DISPLACE", json.dumps(parts)).splitlines()
+
+
+def _out_of_plane(grid: Grid, outside: Outside) -> FloatArray | None:
+    """The normal of a plane grid or of the end planes of an extruded one."""
+    ends = [face for face, role in zip(outside.faces, outside.roles, strict=True) if role is Role.END and face.plane]
+    return ends[0].plane.normal if ends and ends[0].plane else thin_direction(grid)
+
+
+def _entry_lines(grid: Grid, outside: Outside, entry: _Entry, table: FittedTable | None) -> Iterator[str]:
     first = entry.surfaces[0]
     mark = "" if first.declared or first.role is Role.UNKNOWN else "?"
     yield "[[boundary]]"
@@ -154,7 +172,7 @@ def _entry_lines(grid: Grid, entry: _Entry, table: FittedTable | None) -> Iterat
         yield "]"
     yield f'kind = "{entry.kind}"'
     if entry.kind == "moving" and table is None:
-        yield from _MOTION.splitlines()
+        yield from _motion(grid, outside)
     elif entry.kind == "moving" and table is not None:
         match = f'match = "{table.match}", tolerance = {table.tolerance:g}'
         yield f"motion = [ {{ file = {_text(table.file)}, {match} }} ]"

@@ -94,7 +94,26 @@ def structured_zones(base: Base, notes: Notes) -> list[Zone]:
             f"only block-structured grids can be deformed: export a grid of Structured zones"
         )
     _note_dangling(base.node, notes)
-    return [_zone(node, base, notes) for node in nodes]
+    zones = [_zone(node, base, notes) for node in nodes]
+    _require_volumes(base, zones)
+    return zones
+
+
+_FLAT = {1: "a surface", 2: "a curve", 3: "a point"}
+
+
+def _require_volumes(base: Base, zones: list[Zone]) -> None:
+    """Refuse curves, and surfaces beside volumes; a base of nothing but surfaces is a plane grid."""
+    flat = [base.cell_dimension - sum(count > 1 for count in zone.counts) for zone in zones]
+    for zone, missing in zip(zones, flat, strict=True):
+        if missing and (base.cell_dimension - missing != 2 or not all(flat)):
+            what = _FLAT[missing + 3 - base.cell_dimension]
+            kind = "volumes" if base.cell_dimension == 3 else "surfaces"
+            raise FormatError(
+                f"zone {zone.name} has {' x '.join(map(str, zone.counts))} nodes: it is {what} in the base "
+                f"{base.node.name}, whose zones are {kind} (cell dimension {base.cell_dimension}); expected at least 2 "
+                f"nodes along each index, and curves and surfaces in a base of their own"
+            )
 
 
 def _note_dangling(node: Node, notes: Notes) -> None:
@@ -110,9 +129,14 @@ def _zone_type(node: Node) -> str:
 
 
 def _zone(node: Node, base: Base, notes: Notes) -> Zone:
-    sizes = node.integers(base.cell_dimension, 3)[:, 0]
+    sizes, cells, _ = node.integers(base.cell_dimension, 3).T
     if (sizes < 1).any():
         raise FormatError(f"zone {node.name} has {sizes.tolist()} nodes; expected at least one along each index")
+    if (cells != sizes - 1).any():
+        raise FormatError(
+            f"zone {node.name} has {sizes.tolist()} nodes but {cells.tolist()} cells; expected one cell less along "
+            f"each index, {(sizes - 1).tolist()}: one of the two is wrong, and which cannot be told"
+        )
     grid = _grid_coordinates(node, notes)
     rind = _rind(grid, base.cell_dimension, node.name, notes)
     core = tuple(slice(int(low), int(low + n)) for (low, _), n in zip(rind, sizes, strict=True))

@@ -75,7 +75,9 @@ def check_connections(grid: Grid, topology: Topology) -> list[str]:
             run, own, donor = table.nodes(some)
             a, b = topology.numbers_of(own), topology.numbers_of(donor)
             declared[a] = declared[b] = True
-            doubtful[some] = np.bincount(run[a != b], minlength=len(some)) > 0
+            # What joins nodes with themselves joins nothing.
+            idle = np.bincount(run[own != donor], minlength=len(some)) == 0
+            doubtful[some] = (np.bincount(run[a != b], minlength=len(some)) > 0) | idle
         doubtful |= [each.periodic is not None for each in grid.connections]
     for number in np.flatnonzero(doubtful):
         messages += _remark(grid, topology, grid.connections[number])
@@ -163,6 +165,8 @@ def _remark(grid: Grid, topology: Topology, connection: Connection) -> list[str]
 def _mismatch(grid: Grid, topology: Topology, connection: Connection, own: IntArray, donor: IntArray) -> str:
     a, b = topology.numbers_of(own), topology.numbers_of(donor)
     if connection.periodic is None:
+        if (own == donor).all():
+            return "it joins the nodes of one face with themselves and has no effect"
         apart = a != b
         if not apart.any():
             return ""

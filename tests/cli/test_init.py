@@ -10,9 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from grids import frame_2d
 
 from meshdeform_core.boundary import Kind
 from meshdeform_core.deform import set_up
+from meshdeform_core.grid import Grid
 from meshdeform_core.grid.surfaces import find_outside
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_formats import read_grid, write_grid
@@ -100,3 +102,19 @@ def test_round_off_in_the_place_of_a_boundary_counts_as_zero(bench, call):
     text += (bench / "near.toml").read_text()
     assert "z 0..1" in text
     assert "e-16" not in text
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_the_motion_to_fill_in_turns_a_plane_grid_in_its_plane(axis):
+    """Of a grid that is one cell thick along x, y or z."""
+    flat = frame_2d()
+    points = np.roll(flat.points, axis - 2, axis=1)
+    blocks = [flat.block(b, points) for b in range(flat.n_blocks)]
+    layers = [np.concatenate([x, x + np.eye(3)[axis]], axis=2) for x in blocks]
+    grid = Grid.from_blocks(layers)
+    text = case_template(grid, find_outside(grid, find_topology(grid)), "a.xyz")
+    assert f"axis = {[int(n == axis) for n in range(3)]}, center" in text
+    (line,) = [line for line in text.splitlines() if "displace = " in line]
+    parts = json.loads(line.split("displace = ")[1].removesuffix(" }"))
+    assert parts[axis] == "0"
+    assert "xyz"[axis] not in "".join(parts).replace("sin", "")

@@ -11,6 +11,8 @@ from cgns_witness import N, bc, box, connectivity, one_to_one, periodic, tree, t
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.deform import Case, set_up
 from meshdeform_core.errors import CaseError, FormatError, GridError
+from meshdeform_core.grid.connectivity import check_connections
+from meshdeform_core.grid.topology import find_topology
 from meshdeform_formats import cgns, read_grid
 
 SHAPE = (4, 3, 5)
@@ -33,6 +35,11 @@ def array(name: str, dtype: str = "f8", shape: tuple[int, ...] = SHAPE) -> N:
 def sized(*sizes: int, dtype: str = "i4") -> N:
     values = np.array([sizes, np.subtract(sizes, 1), np.zeros(len(sizes))]).T.astype(dtype)
     return replace(good(), data=values)
+
+
+def cells(*counts: int) -> N:
+    """The zone with these numbers of cells."""
+    return replace(good(), data=np.array([SHAPE, counts, np.zeros(3)]).T.astype("i4"))
 
 
 def located(location: str) -> N:
@@ -74,6 +81,9 @@ def joined(child: N) -> N:
         (tree(zone("u", box(2, 2, 2), kind="Unstructured"), good()), r"1 of 2 zones .* is 'u' \(Unstructured\)"),
         (tree(good(), cell=2), r"/Base/z holds 3 x 3 I4 values; expected 2 x 3 integers"),
         (tree(sized(4, 3, 5, dtype="f8")), "holds 3 x 3 R8 values; expected 3 x 3 integers"),
+        (tree(cells(3, 2, 5)), r"zone z has \[4, 3, 5\] nodes but \[3, 2, 5\] cells; expected one cell less"),
+        (tree(zone("z", box(4, 1, 1))), "4 x 1 x 1 nodes: it is a curve in the base Base, whose zones are volumes"),
+        (tree(good(), zone("s", box(4, 3, 1))), "zone s has 4 x 3 x 1 nodes: it is a surface in the base Base"),
         (tree(sized(4, 0, 5)), r"zone z has \[4, 0, 5\] nodes"),
         (tree(sized(4, 3, 6)), r"CoordinateX of zone z has \(4, 3, 5\) values; the zone has \(4, 3, 6\) nodes"),
         (tree(good().without("GridCoordinates")), "zone z has no GridCoordinates_t"),
@@ -231,3 +241,16 @@ def test_a_missing_solution_is_noted(tmp_path):
     root["Base"]["left"].children.append(N("FlowSolution#1", "", link=NOWHERE))
     grid = read_grid(write_hdf5(tmp_path / "a.cgns", root))
     assert "broken links are kept as they are: left/FlowSolution#1 -> gone.cgns:/Base/somewhere" in grid.notes
+
+
+def test_a_plane_grid_in_a_base_of_volumes_is_read(tmp_path):
+    grid = read_grid(write_hdf5(tmp_path / "plane.cgns", tree(zone("z", box(4, 3, 1)))))
+    assert grid.dimension == 2
+
+
+def test_a_zone_joined_with_itself_at_one_place_is_named(tmp_path):
+    same = [[1, 1, 1], [1, 3, 5]]
+    grid = read_grid(write_hdf5(tmp_path / "self.cgns", tree(connected(one_to_one("idle", "z", same, same)))))
+    assert check_connections(grid, find_topology(grid)) == [
+        "connection 'idle' of z with z: it joins the nodes of one face with themselves and has no effect"
+    ]

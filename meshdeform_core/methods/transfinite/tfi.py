@@ -73,7 +73,7 @@ def _reason(problem: Problem, usual: str) -> str:
     limit = next(limit for limit, _ in FEW_PAIRS if pairs <= limit)
     if np.isfinite(limit):
         return (
-            f"a small grid: up to {limit:.0e} pairs of nodes and sources, here {pairs:.1e}, such sub-blocks cost little "
+            f"{pairs:.1e} pairs of nodes and sources, up to {limit:.0e}: sub-blocks as small as this cost little "
             f"and follow a motion that changes within a few cells"
         )
     return f"{pairs:.1e} pairs of nodes and sources: smaller sub-blocks would take longer; this {usual}"
