@@ -38,7 +38,9 @@ class Smoothness:
             )
         if self.plain or self.acceleration is None or self.acceleration_in_edges is None or self.wall is None:
             return None
-        if self.acceleration - self.wall < _JUMP or self.acceleration_in_edges < _JUMP_IN_EDGES:
+        # Nodes that move v times as far as the walls may be accelerated v times as much: where a motion turns back.
+        usual = max(1.0, self.velocity or 0.0) * self.wall
+        if self.acceleration - usual < _JUMP or self.acceleration_in_edges < _JUMP_IN_EDGES:
             return None
         return (
             f"the grid jumps although its walls do not: a node is accelerated by {self.acceleration:.3g} steps of the "

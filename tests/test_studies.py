@@ -41,6 +41,17 @@ def test_methods_are_compared(study):
     assert "**" in row[1] + row[2]
 
 
+def test_repaired_levels_are_smooth_and_those_of_single_runs(study):
+    head, _, row = rows(study("smoothness", "--only", "airfoil"))
+    told = dict(zip(head, row, strict=True))
+    assert told["levels"] == told["valid"] == "41"
+    assert 0 < int(told["repaired"]) == int(told["at the minimum"])
+    assert told["not unique"] == "0"
+    assert float(told["acceleration, wall steps"]) < 0.3
+    assert float(told["from single runs, edges"]) < 1e-6
+    assert float(told["same boundary, edges"]) < 1e-6
+
+
 @pytest.mark.slow
 def test_flows_are_counted_and_put_on_the_page(study, tmp_path):
     page, record = tmp_path / "page.md", tmp_path / "flows.json"

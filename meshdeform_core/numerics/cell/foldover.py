@@ -236,13 +236,13 @@ def add_derivatives(
     """
     count, node, slope = samples
     eps, share, cubic, elastic, exact = penalty
-    number, frame, plain = unknowns
-    first, last, starts, columns = rows
     inverse, b, a, k = np.empty((3, 3)), np.empty((8, 3)), np.empty((3, 3)), np.empty((3, 3))
-    difference, cross, turn = np.zeros((3, 3)), np.empty(3), np.empty(3)
-    along, across, force = np.empty((8, 3)), np.empty((8, 3)), np.empty(3)
-    block, work = np.empty((3, 3)), np.empty((3, 3))
+    difference, turn = np.zeros((3, 3)), np.empty(3)
+    along, across, left, right = np.empty((8, 3)), np.empty((8, 3)), np.empty((8, 3)), np.empty((8, 3))
+    force, block = np.empty((8, 3)), np.empty((8, 8, 3, 3))
     for c in which:
+        force[...] = 0.0
+        block[...] = 0.0
         for s in range(count.size):
             if not mask[c] >> s & 1:
                 continue
@@ -255,52 +255,71 @@ def add_derivatives(
             if stiff > 0.0:
                 _differ(x, reference, cells[c], m, node[s], b, difference)
             for n in range(m):
+                at = node[s, n]
                 for d in range(3):
-                    along[n, d] = a[d, 0] * b[n, 0] + a[d, 1] * b[n, 1] + a[d, 2] * b[n, 2]
-                    across[n, d] = k[d, 0] * b[n, 0] + k[d, 1] * b[n, 1] + k[d, 2] * b[n, 2]
-            for n in range(m):
-                here = cells[c, node[s, n]]
-                row = number[here]
-                if row < first or row >= last:
-                    continue
-                for d in range(3):
-                    force[d] = u * along[n, d] + v * across[n, d]
-                    for e in range(3):
-                        force[d] += stiff * difference[d, e] * b[n, e]
-                for d in range(3):
-                    if plain[here]:
-                        gradient[row, d] += force[d]
-                    else:
+                    ab = a[d, 0] * b[n, 0] + a[d, 1] * b[n, 1] + a[d, 2] * b[n, 2]
+                    kb = k[d, 0] * b[n, 0] + k[d, 1] * b[n, 1] + k[d, 2] * b[n, 2]
+                    along[n, d], across[n, d] = ab, kb
+                    left[n, d], right[n, d] = p * ab + q * kb, q * ab + r * kb
+                    force[at, d] += u * ab + v * kb
+                    if stiff > 0.0:
                         for e in range(3):
-                            gradient[row, d] += frame[here, e, d] * force[e]
-                for o in range(m):
-                    there = cells[c, node[s, o]]
-                    if number[there] < 0:
-                        continue
+                            force[at, d] += stiff * difference[d, e] * b[n, e]
+            for n in range(m):
+                for o in range(n, m):
+                    here = block[node[s, n], node[s, o]]
                     dot = (w + stiff) * (b[n, 0] * b[o, 0] + b[n, 1] * b[o, 1] + b[n, 2] * b[o, 2])
                     for d in range(3):
-                        left = p * along[n, d] + q * across[n, d]
-                        right = q * along[n, d] + r * across[n, d]
                         for e in range(3):
-                            block[d, e] = left * along[o, e] + right * across[o, e]
-                        block[d, d] += dot
+                            here[d, e] += left[n, d] * along[o, e] + right[n, d] * across[o, e]
+                        here[d, d] += dot
                     if exact:
                         # The derivative of the cofactors: v times the matrix of a cross product.
+                        x0 = v * (b[n, 1] * b[o, 2] - b[n, 2] * b[o, 1])
+                        x1 = v * (b[n, 2] * b[o, 0] - b[n, 0] * b[o, 2])
+                        x2 = v * (b[n, 0] * b[o, 1] - b[n, 1] * b[o, 0])
                         for d in range(3):
-                            e, other = (d + 1) % 3, (d + 2) % 3
-                            cross[d] = b[n, e] * b[o, other] - b[n, other] * b[o, e]
-                        for d in range(3):
-                            turn[d] = v * (a[d, 0] * cross[0] + a[d, 1] * cross[1] + a[d, 2] * cross[2])
-                        for d in range(3):
-                            e, other = (d + 1) % 3, (d + 2) % 3
-                            block[d, e] += turn[other]
-                            block[e, d] -= turn[other]
-                    if not (plain[here] and plain[there]):
-                        _turn(frame[here], frame[there], block, work)
-                    at = _find(columns, starts[row], starts[row + 1], number[there]) - starts[first]
-                    for d in range(3):
-                        for e in range(3):
-                            matrix[at, d, e] += block[d, e]
+                            turn[d] = a[d, 0] * x0 + a[d, 1] * x1 + a[d, 2] * x2
+                        here[0, 1] += turn[2]
+                        here[1, 0] -= turn[2]
+                        here[1, 2] += turn[0]
+                        here[2, 1] -= turn[0]
+                        here[2, 0] += turn[1]
+                        here[0, 2] -= turn[1]
+        _add_cell(cells[c], force, block, unknowns, rows, matrix, gradient)
+
+
+@inlined
+def _add_cell(cell, force, block, unknowns, rows, matrix, gradient):
+    """Add the gradient ``force`` (8, 3) and the Hessian ``block`` (8, 8, 3, 3) of a cell to the rows that have its
+    unknowns. The nodes of every sample point ascend, so that only the blocks above the diagonal are filled."""
+    number, frame, plain = unknowns
+    first, last, starts, columns = rows
+    part, work = np.empty((3, 3)), np.empty((3, 3))
+    for n in range(8):
+        here = cell[n]
+        row = number[here]
+        if row < first or row >= last:
+            continue
+        for d in range(3):
+            if plain[here]:
+                gradient[row, d] += force[n, d]
+            else:
+                for e in range(3):
+                    gradient[row, d] += frame[here, e, d] * force[n, e]
+        for o in range(8):
+            there = cell[o]
+            if number[there] < 0:
+                continue
+            for d in range(3):
+                for e in range(3):
+                    part[d, e] = block[n, o, d, e] if n <= o else block[o, n, e, d]
+            if not (plain[here] and plain[there]):
+                _turn(frame[here], frame[there], part, work)
+            at = _find(columns, starts[row], starts[row + 1], number[there]) - starts[first]
+            for d in range(3):
+                for e in range(3):
+                    matrix[at, d, e] += part[d, e]
 
 
 @inlined

@@ -1,0 +1,228 @@
+"""How smoothly repaired grids move, whether they depend on the boundary alone, and what a level costs.
+
+python studies/smoothness.py                            the table on stdout
+python studies/smoothness.py --only nozzle              some of the motions
+python studies/smoothness.py --write docs/series.md     put the table in its place on the page
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import itertools
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from flows import SAMPLES, grids_folder
+from tables import Row, show
+
+from meshdeform_core.boundary import BoundarySpec, Kind
+from meshdeform_core.boundary.expression import expression
+from meshdeform_core.boundary.motion import Displace, Motion, Rotate
+from meshdeform_core.deform import Case, Setup, Timing, impose, set_up
+from meshdeform_core.grid import FloatArray, Grid
+from meshdeform_core.numerics.arrays import lengths
+from meshdeform_core.series import Level, Schedule, deform_series
+from meshdeform_core.smoothness import shortest_edges
+from meshdeform_formats.case import read_case
+from meshdeform_formats.grids import read_grid
+from meshdeform_samples import load
+from meshdeform_samples.reproduce.experiment import Sample, prepare_sample
+
+_SINGLE_RUNS = 3
+
+
+@dataclass(frozen=True)
+class Course:
+    """A motion at ``times``; levels with equal ``phase`` (a number for each time) have the same boundary."""
+
+    make: Callable[[], Setup]
+    times: FloatArray
+    phase: Callable[[FloatArray], FloatArray] | None = None
+
+
+def _moving(select: str, part: Displace | Rotate) -> BoundarySpec:
+    return BoundarySpec("wall", (select,), Kind.MOVING, None, Motion((part,), {}))
+
+
+def _displace(*parts: str) -> Displace:
+    x, y, z = (expression(part, {"x", "y", "z", "t"}) for part in parts)
+    return Displace((x, y, z))
+
+
+def _turn(angle: str, *center: float) -> Rotate:
+    x, y, z = (expression(float(c), ()) for c in center)
+    return Rotate(expression(angle, {"t"}), (0.0, 0.0, 1.0), (x, y, z))
+
+
+def plate() -> Setup:
+    """The splitter plate of the sample, which turns by t degrees."""
+    setup = prepare_sample(Sample("splitter-plate", SAMPLES["splitter-plate"]))
+    bend = _displace("0", "where(x > 0.5, 0.2*sin(2*pi*(x-0.5)/5), 0)", "0")
+    body = BoundarySpec("body", ("body",), Kind.MOVING, None, Motion((bend, _turn("t", 0, 0, 0)), {}))
+    rest = BoundarySpec("outer", ("outer",), Kind.FIXED), BoundarySpec("span", ("span",), Kind.SLIP)
+    return set_up(setup.grid, Case((body, *rest)))
+
+
+def nozzle() -> Setup:
+    """A plane channel with inclined lines, whose roof comes down to 3 % of its height and goes up again."""
+    x, s = np.linspace(-3.0, 3.0, 81), np.linspace(0.0, 1.0, 25)
+    y = np.tile(s, (x.size, 1))
+    block = np.stack([x[:, None] + 0.5 * y, y, 0.0 * y], axis=-1)[:, :, None]
+    lowered = _displace("0", "-0.97*sin(pi*t)**2*exp(-((x-0.5)/0.4)**2)", "0")
+    roof, floor = _moving("*.jmax", lowered), BoundarySpec("floor", ("*.jmin",), Kind.FIXED)
+    return set_up(Grid.from_blocks([block]), Case((roof, floor)))
+
+
+def airfoil() -> Setup:
+    """An O-grid of y+ 1 around an ellipse that pitches by 75 degrees about its quarter chord."""
+    angle, layer = np.linspace(0.0, 2.0 * np.pi, 97), np.arange(57)
+    angle[-1] = 0.0
+    circle = (0.28 + 1e-6 * (1.3**layer - 1.0) / 0.3)[None, :] * np.exp(1j * angle)[:, None]
+    place = circle + 0.28 * 0.22 / circle
+    block = np.stack([place.real, place.imag, 0.0 * place.real], axis=-1)[:, :, None]
+    return set_up(Grid.from_blocks([block]), Case((_moving("*.jmin", _turn("75*sin(2*pi*t)", -0.25, 0, 0)),)))
+
+
+def hemisphere() -> Setup:
+    """The hemisphere of the sample with three to six times its amplitude; nodes slide on the curved outer side."""
+    grid = load("hemisphere").generate(SAMPLES["hemisphere"])
+    size = "0.066*sin(2*pi*t)*z/0.075*cos(4*atan2(hypot(x, y), z))/0.075"
+    skin = BoundarySpec(
+        "membrane", ("membrane",), Kind.MOVING, None, Motion((_displace(*(f"{a}*{size}" for a in "xyz")),), {})
+    )
+    rest = BoundarySpec("plate", ("plate",), Kind.FIXED), BoundarySpec("outer", ("outer",), Kind.SLIP)
+    return set_up(grid, Case((skin, *rest)))
+
+
+def flap() -> Setup:
+    """Turek and Hron's flap in FSI2: its tip moves by 0.08 m, and once by 0.14 m."""
+    folder = grids_folder() / "turek"
+    case = read_case(folder / "case.toml").case
+    bent = Motion((_displace("0", "0.14*sin(2*pi*t)*((x-0.24899)/0.35101)**2", "0"),), {})
+    specs = (dataclasses.replace(s, motion=bent) if s.kind is Kind.MOVING else s for s in case.boundaries)
+    return set_up(read_grid(folder / "turek.p3d"), dataclasses.replace(case, boundaries=tuple(specs)))
+
+
+def _stroke(t: FloatArray) -> FloatArray:
+    """Times at which sin(pi t)^2 is the same."""
+    return np.abs((t + 0.5) % 1.0 - 0.5)
+
+
+COURSES: dict[str, Course] = {
+    "splitter plate, 30 to 75 degrees by 1": Course(plate, np.arange(30.0, 75.5, 1.0)),
+    "splitter plate, 44 to 46 degrees by 0.2": Course(plate, np.arange(44.0, 46.1, 0.2)),
+    "splitter plate, 44 to 44.5 degrees by 0.05": Course(plate, np.arange(44.0, 44.51, 0.05)),
+    "nozzle to 3 %, two periods": Course(nozzle, np.linspace(0.0, 2.0, 129), _stroke),
+    "airfoil, y+ 1, pitching by 75 degrees": Course(
+        airfoil, np.linspace(0.0, 1.0, 41), lambda t: np.round(np.sin(2.0 * np.pi * t), 9)
+    ),
+    "hemisphere, curved slip wall": Course(hemisphere, np.linspace(0.15, 0.35, 9), lambda t: np.abs(t - 0.25)),
+    "flap of Turek and Hron, tip 0.14 m": Course(
+        flap, np.linspace(0.0, 1.0, 41), lambda t: np.round(np.sin(2.0 * np.pi * t), 9)
+    ),
+}
+
+
+def measure(name: str, course: Course) -> Row:
+    """One row: the levels of a motion, some of them made alone."""
+    setup, times = course.make(), np.round(course.times, 12)
+    edges, levels, seconds = shortest_edges(setup.grid), [], []
+    begin = time.process_time()
+    for level in deform_series(setup, Schedule(tuple(times)), "float64"):
+        levels.append(level)
+        seconds.append(time.process_time() - begin)
+        begin = time.process_time()
+    repaired = [n for n, level in enumerate(levels) if level.result.repair]
+    sampled = repaired[:: max(1, len(repaired) // _SINGLE_RUNS)][: _SINGLE_RUNS + 1]
+    alone = [impose(setup, setup.motion(times[n]), None, "float64", Timing()).grid.points for n in sampled]
+    single = max(
+        (_apart(levels[n].result.grid.points, x, edges) for n, x in zip(sampled, alone, strict=True)), default=0
+    )
+    return {
+        "motion": name,
+        "levels": len(levels),
+        "repaired": len(repaired),
+        "valid": sum(level.result.valid for level in levels),
+        "at the minimum": sum(levels[n].result.repair.converged for n in repaired),
+        "not unique": sum(levels[n].result.repair.unique is False for n in repaired),
+        "acceleration, wall steps": _acceleration(setup, levels),
+        "from single runs, edges": f"{single:.0e}",
+        "same boundary, edges": _returning(course, times, levels, edges),
+        "off slip walls, edges": _off_walls(setup, levels, edges),
+        "J min": min(level.result.assessment.after.min_relative_jacobian for level in levels),
+        "CPU s of a repaired level": float(np.mean([seconds[n] for n in repaired[1:]] or [0.0])),
+        "of one without": _plain_seconds(setup, times),
+    }
+
+
+def _acceleration(setup: Setup, levels: list[Level]) -> float:
+    """The largest node acceleration beyond that of the walls, in the largest step of the walls.
+
+    Nodes that move v times as far as the walls may be accelerated v times as much.
+    """
+    walls = setup.topology.first[setup.boundary.kind == Kind.MOVING]
+    points = [level.result.grid.points for level in levels]
+    steps = [float(lengths((b - a)[walls]).max()) for a, b in itertools.pairwise(points)]
+    beyond = [0.0]
+    for level, pair in zip(levels[2:], itertools.pairwise(steps), strict=True):
+        found = level.smoothness
+        if found.acceleration is not None and found.velocity is not None and found.wall is not None:
+            beyond.append((found.acceleration - max(1.0, found.velocity) * found.wall) * max(pair))
+    return max(beyond) / max(steps)
+
+
+def _off_walls(setup: Setup, levels: list[Level], edges: FloatArray) -> str:
+    """The largest distance of nodes from the curved surfaces on which they slide."""
+    worst = [0.0]
+    for surface in setup.boundary.slip.curved:
+        nodes = setup.topology.first[surface.nodes]
+        worst += [(surface.tree.closest(level.result.grid.points[nodes])[2] / edges[nodes]).max() for level in levels]
+    return f"{max(worst):.0e}" if setup.boundary.slip.curved else ""
+
+
+def _apart(one: FloatArray, two: FloatArray, edges: FloatArray) -> float:
+    return float((lengths(one - two) / edges).max())
+
+
+def _returning(course: Course, times: FloatArray, levels: list[Level], edges: FloatArray) -> str:
+    """The largest distance of levels with the same boundary from the first of them."""
+    if course.phase is None:
+        return ""
+    first: dict[float, FloatArray] = {}
+    worst = 0.0
+    for level, phase in zip(levels, np.round(course.phase(times), 9), strict=True):
+        points = level.result.grid.points
+        worst = max(worst, _apart(first.setdefault(float(phase) + 0.0, points), points, edges))
+    return f"{worst:.0e}"
+
+
+def _plain_seconds(setup: Setup, times: FloatArray) -> float:
+    """CPU time of a level of the same motion without repairs."""
+    begin = 0.0
+    for number, _ in enumerate(deform_series(setup.with_repair("off"), Schedule(tuple(times[:4])), "float64")):
+        begin = time.process_time() if number == 0 else begin
+    return (time.process_time() - begin) / 3.0
+
+
+def main() -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", metavar="TEXT", default="", help="motions whose name contains this")
+    parser.add_argument("--write", type=Path, metavar="PAGE", help="put the table between its marks on a page")
+    options = parser.parse_args()
+    rows: list[Row] = []
+    for name, course in COURSES.items():
+        if options.only not in name or (name.startswith("flap") and not (grids_folder() / "turek").is_dir()):
+            continue
+        rows.append(measure(name, course))
+        print(rows[-1], file=sys.stderr, flush=True)
+    show(rows, options.write, __file__)
+
+
+if __name__ == "__main__":
+    main()
