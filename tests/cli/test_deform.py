@@ -100,8 +100,7 @@ def test_a_second_run_gives_the_same_bytes(bench, call):
 def test_threads_are_those_of_our_loops(bench, call, monkeypatch):
     from meshdeform_core.parallel import loops as parallel
 
-    with monkeypatch.context() as patch:
-        patch.setattr(parallel, "_limit", None)
+    with monkeypatch.context() as patch, parallel.sharing(parallel.current_ranks(), None):
         for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"):
             patch.delenv(name, raising=False)
         for count in (1, 2):
