@@ -17,6 +17,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import blocks
+import derivatives
 import idw
 import levels
 import machine
@@ -34,6 +35,7 @@ SECTIONS: dict[str, tuple[Callable[[bool], MarkdownTable], ...]] = {
     "rbf": (rbf.against_scipy, rbf.large_systems, rbf.compact_bases),
     "passes": (passes.memory_speed,),
     "levels": (levels.of_every_method, levels.hundred_levels),
+    "derivatives": (derivatives.in_applications, derivatives.beside_jax),
     "runs": (runs.file_to_file, runs.with_threads),
     "blocks": (blocks.by_blocks,),
     "ranks": (runs.ranks,),

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 _CLOSE = 1e-4
-"""Of shortest edges: a repaired grid farther from the minimum was found otherwise."""
+"""Of shortest edges: a repaired grid farther from the minimum than that, round-off aside, was found otherwise."""
 
 
 @dataclass(frozen=True)
@@ -178,7 +178,7 @@ def _difference(plain: FloatArray, step: Step) -> tuple[RepairDerivative | None,
         return None, "nodes slide on a curved surface; the derivative is that of the method before the repair"
     basis, polish = result.setup.undeformed.repairs, result.setup.case.repair.mode == "polish"
     found = derivative_of_repair(basis, plain, result.grid.points, polish) if result.repair.converged else None
-    if found and found.distance() <= _CLOSE:
+    if found and found.settle(4.0 * scale) <= _CLOSE:
         return found, ""
     return None, (
         "the grid was repaired, but is not the minimum of the repair's energy; "

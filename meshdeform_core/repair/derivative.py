@@ -26,6 +26,7 @@ from .untangle import CUBIC
 _LOOSE, _ITERATIONS, _REFINEMENTS = 1e-3, 5000, 40
 """The system is kept in single precision, so that its solution is refined."""
 _ENOUGH = 1e-15
+_STEPS = 2
 
 
 class RepairDerivative(Protocol):
@@ -39,8 +40,11 @@ class RepairDerivative(Protocol):
         """Gradient with respect to the method's grid from that with respect to the repaired one."""
         ...
 
-    def distance(self) -> float:
-        """How far from the minimum the repaired grid is, in shortest edges, at most."""
+    def settle(self, rounding: float) -> float:
+        """Go on to the minimum itself: coordinates are rounded when they are written, by up to ``rounding``.
+
+        Returns how much farther than that it is, in shortest edges, at most.
+        """
         ...
 
 
@@ -104,12 +108,18 @@ class _AtMinimum:
         pulled[plot.nodes] += current_ranks().once(make)
         return pulled
 
-    def distance(self) -> float:
-        system = self._whole.system
-        with alone():
-            self._fill()
-            step = self._spread(self._solved(-system.gradient.copy()))
-        return float((np.abs(step).max(axis=1) / self._whole.edges).max())
+    def settle(self, rounding: float) -> float:
+        def make() -> FloatArray:
+            with alone():
+                for _ in range(_STEPS):
+                    self._fill()
+                    self._x = self._x + self._spread(self._solved(-self._whole.system.gradient.copy()))
+            return self._x
+
+        before = self._x
+        self._x = current_ranks().once(make)
+        moved = np.maximum(np.abs(self._x - before).max(axis=1) - rounding, 0.0)
+        return float((moved / self._whole.edges).max())
 
     @property
     def _cells(self) -> int:
@@ -207,5 +217,5 @@ class _Extruded:
         found = self._inside.pull(extrusion.summed(np.where(held, 0.0, gradient)))
         return np.where(held, gradient, 0.0) + extrusion.of_mean(found)
 
-    def distance(self) -> float:
-        return self._inside.distance()
+    def settle(self, rounding: float) -> float:
+        return self._inside.settle(rounding)

@@ -1,10 +1,13 @@
 """``mesh.linearise`` at repaired grids: the minimum of the repair's energy is differentiated."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from grids import frame, frame_2d
 
 import meshdeform as md
+from meshdeform_core.grid.blocks import FileFormat
 from meshdeform_core.repair.derivative import derivative_of_repair
 
 BODY = {"where": "abs(x) < 0.51 and abs(y) < 0.51", "select": ["*.i*", "*.j*"], "kind": "moving", "name": "body"}
@@ -13,8 +16,12 @@ STILL = [{"displace": ["0", "0", "0"]}]
 
 def prepared(grid, plane=False, ends="slip", **options):
     own = md.Grid([block.copy() for block in md.Grid._of(grid, plane).blocks])
+    return md.prepare(own, {**case(plane, ends), **options})
+
+
+def case(plane, ends):
     span = [] if plane else [{"name": "span", "select": ["*.kmin", "*.kmax"], "kind": ends}]
-    return md.prepare(own, {"boundary": [{**BODY, "motion": STILL}, *span], "method": {"name": "idw-tfi"}, **options})
+    return {"boundary": [{**BODY, "motion": STILL}, *span], "method": {"name": "idw-tfi"}}
 
 
 def bend(mesh, size, twist=0.0):
@@ -89,7 +96,21 @@ def test_a_grid_that_is_not_the_minimum_is_told():
     start, end = plain._result.grid.points, step._result.grid.points
     there = derivative_of_repair(setup.undeformed.repairs, start, end, polish=False)
     beside = derivative_of_repair(setup.undeformed.repairs, start, 0.99 * end + 0.01 * start, polish=False)
-    assert there.distance() < 1e-9 < 1e-4 < beside.distance()
+    assert there.settle(0.0) < 1e-9 < 1e-4 < beside.settle(0.0)
+
+
+def test_coordinates_in_single_precision_are_near_enough_to_the_minimum():
+    grid = md.Grid([block.astype(np.float32) for block in md.Grid._of(frame(5, 4)).blocks])._core
+    written = dataclasses.replace(grid, format=FileFormat("plot3d", "float32"))
+    at = bend(prepared(grid), 0.6, 0.3)
+    double, single = (md.prepare(md.Grid._of(each), case(False, "slip")) for each in (grid, written))
+    assert single._setup.grid.precision == "float32"
+    one, two = (mesh.linearise(at, steps=1) for mesh in (double, single))
+    assert one.step.repair.converged
+    assert two.exact, two.reason
+    change = np.cos(3.0 * at)
+    one, two = flat(one.jvp(change)), flat(two.jvp(change))
+    assert 0.0 < np.abs(one - two).max() < 1e-4 * np.abs(one).max()
 
 
 def test_healthy_grids_have_no_repair_to_differentiate():

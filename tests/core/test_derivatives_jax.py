@@ -1,0 +1,46 @@
+"""Derivatives of IDW against another implementation, which JAX differentiates (``benchmarks/dense_jax.py``)."""
+
+import importlib.util
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cases import body_specs, problem_of, turning
+from grids import frame
+
+from meshdeform_core.boundary import Kind
+from meshdeform_core.methods import Options, make_method
+from meshdeform_core.methods.derivative import derivative_of
+
+jax = pytest.importorskip("jax")
+TWIN = Path(__file__).parents[2] / "benchmarks" / "dense_jax.py"
+
+
+@pytest.fixture(scope="module")
+def twin():
+    spec = importlib.util.spec_from_file_location("dense_jax", TWIN)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["dense_jax"] = module
+    spec.loader.exec_module(module)
+    yield module
+    del sys.modules["dense_jax"]
+
+
+@pytest.mark.parametrize("state", ["undeformed", "deformed"])
+def test_jax_finds_the_same_derivatives(twin, state):
+    where = problem_of(frame(), body_specs(turning(10), Kind.FREE))
+    moving = (where.boundary.kind[where.source_numbers] == Kind.MOVING)[:, None]
+    size = 0.1 if state == "deformed" else 0.0
+    at = size * moving * np.sin(1.3 * where.source_points[:, [1, 0, 2]] + np.arange(3))
+    method = make_method(Options("idw", idw=twin.OPTIONS)).prepare(where)
+    flat = method._mover.flat
+    theirs, ours = twin.dense(where, where.grid.points[flat]), derivative_of(method, at)
+    np.testing.assert_allclose(method.apply(at)[flat], theirs(at), rtol=0, atol=1e-12)
+    change = np.random.default_rng(1).standard_normal(at.shape) * moving
+    expected = np.asarray(jax.jvp(theirs, (at,), (change,))[1])
+    np.testing.assert_allclose(ours.push(change)[flat], expected, rtol=0, atol=1e-11 * np.abs(expected).max())
+    weight = np.zeros_like(where.grid.points)
+    weight[flat] = np.random.default_rng(2).standard_normal((len(flat), 3))
+    expected = np.asarray(jax.vjp(theirs, at)[1](weight[flat])[0]) * moving
+    np.testing.assert_allclose(ours.pull(weight) * moving, expected, rtol=0, atol=1e-11 * np.abs(expected).max())
