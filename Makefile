@@ -46,7 +46,7 @@ check: $(VENV)/installed
 	@for pair in cli:meshdeform_cli formats:meshdeform_formats sample_cases:meshdeform_samples; do \
 	  ln -sfn "../../$${pair%%:*}" "build/names/$${pair##*:}"; done
 	MYPYPATH=build/names $(BIN)/mypy
-	MYPYPATH=build/names:. $(BIN)/mypy --strict --follow-imports=silent examples/coupling.py
+	MYPYPATH=build/names:. $(BIN)/mypy --strict --follow-imports=silent examples/coupling.py examples/optimise.py
 	$(BIN)/lint-imports
 
 # All sizes take about twenty minutes; make bench OPTIONS=--quick two.

@@ -5,6 +5,7 @@ Run from the repository: ``.venv/bin/python docs/make_pictures.py [NAME ...]``; 
 
 from __future__ import annotations
 
+import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
@@ -43,10 +44,13 @@ def picture(name: str, sample: str, size: int, panels: list[Panel], window: tupl
         figure.colorbar(collection, ax=axes, label="f_skew", shrink=0.8, pad=0.02)
         figure.savefig(case / "picture.png", dpi=100)
         plt.close(figure)
-        # A palette is enough for one colour map and makes the file four times smaller.
-        Image.open(case / "picture.png").convert("RGB").quantize(128, method=Image.Quantize.MAXCOVERAGE).save(
-            IMAGES / f"{name}.png", optimize=True
-        )
+        keep(case / "picture.png", name)
+
+
+def keep(drawn: Path, name: str) -> None:
+    """A palette is enough for one colour map and makes the file four times smaller."""
+    small = Image.open(drawn).convert("RGB").quantize(128, method=Image.Quantize.MAXCOVERAGE)
+    small.save(IMAGES / f"{name}.png", optimize=True)
 
 
 def call(*arguments: object) -> None:
@@ -70,9 +74,17 @@ def rotations() -> None:
     picture("rotations", "beam", 40, panels, (-2.0, 2.0, -1.0, 1.2), 3.0)
 
 
+def optimisation() -> None:
+    """What the example draws: two grids, pressures, history."""
+    with tempfile.TemporaryDirectory() as folder:
+        subprocess.run([sys.executable, IMAGES.parents[1] / "examples" / "optimise.py", folder], check=True)
+        keep(Path(folder) / "optimise.png", "optimise")
+
+
 PICTURES: dict[str, Callable[[], None]] = {
     **{name: plate(name, name) for name in ("tfi-tfi", "rbf-rbf", "idw-idw", "rbf-tfi", "idw-rbf", "idw-tfi")},
     "rotations": rotations,
+    "optimise": optimisation,
 }
 
 
