@@ -26,6 +26,8 @@ _UNITS = (
     (1 / 0.3048, "in metres where the grid is in feet"),
 )
 """Factors between length units, and what a table needs the factor for."""
+_PROBES, _ON_NODE = 12, 0.05
+"""So many points tell a shift onto nodes, within this part of the shortest edge there."""
 _SAMPLE = 2000
 _FITS = 0.9
 """A frame is proposed if this share of the points would lie on the nodes, ..."""
@@ -56,7 +58,7 @@ def other_frame(points: FloatArray, nodes: Nodes) -> str:
     tree = scipy.spatial.cKDTree(nodes.points)
     here, _ = _fit(some, nodes, tree)
     best, share, distance = "", max(_FITS, here + _GAIN), np.inf
-    for (change, reason), candidate in _candidates(some, nodes.points):
+    for (change, reason), candidate in _candidates(some, nodes, tree):
         hit, off = _fit(candidate, nodes, tree)
         # A rival must be clearly nearer: frames that differ by a symmetry of the wall fit alike.
         if hit >= share and off < 0.9 * distance - 1e-12:
@@ -81,7 +83,9 @@ def _fit(points: FloatArray, nodes: Nodes, tree: scipy.spatial.cKDTree) -> tuple
     return float(near.mean()), float((distance[near] / nodes.longest[nearest[near]]).mean())
 
 
-def _candidates(points: FloatArray, nodes: FloatArray) -> Iterator[tuple[tuple[str, str], FloatArray]]:
+def _candidates(
+    points: FloatArray, nodes: Nodes, tree: scipy.spatial.cKDTree
+) -> Iterator[tuple[tuple[str, str], FloatArray]]:
     """Changes with the likely reason, and the changed points."""
     for factor, unit in _UNITS:
         yield (f"multiplied by {factor:.6g}", f"different length units, {unit}"), points * factor
@@ -89,8 +93,22 @@ def _candidates(points: FloatArray, nodes: FloatArray) -> Iterator[tuple[tuple[s
         for signs in sorted(product((1.0, -1.0), repeat=3), key=lambda s: (s.count(-1.0) == 2, s.count(-1.0), s)):
             if order != (0, 1, 2) or min(signs) < 0:
                 yield _columns(order, signs), points[:, order] * signs
-    shift = (nodes.min(axis=0) + nodes.max(axis=0) - points.min(axis=0) - points.max(axis=0)) / 2
-    yield (f"shifted by ({', '.join(f'{x:.6g}' for x in shift)})", "another origin"), points + shift
+    for shift in _shifts(points, nodes, tree):
+        yield (f"shifted by ({', '.join(f'{x:.6g}' for x in shift)})", "another origin"), points + shift
+
+
+def _shifts(points: FloatArray, nodes: Nodes, tree: scipy.spatial.cKDTree) -> Iterator[FloatArray]:
+    """The shift of the middle onto that of the nodes, and those that put points of a part of the nodes onto nodes."""
+    x = nodes.points
+    yield (x.min(axis=0) + x.max(axis=0) - points.min(axis=0) - points.max(axis=0)) / 2
+    # The first point lies on one node or another; each further one rules out most of what is left.
+    probes = points[np.unique(np.linspace(0, len(points) - 1, _PROBES).astype(np.int64))]
+    shifts = x - probes[0]
+    for probe in probes[1:]:
+        distance, nearest = tree.query(probe + shifts)
+        shifts = shifts[distance <= _ON_NODE * nodes.edge[nearest]]
+    if len(probes) > 3 and len(shifts):
+        yield shifts[int(np.argmin(np.linalg.norm(shifts, axis=1)))]
 
 
 def _columns(order: tuple[int, ...], signs: tuple[float, ...]) -> tuple[str, str]:

@@ -79,6 +79,14 @@ def test_a_table_on_the_symmetry_plane_that_would_fit_the_wing_is_refused():
         on_table_alone(swapped)
 
 
+def test_the_shift_of_a_table_of_a_part_of_the_wall_is_told():
+    """The middle of the part is not that of the wall, and the far field is among the faces that it may lie on."""
+    part = NODES.points[NODES.points[:, 1] > 0.6] + [7.0, -30.0, 2.0]
+    data = SurfaceData(part, 0.01 + 0.0 * part, np.empty((0, 3), dtype=np.int64), "part.csv")
+    with pytest.raises(MotionError, match=r"shifted by \(-7, 30, -2\), 100% of its points would lie on the nodes"):
+        on_table_alone(data)
+
+
 def test_a_coarse_table_moves_all_sides_of_the_wall():
     """Its points lie at the edges of the body, where they are as near to one side as to the next."""
     ring = [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)]
