@@ -98,7 +98,7 @@ def mend(
     # Another program may have left nodes beside the surface on which they slide.
     constraints = Constraints.of(original, topology, boundary).without_sliding()
     moved = np.abs(grid.points - original.points)[topology.first].max(axis=1) > 0.0
-    constraints = dataclasses.replace(constraints, walls=constraints.held & moved)
+    constraints = dataclasses.replace(constraints, walls=constraints.walls | (constraints.held & moved))
     limit = TimeLimit(case.repair.time_limit)
     repairer = Repairer(Basis(measured, constraints), lambda points: rounded(points, width), memory, progress, limit)
     cells = Comparison(measured, rounded(grid.points, width))
