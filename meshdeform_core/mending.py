@@ -24,10 +24,10 @@ from .quality.validity import Verdict, judge
 from .renewal import renewed
 from .repair.basis import Basis
 from .repair.constraints import Constraints
-from .repair.limit import Limit
 from .repair.outcome import Repair
 from .repair.regions import WEAK
 from .repair.repair import Repairer
+from .repair.time_limit import TimeLimit
 from .setup import Case, Undeformed
 
 MANY = 0.01
@@ -99,7 +99,7 @@ def mend(
     constraints = Constraints.of(original, topology, boundary).without_sliding()
     moved = np.abs(grid.points - original.points)[topology.first].max(axis=1) > 0.0
     constraints = dataclasses.replace(constraints, walls=constraints.held & moved)
-    limit = Limit.of(original.n_nodes, case.repair.time_limit)
+    limit = TimeLimit(case.repair.time_limit)
     repairer = Repairer(Basis(measured, constraints), lambda points: rounded(points, width), memory, progress, limit)
     cells = Comparison(measured, rounded(grid.points, width))
     found = _Found(grid.points, cells.verdict)

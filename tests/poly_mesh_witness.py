@@ -133,7 +133,7 @@ def _opened(path: Path) -> tuple[str, int, bytes]:
     content = gzip.decompress(packed.read_bytes()) if packed.exists() else path.read_bytes()
     found = re.search(rb"\}\s*(\d+)\s*\(", content)
     assert found is not None
-    return content[: found.start()].decode(), int(found[1]), content[found.end() :]
+    return content[: found.start()].decode("latin-1"), int(found[1]), content[found.end() :]
 
 
 def check_mesh(case: Path) -> str:

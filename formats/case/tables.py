@@ -14,6 +14,7 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray
 
 from ..files import require_regular
+from ..plausible import LARGEST
 
 _LARGEST = 256 * 2**20
 _MOST_POINTS = 100_000
@@ -137,6 +138,8 @@ def _row(path: Path, number: int, text: str, width: int) -> list[float]:
         values = [float(word) for word in words]
     except ValueError as error:
         raise FormatError(f"{path}, line {number}: {error}") from None
-    if len(values) != width or not np.isfinite(values).all():
-        raise FormatError(f"{path}, line {number}: found {text[:60]!r}; expected {width} finite numbers")
+    if len(values) != width or not (np.abs(values) <= LARGEST).all():
+        raise FormatError(
+            f"{path}, line {number}: found {text[:60]!r}; expected {width} finite numbers up to {LARGEST:g}"
+        )
     return values

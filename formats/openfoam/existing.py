@@ -15,6 +15,7 @@ from meshdeform_core.grid import Grid, IntArray
 from meshdeform_core.grid.topology import RELATIVE_TOLERANCE, Topology, find_topology
 from meshdeform_core.parallel import empty
 
+from ..plausible import LARGEST
 from .lists import read_points
 from .numbering import point_numbers
 
@@ -44,6 +45,12 @@ def with_points_of(grid: Grid, path: Path) -> tuple[Grid, IntArray]:
         raise FormatError(
             f"{path} has {len(points):,} points, the blocks of {grid.path} have {len(nodes):,} nodes; "
             "expected a mesh that blockMesh made of it"
+        )
+    strange = np.flatnonzero(~(np.abs(points) <= LARGEST).all(axis=1))
+    if strange.size:
+        raise FormatError(
+            f"{path}: point {strange[0]} is {points[strange[0]].tolist()}; expected finite coordinates up to "
+            f"{LARGEST:g}"
         )
     own = grid.points[nodes]
     gap, found = scipy.spatial.cKDTree(points).query(own)

@@ -76,6 +76,9 @@ def _declared(top: Dictionary, vertices: Vertices, sides: Sides) -> list[FoamPat
     while items.more:
         name = items.word("the name of a patch")
         content = items.dictionary(f"patch {name}")
+        for key in ("type", "faces"):
+            if key not in content.entries:
+                raise FormatError(f"{top.path}, line {content.line}: the patch {name!r} has no {key}; expected one")
         faces = _faces(list_of(content, "faces"), vertices, sides, name)
         found.append(FoamPatch(name, text_of(content, "type", "patch"), faces, content))
     return found

@@ -17,8 +17,6 @@ from ..numerics.cell.foldover_plane import add_triangles, corner_triangles, ener
 COLLAPSED = 1e-10
 """A Jacobian below this share of the product of the edges is that of a collapsed corner."""
 _CORNERS = (1 << 8) - 1
-# Of the derivatives of a sample of a hexahedron, and of a triangle; measured.
-_SAMPLE, _TRIANGLE = 0.9, 0.4
 HEALTHY, SOFT, NORM = 2.5, 0.5, 24.0
 """An element is healthy while its f, regularised by SOFT, is below HEALTHY: sheared by less than 45 degrees, or shorter
 or longer by less than 2. The excess log(f / HEALTHY) of the corners of a cell is combined in a NORM, as that of cells
@@ -68,11 +66,6 @@ class Energy(Protocol):
     @property
     def nodes(self) -> IntArray: ...
 
-    @property
-    def work(self) -> float:
-        """That of the second derivatives of all elements, see :mod:`.limit`."""
-        ...
-
     def edges(self) -> FloatArray:
         """(n,) the shortest undeformed edge at every node, infinite where there is none of any length."""
         ...
@@ -104,7 +97,7 @@ class Hexahedra:
 
     Attributes
     ----------
-    start, own : (k, 3) undeformed coordinates, and those (m, 8) of each cell
+    start : (n, 3) undeformed coordinates
     nodes : (m, 8) as in :func:`..numerics.cell.foldover.cell_samples`
     mask : (m,) int64, bit s set where sample point s counts
     samples : the sample points
@@ -113,16 +106,11 @@ class Hexahedra:
     """
 
     start: FloatArray
-    own: IntArray
     nodes: IntArray
     mask: IntArray
     samples: Samples
     weight: FloatArray
     between: FloatArray
-
-    @cached_property
-    def work(self) -> float:
-        return _SAMPLE * float(np.bitwise_count(self.mask).sum())
 
     def edges(self) -> FloatArray:
         pairs = [(a, a | bit) for a in range(8) for bit in (1, 2, 4) if not a & bit]
@@ -152,8 +140,7 @@ class Hexahedra:
 
     @cached_property
     def _loops(self) -> tuple[Any, ...]:
-        weights = np.stack([self.weight, self.between], axis=1)
-        return self.nodes, self.start, self.own, self.mask, self.samples, weights
+        return self.start, self.nodes, self.mask, self.samples, np.stack([self.weight, self.between], axis=1)
 
 
 @dataclass(frozen=True)
@@ -165,10 +152,6 @@ class Triangles:
     slope: FloatArray
     start: FloatArray
     weight: FloatArray
-
-    @property
-    def work(self) -> float:
-        return _TRIANGLE * len(self.nodes)
 
     def edges(self) -> FloatArray:
         return shortest_edges(self.start, self.nodes, np.array([(0, 1), (0, 2)]))

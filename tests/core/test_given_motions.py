@@ -182,6 +182,7 @@ BAD_RIGID = {
     "t,x,y,z\n1,0,0,0\n0,0,0,0\n": (FormatError, "the times do not ascend: 1 before 0"),
     "t,x,y,z\n1,0,0\n": (FormatError, "line 2: found '1,0,0'; expected 4 finite numbers"),
     "t,x,y,z\n1,0,0,nan\n": (FormatError, "line 2"),
+    "t,x,y,z\n1,0,0,1e300\n": (FormatError, "line 2"),
     "time,x,y,z\n": (FormatError, "line 1.*expected a header"),
     "t,qx,qy,qz,qw\n0,0,0,0,2\n": (FormatError, "quaternion at t = 0 has the length 2"),
     "": (FormatError, "is empty"),
@@ -361,6 +362,7 @@ BAD_POSITIONS = {
     "99999 0 0 0\n": (MotionError, "1 numbers are not of points on block faces, the first 99999"),
     "0 0 0 0 0\n": (FormatError, "found 5 columns"),
     "# nothing\n": (FormatError, "no positions"),
+    "0 0 0 1e200\n": (FormatError, "expected 4 finite numbers up to 1e\\+30"),
 }
 
 

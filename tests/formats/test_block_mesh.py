@@ -233,6 +233,7 @@ def test_macros_of_dictionaries_and_lists(tmp_path):
     assert steps[-1] / steps[0] == pytest.approx(2.0)
 
 
+SIDE = "type wall; faces ((0 1 2 3));"
 BAD = {
     "calc": (ONE.replace("(4 3 2)", '(4 3 #calc "1+1")'), "#calc is not evaluated.*foamDictionary"),
     "include": ('#include "other"\n' + ONE, "#include is not evaluated"),
@@ -257,7 +258,9 @@ BAD = {
     "edge": (ONE + "edges (circle 0 1 (0 0 0));", "'circle' are not supported; known are arc"),
     "straight arc": (ONE + "edges (arc 0 1 (0.5 0 0));", "lie on one line"),
     "patch": (ONE + "boundary (a { type wall; faces ((0 1 2 5)); });", "is not a side of any block"),
-    "twice": (ONE + "boundary (a { faces ((0 1 2 3)); } b { faces ((0 1 2 3)); });", "belongs to the patches a and b"),
+    "twice": (ONE + f"boundary (a {{ {SIDE} }} b {{ {SIDE} }});", "belongs to the patches a and b"),
+    "no faces": (ONE + "boundary (a { type wall((0 1 2 3)); });", "the patch 'a' has no faces"),
+    "no type": (ONE + "boundary (a { faces ((0 1 2 3)); });", "the patch 'a' has no type"),
     "neighbour": (ONE + "boundary (a { type cyclic; neighbourPatch b; faces ((0 1 2 3)); });", "does not have it"),
     "other": ("FoamFile { class volScalarField; object p; }\n", "of class volScalarField; expected a blockMeshDict"),
     "control": (HEAD + "application icoFoam;", "without vertices; expected a blockMeshDict"),

@@ -12,6 +12,8 @@ from poly_mesh_witness import check_mesh, read_mesh, read_points
 from meshdeform_cli.main import run
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Connection, Grid, Patch, Periodicity, Side, Window
+from meshdeform_core.grid.surfaces import thin_direction
+from meshdeform_core.numerics.arrays import extent
 from meshdeform_core.quality.cells import block_volumes
 from meshdeform_formats import read_grid, write_grid
 from meshdeform_formats.grids import read_grid_with_boundaries
@@ -64,6 +66,32 @@ def test_third_party_grids_are_sound_meshes(name, third_party, tmp_path):
     said = check_mesh(tmp_path)
     # The cells of one of the grids are thinner than checkMesh likes: 1 to 10,000.
     assert "Mesh OK." in said or ("backstep" in name and said.count("***") == 1 and "High aspect ratio" in said)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", THIRD_PARTY)
+def test_series_of_third_party_grids_are_sound_at_all_times(name, third_party, tmp_path):
+    """Every boundary node moves: a wave along x, of the size of the grid, in the plane of those of one layer."""
+    grid = read_grid(third_party / name)
+    low, high = extent(grid.points)
+    size, thin = float((high - low).max()), thin_direction(grid)
+    wave = f"'0.005*{size!r}*t*sin(4*(x - ({float(low[0])!r}))/{size!r})'"
+    along = f"'0', '0', {wave}" if thin is not None and abs(thin[1]) > 0.9 else f"'0', {wave}, '0'"
+    entry = f"select = ['*']\nmotion = [{{ displace = [{along}] }}]\n"
+    (tmp_path / "case.toml").write_text(f"[[boundary]]\n{entry}")
+    out = tmp_path / "out"
+    command = ["series", str(third_party / name), "-c", str(tmp_path / "case.toml"), "--times", "0:1:0.5", "-q"]
+    command += ["--boundary-file", str(third_party / MAPS[name])] if name in MAPS else []
+    assert run([*command, "--suffix", ".foam", "-o", str(out)]) == 0
+    for time in ("0", "0.5", "1"):
+        read_mesh(out, out / time / "polyMesh/points").check()
+    said = check_mesh(out)
+    assert said.count("Time = ") == 3
+    # Thin cells, to which checkMesh objects where they lie along an axis.
+    flaws = [line for line in said.splitlines() if "***" in line]
+    thin = name.startswith(("backstep", "717")) and all("***High aspect ratio" in line for line in flaws)
+    assert not flaws or thin, flaws
+    assert said.count("Mesh OK.") == 3 - len(flaws)
 
 
 def test_patches_are_families_with_their_types(tmp_path):
@@ -183,6 +211,15 @@ def test_a_mesh_that_is_not_that_of_the_dictionary_is_refused(tmp_path):
             read_grid(tmp_path)
     (tmp_path / "constant/polyMesh/points").write_bytes(b"FoamFile { class vectorField; format binary; } 84\n(short")
     with pytest.raises(FormatError, match="truncated"):
+        read_grid(tmp_path)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e200])
+def test_points_that_are_no_coordinates_are_refused(value, tmp_path):
+    points = made_case(tmp_path)
+    points[5, 1] = value
+    write_points(tmp_path / "constant/polyMesh/points", points, "x", True)
+    with pytest.raises(FormatError, match=r"point 5 is \[.*\]; expected finite coordinates up to 1e\+30"):
         read_grid(tmp_path)
 
 
