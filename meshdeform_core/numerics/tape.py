@@ -45,10 +45,15 @@ class Tape:
     def push(self, variable: int, change: FloatArray, wanted: list[int]) -> list[FloatArray]:
         """Changes of the arrays with the numbers ``wanted`` for a change of one variable."""
         known: dict[int, FloatArray] = {variable: change}
-        for number, links in self._steps:
+        last = {source: place for place, (_, links) in enumerate(self._steps) for source, _, _ in links}
+        for place, (number, links) in enumerate(self._steps):
             parts = [push(known[source]) for source, push, _ in links if source in known]
             if parts:
                 known[number] = sum(parts[1:], parts[0])
+            for source, _, _ in links:
+                # What nothing depends on any more makes room.
+                if last[source] == place and source not in wanted:
+                    known.pop(source, None)
         return [known.get(number, np.zeros(self._shapes[number])) for number in wanted]
 
     def pull(self, variable: int, gradients: dict[int, FloatArray]) -> FloatArray:
@@ -56,8 +61,9 @@ class Tape:
         known = dict(gradients)
         for number, links in reversed(self._steps):
             if number in known:
+                given = known.pop(number)
                 for source, _, pull in links:
-                    part = pull(known[number])
+                    part = pull(given)
                     known[source] = known[source] + part if source in known else part
         return known.get(variable, np.zeros(self._shapes[variable]))
 

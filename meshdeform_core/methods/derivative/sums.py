@@ -51,7 +51,7 @@ def sums_of(bound: Bound, fast: bool, weights: Weights, acting: BoolArray) -> Li
     grid, order = bound.grid, interpolation_order(TOLERANCE)
     trees = [build_tree(bound.sources[group], order) for group in bound.groups]
     targets = make_targets(grid.points, grid.shapes, grid.offsets, bound.flat, order)
-    return FrozenSums(bound.groups, trees, targets, bound.strength, weights, acting, TOLERANCE, bound.room)
+    return FrozenSums(bound.groups, trees, targets, bound.strength, weights, acting, TOLERANCE)
 
 
 class ExactSums:

@@ -14,6 +14,7 @@ from ..scattered.idw import PreparedIDW
 from ..scattered.idw_sums import ExactEvaluator, FastEvaluator
 from ..scattered.transition import with_motion
 from ..scattered.tuned import ALPHA_CAP
+from .reduced import reduced
 from .sums import LinearSums, sums_of
 
 _LEAST_ALPHA = 1e-3
@@ -38,6 +39,10 @@ class IDWDerivative:
         self._bound, self._tape, fast = bound, Tape(), isinstance(evaluator, FastEvaluator)
         variable = self._tape.variable(displacement)
         self._variable = variable.number
+        # Sources at rest all move alike, as the mean motion that is taken out does.
+        images = method._images
+        acting = with_motion(images) | images.displaced(displacement).any(axis=1)
+        method = reduced(method, acting)
         fit = method.fit(variable)  # type: ignore[arg-type]
         self._fit = fit
         self._transition = fit.transition._replace(rest=plain(fit.transition.rest))
@@ -47,23 +52,18 @@ class IDWDerivative:
             "rest": fit.transition.rest, "alpha": self._alpha,
         }  # fmt: skip
         self._numbers = {name: each.number for name, each in wanted.items() if isinstance(each, Tracked)}
-        # Sources at rest all move alike, as the mean motion that is taken out does.
-        images = method._images
-        acting = with_motion(images) | images.displaced(displacement).any(axis=1)
-        self._still = -1 if acting.all() else int(np.argmin(acting))
-        self._sums = sums_of(bound, fast, fit.weights, acting)
-        self._base = _AtNodes(self._sums, plain(fit.values), self._still, fast, self._transition.width > 0.0)
-        self._near = self._near_field(fast, acting) if self._slope else None
+        self._sums, self._near = sums_of(bound, fast, fit.weights, acting), None
+        kept = plain(fit.values), fast, self._transition.width > 0.0
+        self._base = _AtNodes(self._sums, *kept)
+        if self._slope:
+            # The part of the weights that alpha multiplies.
+            near = tuple((b, 5.0, 0.0) for _, b, _ in fit.weights)
+            self._near = _AtNodes(sums_of(bound, fast, near, acting), *kept)
 
     @property
     def flat(self) -> IntArray:
         """The nodes that it moves."""
         return self._bound.flat
-
-    def _near_field(self, fast: bool, acting: BoolArray) -> _AtNodes:
-        """Sums with the part of the weights that alpha multiplies."""
-        sums = sums_of(self._bound, fast, tuple((b, 5.0, 0.0) for _, b, _ in self._fit.weights), acting)
-        return _AtNodes(sums, plain(self._fit.values), self._still, fast, self._transition.width > 0.0)
 
     def _automatic_alpha(self, method: PreparedIDW, variable: Tracked) -> tuple[Tracked | None, float]:
         """Alpha by eq. 18, and the derivative of the factor of r^-b; none where alpha is given or at its limits."""
@@ -99,8 +99,7 @@ class IDWDerivative:
             zip(self._numbers, self._tape.push(self._variable, change, list(self._numbers.values())), strict=True)
         )
         bound, turn, rest = self._bound, self._turned(), found.get("rest", np.zeros(6))
-        values = found["values"]
-        common = values[:, self._still] if self._still >= 0 else np.zeros(len(values))
+        values, common = _apart(found["values"], self._sums.acting)
 
         def use(rows: slice, flat: IntArray, changes: FloatArray) -> None:
             sums = self._base.rows(rows)
@@ -114,7 +113,7 @@ class IDWDerivative:
                 moved = moved @ turn.T + self._seen(sums, flat) @ found["turn"].T
             out[flat] = moved + found.get("shift", 0.0)
 
-        self._sums.push(values - common[:, None], use, out)
+        self._sums.push(values, use, out)
 
     def pull(self, gradient: FloatArray) -> FloatArray:
         """Gradient (n_sources, 3) from that of the nodes, rows of ``gradient`` (n_nodes, 3)."""
@@ -135,15 +134,24 @@ class IDWDerivative:
             part[16:] += sums[:, 0] @ found[:, 1:]
             return found[:, 1:]
 
-        values = self._sums.pull(make, k)
+        acting = self._sums.acting
+        values = self._sums.pull(make, k)[:, acting]
         part = np.sum(current_ranks().gather([parts]), axis=(0, 1))
-        if self._still >= 0:
-            values[:, self._still] += part[16:] - values.sum(axis=1)
+        if not acting.all():
+            values = np.append(values, (part[16:] - values.sum(axis=1))[:, None], axis=1)
         known = {
             "values": values, "shift": gradient[bound.flat].sum(axis=0), "turn": part[:9].reshape(3, 3),
             "rest": part[9:15], "alpha": part[15],
         }  # fmt: skip
         return self._tape.pull(self._variable, {number: known[name] for name, number in self._numbers.items()})
+
+
+def _apart(values: FloatArray, acting: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """Values (k, n) of all sources relative to that (k,) of those at rest, the last one of the reduced ``values``."""
+    common = np.zeros(len(values)) if acting.all() else values[:, -1]
+    found = np.zeros((len(values), len(acting)))
+    found[:, acting] = values[:, : np.count_nonzero(acting)] - common[:, None]
+    return found, common
 
 
 class _AtNodes:
@@ -153,8 +161,8 @@ class _AtNodes:
     sums single precision is enough.
     """
 
-    def __init__(self, sums: LinearSums, values: FloatArray, still: int, fast: bool, transition: bool) -> None:
-        common = values[:, still] if still >= 0 else np.zeros(len(values))
+    def __init__(self, sums: LinearSums, values: FloatArray, fast: bool, transition: bool) -> None:
+        values, common = _apart(values, sums.acting)
         lasting = 1 if transition else 0
         self._weight = empty((len(sums.flat), 1 + lasting))
         self._means = empty((len(sums.flat), len(values) - lasting), np.float32 if fast else np.float64)
@@ -165,7 +173,7 @@ class _AtNodes:
             self._weight[rows, 0], self._weight[rows, -1] = found[:, 0], found[:, -1] if transition else found[:, 0]
             self._means[rows] = found[:, 1 : self._k - lasting] / found[:, :1]
 
-        sums.push(values - common[:, None], keep, kept=(self._weight, self._means), weigh=True)
+        sums.push(values, keep, kept=(self._weight, self._means), weigh=True)
 
     def rows(self, rows: slice) -> FloatArray:
         """The sums (m, 1 + k) of some rows."""

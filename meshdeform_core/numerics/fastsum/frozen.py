@@ -33,7 +33,7 @@ class FrozenSums:
 
     Parameters
     ----------
-    groups, trees, targets, room : as for :class:`.sums.FastSums`
+    groups, trees, targets : as for :class:`.sums.FastSums`
     strength : (n,) per source, weights : (a, b, kappa) per group
     tolerance : error of a sum relative to the total weight, for values of one
 
@@ -51,7 +51,6 @@ class FrozenSums:
         weights: Sequence[tuple[float, float, float]],
         acting: BoolArray,
         tolerance: float,
-        room: int,
     ) -> None:
         self._groups = [(np.asarray(group), tree) for group, tree in zip(groups, trees, strict=True)]
         self._targets, self._strength, self.acting = targets, strength / strength.max(), acting
@@ -61,7 +60,7 @@ class FrozenSums:
         share = SHARE / (interpolation_order(tolerance) - 2) ** 2
         alike = targets._replace(sizes=np.ones_like(targets.sizes))
         allowed, mean = allowance(alike, trees, kinds, reaches, tolerance * share)
-        self._plan = Plan(PlanKey(kinds, reaches, acting, share, 0), targets, self._groups, allowed, mean, room)
+        self._plan = Plan(PlanKey(kinds, reaches, acting, share, 0), targets, self._groups, allowed, mean, room=0)
         self._points = [np.concatenate([tree.points, tree.proxies]) for tree in trees]
         size = CHARGES * sum(map(len, self._points))
         # The sums of all portions together are no larger than the coordinates.

@@ -1,0 +1,42 @@
+"""Inverse distance weighting with one source in the place of all that stay at rest.
+
+Those have the same values whatever the others do, so that what is recorded for derivatives needs only one of them,
+which counts with the area of all.
+"""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+
+import numpy as np
+
+from ...grid import BoolArray
+from ...numerics.rotation import SurfaceRotations
+from ..scattered.idw import PreparedIDW
+
+
+def reduced(method: PreparedIDW, acting: BoolArray) -> PreparedIDW:
+    """The method with the ``acting`` (n,) images of sources, in their order, and the first of the others after them.
+
+    Faces and their edges connect acting sources only.
+    """
+    images, rest = method._images, np.flatnonzero(~acting)
+    kept = np.concatenate([np.flatnonzero(acting), rest[:1]])
+    number = np.full(len(acting), -1)
+    number[kept] = np.arange(len(kept))
+    area = images.area[kept]
+    if rest.size:
+        area[-1] = images.area[rest].sum()
+    found = copy.copy(method)
+    found._images = dataclasses.replace(
+        images, points=images.points[kept], area=area, owner=images.owner[kept], reflection=images.reflection[kept],
+        moving=images.moving[kept], corners=number[images.corners], edges=number[images.edges],
+    )  # fmt: skip
+    found.area, found.points = found._images.area, found._images.points
+    normal = method._problem.plane_normal
+    found._rotations = SurfaceRotations(found.points, found._images.corners, found._images.edges, normal)
+    found._blunt = number[method._blunt]
+    if method._share:
+        found._share = dataclasses.replace(method._share, moving=method._share.moving[kept])
+    return found
