@@ -11,6 +11,7 @@ from meshdeform_core.mending import Mended
 from meshdeform_core.methods import Account
 from meshdeform_core.methods.limits import PatchMotion
 from meshdeform_core.quality import Assessment
+from meshdeform_core.quality.per_block import BlockQuality
 from meshdeform_core.quality.shape import shape_measures
 from meshdeform_core.quality.walls import layer_changes
 
@@ -36,7 +37,7 @@ def deformation_report(result: Result, timing: Mapping[str, float], peak_memory:
         "boundary": boundary,
         "motion": [dataclasses.asdict(patch) for patch in result.motion],
         **quality_part(result.assessment),
-        "blocks": [dataclasses.asdict(block) for block in result.assessment.blocks],
+        "blocks": blocks_part(setup.grid, result.assessment.blocks),
         "valid": result.valid,
         "invalid_cells": [cell_part(cell) for cell in result.assessment.invalid],
         "invalid_groups": [dataclasses.asdict(group) for group in result.assessment.groups],
@@ -74,7 +75,7 @@ def quality_report(
         "reference": reference,
         **quality_part(assessment),
         "shape": {"before": None if original is None else _shape_part(original), "after": _shape_part(grid)},
-        "blocks": [dataclasses.asdict(block) for block in assessment.blocks],
+        "blocks": blocks_part(grid, assessment.blocks),
         "valid": assessment.valid,
         "invalid_cells": [cell_part(cell) for cell in assessment.invalid],
         "invalid_groups": [dataclasses.asdict(group) for group in assessment.groups],
@@ -92,6 +93,25 @@ def mended_report(mended: Mended, reference: str, seconds: Mapping[str, float], 
         "timing": dict(seconds),
         "peak_memory_bytes": peak_memory,
     }
+
+
+def blocks_part(grid: Grid, blocks: Sequence[BlockQuality]) -> list[Report]:
+    """Every block, with the families of the file's patches on it, or the patches themselves if they have none."""
+    families: list[dict[str, None]] = [{} for _ in blocks]
+    for patch in grid.patches:
+        for window in patch.windows:
+            families[window.block][patch.family or patch.name] = None
+    return [
+        {
+            "name": block.name,
+            "families": sorted(names),
+            "cells": block.cells,
+            "invalid_cells": block.invalid_cells,
+            "before": vars(block.before).copy(),
+            "after": vars(block.after).copy(),
+        }
+        for block, names in zip(blocks, families, strict=True)
+    ]
 
 
 def _shape_part(grid: Grid) -> Report:

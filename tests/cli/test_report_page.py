@@ -14,14 +14,16 @@ import shutil
 import subprocess
 from pathlib import Path
 
+import grids
 import numpy as np
 import pytest
 from PIL import Image
 
 from meshdeform_cli.main import run
+from meshdeform_core.grid import Grid, Patch, Side, Window
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.quality.cells import measure_block
-from meshdeform_formats import read_grid
+from meshdeform_formats import read_grid, write_grid
 from meshdeform_formats.report.page import as_html
 
 RUN = ("deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz")
@@ -235,3 +237,20 @@ def test_page_fits_a_phone(far, tmp_path):
     ).stdout  # fmt: skip
     wide, window = re.search(r"<title>(\d+) of (\d+)</title>", dumped).groups()
     assert int(wide) <= int(window)
+
+
+def test_blocks_of_large_grids_unfold_by_family(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    blocks = [grids.block_around(at + np.arange(2.0), np.arange(2.0), np.arange(2.0)) for at in range(250)]
+    below = tuple(Patch(f"w{n}", (Window(n, Side.JMIN, (0, 0), (1, 1)),), "wall") for n in range(120))
+    end = Patch("end", (Window(0, Side.IMIN, (0, 0), (1, 1)),))
+    write_grid(Grid.from_blocks(blocks, patches=(*below, end)), "grid.cgns")
+    assert run(["quality", "grid.cgns", "--report", "report.html", "--report", "report.json", "-q"]) == 0
+    report = json.loads(Path("report.json").read_text())
+    assert [block["families"] for block in report["blocks"]] == [["end", "wall"]] + 119 * [["wall"]] + 130 * [[]]
+    page = Page(Path("report.html").read_text())
+    assert len(page.of("details")) == len(page.of("summary")) == 3
+    for text in ("end, wall: 1 block, 1 cell,", "wall: 119 blocks, 119 cells,", "no family: 130 blocks, 130 cells,"):
+        assert text in page.text
+    assert "19 more are in the report as JSON" in page.text
+    assert "30 more are in the report as JSON" in page.text

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from html import escape
 from typing import Any
 
 from meshdeform_core.memory import readable
 
+from ...wording import counted
 from ..components import HEADS, component_rows
 from ..measures import measure_rows, place_text
 from ..parts import Report
@@ -62,8 +64,38 @@ def _alone(report: Report) -> bool:
     return "method" not in report and not report.get("reference")
 
 
+_TOGETHER = 200
+"""Blocks in one table; more are grouped by the families of their patches."""
+_LISTED = 100
+"""Blocks of a group that are listed."""
+
+
 def blocks_section(report: Report) -> str:
-    """Every block; sortable where scripts run."""
+    """Every block, or groups of them that unfold; sortable where scripts run."""
+    blocks = sorted(report["blocks"], key=lambda block: block["after"]["f_skew_min"])
+    if len(blocks) <= _TOGETHER:
+        return _block_table(f"{len(blocks)} blocks, the one with the worst cell first", blocks)
+    groups: dict[str, list[Report]] = {}
+    for block in blocks:
+        groups.setdefault(", ".join(block["families"]), []).append(block)
+    parts = [_block_group(name or "no family", members) for name, members in groups.items()]
+    return f"<p class=soft>{len(blocks):,} blocks by the families on them, the worst first</p>{''.join(parts)}"
+
+
+def _block_group(name: str, blocks: Sequence[Report]) -> str:
+    invalid = sum(block["invalid_cells"] for block in blocks)
+    cells = sum(block["cells"] for block in blocks)
+    title = (
+        f"{name}: {counted(len(blocks), 'block')}, {counted(cells, 'cell')}, {invalid:,} invalid; "
+        f"f_skew min {number(blocks[0]['after']['f_skew_min'])}"
+    )
+    rest = len(blocks) - _LISTED
+    more = f"; {counted(rest, 'more is', 'more are')} in the report as JSON" if rest > 0 else ""
+    inside = _block_table(f"The one with the worst cell first{more}", blocks[:_LISTED])
+    return f"<details><summary>{escape(title)}</summary>{inside}</details>"
+
+
+def _block_table(caption: str, blocks: Sequence[Report]) -> str:
     heads = ("block", "cells", "invalid", "f_skew min", "before", "f_skew mean", "before", "scaled Jacobian min")
     rows = [
         (
@@ -76,10 +108,9 @@ def blocks_section(report: Report) -> str:
             block["before"]["f_skew_mean"],
             block["after"]["min_scaled_jacobian"],
         )
-        for block in sorted(report["blocks"], key=lambda block: block["after"]["f_skew_min"])
+        for block in blocks
     ]
-    flagged = [n for n, row in enumerate(rows) if row[2]]
-    return table(f"{len(rows)} blocks, the one with the worst cell first", heads, rows, sortable=True, flagged=flagged)
+    return table(caption, heads, rows, sortable=True, flagged=[n for n, row in enumerate(rows) if row[2]])
 
 
 def components_section(report: Report) -> str:
