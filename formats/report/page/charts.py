@@ -73,6 +73,18 @@ def ticks(low: float, high: float, count: int = 5) -> list[float]:
     return [n * step for n in range(first, max(last, first + 1) + 1)]
 
 
+def labels(values: Sequence[float]) -> list[str]:
+    """Distinct labels of ticks: with as many digits as that takes, or as differences from the first one."""
+    for digits in range(4, 9):
+        texts = [f"{value:.{digits}g}" for value in values]
+        if len(set(texts)) == len(values) and all(
+            abs(float(text) - value) <= 1e-3 * abs(values[-1] - values[0])
+            for text, value in zip(texts, values, strict=True)
+        ):
+            return texts
+    return [f"{values[0]:.6g}", *(f"+{value - values[0]:.3g}" for value in values[1:])]
+
+
 def _across(value: float, scale: Sequence[float]) -> float:
     return _LEFT + (_WIDTH - _LEFT - _RIGHT) * (value - scale[0]) / (scale[-1] - scale[0])
 
@@ -82,14 +94,12 @@ def _up(value: float, scale: Sequence[float]) -> float:
 
 
 def _curve_axes(xs: Sequence[float], ys: Sequence[float], x_label: str, y_label: str) -> Iterator[str]:
-    for value in ys:
+    for value, text in zip(ys, labels(ys), strict=True):
         y = _up(value, ys)
         yield f'<line class="grid" x1="{_LEFT}" x2="{_WIDTH - _RIGHT}" y1="{y:.1f}" y2="{y:.1f}"/>'
-        yield f'<text x="{_LEFT - 6}" y="{y + 4:.1f}" text-anchor="end">{value:.6g}</text>'
-    for value in xs:
-        yield (
-            f'<text x="{_across(value, xs):.1f}" y="{_HEIGHT - _BOTTOM + 17}" text-anchor="middle">{value:.6g}</text>'
-        )
+        yield f'<text x="{_LEFT - 6}" y="{y + 4:.1f}" text-anchor="end">{text}</text>'
+    for value, text in zip(xs, labels(xs), strict=True):
+        yield f'<text x="{_across(value, xs):.1f}" y="{_HEIGHT - _BOTTOM + 17}" text-anchor="middle">{text}</text>'
     yield from _frame(x_label, y_label)
 
 
