@@ -26,6 +26,7 @@ _UNITS = (
     (1 / 0.3048, "in metres where the grid is in feet"),
 )
 """Factors between length units, and what a table needs the factor for."""
+_COUNTED = 3
 _PROBES, _ON_NODE = 12, 0.05
 """So many points tell a shift onto nodes, within this part of the shortest edge there."""
 _SAMPLE = 2000
@@ -54,6 +55,10 @@ def other_frame(points: FloatArray, nodes: Nodes) -> str:
     -------
     The end of a message, empty if nothing fits.
     """
+    if len(points) > _COUNTED and (points[:, 0] - points[0, 0] == np.arange(len(points))).all():
+        return (
+            " (its first column counts the points: a file of numbers and positions, like SU2's, is read by `positions`)"
+        )
     some = points[:: max(1, len(points) // _SAMPLE)]
     tree = scipy.spatial.cKDTree(nodes.points)
     here, _ = _fit(some, nodes, tree)

@@ -2,30 +2,155 @@
 
 from __future__ import annotations
 
+import codecs
+import functools
+from collections.abc import Callable
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 import meshdeform as md
 from meshdeform_core.errors import MotionError
+from meshdeform_core.grid.selection import select_quads
+from meshdeform_core.grid.topology import find_topology
+from meshdeform_formats import write_grid
 from meshdeform_formats.report.text import axis_text
 from meshdeform_formats.wording import counted
+from meshdeform_samples import generate
 
 DEFORM = ("deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz")
+WITH_TABLE = ("deform", "wing.cgns", "-d", "wrong.csv", "-o", "out.xyz", "--dry-run")
 
+
+@functools.cache
+def wing():
+    """The sample grid, and points of its wing's nodes beyond the root, whose frame can be told."""
+    grid, _ = generate("wing", 8)
+    topology = find_topology(grid)
+    nodes = np.unique(topology.quads.corners[select_quads(grid, topology, ["wing"], "wing")])
+    points = grid.points[topology.first[nodes]]
+    return grid, points[points[:, 1] > 0.2]
+
+
+def table(change: Callable[[np.ndarray], np.ndarray], motion: Callable[[np.ndarray], np.ndarray] | None = None):
+    """Writes ``wing.cgns`` and ``wrong.csv``: the points, changed, and their displacements."""
+
+    def write() -> None:
+        grid, points = wing()
+        write_grid(grid, Path("wing.cgns"))
+        moved = motion(points) if motion else np.full_like(points, 0.01)
+        columns = np.hstack([change(points), moved])
+        np.savetxt("wrong.csv", columns, "%.17g", delimiter=",", header="x,y,z,dx,dy,dz", comments="")
+
+    return write
+
+
+def numbered() -> None:
+    """Writes ``wrong.csv`` with numbers and positions of points, as SU2 does."""
+    grid, points = wing()
+    write_grid(grid, Path("wing.cgns"))
+    np.savetxt("wrong.csv", np.column_stack([np.arange(len(points)), points]), "%.17g")
+
+
+def edited(name: str, old: str, new: str):
+    """Replaces a text of a file."""
+
+    def write() -> None:
+        text = Path(name).read_text()
+        assert old in text
+        Path(name).write_text(text.replace(old, new))
+
+    return write
+
+
+def deep_keys() -> None:
+    Path("case.toml").write_text(f"{'a.' * 1000}a = 1\n{Path('case.toml').read_text()}")
+
+
+def own_notes() -> None:
+    Path("out.invalid.xyz").write_text("my own notes")
+
+
+def nothing() -> None:
+    """No file is changed."""
+
+
+# What is done first, the command, and the first line of the message.
 MISTAKES = {
-    "command": (("deforn", "grid.xyz"), "No such command 'deforn'; did you mean 'deform'?"),
-    "method": ((*DEFORM, "-m", "idv"), "--method idv: method 'idv' is unknown; known are "),
-    "constant": ((*DEFORM, "-s", "turn=10"), "--set 'turn=10': unknown key 'turn'; did you mean 'constants.turn'?"),
-    "option of another command": (("quality", "grid.xyz", "-m", "tfi"), "No such option '-m'"),
-}
+    "command": (nothing, ("deforn", "grid.xyz"), "No such command 'deforn'; did you mean 'deform'?"),
+    "method": (nothing, (*DEFORM, "-m", "idv"), "--method idv: method 'idv' is unknown; known are "),
+    "constant": (
+        nothing, (*DEFORM, "-s", "turn=10"), "--set 'turn=10': unknown key 'turn'; did you mean 'constants.turn'?",
+    ),
+    "option of another command": (nothing, ("quality", "grid.xyz", "-m", "tfi"), "No such option '-m'"),
+    "y and z exchanged": (
+        table(lambda p: p[:, [0, 2, 1]]), WITH_TABLE, "(with its coordinates in the order x z y, 100% of its points",
+    ),
+    "x and z exchanged": (
+        table(lambda p: p[:, [2, 1, 0]]), WITH_TABLE, "(with its coordinates in the order z y x, 100% of its points",
+    ),
+    "all signs": (
+        table(lambda p: -p), WITH_TABLE, "(with the opposite sign of x, y and z, 100% of its points",
+    ),
+    "millimetres": (
+        table(lambda p: 1e3 * p), WITH_TABLE, "in millimetres where the grid is in metres?)",
+    ),
+    "another origin": (
+        table(lambda p: p + [3, 4, 5]), WITH_TABLE, "(shifted by (-3, -4, -5), 100% of its points would",
+    ),
+    "numbers and positions": (numbered, WITH_TABLE, "its first column counts the points: a file of numbers and"),
+    "keys of keys": (deep_keys, DEFORM, "case.toml"),
+    "a kind that is none": (
+        edited("case.toml", '"moving"', '"movin"'), DEFORM, "'movin'",
+    ),
+    "a file with the name of the invalid grid": (
+        own_notes, (*DEFORM, "-s", "constants.turn=85", "--repair", "off"), "out.invalid.xyz",
+    ),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", MISTAKES)
 def test_the_message_names_the_mistake(name, bench, call):
-    arguments, message = MISTAKES[name]
+    prepare, arguments, message = MISTAKES[name]
+    prepare()
     result = call(*arguments)
     assert result.code == 2
-    assert message in result.err
+    assert message in result.error.splitlines()[0] + result.error.splitlines()[-1]
+    assert not Path("out.invalid.xyz").exists() or Path("out.invalid.xyz").read_text() == "my own notes"
+
+
+DOUBTS = {
+    "positions": (table(lambda p: p, lambda p: p), WITH_TABLE, "are they positions?"),
+    "radians": (nothing, (*DEFORM, "-s", "constants.turn=0.17", "--dry-run"), "degrees; angles are in degrees"),
+}
+
+
+@pytest.mark.parametrize("name", DOUBTS)
+def test_what_is_doubtful_is_a_warning_before_anything_is_moved(name, bench, call):
+    prepare, arguments, message = DOUBTS[name]
+    prepare()
+    assert any(message in warning for warning in call(*arguments).warnings)
+
+
+def test_byte_order_marks_of_editors_are_accepted(bench, call):
+    for name in ("case.toml", "table.csv", "grid.p3dfmt"):
+        Path(name).write_bytes(codecs.BOM_UTF8 + Path(name).read_bytes())
+    assert call("deform", "grid.p3dfmt", "-c", "case.toml", "-o", "out.p3dfmt", "-q").code == 0
+    assert call("deform", "grid.p3dfmt", "-d", "table.csv", "-o", "moved.p3dfmt", "-q").code == 0
+
+
+def test_a_dry_run_that_finds_no_valid_grid_ends_with_3(bench, call):
+    """The bar leaves the grid."""
+    edited("case.toml", "{ rotate = {", "{ translate = [3.0, 0, 0] }, { rotate = {")()
+    assert call(*DEFORM, "--dry-run").code == 3
+
+
+def test_mistakes_in_python_are_messages(bench):
+    with pytest.raises(md.MeshDeformError, match="a"):
+        md.prepare("grid.xyz", moving={"a": []})
+    with pytest.raises(md.MeshDeformError, match="1000000000"):
+        md.sample("beam", 10**9)
 
 
 def test_a_function_of_the_points_alone_is_refused_as_a_motion():
