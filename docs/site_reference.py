@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import importlib
 import inspect
 import re
 from collections.abc import Iterator
+from importlib.util import find_spec
 from typing import Any
 
 import click
@@ -12,6 +14,13 @@ import click
 import meshdeform
 from meshdeform_cli.main import cli
 from meshdeform_formats.report.schema import report_schema
+
+INTERFACES = {
+    "meshdeform.compat.idwarp": (),
+    "meshdeform.openmdao": ("openmdao", "mphys"),
+    "meshdeform.jax": ("jax",),
+}
+"""Modules beside ``import meshdeform``, and what they need."""
 
 
 def command_page() -> str:
@@ -31,7 +40,21 @@ def python_page() -> str:
     for name in meshdeform.__all__:
         if not name.startswith("__"):
             parts += _object(name, getattr(meshdeform, name), "##")
+    for module in INTERFACES:
+        parts += _interface(module)
     return "\n\n".join(parts) + "\n"
+
+
+def _interface(name: str) -> Iterator[str]:
+    """A module with everything that it offers; only its summary where the extra that it needs is not installed."""
+    yield f"## {name}"
+    if not all(map(find_spec, INTERFACES[name])):
+        yield f"Needs {' and '.join(INTERFACES[name])}."
+        return
+    module = importlib.import_module(name)
+    yield _text(inspect.getdoc(module) or "")
+    for each in module.__all__:
+        yield from _object(each, getattr(module, each), "###")
 
 
 def _object(name: str, thing: Any, level: str) -> Iterator[str]:
@@ -40,13 +63,19 @@ def _object(name: str, thing: Any, level: str) -> Iterator[str]:
         yield f"```python\n{name}{_signature(thing)}\n```"
     yield _text(inspect.getdoc(thing) or "")
     if inspect.isclass(thing) and thing.__module__.startswith("meshdeform."):
-        for member, value in vars(thing).items():
-            if not member.startswith("_") and inspect.getdoc(value):
-                yield from _member(f"{name}.{member}", value)
+        for member, value in _members(thing).items():
+            if not member.startswith("_") and value.__doc__:
+                yield from _member(f"{name}.{member}", value, f"{level}#")
 
 
-def _member(name: str, value: Any) -> Iterator[str]:
-    yield f"### {name}"
+def _members(thing: type) -> dict[str, Any]:
+    """What a class defines, with what it has from private bases."""
+    own = [each for each in thing.__mro__ if each is thing or each.__name__.startswith("_")]
+    return {name: value for each in own for name, value in vars(each).items()}
+
+
+def _member(name: str, value: Any, level: str) -> Iterator[str]:
+    yield f"{level} {name}"
     function = value.__func__ if isinstance(value, classmethod | staticmethod) else value
     if inspect.isfunction(function):
         yield f"```python\n{name}{_signature(function)}\n```"

@@ -74,6 +74,7 @@ class MeshDeformComp(_OnMesh):
     -------
     mesh : made by :func:`meshdeform.prepare`, with the communicator of the component if that has several ranks
     surface, volume : names of the input and the output
+    initial : name of a further input without effect: MPhys scenarios connect the undeformed surface
     steps, repair : as of :meth:`Mesh.deform`, by default one step without repair, which has an exact derivative
 
     Raises
@@ -86,6 +87,7 @@ class MeshDeformComp(_OnMesh):
         super().initialize()
         self.options.declare("surface", default=_SURFACE.COORDINATES, desc="name of the surface coordinates")
         self.options.declare("volume", default=VOLUME, desc="name of the volume coordinates")
+        self.options.declare("initial", default="", desc="name of the undeformed surface, an input without effect")
         self.options.declare("steps", default=1, desc="as of Mesh.deform")
         self.options.declare("repair", default="off", values=["off", "auto", "polish"], desc="as of Mesh.deform")
         self._derivative: Linearisation | None = None
@@ -95,7 +97,8 @@ class MeshDeformComp(_OnMesh):
         super().setup()
         o, mesh = self.options, self.mesh
         points, nodes = mesh.points[self.own_points], mesh._setup.grid.points[self.own_nodes]
-        self.add_input(o["surface"], points.ravel(), distributed=self.divided, tags=["mphys_coordinates"])
+        for name in filter(None, (o["surface"], o["initial"])):
+            self.add_input(name, points.ravel(), distributed=self.divided, tags=["mphys_coordinates"])
         self.add_output(o["volume"], nodes.ravel(), distributed=self.divided, tags=["mphys_coupling"])
 
     def compute(self, inputs: Any, outputs: Any) -> None:
@@ -307,7 +310,7 @@ class MeshDeformBuilder(Builder):
 
     def get_coupling_group_subsystem(self, scenario_name: str | None = None) -> Any:
         """The deformation, followed by the solver if there is one."""
-        deformation = MeshDeformComp(mesh=self.mesh, **self._options)
+        deformation = MeshDeformComp(mesh=self.mesh, initial=_SURFACE.COORDINATES_INITIAL, **self._options)
         if self._solver is None:
             return deformation
         solver = self._solver.get_coupling_group_subsystem(scenario_name)
@@ -319,8 +322,8 @@ class MeshDeformBuilder(Builder):
         if self._measures:
             parts["quality"] = MeshQualityComp(mesh=self.mesh, measures=self._measures)
         solver = None if self._solver is None else self._solver.get_post_coupling_subsystem(scenario_name)
-        if solver is None:
-            return parts.get("quality")
+        if solver is None or not parts:
+            return solver or parts.get("quality")
         return DeformationGroup(parts={**parts, "solver": solver})
 
     def get_number_of_nodes(self, groupName: str | None = None) -> int:

@@ -27,7 +27,6 @@ from .repair.constraints import Constraints
 from .repair.outcome import Repair
 from .repair.regions import WEAK
 from .repair.repair import Repairer
-from .repair.time_limit import TimeLimit
 from .setup import Case, Undeformed
 
 MANY = 0.01
@@ -98,8 +97,8 @@ def mend(
     # Another program may have left nodes beside the surface on which they slide.
     constraints = Constraints.of(original, topology, boundary).without_sliding()
     moved = np.abs(grid.points - original.points)[topology.first].max(axis=1) > 0.0
-    constraints = dataclasses.replace(constraints, walls=constraints.held & moved)
-    limit = TimeLimit(case.repair.time_limit)
+    constraints = dataclasses.replace(constraints, walls=constraints.walls | (constraints.held & moved))
+    limit = Limit.of(original.n_nodes, case.repair.time_limit)
     repairer = Repairer(Basis(measured, constraints), lambda points: rounded(points, width), memory, progress, limit)
     cells = Comparison(measured, rounded(grid.points, width))
     found = _Found(grid.points, cells.verdict)

@@ -164,6 +164,8 @@ def test_generated_reference_has_every_name_command_and_key():
     for name in meshdeform.__all__:
         assert name.startswith("__") or f"\n## {name}\n" in page
     assert "### Mesh.deform" in page
+    for name in ("## meshdeform.compat.idwarp", "### USMesh", "#### USMesh.warpMesh", "## meshdeform.openmdao"):
+        assert f"\n{name}\n" in page
     commands = site_reference.command_page()
     for name in cli.list_commands(None):
         assert f"\n## {name}\n" in commands

@@ -123,12 +123,17 @@ def moving_walls(grid: Grid, topology: Topology, boundary: Boundary) -> list[Wal
 
 def fixed_walls(grid: Grid, topology: Topology, boundary: Boundary) -> list[WallFace]:
     """All block faces with fixed quads that are likely to be walls, not far field."""
+    return wall_faces(grid, topology, fixed_wall_quads(grid, topology, boundary))
+
+
+def fixed_wall_quads(grid: Grid, topology: Topology, boundary: Boundary) -> BoolArray:
+    """(n_quads,) fixed face quads that are likely to be walls, not far field."""
     fixed = np.asarray(boundary.quad_kind == Kind.FIXED)
     if fixed.any():
         outside = find_outside(grid, topology)
         walls = [f.quads for f, role in zip(outside.faces, outside.roles, strict=True) if role is Role.WALL]
         fixed &= np.isin(np.arange(len(fixed)), np.concatenate(walls) if walls else [])
-    return wall_faces(grid, topology, fixed)
+    return fixed
 
 
 def wall_faces(grid: Grid, topology: Topology, chosen: BoolArray) -> list[WallFace]:

@@ -11,6 +11,7 @@ from ..boundary import Boundary, Kind
 from ..grid import BoolArray, FloatArray, Grid, IntArray
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology
+from ..quality.lines import fixed_wall_quads
 from .sliding import Sliding
 
 
@@ -22,7 +23,7 @@ class Constraints:
     ----------
     grid, topology : undeformed
     held : (n_unique,) nodes that stay where they are: moving, fixed, and those at edges of curved slip surfaces
-    walls : (n_unique,) moving nodes
+    walls : (n_unique,) moving nodes, and those of fixed faces that are likely to be walls, not far field
     removed : (n_unique, 3, 3) projectors on the directions in which a node must not move
     root : (n_unique,) the smallest of the periodic images of a node, which has the unknown of all of them
     turn : node -> rotation (3, 3) from its root, where that is not the identity
@@ -67,7 +68,9 @@ class Constraints:
                 removed[root[node]] += rotation.T @ removed[node] @ rotation
         several = np.flatnonzero(np.einsum("nii->n", removed) > 1.5)
         removed[several] = _spans(removed[several])
-        return cls(grid, topology, held, boundary.kind == Kind.MOVING, removed, root, turn, sliding)
+        walls = boundary.kind == Kind.MOVING
+        walls[topology.quads.corners[fixed_wall_quads(grid, topology, boundary)]] = True
+        return cls(grid, topology, held, walls, removed, root, turn, sliding)
 
 
 def _on_one_surface(topology: Topology, boundary: Boundary) -> BoolArray:

@@ -74,7 +74,7 @@ class Neighbourhood:
 
     @cached_property
     def _from_walls(self) -> FloatArray:
-        """How near every block node is to moving walls, (n_nodes,)."""
+        """How near every block node is to walls, (n_nodes,)."""
         walls = self.topology.face_nodes[self.constraints.walls[self.topology.number]]
         return nearness(self._layers(walls, UNLIMITED))
 

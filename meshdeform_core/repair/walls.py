@@ -1,4 +1,4 @@
-"""Weights of cells in a repair: those near moving walls turn with the wall, boundary layers keep their heights.
+"""Weights of cells in a repair: those near walls turn with the wall or stay, boundary layers keep their heights.
 
 With equal weights everywhere, the minimum of the energy concentrates shear at a rotating wall (in a ring, as 1 / r^2),
 where first cells would lose nine tenths of their height. Weights that fall with a high power of distance reverse that.
@@ -17,7 +17,7 @@ from ..grid import FloatArray, IntArray
 
 REACH = 32
 _SHARE = 0.4
-"""Cells count more up to REACH cells from moving walls, and up to this share of the largest distance in the grid: where
+"""Cells count more up to REACH cells from walls, and up to this share of the largest distance in the grid: where
 there is little room, walls must give, too."""
 FALL, FIRST, STEEP = 2.5, 400.0, 4.0
 """At a share s of that distance, cells count s^-FALL times as much, and those in layer l at least FIRST / l^STEEP times
@@ -28,7 +28,7 @@ THIN, GROWTH, HEAVIEST = 50.0, 1.25, 40.0
 
 
 def nearness(layers: np.ndarray) -> FloatArray:
-    """Distance of nodes from moving walls relative to their reach, (n,), at most 1; 1 without any walls.
+    """Distance of nodes from walls relative to their reach, (n,), at most 1; 1 without any walls.
 
     ``layers`` (n,) are the distances in cells, -1 where no wall can be reached.
     """
@@ -38,7 +38,7 @@ def nearness(layers: np.ndarray) -> FloatArray:
 
 def weigh(share: FloatArray, first: float, start: FloatArray, cells: IntArray) -> FloatArray:
     """Weights (m,) of cells (m, k) among the undeformed nodes ``start`` (n, d); ``share`` (m, k) is the
-    :func:`nearness` of their nodes, ``first`` that of nodes on moving walls."""
+    :func:`nearness` of their nodes, ``first`` that of nodes on walls."""
     near = share.min(axis=1)
     thin = np.clip((_aspect_ratio(start, cells) / THIN) ** GROWTH, 1.0, HEAVIEST)
     # The layer, from 1 at walls.

@@ -10,8 +10,9 @@ om = pytest.importorskip("openmdao.api")
 pytest.importorskip("mphys")
 from mphys.core import Builder, MPhysVariables, Multipoint  # noqa: E402
 from mphys.scenarios.aerodynamic import ScenarioAerodynamic  # noqa: E402
+from mphys.scenarios.aerostructural import ScenarioAeroStructural  # noqa: E402
 
-from meshdeform.openmdao import MeshDeformBuilder, MeshDeformComp, MeshQualityComp  # noqa: E402
+from meshdeform.openmdao import MeshCoordinates, MeshDeformBuilder, MeshDeformComp, MeshQualityComp  # noqa: E402
 
 BODY = {"body": ["block2.imax", "block4.jmax", "block5.jmin", "block7.imin"]}
 X = MPhysVariables.Aerodynamics.Surface
@@ -180,6 +181,95 @@ def test_a_scenario_of_mphys(mesh):
     assert len(found) == 2
     for pair in found.values():
         assert_exact(pair)
+
+
+class Stand(om.ExplicitComponent):
+    """A part of a scenario: outputs of given sizes and tags from inputs with given tags."""
+
+    def initialize(self):
+        self.options.declare("takes")
+        self.options.declare("gives")
+
+    def setup(self):
+        for name, tag in self.options["takes"].items():
+            self.add_input(name, shape_by_conn=True, tags=[tag])
+        for name, (size, tag) in self.options["gives"].items():
+            self.add_output(name, shape=size, tags=[tag])
+
+    def compute(self, inputs, outputs):
+        total = sum(np.sin(values).sum() for values in inputs.values())
+        for name, (size, _) in self.options["gives"].items():
+            outputs[name] = 1e-3 * total * np.sin(np.arange(size)) * np.tile([1.0, 1.0, 0.0], size // 3 or 1)[:size]
+
+
+PLACE, BOTH = "mphys_coordinates", "mphys_coupling"
+
+
+class AeroBuilder(Builder):
+    """The solver: loads from surface and volume coordinates."""
+
+    def __init__(self, size):
+        self.size = size
+
+    def get_pre_coupling_subsystem(self, scenario_name=None):
+        return Stand(takes={X.COORDINATES_INITIAL: PLACE}, gives={"prestate_aero": (1, BOTH)})
+
+    def get_coupling_group_subsystem(self, scenario_name=None):
+        takes = {X.COORDINATES: PLACE, "prestate_aero": BOTH, "x_aero_volume": BOTH}
+        return Stand(takes=takes, gives={X.LOADS: (self.size, BOTH)})
+
+    def get_post_coupling_subsystem(self, scenario_name=None):
+        return Stand(takes={X.LOADS: BOTH}, gives={"func_aero": (1, "mphys_result")})
+
+
+S = MPhysVariables.Structures
+
+
+class StructBuilder(AeroBuilder):
+    def get_mesh_coordinate_subsystem(self, scenario_name=None):
+        mesh = om.IndepVarComp()
+        mesh.add_output(S.Mesh.COORDINATES, np.ones(self.size), tags=[PLACE])
+        return mesh
+
+    def get_pre_coupling_subsystem(self, scenario_name=None):
+        return None
+
+    get_post_coupling_subsystem = get_pre_coupling_subsystem
+
+    def get_coupling_group_subsystem(self, scenario_name=None):
+        takes = {S.COORDINATES: PLACE, S.Loads.AERODYNAMIC: BOTH}
+        return Stand(takes=takes, gives={S.DISPLACEMENTS: (self.size, BOTH)})
+
+
+class TransferBuilder(AeroBuilder):
+    get_pre_coupling_subsystem = get_post_coupling_subsystem = StructBuilder.get_pre_coupling_subsystem
+
+    def get_coupling_group_subsystem(self, scenario_name=None):
+        displacement = Stand(takes={S.DISPLACEMENTS: BOTH}, gives={X.DISPLACEMENTS: (self.size, BOTH)})
+        return displacement, Stand(takes={X.LOADS: BOTH}, gives={S.Loads.AERODYNAMIC: (self.size, BOTH)})
+
+
+@pytest.mark.parametrize("kind", ["aerodynamic", "alone", "aerostructural"])
+def test_scenarios_that_mphys_connects(mesh, kind):
+    """In parallel multipoint problems the scenario calls the builder and connects everything itself."""
+    size = mesh.points.size
+    builder = MeshDeformBuilder(lambda comm: mesh, solver=None if kind == "alone" else AeroBuilder(size))
+    given = {"aero_builder": builder, "in_MultipointParallel": True}
+    if kind == "aerostructural":
+        given |= {"struct_builder": StructBuilder(size), "ldxfer_builder": TransferBuilder(size)}
+    problem = om.Problem()
+    made = (ScenarioAeroStructural if kind == "aerostructural" else ScenarioAerodynamic)(**given)
+    scenario = problem.model.add_subsystem("scenario", made)
+    problem.setup()
+    problem.set_solver_print(-1)
+    problem.run_model()
+    assert not any("auto_ivc" in source for source in problem.model._conn_global_abs_in2out.values())
+    assert isinstance(scenario.aero_mesh if kind == "aerostructural" else scenario.mesh, MeshCoordinates)
+    moved = problem.get_val(f"scenario.{X.COORDINATES}").reshape(-1, 3) - mesh.points
+    assert moved.any() == (kind == "aerostructural")
+    step = mesh.deform(moved, repair="off")
+    whole = np.concatenate([block.ravel() for block in step.grid.blocks])
+    np.testing.assert_allclose(problem.get_val("scenario.x_aero_volume"), whole, atol=1e-12)
 
 
 def test_what_mphys_asks_a_builder(mesh):

@@ -3,7 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+from cases import formulas
 
+from meshdeform_core.boundary import BoundarySpec, Kind
+from meshdeform_core.deform import Case, Timing, impose, set_up
+from meshdeform_core.grid import Grid
+from meshdeform_core.methods import Options
+from meshdeform_core.repair.constraints import Constraints
 from meshdeform_core.repair.walls import nearness, weigh
 
 
@@ -17,3 +23,25 @@ def test_first_cells_at_walls_weigh_most_however_few_layers_there_are():
         assert weight[0] > weight[1] >= weight[2] >= 1.0
     free = nearness(np.full(10, -1))
     np.testing.assert_array_equal(weigh(free[cells], float(free.min()), start, cells), 1.0)
+
+
+def test_fixed_walls_are_kept_like_moving_ones():
+    """A channel whose roof comes down, with clustered cells at both walls; the far ends are no walls."""
+    x, s = np.linspace(-3.0, 3.0, 61), np.linspace(-1.0, 1.0, 25)
+    y = np.tile(0.5 + 0.5 * np.tanh(2.2 * s) / np.tanh(2.2), (x.size, 1))
+    grid = Grid.from_blocks([np.stack([x[:, None] + 0.0 * y, y, 0.0 * y], axis=-1)[:, :, None]])
+    lowered = formulas("0", "-0.9*exp(-(x/0.6)**2)", "0")
+    specs = (
+        BoundarySpec("roof", ("*.jmax",), Kind.MOVING, None, lowered),
+        BoundarySpec("floor", ("*.jmin",), Kind.FIXED),
+    )
+    setup = set_up(grid, Case(specs, method=Options("idw")))
+    constraints = Constraints.of(setup.grid, setup.topology, setup.boundary)
+    at_wall = setup.grid.points[setup.topology.first[constraints.walls]]
+    assert set(np.unique(at_wall[:, 1])) == {0.0, 1.0}
+    result = impose(setup, setup.motion(0.0), None, "float64", Timing())
+    assert result.valid
+    assert result.repair.converged
+    walls = result.assessment.after.walls
+    assert walls["fixed"].first_cell_height_ratio.min > 0.3
+    assert walls["fixed"].wall_normal_deviation_deg.rms < 10.0
