@@ -182,7 +182,11 @@ def _find_impossible(course: Course) -> _Impossible | None:
 def _give_up(course: Course) -> None:
     attempts = course.log.attempts
     reached = max((a.reached for a in attempts if not a.invalid_cells), default=0.0)
-    if course.limit.reached:
+    if course.limit.exhausted:
+        nodes = course.setup.grid.n_nodes
+        text = f"the motion was given up after as much work as is done for {nodes:,} nodes (docs/validity.md)"
+        course.log.warn(Notice(text, "the limit on work"))
+    elif course.limit.late:
         course.log.warn(f"the time limit of {course.limit.seconds:g} s was reached ([repair] time_limit)")
     part = f"only for {reached:.1%} of it" if reached else "nor for any part of it that was tried"
     text = (

@@ -18,8 +18,8 @@ from .grid.precision import rounded
 from .methods import Options, PreparedMethod, Progress
 from .methods.components import PreparedComponents
 from .notices import Notice, first_of_each_kind, kind_of
+from .repair.limit import Limit
 from .repair.repair import Repairer
-from .repair.time_limit import TimeLimit
 from .setup import BoundaryMotion, Setup, Start, Timing
 
 _FEWEST_UNITS = 100
@@ -90,7 +90,7 @@ class Course:
     timing: Timing
     progress: Progress | None
     start: Start
-    limit: TimeLimit
+    limit: Limit
     log: Log = field(default_factory=Log)
     latest: LastPrepared = field(default_factory=LastPrepared)
 
@@ -138,7 +138,7 @@ class Course:
             points = own.grid.points if start.points is whole.grid.points else component.rows(whole.grid, start.points)
             correction = partial(_part_of, component, whole.grid, start.correction)
             begin = dataclasses.replace(start, points=points, prepared=method, correction=correction)
-            setup, limit = Setup(own, whole.case, ()), TimeLimit(whole.case.repair.time_limit)
+            setup, limit = Setup(own, whole.case, ()), Limit.of(own.grid.n_nodes, whole.case.repair.time_limit)
             path = partial(_motion_of, component, self)
             course = Course(setup, path, self.precision, self.timing, self.progress, begin, limit)
             course.latest.put(points, whole.case.method, method)

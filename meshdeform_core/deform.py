@@ -22,9 +22,9 @@ from .notices import Notice
 from .quality import Assessment, assess
 from .quality.groups import MAX_GROUPS
 from .quality.report import MAX_LISTED
+from .repair.limit import Limit
 from .repair.outcome import Repair
 from .repair.repair import COLLAPSING
-from .repair.time_limit import TimeLimit
 from .setup import BoundaryMotion, Case, Setup, Start, Timing, set_up
 from .steps import Reached, State, beginning
 
@@ -131,7 +131,7 @@ def impose(
     start: Start | None = None,
 ) -> Result:
     """Impose a motion of the boundary, from the undeformed grid or from ``start``; see :func:`deform`."""
-    limit = TimeLimit(setup.case.repair.time_limit)
+    limit = Limit.of(setup.grid.n_nodes, setup.case.repair.time_limit)
     begin = start or Start(setup.grid.points)
     course = Course(setup, motion, precision, timing, progress, begin, limit)
     course.latest.put(begin.points, setup.case.method, begin.prepared)

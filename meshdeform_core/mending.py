@@ -24,6 +24,7 @@ from .quality.validity import Verdict, judge
 from .renewal import renewed
 from .repair.basis import Basis
 from .repair.constraints import Constraints
+from .repair.limit import Limit
 from .repair.outcome import Repair
 from .repair.regions import WEAK
 from .repair.repair import Repairer

@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 
 from ..grid import FloatArray, IntArray
 from .basis import Whole
+from .limit import Limit
 from .onset import share_of
 from .untangle import Pace, Untangler
 
 # A regularisation that begins large and falls slowly finds valid grids where a quick one is caught.
-QUICK, PATIENT = Pace(60, 2.0, 0.2), Pace(200, 50.0, 0.1)
+QUICK, PATIENT = Pace(60, 2.0, 0.2, around=40), Pace(200, 50.0, 0.1)
 # Where no valid grid exists, most cells that can become valid do so early.
 HASTY = Pace(30, 2.0, 0.3)
 _CONVERGING = 60
@@ -29,6 +30,7 @@ class Search:
 
     Block nodes ``moved`` (k,) with their ``shift`` (k, 3); whether it has ``succeeded``: the minimum is reached, or no
     sample of a region is inverted any more; the largest f ``before``, infinite where a sample was inverted, and after.
+    ``untangled`` is the shift at which no sample was inverted any more, where the minimum was not reached from there.
     """
 
     moved: IntArray
@@ -37,6 +39,7 @@ class Search:
     steps: int
     before: float = 0.0
     after: float = 0.0
+    untangled: FloatArray | None = None
 
 
 def most_steps(n_unknowns: int) -> int:
@@ -50,7 +53,7 @@ def minimise(
     polish: bool,
     guess: FloatArray | None,
     progress: Progress | None,
-    late: Callable[[], bool],
+    limit: Limit,
 ) -> Search | None:
     """Search the minimum from ``points`` (n_nodes, 3) of the method, moved by a ``guess``; ``None`` where no cell is
     weak. ``polish``: the energy has its full share in any case, and cells at walls count little more than others."""
@@ -63,8 +66,10 @@ def minimise(
         return None
     region = replace(plot.region, energy=energy)
     start = reference if guess is None else plot.inside(points + guess)
-    untangler = Untangler(region, start, reference, whole.system, progress=progress, late=late)
+    untangler = Untangler(region, start, reference, whole.system, progress=progress, limit=limit)
     most = most_steps(region.n_unknowns)
-    converged = untangler.untangle(replace(QUICK, steps=min(QUICK.steps, most)))
-    converged = converged and untangler.minimise(share, min(_CONVERGING, most), whole.edges)
-    return Search(plot.moved, plot.shift(untangler.x - reference), converged, untangler.steps)
+    untangled = untangler.untangle(replace(QUICK, steps=min(QUICK.steps, most)))
+    first = plot.shift(untangler.x - reference) if untangled else None
+    converged = untangled and untangler.minimise(share, min(_CONVERGING, most), whole.edges)
+    shift = plot.shift(untangler.x - reference)
+    return Search(plot.moved, shift, converged, untangler.steps, untangled=None if converged else first)

@@ -132,7 +132,7 @@ class Neighbourhood:
         samples = cell_samples()
         mask = sound_samples(start, cells, samples, sign, COLLAPSED)
         mask &= samples_with_any(moves[cells], samples)
-        return Hexahedra(start, cells, mask, samples, weight, np.ones(len(cells)))
+        return Hexahedra(start, cells, cells, mask, samples, weight, np.ones(len(cells)))
 
     def _owners(self, flat: IntArray) -> IntArray:
         """The block node that stands for each of ``flat``."""

@@ -17,10 +17,14 @@ from .region import Penalty, Region, Rows
 _ROWS = 2048
 # Rows of vectors, which are cheaper.
 _LONG = 1 << 16
+# Of a block in a product of the matrix; measured.
+_BLOCK = 0.0045
 
 
 class NewtonSystem:
     """Gradient and Hessian of a region's energy, filled anew in every step.
+
+    ``work`` is that of an iteration, see :mod:`.limit`; ``iterations`` those of the last direction.
 
     The Hessian is scaled from both sides by the Cholesky factors of its diagonal blocks (block-Jacobi
     preconditioning) and kept in single precision, which only makes steps a little inexact.
@@ -46,6 +50,7 @@ class NewtonSystem:
         self._matrix = np.empty((len(self._columns), d, d), np.float32)
         self._factor = np.empty((n, d, d))
         self._multiply = multiply_rows if d == 3 else multiply_plane_rows
+        self.work, self.iterations = _BLOCK * len(self._columns), 0
         self.gradient = np.empty((n, d))
 
     @staticmethod
@@ -89,9 +94,11 @@ class NewtonSystem:
         rho = _sum_over_rows(partial(dot_rows, flat[1], flat[1]), n * d)
         goal, convex = tolerance * tolerance * rho, True
         matrix = self._matrix, self._starts, self._columns
+        self.iterations = 0
         for _ in range(most):
             if rho <= goal:
                 break
+            self.iterations += 1
             curvature = _sum_over_rows(partial(self._multiply, *matrix, p, image), n)
             if curvature <= 0.0:
                 convex = False

@@ -17,6 +17,8 @@ from ..numerics.cell.foldover_plane import add_triangles, corner_triangles, ener
 COLLAPSED = 1e-10
 """A Jacobian below this share of the product of the edges is that of a collapsed corner."""
 _CORNERS = (1 << 8) - 1
+# Of the derivatives of a sample of a hexahedron, and of a triangle; measured.
+_SAMPLE, _TRIANGLE = 0.9, 0.4
 HEALTHY, SOFT, NORM = 2.5, 0.5, 24.0
 """An element is healthy while its f, regularised by SOFT, is below HEALTHY: sheared by less than 45 degrees, or shorter
 or longer by less than 2. The excess log(f / HEALTHY) of the corners of a cell is combined in a NORM, as that of cells
@@ -66,6 +68,11 @@ class Energy(Protocol):
     @property
     def nodes(self) -> IntArray: ...
 
+    @property
+    def work(self) -> float:
+        """That of the second derivatives of all elements, see :mod:`.limit`."""
+        ...
+
     def edges(self) -> FloatArray:
         """(n,) the shortest undeformed edge at every node, infinite where there is none of any length."""
         ...
@@ -97,7 +104,7 @@ class Hexahedra:
 
     Attributes
     ----------
-    start : (n, 3) undeformed coordinates
+    start, own : (k, 3) undeformed coordinates, and those (m, 8) of each cell
     nodes : (m, 8) as in :func:`..numerics.cell.foldover.cell_samples`
     mask : (m,) int64, bit s set where sample point s counts
     samples : the sample points
@@ -106,11 +113,16 @@ class Hexahedra:
     """
 
     start: FloatArray
+    own: IntArray
     nodes: IntArray
     mask: IntArray
     samples: Samples
     weight: FloatArray
     between: FloatArray
+
+    @cached_property
+    def work(self) -> float:
+        return _SAMPLE * float(np.bitwise_count(self.mask).sum())
 
     def edges(self) -> FloatArray:
         pairs = [(a, a | bit) for a in range(8) for bit in (1, 2, 4) if not a & bit]
@@ -140,7 +152,8 @@ class Hexahedra:
 
     @cached_property
     def _loops(self) -> tuple[Any, ...]:
-        return self.start, self.nodes, self.mask, self.samples, np.stack([self.weight, self.between], axis=1)
+        weights = np.stack([self.weight, self.between], axis=1)
+        return self.nodes, self.start, self.own, self.mask, self.samples, weights
 
 
 @dataclass(frozen=True)
@@ -152,6 +165,10 @@ class Triangles:
     slope: FloatArray
     start: FloatArray
     weight: FloatArray
+
+    @property
+    def work(self) -> float:
+        return _TRIANGLE * len(self.nodes)
 
     def edges(self) -> FloatArray:
         return shortest_edges(self.start, self.nodes, np.array([(0, 1), (0, 2)]))

@@ -10,13 +10,13 @@ import numpy as np
 
 from ..parallel import alone, current_ranks
 from .basis import Basis
+from .limit import Limit
 from .minimum import HASTY, PATIENT, QUICK, Progress, Search, most_steps
 from .neighbourhood import Plot
 from .newton import NewtonSystem
 from .onset import share_of
 from .outcome import Judged
 from .region import Penalty
-from .time_limit import TimeLimit
 from .untangle import Pace, Untangler
 
 WEAK = 0.35
@@ -56,7 +56,7 @@ class Growth:
     basis: Basis
     moved: Callable[[Judged, Search], Judged]
     progress: Progress | None
-    limit: TimeLimit
+    limit: Limit
 
     def best(self, start: Judged, weak: float, way: Way) -> tuple[Judged, int]:
         """The best grid, and the Newton steps taken; cells with a relative Jacobian below ``weak`` are in the middle.
@@ -116,7 +116,7 @@ class Growth:
         start, region = plot.inside(now.points), plot.region
         share, energy = share_of(region.energy, start)
         region = replace(region, energy=energy)
-        untangler = Untangler(region, start, start, NewtonSystem(region), progress=self.progress, late=self.limit.over)
+        untangler = Untangler(region, start, start, NewtonSystem(region), progress=self.progress, limit=self.limit)
         before = untangler.state(start, Penalty()).highest
         most = most_steps(region.n_unknowns)
         untangled = untangler.untangle(replace(way.pace, steps=min(way.pace.steps, most)))

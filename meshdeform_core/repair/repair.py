@@ -17,12 +17,12 @@ from ..memory import UNLIMITED, MemoryLimit
 from ..parallel import alone, current_ranks, empty, for_rows
 from ..quality.validity import Verdict, judge
 from .basis import Basis, Whole
+from .limit import Limit
 from .minimum import Progress, Search, minimise
 from .newton import NewtonSystem
 from .onset import share_of
 from .outcome import Judged, Outcome, Repair
 from .regions import EVERY_WAY, WEAK, Growth, Way
-from .time_limit import TimeLimit
 
 POOR = 0.1
 """Valid cells with a corner below this share of its undeformed Jacobian are counted as weak in reports."""
@@ -45,10 +45,10 @@ class Repairer:
         rounded: Callable[[FloatArray], FloatArray] = lambda points: points,
         memory: MemoryLimit = UNLIMITED,
         progress: Progress | None = None,
-        limit: TimeLimit | None = None,
+        limit: Limit | None = None,
     ):
         self.basis, self.original, self.rounded = basis, basis.original, rounded
-        self.memory, self.progress, self.limit = memory, progress, limit or TimeLimit()
+        self.memory, self.progress, self.limit = memory, progress, limit or Limit()
 
     @property
     def size(self) -> int:
@@ -135,12 +135,16 @@ class Repairer:
             if whole is None:
                 return None
             with alone():
-                return minimise(whole, start.points, polish, guess, self.progress, self.limit.over)
+                return minimise(whole, start.points, polish, guess, self.progress, self.limit)
 
         found = current_ranks().once(make)
         if found is None:
             return start, 0, False
-        return self._moved(start, found), found.steps, found.succeeded
+        end = self._moved(start, found)
+        if not end.verdict.valid and found.untangled is not None:
+            # On the way to a minimum out of reach, cells may become invalid between the samples.
+            end = self._moved(start, replace(found, shift=found.untangled))
+        return end, found.steps, found.succeeded
 
     def _whole(self, basis: Basis) -> Whole | None:
         nodes, dimension = basis.original.grid.n_nodes, basis.original.grid.dimension

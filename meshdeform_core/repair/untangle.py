@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ..grid import FloatArray
 from ..parallel import for_chunks
+from .limit import Limit
 from .newton import NewtonSystem
-from .region import Penalty, Region
+from .region import Energy, Penalty, Region
+from .surroundings import among_others
 
 _ELEMENTS = 4096
+# Of the energy, relative to its derivatives; measured.
+_EVALUATION = 0.15
 _ROUGH, _ROUGH_ITERATIONS = 3e-2, 200
 _FINE, _FINE_ITERATIONS = 1e-5, 5000
 SOFTENED = 0.5
@@ -41,16 +45,17 @@ class State:
 @dataclass(frozen=True)
 class Pace:
     """How patiently a region is untangled: at most so many ``steps``, the ``first`` regularisation, and by which part
-    it falls at the ``slowest``."""
+    it falls at the ``slowest``; before, at most so many steps with cells compared with those ``around``."""
 
     steps: int
     first: float = 0.5
     slowest: float = 0.4
+    around: int = 0
 
 
 @dataclass
 class Untangler:
-    """Moves the unknowns of a region from coordinates ``x`` (n, d), until it is ``late``.
+    """Moves the unknowns of a region from coordinates ``x`` (n, d), within a limit.
 
     ``reference`` (n, d) is where the elastic energy holds them.
     """
@@ -61,7 +66,7 @@ class Untangler:
     system: NewtonSystem
     steps: int = 0
     progress: Callable[[str, int, int], None] | None = None
-    late: Callable[[], bool] = lambda: False
+    limit: Limit = field(default_factory=Limit)
 
     def state(self, x: FloatArray, penalty: Penalty) -> State:
         n = len(self.region.energy.nodes)
@@ -71,28 +76,42 @@ class Untangler:
             parts[low // _ELEMENTS] = self.region.energy.sum(x, self.reference, penalty, low, high)
 
         for_chunks(work, n, _ELEMENTS)
+        self.limit.spend(_EVALUATION * self.region.energy.work)
         return State(x, parts[:, 0].sum(), parts[:, 1].min(), parts[:, 2].max())
 
     def untangle(self, pace: Pace) -> bool:
-        """Newton steps until every determinant is positive.
+        """Newton steps until every determinant is positive: relative to the undeformed cells, but where some are
+        squeezed first to those around them, see :mod:`.surroundings`.
 
         Cells at walls weigh less here than in the energy to be minimised: a fold opens sooner where all take part.
+        """
+        if self.state(self.x, Penalty(pace.first)).lowest > 0.0:
+            return True
+        start, energy = self.x, self.region.energy.softened(SOFTENED)
+        among = among_others(energy, start) if pace.around else None
+        if among is not None and self._untangle(among, replace(pace, steps=pace.around)):
+            return True
+        self.x = start
+        return self._untangle(energy, pace)
+
+    def _untangle(self, energy: Energy, pace: Pace) -> bool:
+        """The same with an energy.
 
         The regularisation falls as in Garanzha et al. 2021 (section 2.3), but by at least ``pace.slowest`` where the
         energy hardly changes any more: a few extra steps at the end cost less than many on the way.
         """
-        region, eps = self.region, pace.first
-        self.region = replace(region, energy=region.energy.softened(SOFTENED))
-        untangled = self._untangle(pace, eps)
-        self.region = region
-        return untangled
+        region, self.region = self.region, replace(self.region, energy=energy)
+        try:
+            return self._descend(pace, pace.first)
+        finally:
+            self.region = region
 
-    def _untangle(self, pace: Pace, eps: float) -> bool:
+    def _descend(self, pace: Pace, eps: float) -> bool:
         for step in range(pace.steps + 1):
             now = self.state(self.x, Penalty(eps))
             if now.lowest > 0.0:
                 return True
-            if step == pace.steps or now.lowest < -_LOCKED * eps or self.late():
+            if step == pace.steps or now.lowest < -_LOCKED * eps or self.limit.over():
                 break
             self._tell(step, pace.steps)
             after = self._step(now, Penalty(eps), _ROUGH)
@@ -108,7 +127,7 @@ class Untangler:
         penalty = Penalty(0.0, share, CUBIC, 1.0)
         now, length = self.state(self.x, penalty), np.inf
         for step in range(most):
-            if self.late():
+            if self.limit.over():
                 break
             self._tell(step, most)
             after = self._step(now, penalty, min(_ROUGH, max(_FINE, 0.1 * length)))
@@ -127,8 +146,8 @@ class Untangler:
         """A step with the complete second derivatives where they are positive definite, and eps is 0."""
         step = self._exact(now, penalty, tolerance) if penalty.eps == 0.0 else None
         if step is None:
-            self.system.fill(self.region, now.x, self.reference, penalty)
-            step, _ = self.system.direction(tolerance, _ROUGH_ITERATIONS)
+            self._fill(now.x, penalty)
+            step, _ = self._direction(tolerance, _ROUGH_ITERATIONS)
         slope = float(np.vdot(step, self.system.gradient))
         self.steps += 1
         length = 1.0
@@ -140,10 +159,19 @@ class Untangler:
         return now
 
     def _exact(self, now: State, penalty: Penalty, tolerance: float) -> FloatArray | None:
-        if not self.system.fill(self.region, now.x, self.reference, penalty._replace(exact=True)):
+        if not self._fill(now.x, penalty._replace(exact=True)):
             return None
-        step, convex = self.system.direction(tolerance, _FINE_ITERATIONS)
+        step, convex = self._direction(tolerance, _FINE_ITERATIONS)
         return step if convex else None
+
+    def _fill(self, x: FloatArray, penalty: Penalty) -> bool:
+        self.limit.spend(self.region.energy.work)
+        return self.system.fill(self.region, x, self.reference, penalty)
+
+    def _direction(self, tolerance: float, most: int) -> tuple[FloatArray, bool]:
+        found = self.system.direction(tolerance, min(most, self.limit.affords(self.system.work)))
+        self.limit.spend(self.system.work * self.system.iterations)
+        return found
 
 
 def _next_eps(eps: float, lowest: float, change: float) -> float:

@@ -18,7 +18,7 @@ from meshdeform_core.errors import MethodError
 from meshdeform_core.memory import MemoryLimit
 from meshdeform_core.methods import Options
 from meshdeform_core.repair import RepairOptions
-from meshdeform_core.repair.time_limit import TimeLimit
+from meshdeform_core.repair.limit import Limit
 from meshdeform_core.series import Schedule, deform_series
 from meshdeform_core.setup import Start
 from meshdeform_core.smoothness import Moment, smoothness
@@ -88,9 +88,7 @@ def test_the_second_level_in_another_way_has_a_velocity_only():
 def test_whichever_way_leads_to_a_valid_grid_the_minimum_is_the_same():
     """Grids of smaller steps and of another method are starts of the search for the minimum of one step."""
     setup = bar(6)
-    course = Course(
-        setup, setup.motion(96.0), "float64", Timing(), None, Start(setup.grid.points), TimeLimit(float("inf"))
-    )
+    course = Course(setup, setup.motion(96.0), "float64", Timing(), None, Start(setup.grid.points), Limit(float("inf")))
     plain = plain_step(beginning(course, setup.case.method), 1.0)
     assert not plain.valid
     direct = repaired(plain)

@@ -66,8 +66,10 @@ def samples_with_any(chosen: np.ndarray, samples: Samples) -> np.ndarray:
 
 
 @inlined
-def _map(x, start, cell, count, node, slope, inverse, b, a):
+def _map(x, cell, start, own, count, node, slope, inverse, b, a):
     """Jacobian matrix ``a`` (3, 3) of the map at a sample point, and ``b`` (m, 3): a = sum of x_n b_n.
+
+    ``cell`` (8,) are rows of ``x``, ``own`` (8,) those of ``start``.
 
     Returns its determinant.
     """
@@ -76,7 +78,7 @@ def _map(x, start, cell, count, node, slope, inverse, b, a):
         for k in range(3):
             e[d, k] = 0.0
     for n in range(count):
-        p = cell[node[n]]
+        p = own[node[n]]
         for d in range(3):
             for k in range(3):
                 e[d, k] += start[p, d] * slope[n, k]
@@ -157,13 +159,13 @@ def _differ(x, reference, cell, count, node, b, e):
 
 
 @kernel
-def energy_of_cells(x, start, cells, mask, samples, weight, reference, penalty, low, high):
+def energy_of_cells(x, cells, start, own, mask, samples, weight, reference, penalty, low, high):
     """Sum of the energy over the cells low <= c < high, smallest D, and largest f.
 
     Parameters
     ----------
-    x, start : (n, 3) deformed and undeformed coordinates
-    cells : (m, 8) nodes
+    x, cells : (n, 3) deformed coordinates, (m, 8) their rows at the corners of cells
+    start, own : (k, 3) undeformed coordinates, (m, 8) their rows
     mask : (m,) int64, bit s set where sample point s counts
     samples : see :class:`Samples`
     weight : (m, 2) w of the cells, and the share of their samples between corners
@@ -179,7 +181,7 @@ def energy_of_cells(x, start, cells, mask, samples, weight, reference, penalty, 
         for s in range(count.size):
             if not mask[c] >> s & 1:
                 continue
-            det = _map(x, start, cells[c], count[s], node[s], slope[s], inverse, b, a)
+            det = _map(x, cells[c], start, own[c], count[s], node[s], slope[s], inverse, b, a)
             chi, _ = _regular(det, eps)
             lowest = min(lowest, det)
             f = np.inf
@@ -221,7 +223,7 @@ def _coefficients(g, det, eps, weight, cubic, exact):
 
 @kernel
 def add_derivatives(
-    x, start, cells, mask, samples, weight, reference, penalty, which, unknowns, rows, matrix, gradient
+    x, cells, start, own, mask, samples, weight, reference, penalty, which, unknowns, rows, matrix, gradient
 ):
     """Add the derivatives of the energy of the cells ``which`` to rows of the gradient and of the Hessian.
 
@@ -247,7 +249,7 @@ def add_derivatives(
             if not mask[c] >> s & 1:
                 continue
             m = count[s]
-            det = _map(x, start, cells[c], m, node[s], slope[s], inverse, b, a)
+            det = _map(x, cells[c], start, own[c], m, node[s], slope[s], inverse, b, a)
             _cofactors(a, k)
             one = share if s < 8 else share * weight[c, 1]
             stiff = elastic if s < 8 else 0.0
@@ -387,7 +389,7 @@ def excess_of_cells(x, start, cells, mask, samples, healthy, norm, eps):
         total = 0.0
         for s in range(count.size):
             if mask[c] >> s & 1:
-                det = _map(x, start, cells[c], count[s], node[s], slope[s], inverse, b, a)
+                det = _map(x, cells[c], start, cells[c], count[s], node[s], slope[s], inverse, b, a)
                 chi, _ = _regular(det, eps)
                 f = _square(a) / 3.0 * chi ** (-2.0 / 3.0) + 0.5 * (det * det + 1.0) / chi
                 if f > healthy:

@@ -1,0 +1,104 @@
+"""Gaps that close to a few percent: cells are compared with those around them, and work is limited by counts."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from cases import body_specs, formulas, turning
+from grids import frame_2d
+
+from meshdeform_core.boundary import BoundarySpec, Kind
+from meshdeform_core.deform import Case, Timing, deform, impose, set_up
+from meshdeform_core.grid import Grid
+from meshdeform_core.repair import limit
+from meshdeform_core.repair.limit import Limit
+from meshdeform_core.repair.minimum import QUICK
+from meshdeform_core.repair.newton import NewtonSystem
+from meshdeform_core.repair.region import Penalty
+from meshdeform_core.repair.surroundings import among_others
+from meshdeform_core.repair.untangle import Untangler
+
+
+def butterfly(n=5, layers=4, planes=27):
+    """A pipe of radius 1 along z: a square in the middle, four blocks around it, cells that thin towards the wall."""
+    s, z = np.linspace(-1.0, 1.0, n), np.linspace(-2.0, 2.0, planes)
+    x, y = np.meshgrid(s, s, indexing="ij")
+    core = 0.45 * np.stack([x * (1.15 - 0.15 * y * y), y * (1.15 - 0.15 * x * x)], axis=-1)
+    plane, share = [core], np.tanh(2.0 * np.linspace(0.0, 1.0, layers)) / np.tanh(2.0)
+    for quarter, side in enumerate((core[-1], core[::-1, -1], core[0, ::-1], core[:, 0])):
+        angle = 0.25 * np.pi * (s + 2.0 * quarter)
+        wall = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        plane.append(side[:, None] * (1.0 - share)[:, None] + wall[:, None] * share[:, None])
+    blocks = [np.empty((*part.shape[:2], planes, 3)) for part in plane]
+    for block, part in zip(blocks, plane, strict=True):
+        block[..., :2], block[..., 2] = part[:, :, None], z
+    return Grid.from_blocks(blocks)
+
+
+def throat(left, grid=None):
+    """The pipe with a wall that closes to a share of its radius at z = 0."""
+    gone = f"{left - 1.0} * exp(-z**2)"
+    motion = formulas(f"x * ({gone})", f"y * ({gone})", "0")
+    wall = BoundarySpec("wall", tuple(f"block{n}.jmax" for n in (2, 3, 4, 5)), Kind.MOVING, None, motion)
+    return set_up(grid or butterfly(), Case((wall, BoundarySpec("ends", ("*.k*",), Kind.SLIP))))
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_cells_that_are_all_stretched_alike_are_healthy_among_each_other(dimension):
+    grid = butterfly(planes=3) if dimension == 3 else frame_2d(4)
+    moving = BoundarySpec("all", ("*",), Kind.MOVING, None, formulas("0", "0", "0"))
+    plot = set_up(grid, Case((moving,))).undeformed.repairs.whole.plot
+    start = plot.inside(grid.points)
+    x = start @ np.array([[0.03, 0.5, 0.0], [0.0, 0.02, 0.1], [0.2, 0.0, 1.0]])[:dimension, :dimension].T
+    own, among = (
+        Untangler(dataclasses.replace(plot.region, energy=energy), x, x, NewtonSystem(plot.region)).state(x, Penalty())
+        for energy in (plot.region.energy, among_others(plot.region.energy, x))
+    )
+    assert own.highest > 20.0
+    assert among.highest == pytest.approx(2.0, abs=1e-9)
+    assert among.lowest == pytest.approx(1.0, abs=1e-9)
+    assert among_others(plot.region.energy, 0.4 * start) is None
+
+
+def test_folds_in_a_throat_open_within_a_few_steps():
+    setup = throat(0.03)
+    plain = impose(setup.with_repair("off"), setup.motion(0.0), 1, "float64", Timing())
+    assert not plain.valid
+    whole = setup.undeformed.repairs.whole
+    x = whole.plot.inside(plain.grid.points)
+    alone, among = (Untangler(whole.plot.region, x, x, NewtonSystem(whole.plot.region)) for _ in range(2))
+    assert not alone.untangle(dataclasses.replace(QUICK, around=0))
+    assert among.untangle(QUICK)
+    assert among.steps <= 10
+
+
+@pytest.mark.slow
+def test_a_throat_that_closes_to_3_percent_is_valid_and_its_wall_where_prescribed():
+    setup = throat(0.03)
+    result = impose(setup, setup.motion(0.0), None, "float64", Timing())
+    assert result.valid
+    told = setup.topology.first[setup.boundary.known]
+    wanted = setup.grid.points[told] + setup.displacement(0.0)[setup.boundary.known]
+    np.testing.assert_allclose(result.grid.points[told], wanted, atol=1e-13)
+
+
+def test_work_is_limited_by_counts(monkeypatch):
+    """The same wherever it is done; whatever was found is kept, and the reason told."""
+    body, _ = body_specs(turning("110"), Kind.SLIP)
+    case = Case((dataclasses.replace(body, select=("*",)),))
+    monkeypatch.setattr(limit, "_PER_NODE", 1e-6)
+    short, again = deform(frame_2d(6), case), deform(frame_2d(6), case)
+    assert not short.valid
+    assert sum(a.repair for a in short.attempts) == 1
+    assert any("as much work as is done for" in text for text in short.warnings)
+    np.testing.assert_array_equal(short.grid.points, again.grid.points)
+
+
+def test_a_limit_of_work():
+    some = Limit(work=10.0)
+    assert (some.affords(2.0), some.affords(100.0), some.reached, some.over()) == (5, 1, False, False)
+    some.spend(10.0)
+    assert (some.affords(2.0), some.exhausted, some.late, some.reached, some.over()) == (1, True, False, True, True)
+    assert Limit.of(10, 1.0).affords(1.0) == Limit.of(1000, 1.0).affords(1.0) < Limit.of(10**6, 1.0).affords(1.0)
