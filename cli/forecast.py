@@ -12,7 +12,7 @@ from meshdeform_core.course import Course, doubts
 from meshdeform_core.deform import Result, Setup, Timing, impose, set_up
 from meshdeform_core.methods import prepare_method
 from meshdeform_core.methods.limits import patch_motions
-from meshdeform_core.repair.time_limit import TimeLimit
+from meshdeform_core.repair.limit import Limit
 from meshdeform_core.setup import Start
 from meshdeform_formats.grids import variant_of
 from meshdeform_formats.report import Report, plan_report
@@ -45,7 +45,7 @@ def plan(job: Job, output: Path | None, imposed: Imposed, variant: dict[str, str
     part = 1 / imposed.steps if isinstance(imposed.steps, int) else 0.0
     first = setup.displacement(imposed.time, part)
     sources = setup.problem.source_numbers
-    course = Course(setup, setup.motion(imposed.time), precision, Timing(), None, Start(setup.grid.points), TimeLimit())
+    course = Course(setup, setup.motion(imposed.time), precision, Timing(), None, Start(setup.grid.points), Limit())
     report["warnings"] += doubts(course, one_of_many=False)
     report["warnings"] += prepared.warnings_for(motion[sources], first[sources])
     expected = forecast(setup, imposed.time, imposed.steps, precision)
