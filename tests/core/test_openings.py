@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from cases import formulas
-from grids import block_around, frame, polar
+from grids import block_around, frame, polar, whole_face
 
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.deform import Case, set_up
 from meshdeform_core.errors import CaseError
-from meshdeform_core.grid import Grid
+from meshdeform_core.grid import Grid, Patch, Side
 from meshdeform_core.grid.openings import describe_group, find_openings, patched_groups
 from meshdeform_core.grid.overset import Overlap
 from meshdeform_core.grid.topology import find_topology
@@ -204,3 +206,15 @@ def test_gaps_and_two_patched_faces_are_described_one_by_one():
     grid = pair(other=6)
     (patched,) = patched_groups(openings(grid))
     assert describe_group(grid, patched).endswith("block1.imax touch, but their nodes do not match (patched blocks)")
+
+
+def test_walls_of_the_file_close_to_each_other_need_no_word_of_the_case():
+    """The same two boxes, whose facing sides the file calls walls."""
+    grid = pair(0.01)
+    whole = [
+        Patch(f"side{b}", (whole_face(grid, b, side),), "", "BCWall") for b, side in ((0, Side.IMAX), (1, Side.IMIN))
+    ]
+    declared = dataclasses.replace(grid, patches=tuple(whole))
+    with pytest.raises(CaseError, match="nearly coincide"):
+        set_up(grid, Case((WALL,)))
+    assert not any("nearly coincide" in text for text in set_up(declared, Case((WALL,))).warnings)
