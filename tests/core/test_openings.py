@@ -211,9 +211,8 @@ def test_gaps_and_two_patched_faces_are_described_one_by_one():
 def test_walls_of_the_file_close_to_each_other_need_no_word_of_the_case():
     """The same two boxes, whose facing sides the file calls walls."""
     grid = pair(0.01)
-    whole = [
-        Patch(f"side{b}", (whole_face(grid, b, side),), "", "BCWall") for b, side in ((0, Side.IMAX), (1, Side.IMIN))
-    ]
+    faces = [whole_face(grid.shapes[b], b, side) for b, side in ((0, Side.IMAX), (1, Side.IMIN))]
+    whole = [Patch(f"side{face.block}", (face,), "", "BCWall") for face in faces]
     declared = dataclasses.replace(grid, patches=tuple(whole))
     with pytest.raises(CaseError, match="nearly coincide"):
         set_up(grid, Case((WALL,)))
