@@ -73,8 +73,8 @@ def _named(grid: Grid, topology: Topology) -> tuple[list[str], list[Patch | None
         first.setdefault(side_name, None)
     index = {name: number for number, name in enumerate(first)}
     group = np.array([index[name] for name in sides], dtype=np.int64)[topology.quads.block_side]
-    quads, patch = quads_of_patches(topology.quads, grid.patches)
-    group[quads] = np.array([index[patch.family or patch.name] for patch in grid.patches], dtype=np.int64)[patch]
+    quads, of_patch = quads_of_patches(topology.quads, grid.patches)
+    group[quads] = np.array([index[each.family or each.name] for each in grid.patches], dtype=np.int64)[of_patch]
     return list(first), list(first.values()), group
 
 

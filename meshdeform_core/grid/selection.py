@@ -53,7 +53,8 @@ def quads_of_windows(quads: FaceQuads, windows: Sequence[Window]) -> tuple[IntAr
     window, place = spans(size.prod(axis=1))
     u, v = np.divmod(place, size[window, 1])
     columns = quads.counts[..., 1].ravel()[side]
-    return (quads.start.ravel()[side] + u0 * columns + v0)[window] + u * columns[window] + v, window
+    first = quads.start.ravel()[side] + u0 * columns + v0
+    return np.asarray(first[window] + u * columns[window] + v, dtype=np.int64), window
 
 
 def quads_of_patch(quads: FaceQuads, patch: Patch) -> IntArray:

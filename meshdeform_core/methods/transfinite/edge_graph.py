@@ -166,7 +166,7 @@ def _segments(points: FloatArray, lines: _Rows, group: IntArray, knot: BoolArray
     rows = _Rows.of(sizes, lines.nodes[first[row] + place])
     steps = np.linalg.norm(points[rows.nodes[1:]] - points[rows.nodes[:-1]], axis=1)
     inner = place[1:] > 0
-    length = np.bincount(row[1:][inner], steps[inner], len(rows))
+    length: FloatArray = np.bincount(row[1:][inner], steps[inner], len(rows)).astype(np.float64, copy=False)
     ends, middle = rows.ends(), (place > 0) & (place < sizes[row] - 1)
     lowest = np.minimum.reduceat(np.where(middle, rows.nodes, len(points)), rows.start[:-1]) if len(rows) else sizes
     sound = np.flatnonzero(length > 0.0)
