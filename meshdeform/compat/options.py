@@ -35,7 +35,7 @@ DEFAULTS: dict[str, Any] = {
 """Options and their defaults; the last two are additions to IDWarp's."""
 
 NOTES = {
-    "errTol": "bounds the error of fast sums relative to the shortest cell edge at a node (1e-8 to 0.1)",
+    "errTol": "fast sums err by at most a thousandth of it, relative to the shortest cell edge at a node",
     "evalMode": "'fast' uses fast sums where they pay, exact ones for smaller grids",
     "useRotations": "rotations are averaged as twists (rotation = 'lie'), independent of the frame",
     "zeroCornerRotations": "rotations near sharp edges are averaged with those around them instead of being zeroed",
@@ -45,6 +45,12 @@ NOTES = {
 }
 """What an option means here where it is not exactly what it means to IDWarp."""
 
+_PART = 1e-3
+"""Tolerance of fast sums, relative to the cell, as part of ``errTol``, which is relative to the displacement.
+
+Differences of grids with steps of 1e-6 then agree with the derivative to 1e-7 (the sample wing with 90,650 nodes), for
+half as much time again as with ``errTol`` itself.
+"""
 _WITH_IDW = {"idw": None, "idw-tfi": TFI, "idw-rbf": RBF}
 _LOWER = {name.lower(): name for name in DEFAULTS}
 _POSITIVE = ("aExp", "bExp", "LdefFact", "alpha", "errTol", "symmTol", "cornerAngle")
@@ -100,7 +106,7 @@ class Options:
             length=v["LdefFact"] * length,
             smoothing="auto" if v["zeroCornerRotations"] else 0,
             summation="auto" if v["evalMode"] == "fast" else "exact",
-            summation_tolerance=min(max(v["errTol"], 1e-8), 0.1),
+            summation_tolerance=min(max(_PART * v["errTol"], 1e-8), 0.1),
         )
         filler = _WITH_IDW[str(chosen)]
         return idw if filler is None else Hybrid(idw, filler())

@@ -1,5 +1,6 @@
 """``meshdeform.compat.idwarp``: the calls of solvers and scripts, and derivatives against differences."""
 
+import dataclasses
 import json
 import subprocess
 import sys
@@ -11,6 +12,7 @@ from solver_stub import Solver
 
 import meshdeform as md
 from meshdeform.compat.idwarp import MultiUSMesh, USMesh
+from meshdeform.compat.options import Options
 from meshdeform_core.grid import Grid, Patch, Side, Window
 
 H = 1e-6
@@ -64,8 +66,13 @@ def differences(mesh, change, grid):
     return (ends[0] - ends[1]) / (2 * H)
 
 
-def test_derivatives_at_the_undeformed_grid(wing):
+@pytest.mark.parametrize("always", [False, True], ids=["where it pays", "always"])
+def test_derivatives_at_the_undeformed_grid(wing, always, monkeypatch):
     """What IDWarp's pull request 111 asks for: no deformation first, and the motion itself as the reference."""
+    if always:
+        # Fast sums pay on larger grids only.
+        chosen = Options.method
+        monkeypatch.setattr(Options, "method", lambda *given: dataclasses.replace(chosen(*given), summation="fast"))
     mesh = USMesh({"gridFile": wing, "errTol": 0.0005, "evalMode": "fast", "symmTol": 1e-6, "bucketSize": 8})
     start = mesh.getSurfaceCoordinates()
     mesh.setSurfaceCoordinates(start)
@@ -260,7 +267,7 @@ def test_options_are_honoured(wing, capsys):
     usual = reach._warp._components[0]._mesh._setup.case.method.idw
     assert (part.a, part.alpha, part.rotation, usual.rotation) == (2.0, 0.3, "none", "lie")
     assert part.length == pytest.approx(50 * usual.length)
-    assert part.summation_tolerance == usual.summation_tolerance == 0.0005
+    assert part.summation_tolerance == usual.summation_tolerance == 5e-7
     with pytest.raises(md.CaseError, match="after the surface"):
         mesh.setOption("alpha", 0.1)
     mesh.printOptions()
