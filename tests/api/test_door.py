@@ -139,6 +139,33 @@ def test_free_faces_follow_the_wall():
     np.testing.assert_allclose(ends[1], 1.1, atol=1e-12)
 
 
+def overlapping() -> md.Grid:
+    """A square behind a smaller one in its middle."""
+    return md.Grid([4.0 * square().blocks[0] - 2.0, square().blocks[0]], ["back.1", "front.1"])
+
+
+@pytest.mark.parametrize("components", ["zone prefix", {"front": "front.*", "back": ["*"]}])
+def test_components_move_each_by_its_own_boundary(components):
+    grid = overlapping()
+    mesh = md.prepare(grid, moving="front.1.jmin", free="front.1.jmax", components=components, method="idw")
+    displacement = np.zeros_like(mesh.points)
+    displacement[:, 1] = 0.1
+    step = mesh.deform(displacement)
+    alone = md.prepare(md.Grid([grid.blocks[1]]), moving="block1.jmin", free="block1.jmax", method="idw")
+    np.testing.assert_array_equal(step.grid.blocks[0], grid.blocks[0])
+    np.testing.assert_array_equal(step.grid.blocks[1], alone.deform(displacement).grid.blocks[0])
+    assert [(part["name"], part["moving_nodes"]) for part in step.report["components"]] == [("back", 0), ("front", 7)]
+    linear = mesh.linearise(displacement)
+    assert not np.any(linear.jvp(displacement)[0])
+
+
+def test_components_are_part_of_a_case_or_an_argument():
+    with pytest.raises(md.MeshDeformError, match="found a case and components"):
+        md.prepare(overlapping(), {"boundary": []}, components="zone prefix")
+    with pytest.raises(md.MeshDeformError, match="found 'zones'"):
+        md.prepare(overlapping(), moving="front.1.jmin", components="zones")
+
+
 def test_periodic_images_follow():
     mesh = md.prepare(square(), moving={"low": "block1.jmin"}, periodic=["block1.imin", "block1.imax"], method="idw")
     displacement = np.zeros_like(mesh.points)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 
+import jsonschema
 import numpy as np
 import pytest
 from grids import block_around, frame, polar
@@ -13,6 +15,7 @@ from meshdeform_core.grid import Field, Grid, Patch, Side, Window
 from meshdeform_formats.case import case_of, read_case
 from meshdeform_formats.grids import read_grid, write_grid
 from meshdeform_formats.joined import grid_of_case, join
+from meshdeform_formats.report.schema import report_schema
 
 LINE = np.linspace(-5.0, 5.0, 9)
 BACKGROUND = Grid.from_blocks([block_around(LINE, LINE, np.linspace(0, 1, 3))])
@@ -88,6 +91,24 @@ def test_one_command_moves_all_files(folder, call):
     after = read_grid(folder / "out.cgns")
     np.testing.assert_array_equal(after.block(0), BACKGROUND.block(0))
     np.testing.assert_allclose(after.block(2), frame(3, 2).block(0) + [0.1, 0.0, 0.0], atol=1e-14)
+
+
+def test_reports_have_a_verdict_for_every_component(folder, call):
+    command = ("deform", folder / "background.xyz", "-c", folder / "case.toml", "-o", folder / "out.cgns", "-q")
+    reports = [folder / f"report{suffix}" for suffix in (".json", ".html", ".md", ".txt")]
+    assert call(*command, *(word for path in reports for word in ("--report", path))).code == 0
+    report = json.loads(reports[0].read_text())
+    jsonschema.Draft202012Validator(report_schema()).validate(report)
+    assert [part["name"] for part in report["components"]] == ["main", "ring", "bar"]
+    assert "3 components, each moved by its own boundary" in reports[1].read_text()
+    assert "| ring | 1 | 255 |" in reports[2].read_text()
+    assert "bar: 8 blocks" in reports[3].read_text()
+    series = ("series", folder / "background.xyz", "-c", folder / "case.toml", "--times", "0,1", "-o", folder / "s")
+    done = call(*series, "--suffix", ".vtm", "-q", "--report", folder / "s.json")
+    assert done.code == 0, done.err
+    report = json.loads((folder / "s.json").read_text())
+    jsonschema.Draft202012Validator(report_schema()).validate(report)
+    assert [part["valid"] for part in report["levels"][1]["components"]] == [True] * 3
 
 
 def test_component_files_are_inputs_that_no_output_replaces(folder, call):

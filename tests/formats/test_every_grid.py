@@ -16,6 +16,7 @@ import vtk_witness
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Grid
 from meshdeform_core.grid.topology import find_topology
+from meshdeform_core.quality.cells import block_volumes
 from meshdeform_formats import read_grid, write_grid
 
 NAMES = (
@@ -115,13 +116,19 @@ def test_single_precision_is_rounding_once(name, third_party, tmp_path):
         assert_same(read_grid(tmp_path / target), rounded)
 
 
+EXPORTS = (
+    (".vtu", {}), (".vtu", {"boundary": "true"}), (".su2", {}), (".msh", {}), (".msh", {"encoding": "ascii"}),
+    (".msh", {"version": "4.1"}), (".inp", {}), (".xdmf", {}), (".med", {}),
+)  # fmt: skip
+
+
 @EACH
-@pytest.mark.parametrize("suffix", [".vtu", ".su2", ".msh", ".inp", ".xdmf"])
-def test_unstructured_export_holds_every_cell_and_point(name, suffix, third_party, tmp_path):
+@pytest.mark.parametrize(("suffix", "options"), EXPORTS, ids=str)
+def test_unstructured_export_holds_every_cell_and_point(name, suffix, options, third_party, tmp_path):
     """Read back by meshio: as many cells as the blocks have, at the oracle's points, each once."""
     grid = read_grid(third_party / name)
     path = tmp_path / f"grid{suffix}"
-    write_grid(grid, path)
+    write_grid(grid, path, options)
     mesh = meshio.read(path)
     kind = "quad" if grid.dimension == 2 else "hexahedron"
     cells = np.concatenate([block.data for block in mesh.cells if block.type == kind])
@@ -134,6 +141,28 @@ def test_unstructured_export_holds_every_cell_and_point(name, suffix, third_part
     points[:, : mesh.points.shape[1]] = mesh.points
     known = np.concatenate([block.reshape(-1, 3) for block in oracle(third_party, name)])
     assert np.isin(_as_rows(points), _as_rows(known)).all()
+
+
+@EACH
+def test_vtk_reads_the_volume_of_every_grid(name, third_party, tmp_path):
+    """The sum over the cells of the .vtu file by the vtk package is that of the blocks."""
+    from vtkmodules.util.numpy_support import vtk_to_numpy
+    from vtkmodules.vtkFiltersVerdict import vtkCellSizeFilter
+    from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridReader
+
+    grid = read_grid(third_party / name)
+    write_grid(grid, tmp_path / "grid.vtu")
+    reader, sizes = vtkXMLUnstructuredGridReader(), vtkCellSizeFilter()
+    reader.SetFileName(str(tmp_path / "grid.vtu"))
+    sizes.SetInputConnection(reader.GetOutputPort())
+    sizes.Update()
+    which = "Area" if grid.dimension == 2 else "Volume"
+    found = vtk_to_numpy(sizes.GetOutput().GetCellData().GetArray(which))
+    assert len(found) == grid.n_cells
+    if grid.dimension == 3:
+        assert (found > 0).all()
+        total = np.abs(block_volumes(grid, grid.points, np.ones(grid.n_blocks))).sum()
+        assert found.sum() == pytest.approx(total, rel=1e-3)
 
 
 def _as_rows(points: np.ndarray) -> np.ndarray:
