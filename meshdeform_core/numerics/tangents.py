@@ -101,18 +101,12 @@ def _inverse(sums, n, change, power, near, crossing, width):
 
 
 @inlined
-def _of_twist(sums, n, points, change, d_rest, rest, power, near, crossing, width, out):
-    inverse, d_inverse = _inverse(sums, n, change, power, near, crossing, width)
-    w0, w1, w2 = sums[n, 1] * inverse + rest[0], sums[n, 2] * inverse + rest[1], sums[n, 3] * inverse + rest[2]
-    v0, v1, v2 = sums[n, 4] * inverse + rest[3], sums[n, 5] * inverse + rest[4], sums[n, 6] * inverse + rest[5]
-    a0 = change[1] * inverse + sums[n, 1] * d_inverse + d_rest[0]
-    a1 = change[2] * inverse + sums[n, 2] * d_inverse + d_rest[1]
-    a2 = change[3] * inverse + sums[n, 3] * d_inverse + d_rest[2]
-    b0 = change[4] * inverse + sums[n, 4] * d_inverse + d_rest[3]
-    b1 = change[5] * inverse + sums[n, 5] * d_inverse + d_rest[4]
-    b2 = change[6] * inverse + sums[n, 6] * d_inverse + d_rest[5]
-    angle2 = w0 * w0 + w1 * w1 + w2 * w2
-    # (1 - cos x) / x^2, (x - sin x) / x^3 and their derivatives with respect to x^2.
+def _twist(sums, n, inverse, rest, twist):
+    """The mean twist (6,) of a node, and for its rotation vector w with x = |w|: (1 - cos x) / x^2, (x - sin x) / x^3
+    and their derivatives with respect to x^2."""
+    for d in range(6):
+        twist[d] = sums[n, 1 + d] * inverse + rest[d]
+    angle2 = twist[0] * twist[0] + twist[1] * twist[1] + twist[2] * twist[2]
     if angle2 < 1e-2:
         b = 0.5 - angle2 * (1.0 / 24.0 - angle2 * (1.0 / 720.0 - angle2 * (1.0 / 40320.0 - angle2 / 3628800.0)))
         c = 1.0 / 6.0 - angle2 * (
@@ -127,6 +121,14 @@ def _of_twist(sums, n, points, change, d_rest, rest, power, near, crossing, widt
         c = (angle - math.sin(angle)) / (angle2 * angle)
         db = (math.sin(angle) / angle - 2.0 * b) / (2.0 * angle2)
         dc = (b - 3.0 * c) / (2.0 * angle2)
+    return b, c, db, dc
+
+
+@inlined
+def _along_twist(twist, d_twist, points, n, b, c, db, dc, out):
+    """Change of the displacement of a node for that of its mean twist."""
+    w0, w1, w2, v0, v1, v2 = twist[0], twist[1], twist[2], twist[3], twist[4], twist[5]
+    a0, a1, a2, b0, b1, b2 = d_twist[0], d_twist[1], d_twist[2], d_twist[3], d_twist[4], d_twist[5]
     turn = 2.0 * (w0 * a0 + w1 * a1 + w2 * a2)
     db, dc = db * turn, dc * turn
     x, y, z = points[n, 0], points[n, 1], points[n, 2]
@@ -142,42 +144,74 @@ def _of_twist(sums, n, points, change, d_rest, rest, power, near, crossing, widt
 
 
 @inlined
-def _of_node(kind, sums, n, points, change, steps, d_rest, rest, power, near, crossing, width, out):
+def _of_twist(sums, n, points, change, d_rest, rest, power, near, crossing, width, twist, d_twist, out):
+    inverse, d_inverse = _inverse(sums, n, change, power, near, crossing, width)
+    b, c, db, dc = _twist(sums, n, inverse, rest, twist)
+    for d in range(6):
+        d_twist[d] = change[1 + d] * inverse + sums[n, 1 + d] * d_inverse + d_rest[d]
+    _along_twist(twist, d_twist, points, n, b, c, db, dc, out)
+
+
+@inlined
+def _of_node(kind, sums, n, points, change, steps, out):
     if kind == 0:
         inverse = 1.0 / sums[n, 0]
         for d in range(3):
             out[d] = _mean(sums, change, n, 1 + d, inverse)
     elif kind == 1:
         _of_quaternion(sums, n, points, change, steps, out)
-    elif kind == 2:
-        _of_affine(sums, n, points, change, out)
     else:
-        _of_twist(sums, n, points, change, d_rest, rest, power, near, crossing, width, out)
+        _of_affine(sums, n, points, change, out)
 
 
 @kernel
 def _tangents(kind, sums, points, changes, steps, d_rest, rest, power, near, crossing, width, out):
+    twist, d_twist = np.empty(6), np.empty(6)
     for n in range(sums.shape[0]):
-        _of_node(kind, sums, n, points, changes[n], steps, d_rest, rest, power, near, crossing, width, out[n])
+        if kind == 3:
+            _of_twist(
+                sums, n, points, changes[n], d_rest, rest, power, near, crossing, width, twist, d_twist, out[n]
+            )  # fmt: skip
+        else:
+            _of_node(kind, sums, n, points, changes[n], steps, out[n])
 
 
 @kernel
-def _gradients(kind, sums, points, gradient, steps, rest, power, near, crossing, width, out, g_rest):
+def _gradients(kind, sums, points, gradient, steps, out):
     columns = sums.shape[1]
-    change, d_rest, moved = np.zeros(columns), np.zeros(6), np.empty(3)
+    change, moved = np.zeros(columns), np.empty(3)
     for n in range(sums.shape[0]):
-        for c in range(columns + (6 if kind == 3 else 0)):
-            if c < columns:
-                change[c] = 1.0
-            else:
-                d_rest[c - columns] = 1.0
-            _of_node(kind, sums, n, points, change, steps, d_rest, rest, power, near, crossing, width, moved)
+        for c in range(columns):
+            change[c] = 1.0
+            _of_node(kind, sums, n, points, change, steps, moved)
+            out[n, c] = moved[0] * gradient[n, 0] + moved[1] * gradient[n, 1] + moved[2] * gradient[n, 2]
+            change[c] = 0.0
+
+
+@kernel
+def _twist_gradients(sums, points, gradient, rest, power, near, crossing, width, out, g_rest):
+    columns = sums.shape[1]
+    change, twist, unit, moved = np.zeros(columns), np.empty(6), np.zeros(6), np.empty(3)
+    for n in range(sums.shape[0]):
+        change[0] = 1.0
+        inverse, of_total = _inverse(sums, n, change, power, near, crossing, width)
+        b, c, db, dc = _twist(sums, n, inverse, rest, twist)
+        along = 0.0
+        for d in range(6):
+            unit[d] = 1.0
+            _along_twist(twist, unit, points, n, b, c, db, dc, moved)
+            unit[d] = 0.0
             found = moved[0] * gradient[n, 0] + moved[1] * gradient[n, 1] + moved[2] * gradient[n, 2]
-            if c < columns:
-                out[n, c], change[c] = found, 0.0
-            else:
-                g_rest[c - columns] += found
-                d_rest[c - columns] = 0.0
+            out[n, 1 + d] = found * inverse
+            g_rest[d] += found
+            along += found * sums[n, 1 + d]
+        out[n, 0] = along * of_total
+        change[0] = 0.0
+        if columns == 8:
+            change[7] = 1.0
+            _, of_moving = _inverse(sums, n, change, power, near, crossing, width)
+            out[n, 7] = along * of_moving
+            change[7] = 0.0
 
 
 def finish_tangents(
@@ -201,5 +235,8 @@ def finish_gradients(
 ) -> tuple[FloatArray, FloatArray]:
     """The transpose: gradients (n, 1 + k) and (6,) from that (n, 3) of the displacement."""
     out, rest = np.empty_like(sums), np.zeros(6)
-    _gradients(_KINDS[kind], sums, points, np.ascontiguousarray(gradient), steps, *transition, out, rest)
+    if kind == "lie":
+        _twist_gradients(sums, points, np.ascontiguousarray(gradient), *transition, out, rest)
+    else:
+        _gradients(_KINDS[kind], sums, points, np.ascontiguousarray(gradient), steps, out)
     return out, rest
