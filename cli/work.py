@@ -18,9 +18,10 @@ from meshdeform_core.boundary.matching import SurfaceData
 from meshdeform_core.boundary.motion import Follow
 from meshdeform_core.deform import Case, Setup, deform
 from meshdeform_core.grid import Grid
-from meshdeform_core.memory import MemoryLimit, left_for_method, peak_memory
+from meshdeform_core.memory import COORDINATE_ARRAYS, MemoryLimit, left_for_method, peak_memory
 from meshdeform_core.methods import make_method
 from meshdeform_core.parallel import current_ranks, thread_count
+from meshdeform_core.parallel.scratch import Scratch, set_scratch
 from meshdeform_core.quality.fields import CellFields
 from meshdeform_formats.case import CaseFile
 from meshdeform_formats.fields import with_fields
@@ -50,19 +51,30 @@ class Job:
     memory: MemoryLimit
 
 
-def load(source: GridInput, case: CaseInput, memory: MemoryLimit, outputs: Sequence[Path], more_arrays: int = 0) -> Job:
+def load(
+    source: GridInput,
+    case: CaseInput,
+    memory: MemoryLimit,
+    outputs: Sequence[Path],
+    workplace: Path | None = None,
+    more_arrays: int = 0,
+) -> Job:
     """Read the case first (it is small and most often wrong), then the grid with its boundary information.
 
     ``outputs`` must not be files named in the case; ``more_arrays`` as large as the coordinates will be needed.
+    A grid larger than the memory is worked on in files beside ``workplace``, if that is given.
     """
     what = case.read()
     for path in outputs:
         keep_inputs(path, *what.files)
     make_method(what.case.method)
+    many = COORDINATE_ARRAYS + more_arrays
+    set_scratch(None if workplace is None else Scratch(workplace.absolute().parent, memory.size, many))
     start = clock.perf_counter()
     grid = grid_of_case(source.read(what.boundary_file), what)
     seconds = clock.perf_counter() - start
-    left = left_for_method(memory, grid.n_nodes, grid.points.nbytes, _other_bytes(grid, what), more_arrays)
+    other = _other_bytes(grid, what)
+    left = left_for_method(memory, grid.n_nodes, grid.points.nbytes, other, more_arrays, grid.n_face_nodes)
     return Job(grid, what, seconds, left)
 
 

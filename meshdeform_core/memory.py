@@ -10,6 +10,7 @@ from pathlib import Path
 
 from .errors import CaseError, MethodError
 from .parallel import current_ranks
+from .parallel.scratch import RESERVE, current_scratch
 
 _UNITS = ("B", "KiB", "MiB", "GiB", "TiB")
 # The program with its libraries: up to 235 MiB were measured, with rbf. Coordinates before and after, displacement, arc
@@ -25,6 +26,9 @@ WRITING_ARRAYS = 2
 """What writing a level takes, at most, while the next one is computed."""
 PICTURE_BYTES = 280 * 2**20
 """The library that draws the pictures of a report, and what it draws on: up to 273 MiB were measured."""
+# Where large arrays lie in files: bytes of all else per node and per node on
+# block faces, and the part of the limit for what is in use of them.
+_BESIDE_FILES, _PER_FACE_NODE, _WINDOW = 10, 250, 8
 # Coordinate arrays that each of several ranks on a machine holds privately: 0.9 to 1.05 were measured.
 _OTHER_COPIES = 3
 _OWN_ARRAYS = 1
@@ -98,12 +102,18 @@ def parse_memory(text: str, name: str) -> MemoryLimit:
 
 
 def left_for_method(
-    limit: MemoryLimit, nodes: int, coordinate_bytes: int, other_bytes: int = 0, more_arrays: int = 0
+    limit: MemoryLimit,
+    nodes: int,
+    coordinate_bytes: int,
+    other_bytes: int = 0,
+    more_arrays: int = 0,
+    face_nodes: int = 0,
 ) -> MemoryLimit:
     """The part of ``limit`` that program and grid leave; ranks that share memory each count their share of the grid.
 
     ``other_bytes`` is the size of point and cell data and displacement tables, which are read, kept and written again,
-    ``more_arrays`` the number of further arrays as large as the coordinates.
+    ``more_arrays`` the number of further arrays as large as the coordinates. Where large arrays lie in files, because
+    the coordinates are too large (:mod:`.parallel.scratch`), ``face_nodes`` tells what the rest takes.
 
     Raises
     ------
@@ -115,6 +125,10 @@ def left_for_method(
     sharers = 1 if ranks.private else min(ranks.gather([ranks.on_machine]))
     arrays = _OWN_ARRAYS + (COORDINATE_ARRAYS + more_arrays - _OWN_ARRAYS) / sharers
     needed = PROGRAM_BYTES + int(arrays * coordinate_bytes) + _OTHER_COPIES * other_bytes
+    scratch = current_scratch()
+    if needed > limit.size and scratch and scratch.takes(coordinate_bytes):
+        rest = _BESIDE_FILES * nodes + _PER_FACE_NODE * face_nodes + _OTHER_COPIES * other_bytes
+        needed = PROGRAM_BYTES + rest + RESERVE + limit.size // _WINDOW
     limit.require(needed, f"deforming {nodes:,} nodes", "allow more, or use a machine that has it")
     return limit.after(needed, "program and grid")
 

@@ -77,7 +77,7 @@ def command(
     wanted = series_run.Wanted(output, times, origin, velocity, count, suffix, single_file, options, run.fields)
     with ProgressBar(not run.quiet) as progress:
         more = SMOOTHNESS_ARRAYS + VELOCITY_ARRAYS * (velocity != "none") + SWEPT_ARRAYS * (velocity == "swept")
-        job = work.load(source, dataclasses.replace(case, times=times), limit, run.reports, more)
+        job = work.load(source, dataclasses.replace(case, times=times), limit, run.reports, more_arrays=more)
         plan = series_run.prepare(job, source, wanted, run)
         run.warnings.tell(plan.setup.warnings)
         if run.dry_run:

@@ -237,6 +237,12 @@ class Grid:
         """Block nodes; coincident nodes of different blocks count once per block."""
         return int(self.offsets[-1])
 
+    @property
+    def n_face_nodes(self) -> int:
+        """Nodes on block faces; coincident nodes count as in :attr:`n_nodes`."""
+        shapes = np.array(self.shapes, dtype=np.int64)
+        return self.n_nodes - int(np.maximum(shapes - 2, 0).prod(axis=1).sum())
+
     @cached_property
     def cell_shapes(self) -> tuple[Shape, ...]:
         """Cells of each block along i, j, k; the single plane of a 2-D block counts as one."""

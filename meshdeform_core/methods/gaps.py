@@ -118,7 +118,8 @@ class PreparedInGaps:
     def spread(self, share: FloatArray) -> FloatArray:
         """Values (n_nodes, 1) at all nodes from 0 to 1 by TFI of those (n_sources,) at the sources."""
         found = self.scalar.apply(np.outer(share, [1.0, 0.0, 0.0]))
-        return np.clip(found[:, :1], 0.0, 1.0)
+        for_rows(lambda rows: np.clip(found[rows], 0.0, 1.0, out=found[rows]), found)
+        return found[:, :1]
 
     @cached_property
     def _gap(self) -> FloatArray:

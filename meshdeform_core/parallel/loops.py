@@ -25,6 +25,8 @@ from contextvars import ContextVar, copy_context
 from functools import partial
 from typing import Any, NamedTuple, ParamSpec, Protocol, TypeVar
 
+from .scratch import current_scratch
+
 T = TypeVar("T")
 P = ParamSpec("P")
 Work = Callable[[int, int], object]
@@ -194,14 +196,18 @@ def carried(action: Callable[P, T]) -> Callable[P, T]:
 
 
 def empty(shape: Sequence[int], dtype: Any = "float64") -> Any:
-    """An uninitialised array; if large, shared by all ranks of a machine under the rules of this module.
+    """An uninitialised array; if large, shared by all ranks of a machine under the rules of this module, or in a file
+    (:mod:`.scratch`).
 
     All ranks must call it, with the same shape.
     """
     import numpy as np
 
-    large = math.prod(shape) * np.dtype(dtype).itemsize >= _SMALL
-    return (current_ranks() if large else OneRank()).empty(shape, dtype)
+    size, ranks = math.prod(shape) * np.dtype(dtype).itemsize, current_ranks()
+    scratch = current_scratch()
+    if scratch and ranks.count == 1 and scratch.takes(size):
+        return scratch.empty(shape, dtype)
+    return (ranks if size >= _SMALL else OneRank()).empty(shape, dtype)
 
 
 def thread_count() -> int:
@@ -287,12 +293,15 @@ def _on_threads(work: Work, bounds: list[Bounds], progress: Counter | None, limi
     size = sum(last - first for first, last in bounds)
     # ``next`` on an iterator and ``list.append`` are atomic in the interpreter.
     pending, done, failures = iter(bounds), list[int](), list[BaseException]()
+    scratch = current_scratch()
 
     def run(report: Counter | None) -> None:
         told = items = 0
         try:
             while not failures and (ends := next(pending, None)):
                 work(*ends)
+                if scratch:
+                    scratch.look()
                 done.append(ends[1] - ends[0])
                 if report:
                     new = done[told:]

@@ -1,0 +1,93 @@
+"""Large arrays in files mapped into memory: the same results, nothing left behind, a full disk found in time."""
+
+import errno
+import gc
+import mmap
+import os
+import sys
+import time
+
+import numpy as np
+import pytest
+from cases import body_specs, turning
+from grids import frame
+
+from meshdeform_core.deform import Case, deform
+from meshdeform_core.errors import MethodError
+from meshdeform_core.grid import Grid
+from meshdeform_core.memory import COORDINATE_ARRAYS, MemoryLimit, left_for_method
+from meshdeform_core.methods import Options
+from meshdeform_core.parallel import empty, scratch
+from meshdeform_core.parallel.scratch import Scratch, scratch_in
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="mapped files are watched on Linux only")
+
+
+def lies_in_a_file(array):
+    while isinstance(array, np.ndarray):
+        array = array.base
+    return isinstance(getattr(array, "obj", array), mmap.mmap)
+
+
+def deformed(method, steps):
+    start = frame(9, 5)
+    grid = Grid.from_blocks([start.block(b) for b in range(start.n_blocks)], start.names)
+    return deform(grid, Case(body_specs(turning(20)), method=Options(method)), steps=steps)
+
+
+@pytest.mark.parametrize(("method", "steps"), [("tfi", 1), ("idw-tfi", 2), ("rbf-tfi", "auto")])
+def test_results_do_not_depend_on_where_arrays_lie(method, steps, tmp_path, monkeypatch):
+    expected = deformed(method, steps)
+    monkeypatch.setattr(scratch, "SMALLEST", 1000)
+    # With a limit of one byte all pages are returned at every look.
+    with scratch_in(Scratch(tmp_path, 1, COORDINATE_ARRAYS)):
+        found = deformed(method, steps)
+    assert lies_in_a_file(found.setup.grid.points)
+    assert lies_in_a_file(found.grid.points)
+    assert not lies_in_a_file(expected.grid.points)
+    assert found.grid.points.tobytes() == expected.grid.points.tobytes()
+    assert found.assessment == expected.assessment
+    assert os.listdir(tmp_path) == []
+
+
+def test_files_vanish_with_their_arrays(tmp_path, monkeypatch):
+    monkeypatch.setattr(scratch, "SMALLEST", 1000)
+    where = Scratch(tmp_path, 1, 1)
+    with scratch_in(where):
+        array = empty((1000, 3))
+        assert not lies_in_a_file(empty((10, 3)))
+        with scratch_in(Scratch(tmp_path, 10**9, 1)):
+            assert not lies_in_a_file(empty((1000, 3)))
+    array[:] = 7.0
+    where.look()
+    assert (array == 7.0).all()
+    del array
+    gc.collect()
+    end = time.monotonic() + 10.0
+    while where._watched and time.monotonic() < end:
+        time.sleep(0.01)
+    assert not where._watched
+    assert all(each() is None for each in where._maps)
+
+
+def test_a_full_disk_is_found_before_anything_is_computed(tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    with (
+        scratch_in(Scratch(tmp_path, 1, 1)),
+        pytest.raises(MethodError, match=r"needs a file of 0\.0224 GiB in .*No sp"),
+    ):
+        empty((10**6, 3))
+
+
+def test_what_a_method_may_take_beside_the_files(tmp_path):
+    nodes, limit = 10**8, MemoryLimit(4 * 2**30, "--max-memory allows")
+    with pytest.raises(MethodError, match=r"deforming 100,000,000 nodes needs about 20\.\d GiB"):
+        left_for_method(limit, nodes, 24 * nodes)
+    with scratch_in(Scratch(tmp_path, limit.size, COORDINATE_ARRAYS)):
+        left = left_for_method(limit, nodes, 24 * nodes, face_nodes=2 * 10**6)
+        assert 2**30 < left.size < 2 * 2**30
+        with pytest.raises(MethodError, match=r"needs about \d\.\d+ GiB, --max-memory allows 4 GiB"):
+            left_for_method(limit, nodes, 24 * nodes, face_nodes=10**7)
