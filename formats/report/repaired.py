@@ -10,26 +10,28 @@ _LAYERS = (("first cell", "first_cell_height_ratio"), ("first cells together", "
 
 
 def repair_sentence(report: dict[str, Any]) -> str:
-    """How many cells a repair mended, how far nodes moved, and what the method alone would have given; empty without
-    a repair."""
+    """All of :func:`repair_lines` in one sentence."""
+    return "; ".join(repair_lines(report))
+
+
+def repair_lines(report: dict[str, Any]) -> list[str]:
+    """How many cells a repair mended, how far nodes moved, what the method alone would have given, and which part of
+    the layers at the walls was changed; empty without a repair."""
     done = report.get("repair")
     if not done:
-        return ""
+        return []
     cells = f"{counted(done['cells'], 'cell')} repaired" if done["cells"] else "weak cells improved"
     largest = report.get("boundary", {}).get("max_displacement")
     part = f" ({done['max_movement'] / largest:.2g} of the largest displacement)" if largest else ""
     tried = [part["attempts"] for part in report.get("components", ())] or [report.get("attempts", ())]
     alone = [next((a["invalid_cells"] for a in attempts if not a["repair"]), 0) for attempts in tried if attempts]
     before = f"; the method alone leaves {counted(sum(alone), 'invalid cell')}" if alone else ""
-    return (
+    what = (
         f"{cells}, {counted(done['nodes'], 'node')} moved by up to {done['max_movement']:.4g}{part}, "
-        f"{counted(done['newton_steps'], 'Newton step')}{before}{_layers(report.get('repaired_layers') or {})}"
+        f"{counted(done['newton_steps'], 'Newton step')}{before}"
     )
-
-
-def _layers(changes: dict[str, Any]) -> str:
-    """Which part of the layers at the walls was changed."""
-    return "".join(f"; {_layer_text(name, change)}" for name, change in changes.items() if change)
+    changes = report.get("repaired_layers") or {}
+    return [what, *(_layer_text(name, change) for name, change in changes.items() if change)]
 
 
 def _layer_text(name: str, change: dict[str, Any]) -> str:

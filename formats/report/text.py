@@ -10,7 +10,7 @@ from meshdeform_core.memory import readable
 from ..wording import counted
 from .components import component_lines
 from .measures import measure_rows, place_text
-from .repaired import repair_sentence
+from .repaired import repair_lines
 from .series_text import series_lines
 
 _LISTED = 20
@@ -82,8 +82,8 @@ def _verdict(report: dict[str, Any]) -> Iterator[str]:
             f"interior  made again from the reference by {new['method']} in {counted(new['steps'], 'step')}: "
             f"{new['reason']}"
         )
-    if done := repair_sentence(report):
-        yield f"repair    {done}"
+    for number, done in enumerate(repair_lines(report)):
+        yield f"{'' if number else 'repair':9s} {done}"
 
 
 def _parameters(method: dict[str, Any]) -> Iterator[str]:
