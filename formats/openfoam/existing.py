@@ -16,8 +16,8 @@ from meshdeform_core.grid.topology import RELATIVE_TOLERANCE, Topology, find_top
 from meshdeform_core.parallel import empty
 
 from ..plausible import LARGEST
-from .lists import read_points
-from .numbering import point_numbers
+from .poly_mesh.lists import read_points
+from .poly_mesh.numbering import point_numbers
 
 _DIGITS = 1e-6
 """Relative to the largest coordinate: points are text of six digits unless a case asks for more."""

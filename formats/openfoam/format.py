@@ -22,9 +22,9 @@ from ..variant_options import checked_options
 from .block_mesh import read_block_mesh
 from .case import POLY_MESH, case_folder, dictionary_of, is_case, mesh_files, replaced_mesh
 from .existing import points_file, with_points_of
-from .extrusion import extruded
-from .lists import read_points, write_points
-from .poly_mesh import PLACE, PolyMesh, poly_mesh, write_mesh
+from .poly_mesh.extrusion import extruded
+from .poly_mesh.lists import read_points, write_points
+from .poly_mesh.mesh import PLACE, PolyMesh, poly_mesh, write_mesh
 
 _OPTIONS = {"encoding": ("binary", "ascii"), "compression": ("none", "gzip")}
 

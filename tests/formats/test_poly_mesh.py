@@ -17,7 +17,7 @@ from meshdeform_core.numerics.arrays import extent
 from meshdeform_core.quality.cells import block_volumes
 from meshdeform_formats import read_grid, write_grid
 from meshdeform_formats.grids import read_grid_with_boundaries
-from meshdeform_formats.openfoam.lists import write_points
+from meshdeform_formats.openfoam.poly_mesh.lists import write_points
 from meshdeform_formats.series.levels import is_series, open_levels
 
 THIRD_PARTY = (

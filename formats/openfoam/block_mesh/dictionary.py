@@ -14,7 +14,7 @@ from typing import NoReturn
 
 from meshdeform_core.errors import FormatError
 
-from ..files import read_head, require_regular
+from ...files import read_head, require_regular
 
 _LARGEST_FILE = 64 * 2**20
 _DEEPEST = 50

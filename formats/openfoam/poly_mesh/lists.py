@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray, IntArray
 
-from ..files import reason_of, require_regular
+from ...files import reason_of, require_regular
 
 _ROWS_AT_ONCE = 20_000
 _LABEL = np.dtype("<i4")

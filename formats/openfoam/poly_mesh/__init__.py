@@ -1,0 +1,1 @@
+"""The polyMesh of OpenFOAM: faces, their owners and neighbours, patches and points."""
