@@ -28,7 +28,11 @@ from tables import Row, show
 from meshdeform_core.deform import Result, deform
 from meshdeform_core.grid import FloatArray
 from meshdeform_core.methods import Options
+from meshdeform_core.quality import assess
 from meshdeform_core.repair.options import RepairOptions
+
+GOOD = 0.8
+"""Share of the smallest scaled Jacobian of the grid that the flow made, which the result should have."""
 
 
 @dataclass(frozen=True)
@@ -71,13 +75,14 @@ def measure(numbers: range, grids: list[str], wanted: list[str], settings: list[
                     "nodes": place.grid.n_nodes,
                     "gentleness": gentleness,
                     "setting": setting.label,
-                    **judge(result, points),
+                    **judge(result, points, place),
                     "cpu_s": seconds,
                 }
 
 
-def judge(result: Result, points: FloatArray) -> dict[str, Any]:
-    """Whether the grid is valid and its boundary where it was prescribed, ``points`` (n_nodes, 3)."""
+def judge(result: Result, points: FloatArray, place: Terrain) -> dict[str, Any]:
+    """Whether the grid is valid and its boundary where it was prescribed, ``points`` (n_nodes, 3), and how its smallest
+    scaled Jacobian compares with that of the grid that the flow itself made."""
     setup, after = result.setup, result.grid.points
     given = setup.topology.first[setup.boundary.known]
     miss = float(np.abs(after[given] - points[given]).max()) / float(np.ptp(points, axis=0).max())
@@ -87,18 +92,23 @@ def judge(result: Result, points: FloatArray) -> dict[str, Any]:
         "invalid_cells": result.assessment.after.invalid_cells,
         "reached": result.reached,
         "f_skew_min": result.assessment.after.f_skew.min,
+        "scaled_jacobian": result.assessment.after.min_scaled_jacobian,
+        "of_the_flow": assess(place.original, points, None).after.min_scaled_jacobian,
     }
 
 
 def summary(rows: list[Row], settings: list[Setting]) -> list[Row]:
-    """Valid results of each setting by grid."""
+    """By grid the valid results of each setting, and those with cells nearly as good as the flow's."""
     table = []
     for grid in [*dict.fromkeys(row["grid"] for row in rows), None]:
         mine = [row for row in rows if grid in (None, row["grid"])]
         line: Row = {"grid": grid or "all", "nodes": mine[0]["nodes"] if grid else ""}
         line["flows"] = len({row["flow"] for row in mine})
         for setting in settings:
-            line[setting.label] = sum(row["valid"] for row in mine if row["setting"] == setting.label)
+            own = [row for row in mine if row["setting"] == setting.label]
+            line[setting.label] = sum(row["valid"] for row in own)
+            good = sum(row["valid"] and row["scaled_jacobian"] >= GOOD * row["of_the_flow"] for row in own)
+            line[f"{setting.label}: {GOOD:g} of the flow"] = good
         table.append(line)
     return table
 
@@ -134,7 +144,8 @@ def main() -> None:
 
 def _words(row: Row) -> str:
     verdict = "valid" if row["valid"] else f"{row['invalid_cells']} invalid cells"
-    return f"{verdict}, {row['cpu_s']:.1f} s"
+    share = row["scaled_jacobian"] / row["of_the_flow"]
+    return f"{verdict}, scaled Jacobian {share:.2f} of the flow's, {row['cpu_s']:.1f} s"
 
 
 if __name__ == "__main__":
