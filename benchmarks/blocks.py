@@ -168,6 +168,35 @@ def _measured(folder: Path, suffix: str) -> Row:
     return {"nodes": facts["grid"]["nodes"], "info s": info, "deform s": deform, **stages}
 
 
+_OTHERS = {
+    "quality s": ("quality", "{grid}", "--json"),
+    "compare s": ("compare", "{grid}", "{grid}", "--json"),
+    "init s": ("init", "{grid}", "-o", "{folder}/init.toml", "--force"),
+    "plot s": ("plot", "{grid}", "-o", "{folder}/plot.png", "--force"),
+    "to .vtm s": ("convert", "{grid}", "{folder}/out.vtm", "--force"),
+    "to .cgns s": ("convert", "{grid}", "{folder}/out.cgns", "--force"),
+    "from .cgns s": ("convert", "{folder}/out.cgns", "{folder}/out.p3dbin", "--force"),
+}
+
+
+def other_commands(quick: bool) -> MarkdownTable:
+    """Every other command that reads a grid, on the same nodes in more and more blocks."""
+    table = MarkdownTable(
+        "Other commands, the same nodes in 10 to 10,000 blocks",
+        notes=["Plot3D files; seconds of processor time with one thread, start of Python included"],
+    )
+    for count in (10, 100) if quick else SIZES:
+        with tempfile.TemporaryDirectory() as folder:
+            grid = make(Path(folder), count, ".p3dbin") / "grid.p3dbin"
+            row: Row = {"blocks": count}
+            for name, words in _OTHERS.items():
+                command = [word.format(grid=grid, folder=folder) for word in words]
+                usage = run([sys.executable, "-m", "meshdeform", *command])[1]
+                row[name] = usage.ru_utime + usage.ru_stime
+            table.rows.append(row)
+    return table
+
+
 def main() -> None:
     """The command line."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -183,6 +212,7 @@ def main() -> None:
         make(options.make, options.blocks, options.suffix, options.ring, options.nodes)
     else:
         print(by_blocks(options.quick, options.suffix).markdown())
+        print(other_commands(options.quick).markdown())
 
 
 if __name__ == "__main__":
