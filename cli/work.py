@@ -28,6 +28,7 @@ from meshdeform_formats.fields import with_fields
 from meshdeform_formats.files import invalid_path
 from meshdeform_formats.grids import complete_for_export, variant_of, write_grid
 from meshdeform_formats.joined import grid_of_case
+from meshdeform_formats.placing import require_space
 from meshdeform_formats.report import Report, as_json, deformation_report
 from meshdeform_formats.report.illustrations import Illustrate, deformation_figures
 from meshdeform_formats.report.text import as_text
@@ -127,7 +128,9 @@ def run(
     job: Job, output: Path, imposed: Imposed, variant: dict[str, str], options: RunInput, progress: ProgressBar
 ) -> tuple[Report, Illustrate]:
     """Deform and write; returns the report and a function that makes its pictures."""
-    precision = variant_of(job.grid, output, variant).precision
+    chosen = variant_of(job.grid, output, variant)
+    require_space(job.grid, output, chosen)
+    precision = chosen.precision
     grid = complete_for_export(job.grid, output)
     result = deform(
         grid,

@@ -81,6 +81,7 @@ def repaired(
     from meshdeform_core.mending import mend
     from meshdeform_formats.files import invalid_path
     from meshdeform_formats.grids import complete_for_export, read_grid, require_earlier_grid, variant_of
+    from meshdeform_formats.placing import require_space
     from meshdeform_formats.report import mended_report
 
     from ..options import keep_inputs
@@ -96,7 +97,10 @@ def repaired(
     if output is not None and not (run.force or run.dry_run or run.allow_invalid):
         require_earlier_grid(invalid_path(output), grid)
     options = run.variant_options
-    precision = variant_of(grid, output, options).precision if output else None
+    chosen = variant_of(grid, output, options) if output else None
+    if output and chosen:
+        require_space(grid, output, chosen)
+    precision = chosen.precision if chosen else None
     memory = left_for_method(run.memory, grid.n_nodes, 2 * grid.points.nbytes, 0)
     start = clock.perf_counter()
     whole = complete_for_export(grid, output) if output else grid
