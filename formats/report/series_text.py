@@ -41,6 +41,8 @@ def _motion(level: Report) -> str:
     acceleration = smooth.get("acceleration")
     shown = "" if acceleration is None else f"{acceleration:8.3f}"
     done = "" if not repair else "yes" if repair["converged"] else "other"
+    if repair and repair.get("unique") is False:
+        done = "several"
     return f"{shown:>8s} {done:>8s}"
 
 

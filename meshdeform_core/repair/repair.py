@@ -109,15 +109,13 @@ class Repairer:
             best, more, converged = self._minimum(start, polish, None)
             steps += more
         if not best.verdict.valid:
-            best, more = self._by_regions(start, best, polish, ways)
+            best, more, converged = self._by_regions(start, best, polish, ways)
             steps += more
-            if best.verdict.valid and best is not start:
-                nearer, more, converged = self._minimum(start, polish, best.points - points)
-                best, steps = (nearer if nearer.verdict.valid else best), steps + more
         record = self._record(start, best, steps, clock.perf_counter() - begin)
         return Outcome(best.points, best.verdict, replace(record, converged=converged and best.verdict.valid))
 
-    def _by_regions(self, start: Judged, best: Judged, polish: bool, ways: tuple[Way, ...]) -> tuple[Judged, int]:
+    def _by_regions(self, start: Judged, best: Judged, polish: bool, ways: tuple[Way, ...]) -> tuple[Judged, int, bool]:
+        """The best grid of all ways, Newton steps, and whether the minimum was found from there."""
         weak = max(WEAK, min(1.0, 2.0 * float(start.verdict.ratio.min()))) if polish else WEAK
         growth, steps = Growth(self.basis, self._moved, self.progress, self.limit), 0
         for way in ways:
@@ -125,7 +123,10 @@ class Repairer:
             best, steps = (other if other.count < best.count else best), steps + more
             if best.verdict.valid or self.limit.reached:
                 break
-        return best, steps
+        if not best.verdict.valid or best is start:
+            return best, steps, False
+        nearer, more, converged = self._minimum(start, polish, best.points - start.points)
+        return (nearer if nearer.verdict.valid else best), steps + more, converged
 
     def _minimum(self, start: Judged, polish: bool, guess: FloatArray | None) -> tuple[Judged, int, bool]:
         """The minimum of the energy over all nodes, or what was reached of it, Newton steps, and whether it was."""

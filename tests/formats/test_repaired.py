@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import pytest
+
 from meshdeform_formats.report.repaired import repair_sentence
+from meshdeform_formats.report.series_text import _motion
 
 DONE = {"cells": 12, "nodes": 1, "max_movement": 0.5, "newton_steps": 3}
 
@@ -36,3 +39,13 @@ def test_it_says_which_part_of_the_layers_changed():
         "together to 0.75..1.5 of the height that the method gave); none of the 40 grid lines off fixed walls "
         "changed by more than 1 % in its first cells"
     )
+
+
+@pytest.mark.parametrize(
+    ("converged", "unique", "told"),
+    [(True, None, "yes"), (True, True, "yes"), (True, False, "several"), (False, None, "other")],
+)
+def test_the_table_of_levels_tells_what_the_repair_found(converged, unique, told):
+    repair = {**DONE, "converged": converged, "unique": unique}
+    assert _motion({"smoothness": {"acceleration": 0.25}, "repair": repair}).split() == ["0.250", told]
+    assert _motion({"smoothness": None, "repair": None}).split() == []
