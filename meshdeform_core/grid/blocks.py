@@ -7,7 +7,7 @@ All blocks share one coordinate array ``points`` of shape ``(n_nodes, 3)``; ``gr
 
 from __future__ import annotations
 
-import dataclasses
+import copy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -183,15 +183,18 @@ class Grid:
     def __post_init__(self) -> None:
         if not self.shapes:
             raise GridError("the grid has no blocks; expected at least one")
+        self._check_points()
+        if len(self.names) != len(self.shapes) or len(set(self.names)) != len(self.names):
+            raise GridError(f"need one unique name per block, found {list(self.names)} for {len(self.shapes)} blocks")
+        _check_dimension(self.shapes, self.names)
+
+    def _check_points(self) -> None:
         expected = int(self.offsets[-1])
         if self.points.shape != (expected, 3) or self.points.dtype != np.float64:
             raise GridError(
                 f"coordinate array is {self.points.shape} {self.points.dtype}; "
                 f"blocks {self.shapes} need ({expected}, 3) float64"
             )
-        if len(self.names) != len(self.shapes) or len(set(self.names)) != len(self.names):
-            raise GridError(f"need one unique name per block, found {list(self.names)} for {len(self.shapes)} blocks")
-        _check_dimension(self.shapes, self.names)
 
     @classmethod
     def allocate(cls, shapes: Sequence[Shape], names: Sequence[str] | None = None, **rest: Any) -> Grid:
@@ -287,7 +290,11 @@ class Grid:
 
     def moved(self, points: FloatArray) -> Grid:
         """The same grid with other coordinates."""
-        return dataclasses.replace(self, points=points)
+        # A copy keeps what follows from the shapes, which takes longer to check than some parts to measure.
+        grid = copy.copy(self)
+        object.__setattr__(grid, "points", points)
+        grid._check_points()
+        return grid
 
     def locate(self, flat: int) -> tuple[int, Shape]:
         """Block and 0-based (i, j, k) of a flat node index."""
