@@ -20,7 +20,7 @@ def repair_lines(report: dict[str, Any]) -> list[str]:
     done = report.get("repair")
     if not done:
         return []
-    cells = f"{counted(done['cells'], 'cell')} repaired" if done["cells"] else "weak cells improved"
+    cells = f"{counted(done['cells'], 'invalid or weak cell')} repaired" if done["cells"] else "weak cells improved"
     largest = report.get("boundary", {}).get("max_displacement")
     part = f" ({done['max_movement'] / largest:.2g} of the largest displacement)" if largest else ""
     tried = [part["attempts"] for part in report.get("components", ())] or [report.get("attempts", ())]
