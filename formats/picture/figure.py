@@ -37,8 +37,8 @@ STYLE: dict[Any, Any] = {
     "svg.hashsalt": "meshdeform",
     "svg.fonttype": "none",
 }
-_CORNER = 0.3
-"""Part of a panel's shorter side that the triad of axes takes."""
+_CORNER = 64.0
+"""Width of the triad of axes, in points, at its full size."""
 _VECTOR_POLYGONS = 6000
 """Most polygons that flat pictures in .svg and .pdf files draw as lines; larger ones are an image."""
 
@@ -211,7 +211,8 @@ def _fill(ax: Axes, panel: Panel, fine: int, vector: bool) -> None:
     # Only now: the layout measures labels and titles where they are when the panel fills its place.
     ax.set(xlim=panel.window[:2], ylim=panel.window[2:], aspect="equal")
     if not panel.view.flat:
-        _triad(ax, panel.view, _free_corner(panel.scene, image))
+        size = _triad_size(ax)
+        _triad(ax, panel.view, _free_corner(panel.scene, image, _CORNER * size / _points(ax)[0]), size)
     if len(panel.arrows):
         at, shift = panel.view.project(panel.arrows[:, 0]), panel.view.project(panel.arrows[:, 1])
         ax.quiver(at[:, 0], at[:, 1], shift[:, 0], shift[:, 1], angles="xy", scale_units="xy", scale=1.0,
@@ -268,26 +269,36 @@ def _names(ax: Axes, panel: Panel) -> None:
                     path_effects=[withStroke(linewidth=2.0, foreground="white")])  # fmt: skip
 
 
-def _free_corner(scene: Scene, image: Image | None) -> tuple[float, float]:
-    """The corner of a panel, in parts of its width and height, that shows least of what is not mere backdrop."""
+def _points(ax: Axes) -> tuple[float, float]:
+    """Width and height of axes in points."""
+    box, scale = ax.get_window_extent(), 72 / ax.figure.dpi
+    return box.width * scale, box.height * scale
+
+
+def _triad_size(ax: Axes) -> float:
+    return min(1.0, _points(ax)[0] / 260)
+
+
+def _free_corner(scene: Scene, image: Image | None, part: float) -> tuple[float, float]:
+    """The corner of a panel, in parts of its width and height, that shows least of what is not mere backdrop; corners
+    are squares with sides of a ``part`` of the width."""
     corners = ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0))
     if image is None:
         return corners[0]
     drawn = (image.item >= 0) & (image.item < len(scene.facets) - scene.unlit)
-    reach = round(_CORNER * min(drawn.shape))
+    reach = max(1, min(round(part * drawn.shape[1]), *drawn.shape))
     rows = {0.0: np.s_[-reach:], 1.0: np.s_[:reach]}
     columns = {0.0: np.s_[:reach], 1.0: np.s_[-reach:]}
     return min(corners, key=lambda corner: float(drawn[rows[corner[1]], columns[corner[0]]].mean()))
 
 
-def _triad(ax: Axes, view: View, corner: tuple[float, float]) -> None:
+def _triad(ax: Axes, view: View, corner: tuple[float, float], size: float) -> None:
     """The directions of x, y and z in a corner."""
     from matplotlib.patheffects import withStroke
 
     white = [withStroke(linewidth=2.0, foreground="white")]
-    width, height = (float(n) * 72 / ax.figure.dpi for n in ax.get_window_extent().size)
-    size = min(1.0, width / 260)
-    x, y = (32 * size + part * (length - 64 * size) for part, length in zip(corner, (width, height), strict=True))
+    side = _CORNER * size
+    x, y = (side / 2 + part * (length - side) for part, length in zip(corner, _points(ax), strict=True))
     for name, unit in zip("xyz", np.eye(3), strict=True):
         right, up, _ = view.project(unit) * size
         # Seen end-on, an axis would be a meaningless dot.

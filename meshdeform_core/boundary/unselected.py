@@ -11,8 +11,7 @@ from ..grid import Grid, IntArray, Window
 from ..grid.openings import Opening, describe_group, patched_groups
 from ..grid.overset import Overlap
 from ..grid.planes import plane_normal, plane_of
-from ..grid.roles import Role, role_of_patch
-from ..grid.selection import quads_of_patch, quads_of_windows, select_quads
+from ..grid.selection import quads_of_windows, select_quads
 from ..grid.topology import Topology
 from ..grid.windows import rectangles
 
@@ -101,12 +100,9 @@ def opening_notes(
     if declared is True or not openings:
         return []
     meant = select_quads(grid, topology, declared, "grid.open") if declared else np.empty(0, dtype=np.int64)
-    # What the file calls a wall needs no word of the case: the two sides of a thin wing are close to each other.
-    walls = np.concatenate([np.empty(0, dtype=np.int64), *(quads_of_patch(topology.quads, patch) for patch in
-                            grid.patches if role_of_patch(patch) is Role.WALL)])  # fmt: skip
     told = []
     for opening in openings:
-        if any(np.isin(opening.quads, known).all() for known in (meant, moving, walls)):
+        if any(np.isin(opening.quads, known).all() for known in (meant, moving)):
             continue
         text = opening.describe(grid)
         apart = _overset_advice(grid, opening)

@@ -16,6 +16,8 @@ from ..numerics.geometry.coincidence import close_pairs, connected_components, d
 from ..numerics.geometry.distance import distance_to_faces
 from .blocks import FloatArray, Grid, IntArray, Side, Window
 from .overset import Overlap, find_overlaps
+from .roles import Role, role_of_patch
+from .selection import quads_of_patch
 from .topology import Topology
 from .windows import largest_rectangles, rectangles
 
@@ -117,16 +119,27 @@ def _apart(openings: Sequence[Opening]) -> str:
 def find_openings(grid: Grid, topology: Topology) -> tuple[Opening | Overlap, ...]:
     """Outside faces that nearly coincide with others or lie inside other blocks, largest first.
 
-    Each pair of sides once if its nodes match.
+    Each pair of sides once if its nodes match. What the file calls a wall is none: the two sides of a thin wing are
+    close to each other.
     """
     outside = np.flatnonzero(topology.external)
     if outside.size == 0:
         return ()
     paired, gap, relative = _near_partners(grid, topology, outside)
-    found: list[Opening | Overlap] = [*_matching(grid, topology, paired, gap, relative)]
-    found += _abutting(grid, topology, paired)
+    near = [*_matching(grid, topology, paired, gap, relative), *_abutting(grid, topology, paired)]
+    wall = declared_walls(grid, topology)
+    found: list[Opening | Overlap] = [opening for opening in near if not wall[opening.quads].all()]
     found += find_overlaps(grid, topology)
     return tuple(sorted(found, key=lambda opening: -len(opening.quads)))
+
+
+def declared_walls(grid: Grid, topology: Topology) -> BoolArray:
+    """Face quads (n_quads,) of patches that the file calls walls."""
+    wall = np.zeros(len(topology.partner), dtype=bool)
+    for patch in grid.patches:
+        if role_of_patch(patch) is Role.WALL:
+            wall[quads_of_patch(topology.quads, patch)] = True
+    return wall
 
 
 def _near_partners(grid: Grid, topology: Topology, outside: IntArray) -> tuple[IntArray, FloatArray, FloatArray]:

@@ -14,8 +14,8 @@ def test_it_says_what_was_done_and_what_the_method_alone_gives():
     attempts = [{"repair": False, "invalid_cells": 1}, {"repair": True, "invalid_cells": 0}]
     report = {"repair": DONE, "attempts": attempts, "boundary": {"max_displacement": 2.0}}
     assert repair_sentence(report) == (
-        "12 invalid or weak cells repaired, 1 node moved by up to 0.5 (0.25 of the largest displacement), 3 Newton steps; "
-        "the method alone leaves 1 invalid cell"
+        "12 invalid or weak cells repaired, 1 node moved by up to 0.5 (0.25 of the largest displacement), 3 Newton "
+        "steps; the method alone leaves 1 invalid cell"
     )
 
 

@@ -76,7 +76,7 @@ def _reason(problem: Problem, usual: str) -> str:
             f"{pairs:.1e} pairs of nodes and sources, up to {limit:.0e}: sub-blocks as small as this cost little "
             f"and follow a motion that changes within a few cells"
         )
-    return f"{pairs:.1e} pairs of nodes and sources: smaller sub-blocks would take longer; this {usual}"
+    return f"{pairs:.1e} pairs of nodes and sources: smaller sub-blocks would take longer, and this {usual}"
 
 
 class PreparedTFI:
@@ -92,7 +92,7 @@ class PreparedTFI:
         cells = options.cells(problem)
         setting = dataclasses.replace(used(options, "max_cells")["max_cells"], value=cells)
         if options.max_cells == "auto":
-            setting = dataclasses.replace(setting, reason=_reason(problem, setting.reason))
+            setting = dataclasses.replace(setting, reason=_reason(problem, setting.reason.removeprefix("default: ")))
         self.account.settings["max_cells"] = setting
         self.account.settings["sub_blocks"] = Setting(len(self._subs))
         self._groups = batches(box_numbers(self._subs), _TOGETHER)
