@@ -15,6 +15,7 @@ from meshdeform_core.methods import IDW, RBF, Options, Progress, make_method
 from meshdeform_core.methods.derivative import derivative_of
 from meshdeform_core.numerics.exact.basis import BASES
 from meshdeform_core.numerics.fastsum.nested import NestedSums
+from meshdeform_core.repair.derivative import derivative_of_repair
 from meshdeform_core.series import Schedule, deform_series
 from meshdeform_formats.case import case_of
 from meshdeform_formats.fields import ALL, with_fields
@@ -54,6 +55,10 @@ def runs() -> Iterator[Callable[[], object]]:
     yield partial(_series, "square", 11, Options("tfi"))
     yield partial(_derivatives, "hemisphere", 8, Options("tfi"))
     yield partial(_derivatives, "airfoil", 33, Options("idw-tfi"))
+    yield partial(_derivatives, "hemisphere", 8, Options("idw", idw=_FAST_IDW))
+    yield partial(_derivatives, "hemisphere", 8, Options("rbf", rbf=_FAST_RBF))
+    yield partial(_repair_derivatives, "splitter-plate", 8, Options("tfi"), angle=40.0)
+    yield partial(_repair_derivatives, "hemisphere", 8, Options("tfi"), amplitude=0.6)
     yield partial(_pictures, "hemisphere", 8, Options("tfi"))
     yield _nested_sums
 
@@ -85,6 +90,14 @@ def _derivatives(name: str, size: int, method: Options) -> None:
     displacement = setup.displacement(2.5e-4)[setup.problem.source_numbers]
     derivative = derivative_of(make_method(method).prepare(setup.problem), displacement)
     derivative.pull(derivative.push(displacement))
+
+
+def _repair_derivatives(name: str, size: int, method: Options, **constants: float) -> None:
+    result = _deformed(name, size, method, **constants)
+    points = result.grid.points
+    derivative = derivative_of_repair(result.setup.undeformed.repairs, points, points, polish=False)
+    if derivative:
+        derivative.pull(derivative.push(np.ones_like(points)))
 
 
 def _series(name: str, size: int, method: Options) -> None:

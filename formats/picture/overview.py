@@ -97,7 +97,7 @@ def _nose(subject: Subject, points: FloatArray, view: View, window: Window) -> W
     walls = body_walls(subject)
     height = min((wall.median_height for wall in walls), default=np.inf)
     flat = np.unique(view.project(points)[:, :2], axis=0)
-    if height > _LOST * _extent(window) or len(flat) < _NOSE_NODES[1]:
+    if height > _LOST * _extent(window) or len(flat) <= _NOSE_NODES[1]:
         return None
     distance = np.sort(np.linalg.norm(flat - flat[0], axis=1))
     reach = float(np.clip(200 * height, *distance[list(_NOSE_NODES)]))

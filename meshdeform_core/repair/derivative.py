@@ -183,10 +183,9 @@ class _AtMinimum:
         """Change (m,) of the excess of cells at the method's grid, and the transpose for a ``gradient`` (m,) of it."""
         energy, excess, found = self._region.energy, np.zeros(self._cells), np.zeros_like(change)
         if isinstance(energy, Hexahedra):
-            start, nodes, mask, samples, _ = energy._loops
             given = change, np.zeros_like(change), gradient
-            corners = mask & ((1 << 8) - 1)
-            slopes_of_cells(self._start, start, nodes, corners, samples, HEALTHY, NORM, SOFT, *given, excess, found)
+            where = energy.start, energy.nodes, energy.mask & ((1 << 8) - 1), energy.samples
+            slopes_of_cells(self._start, *where, HEALTHY, NORM, SOFT, *given, excess, found)
         else:
             assert isinstance(energy, Triangles)
             rest = energy.nodes, energy.slope, HEALTHY, SOFT, change, gradient

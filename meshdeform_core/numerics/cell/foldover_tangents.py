@@ -22,7 +22,7 @@ def _inner(a, b):
 
 @kernel
 def products_of_cells(
-    x, start, cells, mask, samples, weight, penalty, change, zero, d_share, d_between, out, g_between
+    x, cells, start, own, mask, samples, weight, penalty, change, zero, d_share, d_between, out, g_between
 ):
     """Change of the gradient of the energy for a ``change`` (n, 3) of ``x``, added to ``out`` (n, 3).
 
@@ -41,7 +41,7 @@ def products_of_cells(
             if not mask[c] >> s & 1:
                 continue
             m = count[s]
-            det = _map(x, start, cells[c], m, node[s], slope[s], inverse, b, a)
+            det = _map(x, cells[c], start, own[c], m, node[s], slope[s], inverse, b, a)
             _cofactors(a, k)
             u, v, w, p, q, r = _coefficients(_square(a), det, eps, weight[c, 0], cubic, True)
             _differ(change, zero, cells[c], m, node[s], b, t)
@@ -93,7 +93,7 @@ def slopes_of_cells(x, start, cells, mask, samples, healthy, norm, eps, change, 
         for s in range(count.size):
             f[s] = 0.0
             if mask[c] >> s & 1:
-                det = _map(x, start, cells[c], count[s], node[s], slope[s], inverse, b, a)
+                det = _map(x, cells[c], start, cells[c], count[s], node[s], slope[s], inverse, b, a)
                 chi, _ = _regular(det, eps)
                 f[s] = _square(a) / 3.0 * chi ** (-2.0 / 3.0) + 0.5 * (det * det + 1.0) / chi
                 largest = max(largest, np.log(f[s] / healthy))
@@ -105,7 +105,7 @@ def slopes_of_cells(x, start, cells, mask, samples, healthy, norm, eps, change, 
         for s in range(count.size):
             if f[s] <= healthy:
                 continue
-            det = _map(x, start, cells[c], count[s], node[s], slope[s], inverse, b, a)
+            det = _map(x, cells[c], start, cells[c], count[s], node[s], slope[s], inverse, b, a)
             _cofactors(a, k)
             u, v, _, _, _, _ = _coefficients(_square(a), det, eps, 1.0, 0.0, True)
             part = (np.log(f[s] / healthy) / largest) ** (norm - 1.0) * total ** (1.0 / norm - 1.0) / f[s]
