@@ -55,7 +55,7 @@ def runs() -> Iterator[Callable[[], object]]:
     yield partial(_series, "square", 11, Options("tfi"))
     yield partial(_derivatives, "hemisphere", 8, Options("tfi"))
     yield partial(_derivatives, "airfoil", 33, Options("idw-tfi"))
-    yield partial(_derivatives, "hemisphere", 8, Options("idw", idw=_FAST_IDW))
+    yield partial(_derivatives, "hemisphere", 8, Options("idw", idw=IDW(rotation="quaternion", summation="fast")))
     yield partial(_derivatives, "hemisphere", 8, Options("rbf", rbf=_FAST_RBF))
     yield partial(_repair_derivatives, "splitter-plate", 8, Options("tfi"), angle=40.0)
     yield partial(_repair_derivatives, "hemisphere", 8, Options("tfi"), amplitude=0.6)
