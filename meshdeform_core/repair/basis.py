@@ -48,8 +48,7 @@ class Basis:
         grid = self.original.grid
         if grid.dimension == 2:
             return False
-        blocks = (grid.moved(points).block(n) for n in range(grid.n_blocks))
-        pairs = zip(blocks, (grid.block(n) for n in range(grid.n_blocks)), strict=True)
+        pairs = ((grid.block(n, points), grid.block(n)) for n in range(grid.n_blocks))
         return all(all_healthy(x, start, HEALTHY, SOFT, COLLAPSED) for x, start in pairs)
 
     @cached_property

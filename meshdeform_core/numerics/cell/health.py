@@ -46,8 +46,10 @@ def all_healthy(x, start, healthy, eps, tolerance):
                         for n in range(3):
                             norm += _dot(edge, m, n) * _dot(dual, m, n)
                     chi, _ = _regular(det, eps)
-                    f = norm / (before * before) / 3.0 * chi ** (-2.0 / 3.0) + 0.5 * (det * det + 1.0) / chi
-                    if not f <= healthy * _BELOW:
+                    # f = shape chi^(-2/3) + (det^2 + 1) / (2 chi), compared without the root, which took half the time.
+                    shape = norm / (before * before) / 3.0
+                    room = healthy * _BELOW - 0.5 * (det * det + 1.0) / chi
+                    if not (room > 0.0 and shape * shape * shape <= room * room * room * chi * chi):
                         return False
     return True
 
