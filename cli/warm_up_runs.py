@@ -58,7 +58,7 @@ def runs() -> Iterator[Callable[[], object]]:
     yield partial(_derivatives, "hemisphere", 8, Options("idw", idw=IDW(rotation="quaternion", summation="fast")))
     yield partial(_derivatives, "hemisphere", 8, Options("rbf", rbf=_FAST_RBF))
     yield partial(_repair_derivatives, "splitter-plate", 8, Options("tfi"), angle=40.0)
-    yield partial(_repair_derivatives, "hemisphere", 8, Options("tfi"), amplitude=0.6)
+    yield partial(_repair_derivatives, "hemisphere", 8, Options("tfi"), amplitude=0.045)
     yield partial(_pictures, "hemisphere", 8, Options("tfi"))
     yield _nested_sums
 
