@@ -167,9 +167,10 @@ def _remarks(grid: Grid, topology: Topology, outside: Outside) -> list[str]:
     """Remarks that follow from the shape of the grid but not from the file."""
     from meshdeform_core.grid.roles import Role
     from meshdeform_core.grid.surfaces import clustered_interfaces
-    from meshdeform_formats.case.template import plates_line
 
     if outside.plates:
+        from meshdeform_formats.case.template import plates_line
+
         return [
             f"{_named([plate.name for plate in outside.plates])}: likely a thin plate (a wall without thickness "
             f"between blocks): cells cluster from both sides, and it does not reach the far field; if it "
