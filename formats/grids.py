@@ -45,7 +45,9 @@ FORMATS: dict[str, Format] = {
     "cgns": Format("cgns", (".cgns", ".hdf", ".hdf5", ".adf"), "CGNS, HDF5 and ADF (ADF read-only)"),
     "vtk": Format("vtk", (".vtk", ".vts", ".vtm"), "VTK legacy, .vts and .vtm structured grids"),
     "openfoam": Format("openfoam", (".foam",), "OpenFOAM: blockMeshDict (read), polyMesh (written)"),
-    "meshio": Format("meshio_export", (".vtu", ".su2", ".msh", ".inp", ".xdmf", ".med"), "unstructured, write-only"),
+    "meshio": Format(
+        "unstructured.export", (".vtu", ".su2", ".msh", ".inp", ".xdmf", ".med"), "unstructured, write-only"
+    ),
 }
 
 

@@ -1,14 +1,35 @@
-"""The files that belong to an input and those that an output replaces, so that no input is ever overwritten."""
+"""The files that an input consists of, their digest, and those that an output replaces: no input is overwritten."""
 
 from __future__ import annotations
 
 import functools
+import hashlib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from meshdeform_core.errors import FormatError
 
 from .files import read_head
+
+
+def files_of(path: Path) -> list[Path]:
+    """The file itself; of a case of OpenFOAM, what is read of it."""
+    if not _of_openfoam(path):
+        return [path]
+    from .openfoam.case import case_files
+
+    return case_files(path)
+
+
+def digest(path: Path) -> str:
+    """SHA-256 of the content of a file; of several files, that of their digests."""
+    found = [_digest(file) for file in files_of(path)]
+    return found[0] if len(found) == 1 else hashlib.sha256("".join(found).encode()).hexdigest()
+
+
+def size(path: Path) -> int:
+    """Bytes."""
+    return sum(file.stat().st_size for file in files_of(path))
 
 
 def require_no_input(output: Path, inputs: Iterable[Path | None]) -> None:
@@ -45,6 +66,15 @@ def files_behind(path: Path) -> tuple[Path, ...]:
     return _files_behind(path, (found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns))
 
 
+def _of_openfoam(path: Path) -> bool:
+    return path.suffix.lower() == ".foam" or path.is_dir()
+
+
+def _digest(path: Path) -> str:
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
 @functools.lru_cache(maxsize=64)
 def _files_behind(path: Path, state: tuple[int, ...]) -> tuple[Path, ...]:
     """Kept while the file is the same: the outputs of a series are compared with its inputs one by one."""
@@ -53,10 +83,8 @@ def _files_behind(path: Path, state: tuple[int, ...]) -> tuple[Path, ...]:
 
 def _related(path: Path) -> Iterator[Path]:
     yield path
-    if path.is_dir() or path.suffix.lower() == ".foam":
-        from .openfoam.case import case_files
-
-        yield from case_files(path)
+    if _of_openfoam(path):
+        yield from files_of(path)
         return
     # Faults of the file are reported when it is read.
     try:

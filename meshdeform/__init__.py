@@ -32,12 +32,12 @@ if TYPE_CHECKING:
     from meshdeform_core.methods import TFI as TFI
 
     from .choice import Hybrid as Hybrid
-    from .files import read as read
-    from .files import write as write
-    from .grids import Grid as Grid
-    from .mesh import Mesh as Mesh
-    from .preparation import prepare as prepare
-    from .step import Step as Step
+    from .grids.files import read as read
+    from .grids.files import write as write
+    from .grids.grid import Grid as Grid
+    from .prepared.mesh import Mesh as Mesh
+    from .prepared.preparation import prepare as prepare
+    from .prepared.step import Step as Step
     from .tasks import Difference as Difference
     from .tasks import Sample as Sample
     from .tasks import compare as compare
@@ -49,12 +49,12 @@ if TYPE_CHECKING:
 
 _ERRORS, _METHODS = "meshdeform_core.errors", "meshdeform_core.methods"
 _HOME = {
-    "read": ".files",
-    "write": ".files",
-    "Grid": ".grids",
-    "prepare": ".preparation",
-    "Mesh": ".mesh",
-    "Step": ".step",
+    "read": ".grids.files",
+    "write": ".grids.files",
+    "Grid": ".grids.grid",
+    "prepare": ".prepared.preparation",
+    "Mesh": ".prepared.mesh",
+    "Step": ".prepared.step",
     "deform": ".tasks",
     "quality": ".tasks",
     "compare": ".tasks",

@@ -21,8 +21,8 @@ from meshdeform_core.errors import GridError, MethodError
 from meshdeform_core.grid import FloatArray
 from meshdeform_core.repair.options import Mode
 
-from .linearisation import Linearisation
-from .mesh import Mesh
+from .prepared.linearisation import Linearisation
+from .prepared.mesh import Mesh
 
 __all__ = ["deform_function"]
 

@@ -11,11 +11,11 @@ from meshdeform_core.quality.difference import Difference, compare_points
 from meshdeform_core.repair.options import Mode
 
 from .choice import Method
-from .grids import Grid
-from .inputs import core_grid
+from .grids.grid import Grid
+from .grids.inputs import core_grid
 from .notebook import QualityReport
-from .preparation import CaseLike, parsed_case, prepare
-from .step import Step
+from .prepared.preparation import CaseLike, parsed_case, prepare
+from .prepared.step import Step
 
 __all__ = ["Difference", "Sample", "compare", "deform", "quality", "sample"]
 

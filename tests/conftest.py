@@ -13,7 +13,7 @@ for _library in ("OPENBLAS", "OMP", "MKL"):
 import pytest  # noqa: E402 (numpy reads the variables when it is loaded)
 
 from meshdeform_cli.process import progress  # noqa: E402
-from meshdeform_formats.picture import figure  # noqa: E402
+from meshdeform_formats.picture.drawing import figure  # noqa: E402
 
 
 @pytest.fixture(scope="session", autouse=True)

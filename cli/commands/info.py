@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
-from meshdeform_formats.json_text import json_text
+from meshdeform_formats.text.json import json_text
 
 from ..info_text import as_text
 from ..options import PATH, GridInput, check_output, force_option, grid_options, json_option

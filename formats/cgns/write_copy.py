@@ -18,7 +18,7 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray, Grid
 from meshdeform_core.numerics.arrays import extent
 
-from ..components import ahead, split
+from ..coordinates import ahead, split
 from ..files import replacing
 from ..hdf5_output import hdf5_output
 from .notes import Notes

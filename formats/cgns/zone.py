@@ -9,7 +9,7 @@ import numpy as np
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray, Shape
 
-from ..components import merge
+from ..coordinates import merge
 from .notes import Notes
 from .storage.tree import Node
 

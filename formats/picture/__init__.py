@@ -5,15 +5,15 @@
 
 from .boundaries import boundaries
 from .comparison import Pair, apart, moved_walls, plane_around, quality_planes, worst_cells
-from .facets import Facets, block_facets, cut_facets, joined, plane_facets, surface_facets
-from .figure import FILMS, STYLE, SUFFIXES, Page, Panel, check_picture_path, page_figure, page_png, save_page
+from .content.facets import Facets, block_facets, cut_facets, joined, plane_facets, surface_facets
+from .content.subject import METRICS, Subject
+from .content.worst import worst_cell
+from .drawing.figure import FILMS, STYLE, SUFFIXES, Page, Panel, check_picture_path, page_figure, page_png, save_page
+from .drawing.vector import draw
 from .overview import Choice, overview
 from .request import Request, picture
-from .subject import METRICS, Subject
-from .vector import draw
 from .view import along
 from .words import request_of
-from .worst import worst_cell
 
 __all__ = [
     "FILMS",

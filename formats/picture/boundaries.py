@@ -10,14 +10,14 @@ from meshdeform_core.grid import FloatArray
 from meshdeform_core.grid.roles import Role
 from meshdeform_core.grid.surfaces import Surface
 
-from .colours import colour_of, group_colours
-from .facets import Facets, block_outlines, joined
-from .figure import Page, Panel
-from .image import Scene
+from .content.facets import Facets, block_outlines, joined
+from .content.subject import Subject
+from .content.walls import body_walls, corners_of, onto_walls
+from .drawing.colours import colour_of, group_colours
+from .drawing.figure import Page, Panel
+from .drawing.image import Scene
 from .overview import Choice, overview
-from .subject import Subject
 from .view import View, shaped, window_of
-from .walls import body_walls, corners_of, onto_walls
 
 _MOST = 14
 

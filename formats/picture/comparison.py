@@ -13,13 +13,13 @@ from meshdeform_core.grid.planes import Plane
 from meshdeform_core.grid.surfaces import Surface
 from meshdeform_core.grid.topology import Topology
 
-from .facets import Facets, block_facets, block_outlines, cut_facets, joined, surface_facets
-from .figure import Page, Panel
-from .image import Scene
+from .content.facets import Facets, block_facets, block_outlines, cut_facets, joined, surface_facets
+from .content.subject import Subject
+from .content.walls import body_walls, middle_plane, nodes_of, onto_walls
+from .drawing.figure import Page, Panel
+from .drawing.image import Scene
 from .overview import Choice, flat_scene, moved_into, plane_of_grid
-from .subject import Subject
 from .view import View, Window, facing, shaped, window_of
-from .walls import body_walls, middle_plane, nodes_of, onto_walls
 
 _GREY = np.array([0.72, 0.74, 0.78])
 _AROUND = 7

@@ -15,12 +15,12 @@ import numpy as np
 from meshdeform_core.errors import FormatError
 
 from ..files import replacing
-from .colours import DIVERGING, SEQUENTIAL, Scale, scale_of
-from .figure import FILMS, Page, page_png
-from .image import INVALID_COLOUR
+from .content.subject import Subject
+from .drawing.colours import DIVERGING, SEQUENTIAL, Scale, scale_of
+from .drawing.figure import FILMS, Page, page_png
+from .drawing.image import INVALID_COLOUR
 from .overview import Choice
 from .request import Request, picture
-from .subject import Subject
 from .view import Window
 
 if TYPE_CHECKING:

@@ -13,13 +13,13 @@ from meshdeform_core.grid.planes import Plane
 from meshdeform_core.grid.roles import Role
 from meshdeform_core.grid.surfaces import Surface
 
-from .colours import Scale, scale_of
-from .facets import Facets, block_outlines, cut_facets, joined, plane_facets, plane_outlines, surface_facets
-from .figure import Page, Panel
-from .image import Scene
-from .subject import Subject
+from .content.facets import Facets, block_outlines, cut_facets, joined, plane_facets, plane_outlines, surface_facets
+from .content.subject import Subject
+from .content.walls import all_walls, body_walls, corners_of, cut_plane, nodes_of, onto_walls, quads_of
+from .drawing.colours import Scale, scale_of
+from .drawing.figure import Page, Panel
+from .drawing.image import Scene
 from .view import View, Window, facing, iso, shaped, window_of
-from .walls import all_walls, body_walls, corners_of, cut_plane, nodes_of, onto_walls, quads_of
 
 _SMALL = 0.3
 """A detail smaller than this fraction of the picture, along its larger side, has a close-up."""

@@ -14,16 +14,16 @@ from meshdeform_core.grid.planes import Plane
 from meshdeform_core.grid.selection import select_quads
 from meshdeform_core.numerics.arrays import extent
 
-from .colours import Scale
 from .comparison import Pair, worst_cells
-from .facets import Facets, block_outlines, cut_facets, plane_facets, plane_outlines, surface_facets
-from .figure import Page, Panel
-from .image import Scene
+from .content.facets import Facets, block_outlines, cut_facets, plane_facets, plane_outlines, surface_facets
+from .content.subject import Subject
+from .content.walls import all_walls, corners_of, onto_walls, quads_of
+from .content.worst import worst_cell
+from .drawing.colours import Scale
+from .drawing.figure import Page, Panel
+from .drawing.image import Scene
 from .overview import Choice, flat_scene, overview, plane_of_grid
-from .subject import Subject
 from .view import View, Window, along, facing, iso, shaped, window_of
-from .walls import all_walls, corners_of, onto_walls, quads_of
-from .worst import worst_cell
 
 _ARROWS = 20
 _GREY = np.array([0.80, 0.81, 0.84])

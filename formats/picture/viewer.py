@@ -13,13 +13,13 @@ from meshdeform_core.grid.planes import Plane
 from meshdeform_core.grid.roles import Role
 
 from ..files import replacing
-from .colours import Scale
-from .facets import Facets, block_outlines, joined, surface_facets
-from .image import INVALID_COLOUR
+from .content.facets import Facets, block_outlines, joined, surface_facets
+from .content.subject import Subject
+from .content.walls import all_walls, body_walls, corners_of, middle_plane, onto_walls, quads_of
+from .drawing.colours import Scale
+from .drawing.image import INVALID_COLOUR
 from .overview import Choice, plane_of_grid
-from .subject import Subject
 from .view import View
-from .walls import all_walls, body_walls, corners_of, middle_plane, onto_walls, quads_of
 
 if TYPE_CHECKING:
     import pyvista

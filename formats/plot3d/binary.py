@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from meshdeform_core.grid import Grid
 
-from ..components import ahead
+from ..coordinates import ahead
 from .blocks import assemble, file_arrays
 from .detect import LONGEST_HEADER, Reading, UnknownFile, choose, header_variants, stream_readings
 from .records import fortran_readings, record_lengths, write_record

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from meshdeform_core.grid import Field, FloatArray, Grid, Shape
 from meshdeform_core.parallel import empty
 
-from ..components import merge, split
+from ..coordinates import merge, split
 from .detect import Reading
 from .variant import Variant
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from meshdeform_core.parallel import current_ranks, thread_count
 
-from ..contents import digest, files_of, size
+from ..inputs import digest, files_of, size
 from .parts import Report
 
 _LIBRARIES = ("numpy", "scipy", "numba")

@@ -7,7 +7,7 @@ from typing import Any
 
 from meshdeform_core.memory import readable
 
-from ..wording import counted
+from ..text.wording import counted
 from .components import component_lines
 from .measures import measure_rows, place_text
 from .repaired import repair_lines

@@ -10,7 +10,7 @@ from typing import Any
 from meshdeform_core.errors import FormatError
 
 from ..files import replacing
-from ..json_text import json_text
+from ..text.json import json_text
 from .illustrations import Illustrate, Illustrations
 from .parts import Report
 

@@ -10,8 +10,8 @@ from pathlib import Path
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Grid
 
-from ..contents import digest
 from ..grids import read_grid, variant_of
+from ..inputs import digest
 from ..openfoam.case import has_dictionary, is_foam
 from ..openfoam.existing import points_file
 from ..openfoam.format import MeshWriter

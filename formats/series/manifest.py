@@ -17,8 +17,8 @@ from meshdeform_core.methods import entry_of
 from meshdeform_core.series import REVISION, Schedule
 
 from ..case import CaseFile
-from ..contents import digest
 from ..files import replacing
+from ..inputs import digest
 
 NAME = "series.json"
 _SHOWN = 6

@@ -14,12 +14,12 @@ from meshdeform_core.grid.selection import quads_of_patch
 from meshdeform_core.grid.topology import Topology, find_topology
 from meshdeform_core.grid.windows import rectangles
 
-from .. import grids
 from ..choice import options_of
-from ..linearisation import Linearisation
-from ..mesh import Mesh
-from ..preparation import prepare
-from ..step import Step
+from ..grids.grid import Grid as UserGrid
+from ..prepared.linearisation import Linearisation
+from ..prepared.mesh import Mesh
+from ..prepared.preparation import prepare
+from ..prepared.step import Step
 from .options import Options
 
 if TYPE_CHECKING:
@@ -184,7 +184,7 @@ def _mesh(zones: Zones, quads: IntArray, comm: Comm | None) -> Mesh:
     """The mesh whose surface ``quads`` move: symmetry planes mirror them, all other outside nodes are free."""
     mirrors = [zones.patch(f"symmetry{n}", each, "BCSymmetryPlane") for n, each in enumerate(zones.symmetry(), 1)]
     patches = (zones.patch(SURFACE, quads, "BCWall"), *mirrors)
-    held = grids.Grid._of(dataclasses.replace(zones.grid, patches=patches))
+    held = UserGrid._of(dataclasses.replace(zones.grid, patches=patches))
     rest = zones.topology.external.copy()
     rest[np.concatenate([quads, *(quads_of_patch(zones.topology.quads, patch) for patch in mirrors)])] = False
     mesh = prepare(

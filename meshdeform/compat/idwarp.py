@@ -263,7 +263,7 @@ class MultiUSMesh(_Interface):
 
 def _surface_file(name: str) -> tuple[FloatArray, np.ndarray[Any, Any]]:
     """Points (n, 3), i fastest in each block, and faces (n_faces, 4) of a Plot3D file of surfaces."""
-    from ..files import read
+    from ..grids.files import read
 
     blocks, points, faces, first = read(name)._core, [], [], 0
     for block in range(blocks.n_blocks):

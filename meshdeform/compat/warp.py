@@ -13,10 +13,10 @@ from meshdeform_core.errors import CaseError, GridError, MotionError
 from meshdeform_core.grid import FloatArray, Grid, IntArray
 from meshdeform_core.parallel import OneRank, Ranks, empty, sharing
 
-from .. import grids
-from ..files import read, write
+from ..grids.files import read, write
+from ..grids.grid import Grid as UserGrid
 from ..pieces import gathered, share_of, summed
-from ..turns import one_at_a_time
+from ..prepared.turns import one_at_a_time
 from .component import Component, Zones
 from .numbering import rows_of_file, rows_of_freedoms
 from .options import Options
@@ -219,7 +219,7 @@ class Warp:
 
     def write(self, name: str) -> None:
         """The deformed grid as a copy of the file, made by the first rank."""
-        moved = grids.Grid._of(self._grid.moved(self._points))
+        moved = UserGrid._of(self._grid.moved(self._points))
         self._ranks.on_first(lambda: write(moved, name, force=True))
 
 

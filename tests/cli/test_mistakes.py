@@ -16,7 +16,7 @@ from meshdeform_core.grid.selection import select_quads
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_formats import write_grid
 from meshdeform_formats.report.text import axis_text
-from meshdeform_formats.wording import counted
+from meshdeform_formats.text.wording import counted
 from meshdeform_samples import generate
 
 DEFORM = ("deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz")

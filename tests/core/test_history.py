@@ -9,7 +9,7 @@ import pytest
 from cases import ALL_METHODS, constant
 from grids import frame_2d
 
-from meshdeform.mesh import Mesh
+from meshdeform.prepared.mesh import Mesh
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.deform import Case, set_up
 from meshdeform_core.methods import Options

@@ -33,7 +33,7 @@ from meshdeform_core.numerics.geometry.boxes import overlapping_boxes
 from meshdeform_core.quality.boundary_cells import interface_cells
 from meshdeform_core.quality.cells import block_volumes
 from meshdeform_core.quality.lines import interface_lines
-from meshdeform_formats.json_text import json_text
+from meshdeform_formats.text.json import json_text
 
 
 def lattice(counts: tuple[int, int, int], nodes: int = 3, turned: bool = False, gap: float = 0.0) -> Grid:

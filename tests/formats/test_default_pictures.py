@@ -9,8 +9,8 @@ from meshdeform_core.grid.surfaces import find_outside
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_formats.case.template import case_template
 from meshdeform_formats.picture import Choice, Subject, overview
-from meshdeform_formats.picture.figure import _free_corner
-from meshdeform_formats.picture.image import render
+from meshdeform_formats.picture.drawing.figure import _free_corner
+from meshdeform_formats.picture.drawing.image import render
 from meshdeform_samples import load
 
 

@@ -33,8 +33,8 @@ from meshdeform_formats.picture import (
     worst_cell,
     worst_cells,
 )
-from meshdeform_formats.picture.colours import group_colours, scale_of
-from meshdeform_formats.picture.image import INVALID_COLOUR, Scene, render
+from meshdeform_formats.picture.drawing.colours import group_colours, scale_of
+from meshdeform_formats.picture.drawing.image import INVALID_COLOUR, Scene, render
 from meshdeform_formats.picture.view import along, iso, towards, window_of
 from meshdeform_samples import load
 

@@ -14,7 +14,7 @@ from meshdeform_core.grid import Grid
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_formats.picture import Choice, Subject
 from meshdeform_formats.picture import viewer as viewer_module
-from meshdeform_formats.picture.image import INVALID_COLOUR
+from meshdeform_formats.picture.drawing.image import INVALID_COLOUR
 from meshdeform_samples import generate
 
 

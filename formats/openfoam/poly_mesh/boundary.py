@@ -15,7 +15,7 @@ from meshdeform_core.grid.planes import plane_of
 from meshdeform_core.grid.roles import Role, role_of_patch
 from meshdeform_core.grid.topology import Topology
 
-from ...markers import Marker, find_markers
+from ...unstructured.markers import Marker, find_markers
 from .extrusion import empty_sides
 
 _OWN_TYPES = ("patch", "wall", "symmetry", "symmetryPlane", "empty", "wedge")

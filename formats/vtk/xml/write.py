@@ -12,7 +12,7 @@ import numpy as np
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Grid
 
-from ...text_numbers import number_lines
+from ...text.numbers import number_lines
 from ..dataset import StoredArray, VtkFormat, arrays_to_write, points_to_write
 from .arrays import TYPES
 from .attributes import ID_ROLES, SECTIONS

@@ -8,9 +8,9 @@ import numpy as np
 
 from meshdeform_core.grid import FloatArray
 
-from .facets import Facets
+from ..content.facets import Facets
+from ..view import View, Window
 from .raster import draw_polygons, draw_segments
-from .view import View, Window
 
 FINE = 3
 """Oversampling factor in each direction; the pixels are averaged."""

@@ -16,8 +16,8 @@ from meshdeform_core.memory import peak_memory
 from meshdeform_core.quality import InvalidCell
 from meshdeform_core.repair.outcome import Repair
 
-from .grids import Grid
-from .notebook import html_table, quality_rows
+from ..grids.grid import Grid
+from ..notebook import html_table, quality_rows
 
 
 class QualityGradient(NamedTuple):

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from meshdeform_core.parallel import set_threads
-from meshdeform_formats import components
-from meshdeform_formats.components import ahead, merge, split
+from meshdeform_formats import coordinates
+from meshdeform_formats.coordinates import ahead, merge, split
 
 
 @pytest.fixture(params=[1, 2])
@@ -18,7 +18,7 @@ def threads(request):
 @pytest.mark.parametrize("count", [2, 3])
 @pytest.mark.parametrize("together", [0, 1 << 28])
 def test_blocks_are_split_and_merged(threads, count, together, monkeypatch):
-    monkeypatch.setattr(components, "_TOGETHER", together)
+    monkeypatch.setattr(coordinates, "_TOGETHER", together)
     block = np.random.default_rng(0).random((4, 19, 5, 3))
     arrays = list(split(block, np.dtype(">f4"), count))
     assert len(arrays) == count

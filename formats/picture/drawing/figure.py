@@ -12,10 +12,10 @@ import numpy as np
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray
 
-from ..files import replacing
+from ...files import replacing
+from ..view import View, Window
 from .colours import Scale
 from .image import FINE, INVALID_COLOUR, Image, Scene, render
-from .view import View, Window
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

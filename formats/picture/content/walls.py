@@ -11,8 +11,8 @@ from meshdeform_core.grid.planes import Plane
 from meshdeform_core.grid.roles import Role
 from meshdeform_core.grid.surfaces import Surface
 
+from ..view import View, towards
 from .subject import Subject
-from .view import View, towards
 
 
 def body_walls(subject: Subject) -> tuple[Surface, ...]:

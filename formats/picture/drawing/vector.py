@@ -8,10 +8,10 @@ import numpy as np
 
 from meshdeform_core.grid import FloatArray
 
+from ..content.facets import Facets
+from ..view import View, Window, spread
 from .colours import scale_of
-from .facets import Facets
 from .image import LINE_COLOUR, Scene
-from .view import View, Window, spread
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

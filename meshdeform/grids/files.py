@@ -6,7 +6,7 @@ from pathlib import Path
 
 from meshdeform_core.errors import FormatError, GridError
 
-from .grids import Grid
+from .grid import Grid
 
 
 def read(path: str | Path, *, boundary_file: str | Path | None = None, **variant: str) -> Grid:

@@ -10,9 +10,9 @@
 =========  ======================================================================================
 
 Coincident nodes are merged. Cells of left-handed blocks are reordered so that all volumes are positive; collapsed
-hexahedra remain hexahedra. Families and periodic pairs are those of :mod:`meshdeform_formats.markers`. Points are
-numbered in the order of the blocks, k running fastest: first those on block faces, each where it comes first, then
-those inside blocks.
+hexahedra remain hexahedra. Families and periodic pairs are those of :mod:`meshdeform_formats.unstructured.markers`.
+Points are numbered in the order of the blocks, k running fastest: first those on block faces, each where it comes
+first, then those inside blocks.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Field, FileFormat, FloatArray, Grid, IntArray
 from meshdeform_core.grid.topology import Topology, find_topology
 
-from .files import replacing
-from .gmsh_export import Entity, write_msh41
-from .hdf5_output import target
+from ..files import replacing
+from ..hdf5_output import target
+from ..variant_options import checked_options
+from ..vtk.dataset import storable
+from .gmsh import Entity, write_msh41
 from .markers import find_markers
-from .variant_options import checked_options
-from .vtk.dataset import storable
 
 _BOUNDARY: dict[str, tuple[str, ...]] = {"boundary": ("false", "true")}
 _OPTIONS: dict[str, dict[str, tuple[str, ...]]] = {

@@ -16,10 +16,10 @@ from meshdeform_core.memory import MemoryLimit, left_for_method, machine_memory,
 from meshdeform_core.parallel import OneRank, Ranks, sharing
 from meshdeform_formats.case import CaseFile, case_of, read_case
 
-from .choice import Method, options_of
-from .gate import whole
-from .grids import Grid
-from .inputs import user_grid
+from ..choice import Method, options_of
+from ..gate import whole
+from ..grids.grid import Grid
+from ..grids.inputs import user_grid
 from .mesh import Mesh
 from .turns import one_at_a_time
 

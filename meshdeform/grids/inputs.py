@@ -11,7 +11,7 @@ from meshdeform_core import grid as core
 from meshdeform_core.errors import GridError
 
 from .files import read
-from .grids import Grid
+from .grid import Grid
 
 
 def user_grid(grid: object) -> Grid:

@@ -9,9 +9,9 @@ import numpy as np
 from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import FloatArray
 
-from .facets import Facets
+from ..content.facets import Facets
+from ..content.subject import METRICS
 from .image import INVALID_COLOUR
-from .subject import METRICS
 
 _REACHES = (0.01, 0.02, 0.05)
 """Shortest ranges of metrics with an end that is always shown; longer ones are whole tenths."""

@@ -13,8 +13,8 @@ from meshdeform_core import grid as core
 from meshdeform_core.errors import GridError
 from meshdeform_core.grid import FloatArray
 
-from .gate import checked_array
-from .notebook import html_table
+from ..gate import checked_array
+from ..notebook import html_table
 
 if TYPE_CHECKING:
     import meshio
@@ -181,7 +181,7 @@ class Grid:
 
     def to_meshio(self) -> meshio.Mesh:
         """Unstructured hexahedra (2-D: quadrilaterals) with coincident nodes merged, and the fields of the file."""
-        from meshdeform_formats.meshio_export import as_mesh
+        from meshdeform_formats.unstructured.export import as_mesh
 
         return as_mesh(self._core)
 

@@ -21,10 +21,10 @@ from meshdeform_core.methods import PreparedMethod, Progress, prepare_method
 from meshdeform_core.parallel import Ranks, sharing
 from meshdeform_core.repair.options import Mode
 
-from .gate import checked_array, checked_time, require_arguments, whole
-from .grids import Grid
+from ..gate import checked_array, checked_time, require_arguments, whole
+from ..grids.grid import Grid
+from ..notebook import html_table
 from .linearisation import Linearisation, Moving
-from .notebook import html_table
 from .step import Step
 from .turns import one_at_a_time
 

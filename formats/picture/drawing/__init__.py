@@ -1,0 +1,1 @@
+"""From polygons to files: depth buffer, image, lines, colours, pages of panels."""

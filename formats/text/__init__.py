@@ -1,0 +1,1 @@
+"""Text that several formats and the command line write: JSON, exact numbers, counted nouns."""
