@@ -157,7 +157,7 @@ def run(
 def cells_of(setup: Setup, after: Grid) -> CellFields:
     """The cells of a deformed grid as they are measured against the original."""
     moving = np.flatnonzero(setup.boundary.quad_kind == Kind.MOVING)
-    return CellFields(after, setup.topology, setup.grid, moving)
+    return CellFields(after, setup.topology, setup.grid, moving, setup.original)
 
 
 def conclude(report: Report, run: RunInput, delivery: Delivery) -> int:

@@ -96,7 +96,7 @@ def mend(
     width = precision or grid.precision
     measured = Original(original, topology, case.repair.min_jacobian)
     # Another program may have left nodes beside the surface on which they slide.
-    constraints = Constraints.of(original, topology, boundary).without_sliding()
+    constraints = Constraints.of(measured, boundary).without_sliding()
     moved = np.abs(grid.points - original.points)[topology.first].max(axis=1) > 0.0
     constraints = dataclasses.replace(constraints, walls=constraints.walls | (constraints.held & moved))
     limit = Limit.of(original.n_nodes, case.repair.time_limit)

@@ -12,6 +12,7 @@ from meshdeform_core.grid import FloatArray, Grid, IntArray, Shape
 from meshdeform_core.grid.planes import Plane
 from meshdeform_core.grid.surfaces import Surface
 from meshdeform_core.grid.topology import Topology
+from meshdeform_core.quality import Original
 
 from .content.facets import Facets, block_facets, block_outlines, cut_facets, joined, surface_facets
 from .content.subject import Subject
@@ -30,17 +31,19 @@ _AROUND = 7
 class Pair:
     """The same grid before and after, with the topology of the undeformed one.
 
-    ``undeformed`` is the grid that both are judged against, where it is not the one before.
+    ``undeformed`` is the grid that both are judged against, where it is not the one before; ``original``: its cells, if
+    its faces have been found already.
     """
 
     before: Grid
     after: Grid
     topology: Topology
     undeformed: Grid | None = None
+    original: Original | None = None
 
     @cached_property
     def old(self) -> Subject:
-        return Subject(self.before, self.topology, self.undeformed)
+        return Subject(self.before, self.topology, self.undeformed, original=self.original)
 
     @cached_property
     def new(self) -> Subject:

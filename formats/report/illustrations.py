@@ -42,7 +42,7 @@ Illustrate = Callable[[], Illustrations]
 def deformation_figures(result: Result) -> Illustrations:
     """The moving walls, a plane around them, the worst cells and what a repair changed, before and after."""
     setup, after, invalid = result.setup, result.grid, result.assessment.invalid
-    pair = Pair(setup.grid, after, setup.topology)
+    pair = Pair(setup.grid, after, setup.topology, original=setup.original)
     figures = [_slider("Around the walls", "A plane through the grid, coloured by f_skew.", *quality_planes(pair))]
     block, cell = worst_cell(pair.new, "f_skew")
     where = f"{setup.grid.names[block]} ({', '.join(str(n + 1) for n in cell)})"
@@ -96,11 +96,11 @@ def level_thumbnails(
     levels : number, caption and file name of each
     read : gives the coordinates (n_nodes, 3) of a level
     """
-    points = {number: read(number) for number, _, _ in levels}
-    around = np.concatenate([_moving_nodes(setup, x) for x in points.values()])
+    # One level at a time is in memory.
+    around = np.concatenate([_moving_nodes(setup, read(number)) for number, _, _ in levels])
     shown = []
     for number, caption, file in levels:
-        subject = Subject(setup.grid.moved(points[number]), setup.topology, setup.grid)
+        subject = Subject(setup.grid.moved(read(number)), setup.topology, setup.grid, original=setup.original)
         page = plane_around(subject, around, Choice(limits=(0.0, 1.0)))
         shown.append((Figure(caption, caption, page_png(page, 4.2, 90)), file))
     return Illustrations(thumbnails=tuple(shown))

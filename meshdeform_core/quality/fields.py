@@ -72,14 +72,14 @@ class CellFields:
     topology : of the undeformed grid
     reference : the undeformed grid; cells that became invalid are judged against it
     moving : numbers of face quads that move, which are walls whatever they look like
-    original : the same of the undeformed grid, where it is at hand: its faces need not be found again
+    original : the undeformed grid where its faces have been found already
     """
 
     grid: Grid
     topology: Topology
     reference: Grid | None = None
     moving: IntArray | None = None
-    original: CellFields | None = None
+    original: CellFields | Original | None = None
 
     @cached_property
     def outside(self) -> Outside:

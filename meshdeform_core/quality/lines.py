@@ -8,10 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..boundary import Boundary, Kind
 from ..grid import BoolArray, FloatArray, Grid, IntArray, Side
-from ..grid.roles import Role
-from ..grid.surfaces import find_outside
 from ..grid.topology import Topology, inward_step, side_nodes
 from ..numerics.geometry.coincidence import distinct
 
@@ -114,26 +111,6 @@ class WallFace:
         """The windows of ``nodes`` that hold the first, second, ... corner of every quad."""
         (na, nb), (qa, qb) = self.nodes.shape, self.wall.shape
         return [(slice(a, a + qa), slice(b, b + qb)) for a in range(min(2, na)) for b in range(min(2, nb))]
-
-
-def moving_walls(grid: Grid, topology: Topology, boundary: Boundary) -> list[WallFace]:
-    """All block faces with moving quads."""
-    return wall_faces(grid, topology, boundary.quad_kind == Kind.MOVING)
-
-
-def fixed_walls(grid: Grid, topology: Topology, boundary: Boundary) -> list[WallFace]:
-    """All block faces with fixed quads that are likely to be walls, not far field."""
-    return wall_faces(grid, topology, fixed_wall_quads(grid, topology, boundary))
-
-
-def fixed_wall_quads(grid: Grid, topology: Topology, boundary: Boundary) -> BoolArray:
-    """(n_quads,) fixed face quads that are likely to be walls, not far field."""
-    fixed = np.asarray(boundary.quad_kind == Kind.FIXED)
-    if fixed.any():
-        outside = find_outside(grid, topology)
-        walls = [f.quads for f, role in zip(outside.faces, outside.roles, strict=True) if role is Role.WALL]
-        fixed &= np.isin(np.arange(len(fixed)), np.concatenate(walls) if walls else [])
-    return fixed
 
 
 def wall_faces(grid: Grid, topology: Topology, chosen: BoolArray) -> list[WallFace]:

@@ -5,19 +5,22 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from ..boundary import Boundary
-from ..grid import FloatArray, Grid
+import numpy as np
+
+from ..boundary import Boundary, Kind
+from ..grid import BoolArray, FloatArray, Grid
 from ..grid.planes import plane_normal
+from ..grid.roles import Role
+from ..grid.surfaces import Outside, find_outside
 from ..grid.topology import Topology
 from .kept import KeptCells
 from .lines import (
     InterfaceLines,
     WallFace,
     WallLines,
-    fixed_walls,
     interface_lines,
     kink_and_jump,
-    moving_walls,
+    wall_faces,
     wall_lines,
 )
 from .tally import Tally
@@ -62,12 +65,27 @@ class Original:
         lines = interface_lines(self.grid, self.topology)
         return lines, kink_and_jump(lines, self.grid.points)
 
+    @cached_property
+    def outside(self) -> Outside:
+        """Its faces with their roles, and its surfaces."""
+        return find_outside(self.grid, self.topology)
+
+    def fixed_wall_quads(self, boundary: Boundary) -> BoolArray:
+        """(n_quads,) fixed face quads that are likely to be walls, not far field."""
+        fixed = np.asarray(boundary.quad_kind == Kind.FIXED)
+        if fixed.any():
+            faces = zip(self.outside.faces, self.outside.roles, strict=True)
+            walls = [face.quads for face, role in faces if role is Role.WALL]
+            fixed &= np.isin(np.arange(len(fixed)), np.concatenate(walls) if walls else [])
+        return fixed
+
     def walls(self, boundary: Boundary) -> dict[str, Walls]:
         """The ``moving`` and the ``fixed`` walls of a boundary; those of the last boundary are cached."""
         if self._walls is None or self._walls[0] is not boundary:
             normal, found = plane_normal(self.grid), {}
-            for name, find in (("moving", moving_walls), ("fixed", fixed_walls)):
-                faces = find(self.grid, self.topology, boundary)
+            moving = np.asarray(boundary.quad_kind == Kind.MOVING)
+            for name, quads in (("moving", moving), ("fixed", self.fixed_wall_quads(boundary))):
+                faces = wall_faces(self.grid, self.topology, quads)
                 found[name] = Walls(faces, [wall_lines(face, self.grid.points, normal) for face in faces])
             self._walls = boundary, found
         return self._walls[1]

@@ -27,7 +27,7 @@ class Basis:
     def _constraints(self) -> Constraints:
         if isinstance(self._boundary, Constraints):
             return self._boundary
-        return Constraints.of(self.original.grid, self.original.topology, self._boundary)
+        return Constraints.of(self.original, self._boundary)
 
     @cached_property
     def neighbourhood(self) -> Neighbourhood:

@@ -11,7 +11,7 @@ from ..boundary import Boundary, Kind
 from ..grid import BoolArray, FloatArray, Grid, IntArray
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology
-from ..quality.lines import fixed_wall_quads
+from ..quality import Original
 from .sliding import Sliding
 
 
@@ -47,8 +47,9 @@ class Constraints:
         return dataclasses.replace(self, held=held, sliding=())
 
     @classmethod
-    def of(cls, grid: Grid, topology: Topology, boundary: Boundary) -> Constraints:
+    def of(cls, original: Original, boundary: Boundary) -> Constraints:
         """The constraints of a classified boundary."""
+        grid, topology = original.grid, original.topology
         held = boundary.kind >= Kind.FIXED
         single = _on_one_surface(topology, boundary)
         starts, normal = grid.points[topology.first], plane_normal(grid)
@@ -69,7 +70,7 @@ class Constraints:
         several = np.flatnonzero(np.einsum("nii->n", removed) > 1.5)
         removed[several] = _spans(removed[several])
         walls = boundary.kind == Kind.MOVING
-        walls[topology.quads.corners[fixed_wall_quads(grid, topology, boundary)]] = True
+        walls[topology.quads.corners[original.fixed_wall_quads(boundary)]] = True
         return cls(grid, topology, held, walls, removed, root, turn, sliding)
 
 

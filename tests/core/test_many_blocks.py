@@ -10,11 +10,12 @@ from collections.abc import Callable
 import grids
 import numpy as np
 import pytest
-from cases import problem_of
+from cases import body_specs, problem_of, turning
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from random_grids import turn_block
 
+from meshdeform_core.deform import Case, deform
 from meshdeform_core.grid import Grid, IntArray, Side
 from meshdeform_core.grid.connectivity import check_connections, connected_nodes
 from meshdeform_core.grid.extent import Bounds, block_extents
@@ -30,9 +31,11 @@ from meshdeform_core.grid.windows import rectangles, windows_of_quads
 from meshdeform_core.methods.transfinite.edge_graph import PreparedEdgeGraph, _face_parts, _Rows, _segments
 from meshdeform_core.numerics.arrays import batches, medians, runs, spans, spread
 from meshdeform_core.numerics.geometry.boxes import overlapping_boxes
+from meshdeform_core.quality import original
 from meshdeform_core.quality.boundary_cells import interface_cells
 from meshdeform_core.quality.cells import block_volumes
 from meshdeform_core.quality.lines import interface_lines
+from meshdeform_formats.picture.comparison import Pair
 from meshdeform_formats.text.json import json_text
 
 
@@ -318,6 +321,16 @@ def test_calls_per_block_do_not_grow(work, per_block):
     more = counts[1] - counts[0]
     assert more / (many.n_blocks - few.n_blocks) < per_block
     assert counts[1] < 1.2 * counts[0] * many.n_blocks / few.n_blocks
+
+
+def test_faces_are_found_once(monkeypatch):
+    """Both the repair and the measures of walls need their roles, as do pictures and fields."""
+    found: list[Grid] = []
+    monkeypatch.setattr(original, "find_outside", lambda *given: found.append(given[0]) or find_outside(*given))
+    result = deform(grids.frame(), Case(body_specs(turning(20))))
+    assert result.repair is None
+    assert Pair(result.setup.grid, result.grid, result.setup.topology, original=result.setup.original).new.outside
+    assert len(found) == 1
 
 
 def test_sides_of_separate_blocks_are_not_compared_with_all_others():

@@ -40,7 +40,7 @@ def fixed_setup(grid, *more):
 
 
 def whole_region(setup):
-    near = Neighbourhood(Constraints.of(setup.grid, setup.topology, setup.boundary))
+    near = Neighbourhood(Constraints.of(setup.original, setup.boundary))
     return near.plot(near.around(np.arange(setup.grid.n_cells), 1))
 
 
@@ -336,7 +336,7 @@ def test_only_plane_motions_of_extruded_grids_are_taken_for_plane():
     grid = frame(5, 3)
     specs = body_specs(turning("20"), Kind.SLIP)
     setup = set_up(grid, Case(tuple(specs)))
-    extrusion = find_extrusion(Constraints.of(setup.grid, setup.topology, setup.boundary))
+    extrusion = find_extrusion(Constraints.of(setup.original, setup.boundary))
     assert extrusion is not None
     assert extrusion.plane.n_nodes * 4 == grid.n_nodes
     change = np.tile([0.1, 0.2, 0.0], (grid.n_nodes, 1))
@@ -348,13 +348,13 @@ def test_only_plane_motions_of_extruded_grids_are_taken_for_plane():
         assert extrusion.flattened(other) is None
     # Fixed ends hold lines whose middles are free.
     fixed = set_up(grid, Case(tuple(body_specs(turning("20"), Kind.FIXED))))
-    assert find_extrusion(Constraints.of(fixed.grid, fixed.topology, fixed.boundary)) is None
+    assert find_extrusion(Constraints.of(fixed.original, fixed.boundary)) is None
     # One plane of nodes moved out of its place.
     bent = grid.points.copy()
     bent[grid.points[:, 2] == np.unique(grid.points[:, 2])[1], 0] += 1e-4
     moved = dataclasses.replace(grid, points=bent)
     other = set_up(moved, Case(tuple(specs)))
-    assert find_extrusion(Constraints.of(other.grid, other.topology, other.boundary)) is None
+    assert find_extrusion(Constraints.of(other.original, other.boundary)) is None
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
@@ -367,7 +367,7 @@ def test_nodes_slide_on_curved_surfaces_and_stay_on_them(dimension):
     outer = BoundarySpec("outer", ("*.jmax",), Kind.SLIP)
     inner = BoundarySpec("inner", ("*.jmin",), Kind.MOVING, None, formulas("0", "0", "0"))
     setup = set_up(grid, Case((outer, inner)))
-    constraints = Constraints.of(setup.grid, setup.topology, setup.boundary)
+    constraints = Constraints.of(setup.original, setup.boundary)
     (sliding,) = constraints.sliding
     assert sliding.nodes.size == 11 * (3 if dimension == 3 else 1)
     points = setup.grid.points.copy()

@@ -36,7 +36,7 @@ def test_fixed_walls_are_kept_like_moving_ones():
         BoundarySpec("floor", ("*.jmin",), Kind.FIXED),
     )
     setup = set_up(grid, Case(specs, method=Options("idw")))
-    constraints = Constraints.of(setup.grid, setup.topology, setup.boundary)
+    constraints = Constraints.of(setup.original, setup.boundary)
     at_wall = setup.grid.points[setup.topology.first[constraints.walls]]
     assert set(np.unique(at_wall[:, 1])) == {0.0, 1.0}
     result = impose(setup, setup.motion(0.0), None, "float64", Timing())
