@@ -8,12 +8,12 @@ from pathlib import Path
 
 from meshdeform_core.boundary.pinned import find_pinned
 from meshdeform_core.boundary.prescribed import largest_displacement
-from meshdeform_core.course import Course, doubts
 from meshdeform_core.deform import Result, Setup, Timing, impose, set_up
 from meshdeform_core.methods import prepare_method
 from meshdeform_core.methods.limits import patch_motions
 from meshdeform_core.repair.limit import Limit
 from meshdeform_core.setup import Start
+from meshdeform_core.stepping.course import Course, doubts
 from meshdeform_formats.grids import variant_of
 from meshdeform_formats.report import Report, plan_report
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from types import TracebackType
 
 from meshdeform_core import interruption
-from meshdeform_core.boundary.motion import FollowSequence
+from meshdeform_core.boundary.motions.motion import FollowSequence
 from meshdeform_core.boundary.prescribed import largest_displacement
 from meshdeform_core.deform import Setup, Timing, set_up
 from meshdeform_core.errors import CaseError, FormatError, MeshDeformError

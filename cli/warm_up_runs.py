@@ -14,7 +14,7 @@ from meshdeform_core.grid import Grid
 from meshdeform_core.methods import IDW, RBF, Options, Progress, make_method
 from meshdeform_core.methods.derivative import derivative_of
 from meshdeform_core.numerics.exact.basis import BASES
-from meshdeform_core.numerics.fastsum.nested import NestedSums
+from meshdeform_core.numerics.fastsum.radial.nested import NestedSums
 from meshdeform_core.repair.derivative import derivative_of_repair
 from meshdeform_core.series import Schedule, deform_series
 from meshdeform_formats.case import case_of

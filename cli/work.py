@@ -14,8 +14,8 @@ import click
 import numpy as np
 
 from meshdeform_core.boundary import Kind
-from meshdeform_core.boundary.matching import SurfaceData
-from meshdeform_core.boundary.motion import Follow
+from meshdeform_core.boundary.motions.motion import Follow
+from meshdeform_core.boundary.tables.matching import SurfaceData
 from meshdeform_core.deform import Case, Setup, deform
 from meshdeform_core.grid import Grid
 from meshdeform_core.memory import COORDINATE_ARRAYS, MemoryLimit, left_for_method, peak_memory

@@ -122,7 +122,7 @@ def complete_for_export(grid: Grid, path: Path) -> Grid:
     own = grid.format is not None and grid.format.name == "cgns"
     if kind != "cgns" or grid.connections or own:
         return grid
-    from meshdeform_core.grid.interfaces import find_interfaces
+    from meshdeform_core.grid.connectivity.interfaces import find_interfaces
     from meshdeform_core.grid.topology import find_topology
 
     return dataclasses.replace(

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from meshdeform_core.boundary.motion import LARGEST
+from meshdeform_core.boundary.motions.motion import LARGEST
 from meshdeform_core.errors import MeshDeformError, MotionError
 from meshdeform_core.grid import FloatArray
 

@@ -7,13 +7,11 @@ import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from .attempts import adaptively, in_equal_steps, until_valid
 from .boundary import Kind
 from .boundary.prescribed import largest_displacement
-from .course import Attempt, Course, doubts
 from .errors import CaseError
 from .grid import FloatArray, Grid
-from .grid.components import Component, assembled
+from .grid.connectivity.components import Component, assembled
 from .memory import UNLIMITED, MemoryLimit
 from .methods import Account, Progress
 from .methods.components import account_of, named
@@ -26,7 +24,9 @@ from .repair.limit import Limit
 from .repair.outcome import Repair
 from .repair.repair import COLLAPSING
 from .setup import BoundaryMotion, Case, Setup, Start, Timing, set_up
-from .steps import Reached, State, beginning
+from .stepping.attempts import adaptively, in_equal_steps, until_valid
+from .stepping.course import Attempt, Course, doubts
+from .stepping.steps import Reached, State, beginning
 
 __all__ = [
     "Attempt",

@@ -12,15 +12,15 @@ from .boundary import Boundary, classify
 from .boundary.pinned import find_pinned
 from .errors import GridError
 from .grid import FloatArray, Grid
-from .grid.components import with_components
+from .grid.connectivity.components import with_components
 from .grid.precision import rounded
 from .grid.topology import Topology, find_topology
 from .memory import UNLIMITED, MemoryLimit
 from .methods import Progress
 from .quality import Assessment, Original, assess
-from .quality.comparison import Comparison
 from .quality.difference import require_same_blocks
-from .quality.validity import Verdict, judge
+from .quality.verdict.comparison import Comparison
+from .quality.verdict.validity import Verdict, judge
 from .renewal import renewed
 from .repair.basis import Basis
 from .repair.constraints import Constraints

@@ -8,8 +8,8 @@ import numpy as np
 
 from .boundary import Boundary, Kind
 from .boundary.classification import ClassifiedPatch
-from .boundary.matching import Nodes
-from .boundary.motion import GIVEN
+from .boundary.motions.motion import GIVEN
+from .boundary.tables.matching import Nodes
 from .deform import Result, Timing, impose
 from .grid import FloatArray, Grid
 from .grid.topology import Topology

@@ -18,10 +18,10 @@ from .boundary.prescribed import prescribed_displacement
 from .boundary.unselected import opening_notes
 from .errors import CaseError, MotionError
 from .grid import FloatArray, Grid
-from .grid.components import BY_PREFIX, Component, Components, require_apart, split, with_components
-from .grid.connectivity import check_connections
+from .grid.connectivity.components import BY_PREFIX, Component, Components, require_apart, split, with_components
+from .grid.connectivity.declared import check_connections
+from .grid.connectivity.openings import find_openings
 from .grid.extent import require_extent
-from .grid.openings import find_openings
 from .grid.topology import RELATIVE_TOLERANCE, Topology, find_topology
 from .memory import UNLIMITED, MemoryLimit
 from .methods import Options, PreparedMethod, Problem, Progress
@@ -43,7 +43,7 @@ class Case:
     ``tolerance`` is the largest distance between coincident nodes, relative to the local edge; ``notes`` are warnings
     from reading the case, for the report; ``open_faces`` are outside faces (``True``: all) that are meant to lie close
     to others; ``plates`` are faces between blocks that are walls on both sides; ``components`` are those of an overset
-    grid, see :func:`meshdeform_core.grid.components.with_components`.
+    grid, see :func:`meshdeform_core.grid.connectivity.components.with_components`.
     """
 
     boundaries: tuple[BoundarySpec, ...]

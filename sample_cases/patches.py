@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from meshdeform_core.grid import BoolArray, FloatArray, Grid, Patch, Side, Window
-from meshdeform_core.grid.interfaces import find_interfaces
+from meshdeform_core.grid.connectivity.interfaces import find_interfaces
 from meshdeform_core.grid.topology import find_topology, side_nodes
 from meshdeform_core.grid.windows import windows_of_quads
 

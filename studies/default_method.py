@@ -19,7 +19,7 @@ from motions import displace
 from tables import Row, show
 
 from meshdeform_core.boundary import BoundarySpec, Kind
-from meshdeform_core.boundary.motion import Motion
+from meshdeform_core.boundary.motions.motion import Motion
 from meshdeform_core.deform import Case, Setup, Timing, impose, set_up
 from meshdeform_core.grid import Grid
 from meshdeform_core.methods import Options

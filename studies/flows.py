@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from meshdeform_core.boundary import BoundarySpec, Kind
-from meshdeform_core.boundary.matching import Matching
-from meshdeform_core.boundary.motion import Follow, Motion
+from meshdeform_core.boundary.motions.motion import Follow, Motion
+from meshdeform_core.boundary.tables.matching import Matching
 from meshdeform_core.deform import Case
 from meshdeform_core.grid import FloatArray, Grid, Side
 from meshdeform_core.grid.planes import plane_normal
@@ -24,7 +24,7 @@ from meshdeform_core.grid.topology import Topology, find_topology, side_nodes
 from meshdeform_core.methods import Options
 from meshdeform_core.numerics.jit import kernel
 from meshdeform_core.quality import Original
-from meshdeform_core.quality.validity import newly_invalid
+from meshdeform_core.quality.verdict.validity import newly_invalid
 from meshdeform_formats.grids import read_grid
 from meshdeform_samples import load
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from flows import SAMPLES, grids_folder
 
 from meshdeform_core.boundary import BoundarySpec, Kind
-from meshdeform_core.boundary.expression import expression
-from meshdeform_core.boundary.motion import Displace, Motion, Rotate
+from meshdeform_core.boundary.motions.expression import expression
+from meshdeform_core.boundary.motions.motion import Displace, Motion, Rotate
 from meshdeform_core.deform import Case, Setup, set_up
 from meshdeform_core.grid import FloatArray
 from meshdeform_formats.grids import read_grid

@@ -23,7 +23,7 @@ from motions import SPAN, displace, rotate
 from tables import Row, show
 
 from meshdeform_core.boundary import BoundarySpec, Kind
-from meshdeform_core.boundary.motion import Displace, Motion, Rotate
+from meshdeform_core.boundary.motions.motion import Displace, Motion, Rotate
 from meshdeform_core.deform import BoundaryMotion, Case, Result, Setup, Timing, impose, set_up
 from meshdeform_core.grid import FloatArray, Grid
 from meshdeform_formats.grids import read_grid

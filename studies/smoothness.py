@@ -21,8 +21,8 @@ from flows import SAMPLES, grids_folder
 from tables import Row, show
 
 from meshdeform_core.boundary import BoundarySpec, Kind
-from meshdeform_core.boundary.expression import expression
-from meshdeform_core.boundary.motion import Displace, Motion, Rotate
+from meshdeform_core.boundary.motions.expression import expression
+from meshdeform_core.boundary.motions.motion import Displace, Motion, Rotate
 from meshdeform_core.deform import Case, Setup, Timing, impose, set_up
 from meshdeform_core.grid import FloatArray, Grid
 from meshdeform_core.numerics.arrays import lengths

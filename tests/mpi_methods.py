@@ -20,7 +20,7 @@ from meshdeform_core.methods.derivative import derivative_of
 from meshdeform_core.parallel import OneRank, set_ranks
 from meshdeform_core.parallel import mpi as memory
 from meshdeform_core.quality import Original, assess
-from meshdeform_core.quality.validity import newly_invalid
+from meshdeform_core.quality.verdict.validity import newly_invalid
 
 FAST = {
     "idw-fast": Options("idw", idw=IDW(summation="fast")),

@@ -16,9 +16,9 @@ from ..options import PATH, GridInput, check_output, force_option, grid_options,
 
 if TYPE_CHECKING:
     from meshdeform_core.grid import Connection, Grid, Patch
-    from meshdeform_core.grid.faces import Face
-    from meshdeform_core.grid.roles import Role
-    from meshdeform_core.grid.surfaces import Outside, Surface
+    from meshdeform_core.grid.faces.pieces import Face
+    from meshdeform_core.grid.faces.roles import Role
+    from meshdeform_core.grid.faces.surfaces import Outside, Surface
     from meshdeform_core.grid.topology import Topology
 
 
@@ -67,10 +67,10 @@ def _draw(grid: Grid, path: Path, title: str) -> None:
 
 def gather(grid: Grid, file: str) -> dict[str, Any]:
     """Everything ``info`` prints, as one dictionary; node indices are 1-based."""
-    from meshdeform_core.grid.connectivity import check_connections
-    from meshdeform_core.grid.interfaces import find_interfaces
-    from meshdeform_core.grid.openings import describe_group, find_openings, patched_groups
-    from meshdeform_core.grid.surfaces import find_outside, thin_direction
+    from meshdeform_core.grid.connectivity.declared import check_connections
+    from meshdeform_core.grid.connectivity.interfaces import find_interfaces
+    from meshdeform_core.grid.connectivity.openings import describe_group, find_openings, patched_groups
+    from meshdeform_core.grid.faces.surfaces import find_outside, thin_direction
     from meshdeform_core.grid.topology import find_topology
     from meshdeform_core.numerics.arrays import extent
 
@@ -143,7 +143,7 @@ def _faces(grid: Grid, outside: Outside) -> list[dict[str, Any]]:
 
 
 def _face(grid: Grid, face: Face, role: Role) -> dict[str, Any]:
-    from meshdeform_core.grid.roles import declared_role
+    from meshdeform_core.grid.faces.roles import declared_role
 
     return {
         "block": grid.names[face.window.block],
@@ -165,8 +165,8 @@ def _face(grid: Grid, face: Face, role: Role) -> dict[str, Any]:
 
 def _remarks(grid: Grid, topology: Topology, outside: Outside) -> list[str]:
     """Remarks that follow from the shape of the grid but not from the file."""
-    from meshdeform_core.grid.roles import Role
-    from meshdeform_core.grid.surfaces import clustered_interfaces
+    from meshdeform_core.grid.faces.roles import Role
+    from meshdeform_core.grid.faces.surfaces import clustered_interfaces
 
     if outside.plates:
         from meshdeform_formats.case.template import plates_line
@@ -200,7 +200,7 @@ _LARGEST_BODY, _THICKEST_LAYER = 150.0, 0.02
 
 def _units(outside: Outside) -> list[str]:
     """Whether lengths look like millimetres: a large body with first cells that are thick for a layer in metres."""
-    from meshdeform_core.grid.roles import Role
+    from meshdeform_core.grid.faces.roles import Role
 
     walls = outside.of_role(Role.WALL)
     if not walls:

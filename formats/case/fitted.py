@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from meshdeform_core.boundary.fitting import fit_table
-from meshdeform_core.boundary.matching import AUTOMATIC, Matching, Nodes, SurfaceData
-from meshdeform_core.boundary.transfer import transfer
+from meshdeform_core.boundary.tables.fitting import fit_table
+from meshdeform_core.boundary.tables.matching import AUTOMATIC, Matching, Nodes, SurfaceData
+from meshdeform_core.boundary.tables.transfer import transfer
 from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import Grid
 from meshdeform_core.grid.topology import Topology

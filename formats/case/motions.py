@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from meshdeform_core.boundary.histories import History, Modes, RigidHistory
-from meshdeform_core.boundary.lattice import ControlMove, Lattice
-from meshdeform_core.boundary.matching import Matching, SurfaceData
-from meshdeform_core.boundary.motion import Step
-from meshdeform_core.boundary.numbered import FollowNumbers
-from meshdeform_core.boundary.section import Airfoil
+from meshdeform_core.boundary.motions.histories import History, Modes, RigidHistory
+from meshdeform_core.boundary.motions.lattice import ControlMove, Lattice
+from meshdeform_core.boundary.motions.motion import Step
+from meshdeform_core.boundary.motions.numbered import FollowNumbers
+from meshdeform_core.boundary.motions.section import Airfoil
+from meshdeform_core.boundary.tables.matching import Matching, SurfaceData
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray, Grid, IntArray
 

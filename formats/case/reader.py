@@ -1,6 +1,7 @@
 """Case files: TOML tables checked key by key and turned into the core's records.
 
-A case is data: formulas go through :mod:`meshdeform_core.boundary.expression`, and every unknown key is an error.
+A case is data: formulas go through :mod:`meshdeform_core.boundary.motions.expression`, and every unknown key is an
+error.
 """
 
 from __future__ import annotations
@@ -12,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from meshdeform_core.boundary import BoundarySpec, Kind
-from meshdeform_core.boundary.matching import AUTOMATIC, Matching, SurfaceData
-from meshdeform_core.boundary.motion import VARIABLES, Displace, Follow, Motion, Rotate, Step
+from meshdeform_core.boundary.motions.motion import VARIABLES, Displace, Follow, Motion, Rotate, Step
+from meshdeform_core.boundary.tables.matching import AUTOMATIC, Matching, SurfaceData
 from meshdeform_core.deform import Case
 from meshdeform_core.errors import CaseError, MethodError, suggestion
 from meshdeform_core.grid.topology import RELATIVE_TOLERANCE

@@ -11,8 +11,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from meshdeform_core.boundary.matching import Matching, SurfaceData
-from meshdeform_core.boundary.motion import FollowSequence
+from meshdeform_core.boundary.motions.motion import FollowSequence
+from meshdeform_core.boundary.tables.matching import Matching, SurfaceData
 from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import Grid
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from meshdeform_core.boundary.histories import History
-from meshdeform_core.boundary.numbered import Positions
+from meshdeform_core.boundary.motions.histories import History
+from meshdeform_core.boundary.motions.numbered import Positions
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray
 

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from meshdeform_core.grid import FloatArray, Grid
+from meshdeform_core.grid.faces.roles import Role
+from meshdeform_core.grid.faces.surfaces import Outside, Surface, thin_direction
 from meshdeform_core.grid.planes import FLATNESS
-from meshdeform_core.grid.roles import Role
-from meshdeform_core.grid.surfaces import Outside, Surface, thin_direction
 
 from .fitted import FittedTable
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from meshdeform_core.boundary.expression import Expression, expression
+from meshdeform_core.boundary.motions.expression import Expression, expression
 from meshdeform_core.errors import CaseError, suggestion
 
 Table = dict[str, Any]

@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 
 from meshdeform_core.grid import FloatArray
-from meshdeform_core.grid.roles import Role
-from meshdeform_core.grid.surfaces import Surface
+from meshdeform_core.grid.faces.roles import Role
+from meshdeform_core.grid.faces.surfaces import Surface
 
 from .content.facets import Facets, block_outlines, joined
 from .content.subject import Subject

@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 
 from meshdeform_core.grid import FloatArray, Grid, IntArray, Shape
+from meshdeform_core.grid.faces.surfaces import Surface
 from meshdeform_core.grid.planes import Plane
-from meshdeform_core.grid.surfaces import Surface
 from meshdeform_core.grid.topology import Topology
 from meshdeform_core.quality import Original
 

@@ -8,10 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from meshdeform_core.grid import FloatArray, IntArray
-from meshdeform_core.grid.faces import Face
+from meshdeform_core.grid.faces.pieces import Face
+from meshdeform_core.grid.faces.roles import Role
+from meshdeform_core.grid.faces.surfaces import Surface
 from meshdeform_core.grid.planes import Plane
-from meshdeform_core.grid.roles import Role
-from meshdeform_core.grid.surfaces import Surface
 
 from .content.facets import Facets, block_outlines, cut_facets, joined, plane_facets, plane_outlines, surface_facets
 from .content.subject import Subject

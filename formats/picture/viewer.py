@@ -9,8 +9,8 @@ import numpy as np
 
 from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import FloatArray, IntArray
+from meshdeform_core.grid.faces.roles import Role
 from meshdeform_core.grid.planes import Plane
-from meshdeform_core.grid.roles import Role
 
 from ..files import replacing
 from .content.facets import Facets, block_outlines, joined, surface_facets

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from meshdeform_core.boundary import Kind
-from meshdeform_core.boundary.matching import Transfer
-from meshdeform_core.boundary.motion import PreparedMotion
+from meshdeform_core.boundary.motions.motion import PreparedMotion
+from meshdeform_core.boundary.tables.matching import Transfer
 from meshdeform_core.deform import Setup
 from meshdeform_core.grid import Grid
 from meshdeform_core.methods import Account

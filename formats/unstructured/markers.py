@@ -8,7 +8,7 @@ import numpy as np
 
 from meshdeform_core.errors import GridError
 from meshdeform_core.grid import BoolArray, FloatArray, Grid, IntArray, Patch, Periodicity, Side
-from meshdeform_core.grid.connectivity import connected_nodes, periodic_rotation
+from meshdeform_core.grid.connectivity.declared import connected_nodes, periodic_rotation
 from meshdeform_core.grid.selection import quads_of_patches
 from meshdeform_core.grid.topology import Topology
 from meshdeform_core.numerics.geometry.coincidence import equal_rows

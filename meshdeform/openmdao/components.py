@@ -11,7 +11,7 @@ from mphys.core import MPhysVariables
 from meshdeform_core.boundary import Kind
 from meshdeform_core.errors import CaseError, MethodError
 from meshdeform_core.grid import FloatArray
-from meshdeform_core.quality.gradients import quality_gradient
+from meshdeform_core.quality.measures.gradients import quality_gradient
 
 from ..pieces import gathered, share_of
 from ..prepared.linearisation import Linearisation

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from meshdeform_core.boundary import Kind
-from meshdeform_core.boundary.motion import SMALLEST
+from meshdeform_core.boundary.motions.motion import SMALLEST
 from meshdeform_core.boundary.prescribed import given_displacement
 from meshdeform_core.deform import BoundaryMotion, Setup, Start, Timing, impose
 from meshdeform_core.errors import CaseError, MotionError

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from meshdeform_core.boundary import BoundarySpec, Kind
-from meshdeform_core.boundary.motion import GIVEN
+from meshdeform_core.boundary.motions.motion import GIVEN
 from meshdeform_core.deform import Case, set_up
 from meshdeform_core.errors import CaseError
-from meshdeform_core.grid.components import Components
+from meshdeform_core.grid.connectivity.components import Components
 from meshdeform_core.memory import MemoryLimit, left_for_method, machine_memory, parse_memory
 from meshdeform_core.parallel import OneRank, Ranks, sharing
 from meshdeform_formats.case import CaseFile, case_of, read_case

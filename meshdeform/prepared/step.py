@@ -96,7 +96,7 @@ class Step:
             For an unknown measure or block, and for f_skew of a grid with invalid cells, where it is zero without a
                 gradient.
         """
-        from meshdeform_core.quality.gradients import quality_gradient
+        from meshdeform_core.quality.measures.gradients import quality_gradient
 
         grid, setup = self._result.grid, self._result.setup
         value, gradient = quality_gradient(grid, grid.points, setup.topology, measure, sharpness, blocks)

@@ -16,14 +16,14 @@ from ..grid.sides import end_planes
 from ..grid.topology import Topology
 from ..numerics.geometry.coincidence import distinct
 from .coverage import Tables
-from .doubts import tiny_rotations
-from .expression import Expression
-from .fitting import Fit, fit_table
-from .matching import Nodes, SurfaceData
-from .motion import Follow, FollowSequence, Motion, PreparedMotion
+from .motions.doubts import tiny_rotations
+from .motions.expression import Expression
+from .motions.motion import Follow, FollowSequence, Motion, PreparedMotion
 from .periodic import Periodic, find_periodicity
 from .plates import open_two_sided_walls
 from .slip import Slip, find_sliding
+from .tables.fitting import Fit, fit_table
+from .tables.matching import Nodes, SurfaceData
 from .unselected import unselected_notes
 
 UNSELECTED = "(not selected)"

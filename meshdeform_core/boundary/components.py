@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from ..grid import FloatArray, IntArray
-from ..grid.components import Component
+from ..grid.connectivity.components import Component
 from .classification import Boundary, ClassifiedPatch, Kind
 from .coverage import Tables
 from .crossing import Contact, Crossing, CrossingTest

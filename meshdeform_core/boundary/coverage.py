@@ -11,9 +11,9 @@ from ..errors import MotionError
 from ..grid import BoolArray, FloatArray, IntArray
 from ..grid.topology import Topology
 from ..notices import Notice
-from .frames import far_points, other_frame
-from .matching import Nodes, Transfer
-from .motion import PreparedMotion
+from .motions.motion import PreparedMotion
+from .tables.frames import far_points, other_frame
+from .tables.matching import Nodes, Transfer
 
 _MOST = 0.5
 """A table with a larger fraction of its points off the walls is refused: it belongs to another grid."""

@@ -8,8 +8,8 @@ import numpy as np
 
 from ..errors import CaseError
 from ..grid import Grid, IntArray, Window
-from ..grid.openings import Opening, describe_group, patched_groups
-from ..grid.overset import Overlap
+from ..grid.connectivity.openings import Opening, describe_group, patched_groups
+from ..grid.connectivity.overset import Overlap
 from ..grid.planes import plane_normal, plane_of
 from ..grid.selection import quads_of_windows, select_quads
 from ..grid.topology import Topology

@@ -1,7 +1,7 @@
 """Topology: which block nodes coincide, which face quads are shared, and which are outside faces of the grid.
 
 Everything follows from the coordinates of the nodes on block faces. The 1-to-1 connections declared in the file are
-checked against it in :mod:`meshdeform_core.grid.connectivity`.
+checked against it in :mod:`meshdeform_core.grid.connectivity.declared`.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..boundary import Boundary, Kind
 from ..grid import FloatArray, Grid, IntArray, Side
-from ..grid.components import Component
+from ..grid.connectivity.components import Component
 from ..grid.planes import plane_normal
 from ..grid.sides import end_planes, side_numbers
 from ..grid.topology import Topology, inward_step, side_nodes

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..grid import FloatArray, IntArray
-from ..grid.components import Component, assembled
+from ..grid.connectivity.components import Component, assembled
 from ..notices import Notice, kind_of
 from .base import Account, PreparedMethod, Problem, Progress
 

@@ -9,8 +9,8 @@ import numpy as np
 from ..grid import FloatArray, Grid, IntArray, Side
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology
-from .lines import InterfaceLines, WallFace, kink_and_jump, lines_across, wall_faces, wall_lines
 from .listed import cell_starts
+from .measures.lines import InterfaceLines, WallFace, kink_and_jump, lines_across, wall_faces, wall_lines
 
 
 def wall_cells(before: Grid, topology: Topology, after: FloatArray, quads: IntArray) -> tuple[FloatArray, FloatArray]:
@@ -93,7 +93,7 @@ def _cells_behind(grid: Grid, topology: Topology, quads: IntArray) -> IntArray:
 
 
 def cell_at_wall(grid: Grid, faces: Sequence[WallFace], number: int) -> int:
-    """A wall cell with one of the grid lines off ``faces``, numbered as :func:`.lines.wall_lines` gives them."""
+    """A wall cell with one of the grid lines off ``faces``, numbered as by :func:`.measures.lines.wall_lines`."""
     for face in faces:
         touched = np.argwhere(face.touched)
         if number < len(touched):

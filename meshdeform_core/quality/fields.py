@@ -11,16 +11,16 @@ import scipy
 
 from ..errors import CaseError, suggestion
 from ..grid import BoolArray, FloatArray, Grid, IntArray
+from ..grid.faces.roles import Role
+from ..grid.faces.surfaces import Outside, find_outside
 from ..grid.planes import plane_normal
-from ..grid.roles import Role
-from ..grid.surfaces import Outside, find_outside
 from ..grid.topology import Topology
 from .boundary_cells import interface_cells, wall_cells
-from .cells import CellMeasures, measure_block
 from .listed import cell_starts
-from .original import Original
+from .measures.cells import CellMeasures, measure_block
 from .shape import shape_of_cells
-from .validity import Verdict, judge
+from .verdict.original import Original
+from .verdict.validity import Verdict, judge
 
 _ROUND_OFF = 1e-9
 Cells = tuple[slice, slice, slice]

@@ -10,8 +10,8 @@ import scipy
 from ..boundary import Boundary
 from ..grid import FloatArray, Grid, IntArray, Shape
 from ..grid.topology import Topology
-from .cells import corner_nodes, places
 from .listed import nearest_patches
+from .measures.cells import corner_nodes, places
 
 MAX_GROUPS = 20
 

@@ -12,9 +12,9 @@ from ..boundary import Boundary, Kind
 from ..grid import FloatArray, Grid, IntArray, Shape
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology
-from .cells import cell_starts, measure_block
-from .original import Original
-from .validity import Failure, Verdict
+from .measures.cells import cell_starts, measure_block
+from .verdict.original import Original
+from .verdict.validity import Failure, Verdict
 
 
 @dataclass(frozen=True)
@@ -31,8 +31,8 @@ class Worst:
 class InvalidCell:
     """A cell that was valid and no longer is.
 
-    ``test`` is the one it failed, see :class:`.validity.Failure`; ``ijk`` are 1-based; ``center`` is the mean of the
-    corners; ``step`` the first step that broke it.
+    ``test`` is the one it failed, see :class:`.verdict.validity.Failure`; ``ijk`` are 1-based; ``center`` is the mean
+    of the corners; ``step`` the first step that broke it.
     """
 
     block: str

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..grid import Grid
-from .cells import cell_starts, slabs
-from .comparison import Comparison
-from .original import Original
-from .tally import Tally
+from .measures.cells import cell_starts, slabs
+from .measures.tally import Tally
+from .verdict.comparison import Comparison
+from .verdict.original import Original
 
 
 @dataclass(frozen=True)

@@ -12,14 +12,14 @@ import numpy as np
 from ..boundary import Boundary
 from ..grid import FloatArray, Grid
 from .boundary_cells import cell_at_interface
-from .cells import cell_starts
-from .comparison import Comparison
 from .groups import InvalidGroup, group_cells
-from .lines import kink_and_jump
 from .listed import InvalidCell, Worst, list_cells, with_nearest_patch, worst_cell
-from .original import Original
+from .measures.cells import cell_starts
+from .measures.lines import kink_and_jump
+from .measures.tally import Range, Skew, Spread, Tally
 from .per_block import BlockQuality, per_block
-from .tally import Range, Skew, Spread, Tally
+from .verdict.comparison import Comparison
+from .verdict.original import Original
 from .walls import Extremes, WallQuality, extremes_of, measure_walls
 
 MAX_LISTED = 200

@@ -11,10 +11,10 @@ from ..boundary import Boundary
 from ..grid import FloatArray
 from ..grid.planes import plane_normal
 from .boundary_cells import cell_at_wall
-from .lines import WallLines, wall_lines
 from .listed import Worst, worst_cell
-from .original import Original, Walls
-from .tally import Range, Spread
+from .measures.lines import WallLines, wall_lines
+from .measures.tally import Range, Spread
+from .verdict.original import Original, Walls
 
 CHANGED = 0.01
 """A grid line off a wall is changed where its first cells are thicker or thinner by more than this part."""
@@ -60,8 +60,8 @@ def measure_walls(
 ) -> tuple[WallQualities, WallQualities]:
     """The ``moving`` and the ``fixed`` walls before, and with coordinates ``after`` (n_nodes, 3).
 
-    ``None`` where there are none. Fixed walls are fixed faces with the role of a wall (:mod:`..grid.roles`), no far
-    field.
+    ``None`` where there are none. Fixed walls are fixed faces with the role of a wall (:mod:`..grid.faces.roles`), no
+    far field.
     """
     before: WallQualities = {"moving": None, "fixed": None}
     now: WallQualities = dict(before)

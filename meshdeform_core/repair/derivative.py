@@ -17,11 +17,11 @@ from ..numerics.cell.foldover_plane_tangents import products_of_triangles, slope
 from ..numerics.cell.foldover_tangents import products_of_cells, slopes_of_cells
 from ..parallel import alone, current_ranks
 from .basis import Basis, Whole
+from .energy.onset import share_of, share_slopes
+from .energy.region import HEALTHY, NORM, SOFT, Hexahedra, Penalty, Triangles
+from .energy.untangle import CUBIC
 from .extrusion import Extrusion
 from .minimum import POLISHED
-from .onset import share_of, share_slopes
-from .region import HEALTHY, NORM, SOFT, Hexahedra, Penalty, Triangles
-from .untangle import CUBIC
 
 _LOOSE, _ITERATIONS, _REFINEMENTS = 1e-3, 5000, 40
 """The system is kept in single precision, so that its solution is refined."""

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 from ..grid import FloatArray, IntArray
 from .basis import Whole
+from .energy.onset import share_of
+from .energy.untangle import Pace, Untangler
 from .limit import Limit
-from .onset import share_of
-from .untangle import Pace, Untangler
 
 # A regularisation that begins large and falls slowly finds valid grids where a quick one is caught.
 QUICK, PATIENT = Pace(60, 2.0, 0.2, around=40), Pace(200, 50.0, 0.1)

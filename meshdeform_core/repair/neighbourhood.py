@@ -14,7 +14,7 @@ from ..grid.planes import plane_axes, plane_normal
 from ..numerics.cell.foldover import cell_samples, samples_with_any, sound_samples
 from ..numerics.cell.layers import cells_at, layers_from
 from .constraints import Constraints
-from .region import COLLAPSED, Energy, Hexahedra, Region, Slide, Triangles, Unknowns
+from .energy.region import COLLAPSED, Energy, Hexahedra, Region, Slide, Triangles, Unknowns
 from .sliding import Sliding
 from .walls import UNLIMITED, nearness, weigh
 
@@ -158,7 +158,7 @@ class Neighbourhood:
         sign = self.topology.handedness.astype(np.float64)
         if self.grid.dimension == 2:
             flat = np.array([shape.index(1) for shape in self.grid.shapes])
-            # As in quality.cells: the positive normal of (i, j) and (j, k) follows their order, that of (i, k) not.
+            # As in quality.measures.cells: (i, j) and (j, k) have their positive normal in this order, (i, k) has not.
             sign *= np.where(flat == 1, -1.0, 1.0) * np.sign(self.normal[np.argmax(np.abs(self.normal))])
         return sign[block]
 

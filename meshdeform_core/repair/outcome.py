@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..grid import FloatArray
-from ..quality.validity import Verdict
+from ..quality.verdict.validity import Verdict
 
 
 @dataclass(frozen=True)

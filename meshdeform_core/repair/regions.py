@@ -10,14 +10,14 @@ import numpy as np
 
 from ..parallel import alone, current_ranks
 from .basis import Basis
+from .energy.newton import NewtonSystem
+from .energy.onset import share_of
+from .energy.region import Penalty
+from .energy.untangle import Pace, Untangler
 from .limit import Limit
 from .minimum import HASTY, PATIENT, QUICK, Progress, Search, most_steps
 from .neighbourhood import Plot
-from .newton import NewtonSystem
-from .onset import share_of
 from .outcome import Judged
-from .region import Penalty
-from .untangle import Pace, Untangler
 
 WEAK = 0.35
 """Cells with a corner below this share of its undeformed Jacobian are the middle of what a repair moves."""

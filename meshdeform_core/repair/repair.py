@@ -15,12 +15,12 @@ import numpy as np
 from ..grid import FloatArray
 from ..memory import UNLIMITED, MemoryLimit
 from ..parallel import alone, current_ranks, empty, for_rows
-from ..quality.validity import Verdict, judge
+from ..quality.verdict.validity import Verdict, judge
 from .basis import Basis, Whole
+from .energy.newton import NewtonSystem
+from .energy.onset import share_of
 from .limit import Limit
 from .minimum import Progress, Search, minimise
-from .newton import NewtonSystem
-from .onset import share_of
 from .outcome import Judged, Outcome, Repair
 from .regions import EVERY_WAY, WEAK, Growth, Way
 

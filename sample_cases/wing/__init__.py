@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from meshdeform_core.boundary.matching import SurfaceData
+from meshdeform_core.boundary.tables.matching import SurfaceData
 from meshdeform_core.grid import BoolArray, FloatArray, Grid, Side
 
 from ..patches import with_patches

@@ -9,11 +9,11 @@ import pytest
 from cases import body_specs, turning
 from grids import frame_2d
 
-from meshdeform_core import attempts
 from meshdeform_core.deform import Case, deform
 from meshdeform_core.methods import Options
 from meshdeform_core.repair import RepairOptions
-from meshdeform_core.steps import Coordinates, plain_step
+from meshdeform_core.stepping import attempts
+from meshdeform_core.stepping.steps import Coordinates, plain_step
 
 
 @pytest.mark.parametrize(

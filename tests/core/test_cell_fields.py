@@ -8,8 +8,8 @@ from grids import block_around, frame, frame_2d, polar
 
 from meshdeform_cli.measures import MEASURES
 from meshdeform_core.boundary import BoundarySpec, Kind, classify
-from meshdeform_core.boundary.expression import expression
-from meshdeform_core.boundary.motion import Displace, Motion
+from meshdeform_core.boundary.motions.expression import expression
+from meshdeform_core.boundary.motions.motion import Displace, Motion
 from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import Grid, Side
 from meshdeform_core.grid.planes import plane_normal
@@ -17,8 +17,8 @@ from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.quality import Original, assess
 from meshdeform_core.quality.boundary_cells import cell_at_wall, wall_cells
 from meshdeform_core.quality.fields import CELL_MEASURES, CellFields
-from meshdeform_core.quality.lines import wall_faces, wall_lines
 from meshdeform_core.quality.listed import Worst
+from meshdeform_core.quality.measures.lines import wall_faces, wall_lines
 from meshdeform_core.quality.shape import shape_measures
 
 STILL = Motion((Displace(tuple(expression("0", frozenset()) for _ in range(3))),), {})

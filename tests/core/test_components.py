@@ -10,12 +10,12 @@ from cases import ALL_METHODS, STILL, constant, turning
 from grids import block_around, frame, polar
 
 from meshdeform_core.boundary import BoundarySpec, Kind
-from meshdeform_core.boundary.expression import expression
+from meshdeform_core.boundary.motions.expression import expression
 from meshdeform_core.deform import Case, deform, impose, set_up
 from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import Grid, Patch, Side, Window
-from meshdeform_core.grid.components import BY_PREFIX, with_components
-from meshdeform_core.grid.openings import find_openings
+from meshdeform_core.grid.connectivity.components import BY_PREFIX, with_components
+from meshdeform_core.grid.connectivity.openings import find_openings
 from meshdeform_core.grid.selection import select_quads
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.methods import Options, prepare_method

@@ -11,8 +11,8 @@ from grids import block_around, frame, frame_2d, polar
 
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.boundary.crossing import Contact
-from meshdeform_core.boundary.expression import expression
-from meshdeform_core.boundary.motion import Motion
+from meshdeform_core.boundary.motions.expression import expression
+from meshdeform_core.boundary.motions.motion import Motion
 from meshdeform_core.deform import Case, Setup, Timing, deform, impose, set_up
 from meshdeform_core.grid import Grid, Patch, Side, Window
 from meshdeform_core.methods import Options

@@ -10,7 +10,8 @@ from cases import ALL_METHODS, INNER, apply, formulas, problem_of, turning
 from grids import block_around, frame, frame_2d
 
 from meshdeform_cli.main import run
-from meshdeform_core.boundary import BoundarySpec, Kind, expression
+from meshdeform_core.boundary import BoundarySpec, Kind
+from meshdeform_core.boundary.motions import expression
 from meshdeform_core.boundary.prescribed import prescribed_displacement
 from meshdeform_core.deform import Case, deform, set_up
 from meshdeform_core.errors import GridError, MotionError

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from meshdeform_core.boundary.expression import MAX_LENGTH, expression
+from meshdeform_core.boundary.motions.expression import MAX_LENGTH, expression
 from meshdeform_core.errors import CaseError
 
 X = np.linspace(-1.0, 2.0, 7)

@@ -18,13 +18,13 @@ from meshdeform_core.methods.scattered.summation import sum_accurately
 from meshdeform_core.numerics.exact.basis import BASES
 from meshdeform_core.numerics.exact.elementary import exp, log
 from meshdeform_core.numerics.exact.radial import radial_sums
-from meshdeform_core.numerics.fastsum import boxes
-from meshdeform_core.numerics.fastsum import sums as fastsum
-from meshdeform_core.numerics.fastsum.bricks import build_bricks, make_regions, node_sizes
-from meshdeform_core.numerics.fastsum.radial import FastRadial
-from meshdeform_core.numerics.fastsum.radial_targets import make_radial_targets
-from meshdeform_core.numerics.fastsum.targets import shape_table
-from meshdeform_core.numerics.fastsum.tree import build_tree, gather_charges
+from meshdeform_core.numerics.fastsum.clusters import boxes
+from meshdeform_core.numerics.fastsum.clusters.bricks import build_bricks, make_regions, node_sizes
+from meshdeform_core.numerics.fastsum.clusters.targets import shape_table
+from meshdeform_core.numerics.fastsum.clusters.tree import build_tree, gather_charges
+from meshdeform_core.numerics.fastsum.radial.sums import FastRadial
+from meshdeform_core.numerics.fastsum.radial.targets import make_radial_targets
+from meshdeform_core.numerics.fastsum.weighted import sums as fastsum
 
 VARIANTS = {
     "none": {"rotation": "none"},

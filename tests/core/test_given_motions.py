@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from meshdeform_core.boundary import Kind
-from meshdeform_core.boundary.matching import Nodes
+from meshdeform_core.boundary.tables.matching import Nodes
 from meshdeform_core.deform import set_up
 from meshdeform_core.errors import CaseError, FormatError, MotionError
 from meshdeform_core.grid import FloatArray, Grid, Side

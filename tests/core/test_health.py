@@ -9,7 +9,7 @@ from grids import frame
 
 from meshdeform_core.deform import Case, set_up
 from meshdeform_core.repair.basis import Basis
-from meshdeform_core.repair.onset import share_of
+from meshdeform_core.repair.energy.onset import share_of
 
 GRID = frame(4, 3)
 SETUP = set_up(GRID, Case(tuple(body_specs(turning("5")))))

@@ -7,7 +7,7 @@ from grids import frame, frame_2d
 from reference.idw import slow_idw
 
 from meshdeform_core.boundary import BoundarySpec, Kind
-from meshdeform_core.boundary.expression import expression
+from meshdeform_core.boundary.motions.expression import expression
 from meshdeform_core.boundary.prescribed import prescribed_displacement
 from meshdeform_core.errors import MethodError
 from meshdeform_core.methods import IDW, Options, make_method

@@ -199,7 +199,7 @@ def test_index_order_does_not_matter(name, axes, flips):
     other = permuted(grid, axes, flips)
     motion = turning(10)
     from meshdeform_core.boundary import BoundarySpec
-    from meshdeform_core.boundary.expression import expression
+    from meshdeform_core.boundary.motions.expression import expression
 
     xyz = {"x", "y", "z"}
     specs = [

@@ -17,24 +17,24 @@ from random_grids import turn_block
 
 from meshdeform_core.deform import Case, deform
 from meshdeform_core.grid import Grid, IntArray, Side
-from meshdeform_core.grid.connectivity import check_connections, connected_nodes
+from meshdeform_core.grid.connectivity.declared import check_connections, connected_nodes
+from meshdeform_core.grid.connectivity.interfaces import find_interfaces
+from meshdeform_core.grid.connectivity.openings import find_openings
 from meshdeform_core.grid.extent import Bounds, block_extents
-from meshdeform_core.grid.faces import find_faces
+from meshdeform_core.grid.faces.pieces import find_faces
+from meshdeform_core.grid.faces.surfaces import find_outside
 from meshdeform_core.grid.handedness import block_handedness
-from meshdeform_core.grid.interfaces import find_interfaces
-from meshdeform_core.grid.openings import find_openings
 from meshdeform_core.grid.selection import quads_of_windows, select_quads
 from meshdeform_core.grid.sides import side_numbers
-from meshdeform_core.grid.surfaces import find_outside
 from meshdeform_core.grid.topology import find_topology, side_nodes
 from meshdeform_core.grid.windows import rectangles, windows_of_quads
 from meshdeform_core.methods.transfinite.edge_graph import PreparedEdgeGraph, _face_parts, _Rows, _segments
 from meshdeform_core.numerics.arrays import batches, medians, runs, spans, spread
 from meshdeform_core.numerics.geometry.boxes import overlapping_boxes
-from meshdeform_core.quality import original
 from meshdeform_core.quality.boundary_cells import interface_cells
-from meshdeform_core.quality.cells import block_volumes
-from meshdeform_core.quality.lines import interface_lines
+from meshdeform_core.quality.measures.cells import block_volumes
+from meshdeform_core.quality.measures.lines import interface_lines
+from meshdeform_core.quality.verdict import original
 from meshdeform_formats.picture.comparison import Pair
 from meshdeform_formats.text.json import json_text
 
@@ -339,7 +339,7 @@ def test_sides_of_separate_blocks_are_not_compared_with_all_others():
     assert topology.external.all()
     compared: list[IntArray] = []
     original = overlapping_boxes
-    module = sys.modules["meshdeform_core.grid.openings"]
+    module = sys.modules["meshdeform_core.grid.connectivity.openings"]
     module.overlapping_boxes = lambda *sets: compared.append(original(*sets)) or compared[-1]
     try:
         assert find_openings(grid, topology) == ()

@@ -6,8 +6,8 @@ from cases import ALL_METHODS, INNER, apply, formulas, problem_of, turning
 from grids import block_around, frame, polar, stretched
 
 from meshdeform_core.boundary import BoundarySpec, Kind
-from meshdeform_core.boundary.expression import expression
-from meshdeform_core.boundary.motion import Motion, Rotate
+from meshdeform_core.boundary.motions.expression import expression
+from meshdeform_core.boundary.motions.motion import Motion, Rotate
 from meshdeform_core.deform import Case, deform
 from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import Grid

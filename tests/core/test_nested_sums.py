@@ -15,8 +15,8 @@ from meshdeform_core.methods.scattered.radial_system import RadialSystem
 from meshdeform_core.methods.scattered.rbf_sums import Centres
 from meshdeform_core.numerics.exact.basis import BASES
 from meshdeform_core.numerics.exact.radial import radial_matrix, radial_sums
-from meshdeform_core.numerics.fastsum.nested import NestedSums
-from meshdeform_core.numerics.fastsum.skeletons import decompose, proxy_points
+from meshdeform_core.numerics.fastsum.radial.nested import NestedSums
+from meshdeform_core.numerics.fastsum.radial.skeletons import decompose, proxy_points
 from meshdeform_core.numerics.systems import products
 from meshdeform_core.numerics.systems.krylov import KrylovSolver
 from meshdeform_core.numerics.systems.products import ExactProduct, NestedProduct, product_of

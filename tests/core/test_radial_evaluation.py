@@ -7,9 +7,15 @@ from grids import frame
 
 from meshdeform_core.numerics.exact.basis import BASES
 from meshdeform_core.numerics.exact.radial import radial_matrix, radial_sums
-from meshdeform_core.numerics.fastsum.polynomials import GROWTH, NEAREST, add_polynomial, spaces_of, to_coefficients
-from meshdeform_core.numerics.fastsum.radial import FastRadial
-from meshdeform_core.numerics.fastsum.radial_targets import make_radial_targets
+from meshdeform_core.numerics.fastsum.radial.polynomials import (
+    GROWTH,
+    NEAREST,
+    add_polynomial,
+    spaces_of,
+    to_coefficients,
+)
+from meshdeform_core.numerics.fastsum.radial.sums import FastRadial
+from meshdeform_core.numerics.fastsum.radial.targets import make_radial_targets
 
 SHAPES = np.array([[1.0, 1.0, 1.0], [2.0, 0.9, 0.3], [0.1, 1.0, 0.004], [1.0, 0.0, 0.5], [3.0, 0.0, 0.0]])
 

@@ -108,7 +108,7 @@ def test_threads_change_no_bit(name):
 
 def test_sums_made_finer_for_one_displacement_are_not_for_the_next(monkeypatch):
     """The first error allowed to a cluster is far too large here, so that every displacement takes several attempts."""
-    monkeypatch.setattr("meshdeform_core.numerics.fastsum.sums.SHARE", 1e4)
+    monkeypatch.setattr("meshdeform_core.numerics.fastsum.weighted.sums.SHARE", 1e4)
     where = problem("fast lie")
     told = displacements(where)
     fresh = [moved(METHODS["fast lie"], where, each) for each in told]

@@ -10,13 +10,13 @@ from cases import body_specs, formulas, turning
 from grids import frame, frame_2d
 
 from meshdeform_core.boundary import Kind
-from meshdeform_core.boundary.expression import expression
-from meshdeform_core.boundary.motion import Motion, Rotate
+from meshdeform_core.boundary.motions.expression import expression
+from meshdeform_core.boundary.motions.motion import Motion, Rotate
 from meshdeform_core.deform import Case, Timing, impose, set_up
 from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import Grid
 from meshdeform_core.methods import IDW, Options, make_method
-from meshdeform_core.quality.validity import newly_invalid
+from meshdeform_core.quality.verdict.validity import newly_invalid
 from meshdeform_core.repair import RepairOptions
 from meshdeform_core.series import Schedule, deform_series, grid_velocity
 from meshdeform_core.smoothness import Moment, shortest_edges, smoothness

@@ -13,12 +13,12 @@ from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.deform import Case, Timing, deform, impose, set_up
 from meshdeform_core.grid import Grid
 from meshdeform_core.repair import limit
+from meshdeform_core.repair.energy.newton import NewtonSystem
+from meshdeform_core.repair.energy.region import Penalty
+from meshdeform_core.repair.energy.surroundings import among_others
+from meshdeform_core.repair.energy.untangle import Untangler
 from meshdeform_core.repair.limit import Limit
 from meshdeform_core.repair.minimum import QUICK
-from meshdeform_core.repair.newton import NewtonSystem
-from meshdeform_core.repair.region import Penalty
-from meshdeform_core.repair.surroundings import among_others
-from meshdeform_core.repair.untangle import Untangler
 
 
 def butterfly(n=5, layers=4, planes=27):

@@ -7,8 +7,8 @@ import pytest
 from grids import block_around, frame, frame_2d, permuted, polar
 
 from meshdeform_core.grid import Connection, Grid, Side
-from meshdeform_core.grid.connectivity import check_connections, connected_nodes
-from meshdeform_core.grid.interfaces import find_interfaces
+from meshdeform_core.grid.connectivity.declared import check_connections, connected_nodes
+from meshdeform_core.grid.connectivity.interfaces import find_interfaces
 from meshdeform_core.grid.topology import COLLAPSED, find_topology
 from meshdeform_core.numerics.geometry import coincidence
 from meshdeform_core.numerics.geometry.coincidence import close_pairs, coincident_groups

@@ -10,9 +10,8 @@ from cases import body_specs, turning
 from grids import frame, frame_2d
 
 from meshdeform_core.boundary import Kind
-from meshdeform_core.boundary.expression import expression
-from meshdeform_core.boundary.motion import Motion, Rotate
-from meshdeform_core.course import Course
+from meshdeform_core.boundary.motions.expression import expression
+from meshdeform_core.boundary.motions.motion import Motion, Rotate
 from meshdeform_core.deform import Case, Timing, impose, set_up
 from meshdeform_core.errors import MethodError
 from meshdeform_core.memory import MemoryLimit
@@ -22,7 +21,8 @@ from meshdeform_core.repair.limit import Limit
 from meshdeform_core.series import Schedule, deform_series
 from meshdeform_core.setup import Start
 from meshdeform_core.smoothness import Moment, smoothness
-from meshdeform_core.steps import beginning, plain_step, repaired, settled
+from meshdeform_core.stepping.course import Course
+from meshdeform_core.stepping.steps import beginning, plain_step, repaired, settled
 
 
 def bar(size, method="idw-tfi", mode="auto"):

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Grid, Side
-from meshdeform_core.grid.connectivity import connected_nodes, periodic_rotation
+from meshdeform_core.grid.connectivity.declared import connected_nodes, periodic_rotation
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_formats import read_grid
 from meshdeform_formats.openfoam.block_mesh.curves import arc_about, arc_by_angle, arc_through

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from grids import frame, plate_wing, plenum, thin_layers
 
-from meshdeform_core.grid.surfaces import find_outside
+from meshdeform_core.grid.faces.surfaces import find_outside
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_formats.case.template import case_template
 from meshdeform_formats.picture import Choice, Subject, overview

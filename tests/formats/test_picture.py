@@ -12,10 +12,10 @@ from PIL import Image
 
 from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import Grid
+from meshdeform_core.grid.faces.roles import Role
 from meshdeform_core.grid.planes import Plane
-from meshdeform_core.grid.roles import Role
 from meshdeform_core.grid.topology import find_topology
-from meshdeform_core.quality.cells import measure_block
+from meshdeform_core.quality.measures.cells import measure_block
 from meshdeform_formats.picture import (
     Choice,
     Facets,

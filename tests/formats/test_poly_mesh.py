@@ -12,9 +12,9 @@ from poly_mesh_witness import check_mesh, read_mesh, read_points
 from meshdeform_cli.main import run
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Connection, Grid, Patch, Periodicity, Side, Window
-from meshdeform_core.grid.surfaces import thin_direction
+from meshdeform_core.grid.faces.surfaces import thin_direction
 from meshdeform_core.numerics.arrays import extent
-from meshdeform_core.quality.cells import block_volumes
+from meshdeform_core.quality.measures.cells import block_volumes
 from meshdeform_formats import read_grid, write_grid
 from meshdeform_formats.grids import read_grid_with_boundaries
 from meshdeform_formats.openfoam.poly_mesh.lists import write_points

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from meshdeform_core.boundary.histories import Modes
+from meshdeform_core.boundary.motions.histories import Modes
 from meshdeform_core.errors import CaseError, FormatError
 from meshdeform_formats.case import case_of
 from meshdeform_formats.displacement import read_displacement

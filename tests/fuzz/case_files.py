@@ -112,7 +112,7 @@ _MOTIONS = (
 
 def formula(bench: Bench, rng: Random) -> str:
     """Formulas of random depth give what numpy gives; those too long or too deep are refused."""
-    from meshdeform_core.boundary.expression import expression
+    from meshdeform_core.boundary.motions.expression import expression
     from meshdeform_core.errors import CaseError
 
     from .walls_told import formula_value

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from meshdeform_core.boundary.matching import SurfaceData
+from meshdeform_core.boundary.tables.matching import SurfaceData
 from meshdeform_core.errors import FormatError
 
 from ..table import DisplacementTable, checked_surface, row_place

@@ -10,9 +10,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from meshdeform_core.grid import FloatArray, Grid, IntArray, Periodicity
-from meshdeform_core.grid.connectivity import periodic_rotation
+from meshdeform_core.grid.connectivity.declared import periodic_rotation
+from meshdeform_core.grid.faces.roles import Role, role_of_patch
 from meshdeform_core.grid.planes import plane_of
-from meshdeform_core.grid.roles import Role, role_of_patch
 from meshdeform_core.grid.topology import Topology
 
 from ...unstructured.markers import Marker, find_markers

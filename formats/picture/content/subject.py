@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from meshdeform_core.grid import FloatArray
-from meshdeform_core.grid.surfaces import thin_direction
+from meshdeform_core.grid.faces.surfaces import thin_direction
 from meshdeform_core.quality.fields import CELL_MEASURES, CellFields, Cells
 
 __all__ = ["METRICS", "Cells", "Metric", "Subject"]

@@ -7,9 +7,9 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from meshdeform_core.grid import FloatArray, IntArray
+from meshdeform_core.grid.faces.roles import Role
+from meshdeform_core.grid.faces.surfaces import Surface
 from meshdeform_core.grid.planes import Plane
-from meshdeform_core.grid.roles import Role
-from meshdeform_core.grid.surfaces import Surface
 
 from ..view import View, towards
 from .subject import Subject

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...grid import FloatArray
-from ...grid.components import assembled
+from ...grid.connectivity.components import assembled
 from ..base import PreparedMethod
 from ..components import PreparedComponents
 from ..gaps import PreparedInGaps

@@ -10,7 +10,7 @@ from ...errors import MethodError
 from ...grid import FloatArray, IntArray
 from ...numerics.exact.basis import BASES
 from ...numerics.exact.radial import radial_sums
-from ...numerics.fastsum.radial_frozen import FrozenRadial
+from ...numerics.fastsum.radial.frozen import FrozenRadial
 from ..base import Account, Problem
 from ..scattered.block_rbf import PreparedBlockRBF
 from ..scattered.radial_system import RadialSystem, SystemOptions

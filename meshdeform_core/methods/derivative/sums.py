@@ -9,9 +9,9 @@ import numpy as np
 
 from ...grid import BoolArray, FloatArray, IntArray
 from ...numerics.exact.direct import weighted_sums
-from ...numerics.fastsum.frozen import FrozenSums, Make, Use
-from ...numerics.fastsum.targets import interpolation_order, make_targets
-from ...numerics.fastsum.tree import build_tree
+from ...numerics.fastsum.clusters.targets import interpolation_order, make_targets
+from ...numerics.fastsum.clusters.tree import build_tree
+from ...numerics.fastsum.weighted.frozen import FrozenSums, Make, Use
 from ...parallel import Shared, empty, for_chunks
 from ..scattered.idw_sums import Bound
 
@@ -24,7 +24,7 @@ Weights = tuple[tuple[float, float, float], ...]
 
 
 class LinearSums(Protocol):
-    """See :class:`..fastsum.frozen.FrozenSums`."""
+    """See :class:`..fastsum.weighted.frozen.FrozenSums`."""
 
     portions: int
     acting: BoolArray
@@ -55,7 +55,7 @@ def sums_of(bound: Bound, fast: bool, weights: Weights, acting: BoolArray) -> Li
 
 
 class ExactSums:
-    """Every node with every source; see :class:`..fastsum.frozen.FrozenSums`."""
+    """Every node with every source; see :class:`..fastsum.weighted.frozen.FrozenSums`."""
 
     def __init__(self, bound: Bound, weights: Weights, acting: BoolArray) -> None:
         self._bound, self._weights, self.acting = bound, weights, acting

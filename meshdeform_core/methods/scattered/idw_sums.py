@@ -8,9 +8,9 @@ import numpy as np
 
 from ...grid import FloatArray, Grid, IntArray
 from ...numerics.exact.direct import weighted_sums
-from ...numerics.fastsum.sums import FastSums
-from ...numerics.fastsum.targets import Targets, interpolation_order, make_targets
-from ...numerics.fastsum.tree import build_tree
+from ...numerics.fastsum.clusters.targets import Targets, interpolation_order, make_targets
+from ...numerics.fastsum.clusters.tree import build_tree
+from ...numerics.fastsum.weighted.sums import FastSums
 from ...numerics.frame import Frame
 from ...numerics.rigid import NO_TRANSITION, Transition, finish
 from ...numerics.rows import put_rows, take_rows

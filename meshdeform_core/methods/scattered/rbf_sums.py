@@ -12,8 +12,8 @@ from ...grid import FloatArray, Grid, IntArray
 from ...numerics.arrays import Report
 from ...numerics.exact.basis import BASES
 from ...numerics.exact.radial import radial_sums
-from ...numerics.fastsum.radial import FastRadial
-from ...numerics.fastsum.radial_targets import RadialTargets, make_radial_targets
+from ...numerics.fastsum.radial.sums import FastRadial
+from ...numerics.fastsum.radial.targets import RadialTargets, make_radial_targets
 from ...parallel import Shared, empty, for_chunks, for_rows, thread_count
 from ..base import Account, Progress, Setting, of_stage
 from .summation import fast_pays, largest_error, sum_accurately

@@ -9,8 +9,8 @@ import numpy as np
 
 from ...errors import MethodError
 from ...grid import FloatArray, Grid, IntArray
-from ...numerics.fastsum.bricks import node_sizes
-from ...numerics.fastsum.targets import shape_table
+from ...numerics.fastsum.clusters.bricks import node_sizes
+from ...numerics.fastsum.clusters.targets import shape_table
 from ..base import Account, Setting
 from ..options import choose, positive
 

@@ -1,7 +1,8 @@
 """Weighted sums in single precision: twice as many numbers in a vector register, and faster roots and divisions.
 
 Coordinates are taken relative to the targets and in units of their extent, so that a distance is wrong by less than
-1e-7 of that extent however far away the origin is. Charges should be of the order of one: see :mod:`.fastsum.sums`.
+1e-7 of that extent however far away the origin is. Charges should be of the order of one: see
+:mod:`.fastsum.weighted.sums`.
 """
 
 import math

@@ -11,7 +11,7 @@ import numpy as np
 from ...parallel import Shared, for_chunks
 from ..arrays import FloatArray, IntArray
 from ..exact.radial import radial_sums
-from ..fastsum.nested import NestedSums
+from ..fastsum.radial.nested import NestedSums
 from .sparse import sparse_radial_matrix
 
 _CHUNK = 512

@@ -1,0 +1,305 @@
+"""Prescribed motion of a boundary: rotate, translate, displace by formulas, or follow a table.
+
+A motion is a sequence of steps applied in order to the undeformed positions. A ``fraction`` of every step can be
+imposed, so that a large motion is marched along its own path: half of a rotation by 60 degrees is a rotation by 30
+degrees, not the midpoint of the chord.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Protocol, runtime_checkable
+
+import numpy as np
+
+from ...errors import MotionError
+from ...grid import BoolArray, FloatArray, Grid
+from ..tables.matching import Matching, Nodes, SurfaceData, Transfer
+from ..tables.transfer import transfer
+from .expression import Expression
+
+VARIABLES = ("x", "y", "z", "t")
+SMALLEST = 1e-30
+"""Smaller displacements are set to zero: their products with weights would be denormal numbers."""
+LARGEST = 1e30
+"""Largest displacement, as for coordinates (``formats.plausible``): its square is finite."""
+
+
+class Step(Protocol):
+    """One entry of ``motion = [...]``."""
+
+    @property
+    def names(self) -> frozenset[str]:
+        """Variables and constants that its formulas use."""
+        ...
+
+    def prepare(self, nodes: Nodes) -> PreparedStep:
+        """Compute everything that depends only on the undeformed nodes."""
+        ...
+
+
+@runtime_checkable
+class Timed(Protocol):
+    """A step that is not defined at all times."""
+
+    def require(self, time: float, constants: Mapping[str, float]) -> None:
+        """Refuse a time at which it is not defined."""
+        ...
+
+
+class PreparedStep(Protocol):
+    """A step bound to its nodes."""
+
+    def increment(self, current: FloatArray, values: Mapping[str, Any], fraction: float) -> FloatArray:
+        """Displacement (n, 3) from the ``current`` positions; ``values`` are the variables at the undeformed nodes."""
+        ...
+
+
+@dataclass(frozen=True)
+class Rotate:
+    """Rotation by ``angle`` (degrees, right-handed) about ``axis`` through ``center``; all may be formulas."""
+
+    angle: Expression
+    axis: tuple[float, float, float]
+    center: tuple[Expression, Expression, Expression]
+
+    @property
+    def names(self) -> frozenset[str]:
+        return self.angle.names.union(*(part.names for part in self.center))
+
+    def prepare(self, nodes: Nodes) -> PreparedStep:
+        return self
+
+    def increment(self, current: FloatArray, values: Mapping[str, Any], fraction: float) -> FloatArray:
+        arm = current - _vector(self.center, values, len(current))
+        angle = np.deg2rad(fraction * np.broadcast_to(self.angle(values), len(current)))[:, None]
+        # Scaled first, because squares of lengths above 1e154 overflow.
+        axis = np.asarray(self.axis) / np.abs(self.axis).max()
+        axis /= np.linalg.norm(axis)
+        # Rodrigues' formula as a displacement: exactly zero for a zero rotation.
+        lift = np.cross(axis, arm)
+        return np.sin(angle) * lift + 2 * np.sin(angle / 2) ** 2 * np.cross(axis, lift)
+
+
+@dataclass(frozen=True)
+class Displace:
+    """Displacement by three formulas of the undeformed x, y, z and t; a translation if they are constant."""
+
+    vector: tuple[Expression, Expression, Expression]
+
+    @property
+    def names(self) -> frozenset[str]:
+        return frozenset().union(*(part.names for part in self.vector))
+
+    def prepare(self, nodes: Nodes) -> PreparedStep:
+        return self
+
+    def increment(self, current: FloatArray, values: Mapping[str, Any], fraction: float) -> FloatArray:
+        return fraction * _vector(self.vector, values, len(current))
+
+
+@dataclass(frozen=True)
+class Follow:
+    """Displacement from a table or from a grid that holds the deformed positions of the same nodes."""
+
+    data: SurfaceData | Grid
+    matching: Matching
+    names: ClassVar[frozenset[str]] = frozenset()
+
+    @property
+    def first(self) -> SurfaceData | Grid:
+        """The first table."""
+        return self.data
+
+    def prepare(self, nodes: Nodes) -> PreparedStep:
+        return Imposed(transfer(self.data, self.matching, nodes))
+
+
+@dataclass(frozen=True)
+class Imposed:
+    """A displacement that has been transferred to the nodes."""
+
+    match: Transfer
+
+    def increment(self, current: FloatArray, values: Mapping[str, Any], fraction: float) -> FloatArray:
+        return fraction * self.match.displacement
+
+
+@dataclass(frozen=True)
+class FollowSequence:
+    """Displacement from one table per time, read when needed; only one is in memory at a time.
+
+    ``times`` ascend; ``read(n)`` reads the table of ``times[n]``.
+    """
+
+    times: tuple[float, ...]
+    read: Callable[[int], SurfaceData | Grid]
+    matching: Matching
+    names: ClassVar[frozenset[str]] = frozenset({"t"})
+
+    @property
+    def first(self) -> SurfaceData | Grid:
+        """The first table."""
+        return self.read(0)
+
+    def require(self, time: float, constants: Mapping[str, float]) -> None:
+        level_at(self.times, time)
+
+    def prepare(self, nodes: Nodes) -> PreparedStep:
+        return ImposedSequence(self, nodes)
+
+
+class ImposedSequence:
+    """Tables transferred to the nodes one at a time; ``match`` is the transfer of the last one used."""
+
+    def __init__(self, sequence: FollowSequence, nodes: Nodes):
+        self._sequence, self._nodes = sequence, nodes
+        self._current = 0
+        self.match = self._transfer(0)
+
+    def increment(self, current: FloatArray, values: Mapping[str, Any], fraction: float) -> FloatArray:
+        wanted = level_at(self._sequence.times, values["t"])
+        if wanted != self._current:
+            match = self._transfer(wanted)
+            if (match.matched != self.match.matched).any():
+                raise MotionError(
+                    f"{match.label} matches {int(match.matched.sum())} boundary nodes, {self.match.label} others "
+                    f"({int(self.match.matched.sum())}); expected all tables of a sequence to cover the same nodes"
+                )
+            self._current, self.match = wanted, match
+        return fraction * self.match.displacement
+
+    def _transfer(self, index: int) -> Transfer:
+        return transfer(self._sequence.read(index), self._sequence.matching, self._nodes)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Steps in the order in which they are applied, with the constants that their formulas may use."""
+
+    steps: tuple[Step, ...]
+    constants: Mapping[str, float]
+
+    @property
+    def names(self) -> frozenset[str]:
+        """Variables and constants that the formulas use; ``t`` when the motion depends on time."""
+        return frozenset().union(*(step.names for step in self.steps))
+
+    @property
+    def partial(self) -> bool:
+        """Whether it is a table that moves only the nodes it matches."""
+        return any(isinstance(step, Follow | FollowSequence) and step.matching.partial for step in self.steps)
+
+    def require(self, times: Iterable[float]) -> None:
+        """Refuse times at which a step is not defined, before anything is computed.
+
+        Raises
+        ------
+        MotionError
+            With the table and the time.
+        """
+        for step in self.steps:
+            if isinstance(step, Timed):
+                for time in times:
+                    step.require(time, self.constants)
+
+    def matched_by(self, matching: Matching) -> Motion:
+        """The same motion with another matching of its tables."""
+        tables = Follow | FollowSequence
+        steps = tuple(replace(step, matching=matching) if isinstance(step, tables) else step for step in self.steps)
+        return replace(self, steps=steps)
+
+    def prepare(self, nodes: Nodes) -> PreparedMotion:
+        """Bind the motion to its nodes; tables are matched here, once."""
+        return PreparedMotion(tuple(step.prepare(nodes) for step in self.steps), self.constants, nodes)
+
+
+GIVEN = Motion((), {})
+"""The motion of boundaries whose displacement the caller gives as arrays, step by step."""
+
+
+@dataclass(frozen=True)
+class PreparedMotion:
+    """A motion bound to its nodes."""
+
+    steps: tuple[PreparedStep, ...]
+    constants: Mapping[str, float]
+    nodes: Nodes
+
+    @property
+    def matches(self) -> tuple[Transfer, ...]:
+        """The matches of all tables, for the report."""
+        return tuple(step.match for step in self.steps if isinstance(step, Imposed | ImposedSequence))
+
+    @property
+    def moved(self) -> BoolArray:
+        """(n,) bool: nodes that the motion moves; all, unless its tables match only some of them."""
+        moved = np.ones(len(self.nodes.numbers), dtype=bool)
+        for match in self.matches:
+            moved &= match.matched
+        return moved
+
+    def displacement(self, time: float = 0.0, fraction: float = 1.0) -> FloatArray:
+        """Displacement (n, 3) of the nodes for ``fraction`` of the motion at ``time``.
+
+        Raises
+        ------
+        MotionError
+            When a displacement is not finite, or larger than any length.
+        """
+        points = self.nodes.points
+        x, y, z = points.T
+        values = {**self.constants, "x": x, "y": y, "z": z, "t": time}
+        total = np.zeros_like(points)
+        for index, step in enumerate(self.steps):
+            total = total + step.increment(points + total, values, fraction)
+            self._require_finite(total, index, time)
+        return np.where(np.abs(total) < SMALLEST, 0.0, total)
+
+    def _require_finite(self, total: FloatArray, index: int, time: float) -> None:
+        bad: BoolArray = np.asarray(~(np.abs(total) <= LARGEST).all(axis=1))
+        if bad.any():
+            worst = int(np.argmax(bad))
+            raise MotionError(
+                f"motion step {index + 1} gives the displacement {total[worst].tolist()} at node "
+                f"{self.nodes.label(worst)} = {self.nodes.points[worst].tolist()}, "
+                f"t = {time:g} ({int(bad.sum())} of {len(bad)} nodes); expected finite numbers up to "
+                f"{LARGEST:g}: check the formulas"
+            )
+
+
+def level_at(times: Sequence[float], time: float) -> int:
+    """Number of the file of a sequence with these ``times`` at one of them.
+
+    Raises
+    ------
+    MotionError
+        When there is none.
+    """
+    nearest = int(np.argmin(np.abs(np.asarray(times) - time)))
+    spacing = np.diff(times).min() if len(times) > 1 else max(abs(time), abs(times[0]))
+    if abs(times[nearest] - time) > 1e-6 * spacing:
+        raise MotionError(
+            f"the sequence of displacement files has no level at t = {time:g}; it has {len(times)} levels from "
+            f"{times[0]:g} to {times[-1]:g}, the nearest at {times[nearest]:g}. Choose one of its times"
+        )
+    return nearest
+
+
+def at_time(formula: Expression, time: float, constants: Mapping[str, Any], what: str) -> float:
+    """The value of a formula of t and constants.
+
+    Raises
+    ------
+    MotionError
+        When it is not finite.
+    """
+    value = float(formula({**constants, "x": 0.0, "y": 0.0, "z": 0.0, "t": time}))
+    if not abs(value) <= LARGEST:
+        raise MotionError(f"the {what} {formula.text!r} is {value:g} at t = {time:g}; expected a finite number")
+    return value
+
+
+def _vector(parts: tuple[Expression, Expression, Expression], values: Mapping[str, Any], n: int) -> FloatArray:
+    return np.stack([np.broadcast_to(np.asarray(part(values), dtype=np.float64), n) for part in parts], axis=1)

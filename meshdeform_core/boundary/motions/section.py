@@ -1,0 +1,229 @@
+"""New shapes of airfoils: nodes move along to the same part of the arc length between leading and trailing edge."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+import scipy
+
+from ...errors import MotionError
+from ...grid import FloatArray, IntArray
+from ..tables.matching import Nodes
+
+_SAME = 1e-9
+"""Part of the chord within which points of a section are one."""
+_CORNER = 60.0
+"""Degrees by which the outline turns at a trailing edge."""
+_BASE = 0.1
+"""A blunt trailing edge is shorter than this part of the chord."""
+_GAUSS = np.polynomial.legendre.leggauss(8)
+
+
+@dataclass(frozen=True)
+class Airfoil:
+    """A wall becomes the airfoil through given points, section by section.
+
+    Attributes
+    ----------
+    outline : (n, 2) from the trailing edge over the upper side to the leading edge and back over the lower side
+    axes : coordinates (0, 1, 2) of the plane of the sections: along the chord, and upwards
+    fitted : scaled, turned and shifted so that leading and trailing edge stay where they are; else as it is
+    label : of the file, for messages
+    """
+
+    outline: FloatArray
+    axes: tuple[int, int]
+    fitted: bool
+    label: str
+    names: ClassVar[frozenset[str]] = frozenset()
+
+    def prepare(self, nodes: Nodes) -> ImposedOutline:
+        """Find the outline of the nodes and the place of each on the new one.
+
+        Raises
+        ------
+        MotionError
+            When the nodes are not the surface of an airfoil, or the trailing edges differ in kind.
+        """
+        points, of_node = _distinct(nodes.points[:, list(self.axes)])
+        loop = _loop(points, of_node[nodes.faces], self.label)
+        start, count, sharp = _trailing_edge(points[loop], self.label)
+        loop = np.roll(loop, -start)
+        ring = points[loop]
+        old = Outline.through(np.concatenate([ring[:count], ring[: int(sharp)]]), "the wall")
+        target = Outline.through(self._placed(old, Outline.through(self.outline, self.label)), self.label)
+        if target.blunt == sharp:
+            kinds = ("sharp", "blunt") if sharp else ("blunt", "sharp")
+            raise MotionError(
+                f"{self.label} has a {kinds[1]} trailing edge, that of the wall at {old.trailing.tolist()} is "
+                f"{kinds[0]}; expected the same"
+            )
+        found = np.empty_like(points)
+        found[loop[:count]] = target.at(old.parts[:count])
+        share = _lengths(np.concatenate([ring[count - 1 :], ring[:1]]))[1:-1]
+        first, last = target.points[-1], target.points[0]
+        found[loop[count:]] = first + share[:, None] * (last - first)
+        displacement = np.zeros_like(nodes.points)
+        displacement[:, list(self.axes)] = (found - points)[of_node]
+        return ImposedOutline(displacement)
+
+    def _placed(self, old: Outline, new: Outline) -> FloatArray:
+        if not self.fitted:
+            return self.outline
+        p, q = (np.array([line.leading, line.trailing]) @ [1.0, 1j] for line in (old, new))
+        factor = (p[1] - p[0]) / (q[1] - q[0])
+        moved = p[0] + factor * (self.outline @ [1.0, 1j] - q[0])
+        return np.stack([moved.real, moved.imag], axis=1)
+
+
+@dataclass(frozen=True)
+class ImposedOutline:
+    """Displacements (n, 3) onto the new shape."""
+
+    displacement: FloatArray
+
+    def increment(self, current: FloatArray, values: Mapping[str, Any], fraction: float) -> FloatArray:
+        return fraction * self.displacement
+
+
+@dataclass(frozen=True)
+class Outline:
+    """A cubic spline through the points of an airfoil, open at the trailing edge.
+
+    Attributes
+    ----------
+    points : (n, 2); spline : by the length of the polygon; lengths : (n,) arc lengths of the points
+    nose : number of the point farthest from the middle of the trailing edge, the leading edge
+    """
+
+    points: FloatArray
+    spline: scipy.interpolate.CubicSpline
+    knots: FloatArray
+    lengths: FloatArray
+    nose: int
+
+    @classmethod
+    def through(cls, points: FloatArray, label: str) -> Outline:
+        """The outline through points (n, 2), of which successive ones must differ."""
+        steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+        if len(points) < 5 or steps.min() <= _SAME * np.ptp(points, axis=0).max():
+            at = int(np.argmin(steps)) if len(points) > 1 else 0
+            raise MotionError(
+                f"{label}: {len(points)} points of an airfoil, of which {at + 1} and {at + 2} may be the same; "
+                "expected at least 5 different ones in order"
+            )
+        knots = np.concatenate([[0.0], np.cumsum(steps)])
+        spline = scipy.interpolate.CubicSpline(knots, points)
+        nose = int(np.argmax(np.linalg.norm(points - 0.5 * (points[0] + points[-1]), axis=1)))
+        if not 2 <= nose <= len(points) - 3:
+            raise MotionError(f"{label}: its leading edge is at an end of the list; the trailing edge must be")
+        lengths = np.concatenate([[0.0], np.cumsum(_arc(spline, knots[:-1], knots[1:]))])
+        return cls(points, spline, knots, lengths, nose)
+
+    @property
+    def leading(self) -> FloatArray:
+        return self.points[self.nose]
+
+    @property
+    def trailing(self) -> FloatArray:
+        """The middle of the trailing edge."""
+        return np.asarray(0.5 * (self.points[0] + self.points[-1]))
+
+    @property
+    def blunt(self) -> bool:
+        gap = float(np.linalg.norm(self.points[0] - self.points[-1]))
+        return gap > _SAME * float(np.ptp(self.points, axis=0).max())
+
+    @property
+    def parts(self) -> FloatArray:
+        """Of every point (n,): 0 to 1 from the trailing to the leading edge, 1 to 2 back."""
+        half, whole = self.lengths[self.nose], self.lengths[-1]
+        first = self.lengths / half
+        second = 1.0 + (self.lengths - half) / (whole - half)
+        return np.where(np.arange(len(self.lengths)) <= self.nose, first, second)
+
+    def at(self, parts: FloatArray) -> FloatArray:
+        """The points (n, 2) of these parts, on the spline; its own points to the last bit at their own parts."""
+        half, whole = self.lengths[self.nose], self.lengths[-1]
+        length = np.where(parts <= 1.0, parts * half, half + (parts - 1.0) * (whole - half))
+        segment = np.clip(np.searchsorted(self.lengths, length, side="right") - 1, 0, len(self.lengths) - 2)
+        low, high = self.knots[segment], self.knots[segment + 1]
+        share = (length - self.lengths[segment]) / (self.lengths[segment + 1] - self.lengths[segment])
+        place = low + share * (high - low)
+        for _ in range(30):
+            speed = np.linalg.norm(self.spline(place, 1), axis=1)
+            error = self.lengths[segment] + _arc(self.spline, low, place) - length
+            place = np.clip(place - error / np.maximum(speed, 1e-300), low, high)
+        return np.asarray(self.spline(place))
+
+
+def _arc(spline: scipy.interpolate.CubicSpline, low: FloatArray, high: FloatArray) -> FloatArray:
+    """Arc lengths (n,) of pieces of a spline."""
+    x, w = _GAUSS
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    speed = np.linalg.norm(spline(middle[:, None] + half[:, None] * x, 1), axis=2)
+    return np.asarray(half * (speed @ w))
+
+
+def _lengths(points: FloatArray) -> FloatArray:
+    """Lengths of the polygon up to each point, as parts of the whole."""
+    found = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    return np.asarray(found / found[-1])
+
+
+def _distinct(places: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Different points (m, 2) of a projection, and the point of every node (n,)."""
+    size = float(np.ptp(places, axis=0).max())
+    _, first, of_node = np.unique(np.round(places / (_SAME * size)), axis=0, return_index=True, return_inverse=True)
+    return places[first], of_node.reshape(-1)
+
+
+def _loop(points: FloatArray, faces: IntArray, label: str) -> IntArray:
+    """The points in order round the section, from edges of the projected faces (m, corners)."""
+    pairs = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
+    pairs = np.unique(np.sort(pairs[pairs[:, 0] != pairs[:, 1]], axis=1), axis=0)
+    count = np.bincount(pairs.ravel(), minlength=len(points))
+    if (count != 2).any():
+        at = points[int(np.argmax(count != 2))].tolist()
+        raise MotionError(
+            f"{label}: the boundary is not a closed outline extruded along one axis; at {at} of its sections "
+            f"{int(count[count != 2][0])} edges meet, expected 2"
+        )
+    beside = np.empty((len(points), 2), dtype=np.int64)
+    ends = np.concatenate([pairs, pairs[:, ::-1]])
+    beside[:] = ends[np.argsort(ends[:, 0], kind="stable"), 1].reshape(-1, 2)
+    loop = np.empty(len(points), dtype=np.int64)
+    loop[0], last = 0, int(beside[0, 0])
+    for n in range(1, len(points)):
+        one, two = beside[loop[n - 1]]
+        loop[n], last = (two if one == last else one), loop[n - 1]
+    if len(np.unique(loop)) < len(loop):
+        raise MotionError(f"{label}: the boundary has several outlines; expected one airfoil for each boundary entry")
+    x, y = points[loop].T
+    return loop if float(x @ np.roll(y, -1) - y @ np.roll(x, -1)) > 0 else loop[::-1]
+
+
+def _trailing_edge(ring: FloatArray, label: str) -> tuple[int, int, bool]:
+    """Where the upper side of a counter-clockwise outline begins, how many points there are up to the lower corner, and
+    whether they are one corner: a sharp trailing edge.
+    """
+    ahead = np.roll(ring, -1, axis=0) - ring
+    behind = np.roll(ahead, 1, axis=0)
+    cross = behind[:, 0] * ahead[:, 1] - behind[:, 1] * ahead[:, 0]
+    corners = np.flatnonzero(np.degrees(np.abs(np.arctan2(cross, (behind * ahead).sum(axis=1)))) > _CORNER)
+    if len(corners) == 1:
+        return int(corners[0]), len(ring), True
+    chord = float(np.ptp(ring, axis=0).max())
+    if len(corners) == 2 and np.linalg.norm(ring[corners[1]] - ring[corners[0]]) < _BASE * chord:
+        # The base is the short way from one corner to the other, and leads upwards.
+        one, two = corners.tolist()
+        forth = two - one
+        lower, upper = (one, two) if forth < len(ring) - forth else (two, one)
+        return upper, (lower - upper) % len(ring) + 1, False
+    raise MotionError(
+        f"{label}: the section of the wall has {len(corners)} corners, at {ring[corners].tolist()[:4]}; expected "
+        "a sharp trailing edge, or two corners close to each other"
+    )

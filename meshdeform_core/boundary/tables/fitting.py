@@ -1,0 +1,146 @@
+"""The wall that a displacement table fits, where the case does not say which faces the table moves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy
+
+from ...errors import MotionError
+from ...grid import BoolArray, FloatArray, Grid, IntArray
+from ...grid.faces.roles import Role
+from ...grid.faces.surfaces import Surface, find_outside
+from ...grid.topology import Topology
+from .frames import other_frame
+from .matching import AUTOMATIC, Matching, Nodes, SurfaceData
+
+_SAMPLE = 5000
+_POINTS = 0.5
+"""A surface belongs to the table if at least this share of the table's points lies on it, ..."""
+_COVERED = 0.5
+"""... or if the table covers at least this share of its area."""
+_WHOLE = 0.9
+"""A surface of another guessed role than a wall counts as one if the table covers this share of its area."""
+_SOME = 0.1
+"""Without such a surface: those with at least this fraction of the points of the best one."""
+_FITS = 0.5
+"""A table with a smaller share of its points on the boundary is refused: it belongs to another grid."""
+_OWN, _SAME_NODE = 0.9, 1e-3
+"""A table is one of nodes if this share of its points lies on nodes, within this part of the shortest edge there."""
+_REACH = 0.1
+"""Nodes of the walls farther from a table than this part of its diagonal do not follow it."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Surfaces that a table fits, how it is matched, and the face quads (n,) that follow it.
+
+    ``quads`` is ``None`` for a table of nodes: it moves the nodes that it matches, on whatever face.
+    """
+
+    surfaces: tuple[Surface, ...]
+    quads: IntArray | None
+    matching: Matching
+
+
+def fit_table(grid: Grid, topology: Topology, data: SurfaceData, matching: Matching) -> Fit:
+    """The outside surfaces on which a table lies, by distance relative to their faces.
+
+    Where ``matching`` is automatic, it is ``nearest`` for tables of the grid's own nodes, else ``interpolate``.
+
+    Raises
+    ------
+    MotionError
+        When most points lie on no outside face; with what would make them, if that is found.
+    """
+    surfaces = find_outside(grid, topology).surfaces
+    points = data.points[:: max(1, len(data.points) // _SAMPLE)]
+    owner = np.repeat(np.arange(len(surfaces)), [len(surface.quads) for surface in surfaces])
+    quads = np.concatenate([np.empty(0, dtype=np.int64), *(surface.quads for surface in surfaces)])
+    corners = grid.points[topology.first[topology.quads.corners[quads]]]
+    center, reach = corners.mean(axis=1), np.linalg.norm(np.ptp(corners, axis=1), axis=1)
+    distance, nearest = scipy.spatial.cKDTree(center).query(points)
+    on = distance <= reach[nearest]
+    if on.mean() < _FITS:
+        raise _misfit(grid, topology, quads, data, on)
+    votes = np.bincount(owner[nearest[on]], minlength=len(surfaces)) / len(points)
+    whole = np.bincount(owner, _areas(corners), minlength=len(surfaces))
+    under = np.bincount(owner, _areas(corners) * _under(data, points, center, reach), minlength=len(surfaces))
+    covered = np.divide(under, whole, out=np.zeros_like(whole), where=whole > 0)
+    chosen = (votes >= _POINTS) | (covered >= _COVERED)
+    if not chosen.any():
+        chosen = votes >= _SOME * votes.max()
+    # Along its rim a wall lies on symmetry and end planes too. A guessed role may be wrong where the table covers all.
+    walls = chosen & np.array(
+        [
+            surface.role in (Role.WALL, Role.UNKNOWN) or (not surface.declared and part >= _WHOLE)
+            for surface, part in zip(surfaces, covered, strict=True)
+        ]
+    )
+    chosen = walls if walls.any() else chosen
+    mine = quads[chosen[owner]]
+    found = tuple(surface for surface, taken in zip(surfaces, chosen, strict=True) if taken)
+    _require_wall(grid, topology, data, found, surfaces)
+    matching = _resolved(grid, topology, mine, points, matching)
+    if matching.how != "interpolate":
+        return Fit(found, None, matching)
+    return Fit(found, mine, replace(matching, walls=tuple(surface.name for surface in found)))
+
+
+def _misfit(grid: Grid, topology: Topology, quads: IntArray, data: SurfaceData, on: BoolArray) -> MotionError:
+    first = data.points[:: max(1, len(data.points) // _SAMPLE)][int(np.argmin(on))]
+    hint = other_frame(data.points, Nodes.of_quads(grid, topology, quads))
+    whole = len(on) == len(data.points)
+    how_many = f"{int((~on).sum())} of {len(on)}" if whole else f"{1 - on.mean():.0%} of {len(data.points)}"
+    return MotionError(
+        f"{data.label}: {how_many} table points lie on no outside face of the grid, first "
+        f"{first.tolist()}{hint}; expected a table of the wall, in the grid's length unit"
+    )
+
+
+def _require_wall(
+    grid: Grid, topology: Topology, data: SurfaceData, found: tuple[Surface, ...], surfaces: tuple[Surface, ...]
+) -> None:
+    """Refuse a table on a symmetry plane or the far field if it would lie on a wall in another frame."""
+    walls = [surface.quads for surface in surfaces if surface.role is Role.WALL]
+    if not walls or any(surface.role in (Role.WALL, Role.UNKNOWN) for surface in found):
+        return
+    hint = other_frame(data.points, Nodes.of_quads(grid, topology, np.concatenate(walls)))
+    if hint:
+        places = ", ".join(f"{surface.name!r} ({surface.role.value})" for surface in found)
+        raise MotionError(f"{data.label}: its points lie on {places}{hint}; expected a table of a wall")
+
+
+def _under(data: SurfaceData, points: FloatArray, center: FloatArray, reach: FloatArray) -> BoolArray:
+    """Which faces with ``center`` (n, 3) lie within their size of the table's triangles, or within the spacing of its
+    points of one of them."""
+    tree = scipy.spatial.cKDTree(points)
+    spacing = tree.query(points, k=min(5, len(points)))[0].reshape(len(points), -1)[:, -1]
+    distance, nearest = tree.query(center)
+    under = distance <= np.maximum(reach, spacing[nearest])
+    if len(data.triangles):
+        from ...numerics.geometry.surface import TriangleTree
+
+        under |= TriangleTree(data.points, data.triangles).closest(center)[2] <= reach
+    return np.asarray(under)
+
+
+def _areas(corners: FloatArray) -> FloatArray:
+    """Areas (n,) of quads (n, 4, 3); lengths of edges (n, 2, 3)."""
+    if corners.shape[1] == 2:
+        return np.asarray(np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1))
+    cross = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
+    return np.asarray(0.5 * np.linalg.norm(cross, axis=1))
+
+
+def _resolved(grid: Grid, topology: Topology, quads: IntArray, points: FloatArray, matching: Matching) -> Matching:
+    how, tolerance = matching.how, matching.tolerance
+    if how == AUTOMATIC:
+        nodes = np.unique(topology.quads.corners[quads])
+        distance, nearest = scipy.spatial.cKDTree(grid.points[topology.first[nodes]]).query(points)
+        own = distance <= (tolerance or _SAME_NODE * topology.edge[nodes[nearest]])
+        how = "nearest" if own.mean() >= _OWN else "interpolate"
+    if how == "interpolate" and tolerance is None:
+        tolerance = _REACH * float(np.linalg.norm(np.ptp(points, axis=0)))
+    return replace(matching, how=how, tolerance=tolerance)

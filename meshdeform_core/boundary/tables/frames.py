@@ -1,0 +1,152 @@
+"""Tables in another length unit, order of columns or frame than the nodes that they should match."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import permutations, product
+
+import numpy as np
+import scipy
+
+from ...grid import BoolArray, FloatArray
+from .matching import Nodes
+
+_UNITS = (
+    (1e-3, "in millimetres where the grid is in metres"),
+    (1e3, "in metres where the grid is in millimetres"),
+    (1e-2, "in centimetres where the grid is in metres"),
+    (1e2, "in metres where the grid is in centimetres"),
+    (1e-6, "in micrometres where the grid is in metres"),
+    (1e6, "in metres where the grid is in micrometres"),
+    (0.0254, "in inches where the grid is in metres"),
+    (1 / 0.0254, "in metres where the grid is in inches"),
+    (25.4, "in inches where the grid is in millimetres"),
+    (1 / 25.4, "in millimetres where the grid is in inches"),
+    (0.3048, "in feet where the grid is in metres"),
+    (1 / 0.3048, "in metres where the grid is in feet"),
+)
+"""Factors between length units, and what a table needs the factor for."""
+_COUNTED = 3
+_PROBES, _ON_NODE = 12, 0.05
+"""So many points tell a shift onto nodes, within this part of the shortest edge there."""
+_SAMPLE = 2000
+_FITS = 0.9
+"""A frame is proposed if this share of the points would lie on the nodes, ..."""
+_GAIN = 0.25
+"""... and if this share exceeds that of the points as given by at least so much."""
+_SPREAD = 0.2
+"""Points that fit spread over at least this part of the diagonal of the nodes, or of the wall around them: a table
+shrunk to a point lies on any wall."""
+
+
+def far_points(points: FloatArray, nodes: Nodes) -> BoolArray:
+    """(n,) bool: points that are farther from every node than the longest face edge there."""
+    distance, nearest = scipy.spatial.cKDTree(nodes.points).query(points)
+    return np.asarray(distance > nodes.longest[nearest])
+
+
+def other_frame(points: FloatArray, nodes: Nodes) -> str:
+    """A hint on what would make table points match the nodes, with the share of points that would then lie on them.
+
+    Tried are length units, orders and signs of the columns, rotations by 90 degrees about an axis, and a shift. Of
+    those that fit, the one with the smallest distances is named; among equals the simplest, in that order.
+
+    Returns
+    -------
+    The end of a message, empty if nothing fits.
+    """
+    if len(points) > _COUNTED and (points[:, 0] - points[0, 0] == np.arange(len(points))).all():
+        return (
+            " (its first column counts the points: a file of numbers and positions, like SU2's, is read by `positions`)"
+        )
+    some = points[:: max(1, len(points) // _SAMPLE)]
+    tree = scipy.spatial.cKDTree(nodes.points)
+    here, _ = _fit(some, nodes, tree)
+    best, share, distance = "", max(_FITS, here + _GAIN), np.inf
+    for (change, reason), candidate in _candidates(some, nodes, tree):
+        hit, off = _fit(candidate, nodes, tree)
+        # A rival must be clearly nearer: frames that differ by a symmetry of the wall fit alike.
+        if hit >= share and off < 0.9 * distance - 1e-12:
+            best, distance = f" ({change}, {hit:.0%} of its points would lie on the nodes: {reason}?)", off
+    return best or _sizes(points, nodes)
+
+
+def _fit(points: FloatArray, nodes: Nodes, tree: scipy.spatial.cKDTree) -> tuple[float, float]:
+    """Share of points that lie on the nodes, 0 if they do not spread over them, and their mean distance in edges."""
+    distance, nearest = tree.query(points)
+    near = distance <= nodes.longest[nearest]
+    if not near.any():
+        return 0.0, np.inf
+    found = nodes.points[np.unique(nearest[near])]
+    extent = float(np.linalg.norm(np.ptp(points, axis=0)))
+    whole = float(np.linalg.norm(np.ptp(nodes.points, axis=0)))
+    spread = float(np.linalg.norm(np.ptp(found, axis=0)))
+    # Far-field nodes among those selected must not set the scale: many faces in each direction are as good.
+    wide = spread >= _SPREAD * whole or len(found) >= max(4, len(points) // 2)
+    if not wide or spread < 0.5 * extent:
+        return 0.0, np.inf
+    return float(near.mean()), float((distance[near] / nodes.longest[nearest[near]]).mean())
+
+
+def _candidates(
+    points: FloatArray, nodes: Nodes, tree: scipy.spatial.cKDTree
+) -> Iterator[tuple[tuple[str, str], FloatArray]]:
+    """Changes with the likely reason, and the changed points."""
+    for factor, unit in _UNITS:
+        yield (f"multiplied by {factor:.6g}", f"different length units, {unit}"), points * factor
+    for order in permutations(range(3)):
+        for signs in sorted(product((1.0, -1.0), repeat=3), key=lambda s: (s.count(-1.0) == 2, s.count(-1.0), s)):
+            if order != (0, 1, 2) or min(signs) < 0:
+                yield _columns(order, signs), points[:, order] * signs
+    for shift in _shifts(points, nodes, tree):
+        yield (f"shifted by ({', '.join(f'{x:.6g}' for x in shift)})", "another origin"), points + shift
+
+
+def _shifts(points: FloatArray, nodes: Nodes, tree: scipy.spatial.cKDTree) -> Iterator[FloatArray]:
+    """The shift of the middle onto that of the nodes, and those that put points of a part of the nodes onto nodes."""
+    x = nodes.points
+    yield (x.min(axis=0) + x.max(axis=0) - points.min(axis=0) - points.max(axis=0)) / 2
+    # The first point lies on one node or another; each further one rules out most of what is left.
+    probes = points[np.unique(np.linspace(0, len(points) - 1, _PROBES).astype(np.int64))]
+    shifts = x - probes[0]
+    for probe in probes[1:]:
+        distance, nearest = tree.query(probe + shifts)
+        shifts = shifts[distance <= _ON_NODE * nodes.edge[nearest]]
+    if len(probes) > 3 and len(shifts):
+        yield shifts[int(np.argmin(np.linalg.norm(shifts, axis=1)))]
+
+
+def _columns(order: tuple[int, ...], signs: tuple[float, ...]) -> tuple[str, str]:
+    names = ["xyz"[axis] for axis in order]
+    moved = [axis for axis in range(3) if order[axis] != axis]
+    flipped = [axis for axis in range(3) if signs[axis] < 0]
+    if not moved and len(flipped) != 2:
+        return f"with the opposite sign of {_listed('xyz'[axis] for axis in flipped)}", "other directions of the axes"
+    if turned := _rotation(order, signs):
+        return turned, "other directions of the axes"
+    opposite = f" and the opposite sign of {_listed(names[axis] for axis in flipped)}" if flipped else ""
+    return f"with its coordinates in the order {' '.join(names)}{opposite}", "columns exchanged"
+
+
+def _rotation(order: tuple[int, ...], signs: tuple[float, ...]) -> str:
+    """A rotation about a coordinate axis in words; empty for other permutations and signs."""
+    matrix = np.zeros((3, 3))
+    matrix[range(3), order] = signs
+    axis = [n for n in range(3) if matrix[n, n] == 1.0]
+    if np.linalg.det(matrix) < 0 or len(axis) != 1:
+        return ""
+    b, c = (axis[0] + 1) % 3, (axis[0] + 2) % 3
+    angle = 180 if matrix[b, b] < 0 else int(90 * matrix[c, b])
+    return f"rotated by {angle} degrees about {'xyz'[axis[0]]}"
+
+
+def _listed(names: Iterator[str]) -> str:
+    *rest, last = names
+    return f"{', '.join(rest)} and {last}" if rest else last
+
+
+def _sizes(points: FloatArray, nodes: Nodes) -> str:
+    sizes = [float(np.linalg.norm(np.ptp(p, axis=0))) for p in (points, nodes.points)]
+    if min(sizes) > 0 and not 1 / 30 < sizes[0] / sizes[1] < 30:
+        return f" (sizes differ by a factor {max(sizes) / min(sizes):.3g}: different length units?)"
+    return ""

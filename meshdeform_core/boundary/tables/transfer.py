@@ -1,0 +1,271 @@
+"""From a surface displacement to the boundary nodes of the grid: exact, nearest, or interpolated."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import scipy
+
+from ...errors import MotionError
+from ...grid import BoolArray, FloatArray, Grid, IntArray, Side
+from ...grid.topology import RELATIVE_TOLERANCE, side_nodes
+from .frames import other_frame
+from .matching import Matching, Nodes, SurfaceData, Transfer
+
+# Two displacements at one point are the same up to this fraction of the largest one.
+_ALIKE = 1e-6
+_LARGEST = 1e100
+_INTERPOLATE = ', match = "interpolate"'
+# Points of a table closer than the first fraction of its extent are treated as one point if the surface between them
+# would be stretched by more than the second factor.
+_ONE_POINT, _STRETCH = 1e-6, 10.0
+
+
+def transfer(data: SurfaceData | Grid, matching: Matching, nodes: Nodes) -> Transfer:
+    """Displacement of boundary nodes from a table, or from a grid with the deformed positions of the same nodes.
+
+    Raises
+    ------
+    MotionError
+        When no node matches, or when some do not and ``matching.partial`` is false.
+    """
+    if not isinstance(data, Grid):
+        _require_plausible(data)
+    if isinstance(data, Grid):
+        result = _from_deformed_grid(data, matching, nodes)
+    elif matching.how == "interpolate":
+        result = _interpolate(data, matching, nodes)
+    else:
+        result = _from_points(data, matching, nodes)
+    _require_matches(result, matching, nodes, data)
+    return dataclasses.replace(result, walls=matching.walls)
+
+
+def _require_plausible(data: SurfaceData) -> None:
+    """Refuse numbers whose squares overflow."""
+    for what, values in (("coordinates", data.points), ("displacements", data.displacement)):
+        largest = float(np.abs(values).max(initial=0.0))
+        if largest > _LARGEST:
+            raise MotionError(f"{data.label} has {what} of {largest:.3g}; expected lengths below {_LARGEST:g}")
+
+
+def _from_points(data: SurfaceData, matching: Matching, nodes: Nodes) -> Transfer:
+    reach = nodes.edge * (RELATIVE_TOLERANCE if matching.how == "exact" else 0.5)
+    if matching.tolerance is not None:
+        reach = np.full(len(nodes.points), matching.tolerance)
+    tree = scipy.spatial.cKDTree(data.points)
+    distance, nearest = tree.query(nodes.points)
+    matched = distance <= reach
+    _require_one_displacement(data, nodes, tree)
+    displacement = np.where(matched[:, None], data.displacement[nearest], 0.0)
+    used = len(np.unique(nearest[matched])), len(data.points)
+    beyond = np.zeros(len(distance))
+    return Transfer(
+        displacement,
+        matched,
+        distance,
+        data.label,
+        matching.how,
+        used,
+        data.points,
+        beyond,
+        matching.partial,
+        data.plane,
+    )
+
+
+def _require_one_displacement(data: SurfaceData, nodes: Nodes, tree: scipy.spatial.cKDTree) -> None:
+    """Refuse a table with different displacements within a small fraction of an edge of one node."""
+    if len(data.points) < 2:
+        return
+    distance, pair = tree.query(nodes.points, k=2)
+    apart = np.abs(data.displacement[pair[:, 0]] - data.displacement[pair[:, 1]]).max(axis=1)
+    both = distance[:, 1] <= RELATIVE_TOLERANCE * nodes.edge
+    conflict = both & (apart > _ALIKE * np.abs(data.displacement).max())
+    if conflict.any():
+        node = int(np.argmax(conflict))
+        one, other = pair[node]
+        raise MotionError(
+            f"{data.label} has two displacements at {nodes.label(node)} = {nodes.points[node].tolist()}, "
+            f"{data.displacement[one].tolist()} and {data.displacement[other].tolist()} ({int(conflict.sum())} such "
+            f"nodes); expected one"
+        )
+
+
+def _require_continuous(data: SurfaceData) -> None:
+    """Refuse different displacements of nearly coincident points, which would stretch the surface beyond reason."""
+    points, displacement = data.points, data.displacement
+    if len(points) < 2:
+        return
+    near = _ONE_POINT * float(np.ptp(points, axis=0).max())
+    distance, pair = scipy.spatial.cKDTree(points).query(points, k=2, distance_upper_bound=near)
+    close = np.flatnonzero(np.isfinite(distance[:, 1]) & (distance[:, 1] > 0.0))
+    apart = np.abs(displacement[pair[close, 0]] - displacement[pair[close, 1]]).max(axis=1, initial=0.0)
+    conflict = (apart > _STRETCH * distance[close, 1]) & (apart > _ALIKE * np.abs(displacement).max())
+    if conflict.any():
+        one, other = sorted(pair[close[int(np.argmax(conflict))]].tolist())
+        raise MotionError(
+            f"{data.label} has the points {points[one].tolist()} and {points[other].tolist()}, "
+            f"{float(np.linalg.norm(points[one] - points[other])):.2g} apart, with the displacements "
+            f"{displacement[one].tolist()} and {displacement[other].tolist()} ({int(conflict.sum())} such points); "
+            f"expected one displacement at one place"
+        )
+
+
+def _interpolate(data: SurfaceData, matching: Matching, nodes: Nodes) -> Transfer:
+    if not len(data.triangles):
+        _require_continuous(data)
+    if len(data.triangles):
+        displacement, distance, beyond = _on_triangles(data, nodes.points)
+    else:
+        displacement, distance, beyond = _between_points(data, nodes)
+    matched = distance <= _reach(data, matching, nodes)
+    displacement = np.where(matched[:, None], displacement, 0.0)
+    count = (len(data.points),) * 2
+    return Transfer(
+        displacement,
+        matched,
+        distance,
+        data.label,
+        matching.how,
+        count,
+        data.points,
+        beyond,
+        matching.partial,
+        data.plane,
+    )
+
+
+def _reach(data: SurfaceData, matching: Matching, nodes: Nodes) -> FloatArray | float:
+    if matching.tolerance is not None:
+        return matching.tolerance
+    if matching.partial:
+        # The table alone selects the nodes, from the whole boundary: those that are not on it must not match.
+        return 0.5 * nodes.edge
+    return 0.1 * min(float(np.linalg.norm(np.ptp(points, axis=0))) for points in (data.points, nodes.points))
+
+
+def _on_triangles(data: SurfaceData, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Displacement, distance, and distance beyond the edge, at the closest points of the table's surface."""
+    from ...numerics.geometry.surface import TriangleTree
+
+    triangle, weights, distance = TriangleTree(data.points, data.triangles).closest(points)
+    corners = data.triangles[triangle]
+    displacement = np.einsum("nc,ncd->nd", weights, data.displacement[corners])
+    a, b, c = (data.points[corners[:, n]] for n in range(3))
+    normal = np.cross(b - a, c - a)
+    size = np.linalg.norm(normal, axis=1, keepdims=True)
+    normal /= np.where(size > 0, size, 1.0)
+    gap = points - np.einsum("nc,ncd->nd", weights, data.points[corners])
+    aside = gap - (gap * normal).sum(axis=1, keepdims=True) * normal
+    on_rim = ((weights <= 0) & _rim(data.triangles)[triangle]).any(axis=1)
+    return displacement, distance, np.where(on_rim, np.linalg.norm(aside, axis=1), 0.0)
+
+
+def _rim(triangles: IntArray) -> BoolArray:
+    """(m, 3) bool: whether the edge opposite that corner belongs to only one triangle."""
+    edges = np.sort(np.stack([triangles[:, [1, 2]], triangles[:, [2, 0]], triangles[:, [0, 1]]], axis=1), axis=2)
+    _, number, count = np.unique(edges.reshape(-1, 2), axis=0, return_inverse=True, return_counts=True)
+    return np.asarray(count[number.reshape(-1)].reshape(-1, 3) == 1)
+
+
+def _between_points(data: SurfaceData, nodes: Nodes) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Displacement from a spline through the nearest points of the node's side of the body, distance to the nearest
+    point, and beyond their spacing."""
+    from ...numerics.geometry.local_spline import local_spline
+
+    known, first = np.unique(data.points, axis=0, return_index=True)
+    normals = _nearest_normals(nodes, known), nodes.normals
+    displacement, distance = local_spline(known, data.displacement[first], nodes.points, normals=normals)
+    tree = scipy.spatial.cKDTree(known)
+    nearest = tree.query(nodes.points)[1]
+    spacing = tree.query(known, k=min(5, len(known)))[0].reshape(len(known), -1)[:, -1]
+    return displacement, distance, np.maximum(distance - spacing[nearest], 0.0)
+
+
+def _nearest_normals(nodes: Nodes, points: FloatArray) -> FloatArray:
+    """Unit normals (n, 3) of the wall where it is closest to ``points`` (n, 3)."""
+    from ...numerics.geometry.surface import TriangleTree
+
+    if nodes.faces.shape[1] == 2:
+        return nodes.normals[scipy.spatial.cKDTree(nodes.points).query(points)[1]]
+    triangles = np.ascontiguousarray(np.concatenate([nodes.faces[:, [0, 1, 2]], nodes.faces[:, [0, 2, 3]]]))
+    face = TriangleTree(nodes.points, triangles).closest(points)[0] % len(nodes.faces)
+    return nodes.face_normals[face]
+
+
+def _from_deformed_grid(deformed: Grid, matching: Matching, nodes: Nodes) -> Transfer:
+    label = deformed.path.name if deformed.path else "deformed grid"
+    if deformed.shapes == nodes.grid.shapes:
+        displacement = deformed.points[nodes.topology.first[nodes.numbers]] - nodes.points
+        matched = np.ones(len(displacement), dtype=bool)
+    else:
+        displacement, matched = _from_surface_blocks(deformed, nodes)
+    used = int(matched.sum()), deformed.n_nodes
+    zero = np.zeros(len(displacement))
+    return Transfer(displacement, matched, zero, label, "same nodes", used, np.empty((0, 3)), zero, matching.partial)
+
+
+def _from_surface_blocks(surface: Grid, nodes: Nodes) -> tuple[FloatArray, BoolArray]:
+    """Match each block of the surface grid with the closest block face of the same size."""
+    moved = np.full((nodes.topology.n_unique, 3), np.nan)
+    taken: set[tuple[int, Side]] = set()
+    for index, shape in enumerate(surface.shapes):
+        new = surface.block(index).reshape([n for n in shape if n > 1] + [3])
+        moved[_closest_face(new, surface.names[index], nodes, taken)] = new
+    displacement = moved[nodes.numbers] - nodes.points
+    matched: BoolArray = np.asarray(np.isfinite(displacement).all(axis=1))
+    return np.where(matched[:, None], displacement, 0.0), matched
+
+
+def _closest_face(new: FloatArray, name: str, nodes: Nodes, taken: set[tuple[int, Side]]) -> IntArray:
+    """Unique node numbers of the selected block face that a deformed surface ``new`` (na, nb, 3) belongs to."""
+    grid, topology = nodes.grid, nodes.topology
+    candidates = []
+    for block in range(grid.n_blocks):
+        for side in Side:
+            flat = side_nodes(grid, block, side)
+            flat = flat.reshape([n for n in flat.shape if n > 1])
+            if flat.shape != new.shape[:-1] or (block, side) in taken:
+                continue
+            numbers = topology.numbers_of(flat.ravel()).reshape(flat.shape)
+            if np.isin(numbers, nodes.numbers).all():
+                gap = np.sqrt(np.mean((grid.points[flat] - new) ** 2))
+                candidates.append((float(gap), block, side, numbers))
+    candidates.sort(key=lambda entry: entry[:3])
+    size = " x ".join(str(n) for n in new.shape[:-1])
+    if not candidates:
+        raise MotionError(
+            f"the deformed surface {name} has {size} nodes, but no selected block face has this size; "
+            f"expected a grid like the undeformed one or surfaces that are whole selected block faces"
+        )
+    if len(candidates) > 1 and candidates[1][0] < 2 * candidates[0][0]:
+        faces = ", ".join(f"{grid.names[b]}.{s.label}" for _, b, s, _ in candidates[:4])
+        raise MotionError(
+            f"the deformed surface {name} ({size} nodes) could be any of the faces {faces}; "
+            f"select one face per boundary entry, or give the displacement as a table"
+        )
+    _, block, side, numbers = candidates[0]
+    taken.add((block, side))
+    return numbers
+
+
+def _require_matches(result: Transfer, matching: Matching, nodes: Nodes, data: SurfaceData | Grid) -> None:
+    missing = np.flatnonzero(~result.matched)
+    if len(missing) == 0 or (matching.partial and result.matched.any()):
+        return
+    worst = missing[np.argmax(result.distance[missing])]
+    raise MotionError(
+        f"{result.label}: {len(missing)} of {len(nodes.points)} selected nodes have no match ({result.how}); the "
+        f"farthest is {nodes.label(worst)} = {nodes.points[worst].tolist()}, {result.distance[worst]:.3g} away. "
+        f"The table spans {_span(data.points)}, the nodes {_span(nodes.points)}"
+        f"{other_frame(data.points, nodes)}. "
+        f"Set a larger tolerance{'' if result.how == 'interpolate' else _INTERPOLATE}, or a selection that the table "
+        f"covers"
+    )
+
+
+def _span(points: FloatArray) -> str:
+    low, high = points.min(axis=0), points.max(axis=0)
+    return " x ".join(f"[{a:.4g}, {b:.4g}]" for a, b in zip(low, high, strict=True))

@@ -1,0 +1,1 @@
+"""How blocks meet: interfaces, declared connections, openings between them, overset components."""

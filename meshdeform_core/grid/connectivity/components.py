@@ -1,0 +1,209 @@
+"""Components of an overset grid: groups of blocks that may overlap each other and have no node in common."""
+
+from __future__ import annotations
+
+import dataclasses
+import fnmatch
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...errors import CaseError, suggestion
+from ...numerics.arrays import BoolArray, FloatArray, IntArray
+from ...numerics.geometry.coincidence import coincident_groups, distinct, equal_rows
+from ...parallel import Shared, empty, for_items
+from ..blocks import Grid
+from ..topology import RELATIVE_TOLERANCE, FaceQuads, Topology
+
+BY_PREFIX = "zone prefix"
+"""Components are the blocks whose names differ in the number at their end only: ``flap.00001``, ``flap.00002``."""
+_NUMBER = re.compile(r"[ ._-]*\d+$")
+_LISTED = 6
+
+Components = str | Mapping[str, Sequence[str]]
+"""``BY_PREFIX``, or patterns of block names by the name of the component; the first one that fits counts."""
+
+
+def with_components(grid: Grid, components: Components) -> Grid:
+    """The grid with the components of a case; without any it stays as it is.
+
+    Raises
+    ------
+    CaseError
+        When they do not divide the blocks into two or more groups, or a pattern matches no block.
+    """
+    if not components:
+        return grid
+    if isinstance(components, str):
+        names = [_NUMBER.sub("", name) or name for name in grid.names]
+    else:
+        names = _by_patterns(grid, components)
+    if len(set(names)) < 2:
+        raise CaseError(
+            f"grid.components: all {grid.n_blocks} blocks belong to the component {names[0]!r}; expected two or more "
+            f"(blocks: {_list(grid.names)})"
+        )
+    return dataclasses.replace(grid, components=tuple(names))
+
+
+def _by_patterns(grid: Grid, components: Mapping[str, Sequence[str]]) -> list[str]:
+    names = [""] * grid.n_blocks
+    for component, patterns in components.items():
+        for pattern in patterns:
+            fitting = [b for b, name in enumerate(grid.names) if fnmatch.fnmatchcase(name, pattern)]
+            if not fitting:
+                raise CaseError(
+                    f"grid.components: {pattern!r} of {component!r} matches no block; blocks are "
+                    f"{_list(grid.names)}{suggestion(pattern, grid.names)}"
+                )
+            for block in fitting:
+                names[block] = names[block] or component
+        if component not in names:
+            raise CaseError(f"grid.components: all blocks of {component!r} belong to components named before it")
+    rest = [grid.names[b] for b, name in enumerate(names) if not name]
+    if rest:
+        raise CaseError(
+            f"grid.components: {len(rest)} blocks belong to no component: {_list(rest)}; "
+            f'name them, or let the last component take the rest with "*"'
+        )
+    return names
+
+
+def _list(names: Sequence[str]) -> str:
+    return ", ".join(names[:_LISTED]) + (f" and {len(names) - _LISTED} more" if len(names) > _LISTED else "")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Component:
+    """One component as a grid of its own.
+
+    Attributes
+    ----------
+    name : of the component
+    blocks : (n,) its blocks in the whole grid, ascending
+    grid, topology : of these blocks
+    numbers : (n_unique,) its unique nodes in the whole grid, ascending
+    quads : (n_quads,) its face quads in the whole grid, ascending
+    """
+
+    name: str
+    blocks: IntArray
+    grid: Grid
+    topology: Topology
+    numbers: IntArray
+    quads: IntArray
+
+    def rows(self, whole: Grid, values: FloatArray) -> FloatArray:
+        """Its rows (n_nodes, 3) of values (n_nodes, 3) of the whole grid."""
+        return _copied(self.grid, lambda block: whole.block(int(self.blocks[block]), values))
+
+
+def assembled(whole: Grid, parts: Sequence[tuple[Component, FloatArray]]) -> FloatArray:
+    """Values (n_nodes, 3) of the whole grid from those of all of its components."""
+    places = {int(b): (part, n) for part in parts for n, b in enumerate(part[0].blocks)}
+
+    def block(number: int) -> FloatArray:
+        (component, values), place = places[number]
+        return component.grid.block(place, values)
+
+    return _copied(whole, block)
+
+
+def _copied(grid: Grid, block: Callable[[int], FloatArray]) -> FloatArray:
+    """A new array (n_nodes, 3) filled with the values ``block(b)`` (ni, nj, nk, 3) of every block of a grid."""
+    found: FloatArray = empty((grid.n_nodes, 3))
+
+    def put(number: int) -> None:
+        grid.block(number, found)[...] = block(number)
+
+    def rows(first: int, last: int) -> range:
+        return range(grid.offsets[first], grid.offsets[last])
+
+    for_items(put, grid.n_blocks, [Shared(found, rows)])
+    return found
+
+
+def split(grid: Grid, topology: Topology) -> tuple[Component, ...]:
+    """The components of a grid, in the order in which their first blocks come; none if all blocks are one."""
+    if not grid.component_numbers.any():
+        return ()
+    names = list(dict.fromkeys(grid.components))
+    return tuple(_component(grid, topology, name, number) for number, name in enumerate(names))
+
+
+def _component(grid: Grid, topology: Topology, name: str, number: int) -> Component:
+    member = grid.component_numbers == number
+    blocks = np.flatnonzero(member)
+    alone = Grid.from_blocks(
+        [grid.block(int(b)) for b in blocks], [grid.names[b] for b in blocks], format=grid.format, path=grid.path
+    )
+    quads, faces = np.flatnonzero(member[topology.quads.block_side // 6]), topology.quads
+    own = np.flatnonzero(member[_blocks_of(grid, topology.face_nodes)])
+    numbers = np.unique(topology.number[own])
+    sizes = faces.counts[blocks].prod(axis=2)
+    within = FaceQuads(
+        (np.cumsum(sizes) - sizes.ravel()).reshape(sizes.shape),
+        faces.counts[blocks],
+        np.searchsorted(numbers, faces.corners[quads]),
+        faces.in_order[blocks],
+    )
+    partner = topology.partner[quads]
+    own_topology = Topology(
+        _local(grid, alone, blocks, topology.face_nodes[own]),
+        np.searchsorted(numbers, topology.number[own]),
+        _local(grid, alone, blocks, topology.first[numbers]),
+        topology.edge[numbers],
+        within,
+        np.where(partner >= 0, np.searchsorted(quads, partner), partner),
+        topology.handedness[blocks],
+        0,
+    )
+    return Component(name, blocks, alone, own_topology, numbers, quads)
+
+
+def _blocks_of(grid: Grid, flat: IntArray) -> IntArray:
+    return np.searchsorted(grid.offsets, flat, side="right") - 1
+
+
+def _local(grid: Grid, alone: Grid, blocks: IntArray, flat: IntArray) -> IntArray:
+    """Flat indices in the grid of some blocks alone."""
+    block = _blocks_of(grid, flat)
+    return np.asarray(flat - grid.offsets[block] + alone.offsets[np.searchsorted(blocks, block)])
+
+
+def require_apart(grid: Grid, topology: Topology) -> None:
+    """Refuse components that meet at faces with the same nodes from both sides: neighbours, which a motion would tear.
+
+    Raises
+    ------
+    CaseError
+        With two of their blocks.
+    """
+    outside = np.flatnonzero(topology.external)
+    nodes = distinct(topology.quads.corners[outside], topology.n_unique)
+    label = np.zeros(topology.n_unique, dtype=np.int64)
+    tolerance = RELATIVE_TOLERANCE * topology.edge[nodes]
+    label[nodes] = coincident_groups(grid.points[topology.first[nodes]], tolerance)
+    corners = label[topology.quads.corners[outside]]
+    partner, _ = equal_rows(np.sort(corners, axis=1))
+    two = np.flatnonzero(partner >= 0)
+    block = topology.quads.block_side[outside] // 6
+    two = two[grid.component_numbers[block[two]] != grid.component_numbers[block[partner[two]]]]
+    two = two[_opposite(corners[two], corners[partner[two]])]
+    if two.size:
+        pair = block[two[0]], block[partner[two[0]]]
+        names, components = ([of[b] for b in pair] for of in (grid.names, grid.components))
+        raise CaseError(
+            f"grid.components: blocks {names[0]} of {components[0]!r} and {names[1]} of {components[1]!r} are "
+            f"neighbours with common faces ({len(two) // 2} between components in all), at which a motion would tear "
+            f"the grid; expected such blocks in one component"
+        )
+
+
+def _opposite(one: IntArray, two: IntArray) -> BoolArray:
+    """Whether quads with the same corners (n, c) go round in opposite directions, as those of two neighbours do."""
+    count, row = one.shape[1], np.arange(len(one))
+    start = (two == one[:, :1]).argmax(axis=1)
+    return np.asarray(two[row, (start - 1) % count] == one[:, 1])

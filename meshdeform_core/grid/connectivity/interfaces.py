@@ -1,0 +1,158 @@
+"""Block interfaces as windows with their orientation, found from shared face quads."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...numerics.arrays import runs
+from ..blocks import Connection, Grid, IntArray, Shape, Side
+from ..topology import Topology
+from ..windows import Rectangles, rectangles
+
+
+def find_interfaces(grid: Grid, topology: Topology) -> tuple[Connection, ...]:
+    """One connection per rectangle of shared faces, each interface once (from its lower block side)."""
+    faces, partner = topology.quads, topology.partner
+    quads = np.flatnonzero(partner >= 0)
+    own, other = faces.block_side[quads], faces.block_side[partner[quads]]
+    # A face folded onto itself (C-grid cut): each pair once.
+    once = (own < other) | ((own == other) & (quads < partner[quads]))
+    if not once.any():
+        return ()
+    quads = quads[once]
+    pair = own[once] * len(grid.sides.depth) + other[once]
+    fits, maps = _index_maps(grid, topology, quads, pair)
+    label = np.full(len(partner), -1)
+    label[quads] = fits
+    pieces = rectangles(grid, faces, label)
+    order = np.lexsort((np.arange(len(pieces)), pieces.label, maps.pair[pieces.label]))
+    return tuple(_connections(grid, pieces.chosen(order), maps))
+
+
+@dataclass(frozen=True)
+class _Maps:
+    """Index transformations from the quads of one side to those of another: (p, q) = matrix (u, v) + offset.
+
+    ``pair`` (m,) numbers the pairs of sides, ``matrix`` (m, 2, 2), ``offset`` (m, 2), ``donor`` (m,) the other side.
+    """
+
+    pair: IntArray
+    matrix: IntArray
+    offset: IntArray
+    donor: IntArray
+
+
+def _index_maps(grid: Grid, topology: Topology, quads: IntArray, pair: IntArray) -> tuple[IntArray, _Maps]:
+    """The transformations of all ``pair`` (n,) of sides and which one maps each of the ``quads`` (n,), -1: none does.
+
+    Each round finds one transformation of every pair from one of its quads, and takes the quads that it maps. Faces
+    with a collapsed edge fit several transformations: quads that are not collapsed come first.
+    """
+    faces, partner = topology.quads, topology.partner[quads]
+    corners = np.sort(faces.corners[quads], axis=1)
+    collapsed = (np.diff(corners, axis=1) == 0).any(axis=1)
+    local = np.stack(faces.places(quads)[1:], axis=1)
+    donor_local = np.stack(faces.places(partner)[1:], axis=1)
+    donor, fits = faces.block_side[partner], np.full(len(quads), -1)
+    waiting = np.lexsort((quads, collapsed, pair))
+    found: list[_Maps] = []
+    count = 0
+    while waiting.size:
+        seed = waiting[runs(pair[waiting])[0]]
+        turn = _orientation(grid, topology, quads[seed], partner[seed])
+        # A quad that fits no transformation is no seed; it may yet lie within that of another.
+        hopeless = np.isin(waiting, seed[turn < 0])
+        seed, turn = seed[turn >= 0], turn[turn >= 0]
+        matrix = _ORIENTATIONS[turn]
+        offset = donor_local[seed] - np.einsum("nij,nj->ni", matrix, local[seed])
+        found.append(_Maps(pair[seed], matrix, offset, donor[seed]))
+        left = np.flatnonzero(fits < 0)
+        number = np.searchsorted(pair[seed], pair[left])
+        known = np.append(pair[seed], -1)[number] == pair[left]
+        left, number = left[known], number[known]
+        image = np.einsum("nij,nj->ni", matrix[number], local[left]) + offset[number]
+        same = (image == donor_local[left]).all(axis=1)
+        fits[left[same]] = count + number[same]
+        count += len(seed)
+        waiting = waiting[~hopeless & (fits[waiting] < 0)]
+    parts = [[getattr(each, name) for each in found] for name in ("pair", "matrix", "offset", "donor")]
+    return fits, _Maps(*map(np.concatenate, parts))
+
+
+def _orientation(grid: Grid, topology: Topology, quads: IntArray, partner: IntArray) -> IntArray:
+    """The first of the orientations (n,) in which quads (n,) lie on their partners, by their nodes; -1: none."""
+    own, donor = (_corner_numbers(grid, topology, each) for each in (quads, partner))
+    found = np.full(len(quads), -1)
+    for turn in reversed(range(len(_ORIENTATIONS))):
+        found[(_oriented(own, _ORIENTATIONS[turn]) == donor).all(axis=(1, 2))] = turn
+    return found
+
+
+def _corner_numbers(grid: Grid, topology: Topology, quads: IntArray) -> IntArray:
+    """Unique numbers (n, 2, 2) of the corners of face quads along u and v; in 2-D equal along one of them."""
+    side, u, v = topology.quads.places(quads)
+    du, dv = grid.sides.corner_steps[side].T
+    flat = [[grid.sides.at(side, u + a, v + b) for b in (0 * dv, dv)] for a in (0 * du, du)]
+    return topology.numbers_of(np.moveaxis(np.array(flat), 2, 0))
+
+
+# The eight ways to map one rectangle onto another: donor (p, q) = M (u, v) up to an offset.
+_ORIENTATIONS = np.array([
+    np.array(m).reshape(2, 2)
+    for s in (1, -1)
+    for t in (1, -1)
+    for m in ((s, 0, 0, t), (0, s, t, 0))
+])  # fmt: skip
+
+
+def _oriented(corners: IntArray, matrix: IntArray) -> IntArray:
+    """``corners`` (n, 2, 2) of quads in the donor's index order."""
+    swapped = corners.transpose(0, 2, 1) if matrix[0, 0] == 0 else corners
+    rows, columns = matrix.sum(axis=1)
+    return swapped[:, :: int(rows), :: int(columns)]
+
+
+def _connections(grid: Grid, pieces: Rectangles, maps: _Maps) -> Iterator[Connection]:
+    matrix, offset, donors = (values[pieces.label] for values in (maps.matrix, maps.offset, maps.donor))
+    # Quad offsets become node offsets: a reversed axis counts from the quad's far node.
+    shift = offset + (matrix.sum(axis=2) < 0)
+    ends = [np.einsum("nij,nj->ni", matrix, corner) + shift for corner in (pieces.low, pieces.high)]
+    transforms = _transforms(pieces.side, donors, matrix)
+    nodes = (_nodes(grid, side, at) for side, at in
+             ((pieces.side, pieces.low), (pieces.side, pieces.high), (donors, ends[0]), (donors, ends[1])))  # fmt: skip
+    labels = [side.label for side in Side]
+    rows = zip(pieces.side.tolist(), donors.tolist(), transforms.tolist(), *nodes, strict=True)
+    for own, other, transform, begin, end, donor_begin, donor_end in rows:
+        (block, side), (donor, donor_side) = divmod(own, 6), divmod(other, 6)
+        name = f"{grid.names[block]}.{labels[side]}-{grid.names[donor]}.{labels[donor_side]}"
+        yield Connection(name, block, begin, end, donor, donor_begin, donor_end, _triple(transform))
+
+
+def _transforms(own: IntArray, donors: IntArray, matrix: IntArray) -> IntArray:
+    """The CGNS short form (n, 3) of connections of sides ``own`` (n,) with ``donors`` (n,)."""
+    tangential = np.array([side.tangential for side in Side])
+    row, transform = np.arange(len(own)), np.zeros((len(own), 3), dtype=np.int64)
+    for axis in (0, 1):
+        along = np.argmax(matrix[:, :, axis] != 0, axis=1)
+        transform[row, tangential[own % 6, axis]] = matrix[row, along, axis] * (tangential[donors % 6, along] + 1)
+    # Leaving this block across its far face is entering the donor across its near one.
+    outward, inward = np.where(own % 2, 1, -1), np.where(donors % 2, -1, 1)
+    transform[row, own % 6 // 2] = outward * inward * (donors % 6 // 2 + 1)
+    return transform
+
+
+def _nodes(grid: Grid, side: IntArray, tangential: IntArray) -> list[Shape]:
+    """Block indices of nodes of sides, by their places (n, 2) along ``side.tangential``."""
+    axes = np.array([[*each.tangential, each.axis] for each in Side])[side % 6]
+    far = np.where(side % 2, grid.sides.depth[side] - 1, 0)
+    nodes = np.empty((len(side), 3), dtype=np.int64)
+    np.put_along_axis(nodes, axes, np.column_stack([tangential, far]), axis=1)
+    return [_triple(node) for node in nodes.tolist()]
+
+
+def _triple(values: Sequence[int]) -> Shape:
+    a, b, c = values
+    return a, b, c

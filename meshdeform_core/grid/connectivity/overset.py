@@ -1,0 +1,185 @@
+"""Outside faces that lie inside another block: overset grids, and blocks that overlap by mistake.
+
+A solver for overset grids interpolates at such a face. Here it would be a fixed wall in the middle of the other block,
+and what moves would pull the two apart, unless the blocks are of different components.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...numerics.arrays import BoolArray, batches, runs, spans, spread
+from ...numerics.geometry.boxes import overlapping_boxes
+from ...numerics.geometry.distance import distance_to_faces
+from ...numerics.geometry.solid_angle import plane_winding, winding
+from ..blocks import FloatArray, Grid, IntArray, Side, Window
+from ..extent import block_extents
+from ..planes import FLATNESS, plane_normal
+from ..topology import Topology, side_nodes
+from ..windows import largest_rectangles
+
+_SAMPLES = 24
+_FEWEST = 2
+_PART = 0.1
+"""Of the samples of a face that lie inside."""
+_DEEP = 0.1
+"""A face is inside when its middle is farther from the other block's surface than this part of its longest edge."""
+_COARSE = 12
+"""Cells per direction of the surface by which most blocks are ruled out."""
+_SOME, _SURE = 0.1, 0.9
+_TOGETHER = 300_000
+"""Samples that are compared at once."""
+
+
+@dataclass(frozen=True)
+class Overlap:
+    """Outside faces of one block side that lie inside another block.
+
+    Attributes
+    ----------
+    quads : (n,) face quads of the side that are outside
+    window : their nodes
+    block, side, other : which side lies in which block
+    share : part of the sampled quads that does
+    depth : the farthest of these from the surface of the other block (grid length unit)
+    """
+
+    quads: IntArray
+    window: Window
+    block: int
+    side: Side
+    other: int
+    share: float
+    depth: float
+    matching: bool = False
+
+    def describe(self, grid: Grid) -> str:
+        """One line: where, how much of it, how deep."""
+        ranges = ",".join(f"{a + 1}:{b + 1}" for a, b in zip(self.window.low, self.window.high, strict=True))
+        return (
+            f"{grid.names[self.block]}.{self.side.label}[{ranges}] ({len(self.quads)} quads) lies inside "
+            f"{grid.names[self.other]}, {self.share:.0%} of it up to {self.depth:.3g} deep (overset or overlapping "
+            f"blocks)"
+        )
+
+
+def find_overlaps(grid: Grid, topology: Topology) -> list[Overlap]:
+    """Outside faces inside other blocks, found from samples of the quads of each block side."""
+    outside = np.flatnonzero(topology.external)
+    side = topology.quads.block_side[outside]
+    first, last = runs(side)
+    run, place = spread(last - first, _SAMPLES)
+    corners = grid.points[topology.first[topology.quads.corners[outside[first[run] + place]]]]
+    middle, start = corners.mean(axis=1), np.append(0, np.cumsum(np.bincount(run, minlength=len(first))))
+    pieces: dict[int, tuple[Window, IntArray]] = {}
+    surfaces: dict[int, _Surface] = {}
+    normal, found = plane_normal(grid), []
+    for own, other, within in _candidates(grid, middle, start, side[first] // 6):
+        sample = slice(start[own], start[own + 1])
+        if other not in surfaces:
+            surfaces[other] = _Surface(grid, other, normal)
+        depth = surfaces[other].depth(corners[sample][within], middle[sample][within])
+        deep = int((depth > 0).sum())
+        if deep >= _enough(len(within)):
+            pieces = pieces or largest_rectangles(grid, topology.quads, outside)
+            window, quads = pieces[int(side[first[own]])]
+            share = float(deep / len(within))
+            found.append(Overlap(quads, window, window.block, window.side, other, share, float(depth.max())))
+    return found
+
+
+def _enough(samples: int) -> float:
+    return max(_FEWEST, _PART * samples)
+
+
+def _candidates(
+    grid: Grid, middle: FloatArray, start: IntArray, block: IntArray
+) -> Iterator[tuple[int, int, BoolArray]]:
+    """Sides and other blocks in whose extent enough samples ``middle`` of the side lie, and which of them do.
+
+    ``start``: first sample of each side; ``block``: to which it belongs.
+    """
+    if len(block) == 0:
+        return
+    low, high = block_extents(grid)
+    # The plane of a 2-D grid is as flat as reading and writing it leave it.
+    slack = FLATNESS * float((high.max(axis=0) - low.min(axis=0)).max())
+    own = np.minimum.reduceat(middle, start[:-1]), np.maximum.reduceat(middle, start[:-1])
+    pairs = overlapping_boxes(own, (low - slack, high + slack))
+    component = grid.component_numbers
+    same = component[block[pairs[:, 0]]] == component[pairs[:, 1]]
+    pairs = pairs[same & (block[pairs[:, 0]] != pairs[:, 1])]
+    counts = np.diff(start)[pairs[:, 0]]
+    for lo, hi in batches(counts, _TOGETHER):
+        some, (run, place) = pairs[lo:hi], spans(counts[lo:hi])
+        x, other = middle[start[some[run, 0]] + place], some[run, 1]
+        inside = ((x > low[other]) & (x < high[other]) | (low[other] == high[other])).all(axis=1)
+        ends = np.append(0, np.cumsum(counts[lo:hi]))
+        for number in np.flatnonzero(np.bincount(run, weights=inside) >= np.maximum(_FEWEST, _PART * counts[lo:hi])):
+            yield int(some[number, 0]), int(some[number, 1]), inside[ends[number] : ends[number + 1]]
+
+
+class _Surface:
+    """The closed surface of a block, coarse for a first look and as it is."""
+
+    def __init__(self, grid: Grid, block: int, normal: FloatArray | None):
+        self._grid, self._block, self._normal = grid, block, normal
+        # Of the two axes beside the first one, the sides of this one are wound the other way round; see _turned.
+        shape = grid.shapes[block]
+        self._second = 1 if self._normal is None else max(axis for axis in range(3) if shape[axis] > 1)
+        self._coarse = self._faces(_COARSE)
+        self._fine: FloatArray | None = None
+
+    def depth(self, corners: FloatArray, middle: FloatArray) -> FloatArray:
+        """How deep (k,) the middles of quads lie inside the block; 0 outside and close to its surface."""
+        depth = np.zeros(len(middle))
+        some = np.flatnonzero(self._winding(self._coarse, middle) > _SOME)
+        if some.size == 0:
+            return depth
+        if self._fine is None:
+            self._fine = self._faces(None)
+        sure = some[self._winding(self._fine, middle[some]) > _SURE]
+        if sure.size:
+            distance = distance_to_faces(middle[sure], self._fine)
+            longest = np.linalg.norm(corners[sure] - np.roll(corners[sure], 1, axis=1), axis=2).max(axis=1)
+            depth[sure] = np.where(distance > _DEEP * longest, distance, 0.0)
+        return depth
+
+    def _winding(self, faces: FloatArray, places: FloatArray) -> FloatArray:
+        if self._normal is not None:
+            return np.abs(plane_winding(faces[:, 0], faces[:, 1], self._normal, places))
+        points = faces.reshape(-1, 3)
+        at = np.arange(0, len(points), 4)[:, None]
+        return np.abs(winding(points, np.concatenate([at + [0, 1, 2], at + [2, 3, 0]]), places))
+
+    def _faces(self, cells: int | None) -> FloatArray:
+        """Corners (m, 4, 3) of the faces, in 2-D (m, 2, 3); all sides turned alike. At most ``cells`` per direction."""
+        grid, found = self._grid, []
+        for side in Side:
+            if grid.shapes[self._block][side.axis] == 1:
+                continue
+            nodes = side_nodes(grid, self._block, side)
+            for axis in (0, 1):
+                n = nodes.shape[axis]
+                if cells is not None and n > cells + 1:
+                    nodes = np.take(nodes, np.unique(np.linspace(0, n - 1, cells + 1).round().astype(int)), axis=axis)
+            found.append(_turned(grid.points[nodes], side, self._second))
+        return np.concatenate(found)
+
+
+def _turned(x: FloatArray, side: Side, second: int) -> FloatArray:
+    """Corners of the quads of a side (na, nb, 3) in an order that shows outwards on all sides, or inwards on all.
+
+    The tangential axes ascend: (j, k), (i, k), (i, j); the second pair is not cyclic. In 2-D the sides of the first
+    axis and those of the second are wound differently.
+    """
+    if 1 in x.shape[:2]:
+        line = x.reshape(-1, 3)
+        faces = np.stack([line[:-1], line[1:]], axis=1)
+    else:
+        faces = np.stack([x[:-1, :-1], x[1:, :-1], x[1:, 1:], x[:-1, 1:]], axis=2).reshape(-1, 4, 3)
+    reverse = (side % 2 == 0) != (side.axis == second)
+    return faces[:, ::-1] if reverse else faces

@@ -1,0 +1,214 @@
+"""The block faces in pieces: position, size and first cell heights of each.
+
+A piece is a rectangle of face quads of one kind on one block side: part of a patch, part of an interface, or an
+unnamed outside face. :mod:`meshdeform_core.grid.faces.roles` guesses the role of each.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from ...numerics.arrays import batches, medians, spans, spread
+from ..blocks import FloatArray, Grid, IntArray, Patch, Window
+from ..planes import Plane, plane_normal, planes_of
+from ..selection import quads_of_patches
+from ..topology import FaceQuads, Topology
+from ..windows import Rectangles, rectangles
+
+_SAMPLED_LINES = 12
+_TOGETHER = 100_000
+"""Nodes or quads that are looked at together: few enough for the processor's cache."""
+
+
+@dataclass(frozen=True)
+class QuadGeometry:
+    """Geometry of all face quads (in 2-D of the cell edges on block edges).
+
+    Attributes
+    ----------
+    center : (n_quads, 3) mean of the corners
+    outward : (n_quads, 3) area vector out of the block (area: length unit squared; in 2-D length)
+    height : (n_quads,) distance of the next layer of nodes along the inward normal
+    """
+
+    center: FloatArray
+    outward: FloatArray
+    height: FloatArray
+
+    @cached_property
+    def area(self) -> FloatArray:
+        """(n_quads,) area, in 2-D length."""
+        return np.asarray(np.linalg.norm(self.outward, axis=1))
+
+
+@dataclass(frozen=True)
+class Face:
+    """A piece of one block side.
+
+    Attributes
+    ----------
+    window : its nodes
+    quads : (n,) its face quads
+    patch : the patch that it belongs to, if any
+    outside : whether no other block shares it
+    box : (2, 3) lowest and highest coordinates
+    area : in 2-D the length
+    first_height, median_height : smallest and median height of the first cells (grid length unit)
+    stretching : ratio of mean to first spacing of the grid lines that begin here: large at walls, small at far fields
+    finest : ratio of smallest to first spacing of these lines: 1 where the first cell is the smallest
+    plane : the plane (in 2-D the line) that contains it, ``None`` if it is curved
+    """
+
+    window: Window
+    quads: IntArray = field(repr=False)
+    patch: Patch | None
+    outside: bool
+    box: FloatArray
+    area: float
+    first_height: float
+    median_height: float
+    stretching: float
+    finest: float
+    plane: Plane | None
+
+    def label(self, grid: Grid) -> str:
+        """``block1.jmin``, with a window of nodes (1-based) if the piece is not the whole side."""
+        side = self.window.side
+        a, b = side.tangential
+        shape = grid.shapes[self.window.block]
+        name = f"{grid.names[self.window.block]}.{side.label}"
+        whole = self.window.low == (0, 0) and self.window.high == (shape[a] - 1, shape[b] - 1)
+        return name if whole else f"{name}[{self.range_text}]"
+
+    @property
+    def range_text(self) -> str:
+        """Window as in a case file, 1-based and inclusive: ``1:65,1:33``."""
+        return ",".join(f"{a + 1}:{b + 1}" for a, b in zip(self.window.low, self.window.high, strict=True))
+
+
+def quad_geometry(grid: Grid, topology: Topology) -> QuadGeometry:
+    """Centres, area vectors and first-cell heights of all face quads."""
+    corners = grid.points[topology.first[topology.quads.corners]]
+    if grid.dimension == 2:
+        normal = plane_normal(grid)
+        assert normal is not None
+        # The outside lies to the right of the corner order, looking against the plane's positive normal.
+        outward = np.cross(corners[:, 1] - corners[:, 0], normal * np.sign(normal[int(np.argmax(np.abs(normal)))]))
+    else:
+        outward = 0.5 * np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
+    area = np.linalg.norm(outward, axis=1, keepdims=True)
+    unit = np.divide(outward, area, out=np.zeros_like(outward), where=area > 0)
+    height = np.empty(len(outward))
+    for lo in range(0, len(height), _TOGETHER):
+        some = slice(lo, min(lo + _TOGETHER, len(height)))
+        arm = _mean_first_edges(grid, topology.quads, np.arange(some.start, some.stop))
+        height[some] = -np.einsum("ni,ni->n", unit[some], arm)
+    return QuadGeometry(corners.mean(axis=1), outward, height)
+
+
+def _mean_first_edges(grid: Grid, faces: FaceQuads, quads: IntArray) -> FloatArray:
+    """Mean over the corners of face quads (n,) of the first edges into the block (n, 3)."""
+    side, u, v = faces.places(quads)
+    du, dv = grid.sides.corner_steps[side].T
+    inward = grid.sides.inward[side]
+    ends = []
+    for more in (0 * dv, dv):
+        corners = (grid.sides.at(side, at, v + more) for at in (u, u + du))
+        low, high = (grid.points[nodes + inward] - grid.points[nodes] for nodes in corners)
+        ends.append(0.5 * (low + high))
+    return np.asarray(0.5 * (ends[0] + ends[1]))
+
+
+def find_faces(grid: Grid, topology: Topology, geometry: QuadGeometry | None = None) -> list[Face]:
+    """All block sides as pieces: of patches, of interfaces, and the rest; without collapsed quads."""
+    geometry = geometry or quad_geometry(grid, topology)
+    pieces = _pieces(grid, topology)
+    if len(pieces) == 0:
+        return []
+    owner, shared = np.divmod(pieces.label, 2)
+    run = np.repeat(np.arange(len(pieces)), np.diff(pieces.start))
+    height, area = geometry.height[pieces.quads], geometry.area[pieces.quads]
+    bounds = list(zip(pieces.start[:-1].tolist(), pieces.start[1:].tolist(), strict=True))
+    rows = zip(
+        pieces.windows(),
+        [pieces.quads[lo:hi] for lo, hi in bounds],
+        [grid.patches[number - 1] if number else None for number in owner.tolist()],
+        (shared == 0).tolist(),
+        _boxes(grid, topology.quads, pieces),
+        [float(area[lo:hi].sum()) for lo, hi in bounds],
+        np.minimum.reduceat(height, pieces.start[:-1]).tolist(),
+        medians(height, run, len(pieces), np.nan).tolist(),
+        *(ratio.tolist() for ratio in _spacing(grid, pieces)),
+        _planes(grid, pieces),
+        strict=True,
+    )
+    return [Face(*row) for row in rows]
+
+
+def _pieces(grid: Grid, topology: Topology) -> Rectangles:
+    """The pieces; the label is twice the number of the patch, from 1 on, and one more where blocks share the quads."""
+    label = np.zeros(len(topology.partner), dtype=np.int64)
+    quads, patch = quads_of_patches(topology.quads, grid.patches)
+    label[quads] = 2 * (patch + 1)
+    shared = topology.partner >= 0
+    label[shared] += 1
+    label[~(shared | topology.external)] = -1
+    return rectangles(grid, topology.quads, label)
+
+
+def _boxes(grid: Grid, faces: FaceQuads, pieces: Rectangles) -> FloatArray:
+    """Lowest and highest coordinates (n, 2, 3) of the nodes of every piece."""
+    side, u, v = faces.places(pieces.quads)
+    du, dv = grid.sides.corner_steps[side].T
+    corners = [(u, v), (u + du, v), (u, v + dv), (u + du, v + dv)]
+    found = []
+    for extreme in (np.minimum, np.maximum):
+        whole = grid.points[grid.sides.at(side, *corners[0])]
+        for corner in corners[1:]:
+            extreme(whole, grid.points[grid.sides.at(side, *corner)], out=whole)
+        found.append(extreme.reduceat(whole, pieces.start[:-1], axis=0))
+    return np.stack(found, axis=1)
+
+
+def _spacing(grid: Grid, pieces: Rectangles) -> tuple[FloatArray, FloatArray]:
+    """Ratios of mean and smallest to first spacing: medians over some of the grid lines that begin in each piece."""
+    sizes = pieces.high - pieces.low + 1
+    picks = [spread(sizes[:, axis], _SAMPLED_LINES, pieces.low[:, axis])[1] for axis in (0, 1)]
+    taken = np.minimum(sizes, _SAMPLED_LINES)
+    first = np.cumsum(taken, axis=0) - taken
+    run, place = spans(taken.prod(axis=1))
+    a, b = np.divmod(place, taken[run, 1])
+    side = pieces.side[run]
+    start = grid.sides.at(side, picks[0][first[run, 0] + a], picks[1][first[run, 1] + b])
+    mean, least = np.full(len(run), np.nan), np.full(len(run), np.nan)
+    for depth in np.unique(grid.sides.depth[side]).tolist():
+        alike = np.flatnonzero(grid.sides.depth[side] == depth)
+        for lo, hi in batches(np.full(len(alike), depth), _TOGETHER):
+            some = alike[lo:hi]
+            lines = grid.points[start[some] + np.arange(depth)[:, None] * grid.sides.inward[side[some]]]
+            spacing = np.linalg.norm(np.diff(lines, axis=0), axis=-1)
+            sound = spacing[0] > 0
+            spacing, some = spacing[:, sound], some[sound]
+            mean[some], least[some] = spacing.mean(axis=0) / spacing[0], spacing.min(axis=0) / spacing[0]
+    sound = ~np.isnan(mean)
+    found = (medians(ratio[sound], run[sound], len(pieces), 1.0) for ratio in (mean, least))
+    return next(found), next(found)
+
+
+def _planes(grid: Grid, pieces: Rectangles) -> list[Plane | None]:
+    """The plane (in 2-D the line) that contains each piece, if there is one."""
+    flat, sizes = plane_normal(grid), pieces.high - pieces.low + 1
+    numbers = sizes.prod(axis=1)
+    planes: list[Plane | None] = [None] * len(pieces)
+    for count in np.unique(numbers).tolist():
+        alike = np.flatnonzero(numbers == count)
+        for lo, hi in batches(np.full(len(alike), count), _TOGETHER):
+            some = alike[lo:hi, None]
+            a, b = np.divmod(np.arange(count), sizes[some, 1])
+            nodes = grid.sides.at(pieces.side[some], pieces.low[some, 0] + a, pieces.low[some, 1] + b)
+            for number, plane in zip(alike[lo:hi].tolist(), planes_of(grid.points[nodes], flat), strict=True):
+                planes[number] = plane
+    return planes

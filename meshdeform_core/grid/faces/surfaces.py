@@ -1,0 +1,184 @@
+"""The outer surfaces of a grid: one per family, per patch without family, and per unnamed face."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...numerics.arrays import extent
+from ..blocks import FloatArray, Grid, IntArray
+from ..planes import plane_normal, plane_of
+from ..topology import Topology
+from .pieces import Face, find_faces, quad_geometry
+from .roles import Role, clusters, declared_role, guess_roles
+
+_MOST = 0.6
+"""Walls longer than this part of the grid in two directions are floors and sides, not bodies."""
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Faces that belong together.
+
+    Attributes
+    ----------
+    name : of the family or patch; the label of the face if the file has no name for it
+    named : whether the file has a name for it
+    role : that of the largest part of its area
+    declared : whether the file declares the role; else it is a guess
+    faces : its pieces
+    """
+
+    name: str
+    named: bool
+    role: Role
+    declared: bool
+    faces: tuple[Face, ...]
+
+    @property
+    def quads(self) -> IntArray:
+        """Its face quads (n,)."""
+        return np.concatenate([face.quads for face in self.faces])
+
+    @property
+    def area(self) -> float:
+        return sum(face.area for face in self.faces)
+
+    @property
+    def box(self) -> FloatArray:
+        """Lowest and highest coordinates (2, 3)."""
+        low, high = (np.array([face.box[end] for face in self.faces]) for end in (0, 1))
+        return np.stack([low.min(axis=0), high.max(axis=0)])
+
+    @property
+    def first_height(self) -> float:
+        """Smallest height of its first cells (grid length unit)."""
+        return min(face.first_height for face in self.faces)
+
+    @property
+    def median_height(self) -> float:
+        """Median height of its first cells; pieces are weighted by their number of cells."""
+        heights = np.repeat([face.median_height for face in self.faces], [len(face.quads) for face in self.faces])
+        return float(np.median(heights))
+
+    @property
+    def patches(self) -> tuple[str, ...]:
+        """Names of its patches in the file."""
+        return tuple(dict.fromkeys(face.patch.name for face in self.faces if face.patch))
+
+
+@dataclass(frozen=True)
+class Outside:
+    """All faces of a grid with their roles, and its surfaces.
+
+    ``plates`` are faces between blocks that are likely walls without thickness; nothing treats them as walls before the
+    case names them. ``extent`` (3,) of the grid.
+    """
+
+    faces: tuple[Face, ...]
+    roles: tuple[Role, ...]
+    surfaces: tuple[Surface, ...]
+    plates: tuple[Surface, ...]
+    extent: FloatArray
+
+    def of_role(self, *roles: Role) -> tuple[Surface, ...]:
+        return tuple(surface for surface in self.surfaces if surface.role in roles)
+
+    @property
+    def bodies(self) -> tuple[Surface, ...]:
+        """Walls of bodies in the grid, not the floors and sides of a channel or a box.
+
+        Those extend over most of the grid in two directions, alone or with other walls in the same plane.
+        """
+        found = []
+        walls = self.of_role(Role.WALL)
+        boxes = np.array([wall.box for wall in walls])
+        for wall in walls:
+            level = _level(wall, self.extent)
+            same = [level is not None and _level(other, self.extent) == level for other in walls]
+            box = boxes[same] if level is not None else wall.box[None]
+            size = box[:, 1].max(axis=0) - box[:, 0].min(axis=0)
+            if int((size > _MOST * self.extent).sum()) < 2:
+                found.append(wall)
+        return tuple(found)
+
+
+def _level(surface: Surface, extent: FloatArray) -> tuple[int, float] | None:
+    """The axis and coordinate of a surface in a plane across an axis, else ``None``."""
+    thin = np.flatnonzero(np.ptp(surface.box, axis=0) <= 1e-6 * extent)
+    return (int(thin[0]), round(float(surface.box[0, thin[0]] / extent.max()), 6)) if len(thin) == 1 else None
+
+
+def find_outside(grid: Grid, topology: Topology) -> Outside:
+    """Faces, roles and surfaces of a grid; thin plates declared in the file count as outside."""
+    geometry = quad_geometry(grid, topology)
+    faces = find_faces(grid, topology, geometry)
+    roles = guess_roles(grid, topology, geometry, faces)
+    groups: dict[tuple[str, bool], list[int]] = {}
+    for number, (face, role) in enumerate(zip(faces, roles, strict=True)):
+        if role is not Role.INTERFACE:
+            name = (face.patch.family or face.patch.name) if face.patch else ""
+            groups.setdefault((name or face.label(grid), bool(name)), []).append(number)
+    surfaces = tuple(_surface(name, named, members, faces, roles) for (name, named), members in groups.items())
+    low, high = extent(grid.points)
+    found = Outside(tuple(faces), tuple(roles), surfaces, (), high - low)
+    return dataclasses.replace(found, plates=_likely_plates(grid, topology, found))
+
+
+def _likely_plates(grid: Grid, topology: Topology, outside: Outside) -> tuple[Surface, ...]:
+    """Faces between blocks with cells clustered towards both sides that, unlike wakes, do not reach the far field.
+
+    Only where they are larger than the bodies that are known: beside a wing such a face is more likely a wake.
+    """
+    far = outside.of_role(Role.FAR)
+    if not far:
+        return ()
+    open_end = np.zeros(topology.n_unique, dtype=bool)
+    open_end[topology.quads.corners[np.concatenate([surface.quads for surface in far])]] = True
+    shared = clustered_interfaces(topology, outside)
+    inner = [face for face in shared if not open_end[topology.quads.corners[face.quads]].any()]
+    if 0.5 * sum(face.area for face in inner) <= sum(body.area for body in outside.bodies):
+        return ()
+    return tuple(Surface(face.label(grid), False, Role.WALL, False, (face,)) for face in inner)
+
+
+def clustered_interfaces(topology: Topology, outside: Outside) -> list[Face]:
+    """Faces between blocks towards which cells cluster from both sides: wakes and thin plates."""
+    shared = [
+        face
+        for face, role in zip(outside.faces, outside.roles, strict=True)
+        if role is Role.INTERFACE and clusters(face)
+    ]
+    fine = np.zeros(len(topology.partner), dtype=bool)
+    for face in shared:
+        fine[face.quads] = True
+    return [face for face in shared if fine[topology.partner[face.quads]].all()]
+
+
+def _surface(name: str, named: bool, members: list[int], faces: Sequence[Face], roles: Sequence[Role]) -> Surface:
+    weight: dict[Role, float] = {}
+    for n in members:
+        weight[roles[n]] = weight.get(roles[n], 0.0) + faces[n].area
+    role = max(weight, key=lambda each: weight[each])
+    declared = any(declared_role(faces[n]) is role for n in members)
+    return Surface(name, named, role, declared, tuple(faces[n] for n in members))
+
+
+def thin_direction(grid: Grid) -> FloatArray | None:
+    """Unit normal of the plane of a 2-D grid, or of one layer of cells between two parallel planes; else ``None``."""
+    if grid.dimension == 2:
+        return plane_normal(grid)
+    axes = [shape.index(2) if 2 in shape else None for shape in grid.shapes]
+    normals = []
+    for block, axis in enumerate(axes):
+        if axis is None:
+            return None
+        layer = plane_of(np.take(grid.block(block), 0, axis=axis).reshape(-1, 3), None)
+        if layer is None:
+            return None
+        normals.append(layer.normal)
+    first = normals[0]
+    return first if all(abs(float(normal @ first)) > 1 - 1e-6 for normal in normals) else None

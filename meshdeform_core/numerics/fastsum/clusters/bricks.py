@@ -1,0 +1,218 @@
+"""Bricks and regions of target nodes: the other half of what fast summation sorts once per undeformed grid."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ....parallel import for_chunks
+from ...arrays import BoolArray, FloatArray, IntArray
+from ...jit import inlined, kernel
+from .boxes import extents, fit_boxes, place_points, points_per_side
+
+REGION = 8
+"""Bricks of a region."""
+
+
+class Bricks(NamedTuple):
+    """Target nodes in compact groups that follow the grid's own order.
+
+    Attributes
+    ----------
+    start : (b + 1,) where each brick's targets begin
+    targets : (n,) flat node indices
+    center, axes, half, per_side : boxes as in :class:`SourceTree`
+    proxy : (b + 1,) where each brick's interpolation points begin
+    proxies : (total, 3) interpolation points
+    """
+
+    start: np.ndarray
+    targets: np.ndarray
+    center: np.ndarray
+    axes: np.ndarray
+    half: np.ndarray
+    per_side: np.ndarray
+    proxy: np.ndarray
+    proxies: np.ndarray
+
+
+class Regions(NamedTuple):
+    """Neighbouring bricks that see far clusters alike.
+
+    Attributes
+    ----------
+    first : (g + 1,) number of each region's first brick
+    center, axes, half, per_side : boxes around the targets and the interpolation points of the bricks
+    proxy, proxies : their interpolation points, as those of :class:`Bricks`
+    """
+
+    first: np.ndarray
+    center: np.ndarray
+    axes: np.ndarray
+    half: np.ndarray
+    per_side: np.ndarray
+    proxy: np.ndarray
+    proxies: np.ndarray
+
+
+def build_bricks(
+    points: FloatArray, shapes: IntArray, offsets: IntArray, wanted: BoolArray, order: int, capacity: int
+) -> tuple[Bricks, IntArray]:
+    """Cut every block's index box into bricks of at most about ``capacity`` targets, and group them into regions.
+
+    Boxes are halved along the index direction in which they are longest in space, so that bricks are compact although
+    cells are stretched. A region is such a box with about ``REGION`` bricks.
+
+    Parameters
+    ----------
+    points : (n_nodes, 3)
+    shapes : (n_blocks, 3) int64, nodes
+    offsets : (n_blocks + 1,) int64
+    wanted : (n_nodes,) bool, the target nodes
+
+    Returns
+    -------
+    bricks : :class:`Bricks`
+    first : (g + 1,) number of each region's first brick
+    """
+    cuts: dict[int, tuple[IntArray, IntArray, IntArray]] = {}
+
+    def cut(block: int, _: int) -> None:
+        lo, hi = offsets[block], offsets[block + 1]
+        mask = wanted[lo:hi].reshape(shapes[block])
+        inside = int(mask.sum())
+        if inside:
+            volume = capacity * mask.size / inside
+            cuts[block] = _cut_block(points[lo:hi].reshape(*shapes[block], 3), mask, inside, volume)
+
+    for_chunks(cut, len(shapes), 1)
+    starts, firsts, targets = [np.zeros(1, np.int64)], [np.zeros(1, np.int64)], [np.empty(0, np.int64)]
+    for block in sorted(cuts):
+        start, first, flat = cuts[block]
+        firsts.append(first[1:] + firsts[-1][-1])
+        starts.append(start[1:] + starts[-1][-1])
+        targets.append(flat + offsets[block])
+    start, flat = np.concatenate(starts), np.concatenate(targets)
+    return make_bricks(points, start, flat, order), np.concatenate(firsts)
+
+
+def make_bricks(points: FloatArray, start: IntArray, targets: IntArray, order: int) -> Bricks:
+    """Bricks of ``targets`` beginning at ``start`` (b + 1,), with up to ``order`` interpolation points per side."""
+    boxes = fit_boxes(points, targets, spans(start))
+    per_side = points_per_side(boxes[2], order)
+    proxy = np.append(0, np.cumsum(per_side.prod(axis=1)))
+    return Bricks(start, targets, *boxes, per_side, proxy, place_points(*boxes, per_side, proxy))
+
+
+def make_regions(points: FloatArray, bricks: Bricks, first: IntArray, order: int) -> Regions:
+    """Regions of the bricks beginning with number ``first`` (g + 1,)."""
+    proxies = np.arange(len(bricks.proxies))
+    center, axes, half = fit_boxes(bricks.proxies, proxies, spans(bricks.proxy[first]))
+    # The boxes enclose the targets too.
+    low, high = extents(points, bricks.targets, spans(bricks.start[first]), center, axes)
+    half = np.maximum(half, np.maximum(-low, high))
+    per_side = points_per_side(half, order)
+    proxy = np.append(0, np.cumsum(per_side.prod(axis=1)))
+    return Regions(first, center, axes, half, per_side, proxy, place_points(center, axes, half, per_side, proxy))
+
+
+def spans(start: IntArray) -> IntArray:
+    """Rows (m, 2) of first and one past the last place, of groups that begin at ``start`` (m + 1,)."""
+    return np.stack([start[:-1], start[1:]], axis=1)
+
+
+def _cut_block(x: FloatArray, mask: BoolArray, count: int, capacity: float) -> tuple[IntArray, IntArray, IntArray]:
+    starts, firsts = np.zeros(count + 1, dtype=np.int64), np.zeros(count + 1, dtype=np.int64)
+    targets = np.empty(count, dtype=np.int64)
+    # Ranges of indices, and whether the box lies in a region.
+    box = np.zeros((4096, 7), dtype=np.int64)
+    box[0, 1:6:2] = mask.shape
+    pieces, regions = _cut_boxes(x, mask, capacity, box, starts, firsts, targets)
+    return starts[: pieces + 1].copy(), firsts[: regions + 1].copy(), targets
+
+
+@kernel
+def _cut_boxes(x, mask, capacity, box, starts, firsts, targets):
+    """Halve the first of ``box`` and fill the others with its parts; returns the number of bricks and of regions."""
+    nj, nk = mask.shape[1], mask.shape[2]
+    at, previous = np.empty(3, np.int64), np.empty(3)
+    depth = 1
+    pieces = regions = used = 0
+    while depth:
+        depth -= 1
+        b = box[depth]
+        size = (b[1] - b[0]) * (b[3] - b[2]) * (b[5] - b[4])
+        if b[6] == 0 and size <= REGION * capacity:
+            b[6] = 1
+            if firsts[regions] < pieces:
+                regions += 1
+                firsts[regions] = pieces
+        if size > capacity:
+            axis = longest_side(x, b, at, previous)
+            middle = (b[2 * axis] + b[2 * axis + 1]) // 2
+            for n in range(7):
+                box[depth + 1, n] = b[n]
+            box[depth + 1, 2 * axis + 1] = middle
+            b[2 * axis] = middle
+            depth += 2
+            continue
+        before = used
+        for i in range(b[0], b[1]):
+            for j in range(b[2], b[3]):
+                for k in range(b[4], b[5]):
+                    if mask[i, j, k]:
+                        targets[used] = (i * nj + j) * nk + k
+                        used += 1
+        if used > before:
+            pieces += 1
+            starts[pieces] = used
+    if firsts[regions] < pieces:
+        regions += 1
+        firsts[regions] = pieces
+    return pieces, regions
+
+
+@inlined
+def longest_side(x, b, at, previous):
+    """Index axis along which an index box is longest: mean length of its edges, taken through their quarter points."""
+    best, axis = -1.0, 0
+    for a in range(3):
+        lo, hi = b[2 * a], b[2 * a + 1] - 1
+        if hi == lo:
+            continue
+        total = 0.0
+        for corner in range(4):
+            other = 0
+            for d in range(3):
+                if d != a:
+                    at[d] = b[2 * d] if (corner >> other) & 1 == 0 else b[2 * d + 1] - 1
+                    other += 1
+            for quarter in range(5):
+                at[a] = lo + (hi - lo) * quarter // 4
+                length = 0.0
+                for d in range(3):
+                    here = x[at[0], at[1], at[2], d]
+                    length += (here - previous[d]) ** 2
+                    previous[d] = here
+                if quarter:
+                    total += math.sqrt(length)
+        if total > best:
+            best, axis = total, a
+    return axis
+
+
+def node_sizes(points: FloatArray, shapes: IntArray, offsets: IntArray, flat: IntArray) -> FloatArray:
+    """Shortest edge (n,) at the nodes ``flat`` of a grid; edges without length, at poles, do not count."""
+    block = np.searchsorted(offsets, flat, side="right") - 1
+    rest, shape = flat - offsets[block], shapes[block]
+    size = np.full(len(flat), np.inf)
+    for axis, step in enumerate((shape[:, 1] * shape[:, 2], shape[:, 2], np.ones_like(rest))):
+        at = rest // step % shape[:, axis]
+        for way in (-1, 1):
+            inside = (at + way >= 0) & (at + way < shape[:, axis])
+            one = flat[inside]
+            edge = np.linalg.norm(points[one + way * step[inside]] - points[one], axis=1)
+            size[inside] = np.minimum(size[inside], np.where(edge > 0.0, edge, np.inf))
+    return size

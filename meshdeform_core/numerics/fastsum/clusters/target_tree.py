@@ -1,0 +1,143 @@
+"""Trees of target nodes that follow the grid's own order: no node is sorted, index boxes are cut."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ...arrays import BoolArray, FloatArray, IntArray
+from ...jit import kernel
+from .boxes import fit_boxes
+from .bricks import longest_side
+
+_REGION = 64
+
+
+class TargetTree(NamedTuple):
+    """Binary trees over the targets of parts of the grid (regions).
+
+    Nodes of the trees are numbered so that parents come before their children.
+
+    Attributes
+    ----------
+    targets : (n,) flat node indices, those of a node of the tree one after the other
+    span : (m, 2) first and one past the last of each
+    child : (m, 2) children, -1 for leaves and for what holds no target
+    region : (g + 1,) node of the tree at which each region begins: its root
+    center, axes, half : (m, 3), (m, 3, 3), (m, 3) boxes along principal axes
+    """
+
+    targets: np.ndarray
+    span: np.ndarray
+    child: np.ndarray
+    region: np.ndarray
+    center: np.ndarray
+    axes: np.ndarray
+    half: np.ndarray
+
+
+def build_target_tree(
+    points: FloatArray, shapes: IntArray, offsets: IntArray, wanted: BoolArray, capacity: int
+) -> TargetTree:
+    """Trees of the nodes ``wanted`` (n_nodes,) of a grid, with leaves of at most about ``capacity`` targets.
+
+    Boxes of indices are halved along the direction in which they are longest in space, so that leaves are compact
+    although cells are stretched.
+    """
+    parts = []
+    used = nodes = 0
+    for block, shape in enumerate(shapes):
+        lo, hi = offsets[block], offsets[block + 1]
+        mask = wanted[lo:hi].reshape(shape)
+        inside = int(mask.sum())
+        if inside:
+            volume = capacity * mask.size / inside
+            targets, span, child, roots = _cut(points[lo:hi].reshape(*shape, 3), mask, inside, volume, _REGION)
+            parts.append((targets + lo, span + used, np.where(child >= 0, child + nodes, -1), roots + nodes))
+            used, nodes = used + len(targets), nodes + len(span)
+    targets, span, child, roots = (np.concatenate(each) for each in zip(*parts, strict=True))
+    return TargetTree(targets, span, child, np.append(roots, nodes), *_fit(points, targets, span, child))
+
+
+@kernel
+def _cut(x, mask, count, capacity, region):
+    """Targets, spans, children and roots of one block."""
+    ni, nj, nk = mask.shape
+    # Ranges of indices, and the node of the tree: -1 outside of regions.
+    box = np.empty((4096, 7), dtype=np.int64)
+    at, previous = np.empty(3, dtype=np.int64), np.empty(3)
+    box[0, 0] = box[0, 2] = box[0, 4] = 0
+    box[0, 1], box[0, 3], box[0, 5], box[0, 6] = ni, nj, nk, -1
+    depth, used, nodes, regions = 1, 0, 0, 0
+    limit = 64 + int(4 * mask.size / max(capacity, 1.0)) * 2
+    targets, roots = np.empty(count, dtype=np.int64), np.empty(limit, dtype=np.int64)
+    span, child = np.zeros((limit, 2), dtype=np.int64), np.full((limit, 2), -1)
+    while depth:
+        depth -= 1
+        b = box[depth].copy()
+        size = (b[1] - b[0]) * (b[3] - b[2]) * (b[5] - b[4])
+        if b[6] < 0 and size <= region * capacity:
+            b[6] = roots[regions] = nodes
+            nodes, regions = nodes + 1, regions + 1
+        if size > capacity:
+            axis = longest_side(x, b, at, previous)
+            middle = (b[2 * axis] + b[2 * axis + 1]) // 2
+            box[depth] = box[depth + 1] = b
+            box[depth + 1, 2 * axis + 1] = middle
+            box[depth, 2 * axis] = middle
+            if b[6] >= 0:
+                box[depth + 1, 6], box[depth, 6] = nodes, nodes + 1
+                child[b[6]] = nodes, nodes + 1
+                nodes += 2
+            depth += 2
+            continue
+        span[b[6], 0] = used
+        for i in range(b[0], b[1]):
+            for j in range(b[2], b[3]):
+                for k in range(b[4], b[5]):
+                    if mask[i, j, k]:
+                        targets[used] = (i * nj + j) * nk + k
+                        used += 1
+        span[b[6], 1] = used
+    for n in range(nodes - 1, -1, -1):
+        if child[n, 0] >= 0:
+            span[n, 0], span[n, 1] = span[child[n, 0], 0], span[child[n, 1], 1]
+    return targets, span[:nodes].copy(), child[:nodes].copy(), roots[:regions].copy()
+
+
+def _fit(
+    points: FloatArray, targets: IntArray, span: IntArray, child: IntArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Boxes of all nodes of the tree: of leaves around their targets, of others around the boxes of their children."""
+    center, axes, half = fit_boxes(points, targets, np.where(child[:, :1] < 0, span, 0))
+    filled = span[:, 1] > span[:, 0]
+    for level in reversed(_levels(child)):
+        one, two = child[level[child[level, 0] >= 0]].T
+        parents = level[child[level, 0] >= 0]
+        # A child without targets has no box.
+        one, two = np.where(filled[one], one, two), np.where(filled[two], two, one)
+        corners = np.concatenate([_corners(center[n], axes[n], half[n]) for n in (one, two)], axis=1)
+        starts = 16 * np.arange(len(parents))
+        places = np.arange(16 * len(parents))
+        boxes = fit_boxes(corners.reshape(-1, 3), places, np.stack([starts, starts + 16], axis=1))
+        center[parents], axes[parents], half[parents] = boxes
+    center[~filled], half[~filled] = 0.0, 0.0
+    return center, axes, half
+
+
+def _levels(child: IntArray) -> list[IntArray]:
+    """Nodes of the trees in levels, those of the roots first."""
+    inner = child[child[:, 0] >= 0]
+    level = np.setdiff1d(np.arange(len(child)), inner)
+    levels = []
+    while len(level):
+        levels.append(level)
+        level = child[level[child[level, 0] >= 0]].ravel()
+    return levels
+
+
+def _corners(center: FloatArray, axes: FloatArray, half: FloatArray) -> FloatArray:
+    """The eight corners (m, 8, 3) of boxes."""
+    signs = 2.0 * (np.arange(8)[:, None] >> np.arange(3) & 1) - 1.0
+    return center[:, None] + (signs * half[:, None]) @ axes

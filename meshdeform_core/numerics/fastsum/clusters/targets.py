@@ -1,0 +1,109 @@
+"""Target nodes of fast weighted sums in bricks, and where the accuracy of each brick is judged."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ....parallel import current_ranks
+from ...arrays import FloatArray, IntArray, Shapes
+from .bricks import Bricks, Regions, build_bricks, make_regions, node_sizes
+
+_SAMPLES = 9
+
+
+class Targets(NamedTuple):
+    """Target nodes in bricks, and where the accuracy of each brick is judged.
+
+    Attributes
+    ----------
+    points : (n_nodes, 3)
+    bricks, regions : :class:`.bricks.Bricks` and :class:`.bricks.Regions`
+    samples : (b, 9) targets spread over each brick in the grid's order
+    sizes : (b, 9) shortest edge at them
+    """
+
+    points: np.ndarray
+    bricks: Bricks
+    regions: Regions
+    samples: np.ndarray
+    sizes: np.ndarray
+
+    @property
+    def every(self) -> IntArray:
+        """Flat indices of all targets."""
+        return self.bricks.targets
+
+    @property
+    def n_regions(self) -> int:
+        return len(self.regions.first) - 1
+
+    def places(self, first: int, last: int) -> slice:
+        """Part of the list of targets that lies in the regions first <= g < last."""
+        start, stop = self.bricks.start[self.regions.first[[first, last]]]
+        return slice(start, stop)
+
+    def flat(self, first: int, last: int) -> IntArray:
+        """Flat indices of the targets in the regions first <= g < last."""
+        return self.bricks.targets[self.places(first, last)]
+
+    def sized(
+        self,
+        points: FloatArray,
+        shapes: Shapes,
+        offsets: IntArray,
+    ) -> Targets:
+        """The same, with the edges at the samples taken from other coordinates (n_nodes, 3)."""
+        return self._replace(sizes=_edges(points, shape_table(shapes), offsets, self.samples))
+
+    def numbers(self, first: int, last: int) -> range:
+        """Numbers of the bricks in these regions."""
+        return range(self.regions.first[first], self.regions.first[last])
+
+
+def interpolation_order(tolerance: float) -> int:
+    """Interpolation points per side of a cube for a tolerance: 4 for 1e-2, 5 for 1e-4, 7 for 1e-8."""
+    return 3 + math.ceil(-0.5 * math.log10(tolerance) - 1e-9)
+
+
+def shape_table(
+    shapes: Shapes,
+) -> IntArray:
+    """Block shapes (n_blocks, 3) in the form the loops expect."""
+    return np.asarray(shapes, dtype=np.int64).reshape(-1, 3)
+
+
+def make_targets(
+    points: FloatArray,
+    shapes: Shapes,
+    offsets: IntArray,
+    flat: IntArray,
+    order: int,
+) -> Targets:
+    """Sort the target nodes ``flat`` of a grid into bricks of about eight times their interpolation points."""
+    shapes = shape_table(shapes)
+    return Targets(points, *current_ranks().once(lambda: _sorted(points, shapes, offsets, flat, order)))
+
+
+def _sorted(
+    points: FloatArray, shapes: IntArray, offsets: IntArray, flat: IntArray, order: int
+) -> tuple[Bricks, Regions, IntArray, FloatArray]:
+    """All of :class:`Targets` but the points."""
+    wanted = np.zeros(len(points), dtype=bool)
+    wanted[flat] = True
+    bricks, first = build_bricks(points, shapes, offsets, wanted, order, 8 * order**3)
+    samples = bricks.targets[sample_places(bricks.start)]
+    return bricks, make_regions(points, bricks, first, order), samples, _edges(points, shapes, offsets, samples)
+
+
+def _edges(points: FloatArray, shapes: IntArray, offsets: IntArray, samples: IntArray) -> FloatArray:
+    """Shortest edge at the samples, in their shape."""
+    return node_sizes(points, shapes, offsets, samples.ravel()).reshape(samples.shape)
+
+
+def sample_places(start: IntArray) -> IntArray:
+    """Places (b, 9) in the list of targets, spread over each brick; ``start`` (b + 1,) where bricks begin."""
+    count = np.diff(start)
+    return start[:-1, None] + (np.arange(_SAMPLES) * (count[:, None] - 1)) // (_SAMPLES - 1)

@@ -1,0 +1,167 @@
+"""Trees of source clusters: one half of what fast summation sorts once per undeformed grid."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ...arrays import FloatArray, IntArray
+from ...jit import inlined, kernel
+from .boxes import box_coordinate, chebyshev, fit_boxes, lagrange, place_points, points_per_side
+
+LEAF = 24
+CHARGES = 8
+"""Charges of a source: its strength and seven values."""
+
+
+class SourceTree(NamedTuple):
+    """Binary tree over sources, every cluster a box along its principal axes.
+
+    Attributes
+    ----------
+    order : (n,) source at each place of the tree's order
+    points : (n, 3) sources in that order
+    span : (m, 2) first and one past the last place of each cluster
+    child : (m,) first child (the second follows it), -1 for leaves
+    center, axes, half : (m, 3), (m, 3, 3), (m, 3) boxes
+    per_side : (m, 3) interpolation points per side
+    proxy : (m + 1,) where each cluster's interpolation points begin
+    proxies : (total, 3) interpolation points
+    """
+
+    order: np.ndarray
+    points: np.ndarray
+    span: np.ndarray
+    child: np.ndarray
+    center: np.ndarray
+    axes: np.ndarray
+    half: np.ndarray
+    per_side: np.ndarray
+    proxy: np.ndarray
+    proxies: np.ndarray
+
+
+def build_tree(points: FloatArray, order: int, leaf: int = LEAF) -> SourceTree:
+    """Tree over sources (n, 3) whose clusters have up to ``order`` interpolation points per side.
+
+    Clusters of more than ``leaf`` sources are split.
+    """
+    points = np.ascontiguousarray(points)
+    place, span, child, (center, axes, half) = _split(points, leaf)
+    count = points_per_side(half, order)
+    sizes = count.prod(axis=1)
+    # A cluster with fewer sources than interpolation points acts by its sources.
+    sizes[sizes >= span[:, 1] - span[:, 0]] = 0
+    proxy = np.append(0, np.cumsum(sizes))
+    proxies = place_points(center, axes, half, count, proxy)
+    return SourceTree(place, points[place].copy(), span, child, center, axes, half, count, proxy, proxies)
+
+
+def _split(points: FloatArray, leaf: int) -> tuple[IntArray, IntArray, IntArray, list[FloatArray]]:
+    """Order, spans, first children and boxes of clusters, halved along their longest sides, one level after another."""
+    place: IntArray = np.arange(len(points), dtype=np.int64)
+    spans: list[IntArray] = []
+    children: list[IntArray] = []
+    boxes: list[tuple[FloatArray, FloatArray, FloatArray]] = []
+    level, used = np.array([[0, len(points)]]), 1
+    while len(level):
+        box = fit_boxes(points, place, level)
+        large = level[:, 1] - level[:, 0] > leaf
+        _halve(points, place, level[large], *(part[large] for part in box))
+        child = np.full(len(level), -1)
+        child[large] = used + 2 * np.arange(large.sum())
+        spans.append(level)
+        children.append(child)
+        boxes.append(box)
+        lo, hi = level[large].T
+        level = np.stack([lo, (lo + hi) // 2, (lo + hi) // 2, hi], axis=1).reshape(-1, 2)
+        used += len(level)
+    together = [np.concatenate(parts) for parts in zip(*boxes, strict=True)]
+    return place, np.concatenate(spans), np.concatenate(children), together
+
+
+@kernel
+def _halve(points, place, span, center, axes, half):
+    """Reorder ``place[lo:hi]`` of every cluster so that each half lies on its side of the longest direction."""
+    along = np.empty(points.shape[0])
+    for b in range(span.shape[0]):
+        longest = 0
+        for d in range(1, 3):
+            if half[b, d] > half[b, longest]:
+                longest = d
+        u, v, w = axes[b, longest, 0], axes[b, longest, 1], axes[b, longest, 2]
+        lo, hi = span[b, 0], span[b, 1]
+        for i in range(lo, hi):
+            n = place[i]
+            along[i] = u * points[n, 0] + v * points[n, 1] + w * points[n, 2]
+        _partition(place, along, lo, hi - 1, (lo + hi) // 2)
+
+
+@inlined
+def _partition(members, key, first, last, middle):
+    """Reorder ``first`` to ``last`` so that the smallest keys come before ``middle`` (quickselect)."""
+    lo, hi = first, last
+    while lo < hi:
+        pivot = key[(lo + hi) // 2]
+        i, j = lo, hi
+        while i <= j:
+            while key[i] < pivot:
+                i += 1
+            while key[j] > pivot:
+                j -= 1
+            if i <= j:
+                key[i], key[j] = key[j], key[i]
+                members[i], members[j] = members[j], members[i]
+                i += 1
+                j -= 1
+        if middle <= j:
+            hi = j
+        elif middle >= i:
+            lo = i
+        else:
+            lo = hi
+
+
+@kernel
+def gather_charges(tree, charges, out, active, first_cluster, last_cluster):
+    """Charges (m, 8) of the interpolation points of some clusters from those (n, 8) of the sources in tree order.
+
+    A source's charge is shared among the points of each cluster it belongs to by their Lagrange polynomials.
+    ``active`` (m,) clusters have sources with charges.
+    """
+    node, weight, value = np.empty((3, 32)), np.empty((3, 32)), np.empty((3, 32))
+    for n in range(tree.proxy[first_cluster], tree.proxy[last_cluster]):
+        for c in range(CHARGES):
+            out[n, c] = 0.0
+    for cluster in range(first_cluster, last_cluster):
+        first = tree.proxy[cluster]
+        if tree.proxy[cluster + 1] == first or not active[cluster]:
+            continue
+        count = tree.per_side[cluster]
+        for d in range(3):
+            chebyshev(count[d], node[d], weight[d])
+        for s in range(tree.span[cluster, 0], tree.span[cluster, 1]):
+            c0, c1, c2, c3 = charges[s, 0], charges[s, 1], charges[s, 2], charges[s, 3]
+            c4, c5, c6, c7 = charges[s, 4], charges[s, 5], charges[s, 6], charges[s, 7]
+            if c0 == c1 == c2 == c3 == c4 == c5 == c6 == c7 == 0.0:
+                continue
+            for d in range(3):
+                t = box_coordinate(tree.points, s, tree.center, tree.axes, tree.half, cluster, d)
+                lagrange(count[d], node[d], weight[d], t, value[d])
+            n = first
+            for i in range(count[0]):
+                for j in range(count[1]):
+                    product = value[0, i] * value[1, j]
+                    for k in range(count[2]):
+                        # One after the other, so that the compiler makes a vector of them.
+                        w = product * value[2, k]
+                        out[n, 0] += w * c0
+                        out[n, 1] += w * c1
+                        out[n, 2] += w * c2
+                        out[n, 3] += w * c3
+                        out[n, 4] += w * c4
+                        out[n, 5] += w * c5
+                        out[n, 6] += w * c6
+                        out[n, 7] += w * c7
+                        n += 1

@@ -1,0 +1,1 @@
+"""Fast sums of radial basis functions by skeletons of clusters."""

@@ -1,0 +1,270 @@
+"""Sums of radial basis functions at their own centres in nearly linear time: nested skeletons.
+
+Clusters far from each other interact by their skeletons; charges go up the tree, from each cluster's children to
+its skeleton, potentials come down the same way, and neighbouring leaves act with all their centres. The structure is
+that of the fast multipole method (Greengard & Rokhlin 1987), with skeletons (see :mod:`.skeletons`) in the place of
+multipoles, which works for any function and also for centres on surfaces or clustered to one side.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ....parallel import Shared, for_chunks
+from ...arrays import BoolArray, FloatArray, IntArray
+from ...exact.basis import BASES
+from ...exact.radial import radial_block
+from ...jit import kernel
+from ..clusters.tree import SourceTree, build_tree
+from .interactions import REACH, Interactions, find_interactions
+from .skeletons import decompose, proxy_points
+
+LEAF = 96
+_CHUNK = 16
+
+
+class Bases(NamedTuple):
+    """Skeletons of all clusters.
+
+    Attributes
+    ----------
+    start : (m + 1,) where each cluster's skeleton begins
+    place : (total,) places in the tree's order
+    points : (total, 3)
+    first : (m + 1,) where the candidates of each cluster begin: its sources, or the skeletons of its children
+    order : candidates, counted from 0 in each cluster, those of the skeleton first
+    begin : (m + 1,) where the shares of each cluster begin
+    share : (others, skeleton) of each cluster, one after the other
+    """
+
+    start: np.ndarray
+    place: np.ndarray
+    points: np.ndarray
+    first: np.ndarray
+    order: np.ndarray
+    begin: np.ndarray
+    share: np.ndarray
+
+
+class NestedSums:
+    """The product of the matrix of basis values between centres with coefficients.
+
+    Parameters
+    ----------
+    kind : number of the basis function, see :data:`.basis.BASES`
+    centres : (n, 3) in units of the support radius
+    tolerance : error of a unit charge's effect at the distance of its cluster's radius, relative to the function there
+    rows : where sums are wanted; everywhere by default
+    like : sums with the same centres, whose clusters are reused
+    """
+
+    def __init__(
+        self,
+        kind: int,
+        centres: FloatArray,
+        tolerance: float,
+        rows: IntArray | None = None,
+        like: NestedSums | None = None,
+    ) -> None:
+        self._kind = kind
+        self._tree: SourceTree = like._tree if like else build_tree(centres, 1, LEAF)
+        radius = np.sqrt((self._tree.half**2).sum(axis=1))
+        compact = kind != BASES["tps"]
+        self._lists: Interactions = like._lists if like else find_interactions(self._tree, radius, compact)
+        acting = np.diff(self._lists.far_start) > 0
+        self._bases = find_bases(kind, self._tree, radius, acting, tolerance)
+        self._leaves = np.flatnonzero(self._tree.child < 0)
+        self._leaves = self._leaves[np.argsort(self._tree.span[self._leaves, 0])]
+        self._set_rows(rows)
+
+    def _set_rows(self, rows: IntArray | None) -> None:
+        """Places in the tree where sums are wanted, which of them each leaf has, and where each row finds its own."""
+        wanted = np.full(len(self._tree.order), rows is None)
+        place = np.empty(len(wanted), dtype=np.int64)
+        place[self._tree.order] = np.arange(len(wanted))
+        if rows is not None:
+            wanted[place[rows]] = True
+        self._places = np.flatnonzero(wanted)
+        self._result = np.searchsorted(self._places, place if rows is None else place[rows])
+        ends = np.append(self._tree.span[self._leaves, 0], len(wanted))
+        self._of_leaf = np.searchsorted(self._places, ends)
+
+    @property
+    def order(self) -> IntArray:
+        """Centres (n,) as they follow in the tree: neighbours in space."""
+        return self._tree.order
+
+    @property
+    def pairs(self) -> int:
+        """Pairs of points that one product sums."""
+        size, span, lists = np.diff(self._bases.start), np.diff(self._tree.span)[:, 0], self._lists
+        far, near = np.repeat(size, np.diff(lists.far_start)), np.repeat(span, np.diff(lists.near_start))
+        return int((far * size[lists.far]).sum() + (near * span[lists.near]).sum())
+
+    def __call__(self, coefficients: FloatArray) -> FloatArray:
+        """Sums (rows, 3) for coefficients (n, 3)."""
+        tree, bases, lists = self._tree, self._bases, self._lists
+        charges = coefficients[tree.order]
+        upper, sums = np.empty((len(bases.place), 3)), np.empty((len(self._places), 3))
+        gather_up(tree.span, tree.child, bases, charges, upper)
+        far = np.zeros((len(bases.place), 3))
+
+        def act(lo: int, hi: int) -> None:
+            _act_far(self._kind, lo, hi, lists.far_start, lists.far, bases, upper, far)
+
+        def skeletons(lo: int, hi: int) -> range:
+            return range(bases.start[lo], bases.start[hi])
+
+        for_chunks(act, len(tree.span), _CHUNK, shared=[Shared(far, skeletons)])
+        _scatter_down(tree.child, bases, far)
+
+        def finish(lo: int, hi: int) -> None:
+            _act_near(self._kind, lo, hi, self._leaves, self._of_leaf, self._places, tree.span, tree.points, charges,
+                      lists.near_start, lists.near, bases, far, sums)  # fmt: skip
+
+        def places(lo: int, hi: int) -> range:
+            return range(*self._of_leaf[[lo, hi]])
+
+        for_chunks(finish, len(self._leaves), _CHUNK, shared=[Shared(sums, places)])
+        return sums[self._result]
+
+
+def find_bases(kind: int, tree: SourceTree, radius: FloatArray, acting: BoolArray, tolerance: float) -> Bases:
+    """:class:`Bases` of clusters that are ``acting`` (m,) from afar, and of those in them, from the leaves upwards."""
+    m = len(radius)
+    depth, wanted = np.zeros(m, dtype=np.int64), acting.copy()
+    for c in range(m):
+        if tree.child[c] >= 0:
+            both = slice(tree.child[c], tree.child[c] + 2)
+            depth[both], wanted[both] = depth[c] + 1, wanted[c] | wanted[both]
+    proxies = proxy_points(REACH)
+    found: list = [(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 0)))] * m
+
+    def make(c: int) -> None:
+        child = tree.child[c]
+        places = np.arange(*tree.span[c]) if child < 0 else np.concatenate([found[child][0], found[child + 1][0]])
+        found[c] = _skeleton(kind, tree, places, c, radius[c], proxies, tolerance)
+
+    for level in range(depth.max(), -1, -1):
+        here = np.flatnonzero((depth == level) & wanted)
+
+        def work(lo: int, hi: int, here: IntArray = here) -> None:
+            for c in here[lo:hi]:
+                make(c)
+
+        for_chunks(work, len(here), _CHUNK)
+    place, order, share = zip(*found, strict=True)
+    start, first, begin = (np.append(0, np.cumsum([each.size for each in part])) for part in (place, order, share))
+    places = np.concatenate(place)
+    shares = np.concatenate([each.ravel() for each in share])
+    return Bases(start, places, tree.points[places], first, np.concatenate(order), begin, shares)
+
+
+def _skeleton(
+    kind: int, tree: SourceTree, places: IntArray, c: int, radius: float, proxies: FloatArray, tolerance: float
+) -> tuple[IntArray, IntArray, FloatArray]:
+    """Places of the skeleton of a cluster, the order of its candidates ``places``, and the shares of the others."""
+    n = len(places)
+    # Thin plate splines are the same in any unit up to polynomials, which few points reproduce.
+    unit = radius if kind == BASES["tps"] and radius > 0 else 1.0
+    points = (tree.points[places] - tree.center[c]) / unit
+    order, share = np.empty(n, dtype=np.int64), np.zeros((n, n))
+    rank = decompose(kind, points, proxies * (radius / unit), tolerance, order, share)
+    return places[order[:rank]], order, share[: n - rank, :rank].copy()
+
+
+@kernel
+def gather_up(span, child, bases, charges, out):
+    """Charges of all skeletons, from the leaves up."""
+    for c in range(span.shape[0] - 1, -1, -1):
+        s, rank = bases.start[c], bases.start[c + 1] - bases.start[c]
+        o, n = bases.first[c], bases.first[c + 1] - bases.first[c]
+        at, source = span[c, 0], charges
+        if child[c] >= 0:
+            at, source = bases.start[child[c]], out
+        for j in range(rank):
+            for k in range(3):
+                out[s + j, k] = source[at + bases.order[o + j], k]
+        b = bases.begin[c]
+        for i in range(n - rank):
+            p = at + bases.order[o + rank + i]
+            x, y, z = source[p, 0], source[p, 1], source[p, 2]
+            for j in range(rank):
+                w = bases.share[b + j]
+                out[s + j, 0] += w * x
+                out[s + j, 1] += w * y
+                out[s + j, 2] += w * z
+            b += rank
+
+
+@kernel
+def _spread(c, at, bases, skeleton, out):
+    """Add the potentials at the skeleton of cluster ``c`` to its candidates, from row ``at`` of ``out`` on."""
+    s, rank = bases.start[c], bases.start[c + 1] - bases.start[c]
+    o, n = bases.first[c], bases.first[c + 1] - bases.first[c]
+    for j in range(rank):
+        for k in range(3):
+            out[at + bases.order[o + j], k] += skeleton[s + j, k]
+    b = bases.begin[c]
+    for i in range(n - rank):
+        x = y = z = 0.0
+        for j in range(rank):
+            w = bases.share[b + j]
+            x += w * skeleton[s + j, 0]
+            y += w * skeleton[s + j, 1]
+            z += w * skeleton[s + j, 2]
+        p = at + bases.order[o + rank + i]
+        out[p, 0] += x
+        out[p, 1] += y
+        out[p, 2] += z
+        b += rank
+
+
+@kernel
+def _scatter_down(child, bases, far):
+    """Potentials at the skeletons, from the root to the leaves."""
+    for c in range(child.size):
+        if child[c] >= 0:
+            _spread(c, bases.start[child[c]], bases, far, far)
+
+
+@kernel
+def _act_far(kind, lo, hi, far_start, far, bases, charges, out):
+    """Add the potentials of the skeletons of far clusters at the skeletons of clusters ``lo`` to ``hi``."""
+    packed = np.empty((6, bases.points.shape[0]))
+    for t in range(lo, hi):
+        n = 0
+        for c in far[far_start[t] : far_start[t + 1]]:
+            n = pack(bases.points, charges, bases.start[c], bases.start[c + 1], packed, n)
+        mine = slice(bases.start[t], bases.start[t + 1])
+        radial_block(kind, bases.points[mine], packed, n, out[mine])
+
+
+@kernel
+def _act_near(kind, lo, hi, leaves, of_leaf, places, span, points, charges, near_start, near, bases, far, out):
+    """Sums at places in leaves: far contributions by the skeletons, and those of the neighbours directly."""
+    packed = np.empty((6, points.shape[0]))
+    for leaf in range(lo, hi):
+        t = leaves[leaf]
+        own = slice(of_leaf[leaf], of_leaf[leaf + 1])
+        mine = places[own]
+        felt = np.zeros((span[t, 1] - span[t, 0], 3))
+        _spread(t, 0, bases, far, felt)
+        out[own] = felt[mine - span[t, 0]]
+        n = 0
+        for c in near[near_start[t] : near_start[t + 1]]:
+            n = pack(points, charges, span[c, 0], span[c, 1], packed, n)
+        radial_block(kind, points[mine], packed, n, out[own])
+
+
+@kernel
+def pack(points, charges, first, last, packed, n):
+    """Copy points and charges first <= s < last to the columns of ``packed`` (6, m) from ``n`` on; the next column."""
+    for s in range(first, last):
+        for d in range(3):
+            packed[d, n] = points[s, d]
+            packed[3 + d, n] = charges[s, d]
+        n += 1
+    return n

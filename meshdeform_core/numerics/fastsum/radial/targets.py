@@ -1,0 +1,95 @@
+"""Targets of radial sums: trees of the wanted nodes of every block, in regions."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ....parallel import current_ranks
+from ...arrays import FloatArray, IntArray, Shapes
+from ..clusters.bricks import node_sizes
+from ..clusters.target_tree import TargetTree, build_target_tree
+from ..clusters.targets import sample_places, shape_table
+from .polynomials import Spaces, spaces_of
+
+_CAPACITY = 350
+# Accuracy of polynomials, relative to the function at the radius of the box.
+_TERMS = 1e-7
+# Singular part of each function at the origin: power of the distance, and size relative to r^2 log r.
+_SINGULAR = {0: (2.0, 1.0), 1: (1.0, 0.5), 2: (3.0, 15.0), 3: (2.0, 20.0), 4: (3.0, 60.0), 5: (4.0, 60.0)}
+
+
+class RadialTargets(NamedTuple):
+    """Target nodes in trees, and where the accuracy of each leaf is judged.
+
+    Attributes
+    ----------
+    points : (n_nodes, 3)
+    tree : of the targets
+    leaves : (b,) nodes of the tree that are leaves and hold targets
+    places : (b, 9) places in the tree spread over each leaf
+    samples : (b, 9) the targets there
+    sizes : (b, 9) shortest edge at them
+    spaces : of the polynomials on the boxes of the tree, and which of them (m,) each has
+    """
+
+    points: np.ndarray
+    tree: TargetTree
+    leaves: np.ndarray
+    places: np.ndarray
+    samples: np.ndarray
+    sizes: np.ndarray
+    spaces: tuple[Spaces, np.ndarray]
+
+    @property
+    def every(self) -> IntArray:
+        """Flat indices of all targets."""
+        return self.tree.targets
+
+    def permitted(self, kind: int) -> FloatArray:
+        """Length relative to which errors of a basis function are measured in each node of the tree, (m,).
+
+        The shortest edge at the samples in it, by the size of the function's singular part at the radius of its box.
+        """
+        size, child = np.full(len(self.tree.span), np.inf), self.tree.child
+        size[self.leaves] = self.sizes.min(axis=1)
+        for n in range(len(size) - 1, -1, -1):
+            if child[n, 0] >= 0:
+                size[n] = size[child[n]].min()
+        power, factor = _SINGULAR[kind]
+        return size / (factor * np.maximum((self.tree.half**2).sum(axis=1), 1e-300) ** (0.5 * power))
+
+    def flat(self, first: int, last: int) -> IntArray:
+        """Flat indices of the targets in regions."""
+        roots = self.tree.region[[first, last - 1]]
+        return self.tree.targets[self.tree.span[roots[0], 0] : self.tree.span[roots[1], 1]]
+
+    def nodes(self, first: int, last: int) -> range:
+        """Numbers of the nodes of the trees of regions."""
+        return range(self.tree.region[first], self.tree.region[last])
+
+
+def make_radial_targets(
+    points: FloatArray,
+    shapes: Shapes,
+    offsets: IntArray,
+    flat: IntArray,
+) -> RadialTargets:
+    """Sort the target nodes ``flat`` of a grid."""
+    shapes = shape_table(shapes)
+    return RadialTargets(points, *current_ranks().once(lambda: _sorted(points, shapes, offsets, flat)))
+
+
+def _sorted(
+    points: FloatArray, shapes: IntArray, offsets: IntArray, flat: IntArray
+) -> tuple[TargetTree, IntArray, IntArray, IntArray, FloatArray, tuple[Spaces, IntArray]]:
+    wanted = np.zeros(len(points), dtype=bool)
+    wanted[flat] = True
+    tree = build_target_tree(points, shapes, offsets, wanted, _CAPACITY)
+    leaves = np.flatnonzero((tree.child[:, 0] < 0) & (tree.span[:, 1] > tree.span[:, 0]))
+    leaves = leaves[np.argsort(tree.span[leaves, 0])]
+    places = sample_places(np.append(tree.span[leaves, 0], len(tree.targets)))
+    samples = tree.targets[places]
+    sizes = node_sizes(points, shapes, offsets, samples.ravel()).reshape(samples.shape)
+    return tree, leaves, places, samples, sizes, spaces_of(tree.half, _TERMS)

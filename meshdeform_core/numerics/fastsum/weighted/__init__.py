@@ -1,0 +1,1 @@
+"""Fast weighted sums (IDW) over a tree of sources."""

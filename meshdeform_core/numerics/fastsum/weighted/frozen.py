@@ -1,0 +1,181 @@
+"""Fast weighted sums as a linear map of the values, with its transpose: clusters, orders and lists stay the same.
+
+For derivatives: the accuracy is relative to the largest change of a value, whatever the displacement is, and all sums
+are in double precision, so that the two directions are transposes of each other to round-off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from ....parallel import Shared, empty, for_chunks
+from ...arrays import BoolArray, FloatArray, IntArray
+from ...exact.direct import N_VALUES
+from ..clusters.acceptance import inverse_powers
+from ..clusters.targets import Targets, interpolation_order
+from ..clusters.tree import CHARGES, SourceTree
+from .plan import Plan, PlanKey
+from .sums import CHUNK, SHARE, allowance
+from .transposed import collect_sums, filled_by, spread_charges, spread_lists, used_clusters
+from .treesum import Charges, cluster_reach, gather, interpolate_sums, places_of, sum_lists
+
+Use = Callable[[slice, IntArray, FloatArray], object]
+Make = Callable[[slice, IntArray, int], FloatArray]
+
+_MOST_PORTIONS = 64
+_SOURCES = 2048
+
+
+class FrozenSums:
+    """Sums over groups of sources of weights times values that are zero but for ``acting`` (n,) sources.
+
+    Parameters
+    ----------
+    groups, trees, targets : as for :class:`.sums.FastSums`
+    strength : (n,) per source, weights : (a, b, kappa) per group
+    tolerance : error of a sum relative to the total weight, for values of one
+
+    Attributes
+    ----------
+    portions : parts of the targets that :meth:`pull` sums apart from each other; their number depends on sizes only
+    """
+
+    def __init__(
+        self,
+        groups: Sequence[IntArray],
+        trees: Sequence[SourceTree],
+        targets: Targets,
+        strength: FloatArray,
+        weights: Sequence[tuple[float, float, float]],
+        acting: BoolArray,
+        tolerance: float,
+    ) -> None:
+        self._groups = [(np.asarray(group), tree) for group, tree in zip(groups, trees, strict=True)]
+        self._targets, self._strength, self.acting = targets, strength / strength.max(), acting
+        kinds = [inverse_powers(*each) for each in weights]
+        unit, still = np.where(acting, 1.0, 0.0), np.zeros(len(strength))
+        reaches = [cluster_reach(tree, self._strength[g], unit[g], still[g]) for g, tree in self._groups]
+        share = SHARE / (interpolation_order(tolerance) - 2) ** 2
+        alike = targets._replace(sizes=np.ones_like(targets.sizes))
+        allowed, mean = allowance(alike, trees, kinds, reaches, tolerance * share)
+        self._plan = Plan(PlanKey(kinds, reaches, acting, share, 0), targets, self._groups, allowed, mean, room=0)
+        self._points = [np.concatenate([tree.points, tree.proxies]) for tree in trees]
+        size = CHARGES * sum(map(len, self._points))
+        # The sums of all portions together are no larger than the coordinates.
+        self.portions = int(np.clip(3 * len(targets.points) // size, 1, _MOST_PORTIONS))
+
+    @property
+    def flat(self) -> IntArray:
+        """The nodes (n,) at which sums are taken, in the order of their rows."""
+        return self._targets.every
+
+    def push(
+        self,
+        values: FloatArray,
+        use: Use,
+        result: FloatArray | None = None,
+        kept: Sequence[FloatArray] = (),
+        weigh: bool = False,
+    ) -> None:
+        """Hand sums (m, 1 + k) of values (k, n) for some rows to ``use``, with these rows and the flat indices (m,).
+
+        The first column is the total weight of all sources, if asked for by ``weigh``, else zero. ``use`` is called
+        from several threads and fills the nodes of ``result`` (n_nodes, ...) and the rows of arrays ``kept`` (n, ...).
+        """
+        k, targets = len(values), self._targets
+        passes = [self._charges(values[n : n + N_VALUES], weigh and n == 0) for n in range(0, k, N_VALUES)]
+        points, bricks, regions = targets.points, targets.bricks, targets.regions
+
+        def work(lo: int, hi: int) -> None:
+            lists, places = self._plan.lists_of(lo, hi), places_of(lo, hi, points, bricks, regions)
+            rows, flat = targets.places(lo, hi), targets.flat(lo, hi)
+            sums = np.zeros((len(flat), 1 + k))
+            for number, charges in enumerate(passes):
+                total, filled = np.zeros((len(places.points), CHARGES)), np.zeros(len(places.span), dtype=bool)
+                for (_, tree), charge, kind, each, moving in zip(
+                    self._groups, charges, self._plan.key.kinds, lists, self._plan.moving, strict=True
+                ):
+                    some = np.ones_like(moving) if weigh else moving
+                    filled |= sum_lists(places, tree, charge, each, kind, some, total)
+                interpolate_sums(lo, hi, bricks, regions, places, filled, total)
+                if number == 0:
+                    sums[:, 0] = total[: len(flat), 0]
+                columns = slice(1 + number * N_VALUES, min(1 + k, 1 + (number + 1) * N_VALUES))
+                sums[:, columns] = total[: len(flat), 1 : 1 + columns.stop - columns.start]
+            use(rows, flat, sums)
+
+        def rows_of(lo: int, hi: int) -> range:
+            return range(targets.places(lo, hi).start, targets.places(lo, hi).stop)
+
+        shared = [Shared(each, rows_of) for each in kept]
+        shared += [] if result is None else [Shared(result, targets.flat)]
+        for_chunks(work, targets.n_regions, CHUNK, shared=shared)
+
+    def pull(self, make: Make, k: int) -> FloatArray:
+        """The transpose: gradients (k, n_sources) from those (m, k) of the sums of values.
+
+        ``make(rows, flat, portion)`` gives those of some rows; it is called from several threads, but one row of
+        portions after the other.
+        """
+        sizes = np.append(0, np.cumsum([len(points) for points in self._points]))
+        passes = -(-k // N_VALUES)
+        # The lists are kept for chunks that begin at multiples of their size.
+        chunks = -(-self._targets.n_regions // CHUNK)
+        cut = np.linspace(0, chunks, self.portions + 1).astype(np.int64)
+        totals = empty((self.portions, passes, int(sizes[-1]), CHARGES))
+
+        def work(lo: int, hi: int) -> None:
+            for portion in range(lo, hi):
+                totals[portion] = 0.0
+                for chunk in range(cut[portion], cut[portion + 1]):
+                    first, last = chunk * CHUNK, min((chunk + 1) * CHUNK, self._targets.n_regions)
+                    rows, flat = self._targets.places(first, last), self._targets.flat(first, last)
+                    self._spread(first, last, make(rows, flat, portion), totals[portion], sizes)
+
+        for_chunks(work, self.portions, 1, shared=[Shared(totals)])
+        found = np.zeros((k, len(self._strength)))
+        for number in range(passes):
+            some = slice(number * N_VALUES, min(k, (number + 1) * N_VALUES))
+            for (group, tree), lo, hi in zip(self._groups, sizes[:-1], sizes[1:], strict=True):
+                total = sum(totals[portion, number, lo:hi] for portion in range(self.portions))
+                source = self._sources(tree, np.asarray(total))
+                members = group[tree.order]
+                found[some, members] = self._strength[members] * source[:, 1 : 1 + some.stop - some.start].T
+        return np.where(self.acting, found, 0.0)
+
+    def _spread(self, first: int, last: int, gradient: FloatArray, total: FloatArray, sizes: IntArray) -> None:
+        """Add the parts of some regions with gradients (m, k) to ``total`` (passes, points, 8)."""
+        targets = self._targets
+        lists = self._plan.lists_of(first, last)
+        places = places_of(first, last, targets.points, targets.bricks, targets.regions)
+        filled = np.logical_or.reduce([filled_by(each, m) for each, m in zip(lists, self._plan.moving, strict=True)])
+        for number in range(len(total)):
+            here = np.zeros((len(places.points), CHARGES))
+            part = gradient[:, number * N_VALUES : (number + 1) * N_VALUES]
+            here[: len(part), 1 : 1 + part.shape[1]] = part
+            collect_sums(first, last, targets.bricks, targets.regions, places, filled, here)
+            for (_, tree), points, each, kind, moving, lo, hi in zip(
+                self._groups, self._points, lists, self._plan.key.kinds, self._plan.moving, sizes[:-1], sizes[1:],
+                strict=True,
+            ):  # fmt: skip
+                spread_lists(places, here, tree, points, each, kind, moving, total[number, lo:hi])
+
+    def _sources(self, tree: SourceTree, total: FloatArray) -> FloatArray:
+        """Gradients (n, 8) of the sources of a tree in its order, from those of its sources and points (n + m, 8)."""
+        n = len(tree.order)
+        source, proxy = total[:n].copy(), np.ascontiguousarray(total[n:])
+        used = used_clusters(tree, proxy)
+        for_chunks(lambda lo, hi: spread_charges(tree, proxy, used, lo, hi, source), n, _SOURCES)
+        return source
+
+    def _charges(self, values: FloatArray, weigh: bool) -> list[Charges]:
+        charges = []
+        for group, tree in self._groups:
+            members, source = group[tree.order], np.zeros((len(group), CHARGES))
+            if weigh:
+                source[:, 0] = self._strength[members]
+            source[:, 1 : 1 + len(values)] = (self._strength * self.acting)[members][:, None] * values[:, members].T
+            charges.append(gather(tree, source))
+        return charges

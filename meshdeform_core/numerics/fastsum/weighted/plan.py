@@ -1,0 +1,114 @@
+"""Which clusters act where, for all displacements that agree in what decides it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...arrays import BoolArray, FloatArray, IntArray
+from ..clusters.acceptance import Kernel
+from ..clusters.targets import Targets
+from ..clusters.tree import SourceTree
+from .walk import Lists, Reach, list_clusters
+
+
+def rounded_up(bounds: list[FloatArray]) -> list[FloatArray]:
+    """Common bounds of all clusters that move: the largest, rounded up to a power of four; zeros stay.
+
+    So coarse that a motion that grows or swings meets the same ones again, whatever its shape.
+    """
+    most = max(float(each.max(initial=0.0)) for each in bounds)
+    common = np.ldexp(1.0, 2 * -(-int(np.frexp(most)[1]) // 2))
+    return [np.where(each > 0.0, common, 0.0) for each in bounds]
+
+
+@dataclass(frozen=True, eq=False)
+class PlanKey:
+    """All that decides which clusters act where, and how their sums are taken.
+
+    Attributes
+    ----------
+    kinds : weight function of each group
+    reaches : possible effect of each group's clusters, rounded up
+    moving : (n,) which sources are summed apart from the others
+    share : error allowed to one cluster
+    lasting : number of values per source that are kept with the weights
+    """
+
+    kinds: list[Kernel]
+    reaches: list[Reach]
+    moving: BoolArray
+    share: float
+    lasting: int
+
+    def agrees(self, other: PlanKey) -> bool:
+        """Whether both lead to the same plan."""
+        return (
+            (self.kinds, self.share, self.lasting) == (other.kinds, other.share, other.lasting)
+            and np.array_equal(self.moving, other.moving)
+            and all(
+                np.array_equal(one, two)
+                for mine, its in zip(self.reaches, other.reaches, strict=True)
+                for one, two in zip(mine, its, strict=True)
+            )
+        )
+
+
+class Plan:
+    """The lists of clusters of one :class:`PlanKey`; made on demand, and kept while there is ``room`` (bytes).
+
+    Attributes
+    ----------
+    risk : (b,) bound of each brick's error, in units that only allow comparing
+    moving : for each tree, which clusters (m,) hold sources that move
+    weight : (n, 1 + lasting) of every target in the order of the bricks, and its sums of values that never change,
+        known once ``weighed``; ``None`` without room
+    used : for each tree, whether the interpolation points of a cluster (m,) act anywhere, known once ``complete``
+    """
+
+    def __init__(
+        self,
+        key: PlanKey,
+        targets: Targets,
+        trees: list[tuple[IntArray, SourceTree]],
+        allowed: FloatArray,
+        mean: FloatArray,
+        room: int,
+    ) -> None:
+        self.key, self._targets, self._trees = key, targets, [tree for _, tree in trees]
+        self._allowed, self._mean = allowed, mean
+        self.risk = np.zeros(len(allowed))
+        self.moving = [_any_of(tree, key.moving[group]) for group, tree in trees]
+        self._kept: dict[int, list[Lists]] = {}
+        rows = len(targets.every)
+        size = 8 * rows * (1 + key.lasting)
+        self.weight = np.empty((rows, 1 + key.lasting)) if size <= room else None
+        self.weighed = self.complete = False
+        self.used = [np.zeros(len(tree.child), dtype=bool) for tree in self._trees]
+        self._room = room - size
+
+    def lists_of(self, first: int, last: int) -> list[Lists]:
+        """One of :class:`.walk.Lists` per group, of the regions first <= g < last; called from several threads."""
+        if first in self._kept:
+            return self._kept[first]
+        targets, key = self._targets, self.key
+        self.risk[targets.numbers(first, last)] = 0.0
+        where = targets.regions, targets.bricks
+        found = [
+            list_clusters(first, last, *where, tree, reach, kind, self._allowed, self._mean, self.risk)
+            for tree, reach, kind in zip(self._trees, key.reaches, key.kinds, strict=True)
+        ]
+        for used, lists in zip(self.used, found, strict=True):
+            used[lists.codes[lists.codes & 1 == 0] >> 1] = True
+        size = sum(lists.codes.nbytes + lists.stop.nbytes for lists in found)
+        if size <= self._room:
+            self._room -= size
+            self._kept[first] = found
+        return found
+
+
+def _any_of(tree: SourceTree, chosen: BoolArray) -> BoolArray:
+    """Which clusters (m,) hold any of the ``chosen`` sources (n,)."""
+    count = np.append(0, np.cumsum(chosen[tree.order]))
+    return np.asarray(count[tree.span[:, 1]] > count[tree.span[:, 0]])

@@ -1,0 +1,152 @@
+"""Transposes of the loops of fast sums: from gradients at nodes to gradients of the charges of sources.
+
+The same clusters act with the same weights, so that :func:`sum_groups` serves both directions: here sources and
+interpolation points of clusters are its targets, nodes and interpolation points of bricks its sources.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...arrays import BoolArray, FloatArray, IntArray
+from ...exact.direct import sum_groups
+from ...jit import fast_kernel, inlined, kernel
+from ..clusters.acceptance import Kernel
+from ..clusters.boxes import box_coordinate, chebyshev, lagrange
+from ..clusters.bricks import spans
+from ..clusters.tree import CHARGES, SourceTree
+from .treesum import Places, _shares
+from .walk import Lists, few_nodes
+
+
+@fast_kernel
+def collect_sums(first, last, bricks, regions, places, filled, gradient):
+    """Of :func:`.treesum.interpolate_sums`: add to ``gradient`` (n, 8) at points of bricks and regions what nodes have.
+
+    ``filled`` (items,) tells which of them act anywhere.
+    """
+    item = 0
+    for g in range(first, last):
+        region = item
+        for b in range(regions.first[g], regions.first[g + 1]):
+            few = few_nodes(bricks, b)
+            for step in range(2):
+                source, target = (item + 1, item + 2) if step == 0 else (region, item + 1 + few)
+                if (step == 0 and (few or not (filled[source] or filled[region]))) or (
+                    step == 1 and not filled[region]
+                ):
+                    continue
+                center, axes, half = (
+                    (bricks.center, bricks.axes, bricks.half)
+                    if step == 0
+                    else (regions.center, regions.axes, regions.half)
+                )
+                per_side, box = (bricks.per_side, b) if step == 0 else (regions.per_side, g)
+                _collect(
+                    center, axes, half, per_side, box, places.span[source, 0], places.points, places.span[target, 0],
+                    places.span[target, 1], gradient,
+                )  # fmt: skip
+            item += 2
+        item += 1
+
+
+@inlined
+def _collect(center, axes, half, per_side, b, m, points, first, last, gradient):
+    """Add to ``gradient`` of the box's points, rows ``m`` onwards, those of rows first <= t < last."""
+    n, columns = last - first, gradient.shape[1]
+    most = max(per_side[b, 0], per_side[b, 1], per_side[b, 2])
+    share, given, product = np.empty((3 * most, n)), np.empty((columns, n)), np.empty(n)
+    node, weights, at = np.empty(most), np.empty(most), np.empty(n)
+    for d in range(3):
+        _shares(center, axes, half, per_side[b, d], b, points, first, n, d, node, weights, at, product, share, d * most)
+    for c in range(columns):
+        for t in range(n):
+            given[c, t] = gradient[first + t, c]
+    for i in range(per_side[b, 0]):
+        for j in range(per_side[b, 1]):
+            for k in range(per_side[b, 2]):
+                one, two, three = share[i], share[most + j], share[2 * most + k]
+                for t in range(n):
+                    product[t] = one[t] * two[t] * three[t]
+                for c in range(columns):
+                    total, line = 0.0, given[c]
+                    for t in range(n):
+                        total += line[t] * product[t]
+                    gradient[m, c] += total
+                m += 1
+
+
+def spread_lists(
+    places: Places,
+    gradient: FloatArray,
+    tree: SourceTree,
+    points: FloatArray,
+    lists: Lists,
+    function: Kernel,
+    acting: BoolArray,
+    out: FloatArray,
+) -> None:
+    """Of :func:`.treesum.sum_lists`: add to ``out`` (n + m, 8) the gradients of sources and interpolation points.
+
+    ``points`` (n + m, 3) are those of the ``tree``; ``gradient`` (places, 8).
+    """
+    number, raw = lists.codes >> 1, lists.codes & 1 == 1
+    active = acting[number]
+    item = np.repeat(np.arange(len(lists.stop)), np.diff(lists.stop, prepend=0))[active]
+    codes = lists.codes[active]
+    order = np.argsort(codes, kind="stable")
+    found, start = np.unique(codes[order], return_index=True)
+    if not len(found):
+        return
+    number, raw = found >> 1, found & 1 == 1
+    first = len(tree.order) + np.stack([tree.proxy[number], tree.proxy[number + 1]])
+    rows = np.ascontiguousarray(np.where(raw, tree.span[number].T, first).T)
+    charged = np.concatenate([places.points, gradient], axis=1)
+    pieces = np.ascontiguousarray(places.span[item[order]])
+    span = np.ascontiguousarray(spans(np.append(start, len(order))))
+    sum_groups(points, rows, charged, pieces, span, function.a, function.b, function.kappa, out)
+
+
+def filled_by(lists: Lists, acting: BoolArray) -> BoolArray:
+    """Which (items,) have any of the ``acting`` (m,) clusters, as :func:`.treesum.sum_lists` returns it."""
+    count = np.append(0, np.cumsum(acting[lists.codes >> 1]))
+    return np.asarray(np.diff(count[np.append(0, lists.stop)]) > 0)
+
+
+@kernel
+def spread_charges(tree, proxy, used, first, last, out):
+    """Of :func:`..clusters.tree.gather_charges`: add to ``out`` (n, 8), the gradients of sources in tree order, at the
+    places first <= s < last, what the interpolation points of all clusters that are ``used`` (m,) have, ``proxy``
+    (m, 8)."""
+    node, weight, value = np.empty((3, 32)), np.empty((3, 32)), np.empty((3, 32))
+    total = np.empty(CHARGES)
+    for cluster in range(tree.child.size):
+        low, high = max(tree.span[cluster, 0], first), min(tree.span[cluster, 1], last)
+        if low >= high or not used[cluster]:
+            continue
+        count = tree.per_side[cluster]
+        for d in range(3):
+            chebyshev(count[d], node[d], weight[d])
+        for s in range(low, high):
+            for d in range(3):
+                t = box_coordinate(tree.points, s, tree.center, tree.axes, tree.half, cluster, d)
+                lagrange(count[d], node[d], weight[d], t, value[d])
+            for c in range(CHARGES):
+                total[c] = 0.0
+            n = tree.proxy[cluster]
+            for i in range(count[0]):
+                for j in range(count[1]):
+                    product = value[0, i] * value[1, j]
+                    for k in range(count[2]):
+                        w = product * value[2, k]
+                        for c in range(CHARGES):
+                            total[c] += w * proxy[n, c]
+                        n += 1
+            for c in range(CHARGES):
+                out[s, c] += total[c]
+
+
+def used_clusters(tree: SourceTree, proxy: FloatArray) -> BoolArray:
+    """Clusters (m,) whose interpolation points have any gradient ``proxy`` (total, 8)."""
+    count: IntArray = np.append(0, np.cumsum(proxy.any(axis=1)))
+    return np.asarray(count[tree.proxy[1:]] > count[tree.proxy[:-1]])

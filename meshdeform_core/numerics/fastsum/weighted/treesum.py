@@ -1,0 +1,251 @@
+"""Fast sums of functions of distance: clusters of sources seen from bricks of target nodes.
+
+:mod:`.walk` lists which clusters act on the interpolation points of a region of bricks, on those of a brick and on its
+nodes. Here the lists are summed; results are interpolated from the region to its bricks and from these to their nodes.
+
+In a weighted mean (eq. 14) numerator and denominator use the same approximate weights, so its error is the error of the
+weights times the *difference* of a cluster's displacement from the mean: a common motion is exact.
+
+Source: barycentric cluster-cluster treecodes (Wang, Krasny, Tlupova 2020), with two levels of targets and the
+acceptance of a weighted mean.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ....parallel import for_chunks
+from ...arrays import BoolArray, FloatArray, IntArray
+from ...exact.direct import sum_groups
+from ...exact.single import sum_groups_single
+from ...jit import inlined, kernel
+from ..clusters.acceptance import Kernel, distance2, square, weight
+from ..clusters.boxes import chebyshev
+from ..clusters.bricks import Bricks, Regions, spans
+from ..clusters.tree import CHARGES, SourceTree, gather_charges
+from .walk import Lists, Reach, few_nodes
+
+_STACK = 256
+# Parts into which the charges of a tree are divided for threads.
+_PORTIONS = 64
+
+
+class Charges(NamedTuple):
+    """Charges (strength, strength times values) of sources and of the interpolation points of clusters.
+
+    Attributes
+    ----------
+    rows : (n + m, 11) coordinates and charges of the sources in tree order, then of the interpolation points
+    all : whether the first or the last charge is ever nonzero; the strength is left out once weights are known, and few
+        kinds of rotation have seven values
+    """
+
+    rows: np.ndarray
+    all: bool
+
+
+def gather(tree: SourceTree, source: FloatArray, used: BoolArray | None = None) -> Charges:
+    """:class:`Charges` from those of the sources in tree order (n, 8).
+
+    With ``used`` (m,), interpolation points of the other clusters get none.
+    """
+    charged = np.append(0, np.cumsum(source.any(axis=1)))
+    active = charged[tree.span[:, 1]] > charged[tree.span[:, 0]]
+    proxy = np.empty((len(tree.proxies), CHARGES))
+    acting = active if used is None else active & used
+    cut = _portions(tree)
+    for_chunks(lambda lo, hi: gather_charges(tree, source, proxy, acting, cut[lo], cut[hi]), len(cut) - 1, 1)
+    n = len(source)
+    rows = np.empty((n + len(proxy), 3 + CHARGES))
+    rows[:n, :3], rows[:n, 3:], rows[n:, :3], rows[n:, 3:] = tree.points, source, tree.proxies, proxy
+    return Charges(rows, bool(source[:, [0, -1]].any()))
+
+
+def _portions(tree: SourceTree) -> IntArray:
+    """First clusters of portions that cost about the same, and one past the last: those near the root cost most."""
+    work = np.cumsum((tree.span[:, 1] - tree.span[:, 0]) * np.diff(tree.proxy))
+    inner = np.searchsorted(work, np.linspace(0.0, work[-1], _PORTIONS + 1)[1:-1], side="right")
+    return np.unique(np.concatenate([[0], inner, [len(work)]]))
+
+
+def cluster_reach(tree: SourceTree, strength: FloatArray, shift: FloatArray, turn: FloatArray) -> Reach:
+    """:class:`Reach` of every cluster from the sources' strength, displacement and rotation (n,)."""
+    # Spans as pairs of places; results for the gaps between spans are computed as well and discarded.
+    places = tree.span.ravel()
+    sums, most = np.append(strength[tree.order], 0.0), (np.append(each[tree.order], 0.0) for each in (shift, turn))
+    return Reach(np.add.reduceat(sums, places)[::2], *(np.maximum.reduceat(each, places)[::2] for each in most))
+
+
+@kernel
+def add_totals(samples, tree, reach, function, total, moved):
+    """Total weight and weighted displacement bound at sample points (n, 3), added to ``total`` and ``moved`` (n,)."""
+    stack = np.empty(_STACK, np.int64)
+    for s in range(samples.shape[0]):
+        stack[0] = 0
+        depth = 1
+        while depth:
+            depth -= 1
+            c = stack[depth]
+            d2 = distance2(samples, s, tree.center, c)
+            extent2 = square(tree.half, c)
+            if d2 > 2.0 * extent2 or tree.child[c] < 0:
+                # A leaf around the sample: its weight as if seen from the rim, which is a lower bound.
+                w = reach.strength[c] * weight(max(d2, 0.25 * extent2), function)
+                total[s] += w
+                moved[s] += w * (reach.shift[c] + reach.turn[c] * math.sqrt(d2))
+            else:
+                stack[depth], stack[depth + 1] = tree.child[c], tree.child[c] + 1
+                depth += 2
+
+
+class Places(NamedTuple):
+    """Where the sums of some neighbouring regions are taken, in one array: nodes, then interpolation points.
+
+    Attributes
+    ----------
+    points : (n, 3) coordinates: the nodes of the bricks, then points of regions and bricks
+    span : (items, 2) int64, rows that belong to each list of :class:`.walk.Lists`
+    """
+
+    points: np.ndarray
+    span: np.ndarray
+
+
+def places_of(first: int, last: int, points: FloatArray, bricks: Bricks, regions: Regions) -> Places:
+    """:class:`Places` of the regions first <= g < last; ``points`` (n_nodes, 3)."""
+    ends = regions.first[first : last + 1]
+    low, high = ends[0], ends[-1]
+    start, proxy, region = bricks.start[low : high + 1], bricks.proxy[low : high + 1], regions.proxy[first : last + 1]
+    x = np.concatenate(
+        [points[bricks.targets[start[0] : start[-1]]], bricks.proxies[proxy[0] : proxy[-1]],
+         regions.proxies[region[0] : region[-1]]]
+    )  # fmt: skip
+    start, proxy, region = start - start[0], proxy - proxy[0] + start[-1] - start[0], region - region[0]
+    region = region + proxy[-1]
+    # A region's list comes before the two of each of its bricks.
+    span = np.empty((last - first + 2 * (high - low), 2), dtype=np.int64)
+    item = np.arange(last - first) + 2 * (ends[:-1] - low)
+    span[item] = np.stack([region[:-1], region[1:]], axis=1)
+    of_bricks = np.ones(len(span), dtype=bool)
+    of_bricks[item] = False
+    both = np.stack([proxy[:-1], proxy[1:], start[:-1], start[1:]], axis=1)
+    span[of_bricks] = both.reshape(-1, 2)
+    return Places(x, span)
+
+
+def sum_lists(
+    places: Places,
+    tree: SourceTree,
+    charges: Charges,
+    lists: Lists,
+    function: Kernel,
+    acting: BoolArray,
+    out: FloatArray,
+) -> BoolArray:
+    """Weighted sums over the ``acting`` (m,) clusters of a tree at all places, added to ``out`` (n, 8).
+
+    Returns which (items,) have any.
+    """
+    number, raw = lists.codes >> 1, lists.codes & 1 == 1
+    active = acting[number]
+    number, raw = number[active], raw[active]
+    # Rows of the clusters: those of their sources, or of their interpolation points.
+    rows = np.where(
+        raw, tree.span[number].T, len(tree.order) + np.stack([tree.proxy[number], tree.proxy[number + 1]])
+    ).T
+    stop = np.append(0, np.cumsum(active))[np.append(0, lists.stop)]
+    clusters = np.ascontiguousarray(rows), spans(stop)
+    if function.single:
+        a, kappa = function.a, function.kappa
+        sum_groups_single(places.points, places.span, charges.rows, *clusters, a, kappa, charges.all, out)
+    else:
+        sum_groups(places.points, places.span, charges.rows, *clusters, function.a, function.b, function.kappa, out)
+    return stop[1:] > stop[:-1]
+
+
+@kernel
+def interpolate_sums(first, last, bricks, regions, places, filled, sums):
+    """Add to the sums at nodes those interpolated from the points of their region and brick.
+
+    From the points of a region to those of its bricks, and from there to the nodes; a brick of few nodes has none.
+    """
+    columns = sums.shape[1]
+    item = 0
+    for g in range(first, last):
+        region = item
+        for b in range(regions.first[g], regions.first[g + 1]):
+            few = few_nodes(bricks, b)
+            filled[item + 1] = filled[item + 1] or (filled[region] and not few)
+            # Both steps in one loop: the functions it calls are compiled once.
+            for step in range(2):
+                source, target = (region, item + 1 + few) if step == 0 else (item + 1, item + 2)
+                if not filled[source] or (step == 1 and few):
+                    continue
+                center, axes, half = (
+                    (regions.center, regions.axes, regions.half)
+                    if step == 0
+                    else (bricks.center, bricks.axes, bricks.half)
+                )
+                per_side, box = (regions.per_side, g) if step == 0 else (bricks.per_side, b)
+                _interpolate(
+                    center, axes, half, per_side, box, places.span[source, 0], columns, places.points,
+                    places.span[target, 0], places.span[target, 1], sums,
+                )  # fmt: skip
+            item += 2
+        item += 1
+
+
+@inlined
+def _interpolate(center, axes, half, per_side, b, m, columns, points, first, last, sums):
+    """Add to ``sums`` at rows first <= t < last the interpolated sums at the box's points, rows ``m`` onwards."""
+    n = last - first
+    most = max(per_side[b, 0], per_side[b, 1], per_side[b, 2])
+    share, total, product = np.empty((3 * most, n)), np.empty((columns, n)), np.empty(n)
+    node, weights, at = np.empty(most), np.empty(most), np.empty(n)
+    for d in range(3):
+        _shares(center, axes, half, per_side[b, d], b, points, first, n, d, node, weights, at, product, share, d * most)
+    for c in range(columns):
+        for t in range(n):
+            total[c, t] = 0.0
+    for i in range(per_side[b, 0]):
+        for j in range(per_side[b, 1]):
+            for k in range(per_side[b, 2]):
+                one, two, three = share[i], share[most + j], share[2 * most + k]
+                for t in range(n):
+                    product[t] = one[t] * two[t] * three[t]
+                for c in range(columns):
+                    value, line = sums[m, c], total[c]
+                    for t in range(n):
+                        line[t] += value * product[t]
+                m += 1
+    for t in range(n):
+        for c in range(columns):
+            sums[first + t, c] += total[c, t]
+
+
+@inlined
+def _shares(center, axes, half, count, b, points, start, n, d, node, weights, at, product, share, first):
+    """Lagrange polynomials along one side of a box at ``n`` points, in rows of ``share``: vector loops over points."""
+    chebyshev(count, node, weights)
+    for t in range(n):
+        at[t], product[t] = 0.0, 1.0
+    if half[b, d] > 0.0:
+        for e in range(3):
+            factor, origin = axes[b, d, e] / half[b, d], center[b, e]
+            for t in range(n):
+                at[t] += factor * (points[start + t, e] - origin)
+    for i in range(count):
+        row = share[first + i]
+        for t in range(n):
+            row[t] = weights[i] * product[t]
+            product[t] *= at[t] - node[i]
+    for t in range(n):
+        product[t] = 1.0
+    for i in range(count - 1, -1, -1):
+        row = share[first + i]
+        for t in range(n):
+            row[t] *= product[t]
+            product[t] *= at[t] - node[i]

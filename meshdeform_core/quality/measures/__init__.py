@@ -1,0 +1,1 @@
+"""Measures of cells and grid lines, their totals and gradients."""

@@ -1,0 +1,186 @@
+"""Cell measures of a grid, slab by slab."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...grid import FloatArray, Grid, IntArray
+from ...numerics.arrays import batches
+from ...numerics.cell.measures import measure_hexahedra, measure_quads
+from ...parallel import Shared, for_chunks
+
+_SLAB_CELLS = 131072
+
+
+@dataclass(frozen=True)
+class CellMeasures:
+    """Measures of cells, arrays (ci, cj, ck).
+
+    ``skew`` f_skew; ``scaled`` smallest scaled corner Jacobian; ``jacobian`` smallest corner Jacobian; ``volume``
+    (2-D: area); ``bad`` bit mask of the corners with Jacobian <= 0.
+    """
+
+    skew: FloatArray
+    scaled: FloatArray
+    jacobian: FloatArray
+    volume: FloatArray
+    bad: np.ndarray
+
+
+def measure_block(
+    x: FloatArray, sign: float, plane_normal: FloatArray | None, first: int = 0, last: int | None = None
+) -> CellMeasures:
+    """Measures of one block ``x`` (ni, nj, nk, 3) of handedness ``sign``; in 2-D with the normal of the plane.
+
+    ``first`` and ``last`` choose the layers first <= i < last of its cells; a block with one node along i has one.
+    """
+    ni, nj, nk = (max(n - 1, 1) for n in x.shape[:3])
+    last = ni if last is None else last
+    shape = (last - first, nj, nk)
+    skew, scaled, jacobian, volume = (np.empty(shape) for _ in range(4))
+    measures = CellMeasures(skew, scaled, jacobian, volume, np.empty(shape, dtype=np.uint8))
+    arrays = list(vars(measures).values())
+    if plane_normal is None:
+        measure_hexahedra(x, sign, first, last, *arrays)
+        return measures
+    flat = x.shape.index(1)
+    normal = side_of_good_quads(flat, sign, plane_normal)
+    plane = np.ascontiguousarray(x.squeeze(axis=flat))
+    rows = (0, plane.shape[0] - 1) if flat == 0 else (first, last)
+    measure_quads(plane, normal, *rows, *(a.squeeze(axis=flat) for a in arrays))
+    return measures
+
+
+def side_of_good_quads(flat: int, sign: float, plane_normal: FloatArray) -> FloatArray:
+    """Unit normal of positively oriented cells of a 2-D block, one node thick along ``flat``, in index order."""
+    # Handedness is judged from the side of a positive largest component. The positive normal of (i, j) and (j, k)
+    # index planes follows their order, that of (i, k) is opposite.
+    side = plane_normal * np.sign(plane_normal[int(np.argmax(np.abs(plane_normal)))])
+    return np.asarray(sign * (-1.0 if flat == 1 else 1.0) * side)
+
+
+@dataclass(frozen=True)
+class Slab:
+    """The layers first <= i < last of a block's cells: cells ``start`` to ``stop`` of the grid.
+
+    Cells are numbered block after block, C-ordered within each block.
+    """
+
+    block: int
+    first: int
+    last: int
+    start: int
+    stop: int
+
+    @property
+    def cells(self) -> slice:
+        """Its cells in an array with one row per cell."""
+        return slice(self.start, self.stop)
+
+
+def slabs(grid: Grid) -> list[Slab]:
+    """All cells of a grid in slabs of about 130,000, which bound the memory that the measures take."""
+    found, start = [], 0
+    for block, (ci, cj, ck) in enumerate(grid.cell_shapes):
+        step = max(1, _SLAB_CELLS // (cj * ck))
+        for first in range(0, ci, step):
+            last = min(first + step, ci)
+            stop = start + (last - first) * cj * ck
+            found.append(Slab(block, first, last, start, stop))
+            start = stop
+    return found
+
+
+def for_slabs(
+    grid: Grid,
+    work: Callable[[int, Slab], None],
+    per_cell: Sequence[np.ndarray],
+    per_slab: Sequence[np.ndarray] = (),
+) -> None:
+    """Call ``work`` for the number of every slab and the slab, from several threads.
+
+    It fills its cells of the arrays ``per_cell`` (n_cells, ...) and its row of the arrays ``per_slab`` (n_slabs, ...).
+    """
+    parts = slabs(grid)
+
+    def some(lo: int, hi: int) -> None:
+        for number, slab in enumerate(parts[lo:hi], lo):
+            work(number, slab)
+
+    def cells(lo: int, hi: int) -> IntArray:
+        return np.arange(parts[lo].start, parts[hi - 1].stop)
+
+    for_chunks(some, len(parts), 1, shared=[*(Shared(a, cells) for a in per_cell), *map(Shared, per_slab)])
+
+
+def places(grid: Grid, cells: IntArray) -> tuple[IntArray, IntArray]:
+    """Block (n,) and 0-based i, j, k (n, 3) of cells, by number."""
+    starts = cell_starts(grid)
+    block = np.searchsorted(starts, cells, side="right") - 1
+    shapes = np.array(grid.cell_shapes)[block]
+    local = cells - starts[block]
+    i, rest = np.divmod(local, shapes[:, 1] * shapes[:, 2])
+    j, k = np.divmod(rest, shapes[:, 2])
+    return block, np.stack([i, j, k], axis=1)
+
+
+def cell_starts(grid: Grid) -> IntArray:
+    """Number (n_blocks + 1,) of the first cell of every block."""
+    return grid.cell_offsets
+
+
+def corner_nodes(grid: Grid, block: IntArray, ijk: IntArray) -> IntArray:
+    """Flat node indices (n, 8) of cells, corner (a, b, c) at 4 a + 2 b + c; in a 2-D grid every corner twice."""
+    shapes = np.array(grid.shapes)[block]
+    corner = np.stack(np.meshgrid(*[[0, 1]] * 3, indexing="ij"), axis=-1).reshape(1, 8, 3)
+    at = np.minimum(ijk[:, None] + corner, shapes[:, None] - 1)
+    flat = (at[..., 0] * shapes[:, None, 1] + at[..., 1]) * shapes[:, None, 2] + at[..., 2]
+    return np.asarray(grid.offsets[block][:, None] + flat)
+
+
+def corners_of(grid: Grid, points: FloatArray, cells: IntArray) -> FloatArray:
+    """Corners (n, 8, 3) of cells, by number, with coordinates ``points`` (n_nodes, 3)."""
+    return np.asarray(points[corner_nodes(grid, *places(grid, cells))])
+
+
+def block_volumes(grid: Grid, points: FloatArray, sign: IntArray) -> FloatArray:
+    """Volumes (n_blocks,) of blocks of trilinear cells with coordinates ``points`` (n_nodes, 3), from their surfaces.
+
+    The flux of a third of the position through a bilinear face with diagonals p and q is its mean corner . p x q / 6.
+
+    Parameters
+    ----------
+    sign : (n_blocks,) handedness of each
+    """
+    center = 0.5 * (points[grid.offsets[:-1]] + points[grid.offsets[1:] - 1])
+    flux = np.empty(6 * grid.n_blocks)
+    for alike in _alike(grid.sides.nodes):
+        for lo, hi in batches(grid.sides.nodes[alike].prod(axis=1), _SLAB_CELLS):
+            flux[alike[lo:hi]] = _flux(grid, points, center, alike[lo:hi])
+    # The other two axes in their order are a right-handed frame with i and k, a left-handed one with j.
+    total: FloatArray = np.zeros(grid.n_blocks)
+    for side, outward in enumerate((-1, 1, 1, -1, -1, 1)):
+        total = total + outward * flux[side::6]
+    return np.asarray(sign * total / 24.0)
+
+
+def _alike(shapes: IntArray) -> list[IntArray]:
+    """The numbers of those of equal ``shapes`` (n, 2), ascending, for every shape."""
+    order = np.lexsort(shapes.T)
+    new = np.append(True, (shapes[order[1:]] != shapes[order[:-1]]).any(axis=1))
+    return np.split(order, np.flatnonzero(new)[1:])
+
+
+def _flux(grid: Grid, points: FloatArray, center: FloatArray, sides: IntArray) -> FloatArray:
+    """24 times the flux through sides of one shape of a third of the position relative to ``center`` (n_blocks, 3)."""
+    na, nb = grid.sides.nodes[sides[0]]
+    nodes = grid.sides.at(sides[:, None, None], np.arange(na)[:, None], np.arange(nb))
+    # Component by component: a cross product over so short an axis would be slow.
+    face = np.ascontiguousarray(np.moveaxis(points[nodes] - center[sides // 6, None, None], -1, 0))
+    low, high, right, left = face[..., :-1, :-1], face[..., 1:, 1:], face[..., 1:, :-1], face[..., :-1, 1:]
+    (px, py, pz), (qx, qy, qz), (mx, my, mz) = high - low, left - right, low + high + left + right
+    flux = mx * (py * qz - pz * qy) + my * (pz * qx - px * qz) + mz * (px * qy - py * qx)
+    return np.asarray(flux.reshape(len(sides), -1).sum(axis=1))

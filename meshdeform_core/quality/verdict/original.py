@@ -1,0 +1,91 @@
+"""The undeformed grid, measured only once for any number of deformed grids judged against it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from ...boundary import Boundary, Kind
+from ...grid import BoolArray, FloatArray, Grid
+from ...grid.faces.roles import Role
+from ...grid.faces.surfaces import Outside, find_outside
+from ...grid.planes import plane_normal
+from ...grid.topology import Topology
+from ..measures.kept import KeptCells
+from ..measures.lines import (
+    InterfaceLines,
+    WallFace,
+    WallLines,
+    interface_lines,
+    kink_and_jump,
+    wall_faces,
+    wall_lines,
+)
+from ..measures.tally import Tally
+
+
+@dataclass(frozen=True)
+class Walls:
+    """Faces of blocks that are walls, and their grid lines in the undeformed grid."""
+
+    faces: list[WallFace]
+    lines: list[WallLines]
+
+
+@dataclass
+class Original:
+    """An undeformed grid with the data that the judgement needs.
+
+    ``min_jacobian``: cells with a corner below this share of its undeformed Jacobian count as invalid; ``measured``:
+    totals over its cells, from the first comparison with another grid; ``kept``: stored measures
+    of undeformed cells.
+    """
+
+    grid: Grid
+    topology: Topology
+    min_jacobian: float = 0.0
+    measured: Tally | None = field(default=None, init=False)
+    kept: KeptCells = field(init=False)
+    _walls: tuple[Boundary, dict[str, Walls]] | None = field(default=None, init=False)
+
+    def __post_init__(self) -> None:
+        self.kept = KeptCells(self.grid)
+
+    @property
+    def tally(self) -> Tally:
+        """Totals over its cells; there must have been a comparison."""
+        assert self.measured is not None
+        return self.measured
+
+    @cached_property
+    def interfaces(self) -> tuple[InterfaceLines, tuple[FloatArray, FloatArray]]:
+        """Grid lines across interfaces, and :func:`.lines.kink_and_jump` of them."""
+        lines = interface_lines(self.grid, self.topology)
+        return lines, kink_and_jump(lines, self.grid.points)
+
+    @cached_property
+    def outside(self) -> Outside:
+        """Its faces with their roles, and its surfaces."""
+        return find_outside(self.grid, self.topology)
+
+    def fixed_wall_quads(self, boundary: Boundary) -> BoolArray:
+        """(n_quads,) fixed face quads that are likely to be walls, not far field."""
+        fixed = np.asarray(boundary.quad_kind == Kind.FIXED)
+        if fixed.any():
+            faces = zip(self.outside.faces, self.outside.roles, strict=True)
+            walls = [face.quads for face, role in faces if role is Role.WALL]
+            fixed &= np.isin(np.arange(len(fixed)), np.concatenate(walls) if walls else [])
+        return fixed
+
+    def walls(self, boundary: Boundary) -> dict[str, Walls]:
+        """The ``moving`` and the ``fixed`` walls of a boundary; those of the last boundary are cached."""
+        if self._walls is None or self._walls[0] is not boundary:
+            normal, found = plane_normal(self.grid), {}
+            moving = np.asarray(boundary.quad_kind == Kind.MOVING)
+            for name, quads in (("moving", moving), ("fixed", self.fixed_wall_quads(boundary))):
+                faces = wall_faces(self.grid, self.topology, quads)
+                found[name] = Walls(faces, [wall_lines(face, self.grid.points, normal) for face in faces])
+            self._walls = boundary, found
+        return self._walls[1]

@@ -1,0 +1,258 @@
+"""The linear system of one Newton step: square blocks, scaled by their diagonal, conjugate gradients."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+import scipy
+
+from ...numerics.arrays import FloatArray
+from ...numerics.jit import kernel
+from ...parallel import for_chunks
+from .region import Penalty, Region, Rows
+
+_ROWS = 2048
+# Rows of vectors, which are cheaper.
+_LONG = 1 << 16
+# Of a block in a product of the matrix; measured.
+_BLOCK = 0.0045
+
+
+class NewtonSystem:
+    """Gradient and Hessian of a region's energy, filled anew in every step.
+
+    ``work`` is that of an iteration, see :mod:`.limit`; ``iterations`` those of the last direction.
+
+    The Hessian is scaled from both sides by the Cholesky factors of its diagonal blocks (block-Jacobi
+    preconditioning) and kept in single precision, which only makes steps a little inexact.
+    """
+
+    def __init__(self, region: Region) -> None:
+        n, d = region.n_unknowns, region.dimension
+        self.unknowns = region.unknowns
+        of_element = region.number[region.energy.nodes]
+        used = of_element >= 0
+        element = np.broadcast_to(np.arange(len(of_element))[:, None], of_element.shape)[used]
+        touch = scipy.sparse.csr_array(
+            (np.ones(element.size, np.int32), (of_element[used], element)), shape=(n, len(of_element))
+        )
+        pattern = (touch @ touch.T).tocsr()
+        pattern.sort_indices()
+        self._starts, self._columns = pattern.indptr.astype(np.int64), pattern.indices.astype(np.int64)
+        ends = [*range(0, n, _ROWS), n]
+        self._elements = [
+            np.unique(touch.indices[touch.indptr[lo] : touch.indptr[hi]]).astype(np.int64)
+            for lo, hi in itertools.pairwise(ends)
+        ]
+        self._matrix = np.empty((len(self._columns), d, d), np.float32)
+        self._factor = np.empty((n, d, d))
+        self._multiply = multiply_rows if d == 3 else multiply_plane_rows
+        self.work, self.iterations = _BLOCK * len(self._columns), 0
+        self.gradient = np.empty((n, d))
+
+    @staticmethod
+    def memory(n_unknowns: int, dimension: int) -> int:
+        """Bytes that it takes, while the pattern is being found."""
+        return n_unknowns * (27 * (36 + 24) + 300 if dimension == 3 else 9 * (16 + 24) + 700)
+
+    def fill(self, region: Region, x: FloatArray, reference: FloatArray, penalty: Penalty) -> bool:
+        """Gradient and scaled Hessian at the coordinates ``x`` (n, d); see :mod:`..cell.foldover`.
+
+        The ``region`` is the one that the system was made for, but for shares of samples.
+        ``False`` if a diagonal block is not positive definite; that never happens with the convex part.
+        """
+        starts, columns = self._starts, self._columns
+        self.unknowns, freedom = region.directions(x)
+        self.gradient[...] = 0.0
+        bad = np.zeros(-(-region.n_unknowns // _ROWS), dtype=np.int64)
+
+        def add(low: int, high: int) -> None:
+            first, last = starts[low], starts[high]
+            blocks = np.zeros((last - first, *self._matrix.shape[1:]))
+            rows = Rows(low, high, starts, columns, blocks, self.gradient)
+            region.energy.add(x, reference, penalty, self._elements[low // _ROWS], self.unknowns, rows)
+            bad[low // _ROWS] = factor_diagonal(blocks, rows.pattern, freedom, self._factor)
+            scale_left(blocks, rows.pattern, self._factor)
+            self._matrix[first:last] = blocks
+
+        for_chunks(add, region.n_unknowns, _ROWS)
+        for_chunks(
+            lambda *ends: scale_right(self._matrix, starts, columns, self._factor, *ends), region.n_unknowns, _ROWS
+        )
+        return not penalty.exact or not bad.any()
+
+    def direction(self, tolerance: float, most: int) -> tuple[FloatArray, bool]:
+        """The Newton step (n_unknowns, d), by conjugate gradients until ``|r| <= tolerance |b|``; whether no direction
+        of negative curvature was met. Where one is, the step so far is one of descent."""
+        factor, (n, d) = self._factor, self.gradient.shape
+        r = -np.einsum("nij,nj->ni", factor, self.gradient)
+        y, p, image = np.zeros_like(r), r.copy(), np.empty_like(r)
+        flat = [v.ravel() for v in (y, r, p, image)]
+        rho = _sum_over_rows(partial(dot_rows, flat[1], flat[1]), n * d)
+        goal, convex = tolerance * tolerance * rho, True
+        matrix = self._matrix, self._starts, self._columns
+        self.iterations = 0
+        for _ in range(most):
+            if rho <= goal:
+                break
+            self.iterations += 1
+            curvature = _sum_over_rows(partial(self._multiply, *matrix, p, image), n)
+            if curvature <= 0.0:
+                convex = False
+                break
+            length, before = rho / curvature, rho
+            rho = _sum_over_rows(partial(advance_rows, *flat, length), n * d)
+            p *= rho / before
+            p += r
+        return np.einsum("nji,nj->ni", factor, y), convex
+
+    def dense(self) -> FloatArray:
+        """The scaled Hessian as one matrix (d n, d n), for small regions."""
+        n, d = self.gradient.shape
+        blocks = self._matrix.astype(np.float64), self._columns, self._starts
+        return scipy.sparse.bsr_array(blocks, shape=(d * n, d * n)).toarray()
+
+
+def _sum_over_rows(work: Callable[[int, int], float], n: int) -> float:
+    """Sum of ``work(low, high)`` over chunks of rows, always in the same order."""
+    parts = np.zeros(-(-n // _LONG))
+
+    def add(low: int, high: int) -> None:
+        parts[low // _LONG] = work(low, high)
+
+    for_chunks(add, n, _LONG)
+    return parts.sum()
+
+
+@kernel
+def factor_diagonal(blocks, rows, freedom, factor):
+    """The inverse Cholesky factors of the diagonal blocks of ``rows``, see :func:`..cell.foldover.add_derivatives`;
+    returns how many pivots were not positive.
+
+    ``freedom`` (n, d, d) projects on the directions in which an unknown may move; the others get a stiffness of their
+    own.
+    """
+    first, last, starts, columns = rows
+    size, bad = freedom.shape[1], 0
+    for row in range(first, last):
+        at = starts[row]
+        while columns[at] != row:
+            at += 1
+        a, f = blocks[at - starts[first]], factor[row]
+        trace = 0.0
+        for d in range(size):
+            trace += a[d, d]
+        # An unknown that no sample depends on does not move.
+        small = 1e-14 * abs(trace) + 1e-300
+        for d in range(size):
+            for e in range(d + 1):
+                a[d, e] += ((1.0 if d == e else 0.0) - freedom[row, d, e]) * trace
+        # The factor, in the lower triangle of f, and then its inverse, column by column.
+        for d in range(size):
+            for e in range(d + 1):
+                total = a[d, e]
+                for o in range(e):
+                    total -= f[d, o] * f[e, o]
+                if d == e and total < -small:
+                    bad += 1
+                f[d, e] = np.sqrt(max(total, small)) if d == e else total / f[e, e]
+            for e in range(d + 1, size):
+                a[d, e] = a[d, e] - freedom[row, d, e] * trace
+                f[d, e] = 0.0
+        for e in range(size):
+            f[e, e] = 1.0 / f[e, e]
+            for d in range(e + 1, size):
+                total = 0.0
+                for o in range(e, d):
+                    total += f[d, o] * f[o, e]
+                f[d, e] = -total / f[d, d]
+    return bad
+
+
+@kernel
+def scale_left(blocks, rows, factor):
+    """``H_ij <- F_i H_ij`` in some rows."""
+    first, last, starts, _ = rows
+    size = factor.shape[1]
+    for row in range(first, last):
+        f = factor[row]
+        for at in range(starts[row] - starts[first], starts[row + 1] - starts[first]):
+            block = blocks[at]
+            # F is a lower triangle: from below, nothing is overwritten before it is needed.
+            for d in range(size - 1, -1, -1):
+                for e in range(size):
+                    total = f[d, d] * block[d, e]
+                    for o in range(d):
+                        total += f[d, o] * block[o, e]
+                    block[d, e] = total
+
+
+@kernel
+def scale_right(matrix, starts, columns, factor, low, high):
+    """``H_ij <- H_ij F_j^T`` in the rows low <= i < high."""
+    size = factor.shape[1]
+    for row in range(low, high):
+        for at in range(starts[row], starts[row + 1]):
+            block, f = matrix[at], factor[columns[at]]
+            for d in range(size):
+                for e in range(size - 1, -1, -1):
+                    total = f[e, e] * block[d, e]
+                    for o in range(e):
+                        total += f[e, o] * block[d, o]
+                    block[d, e] = total
+
+
+@kernel
+def multiply_rows(matrix, starts, columns, p, image, low, high):
+    """The rows low <= i < high of the product of the matrix and ``p`` (n, 3); returns their share of ``p . image``."""
+    total = 0.0
+    for row in range(low, high):
+        x = y = z = 0.0
+        for at in range(starts[row], starts[row + 1]):
+            m, o = matrix[at], columns[at]
+            a, b, c = p[o, 0], p[o, 1], p[o, 2]
+            x += m[0, 0] * a + m[0, 1] * b + m[0, 2] * c
+            y += m[1, 0] * a + m[1, 1] * b + m[1, 2] * c
+            z += m[2, 0] * a + m[2, 1] * b + m[2, 2] * c
+        image[row, 0], image[row, 1], image[row, 2] = x, y, z
+        total += x * p[row, 0] + y * p[row, 1] + z * p[row, 2]
+    return total
+
+
+@kernel
+def multiply_plane_rows(matrix, starts, columns, p, image, low, high):
+    """:func:`multiply_rows` with blocks of 2 x 2."""
+    total = 0.0
+    for row in range(low, high):
+        x = y = 0.0
+        for at in range(starts[row], starts[row + 1]):
+            m, o = matrix[at], columns[at]
+            a, b = p[o, 0], p[o, 1]
+            x += m[0, 0] * a + m[0, 1] * b
+            y += m[1, 0] * a + m[1, 1] * b
+        image[row, 0], image[row, 1] = x, y
+        total += x * p[row, 0] + y * p[row, 1]
+    return total
+
+
+@kernel
+def advance_rows(y, r, p, image, length, low, high):
+    """One step of conjugate gradients in entries low <= i < high; returns their share of the new ``r . r``."""
+    total = 0.0
+    for i in range(low, high):
+        y[i] += length * p[i]
+        r[i] -= length * image[i]
+        total += r[i] * r[i]
+    return total
+
+
+@kernel
+def dot_rows(a, b, low, high):
+    """Share of entries low <= i < high in ``a . b``."""
+    total = 0.0
+    for i in range(low, high):
+        total += a[i] * b[i]
+    return total

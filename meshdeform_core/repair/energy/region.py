@@ -1,0 +1,263 @@
+"""The region that a repair moves: its energy, and how its nodes follow the unknowns."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from ...grid import BoolArray, FloatArray, IntArray
+from ...numerics.cell.foldover import Samples, add_derivatives, energy_of_cells, excess_of_cells, shortest_edges
+from ...numerics.cell.foldover_plane import add_triangles, corner_triangles, energy_of_triangles, excess_of_triangles
+
+COLLAPSED = 1e-10
+"""A Jacobian below this share of the product of the edges is that of a collapsed corner."""
+_CORNERS = (1 << 8) - 1
+# Of the derivatives of a sample of a hexahedron, and of a triangle; measured.
+_SAMPLE, _TRIANGLE = 0.9, 0.4
+HEALTHY, SOFT, NORM = 2.5, 0.5, 24.0
+"""An element is healthy while its f, regularised by SOFT, is below HEALTHY: sheared by less than 45 degrees, or shorter
+or longer by less than 2. The excess log(f / HEALTHY) of the corners of a cell is combined in a NORM, as that of cells
+is."""
+
+
+class Unknowns(NamedTuple):
+    """Of every node of a region: the ``number`` (n,) of its unknown or -1, its ``frame`` (n, d, d) with
+    displacement = frame @ unknown, and whether that is the identity, ``plain`` (n,)."""
+
+    number: IntArray
+    frame: FloatArray
+    plain: BoolArray
+
+
+class Penalty(NamedTuple):
+    """The parameters of the energy, see :mod:`..numerics.cell.foldover`; ``exact``: all of its second derivatives,
+    else their convex part."""
+
+    eps: float = 0.0
+    share: float = 1.0
+    cubic: float = 0.0
+    elastic: float = 0.0
+    exact: bool = False
+
+
+class Rows(NamedTuple):
+    """The rows ``first <= row < last`` of a sparse matrix of blocks, whose ``columns`` begin at ``starts``; the
+    ``matrix`` (n_blocks, d, d) has the blocks of these rows, the ``gradient`` (n_unknowns, d) all rows."""
+
+    first: int
+    last: int
+    starts: IntArray
+    columns: IntArray
+    matrix: FloatArray
+    gradient: FloatArray
+
+    @property
+    def pattern(self) -> tuple[int, int, IntArray, IntArray]:
+        """What the loops over rows need."""
+        return self[:4]
+
+
+class Energy(Protocol):
+    """A sum over elements, each of which depends on some nodes: ``nodes`` (m, k)."""
+
+    @property
+    def nodes(self) -> IntArray: ...
+
+    @property
+    def work(self) -> float:
+        """That of the second derivatives of all elements, see :mod:`.limit`."""
+        ...
+
+    def edges(self) -> FloatArray:
+        """(n,) the shortest undeformed edge at every node, infinite where there is none of any length."""
+        ...
+
+    def softened(self, power: float) -> Energy:
+        """The same with the given power of all weights."""
+        ...
+
+    def excess(self, x: FloatArray) -> FloatArray:
+        """(m,) how weak elements are, see :mod:`.onset`."""
+        ...
+
+    def sum(
+        self, x: FloatArray, reference: FloatArray, penalty: Penalty, low: int, high: int
+    ) -> tuple[float, float, float]:
+        """Over elements low <= m < high: energy, smallest determinant, largest f."""
+        ...
+
+    def add(
+        self, x: FloatArray, reference: FloatArray, penalty: Penalty, which: IntArray, unknowns: Unknowns, rows: Rows
+    ) -> None:
+        """See :func:`..numerics.cell.foldover.add_derivatives`."""
+        ...
+
+
+@dataclass(frozen=True)
+class Hexahedra:
+    """The energy of hexahedra.
+
+    Attributes
+    ----------
+    start, own : (k, 3) undeformed coordinates, and those (m, 8) of each cell
+    nodes : (m, 8) as in :func:`..numerics.cell.foldover.cell_samples`
+    mask : (m,) int64, bit s set where sample point s counts
+    samples : the sample points
+    weight : (m,) of the cells
+    between : (m,) share of the samples between corners
+    """
+
+    start: FloatArray
+    own: IntArray
+    nodes: IntArray
+    mask: IntArray
+    samples: Samples
+    weight: FloatArray
+    between: FloatArray
+
+    @cached_property
+    def work(self) -> float:
+        return _SAMPLE * float(np.bitwise_count(self.mask).sum())
+
+    def edges(self) -> FloatArray:
+        pairs = [(a, a | bit) for a in range(8) for bit in (1, 2, 4) if not a & bit]
+        return shortest_edges(self.start, self.nodes, np.array(pairs))
+
+    def softened(self, power: float) -> Hexahedra:
+        return dataclasses.replace(self, weight=self.weight**power)
+
+    def excess(self, x: FloatArray) -> FloatArray:
+        found = excess_of_cells(x, self.start, self.nodes, self.mask & _CORNERS, self.samples, HEALTHY, NORM, SOFT)
+        return np.asarray(found)
+
+    def with_between(self, share: FloatArray) -> Hexahedra:
+        """The same with shares (m,) of the samples between corners; those without are left out."""
+        return dataclasses.replace(self, mask=np.where(share > 0.0, self.mask, self.mask & _CORNERS), between=share)
+
+    def sum(
+        self, x: FloatArray, reference: FloatArray, penalty: Penalty, low: int, high: int
+    ) -> tuple[float, float, float]:
+        return energy_of_cells(x, *self._loops, reference, tuple(penalty), low, high)
+
+    def add(
+        self, x: FloatArray, reference: FloatArray, penalty: Penalty, which: IntArray, unknowns: Unknowns, rows: Rows
+    ) -> None:
+        rest = tuple(penalty), which, unknowns, rows.pattern, rows.matrix, rows.gradient
+        add_derivatives(x, *self._loops, reference, *rest)
+
+    @cached_property
+    def _loops(self) -> tuple[Any, ...]:
+        weights = np.stack([self.weight, self.between], axis=1)
+        return self.nodes, self.start, self.own, self.mask, self.samples, weights
+
+
+@dataclass(frozen=True)
+class Triangles:
+    """The energy of the corners of quadrilaterals: ``nodes`` (m, 3), ``slope`` (m, 3, 2) the undeformed gradients of
+    their shape functions, ``start`` (n, 2) undeformed coordinates, ``weight`` (m,) those of their cells."""
+
+    nodes: IntArray
+    slope: FloatArray
+    start: FloatArray
+    weight: FloatArray
+
+    @property
+    def work(self) -> float:
+        return _TRIANGLE * len(self.nodes)
+
+    def edges(self) -> FloatArray:
+        return shortest_edges(self.start, self.nodes, np.array([(0, 1), (0, 2)]))
+
+    def softened(self, power: float) -> Triangles:
+        return dataclasses.replace(self, weight=self.weight**power)
+
+    def excess(self, x: FloatArray) -> FloatArray:
+        return np.asarray(excess_of_triangles(x, self.nodes, self.slope, HEALTHY, SOFT))
+
+    @classmethod
+    def at_corners(cls, start: FloatArray, cells: IntArray, sign: FloatArray, weight: FloatArray) -> Triangles:
+        """Of the sound corners of undeformed quadrilaterals (m, 4); ``sign`` (m,) is that of sound Jacobians."""
+        most = 4 * len(cells)
+        nodes, slope, cell = np.empty((most, 3), np.int64), np.empty((most, 3, 2)), np.empty(most, np.int64)
+        count = corner_triangles(start, cells, sign, COLLAPSED, nodes, slope, cell)
+        return cls(nodes[:count], slope[:count], start, weight[cell[:count]])
+
+    def with_any(self, moves: BoolArray) -> Triangles:
+        """Those that have one of the nodes that ``moves`` (n,) is true for."""
+        kept = np.asarray(moves[self.nodes].any(axis=1))
+        return self if kept.all() else Triangles(self.nodes[kept], self.slope[kept], self.start, self.weight[kept])
+
+    def sum(
+        self, x: FloatArray, reference: FloatArray, penalty: Penalty, low: int, high: int
+    ) -> tuple[float, float, float]:
+        return energy_of_triangles(x, self.nodes, self.slope, self.weight, reference, tuple(penalty), low, high)
+
+    def add(
+        self, x: FloatArray, reference: FloatArray, penalty: Penalty, which: IntArray, unknowns: Unknowns, rows: Rows
+    ) -> None:
+        rest = tuple(penalty), which, unknowns, rows.pattern, rows.matrix, rows.gradient
+        add_triangles(x, self.nodes, self.slope, self.weight, reference, *rest)
+
+
+class Slide(NamedTuple):
+    """Nodes (k,) that stay on a surface: its unit ``normals`` (k, d) next to coordinates (k, d), and the way ``back``
+    onto it."""
+
+    nodes: IntArray
+    normals: Callable[[FloatArray], FloatArray]
+    back: Callable[[FloatArray], FloatArray]
+
+
+@dataclass(frozen=True)
+class Region:
+    """Some cells whose nodes are moved, with nodes of their own numbering, in coordinates (n, d) of space or plane.
+
+    ``fixed`` (n_unknowns, d, d) projects on the directions in which unknowns may move, without regard to ``slides``.
+    """
+
+    energy: Energy
+    unknowns: Unknowns
+    fixed: FloatArray
+    slides: tuple[Slide, ...] = ()
+
+    @property
+    def n_unknowns(self) -> int:
+        return len(self.fixed)
+
+    @property
+    def dimension(self) -> int:
+        return self.fixed.shape[1]
+
+    @property
+    def number(self) -> IntArray:
+        return self.unknowns.number
+
+    def directions(self, x: FloatArray) -> tuple[Unknowns, FloatArray]:
+        """How nodes at ``x`` (n, d) follow the unknowns, and the projectors on the directions of these."""
+        if not self.slides:
+            return self.unknowns, self.fixed
+        frame, plain, freedom = self.unknowns.frame.copy(), self.unknowns.plain.copy(), self.fixed.copy()
+        for slide in self.slides:
+            across = slide.normals(x[slide.nodes])
+            unknown = self.number[slide.nodes]
+            freedom[unknown] -= across[:, :, None] * across[:, None, :]
+            frame[slide.nodes], plain[slide.nodes] = freedom[unknown], False
+        return Unknowns(self.number, frame, plain), freedom
+
+    def moved(self, x: FloatArray, unknowns: Unknowns, step: FloatArray, length: float) -> FloatArray:
+        """Coordinates after ``length`` times the step (n_unknowns, d) of the unknowns."""
+        number, frame, plain = unknowns
+        free = number >= 0
+        move = step[number[free]]
+        turned = ~plain[free]
+        move[turned] = np.einsum("nij,nj->ni", frame[free][turned], move[turned])
+        result = x.copy()
+        result[free] += length * move
+        for slide in self.slides:
+            result[slide.nodes] = slide.back(result[slide.nodes])
+        return result

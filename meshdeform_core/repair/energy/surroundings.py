@@ -1,0 +1,68 @@
+"""An energy whose cells are healthy where they have the shape of those around them.
+
+Where a gap closes to a few percent, the cells of every valid grid are far from their undeformed shape, and the energy
+relative to that prefers to fold some of them so that others keep theirs. Relative to the mean metric of the deformed
+cells around, a fold is what it is, a cell unlike its neighbours, and opens within a few steps. Where cells are sheared
+between walls that turn against each other, that metric is no better, and they are compared with undeformed cells.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from ...grid import FloatArray, IntArray
+from .region import Energy, Hexahedra, Triangles
+
+_SQUEEZED = 0.03
+"""Cells around which the mean volume is less than this share of the undeformed one are squeezed."""
+_ROUNDS = 4
+"""How often metrics are averaged over the elements at every node, and these over the nodes of every element."""
+
+
+def among_others(energy: Energy, x: FloatArray) -> Energy | None:
+    """The energy relative to elements stretched as those around them are, on the average, in the grid ``x`` (n, d);
+    ``None`` where none is squeezed."""
+    stretch = _stretch(_matrices(energy, x), energy.nodes, len(x))
+    if np.linalg.det(stretch).min() >= _SQUEEZED:
+        return None
+    if isinstance(energy, Triangles):
+        slope = np.einsum("mnk,mkj->mnj", energy.slope, np.linalg.inv(stretch))
+        return dataclasses.replace(energy, slope=slope)
+    assert isinstance(energy, Hexahedra)
+    corners = np.einsum("mij,mnj->mni", stretch, energy.start[energy.own]).reshape(-1, 3)
+    return dataclasses.replace(energy, start=corners, own=np.arange(len(corners)).reshape(-1, 8))
+
+
+def _matrices(energy: Energy, x: FloatArray) -> FloatArray:
+    """Jacobian matrices (m, d, d) of the maps from undeformed elements, of hexahedra their mean."""
+    if isinstance(energy, Triangles):
+        return np.asarray(np.einsum("mni,mnk->mik", x[energy.nodes], energy.slope))
+    assert isinstance(energy, Hexahedra)
+    before = _edges(energy.start, energy.own)
+    # Flat cells have no shape to compare with.
+    before[np.linalg.det(before) == 0.0] = np.eye(3)
+    return np.asarray(_edges(x, energy.nodes) @ np.linalg.inv(before))
+
+
+def _edges(x: FloatArray, nodes: IntArray) -> FloatArray:
+    """Mean edges (m, 3, 3) of hexahedra along their axes, in columns."""
+    corners = x[nodes].reshape(-1, 2, 2, 2, 3)
+    means = [np.diff(corners, axis=axis).mean(axis=(1, 2, 3)) for axis in (1, 2, 3)]
+    return np.stack(means, axis=-1)
+
+
+def _stretch(matrix: FloatArray, nodes: IntArray, n: int) -> FloatArray:
+    """The square root (m, d, d) of the mean metric around elements (m, k), from their Jacobian matrices (m, d, d)."""
+    metric = np.einsum("mji,mjk->mik", matrix, matrix)
+    shape, (elements, corners) = metric.shape, nodes.shape
+    at, count = nodes.ravel(), np.maximum(np.bincount(nodes.ravel(), minlength=n), 1)
+    metric = metric.reshape(elements, -1)
+    for _ in range(_ROUNDS):
+        columns = [np.bincount(at, np.repeat(column, corners), minlength=n) / count for column in metric.T]
+        metric = np.stack([column[nodes].mean(axis=1) for column in columns], axis=1)
+    squares, axes = np.linalg.eigh(metric.reshape(shape))
+    # Where all cells around are flat, some extent is left.
+    lengths = np.sqrt(np.maximum(squares, 1e-12))
+    return np.einsum("mij,mj,mkj->mik", axes, lengths, axes)

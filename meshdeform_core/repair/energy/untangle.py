@@ -1,0 +1,182 @@
+"""Newton's method for the energy of a region: first until no sample is inverted, then to its minimum."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ...grid import FloatArray
+from ...parallel import for_chunks
+from ..limit import Limit
+from .newton import NewtonSystem
+from .region import Energy, Penalty, Region
+from .surroundings import among_others
+
+_ELEMENTS = 4096
+# Of the energy, relative to its derivatives; measured.
+_EVALUATION = 0.15
+_ROUGH, _ROUGH_ITERATIONS = 3e-2, 200
+_FINE, _FINE_ITERATIONS = 1e-5, 5000
+SOFTENED = 0.5
+"""Power of the weights of cells while they are untangled."""
+CUBIC = 2.0
+"""Of the energy that is minimised: the larger, the more the worst cells count."""
+# A determinant that stays below -_LOCKED eps while eps falls has nowhere to go in this region.
+_LOCKED = 100.0
+CLOSE = 1e-6
+"""The minimum is reached when a step moves no node by more than this share of its shortest edge."""
+_SMALLEST_STEP = 1e-4
+# Sufficient decrease of a line search (Armijo), but for round-off of the energy.
+_DECREASE, _ROUND_OFF = 1e-4, 1e-13
+
+
+@dataclass(frozen=True)
+class State:
+    """Coordinates with the energy there, its smallest determinant and its largest f."""
+
+    x: FloatArray
+    energy: float
+    lowest: float
+    highest: float
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How patiently a region is untangled: at most so many ``steps``, the ``first`` regularisation, and by which part
+    it falls at the ``slowest``; before, at most so many steps with cells compared with those ``around``."""
+
+    steps: int
+    first: float = 0.5
+    slowest: float = 0.4
+    around: int = 0
+
+
+@dataclass
+class Untangler:
+    """Moves the unknowns of a region from coordinates ``x`` (n, d), within a limit.
+
+    ``reference`` (n, d) is where the elastic energy holds them.
+    """
+
+    region: Region
+    x: FloatArray
+    reference: FloatArray
+    system: NewtonSystem
+    steps: int = 0
+    progress: Callable[[str, int, int], None] | None = None
+    limit: Limit = field(default_factory=Limit)
+
+    def state(self, x: FloatArray, penalty: Penalty) -> State:
+        n = len(self.region.energy.nodes)
+        parts = np.empty((-(-n // _ELEMENTS), 3))
+
+        def work(low: int, high: int) -> None:
+            parts[low // _ELEMENTS] = self.region.energy.sum(x, self.reference, penalty, low, high)
+
+        for_chunks(work, n, _ELEMENTS)
+        self.limit.spend(_EVALUATION * self.region.energy.work)
+        return State(x, parts[:, 0].sum(), parts[:, 1].min(), parts[:, 2].max())
+
+    def untangle(self, pace: Pace) -> bool:
+        """Newton steps until every determinant is positive: relative to the undeformed cells, but where some are
+        squeezed first to those around them, see :mod:`.surroundings`.
+
+        Cells at walls weigh less here than in the energy to be minimised: a fold opens sooner where all take part.
+        """
+        if self.state(self.x, Penalty(pace.first)).lowest > 0.0:
+            return True
+        start, energy = self.x, self.region.energy.softened(SOFTENED)
+        among = among_others(energy, start) if pace.around else None
+        if among is not None and self._untangle(among, replace(pace, steps=pace.around)):
+            return True
+        self.x = start
+        return self._untangle(energy, pace)
+
+    def _untangle(self, energy: Energy, pace: Pace) -> bool:
+        """The same with an energy.
+
+        The regularisation falls as in Garanzha et al. 2021 (section 2.3), but by at least ``pace.slowest`` where the
+        energy hardly changes any more: a few extra steps at the end cost less than many on the way.
+        """
+        region, self.region = self.region, replace(self.region, energy=energy)
+        try:
+            return self._descend(pace, pace.first)
+        finally:
+            self.region = region
+
+    def _descend(self, pace: Pace, eps: float) -> bool:
+        for step in range(pace.steps + 1):
+            now = self.state(self.x, Penalty(eps))
+            if now.lowest > 0.0:
+                return True
+            if step == pace.steps or now.lowest < -_LOCKED * eps or self.limit.over():
+                break
+            self._tell(step, pace.steps)
+            after = self._step(now, Penalty(eps), _ROUGH)
+            self.x = after.x
+            eps = _next_eps(eps, after.lowest, max(pace.slowest, 1.0 - after.energy / now.energy))
+        return False
+
+    def minimise(self, share: float, most: int, edges: FloatArray) -> bool:
+        """At most so many Newton steps to the minimum from a valid start; whether it was reached.
+
+        ``edges`` (n,) are the shortest undeformed edges at the nodes.
+        """
+        penalty = Penalty(0.0, share, CUBIC, 1.0)
+        now, length = self.state(self.x, penalty), np.inf
+        for step in range(most):
+            if self.limit.over():
+                break
+            self._tell(step, most)
+            after = self._step(now, penalty, min(_ROUGH, max(_FINE, 0.1 * length)))
+            length = float((np.abs(after.x - now.x).max(axis=1) / edges).max())
+            now = after
+            self.x = now.x
+            if length < CLOSE:
+                return True
+        return False
+
+    def _tell(self, done: int, most: int) -> None:
+        if self.progress:
+            self.progress("repair", done, most)
+
+    def _step(self, now: State, penalty: Penalty, tolerance: float) -> State:
+        """A step with the complete second derivatives where they are positive definite, and eps is 0."""
+        step = self._exact(now, penalty, tolerance) if penalty.eps == 0.0 else None
+        if step is None:
+            self._fill(now.x, penalty)
+            step, _ = self._direction(tolerance, _ROUGH_ITERATIONS)
+        slope = float(np.vdot(step, self.system.gradient))
+        self.steps += 1
+        length = 1.0
+        while length > _SMALLEST_STEP:
+            after = self.state(self.region.moved(now.x, self.system.unknowns, step, length), penalty)
+            if after.energy <= now.energy + _DECREASE * length * slope + _ROUND_OFF * abs(now.energy):
+                return after
+            length /= 2
+        return now
+
+    def _exact(self, now: State, penalty: Penalty, tolerance: float) -> FloatArray | None:
+        if not self._fill(now.x, penalty._replace(exact=True)):
+            return None
+        step, convex = self._direction(tolerance, _FINE_ITERATIONS)
+        return step if convex else None
+
+    def _fill(self, x: FloatArray, penalty: Penalty) -> bool:
+        self.limit.spend(self.region.energy.work)
+        return self.system.fill(self.region, x, self.reference, penalty)
+
+    def _direction(self, tolerance: float, most: int) -> tuple[FloatArray, bool]:
+        found = self.system.direction(tolerance, min(most, self.limit.affords(self.system.work)))
+        self.limit.spend(self.system.work * self.system.iterations)
+        return found
+
+
+def _next_eps(eps: float, lowest: float, change: float) -> float:
+    """The regularisation with which chi of the smallest determinant is ``1 - change`` times what it is now."""
+    root = np.sqrt(eps * eps + lowest * lowest)
+    chi = 0.5 * (lowest + root) if lowest > 0 else 0.5 * eps * eps / (root - lowest)
+    goal = (1.0 - change) * chi
+    return 2.0 * float(np.sqrt(goal * (goal - lowest))) if lowest < goal else 1e-10

@@ -1,0 +1,196 @@
+"""How a motion is imposed: in a given number of steps, or adaptively so that the grid stays valid."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from ..boundary.pinned import find_pinned
+from ..errors import MethodError
+from ..methods import Options
+from ..notices import Notice
+from ..repair.regions import HASTILY, QUICKLY
+from ..repair.repair import COLLAPSING
+from .course import Course
+from .steps import (
+    Reached,
+    State,
+    Trial,
+    accept,
+    beginning,
+    insist,
+    patient_step,
+    plain_step,
+    repaired,
+    settled,
+    step,
+    warnings_ahead,
+)
+from .uniqueness import compared
+
+MAX_HALVINGS = 8
+# The same for steps with a repair each, which are far more expensive.
+MAX_REPAIRED_HALVINGS = 4
+MAX_ATTEMPTS = 24
+"""Largest number of steps tried with repairs, so that hopeless cases end."""
+_BEFORE = 0.9
+"""Where the boundary crosses itself, this share of the motion before that point is tried and reported to the user."""
+RESCUE = "rbf-tfi"
+"""The method tried when the chosen one finds no valid grid: it succeeds most often."""
+SQUEEZED = ("tfi", RESCUE)
+"""Methods tried when the best valid grid is nearly collapsed; in narrow gaps TFI often preserves grid lines better."""
+
+
+def in_equal_steps(course: Course, count: int) -> Reached:
+    """Impose the motion in as many steps as the user asked for, valid or not."""
+    state = beginning(course, course.setup.case.method)
+    course.log.warn(*warnings_ahead(state, 1 / count))
+    for number in range(1, count + 1):
+        state = accept(patient_step(state, number / count))
+    return Reached(state)
+
+
+def adaptively(course: Course) -> Reached:
+    """Impose the motion in one step if that keeps the grid valid; else halve this step and all that follow.
+
+    Stops at the last valid grid when no step succeeds any more. Where the number of steps changes, a moving grid jumps:
+    a series says so.
+    """
+    state = beginning(course, course.setup.case.method)
+    # Steps that are halved until they succeed are never too large.
+    course.log.warn(*warnings_ahead(state, 0.0))
+    increment, smallest = 1.0, 0.5**MAX_HALVINGS
+    while state.fraction < 1.0:
+        trial = step(state, min(1.0, state.fraction + increment))
+        if trial.valid:
+            state = accept(trial)
+        elif increment > smallest:
+            increment /= 2
+        else:
+            text = (
+                f"only {state.fraction:.1%} of the motion was imposed; a further step of {increment:.2%} makes cells "
+                f"invalid. The grid reached so far is kept"
+            )
+            course.log.warn(Notice(text, "a part of the motion"))
+            return Reached(state, trial)
+    return Reached(state)
+
+
+def until_valid(course: Course) -> Reached:
+    """Try one step with a repair, quick and then patient, then smaller steps with a repair in each, then the same with
+    another method. Where the boundary alone shows that no valid grid exists, one step and a part of the motion, each
+    with a short repair, are all that is tried.
+
+    Smaller steps and other methods are ways to a valid grid; from there the minimum is searched that the repair of one
+    step with the chosen method defines, so that the result does not depend on which way succeeds. Where that minimum
+    is not found, the grid found is kept; if it is nearly collapsed, the best one of several methods.
+    If nothing helps, the grid with the fewest invalid cells is kept, with its boundary where it was prescribed; the
+    warnings say why, and for what part of the motion a valid grid was found.
+    """
+    state = beginning(course, course.setup.case.method)
+    course.log.warn(*warnings_ahead(state, 0.0))
+    plain = plain_step(state, 1.0)
+    impossible = None if plain.valid else _find_impossible(course)
+    best = compared(repaired(plain, HASTILY if impossible else QUICKLY))
+    if impossible and not best.valid:
+        course.log.warn(*impossible.reasons)
+        step(state, _BEFORE * impossible.fraction, HASTILY)
+    elif not best.valid:
+        found = _persistently(best)
+        if isinstance(found, State):
+            return Reached(found)
+        best = found
+    if best.valid and best.smallest_ratio < COLLAPSING and not (best.repair and best.repair.converged):
+        for trial in _with_other_methods(course, SQUEEZED, best.state.options):
+            if trial.valid and trial.smallest_ratio > best.smallest_ratio:
+                best = trial
+    if not best.valid:
+        _give_up(course)
+    return Reached(accept(best))
+
+
+def _persistently(first: Trial) -> Trial | State:
+    """After a quick repair has failed: the best grid of one step, or what smaller steps have reached if that is the
+    whole motion."""
+    course, options = first.state.course, first.state.options
+    best = insist(first)
+    if best.valid:
+        return best
+    reached = _in_smaller_steps(course, options)
+    if reached:
+        return settled(first, reached.points) or reached
+    for trial in _with_other_methods(course, (RESCUE,), options):
+        other = trial if trial.valid else insist(trial)
+        if other.invalid_cells < best.invalid_cells:
+            best = other
+        if best.valid:
+            return settled(first, best.found.points) or best
+        if reached := _in_smaller_steps(course, trial.state.options):
+            return settled(first, reached.points) or reached
+    return best
+
+
+def _in_smaller_steps(course: Course, options: Options) -> State | None:
+    """Take the largest steps that succeed, growing them again; ``None`` if they do not reach the whole motion."""
+    state, increment, smallest = beginning(course, options), 0.5, 0.5**MAX_REPAIRED_HALVINGS
+    while state.fraction < 1.0:
+        if _enough(course):
+            return None
+        trial = step(state, min(1.0, state.fraction + increment))
+        if trial.valid:
+            state = accept(trial)
+            increment *= 2
+        elif increment > smallest:
+            increment /= 2
+        else:
+            return None
+    return state
+
+
+def _enough(course: Course) -> bool:
+    return len(course.log.attempts) >= MAX_ATTEMPTS or course.limit.reached
+
+
+def _with_other_methods(course: Course, names: tuple[str, ...], chosen: Options) -> Iterator[Trial]:
+    """One step with each of some methods that fits into memory and is not the chosen one."""
+    for name in names:
+        if name == chosen.name or _enough(course):
+            continue
+        try:
+            yield step(beginning(course, Options(name)), 1.0)
+        except MethodError as error:
+            course.log.warn(Notice(f"{name} was not tried: {error}", f"{name} not tried"))
+
+
+@dataclass(frozen=True)
+class _Impossible:
+    """Why no valid grid exists, as far as the boundary alone shows it, and the ``fraction`` of the motion up to which
+    that does not."""
+
+    reasons: list[str]
+    fraction: float
+
+
+def _find_impossible(course: Course) -> _Impossible | None:
+    setup = course.setup
+    contact = setup.undeformed.crossing_test.contact(course.path)
+    pinned = find_pinned(setup.grid, setup.topology, setup.boundary, course.total)
+    reasons: list[str] = [found.message for found in (contact, pinned) if found]
+    return _Impossible(reasons, contact.fraction if contact else 1.0) if reasons else None
+
+
+def _give_up(course: Course) -> None:
+    attempts = course.log.attempts
+    reached = max((a.reached for a in attempts if not a.invalid_cells), default=0.0)
+    if course.limit.exhausted:
+        nodes = course.setup.grid.n_nodes
+        text = f"the motion was given up after as much work as is done for {nodes:,} nodes (docs/validity.md)"
+        course.log.warn(Notice(text, "the limit on work"))
+    elif course.limit.late:
+        course.log.warn(f"the time limit of {course.limit.seconds:g} s was reached ([repair] time_limit)")
+    part = f"only for {reached:.1%} of it" if reached else "nor for any part of it that was tried"
+    text = (
+        f"no valid grid was found for the whole motion, {part}. The grid kept has the whole "
+        f"motion and the fewest invalid cells of {len(attempts)} attempts"
+    )
+    course.log.warn(Notice(text, "no valid grid"))

@@ -1,0 +1,201 @@
+"""A motion to impose: what is the same for all of its steps, and the log of what was tried."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property, partial
+
+import numpy as np
+
+from ..boundary import Kind
+from ..boundary.motions.doubts import positions_as_displacements
+from ..boundary.prescribed import largest_displacement
+from ..grid import FloatArray, Grid
+from ..grid.connectivity.components import Component
+from ..grid.precision import rounded
+from ..methods import Options, PreparedMethod, Progress
+from ..methods.components import PreparedComponents
+from ..notices import Notice, first_of_each_kind, kind_of
+from ..repair.limit import Limit
+from ..repair.repair import Repairer
+from ..setup import BoundaryMotion, Setup, Start, Timing
+
+_FEWEST_UNITS = 100
+"""A motion of fewer units in the last place of the coordinates is rounded visibly."""
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """One attempted step of the motion: method, with or without repair, and outcome.
+
+    ``steps`` counts the steps up to and including this one; ``reached`` is the fraction of the motion at its end.
+    """
+
+    method: str
+    steps: int
+    repair: bool
+    invalid_cells: int
+    reached: float
+
+
+@dataclass
+class Log:
+    """Attempts and warnings, in the order in which they were made."""
+
+    attempts: list[Attempt] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+
+    def warn(self, *warnings: str) -> None:
+        """Add warnings."""
+        self.warnings += warnings
+
+
+class LastPrepared:
+    """The method prepared last and the grid that it was prepared on.
+
+    Steps from the same grid share it. Only one is kept: two dense systems may not fit into memory.
+    """
+
+    def __init__(self) -> None:
+        self._last: tuple[FloatArray, Options, PreparedMethod] | None = None
+
+    def get(self, points: FloatArray, options: Options) -> PreparedMethod | None:
+        """The method prepared with these options on these coordinates, if it is the last one."""
+        last = self._last
+        return last[2] if last and last[0] is points and last[1] is options else None
+
+    def put(self, points: FloatArray, options: Options, prepared: PreparedMethod | None) -> None:
+        """Keep this method instead of the last one; with ``None``, none."""
+        self._last = None if prepared is None else (points, options, prepared)
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """A motion to impose on a set-up.
+
+    Attributes
+    ----------
+    path : displacement of the boundary at a fraction of the motion
+    precision : of the coordinates that will be written; verdicts are about those
+    start : the grid from which the motion is imposed
+    limit : of the time that repairs and further attempts take
+    log : what has been tried
+    """
+
+    setup: Setup
+    path: BoundaryMotion
+    precision: str
+    timing: Timing
+    progress: Progress | None
+    start: Start
+    limit: Limit
+    log: Log = field(default_factory=Log)
+    latest: LastPrepared = field(default_factory=LastPrepared)
+
+    @cached_property
+    def total(self) -> FloatArray:
+        """Displacement (n_unique, 3) of the boundary at the end of the motion."""
+        return self.path(1.0)
+
+    @cached_property
+    def max_displacement(self) -> float:
+        """Largest displacement of the boundary at the end of the motion."""
+        return largest_displacement(self.total)
+
+    @cached_property
+    def begin(self) -> FloatArray:
+        """Displacement (n_unique, 3) of the boundary in the starting grid: exactly zero in the undeformed one."""
+        first, undeformed, points = self.setup.topology.first, self.setup.grid.points, self.start.points
+        return np.zeros((len(first), 3)) if points is undeformed else points[first] - undeformed[first]
+
+    def prescribed(self, fraction: float) -> FloatArray:
+        """Boundary displacement at a fraction: along the motion's path from the undeformed grid, else linear."""
+        if fraction == 1.0:
+            return self.total
+        if not self.begin.any():
+            return self.path(fraction)
+        return self.begin + fraction * (self.total - self.begin)
+
+    def rounded(self, points: FloatArray) -> FloatArray:
+        """Coordinates as they will be written."""
+        return rounded(points, self.precision)
+
+    @cached_property
+    def repairer(self) -> Repairer:
+        """Repairs cells relative to the undeformed grid."""
+        setup = self.setup
+        return Repairer(setup.undeformed.repairs, self.rounded, setup.memory, self.progress, self.limit)
+
+    @cached_property
+    def components(self) -> tuple[tuple[Component, Course], ...]:
+        """The same motion of every component of an overset grid by itself; none if all blocks are one."""
+        whole, start, parts = self.setup, self.start, self.setup.undeformed.components
+        methods = start.prepared.methods if isinstance(start.prepared, PreparedComponents) else (None,) * len(parts)
+        found = []
+        for (component, own), method in zip(parts, methods, strict=True):
+            points = own.grid.points if start.points is whole.grid.points else component.rows(whole.grid, start.points)
+            correction = partial(_part_of, component, whole.grid, start.correction)
+            begin = dataclasses.replace(start, points=points, prepared=method, correction=correction)
+            setup, limit = Setup(own, whole.case, ()), Limit.of(own.grid.n_nodes, whole.case.repair.time_limit)
+            path = partial(_motion_of, component, self)
+            course = Course(setup, path, self.precision, self.timing, self.progress, begin, limit)
+            course.latest.put(points, whole.case.method, method)
+            found.append((component, course))
+        return tuple(found)
+
+    @property
+    def repairing(self) -> bool:
+        """Whether the case asks for repairs."""
+        return self.setup.case.repair.mode != "off"
+
+
+def _motion_of(component: Component, whole: Course, fraction: float) -> FloatArray:
+    displacement = whole.total if fraction == 1.0 else whole.path(fraction)
+    return displacement[component.numbers]
+
+
+def _part_of(component: Component, whole: Grid, correction: Callable[[], FloatArray | None]) -> FloatArray | None:
+    found = correction()
+    return None if found is None else component.rows(whole, found)
+
+
+def doubts(course: Course, one_of_many: bool) -> Sequence[str]:
+    """Warnings about a motion before it is imposed; of ``one_of_many`` levels, one may have no displacement."""
+    boundary, largest = course.setup.boundary, course.max_displacement
+    # Tables of a sequence are read only when their time comes.
+    found = first_of_each_kind(boundary.tables.warnings(), map(kind_of, course.setup.warnings))
+    if not one_of_many and largest == 0.0:
+        found.append("nothing moves: the displacement is zero everywhere")
+    elif not one_of_many:
+        found += _coarsely_rounded(course)
+    moving = np.flatnonzero(boundary.kind == Kind.MOVING)
+    points = course.setup.grid.points[course.setup.topology.first[moving]]
+    found += positions_as_displacements(points, course.total[moving])
+    departure = boundary.slip.departure(course.total)
+    # A motion that returns to zero leaves round-off in all directions.
+    if departure > 1e-6 * largest and departure > course.setup.undeformed.round_off:
+        text = (
+            f"the motion carries nodes out of a slip or symmetry plane by up to {departure:.3g}; "
+            f"the plane follows there; its other nodes stay in it"
+        )
+        found.append(Notice(text, "motion out of a sliding plane"))
+    return found
+
+
+def _coarsely_rounded(course: Course) -> list[str]:
+    """A warning if rounding coordinates to the precision of the output changes a visible part of the motion."""
+    setup = course.setup
+    moving = setup.topology.first[course.total.any(axis=1)]
+    farthest = float(np.abs(setup.grid.points[moving]).max())
+    unit = float(np.spacing(np.dtype(course.precision).type(farthest)))
+    if course.max_displacement >= _FEWEST_UNITS * unit:
+        return []
+    remedy = "a grid nearer to the origin"
+    if course.precision == "float32":
+        remedy = "--variant precision=float64, or " + remedy
+    return [
+        f"coordinates of {farthest:.3g} in {course.precision} are multiples of {unit:.2g}, to which the motion of at "
+        f"most {course.max_displacement:.3g} is rounded; more accurate: {remedy}"
+    ]

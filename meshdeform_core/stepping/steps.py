@@ -1,0 +1,276 @@
+"""Steps of a motion: from a state to a trial, and from an accepted trial to the next state."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from ..errors import MethodError
+from ..grid import FloatArray
+from ..methods import Account, Options, PreparedMethod, Problem, prepare_method
+from ..parallel import for_rows
+from ..quality.verdict.comparison import Comparison
+from ..quality.verdict.validity import Verdict, judge
+from ..repair.outcome import Repair
+from ..repair.regions import PATIENTLY, QUICKLY, Way
+from .course import Attempt, Course
+
+
+@dataclass(frozen=True, eq=False)
+class Coordinates:
+    """Coordinates (n_nodes, 3), the verdict on them, and their quality measures if already computed."""
+
+    points: FloatArray
+    verdict: Verdict
+    cells: Comparison | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """The grid that has been reached at a fraction of the motion, and the method that goes on from it.
+
+    Attributes
+    ----------
+    points : (n_nodes, 3)
+    moved : (n_unique, 3) displacement of the boundary that is imposed already
+    steps : number of steps that led here
+    last : the grid as judged after the last step; ``None`` at the beginning
+    account : of the method in the last step
+    notices : the method's warnings in all steps, the last one of each kind
+    repairs : of all steps
+    first_bad : cell number -> the step that made it invalid
+    plain : (n_nodes, 3) the grid before the repair, if one step with a repair of the chosen method led here
+    """
+
+    course: Course
+    options: Options
+    points: FloatArray
+    moved: FloatArray
+    fraction: float = 0.0
+    steps: int = 0
+    last: Coordinates | None = None
+    account: Account | None = None
+    notices: Mapping[str, str] = field(default_factory=dict)
+    repairs: tuple[Repair, ...] = ()
+    first_bad: Mapping[int, int] = field(default_factory=dict)
+    plain: FloatArray | None = None
+
+    @property
+    def way(self) -> str:
+        """How the grid was made. Grids made in the same way are a continuous function of the displacement."""
+        if self.fraction < 1.0:
+            return f"{self.options.name} with a part of the motion"
+        way = f"{self.options.name} in {'one step' if self.steps == 1 else f'{self.steps} steps'}"
+        if not all(repair.converged for repair in self.repairs):
+            return f"{way}, cells untangled in regions"
+        polished = self.repairs or self.course.setup.case.repair.mode != "polish"
+        return way if polished else f"{way}, not polished, which would lower the smallest scaled Jacobian"
+
+
+class Reached(NamedTuple):
+    """The state kept in the end, and the step that failed if it was not the whole motion."""
+
+    state: State
+    failed: Trial | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """A step from a state that may be accepted.
+
+    ``plain`` is the grid that a repair would start from, ``found`` the grid after the ``repair``, the same if there was
+    none; ``account`` is the method's.
+    """
+
+    state: State
+    fraction: float
+    plain: Coordinates
+    found: Coordinates
+    account: Account
+    repair: Repair | None = None
+
+    @property
+    def valid(self) -> bool:
+        """Whether no cell is invalid."""
+        return self.found.verdict.valid
+
+    @property
+    def invalid_cells(self) -> int:
+        """Number of invalid cells."""
+        return int(np.count_nonzero(self.found.verdict.failed))
+
+    @property
+    def smallest_ratio(self) -> float:
+        """Smallest Jacobian of a corner relative to the undeformed grid."""
+        return float(self.found.verdict.ratio.min())
+
+
+def beginning(course: Course, options: Options) -> State:
+    """The state before the first step, with a method."""
+    return State(course, options, course.start.points, course.begin)
+
+
+def warnings_ahead(state: State, first: float) -> list[str]:
+    """The method's warnings for the rest of the motion, in steps of which the first is a fraction ``first``."""
+    course = state.course
+    sources = course.setup.problem.source_numbers
+    motion, step = ((course.prescribed(part) - state.moved)[sources] for part in (1.0, first))
+    return prepared_on(state).warnings_for(motion, step)
+
+
+def step(state: State, fraction: float, ways: tuple[Way, ...] = QUICKLY) -> Trial:
+    """Move from the grid of a state to ``fraction`` of the motion, and repair the result if the case asks for it."""
+    return repaired(plain_step(state, fraction), ways)
+
+
+def plain_step(state: State, fraction: float) -> Trial:
+    """The same without a repair."""
+    course, prepared = state.course, prepared_on(state)
+    increment = (course.prescribed(fraction) - state.moved)[course.setup.problem.source_numbers]
+    with course.timing.stage("apply"):
+        moved = prepared.apply(increment, course.progress)
+        _add(state, moved)
+    found = _judged(course, fraction, moved)
+    return _noted(Trial(state, fraction, found, found, _copy(prepared.account)), repair=False)
+
+
+def repaired(trial: Trial, ways: tuple[Way, ...] = QUICKLY) -> Trial:
+    """A plain trial, repaired if its cells need that and the case asks for it."""
+    course, plain = trial.state.course, trial.plain
+    mode = course.setup.case.repair.mode
+    if mode == "off":
+        return trial
+    if mode == "polish":
+        polished = _repaired(trial, ways, course.start.correction(), polish=True)
+        if not plain.verdict.valid or _smallest_scaled(course, polished.found) >= _smallest_scaled(course, plain):
+            return polished
+    if not course.repairer.needed(plain.points, plain.verdict):
+        return trial
+    return _repaired(trial, ways, course.start.correction())
+
+
+def settled(trial: Trial, points: FloatArray) -> Trial | None:
+    """The minimum that a repair of a plain trial should find, searched from a valid grid (n_nodes, 3) that was made in
+    another way; ``None`` if it is not found."""
+    plain = dataclasses.replace(trial, found=trial.plain, repair=None)
+    polish = trial.state.course.setup.case.repair.mode == "polish"
+    found = _repaired(plain, (), points - trial.plain.points, polish)
+    return found if found.repair and found.repair.converged else None
+
+
+def patient_step(state: State, fraction: float) -> Trial:
+    """A step whose repair, where it fails, is done once more with patience."""
+    trial = step(state, fraction)
+    return insist(trial) if state.course.repairing and not trial.valid else trial
+
+
+def insist(trial: Trial) -> Trial:
+    """Repair the plain grid of a trial once more, with more patience; returns the better of both."""
+    if trial.state.course.limit.reached:
+        return trial
+    polish = trial.state.course.setup.case.repair.mode == "polish"
+    other = _repaired(dataclasses.replace(trial, found=trial.plain, repair=None), PATIENTLY, polish=polish)
+    better = other if other.invalid_cells < trial.invalid_cells else trial
+    if trial.repair and other.repair:
+        both = dataclasses.replace(trial.repair + other.repair, cells=trial.repair.cells)
+        return dataclasses.replace(better, repair=both)
+    return better
+
+
+def accept(trial: Trial) -> State:
+    """The state after a trial."""
+    before, course, steps = trial.state, trial.state.course, trial.state.steps + 1
+    chosen = before.options is course.setup.case.method
+    return dataclasses.replace(
+        before,
+        points=trial.found.points,
+        moved=course.prescribed(trial.fraction),
+        fraction=trial.fraction,
+        steps=steps,
+        last=trial.found,
+        account=trial.account,
+        notices={**before.notices, **trial.account.notices},
+        repairs=(*before.repairs, trial.repair) if trial.repair else before.repairs,
+        first_bad={**dict.fromkeys(trial.found.verdict.invalid.tolist(), steps), **before.first_bad},
+        plain=trial.plain.points if steps == 1 and trial.repair and chosen else None,
+    )
+
+
+def prepared_on(state: State) -> PreparedMethod:
+    """The method of a state, prepared on its grid."""
+    course, setup = state.course, state.course.setup
+    found = course.latest.get(state.points, state.options)
+    if found is None:
+        course.latest.put(state.points, state.options, None)
+        problem: Problem = setup.problem
+        if state.points is not setup.grid.points:
+            problem = dataclasses.replace(problem, grid=setup.grid.moved(state.points))
+        with course.timing.stage("prepare"):
+            found = prepare_method(state.options, problem)
+        course.latest.put(state.points, state.options, found)
+    return found
+
+
+def _add(state: State, moved: FloatArray) -> None:
+    """Turn a displacement (n_nodes, 3) into coordinates, in place."""
+
+    def add(rows: slice) -> None:
+        np.add(state.points[rows], moved[rows], out=moved[rows])
+        # While they are in the cache: what is no number passes all tests of cells.
+        if not np.isfinite(moved[rows].sum()):
+            _require_finite(state, moved[rows], rows.start)
+
+    for_rows(add, moved)
+
+
+def _require_finite(state: State, points: FloatArray, first: int) -> None:
+    bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
+    if bad.size:
+        raise MethodError(
+            f"{state.options.name} moves {state.course.setup.grid.node_label(first + int(bad[0]))} to "
+            f"{points[bad[0]].tolist()}; expected finite coordinates, from options and a motion of the size of the grid"
+        )
+
+
+def _judged(course: Course, fraction: float, points: FloatArray) -> Coordinates:
+    """At the end of the motion all quality measures are taken at once: usually this grid is the result."""
+    original, final = course.setup.original, course.rounded(points)
+    with course.timing.stage("quality"):
+        if fraction < 1.0:
+            return Coordinates(points, judge(original, final))
+        cells = Comparison(original, final)
+        return Coordinates(points, cells.verdict, cells)
+
+
+def _smallest_scaled(course: Course, found: Coordinates) -> float:
+    """The smallest scaled Jacobian, which polishing must not lower: it minimises another measure of cells."""
+    cells = found.cells or Comparison(course.setup.original, course.rounded(found.points))
+    return cells.after.smallest_scaled[1]
+
+
+def _repaired(trial: Trial, ways: tuple[Way, ...], guess: FloatArray | None = None, polish: bool = False) -> Trial:
+    course, plain = trial.state.course, trial.plain
+    with course.timing.stage("repair"):
+        outcome = course.repairer.repair(plain.points, plain.verdict, polish, ways, guess)
+    moved = outcome.repair.newton_steps > 0
+    found = Coordinates(outcome.points, outcome.verdict) if moved else plain
+    # A valid grid in which nothing was moved counts as not repaired.
+    done = outcome.repair if moved or not plain.verdict.valid else None
+    repair = trial.repair + done if trial.repair and done else done or trial.repair
+    return _noted(dataclasses.replace(trial, found=found, repair=repair), repair=True)
+
+
+def _noted(trial: Trial, repair: bool) -> Trial:
+    state = trial.state
+    attempt = Attempt(state.options.name, state.steps + 1, repair, trial.invalid_cells, trial.fraction)
+    state.course.log.attempts.append(attempt)
+    return trial
+
+
+def _copy(account: Account) -> Account:
+    """The account as it is now: a prepared method changes its own with every displacement."""
+    return Account(dict(account.settings), dict(account.notices))

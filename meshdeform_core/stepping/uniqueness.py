@@ -1,0 +1,104 @@
+"""Whether the minimum that a repair has found is the only one: another start is tried, where that costs little.
+
+No start proves that there is no other minimum. The two that users meet are compared: the grid of the method alone, from
+which a single run begins, and a repaired grid of a part of the motion, from which a level of a series begins.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from ..grid import FloatArray
+from ..notices import Notice
+from ..numerics.arrays import lengths
+from ..quality.verdict.validity import Verdict, judge
+from ..repair.outcome import Outcome
+from ..smoothness import shortest_edges
+from .course import Course
+from .steps import Trial, prepared_on
+
+SAME = 1e-3
+"""Two grids are the same minimum where no node differs by more than this share of its shortest edge."""
+_PART, _PARTS = 0.875, 12
+"""A motion is followed from the largest of the first _PARTS powers of _PART of it at which the method alone keeps the
+grid valid, by steps of which the first is 1 - _PART, the smallest _SHORTEST."""
+_SHORTEST, _STEPS = 0.01, 24
+FOLLOWED = 50_000
+"""Nodes of the largest grid on which a motion is followed."""
+
+
+def compared(trial: Trial) -> Trial:
+    """The same with ``repair.unique`` set where another start was tried; where that led elsewhere, a warning."""
+    course, repair = trial.state.course, trial.repair
+    if repair is None or not repair.converged or course.setup.case.repair.mode == "polish" or course.limit.reached:
+        return trial
+    with course.timing.stage("repair"):
+        other = _from_another_start(trial)
+        if other is None or not other.repair.converged:
+            return trial
+        distance = _distance(trial, other.points)
+    if distance > SAME:
+        text = (
+            f"the repair has several solutions here: another start leads to a valid grid that differs by up to "
+            f"{distance:.3g} local edges, and grids of nearly the same displacement may differ as much"
+        )
+        course.log.warn(Notice(text, "several solutions of a repair"))
+    return dataclasses.replace(trial, repair=dataclasses.replace(repair, unique=distance <= SAME))
+
+
+def _from_another_start(trial: Trial) -> Outcome | None:
+    course, plain = trial.state.course, trial.plain
+    if course.start.correction() is not None:
+        if not course.start.compare:
+            return None
+        return course.repairer.repair(plain.points, plain.verdict, ways=())
+    if plain.verdict.valid or course.repairer.size > FOLLOWED:
+        return None
+    return _follow(trial)
+
+
+def _follow(trial: Trial) -> Outcome | None:
+    """The minimum at the end of the motion, followed from a part of it at which the method keeps all cells valid.
+
+    Every step is so short that the correction of the last one keeps the grid valid, too; ``None`` where that fails.
+    """
+    course, repairer = trial.state.course, trial.state.course.repairer
+    parts = (_PART**power for power in range(1, _PARTS + 1))
+    reached = next((part for part in parts if _verdict(course, _plain(trial, part)).valid), None)
+    if reached is None:
+        return None
+    start = _plain(trial, reached)
+    outcome, step = repairer.repair(start, _verdict(course, start), ways=()), 1.0 - _PART
+    correction = outcome.points - start
+    for _ in range(_STEPS):
+        if reached == 1.0 or step < _SHORTEST:
+            break
+        part = min(1.0, reached + step)
+        plain = _plain(trial, part)
+        found = None
+        if _verdict(course, plain + correction).valid:
+            found = repairer.repair(plain, _verdict(course, plain), ways=(), guess=correction)
+        if found and found.repair.converged:
+            outcome, correction, reached, step = found, found.points - plain, part, 1.5 * step
+        else:
+            step /= 2
+    return outcome if reached == 1.0 else None
+
+
+def _verdict(course: Course, points: FloatArray) -> Verdict:
+    return judge(course.setup.original, course.rounded(points))
+
+
+def _plain(trial: Trial, fraction: float) -> FloatArray:
+    """The method's grid (n_nodes, 3) at a fraction of the motion."""
+    state, course = trial.state, trial.state.course
+    part = (course.prescribed(fraction) - state.moved)[course.setup.problem.source_numbers]
+    return np.asarray(state.points + prepared_on(state).apply(part, course.progress))
+
+
+def _distance(trial: Trial, points: FloatArray) -> float:
+    """The largest distance of a node from its place in ``points`` (n_nodes, 3), in local edges."""
+    edges = shortest_edges(trial.state.course.setup.grid)
+    return float((lengths(trial.found.points - points) / edges).max())
