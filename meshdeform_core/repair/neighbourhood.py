@@ -11,10 +11,10 @@ import numpy as np
 
 from ..grid import BoolArray, FloatArray, Grid, IntArray
 from ..grid.planes import plane_axes, plane_normal
-from ..numerics.cell.foldover import cell_samples, samples_with_any, sound_samples
+from ..numerics.cell.foldover import Unknowns, cell_samples, samples_with_any, sound_samples
 from ..numerics.cell.layers import cells_at, layers_from
 from .constraints import Constraints
-from .energy.region import COLLAPSED, Energy, Hexahedra, Region, Slide, Triangles, Unknowns
+from .energy.region import COLLAPSED, Energy, Hexahedra, Region, Slide, Triangles
 from .sliding import Sliding
 from .walls import UNLIMITED, nearness, weigh
 

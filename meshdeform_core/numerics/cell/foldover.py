@@ -39,6 +39,15 @@ class Samples(NamedTuple):
     slope: np.ndarray
 
 
+class Unknowns(NamedTuple):
+    """Of every node of a region: the ``number`` (n,) of its unknown or -1, its ``frame`` (n, d, d) with
+    displacement = frame @ unknown, and whether that is the identity, ``plain`` (n,)."""
+
+    number: np.ndarray
+    frame: np.ndarray
+    plain: np.ndarray
+
+
 def cell_samples() -> Samples:
     """The 27 sample points of a hexahedron; node a of it is the corner (a >> 2, a >> 1 & 1, a & 1)."""
     corners = list(itertools.product((0.0, 1.0), repeat=3))

@@ -9,6 +9,8 @@ the undeformed grid to the deformed one, and D = det A,
 eqs. 3 and 4 with d = 2 and lambda = 1); 2 is the value of a triangle in rigid motion. The energy of a triangle is that
 of :mod:`.foldover`.
 
+The unknowns that nodes follow are those of :mod:`.foldover`, too.
+
 The second derivatives are diagonal but for one 2 x 2 matrix in the basis of similarities and of their mirror images,
 A = C + M: |A|^2 = |C|^2 + |M|^2 and 2 D = |C|^2 - |M|^2. So their negative part can be left out exactly.
 """

@@ -11,7 +11,14 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from ...grid import BoolArray, FloatArray, IntArray
-from ...numerics.cell.foldover import Samples, add_derivatives, energy_of_cells, excess_of_cells, shortest_edges
+from ...numerics.cell.foldover import (
+    Samples,
+    Unknowns,
+    add_derivatives,
+    energy_of_cells,
+    excess_of_cells,
+    shortest_edges,
+)
 from ...numerics.cell.foldover_plane import add_triangles, corner_triangles, energy_of_triangles, excess_of_triangles
 
 COLLAPSED = 1e-10
@@ -23,15 +30,6 @@ HEALTHY, SOFT, NORM = 2.5, 0.5, 24.0
 """An element is healthy while its f, regularised by SOFT, is below HEALTHY: sheared by less than 45 degrees, or shorter
 or longer by less than 2. The excess log(f / HEALTHY) of the corners of a cell is combined in a NORM, as that of cells
 is."""
-
-
-class Unknowns(NamedTuple):
-    """Of every node of a region: the ``number`` (n,) of its unknown or -1, its ``frame`` (n, d, d) with
-    displacement = frame @ unknown, and whether that is the identity, ``plain`` (n,)."""
-
-    number: IntArray
-    frame: FloatArray
-    plain: BoolArray
 
 
 class Penalty(NamedTuple):
