@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from meshdeform_core.boundary.prescribed import given_displacement, given_gradient
-from meshdeform_core.errors import GridError
+from meshdeform_core.errors import GridError, MethodError
 from meshdeform_core.grid import FloatArray, IntArray
 from meshdeform_core.methods import PreparedMethod
-from meshdeform_core.methods.derivative import derivative_of
+from meshdeform_core.methods.derivative import StepsDerivative, derivative_of
 from meshdeform_core.repair.derivative import RepairDerivative, derivative_of_repair
 
 from .step import Step
@@ -39,16 +39,18 @@ class Moving:
 class Linearisation:
     """The derivative of the grid at one displacement; made by :meth:`Mesh.linearise`.
 
-    It is that of the method in one step and of its repair, for a fixed undeformed grid: rotations, their smoothing and
-    mean motions are differentiated as they depend on the displacement, the repair as the minimum that it is.
+    It is that of the method and of its repair, for a fixed undeformed grid: rotations, their smoothing and mean motions
+    are differentiated as they depend on the displacement, the repair as the minimum that it is; several steps by the
+    chain rule, each with the derivative with respect to the grid from which it starts.
     """
 
     def __init__(self, moving: Moving, method: PreparedMethod, step: Step, displacement: FloatArray) -> None:
         setup = step._result.setup
         self._moving, self._setup, self._step = moving, setup, step
-        self._derivative = derivative_of(method, displacement)
-        plain = setup.grid.points + method.apply(displacement)
-        self._repair, self._reason = _difference(plain, step)
+        chain, why = _chained(method, step, displacement) if step.steps > 1 else (None, "")
+        self._derivative = chain or derivative_of(method, displacement)
+        plain = chain.points if chain else setup.grid.points + method.apply(displacement)
+        self._repair, self._reason = _difference(plain, step, why)
         if not self._reason and self._derivative.on_edges:
             self._reason = (
                 f"{self._derivative.on_edges:,} nodes that slide on curved surfaces are at edges of their flat faces, "
@@ -160,9 +162,24 @@ class Linearisation:
         return flat
 
 
-def _difference(plain: FloatArray, step: Step) -> tuple[RepairDerivative | None, str]:
+def _chained(method: PreparedMethod, step: Step, displacement: FloatArray) -> tuple[StepsDerivative | None, str]:
+    """The derivative of the steps that led to a grid, or why there is none."""
+    result = step._result
+    # The attempt made last for each step is the one that was accepted.
+    fractions = {attempt.steps: attempt.reached for attempt in result.attempts}
+    if result.reached < 1.0 or result.repair is not None:
+        return None, "with a repair on the way"
+    case, problem = result.setup.case, result.setup.problem
+    try:
+        ends = [fractions[number] for number in range(1, result.steps + 1)]
+        return StepsDerivative(method, case.method, problem, displacement, ends), ""
+    except MethodError as error:
+        return None, f"and {error}"
+
+
+def _difference(plain: FloatArray, step: Step, why: str) -> tuple[RepairDerivative | None, str]:
     """The derivative of the repair that a step has made of the method's grid ``plain``, and why the step is neither
-    that grid nor its repair; empty if it is."""
+    that grid nor its repair; empty if it is. ``why`` its steps have no derivative, if they have none."""
     result = step._result
     scale = np.finfo(result.setup.grid.precision).eps * np.abs(result.setup.grid.points).max()
     if np.abs(plain - result.grid.points).max() <= 4.0 * scale:
@@ -171,7 +188,8 @@ def _difference(plain: FloatArray, step: Step) -> tuple[RepairDerivative | None,
         part = f"only {result.reached:.1%} of the motion was imposed"
         return None, f"{part}; the derivative is that of the method for all of it"
     if result.steps > 1:
-        return None, f"the motion was imposed in {result.steps} steps; the derivative is that of the method in one step"
+        why = why or "with another method"
+        return None, f"the motion was imposed in {result.steps} steps, {why}; the derivative is that of one step"
     if result.repair is None:
         return None, "another method replaced the chosen one; the derivative is that of the chosen one"
     if result.setup.boundary.slip.curved:

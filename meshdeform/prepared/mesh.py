@@ -161,8 +161,8 @@ class Mesh:
         Parameters
         ----------
         displacement : at which it is taken, as for :meth:`deform`; ``None``: the undeformed grid
-        steps, repair : as for :meth:`deform`. ``.exact`` is false for a grid made in several steps, or repaired without
-            reaching the minimum of the repair's energy
+        steps, repair : as for :meth:`deform`. ``.exact`` is false for a grid repaired without reaching the minimum of
+            the repair's energy, and for several steps with a repair or radial basis functions
 
         Raises
         ------

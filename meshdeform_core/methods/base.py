@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from ..boundary import Boundary, Kind
-from ..grid import FloatArray, Grid, IntArray, Side
+from ..grid import BoolArray, FloatArray, Grid, IntArray, Side
 from ..grid.connectivity.components import Component
 from ..grid.planes import plane_normal
 from ..grid.sides import end_planes, side_numbers
@@ -95,13 +95,19 @@ class Problem:
     @cached_property
     def surface(self) -> Surface:
         """Faces between the sources."""
-        quads, kinds = self.topology.quads.corners, self.boundary.quad_kind
+        area = nodal_area(self.source_points, self.source_faces)
+        return Surface(area, *_rings(self._between_sources(self.boundary.quad_kind == Kind.MOVING)))
+
+    @cached_property
+    def source_faces(self) -> IntArray:
+        """Corners (m, 4) of all faces between sources, in 2-D (m, 2); indices refer to sources."""
+        every = self._between_sources(self.boundary.quad_kind >= Kind.FIXED)
+        return np.asarray(every[(every >= 0).all(axis=1)])
+
+    def _between_sources(self, chosen: BoolArray) -> IntArray:
         local = np.full(self.topology.n_unique, -1)
         local[self.source_numbers] = np.arange(len(self.source_numbers))
-        every = local[quads[kinds >= Kind.FIXED]]
-        area = _nodal_area(self.source_points, every[(every >= 0).all(axis=1)])
-        moving = local[quads[kinds == Kind.MOVING]]
-        return Surface(area, *_rings(moving))
+        return np.asarray(local[self.topology.quads.corners[chosen]])
 
     @cached_property
     def rotations(self) -> SurfaceRotations:
@@ -135,7 +141,8 @@ class Problem:
         return np.asarray((whole + total(self.grid.points[t.first])) / self.n_unique_nodes)
 
 
-def _nodal_area(points: FloatArray, quads: IntArray) -> FloatArray:
+def nodal_area(points: FloatArray, quads: IntArray) -> FloatArray:
+    """Nodal areas (n,) of the corners of ``quads``, see :class:`Surface`."""
     corners = points[quads]
     if quads.shape[1] == 2:
         size = np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)

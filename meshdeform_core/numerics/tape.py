@@ -42,9 +42,9 @@ class Tape:
         self._shapes.append(tuple(shape))
         return len(self._shapes) - 1
 
-    def push(self, variable: int, change: FloatArray, wanted: list[int]) -> list[FloatArray]:
-        """Changes of the arrays with the numbers ``wanted`` for a change of one variable."""
-        known: dict[int, FloatArray] = {variable: change}
+    def push(self, changes: dict[int, FloatArray], wanted: list[int]) -> list[FloatArray]:
+        """Changes of the arrays with the numbers ``wanted`` for changes of variables."""
+        known = dict(changes)
         last = {source: place for place, (_, links) in enumerate(self._steps) for source, _, _ in links}
         for place, (number, links) in enumerate(self._steps):
             parts = [push(known[source]) for source, push, _ in links if source in known]
@@ -56,8 +56,8 @@ class Tape:
                     known.pop(source, None)
         return [known.get(number, np.zeros(self._shapes[number])) for number in wanted]
 
-    def pull(self, variable: int, gradients: dict[int, FloatArray]) -> FloatArray:
-        """Gradient with respect to one variable from those with respect to results: the transpose of :meth:`push`."""
+    def pull(self, gradients: dict[int, FloatArray], variables: list[int]) -> list[FloatArray]:
+        """Gradients with respect to variables from those with respect to results: the transpose of :meth:`push`."""
         known = dict(gradients)
         for number, links in reversed(self._steps):
             if number in known:
@@ -65,7 +65,7 @@ class Tape:
                 for source, _, pull in links:
                     part = pull(given)
                     known[source] = known[source] + part if source in known else part
-        return known.get(variable, np.zeros(self._shapes[variable]))
+        return [known.get(number, np.zeros(self._shapes[number])) for number in variables]
 
 
 class Tracked(NDArrayOperatorsMixin):
@@ -123,6 +123,14 @@ class Tracked(NDArrayOperatorsMixin):
             self.value.sum(axis=axis, keepdims=keepdims),
             [(self, lambda t: t.sum(axis=axis, keepdims=keepdims), spread)],
         )
+
+    def max(self) -> Tracked:
+        """The largest value of a row."""
+        return self[int(np.argmax(self.value))]
+
+    def astype(self, _: Any) -> Tracked:
+        """The same: tracked values are in double precision."""
+        return self
 
     def any(self, *args: Any, **options: Any) -> Any:
         """Whether values are not zero: no tracked array."""
@@ -352,6 +360,7 @@ _FUNCTIONS: dict[Any, Callable[..., Any]] = {
     np.cross: _cross,
     np.bincount: _bincount,
     np.linalg.norm: _norm,
+    np.repeat: lambda x, n: x[np.repeat(np.arange(len(x)), n)],
     np.zeros_like: _zeros_like,
     np.shape: lambda x: x.shape,
     np.sum: lambda x, axis=None: x.sum(axis=axis),

@@ -69,10 +69,26 @@ def test_plane_grid():
         found.jvp(np.ones((len(flat.points), 3)))
 
 
-def test_a_grid_of_several_steps_says_so(mesh):
-    found = mesh.linearise(bend(mesh), steps=3)
+def test_several_steps(mesh):
+    at, change, h = bend(mesh, 0.15), bend(mesh, 1.0)[:, [1, 0, 2]], 1e-4
+    one_step = mesh.linearise(at, repair="off").jvp(change)
+    for steps in (2, "auto"):
+        found = mesh.linearise(at, steps=steps)
+        assert found.exact, found.reason
+    found = mesh.linearise(at, steps=2)
+    one, two = (mesh.deform(at + s * h * change, steps=2).grid.blocks for s in (1, -1))
+    for a, b, block, other in zip(one, two, found.jvp(change), one_step, strict=True):
+        np.testing.assert_allclose((a - b) / (2 * h), block, atol=1e-6)
+        assert np.abs(block - other).max() > 1e-4
+
+
+def test_several_steps_without_derivative_say_why(mesh):
+    rbf = md.prepare(md.Grid([block.copy() for block in mesh.grid.blocks]), case(name="rbf-tfi"))
+    found = rbf.linearise(bend(rbf), steps=2)
     assert not found.exact
-    assert "3 steps" in found.reason
+    assert "2 steps, and a method has no derivative" in found.reason
+    for one, two in zip(found.jvp(bend(rbf)), rbf.linearise(bend(rbf), steps=1).jvp(bend(rbf)), strict=True):
+        np.testing.assert_array_equal(one, two)
 
 
 def test_bad_arrays(mesh):

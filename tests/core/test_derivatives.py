@@ -4,11 +4,12 @@ import dataclasses
 
 import numpy as np
 import pytest
-from cases import ALL_METHODS, body_specs, everything_moves, problem_of, turning
+from cases import body_specs, everything_moves, problem_of, turning
+from derivative_cases import KINDS, METHODS, directions
 from grids import frame, frame_2d
 
 import meshdeform as md
-from meshdeform_core.boundary import BoundarySpec, Kind
+from meshdeform_core.boundary import Kind
 from meshdeform_core.boundary.prescribed import prescribed_displacement
 from meshdeform_core.errors import MethodError
 from meshdeform_core.methods import IDW, RBF, Options, make_method
@@ -17,43 +18,7 @@ from meshdeform_core.methods.derivative.sums import TOLERANCE
 from meshdeform_core.numerics.tape import Tape
 from meshdeform_core.parallel import OneRank, sharing
 
-METHODS = {name: options for name, options in ALL_METHODS.items() if name != "idw-division-reweight"} | {
-    "idw-alpha": Options("idw", idw=IDW(alpha="auto", eta=4.0)),
-    "idw-alpha-none": Options("idw", idw=IDW(rotation="none", alpha="auto", eta=4.0)),
-    "idw-smoothed": Options("idw", idw=IDW(rotation="blend", smoothing=3)),
-    "idw-two-exponents": Options("idw", idw=IDW(weights="shepard", p_moving=4.0)),
-    "idw-no-transition": Options("idw", idw=IDW(transition=0, remove_mean=False)),
-}
 FEW = ("tfi", "rbf-tfi", "idw-rbf", "idw-quaternion", "idw-lie", "idw-tfi")
-
-
-def bulged():
-    grid = frame()
-    x = grid.points.copy()
-    x[:, 2] += 0.15 * np.sin(1.1 * x[:, 0]) * np.cos(0.8 * x[:, 1])
-    return grid.moved(x)
-
-
-KINDS = {
-    "slip": lambda: problem_of(frame(), body_specs(turning(10))),
-    "symmetry": lambda: problem_of(frame(), body_specs(turning(10), Kind.SYMMETRY)),
-    "periodic": lambda: problem_of(frame(), body_specs(turning(10), Kind.PERIODIC)),
-    "free": lambda: problem_of(frame(), body_specs(turning(10), Kind.FREE)),
-    "curved slip": lambda: problem_of(bulged(), body_specs(turning(10))),
-    "all moving": lambda: problem_of(frame(), everything_moves()),
-    "plane": lambda: problem_of(frame_2d(6), body_specs(turning(20))[:1]),
-    "plane, all moving": lambda: problem_of(frame_2d(4), [BoundarySpec("all", ("*",), Kind.MOVING, None, turning(5))]),
-}
-
-
-def directions(where):
-    """Displacement of the moving sources: smooth, and rough changes of it."""
-    moving = (where.boundary.kind[where.source_numbers] == Kind.MOVING)[:, None]
-    inside = moving * (1.0 if where.plane_normal is None else 1.0 - np.abs(where.plane_normal))
-    x = where.source_points
-    smooth = 0.1 * np.sin(1.3 * x[:, [1, 0, 2]] + np.arange(3)) * inside
-    rough = np.random.default_rng(5).standard_normal(x.shape) * inside
-    return smooth, rough
 
 
 def check(method, at, change):

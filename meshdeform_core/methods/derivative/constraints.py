@@ -41,17 +41,18 @@ class Constraints:
         kept = left[:, :, :2] * (length[:, None, :2] > 1e-9 * size[:, None, None])
         return surface.nodes, np.asarray(kept @ kept.transpose(0, 2, 1))
 
-    def push(self, face: FloatArray) -> None:
-        """Impose them on a change (n_unique, 3), in place."""
+    def push(self, face: FloatArray, dx: FloatArray | None = None) -> None:
+        """Impose them on a change (n_unique, 3), in place; ``dx`` (n_unique, 3): of the coordinates."""
         problem = self._problem
         for nodes, tangent in self._sliding:
-            face[nodes] = np.einsum("nij,nj->ni", tangent, face[nodes])
+            own = 0.0 if dx is None else dx[nodes]
+            face[nodes] = np.einsum("nij,nj->ni", tangent, face[nodes] + own) - own
         for nodes, removed in problem.boundary.slip.groups:
             face[nodes] -= face[nodes] @ removed
         problem.boundary.periodic.constrain(face, ~problem.boundary.known)
 
-    def pull(self, face: FloatArray) -> None:
-        """The transpose, in place."""
+    def pull(self, face: FloatArray, of_x: FloatArray | None = None) -> None:
+        """The transpose, in place; adds the gradient of the coordinates to ``of_x`` (n_unique, 3)."""
         problem = self._problem
         periodic, known = problem.boundary.periodic, problem.boundary.known
         if periodic.one.size:
@@ -64,15 +65,18 @@ class Constraints:
         for nodes, removed in problem.boundary.slip.groups:
             face[nodes] -= face[nodes] @ removed.T
         for nodes, tangent in self._sliding:
-            face[nodes] = np.einsum("nji,nj->ni", tangent, face[nodes])
+            along = np.einsum("nji,nj->ni", tangent, face[nodes])
+            if of_x is not None:
+                of_x[nodes] += along - face[nodes]
+            face[nodes] = along
 
-    def impose(self, face: FloatArray, out: FloatArray) -> None:
+    def impose(self, face: FloatArray, out: FloatArray, dx: FloatArray | None = None) -> None:
         """Impose them on a change ``face``, and copy it to all coincident nodes of ``out`` (n_nodes, 3)."""
-        self.push(face)
+        self.push(face, dx)
         topology = self._problem.topology
         out[topology.face_nodes] = face[topology.number]
 
-    def gathered(self, gradient: FloatArray) -> FloatArray:
+    def gathered(self, gradient: FloatArray, of_x: FloatArray | None = None) -> FloatArray:
         """The transpose: gradient (n_unique, 3) of the face nodes from that (n_nodes, 3) of all block nodes, of which
         coincident ones add; theirs become zero."""
         topology = self._problem.topology
@@ -81,5 +85,5 @@ class Constraints:
         for c in range(3):
             face[:, c] = np.bincount(topology.number, rows[:, c], topology.n_unique)
         gradient[topology.face_nodes] = 0.0
-        self.pull(face)
+        self.pull(face, of_x)
         return face

@@ -46,7 +46,12 @@ class IDWDerivative:
         fit = method.fit(variable)  # type: ignore[arg-type]
         self._fit = fit
         self._transition = fit.transition._replace(rest=plain(fit.transition.rest))
-        self._alpha, self._slope = self._automatic_alpha(method, variable)
+        self._alpha = automatic_alpha(method, variable)
+        self._slope = 0.0
+        if self._alpha is not None:
+            o, value = method.options, float(plain(self._alpha))
+            # The derivative of the factor of r^-b.
+            self._slope = o.b * value ** (o.b - 1.0) * method.length ** (o.b - method.far)
         wanted = {
             "values": fit.values, "shift": fit.frame.shift, "turn": fit.frame.turn,
             "rest": fit.transition.rest, "alpha": self._alpha,
@@ -65,22 +70,6 @@ class IDWDerivative:
         """The nodes that it moves."""
         return self._bound.flat
 
-    def _automatic_alpha(self, method: PreparedIDW, variable: Tracked) -> tuple[Tracked | None, float]:
-        """Alpha by eq. 18, and the derivative of the factor of r^-b; none where alpha is given or at its limits."""
-        o = method.options
-        if o.weights != "luke" or o.alpha != "auto":
-            return None, 0.0
-        d = method._images.displaced(variable)  # type: ignore[arg-type]
-        frame = method._frame(d)
-        inside = d if frame.turn is None else frame.relative(method._images.points, d)
-        arm = inside - (method.area / method.area.sum()) @ inside
-        largest = int(np.argmax(np.linalg.norm(plain(arm), axis=1)))
-        alpha: Tracked = o.eta / method.length * np.linalg.norm(arm[largest])  # type: ignore[assignment]
-        value = float(plain(alpha))
-        if not _LEAST_ALPHA < value < ALPHA_CAP:
-            return None, 0.0
-        return alpha, o.b * value ** (o.b - 1.0) * method.length ** (o.b - method.far)
-
     def _turned(self) -> FloatArray | None:
         turn = self._fit.frame.turn
         return None if turn is None else plain(turn)
@@ -96,7 +85,7 @@ class IDWDerivative:
     def push(self, change: FloatArray, out: FloatArray) -> None:
         """Write the change of the nodes into their rows of ``out`` (n_nodes, 3), for one of the sources."""
         found = dict(
-            zip(self._numbers, self._tape.push(self._variable, change, list(self._numbers.values())), strict=True)
+            zip(self._numbers, self._tape.push({self._variable: change}, list(self._numbers.values())), strict=True)
         )
         bound, turn, rest = self._bound, self._turned(), found.get("rest", np.zeros(6))
         values, common = _apart(found["values"], self._sums.acting)
@@ -143,7 +132,22 @@ class IDWDerivative:
             "values": values, "shift": gradient[bound.flat].sum(axis=0), "turn": part[:9].reshape(3, 3),
             "rest": part[9:15], "alpha": part[15],
         }  # fmt: skip
-        return self._tape.pull(self._variable, {number: known[name] for name, number in self._numbers.items()})
+        given = {number: known[name] for name, number in self._numbers.items()}
+        return self._tape.pull(given, [self._variable])[0]
+
+
+def automatic_alpha(method: PreparedIDW, displacement: Tracked) -> Tracked | None:
+    """Alpha by eq. 18 at a displacement (n_sources, 3); ``None`` where it is given or at its limits."""
+    o = method.options
+    if o.weights != "luke" or o.alpha != "auto":
+        return None
+    d = method._images.displaced(displacement)  # type: ignore[arg-type]
+    frame = method._frame(d)
+    inside = d if frame.turn is None else frame.relative(method._images.points, d)
+    arm = inside - (method.area / method.area.sum()) @ inside
+    largest = int(np.argmax(np.linalg.norm(plain(arm), axis=1)))
+    alpha: Tracked = o.eta / method.length * np.linalg.norm(arm[largest])  # type: ignore[assignment]
+    return alpha if _LEAST_ALPHA < float(plain(alpha)) < ALPHA_CAP else None
 
 
 def _apart(values: FloatArray, acting: BoolArray) -> tuple[FloatArray, FloatArray]:

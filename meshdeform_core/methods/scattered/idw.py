@@ -133,6 +133,12 @@ class IDW:
         return PreparedIDW(self, problem)
 
 
+def farthest(points: FloatArray, centre: FloatArray) -> FloatArray:
+    """Largest distance of ``points`` (n, 3) from ``centre`` (eq. 17)."""
+    found: FloatArray = np.linalg.norm(points - centre, axis=1).max()
+    return found
+
+
 class PreparedIDW:
     """IDW bound to the sources of one undeformed grid."""
 
@@ -162,7 +168,7 @@ class PreparedIDW:
     def _length(self) -> float:
         if self.options.length != "auto":
             return float(self.options.length)
-        return float(np.linalg.norm(self._problem.source_points - self._problem.centroid, axis=1).max())
+        return float(farthest(self._problem.source_points, self._problem.centroid))
 
     def _width(self) -> float:
         """Fraction of the gap at either end of the transition, see ``transition``; 0 without a transition."""
@@ -290,7 +296,7 @@ class PreparedIDW:
             return tuple((p, 5.0, 0.0) for p in (o.p_moving, o.p_fixed)[: len(self.groups)])
         alpha = self._alpha(d) if o.alpha == "auto" else float(o.alpha)
         try:
-            near = alpha**o.b * self.length ** (o.b - self.far)
+            near = alpha**o.b * plain(self.length) ** (o.b - self.far)
         except OverflowError as error:
             raise MethodError(
                 f"method.idw: alpha^b L^(b - a) with alpha = {alpha:g}, L = {self.length:g}, a = {self.far:g}, "
@@ -299,8 +305,9 @@ class PreparedIDW:
         return ((self.far, o.b, near),)
 
     def _eq_18(self, d: FloatArray) -> float:
-        mean = (self.area / self.area.sum()) @ d
-        return self.options.eta / self.length * float(np.linalg.norm(d - mean, axis=1).max())
+        area = plain(self.area)
+        mean = (area / area.sum()) @ d
+        return self.options.eta / plain(self.length) * float(np.linalg.norm(d - mean, axis=1).max())
 
     def _alpha(self, d: FloatArray) -> float:
         full = self._eq_18(d)

@@ -52,7 +52,8 @@ def breadth(images: Images) -> float:
     moving = with_motion(images)
     area, x = images.area[moving], images.points[moving]
     reach = np.linalg.norm(x - area @ x / area.sum(), axis=1).max()
-    return float(area.sum() / (_PERIMETER * reach))
+    found: float = area.sum() / (_PERIMETER * reach)
+    return found
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,8 @@ from .groups import Group
 
 # Deviations relative to the size of a sub-block that are round-off.
 _ROUND_OFF = 1e-8
-# In sub-blocks thinner than this, relative to their length, the gradient across is not determined.
-_THINNEST = 1e-7
+THINNEST = 1e-7
+"""In sub-blocks thinner than this, relative to their length, the gradient across is not determined."""
 _CHUNKS = 64
 
 
@@ -60,15 +60,15 @@ class CurvedLines:
             table, deviation, _ = _measured(group, bent.rows)
             return cls(bent, table, deviation)
         rows = np.flatnonzero(inner_numbers(group.subs))
-        corners = _corners(group.subs)
-        size = np.abs(_arms(group.points, corners)).max(axis=(1, 2))
+        corners = corners_of(group.subs)
+        size = np.abs(arms(group.points, corners)).max(axis=(1, 2))
         # Most sub-blocks without deviations are found from one plane each; testing all would double the cost.
         _, _, largest = _measured(group, rows, one_plane=True)
         rows = rows[largest > _ROUND_OFF * size[rows]]
         table, deviation, largest = _measured(group, rows)
         found = largest > _ROUND_OFF * size[rows]
         rows, corners = rows[found], corners[rows[found]]
-        inverse = np.linalg.pinv(_arms(group.points, corners), rcond=_THINNEST)
+        inverse = np.linalg.pinv(arms(group.points, corners), rcond=THINNEST)
         return cls(Bent(rows, corners, np.asarray(inverse, dtype=np.float64)), table[found], deviation)
 
     def add(self, displacement: FloatArray) -> None:
@@ -110,12 +110,12 @@ def _chunk(subs: IntArray) -> int:
     return 1 + len(subs) // _CHUNKS
 
 
-def _arms(points: FloatArray, corners: IntArray) -> FloatArray:
+def arms(points: FloatArray, corners: IntArray) -> FloatArray:
     """Corners (n, 8, 3) relative to their mean."""
     return np.asarray(points[corners] - points[corners].mean(axis=1, keepdims=True))
 
 
-def _corners(subs: IntArray) -> IntArray:
+def corners_of(subs: IntArray) -> IntArray:
     """Flat indices (n, 8) of the corners of sub-blocks."""
     ends = np.stack([subs[:, 4:7], subs[:, 7:10]], axis=1)
     i, j, k = (ends[:, n, axis] for axis, n in enumerate(np.indices((2, 2, 2)).reshape(3, 8)))

@@ -180,9 +180,10 @@ class _Graph:
     """Harmonic extension to the free vertices.
 
     ``row``, ``known``, ``weight`` (m,) list the edges from free vertices to nodes that are known; ``factor`` is the
-    Laplacian of the free ones.
+    Laplacian of the free ones; ``segments`` are all edges.
     """
 
+    segments: _Segments
     factor: SuperLU
     row: IntArray
     known: IntArray
@@ -206,7 +207,7 @@ class _Graph:
         values = np.r_[diagonal, -weight[inner]]
         places = np.r_[every, one[inner]], np.r_[every, index[two[inner]]]
         laplacian = scipy.sparse.csc_array((values, places), shape=(n, n))
-        return cls(scipy.sparse.linalg.splu(laplacian), one[outer], two[outer], weight[outer])
+        return cls(segments, scipy.sparse.linalg.splu(laplacian), one[outer], two[outer], weight[outer])
 
     def solve(self, d: FloatArray) -> FloatArray:
         """Displacement of the free vertices from ``d`` (n_unique, 3) of the known nodes."""

@@ -71,7 +71,7 @@ def quality_gradient(
         corners = tape.variable(points[nodes])
         result = chosen.values(corners, side)
         weight = weights[first : first + len(nodes)]
-        np.add.at(gradient, nodes, tape.pull(corners.number, {result.number: weight}))
+        np.add.at(gradient, nodes, tape.pull({result.number: weight}, [corners.number])[0])
         first += len(nodes)
     return value, gradient
 

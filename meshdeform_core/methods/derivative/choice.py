@@ -1,0 +1,55 @@
+"""The derivative of any prepared method with respect to the displacement of the sources."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...grid import FloatArray
+from ...grid.connectivity.components import assembled
+from ..base import PreparedMethod
+from ..components import PreparedComponents
+from ..gaps import PreparedInGaps
+from .composite import Derivative, derivative_of_composite
+from .gaps import InGapsDerivative
+
+
+def derivative_of(method: PreparedMethod, displacement: FloatArray) -> Derivative:
+    """The derivative of a prepared method at one displacement (n_sources, 3).
+
+    Raises
+    ------
+    MethodError
+        For options without a derivative: greedy reduction, and weights that are recomputed on the way.
+    """
+    if isinstance(method, PreparedComponents):
+        return ComponentsDerivative(method, displacement)
+    if not isinstance(method, PreparedInGaps):
+        return derivative_of_composite(method, displacement)
+    closing = method.closing(displacement)
+    if closing is None:
+        return derivative_of_composite(method.method, displacement)
+    return InGapsDerivative(method, closing, displacement)
+
+
+class ComponentsDerivative:
+    """Of every component with respect to the displacement of its own sources."""
+
+    def __init__(self, method: PreparedComponents, displacement: FloatArray) -> None:
+        self._method, self._grid = method, method.problem.grid
+        self._own = [derivative_of(own, displacement[rows]) if own else None for _, own, rows in method.parts]
+        self.on_edges = sum(own.on_edges for own in self._own if own)
+
+    def push(self, change: FloatArray) -> FloatArray:
+        """Change (n_nodes, 3) for one of the sources (n_sources, 3)."""
+        moved = []
+        for ((component, _), _, rows), own in zip(self._method.parts, self._own, strict=True):
+            moved.append((component, own.push(change[rows]) if own else np.zeros(component.grid.points.shape)))
+        return assembled(self._grid, moved)
+
+    def pull(self, gradient: FloatArray) -> FloatArray:
+        """Gradient (n_sources, 3) from that (n_nodes, 3) of all block nodes."""
+        found = np.zeros((len(self._method.problem.source_numbers), 3))
+        for ((component, _), _, rows), own in zip(self._method.parts, self._own, strict=True):
+            if own:
+                found[rows] = own.pull(component.rows(self._grid, gradient))
+        return found

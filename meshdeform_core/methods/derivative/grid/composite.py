@@ -1,0 +1,163 @@
+"""Derivative of a composite with respect to displacements and to the grid."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+
+from ....errors import MethodError
+from ....grid import FloatArray
+from ...base import Mover, PreparedMethod
+from ...components import PreparedComponents
+from ...composite import PreparedComposite, _on_faces, _Scattered
+from ...gaps import PreparedInGaps
+from ...periodic_steps import PreparedPeriodic
+from ...scattered.idw import PreparedIDW
+from ...transfinite.edge_graph import PreparedEdgeGraph
+from ...transfinite.tfi import PreparedTFI
+from ..constraints import Constraints
+from .transfinite import EdgeGraphGridDerivative, TFIGridDerivative
+from .weighting import IDWGridDerivative
+
+
+class GridDerivative(Protocol):
+    """Derivative of the displacement (n_nodes, 3) of all block nodes with respect to that (n_sources, 3) of the sources
+    and to the grid; ``moved`` is the displacement, ``on_edges`` as for :class:`..composite.Derivative`."""
+
+    moved: FloatArray
+    on_edges: int
+
+    def push(self, change: FloatArray, dx: FloatArray) -> FloatArray:
+        """Change (n_nodes, 3) for those of the sources (n_sources, 3) and of the grid (n_nodes, 3)."""
+        ...
+
+    def pull(self, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Gradients (n_sources, 3) and (n_nodes, 3) from that (n_nodes, 3) of all block nodes."""
+        ...
+
+
+def grid_derivative_of(method: PreparedMethod, displacement: FloatArray) -> GridDerivative:
+    """The derivative at one displacement (n_sources, 3) of the sources.
+
+    Raises
+    ------
+    MethodError
+        As :func:`require_derivative`, and where gaps close.
+    """
+    require_derivative(method)
+    if isinstance(method, PreparedInGaps):
+        if method.closing(displacement) is not None:
+            raise MethodError("what is blended in closing gaps has no derivative with respect to the grid")
+        method = method.method
+    if isinstance(method, PreparedPeriodic):
+        return _Periodic(method, displacement)
+    assert isinstance(method, PreparedComposite)
+    return _Composite(method, displacement)
+
+
+def require_derivative(method: PreparedMethod) -> None:
+    """Refuse what has no derivative with respect to the grid.
+
+    Raises
+    ------
+    MethodError
+        For methods with radial basis functions, and for components.
+    """
+    text = "a method has no derivative with respect to the grid on which it is prepared"
+    if isinstance(method, PreparedComponents):
+        raise MethodError(f"{text} where the grid has components")
+    if isinstance(method, PreparedInGaps):
+        method = method.method
+    if isinstance(method, PreparedPeriodic):
+        method = method._rest
+    assert isinstance(method, PreparedComposite)
+    mover, filler = method._mover, method._filler
+    known = isinstance(mover, PreparedEdgeGraph) or (
+        isinstance(mover, _Scattered) and isinstance(mover._bound, PreparedIDW)
+    )
+    if not known or not (filler is None or isinstance(filler, PreparedTFI)):
+        raise MethodError(f"{text} with radial basis functions, whose systems depend on it")
+
+
+class _Composite:
+    def __init__(self, method: PreparedComposite, displacement: FloatArray) -> None:
+        self._problem, mover, filler = method._problem, method._mover, method._filler
+        out = np.full((self._problem.grid.n_nodes, 3), np.nan)
+        self._constraints = Constraints(self._problem, mover.move(displacement, out).copy())
+        self.on_edges = self._constraints.on_edges
+        self._mover = _first_step(mover, displacement)
+        self.moved = method.apply(displacement)
+        self._filler = TFIGridDerivative(filler, self.moved) if isinstance(filler, PreparedTFI) else None
+
+    def push(self, change: FloatArray, dx: FloatArray) -> FloatArray:
+        out = np.full((self._problem.grid.n_nodes, 3), np.nan)
+        self._constraints.impose(self._mover.push(change, dx, out), out, dx[self._problem.topology.first])
+        if self._filler:
+            self._filler.push(out, dx)
+        return out
+
+    def pull(self, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
+        g, of_grid, first = np.array(gradient), np.zeros_like(gradient), self._problem.topology.first
+        if self._filler:
+            self._filler.pull(g, of_grid)
+        of_first = np.zeros((len(first), 3))
+        face = self._constraints.gathered(g, of_first)
+        of_grid[first] += of_first
+        return self._mover.pull(face, g, of_grid), of_grid
+
+
+class _Periodic:
+    """Periodic nodes first, the others with them as sources."""
+
+    def __init__(self, method: PreparedPeriodic, displacement: FloatArray) -> None:
+        problem = method._problem
+        self._problem, self._sources = problem, method._guided.source_numbers
+        self._mover = _first_step(method._first, displacement)
+        face = method._on_faces(displacement, None)
+        self._constraints = Constraints(problem, face.copy())
+        boundary = problem.boundary
+        boundary.slip.constrain(face, problem.grid.points, problem.topology.first)
+        boundary.periodic.constrain(face, ~boundary.known)
+        assert isinstance(method._rest, PreparedComposite)
+        self._rest = _Composite(method._rest, face[self._sources])
+        self.moved, self.on_edges = self._rest.moved, self._constraints.on_edges + self._rest.on_edges
+
+    def push(self, change: FloatArray, dx: FloatArray) -> FloatArray:
+        face = self._mover.push(change, dx, np.zeros_like(dx))
+        self._constraints.push(face, dx[self._problem.topology.first])
+        return self._rest.push(face[self._sources], dx)
+
+    def pull(self, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
+        first = self._problem.topology.first
+        face, of_first = np.zeros((len(first), 3)), np.zeros((len(first), 3))
+        face[self._sources], of_grid = self._rest.pull(gradient)
+        self._constraints.pull(face, of_first)
+        of_grid[first] += of_first
+        return self._mover.pull(face, np.zeros_like(gradient), of_grid), of_grid
+
+
+def _first_step(mover: Mover, displacement: FloatArray) -> EdgeGraphGridDerivative | _Interpolated:
+    if isinstance(mover, PreparedEdgeGraph):
+        return EdgeGraphGridDerivative(mover, displacement)
+    return _Interpolated(mover, displacement)
+
+
+class _Interpolated:
+    """An interpolation as the first step; sources on faces move as they are told."""
+
+    def __init__(self, mover: Any, displacement: FloatArray) -> None:
+        self._problem = mover.problem
+        self._derivative = IDWGridDerivative(mover._bound, mover._evaluator.bound, displacement)
+
+    def push(self, change: FloatArray, dx: FloatArray, out: FloatArray) -> FloatArray:
+        self._derivative.push(change, dx, out)
+        face = _on_faces(out, self._problem)
+        face[self._problem.source_numbers] = change
+        return face
+
+    def pull(self, face: FloatArray, g: FloatArray, of_grid: FloatArray) -> FloatArray:
+        own = face[self._problem.source_numbers].copy()
+        face[self._problem.source_numbers] = 0.0
+        g[self._problem.topology.first] += face
+        return np.asarray(own + self._derivative.pull(g, of_grid))

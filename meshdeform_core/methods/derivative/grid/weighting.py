@@ -1,0 +1,222 @@
+"""Derivative of inverse distance weighting with respect to displacements and to the grid.
+
+Sources and nodes move, and with them areas, normals, the reference length and the breadth of the moving surface. Sums
+are exact ones of all pairs, whatever the method uses. Held fixed is what changes nothing: the origin of twists, and the
+unit of areas, of which weights and the ``crossing`` of the transition are multiples.
+"""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+from ....grid import FloatArray, IntArray
+from ....numerics.exact.direct_tangents import add_gradients, add_tangents
+from ....numerics.frame import Frame
+from ....numerics.rigid import finish
+from ....numerics.rotation import SurfaceRotations
+from ....numerics.tangents import finish_gradients, finish_tangents
+from ....numerics.tape import Tape, Tracked, plain
+from ....parallel import Shared, current_ranks, empty, for_chunks
+from ...base import nodal_area
+from ...scattered.idw import PreparedIDW, farthest
+from ...scattered.idw_sums import Bound, ExactEvaluator, SourceValues
+from ...scattered.transition import breadth
+from ..weighting import automatic_alpha
+
+_CHUNK = 2048
+_PORTIONS = 32
+
+
+class IDWGridDerivative:
+    """Derivative of the displacement of the nodes of an evaluator, with exact sums, at one displacement (n_sources, 3)
+    of the sources."""
+
+    def __init__(self, method: PreparedIDW, bound: Bound, displacement: FloatArray) -> None:
+        self._problem, self._bound, self._tape = method._problem, bound, Tape()
+        given = displacement, self._problem.source_points, self._problem.centroid
+        variables = [self._tape.variable(each) for each in given]
+        self._variables = [each.number for each in variables]
+        moving = _on_moving_sources(method, variables[1], variables[2])
+        fit = moving.fit(variables[0])  # type: ignore[arg-type]
+        self._fit = _values_of(fit)
+        kappa, strength = _kappa(moving, variables[0]), moving.strength
+        charges: Any = np.concatenate([strength.reshape(1, -1), strength * fit.values])
+        wanted = {
+            "charges": charges, "points": moving.points, "kappa": kappa, "shift": fit.frame.shift,
+            "turn": fit.frame.turn, "centre": fit.frame.centre, "rest": fit.transition.rest,
+        }  # fmt: skip
+        self._share = 0.0
+        if fit.transition.width > 0.0 and method._share and method._share.near != method._share.power:
+            # Of a change of the breadth: the crossing falls off as its power.
+            wanted["breadth"] = found = breadth(moving._images)
+            self._share = method._share.near / float(plain(found))
+        self._numbers = {name: each.number for name, each in wanted.items() if isinstance(each, Tracked)}
+        self._charges, self._y = np.ascontiguousarray(plain(charges)), np.ascontiguousarray(bound.sources.T)
+        self._portions = max(1, min(_PORTIONS, len(bound.flat) // _CHUNK))
+
+    def push(self, change: FloatArray, dx: FloatArray, out: FloatArray) -> None:
+        """Write the change of the nodes into their rows of ``out`` (n_nodes, 3), for changes of the sources
+        (n_sources, 3) and of the grid (n_nodes, 3)."""
+        topology, bound = self._problem.topology, self._bound
+        mean = dx.sum(axis=0) - dx[topology.face_nodes].sum(axis=0) + dx[topology.first].sum(axis=0)
+        given = change, dx[self._problem.source_flat], mean / self._problem.n_unique_nodes
+        changes = dict(zip(self._variables, given, strict=True))
+        found = dict(zip(self._numbers, self._tape.push(changes, list(self._numbers.values())), strict=True))
+        charges, dy = (np.ascontiguousarray(each) for each in (found["charges"], found["points"].T))
+        rest, frame = found.get("rest", np.zeros(6)), self._fit.frame
+
+        def work(lo: int, hi: int) -> None:
+            flat = bound.flat[lo:hi]
+            x, own = bound.grid.points[flat], dx[flat]
+            sums = self._sums(flat)
+            total = self._share * float(found.get("breadth", 0.0)) * sums
+            for group, (a, b, kappa) in zip(bound.groups, self._fit.weights, strict=True):
+                ends = x, own, self._y[:, group], dy[:, group], self._charges[:, group], charges[:, group]
+                add_tangents(*ends, a, b, kappa, float(found.get("kappa", 0.0)), total)
+            kind, inside = (bound.rotation, sums, x - self._fit.origin), (bound.repeats, self._fit.transition)
+            moved = finish_tangents(*kind, total, *inside, rest)
+            moved += np.einsum("nij,nj->ni", self._slope(*kind), own)
+            if frame.turn is not None and frame.centre is not None:
+                seen = self._moved(*kind) + x - frame.centre
+                apart = own - found["centre"]
+                moved = moved @ frame.turn.T + seen @ found["turn"].T + apart @ (frame.turn - np.eye(3)).T
+            out[flat] = moved + found.get("shift", 0.0)
+
+        for_chunks(work, len(bound.flat), _CHUNK, shared=[Shared(out, lambda lo, hi: bound.flat[lo:hi])])
+
+    def pull(self, gradient: FloatArray, of_grid: FloatArray) -> FloatArray:
+        """Gradient (n_sources, 3) from that of the nodes, rows of ``gradient`` (n_nodes, 3); adds that of the grid."""
+        bound, frame = self._bound, self._fit.frame
+        columns, n = self._charges.shape
+        cut = np.linspace(0, len(bound.flat), self._portions + 1).astype(np.int64)
+        # Of every portion: gradients of charges, points; of turn, centre, rest, kappa, breadth.
+        of_sources, rest = empty((self._portions, columns + 3, n)), np.zeros((self._portions, 9 + 3 + 6 + 1 + 1))
+        of_x = empty((len(bound.flat), 3))
+
+        def work(lo: int, hi: int) -> None:
+            for portion in range(lo, hi):
+                of_sources[portion] = 0.0
+                for first in range(cut[portion], cut[portion + 1], _CHUNK):
+                    rows = slice(first, min(first + _CHUNK, int(cut[portion + 1])))
+                    of_x[rows] = self._pull_rows(gradient, bound.flat[rows], of_sources[portion], rest[portion])
+
+        rows = [Shared(of_sources), Shared(of_x, lambda lo, hi: range(cut[lo], cut[hi]))]
+        for_chunks(work, self._portions, 1, shared=rows)
+        part = np.sum(current_ranks().gather([rest]), axis=(0, 1))
+        sources = np.asarray(sum(of_sources[portion] for portion in range(self._portions)))
+        known = {
+            "charges": sources[:columns], "points": sources[columns:].T, "shift": gradient[bound.flat].sum(axis=0),
+            "turn": part[:9].reshape(3, 3), "centre": part[9:12], "rest": part[12:18], "kappa": part[18],
+            "breadth": part[19],
+        }  # fmt: skip
+        assert frame.turn is None or "centre" in self._numbers
+        given = {number: known[name] for name, number in self._numbers.items()}
+        of_change, of_points, of_centroid = self._tape.pull(given, self._variables)
+        of_grid[bound.flat] += of_x
+        topology, mean = self._problem.topology, of_centroid / self._problem.n_unique_nodes
+        of_grid += mean
+        of_grid[topology.face_nodes] -= mean
+        of_grid[topology.first] += mean
+        of_grid[self._problem.source_flat] += of_points
+        return of_change
+
+    def _pull_rows(self, gradient: FloatArray, flat: IntArray, of_sources: FloatArray, rest: FloatArray) -> FloatArray:
+        """Gradients of the positions of some nodes; adds to those of sources and of what is common to all."""
+        bound, fit, columns = self._bound, self._fit, len(self._charges)
+        g, x, sums = gradient[flat], bound.grid.points[flat], self._sums(flat)
+        kind, inside = (bound.rotation, sums, x - fit.origin), (bound.repeats, fit.transition)
+        of_x = np.zeros_like(x)
+        if fit.frame.turn is not None and fit.frame.centre is not None:
+            rest[:9] += (g.T @ (self._moved(*kind) + x - fit.frame.centre)).ravel()
+            of_x += g @ (fit.frame.turn - np.eye(3))
+            rest[9:12] -= of_x.sum(axis=0)
+            g = g @ fit.frame.turn
+        of_x += np.einsum("nij,ni->nj", self._slope(*kind), g)
+        of_sums, of_rest = finish_gradients(*kind, g, *inside)
+        rest[12:18] += of_rest
+        rest[19] += self._share * np.einsum("nk,nk->", of_sums, sums)
+        for group, (a, b, kappa) in zip(bound.groups, fit.weights, strict=True):
+            some = self._y[:, group], self._charges[:, group]
+            of_y, of_charges = np.zeros((3, len(group))), np.zeros((columns, len(group)))
+            rest[18] += add_gradients(x, *some, a, b, kappa, of_sums, of_x, of_y, of_charges)
+            of_sources[:columns, group] += of_charges
+            of_sources[columns:, group] += of_y
+        return of_x
+
+    def _sums(self, flat: IntArray) -> FloatArray:
+        """Sums (n, 1 + k) at some nodes."""
+        bound = self._bound
+        return ExactEvaluator(bound)._sums(self._fit, bound.grid.points[flat], bound.sources)
+
+    def _moved(self, kind: str, sums: FloatArray, x: FloatArray) -> FloatArray:
+        """Displacement (n, 3) within the frame of nodes at ``x``, relative to the origin."""
+        moved = np.empty_like(x)
+        finish(kind, sums, x, moved, self._bound.repeats, self._fit.transition)
+        return moved
+
+    def _slope(self, kind: str, sums: FloatArray, x: FloatArray) -> FloatArray:
+        """Its derivative (n, 3, 3) with respect to ``x`` for fixed sums: rigid and affine motions are linear in it."""
+        base = self._moved(kind, sums, np.zeros_like(x))
+        columns = [self._moved(kind, sums, np.tile(e, (len(x), 1))) - base for e in np.eye(3)]
+        return np.stack(columns, axis=2)
+
+
+def _values_of(fit: SourceValues) -> SourceValues:
+    """What was recorded, as plain arrays."""
+    frame, transition = fit.frame, fit.transition
+    return dataclasses.replace(
+        fit,
+        values=plain(fit.values),
+        transition=transition._replace(rest=plain(transition.rest)),
+        frame=Frame(plain(frame.shift), plain(frame.turn), plain(frame.centre)),
+    )
+
+
+def _on_moving_sources(method: PreparedIDW, points: Tracked, centroid: Tracked) -> PreparedIDW:
+    """The method with recorded positions of sources and of the centroid of all nodes."""
+    images, problem, o = method._images, method._problem, method.options
+    fixed = images.points - np.einsum("nij,nj->ni", images.reflection, problem.source_points[images.owner])
+    moved: Any = np.einsum("nij,nj->ni", images.reflection, points[images.owner]) + fixed
+    # A node on a mirror counts the areas on both sides.
+    before = problem.surface.area[images.owner]
+    sides = np.divide(images.area, before, out=np.ones_like(before), where=before > 0.0)
+    area: Any = nodal_area(points, problem.source_faces)[images.owner] * sides  # type: ignore[arg-type]
+    found = copy.copy(method)
+    found._images = dataclasses.replace(images, points=moved, area=area)
+    found.area, found.points = area, moved
+    found._rotations = SurfaceRotations(moved, images.corners, images.edges, problem.plane_normal)
+    if o.length == "auto":
+        found.length = farthest(points, centroid)  # type: ignore[assignment, arg-type]
+    found.strength = _strength(method, area, found.length)
+    return found
+
+
+def _strength(method: PreparedIDW, area: Any, length: Any) -> Any:
+    """What :class:`PreparedIDW` weights sources with, in its units."""
+    o = method.options
+    if o.weights == "luke":
+        return area * (1.0 / method.area.max())
+    if len(method.groups) == 1:
+        return method.strength
+    return np.where(method._images.moving, length**o.p_moving, length**o.p_fixed)
+
+
+def _kappa(method: PreparedIDW, displacement: Tracked) -> Any:
+    """The factor of r^-b, where it depends on anything."""
+    o = method.options
+    if o.weights != "luke":
+        return 0.0
+    alpha: Any = automatic_alpha(method, displacement)
+    if alpha is None:
+        alpha = _plain_alpha(method, displacement)
+    return alpha**o.b * method.length ** (o.b - method.far)
+
+
+def _plain_alpha(method: PreparedIDW, displacement: Tracked) -> float:
+    """Alpha where it does not depend on the displacement: given, or at its limits."""
+    o = method.options
+    return method._alpha(plain(displacement)) if o.alpha == "auto" else float(o.alpha)

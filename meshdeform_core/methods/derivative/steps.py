@@ -1,0 +1,71 @@
+"""Derivative of a motion that is imposed in several steps, each prepared on the grid that the last one has reached."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from ...grid import FloatArray
+from .. import Options, PreparedMethod, prepare_method
+from ..base import Problem
+from .choice import derivative_of
+from .grid.composite import GridDerivative, grid_derivative_of, require_derivative
+
+
+class StepsDerivative:
+    """The chain rule: later steps depend on the grid that they start from, too.
+
+    Parameters
+    ----------
+    first, options, problem : the method prepared on the undeformed grid, its options, and that grid
+    displacement : (n_sources, 3) at the end of the motion
+    fractions : of the motion at the end of each step
+
+    Attributes
+    ----------
+    points : (n_nodes, 3) the grid reached, without repairs
+    on_edges : number of sliding nodes at which there is no derivative, see :class:`.constraints.Constraints`
+
+    Raises
+    ------
+    MethodError
+        Where a method has no derivative with respect to the grid.
+    """
+
+    def __init__(
+        self,
+        first: PreparedMethod,
+        options: Options,
+        problem: Problem,
+        displacement: FloatArray,
+        fractions: Sequence[float],
+    ) -> None:
+        require_derivative(first)
+        self._parts = np.diff(fractions, prepend=0.0)
+        imposed = fractions[0] * displacement
+        self._first, points = derivative_of(first, imposed), problem.grid.points + first.apply(imposed)
+        self._later: list[GridDerivative] = []
+        for fraction in fractions[1:]:
+            method = prepare_method(options, dataclasses.replace(problem, grid=problem.grid.moved(points)))
+            target = fraction * displacement
+            self._later.append(grid_derivative_of(method, target - imposed))
+            imposed, points = target, points + self._later[-1].moved
+        self.points = points
+        self.on_edges = self._first.on_edges + sum(step.on_edges for step in self._later)
+
+    def push(self, change: FloatArray) -> FloatArray:
+        """Change (n_nodes, 3) for one of the sources (n_sources, 3)."""
+        moved = self._first.push(self._parts[0] * change)
+        for part, step in zip(self._parts[1:], self._later, strict=True):
+            moved += step.push(part * change, moved)
+        return moved
+
+    def pull(self, gradient: FloatArray) -> FloatArray:
+        """Gradient (n_sources, 3) from that (n_nodes, 3) of all block nodes."""
+        found, g = np.zeros_like(gradient[:1]), np.array(gradient)
+        for part, step in zip(self._parts[:0:-1], self._later[::-1], strict=True):
+            own, of_grid = step.pull(g)
+            found, g = found + part * own, g + of_grid
+        return np.asarray(found + self._parts[0] * self._first.pull(g))

@@ -1,0 +1,119 @@
+"""Derivatives of exact inverse-distance sums with respect to everything they depend on: both ends, charges, kappa.
+
+For sums of charge * (r^-a + kappa r^-b) at targets x over sources y, whose changes are dx, dy. Charges and positions of
+sources have a row per component, so that the loops over sources are vectorised.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..jit import fast_kernel, inlined
+from .elementary import exp, log
+
+_TILE = 128
+# Rows of work arrays.
+_WEIGHT, _FAR, _SLOPE = 0, 1, 2
+
+
+@inlined
+def _weights(px, py, pz, tile, m, a, b, kappa, work):
+    """Of ``m`` sources: r^-a + kappa r^-b, r^-b, and the derivative of the former with respect to r, over r."""
+    # Whole exponents need no logarithms, as in :mod:`.direct`.
+    whole = (a == 3.0 or a == 4.0) and b == 5.0
+    three, four = (1.0, 0.0) if a == 3.0 else (0.0, 1.0)
+    for s in range(m):
+        dx, dy, dz = px - tile[0, s], py - tile[1, s], pz - tile[2, s]
+        work[_SLOPE, s] = 1.0 / (dx * dx + dy * dy + dz * dz)
+    for s in range(m):
+        square = work[_SLOPE, s]
+        if whole:
+            r = math.sqrt(square)
+            one, other = square * r * (three + four * r), square * square * r
+        else:
+            log_r = 0.5 * log(square)
+            one, other = exp(a * log_r), exp(b * log_r)
+        work[_WEIGHT, s], work[_FAR, s] = one + kappa * other, other
+        work[_SLOPE, s] = -(a * one + b * kappa * other) * square
+
+
+@inlined
+def _load(y, first, m, row, tile):
+    for d in range(3):
+        for s in range(m):
+            tile[row + d, s] = y[d, first + s]
+
+
+@fast_kernel
+def add_tangents(x, dx, y, dy, charges, changes, a, b, kappa, d_kappa, out):
+    """Add to ``out`` (n, c) the change of the sums at targets.
+
+    Parameters
+    ----------
+    x, dx : (n, 3) targets and their change
+    y, dy : (3, m) sources and their change
+    charges, changes : (c, m) of the sources
+    d_kappa : change of kappa
+    """
+    # Arrays of a fixed size: the compiler sees that their rows do not alias.
+    work, tile = np.empty((3, _TILE)), np.empty((6, _TILE))
+    for first in range(0, y.shape[1], _TILE):
+        m = min(_TILE, y.shape[1] - first)
+        _load(y, first, m, 0, tile)
+        _load(dy, first, m, 3, tile)
+        for t in range(x.shape[0]):
+            px, py, pz, ex, ey, ez = x[t, 0], x[t, 1], x[t, 2], dx[t, 0], dx[t, 1], dx[t, 2]
+            _weights(px, py, pz, tile, m, a, b, kappa, work)
+            for s in range(m):
+                along = (px - tile[0, s]) * (ex - tile[3, s]) + (py - tile[1, s]) * (ey - tile[4, s])
+                along += (pz - tile[2, s]) * (ez - tile[5, s])
+                work[_SLOPE, s] = work[_SLOPE, s] * along + d_kappa * work[_FAR, s]
+            for c in range(charges.shape[0]):
+                total = 0.0
+                for s in range(m):
+                    total += work[_SLOPE, s] * charges[c, first + s] + work[_WEIGHT, s] * changes[c, first + s]
+                out[t, c] += total
+
+
+@fast_kernel
+def add_gradients(x, y, charges, a, b, kappa, gradient, of_x, of_y, of_charges):
+    """The transpose: add gradients, with the shapes of :func:`add_tangents`, from ``gradient`` (n, c) of the sums.
+
+    Returns the gradient of kappa.
+    """
+    work, tile, along, gain = np.empty((3, _TILE)), np.empty((3, _TILE)), np.empty(_TILE), np.empty((3, _TILE))
+    of_kappa = 0.0
+    for first in range(0, y.shape[1], _TILE):
+        m = min(_TILE, y.shape[1] - first)
+        _load(y, first, m, 0, tile)
+        for s in range(m):
+            gain[0, s] = gain[1, s] = gain[2, s] = 0.0
+        for t in range(x.shape[0]):
+            px, py, pz = x[t, 0], x[t, 1], x[t, 2]
+            _weights(px, py, pz, tile, m, a, b, kappa, work)
+            for s in range(m):
+                along[s] = 0.0
+            for c in range(charges.shape[0]):
+                g, own, rest = gradient[t, c], charges[c], of_charges[c]
+                for s in range(m):
+                    along[s] += g * own[first + s]
+                for s in range(m):
+                    rest[first + s] += g * work[_WEIGHT, s]
+            total0 = total1 = total2 = 0.0
+            for s in range(m):
+                of_kappa += along[s] * work[_FAR, s]
+                part = along[s] * work[_SLOPE, s]
+                g0, g1, g2 = part * (px - tile[0, s]), part * (py - tile[1, s]), part * (pz - tile[2, s])
+                total0, total1, total2 = total0 + g0, total1 + g1, total2 + g2
+                gain[0, s] -= g0
+                gain[1, s] -= g1
+                gain[2, s] -= g2
+            of_x[t, 0] += total0
+            of_x[t, 1] += total1
+            of_x[t, 2] += total2
+        for d in range(3):
+            for s in range(m):
+                of_y[d, first + s] += gain[d, s]
+    return of_kappa

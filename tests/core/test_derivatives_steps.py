@@ -1,0 +1,68 @@
+"""Derivatives of several steps: later ones are prepared on the grid that the first has reached, and depend on it."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from cases import ALL_METHODS, body_specs, problem_of, turning
+from derivative_cases import KINDS, METHODS, directions
+from grids import frame
+
+from meshdeform_core.errors import MethodError
+from meshdeform_core.methods import make_method, prepare_method
+from meshdeform_core.methods.derivative import StepsDerivative
+
+PLACES = KINDS | {"sub-blocks": lambda: problem_of(frame(7, 5), body_specs(turning(10)))}
+OF_IDW = [(name, "slip") for name in METHODS if name.startswith("idw") and name not in ("idw-rbf", "idw-tfi")]
+BOUNDARIES = [(name, kind) for kind in PLACES if kind != "slip" for name in ("tfi", "idw-tfi")]
+ENDS = (0.4, 0.7, 1.0)
+
+
+def imposed(options, where, displacement):
+    """The grid that the steps reach, by preparing each one anew."""
+    points, before = where.grid.points, 0.0 * displacement
+    for end in ENDS:
+        here = dataclasses.replace(where, grid=where.grid.moved(points))
+        points = points + prepare_method(options, here).apply(end * displacement - before)
+        before = end * displacement
+    return points
+
+
+@pytest.mark.parametrize(("name", "kind"), [("tfi", "slip"), *OF_IDW, *BOUNDARIES])
+def test_central_differences_and_transposes(name, kind):
+    where, options = PLACES[kind](), METHODS[name]
+    smooth, rough = directions(where)
+    # Of a symmetric body several nodes are the farthest from its centre, and on a curved surface none may pass an edge.
+    at = (0.3 if kind == "curved slip" else 1.0) * smooth * (1.0 + 0.2 * where.source_points @ [[1.0], [0.5], [0.3]])
+    change = 0.02 * rough + 0.01 * smooth[:, [1, 0, 2]]
+    found = StepsDerivative(make_method(options).prepare(where), options, where, at, ENDS)
+    np.testing.assert_allclose(found.points, imposed(options, where, at), rtol=0, atol=1e-14)
+    assert found.on_edges == 0
+    moved, errors = found.push(change), []
+    for h in (1e-3, 2.5e-4):
+        one, two = (imposed(options, where, at + sign * h * change) for sign in (1, -1))
+        errors.append(np.abs((one - two) / (2.0 * h) - moved).max() / np.abs(moved).max())
+    assert errors[1] < 1e-6
+    assert errors[1] < errors[0] / 12 or errors[1] < 1e-9
+    weight = np.random.default_rng(6).standard_normal(moved.shape)
+    gap = (weight * moved).sum() - (found.pull(weight) * change).sum()
+    assert abs(gap) < 1e-12 * np.linalg.norm(weight) * np.linalg.norm(moved)
+
+
+def test_later_steps_are_not_those_of_the_first_grid():
+    """What the chain rule adds is large enough for the differences above to see it."""
+    where, options = PLACES["slip"](), METHODS["idw-tfi"]
+    smooth, rough = directions(where)
+    found = StepsDerivative(make_method(options).prepare(where), options, where, smooth, ENDS)
+    moved, apart = found.push(rough), found._first.push(ENDS[0] * rough)
+    for part, step in zip(found._parts[1:], found._later, strict=True):
+        apart = apart + step.push(part * rough, np.zeros_like(moved))
+    assert np.abs(moved - apart).max() > 0.01 * np.abs(moved).max()
+
+
+@pytest.mark.parametrize("name", ["rbf-tps", "rbf-tfi", "idw-rbf"])
+def test_systems_are_refused(name):
+    where, options = PLACES["slip"](), ALL_METHODS[name]
+    method = make_method(options).prepare(where)
+    with pytest.raises(MethodError, match="radial basis functions"):
+        StepsDerivative(method, options, where, directions(where)[0], ENDS)
