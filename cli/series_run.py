@@ -34,7 +34,8 @@ from meshdeform_formats.series.manifest import NAME, Manifest, ingredients_of
 from meshdeform_formats.series.outputs import LevelFiles, SeriesFiles, SingleFile
 
 from .forecast import forecast
-from .options import GridInput, RunInput, keep_inputs
+from .options import GridInput, RunInput
+from .outputs import keep_inputs
 from .process.messages import Warnings
 from .process.progress import ProgressBar, writing
 from .work import Job, cells_of

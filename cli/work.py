@@ -34,7 +34,8 @@ from meshdeform_formats.report.illustrations import Illustrate, deformation_figu
 from meshdeform_formats.report.text import as_text
 
 from .exit_codes import EXIT_INVALID
-from .options import CaseInput, GridInput, RunInput, keep_inputs
+from .options import CaseInput, GridInput, RunInput
+from .outputs import keep_inputs
 from .process.messages import tell
 from .process.progress import ProgressBar, writing
 from .reporting import STDOUT, Delivery, deliver

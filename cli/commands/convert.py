@@ -16,7 +16,6 @@ from ..options import (
     OUTPUT,
     PATH,
     GridInput,
-    check_output,
     field_option,
     force_option,
     grid_options,
@@ -24,6 +23,7 @@ from ..options import (
     quiet_option,
     variant_option,
 )
+from ..outputs import check_output
 from ..process.messages import tell
 from ..process.progress import ProgressBar, writing
 

@@ -9,18 +9,8 @@ import click
 
 from meshdeform_core.errors import CaseError
 
-from ..options import (
-    OUTPUT,
-    CaseInput,
-    FiniteNumber,
-    GridInput,
-    RunInput,
-    case_options,
-    check_output,
-    check_reports,
-    grid_options,
-    run_options,
-)
+from ..options import OUTPUT, CaseInput, FiniteNumber, GridInput, RunInput, case_options, grid_options, run_options
+from ..outputs import check_output, check_reports
 from ..process.machine import use_threads
 from ..process.progress import ProgressBar
 

@@ -12,7 +12,8 @@ import numpy as np
 from meshdeform_formats.text.json import json_text
 
 from ..info_text import as_text
-from ..options import PATH, GridInput, check_output, force_option, grid_options, json_option
+from ..options import PATH, GridInput, force_option, grid_options, json_option
+from ..outputs import check_output
 
 if TYPE_CHECKING:
     from meshdeform_core.grid import Connection, Grid, Patch

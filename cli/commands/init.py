@@ -9,7 +9,8 @@ import click
 
 from meshdeform_core.errors import CaseError
 
-from ..options import PATH, GridInput, check_output, force_option, grid_options
+from ..options import PATH, GridInput, force_option, grid_options
+from ..outputs import check_output
 
 
 @click.command("init")

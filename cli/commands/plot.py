@@ -13,7 +13,8 @@ import click
 from .. import completion
 from ..measured import measured
 from ..measures import MEASURES
-from ..options import PATH, FiniteNumber, GridInput, check_output, force_option, grid_options
+from ..options import PATH, FiniteNumber, GridInput, force_option, grid_options
+from ..outputs import check_output
 from ..process.progress import ProgressBar
 
 if TYPE_CHECKING:
@@ -79,10 +80,10 @@ def command(
     installed; the reference is then the grid that the series was made of, unless it has changed.
     """
     from meshdeform_formats.files import shown
-    from meshdeform_formats.picture import check_picture_path, picture, request_of, save_page
+    from meshdeform_formats.picture import PlotOptions, check_picture_path, picture, save_page
     from meshdeform_formats.series.levels import is_series
 
-    request = request_of(**options, lead="--")  # type: ignore[arg-type]
+    request = PlotOptions(**options, lead="--").request()  # type: ignore[arg-type]
     if is_series(source.path):
         return _film(source, output, reference, title, rate, force, request)
     check_picture_path(output)

@@ -14,16 +14,15 @@ from ..options import (
     PATH,
     CaseInput,
     GridInput,
-    check_reports,
     force_option,
     grid_options,
     json_option,
     judged_case_options,
-    keep_inputs,
     quiet_option,
     report_option,
     threads_option,
 )
+from ..outputs import check_reports, keep_inputs
 from ..process.machine import use_threads
 from ..process.messages import Warnings
 from ..process.progress import ProgressBar

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..exit_codes import EXIT_INVALID
-from ..options import OUTPUT, PATH, CaseInput, GridInput, RunInput, check_reports, grid_options, run_options
+from ..options import OUTPUT, PATH, CaseInput, GridInput, RunInput, grid_options, run_options
+from ..outputs import check_reports, keep_inputs
 from ..process.machine import use_threads
 from ..process.messages import tell
 from ..process.progress import ProgressBar, writing
@@ -83,8 +84,6 @@ def repaired(
     from meshdeform_formats.grids import complete_for_export, read_grid, require_earlier_grid, variant_of
     from meshdeform_formats.placing import require_space
     from meshdeform_formats.report import mended_report
-
-    from ..options import keep_inputs
 
     what = case.read()
     for path in (*run.reports, *([output] if output else [])):

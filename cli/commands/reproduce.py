@@ -8,7 +8,8 @@ import click
 
 from meshdeform_core.errors import CaseError
 
-from ..options import PATH, check_output, force_option, quiet_option, threads_option
+from ..options import PATH, force_option, quiet_option, threads_option
+from ..outputs import check_output
 from ..process.machine import use_threads
 
 _RESULT = "results.json"

@@ -12,7 +12,8 @@ from meshdeform_core.errors import CaseError
 from meshdeform_formats.text.wording import counted
 
 from .. import completion
-from ..options import PATH, check_output, force_option, parse_pairs, variant_option
+from ..options import PATH, force_option, parse_pairs, variant_option
+from ..outputs import check_output
 
 if TYPE_CHECKING:
     from meshdeform_core.grid import Grid

@@ -11,7 +11,8 @@ import click
 
 from meshdeform_core.parallel import current_ranks
 
-from ..options import PATH, CaseInput, GridInput, RunInput, case_options, check_reports, grid_options, run_options
+from ..options import PATH, CaseInput, GridInput, RunInput, case_options, grid_options, run_options
+from ..outputs import check_reports
 from ..process.machine import use_threads
 from ..process.progress import ProgressBar
 from .deform import parse_steps

@@ -10,7 +10,8 @@ import click
 
 from ..measured import measured
 from ..measures import MEASURES
-from ..options import PATH, GridInput, check_output, force_option, grid_options
+from ..options import PATH, GridInput, force_option, grid_options
+from ..outputs import check_output
 
 
 @click.command("view")

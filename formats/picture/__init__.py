@@ -8,12 +8,13 @@ from .comparison import Pair, apart, moved_walls, plane_around, quality_planes, 
 from .content.facets import Facets, block_facets, cut_facets, joined, plane_facets, surface_facets
 from .content.subject import METRICS, Subject
 from .content.worst import worst_cell
-from .drawing.figure import FILMS, STYLE, SUFFIXES, Page, Panel, check_picture_path, page_figure, page_png, save_page
+from .drawing.figure import FILMS, STYLE, SUFFIXES, check_picture_path, page_figure, page_png, save_page
+from .drawing.page import Page, Panel
 from .drawing.vector import draw
 from .overview import Choice, overview
+from .plot_options import PlotOptions
 from .request import Request, picture
 from .view import along
-from .words import request_of
 
 __all__ = [
     "FILMS",
@@ -25,6 +26,7 @@ __all__ = [
     "Page",
     "Pair",
     "Panel",
+    "PlotOptions",
     "Request",
     "Subject",
     "along",
@@ -43,7 +45,6 @@ __all__ = [
     "plane_around",
     "plane_facets",
     "quality_planes",
-    "request_of",
     "save_page",
     "surface_facets",
     "worst_cell",

@@ -14,8 +14,8 @@ from .content.facets import Facets, block_outlines, joined
 from .content.subject import Subject
 from .content.walls import body_walls, corners_of, onto_walls
 from .drawing.colours import colour_of, group_colours
-from .drawing.figure import Page, Panel
 from .drawing.image import Scene
+from .drawing.page import Page, Panel
 from .overview import Choice, overview
 from .view import View, shaped, window_of
 

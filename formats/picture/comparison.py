@@ -14,12 +14,13 @@ from meshdeform_core.grid.planes import Plane
 from meshdeform_core.grid.topology import Topology
 from meshdeform_core.quality import Original
 
+from .content.end_plane import is_flat, plane_of_grid
 from .content.facets import Facets, block_facets, block_outlines, cut_facets, joined, surface_facets
 from .content.subject import Subject
 from .content.walls import body_walls, middle_plane, nodes_of, onto_walls
-from .drawing.figure import Page, Panel
 from .drawing.image import Scene
-from .overview import Choice, flat_scene, moved_into, plane_of_grid
+from .drawing.page import Page, Panel
+from .overview import Choice, flat_scene, moved_into
 from .view import View, Window, facing, shaped, window_of
 
 _GREY = np.array([0.72, 0.74, 0.78])
@@ -58,7 +59,7 @@ def moved_walls(pair: Pair, quads: IntArray, title: str = "") -> Page:
     quads : the moving face quads of a 3-D grid; for a 2-D or extruded grid the plane around them is shown
     """
     old, new = pair.old, pair.new
-    if plane_of_grid(old, Choice()) is not None:
+    if is_flat(old):
         return _flat_walls(pair, quads, title)
     choice = Choice("displacement")
     view = onto_walls(old)
@@ -87,7 +88,7 @@ def _displaced(subject: Subject, quads: IntArray) -> Facets:
 def _flat_walls(pair: Pair, quads: IntArray, title: str) -> Page:
     choice = Choice()
     nodes = pair.topology.first[np.unique(pair.topology.quads.corners[quads])]
-    planes = [plane_of_grid(subject, choice) for subject in (pair.old, pair.new)]
+    planes = [plane_of_grid(subject, choice.metric) for subject in (pair.old, pair.new)]
     found = [plane for plane in planes if plane is not None]
     view = found[0][2]
     points = np.concatenate([pair.before.points[nodes], pair.after.points[nodes]])
@@ -125,7 +126,7 @@ def worst_cells(
     panels."""
     choice = choice or Choice()
     old, new = pair.old, pair.new
-    flat = plane_of_grid(old, choice), plane_of_grid(new, choice)
+    flat = plane_of_grid(old, choice.metric), plane_of_grid(new, choice.metric)
     if flat[0] is not None and flat[1] is not None:
         planes, view = [flat[0], flat[1]], flat[0][2]
         sizes = _surroundings(pair, block, cell, view)
@@ -227,7 +228,7 @@ def _planes_around(pair: Pair, choice: Choice, points: FloatArray, title: str) -
 
 def _plane_at(subject: Subject, choice: Choice) -> Flat:
     """The plane of a flat grid, else a cut through the middle of the bodies."""
-    flat = plane_of_grid(subject, choice)
+    flat = plane_of_grid(subject, choice.metric)
     if flat is not None:
         return flat
     plane = middle_plane(subject)

@@ -17,8 +17,9 @@ from meshdeform_core.errors import FormatError
 from ..files import replacing
 from .content.subject import Subject
 from .drawing.colours import DIVERGING, SEQUENTIAL, Scale, scale_of
-from .drawing.figure import FILMS, Page, page_png
+from .drawing.figure import FILMS, page_png
 from .drawing.image import INVALID_COLOUR
+from .drawing.page import Page
 from .overview import Choice
 from .request import Request, picture
 from .view import Window

@@ -15,14 +15,15 @@ from meshdeform_core.grid.selection import select_quads
 from meshdeform_core.numerics.arrays import extent
 
 from .comparison import Pair, worst_cells
+from .content.end_plane import plane_of_grid
 from .content.facets import Facets, block_outlines, cut_facets, plane_facets, plane_outlines, surface_facets
 from .content.subject import Subject
 from .content.walls import all_walls, corners_of, onto_walls, quads_of
 from .content.worst import worst_cell
 from .drawing.colours import Scale
-from .drawing.figure import Page, Panel
 from .drawing.image import Scene
-from .overview import Choice, flat_scene, overview, plane_of_grid
+from .drawing.page import Page, Panel
+from .overview import Choice, flat_scene, overview
 from .view import View, Window, along, facing, iso, shaped, window_of
 
 _ARROWS = 20
@@ -129,7 +130,7 @@ def _part(subject: Subject, request: Request) -> _Part:
         facets = plane_facets(subject, axis, index, metric, blocks)
         outlines = plane_outlines(subject, axis, index, blocks)
         return _Part(facets, outlines, *_view_of(facets))
-    flat = plane_of_grid(subject, request.choice)
+    flat = plane_of_grid(subject, metric)
     if flat is not None:
         return _Part(*flat, False)
     walls = all_walls(subject)
@@ -196,7 +197,7 @@ def _window(subject: Subject, request: Request, part: _Part, old: _Part | None, 
     if request.zoom == "walls":
         walls = all_walls(subject)
         if not walls:
-            raise CaseError("--zoom walls: no wall is known; see `meshdeform info`")
+            raise CaseError(f"{request.lead}zoom walls: no wall is known; see `meshdeform info`")
         return shaped(window_of(view, corners_of(subject, walls), 0.3), (0.4, 1.2))
     return shaped(window_of(view, corners, 0.03), (0.05, 1.4))
 

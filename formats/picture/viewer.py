@@ -13,12 +13,13 @@ from meshdeform_core.grid.faces.roles import Role
 from meshdeform_core.grid.planes import Plane
 
 from ..files import replacing
+from .content.end_plane import plane_of_grid
 from .content.facets import Facets, block_outlines, joined, surface_facets
 from .content.subject import Subject
 from .content.walls import all_walls, body_walls, corners_of, middle_plane, onto_walls, quads_of
 from .drawing.colours import Scale
 from .drawing.image import INVALID_COLOUR
-from .overview import Choice, plane_of_grid
+from .overview import Choice
 from .view import View
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ def scene(subject: Subject, choice: Choice, title: str = "", off_screen: bool = 
         pv.vtk_verbosity("off")
     plotter = pv.Plotter(off_screen=off_screen or None, title=f"meshdeform: {title}" if title else "meshdeform")
     plotter.set_background("white")
-    flat = plane_of_grid(subject, choice)
+    flat = plane_of_grid(subject, choice.metric)
     if flat is not None:
         facets, outlines, view = flat
         scale = choice.scale(facets)

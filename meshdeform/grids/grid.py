@@ -142,13 +142,13 @@ class Grid:
         CaseError
             When an argument is not understood, or there is nothing to draw.
         """
-        from .pictures import plot
+        from .pictures import PlotOptions, plot
 
-        return plot(
-            self._core, None if reference is None else reference._core, title,
+        options = PlotOptions(
             metric=metric, plane=plane, block=tuple(block), select=tuple(select), view=view, zoom=zoom, before=before,
             arrows=arrows, limits=limits, log=log, lines=lines,
         )  # fmt: skip
+        return plot(self._core, None if reference is None else reference._core, title, options)
 
     def view(self, metric: str = "f_skew", *, reference: Grid | None = None, log: bool = False) -> pyvista.Plotter:
         """The grid in space, to turn and cut: a pyvista plotter, whose ``show()`` opens a window.

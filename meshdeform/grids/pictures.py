@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from meshdeform_core.grid import Grid
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.quality.difference import require_same_blocks
-from meshdeform_formats.picture import Choice, Subject, page_figure, picture, request_of
+from meshdeform_formats.picture import Choice, PlotOptions, Subject, page_figure, picture
 
 if TYPE_CHECKING:
     import pyvista
     from matplotlib.figure import Figure
 
 
-def plot(grid: Grid, reference: Grid | None, title: str | None, **words: Any) -> Figure:
+def plot(grid: Grid, reference: Grid | None, title: str | None, options: PlotOptions) -> Figure:
     """See :meth:`meshdeform.Grid.plot`."""
-    for name in ("zoom", "limits"):
-        if words[name] is not None and not isinstance(words[name], str):
-            words[name] = ",".join(repr(float(number)) for number in words[name])
-    request, subject = request_of(**words), _subject(grid, reference)
+    request, subject = options.request(), _subject(grid, reference)
     return page_figure(picture(subject, request, _title(grid) if title is None else title))
 
 

@@ -467,6 +467,10 @@ def test_grids_draw_themselves(plate, mesh, bend, tmp_path):
         plate.grid.plot(plane="q=1")
     with pytest.raises(md.CaseError, match="measure 'skew' is unknown; did you mean 'f_skew'"):
         plate.grid.plot("skew")
+    with pytest.raises(md.CaseError, match=r"zoom \(1, 2, 3\): expected worst, walls or left,right,bottom,top"):
+        plate.grid.plot(zoom=(1, 2, 3))
+    with pytest.raises(md.CaseError, match=r"limits \(1, 0\): expected low < high"):
+        plate.grid.plot(limits=(1, 0))
 
 
 def test_files_are_not_overwritten_unasked(plate, tmp_path):
