@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from meshdeform_core.boundary.pinned import find_pinned
 from meshdeform_core.boundary.prescribed import largest_displacement
@@ -18,6 +19,9 @@ from meshdeform_formats.grids import variant_of
 from meshdeform_formats.report import Report, plan_report
 
 from .work import Imposed, Job, place_of
+
+if TYPE_CHECKING:
+    from .series_run import Run
 
 TRIAL_NODES = 5_000_000
 """Largest number of nodes times steps for which the motion is tried."""
@@ -51,6 +55,23 @@ def plan(job: Job, output: Path | None, imposed: Imposed, variant: dict[str, str
     expected = forecast(setup, imposed.time, imposed.steps, precision)
     report["warnings"] += expected.warnings
     return report, expected.impossible
+
+
+def plan_series(run: Run) -> tuple[Report, bool, str]:
+    """The report of a dry run (classification, parameters, node counts), whether no valid grid exists at the level of
+    the largest displacement, and the levels as a line of text."""
+    prepared = prepare_method(run.setup.case.method, run.setup.problem)
+    times = run.schedule.times
+    largest, worst = max((largest_displacement(run.setup.displacement(t)), t) for t in times)
+    last = run.files.path(len(times) - 1)
+    report = plan_report(run.setup, prepared.account, largest)
+    expected = forecast(run.setup, worst, run.schedule.steps, run.files.variant.precision)
+    report["warnings"] += [f"at t = {worst:g}, where the displacement is largest: {text}" for text in expected.warnings]
+    return (
+        report,
+        expected.impossible,
+        f"series    {len(times)} levels from t = {times[0]:g} to {times[-1]:g}: {run.files.path(0)} ... {last}\n",
+    )
 
 
 def forecast(setup: Setup, time: float, steps: int | str | None, precision: str) -> Forecast:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from meshdeform_core.errors import FormatError
+from meshdeform_core.errors import CaseError, FormatError
 from meshdeform_core.memory import PICTURE_BYTES, MemoryLimit, machine_memory, parse_memory
 
 from . import completion
@@ -288,6 +288,15 @@ def run_options(command: Command) -> Command:
         return command(run=RunInput(**own), **options)
 
     return packed
+
+
+def parse_steps(context: click.Context, option: click.Parameter, text: str | None) -> int | str | None:
+    """Number of steps: ``auto``, a positive whole number, or nothing (a callback of click)."""
+    if text is None or text == "auto":
+        return text
+    if not text.isascii() or not text.isdigit() or int(text) == 0:
+        raise CaseError(f'--steps {text!r}: expected a whole number >= 1 or "auto"')
+    return int(text)
 
 
 def parse_pairs(pairs: tuple[str, ...], option: str) -> dict[str, str]:

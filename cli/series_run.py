@@ -13,12 +13,10 @@ from types import TracebackType
 
 from meshdeform_core import interruption
 from meshdeform_core.boundary.motions.motion import FollowSequence
-from meshdeform_core.boundary.prescribed import largest_displacement
 from meshdeform_core.deform import Setup, Timing, set_up
 from meshdeform_core.errors import CaseError, FormatError, MeshDeformError
 from meshdeform_core.grid import Grid
 from meshdeform_core.memory import WRITING_ARRAYS, peak_memory
-from meshdeform_core.methods import prepare_method
 from meshdeform_core.notices import first_of_each_kind, kind_of
 from meshdeform_core.parallel import carried, current_ranks, thread_count
 from meshdeform_core.series import Level, Schedule, deform_series
@@ -26,36 +24,21 @@ from meshdeform_formats.case import CaseFile
 from meshdeform_formats.case.sequences import parse_times
 from meshdeform_formats.fields import check_fields, with_fields
 from meshdeform_formats.grids import FORMATS, complete_for_export
-from meshdeform_formats.report import Report, plan_report
+from meshdeform_formats.report import Report
 from meshdeform_formats.report.illustrations import Illustrations, level_thumbnails
 from meshdeform_formats.report.series_report import level_record, series_head, series_report
 from meshdeform_formats.series.foam import FoamFiles
 from meshdeform_formats.series.manifest import NAME, Manifest, ingredients_of
 from meshdeform_formats.series.outputs import LevelFiles, SeriesFiles, SingleFile
 
-from .forecast import forecast
 from .options import GridInput, RunInput
 from .outputs import keep_inputs
 from .process.messages import Warnings
 from .process.progress import ProgressBar, writing
+from .series_options import SeriesInput
 from .work import Job, cells_of
 
 _PICTURES = 8
-
-
-@dataclass(frozen=True)
-class Wanted:
-    """The options specific to a series."""
-
-    folder: Path
-    times: str | None
-    origin: str
-    velocity: str
-    steps: int | str | None
-    suffix: str | None
-    single_file: bool
-    variant: dict[str, str]
-    fields: tuple[str, ...] = ()
 
 
 @dataclass
@@ -73,31 +56,31 @@ class Run:
     fields: tuple[str, ...] = ()
 
 
-def prepare(job: Job, source: GridInput, wanted: Wanted, options: RunInput) -> Run:
+def prepare(job: Job, source: GridInput, wanted: SeriesInput, options: RunInput) -> Run:
     """Determine times and files, topology and boundary; nothing is written."""
     times = parse_times(wanted.times, "--times") if wanted.times else _times_of_files(job.case)
     schedule = Schedule(times, wanted.origin, wanted.velocity, wanted.steps)
     name = source.path.stem + _suffix(source.path, wanted, job.grid)
-    check_fields(wanted.fields, Path(name), True)
+    check_fields(options.fields, Path(name), True)
     grid = complete_for_export(job.grid, Path(name))
     kind = SingleFile if wanted.single_file else FoamFiles if Path(name).suffix.lower() == ".foam" else LevelFiles
-    files: SeriesFiles = kind(grid, wanted.folder, name, times, wanted.variant, wanted.velocity)
-    manifest = Manifest(wanted.folder / NAME, {})
+    files: SeriesFiles = kind(grid, wanted.output, name, times, options.variant_options, wanted.velocity)
+    manifest = Manifest(wanted.output / NAME, {})
     for path in [*files.replaced, manifest.path]:
         keep_inputs(path, *source.files, *job.case.files)
     output = {"output": name, "single file": wanted.single_file, "variant": files.variant.label}
-    output |= {"fields": list(wanted.fields)} if wanted.fields else {}
+    output |= {"fields": list(options.fields)} if options.fields else {}
     manifest.ingredients = ingredients_of(source.path, source.boundary_file, job.case, schedule, output)
     timing = Timing()
     case = job.case.case
     if not case.depends_on_time:
         case = replace(case, notes=(*case.notes, "the motion does not depend on t: all levels are alike"))
     setup = set_up(grid, case, timing, job.memory)
-    files.dress = lambda level: with_fields(cells_of(setup, level), wanted.fields)
-    return Run(job, setup, schedule, files, manifest, timing, options.warnings, options.allow_invalid, wanted.fields)
+    files.dress = lambda level: with_fields(cells_of(setup, level), options.fields)
+    return Run(job, setup, schedule, files, manifest, timing, options.warnings, options.allow_invalid, options.fields)
 
 
-def _suffix(source: Path, wanted: Wanted, grid: Grid) -> str:
+def _suffix(source: Path, wanted: SeriesInput, grid: Grid) -> str:
     if wanted.suffix:
         return wanted.suffix if wanted.suffix.startswith(".") else f".{wanted.suffix}"
     if grid.format is not None and grid.format.name == "openfoam" and not wanted.single_file:
@@ -115,23 +98,6 @@ def _times_of_files(case: CaseFile) -> tuple[float, ...]:
         reason = "has no sequence of displacement files" if not found else "has sequences with different times"
         raise CaseError(f"the case {reason}; give the time levels: --times START:STOP:STEP")
     return found.pop()
-
-
-def describe(run: Run) -> tuple[Report, bool, str]:
-    """The report of a dry run (classification, parameters, node counts), whether no valid grid exists at the level of
-    the largest displacement, and the levels as a line of text."""
-    prepared = prepare_method(run.setup.case.method, run.setup.problem)
-    times = run.schedule.times
-    largest, worst = max((largest_displacement(run.setup.displacement(t)), t) for t in times)
-    last = run.files.path(len(times) - 1)
-    report = plan_report(run.setup, prepared.account, largest)
-    expected = forecast(run.setup, worst, run.schedule.steps, run.files.variant.precision)
-    report["warnings"] += [f"at t = {worst:g}, where the displacement is largest: {text}" for text in expected.warnings]
-    return (
-        report,
-        expected.impossible,
-        f"series    {len(times)} levels from t = {times[0]:g} to {times[-1]:g}: {run.files.path(0)} ... {last}\n",
-    )
 
 
 def open_manifest(run: Run, resume: bool, force: bool) -> Manifest:

@@ -7,9 +7,17 @@ from pathlib import Path
 
 import click
 
-from meshdeform_core.errors import CaseError
-
-from ..options import OUTPUT, CaseInput, FiniteNumber, GridInput, RunInput, case_options, grid_options, run_options
+from ..options import (
+    OUTPUT,
+    CaseInput,
+    FiniteNumber,
+    GridInput,
+    RunInput,
+    case_options,
+    grid_options,
+    parse_steps,
+    run_options,
+)
 from ..outputs import check_output, check_reports
 from ..process.machine import use_threads
 from ..process.progress import ProgressBar
@@ -19,13 +27,23 @@ from ..process.progress import ProgressBar
 @grid_options
 @click.option("-o", "--output", type=OUTPUT, help="Deformed grid; the suffix selects the format.")
 @case_options
-@click.option("--steps", metavar="N|auto", help="Impose the motion in N steps; by default in as many as needed.")
+@click.option(
+    "--steps",
+    metavar="N|auto",
+    callback=parse_steps,
+    help="Impose the motion in N steps; by default in as many as needed.",
+)
 @click.option(
     "--time", "at_time", type=FiniteNumber(), metavar="T", help="Evaluate the motion at this time (default 0)."
 )
 @run_options
 def command(
-    source: GridInput, output: Path | None, case: CaseInput, steps: str | None, at_time: float | None, run: RunInput
+    source: GridInput,
+    output: Path | None,
+    case: CaseInput,
+    steps: int | str | None,
+    at_time: float | None,
+    run: RunInput,
 ) -> int:
     """Deform GRID, judge the result and write it.
 
@@ -52,7 +70,7 @@ def command(
     if not run.dry_run and output is not None:
         check_target(output, run, *source.files, *case.files)
     check_reports(run.reports, run.force, output, *source.files, *case.files)
-    count, options, limit = parse_steps(steps), run.variant_options, run.memory
+    options, limit = run.variant_options, run.memory
 
     from meshdeform_formats.files import invalid_path
     from meshdeform_formats.grids import require_earlier_grid
@@ -60,7 +78,7 @@ def command(
     from .. import forecast, work
 
     outputs = [output, *([] if output is None or run.allow_invalid else [invalid_path(output)]), *run.reports]
-    imposed = work.Imposed(count, at_time)
+    imposed = work.Imposed(steps, at_time)
     with ProgressBar(not run.quiet) as progress:
         # Fields of cells are arrays of their own for all cells.
         workplace = None if run.dry_run or run.fields else output
@@ -89,12 +107,3 @@ def check_target(output: Path, run: RunInput, *inputs: Path | None) -> None:
     if not run.allow_invalid:
         # The file of an earlier run is replaced, but never an input.
         check_output(invalid_path(output), True, *inputs)
-
-
-def parse_steps(text: str | None) -> int | str | None:
-    """``auto``, a positive whole number, or nothing."""
-    if text is None or text == "auto":
-        return text
-    if not text.isascii() or not text.isdigit() or int(text) == 0:
-        raise CaseError(f'--steps {text!r}: expected a whole number >= 1 or "auto"')
-    return int(text)
