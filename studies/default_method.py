@@ -7,16 +7,13 @@ python studies/default_method.py --write docs/validity.md    put the table in it
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
-import sys
 from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import numpy as np
-from flows import SAMPLES, grids_folder
+from flows import SAMPLES, grids_folder, without_missing_flap
 from motions import displace
-from tables import Row, show
+from tables import Row, run
 
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.boundary.motions.motion import Motion
@@ -87,22 +84,17 @@ def _cell(quality: Quality) -> str:
     return f"{quality.min_scaled_jacobian:.3f} / {quality.f_skew.min:.3f} / {wall_angle(quality):.1f}"
 
 
+def row(name: str, make: Callable[[], Setup]) -> Row:
+    """One row: a motion by every method, and how near the default is to the best of them."""
+    found = dict(measure(name, make()))
+    best = max(quality.min_scaled_jacobian for quality in found.values() if not quality.invalid_cells)
+    share = found[METHODS[0]].min_scaled_jacobian / best
+    return {"motion": name, **{m: _cell(q) for m, q in found.items()}, "default of best": f"{share:.2f}"}
+
+
 def main() -> None:
     """The command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", metavar="TEXT", default="", help="motions whose name contains this")
-    parser.add_argument("--write", type=Path, metavar="PAGE", help="put the table between its marks on a page")
-    options = parser.parse_args()
-    rows: list[Row] = []
-    for name, make in MOTIONS.items():
-        if options.only not in name or (name.startswith("flap") and not (grids_folder() / "turek").is_dir()):
-            continue
-        found = dict(measure(name, make()))
-        best = max(quality.min_scaled_jacobian for quality in found.values() if not quality.invalid_cells)
-        share = found[METHODS[0]].min_scaled_jacobian / best
-        rows.append({"motion": name, **{m: _cell(q) for m, q in found.items()}, "default of best": f"{share:.2f}"})
-        print(rows[-1], file=sys.stderr, flush=True)
-    show(rows, options.write, __file__)
+    run(lambda: without_missing_flap(MOTIONS), row, __doc__, __file__)
 
 
 if __name__ == "__main__":

@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -27,6 +29,8 @@ from meshdeform_core.quality import Original
 from meshdeform_core.quality.verdict.validity import newly_invalid
 from meshdeform_formats.grids import read_grid
 from meshdeform_samples import load
+
+T = TypeVar("T")
 
 SAMPLES = {
     "square": 41,
@@ -130,6 +134,12 @@ def _velocity(x, center, radius, spin, jet, source, normal, out):
 def grids_folder() -> Path:
     """Where the third-party grids lie."""
     return Path(os.environ.get("MESHDEFORM_GRIDS", Path(__file__).parents[2] / "shared" / "grids"))
+
+
+def without_missing_flap(motions: Mapping[str, T]) -> dict[str, T]:
+    """Motions by name, those of Turek and Hron's flap only where its grid is."""
+    found = (grids_folder() / "turek").is_dir()
+    return {name: motion for name, motion in motions.items() if found or not name.startswith("flap")}
 
 
 def available() -> list[str]:

@@ -8,19 +8,15 @@ python studies/robustness_table.py --write docs/validity.md   put the table in i
 
 from __future__ import annotations
 
-import argparse
-import os
-import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 from flows import grids_folder
 from motions import SPAN, displace, rotate
-from tables import Row, show
+from tables import Row, run
 
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.boundary.motions.motion import Displace, Motion, Rotate
@@ -265,24 +261,12 @@ def _edges(x: np.ndarray, axis: int, corner: tuple[int, ...], ends: bool = False
 
 def main() -> None:
     """The command line."""
-    run(measure, __doc__, __file__)
+    run(possible, lambda _, trial: measure(trial), __doc__, __file__)
 
 
-def run(row: Callable[[Trial], Row], description: str | None, program: str) -> None:
-    """The command line of a program that makes a row of every motion."""
-    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", metavar="TEXT", default="", help="motions whose name contains this")
-    parser.add_argument("--grids", type=Path, metavar="FOLDER", help="where the third-party grids lie")
-    parser.add_argument("--write", type=Path, metavar="PAGE", help="put the table between its marks on a page")
-    options = parser.parse_args()
-    if options.grids:
-        os.environ["MESHDEFORM_GRIDS"] = str(options.grids)
-    rows = []
-    for trial in TRIALS:
-        if trial.possible and options.only in trial.label:
-            rows.append(row(trial))
-            print(rows[-1], file=sys.stderr, flush=True)
-    show(rows, options.write, program)
+def possible() -> dict[str, Trial]:
+    """The trials whose grids are here, by name."""
+    return {trial.label: trial for trial in TRIALS if trial.possible}
 
 
 if __name__ == "__main__":

@@ -7,18 +7,15 @@ python studies/smoothness.py --write docs/series.md     put the table in its pla
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import itertools
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
-from flows import SAMPLES, grids_folder
-from tables import Row, show
+from flows import SAMPLES, grids_folder, without_missing_flap
+from tables import Row, run
 
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.boundary.motions.expression import expression
@@ -211,17 +208,7 @@ def _plain_seconds(setup: Setup, times: FloatArray) -> float:
 
 def main() -> None:
     """The command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", metavar="TEXT", default="", help="motions whose name contains this")
-    parser.add_argument("--write", type=Path, metavar="PAGE", help="put the table between its marks on a page")
-    options = parser.parse_args()
-    rows: list[Row] = []
-    for name, course in COURSES.items():
-        if options.only not in name or (name.startswith("flap") and not (grids_folder() / "turek").is_dir()):
-            continue
-        rows.append(measure(name, course))
-        print(rows[-1], file=sys.stderr, flush=True)
-    show(rows, options.write, __file__)
+    run(lambda: without_missing_flap(COURSES), measure, __doc__, __file__)
 
 
 if __name__ == "__main__":

@@ -2,13 +2,37 @@
 
 from __future__ import annotations
 
+import argparse
+import os
 import re
+import sys
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from meshdeform_samples.reproduce.report import grid
 
 Row = dict[str, Any]
+Job = TypeVar("Job")
+
+
+def run(
+    jobs: Callable[[], Mapping[str, Job]], row: Callable[[str, Job], Row], description: str | None, program: str
+) -> None:
+    """The command line of a program that makes a row of every motion; ``jobs`` are those possible here, by name."""
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", metavar="TEXT", default="", help="motions whose name contains this")
+    parser.add_argument("--grids", type=Path, metavar="FOLDER", help="where the third-party grids lie")
+    parser.add_argument("--write", type=Path, metavar="PAGE", help="put the table between its marks on a page")
+    options = parser.parse_args()
+    if options.grids:
+        os.environ["MESHDEFORM_GRIDS"] = str(options.grids)
+    rows = []
+    for name, job in jobs().items():
+        if options.only in name:
+            rows.append(row(name, job))
+            print(rows[-1], file=sys.stderr, flush=True)
+    show(rows, options.write, program)
 
 
 def show(rows: list[Row], page: Path | None, program: str) -> None:

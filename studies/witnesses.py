@@ -22,8 +22,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from robustness_table import Trial, run
-from tables import Row
+from robustness_table import Trial, possible
+from tables import Row, run
 
 from meshdeform_core.deform import Timing, impose
 from meshdeform_core.grid import FloatArray, Grid
@@ -182,7 +182,7 @@ def main() -> None:
     """The command line."""
     if not (has_mfem() or has_check_mesh()):
         sys.exit("neither MFEM (pip install mfem) nor OpenFOAM (plot3dToFoam and checkMesh) is installed")
-    run(measure, __doc__, __file__)
+    run(possible, lambda _, trial: measure(trial), __doc__, __file__)
 
 
 if __name__ == "__main__":
