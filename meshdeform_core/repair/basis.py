@@ -11,8 +11,8 @@ from ..grid import FloatArray
 from ..numerics.cell.health import all_healthy
 from ..quality import Original
 from .constraints import Constraints
+from .energy.elements import COLLAPSED, HEALTHY, SOFT
 from .energy.newton import NewtonSystem
-from .energy.region import COLLAPSED, HEALTHY, SOFT
 from .extrusion import Extrusion, find_extrusion
 from .neighbourhood import Neighbourhood, Plot
 

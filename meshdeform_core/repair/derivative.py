@@ -13,12 +13,10 @@ from typing import Protocol
 import numpy as np
 
 from ..grid import BoolArray, FloatArray
-from ..numerics.cell.foldover_plane_tangents import products_of_triangles, slopes_of_triangles
-from ..numerics.cell.foldover_tangents import products_of_cells, slopes_of_cells
 from ..parallel import alone, current_ranks
 from .basis import Basis, Whole
+from .energy.elements import Penalty
 from .energy.onset import share_of, share_slopes
-from .energy.region import HEALTHY, NORM, SOFT, Hexahedra, Penalty, Triangles
 from .energy.untangle import CUBIC
 from .extrusion import Extrusion
 from .minimum import POLISHED
@@ -167,30 +165,12 @@ class _AtMinimum:
     def _products(
         self, change: FloatArray, elastic: float, share: float, between: FloatArray
     ) -> tuple[FloatArray, float, FloatArray]:
-        """See :func:`..numerics.cell.foldover_tangents.products_of_cells`."""
-        energy, found, gradient = self._region.energy, np.zeros_like(change), np.zeros(self._cells)
-        penalty = tuple(self._penalty(elastic))
-        if isinstance(energy, Hexahedra):
-            given = change, np.zeros_like(change), share, between
-            total = products_of_cells(self._x, *energy._loops, penalty, *given, found, gradient)
-        else:
-            assert isinstance(energy, Triangles)
-            where = energy.nodes, energy.slope, energy.weight
-            total = products_of_triangles(self._x, *where, penalty, change, share, found)
-        return found, total, gradient
+        """See :meth:`.energy.elements.Energy.products`."""
+        return self._region.energy.products(self._x, self._penalty(elastic), change, share, between)
 
     def _of_excess(self, change: FloatArray, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Change (m,) of the excess of cells at the method's grid, and the transpose for a ``gradient`` (m,) of it."""
-        energy, excess, found = self._region.energy, np.zeros(self._cells), np.zeros_like(change)
-        if isinstance(energy, Hexahedra):
-            given = change, np.zeros_like(change), gradient
-            where = energy.start, energy.nodes, energy.mask & ((1 << 8) - 1), energy.samples
-            slopes_of_cells(self._start, *where, HEALTHY, NORM, SOFT, *given, excess, found)
-        else:
-            assert isinstance(energy, Triangles)
-            rest = energy.nodes, energy.slope, HEALTHY, SOFT, change, gradient
-            slopes_of_triangles(self._start, *rest, excess, found)
-        return excess, found
+        """See :meth:`.energy.elements.Energy.excess_products`, at the method's grid."""
+        return self._region.energy.excess_products(self._start, change, gradient)
 
 
 class _Extruded:

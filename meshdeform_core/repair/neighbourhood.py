@@ -11,10 +11,12 @@ import numpy as np
 
 from ..grid import BoolArray, FloatArray, Grid, IntArray
 from ..grid.planes import plane_axes, plane_normal
-from ..numerics.cell.foldover import Unknowns, cell_samples, samples_with_any, sound_samples
+from ..numerics.cell.foldover.hexahedra import Unknowns
+from ..numerics.cell.foldover.samples import cell_samples, samples_with_any, sound_samples
 from ..numerics.cell.layers import cells_at, layers_from
 from .constraints import Constraints
-from .energy.region import COLLAPSED, Energy, Hexahedra, Region, Slide, Triangles
+from .energy.elements import COLLAPSED, Energy, Hexahedra, Triangles
+from .energy.region import Region, Slide
 from .sliding import Sliding
 from .walls import UNLIMITED, nearness, weigh
 

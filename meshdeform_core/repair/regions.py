@@ -10,9 +10,9 @@ import numpy as np
 
 from ..parallel import alone, current_ranks
 from .basis import Basis
+from .energy.elements import Penalty
 from .energy.newton import NewtonSystem
 from .energy.onset import share_of
-from .energy.region import Penalty
 from .energy.untangle import Pace, Untangler
 from .limit import Limit
 from .minimum import HASTY, PATIENT, QUICK, Progress, Search, most_steps

@@ -14,14 +14,14 @@ from meshdeform_core.boundary.motions.expression import expression
 from meshdeform_core.deform import Case, Timing, deform, impose, set_up
 from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import Grid
-from meshdeform_core.numerics.cell.foldover_plane import add_triangles
+from meshdeform_core.numerics.cell.foldover.plane import add_triangles
 from meshdeform_core.parallel import set_threads
 from meshdeform_core.quality.verdict.validity import judge, newly_invalid
 from meshdeform_core.repair import RepairOptions, minimum
 from meshdeform_core.repair.basis import Basis
 from meshdeform_core.repair.constraints import Constraints
+from meshdeform_core.repair.energy.elements import Penalty
 from meshdeform_core.repair.energy.newton import NewtonSystem
-from meshdeform_core.repair.energy.region import Penalty
 from meshdeform_core.repair.energy.untangle import Untangler
 from meshdeform_core.repair.extrusion import find_extrusion
 from meshdeform_core.repair.neighbourhood import Neighbourhood

@@ -13,8 +13,8 @@ from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.deform import Case, Timing, deform, impose, set_up
 from meshdeform_core.grid import Grid
 from meshdeform_core.repair import limit
+from meshdeform_core.repair.energy.elements import Penalty
 from meshdeform_core.repair.energy.newton import NewtonSystem
-from meshdeform_core.repair.energy.region import Penalty
 from meshdeform_core.repair.energy.surroundings import among_others
 from meshdeform_core.repair.energy.untangle import Untangler
 from meshdeform_core.repair.limit import Limit

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..jit import kernel
-from .foldover import _regular
+from .foldover.jacobian import determinant, regular
 
 # f within rounding of the limit counts as not healthy: the loops of the repair decide then.
 _BELOW = 1.0 - 1e-9
@@ -15,9 +15,9 @@ _BELOW = 1.0 - 1e-9
 def all_healthy(x, start, healthy, eps, tolerance):
     """Whether f at all corners of the cells of a block is at most ``healthy``.
 
-    f is that of :func:`.foldover.excess_of_cells`. The map from the undeformed corner is X R with the edges X of the
-    deformed one and the reciprocal edges R of the undeformed one, so that its norm is the trace of the product of their
-    Gram matrices.
+    f is that of :func:`.foldover.hexahedra.excess_of_cells`. The map from the undeformed corner is X R with the edges X
+    of the deformed one and the reciprocal edges R of the undeformed one, so that its norm is the trace of the product
+    of their Gram matrices.
 
     Parameters
     ----------
@@ -40,12 +40,12 @@ def all_healthy(x, start, healthy, eps, tolerance):
                     before, size = _reciprocal(base, dual)
                     if abs(before) <= tolerance * size:
                         continue
-                    det = _determinant(edge) / before
+                    det = determinant(edge) / before
                     norm = 0.0
                     for m in range(3):
                         for n in range(3):
                             norm += _dot(edge, m, n) * _dot(dual, m, n)
-                    chi, _ = _regular(det, eps)
+                    chi, _ = regular(det, eps)
                     # f = shape chi^(-2/3) + (det^2 + 1) / (2 chi), compared without the root, which took half the time.
                     shape = norm / (before * before) / 3.0
                     room = healthy * _BELOW - 0.5 * (det * det + 1.0) / chi
@@ -65,15 +65,6 @@ def _reciprocal(e, dual):
             dual[m, d] = e[u, p] * e[v, q] - e[u, q] * e[v, p]
         size *= np.sqrt(_dot(e, m, m))
     return e[0, 0] * dual[0, 0] + e[0, 1] * dual[0, 1] + e[0, 2] * dual[0, 2], size
-
-
-@kernel
-def _determinant(e):
-    return (
-        e[0, 0] * (e[1, 1] * e[2, 2] - e[1, 2] * e[2, 1])
-        + e[0, 1] * (e[1, 2] * e[2, 0] - e[1, 0] * e[2, 2])
-        + e[0, 2] * (e[1, 0] * e[2, 1] - e[1, 1] * e[2, 0])
-    )
 
 
 @kernel

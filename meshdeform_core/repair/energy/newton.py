@@ -12,7 +12,8 @@ import scipy
 from ...numerics.arrays import FloatArray
 from ...numerics.jit import kernel
 from ...parallel import for_chunks
-from .region import Penalty, Region, Rows
+from .elements import Penalty, Rows
+from .region import Region
 
 _ROWS = 2048
 # Rows of vectors, which are cheaper.
@@ -59,7 +60,7 @@ class NewtonSystem:
         return n_unknowns * (27 * (36 + 24) + 300 if dimension == 3 else 9 * (16 + 24) + 700)
 
     def fill(self, region: Region, x: FloatArray, reference: FloatArray, penalty: Penalty) -> bool:
-        """Gradient and scaled Hessian at the coordinates ``x`` (n, d); see :mod:`..cell.foldover`.
+        """Gradient and scaled Hessian at the coordinates ``x`` (n, d); see :mod:`..numerics.cell.foldover`.
 
         The ``region`` is the one that the system was made for, but for shares of samples.
         ``False`` if a diagonal block is not positive definite; that never happens with the convex part.
@@ -129,11 +130,10 @@ def _sum_over_rows(work: Callable[[int, int], float], n: int) -> float:
 
 @kernel
 def factor_diagonal(blocks, rows, freedom, factor):
-    """The inverse Cholesky factors of the diagonal blocks of ``rows``, see :func:`..cell.foldover.add_derivatives`;
-    returns how many pivots were not positive.
+    """The inverse Cholesky factors of the diagonal blocks of ``rows``; returns how many pivots were not positive.
 
-    ``freedom`` (n, d, d) projects on the directions in which an unknown may move; the others get a stiffness of their
-    own.
+    ``rows`` are those of :func:`..numerics.cell.foldover.hexahedra.add_derivatives`; ``freedom`` (n, d, d) projects on
+    the directions in which an unknown may move; the others get a stiffness of their own.
     """
     first, last, starts, columns = rows
     size, bad = freedom.shape[1], 0

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...grid import FloatArray
-from .region import HEALTHY, NORM, Energy, Hexahedra
+from .elements import HEALTHY, NORM, Energy
 
 _FULL, _POWER = 15.0, 3.0
 """A grid whose excess is that of one corner with f = FULL has a share of 1, with which the elastic energy matters
@@ -27,9 +27,7 @@ def share_of(energy: Energy, x: FloatArray) -> tuple[float, Energy]:
     if largest == 0.0:
         return 0.0, energy
     whole = largest * float(((excess / largest) ** NORM).sum()) ** (1.0 / NORM)
-    if isinstance(energy, Hexahedra):
-        energy = energy.with_between(np.minimum(_share(excess), 1.0))
-    return float(_share(whole)), energy
+    return float(_share(whole)), energy.with_between(np.minimum(_share(excess), 1.0))
 
 
 def share_slopes(energy: Energy, x: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -8,12 +8,10 @@ between walls that turn against each other, that metric is no better, and they a
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 
 from ...grid import FloatArray, IntArray
-from .region import Energy, Hexahedra, Triangles
+from .elements import Energy
 
 _SQUEEZED = 0.03
 """Cells around which the mean volume is less than this share of the undeformed one are squeezed."""
@@ -24,33 +22,8 @@ _ROUNDS = 4
 def among_others(energy: Energy, x: FloatArray) -> Energy | None:
     """The energy relative to elements stretched as those around them are, on the average, in the grid ``x`` (n, d);
     ``None`` where none is squeezed."""
-    stretch = _stretch(_matrices(energy, x), energy.nodes, len(x))
-    if np.linalg.det(stretch).min() >= _SQUEEZED:
-        return None
-    if isinstance(energy, Triangles):
-        slope = np.einsum("mnk,mkj->mnj", energy.slope, np.linalg.inv(stretch))
-        return dataclasses.replace(energy, slope=slope)
-    assert isinstance(energy, Hexahedra)
-    corners = np.einsum("mij,mnj->mni", stretch, energy.start[energy.own]).reshape(-1, 3)
-    return dataclasses.replace(energy, start=corners, own=np.arange(len(corners)).reshape(-1, 8))
-
-
-def _matrices(energy: Energy, x: FloatArray) -> FloatArray:
-    """Jacobian matrices (m, d, d) of the maps from undeformed elements, of hexahedra their mean."""
-    if isinstance(energy, Triangles):
-        return np.asarray(np.einsum("mni,mnk->mik", x[energy.nodes], energy.slope))
-    assert isinstance(energy, Hexahedra)
-    before = _edges(energy.start, energy.own)
-    # Flat cells have no shape to compare with.
-    before[np.linalg.det(before) == 0.0] = np.eye(3)
-    return np.asarray(_edges(x, energy.nodes) @ np.linalg.inv(before))
-
-
-def _edges(x: FloatArray, nodes: IntArray) -> FloatArray:
-    """Mean edges (m, 3, 3) of hexahedra along their axes, in columns."""
-    corners = x[nodes].reshape(-1, 2, 2, 2, 3)
-    means = [np.diff(corners, axis=axis).mean(axis=(1, 2, 3)) for axis in (1, 2, 3)]
-    return np.stack(means, axis=-1)
+    stretch = _stretch(energy.matrices(x), energy.nodes, len(x))
+    return energy.stretched(stretch) if np.linalg.det(stretch).min() < _SQUEEZED else None
 
 
 def _stretch(matrix: FloatArray, nodes: IntArray, n: int) -> FloatArray:

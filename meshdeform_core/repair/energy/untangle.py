@@ -10,8 +10,9 @@ import numpy as np
 from ...grid import FloatArray
 from ...parallel import for_chunks
 from ..limit import Limit
+from .elements import Energy, Penalty
 from .newton import NewtonSystem
-from .region import Energy, Penalty, Region
+from .region import Region
 from .surroundings import among_others
 
 _ELEMENTS = 4096

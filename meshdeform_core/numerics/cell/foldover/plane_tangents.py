@@ -1,36 +1,27 @@
 """Products with the second derivatives of the foldover-free energy of plane grids, and those of its onset.
 
-Arguments as in :mod:`.foldover_plane`; see :mod:`.foldover_tangents`.
+Arguments as in :mod:`.plane`; see :mod:`.tangents`.
 """
 
-from ..jit import inlined, kernel
-from .foldover import growth
-from .foldover_plane import _matrix, _regular
-
-
-@inlined
-def _slopes(g, det, chi, root):
-    """f, and its derivatives: along g and D, and along both, and D twice; that along g twice is zero."""
-    f = 0.5 * (g + det * det + 1.0) / chi
-    d_det = det / chi - f / root
-    second = 1.0 / chi - 2.0 * det / (chi * root) + f * (1.0 + det / root) / (root * root)
-    return f, 0.5 / chi, d_det, -0.5 / (chi * root), second
+from ...jit import kernel
+from .jacobian import growth, regular
+from .plane import plane_matrix, slopes_of_triangle
 
 
 @kernel
 def products_of_triangles(x, node, slope, weight, penalty, change, d_share, out):
     """Change of the gradient of the energy for a ``change`` (n, 2) of ``x`` and of the share, added to ``out`` (n, 2).
 
-    Returns the transpose with respect to the latter, as :func:`.foldover_tangents.products_of_cells`.
+    Returns the transpose with respect to the latter, as :func:`.tangents.products_of_cells`.
     """
     eps, share, cubic, elastic, _ = penalty
     g_share = 0.0
     for at in range(node.shape[0]):
-        a, b, c, d = _matrix(x, node[at], slope[at])
-        p, q, r, s = _matrix(change, node[at], slope[at])
+        a, b, c, d = plane_matrix(x, node[at], slope[at])
+        p, q, r, s = plane_matrix(change, node[at], slope[at])
         det = a * d - b * c
-        chi, root = _regular(det, eps)
-        f, dg, dd, gd, ddd = _slopes(a * a + b * b + c * c + d * d, det, chi, root)
+        chi, root = regular(det, eps)
+        f, dg, dd, gd, ddd = slopes_of_triangle(a * a + b * b + c * c + d * d, det, chi, root)
         _, one, two = growth(f)
         one, two = weight[at] + cubic * one, cubic * two
         # Changes of g and D, of the derivatives of the energy along them.
@@ -56,16 +47,16 @@ def products_of_triangles(x, node, slope, weight, penalty, change, d_share, out)
 
 @kernel
 def slopes_of_triangles(x, node, slope, healthy, eps, change, gradient, d_excess, out):
-    """Of :func:`.foldover_plane.excess_of_triangles`, as :func:`.foldover_tangents.slopes_of_cells`."""
+    """Of :func:`.plane.excess_of_triangles`, as :func:`.tangents.slopes_of_cells`."""
     for at in range(node.shape[0]):
         d_excess[at] = 0.0
-        a, b, c, d = _matrix(x, node[at], slope[at])
+        a, b, c, d = plane_matrix(x, node[at], slope[at])
         det = a * d - b * c
-        chi, root = _regular(det, eps)
-        f, dg, dd, _, _ = _slopes(a * a + b * b + c * c + d * d, det, chi, root)
+        chi, root = regular(det, eps)
+        f, dg, dd, _, _ = slopes_of_triangle(a * a + b * b + c * c + d * d, det, chi, root)
         if f <= healthy:
             continue
-        p, q, r, s = _matrix(change, node[at], slope[at])
+        p, q, r, s = plane_matrix(change, node[at], slope[at])
         d_excess[at] = (2.0 * dg * (a * p + b * q + c * r + d * s) + dd * (d * p - c * q - b * r + a * s)) / f
         part = gradient[at] / f
         e00, e01 = part * (2.0 * dg * a + dd * d), part * (2.0 * dg * b - dd * c)

@@ -7,9 +7,7 @@ the undeformed grid to the deformed one, and D = det A,
 
 (Garanzha, Kaporin, Kudryavtseva, Protais, Ray, Sokolov: Foldover-free maps in 50 lines of code, ACM TOG 40(4), 2021,
 eqs. 3 and 4 with d = 2 and lambda = 1); 2 is the value of a triangle in rigid motion. The energy of a triangle is that
-of :mod:`.foldover`.
-
-The unknowns that nodes follow are those of :mod:`.foldover`, too.
+of :mod:`meshdeform_core.numerics.cell.foldover`.
 
 The second derivatives are diagonal but for one 2 x 2 matrix in the basis of similarities and of their mirror images,
 A = C + M: |A|^2 = |C|^2 + |M|^2 and 2 D = |C|^2 - |M|^2. So their negative part can be left out exactly.
@@ -17,12 +15,12 @@ A = C + M: |A|^2 = |C|^2 + |M|^2 and 2 D = |C|^2 - |M|^2. So their negative part
 
 import numpy as np
 
-from ..jit import inlined, kernel
-from .foldover import growth
+from ...jit import inlined, kernel
+from .jacobian import growth, regular
 
 
 @inlined
-def _matrix(x, node, slope):
+def plane_matrix(x, node, slope):
     """The Jacobian matrix a b / c d of a triangle."""
     a = b = c = d = 0.0
     for n in range(3):
@@ -35,10 +33,12 @@ def _matrix(x, node, slope):
 
 
 @inlined
-def _regular(det, eps):
-    """chi and sqrt(eps^2 + D^2), without cancellation."""
-    root = np.sqrt(eps * eps + det * det)
-    return 0.5 * (det + root) if det > 0.0 else 0.5 * eps * eps / (root - det), root
+def slopes_of_triangle(g, det, chi, root):
+    """f, and its derivatives: along g and D, and along both, and D twice; that along g twice is zero."""
+    f = 0.5 * (g + det * det + 1.0) / chi
+    d_det = det / chi - f / root
+    second = 1.0 / chi - 2.0 * det / (chi * root) + f * (1.0 + det / root) / (root * root)
+    return f, 0.5 / chi, d_det, -0.5 / (chi * root), second
 
 
 @kernel
@@ -49,15 +49,15 @@ def energy_of_triangles(x, node, slope, weight, reference, penalty, low, high):
     ----------
     x : (n, 2) deformed coordinates
     node, slope : (m, 3), (m, 3, 2) nodes and undeformed gradients of their shape functions
-    weight : (m,) w, see :mod:`.foldover`
-    reference, penalty : see :func:`.foldover.energy_of_cells`
+    weight : (m,) w, see :mod:`.hexahedra`
+    reference, penalty : see :func:`.hexahedra.energy_of_cells`
     """
     eps, share, cubic, elastic, _ = penalty
     total, lowest, highest = 0.0, np.inf, 0.0
     for m in range(low, high):
-        a, b, c, d = _matrix(x, node[m], slope[m])
+        a, b, c, d = plane_matrix(x, node[m], slope[m])
         det = a * d - b * c
-        chi, _ = _regular(det, eps)
+        chi, _ = regular(det, eps)
         lowest = min(lowest, det)
         f = np.inf
         if chi > 0.0:
@@ -65,7 +65,7 @@ def energy_of_triangles(x, node, slope, weight, reference, penalty, low, high):
         highest = max(highest, f)
         total += share * (weight[m] * f + cubic * growth(f)[0])
         if elastic > 0.0:
-            p, q, r, s = _matrix(reference, node[m], slope[m])
+            p, q, r, s = plane_matrix(reference, node[m], slope[m])
             total += 0.5 * elastic * ((a - p) ** 2 + (b - q) ** 2 + (c - r) ** 2 + (d - s) ** 2)
     return total, lowest, highest
 
@@ -102,33 +102,27 @@ def _spectrum(c, m, u, v, gg, gd, dd, lowest, values, vectors):
 def add_triangles(x, node, slope, weight, reference, penalty, which, unknowns, rows, matrix, gradient):
     """Add the derivatives of the energy of the triangles ``which`` to rows of the gradient and of the Hessian.
 
-    As :func:`.foldover.add_derivatives`, in two dimensions.
+    As :func:`.hexahedra.add_derivatives`, in two dimensions.
     """
     eps, share, cubic, elastic, exact = penalty
-    number, frame, plain = unknowns
-    first, last, starts, columns = rows
-    base, half, lowest = starts[first], np.sqrt(0.5), -np.inf if exact else 0.0
+    half, lowest = np.sqrt(0.5), -np.inf if exact else 0.0
     c, m, values, vectors = np.empty(2), np.empty(2), np.empty(4), np.empty((4, 4))
     turned, force = np.empty((3, 4, 2)), np.empty((3, 2))
     for at in which:
-        a00, a01, a10, a11 = _matrix(x, node[at], slope[at])
+        a00, a01, a10, a11 = plane_matrix(x, node[at], slope[at])
         det = a00 * a11 - a01 * a10
-        chi, root = _regular(det, eps)
-        g = a00 * a00 + a01 * a01 + a10 * a10 + a11 * a11
-        f = 0.5 * (g + det * det + 1.0) / chi
+        chi, root = regular(det, eps)
+        f, dg, dd, gd, ddd = slopes_of_triangle(a00 * a00 + a01 * a01 + a10 * a10 + a11 * a11, det, chi, root)
         _, one, two = growth(f)
         one = share * (weight[at] + cubic * one)
         two = share * cubic * two
-        dg, dd = 0.5 / chi, det / chi - f / root
-        gd = -0.5 / (chi * root)
-        ddd = 1.0 / chi - 2.0 * det / (chi * root) + f * (1.0 + det / root) / (root * root)
         c[0], c[1], m[0], m[1] = half * (a00 + a11), half * (a10 - a01), half * (a00 - a11), half * (a01 + a10)
         u, v = 2.0 * dg * one, dd * one
         gg, gd, ddd = two * dg * dg, one * gd + two * dg * dd, one * ddd + two * dd * dd
         _spectrum(c, m, u, v, gg, gd, ddd, lowest, values, vectors)
         for i in range(4):
             values[i] += elastic
-        p00, p01, p10, p11 = _matrix(reference, node[at], slope[at])
+        p00, p01, p10, p11 = plane_matrix(reference, node[at], slope[at])
         e00, e01, e10, e11 = elastic * (a00 - p00), elastic * (a01 - p01), elastic * (a10 - p10), elastic * (a11 - p11)
         for n in range(3):
             b0, b1 = slope[at, n, 0], slope[at, n, 1]
@@ -136,37 +130,51 @@ def add_triangles(x, node, slope, weight, reference, penalty, which, unknowns, r
             force[n, 1] = u * (a10 * b0 + a11 * b1) + v * (a00 * b1 - a01 * b0) + e10 * b0 + e11 * b1
             for i in range(4):
                 e = vectors[i]
-                y0 = half * ((e[0] + e[2]) * b0 + (e[3] - e[1]) * b1)
-                y1 = half * ((e[1] + e[3]) * b0 + (e[0] - e[2]) * b1)
-                p = node[at, n]
-                if not plain[p]:
-                    y0, y1 = frame[p, 0, 0] * y0 + frame[p, 1, 0] * y1, frame[p, 0, 1] * y0 + frame[p, 1, 1] * y1
-                turned[n, i, 0], turned[n, i, 1] = y0, y1
-        for n in range(3):
-            p = node[at, n]
-            row = number[p]
-            if row < first or row >= last:
+                turned[n, i, 0] = half * ((e[0] + e[2]) * b0 + (e[3] - e[1]) * b1)
+                turned[n, i, 1] = half * ((e[1] + e[3]) * b0 + (e[0] - e[2]) * b1)
+        _add_triangle(node[at], force, values, turned, unknowns, rows, matrix, gradient)
+
+
+@inlined
+def _add_triangle(node, force, values, turned, unknowns, rows, matrix, gradient):
+    """Add the gradient ``force`` (3, 2) and the Hessian of a triangle to the rows that have its unknowns.
+
+    The Hessian is the sum over i of values_i turned_i turned_i^T, ``turned`` (3, 4, 2); the latter is overwritten.
+    """
+    number, frame, plain = unknowns
+    first, last, starts, columns = rows
+    for n in range(3):
+        p = node[n]
+        if not plain[p]:
+            for i in range(4):
+                y0, y1 = turned[n, i, 0], turned[n, i, 1]
+                turned[n, i, 0] = frame[p, 0, 0] * y0 + frame[p, 1, 0] * y1
+                turned[n, i, 1] = frame[p, 0, 1] * y0 + frame[p, 1, 1] * y1
+    for n in range(3):
+        p = node[n]
+        row = number[p]
+        if row < first or row >= last:
+            continue
+        if plain[p]:
+            gradient[row, 0] += force[n, 0]
+            gradient[row, 1] += force[n, 1]
+        else:
+            gradient[row, 0] += frame[p, 0, 0] * force[n, 0] + frame[p, 1, 0] * force[n, 1]
+            gradient[row, 1] += frame[p, 0, 1] * force[n, 0] + frame[p, 1, 1] * force[n, 1]
+        for o in range(3):
+            column = number[node[o]]
+            if column < 0:
                 continue
-            if plain[p]:
-                gradient[row, 0] += force[n, 0]
-                gradient[row, 1] += force[n, 1]
-            else:
-                gradient[row, 0] += frame[p, 0, 0] * force[n, 0] + frame[p, 1, 0] * force[n, 1]
-                gradient[row, 1] += frame[p, 0, 1] * force[n, 0] + frame[p, 1, 1] * force[n, 1]
-            for o in range(3):
-                column = number[node[at, o]]
-                if column < 0:
-                    continue
-                place = starts[row]
-                while columns[place] != column:
-                    place += 1
-                place -= base
-                for i in range(4):
-                    y0, y1 = values[i] * turned[n, i, 0], values[i] * turned[n, i, 1]
-                    matrix[place, 0, 0] += y0 * turned[o, i, 0]
-                    matrix[place, 0, 1] += y0 * turned[o, i, 1]
-                    matrix[place, 1, 0] += y1 * turned[o, i, 0]
-                    matrix[place, 1, 1] += y1 * turned[o, i, 1]
+            place = starts[row]
+            while columns[place] != column:
+                place += 1
+            place -= starts[first]
+            for i in range(4):
+                y0, y1 = values[i] * turned[n, i, 0], values[i] * turned[n, i, 1]
+                matrix[place, 0, 0] += y0 * turned[o, i, 0]
+                matrix[place, 0, 1] += y0 * turned[o, i, 1]
+                matrix[place, 1, 0] += y1 * turned[o, i, 0]
+                matrix[place, 1, 1] += y1 * turned[o, i, 1]
 
 
 @kernel
@@ -174,9 +182,9 @@ def excess_of_triangles(x, node, slope, healthy, eps):
     """log(f / healthy) of every triangle (m,), 0 where that is negative."""
     result = np.zeros(len(node))
     for m in range(len(node)):
-        a, b, c, d = _matrix(x, node[m], slope[m])
+        a, b, c, d = plane_matrix(x, node[m], slope[m])
         det = a * d - b * c
-        chi, _ = _regular(det, eps)
+        chi, _ = regular(det, eps)
         f = 0.5 * (a * a + b * b + c * c + d * d + det * det + 1.0) / chi
         if f > healthy:
             result[m] = np.log(f / healthy)

@@ -1,33 +1,23 @@
 """Products with the second derivatives of the foldover-free energy of hexahedra, and those of its onset.
 
-For derivatives of its minimum, see :mod:`meshdeform_core.repair.derivative`; arguments as in :mod:`.foldover`.
+For derivatives of its minimum, see :mod:`meshdeform_core.repair.derivative`; arguments as in :mod:`.hexahedra`.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from ..jit import inlined, kernel
-from .foldover import _coefficients, _cofactors, _differ, _map, _regular, _square
-
-
-@inlined
-def _inner(a, b):
-    total = 0.0
-    for d in range(3):
-        for k in range(3):
-            total += a[d, k] * b[d, k]
-    return total
+from ...jit import inlined, kernel
+from .hexahedra import coefficients
+from .jacobian import cofactors, distortion, inner, jacobian, mapping, regular
 
 
 @kernel
-def products_of_cells(
-    x, cells, start, own, mask, samples, weight, penalty, change, zero, d_share, d_between, out, g_between
-):
+def products_of_cells(x, cells, start, own, mask, samples, weight, penalty, change, d_share, d_between, out, g_between):
     """Change of the gradient of the energy for a ``change`` (n, 3) of ``x``, added to ``out`` (n, 3).
 
     It includes those for a change of the share of all samples, and of that of the samples between corners of each cell
-    (m,). ``zero`` (n, 3) is zero. Returns the transpose with respect to the former: the change of the derivative of the
+    (m,). Returns the transpose with respect to the former: the change of the derivative of the
     energy with respect to the share; ``g_between`` (m,) gets the latter.
     """
     count, node, slope = samples
@@ -41,13 +31,13 @@ def products_of_cells(
             if not mask[c] >> s & 1:
                 continue
             m = count[s]
-            det = _map(x, cells[c], start, own[c], m, node[s], slope[s], inverse, b, a)
-            _cofactors(a, k)
-            u, v, w, p, q, r = _coefficients(_square(a), det, eps, weight[c, 0], cubic, True)
-            _differ(change, zero, cells[c], m, node[s], b, t)
+            det = mapping(x, cells[c], start, own[c], m, node[s], slope[s], inverse, b, a)
+            cofactors(a, k)
+            u, v, w, p, q, r = coefficients(inner(a, a), det, eps, weight[c, 0], cubic, True)
+            jacobian(change, cells[c], m, node[s], b, t)
             between = 1.0 if s < 8 else weight[c, 1]
             part = d_share * between + (0.0 if s < 8 else share * d_between[c])
-            ta, tk = _inner(t, a), _inner(t, k)
+            ta, tk = inner(t, a), inner(t, k)
             _turned_cofactors(a, t, turned)
             stiff = elastic if s < 8 else 0.0
             for d in range(3):
@@ -81,8 +71,8 @@ def _turned_cofactors(a, t, result):
 
 
 @kernel
-def slopes_of_cells(x, start, cells, mask, samples, healthy, norm, eps, change, zero, gradient, d_excess, out):
-    """Change ``d_excess`` (m,) of :func:`.foldover.excess_of_cells` for a ``change`` (n, 3) of ``x``; and the
+def slopes_of_cells(x, cells, start, own, mask, samples, healthy, norm, eps, change, gradient, d_excess, out):
+    """Change ``d_excess`` (m,) of :func:`.hexahedra.excess_of_cells` for a ``change`` (n, 3) of ``x``; and the
     transpose: the ``gradient`` (m,) of cells gives that of nodes, added to ``out`` (n, 3)."""
     count, node, slope = samples
     inverse, b, a, k = np.empty((3, 3)), np.empty((8, 3)), np.empty((3, 3)), np.empty((3, 3))
@@ -93,9 +83,9 @@ def slopes_of_cells(x, start, cells, mask, samples, healthy, norm, eps, change, 
         for s in range(count.size):
             f[s] = 0.0
             if mask[c] >> s & 1:
-                det = _map(x, cells[c], start, cells[c], count[s], node[s], slope[s], inverse, b, a)
-                chi, _ = _regular(det, eps)
-                f[s] = _square(a) / 3.0 * chi ** (-2.0 / 3.0) + 0.5 * (det * det + 1.0) / chi
+                det = mapping(x, cells[c], start, own[c], count[s], node[s], slope[s], inverse, b, a)
+                chi, _ = regular(det, eps)
+                f[s] = distortion(a, det, chi)
                 largest = max(largest, np.log(f[s] / healthy))
         if largest == 0.0:
             continue
@@ -105,12 +95,12 @@ def slopes_of_cells(x, start, cells, mask, samples, healthy, norm, eps, change, 
         for s in range(count.size):
             if f[s] <= healthy:
                 continue
-            det = _map(x, cells[c], start, cells[c], count[s], node[s], slope[s], inverse, b, a)
-            _cofactors(a, k)
-            u, v, _, _, _, _ = _coefficients(_square(a), det, eps, 1.0, 0.0, True)
+            det = mapping(x, cells[c], start, own[c], count[s], node[s], slope[s], inverse, b, a)
+            cofactors(a, k)
+            u, v, _, _, _, _ = coefficients(inner(a, a), det, eps, 1.0, 0.0, True)
             part = (np.log(f[s] / healthy) / largest) ** (norm - 1.0) * total ** (1.0 / norm - 1.0) / f[s]
-            _differ(change, zero, cells[c], count[s], node[s], b, t)
-            d_excess[c] += part * (u * _inner(t, a) + v * _inner(t, k))
+            jacobian(change, cells[c], count[s], node[s], b, t)
+            d_excess[c] += part * (u * inner(t, a) + v * inner(t, k))
             for n in range(count[s]):
                 here = cells[c, node[s, n]]
                 for d in range(3):

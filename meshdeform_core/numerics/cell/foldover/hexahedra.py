@@ -1,0 +1,256 @@
+"""The energy of hexahedra and its derivatives."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ...jit import inlined, kernel
+from .jacobian import cofactors, distortion, growth, inner, mapping, regular
+
+
+class Unknowns(NamedTuple):
+    """Of every node of a region: the ``number`` (n,) of its unknown or -1, its ``frame`` (n, d, d) with
+    displacement = frame @ unknown, and whether that is the identity, ``plain`` (n,)."""
+
+    number: np.ndarray
+    frame: np.ndarray
+    plain: np.ndarray
+
+
+@inlined
+def _differ(x, reference, cell, count, node, b, e):
+    """The Jacobian matrix ``e`` (3, 3) of the difference of two maps at a sample point."""
+    for d in range(3):
+        for k in range(3):
+            e[d, k] = 0.0
+    for n in range(count):
+        p = cell[node[n]]
+        for d in range(3):
+            for k in range(3):
+                e[d, k] += (x[p, d] - reference[p, d]) * b[n, k]
+
+
+@kernel
+def energy_of_cells(x, cells, start, own, mask, samples, weight, reference, penalty, low, high):
+    """Sum of the energy over the cells low <= c < high, smallest D, and largest f.
+
+    Parameters
+    ----------
+    x, cells : (n, 3) deformed coordinates, (m, 8) their rows at the corners of cells
+    start, own : (k, 3) undeformed coordinates, (m, 8) their rows
+    mask : (m,) int64, bit s set where sample point s counts
+    samples : see :class:`.samples.Samples`
+    weight : (m, 2) w of the cells, and the share of their samples between corners
+    reference : (n, 3) coordinates of the reference grid
+    penalty : eps, share, cubic and elastic of the energy, whether second derivatives are exact; with eps = 0 the energy
+        is infinite where D <= 0
+    """
+    count, node, slope = samples
+    eps, share, cubic, elastic, _ = penalty
+    inverse, b, a = np.empty((3, 3)), np.empty((8, 3)), np.empty((3, 3))
+    total, lowest, highest = 0.0, np.inf, 0.0
+    for c in range(low, high):
+        for s in range(count.size):
+            if not mask[c] >> s & 1:
+                continue
+            det = mapping(x, cells[c], start, own[c], count[s], node[s], slope[s], inverse, b, a)
+            chi, _ = regular(det, eps)
+            lowest = min(lowest, det)
+            f = np.inf
+            if chi > 0.0:
+                f = distortion(a, det, chi)
+            highest = max(highest, f)
+            one = share if s < 8 else share * weight[c, 1]
+            total += one * (weight[c, 0] * f + cubic * growth(f)[0])
+            if elastic > 0.0 and s < 8:
+                _differ(x, reference, cells[c], count[s], node[s], b, a)
+                total += 0.5 * elastic * inner(a, a)
+    return total, lowest, highest
+
+
+@inlined
+def coefficients(g, det, eps, weight, cubic, exact):
+    """Derivatives of the energy of one sample, g = |A|^2, but for the elastic term: gradient u A + v K, Hessian
+    w I + p A A^T + q (A K^T + K A^T) + r K K^T with the cofactors K, and v times the derivative of K.
+
+    Without ``exact``, in the 2 x 2 matrix of second derivatives along A and D the entry of D is raised until it has no
+    negative eigenvalue, and the derivative of K is to be left out.
+    """
+    chi, root = regular(det, eps)
+    h = chi ** (-2.0 / 3.0)
+    h1 = -2.0 / 3.0 * h / root
+    h2 = 2.0 / 3.0 * h * (2.0 / 3.0 + det / root) / (root * root)
+    whole = det * det + 1.0
+    q1 = (2.0 * det - whole / root) / chi
+    q2 = (2.0 - 2.0 * det / root + whole * det / (root * root * root)) / chi - q1 / root
+    f = g * h / 3.0 + 0.5 * whole / chi
+    u, v = 2.0 * h / 3.0, g * h1 / 3.0 + 0.5 * q1
+    w, q, r = u, 2.0 * h1 / 3.0, g * h2 / 3.0 + 0.5 * q2
+    if not exact:
+        r = max(r, 2.0 / 3.0 * h1 * h1 / h * g)
+    _, one, two = growth(f)
+    one, two = weight + cubic * one, cubic * two
+    return u * one, v * one, w * one, two * u * u, q * one + two * u * v, r * one + two * v * v
+
+
+@kernel
+def add_derivatives(
+    x, cells, start, own, mask, samples, weight, reference, penalty, which, unknowns, rows, matrix, gradient
+):
+    """Add the derivatives of the energy of the cells ``which`` to rows of the gradient and of the Hessian.
+
+    Parameters
+    ----------
+    which : (k,) cells that touch the rows
+    unknowns : (number (n,), frame (n, 3, 3), plain (n,)) of every node: its unknown or -1, and how it follows it,
+        ``d = frame @ u``, the identity where ``plain``
+    rows : (first row, one past the last row, start (n_unknowns + 1,) of each row of blocks, columns of all of them)
+    matrix : (n_blocks, 3, 3) in the sense of BSR, those of the given rows; gradient : (n_unknowns, 3), only these
+        rows are written
+    """
+    count, node, slope = samples
+    eps, share, cubic, elastic, exact = penalty
+    inverse, b, a, k = np.empty((3, 3)), np.empty((8, 3)), np.empty((3, 3)), np.empty((3, 3))
+    difference, turn = np.zeros((3, 3)), np.empty(3)
+    along, across, left, right = np.empty((8, 3)), np.empty((8, 3)), np.empty((8, 3)), np.empty((8, 3))
+    force, block = np.empty((8, 3)), np.empty((8, 8, 3, 3))
+    for c in which:
+        force[...] = 0.0
+        block[...] = 0.0
+        for s in range(count.size):
+            if not mask[c] >> s & 1:
+                continue
+            m = count[s]
+            det = mapping(x, cells[c], start, own[c], m, node[s], slope[s], inverse, b, a)
+            cofactors(a, k)
+            one = share if s < 8 else share * weight[c, 1]
+            stiff = elastic if s < 8 else 0.0
+            u, v, w, p, q, r = coefficients(inner(a, a), det, eps, one * weight[c, 0], one * cubic, exact)
+            if stiff > 0.0:
+                _differ(x, reference, cells[c], m, node[s], b, difference)
+            for n in range(m):
+                _multiply(a, b[n], along[n])
+                _multiply(k, b[n], across[n])
+                for d in range(3):
+                    ab, kb = along[n, d], across[n, d]
+                    left[n, d], right[n, d] = p * ab + q * kb, q * ab + r * kb
+                    force[node[s, n], d] += u * ab + v * kb
+                    if stiff > 0.0:
+                        for e in range(3):
+                            force[node[s, n], d] += stiff * difference[d, e] * b[n, e]
+            for n in range(m):
+                for o in range(n, m):
+                    here = block[node[s, n], node[s, o]]
+                    _add_products(w + stiff, b[n], b[o], left[n], along[o], right[n], across[o], here)
+                    if exact:
+                        _add_turn(v, b[n], b[o], a, turn, here)
+        _add_cell(cells[c], force, block, unknowns, rows, matrix, gradient)
+
+
+@inlined
+def _multiply(a, b, result):
+    for d in range(3):
+        result[d] = a[d, 0] * b[0] + a[d, 1] * b[1] + a[d, 2] * b[2]
+
+
+@inlined
+def _add_products(factor, b, other_b, left, along, right, across, block):
+    """Add ``factor`` b . other_b I + left along^T + right across^T to ``block`` (3, 3)."""
+    dot = factor * (b[0] * other_b[0] + b[1] * other_b[1] + b[2] * other_b[2])
+    for d in range(3):
+        for e in range(3):
+            block[d, e] += left[d] * along[e] + right[d] * across[e]
+        block[d, d] += dot
+
+
+@inlined
+def _add_turn(v, b, other_b, a, turn, block):
+    """Add to ``block`` (3, 3) ``v`` times the derivative of the cofactors of ``a``, the matrix of a cross product."""
+    x0 = v * (b[1] * other_b[2] - b[2] * other_b[1])
+    x1 = v * (b[2] * other_b[0] - b[0] * other_b[2])
+    x2 = v * (b[0] * other_b[1] - b[1] * other_b[0])
+    for d in range(3):
+        turn[d] = a[d, 0] * x0 + a[d, 1] * x1 + a[d, 2] * x2
+    block[0, 1] += turn[2]
+    block[1, 0] -= turn[2]
+    block[1, 2] += turn[0]
+    block[2, 1] -= turn[0]
+    block[2, 0] += turn[1]
+    block[0, 2] -= turn[1]
+
+
+@inlined
+def _add_cell(cell, force, block, unknowns, rows, matrix, gradient):
+    """Add the gradient ``force`` (8, 3) and the Hessian ``block`` (8, 8, 3, 3) of a cell to the rows that have its
+    unknowns. The nodes of every sample point ascend, so that only the blocks above the diagonal are filled."""
+    number, frame, plain = unknowns
+    first, last, starts, columns = rows
+    part, work = np.empty((3, 3)), np.empty((3, 3))
+    for n in range(8):
+        here = cell[n]
+        row = number[here]
+        if row < first or row >= last:
+            continue
+        for d in range(3):
+            if plain[here]:
+                gradient[row, d] += force[n, d]
+            else:
+                for e in range(3):
+                    gradient[row, d] += frame[here, e, d] * force[n, e]
+        for o in range(8):
+            there = cell[o]
+            if number[there] < 0:
+                continue
+            for d in range(3):
+                for e in range(3):
+                    part[d, e] = block[n, o, d, e] if n <= o else block[o, n, e, d]
+            if not (plain[here] and plain[there]):
+                _turn(frame[here], frame[there], part, work)
+            at = _find(columns, starts[row], starts[row + 1], number[there]) - starts[first]
+            for d in range(3):
+                for e in range(3):
+                    matrix[at, d, e] += part[d, e]
+
+
+@inlined
+def _turn(one, two, block, work):
+    """``block = one^T block two``."""
+    for d in range(3):
+        for e in range(3):
+            work[d, e] = one[0, d] * block[0, e] + one[1, d] * block[1, e] + one[2, d] * block[2, e]
+    for d in range(3):
+        for e in range(3):
+            block[d, e] = work[d, 0] * two[0, e] + work[d, 1] * two[1, e] + work[d, 2] * two[2, e]
+
+
+@inlined
+def _find(columns, low, high, wanted):
+    """Position of ``wanted`` in the ascending ``columns[low:high]``."""
+    while high - low > 1:
+        middle = (low + high) // 2
+        if columns[middle] <= wanted:
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+@kernel
+def excess_of_cells(x, cells, start, own, mask, samples, healthy, norm, eps):
+    """Of every cell (m,), the norm over its sample points of log(f / healthy) where that is positive."""
+    count, node, slope = samples
+    inverse, b, a = np.empty((3, 3)), np.empty((8, 3)), np.empty((3, 3))
+    result = np.empty(len(cells))
+    for c in range(len(cells)):
+        total = 0.0
+        for s in range(count.size):
+            if mask[c] >> s & 1:
+                det = mapping(x, cells[c], start, own[c], count[s], node[s], slope[s], inverse, b, a)
+                chi, _ = regular(det, eps)
+                f = distortion(a, det, chi)
+                if f > healthy:
+                    total += np.log(f / healthy) ** norm
+        result[c] = total ** (1.0 / norm)
+    return result

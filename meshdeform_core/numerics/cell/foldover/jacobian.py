@@ -1,0 +1,101 @@
+"""Jacobian matrices (3, 3) of maps of a cell, and functions of them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...jit import inlined
+
+
+@inlined
+def jacobian(x, cell, count, node, slope, a):
+    """The Jacobian matrix ``a`` at a sample point: the sum of x_n slope_n over ``count`` of its nodes.
+
+    ``cell`` (8,) are the rows of ``x`` (n, 3) at the corners, ``node`` (m,) says which of them the sum is over, and
+    ``slope`` (m, 3) has the derivatives of their shape functions.
+    """
+    for d in range(3):
+        for k in range(3):
+            a[d, k] = 0.0
+    for n in range(count):
+        p = cell[node[n]]
+        for d in range(3):
+            for k in range(3):
+                a[d, k] += x[p, d] * slope[n, k]
+
+
+@inlined
+def mapping(x, cell, start, own, count, node, slope, inverse, b, a):
+    """Jacobian matrix ``a`` of the map from an undeformed cell, and ``b`` (m, 3): a = sum of x_n b_n.
+
+    ``cell`` (8,) are rows of ``x``, ``own`` (8,) those of ``start``.
+
+    Returns its determinant.
+    """
+    jacobian(start, own, count, node, slope, a)
+    _invert(a, inverse)
+    for n in range(count):
+        for k in range(3):
+            b[n, k] = slope[n, 0] * inverse[0, k] + slope[n, 1] * inverse[1, k] + slope[n, 2] * inverse[2, k]
+    jacobian(x, cell, count, node, b, a)
+    return determinant(a)
+
+
+@inlined
+def determinant(a):
+    return (
+        a[0, 0] * (a[1, 1] * a[2, 2] - a[1, 2] * a[2, 1])
+        + a[0, 1] * (a[1, 2] * a[2, 0] - a[1, 0] * a[2, 2])
+        + a[0, 2] * (a[1, 0] * a[2, 1] - a[1, 1] * a[2, 0])
+    )
+
+
+@inlined
+def _invert(e, inverse):
+    cofactors(e, inverse)
+    det = e[0, 0] * inverse[0, 0] + e[0, 1] * inverse[0, 1] + e[0, 2] * inverse[0, 2]
+    for d in range(3):
+        for k in range(d, 3):
+            upper, lower = inverse[d, k], inverse[k, d]
+            inverse[d, k], inverse[k, d] = lower / det, upper / det
+
+
+@inlined
+def cofactors(a, k):
+    """The derivative of the determinant."""
+    for i in range(3):
+        m, n = (i + 1) % 3, (i + 2) % 3
+        for j in range(3):
+            p, q = (j + 1) % 3, (j + 2) % 3
+            k[i, j] = a[m, p] * a[n, q] - a[m, q] * a[n, p]
+
+
+@inlined
+def inner(a, b):
+    """The sum of the products of the entries of ``a`` and ``b``."""
+    total = 0.0
+    for d in range(3):
+        for k in range(3):
+            total += a[d, k] * b[d, k]
+    return total
+
+
+@inlined
+def distortion(a, det, chi):
+    """f of a map with the Jacobian matrix ``a``, see :mod:`meshdeform_core.numerics.cell.foldover`."""
+    return inner(a, a) / 3.0 * chi ** (-2.0 / 3.0) + 0.5 * (det * det + 1.0) / chi
+
+
+@inlined
+def growth(f):
+    """p^3 / (1 + p / 4), p = f - 2, and its two derivatives."""
+    p = f - 2.0
+    q = 1.0 + 0.25 * p
+    return p * p * p / q, p * p * (3.0 + 0.5 * p) / (q * q), p * (6.0 + p * (1.5 + 0.125 * p)) / (q * q * q)
+
+
+@inlined
+def regular(det, eps):
+    """chi and sqrt(eps^2 + D^2), without cancellation."""
+    root = np.sqrt(eps * eps + det * det)
+    return 0.5 * (det + root) if det > 0.0 else 0.5 * eps * eps / (root - det), root

@@ -1,0 +1,279 @@
+"""The energy of a region as a sum over elements: hexahedra, or triangles at the corners of quadrilaterals."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from ...grid import BoolArray, FloatArray, IntArray
+from ...numerics.cell.foldover.hexahedra import Unknowns, add_derivatives, energy_of_cells, excess_of_cells
+from ...numerics.cell.foldover.plane import (
+    add_triangles,
+    corner_triangles,
+    energy_of_triangles,
+    excess_of_triangles,
+)
+from ...numerics.cell.foldover.plane_tangents import products_of_triangles, slopes_of_triangles
+from ...numerics.cell.foldover.samples import Samples, shortest_edges
+from ...numerics.cell.foldover.tangents import products_of_cells, slopes_of_cells
+
+COLLAPSED = 1e-10
+"""A Jacobian below this share of the product of the edges is that of a collapsed corner."""
+_CORNERS = (1 << 8) - 1
+# Of the derivatives of a sample of a hexahedron, and of a triangle; measured.
+_SAMPLE, _TRIANGLE = 0.9, 0.4
+HEALTHY, SOFT, NORM = 2.5, 0.5, 24.0
+"""An element is healthy while its f, regularised by SOFT, is below HEALTHY: sheared by less than 45 degrees, or shorter
+or longer by less than 2. The excess log(f / HEALTHY) of the corners of a cell is combined in a NORM, as that of cells
+is."""
+
+
+class Penalty(NamedTuple):
+    """The parameters of the energy, see :mod:`..numerics.cell.foldover`; ``exact``: all of its second derivatives,
+    else their convex part."""
+
+    eps: float = 0.0
+    share: float = 1.0
+    cubic: float = 0.0
+    elastic: float = 0.0
+    exact: bool = False
+
+
+class Rows(NamedTuple):
+    """The rows ``first <= row < last`` of a sparse matrix of blocks, whose ``columns`` begin at ``starts``; the
+    ``matrix`` (n_blocks, d, d) has the blocks of these rows, the ``gradient`` (n_unknowns, d) all rows."""
+
+    first: int
+    last: int
+    starts: IntArray
+    columns: IntArray
+    matrix: FloatArray
+    gradient: FloatArray
+
+    @property
+    def pattern(self) -> tuple[int, int, IntArray, IntArray]:
+        """What the loops over rows need."""
+        return self[:4]
+
+
+class Energy(Protocol):
+    """A sum over elements, each of which depends on some nodes: ``nodes`` (m, k)."""
+
+    @property
+    def nodes(self) -> IntArray: ...
+
+    @property
+    def work(self) -> float:
+        """That of the second derivatives of all elements, see :mod:`.limit`."""
+        ...
+
+    def edges(self) -> FloatArray:
+        """(n,) the shortest undeformed edge at every node, infinite where there is none of any length."""
+        ...
+
+    def softened(self, power: float) -> Energy:
+        """The same with the given power of all weights."""
+        ...
+
+    def excess(self, x: FloatArray) -> FloatArray:
+        """(m,) how weak elements are, see :mod:`.onset`."""
+        ...
+
+    def sum(
+        self, x: FloatArray, reference: FloatArray, penalty: Penalty, low: int, high: int
+    ) -> tuple[float, float, float]:
+        """Over elements low <= m < high: energy, smallest determinant, largest f."""
+        ...
+
+    def add(
+        self, x: FloatArray, reference: FloatArray, penalty: Penalty, which: IntArray, unknowns: Unknowns, rows: Rows
+    ) -> None:
+        """See :func:`..numerics.cell.foldover.hexahedra.add_derivatives`."""
+        ...
+
+    def products(
+        self, x: FloatArray, penalty: Penalty, change: FloatArray, share: float, between: FloatArray
+    ) -> tuple[FloatArray, float, FloatArray]:
+        """Change (n, d) of the gradient for a ``change`` (n, d) of ``x``, of the share, and of the shares (m,) of
+        samples between corners; and the transpose with respect to the shares.
+
+        See :func:`..numerics.cell.foldover.tangents.products_of_cells`."""
+        ...
+
+    def excess_products(self, x: FloatArray, change: FloatArray, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Change (m,) of the excess for a ``change`` (n, d) of ``x``, and the transpose for a ``gradient`` (m,)."""
+        ...
+
+    def with_between(self, share: FloatArray) -> Energy:
+        """The same with shares (m,) of the samples between corners; those without are left out."""
+        ...
+
+    def matrices(self, x: FloatArray) -> FloatArray:
+        """Jacobian matrices (m, d, d) of the maps from undeformed elements, of hexahedra their mean."""
+        ...
+
+    def stretched(self, stretch: FloatArray) -> Energy:
+        """The energy relative to undeformed elements after a linear map (m, d, d) of each."""
+        ...
+
+
+@dataclass(frozen=True)
+class Hexahedra:
+    """The energy of hexahedra.
+
+    Attributes
+    ----------
+    start, own : (k, 3) undeformed coordinates, and those (m, 8) of each cell
+    nodes : (m, 8) as in :func:`..numerics.cell.foldover.samples.cell_samples`
+    mask : (m,) int64, bit s set where sample point s counts
+    samples : the sample points
+    weight : (m,) of the cells
+    between : (m,) share of the samples between corners
+    """
+
+    start: FloatArray
+    own: IntArray
+    nodes: IntArray
+    mask: IntArray
+    samples: Samples
+    weight: FloatArray
+    between: FloatArray
+
+    @cached_property
+    def work(self) -> float:
+        return _SAMPLE * float(np.bitwise_count(self.mask).sum())
+
+    def edges(self) -> FloatArray:
+        pairs = [(a, a | bit) for a in range(8) for bit in (1, 2, 4) if not a & bit]
+        return shortest_edges(self.start, self.nodes, np.array(pairs))
+
+    def softened(self, power: float) -> Hexahedra:
+        return dataclasses.replace(self, weight=self.weight**power)
+
+    def excess(self, x: FloatArray) -> FloatArray:
+        return np.asarray(excess_of_cells(x, *self._corners, HEALTHY, NORM, SOFT))
+
+    def with_between(self, share: FloatArray) -> Hexahedra:
+        return dataclasses.replace(self, mask=np.where(share > 0.0, self.mask, self.mask & _CORNERS), between=share)
+
+    def sum(
+        self, x: FloatArray, reference: FloatArray, penalty: Penalty, low: int, high: int
+    ) -> tuple[float, float, float]:
+        return energy_of_cells(x, *self._loops, reference, tuple(penalty), low, high)
+
+    def add(
+        self, x: FloatArray, reference: FloatArray, penalty: Penalty, which: IntArray, unknowns: Unknowns, rows: Rows
+    ) -> None:
+        rest = tuple(penalty), which, unknowns, rows.pattern, rows.matrix, rows.gradient
+        add_derivatives(x, *self._loops, reference, *rest)
+
+    def products(
+        self, x: FloatArray, penalty: Penalty, change: FloatArray, share: float, between: FloatArray
+    ) -> tuple[FloatArray, float, FloatArray]:
+        found, gradient = np.zeros_like(change), np.zeros(len(self.nodes))
+        total = products_of_cells(x, *self._loops, tuple(penalty), change, share, between, found, gradient)
+        return found, total, gradient
+
+    def excess_products(self, x: FloatArray, change: FloatArray, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
+        excess, found = np.zeros(len(self.nodes)), np.zeros_like(change)
+        slopes_of_cells(x, *self._corners, HEALTHY, NORM, SOFT, change, gradient, excess, found)
+        return excess, found
+
+    def matrices(self, x: FloatArray) -> FloatArray:
+        before = _edges(self.start, self.own)
+        # Flat cells have no shape to compare with.
+        before[np.linalg.det(before) == 0.0] = np.eye(3)
+        return np.asarray(_edges(x, self.nodes) @ np.linalg.inv(before))
+
+    def stretched(self, stretch: FloatArray) -> Hexahedra:
+        corners = np.einsum("mij,mnj->mni", stretch, self.start[self.own]).reshape(-1, 3)
+        return dataclasses.replace(self, start=corners, own=np.arange(len(corners)).reshape(-1, 8))
+
+    @cached_property
+    def _loops(self) -> tuple[Any, ...]:
+        weights = np.stack([self.weight, self.between], axis=1)
+        return self.nodes, self.start, self.own, self.mask, self.samples, weights
+
+    @property
+    def _corners(self) -> tuple[Any, ...]:
+        return self.nodes, self.start, self.own, self.mask & _CORNERS, self.samples
+
+
+@dataclass(frozen=True)
+class Triangles:
+    """The energy of the corners of quadrilaterals: ``nodes`` (m, 3), ``slope`` (m, 3, 2) the undeformed gradients of
+    their shape functions, ``start`` (n, 2) undeformed coordinates, ``weight`` (m,) those of their cells."""
+
+    nodes: IntArray
+    slope: FloatArray
+    start: FloatArray
+    weight: FloatArray
+
+    @property
+    def work(self) -> float:
+        return _TRIANGLE * len(self.nodes)
+
+    def edges(self) -> FloatArray:
+        return shortest_edges(self.start, self.nodes, np.array([(0, 1), (0, 2)]))
+
+    def softened(self, power: float) -> Triangles:
+        return dataclasses.replace(self, weight=self.weight**power)
+
+    def excess(self, x: FloatArray) -> FloatArray:
+        return np.asarray(excess_of_triangles(x, self.nodes, self.slope, HEALTHY, SOFT))
+
+    @classmethod
+    def at_corners(cls, start: FloatArray, cells: IntArray, sign: FloatArray, weight: FloatArray) -> Triangles:
+        """Of the sound corners of undeformed quadrilaterals (m, 4); ``sign`` (m,) is that of sound Jacobians."""
+        most = 4 * len(cells)
+        nodes, slope, cell = np.empty((most, 3), np.int64), np.empty((most, 3, 2)), np.empty(most, np.int64)
+        count = corner_triangles(start, cells, sign, COLLAPSED, nodes, slope, cell)
+        return cls(nodes[:count], slope[:count], start, weight[cell[:count]])
+
+    def with_any(self, moves: BoolArray) -> Triangles:
+        """Those that have one of the nodes that ``moves`` (n,) is true for."""
+        kept = np.asarray(moves[self.nodes].any(axis=1))
+        return self if kept.all() else Triangles(self.nodes[kept], self.slope[kept], self.start, self.weight[kept])
+
+    def sum(
+        self, x: FloatArray, reference: FloatArray, penalty: Penalty, low: int, high: int
+    ) -> tuple[float, float, float]:
+        return energy_of_triangles(x, self.nodes, self.slope, self.weight, reference, tuple(penalty), low, high)
+
+    def add(
+        self, x: FloatArray, reference: FloatArray, penalty: Penalty, which: IntArray, unknowns: Unknowns, rows: Rows
+    ) -> None:
+        rest = tuple(penalty), which, unknowns, rows.pattern, rows.matrix, rows.gradient
+        add_triangles(x, self.nodes, self.slope, self.weight, reference, *rest)
+
+    def products(
+        self, x: FloatArray, penalty: Penalty, change: FloatArray, share: float, between: FloatArray
+    ) -> tuple[FloatArray, float, FloatArray]:
+        found, where = np.zeros_like(change), (self.nodes, self.slope, self.weight)
+        total = products_of_triangles(x, *where, tuple(penalty), change, share, found)
+        return found, total, np.zeros(len(self.nodes))
+
+    def excess_products(self, x: FloatArray, change: FloatArray, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
+        excess, found = np.zeros(len(self.nodes)), np.zeros_like(change)
+        slopes_of_triangles(x, self.nodes, self.slope, HEALTHY, SOFT, change, gradient, excess, found)
+        return excess, found
+
+    def with_between(self, share: FloatArray) -> Triangles:
+        return self
+
+    def matrices(self, x: FloatArray) -> FloatArray:
+        return np.asarray(np.einsum("mni,mnk->mik", x[self.nodes], self.slope))
+
+    def stretched(self, stretch: FloatArray) -> Triangles:
+        return dataclasses.replace(self, slope=np.einsum("mnk,mkj->mnj", self.slope, np.linalg.inv(stretch)))
+
+
+def _edges(x: FloatArray, nodes: IntArray) -> FloatArray:
+    """Mean edges (m, 3, 3) of hexahedra along their axes, in columns."""
+    corners = x[nodes].reshape(-1, 2, 2, 2, 3)
+    means = [np.diff(corners, axis=axis).mean(axis=(1, 2, 3)) for axis in (1, 2, 3)]
+    return np.stack(means, axis=-1)
