@@ -62,15 +62,23 @@ def without_missing(settings: str) -> str:
 
 
 def copy(source: Path, target: Path) -> None:
-    """Copy a file; in pages, links to the root of the repository lead to where its pages are on the site."""
+    """Copy a file; links of pages lead to where the pages of the repository's root are on the site, and those whose
+    text is a file's name show the title of its page.
+    """
     target.parent.mkdir(parents=True, exist_ok=True)
     if source.suffix != ".md":
         shutil.copyfile(source, target)
         return
     text = source.read_text(encoding="utf-8")
+    text = re.sub(r"\[[\w/]+\.md\](?=\(([^):#]+))", lambda link: f"[{title(source.parent / link[1])}]", text)
     text = re.sub(r"\]\(\.\./(ARCHITECTURE|CHANGELOG|CONTRIBUTING)\.md", r"](\1.md", text)
     text = re.sub(r"\]\(docs/", "](", text)
     target.write_text(text, encoding="utf-8")
+
+
+def title(page: Path) -> str:
+    """The heading of a page."""
+    return page.read_text(encoding="utf-8").partition("\n")[0].lstrip("# ")
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import tempfile
+from contextlib import chdir
 from pathlib import Path
 
 from site_pages import shrink
@@ -17,6 +18,8 @@ VIEWS: dict[str, tuple[str, ...]] = {
     "airfoil": ("--zoom=-0.8,0.8,-0.7,0.7",),
     "splitter-plate": ("--plane", "k=1"),
     "valve": ("--plane", "k=1"),
+    "beam": ("--zoom=-2,2,-1,1.2",),
+    "cascade": ("--zoom=-4,8,-3,3",),
     "hemisphere": ("--select", "membrane", "--view", "iso"),
     "wing": ("--select", "wing", "--view", "iso"),
 }
@@ -38,18 +41,17 @@ def gallery_page(folder: Path, quick: bool) -> str:
 
 
 def _entry(name: str, folder: Path) -> str:
-    sample = ["sample", name, "-o", "case", *(("--size", SIZES[name]) if name in SIZES else ())]
-    deform = ["deform", "case/grid.cgns", "-c", "case/case.toml", *MOTIONS.get(name, ()), "-o", "case/deformed.cgns"]
-    with tempfile.TemporaryDirectory() as place:
-        case = Path(place) / "case"
-        commands = [[word.replace("case/", f"{case}/") for word in command] for command in (sample, deform)]
-        commands[0][3] = str(case)
-        _call(*commands[0])
-        _call(*commands[1], "--report", str(case / "r.json"), "-q")
+    sample = ["sample", name, "-o", name, *(("--size", SIZES[name]) if name in SIZES else ())]
+    deform = ["deform", f"{name}/grid.cgns", "-c", f"{name}/case.toml", *MOTIONS.get(name, ()),
+              "-o", f"{name}/deformed.cgns"]  # fmt: skip
+    with tempfile.TemporaryDirectory() as place, chdir(place):
+        case = Path(name)
+        _call(*sample)
+        _call(*deform, "--report", str(case / "r.json"), "-q")
         for grid, title in (("grid", "undeformed"), ("deformed", "deformed")):
             picture = case / f"{grid}.png"
-            _call("plot", str(case / f"{grid}.cgns"), "-o", str(picture), *VIEWS.get(name, ()), "--title", title)
-            shrink(picture, folder / f"{name}-{grid}.png", 800)
+            _call("plot", str(case / f"{grid}.cgns"), "-o", str(picture), *VIEWS.get(name, ()), "--range", "0,1", "--title", title)
+            shrink(picture, folder.resolve() / f"{name}-{grid}.png", 800)
         report = json.loads((case / "r.json").read_text())
     skew = report["quality"]["after"]["f_skew"]
     lines = "\n".join(f"meshdeform {' '.join(command)}" for command in (sample, deform))
