@@ -50,7 +50,17 @@ def _entry(name: str, folder: Path) -> str:
         _call(*deform, "--report", str(case / "r.json"), "-q")
         for grid, title in (("grid", "undeformed"), ("deformed", "deformed")):
             picture = case / f"{grid}.png"
-            _call("plot", str(case / f"{grid}.cgns"), "-o", str(picture), *VIEWS.get(name, ()), "--range", "0,1", "--title", title)
+            _call(
+                "plot",
+                str(case / f"{grid}.cgns"),
+                "-o",
+                str(picture),
+                *VIEWS.get(name, ()),
+                "--range",
+                "0,1",
+                "--title",
+                title,
+            )
             shrink(picture, folder.resolve() / f"{name}-{grid}.png", 800)
         report = json.loads((case / "r.json").read_text())
     skew = report["quality"]["after"]["f_skew"]

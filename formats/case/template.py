@@ -18,7 +18,7 @@ from .fitted import FittedTable
 
 _MOTION = """\
 # Motions are applied in order; formulas use the undeformed x, y, z and the time t, for example
-#   { rotate = { angle = 5.0, axis = AXIS, center = [0, 0, 0] } }
+#   { rotate = { angle = 5.0, axis = AXIS, center = CENTER } }
 #   { displace = DISPLACE }
 #   { file = "displacement.csv", match = "nearest" }
 motion = [
@@ -38,6 +38,12 @@ class _Entry:
     name: str
     kind: str
     surfaces: tuple[Surface, ...]
+
+    @property
+    def box(self) -> FloatArray:
+        """Lowest and highest coordinates (2, 3)."""
+        boxes = np.array([surface.box for surface in self.surfaces])
+        return np.array([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
 
 
 def case_template(
@@ -139,16 +145,48 @@ def _in_one_plane(grid: Grid, surface: Surface) -> bool:
     )
 
 
-def _motion(grid: Grid, outside: Outside) -> list[str]:
-    """A motion to fill in; the examples stay in the plane of a plane or extruded grid."""
-    normal = _out_of_plane(grid, outside)
+def _motion(grid: Grid, outside: Outside, entry: _Entry) -> Iterator[str]:
+    """A motion to fill in; its examples have the size of the wall, and keep it on the planes that it may not leave.
+
+    These are the plane of a plane or extruded grid, and the symmetry plane: rotations about its normal, and bending
+    that begins at it.
+    """
+    low, high = entry.box
+    normal, place = _out_of_plane(grid, outside), None
+    if normal is None:
+        normal, place = _symmetry(outside, entry.box)
     axis = 2 if normal is None else int(np.argmax(np.abs(normal)))
-    # A displacement across the first direction along it, both in the plane.
-    along, across = [number for number in range(3) if number != axis][:2]
+    if place is not None:
+        yield f"# The wall ends at the symmetry plane {'xyz'[axis]} = {place:.4g}; a motion along {'xyz'[axis]} leaves it."
+    in_plane = sorted({0, 1, 2} - {axis}, key=lambda number: high[number] - low[number])
     parts = ["0", "0", "0"]
-    parts[across] = f"0.1*sin(pi*{'xyz'[along]})"
+    parts[in_plane[0]] = _bending(low, high, in_plane[1] if place is None else axis, place)
     text = _MOTION.replace("AXIS", str([int(number == axis) for number in range(3)]))
-    return text.replace("DISPLACE", json.dumps(parts)).splitlines()
+    text = text.replace("CENTER", str([float(f"{x:.3g}") for x in (low + high) / 2]))
+    yield from text.replace("DISPLACE", json.dumps(parts)).splitlines()
+
+
+def _bending(low: FloatArray, high: FloatArray, along: int, place: float | None) -> str:
+    """A displacement of a twentieth of the wall's length: its middle, or its end away from the symmetry plane."""
+    name, length = "xyz"[along], high[along] - low[along]
+    begin = low[along] if place is None else place
+    start = "" if abs(begin) < 1e-3 * length else f" {'-' if begin > 0 else '+'} {abs(begin):.4g}"
+    part = f"({name}{start})/{length:.3g}" if start else f"{name}/{length:.3g}"
+    return f"{length / 20:.2g}*sin(pi*{part})" if place is None else f"{length / 20:.2g}*({part})**2"
+
+
+def _symmetry(outside: Outside, box: FloatArray) -> tuple[FloatArray | None, float | None]:
+    """Normal of the only symmetry plane, if a wall within ``box`` ends at it, and its coordinate there."""
+    planes = [face.plane for face, role in zip(outside.faces, outside.roles, strict=True)
+              if role is Role.SYMMETRY and face.plane]  # fmt: skip
+    axes = {int(np.argmax(np.abs(plane.normal))) for plane in planes}
+    if len(axes) != 1:
+        return None, None
+    axis = axes.pop()
+    place, size = float(planes[0].point[axis]), float((box[1] - box[0]).max())
+    if np.abs(box[:, axis] - place).min() > FLATNESS * size:
+        return None, None
+    return planes[0].normal, place if abs(place) > FLATNESS * size else 0.0
 
 
 def _out_of_plane(grid: Grid, outside: Outside) -> FloatArray | None:
@@ -172,7 +210,7 @@ def _entry_lines(grid: Grid, outside: Outside, entry: _Entry, table: FittedTable
         yield "]"
     yield f'kind = "{entry.kind}"'
     if entry.kind == "moving" and table is None:
-        yield from _motion(grid, outside)
+        yield from _motion(grid, outside, entry)
     elif entry.kind == "moving" and table is not None:
         match = f'match = "{table.match}", tolerance = {table.tolerance:g}'
         yield f"motion = [ {{ file = {_text(table.file)}, {match} }} ]"

@@ -67,6 +67,8 @@ def unselected_notes(grid: Grid, topology: Topology, quads: IntArray, moving: In
             if flat
             else 'give them a kind: "slip" lets their nodes follow, "fixed" confirms that they stay'
         )
+        if expected:
+            remedy += " in a case file; `meshdeform init --table` writes one"
         names = ", ".join(range_label(grid, window) for window in touching[:_LISTED])
         notes.append(f"faces that no boundary entry selects touch moving nodes but are fixed: {names}; {remedy}")
     return notes

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+import re
 import tomllib
 from pathlib import Path
 
@@ -119,3 +120,19 @@ def test_the_motion_to_fill_in_turns_a_plane_grid_in_its_plane(axis):
     parts = json.loads(line.split("displace = ")[1].removesuffix(" }"))
     assert parts[axis] == "0"
     assert "xyz"[axis] not in "".join(parts).replace("sin", "")
+
+
+def test_the_motions_proposed_keep_the_wall_on_the_symmetry_plane(tmp_path, monkeypatch, call):
+    """Each example of the template is tried; nothing is said about nodes that leave the plane."""
+    monkeypatch.chdir(tmp_path)
+    assert call("sample", "wing", "-o", ".", "--size", "8").code == 0
+    text = call("init", "grid.cgns").out
+    assert "# The wall ends at the symmetry plane y = 0" in text
+    examples = re.findall(r"^#   (\{ (?:rotate|displace).*)$", text, re.MULTILINE)
+    assert len(examples) == 2
+    for example in examples:
+        Path("case.toml").write_text(text.replace("{ translate = [0.0, 0.0, 0.0] }", example))
+        result = call("deform", "grid.cgns", "-c", "case.toml", "-o", "out.cgns", "-q", "--force")
+        assert (result.code, result.err) == (0, "")
+        wall = read_grid("out.cgns").block(0)[:, 0, 0]
+        assert np.abs(wall[:, 1]).max() < 1e-12
