@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from meshdeform_core.errors import GridError
+from meshdeform_core.errors import GridError, vector
 from meshdeform_core.grid import FloatArray, Grid
 from meshdeform_core.parallel import empty, for_rows
 
@@ -38,7 +38,7 @@ def require_plausible(grid: Grid, path: Path) -> None:
         )
     if _on_one_line(sample) and _on_one_line(grid.points):
         first, low, high = grid.points[0], grid.points.min(axis=0), grid.points.max(axis=0)
-        what = "on one line" if (low < high).any() else f"at one point, {first.tolist()}"
+        what = "on one line" if (low < high).any() else f"at one point, {vector(first)}"
         raise GridError(f"{path}: all {grid.n_nodes} nodes lie {what}; a grid needs at least a surface")
 
 
@@ -57,7 +57,7 @@ def _require_bounded(grid: Grid, path: Path) -> None:
         what = f"beyond {LARGEST:g}" if np.isfinite(point).all() else "not finite numbers"
         raise GridError(
             f"{path} has {int(bad.sum())} nodes whose coordinates are {what}; the first is "
-            f"{grid.node_label(first)} = {point.tolist()}"
+            f"{grid.node_label(first)} = {vector(point)}"
         )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from meshdeform_core.boundary.motions.histories import History
 from meshdeform_core.boundary.motions.numbered import Positions
-from meshdeform_core.errors import FormatError
+from meshdeform_core.errors import FormatError, vector
 from meshdeform_core.grid import FloatArray
 
 from ..files import require_regular
@@ -82,9 +82,7 @@ def read_airfoil(path: Path) -> FloatArray:
             raise FormatError(f"{path} announces {upper} and {lower} points, but has {len(points) - 1}")
         over, under = points[1 : upper + 1], points[upper + 1 :]
         if np.abs(over[0] - under[0]).max() > 1e-6:
-            raise FormatError(
-                f"{path}: its sides begin at {over[0].tolist()} and {under[0].tolist()}; expected one nose"
-            )
+            raise FormatError(f"{path}: its sides begin at {vector(over[0])} and {vector(under[0])}; expected one nose")
         points = np.concatenate([over[::-1], under[1:]])
     x, y = points.T
     if x @ np.roll(y, -1) - y @ np.roll(x, -1) < 0:

@@ -157,7 +157,8 @@ def _motion(grid: Grid, outside: Outside, entry: _Entry) -> Iterator[str]:
         normal, place = _symmetry(outside, entry.box)
     axis = 2 if normal is None else int(np.argmax(np.abs(normal)))
     if place is not None:
-        yield f"# The wall ends at the symmetry plane {'xyz'[axis]} = {place:.4g}; a motion along {'xyz'[axis]} leaves it."
+        name = "xyz"[axis]
+        yield f"# The wall ends at the symmetry plane {name} = {place:.4g}; a motion along {name} leaves it."
     in_plane = sorted({0, 1, 2} - {axis}, key=lambda number: high[number] - low[number])
     parts = ["0", "0", "0"]
     parts[in_plane[0]] = _bending(low, high, in_plane[1] if place is None else axis, place)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshdeform_core.boundary.tables.matching import SurfaceData
-from meshdeform_core.errors import FormatError
+from meshdeform_core.errors import FormatError, vector
 from meshdeform_core.grid import FloatArray, IntArray
 
 POINT_NAMES = ("", "points", "point", "coordinates", "coordinate", "coords", "coord", "positions", "position", "nodes")
@@ -136,7 +136,7 @@ def checked_surface(table: DisplacementTable, path: Path) -> SurfaceData:
         bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
         if bad.size:
             raise FormatError(
-                f"{path}, {table.place(int(bad[0]))}: the {what} {values[bad[0]].tolist()} is not finite "
+                f"{path}, {table.place(int(bad[0]))}: the {what} {vector(values[bad[0]])} is not finite "
                 f"({bad.size} such rows)"
             )
     _check_duplicates(points, displacement, table.place, path)
@@ -165,6 +165,6 @@ def _check_duplicates(points: FloatArray, displacement: FloatArray, place: Calla
     if conflict.size:
         one, other = sorted((int(first[conflict[0]]), int(second[conflict[0]])))
         raise FormatError(
-            f"{path}: the point {points[one].tolist()} has two displacements, {displacement[one].tolist()} in "
-            f"{place(one)} and {displacement[other].tolist()} in {place(other)}; keep one of them"
+            f"{path}: the point {vector(points[one])} has two displacements, {vector(displacement[one])} in "
+            f"{place(one)} and {vector(displacement[other])} in {place(other)}; keep one of them"
         )

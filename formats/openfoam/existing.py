@@ -10,7 +10,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from meshdeform_core.errors import FormatError
+from meshdeform_core.errors import FormatError, vector
 from meshdeform_core.grid import Grid, IntArray
 from meshdeform_core.grid.topology import RELATIVE_TOLERANCE, Topology, find_topology
 from meshdeform_core.parallel import empty
@@ -49,8 +49,7 @@ def with_points_of(grid: Grid, path: Path) -> tuple[Grid, IntArray]:
     strange = np.flatnonzero(~(np.abs(points) <= LARGEST).all(axis=1))
     if strange.size:
         raise FormatError(
-            f"{path}: point {strange[0]} is {points[strange[0]].tolist()}; expected finite coordinates up to "
-            f"{LARGEST:g}"
+            f"{path}: point {strange[0]} is {vector(points[strange[0]])}; expected finite coordinates up to {LARGEST:g}"
         )
     own = grid.points[nodes]
     gap, found = scipy.spatial.cKDTree(points).query(own)
@@ -61,7 +60,7 @@ def with_points_of(grid: Grid, path: Path) -> tuple[Grid, IntArray]:
         worst = int(np.argmax(gap - allowed))
         raise FormatError(
             f"{path}: {int(far.sum())} points are not where the blocks of {grid.path} have nodes; the nearest one to "
-            f"{grid.node_label(int(nodes[worst]))} = {own[worst].tolist()} is {gap[worst]:.3g} away. Run blockMesh, or "
+            f"{grid.node_label(int(nodes[worst]))} = {vector(own[worst])} is {gap[worst]:.3g} away. Run blockMesh, or "
             "restore the undeformed points"
         )
     if len(np.unique(found)) < len(found):

@@ -9,7 +9,7 @@ from typing import Any
 _MEASURES = (
     ("f_skew harmonic mean", ("f_skew", "harmonic_mean")),
     ("f_skew mean", ("f_skew", "mean")),
-    ("f_skew 1 % quantile", ("f_skew", "p01")),
+    ("f_skew 1% quantile", ("f_skew", "p01")),
     ("f_skew minimum", ("f_skew", "min")),
     ("smallest scaled Jacobian", ("min_scaled_jacobian",)),
     ("smallest relative Jacobian", ("min_relative_jacobian",)),

@@ -35,9 +35,11 @@ def repair_lines(report: dict[str, Any]) -> list[str]:
 
 
 def _layer_text(name: str, change: dict[str, Any]) -> str:
-    walls = f"of the {change['lines']:,} grid lines off {name} walls"
+    walls = f"of the {change['lines']:,} grid lines that begin at {name} walls"
     if not change["changed"]:
-        return f"none {walls} changed by more than 1 % in its first cells"
+        return f"none {walls} changed by more than 1% in its first cells"
     ranges = [(what, change[key]) for what, key in _LAYERS if change[key]]
-    heights = ", ".join(f"{what} to {ratio['min']:.3g}..{ratio['max']:.3g}" for what, ratio in ranges)
-    return f"{change['changed']:,} {walls} changed by more than 1 % ({heights} of the height that the method gave)"
+    heights = ", ".join(f"{what} {ratio['min']:.3g}..{ratio['max']:.3g}" for what, ratio in ranges)
+    return (
+        f"{change['changed']:,} {walls} changed by more than 1% there (height over that by the method alone: {heights})"
+    )

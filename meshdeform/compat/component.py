@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from meshdeform_core.boundary.plates import open_two_sided_walls
-from meshdeform_core.errors import CaseError, GridError, MotionError
+from meshdeform_core.errors import CaseError, GridError, MotionError, vector
 from meshdeform_core.grid import FloatArray, Grid, IntArray, Patch
 from meshdeform_core.grid.selection import quads_of_patch
 from meshdeform_core.grid.topology import Topology, find_topology
@@ -87,7 +87,7 @@ class Zones:
         if not found.size:
             raise CaseError(
                 f"symmetryPlanes: no outside face lies within symmTol = {self.options['symmTol']:g} of the plane "
-                f"through {point.tolist()} normal to {normal.tolist()}; the nearest is {height.min():.3g} away"
+                f"through {vector(point)} normal to {vector(normal)}; the nearest is {height.min():.3g} away"
             )
         return found
 
@@ -173,8 +173,8 @@ class Component:
         worst = int(np.argmax(gap))
         if gap[worst] > _DISAGREE:
             raise MotionError(
-                f"copies of the surface point {self.points[self._row[worst]].tolist()} are {gap[worst]:.3g} edges "
-                f"apart: {start[self._row[worst]].tolist()} and {surface[self.point[worst]].tolist()}; "
+                f"copies of the surface point {vector(self.points[self._row[worst]])} are {gap[worst]:.3g} edges "
+                f"apart: {vector(start[self._row[worst]])} and {vector(surface[self.point[worst]])}; "
                 f"expected the same"
             )
         return start + self._sum(apart) / self._copies[:, None], float(gap[worst]) if gap[worst] > _AGREE else 0.0

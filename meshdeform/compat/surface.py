@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from meshdeform_core.errors import GridError, MotionError
+from meshdeform_core.errors import GridError, MotionError, vector
 from meshdeform_core.grid import BoolArray, FloatArray, Grid, IntArray
 from meshdeform_core.grid.topology import RELATIVE_TOLERANCE, Topology
 
@@ -125,5 +125,5 @@ def require_found(definition: Definition, times: IntArray) -> None:
             center = definition.points[definition.faces[bad[0]]].mean(axis=0)
             raise GridError(
                 f"{bad.size:,} of {len(times):,} faces of the surface {what}, the first around "
-                f"{np.round(center, 9).tolist()}; expected {advice}"
+                f"{vector(center)}; expected {advice}"
             )

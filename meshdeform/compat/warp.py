@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from meshdeform_core.errors import CaseError, GridError, MotionError
+from meshdeform_core.errors import CaseError, GridError, MotionError, vector
 from meshdeform_core.grid import FloatArray, Grid, IntArray
 from meshdeform_core.parallel import OneRank, Ranks, empty, sharing
 
@@ -171,7 +171,7 @@ class Warp:
         if moved.any():
             raise MotionError(
                 f"{moved.sum():,} surface points moved that lie on zones without options, the first to "
-                f"{whole[self._still[np.argmax(moved)]].tolist()}; expected points that stay, or options for the zones"
+                f"{vector(whole[self._still[np.argmax(moved)]])}; expected points that stay, or options for the zones"
             )
 
     def coordinates(self, rows: IntArray) -> FloatArray:

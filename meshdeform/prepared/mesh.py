@@ -15,7 +15,7 @@ from meshdeform_core.boundary import Kind
 from meshdeform_core.boundary.motions.motion import SMALLEST
 from meshdeform_core.boundary.prescribed import given_displacement
 from meshdeform_core.deform import BoundaryMotion, Setup, Start, Timing, impose
-from meshdeform_core.errors import CaseError, MotionError
+from meshdeform_core.errors import CaseError, MotionError, vector
 from meshdeform_core.grid import BoolArray, FloatArray, IntArray
 from meshdeform_core.methods import PreparedMethod, Progress, prepare_method
 from meshdeform_core.parallel import Ranks, sharing
@@ -239,8 +239,8 @@ class Mesh:
         if gap.size and (gap > 1e-6 * edge).any():
             worst = int(np.argmax(gap / edge))
             raise MotionError(
-                f"patch {name!r} gives its shared node {self.points[rows[worst]].tolist()} the displacement "
-                f"{values[worst].tolist()}, another patch {before[worst].tolist()}; expected the same"
+                f"patch {name!r} gives its shared node {vector(self.points[rows[worst]])} the displacement "
+                f"{vector(values[worst])}, another patch {vector(before[worst])}; expected the same"
             )
 
     def __getstate__(self) -> dict[str, Any]:

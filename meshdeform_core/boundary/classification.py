@@ -8,7 +8,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from ..errors import CaseError
+from ..errors import CaseError, vector
 from ..grid import Grid, IntArray
 from ..grid.planes import Plane
 from ..grid.selection import select_quads
@@ -229,7 +229,7 @@ def _select(grid: Grid, topology: Topology, spec: BoundarySpec, constants: Mappi
         node = int(topology.first[nodes[np.argmax(np.isnan(holds))]])
         raise CaseError(
             f"boundary {spec.name!r}: where = {spec.where.text!r} is not a number at {int(np.isnan(holds).sum())} of "
-            f"{len(nodes)} nodes, first at {grid.node_label(node)} = {grid.points[node].tolist()}; "
+            f"{len(nodes)} nodes, first at {grid.node_label(node)} = {vector(grid.points[node])}; "
             f"expected a condition, like x > 0.5"
         )
     inside = np.zeros(topology.n_unique, dtype=bool)

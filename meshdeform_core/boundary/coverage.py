@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..errors import MotionError
+from ..errors import MotionError, vector
 from ..grid import BoolArray, FloatArray, IntArray
 from ..grid.topology import Topology
 from ..notices import Notice
@@ -115,7 +115,7 @@ def _unused(uses: Sequence[_Use]) -> list[Notice]:
     first = int(np.argmax(far))
     text = (
         f": {int(far.sum())} of {len(points)} table points lie on no face that the table moves, first "
-        f"{points[first].tolist()}{hint}"
+        f"{vector(points[first])}{hint}"
     )
     partial = any(use.match.partial for use in uses)
     if far.mean() > _MOST and (partial or hint):

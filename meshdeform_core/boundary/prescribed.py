@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..errors import MotionError
+from ..errors import MotionError, vector
 from ..grid import BoolArray, FloatArray, Grid, IntArray
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology
@@ -83,7 +83,7 @@ def _completed(grid: Grid, boundary: Boundary, displacement: FloatArray, given: 
     if normal is not None and np.abs(displacement @ normal).max() > 1e-9 * np.abs(displacement).max():
         raise MotionError(
             f"the motion leaves the plane of the 2-D grid by {np.abs(displacement @ normal).max():.3g}; "
-            f"expected displacements normal to {normal.tolist()}"
+            f"expected displacements normal to {vector(normal)}"
         )
     return displacement
 
@@ -98,8 +98,8 @@ def _copy_to_images(periodic: Periodic, displacement: FloatArray, given: BoolArr
     if apart.max(initial=0.0) > 1e-6 * np.abs(displacement).max():
         worst = int(np.argmax(apart))
         raise MotionError(
-            f"two periodic images of a node move differently: {told[worst].tolist()} and "
-            f"{home[root[moving]][worst].tolist()} in the frame of the first; give both "
+            f"two periodic images of a node move differently: {vector(told[worst])} and "
+            f"{vector(home[root[moving]][worst])} in the frame of the first; give both "
             f"the same motion, or move only one of them"
         )
     image = np.isin(root, root[moving]) & ~moving
@@ -129,8 +129,8 @@ def _require_agreement(
         names = [repr(patch.name) for patch in boundary.patches if patch.kind is Kind.MOVING]
         raise MotionError(
             f"moving patches {names[owner[both][worst]]} and {names[index]} disagree at their shared node "
-            f"{grid.node_label(int(topology.first[node]))}: displacements {displacement[node].tolist()} and "
-            f"{new[both][worst].tolist()}; {_remedy(boundary, names, int(owner[both][worst]), index)}"
+            f"{grid.node_label(int(topology.first[node]))}: displacements {vector(displacement[node])} and "
+            f"{vector(new[both][worst])}; {_remedy(boundary, names, int(owner[both][worst]), index)}"
         )
 
 

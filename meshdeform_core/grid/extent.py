@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..errors import GridError
+from ..errors import GridError, vector
 from ..numerics.arrays import batches, extent
 from .blocks import FloatArray, Grid
 
@@ -86,7 +86,7 @@ def require_extent(grid: Grid) -> None:
     low, high = extent(grid.points)
     size = float((high - low).max())
     if not size > _SMALLEST:
-        raise GridError(f"all nodes lie within {size:.3g} of {low.tolist()}; expected a grid with a larger extent")
+        raise GridError(f"all nodes lie within {size:.3g} of {vector(low)}; expected a grid with a larger extent")
     spread = np.linalg.svd((some - 0.5 * (low + high)) / size, compute_uv=False)
     rank = int((spread > _FLAT * spread[0]).sum())
     if rank < grid.dimension:

@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ..errors import MotionError
+from ..errors import MotionError, vector
 from ..grid import FloatArray, IntArray
 from ..numerics.rows import put_rows, spread_rows, take_rows
 from ..parallel import current_ranks, empty, for_chunks, for_rows
@@ -173,7 +173,7 @@ def check_displacement(displacement: FloatArray, n_sources: int) -> None:
         first = int(bad.argmax())
         raise MotionError(
             f"displacement has {int(bad.sum())} rows that are not finite, the first is row {first} = "
-            f"{displacement[first].tolist()}; {expected}"
+            f"{vector(displacement[first])}; {expected}"
         )
 
 

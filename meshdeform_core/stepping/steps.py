@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..errors import MethodError
+from ..errors import MethodError, vector
 from ..grid import FloatArray
 from ..methods import Account, Options, PreparedMethod, Problem, prepare_method
 from ..parallel import for_rows
@@ -232,7 +232,7 @@ def _require_finite(state: State, points: FloatArray, first: int) -> None:
     if bad.size:
         raise MethodError(
             f"{state.options.name} moves {state.course.setup.grid.node_label(first + int(bad[0]))} to "
-            f"{points[bad[0]].tolist()}; expected finite coordinates, from options and a motion of the size of the grid"
+            f"{vector(points[bad[0]])}; expected finite coordinates, from options and a motion of the size of the grid"
         )
 
 

@@ -295,7 +295,7 @@ def test_half_a_rotation_is_a_rotation_by_half_the_angle():
 
 def test_formulas_that_are_not_finite_name_the_node():
     problem = problem_of(FRAME, body_specs(formulas("1/(x+0.5)", "0", "0")))
-    with pytest.raises(MotionError, match=r"\[inf, .* at node block\d \("):
+    with pytest.raises(MotionError, match=r"\(inf, .* at node block\d \("):
         prescribed_displacement(problem.grid, problem.topology, problem.boundary)
 
 

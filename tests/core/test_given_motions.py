@@ -299,7 +299,7 @@ def test_lednicer_and_selig_are_the_same(tmp_path):
 
 def test_what_cannot_be_matched_is_refused(tmp_path):
     sharp, blunt = naca(0.12, 0, 41), naca(0.12, 0, 41, 0.1015)
-    with pytest.raises(MotionError, match=r"has a blunt trailing edge, that of the wall at \[1\.0, .*\] is sharp"):
+    with pytest.raises(MotionError, match=r"has a blunt trailing edge, that of the wall at \(1, .*\) is sharp"):
         moved(wall(sharp), write_selig(tmp_path / "a.dat", blunt), tmp_path)
     with pytest.raises(MotionError, match="has a sharp trailing edge, that of the wall"):
         moved(wall(blunt), write_selig(tmp_path / "a.dat", sharp), tmp_path)

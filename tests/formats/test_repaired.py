@@ -35,9 +35,9 @@ def test_it_says_which_part_of_the_layers_changed():
         "fixed": {"lines": 40, "changed": 0, "first_cell_height_ratio": None, "layer_thickness_ratio": None},
     }
     assert repair_sentence({"repair": DONE, "repaired_layers": layers}).endswith(
-        "; 573 of the 600 grid lines off moving walls changed by more than 1 % (first cell to 0.5..1.25, first cells "
-        "together to 0.75..1.5 of the height that the method gave); none of the 40 grid lines off fixed walls "
-        "changed by more than 1 % in its first cells"
+        "; 573 of the 600 grid lines that begin at moving walls changed by more than 1% there (height over that by the "
+        "method alone: first cell 0.5..1.25, first cells together 0.75..1.5); none of the 40 grid lines that begin at "
+        "fixed walls changed by more than 1% in its first cells"
     )
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from meshdeform_core.errors import FormatError
+from meshdeform_core.errors import FormatError, vector
 from meshdeform_core.grid import FloatArray, Shape
 
 from .curves import Arc, Curve, Polygon, Spline, arc_about, arc_by_angle, arc_through, straight
@@ -100,7 +100,7 @@ def _scale(top: Dictionary) -> FloatArray:
     factor = found.next_number()
     scale = np.full(3, factor) if factor is not None else np.array(found.point("scale"))
     if not (scale > 0).all():
-        raise FormatError(f"{top.place(key)}: {key} is {scale.tolist()}; expected positive factors")
+        raise FormatError(f"{top.place(key)}: {key} is {vector(scale)}; expected positive factors")
     return scale
 
 
@@ -201,7 +201,7 @@ def _arc(items: Reading, first: FloatArray, last: FloatArray) -> Arc | None:
     if degrees is not None:
         axis = np.array(items.point("the axis of an arc"))
         if not 0 < abs(degrees) < 360 or not axis.any():
-            items.fail(f"an arc of {degrees:g} degrees about {axis.tolist()}; expected 0 to 360 about a direction")
+            items.fail(f"an arc of {degrees:g} degrees about {vector(axis)}; expected 0 to 360 about a direction")
         return arc_by_angle(first, last, degrees, axis)
     word = items.next_word()
     if word == "origin":

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from ...errors import MotionError
+from ...errors import MotionError, vector
 from ...grid import FloatArray, IntArray
 from ..tables.matching import Nodes
 from .expression import Expression
@@ -78,8 +78,8 @@ class Lattice:
         if inside.size == 0:
             low, high = current.min(axis=0), current.max(axis=0)
             raise MotionError(
-                f"no node of the boundary is in the box at {self.origin.tolist()} with edges {self.edges.tolist()}; "
-                f"the nodes extend from {low.tolist()} to {high.tolist()}"
+                f"no node of the boundary is in the box at {vector(self.origin)} with edges "
+                f"{', '.join(map(vector, self.edges))}; the nodes extend from {vector(low)} to {vector(high)}"
             )
         control = self._controls(float(values["t"]), values)
         displacement = np.zeros_like(current)

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
-from ...errors import MotionError
+from ...errors import MotionError, vector
 from ...grid import BoolArray, FloatArray, Grid
 from ..tables.matching import Matching, Nodes, SurfaceData, Transfer
 from ..tables.transfer import transfer
@@ -262,8 +262,8 @@ class PreparedMotion:
         if bad.any():
             worst = int(np.argmax(bad))
             raise MotionError(
-                f"motion step {index + 1} gives the displacement {total[worst].tolist()} at node "
-                f"{self.nodes.label(worst)} = {self.nodes.points[worst].tolist()}, "
+                f"motion step {index + 1} gives the displacement {vector(total[worst])} at node "
+                f"{self.nodes.label(worst)} = {vector(self.nodes.points[worst])}, "
                 f"t = {time:g} ({int(bad.sum())} of {len(bad)} nodes); expected finite numbers up to "
                 f"{LARGEST:g}: check the formulas"
             )

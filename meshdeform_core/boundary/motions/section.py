@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy
 
-from ...errors import MotionError
+from ...errors import MotionError, vector
 from ...grid import FloatArray, IntArray
 from ..tables.matching import Nodes
 
@@ -58,7 +58,7 @@ class Airfoil:
         if target.blunt == sharp:
             kinds = ("sharp", "blunt") if sharp else ("blunt", "sharp")
             raise MotionError(
-                f"{self.label} has a {kinds[1]} trailing edge, that of the wall at {old.trailing.tolist()} is "
+                f"{self.label} has a {kinds[1]} trailing edge, that of the wall at {vector(old.trailing)} is "
                 f"{kinds[0]}; expected the same"
             )
         found = np.empty_like(points)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from ...errors import MotionError
+from ...errors import MotionError, vector
 from ...grid import BoolArray, FloatArray, Grid, IntArray
 from ...grid.faces.roles import Role
 from ...grid.faces.surfaces import Surface, find_outside
@@ -95,7 +95,7 @@ def _misfit(grid: Grid, topology: Topology, quads: IntArray, data: SurfaceData, 
     how_many = f"{int((~on).sum())} of {len(on)}" if whole else f"{1 - on.mean():.0%} of {len(data.points)}"
     return MotionError(
         f"{data.label}: {how_many} table points lie on no outside face of the grid, first "
-        f"{position(first)}{hint}; expected a table of the wall, in the grid's length unit"
+        f"{vector(first)}{hint}; expected a table of the wall, in the grid's length unit"
     )
 
 

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import scipy
 
-from ...errors import MotionError
+from ...errors import MotionError, vector
 from ...grid import BoolArray, FloatArray, Grid, IntArray, Side
 from ...grid.topology import RELATIVE_TOLERANCE, side_nodes
 from .frames import other_frame
@@ -87,8 +87,8 @@ def _require_one_displacement(data: SurfaceData, nodes: Nodes, tree: scipy.spati
         node = int(np.argmax(conflict))
         one, other = pair[node]
         raise MotionError(
-            f"{data.label} has two displacements at {nodes.label(node)} = {nodes.points[node].tolist()}, "
-            f"{data.displacement[one].tolist()} and {data.displacement[other].tolist()} ({int(conflict.sum())} such "
+            f"{data.label} has two displacements at {nodes.label(node)} = {vector(nodes.points[node])}, "
+            f"{vector(data.displacement[one])} and {vector(data.displacement[other])} ({int(conflict.sum())} such "
             f"nodes); expected one"
         )
 
@@ -106,9 +106,9 @@ def _require_continuous(data: SurfaceData) -> None:
     if conflict.any():
         one, other = sorted(pair[close[int(np.argmax(conflict))]].tolist())
         raise MotionError(
-            f"{data.label} has the points {points[one].tolist()} and {points[other].tolist()}, "
+            f"{data.label} has the points {vector(points[one])} and {vector(points[other])}, "
             f"{float(np.linalg.norm(points[one] - points[other])):.2g} apart, with the displacements "
-            f"{displacement[one].tolist()} and {displacement[other].tolist()} ({int(conflict.sum())} such points); "
+            f"{vector(displacement[one])} and {vector(displacement[other])} ({int(conflict.sum())} such points); "
             f"expected one displacement at one place"
         )
 
@@ -258,7 +258,7 @@ def _require_matches(result: Transfer, matching: Matching, nodes: Nodes, data: S
     worst = missing[np.argmax(result.distance[missing])]
     raise MotionError(
         f"{result.label}: {len(missing)} of {len(nodes.points)} selected nodes have no match ({result.how}); the "
-        f"farthest is {nodes.label(worst)} = {nodes.points[worst].tolist()}, {result.distance[worst]:.3g} away. "
+        f"farthest is {nodes.label(worst)} = {vector(nodes.points[worst])}, {result.distance[worst]:.3g} away. "
         f"The table spans {_span(data.points)}, the nodes {_span(nodes.points)}"
         f"{other_frame(data.points, nodes)}. "
         f"Set a larger tolerance{'' if result.how == 'interpolate' else _INTERPOLATE}, or a selection that the table "
