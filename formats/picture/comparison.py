@@ -120,10 +120,8 @@ def worst_cells(
     cell: Shape,
     choice: Choice | None = None,
     title: str = "",
-    names: tuple[str, str] = ("before", "after"),
 ) -> Page:
-    """The surroundings of a cell (0-based ``cell`` of ``block``) before and after, on the same scale; ``names`` of the
-    panels."""
+    """The surroundings of a cell (0-based ``cell`` of ``block``) before and after, on the same scale."""
     choice = choice or Choice()
     old, new = pair.old, pair.new
     flat = plane_of_grid(old, choice.metric), plane_of_grid(new, choice.metric)
@@ -137,7 +135,9 @@ def worst_cells(
                   for subject in (old, new)]  # fmt: skip
         sizes = _surroundings(pair, block, cell, view)
     page = _twins(pair, choice, planes, view, sizes, title)
-    panels = (dataclasses.replace(panel, title=name) for panel, name in zip(page.panels, names, strict=True))
+    panels = (
+        dataclasses.replace(panel, title=name) for panel, name in zip(page.panels, ("before", "after"), strict=True)
+    )
     return dataclasses.replace(page, panels=tuple(panels))
 
 

@@ -51,7 +51,11 @@ class MeasureRow:
 
     @property
     def change(self) -> float | None:
-        return None if self.before is None else self.after - self.before
+        """What was added, ``None`` without a value before; round-off is no change."""
+        if self.before is None:
+            return None
+        change = self.after - self.before
+        return change if abs(change) > 1e-13 * abs(self.before) else 0.0
 
 
 def measure_rows(quality: Mapping[str, Any]) -> list[MeasureRow]:

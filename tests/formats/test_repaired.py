@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from meshdeform_formats.report.measures import MeasureRow
+from meshdeform_formats.report.page.figures import Figure, figure_lines
 from meshdeform_formats.report.repaired import repair_sentence
 from meshdeform_formats.report.series_text import _motion
 
@@ -49,3 +51,15 @@ def test_the_table_of_levels_tells_what_the_repair_found(converged, unique, told
     repair = {**DONE, "converged": converged, "unique": unique}
     assert _motion({"smoothness": {"acceleration": 0.25}, "repair": repair}).split() == ["0.250", told]
     assert _motion({"smoothness": None, "repair": None}).split() == []
+
+
+def test_the_pair_of_pictures_names_what_it_compares():
+    png = bytes(16) + (2).to_bytes(4, "big") * 2
+    text = "".join(figure_lines(Figure("Region", "caption", png, png, names=("the method alone", "repaired")), 1))
+    assert text.count("the method alone") == 4  # label, description, slider's end and what it shows
+    assert "before" not in text
+
+
+def test_round_off_is_no_change():
+    assert MeasureRow("total volume", 76.875, 76.875 - 1.4e-14, "").change == 0.0
+    assert MeasureRow("total volume", 76.875, 76.874, "").change == 76.874 - 76.875

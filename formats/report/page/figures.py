@@ -12,8 +12,8 @@ from html import escape
 class Figure:
     """A picture, or the same view before and after (both PNG, of one size).
 
-    ``caption`` describes the picture, also for readers who cannot see it. Only a pair in the same window can have a
-    ``slider``; others are shown side by side.
+    ``names`` label the two; ``caption`` describes the picture, also for readers who cannot see it. Only a pair in the
+    same window can have a ``slider``; others are shown side by side.
     """
 
     title: str
@@ -21,6 +21,7 @@ class Figure:
     after: bytes
     before: bytes | None = None
     slider: bool = True
+    names: tuple[str, str] = ("before", "after")
 
 
 def figure_lines(figure: Figure, number: int) -> Iterator[str]:
@@ -29,14 +30,15 @@ def figure_lines(figure: Figure, number: int) -> Iterator[str]:
     if figure.before is None:
         yield f'<div class="single">{_image(figure.after, figure.title)}</div>'
     else:
-        shown = (("before", figure.before), ("after", figure.after))
+        shown = zip(figure.names, (figure.before, figure.after), strict=True)
         sides = (f"<div><span>{name}</span>{_image(png, f'{figure.title}, {name}')}</div>" for name, png in shown)
         yield f'<div class="pair{" slider" if figure.slider else ""}">{"".join(sides)}</div>'
     if figure.before is not None and figure.slider:
+        one, two = map(escape, figure.names)
+        told = f"{escape(figure.title)}: part of the picture that shows {one}"
         yield (
-            f'<label class="slide" for="slide{number}">before<input type="range" min="0" max="100" value="50" '
-            f'id="slide{number}" aria-label="{escape(figure.title)}: part of the picture that shows the grid before">'
-            "after</label>"
+            f'<label class="slide" for="slide{number}">{one}<input type="range" min="0" max="100" value="50" '
+            f'id="slide{number}" aria-label="{told}">{two}</label>'
         )
     yield f"<figcaption>{escape(figure.caption)}</figcaption></figure>"
 

@@ -4,7 +4,7 @@ document.querySelectorAll(".slider").forEach(function (pair) {
   var input = pair.parentElement.querySelector("input[type=range]");
   function show() {
     pair.style.setProperty("--cut", input.value + "%");
-    input.setAttribute("aria-valuetext", input.value + " % before, " + (100 - input.value) + " % after");
+    input.setAttribute("aria-valuetext", input.value + "%");
   }
   input.addEventListener("input", show);
   show();

@@ -137,7 +137,7 @@ def attempts_section(report: Report) -> str:
         html += (
             f"<p>Repair: {repair['cells']:,} cells made valid or better by moving {repair['nodes']:,} nodes, "
             f"none by more than {repair['max_movement']:.4g}; {repair['newton_steps']} Newton steps, "
-            f"{repair['seconds']:.1f} s. Held nodes of the boundary stay where they were put.</p>"
+            f"{repair['seconds']:.1f} s. Moving and fixed boundary nodes stay where they were put.</p>"
         )
     return html
 
