@@ -16,6 +16,7 @@ from pathlib import Path
 
 from meshdeform_core import interruption
 from meshdeform_core.errors import FormatError
+from meshdeform_core.parallel import current_ranks
 
 
 @contextmanager
@@ -42,6 +43,22 @@ def replacing(target: Path) -> Iterator[Path]:
             os.replace(partial, target)
         except OSError as error:
             raise FormatError(f"cannot write {target}: {reason_of(error)}") from error
+
+
+@contextmanager
+def replacing_by_all(target: Path) -> Iterator[Path]:
+    """The same for a file that all ranks write: the first one makes room for it and, if all succeed, renames it.
+
+    What fails in the block must fail on all ranks.
+    """
+    ranks = current_ranks()
+    with contextlib.ExitStack() as own:
+        partial = ranks.on_first(lambda: own.enter_context(replacing(target)))
+        try:
+            yield partial
+        except OSError as error:
+            raise FormatError(f"cannot write {target}: {reason_of(error)}") from error
+        ranks.on_first(own.close)
 
 
 def partial_path(target: Path) -> Path:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -25,12 +26,14 @@ class Format:
 
     The module defines ``read(path) -> Grid`` (absent for write-only formats), ``variant(grid, path, options) ->
     FileFormat``, which decides how to write, and ``write(grid, path, variant) -> None``, which replaces ``path`` as a
-    whole or leaves it unchanged (see :func:`meshdeform_formats.files.replacing`).
+    whole or leaves it unchanged (see :func:`meshdeform_formats.files.replacing`); ``together``: it is called by all
+    ranks, which share the work.
     """
 
     module: str
     suffixes: tuple[str, ...]
     title: str
+    together: bool = False
 
     def load(self) -> ModuleType:
         return importlib.import_module(f"{__package__}.{self.module}")
@@ -41,8 +44,9 @@ FORMATS: dict[str, Format] = {
         "plot3d",
         (".xyz", ".x", ".g", ".p3d", ".p2d", ".fmt", ".p2dfmt", ".p3dfmt", ".p3dbin", ".p2dbin", ".grd", ".bin"),
         "Plot3D, all variants",
+        together=True,
     ),
-    "cgns": Format("cgns", (".cgns", ".hdf", ".hdf5", ".adf"), "CGNS, HDF5 and ADF (ADF read-only)"),
+    "cgns": Format("cgns", (".cgns", ".hdf", ".hdf5", ".adf"), "CGNS, HDF5 and ADF (ADF read-only)", together=True),
     "vtk": Format("vtk", (".vtk", ".vts", ".vtm"), "VTK legacy, .vts and .vtm structured grids"),
     "openfoam": Format("openfoam", (".foam",), "OpenFOAM: blockMeshDict (read), polyMesh (written)"),
     "meshio": Format(
@@ -134,11 +138,17 @@ def write_grid(grid: Grid, path: str | Path, options: Mapping[str, Any] | None =
     """Write ``grid``, replacing ``path`` as a whole or leaving it unchanged; returns the variant that was written.
 
     The suffix selects the format. If it is that of the grid's own file, its variant is kept, except for ``options``
-    (of a variant, see ``meshdeform convert --help``).
+    (of a variant, see ``meshdeform convert --help``). All ranks call it, with the same coordinates; other data are
+    taken from the grid of the first one.
     """
     path = Path(path)
     variant = variant_of(grid, path, options)
-    FORMATS[format_of(path)].load().write(grid, path, variant)
+    entry = FORMATS[format_of(path)]
+    write: Callable[[], object] = partial(entry.load().write, grid, path, variant)
+    if entry.together:
+        write()
+    else:
+        current_ranks().on_first(write)
     return variant
 
 

@@ -13,8 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from meshdeform_core.errors import FormatError, suggestion
-from meshdeform_core.grid import FileFormat, Grid
+from meshdeform_core.grid import FileFormat, Grid, Planes
 
+from ..planes import ranges_of, read_planes
 from .boundary import family_conditions, zone_patches
 from .connectivity import overset_only, zone_connections
 from .notes import Notes
@@ -51,9 +52,25 @@ def read(path: Path) -> Grid:
             path=path,
             overset=overset_only(zones),
         )
-        grid.fill(lambda block: zones[block].read(grid.block(block)))
+        _fill(grid, zones)
         connections = zone_connections(base, zones, grid, notes)
     return dataclasses.replace(grid, connections=tuple(connections), notes=notes.lines())
+
+
+def _fill(grid: Grid, zones: Sequence[Zone]) -> None:
+    """Read the coordinates: zones that are packed or in pieces as a whole, others in ranges of planes."""
+    places = [zone.places() for zone in zones]
+    parts = []
+    for block, (shape, known) in enumerate(zip(grid.shapes, places, strict=True)):
+        parts += ranges_of([(block, shape)]) if known else [Planes(block, 0, shape[2])]
+
+    def put(part: Planes) -> None:
+        if known := places[part.block]:
+            read_planes(grid, part, known)
+        else:
+            zones[part.block].read(grid.block(part.block))
+
+    grid.fill_planes(put, parts, threads=None if all(places) else 1)
 
 
 def solutions(path: Path) -> list[str]:
@@ -81,7 +98,7 @@ def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
 
 
 def write(grid: Grid, path: Path, variant: FileFormat) -> None:
-    """Write ``grid``, replacing ``path`` as a whole or leaving it unchanged.
+    """Write ``grid``, replacing ``path`` as a whole or leaving it unchanged; on all ranks.
 
     Raises
     ------

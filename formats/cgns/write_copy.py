@@ -9,6 +9,7 @@ import dataclasses
 import os
 import shutil
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -17,19 +18,24 @@ from h5py import h5g, h5l
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray, Grid
 from meshdeform_core.numerics.arrays import extent
+from meshdeform_core.parallel import current_ranks
 
 from ..coordinates import ahead, split
-from ..files import replacing
+from ..files import replacing_by_all
 from ..hdf5_output import hdf5_output
+from ..planes import Stored, write_coordinates
 from .notes import Notes
 from .storage.adf import is_adf
 from .storage.file import naming, opened_cgns
-from .storage.hdf5 import DATA, LINK, LINK_FILE, hdf5_errors
-from .storage.hdf5_write import characters, own_group, put_node, write_hdf5
+from .storage.hdf5 import DATA, LINK, LINK_FILE, hdf5_errors, place_of
+from .storage.hdf5_write import characters, own_group, put_node, reserve_dataset, write_hdf5
 from .storage.names import unique_names
 from .storage.tree import Node, data_type_of
 from .write_new import solution_nodes
 from .zone import Base, Zone, find_base, structured_zones
+
+Places = dict[int, list[tuple[int, np.dtype[Any]]]]
+"""First byte and type of the coordinate arrays of blocks, by number."""
 
 
 def write_copy(grid: Grid, path: Path, precision: str | None) -> None:
@@ -42,7 +48,18 @@ def write_copy(grid: Grid, path: Path, precision: str | None) -> None:
     source = grid.path
     if source is None or not source.is_file():
         raise FormatError(f"cannot write {path}: {source}, whose other contents are to be copied, no longer exists")
-    with replacing(path) as partial, opened_cgns(source) as root:
+    with replacing_by_all(path) as partial:
+        places = current_ranks().on_first(lambda: _begin(grid, source, path, partial, precision))
+        arrays = {}
+        for block, found in places.items():
+            ni, nj, _ = grid.shapes[block]
+            arrays[block] = [Stored(partial, kind, (nj, ni), start, ni * nj * kind.itemsize) for start, kind in found]
+        write_coordinates(grid, arrays)
+
+
+def _begin(grid: Grid, source: Path, path: Path, partial: Path, precision: str | None) -> Places:
+    """Write everything but the coordinates that lie in the file as they are; returns their places."""
+    with opened_cgns(source) as root:
         with naming(source):
             base, zones = _same_zones(root, grid, source)
         with hdf5_errors(path, "write"):
@@ -54,9 +71,10 @@ def write_copy(grid: Grid, path: Path, precision: str | None) -> None:
                 _adapt_links(file, source.parent, path.parent)
                 group = own_group(file, base.node)
                 owns = [own_group(group, zone.node) for zone in zones]
-                _replace_coordinates(owns, zones, grid, precision)
+                places = _replace_coordinates(owns, zones, grid, precision)
                 for block, (own, zone) in enumerate(zip(owns, zones, strict=True)):
                     _add_fields(own, zone, grid, block)
+    return places
 
 
 def _same_zones(root: Node, grid: Grid, source: Path) -> tuple[Base, list[Zone]]:
@@ -76,22 +94,26 @@ def _same_zones(root: Node, grid: Grid, source: Path) -> tuple[Base, list[Zone]]
     return base, zones
 
 
-def _replace_coordinates(parents: list[h5py.Group], zones: list[Zone], grid: Grid, precision: str | None) -> None:
-    groups = [own_group(parent, zone.grid) for parent, zone in zip(parents, zones, strict=True)]
-    datasets = [
-        [_writable_dataset(own_group(group, node), precision) for node in zone.coordinates]
-        for group, zone in zip(groups, zones, strict=True)
-    ]
-    kinds = [np.result_type(*(dataset.dtype.newbyteorder("=") for dataset in each)) for each in datasets]
-    arrays = ahead(
-        array
-        for block, zone in enumerate(zones)
-        for array in split(grid.block(block), kinds[block], len(zone.coordinates))
-    )
-    for block, (group, zone) in enumerate(zip(groups, zones, strict=True)):
-        for dataset in datasets[block]:
-            dataset[zone.core[::-1]] = next(arrays).reshape(zone.counts[::-1]).astype(dataset.dtype, copy=False)
+def _replace_coordinates(parents: list[h5py.Group], zones: list[Zone], grid: Grid, precision: str | None) -> Places:
+    """Write the coordinates of zones where they are packed or have rind planes; returns the places of the others."""
+    places: Places = {}
+    for block, (parent, zone) in enumerate(zip(parents, zones, strict=True)):
+        group = own_group(parent, zone.grid)
+        datasets = [_writable_dataset(own_group(group, node), precision, zone.counts) for node in zone.coordinates]
+        starts = [place_of(dataset.id) if dataset.shape == zone.counts[::-1] else None for dataset in datasets]
+        found = [(start, dataset.dtype) for start, dataset in zip(starts, datasets, strict=True) if start is not None]
+        if len(found) == len(datasets):
+            places[block] = found
+        else:
+            _write_packed(datasets, zone, grid.block(block))
         _replace_bounding_box(group, zone, grid.block(block))
+    return places
+
+
+def _write_packed(datasets: list[h5py.Dataset], zone: Zone, block: FloatArray) -> None:
+    kind = np.result_type(*(dataset.dtype.newbyteorder("=") for dataset in datasets))
+    for dataset, array in zip(datasets, ahead(split(block, kind, len(datasets))), strict=True):
+        dataset[zone.core[::-1]] = array.reshape(zone.counts[::-1]).astype(dataset.dtype, copy=False)
 
 
 def _add_fields(parent: h5py.Group, zone: Zone, grid: Grid, block: int) -> None:
@@ -107,17 +129,22 @@ def _add_fields(parent: h5py.Group, zone: Zone, grid: Grid, block: int) -> None:
         put_node(parent, dataclasses.replace(solution, name=name))
 
 
-def _writable_dataset(group: h5py.Group, precision: str | None) -> h5py.Dataset:
-    """The coordinate dataset, recreated if its precision changes."""
+def _writable_dataset(group: h5py.Group, precision: str | None, counts: tuple[int, ...]) -> h5py.Dataset:
+    """The coordinate dataset, recreated if its precision changes; with its values only where some of them stay: beside
+    the nodes ``counts`` of the zone."""
     dataset = group[DATA]
     stored = dataset.dtype.newbyteorder("=")
     dtype = stored if precision is None else np.dtype(precision)
     if dtype == stored:
         return dataset
-    values, packing = dataset[()].astype(dtype), _packing(dataset)
+    shape, chunks, packing = dataset.shape, dataset.chunks, _packing(dataset)
+    values = dataset[()].astype(dtype) if shape != counts[::-1] else None
     del group[DATA]
     group.attrs.modify("type", np.bytes_(data_type_of(dtype)))
-    return group.create_dataset(DATA, data=values, **packing)
+    if values is None and chunks is None:
+        reserve_dataset(group.id, DATA, shape, dtype)
+        return group[DATA]
+    return group.create_dataset(DATA, shape, dtype, data=values, **packing)
 
 
 def _packing(dataset: h5py.Dataset) -> dict[str, object]:

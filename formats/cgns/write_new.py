@@ -10,14 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshdeform_core.grid import Field, Grid
+from meshdeform_core.parallel import current_ranks
 
-from ..files import replacing
+from ..files import replacing_by_all
+from ..planes import Stored, write_coordinates
 from .new_boundary import boundary_nodes, family_names, family_nodes
 from .new_connectivity import connectivity_nodes
 from .storage.hdf5 import hdf5_errors
 from .storage.hdf5_write import write_hdf5
 from .storage.names import unique_names
-from .storage.tree import Node, make
+from .storage.tree import Node, data_type_of, make
 
 # The version of the standard whose readers know everything written here.
 _LIBRARY_VERSION = 3.2
@@ -36,11 +38,24 @@ def write_new(grid: Grid, path: Path, precision: str) -> None:
     Names are cut to 32 characters and made unique. Fields (IBLANK, VTK arrays) become flow solutions at the nodes or
     cells. A grid in the plane z = 0 has two coordinates; a 2-D base cannot hold patches on the plane itself.
     """
-    with replacing(path) as partial, hdf5_errors(path, "write"):
-        write_hdf5(_tree(grid, precision), partial)
+    with replacing_by_all(path) as partial:
+        starts = current_ranks().on_first(lambda: _begin(grid, path, partial, precision))
+        kind, arrays = np.dtype(precision), {}
+        for block, (ni, nj, _) in enumerate(grid.shapes):
+            step = ni * nj * kind.itemsize
+            arrays[block] = [Stored(partial, kind, (nj, ni), start, step) for start in starts[block]]
+        write_coordinates(grid, arrays)
 
 
-def _tree(grid: Grid, precision: str) -> Node:
+def _begin(grid: Grid, path: Path, partial: Path, precision: str) -> list[list[int]]:
+    """Write everything but the coordinates; returns the first byte of the arrays of every block."""
+    starts: list[list[int]] = [[] for _ in grid.shapes]
+    with hdf5_errors(path, "write"):
+        write_hdf5(_tree(grid, precision, starts), partial)
+    return starts
+
+
+def _tree(grid: Grid, precision: str, starts: list[list[int]]) -> Node:
     dimension = 2 if grid.dimension == 2 and not grid.points[:, 2].any() else 3
     names = unique_names(grid.names, "Zone")
     families = family_names(grid, names)
@@ -50,7 +65,7 @@ def _tree(grid: Grid, precision: str) -> Node:
         shape = np.array([n for n in grid.shapes[block] if n > 1], np.int32)
         children = [
             make("ZoneType", "ZoneType_t", "Structured"),
-            _coordinates(grid, block, dimension, precision),
+            _coordinates(shape.tolist(), dimension, precision, starts[block]),
             *solution_nodes(grid, block, shape.tolist()),
             *conditions[block],
             *connectivity[block],
@@ -62,11 +77,13 @@ def _tree(grid: Grid, precision: str) -> Node:
     return make("", "", None, [version, base])
 
 
-def _coordinates(grid: Grid, block: int, dimension: int, precision: str) -> Node:
-    points = _without_plane(grid.block(block), grid, block)
+def _coordinates(shape: Sequence[int], dimension: int, precision: str, starts: list[int]) -> Node:
+    """Arrays for the coordinates of a zone, which add the places of their values to ``starts``."""
+    kind = np.dtype(precision)
+    names = ("CoordinateX", "CoordinateY", "CoordinateZ")[:dimension]
     arrays = [
-        make(name, "DataArray_t", points[..., axis], dtype=np.dtype(precision))
-        for axis, name in enumerate(("CoordinateX", "CoordinateY", "CoordinateZ")[:dimension])
+        Node(name, Path(), name, "DataArray_t", data_type_of(kind), tuple(shape), kind, placed=starts.append)
+        for name in names
     ]
     return make("GridCoordinates", "GridCoordinates_t", None, arrays)
 
@@ -121,9 +138,3 @@ def _components(field: Field, shape: Sequence[int]) -> list[tuple[str, NDArray[A
     count = flat.shape[-1]
     suffixes = "XYZ"[:count] if count <= 3 else [str(i + 1) for i in range(count)]
     return [(f"{field.name}{suffix}", flat[..., i]) for i, suffix in enumerate(suffixes)]
-
-
-def _without_plane(values: NDArray[Any], grid: Grid, block: int) -> NDArray[Any]:
-    """Block values without the index axis that has a single node, if there is one."""
-    shape = grid.shapes[block]
-    return values.squeeze(axis=shape.index(1)) if 1 in shape else values

@@ -10,6 +10,7 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray, Shape
 
 from ..coordinates import merge
+from ..planes import Stored
 from .notes import Notes
 from .storage.tree import Node
 
@@ -48,6 +49,17 @@ class Zone:
     def counts(self) -> tuple[int, ...]:
         """Nodes along each index axis of the base."""
         return tuple(part.stop - part.start for part in self.core)
+
+    def places(self) -> list[Stored] | None:
+        """Where the coordinates lie; ``None`` if they are packed, in pieces, or have other values between them."""
+        found = []
+        ni, nj, _ = self.shape
+        for node in (each.target for each in self.coordinates):
+            place = node.place() if node.dims == self.counts else None
+            if place is None or node.dtype is None:
+                return None
+            found.append(Stored(node.file, node.dtype, (nj, ni), place, ni * nj * node.dtype.itemsize))
+        return found
 
     def read(self, block: FloatArray) -> None:
         """Fill ``block`` of shape ``(ni, nj, nk, 3)`` with the coordinates; missing components become zero."""

@@ -13,7 +13,7 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray, Grid
 from meshdeform_core.parallel import current_ranks
 
-from .blocks import assemble, file_arrays
+from .blocks import assemble, text_arrays
 from .detect import LONGEST_HEADER, Reading, UnknownFile, Writing, choose, header_variants, stream_readings
 from .numbers import count_integers, ends_with_integer, number_lines, read_numbers
 from .variant import Variant
@@ -45,7 +45,7 @@ def write_ascii(grid: Grid, stream: BinaryIO, variant: Variant) -> None:
     for shape in grid.shapes:
         stream.write(" ".join(str(n) for n in shape[: variant.dimension]).encode() + b"\n")
     for index in range(grid.n_blocks):
-        for array in file_arrays(grid, variant, index):
+        for array in text_arrays(grid, variant, index):
             for start in range(0, array.size, _LINES):
                 # Where integers follow, a number without a dot must be one of them.
                 stream.write(number_lines(array[start : start + _LINES], dotted=variant.iblank))

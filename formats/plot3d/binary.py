@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping
-from io import BufferedReader
 from itertools import chain, product
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -12,47 +11,84 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from meshdeform_core.grid import Grid
+from meshdeform_core.grid import Grid, Planes
+from meshdeform_core.parallel import current_ranks
 
-from ..coordinates import ahead
-from .blocks import assemble, file_arrays
+from ..planes import Stretches, across_machines, for_ranges, ranges_of, read_planes, write_coordinates
+from .blocks import allocate, iblank_of, places_of
 from .detect import LONGEST_HEADER, Reading, UnknownFile, choose, header_variants, stream_readings
-from .records import fortran_readings, record_lengths, write_record
+from .records import fortran_readings, laid_out, record_lengths
 from .variant import Variant
 
 
 def read_binary(path: Path, options: Mapping[str, Any]) -> Grid:
     """Read a binary Plot3D file of any variant that ``options`` allow."""
+
+    def load(reading: Reading) -> Grid:
+        return _load(reading, path)
+
     with path.open("rb") as stream:
-
-        def load(reading: Reading) -> Grid:
-            return assemble(reading, path, _Data(stream, reading.segments))
-
         readings = list(fortran_readings(stream))
         # A header in proper records is no coincidence; a stream of matching size can be.
         if all(reading.evidence < (1, 2) for reading in readings):
             readings += _c_readings(stream)
-        return choose(readings, UnknownFile(path, path.stat().st_size, "bytes", options, load))
+    return choose(readings, UnknownFile(path, path.stat().st_size, "bytes", options, load))
 
 
-def write_binary(grid: Grid, stream: BinaryIO, variant: Variant) -> None:
-    """Write all blocks as a C stream or as Fortran records."""
+def _load(reading: Reading, path: Path) -> Grid:
+    grid, flags = allocate(reading, path)
+    places, flag_places = places_of(reading.variant, grid.shapes, path, Stretches(reading.segments))
+
+    def put(part: Planes) -> None:
+        read_planes(grid, part, places[part.block])
+        for array in flags:
+            values = flag_places[part.block].read(part.first, part.last)
+            grid.block(part.block, array)[:, :, part.first : part.last] = values.T
+
+    grid.fill_planes(put, ranges_of(list(enumerate(grid.shapes))), *flags)
+    return grid
+
+
+def write_binary(grid: Grid, path: Path, variant: Variant) -> None:
+    """Write all blocks to the file ``path`` as a C stream or as Fortran records; all ranks share the work."""
     sizes = np.array([shape[: variant.dimension] for shape in grid.shapes], variant.integer).reshape(-1)
     header = [np.array([grid.n_blocks], variant.integer)] * variant.multiblock + [sizes]
-    for array in header:
-        _write(stream, iter([array]), [array.nbytes], variant)
-    blocks = (file_arrays(grid, variant, index) for index in range(grid.n_blocks))
-    lengths = [length for shape in grid.shapes for length in record_lengths(variant, shape)]
-    _write(stream, ahead(chain.from_iterable(blocks)), lengths, variant)
+    lengths = [array.nbytes for array in header]
+    lengths += [length for shape in grid.shapes for length in record_lengths(variant, shape)]
+    markers, records = laid_out(lengths, variant)
+
+    def begin() -> None:
+        with path.open("wb") as stream:
+            for at, data in chain(markers, *map(_divided, header, records)):
+                stream.seek(at)
+                stream.write(data)
+            # The data follow; the last marker of a Fortran file lies behind them.
+            if not markers:
+                stream.truncate(sum(records[-1][-1]))
+
+    current_ranks().on_first(begin)
+    data = Stretches(list(chain.from_iterable(records[len(header) :])))
+    places, flag_places = places_of(variant, grid.shapes, path, data)
+    write_coordinates(grid, dict(enumerate(places)))
+
+    synchronous = across_machines()
+
+    def put(part: Planes) -> None:
+        chosen = grid.block(part.block)[:, :, part.first : part.last]
+        flags = iblank_of(grid, part.block)
+        values = np.ones(chosen.shape[:3]) if flags is None else flags[:, :, part.first : part.last]
+        flag_places[part.block].write(part.first, values.T, synchronous)
+
+    if variant.iblank:
+        for_ranges(put, list(enumerate(grid.shapes)))
 
 
-def _write(stream: BinaryIO, arrays: Iterator[NDArray[Any]], lengths: list[int], variant: Variant) -> None:
-    if variant.encoding == "binary":
-        for array in arrays:
-            stream.write(array.view(np.uint8).data)
-    else:
-        for length in lengths:
-            write_record(stream, arrays, length, variant)
+def _divided(array: NDArray[Any], stretches: list[tuple[int, int]]) -> Iterator[tuple[int, bytes]]:
+    """The bytes of an array at their places in a file."""
+    data = array.tobytes()
+    for at, length in stretches:
+        yield at, data[:length]
+        data = data[length:]
 
 
 def _c_readings(stream: BinaryIO) -> Iterator[Reading]:
@@ -62,36 +98,3 @@ def _c_readings(stream: BinaryIO) -> Iterator[Reading]:
         head = stream.read(4 * LONGEST_HEADER)
         integers = np.frombuffer(head, variants[0].integer, count=len(head) // 4).astype(np.int64)
         yield from stream_readings(variants, integers, os.fstat(stream.fileno()).st_size)
-
-
-class _Data:
-    """The data after the header, read in sequence across record boundaries."""
-
-    def __init__(self, stream: BufferedReader, segments: tuple[tuple[int, int], ...]) -> None:
-        self._stream = stream
-        self._segments = iter(segments)
-        self._left = 0
-
-    def take(self, dtype: np.dtype[Any], count: int) -> NDArray[Any]:
-        """The next ``count`` numbers."""
-        array = np.empty(count, dtype)
-        missing = array.view(np.uint8).data
-        while missing:
-            self._reach_data()
-            done = self._stream.readinto(missing[: self._left])
-            missing, self._left = missing[done:], self._left - done
-        return array
-
-    def skip(self, dtype: np.dtype[Any], count: int) -> None:
-        """Skip the next ``count`` numbers."""
-        missing = dtype.itemsize * count
-        while missing:
-            self._reach_data()
-            step = min(missing, self._left)
-            self._stream.seek(step, os.SEEK_CUR)
-            missing, self._left = missing - step, self._left - step
-
-    def _reach_data(self) -> None:
-        if not self._left:
-            offset, self._left = next(self._segments)
-            self._stream.seek(offset)

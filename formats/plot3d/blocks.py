@@ -7,7 +7,7 @@ plane: the same for each k in turn). A grid stores x, y, z together, with k runn
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
@@ -19,6 +19,7 @@ from meshdeform_core.grid import Field, FloatArray, Grid, Shape
 from meshdeform_core.parallel import empty
 
 from ..coordinates import merge, split
+from ..planes import Stored, Stretches
 from .detect import Reading
 from .variant import Variant
 
@@ -26,7 +27,7 @@ IBLANK = "iblank"
 
 
 class Numbers(Protocol):
-    """The numbers after the header of a file, in sequence."""
+    """The numbers after the header of a text, in sequence."""
 
     def take(self, dtype: np.dtype[Any], count: int) -> NDArray[Any]:
         """The next ``count`` numbers."""
@@ -38,10 +39,9 @@ class Numbers(Protocol):
 
 
 def assemble(reading: Reading, path: Path, numbers: Numbers) -> Grid:
-    """Make the grid of a reading from the numbers of its file."""
+    """Make the grid of a reading from the numbers of a text."""
     variant = reading.variant
-    grid = Grid.allocate(reading.shapes, format=variant.file_format(), path=path)
-    flags = empty([grid.n_nodes if variant.iblank else 0], np.int32)
+    grid, flags = allocate(reading, path)
     ahead = iter(range(grid.n_blocks))
 
     def put(index: int) -> None:
@@ -49,42 +49,64 @@ def assemble(reading: Reading, path: Path, numbers: Numbers) -> Grid:
         while (skipped := next(ahead)) != index:
             numbers.skip(variant.real, variant.dimension * math.prod(grid.shapes[skipped]))
             numbers.skip(variant.integer, variant.iblank * math.prod(grid.shapes[skipped]))
-        _read_block(numbers, variant, grid.block(index), grid.block(index, flags) if variant.iblank else None)
+        _read_block(numbers, variant, grid.block(index), grid.block(index, flags[0]) if flags else None)
 
-    grid.fill(put, *([flags] if variant.iblank else []))
-    if not variant.iblank:
-        return grid
-    return replace(grid, fields=tuple(Field(IBLANK, "node", b, grid.block(b, flags)) for b in range(grid.n_blocks)))
+    grid.fill(put, *flags)
+    return grid
+
+
+def allocate(reading: Reading, path: Path) -> tuple[Grid, list[NDArray[Any]]]:
+    """The grid of a reading, still to be filled, and the array of its IBLANK values (n_nodes,) if there are any."""
+    grid = Grid.allocate(reading.shapes, format=reading.variant.file_format(), path=path)
+    if not reading.variant.iblank:
+        return grid, []
+    flags = empty([grid.n_nodes], np.int32)
+    fields = tuple(Field(IBLANK, "node", block, grid.block(block, flags)) for block in range(grid.n_blocks))
+    return replace(grid, fields=fields), [flags]
+
+
+def places_of(
+    variant: Variant, shapes: Sequence[Shape], path: Path, data: Stretches
+) -> tuple[list[list[Stored]], list[Stored]]:
+    """Where the components of every block and, in a file with IBLANK, its flags lie among the ``data`` of a file."""
+    coordinates: list[list[Stored]] = []
+    flags, begin = [], 0
+    for ni, nj, nk in shapes:
+        planes = 1 if variant.records == "plane" else nk
+        step = ni * nj * variant.real.itemsize
+        last = begin + variant.dimension * planes * step
+        end = last + variant.iblank * planes * ni * nj * variant.integer.itemsize
+        whole = end - begin if variant.records == "plane" else 0
+        coordinates.append(
+            [
+                Stored(path, variant.real, (nj, ni), begin + axis * planes * step, whole or step, data)
+                for axis in range(variant.dimension)
+            ]
+        )
+        flags.append(Stored(path, variant.integer, (nj, ni), last, whole or ni * nj * variant.integer.itemsize, data))
+        begin += (end - begin) * (nk // planes)
+    return coordinates, flags if variant.iblank else []
 
 
 def _read_block(numbers: Numbers, variant: Variant, block: FloatArray, iblank: NDArray[Any] | None) -> None:
-    for planes in _slabs(variant, block.shape[:3]):
-        part = block[:, :, planes]
-        ni, nj, nk = part.shape[:3]
-        merge(part, (numbers.take(variant.real, ni * nj * nk) for _ in range(variant.dimension)), variant.dimension)
-        if iblank is not None:
-            iblank[:, :, planes] = numbers.take(variant.integer, ni * nj * nk).reshape(nk, nj, ni).T
+    count = math.prod(block.shape[:3])
+    merge(block, (numbers.take(variant.real, count) for _ in range(variant.dimension)), variant.dimension)
+    if iblank is not None:
+        iblank[...] = numbers.take(variant.integer, count).reshape(iblank.shape[::-1]).T
     block[..., variant.dimension :] = 0.0
 
 
-def file_arrays(grid: Grid, variant: Variant, index: int) -> Iterator[NDArray[Any]]:
-    """The flat arrays of one block in the order and types of the file."""
-    block, shape = grid.block(index), grid.shapes[index]
-    iblank = iblank_of(grid, index)
-    for planes in _slabs(variant, shape):
-        for array in split(block[:, :, planes], variant.real, variant.dimension):
-            yield array.reshape(-1)
-        if variant.iblank:
-            flags = np.ones(shape) if iblank is None else iblank
-            yield np.ascontiguousarray(flags[:, :, planes].T, variant.integer).reshape(-1)
+def text_arrays(grid: Grid, variant: Variant, index: int) -> Iterator[NDArray[Any]]:
+    """The flat arrays of one block in the order and types of a text."""
+    for array in split(grid.block(index), variant.real, variant.dimension):
+        yield array.reshape(-1)
+    if variant.iblank:
+        iblank = iblank_of(grid, index)
+        flags = np.ones(grid.shapes[index]) if iblank is None else iblank
+        yield np.ascontiguousarray(flags.T, variant.integer).reshape(-1)
 
 
 def iblank_of(grid: Grid, index: int) -> NDArray[Any] | None:
     """IBLANK values (ni, nj, nk) of a block from any format."""
     found = (f.values for f in grid.fields if f.block == index and f.location == "node" and f.name.lower() == IBLANK)
     return next(found, None)
-
-
-def _slabs(variant: Variant, shape: Shape) -> list[slice]:
-    """Ranges of k that follow one another in the file."""
-    return [slice(k, k + 1) for k in range(shape[2])] if variant.records == "plane" else [slice(0, shape[2])]

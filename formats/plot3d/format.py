@@ -14,8 +14,9 @@ import numpy as np
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FileFormat, Grid
+from meshdeform_core.parallel import current_ranks
 
-from ..files import replacing
+from ..files import replacing_by_all
 from .binary import read_binary, write_binary
 from .blocks import iblank_of
 from .variant import Variant, parse_options
@@ -73,7 +74,7 @@ def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
 
 
 def write(grid: Grid, path: Path, variant: FileFormat) -> None:
-    """Write ``grid`` in the given variant, replacing ``path`` as a whole or leaving it unchanged.
+    """Write ``grid`` in the given variant, replacing ``path`` as a whole or leaving it unchanged; on all ranks.
 
     Raises
     ------
@@ -82,13 +83,18 @@ def write(grid: Grid, path: Path, variant: FileFormat) -> None:
     """
     chosen = Variant.of(variant)
     _require_writable(grid, Path(path), chosen)
-    with replacing(Path(path)) as partial, partial.open("wb") as stream:
+    with replacing_by_all(Path(path)) as partial:
         if chosen.encoding == "ascii":
-            from .ascii import write_ascii
-
-            write_ascii(grid, stream, chosen)
+            current_ranks().on_first(lambda: _write_text(grid, partial, chosen))
         else:
-            write_binary(grid, stream, chosen)
+            write_binary(grid, partial, chosen)
+
+
+def _write_text(grid: Grid, path: Path, variant: Variant) -> None:
+    from .ascii import write_ascii
+
+    with path.open("wb") as stream:
+        write_ascii(grid, stream, variant)
 
 
 def _usual_variant(grid: Grid, path: Path) -> Variant:

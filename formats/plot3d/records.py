@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import accumulate, chain, product, takewhile
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -163,15 +163,25 @@ def _stored(lengths: list[int], variant: Variant) -> int:
     return sum(length + 2 * variant.marker.itemsize * math.ceil(length / _longest(variant)) for length in lengths)
 
 
-def write_record(stream: BinaryIO, arrays: Iterator[NDArray[Any]], length: int, variant: Variant) -> None:
-    """Write the next ``arrays`` that together have ``length`` bytes as one record."""
-    subrecords = _subrecords(length, variant)
-    data = memoryview(b"")
-    for number, part in enumerate(subrecords, 1):
-        stream.write(np.array(part if number == len(subrecords) else -part, variant.marker).tobytes())
-        left = part
-        while left:
-            data = data or next(arrays).view(np.uint8).data
-            piece, data = data[:left], data[left:]
-            left -= stream.write(piece)
-        stream.write(np.array(part if number == 1 else -part, variant.marker).tobytes())
+def laid_out(lengths: Sequence[int], variant: Variant) -> tuple[list[tuple[int, bytes]], list[list[tuple[int, int]]]]:
+    """How a file with records of data of these lengths is laid out; those of a C stream have no markers.
+
+    Returns
+    -------
+    markers : place and bytes of each
+    records : (offset, length) of the stretches of data of each record
+    """
+    markers, records, at = [], [], 0
+    width = variant.marker.itemsize if variant.encoding == "fortran" else 0
+    for length in lengths:
+        parts = _subrecords(length, variant) if width else [length]
+        stretches = []
+        for number, part in enumerate(parts, 1):
+            stretches.append((at + width, part))
+            if width:
+                before, after = (part if one else -part for one in (number == len(parts), number == 1))
+                markers.append((at, np.array(before, variant.marker).tobytes()))
+                markers.append((at + width + part, np.array(after, variant.marker).tobytes()))
+            at += part + 2 * width
+        records.append(stretches)
+    return markers, records

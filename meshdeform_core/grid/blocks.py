@@ -14,7 +14,7 @@ from enum import IntEnum
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +52,14 @@ class Side(IntEnum):
     def label(self) -> str:
         """Name as written in case files and reports: ``imin`` ... ``kmax``."""
         return self.name.lower()
+
+
+class Planes(NamedTuple):
+    """The planes of nodes first <= k < last of a block."""
+
+    block: int
+    first: int
+    last: int
 
 
 @dataclass(frozen=True)
@@ -282,11 +290,24 @@ class Grid:
         ``put`` fills the block's rows of ``points`` and of the arrays ``others`` with one row per node. An exception on
         one rank is raised on all.
         """
+        whole = [Planes(block, 0, shape[2]) for block, shape in enumerate(self.shapes)]
+        self.fill_planes(lambda part: put(part.block), whole, *others, threads=1)
 
-        def rows(first: int, last: int) -> range:
-            return range(self.offsets[first], self.offsets[last])
+    def fill_planes(
+        self, put: Callable[[Planes], None], parts: Sequence[Planes], *others: NDArray[Any], threads: int | None = None
+    ) -> None:
+        """The same for ranges of planes, which together are all of the grid; on ``threads``, by default all."""
 
-        for_items(put, self.n_blocks, [Shared(array, rows) for array in (self.points, *others)])
+        def rows(first: int, last: int) -> IntArray:
+            return np.concatenate([self._rows(part) for part in parts[first:last]])
+
+        shared = [Shared(array, rows) for array in (self.points, *others)]
+        for_items(lambda number: put(parts[number]), len(parts), shared, threads=threads)
+
+    def _rows(self, part: Planes) -> IntArray:
+        ni, nj, nk = self.shapes[part.block]
+        lines = self.offsets[part.block] + nk * np.arange(ni * nj)
+        return np.asarray((lines[:, None] + np.arange(part.first, part.last)).ravel())
 
     def moved(self, points: FloatArray) -> Grid:
         """The same grid with other coordinates."""

@@ -261,23 +261,33 @@ def _rows_of(rows: Callable[[int, int], Any], bounds: list[Bounds], count: int, 
 
 
 def for_items(
-    work: Callable[[int], object], count: int, shared: Sequence[Shared], progress: Counter | None = None
+    work: Callable[[int], object],
+    count: int,
+    shared: Sequence[Shared],
+    progress: Counter | None = None,
+    threads: int | None = 1,
 ) -> None:
-    """Call ``work(n)`` for every n of ``range(count)``, ascending, one at a time, distributed among all ranks.
+    """Call ``work(n)`` for every n of ``range(count)``, ascending, distributed among all ranks.
 
-    For large items that use the threads themselves, or none. ``shared`` as for :func:`for_chunks`. An exception on one
-    rank ends its items and is raised on all of them.
+    One at a time, for large items that use the threads themselves, or none; or on ``threads`` (``None``: all), and then
+    the loops of an item use no others. ``shared`` as for :func:`for_chunks`. An exception on one rank ends its items
+    and is raised on all of them.
     """
     failures: list[tuple[int, Exception]] = []
 
     def attempt(number: int, _: int) -> None:
         try:
-            if not failures:
+            if failures:
+                return
+            if threads == 1:
                 work(number)
+            else:
+                with sharing(OneRank(1), 1):
+                    work(number)
         except Exception as error:
             failures.append((number, error))
 
-    for_chunks(attempt, count, 1, progress, shared, threads=1)
+    for_chunks(attempt, count, 1, progress, shared, threads=threads)
     if found := current_ranks().gather(failures):
         # Raise the error that a single process would have met first.
         raise min(found, key=lambda each: each[0])[1]

@@ -76,6 +76,23 @@ def fail(*_):
 work.write_grid = fail
 main()
 """
+# One rank is killed, or its disk is full, when it writes its first range of planes.
+UNFINISHED = """
+import errno, os, signal
+from meshdeform_cli.process import mpi
+from meshdeform_cli.main import main
+from meshdeform_formats.planes import Stored
+
+def killed(*_):
+    os.kill(os.getpid(), signal.SIGKILL)
+
+def full(*_):
+    raise OSError(errno.ENOSPC, "No space left on device", "out.xyz")
+
+if mpi.place().number == int(os.environ["VICTIM"]):
+    Stored.write = {"killed": killed, "full": full}[os.environ["FATE"]]
+main()
+"""
 
 
 def start(*command, path: Path = TESTS, limit=LIMIT, **extra):
@@ -273,6 +290,42 @@ def test_a_file_that_cannot_be_written_ends_all(bench, snapshot):
     assert "out.xyz: No space left on device" in done.stderr
     assert "MPI_ABORT" not in done.stderr
     assert snapshot(bench) == before
+
+
+@needs_mpi
+@pytest.mark.parametrize("output", ["out.xyz", "out.cgns"])
+@pytest.mark.parametrize("victim", ["0", "1"])
+def test_a_rank_with_a_full_disk_ends_all(output, victim, bench, snapshot):
+    """The ranks write one file; what one of them cannot write is the error of all."""
+    Path("unfinished.py").write_text(UNFINISHED)
+    Path(output).write_text("old")
+    before = snapshot(bench)
+    args = ("deform", "grid.xyz", "-c", "case.toml", "-o", output, "--force")
+    done = on_ranks(2, *args, program=("unfinished.py",), VICTIM=victim, FATE="full")
+    assert done.returncode == 2
+    assert done.stderr.count("meshdeform: error") == 1
+    assert f"{output}: No space left on device" in done.stderr
+    assert "MPI_ABORT" not in done.stderr
+    assert snapshot(bench) == before
+
+
+@needs_mpi
+@pytest.mark.parametrize("victim", ["0", "1"])
+def test_a_killed_rank_leaves_the_old_file(victim, bench, snapshot):
+    """mpiexec ends the others and says so; the next run removes what is left of the new file."""
+    Path("unfinished.py").write_text(UNFINISHED)
+    Path("out.xyz").write_text("old")
+    before = snapshot(bench)
+    args = ("deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz", "--force", "-q")
+    done = on_ranks(2, *args, program=("unfinished.py",), VICTIM=victim, FATE="killed")
+    assert done.returncode not in (0, 2, 3)
+    assert done.stderr.count("(Killed)") == 1
+    for left in bench.glob(".out.*.partial.xyz"):
+        before[left.name] = snapshot(bench)[left.name]
+    assert snapshot(bench) == before
+    assert on_ranks(2, *args).returncode == 0
+    assert read_grid("out.xyz").n_nodes == read_grid("grid.xyz").n_nodes
+    assert not list(bench.glob(".out.*"))
 
 
 @needs_mpi

@@ -30,7 +30,7 @@ from hypothesis import strategies as st
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Grid
-from meshdeform_formats import cgns, read_grid, write_grid
+from meshdeform_formats import cgns, planes, read_grid, write_grid
 
 WING, WING_HDF5, AIRFOIL = "717_wl_L2.cgns", "717_wl_L2_hdf5.cgns", "nak_a_141.cgns"
 
@@ -458,7 +458,7 @@ def test_a_failure_leaves_the_old_output_alone(tmp_path, monkeypatch):
     def fail(*arguments: object, **options: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(h5py.Dataset, "__setitem__", fail)
+    monkeypatch.setattr(planes.Stored, "write", fail)
     with pytest.raises(FormatError, match=r"out\.cgns: No space left on device"):
         cgns.write(grid, tmp_path / "out.cgns", cgns.variant(grid, tmp_path / "out.cgns", {}))
     assert (tmp_path / "out.cgns").read_text() == "old"

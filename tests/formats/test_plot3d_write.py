@@ -209,8 +209,8 @@ def test_iblank_of_another_shape(tmp_path):
 
 
 def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
-    def full_disk(grid, stream, variant):
-        stream.write(b"part of it")
+    def full_disk(grid, path, variant):
+        path.write_bytes(b"part of it")
         raise OSError(28, "No space left on device")
 
     path = tmp_path / "a.x"

@@ -132,6 +132,7 @@ class _AdfFile:
             read=lambda: self._values(header, path, dtype),
             require=lambda: self._pieces(header, path, dtype),
             expand=lambda: self._children(header, path, depth + 1),
+            place=lambda: self._place(header, path, dtype),
         )
 
     def _header(self, pointer: bytes, parent: str) -> _Header:
@@ -197,6 +198,10 @@ class _AdfFile:
             parts = [np.frombuffer(self.bytes, np.uint8, end - begin, begin) for begin, end in pieces if end > begin]
             flat = np.concatenate(parts)[: count * dtype.itemsize].view(dtype)
         return flat.reshape(header.dims, order="F")
+
+    def _place(self, header: _Header, path: str, dtype: np.dtype[Any] | None) -> int | None:
+        pieces = self._pieces(header, path, dtype)
+        return pieces[0][0] if len(pieces) == 1 else None
 
     def _pieces(self, header: _Header, path: str, dtype: np.dtype[Any] | None) -> list[tuple[int, int]]:
         """Begin and end byte of each piece of a node's data, which must have the declared size."""

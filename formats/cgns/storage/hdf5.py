@@ -165,6 +165,7 @@ def _node(group: h5g.GroupID | h5d.DatasetID, file: Path, path: str, links: int 
         node.dims, node.dtype = dataset.shape[::-1], _dtype(dataset, data_type)
         node.require = partial(_require_stored, group, file, path)
         node.read = _reading(group, dataset, node.dims, node.dtype) if node.dims else node.read
+        node.place = partial(_place, group)
     if members:
         node.expand = lambda: _children(group, file, path)
     return node
@@ -222,6 +223,20 @@ def _require_stored(group: h5g.GroupID, file: Path, path: str) -> None:
         raise FormatError(
             f"{file}: {path} declares {dataset.shape} {dataset.dtype} values; only {stored} bytes are stored"
         )
+
+
+def _place(group: h5g.GroupID) -> int | None:
+    return place_of(h5d.open(group, _DATA))
+
+
+def place_of(dataset: h5d.DatasetID) -> int | None:
+    """The first byte of an array in its file; ``None`` if it lies there in pieces, is packed or not stored at all."""
+    layout = dataset.get_create_plist()
+    plain = layout.get_layout() == h5d.CONTIGUOUS and not layout.get_external_count()
+    if not plain or not dataset.get_type().equal(h5t.py_create(dataset.dtype)):
+        return None
+    place: int | None = dataset.get_offset()
+    return place
 
 
 def _values(group: h5g.GroupID) -> NDArray[Any]:

@@ -102,7 +102,9 @@ def _write(parent: h5g.GroupID, node: Node, home: Path, depth: int) -> None:
 
 
 def _fill(group: h5g.GroupID, node: Node, home: Path, depth: int) -> None:
-    if node.dims:
+    if node.placed:
+        node.placed(reserve_dataset(group, DATA, node.dims[::-1], DTYPES[node.data_type]))
+    elif node.dims:
         write_dataset(group, DATA, np.ascontiguousarray(node.data().T, dtype=DTYPES.get(node.data_type)))
     for child in node.children:
         _write(group, child, home, depth + 1)
@@ -125,6 +127,15 @@ def write_dataset(group: h5g.GroupID, name: str, values: NDArray[Any]) -> None:
     kind = _KINDS.get(values.dtype) or h5t.py_create(values.dtype, logical=True)
     dataset = h5d.create(group, name.encode(), kind, h5s.create_simple(values.shape))
     dataset.write(h5s.ALL, h5s.ALL, values, kind)
+
+
+def reserve_dataset(group: h5g.GroupID, name: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> int:
+    """Create a dataset whose values will be written to the file itself; returns the place of the first byte."""
+    properties = h5p.create(h5p.DATASET_CREATE)
+    properties.set_alloc_time(h5d.ALLOC_TIME_EARLY)
+    properties.set_fill_time(h5d.FILL_TIME_NEVER)
+    dataset = h5d.create(group, name.encode(), _KINDS[dtype], h5s.create_simple(shape), properties)
+    return int(dataset.get_offset())
 
 
 def _describe(group: h5g.GroupID, name: str, label: str, data_type: str) -> None:

@@ -84,7 +84,9 @@ class Node:
 
     ``dtype`` is the type of the stored values (byte order included), ``None`` without data. ``read``, ``expand`` and
     ``follow`` fetch the data, the children and the link's target from the container; ``require`` raises FormatError
-    when less is stored than ``dims`` declare, so that nothing is allocated for it.
+    when less is stored than ``dims`` declare, so that nothing is allocated for it. ``place`` is the first byte of the
+    values in ``file``, if they lie there in one stretch as they are. ``placed`` is called with that byte when a node of
+    which only the type and ``dims`` are known is written, so that its values can follow.
     """
 
     name: str
@@ -99,6 +101,8 @@ class Node:
     require: Callable[[], object] = _nothing
     expand: Callable[[], Iterable[Node]] = tuple
     follow: Callable[[], Node | None] = _nothing
+    place: Callable[[], int | None] = _nothing
+    placed: Callable[[int], object] | None = None
     _following: bool = False
 
     @cached_property

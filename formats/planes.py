@@ -1,0 +1,158 @@
+"""Arrays that a file holds as they are: every thread and every rank reads and writes its own ranges of planes.
+
+Most formats store the values of a block with k running slowest, so that a range of planes k is one stretch of bytes.
+"""
+
+from __future__ import annotations
+
+import os
+from bisect import bisect_right
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import accumulate
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshdeform_core.errors import FormatError
+from meshdeform_core.grid import Grid, Planes, Shape
+from meshdeform_core.parallel import current_ranks, for_items
+
+from .coordinates import merge, split
+
+# Nodes and planes of a range: enough that files are read in large pieces and lines of the grid are not torn apart.
+_NODES, _PLANES = 1 << 18, 8
+
+
+class Stretches:
+    """Bytes that belong together and lie in a file in one or more stretches, (offset, length) each."""
+
+    def __init__(self, stretches: Sequence[tuple[int, int]]) -> None:
+        self._offsets = [offset for offset, _ in stretches]
+        self._ends = list(accumulate(length for _, length in stretches))
+
+    def places(self, first: int, last: int) -> Iterator[tuple[int, int]]:
+        """Offsets in the file and lengths of the bytes first <= n < last."""
+        at = bisect_right(self._ends, first)
+        while first < last:
+            begin = self._ends[at - 1] if at else 0
+            end = min(last, self._ends[at])
+            yield self._offsets[at] + first - begin, end - first
+            first, at = end, at + 1
+
+
+@dataclass(frozen=True)
+class Stored:
+    """An array (nk, nj, ni) of a block in a file.
+
+    Attributes
+    ----------
+    plane : (nj, ni)
+    start : first byte of plane k = 0, counted in ``within``
+    step : bytes from one plane to the next
+    within : the bytes of the file that count; ``None``: all
+    """
+
+    path: Path
+    dtype: np.dtype[Any]
+    plane: tuple[int, int]
+    start: int
+    step: int
+    within: Stretches | None = None
+
+    def read(self, first: int, last: int) -> NDArray[Any]:
+        """The planes first <= k < last.
+
+        Raises
+        ------
+        FormatError
+            When the file ends before them or cannot be read.
+        """
+        values = np.empty((last - first, *self.plane), self.dtype)
+        try:
+            with self.path.open("rb", buffering=0) as file:
+                for at, part in self._parts(first, values):
+                    self._read(file, at, part)
+        except OSError as error:
+            raise FormatError(f"cannot read {self.path}: {error.strerror or error}") from error
+        return values
+
+    def _read(self, file: Any, at: int, part: memoryview) -> None:
+        file.seek(at)
+        while part:
+            done = file.readinto(part)
+            if not done:
+                raise FormatError(f"{self.path} ends before all of its coordinates: it was cut while it was read")
+            part = part[done:]
+
+    def write(self, first: int, values: NDArray[Any], synchronous: bool = False) -> None:
+        """Write planes (n, nj, ni) from k = ``first`` on into the file, which must exist."""
+        stored = np.ascontiguousarray(values, self.dtype)
+        flags = os.O_WRONLY | getattr(os, "O_BINARY", 0) | (getattr(os, "O_DSYNC", 0) if synchronous else 0)
+        with open(os.open(self.path, flags), "wb", buffering=0) as file:
+            for at, part in self._parts(first, stored):
+                file.seek(at)
+                left = part
+                while left:
+                    left = left[file.write(left) :]
+
+    def _parts(self, first: int, values: NDArray[Any]) -> Iterator[tuple[int, memoryview]]:
+        """Places in the file of consecutive bytes of planes from k = ``first`` on, and these bytes."""
+        count, size = len(values), values[0].nbytes
+        if self.step == size:
+            count, size = 1, values.nbytes
+        data = values.reshape(-1).view(np.uint8).data
+        for number in range(count):
+            begin, plane = (
+                self.start + first * self.step + number * self.step,
+                data[number * size : (number + 1) * size],
+            )
+            for at, length in self.within.places(begin, begin + size) if self.within else [(begin, size)]:
+                yield at, plane[:length]
+                plane = plane[length:]
+
+
+def ranges_of(blocks: Sequence[tuple[int, Shape]]) -> list[Planes]:
+    """Some blocks, by number and shape, in ranges of planes that do not depend on threads and ranks."""
+    found = []
+    for block, (ni, nj, nk) in blocks:
+        step = max(_PLANES, _NODES // (ni * nj))
+        found += [Planes(block, first, min(first + step, nk)) for first in range(0, nk, step)]
+    return found
+
+
+def read_planes(grid: Grid, part: Planes, arrays: Sequence[Stored]) -> None:
+    """Fill planes of a block from the arrays of its components; those that are missing become zero."""
+    block = grid.block(part.block)[:, :, part.first : part.last]
+    merge(block, (array.read(part.first, part.last) for array in arrays), len(arrays))
+    block[..., len(arrays) :] = 0.0
+
+
+def write_coordinates(grid: Grid, arrays: Mapping[int, Sequence[Stored]]) -> None:
+    """Write the components of some blocks, by number, to their places in a file; all ranks share the work."""
+
+    synchronous = across_machines()
+
+    def put(part: Planes) -> None:
+        places = arrays[part.block]
+        kind = np.result_type(*(place.dtype.newbyteorder("=") for place in places))
+        block = grid.block(part.block)[:, :, part.first : part.last]
+        for place, values in zip(places, split(block, kind, len(places)), strict=True):
+            place.write(part.first, values, synchronous)
+
+    for_ranges(put, [(block, grid.shapes[block]) for block in arrays])
+
+
+def across_machines() -> bool:
+    """Whether several machines share the work. What they write to one file must then be synchronous: else clients of a
+    network file system may write whole pages, with old bytes where another machine has written."""
+    ranks = current_ranks()
+    return ranks.count > ranks.on_machine
+
+
+def for_ranges(put: Callable[[Planes], None], blocks: Sequence[tuple[int, Shape]]) -> None:
+    """Call ``put`` for all ranges of planes of some blocks, spread over the threads of all ranks."""
+    parts = ranges_of(blocks)
+    for_items(lambda number: put(parts[number]), len(parts), [], threads=None)
