@@ -10,7 +10,7 @@ from ...grid import FloatArray, Grid, IntArray
 from ...numerics.exact.direct import weighted_sums
 from ...numerics.fastsum.clusters.targets import Targets, interpolation_order, make_targets
 from ...numerics.fastsum.clusters.tree import build_tree
-from ...numerics.fastsum.weighted.sums import FastSums
+from ...numerics.fastsum.weighted.sums import FastSums, Summands
 from ...numerics.frame import Frame
 from ...numerics.rigid import NO_TRANSITION, Transition, finish
 from ...numerics.rows import put_rows, take_rows
@@ -163,7 +163,7 @@ class FastEvaluator:
         if points is not grid.points:
             # Accuracy is relative to the undeformed cells; in later steps only the targets have moved.
             targets = targets.sized(grid.points, grid.shapes, grid.offsets)
-        return FastSums(self.bound.groups, trees, targets, self._tolerance, self.bound.room)
+        return FastSums(self.bound.strength, self.bound.groups, trees, targets, self._tolerance, self.bound.room)
 
     def evaluate(self, fit: SourceValues, out: FloatArray, progress: Progress | None) -> None:
         """Write the displacement of the targets into ``out`` (n_nodes, 3)."""
@@ -196,7 +196,7 @@ class FastEvaluator:
                 finish(bound.rotation, values, x, moved, bound.repeats, fit.transition)
                 put_rows(moved + out[flat] if step else fit.frame.absolute(x + fit.origin, moved), flat, out)
 
-            moving = fit.values, fit.shift, fit.turn
             lasting = 1 if fit.transition.width else 0
-            risk = sums.evaluate(bound.strength, fit.weights, *moving, use, out, report, fit.still, lasting)
+            summands = Summands(fit.weights, fit.values, fit.shift, fit.turn, fit.still, lasting)
+            risk = sums.evaluate(summands, use, out, report)
         return sums.targets, np.asarray(risk)

@@ -19,7 +19,7 @@ from ..clusters.tree import CHARGES, SourceTree
 from .plan import Plan, PlanKey
 from .sums import CHUNK, SHARE, allowance
 from .transposed import collect_sums, filled_by, spread_charges, spread_lists, used_clusters
-from .treesum import Charges, cluster_reach, gather, interpolate_sums, places_of, sum_lists
+from .treesum import Charges, cluster_reach, gather, places_of
 
 Use = Callable[[slice, IntArray, FloatArray], object]
 Make = Callable[[slice, IntArray, int], FloatArray]
@@ -86,25 +86,11 @@ class FrozenSums:
         """
         k, targets = len(values), self._targets
         passes = [self._charges(values[n : n + N_VALUES], weigh and n == 0) for n in range(0, k, N_VALUES)]
-        points, bricks, regions = targets.points, targets.bricks, targets.regions
 
         def work(lo: int, hi: int) -> None:
-            lists, places = self._plan.lists_of(lo, hi), places_of(lo, hi, points, bricks, regions)
-            rows, flat = targets.places(lo, hi), targets.flat(lo, hi)
-            sums = np.zeros((len(flat), 1 + k))
-            for number, charges in enumerate(passes):
-                total, filled = np.zeros((len(places.points), CHARGES)), np.zeros(len(places.span), dtype=bool)
-                for (_, tree), charge, kind, each, moving in zip(
-                    self._groups, charges, self._plan.key.kinds, lists, self._plan.moving, strict=True
-                ):
-                    some = np.ones_like(moving) if weigh else moving
-                    filled |= sum_lists(places, tree, charge, each, kind, some, total)
-                interpolate_sums(lo, hi, bricks, regions, places, filled, total)
-                if number == 0:
-                    sums[:, 0] = total[: len(flat), 0]
-                columns = slice(1 + number * N_VALUES, min(1 + k, 1 + (number + 1) * N_VALUES))
-                sums[:, columns] = total[: len(flat), 1 : 1 + columns.stop - columns.start]
-            use(rows, flat, sums)
+            parts = self._plan.sums(lo, hi, passes, weigh)
+            columns = [part[:, 1 : 1 + k - n] for n, part in zip(range(0, k, N_VALUES), parts, strict=True)]
+            use(targets.places(lo, hi), targets.flat(lo, hi), np.concatenate([parts[0][:, :1], *columns], axis=1))
 
         def rows_of(lo: int, hi: int) -> range:
             return range(targets.places(lo, hi).start, targets.places(lo, hi).stop)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +10,8 @@ import numpy as np
 from ...arrays import BoolArray, FloatArray, IntArray
 from ..clusters.acceptance import Kernel
 from ..clusters.targets import Targets
-from ..clusters.tree import SourceTree
+from ..clusters.tree import CHARGES, SourceTree
+from .treesum import Charges, interpolate_sums, places_of, sum_lists
 from .walk import Lists, Reach, list_clusters
 
 
@@ -105,6 +107,28 @@ class Plan:
         if size <= self._room:
             self._room -= size
             self._kept[first] = found
+        return found
+
+    def sums(self, first: int, last: int, passes: Sequence[Sequence[Charges]], weighing: bool) -> list[FloatArray]:
+        """Sums (m, 8) of every pass at the nodes of the regions first <= g < last; called from several threads.
+
+        A pass has the charges of each tree. Clusters that hold no sources that move count in the first pass only, when
+        ``weighing``, apart from the others: so the sums of those that move are the same to the last bit without them.
+        """
+        targets, lists = self._targets, self.lists_of(first, last)
+        bricks, regions = targets.bricks, targets.regions
+        places, found = places_of(first, last, targets.points, bricks, regions), []
+        n_nodes = len(targets.flat(first, last))
+        for number, charges in enumerate(passes):
+            total, filled = np.zeros((len(places.points), CHARGES)), np.zeros(len(places.span), dtype=bool)
+            for tree, charge, kind, each, moving in zip(
+                self._trees, charges, self.key.kinds, lists, self.moving, strict=True
+            ):
+                filled |= sum_lists(places, tree, charge, each, kind, moving, total)
+                if weighing and number == 0:
+                    filled |= sum_lists(places, tree, charge, each, kind, ~moving, total)
+            interpolate_sums(first, last, bricks, regions, places, filled, total)
+            found.append(total[:n_nodes])
         return found
 
 

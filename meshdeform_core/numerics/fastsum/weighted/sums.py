@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,9 +12,9 @@ from ...arrays import BoolArray, FloatArray, IntArray, Report
 from ...exact.direct import N_VALUES
 from ..clusters.acceptance import Kernel, inverse_powers
 from ..clusters.targets import Targets, interpolation_order
-from ..clusters.tree import SourceTree
+from ..clusters.tree import CHARGES, SourceTree
 from .plan import Plan, PlanKey, rounded_up
-from .treesum import Charges, add_totals, cluster_reach, gather, interpolate_sums, places_of, sum_lists
+from .treesum import Charges, add_totals, cluster_reach, gather
 from .walk import Reach
 
 CHUNK = 2
@@ -29,6 +30,29 @@ _SINGLE_TOLERANCE = 1e-3
 _PLANS = 2
 
 
+Use = Callable[[IntArray, FloatArray], object]
+
+
+class Summands(NamedTuple):
+    """What is summed at one displacement.
+
+    Attributes
+    ----------
+    weights : (a, b, kappa) per group of sources
+    values : (k, n) per source
+    shift, turn : (n,) displacement and rotation angle of each source, against which errors are judged
+    still : (k,) values of the sources that do not move, if there are any
+    lasting : number of last rows of ``values`` that never change; their sums are kept with the weights
+    """
+
+    weights: Sequence[tuple[float, float, float]]
+    values: FloatArray
+    shift: FloatArray
+    turn: FloatArray
+    still: FloatArray | None = None
+    lasting: int = 0
+
+
 class FastSums:
     """Weighted sums over groups of sources, with an error per target that is small against its cells.
 
@@ -38,6 +62,7 @@ class FastSums:
 
     Parameters
     ----------
+    strength : (n,) per source
     groups : index arrays; the sources that have the same weight function
     trees : of the sources of each group, from :func:`..clusters.tree.build_tree` for the order that the tolerance needs
     targets : from :func:`..clusters.targets.make_targets`
@@ -52,13 +77,14 @@ class FastSums:
 
     def __init__(
         self,
+        strength: FloatArray,
         groups: Sequence[IntArray],
         trees: Sequence[SourceTree],
         targets: Targets,
         tolerance: float,
-        room: int = 2**62,
+        room: int,
     ) -> None:
-        self.targets = targets
+        self._strength, self.targets = strength / strength.max(), targets
         self.tolerance = tolerance
         self._groups = [(np.asarray(group), tree) for group, tree in zip(groups, trees, strict=True)]
         self._room = room
@@ -73,77 +99,42 @@ class FastSums:
         """Raise the accuracy of all sums until :meth:`restart`: the error was ``excess`` times too large."""
         self.share *= 0.25 / excess
 
-    def evaluate(
-        self,
-        strength: FloatArray,
-        weights: Sequence[tuple[float, float, float]],
-        values: FloatArray,
-        shift: FloatArray,
-        turn: FloatArray,
-        use: Callable,
-        result: FloatArray,
-        progress: Report | None = None,
-        still: FloatArray | None = None,
-        lasting: int = 0,
-    ) -> FloatArray:
+    def evaluate(self, summands: Summands, use: Use, result: FloatArray, progress: Report | None = None) -> FloatArray:
         """Compute the sums brick by brick and hand each chunk to ``use``.
 
         Parameters
         ----------
-        strength : (n,) per source; values : (k, n)
-        weights : (a, b, kappa) per group
-        shift, turn : (n,) displacement and rotation angle of each source, against which errors are judged
         use : called with flat indices (m,) and sums (m, 1 + k), the weight first, from several threads
         result : (n_nodes, ...) array of which ``use`` fills these rows
-        still : (k,) values of the sources that do not move, if there are any
-        lasting : number of last rows of ``values`` that never change; their sums are kept with the weights
 
         Returns
         -------
         risk : (b,) bound of each brick's error, in units that only allow comparing
         """
-        targets, k = self.targets, len(values)
-        # The summands are of the order of one; the value common to all sources, or to those that do not move, is added
-        # afterwards.
-        strength = strength / strength.max()
-        middle = values @ strength / strength.sum() if still is None else still
-        spread, scaled = _scaled(values - middle[:, None])
-        plan = self._planned(weights, self._reaches(strength, shift, turn), (scaled != 0.0).any(axis=0), lasting)
+        targets, k, lasting = self.targets, len(summands.values), summands.lasting
+        middle, spread, scaled = _scaled(summands, self._strength)
+        plan = self._planned(summands, (scaled != 0.0).any(axis=0))
         weight = plan.weight if plan.weighed else None
         if weight is not None:
             scaled[k - lasting :] = 0.0
         passes = [
-            self._charges(strength, scaled[first : first + N_VALUES], plan, weight is None and first == 0)
+            self._charges(scaled[first : first + N_VALUES], plan, weight is None and first == 0)
             for first in range(0, k, N_VALUES)
         ]
-        points, bricks, regions = targets.points, targets.bricks, targets.regions
 
         def work(lo: int, hi: int) -> None:
-            flat = targets.flat(lo, hi)
+            flat, here = targets.flat(lo, hi), targets.places(lo, hi)
             sums = np.empty((len(flat), 1 + k))
-            lists = plan.lists_of(lo, hi)
-            places = places_of(lo, hi, points, bricks, regions)
-            for number, charges in enumerate(passes):
-                everywhere = np.zeros((len(places.points), 1 + N_VALUES))
-                filled = np.zeros(len(places.span), dtype=bool)
-                for (_, tree), charge, kind, each, moving in zip(
-                    self._groups, charges, plan.key.kinds, lists, plan.moving, strict=True
-                ):
-                    filled |= sum_lists(places, tree, charge, each, kind, moving, everywhere)
-                    if weight is None and number == 0:
-                        filled |= sum_lists(places, tree, charge, each, kind, ~moving, everywhere)
-                interpolate_sums(lo, hi, bricks, regions, places, filled, everywhere)
-                part = everywhere[: len(flat)]
+            for number, part in enumerate(plan.sums(lo, hi, passes, weight is None)):
                 if number == 0:
-                    sums[:, 0] = part[:, 0] if weight is None else weight[targets.places(lo, hi), 0]
+                    sums[:, 0] = part[:, 0] if weight is None else weight[here, 0]
                 columns = slice(number * N_VALUES, min(k, (number + 1) * N_VALUES))
-                here = sums[:, 1 + columns.start : 1 + columns.stop]
-                np.multiply(part[:, 1 : 1 + here.shape[1]], spread[columns], out=here)
+                some = sums[:, 1 + columns.start : 1 + columns.stop]
+                np.multiply(part[:, 1 : 1 + some.shape[1]], spread[columns], out=some)
                 if middle.any():
-                    here += sums[:, :1] * middle[columns]
+                    some += sums[:, :1] * middle[columns]
             if plan.weight is not None:
-                known = plan.weight[targets.places(lo, hi)]
-                one, other = (sums, known) if weight is not None else (known, sums)
+                one, other = (sums, plan.weight[here]) if weight is not None else (plan.weight[here], sums)
                 one[:, 0] = other[:, 0]
                 one[:, one.shape[1] - lasting :] = other[:, other.shape[1] - lasting :]
             use(flat, sums)
@@ -154,40 +145,40 @@ class FastSums:
         plan.weighed, plan.complete = plan.weight is not None, True
         return plan.risk
 
-    def _reaches(self, strength: FloatArray, shift: FloatArray, turn: FloatArray) -> list[Reach]:
+    def _reaches(self, shift: FloatArray, turn: FloatArray) -> list[Reach]:
         """Possible effect of the clusters of each group, its bounds rounded up."""
-        found = [cluster_reach(tree, strength[g], shift[g], turn[g]) for g, tree in self._groups]
+        found = [cluster_reach(tree, self._strength[g], shift[g], turn[g]) for g, tree in self._groups]
         shifts, turns = (rounded_up([getattr(each, name) for each in found]) for name in ("shift", "turn"))
         return [Reach(each.strength, *bounds) for each, *bounds in zip(found, shifts, turns, strict=True)]
 
-    def _planned(
-        self, weights: Sequence[tuple[float, float, float]], reaches: list[Reach], moving: BoolArray, lasting: int
-    ) -> Plan:
+    def _planned(self, summands: Summands, moving: BoolArray) -> Plan:
         """The plan for these weights and motions: one of those kept, or a new one."""
         single = self.tolerance >= _SINGLE_TOLERANCE and self.share == self._first_share
-        kinds = [inverse_powers(a, b, kappa, single and a in (3.0, 4.0) and b == 5.0) for a, b, kappa in weights]
-        key = PlanKey(kinds, reaches, moving, self.share, lasting)
+        kinds = [
+            inverse_powers(a, b, kappa, single and a in (3.0, 4.0) and b == 5.0) for a, b, kappa in summands.weights
+        ]
+        reaches = self._reaches(summands.shift, summands.turn)
+        key = PlanKey(kinds, reaches, moving, self.share, summands.lasting)
         plan = next((each for each in self._plans if each.key.agrees(key)), None)
         others = [each for each in self._plans if each is not plan]
         if plan is None:
             del others[_PLANS - 1 :]
             self._plans = others
-            allowed = allowance(
-                self.targets, [tree for _, tree in self._groups], kinds, reaches, self.tolerance * self.share
-            )
+            trees = [tree for _, tree in self._groups]
+            allowed = allowance(self.targets, trees, kinds, reaches, self.tolerance * self.share)
             plan = Plan(key, self.targets, self._groups, *allowed, self._room // _PLANS)
         self._plans = [plan, *others]
         return plan
 
-    def _charges(self, strength: FloatArray, values: FloatArray, plan: Plan, weighing: bool) -> list[Charges]:
+    def _charges(self, values: FloatArray, plan: Plan, weighing: bool) -> list[Charges]:
         """Charges of one pass, per group; with the strength itself if weights are to be found."""
         charges = []
         for (group, tree), used in zip(self._groups, plan.used, strict=True):
-            source = np.zeros((len(group), 1 + N_VALUES))
+            source = np.zeros((len(group), CHARGES))
             members = group[tree.order]
             if weighing:
-                source[:, 0] = strength[members]
-            source[:, 1 : 1 + len(values)] = (strength[members] * values[:, members]).T
+                source[:, 0] = self._strength[members]
+            source[:, 1 : 1 + len(values)] = (self._strength[members] * values[:, members]).T
             charges.append(gather(tree, source, used if plan.complete else None))
         return charges
 
@@ -211,8 +202,12 @@ def allowance(
     return (total * targets.sizes).min(axis=1) * tolerance, (moved / total).max(axis=1)
 
 
-def _scaled(values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Largest absolute value of each row, and the rows in units of it."""
-    spread = np.abs(values).max(axis=1)
+def _scaled(summands: Summands, strength: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Values of the order of one: the value (k,) common to all sources, or to those that do not move, the largest
+    difference (k,) from it, and the values (k, n) without the former in units of the latter."""
+    values = summands.values
+    middle = values @ strength / strength.sum() if summands.still is None else summands.still
+    rest = values - middle[:, None]
+    spread = np.abs(rest).max(axis=1)
     spread[spread == 0.0] = 1.0
-    return spread, values / spread[:, None]
+    return middle, spread, rest / spread[:, None]
