@@ -15,7 +15,7 @@ from ..clusters.acceptance import Kernel
 from ..clusters.boxes import box_coordinate, chebyshev, lagrange
 from ..clusters.bricks import spans
 from ..clusters.tree import CHARGES, SourceTree
-from .treesum import Places, _shares
+from .treesum import Places, shares_of_box
 from .walk import Lists, few_nodes
 
 
@@ -53,12 +53,9 @@ def collect_sums(first, last, bricks, regions, places, filled, gradient):
 @inlined
 def _collect(center, axes, half, per_side, b, m, points, first, last, gradient):
     """Add to ``gradient`` of the box's points, rows ``m`` onwards, those of rows first <= t < last."""
-    n, columns = last - first, gradient.shape[1]
-    most = max(per_side[b, 0], per_side[b, 1], per_side[b, 2])
+    n, columns, most = last - first, gradient.shape[1], max(per_side[b, 0], per_side[b, 1], per_side[b, 2])
     share, given, product = np.empty((3 * most, n)), np.empty((columns, n)), np.empty(n)
-    node, weights, at = np.empty(most), np.empty(most), np.empty(n)
-    for d in range(3):
-        _shares(center, axes, half, per_side[b, d], b, points, first, n, d, node, weights, at, product, share, d * most)
+    shares_of_box(center, axes, half, per_side, b, points, first, n, most, product, share)
     for c in range(columns):
         for t in range(n):
             given[c, t] = gradient[first + t, c]

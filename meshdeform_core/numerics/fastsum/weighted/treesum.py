@@ -201,12 +201,9 @@ def interpolate_sums(first, last, bricks, regions, places, filled, sums):
 @inlined
 def _interpolate(center, axes, half, per_side, b, m, columns, points, first, last, sums):
     """Add to ``sums`` at rows first <= t < last the interpolated sums at the box's points, rows ``m`` onwards."""
-    n = last - first
-    most = max(per_side[b, 0], per_side[b, 1], per_side[b, 2])
+    n, most = last - first, max(per_side[b, 0], per_side[b, 1], per_side[b, 2])
     share, total, product = np.empty((3 * most, n)), np.empty((columns, n)), np.empty(n)
-    node, weights, at = np.empty(most), np.empty(most), np.empty(n)
-    for d in range(3):
-        _shares(center, axes, half, per_side[b, d], b, points, first, n, d, node, weights, at, product, share, d * most)
+    shares_of_box(center, axes, half, per_side, b, points, first, n, most, product, share)
     for c in range(columns):
         for t in range(n):
             total[c, t] = 0.0
@@ -224,6 +221,15 @@ def _interpolate(center, axes, half, per_side, b, m, columns, points, first, las
     for t in range(n):
         for c in range(columns):
             sums[first + t, c] += total[c, t]
+
+
+@inlined
+def shares_of_box(center, axes, half, per_side, b, points, start, n, most, product, share):
+    """Lagrange polynomials along the three sides of a box at ``n`` points; those of side d from row d ``most`` on of
+    ``share`` (3 most, n). ``product`` (n,) is overwritten."""
+    node, weights, at = np.empty(most), np.empty(most), np.empty(n)
+    for d in range(3):
+        _shares(center, axes, half, per_side[b, d], b, points, start, n, d, node, weights, at, product, share, d * most)
 
 
 @inlined
