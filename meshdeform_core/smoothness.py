@@ -13,21 +13,35 @@ from .numerics.arrays import lengths
 _JUMP, _JUMP_IN_EDGES = 0.5, 0.2
 """The grid jumps where its acceleration exceeds that of the walls by JUMP wall steps, and JUMP_IN_EDGES local edges."""
 
+_AT_REST = 0.01
+"""Of two steps of the walls, one that is smaller than this share of the other tells little of how nodes follow."""
+
 
 @dataclass(frozen=True)
 class Smoothness:
     """Largest node ``velocity`` and ``acceleration``, times the interval and its square, relative to the largest step
     of the walls, and the acceleration relative to the shortest undeformed edge at the node; ``None`` where nothing
-    moves or the levels before are not known. ``wall`` is the acceleration of the walls in the same measure, ``plain``
-    whether the levels are those of the method alone, ``ways`` how the level and the one before were made, if that
-    differs."""
+    moves or the levels before are not known. ``wall`` is the acceleration of the walls in the same measure, ``reach``
+    how many times as far as the walls a node moves, ``plain`` whether the levels are those of the method alone,
+    ``ways`` how the level and the one before were made, if that differs."""
 
     velocity: float | None
     acceleration: float | None
     acceleration_in_edges: float | None
     wall: float | None = None
+    reach: float = 1.0
     plain: bool = True
     ways: tuple[str, str] | None = None
+
+    @property
+    def beyond(self) -> float:
+        """By how much the acceleration exceeds that of the walls; 0 where it is not known.
+
+        Nodes that move v times as far as the walls may be accelerated v times as much: where a motion turns back.
+        """
+        if self.acceleration is None or self.wall is None:
+            return 0.0
+        return self.acceleration - max(1.0, self.reach) * self.wall
 
     @property
     def warning(self) -> str | None:
@@ -36,11 +50,7 @@ class Smoothness:
             return (
                 f"the grid is made in another way from this level on: {self.ways[1]}, before {self.ways[0]}{self._jump}"
             )
-        if self.plain or self.acceleration is None or self.acceleration_in_edges is None or self.wall is None:
-            return None
-        # Nodes that move v times as far as the walls may be accelerated v times as much: where a motion turns back.
-        usual = max(1.0, self.velocity or 0.0) * self.wall
-        if self.acceleration - usual < _JUMP or self.acceleration_in_edges < _JUMP_IN_EDGES:
+        if self.plain or self.beyond < _JUMP or (self.acceleration_in_edges or 0.0) < _JUMP_IN_EDGES:
             return None
         return (
             f"the grid jumps although its walls do not: a node is accelerated by {self.acceleration:.3g} steps of the "
@@ -89,17 +99,25 @@ def smoothness(levels: list[Moment], walls: IntArray, edges: FloatArray) -> Smoo
         return Smoothness(None, None, None)
     ways = (levels[-2].way, levels[-1].way) if levels[-2].way != levels[-1].way else None
     last = levels[-1].points - levels[-2].points
-    step = float(lengths(last[walls]).max(initial=0.0))
+    moved, step = _largest(last, walls)
     if len(levels) == 2:
-        return Smoothness(float(lengths(last).max()) / step if step else None, None, None, ways=ways)
+        return Smoothness(moved / step if step else None, None, None, ways=ways)
     before = levels[-2].points - levels[-3].points
     before *= (levels[-1].time - levels[-2].time) / (levels[-2].time - levels[-3].time)
-    step = max(step, float(lengths(before[walls]).max(initial=0.0)))
-    if step == 0.0:
+    largest = max(step, _largest(before, walls)[1])
+    if largest == 0.0:
         return Smoothness(None, None, None, ways=ways)
-    speed = float(lengths(last).max()) / step
+    # A jump is in one of the two.
+    reach = min(m / s for m, s in (_largest(last, walls), _largest(before, walls)) if s > _AT_REST * largest)
     last -= before
     change = lengths(last)
-    wall = float(change[walls].max(initial=0.0)) / step
+    wall = float(change[walls].max(initial=0.0)) / largest
     plain = all(level.plain for level in levels)
-    return Smoothness(speed, float(change.max()) / step, float((change / edges).max()), wall, plain, ways)
+    relative = float(change.max()) / largest, float((change / edges).max())
+    return Smoothness(moved / largest, *relative, wall, reach, plain, ways)
+
+
+def _largest(change: FloatArray, walls: IntArray) -> tuple[float, float]:
+    """How far nodes, and those of the walls, move at most."""
+    distance = lengths(change)
+    return float(distance.max()), float(distance[walls].max(initial=0.0))

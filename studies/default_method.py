@@ -13,11 +13,12 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from flows import SAMPLES, grids_folder, without_missing_flap
 from motions import displace
+from robustness_table import Trial, possible
 from tables import Row, run
 
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.boundary.motions.motion import Motion
-from meshdeform_core.deform import Case, Setup, Timing, impose, set_up
+from meshdeform_core.deform import BoundaryMotion, Case, Setup, Timing, impose, set_up
 from meshdeform_core.grid import Grid
 from meshdeform_core.methods import Options
 from meshdeform_core.quality import Quality
@@ -55,21 +56,32 @@ def _sample(name: str, **constants: float) -> Setup:
     return prepare_sample(Sample(name, SAMPLES[name], constants=tuple(constants.items())))
 
 
-MOTIONS: dict[str, Callable[[], Setup]] = {
-    **{f"channel, roof down to {left:.0%}": (lambda left=left: _lowered(left)) for left in (0.3, 0.1, 0.03)},
-    **{f"flap, tip by {tip:g}": (lambda tip=tip: _flap(tip)) for tip in (0.08, 0.14)},
-    **{f"splitter-plate, {a:g} degrees": (lambda a=a: _sample("splitter-plate", angle=a)) for a in (30.0, 60.0)},
-    **{f"valve, {a:g} degrees": (lambda a=a: _sample("valve", opening=a)) for a in (35.0, 80.0)},
+Prescribed = tuple[Setup, BoundaryMotion]
+
+
+def _at_once(setup: Setup, time: float = 0.0) -> Prescribed:
+    return setup, setup.motion(time)
+
+
+def _of_table(trial: Trial) -> Prescribed:
+    setup = trial.make()
+    return setup, trial.motion(setup)
+
+
+MOTIONS: dict[str, Callable[[], Prescribed]] = {
+    **{f"channel, roof down to {c:.0%}": (lambda c=c: _at_once(_lowered(c))) for c in (0.3, 0.1, 0.03)},
+    **{f"flap, tip by {tip:g}": (lambda tip=tip: _at_once(_flap(tip))) for tip in (0.08, 0.14)},
+    "splitter-plate, 30 degrees": lambda: _at_once(_sample("splitter-plate", angle=30.0)),
+    "valve, 35 degrees": lambda: _at_once(_sample("valve", opening=35.0), 0.1),
+    **{name: (lambda t=t: _of_table(t)) for name, t in possible().items() if not t.crossing},
 }
 
 
-def measure(name: str, setup: Setup) -> Iterator[tuple[str, Quality]]:
+def measure(setup: Setup, motion: BoundaryMotion) -> Iterator[tuple[str, Quality]]:
     """Quality of one motion by every method, repaired where needed."""
     for method in METHODS:
-        case = dataclasses.replace(setup.case, method=Options(method))
-        own = dataclasses.replace(setup, case=case)
-        time = 0.1 if name.startswith("valve") else 0.0
-        yield method, impose(own, own.motion(time), None, "float64", Timing()).assessment.after
+        own = dataclasses.replace(setup, case=dataclasses.replace(setup.case, method=Options(method)))
+        yield method, impose(own, motion, None, "float64", Timing()).assessment.after
 
 
 def wall_angle(quality: Quality) -> float:
@@ -84,11 +96,12 @@ def _cell(quality: Quality) -> str:
     return f"{quality.min_scaled_jacobian:.3f} / {quality.f_skew.min:.3f} / {wall_angle(quality):.1f}"
 
 
-def row(name: str, make: Callable[[], Setup]) -> Row:
+def row(name: str, make: Callable[[], Prescribed]) -> Row:
     """One row: a motion by every method, and how near the default is to the best of them."""
-    found = dict(measure(name, make()))
+    found = dict(measure(*make()))
     best = max(quality.min_scaled_jacobian for quality in found.values() if not quality.invalid_cells)
-    share = found[METHODS[0]].min_scaled_jacobian / best
+    # Cells at a singular line have none.
+    share = found[METHODS[0]].min_scaled_jacobian / best if best else 1.0
     return {"motion": name, **{m: _cell(q) for m, q in found.items()}, "default of best": f"{share:.2f}"}
 
 

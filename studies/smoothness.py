@@ -140,6 +140,7 @@ def measure(name: str, course: Course) -> Row:
     single = max(
         (_apart(levels[n].result.grid.points, x, edges) for n, x in zip(sampled, alone, strict=True)), default=0
     )
+    accelerations = _acceleration(setup, levels)
     return {
         "motion": name,
         "levels": len(levels),
@@ -147,7 +148,8 @@ def measure(name: str, course: Course) -> Row:
         "valid": sum(level.result.valid for level in levels),
         "at the minimum": sum(levels[n].result.repair.converged for n in repaired),
         "not unique": sum(levels[n].result.repair.unique is False for n in repaired),
-        "acceleration, wall steps": _acceleration(setup, levels),
+        "acceleration, wall steps": accelerations[0],
+        "with half the interval": accelerations[1],
         "from single runs, edges": f"{single:.0e}",
         "same boundary, edges": _returning(course, times, levels, edges),
         "off slip walls, edges": _off_walls(setup, levels, edges),
@@ -157,20 +159,27 @@ def measure(name: str, course: Course) -> Row:
     }
 
 
-def _acceleration(setup: Setup, levels: list[Level]) -> float:
-    """The largest node acceleration beyond that of the walls, in the largest step of the walls.
+def _acceleration(setup: Setup, levels: list[Level]) -> tuple[float, float]:
+    """The largest node acceleration beyond that of the walls, in the largest step of the walls: that of the motion, and
+    with half the interval around the level where it was found."""
+    longest, beyond = _steps(setup, levels)
+    at = int(beyond.argmax())
+    if beyond[at] <= 0.0:
+        return 0.0, 0.0
+    first, last = max(0, at - 2), min(at + 2, len(levels) - 1)
+    times = np.linspace(levels[first].time, levels[last].time, 2 * (last - first) + 1)
+    _, finer = _steps(setup, list(deform_series(setup, Schedule(tuple(times)), "float64")))
+    return float(beyond[at] / longest), float(finer.max() / (longest / 2.0))
 
-    Nodes that move v times as far as the walls may be accelerated v times as much.
-    """
+
+def _steps(setup: Setup, levels: list[Level]) -> tuple[float, FloatArray]:
+    """The largest step of the walls, and at every level the acceleration of nodes beyond that of the walls."""
     walls = setup.topology.first[setup.boundary.kind == Kind.MOVING]
     points = [level.result.grid.points for level in levels]
     steps = [float(lengths((b - a)[walls]).max()) for a, b in itertools.pairwise(points)]
-    beyond = [0.0]
-    for level, pair in zip(levels[2:], itertools.pairwise(steps), strict=True):
-        found = level.smoothness
-        if found.acceleration is not None and found.velocity is not None and found.wall is not None:
-            beyond.append((found.acceleration - max(1.0, found.velocity) * found.wall) * max(pair))
-    return max(beyond) / max(steps)
+    pairs = [max(pair) for pair in itertools.pairwise(steps)]
+    found = [level.smoothness.beyond * largest for level, largest in zip(levels[2:], pairs, strict=True)]
+    return max(steps), np.array([0.0, 0.0, *found])
 
 
 def _off_walls(setup: Setup, levels: list[Level], edges: FloatArray) -> str:

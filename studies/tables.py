@@ -32,16 +32,34 @@ def run(
         if options.only in name:
             rows.append(row(name, job))
             print(rows[-1], file=sys.stderr, flush=True)
-    show(rows, options.write, program)
+            _keep(rows, options.write, program)
+    show(rows, None if options.only else options.write, program)
 
 
 def show(rows: list[Row], page: Path | None, program: str) -> None:
     """Print the rows as a table, whose columns are their keys, and put it in its place on a page."""
-    columns = list(dict.fromkeys(key for row in rows for key in row))
-    table = grid(columns, [[_text(row.get(column, "")) for column in columns] for row in rows])
+    table = grid(*_cells(rows))
     print(table)
     if page:
         _put_on(page, Path(program).name, table)
+
+
+def _keep(rows: list[Row], page: Path | None, program: str) -> None:
+    """Put some rows in the table on a page, so that a run cut off is not lost: instead of those with the same first
+    cell, or after all others; a table with other columns is replaced."""
+    if page is None:
+        return
+    (head, lines), name = _cells(rows), Path(program).name
+    found = re.search(f"<!-- {re.escape(name)} begin -->\n(.*?)\n<!--", page.read_text(encoding="utf-8"), re.DOTALL)
+    table = found[1].splitlines() if found else []
+    before = [[cell.strip() for cell in line.strip("| ").split(" | ")] for line in table]
+    kept = {line[0]: line for line in before[2:]} if before[:1] == [head] else {}
+    _put_on(page, name, grid(head, list((kept | {line[0]: line for line in lines}).values())))
+
+
+def _cells(rows: list[Row]) -> tuple[list[str], list[list[str]]]:
+    columns = list(dict.fromkeys(key for row in rows for key in row))
+    return columns, [[_text(row.get(column, "")) for column in columns] for row in rows]
 
 
 def _put_on(page: Path, program: str, table: str) -> None:

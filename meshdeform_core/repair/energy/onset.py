@@ -12,9 +12,12 @@ import numpy as np
 from ...grid import FloatArray
 from .elements import HEALTHY, NORM, Energy
 
-_FULL, _POWER = 15.0, 3.0
-"""A grid whose excess is that of one corner with f = FULL has a share of 1, with which the elastic energy matters
+_FULL, _POWER = np.log(15.0 / HEALTHY), 3.0
+"""A grid whose excess is that of one corner with f = 15 has a share of 1, with which the elastic energy matters
 little."""
+_BETWEEN = np.log(4.0 / HEALTHY)
+"""Samples of a hexahedron between its corners count from this excess on, that of one corner with f = 4: few are
+negative below, and in a grid with many weak cells they are more than half of the work."""
 
 
 def share_of(energy: Energy, x: FloatArray) -> tuple[float, Energy]:
@@ -22,26 +25,31 @@ def share_of(energy: Energy, x: FloatArray) -> tuple[float, Energy]:
 
     Samples of hexahedra between corners count by the excess of their own cell, at most as corners do.
     """
-    excess = energy.excess(x)
-    largest = float(excess.max(initial=0.0))
-    if largest == 0.0:
+    excess, whole = _excess(energy, x)
+    if whole == 0.0:
         return 0.0, energy
-    whole = largest * float(((excess / largest) ** NORM).sum()) ** (1.0 / NORM)
-    return float(_share(whole)), energy.with_between(np.minimum(_share(excess), 1.0))
+    return (whole / _FULL) ** _POWER, energy.with_between(_share_between(excess))
 
 
 def share_slopes(energy: Energy, x: FloatArray) -> tuple[FloatArray, FloatArray]:
     """How the share, and that of the samples between corners of each cell, follow the excess of the cells (m,)."""
+    excess, whole = _excess(energy, x)
+    if whole == 0.0:
+        return np.zeros_like(excess), np.zeros_like(excess)
+    between, beyond = _share_between(excess), excess - _BETWEEN
+    inside = (between > 0.0) & (between < 1.0)
+    of_between = np.divide(_POWER * between, beyond, out=np.zeros_like(excess), where=inside)
+    return _POWER / _FULL * (whole / _FULL) ** (_POWER - 1.0) * (excess / whole) ** (NORM - 1.0), of_between
+
+
+def _excess(energy: Energy, x: FloatArray) -> tuple[FloatArray, float]:
+    """The excess of the cells (m,), and that of the whole grid."""
     excess = energy.excess(x)
     largest = float(excess.max(initial=0.0))
     if largest == 0.0:
-        return np.zeros_like(excess), np.zeros_like(excess)
-    whole = largest * float(((excess / largest) ** NORM).sum()) ** (1.0 / NORM)
-    alone = _share(excess)
-    inside = (excess > 0.0) & (alone < 1.0)
-    between = np.divide(_POWER * alone, excess, out=np.zeros_like(excess), where=inside)
-    return _POWER * _share(whole) / whole * (excess / whole) ** (NORM - 1.0), between
+        return excess, 0.0
+    return excess, largest * float(((excess / largest) ** NORM).sum()) ** (1.0 / NORM)
 
 
-def _share(excess: float | FloatArray) -> float | FloatArray:
-    return (excess / np.log(_FULL / HEALTHY)) ** _POWER
+def _share_between(excess: FloatArray) -> FloatArray:
+    return np.clip((excess - _BETWEEN) / (_FULL - _BETWEEN), 0.0, 1.0) ** _POWER

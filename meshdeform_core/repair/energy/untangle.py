@@ -26,8 +26,9 @@ CUBIC = 2.0
 """Of the energy that is minimised: the larger, the more the worst cells count."""
 # A determinant that stays below -_LOCKED eps while eps falls has nowhere to go in this region.
 _LOCKED = 100.0
-CLOSE = 1e-6
-"""The minimum is reached when a step moves no node by more than this share of its shortest edge."""
+CLOSE, CLOSER = 1e-6, 1e-7
+"""The minimum is reached when a step moves no node by more than the share CLOSE of its shortest edge, or the next one
+would move none by more than CLOSER."""
 _SMALLEST_STEP = 1e-4
 # Sufficient decrease of a line search (Armijo), but for round-off of the energy.
 _DECREASE, _ROUND_OFF = 1e-4, 1e-13
@@ -132,10 +133,11 @@ class Untangler:
                 break
             self._tell(step, most)
             after = self._step(now, penalty, min(_ROUGH, max(_FINE, 0.1 * length)))
-            length = float((np.abs(after.x - now.x).max(axis=1) / edges).max())
+            before, length = length, float((np.abs(after.x - now.x).max(axis=1) / edges).max())
             now = after
             self.x = now.x
-            if length < CLOSE:
+            # Steps shrink ever faster: the next one by more than this one has.
+            if length < CLOSE or (step and length * length < CLOSER * before):
                 return True
         return False
 
