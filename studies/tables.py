@@ -32,7 +32,7 @@ def run(
         if options.only in name:
             rows.append(row(name, job))
             print(rows[-1], file=sys.stderr, flush=True)
-            _keep(rows, options.write, program)
+            keep(rows, options.write, program)
     show(rows, None if options.only else options.write, program)
 
 
@@ -44,7 +44,7 @@ def show(rows: list[Row], page: Path | None, program: str) -> None:
         _put_on(page, Path(program).name, table)
 
 
-def _keep(rows: list[Row], page: Path | None, program: str) -> None:
+def keep(rows: list[Row], page: Path | None, program: str) -> None:
     """Put some rows in the table on a page, so that a run cut off is not lost: instead of those with the same first
     cell, or after all others; a table with other columns is replaced."""
     if page is None:
