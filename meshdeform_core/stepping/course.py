@@ -150,6 +150,11 @@ class Course:
         """Whether the case asks for repairs."""
         return self.setup.case.repair.mode != "off"
 
+    @property
+    def polishing(self) -> bool:
+        """Whether it asks for better cells than valid ones."""
+        return self.setup.case.repair.mode == "polish"
+
 
 def _motion_of(component: Component, whole: Course, fraction: float) -> FloatArray:
     displacement = whole.total if fraction == 1.0 else whole.path(fraction)

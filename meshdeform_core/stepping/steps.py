@@ -67,7 +67,7 @@ class State:
         way = f"{self.options.name} in {'one step' if self.steps == 1 else f'{self.steps} steps'}"
         if not all(repair.converged for repair in self.repairs):
             return f"{way}, cells untangled in regions"
-        polished = self.repairs or self.course.setup.case.repair.mode != "polish"
+        polished = self.repairs or not self.course.polishing
         return way if polished else f"{way}, not polished, which would lower the smallest scaled Jacobian"
 
 
@@ -141,10 +141,9 @@ def plain_step(state: State, fraction: float) -> Trial:
 def repaired(trial: Trial, ways: tuple[Way, ...] = QUICKLY) -> Trial:
     """A plain trial, repaired if its cells need that and the case asks for it."""
     course, plain = trial.state.course, trial.plain
-    mode = course.setup.case.repair.mode
-    if mode == "off":
+    if not course.repairing:
         return trial
-    if mode == "polish":
+    if course.polishing:
         polished = _repaired(trial, ways, course.start.correction(), polish=True)
         if not plain.verdict.valid or _smallest_scaled(course, polished.found) >= _smallest_scaled(course, plain):
             return polished
@@ -157,8 +156,7 @@ def settled(trial: Trial, points: FloatArray) -> Trial | None:
     """The minimum that a repair of a plain trial should find, searched from a valid grid (n_nodes, 3) that was made in
     another way; ``None`` if it is not found."""
     plain = dataclasses.replace(trial, found=trial.plain, repair=None)
-    polish = trial.state.course.setup.case.repair.mode == "polish"
-    found = _repaired(plain, (), points - trial.plain.points, polish)
+    found = _repaired(plain, (), points - trial.plain.points, trial.state.course.polishing)
     return found if found.repair and found.repair.converged else None
 
 
@@ -170,10 +168,10 @@ def patient_step(state: State, fraction: float) -> Trial:
 
 def insist(trial: Trial) -> Trial:
     """Repair the plain grid of a trial once more, with more patience; returns the better of both."""
-    if trial.state.course.limit.reached:
+    course = trial.state.course
+    if course.limit.reached:
         return trial
-    polish = trial.state.course.setup.case.repair.mode == "polish"
-    other = _repaired(dataclasses.replace(trial, found=trial.plain, repair=None), PATIENTLY, polish=polish)
+    other = _repaired(dataclasses.replace(trial, found=trial.plain, repair=None), PATIENTLY, polish=course.polishing)
     better = other if other.invalid_cells < trial.invalid_cells else trial
     if trial.repair and other.repair:
         both = dataclasses.replace(trial.repair + other.repair, cells=trial.repair.cells)

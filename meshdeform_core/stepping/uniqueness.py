@@ -32,7 +32,7 @@ FOLLOWED = 50_000
 def compared(trial: Trial) -> Trial:
     """The same with ``repair.unique`` set where another start was tried; where that led elsewhere, a warning."""
     course, repair = trial.state.course, trial.repair
-    if repair is None or not repair.converged or course.setup.case.repair.mode == "polish" or course.limit.reached:
+    if repair is None or not repair.converged or course.polishing or course.limit.reached:
         return trial
     with course.timing.stage("repair"):
         other = _from_another_start(trial)

@@ -102,13 +102,13 @@ class Untangler:
         The regularisation falls as in Garanzha et al. 2021 (section 2.3), but by at least ``pace.slowest`` where the
         energy hardly changes any more: a few extra steps at the end cost less than many on the way.
         """
-        region, self.region = self.region, replace(self.region, energy=energy)
-        try:
-            return self._descend(pace, pace.first)
-        finally:
-            self.region = region
+        other = replace(self, region=replace(self.region, energy=energy))
+        untangled = other._descend(pace)
+        self.x, self.steps = other.x, other.steps
+        return untangled
 
-    def _descend(self, pace: Pace, eps: float) -> bool:
+    def _descend(self, pace: Pace) -> bool:
+        eps = pace.first
         for step in range(pace.steps + 1):
             now = self.state(self.x, Penalty(eps))
             if now.lowest > 0.0:
