@@ -208,7 +208,7 @@ class Recorder:
         """Begin to write a level, or write it; :meth:`finish` first."""
         ranks = current_ranks()
         if self._alone(level, ranks.count):
-            ranks.on_first(partial(_record, self._run, level))
+            _record(self._run, level)
         else:
             self._level, self._writing = level, self._thread.submit(carried(_record), self._run, level, beside=True)
 
@@ -254,16 +254,20 @@ def _record(run: Run, level: Level, beside: bool = False) -> None:
 
     ``beside`` other work it shows no progress.
     """
-    manifest, files = run.manifest, run.files
-    before = clock.perf_counter()
+    files, before = run.files, clock.perf_counter()
     if not level.result.valid and not run.allow_invalid:
         files.invalid.add(level.number)
     with contextlib.nullcontext() if beside else writing(level.result.grid.points.nbytes):
         files.write(level.number, level.result.grid, level.velocity, level.faces)
+    current_ranks().on_first(lambda: _note(run, level, clock.perf_counter() - before))
+
+
+def _note(run: Run, level: Level, seconds: float) -> None:
+    """Record a level that has been written."""
+    manifest, files = run.manifest, run.files
     manifest.head = manifest.head or series_head(level)
     known = [*map(kind_of, level.result.setup.warnings), *itertools.chain(*manifest.kinds)]
     warnings = first_of_each_kind(level.result.warnings, known)
-    seconds = clock.perf_counter() - before
     record = level_record(level, files.path(level.number).name, seconds, manifest.head, warnings)
     manifest.levels.append(record)
     manifest.kinds.append([kind_of(text) for text in warnings])

@@ -147,11 +147,8 @@ def run(
     target = output if result.valid or options.allow_invalid else invalid_path(output)
     before = clock.perf_counter()
     with writing(grid.n_nodes * 3 * np.dtype(precision).itemsize):
-        # The others only write coordinates.
-        dressed: list[Grid] = []
         cells = cells_of(result.setup, result.grid)
-        current_ranks().on_first(lambda: dressed.append(with_fields(cells, options.fields)))
-        write_grid(dressed[0] if dressed else result.grid, target, variant)
+        write_grid(result.grid, target, variant, lambda _: with_fields(cells, options.fields))
     seconds = {"read": job.read_seconds, "write": clock.perf_counter() - before}
     illustrate = functools.partial(deformation_figures, result)
     return deformation_report(result, seconds, peak_memory()) | {"output": str(target)}, illustrate

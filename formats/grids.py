@@ -134,14 +134,20 @@ def complete_for_export(grid: Grid, path: Path) -> Grid:
     )
 
 
-def write_grid(grid: Grid, path: str | Path, options: Mapping[str, Any] | None = None) -> FileFormat:
+def write_grid(
+    grid: Grid, path: str | Path, options: Mapping[str, Any] | None = None, dress: Callable[[Grid], Grid] | None = None
+) -> FileFormat:
     """Write ``grid``, replacing ``path`` as a whole or leaving it unchanged; returns the variant that was written.
 
     The suffix selects the format. If it is that of the grid's own file, its variant is kept, except for ``options``
-    (of a variant, see ``meshdeform convert --help``). All ranks call it, with the same coordinates; other data are
-    taken from the grid of the first one.
+    (of a variant, see ``meshdeform convert --help``). All ranks call it, with the same coordinates; ``dress`` adds
+    fields to the grid on the first one, which writes them.
     """
     path = Path(path)
+    if dress:
+        dressed: list[Grid] = []
+        current_ranks().on_first(lambda: dressed.append(dress(grid)))
+        grid = dressed[0] if dressed else grid
     variant = variant_of(grid, path, options)
     entry = FORMATS[format_of(path)]
     write: Callable[[], object] = partial(entry.load().write, grid, path, variant)

@@ -12,6 +12,7 @@ import numpy as np
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Field, FileFormat, FloatArray, Grid
+from meshdeform_core.parallel import current_ranks
 from meshdeform_core.velocity import FLUX, SWEPT, face_fields, grid_velocity
 
 from ..fields import WITH_FIELDS
@@ -61,7 +62,7 @@ class SeriesFiles(Protocol):
         ...
 
     def write(self, number: int, grid: Grid, velocity: FloatArray | None, faces: Sequence[Field] = ()) -> None:
-        """Write one level, with the grid velocity (n_nodes, 3) and fields at the cell faces."""
+        """Write one level, with the grid velocity (n_nodes, 3) and fields at the cell faces; on all ranks."""
         ...
 
     def read(self, number: int) -> FloatArray:
@@ -157,10 +158,12 @@ class LevelFiles:
         self.invalid = {n for n, record in enumerate(records) if record["file"] == self._names(n)[1].name}
 
     def write(self, number: int, grid: Grid, velocity: FloatArray | None, faces: Sequence[Field] = ()) -> None:
-        dressed = with_velocity(self.dress(grid), velocity, faces, self.variant.precision)
-        write_grid(dressed, self.path(number), self._options)
+        def dressed(level: Grid) -> Grid:
+            return with_velocity(self.dress(level), velocity, faces, self.variant.precision)
+
+        write_grid(grid, self.path(number), self._options, dressed)
         # A level of an earlier run, valid where this one is not or the other way round, would be taken for it.
-        self._remove(self._names(number)[number not in self.invalid])
+        current_ranks().on_first(lambda: self._remove(self._names(number)[number not in self.invalid]))
 
     def read(self, number: int) -> FloatArray:
         path = self.path(number)
@@ -253,9 +256,12 @@ class SingleFile:
 
     def write(self, number: int, grid: Grid, velocity: FloatArray | None, faces: Sequence[Field] = ()) -> None:
         # Velocities are differences of coordinates, computed when the file is assembled.
+        current_ranks().on_first(lambda: self._save(number, grid.points))
+
+    def _save(self, number: int, points: FloatArray) -> None:
         self._levels.mkdir(exist_ok=True)
         with replacing(self._part(number)) as partial:
-            np.save(partial, grid.points.astype(self.variant.precision, copy=False))
+            np.save(partial, points.astype(self.variant.precision, copy=False))
 
     def read(self, number: int) -> FloatArray:
         return np.load(self._part(number), allow_pickle=False).astype(np.float64)
