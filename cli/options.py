@@ -57,6 +57,9 @@ force_option = click.option("--force", is_flag=True, help="Overwrite an existing
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 quiet_option = click.option("-q", "--quiet", is_flag=True, help="Print errors and warnings only.")
 threads_option = click.option("--threads", type=click.IntRange(min=1), help="Use at most this many threads.")
+memory_option = click.option(
+    "--max-memory", metavar="SIZE", help="Memory limit, like 2GiB; work that needs more is refused."
+)
 variant_option = click.option(
     "--variant", metavar="KEY=VALUE", multiple=True,
     help="How to write the output. plot3d: encoding=ascii|binary|fortran byte_order=little|big "
@@ -273,7 +276,7 @@ def run_options(command: Command) -> Command:
     @report_option
     @click.option("--json", "as_json", is_flag=True, help="Print the report as JSON; everything else goes to stderr.")
     @threads_option
-    @click.option("--max-memory", metavar="SIZE", help="Memory limit, like 2GiB; work that needs more is refused.")
+    @memory_option
     @variant_option
     @field_option
     @click.option("--dry-run", is_flag=True, help="Show what would be done; write nothing.")

@@ -18,17 +18,16 @@ from meshdeform_core.boundary.motions.motion import Follow
 from meshdeform_core.boundary.tables.matching import SurfaceData
 from meshdeform_core.deform import Case, Setup, deform
 from meshdeform_core.grid import Grid
-from meshdeform_core.memory import COORDINATE_ARRAYS, MemoryLimit, left_for_method, peak_memory
+from meshdeform_core.memory import COORDINATE_ARRAYS, Demand, MemoryLimit, peak_memory
 from meshdeform_core.methods import make_method
 from meshdeform_core.parallel import current_ranks, thread_count
-from meshdeform_core.parallel.scratch import Scratch, set_scratch
 from meshdeform_core.quality.fields import CellFields
 from meshdeform_formats.case import CaseFile
 from meshdeform_formats.fields import with_fields
 from meshdeform_formats.files import invalid_path
 from meshdeform_formats.grids import complete_for_export, variant_of, write_grid
 from meshdeform_formats.joined import grid_of_case
-from meshdeform_formats.placing import require_space
+from meshdeform_formats.placing import existing, require_space
 from meshdeform_formats.report import Report, as_json, deformation_report
 from meshdeform_formats.report.illustrations import Illustrate, deformation_figures
 from meshdeform_formats.report.text import as_text
@@ -39,6 +38,7 @@ from .outputs import keep_inputs
 from .process.messages import tell
 from .process.progress import ProgressBar, writing
 from .reporting import STDOUT, Delivery, deliver
+from .room import make_room
 
 __all__ = ["Imposed", "Job", "conclude", "load", "place_of", "print_plan", "run"]
 
@@ -64,20 +64,21 @@ def load(
     """Read the case first (it is small and most often wrong), then the grid with its boundary information.
 
     ``outputs`` must not be files named in the case; ``more_arrays`` as large as the coordinates will be needed.
-    A grid larger than the memory is worked on in files beside ``workplace``, if that is given.
+    A grid larger than the memory is worked on in files in the folder ``workplace``, if that is given.
     """
     what = case.read()
     for path in outputs:
         keep_inputs(path, *what.files)
     make_method(what.case.method)
-    many = COORDINATE_ARRAYS + more_arrays
-    set_scratch(None if workplace is None else Scratch(workplace.absolute().parent, memory.size, many))
+    files = [source, *(GridInput(each.path, None, ()) for each in what.component_files.values())]
+    arrays = COORDINATE_ARRAYS + more_arrays
+    make_room(memory, "deforming", files, workplace and existing(workplace.absolute()), arrays)
     start = clock.perf_counter()
     grid = grid_of_case(source.read(what.boundary_file), what)
     seconds = clock.perf_counter() - start
-    other = _other_bytes(grid, what)
-    left = left_for_method(memory, grid.n_nodes, grid.points.nbytes, other, more_arrays, grid.n_face_nodes)
-    return Job(grid, what, seconds, left)
+    size, other = grid.points.nbytes, _other_bytes(grid, what)
+    demand = Demand(f"deforming {grid.n_nodes:,} nodes", grid.n_nodes, size, grid.n_face_nodes, arrays, other)
+    return Job(grid, what, seconds, demand.left_of(memory))
 
 
 def _other_bytes(grid: Grid, case: CaseFile) -> int:

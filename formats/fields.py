@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from meshdeform_core.errors import CaseError, FormatError, suggestion
-from meshdeform_core.grid import Field, Grid
+from meshdeform_core.grid import Field, FloatArray, Grid
+from meshdeform_core.parallel import empty, for_rows
 from meshdeform_core.quality.fields import CELL_MEASURES, CellFields
 
 from .grids import FORMATS
@@ -19,6 +20,7 @@ WITH_FIELDS = (*FORMATS["vtk"].suffixes, *FORMATS["cgns"].suffixes, ".vtu", ".xd
 INVALID, DISPLACEMENT, ALL = "invalid", "displacement", "all"
 
 
+_CELLS = 1 << 17
 _KNOWN = (*CELL_MEASURES, INVALID, ALL)
 
 
@@ -74,12 +76,23 @@ def _all(cells: CellFields) -> list[str]:
 
 def _fields(cells: CellFields, name: str) -> Iterator[Field]:
     grid = cells.grid
-    for block in range(grid.n_blocks):
-        if name == DISPLACEMENT and cells.reference is not None:
-            yield Field(name, "node", block, grid.block(block) - cells.reference.block(block))
-            continue
-        if name == INVALID:
-            values = cells.bad(block, cells.whole(block)).astype(np.int32)
-        else:
-            values = cells.values(name, block, cells.whole(block)).astype(np.float32)
+    if name == DISPLACEMENT and cells.reference is not None:
+        moved = _displacement(grid, cells.reference)
+        yield from (Field(name, "node", block, grid.block(block, moved)) for block in range(grid.n_blocks))
+        return
+    found = empty([grid.n_cells], np.int32 if name == INVALID else np.float32)
+    for block, shape in enumerate(grid.cell_shapes):
+        values = found[grid.cell_offsets[block] : grid.cell_offsets[block + 1]].reshape(shape)
+        # A few layers at a time: what is computed on the way takes several times the memory of the result.
+        layers = max(1, _CELLS // (shape[1] * shape[2])) if grid.dimension == 3 else shape[0]
+        for first in range(0, shape[0], layers):
+            some = slice(first, min(first + layers, shape[0])), slice(0, shape[1]), slice(0, shape[2])
+            values[some] = cells.bad(block, some) if name == INVALID else cells.values(name, block, some)
         yield Field(name, "cell", block, values)
+
+
+def _displacement(grid: Grid, reference: Grid) -> FloatArray:
+    """(n_nodes, 3)."""
+    result: FloatArray = empty(grid.points.shape)
+    for_rows(lambda rows: np.subtract(grid.points[rows], reference.points[rows], out=result[rows]), result)
+    return result

@@ -24,7 +24,8 @@ from .plausible import require_plausible
 class Format:
     """One row of the format table.
 
-    The module defines ``read(path) -> Grid`` (absent for write-only formats), ``variant(grid, path, options) ->
+    The module defines ``read(path) -> Grid`` (absent for write-only formats), ``layout(path) -> (shapes, FileFormat)``
+    or ``None`` (where the header tells the blocks), ``variant(grid, path, options) ->
     FileFormat``, which decides how to write, and ``write(grid, path, variant) -> None``, which replaces ``path`` as a
     whole or leaves it unchanged (see :func:`meshdeform_formats.files.replacing`); ``together``: it is called by all
     ranks, which share the work.
@@ -95,7 +96,7 @@ def read_grid(path: str | Path, options: Mapping[str, Any] | None = None) -> Gri
     except (OSError, ValueError):
         # Other faults of the name are reported when the file is opened.
         pass
-    name = _format_at(path)
+    name = format_at(path)
     if options and name != "plot3d":
         raise FormatError(f"{path} is a {name} file, which declares its variant; omit {', '.join(options)}")
     try:
@@ -197,7 +198,7 @@ def format_of(path: Path) -> str:
     raise FormatError(f"cannot tell the format of {path} from its suffix {suffix!r}; known are {known}")
 
 
-def _format_at(path: Path) -> str:
+def format_at(path: Path) -> str:
     """Name of the format of what is at a path."""
     if path.suffix.lower() == ".foam" or os.path.isdir(path):
         from .openfoam.case import is_case

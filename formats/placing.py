@@ -27,7 +27,7 @@ def require_space(grid: Grid, path: Path, variant: FileFormat) -> None:
         With the bytes needed at least, and those free.
     """
     needed = least_bytes(grid, path, variant)
-    folder = _existing(followed(path).absolute().parent)
+    folder = existing(followed(path).absolute().parent)
     try:
         free = shutil.disk_usage(folder).free
     except OSError:
@@ -52,6 +52,6 @@ def least_bytes(grid: Grid, path: Path, variant: FileFormat) -> int:
     return grid.n_nodes * count * np.dtype(variant.precision).itemsize if raw else 0
 
 
-def _existing(folder: Path) -> Path:
+def existing(folder: Path) -> Path:
     """The folder, or the lowest one above it that exists."""
     return next((each for each in (folder, *folder.parents) if each.is_dir()), folder)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from .errors import CaseError, MethodError
 from .parallel import current_ranks
-from .parallel.scratch import RESERVE, current_scratch
+from .parallel.scratch import RESERVE, Scratch, current_scratch, set_scratch
 
 _UNITS = ("B", "KiB", "MiB", "GiB", "TiB")
 # The program with its libraries: up to 235 MiB were measured, with rbf. Coordinates before and after, displacement, arc
@@ -32,6 +32,7 @@ _BESIDE_FILES, _PER_FACE_NODE, _WINDOW = 10, 250, 8
 # Coordinate arrays that each of several ranks on a machine holds privately: 0.9 to 1.05 were measured.
 _OTHER_COPIES = 3
 _OWN_ARRAYS = 1
+_INSTEAD = "allow more, or use a machine that has it"
 
 
 def readable(size: float) -> str:
@@ -101,36 +102,65 @@ def parse_memory(text: str, name: str) -> MemoryLimit:
     return MemoryLimit(size, f"{name} allows")
 
 
-def left_for_method(
-    limit: MemoryLimit,
-    nodes: int,
-    coordinate_bytes: int,
-    other_bytes: int = 0,
-    more_arrays: int = 0,
-    face_nodes: int = 0,
-) -> MemoryLimit:
-    """The part of ``limit`` that program and grid leave; ranks that share memory each count their share of the grid.
+@dataclass(frozen=True)
+class Demand:
+    """The memory that work on a grid takes, by its size.
 
-    ``other_bytes`` is the size of point and cell data and displacement tables, which are read, kept and written again,
-    ``more_arrays`` the number of further arrays as large as the coordinates. Where large arrays lie in files, because
-    the coordinates are too large (:mod:`.parallel.scratch`), ``face_nodes`` tells what the rest takes.
-
-    Raises
-    ------
-    MethodError
-        When they leave nothing.
+    Attributes
+    ----------
+    what : like ``deforming 8,000 nodes``
+    nodes, face_nodes : of the grid; those on block faces
+    coordinate_bytes : size of the coordinates
+    arrays : how many arrays of that size the work takes
+    other_bytes : size of point and cell data and displacement tables, which are read, kept and written again
     """
-    ranks = current_ranks()
-    # Machines may run different numbers of ranks, but all ranks must arrive at the same size.
-    sharers = 1 if ranks.private else min(ranks.gather([ranks.on_machine]))
-    arrays = _OWN_ARRAYS + (COORDINATE_ARRAYS + more_arrays - _OWN_ARRAYS) / sharers
-    needed = PROGRAM_BYTES + int(arrays * coordinate_bytes) + _OTHER_COPIES * other_bytes
-    scratch = current_scratch()
-    if needed > limit.size and scratch and scratch.takes(coordinate_bytes):
-        rest = _BESIDE_FILES * nodes + _PER_FACE_NODE * face_nodes + _OTHER_COPIES * other_bytes
-        needed = PROGRAM_BYTES + rest + RESERVE + limit.size // _WINDOW
-    limit.require(needed, f"deforming {nodes:,} nodes", "allow more, or use a machine that has it")
-    return limit.after(needed, "program and grid")
+
+    what: str
+    nodes: int
+    coordinate_bytes: int
+    face_nodes: int = 0
+    arrays: float = COORDINATE_ARRAYS
+    other_bytes: int = 0
+
+    @property
+    def in_memory(self) -> int:
+        """Bytes, where all of it is in memory; ranks that share memory each count their share of the grid."""
+        ranks = current_ranks()
+        # Machines may run different numbers of ranks, but all ranks must arrive at the same size.
+        sharers = 1 if ranks.private else min(ranks.gather([ranks.on_machine]))
+        arrays = _OWN_ARRAYS + (self.arrays - _OWN_ARRAYS) / sharers
+        return PROGRAM_BYTES + int(arrays * self.coordinate_bytes) + _OTHER_COPIES * self.other_bytes
+
+    def beside_files(self, limit: MemoryLimit) -> int:
+        """Bytes, where large arrays lie in files (:mod:`.parallel.scratch`)."""
+        rest = _BESIDE_FILES * self.nodes + _PER_FACE_NODE * self.face_nodes + _OTHER_COPIES * self.other_bytes
+        return PROGRAM_BYTES + rest + RESERVE + limit.size // _WINDOW
+
+    def left_of(self, limit: MemoryLimit) -> MemoryLimit:
+        """The part of ``limit`` that program and grid leave.
+
+        Raises
+        ------
+        MethodError
+            When they leave nothing.
+        """
+        needed = self.beside_files(limit) if current_scratch() else self.in_memory
+        limit.require(needed, self.what, _INSTEAD)
+        return limit.after(needed, "program and grid")
+
+    def place(self, limit: MemoryLimit, folder: Path | None) -> None:
+        """Let large arrays lie in files in ``folder``, if there is one, where they do not fit into memory.
+
+        Raises
+        ------
+        MethodError
+            When the rest does not fit either.
+        """
+        possible = sys.platform == "linux" and current_ranks().count == 1
+        files = folder if possible and self.in_memory > limit.size else None
+        set_scratch(Scratch(files, limit.size) if files else None)
+        needed = min(self.in_memory, self.beside_files(limit)) if files else self.in_memory
+        limit.require(needed, self.what, _INSTEAD)
 
 
 def machine_memory() -> MemoryLimit:

@@ -205,7 +205,7 @@ class _Series:
         result: FloatArray = empty(before.shape)
         for_rows(lambda rows: np.subtract(before[rows], plain[rows], out=result[rows]), result)
         # Rounding to the single precision of a file is not a repair.
-        return result if np.abs(result).max() > _WRITTEN * np.abs(before).max() else None
+        return result if _largest(result) > _WRITTEN * _largest(before) else None
 
     def _prepared(self, timing: Timing) -> PreparedMethod:
         if self._reference is None:
@@ -220,11 +220,17 @@ class _Series:
             distance[rows] = np.linalg.norm(end[rows] - start[rows] - displacement[rows], axis=1)
 
         for_rows(fill, distance)
-        return Drift(float(distance.max()), float(np.sqrt(np.mean(distance**2))))
+        largest = float(distance.max())
+        return Drift(largest, float(np.sqrt(np.mean(np.square(distance, out=distance)))))
 
     def _rotation(self, displacement: FloatArray) -> float:
         turned = self.problem.rotations.vectors(displacement)
         return float(np.degrees(lengths(turned).max()))
+
+
+def _largest(points: FloatArray) -> float:
+    """Largest absolute coordinate."""
+    return max(float(points.max()), -float(points.min()))
 
 
 def _shortened(times: tuple[float, ...]) -> str:

@@ -9,12 +9,15 @@ import numpy as np
 
 from .grid import FloatArray, Grid, IntArray
 from .numerics.arrays import lengths
+from .parallel import current_ranks, empty
 
 _JUMP, _JUMP_IN_EDGES = 0.5, 0.2
 """The grid jumps where its acceleration exceeds that of the walls by JUMP wall steps, and JUMP_IN_EDGES local edges."""
 
 _AT_REST = 0.01
 """Of two steps of the walls, one that is smaller than this share of the other tells little of how nodes follow."""
+# Nodes looked at together: no copy of a grid is made that may be larger than the memory.
+_ROWS = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -79,18 +82,30 @@ class Moment(NamedTuple):
 
 def shortest_edges(grid: Grid) -> FloatArray:
     """(n_nodes,) the shortest edge of any length at every node, infinite where there is none."""
-    result = np.full(grid.n_nodes, np.inf)
-    for b, shape in enumerate(grid.shapes):
-        block, mine = grid.block(b), result[grid.offsets[b] : grid.offsets[b + 1]].reshape(shape)
-        for axis in range(3):
-            if shape[axis] < 2:
-                continue
-            length = np.linalg.norm(np.diff(block, axis=axis), axis=-1)
-            length[length == 0.0] = np.inf
-            low, high = np.moveaxis(mine, axis, 0)[:-1], np.moveaxis(mine, axis, 0)[1:]
-            np.minimum(low, np.moveaxis(length, axis, 0), out=low)
-            np.minimum(high, np.moveaxis(length, axis, 0), out=high)
+    result: FloatArray = empty([grid.n_nodes])
+    current_ranks().alter(result, lambda: _shorten(grid, result))
     return result
+
+
+def _shorten(grid: Grid, result: FloatArray) -> None:
+    result.fill(np.inf)
+    for number, shape in enumerate(grid.shapes):
+        x, mine = grid.block(number), grid.block(number, result)
+        # A few layers at a time, which share one with the next few.
+        layers = max(1, _ROWS // (shape[1] * shape[2]))
+        for first in range(0, max(shape[0] - 1, 1), layers):
+            some = slice(first, first + layers + 1)
+            for axis in range(3):
+                _shorten_along(axis, x[some], mine[some])
+
+
+def _shorten_along(axis: int, x: FloatArray, result: FloatArray) -> None:
+    """Lower ``result`` (ni, nj, nk) to the lengths of the edges along one axis between nodes (ni, nj, nk, 3)."""
+    length = np.moveaxis(np.linalg.norm(np.diff(x, axis=axis), axis=-1), axis, 0)
+    length[length == 0.0] = np.inf
+    ends = np.moveaxis(result, axis, 0)
+    for end in (ends[:-1], ends[1:]):
+        np.minimum(end, length, out=end)
 
 
 def smoothness(levels: list[Moment], walls: IntArray, edges: FloatArray) -> Smoothness:
@@ -98,26 +113,32 @@ def smoothness(levels: list[Moment], walls: IntArray, edges: FloatArray) -> Smoo
     if len(levels) < 2:
         return Smoothness(None, None, None)
     ways = (levels[-2].way, levels[-1].way) if levels[-2].way != levels[-1].way else None
-    last = levels[-1].points - levels[-2].points
-    moved, step = _largest(last, walls)
-    if len(levels) == 2:
-        return Smoothness(moved / step if step else None, None, None, ways=ways)
-    before = levels[-2].points - levels[-3].points
-    before *= (levels[-1].time - levels[-2].time) / (levels[-2].time - levels[-3].time)
-    largest = max(step, _largest(before, walls)[1])
-    if largest == 0.0:
+    at_walls = [float(length.max(initial=0.0)) for length in _movements(levels, walls)]
+    step = max(at_walls[:2])
+    if step == 0.0:
         return Smoothness(None, None, None, ways=ways)
+    largest, in_edges = np.zeros(len(at_walls)), 0.0
+    for first in range(0, len(edges), _ROWS):
+        some = slice(first, first + _ROWS)
+        found = _movements(levels, some)
+        largest = np.maximum(largest, [length.max() for length in found])
+        in_edges = max(in_edges, float((found[-1] / edges[some]).max()))
+    speed = float(largest[0]) / step
+    if len(levels) == 2:
+        return Smoothness(speed, None, None, ways=ways)
     # A jump is in one of the two.
-    reach = min(m / s for m, s in (_largest(last, walls), _largest(before, walls)) if s > _AT_REST * largest)
-    last -= before
-    change = lengths(last)
-    wall = float(change[walls].max(initial=0.0)) / largest
+    movements = zip(largest[:2].tolist(), at_walls[:2], strict=True)
+    reach = min(moved / walled for moved, walled in movements if walled > _AT_REST * step)
     plain = all(level.plain for level in levels)
-    relative = float(change.max()) / largest, float((change / edges).max())
-    return Smoothness(moved / largest, *relative, wall, reach, plain, ways)
+    return Smoothness(speed, float(largest[2]) / step, in_edges, at_walls[2] / step, reach, plain, ways)
 
 
-def _largest(change: FloatArray, walls: IntArray) -> tuple[float, float]:
-    """How far nodes, and those of the walls, move at most."""
-    distance = lengths(change)
-    return float(distance.max()), float(distance[walls].max(initial=0.0))
+def _movements(levels: list[Moment], nodes: IntArray | slice) -> list[FloatArray]:
+    """How far some nodes move from level to level: the last movement, and with three levels the one before in the
+    same interval, and the difference of both."""
+    last = levels[-1].points[nodes] - levels[-2].points[nodes]
+    if len(levels) == 2:
+        return [lengths(last)]
+    before = levels[-2].points[nodes] - levels[-3].points[nodes]
+    before *= (levels[-1].time - levels[-2].time) / (levels[-2].time - levels[-3].time)
+    return [lengths(last), lengths(before), lengths(last - before)]

@@ -9,20 +9,24 @@ from typing import TYPE_CHECKING
 
 import click
 
-from ..options import PATH, FiniteNumber, json_option
+from ..options import PATH, FiniteNumber, GridInput, json_option, memory_option
+from ..room import limit_of, make_room, temporary_folder
 
 if TYPE_CHECKING:
     from meshdeform_core.quality.difference import Difference
 
 EXIT_DIFFERENT = 1
+# Arrays as large as the coordinates of both grids: they, their distances, and what reading takes.
+_ARRAYS = 1.5
 
 
 @click.command("compare")
 @click.argument("first", metavar="A", type=PATH)
 @click.argument("second", metavar="B", type=PATH)
 @click.option("--tolerance", type=FiniteNumber(min=0.0), help="Exit 1 if any coordinate differs by more.")
+@memory_option
 @json_option
-def command(first: Path, second: Path, tolerance: float | None, as_json: bool) -> int:
+def command(first: Path, second: Path, tolerance: float | None, max_memory: str | None, as_json: bool) -> int:
     """Compare the coordinates of two grids with the same blocks, in any formats.
 
     \b
@@ -36,6 +40,8 @@ def command(first: Path, second: Path, tolerance: float | None, as_json: bool) -
     from meshdeform_core.quality.difference import compare_points
     from meshdeform_formats import read_grid
 
+    sources = [GridInput(path, None, ()) for path in (first, second)]
+    make_room(limit_of(max_memory), "comparing", sources, temporary_folder(), _ARRAYS)
     difference = compare_points(read_grid(first), read_grid(second))
     click.echo(json.dumps(dataclasses.asdict(difference), indent=2) if as_json else _text(difference))
     return EXIT_DIFFERENT if tolerance is not None and difference.largest > tolerance else 0

@@ -19,6 +19,7 @@ from ..options import (
     field_option,
     force_option,
     grid_options,
+    memory_option,
     parse_pairs,
     quiet_option,
     variant_option,
@@ -26,9 +27,14 @@ from ..options import (
 from ..outputs import check_output
 from ..process.messages import tell
 from ..process.progress import ProgressBar, writing
+from ..room import limit_of, make_room
 
 if TYPE_CHECKING:
     from meshdeform_core.grid import Grid
+
+
+# Arrays as large as the coordinates: they, and what reading and writing take; with fields of nodes and cells.
+_ARRAYS, _FIELD_ARRAYS = 2, 5
 
 
 @click.command("convert")
@@ -37,11 +43,12 @@ if TYPE_CHECKING:
 @field_option
 @click.option("--reference", type=PATH, help="The undeformed grid, for fields that compare with it.")
 @variant_option
+@memory_option
 @force_option
 @quiet_option
 def command(
     source: GridInput, target: Path, fields: tuple[str, ...], reference: Path | None, variant: tuple[str, ...],
-    force: bool, quiet: bool,
+    max_memory: str | None, force: bool, quiet: bool,
 ) -> int:  # fmt: skip
     """Convert GRID to the format given by the suffix of OUT.
 
@@ -58,11 +65,15 @@ def command(
     """
     from meshdeform_formats.fields import check_fields, with_fields
     from meshdeform_formats.grids import complete_for_export, format_of, write_grid
+    from meshdeform_formats.placing import existing
 
     kind = format_of(target)
     options = parse_pairs(variant, "--variant")
     check_output(target, force, *source.files, reference)
     check_fields(fields, target, reference is not None)
+    sources = [source, *([GridInput(reference, None, ())] if reference else [])]
+    arrays = _ARRAYS + (_FIELD_ARRAYS if fields else 0)
+    make_room(limit_of(max_memory), "converting", sources, existing(target.absolute().parent), arrays)
     with ProgressBar(not quiet, compiles=bool(fields)) as progress:
         grid = complete_for_export(source.read(), target)
         if fields:

@@ -80,8 +80,7 @@ def command(
     outputs = [output, *([] if output is None or run.allow_invalid else [invalid_path(output)]), *run.reports]
     imposed = work.Imposed(steps, at_time)
     with ProgressBar(not run.quiet) as progress:
-        # Fields of cells are arrays of their own for all cells.
-        workplace = None if run.dry_run or run.fields else output
+        workplace = None if run.dry_run or output is None else output.parent
         job = work.load(source, case, limit, [path for path in outputs if path is not None], workplace)
         if output is not None and not (run.force or run.dry_run or run.allow_invalid):
             require_earlier_grid(invalid_path(output), job.grid)

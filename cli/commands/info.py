@@ -12,8 +12,9 @@ import numpy as np
 from meshdeform_formats.text.json import json_text
 
 from ..info_text import as_text
-from ..options import PATH, GridInput, force_option, grid_options, json_option
+from ..options import PATH, GridInput, force_option, grid_options, json_option, memory_option
 from ..outputs import check_output
+from ..room import limit_of, make_room, temporary_folder
 
 if TYPE_CHECKING:
     from meshdeform_core.grid import Connection, Grid, Patch
@@ -23,13 +24,20 @@ if TYPE_CHECKING:
     from meshdeform_core.grid.topology import Topology
 
 
+# Arrays as large as the coordinates: they, and what reading takes.
+_ARRAYS = 1.5
+
+
 @click.command("info")
 @grid_options
 @click.option("-v", "--verbose", is_flag=True, help="List every patch and face on its own line.")
 @click.option("--picture", type=PATH, help="Draw the boundaries by name (.png .svg .pdf).")
+@memory_option
 @force_option
 @json_option
-def command(source: GridInput, verbose: bool, picture: Path | None, force: bool, as_json: bool) -> int:
+def command(
+    source: GridInput, verbose: bool, picture: Path | None, max_memory: str | None, force: bool, as_json: bool
+) -> int:
     """Show the contents of GRID: blocks, walls and other boundaries, interfaces, anomalies.
 
     \b
@@ -44,6 +52,7 @@ def command(source: GridInput, verbose: bool, picture: Path | None, force: bool,
     """
     if picture is not None:
         _check_picture(picture, force, source)
+    make_room(limit_of(max_memory), "describing", [source], temporary_folder(), _ARRAYS)
     grid = source.read()
     facts = gather(grid, str(source.path))
     if picture is not None:

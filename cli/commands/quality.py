@@ -18,6 +18,7 @@ from ..options import (
     grid_options,
     json_option,
     judged_case_options,
+    memory_option,
     quiet_option,
     report_option,
     threads_option,
@@ -26,10 +27,15 @@ from ..outputs import check_reports, keep_inputs
 from ..process.machine import use_threads
 from ..process.messages import Warnings
 from ..process.progress import ProgressBar
+from ..room import limit_of, make_room, temporary_folder
 
 if TYPE_CHECKING:
     from meshdeform_core.grid import Grid
     from meshdeform_formats.case import CaseFile
+
+
+# Arrays as large as the coordinates: they, the verdict, totals, and what reading takes.
+_ARRAYS = 2.5
 
 
 @click.command("quality")
@@ -38,12 +44,13 @@ if TYPE_CHECKING:
 @judged_case_options
 @report_option
 @threads_option
+@memory_option
 @force_option
 @json_option
 @quiet_option
 def command(
     source: GridInput, reference: Path | None, case: CaseInput, reports: tuple[Path, ...], threads: int | None,
-    force: bool, as_json: bool, quiet: bool,
+    max_memory: str | None, force: bool, as_json: bool, quiet: bool,
 ) -> int:  # fmt: skip
     """Judge GRID, by itself or against its original.
 
@@ -64,6 +71,8 @@ def command(
     what = case.read()
     for path in reports:
         keep_inputs(path, *what.files)
+    sources = [source, *([GridInput(reference, None, ())] if reference else [])]
+    make_room(limit_of(max_memory), "judging", sources, temporary_folder(), _ARRAYS)
     with ProgressBar(not quiet) as progress:
         report = judged(source, reference, what, progress)
     Warnings().tell(report["warnings"])

@@ -16,6 +16,7 @@ from ..outputs import check_reports, keep_inputs
 from ..process.machine import use_threads
 from ..process.messages import tell
 from ..process.progress import ProgressBar, writing
+from ..room import make_room
 from .deform import check_target
 
 if TYPE_CHECKING:
@@ -78,16 +79,18 @@ def repaired(
     source: GridInput, reference: Path, output: Path | None, case: CaseInput, run: RunInput, progress: ProgressBar
 ) -> dict[str, Any]:
     """Repair and write; returns the report."""
-    from meshdeform_core.memory import left_for_method, peak_memory
+    from meshdeform_core.memory import Demand, peak_memory
     from meshdeform_core.mending import mend
     from meshdeform_formats.files import invalid_path
     from meshdeform_formats.grids import complete_for_export, read_grid, require_earlier_grid, variant_of
-    from meshdeform_formats.placing import require_space
+    from meshdeform_formats.placing import existing, require_space
     from meshdeform_formats.report import mended_report
 
     what = case.read()
     for path in (*run.reports, *([output] if output else [])):
         keep_inputs(path, *what.files)
+    sources = [source, GridInput(reference, None, ())]
+    make_room(run.memory, "repairing", sources, existing(output.absolute().parent) if output else None)
     start = clock.perf_counter()
     grid, original = source.read(what.boundary_file), read_grid(reference)
     # The reference is what boundaries are selected on.
@@ -100,7 +103,10 @@ def repaired(
     if output and chosen:
         require_space(grid, output, chosen)
     precision = chosen.precision if chosen else None
-    memory = left_for_method(run.memory, grid.n_nodes, 2 * grid.points.nbytes, 0)
+    demand = Demand(
+        f"repairing {grid.n_nodes:,} nodes", 2 * grid.n_nodes, 2 * grid.points.nbytes, 2 * grid.n_face_nodes
+    )
+    memory = demand.left_of(run.memory)
     start = clock.perf_counter()
     whole = complete_for_export(grid, output) if output else grid
     mended = mend(whole, original, what.case, precision, memory, progress)

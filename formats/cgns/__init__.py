@@ -1,5 +1,5 @@
 """CGNS files, HDF5 and ADF."""
 
-from .format import read, variant, write
+from .format import layout, read, variant, write
 
-__all__ = ["read", "variant", "write"]
+__all__ = ["layout", "read", "variant", "write"]

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from meshdeform_core.errors import FormatError, suggestion
-from meshdeform_core.grid import FileFormat, Grid, Planes
+from meshdeform_core.grid import FileFormat, Grid, Planes, Shape
 
 from ..planes import ranges_of, read_planes
 from .boundary import family_conditions, zone_patches
@@ -71,6 +71,14 @@ def _fill(grid: Grid, zones: Sequence[Zone]) -> None:
             zones[part.block].read(grid.block(part.block))
 
     grid.fill_planes(put, parts, threads=None if all(places) else 1)
+
+
+def layout(path: Path) -> tuple[tuple[Shape, ...], FileFormat]:
+    """Nodes of the zones of a file, without their coordinates; errors as for :func:`read`."""
+    notes = Notes()
+    with naming(path), opened_cgns(path) as root:
+        zones = structured_zones(find_base(root, notes), notes)
+        return tuple(zone.shape for zone in zones), _format(path, zones)
 
 
 def solutions(path: Path) -> list[str]:

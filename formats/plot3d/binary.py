@@ -28,11 +28,15 @@ def read_binary(path: Path, options: Mapping[str, Any]) -> Grid:
         return _load(reading, path)
 
     with path.open("rb") as stream:
-        readings = list(fortran_readings(stream))
-        # A header in proper records is no coincidence; a stream of matching size can be.
-        if all(reading.evidence < (1, 2) for reading in readings):
-            readings += _c_readings(stream)
-    return choose(readings, UnknownFile(path, path.stat().st_size, "bytes", options, load))
+        return choose(_readings(stream), UnknownFile(path, path.stat().st_size, "bytes", options, load))
+
+
+def binary_layout(path: Path, options: Mapping[str, Any]) -> Reading | None:
+    """The only reading of a file that its size and ``options`` allow, if there is one."""
+    with path.open("rb") as stream:
+        size = path.stat().st_size
+        fitting = [each for each in _readings(stream) if each.variant.matches(options) and each.agrees(size)]
+    return fitting[0] if len(fitting) == 1 else None
 
 
 def _load(reading: Reading, path: Path) -> Grid:
@@ -89,6 +93,12 @@ def _divided(array: NDArray[Any], stretches: list[tuple[int, int]]) -> Iterator[
     for at, length in stretches:
         yield at, data[:length]
         data = data[length:]
+
+
+def _readings(stream: BufferedReader) -> list[Reading]:
+    readings = list(fortran_readings(stream))
+    # A header in proper records is no coincidence; a stream of matching size can be.
+    return readings if any(reading.evidence >= (1, 2) for reading in readings) else [*readings, *_c_readings(stream)]
 
 
 def _c_readings(stream: BinaryIO) -> Iterator[Reading]:

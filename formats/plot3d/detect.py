@@ -46,6 +46,10 @@ class Reading:
     evidence: tuple[int, int]
     defect: str = ""
 
+    def agrees(self, size: int) -> bool:
+        """Whether this reading is of a file of exactly this size."""
+        return self.size == size and not self.defect
+
     @property
     def label(self) -> str:
         """For messages: the variant and its blocks."""
@@ -118,10 +122,6 @@ class UnknownFile:
     load: Callable[[Reading], Grid]
     writing: Writing | None = None
 
-    def agrees(self, reading: Reading) -> bool:
-        """Whether the file has exactly the size of this reading."""
-        return reading.size == self.size and not reading.defect
-
 
 def choose(readings: Iterable[Reading], file: UnknownFile) -> Grid:
     """Load the one reading that fits and that the options allow.
@@ -137,7 +137,7 @@ def choose(readings: Iterable[Reading], file: UnknownFile) -> Grid:
     """
     tried = list(readings)
     allowed = [reading for reading in tried if reading.variant.matches(file.options)]
-    fitting = [reading for reading in allowed if file.agrees(reading)]
+    fitting = [reading for reading in allowed if reading.agrees(file.size)]
     if not fitting:
         raise FormatError(_nothing_fits(tried, allowed, file))
     if len(fitting) > 1:
@@ -183,7 +183,7 @@ def _senseless_share(grid: Grid, variant: Variant, step: int = 1) -> float:
 
 def _nothing_fits(tried: list[Reading], allowed: list[Reading], file: UnknownFile) -> str:
     wanted = "".join(f" with {key}={value}" for key, value in file.options.items())
-    excluded = [reading.label for reading in tried if file.agrees(reading)]
+    excluded = [reading.label for reading in tried if reading.agrees(file.size)]
     if excluded:
         return f"{file.path} fits no variant of Plot3D{wanted}; without these options it is {' or '.join(excluded)}"
     if not allowed:

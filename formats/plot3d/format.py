@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 
 from meshdeform_core.errors import FormatError
-from meshdeform_core.grid import FileFormat, Grid
+from meshdeform_core.grid import FileFormat, Grid, Shape
 from meshdeform_core.parallel import current_ranks
 
 from ..files import replacing_by_all
-from .binary import read_binary, write_binary
+from .binary import binary_layout, read_binary, write_binary
 from .blocks import iblank_of
 from .variant import Variant, parse_options
 
@@ -54,6 +54,16 @@ def read(path: Path, **options: Any) -> Grid:
     from .ascii import read_ascii  # scipy takes longer to import than a binary grid to read
 
     return read_ascii(path, wanted)
+
+
+def layout(path: Path, **options: Any) -> tuple[tuple[Shape, ...], FileFormat] | None:
+    """Nodes of the blocks of a binary file, without their coordinates; ``None`` for texts, and where the size of the
+    file does not tell the variant."""
+    with path.open("rb") as stream:
+        if b"\0" not in stream.read(1024):
+            return None
+    found = binary_layout(path, parse_options(options))
+    return None if found is None else (found.shapes, found.variant.file_format())
 
 
 def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:

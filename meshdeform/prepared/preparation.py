@@ -12,7 +12,7 @@ from meshdeform_core.boundary.motions.motion import GIVEN
 from meshdeform_core.deform import Case, set_up
 from meshdeform_core.errors import CaseError
 from meshdeform_core.grid.connectivity.components import Components
-from meshdeform_core.memory import MemoryLimit, left_for_method, machine_memory, parse_memory
+from meshdeform_core.memory import Demand, MemoryLimit, machine_memory, parse_memory
 from meshdeform_core.parallel import OneRank, Ranks, sharing
 from meshdeform_formats.case import CaseFile, case_of, read_case
 
@@ -93,7 +93,7 @@ def prepare(
             held = Grid._of(grid_of_case(held._core, what), held._plane)
         chosen = what.case if method is None else dataclasses.replace(what.case, method=options_of(method))
         own = held._core
-        memory = left_for_method(_memory(max_memory), own.n_nodes, own.points.nbytes)
+        memory = Demand(f"deforming {own.n_nodes:,} nodes", own.n_nodes, own.points.nbytes).left_of(_memory(max_memory))
         setup = set_up(own, chosen, memory=memory)
         return Mesh(setup, held._plane, ranks, threads)
 

@@ -251,8 +251,7 @@ class Grid:
     @property
     def n_face_nodes(self) -> int:
         """Nodes on block faces; coincident nodes count as in :attr:`n_nodes`."""
-        shapes = np.array(self.shapes, dtype=np.int64)
-        return self.n_nodes - int(np.maximum(shapes - 2, 0).prod(axis=1).sum())
+        return face_node_count(self.shapes)
 
     @cached_property
     def cell_shapes(self) -> tuple[Shape, ...]:
@@ -327,6 +326,17 @@ class Grid:
         """Name of a node, block and 1-based indices: ``wing (3, 1, 17)``."""
         block, (i, j, k) = self.locate(flat)
         return f"{self.names[block]} ({i + 1}, {j + 1}, {k + 1})"
+
+
+def node_count(shapes: Sequence[Shape]) -> int:
+    """Nodes of all blocks; coincident nodes of different blocks count once per block."""
+    return int(np.prod(shapes, axis=1, dtype=np.int64).sum())
+
+
+def face_node_count(shapes: Sequence[Shape]) -> int:
+    """Nodes on block faces; coincident nodes count as in :func:`node_count`."""
+    inside = np.maximum(np.array(shapes, dtype=np.int64) - 2, 0)
+    return node_count(shapes) - int(inside.prod(axis=1).sum())
 
 
 def _check_dimension(shapes: Sequence[Shape], names: Sequence[str]) -> None:

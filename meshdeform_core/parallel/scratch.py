@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 import mmap
 import os
-import sys
 import tempfile
 import threading
 import time
@@ -38,20 +37,17 @@ class Scratch:
     ----------
     folder : for the files; they have no names and vanish with the process, however it ends
     limit : bytes that the process may take, mapped files included
-    many : how many arrays of the size of the coordinates a run may need at a time
     """
 
-    def __init__(self, folder: Path, limit: int, many: int) -> None:
-        self._folder, self._limit, self._many = folder, limit, many
+    def __init__(self, folder: Path, limit: int) -> None:
+        self._folder = folder
         self._full = max(limit - RESERVE, limit // 2)
         self._maps: list[weakref.ref[mmap.mmap]] = []
         self._lock, self._watched, self._used = threading.Lock(), False, False
 
     def takes(self, size: int) -> bool:
-        """Whether an array of so many bytes lies in a file: if it is large, and once one is too large for as many of
-        them as a run needs."""
-        large = size >= SMALLEST and sys.platform == "linux"
-        return large and (self._used or size * self._many > self._limit)
+        """Whether an array of so many bytes lies in a file."""
+        return size >= SMALLEST
 
     def empty(self, shape: Sequence[int], dtype: Any) -> Any:
         """An array in a file; its values are zero.

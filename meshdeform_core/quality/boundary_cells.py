@@ -9,6 +9,7 @@ import numpy as np
 from ..grid import FloatArray, Grid, IntArray, Side
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology
+from ..parallel import empty
 from .listed import cell_starts
 from .measures.lines import InterfaceLines, WallFace, kink_and_jump, lines_across, wall_faces, wall_lines
 
@@ -19,7 +20,7 @@ def wall_cells(before: Grid, topology: Topology, after: FloatArray, quads: IntAr
     A cell gets the largest deviation of its grid lines off the wall in coordinates ``after`` (n_nodes, 3), and, of the
     ratios of their heights to those before, the one farthest from 1.
     """
-    deviation, ratio = np.full(before.n_cells, np.nan), np.full(before.n_cells, np.nan)
+    deviation, ratio = _of_no_cell(before), _of_no_cell(before)
     chosen = np.zeros(len(topology.partner), dtype=bool)
     chosen[quads] = True
     normal, starts = plane_normal(before), cell_starts(before)
@@ -31,6 +32,12 @@ def wall_cells(before: Grid, topology: Topology, after: FloatArray, quads: IntAr
         deviation[cells] = np.fmax(deviation[cells], _corners(face, angle).max(axis=1))
         ratio[cells] = _farthest(ratio[cells], _corners(face, change))
     return deviation, ratio
+
+
+def _of_no_cell(grid: Grid) -> FloatArray:
+    values: FloatArray = empty([grid.n_cells])
+    values.fill(np.nan)
+    return values
 
 
 def _corners(face: WallFace, values: FloatArray) -> FloatArray:
@@ -52,8 +59,9 @@ def _farthest(known: FloatArray, ratios: FloatArray) -> FloatArray:
 def _layer(grid: Grid, block: int, side: Side) -> IntArray:
     """Numbers within the block of the cells at one of its faces, shaped like the face's quads."""
     shape = grid.cell_shapes[block]
-    cells = np.arange(int(np.prod(shape))).reshape(shape)
-    return np.asarray(np.take(cells, shape[side.axis] - 1 if side % 2 else 0, axis=side.axis))
+    places = [np.arange(n) for n in shape]
+    places[side.axis] = places[side.axis][[-1 if side % 2 else 0]]
+    return np.asarray(np.ravel_multi_index(np.ix_(*places), shape).squeeze(side.axis))
 
 
 def interface_cells(
@@ -64,7 +72,7 @@ def interface_cells(
     A cell gets the largest magnitude of the grid lines through a face; changes relative to coordinates ``before``
     (n_nodes, 3) if there are any.
     """
-    kink, jump = np.full(grid.n_cells, np.nan), np.full(grid.n_cells, np.nan)
+    kink, jump = _of_no_cell(grid), _of_no_cell(grid)
     quads = np.flatnonzero(topology.partner > np.arange(len(topology.partner)))
     if quads.size == 0:
         return kink, jump

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import GridError
-from ..grid import Grid
+from ..grid import FloatArray, Grid
+from ..parallel import empty, for_rows
 
 
 @dataclass(frozen=True)
@@ -43,21 +44,23 @@ def compare_points(a: Grid, b: Grid) -> Difference:
         When the two have different blocks.
     """
     require_same_blocks(a, b)
-    distance = np.linalg.norm(a.points - b.points, axis=1)
-    worst = int(np.argmax(distance))
-    parts = [a.block(n, distance[:, None]) for n in range(a.n_blocks)]
-    return Difference(
-        float(distance[worst]),
-        _rms(distance),
-        a.node_label(worst),
-        int(np.count_nonzero(distance)),
-        a.n_nodes,
-        tuple(BlockDifference(name, float(part.max()), _rms(part)) for name, part in zip(a.names, parts, strict=True)),
-    )
+    distance = empty([a.n_nodes])
+
+    def fill(rows: slice) -> None:
+        distance[rows] = np.linalg.norm(a.points[rows] - b.points[rows], axis=1)
+
+    for_rows(fill, distance)
+    worst, differing = int(np.argmax(distance)), int(np.count_nonzero(distance))
+    largest = float(distance[worst])
+    parts = [distance[a.offsets[n] : a.offsets[n + 1]] for n in range(a.n_blocks)]
+    most = [float(part.max()) for part in parts]
+    np.square(distance, out=distance)
+    blocks = (BlockDifference(*each) for each in zip(a.names, most, map(_root_mean, parts), strict=True))
+    return Difference(largest, _root_mean(distance), a.node_label(worst), differing, a.n_nodes, tuple(blocks))
 
 
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+def _root_mean(squares: FloatArray) -> float:
+    return float(np.sqrt(np.mean(squares)))
 
 
 def require_same_blocks(a: Grid, b: Grid) -> None:

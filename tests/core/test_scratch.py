@@ -12,13 +12,14 @@ import pytest
 from cases import body_specs, turning
 from grids import frame
 
-from meshdeform_core.deform import Case, deform
+from meshdeform_core.deform import Case, deform, set_up
 from meshdeform_core.errors import MethodError
 from meshdeform_core.grid import Grid
-from meshdeform_core.memory import COORDINATE_ARRAYS, MemoryLimit, left_for_method
+from meshdeform_core.memory import Demand, MemoryLimit
 from meshdeform_core.methods import Options
 from meshdeform_core.parallel import empty, scratch
-from meshdeform_core.parallel.scratch import Scratch, scratch_in
+from meshdeform_core.parallel.scratch import Scratch, current_scratch, scratch_in
+from meshdeform_core.series import Schedule, deform_series
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="mapped files are watched on Linux only")
 
@@ -40,7 +41,7 @@ def test_results_do_not_depend_on_where_arrays_lie(method, steps, tmp_path, monk
     expected = deformed(method, steps)
     monkeypatch.setattr(scratch, "SMALLEST", 1000)
     # With a limit of one byte all pages are returned at every look.
-    with scratch_in(Scratch(tmp_path, 1, COORDINATE_ARRAYS)):
+    with scratch_in(Scratch(tmp_path, 1)):
         found = deformed(method, steps)
     assert lies_in_a_file(found.setup.grid.points)
     assert lies_in_a_file(found.grid.points)
@@ -50,14 +51,30 @@ def test_results_do_not_depend_on_where_arrays_lie(method, steps, tmp_path, monk
     assert os.listdir(tmp_path) == []
 
 
+def test_a_series_in_files_is_the_same(tmp_path, monkeypatch):
+    def levels():
+        setup = set_up(frame(9, 5), Case(body_specs(turning("20*t")), method=Options("idw-tfi")))
+        return list(deform_series(setup, Schedule((0.0, 0.5, 1.0, 1.25), "last", "swept"), "float64"))
+
+    expected = levels()
+    monkeypatch.setattr(scratch, "SMALLEST", 1000)
+    with scratch_in(Scratch(tmp_path, 1)):
+        found = levels()
+    for one, other in zip(expected, found, strict=True):
+        assert lies_in_a_file(other.velocity)
+        assert one.result.grid.points.tobytes() == other.result.grid.points.tobytes()
+        assert one.velocity.tobytes() == other.velocity.tobytes()
+        assert [face.values.tobytes() for face in one.faces] == [face.values.tobytes() for face in other.faces]
+        assert (one.drift, one.smoothness) == (other.drift, other.smoothness)
+        assert one.result.assessment == other.result.assessment
+
+
 def test_files_vanish_with_their_arrays(tmp_path, monkeypatch):
     monkeypatch.setattr(scratch, "SMALLEST", 1000)
-    where = Scratch(tmp_path, 1, 1)
+    where = Scratch(tmp_path, 1)
     with scratch_in(where):
         array = empty((1000, 3))
         assert not lies_in_a_file(empty((10, 3)))
-        with scratch_in(Scratch(tmp_path, 10**9, 1)):
-            assert not lies_in_a_file(empty((1000, 3)))
     array[:] = 7.0
     where.look()
     assert (array == 7.0).all()
@@ -76,7 +93,7 @@ def test_a_full_disk_is_found_before_anything_is_computed(tmp_path, monkeypatch)
 
     monkeypatch.setattr(os, "posix_fallocate", full)
     with (
-        scratch_in(Scratch(tmp_path, 1, 1)),
+        scratch_in(Scratch(tmp_path, 1)),
         pytest.raises(MethodError, match=r"needs a file of 0\.0224 GiB in .*No sp"),
     ):
         empty((10**6, 3))
@@ -84,10 +101,18 @@ def test_a_full_disk_is_found_before_anything_is_computed(tmp_path, monkeypatch)
 
 def test_what_a_method_may_take_beside_the_files(tmp_path):
     nodes, limit = 10**8, MemoryLimit(4 * 2**30, "--max-memory allows")
+
+    def demand(face_nodes):
+        return Demand("deforming 100,000,000 nodes", nodes, 24 * nodes, face_nodes)
+
     with pytest.raises(MethodError, match=r"deforming 100,000,000 nodes needs about 20\.\d GiB"):
-        left_for_method(limit, nodes, 24 * nodes)
-    with scratch_in(Scratch(tmp_path, limit.size, COORDINATE_ARRAYS)):
-        left = left_for_method(limit, nodes, 24 * nodes, face_nodes=2 * 10**6)
+        demand(0).place(limit, None)
+    with scratch_in(Scratch(tmp_path, 1)):
+        demand(0).place(MemoryLimit(2**40, "the machine has"), tmp_path)
+        assert current_scratch() is None
+        demand(2 * 10**6).place(limit, tmp_path)
+        assert current_scratch() is not None
+        left = demand(2 * 10**6).left_of(limit)
         assert 2**30 < left.size < 2 * 2**30
         with pytest.raises(MethodError, match=r"needs about \d\.\d+ GiB, --max-memory allows 4 GiB"):
-            left_for_method(limit, nodes, 24 * nodes, face_nodes=10**7)
+            demand(10**7).place(limit, tmp_path)

@@ -15,6 +15,7 @@ from meshdeform_core.errors import CaseError, FormatError
 from meshdeform_core.grid import Field, Grid
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.quality.fields import CELL_MEASURES, CellFields
+from meshdeform_formats import fields
 from meshdeform_formats.fields import WITH_FIELDS, check_fields, with_fields
 from meshdeform_formats.grids import write_grid
 from meshdeform_formats.series.outputs import SingleFile
@@ -36,6 +37,18 @@ def test_vtk_reads_them(tmp_path):
             expected = cells.values(name, 0, cells.whole(0)).astype(np.float32)
             np.testing.assert_array_equal(arrays["cell", name], expected, err_msg=name)
     assert not arrays["cell", "invalid"].any()
+
+
+@pytest.mark.parametrize("grid", [frame(6, 4), polar()], ids=["3-D", "2-D"])
+def test_values_do_not_depend_on_how_many_layers_are_measured_at_a_time(grid, monkeypatch):
+    """Of the neighbours of a layer as well; a plane grid is measured as a whole."""
+    cells = moved(grid)
+    expected = with_fields(cells, ["all"]).fields
+    monkeypatch.setattr(fields, "_CELLS", 1)
+    for one, other in zip(expected, with_fields(cells, ["all"]).fields, strict=True):
+        assert (one.name, one.block) == (other.name, other.block)
+        np.testing.assert_array_equal(one.values, other.values, err_msg=one.name)
+    assert {field.name for field in expected} >= {"displacement", "growth_ratio", "interface_kink_deg", "invalid"}
 
 
 def test_invalid_cells_are_marked(tmp_path):

@@ -1,0 +1,57 @@
+"""The sizes of a grid, from the header of its file alone: what it takes is told before it is read."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from meshdeform_core.grid import FileFormat, Shape
+from meshdeform_core.grid.blocks import face_node_count, node_count
+
+from .grids import FORMATS, format_at
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Blocks ``(ni, nj, nk)`` in nodes and the variant of a grid file."""
+
+    path: Path
+    shapes: tuple[Shape, ...]
+    format: FileFormat
+
+    @property
+    def n_nodes(self) -> int:
+        return node_count(self.shapes)
+
+    @property
+    def n_face_nodes(self) -> int:
+        """Nodes on block faces."""
+        return face_node_count(self.shapes)
+
+    @property
+    def dimension(self) -> int:
+        """2 if the blocks are planes of nodes, else 3."""
+        return 2 if 1 in self.shapes[0] else 3
+
+    @property
+    def precision(self) -> str:
+        """Floating point type of the coordinates in the file."""
+        return self.format.precision
+
+
+def layout_of(path: Path, options: Mapping[str, Any] | None = None) -> Layout | None:
+    """The blocks of a grid file without its coordinates; ``None`` where the format, or an ambiguous variant, does not
+    tell them before everything is read.
+
+    ``options`` as for :func:`.grids.read_grid`, which has the messages on files that cannot be read.
+
+    Raises
+    ------
+    FormatError
+        When the header is damaged.
+    """
+    module = FORMATS[format_at(path)].load()
+    found = module.layout(path, **(options or {})) if hasattr(module, "layout") else None
+    return None if found is None else Layout(path, *found)
