@@ -121,8 +121,8 @@ def test_commands_that_deform_nothing_keep_to_the_cap(name, bench):
     keeps_to_what_it_asks_for(*OTHERS[name])
 
 
-def test_a_series_larger_than_the_memory_is_the_same(bench, monkeypatch):
-    """Levels, velocities and the search for jumps work on arrays in files; a resumed one, too."""
+def test_a_series_larger_than_the_memory_is_the_same(bench):
+    """Levels, velocities and the search for jumps work on arrays in files."""
     write_grid(frame(70, 36), "large.cgns")
     text = (bench / "case.toml").read_text()
     (bench / "case.toml").write_text(text.replace('angle = "turn"', 'angle = "turn*(1+t)"'))

@@ -17,7 +17,7 @@ from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.quality.fields import CELL_MEASURES, CellFields
 from meshdeform_formats import fields
 from meshdeform_formats.fields import WITH_FIELDS, check_fields, with_fields
-from meshdeform_formats.grids import write_grid
+from meshdeform_formats.grids import read_grid, write_grid
 from meshdeform_formats.series.outputs import SingleFile
 
 
@@ -116,3 +116,16 @@ def test_refusals(tmp_path):
         check_fields(["f_skew"], tmp_path / "a.xyz", True)
     for suffix in WITH_FIELDS:
         check_fields(["all", "f_skew"], tmp_path / f"a{suffix}", False)
+
+
+def test_new_nodes_of_cgns_files_hold_no_time(tmp_path):
+    """Equal grids are equal files, whenever they are written."""
+    write_grid(moved(frame()).grid, tmp_path / "new.cgns")
+    copied = read_grid(tmp_path / "new.cgns")
+    write_grid(with_fields(CellFields(copied, find_topology(copied)), ["f_skew"]), tmp_path / "copy.cgns")
+    for name in ("new.cgns", "copy.cgns"):
+        times = []
+        with h5py.File(tmp_path / name) as file:
+            file.visititems(lambda _, each, times=times: times.append(h5py.h5o.get_info(each.id).mtime))
+        assert len(times) > 50
+        assert not any(times)

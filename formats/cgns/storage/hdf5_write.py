@@ -31,6 +31,14 @@ def _ordered() -> h5p.PropGCID:
     """Groups that remember the order in which their members were made."""
     properties = h5p.create(h5p.GROUP_CREATE)
     properties.set_link_creation_order(h5p.CRT_ORDER_TRACKED | h5p.CRT_ORDER_INDEXED)
+    properties.set_obj_track_times(False)
+    return properties
+
+
+def _timeless() -> h5p.PropDCID:
+    """Datasets without the time at which they were made: equal grids are equal files."""
+    properties = h5p.create(h5p.DATASET_CREATE)
+    properties.set_obj_track_times(False)
     return properties
 
 
@@ -40,7 +48,7 @@ _NAMED, _TYPED = (_NAME, _NAME.dtype), (_TYPE, _TYPE.dtype)
 _KINDS = {dtype: h5t.py_create(dtype, logical=True) for dtype in DTYPES.values()}
 _SCALAR, _ONE = h5s.create(h5s.SCALAR), h5s.create_simple((1,))
 _FLAGS = np.ones(1, np.int32)
-_ORDERED = _ordered()
+_ORDERED, _TIMELESS = _ordered(), _timeless()
 
 
 def write_hdf5(tree: Node, path: Path) -> None:
@@ -125,7 +133,7 @@ def _write_link(group: h5g.GroupID, node: Node) -> None:
 def write_dataset(group: h5g.GroupID, name: str, values: NDArray[Any]) -> None:
     """Create a dataset of ``values``, which must be C-contiguous."""
     kind = _KINDS.get(values.dtype) or h5t.py_create(values.dtype, logical=True)
-    dataset = h5d.create(group, name.encode(), kind, h5s.create_simple(values.shape))
+    dataset = h5d.create(group, name.encode(), kind, h5s.create_simple(values.shape), dcpl=_TIMELESS)
     dataset.write(h5s.ALL, h5s.ALL, values, kind)
 
 
