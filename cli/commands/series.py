@@ -52,7 +52,7 @@ def command(source: GridInput, case: CaseInput, wanted: SeriesInput, run: RunInp
 
     with ProgressBar(not run.quiet) as progress:
         timed = dataclasses.replace(case, times=wanted.times)
-        workplace = None if run.dry_run else wanted.folder
+        workplace = None if run.dry_run else wanted.output
         job = work.load(source, timed, limit, run.reports, workplace, wanted.more_arrays)
         plan = series_run.prepare(job, source, wanted, run)
         run.warnings.tell(plan.setup.warnings)

@@ -95,7 +95,7 @@ def _divided(array: NDArray[Any], stretches: list[tuple[int, int]]) -> Iterator[
         data = data[length:]
 
 
-def _readings(stream: BufferedReader) -> list[Reading]:
+def _readings(stream: BinaryIO) -> list[Reading]:
     readings = list(fortran_readings(stream))
     # A header in proper records is no coincidence; a stream of matching size can be.
     return readings if any(reading.evidence >= (1, 2) for reading in readings) else [*readings, *_c_readings(stream)]

@@ -139,7 +139,7 @@ def write_dataset(group: h5g.GroupID, name: str, values: NDArray[Any]) -> None:
 
 def reserve_dataset(group: h5g.GroupID, name: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> int:
     """Create a dataset whose values will be written to the file itself; returns the place of the first byte."""
-    properties = h5p.create(h5p.DATASET_CREATE)
+    properties = _timeless()
     properties.set_alloc_time(h5d.ALLOC_TIME_EARLY)
     properties.set_fill_time(h5d.FILL_TIME_NEVER)
     dataset = h5d.create(group, name.encode(), _KINDS[dtype], h5s.create_simple(shape), properties)
