@@ -13,8 +13,9 @@ from meshdeform_core.boundary import Kind
 from meshdeform_core.boundary.prescribed import prescribed_displacement
 from meshdeform_core.errors import MethodError
 from meshdeform_core.methods import IDW, RBF, Options, make_method
-from meshdeform_core.methods.derivative import derivative_of
-from meshdeform_core.methods.derivative.sums import TOLERANCE
+from meshdeform_core.methods.derivative import derivative_of, radial, weighting
+from meshdeform_core.methods.derivative.sums import TOLERANCE, ExactSums
+from meshdeform_core.numerics.fastsum.weighted.frozen import FrozenSums
 from meshdeform_core.numerics.tape import Tape
 from meshdeform_core.parallel import OneRank, sharing
 
@@ -126,6 +127,36 @@ def test_fast_sums_are_differentiated_within_their_tolerance(name):
     moving = where.boundary.kind[where.source_numbers] == Kind.MOVING
     one, two = exact.pull(weight)[moving], fast.pull(weight)[moving]
     assert np.abs(one - two).max() < TOLERANCE * np.abs(one).max()
+
+
+@pytest.mark.parametrize("tolerance", [1e-7, 1e-15])
+def test_fast_sums_that_are_too_wrong_are_made_more_accurate_or_exact(monkeypatch, tolerance):
+    where = problem_of(frame(9, 6), body_specs(turning(20)))
+    smooth, rough = directions(where)
+    derivatives = {}
+    for kind in ("exact", "fast"):
+        method = make_method(Options("idw", idw=IDW(summation=kind))).prepare(where)
+        monkeypatch.setattr(weighting, "TOLERANCE", tolerance)
+        derivatives[kind] = derivative_of(method, smooth)._mover._derivative
+    sums = derivatives["fast"]._sums
+    assert isinstance(sums, ExactSums if tolerance == 1e-15 else FrozenSums)
+    out = {kind: np.zeros_like(where.grid.points) for kind in derivatives}
+    for kind, derivative in derivatives.items():
+        derivative.push(rough, out[kind])
+    gap = np.abs(out["fast"] - out["exact"]).max() / np.abs(out["exact"]).max()
+    assert gap == 0.0 if tolerance == 1e-15 else 0.0 < gap < 1e-6
+
+
+@pytest.mark.parametrize("tolerance", [1e-7, 1e-17])
+def test_fast_radial_sums_that_are_too_wrong_are_made_more_accurate_or_exact(monkeypatch, tolerance):
+    where = problem_of(frame_2d(30), body_specs(turning(20))[:1])
+    smooth, rough = directions(where)
+    monkeypatch.setattr(radial, "TOLERANCE", tolerance)
+    options = [Options("rbf", rbf=RBF(summation=kind)) for kind in ("exact", "fast")]
+    exact, fast = (derivative_of(make_method(each).prepare(where), smooth) for each in options)
+    assert (fast._mover._derivative._fast is None) == (tolerance == 1e-17)
+    one, two = exact.push(rough), fast.push(rough)
+    assert np.abs(one - two).max() < 1e-6 * np.abs(one).max()
 
 
 @pytest.mark.parametrize("plane", [False, True])

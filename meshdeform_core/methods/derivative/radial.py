@@ -11,11 +11,13 @@ from ...grid import FloatArray, IntArray
 from ...numerics.exact.basis import BASES
 from ...numerics.exact.radial import radial_sums
 from ...numerics.fastsum.radial.frozen import FrozenRadial
+from ...numerics.fastsum.radial.targets import RadialTargets
 from ..base import Account, Problem
 from ..scattered.block_rbf import PreparedBlockRBF
 from ..scattered.radial_system import RadialSystem, SystemOptions
 from ..scattered.rbf import PreparedRBF
 from ..scattered.rbf_sums import Centres, RadialSums
+from ..scattered.summation import MAX_RETRIES, doubtful
 from .sums import TOLERANCE
 
 _TOLERANCE = 1e-13
@@ -62,7 +64,8 @@ def accurate(options: SystemOptions, centres: Centres, problem: Problem) -> Radi
 class RBFDerivative:
     """Derivative of the displacement of some nodes with respect to that of the sources; the same at all of them.
 
-    Fast sums of the method are fast here, too, with an error below :data:`.sums.TOLERANCE` of the largest change.
+    Fast sums of the method are fast here, too, with an error below :data:`.sums.TOLERANCE` of the largest change where
+    they are compared with exact ones; otherwise sums are exact.
     """
 
     def __init__(self, method: PreparedRBF, problem: Problem, sums: RadialSums) -> None:
@@ -74,14 +77,29 @@ class RBFDerivative:
         self._images, self._points, self.flat = method._images, problem.grid.points, sums.flat
         self._n = len(problem.source_numbers)
         self._system = accurate(method.options.system, method.centres, problem)
-        self._exact, self._fast = None, None
-        if sums.targets is None:
-            self._exact = RadialMap(self._system, self._points[self.flat])
-        else:
-            rough = np.random.default_rng(0).uniform(-1.0, 1.0, method.centres.points.shape)
-            coefficients, _ = self._system.solve(rough, Account(), None)
-            kind, centres = BASES[method.options.basis], method.centres.points
-            self._fast = FrozenRadial(kind, centres, sums.targets, coefficients, TOLERANCE)
+        self._fast = self._accurate(sums.targets) if sums.targets else None
+        self._exact = None if self._fast else RadialMap(self._system, self._points[self.flat])
+
+    def _accurate(self, targets: RadialTargets) -> FrozenRadial | None:
+        """Fast sums, the more accurate the larger their error is where they are compared with exact ones; ``None`` if
+        it stays too large."""
+        system, centres, allowed = self._system, self._system.centres, TOLERANCE
+        rough = np.random.default_rng(0).uniform(-1.0, 1.0, centres.points.shape)
+        coefficients, _ = system.solve(rough, Account(), None)
+        kind, found = BASES[system.options.basis], np.zeros_like(self._points)
+        for _ in range(1 + MAX_RETRIES):
+            fast = FrozenRadial(kind, centres.points, targets, coefficients, allowed)
+
+            def keep(flat: IntArray, sums: FloatArray) -> None:
+                found[flat] = sums
+
+            flat = doubtful(targets, fast.push(coefficients, keep, found))
+            exact = radial_sums(kind, targets.points[flat], centres.points, coefficients)
+            error = float(np.abs(found[flat] - exact).max())
+            if error <= TOLERANCE:
+                return fast
+            allowed *= 0.25 * TOLERANCE / error
+        return None
 
     def push(self, change: FloatArray, out: FloatArray) -> None:
         """Write the change of the nodes into their rows of ``out`` (n_nodes, 3), for one of the sources."""

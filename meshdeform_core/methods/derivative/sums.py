@@ -9,7 +9,7 @@ import numpy as np
 
 from ...grid import BoolArray, FloatArray, IntArray
 from ...numerics.exact.direct import weighted_sums
-from ...numerics.fastsum.clusters.targets import interpolation_order, make_targets
+from ...numerics.fastsum.clusters.targets import make_targets
 from ...numerics.fastsum.clusters.tree import build_tree
 from ...numerics.fastsum.weighted.frozen import FrozenSums, Make, Use
 from ...parallel import Shared, empty, for_chunks
@@ -17,6 +17,8 @@ from ..scattered.idw_sums import Bound
 
 TOLERANCE = 1e-5
 """Error of fast sums in derivatives, relative to the largest change of a value."""
+_ORDER = 5
+"""Interpolation points per side: of 4 to 7, those that take the least time on the hemisphere."""
 _CHUNK = 2048
 _PORTIONS = 32
 
@@ -44,14 +46,22 @@ class LinearSums(Protocol):
     def pull(self, make: Make, k: int) -> FloatArray: ...
 
 
-def sums_of(bound: Bound, fast: bool, weights: Weights, acting: BoolArray) -> LinearSums:
-    """Exact sums over all sources, or fast ones with fixed clusters."""
+def sums_of(bound: Bound, fast: bool, weights: Weights, acting: BoolArray, share: float = 1.0) -> LinearSums:
+    """Exact sums over all sources, or fast ones with fixed clusters and the error ``share`` allowed to each."""
     if not fast:
         return ExactSums(bound, weights, acting)
-    grid, order = bound.grid, interpolation_order(TOLERANCE)
-    trees = [build_tree(bound.sources[group], order) for group in bound.groups]
-    targets = make_targets(grid.points, grid.shapes, grid.offsets, bound.flat, order)
-    return FrozenSums(bound.groups, trees, targets, bound.strength, weights, acting, TOLERANCE)
+    # Few sources act: clusters of these alone need fewer points than sources.
+    parts = [
+        (some, each)
+        for group, each in zip(bound.groups, weights, strict=True)
+        for some in (group[acting[group]], group[~acting[group]])
+        if some.size
+    ]
+    grid, groups = bound.grid, [group for group, _ in parts]
+    trees = [build_tree(bound.sources[group], _ORDER) for group in groups]
+    targets = make_targets(grid.points, grid.shapes, grid.offsets, bound.flat, _ORDER)
+    kinds = [each for _, each in parts]
+    return FrozenSums(groups, trees, targets, bound.strength, kinds, acting, TOLERANCE, share)
 
 
 class ExactSums:

@@ -6,18 +6,24 @@ import numpy as np
 
 from ...errors import MethodError
 from ...grid import BoolArray, FloatArray, IntArray
+from ...numerics.exact.direct import weighted_sums
+from ...numerics.fastsum.weighted.frozen import FrozenSums
 from ...numerics.rigid import finish
 from ...numerics.tangents import finish_gradients, finish_tangents
 from ...numerics.tape import Tape, Tracked, plain
 from ...parallel import current_ranks, empty
 from ..scattered.idw import PreparedIDW
-from ..scattered.idw_sums import ExactEvaluator, FastEvaluator
+from ..scattered.idw_sums import Bound, ExactEvaluator, FastEvaluator
+from ..scattered.summation import MAX_RETRIES
 from ..scattered.transition import with_motion
 from ..scattered.tuned import ALPHA_CAP
 from .reduced import reduced
-from .sums import LinearSums, sums_of
+from .sums import TOLERANCE, LinearSums, Weights, sums_of
 
 _LEAST_ALPHA = 1e-3
+_WORST_BRICKS, _SAMPLES, _RANDOM_NODES = 64, 9, 256
+"""Bricks with the largest error bounds, nodes of each, and random nodes, at which fast sums are compared with exact
+ones."""
 
 
 class IDWDerivative:
@@ -57,13 +63,13 @@ class IDWDerivative:
             "rest": fit.transition.rest, "alpha": self._alpha,
         }  # fmt: skip
         self._numbers = {name: each.number for name, each in wanted.items() if isinstance(each, Tracked)}
-        self._sums, self._near = sums_of(bound, fast, fit.weights, acting), None
-        kept = plain(fit.values), fast, self._transition.width > 0.0
-        self._base = _AtNodes(self._sums, *kept)
+        kept = plain(fit.values), acting, fast, self._transition.width > 0.0
+        self._sums, self._base = _accurate(bound, fit.weights, *kept)
+        self._near = None
         if self._slope:
             # The part of the weights that alpha multiplies.
             near = tuple((b, 5.0, 0.0) for _, b, _ in fit.weights)
-            self._near = _AtNodes(sums_of(bound, fast, near, acting), *kept)
+            _, self._near = _accurate(bound, near, *kept)
 
     @property
     def flat(self) -> IntArray:
@@ -158,6 +164,23 @@ def _apart(values: FloatArray, acting: BoolArray) -> tuple[FloatArray, FloatArra
     return found, common
 
 
+def _accurate(
+    bound: Bound, weights: Weights, values: FloatArray, acting: BoolArray, fast: bool, transition: bool
+) -> tuple[LinearSums, _AtNodes]:
+    """Fast sums, the more accurate the larger their error is where they are compared with exact ones, or exact sums."""
+    share = 1.0
+    for _ in range(1 + MAX_RETRIES if fast else 0):
+        sums = sums_of(bound, True, weights, acting, share)
+        found = _AtNodes(sums, values, True, transition)
+        assert isinstance(sums, FrozenSums)
+        error = found.error(bound, sums, weights, values)
+        if error <= TOLERANCE:
+            return sums, found
+        share *= 0.25 * TOLERANCE / error
+    sums = sums_of(bound, False, weights, acting)
+    return sums, _AtNodes(sums, values, False, transition)
+
+
 class _AtNodes:
     """Sums (n, 1 + k) of the values at the nodes, kept as total weights and means.
 
@@ -179,7 +202,23 @@ class _AtNodes:
 
         sums.push(values, keep, kept=(self._weight, self._means), weigh=True)
 
-    def rows(self, rows: slice) -> FloatArray:
+    def error(self, bound: Bound, sums: FrozenSums, weights: Weights, values: FloatArray) -> float:
+        """Largest error of a sum relative to the total weight, for values of one, at the nodes with the largest bounds
+        and at random ones."""
+        n, (own, common) = len(sums.flat), _apart(values, sums.acting)
+        random = np.random.default_rng(0).integers(0, n, _RANDOM_NODES)
+        rows = np.unique(np.append(sums.worst_rows(_WORST_BRICKS, _SAMPLES), random))
+        x, exact = bound.grid.points[sums.flat[rows]], np.zeros((len(rows), self._k))
+        for group, each in zip(bound.groups, weights, strict=True):
+            near = bound.sources[group], bound.strength[group] / bound.strength.max()
+            exact += weighted_sums(x, *near, each, own[:, group], chunk=_SAMPLES)
+        exact[:, 1:] += exact[:, :1] * common
+        # Means are kept in single precision.
+        size = np.append(1.0, np.abs(own).max(axis=1) + np.abs(common))
+        gap = np.abs(self.rows(rows) - exact) / exact[:, :1]
+        return float(np.max(gap[:, size > 0.0] / size[size > 0.0]))
+
+    def rows(self, rows: slice | IntArray) -> FloatArray:
         """The sums (m, 1 + k) of some rows."""
         weight, means = self._weight[rows], self._means[rows]
         found = np.empty((len(weight), self._k))

@@ -97,8 +97,13 @@ def largest_error(
     Searched at samples of the bricks with the largest bounds ``risk`` (b,) and at random nodes; ``exact`` computes the
     displacement (n, 3) of given nodes by exact sums.
     """
-    worst = targets.samples[np.argsort(risk)[-_WORST_BRICKS:]].ravel()
-    every = targets.every
-    flat = np.concatenate([worst, every[np.random.default_rng(0).integers(0, len(every), _RANDOM_NODES)]])
+    flat = doubtful(targets, risk)
     size = node_sizes(grid.points, shape_table(grid.shapes), grid.offsets, flat)
     return float((np.linalg.norm(found[flat] - exact(flat), axis=1) / size).max())
+
+
+def doubtful(targets: HasSamples, risk: FloatArray) -> IntArray:
+    """Flat indices of samples of the bricks with the largest bounds ``risk`` (b,), and of random nodes."""
+    worst = targets.samples[np.argsort(risk)[-_WORST_BRICKS:]].ravel()
+    every = targets.every
+    return np.concatenate([worst, every[np.random.default_rng(0).integers(0, len(every), _RANDOM_NODES)]])

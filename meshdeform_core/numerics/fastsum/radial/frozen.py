@@ -44,15 +44,22 @@ class FrozenRadial:
         # The sums of all portions together are no larger than the coordinates.
         self._portions = int(np.clip(3 * len(targets.points) // size, 1, min(_MOST_PORTIONS, regions)))
 
-    def push(self, coefficients: FloatArray, use: Callable[[IntArray, FloatArray], object], result: FloatArray) -> None:
-        """Hand sums (k, 3) to ``use``, with the flat indices (k,) of their nodes, which it fills in ``result``."""
+    def push(
+        self, coefficients: FloatArray, use: Callable[[IntArray, FloatArray], object], result: FloatArray
+    ) -> FloatArray:
+        """Hand sums (k, 3) to ``use``, with the flat indices (k,) of their nodes, which it fills in ``result``.
+
+        Returns a bound (b,) of the error in each leaf, in units that only allow comparing.
+        """
         clusters, targets = self._sums.charged(self._clusters, coefficients), self._targets
         risk = np.zeros(len(self._boxes.allowed))
 
         def work(lo: int, hi: int) -> None:
             use(targets.flat(lo, hi), self._sums.of_regions(lo, hi, targets, self._boxes, clusters, risk))
 
-        for_chunks(work, len(targets.tree.region) - 1, 1, shared=[Shared(result, targets.flat)])
+        shared = [Shared(result, targets.flat), Shared(risk, targets.nodes)]
+        for_chunks(work, len(targets.tree.region) - 1, 1, shared=shared)
+        return risk[targets.leaves]
 
     def pull(self, gradient: FloatArray) -> FloatArray:
         """Gradient (m, 3) of the coefficients from that of the nodes (n_nodes, 3)."""

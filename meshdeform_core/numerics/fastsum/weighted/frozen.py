@@ -14,10 +14,10 @@ from ....parallel import Shared, empty, for_chunks
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...exact.direct import N_VALUES
 from ..clusters.acceptance import inverse_powers
-from ..clusters.targets import Targets, interpolation_order
+from ..clusters.targets import Targets
 from ..clusters.tree import CHARGES, SourceTree
 from .plan import Plan, PlanKey
-from .sums import CHUNK, SHARE, allowance
+from .sums import CHUNK, allowance
 from .transposed import collect_sums, filled_by, spread_charges, spread_lists, used_clusters
 from .treesum import Charges, cluster_reach, gather, places_of
 
@@ -33,9 +33,10 @@ class FrozenSums:
 
     Parameters
     ----------
-    groups, trees, targets : as for :class:`.sums.FastSums`
+    groups, trees, targets : as for :class:`.sums.FastSums`; sources that act and others in groups of their own
     strength : (n,) per source, weights : (a, b, kappa) per group
     tolerance : error of a sum relative to the total weight, for values of one
+    share : error allowed to one cluster, as a multiple of that of the sum
 
     Attributes
     ----------
@@ -51,17 +52,21 @@ class FrozenSums:
         weights: Sequence[tuple[float, float, float]],
         acting: BoolArray,
         tolerance: float,
+        share: float,
     ) -> None:
         self._groups = [(np.asarray(group), tree) for group, tree in zip(groups, trees, strict=True)]
         self._targets, self._strength, self.acting = targets, strength / strength.max(), acting
         kinds = [inverse_powers(*each) for each in weights]
         unit, still = np.where(acting, 1.0, 0.0), np.zeros(len(strength))
         reaches = [cluster_reach(tree, self._strength[g], unit[g], still[g]) for g, tree in self._groups]
-        share = SHARE / (interpolation_order(tolerance) - 2) ** 2
         alike = targets._replace(sizes=np.ones_like(targets.sizes))
         allowed, mean = allowance(alike, trees, kinds, reaches, tolerance * share)
         self._plan = Plan(PlanKey(kinds, reaches, acting, share, 0), targets, self._groups, allowed, mean, room=0)
-        self._points = [np.concatenate([tree.points, tree.proxies]) for tree in trees]
+        # The transpose leaves out groups that do not act.
+        self._points = [
+            np.concatenate([tree.points, tree.proxies]) if moving.any() else np.empty((0, 3))
+            for tree, moving in zip(trees, self._plan.moving, strict=True)
+        ]
         size = CHARGES * sum(map(len, self._points))
         # The sums of all portions together are no larger than the coordinates.
         self.portions = int(np.clip(3 * len(targets.points) // size, 1, _MOST_PORTIONS))
@@ -70,6 +75,12 @@ class FrozenSums:
     def flat(self) -> IntArray:
         """The nodes (n,) at which sums are taken, in the order of their rows."""
         return self._targets.every
+
+    def worst_rows(self, bricks: int, each: int) -> IntArray:
+        """Rows of some nodes of the bricks with the largest error bounds, known once weights have been asked for."""
+        worst = np.argsort(self._plan.risk)[-bricks:]
+        start, stop = self._targets.bricks.start[worst], self._targets.bricks.start[worst + 1]
+        return np.unique(np.linspace(start, stop - 1, each).astype(np.int64))
 
     def push(
         self,
@@ -96,6 +107,7 @@ class FrozenSums:
             return range(targets.places(lo, hi).start, targets.places(lo, hi).stop)
 
         shared = [Shared(each, rows_of) for each in kept]
+        shared += [Shared(self._plan.risk, targets.numbers)] if weigh else []
         shared += [] if result is None else [Shared(result, targets.flat)]
         for_chunks(work, targets.n_regions, CHUNK, shared=shared)
 
@@ -125,6 +137,8 @@ class FrozenSums:
         for number in range(passes):
             some = slice(number * N_VALUES, min(k, (number + 1) * N_VALUES))
             for (group, tree), lo, hi in zip(self._groups, sizes[:-1], sizes[1:], strict=True):
+                if lo == hi:
+                    continue
                 total = sum(totals[portion, number, lo:hi] for portion in range(self.portions))
                 source = self._sources(tree, np.asarray(total))
                 members = group[tree.order]
@@ -146,7 +160,8 @@ class FrozenSums:
                 self._groups, self._points, lists, self._plan.key.kinds, self._plan.moving, sizes[:-1], sizes[1:],
                 strict=True,
             ):  # fmt: skip
-                spread_lists(places, here, tree, points, each, kind, moving, total[number, lo:hi])
+                if lo < hi:
+                    spread_lists(places, here, tree, points, each, kind, moving, total[number, lo:hi])
 
     def _sources(self, tree: SourceTree, total: FloatArray) -> FloatArray:
         """Gradients (n, 8) of the sources of a tree in its order, from those of its sources and points (n + m, 8)."""
