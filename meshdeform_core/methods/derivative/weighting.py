@@ -21,6 +21,8 @@ from .reduced import reduced
 from .sums import TOLERANCE, LinearSums, Weights, sums_of
 
 _LEAST_ALPHA = 1e-3
+# The nodes at which fast sums are checked are few.
+_CHECKED = 64
 _WORST_BRICKS, _SAMPLES, _RANDOM_NODES = 64, 9, 256
 """Bricks with the largest error bounds, nodes of each, and random nodes, at which fast sums are compared with exact
 ones."""
@@ -208,14 +210,19 @@ class _AtNodes:
         n, (own, common) = len(sums.flat), _apart(values, sums.acting)
         random = np.random.default_rng(0).integers(0, n, _RANDOM_NODES)
         rows = np.unique(np.append(sums.worst_rows(_WORST_BRICKS, _SAMPLES), random))
-        x, exact = bound.grid.points[sums.flat[rows]], np.zeros((len(rows), self._k))
+        x, exact, acting = bound.grid.points[sums.flat[rows]], np.zeros((len(rows), self._k)), np.zeros(len(rows))
+        strength = bound.strength / bound.strength.max()
         for group, each in zip(bound.groups, weights, strict=True):
-            near = bound.sources[group], bound.strength[group] / bound.strength.max()
-            exact += weighted_sums(x, *near, each, own[:, group], chunk=_SAMPLES)
-        exact[:, 1:] += exact[:, :1] * common
+            exact += weighted_sums(x, bound.sources[group], strength[group], each, own[:, group], chunk=_CHECKED)
+            some = group[sums.acting[group]]
+            acting += weighted_sums(x, bound.sources[some], strength[some], each, own[:0, some], chunk=_CHECKED)[:, 0]
+        found = self.rows(rows)
+        found[:, 1:] -= found[:, :1] * common
+        gap = np.abs(found - exact) / exact[:, :1]
+        # The sum of all weights matters as far as sources act.
+        gap[:, 0] *= acting / exact[:, 0]
         # Means are kept in single precision.
         size = np.append(1.0, np.abs(own).max(axis=1) + np.abs(common))
-        gap = np.abs(self.rows(rows) - exact) / exact[:, :1]
         return float(np.max(gap[:, size > 0.0] / size[size > 0.0]))
 
     def rows(self, rows: slice | IntArray) -> FloatArray:
