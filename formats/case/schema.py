@@ -12,8 +12,8 @@ from meshdeform_core.boundary import Kind
 from meshdeform_core.boundary.tables.matching import HOW
 from meshdeform_core.grid.connectivity.components import BY_PREFIX
 from meshdeform_core.methods import ALIASES, CATALOGUE, IDW, RBF, TFI, Options
+from meshdeform_core.methods.scattered.centres import SOLVERS
 from meshdeform_core.methods.scattered.idw import ROTATIONS, WEIGHTS
-from meshdeform_core.methods.scattered.radial_system import SOLVERS
 from meshdeform_core.methods.scattered.rbf import ERRORS, GREEDY
 from meshdeform_core.methods.scattered.summation import SUMMATIONS
 from meshdeform_core.numerics.exact.basis import BASES

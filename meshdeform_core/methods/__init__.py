@@ -24,7 +24,6 @@ from .components import PreparedComponents
 from .composite import Composite
 from .gaps import InGaps
 from .options import reason_of
-from .scattered.block_rbf import BlockRBF
 from .scattered.idw import IDW
 from .scattered.rbf import RBF
 from .transfinite.tfi import TFI
@@ -94,6 +93,12 @@ def _default(options: Options) -> Composite | InGaps:
     return InGaps(method) if options.idw.rotation == "lie" and options.tfi.max_cells != 0 else method
 
 
+def _idw_rbf(options: Options) -> Composite:
+    from .scattered.block_rbf import BlockRBF
+
+    return Composite(options.idw, BlockRBF(options.rbf))
+
+
 CATALOGUE: dict[str, MethodEntry] = {
     "tfi-tfi": MethodEntry(
         "transfinite interpolation everywhere: the fastest, for small motions of simple topologies",
@@ -124,7 +129,7 @@ CATALOGUE: dict[str, MethodEntry] = {
         "IDW for block interfaces, RBF inside every block",
         "One system per block in its face nodes. Smooth inside blocks, kinked at their interfaces.",
         (IDW, RBF),
-        lambda options: Composite(options.idw, BlockRBF(options.rbf)),
+        _idw_rbf,
     ),
     "idw-tfi": MethodEntry(
         "IDW for block interfaces and virtual sub-block faces, TFI inside: the default, IDW's quality at a fraction of "

@@ -14,9 +14,10 @@ from ...numerics.fastsum.radial.frozen import FrozenRadial
 from ...numerics.fastsum.radial.targets import RadialTargets
 from ..base import Account, Problem
 from ..scattered.block_rbf import PreparedBlockRBF
-from ..scattered.radial_system import RadialSystem, SystemOptions
+from ..scattered.centres import Centres, SystemOptions
+from ..scattered.radial_system import RadialSystem
 from ..scattered.rbf import PreparedRBF
-from ..scattered.rbf_sums import Centres, RadialSums
+from ..scattered.rbf_sums import RadialSums
 from ..scattered.summation import MAX_RETRIES, doubtful
 from .sums import TOLERANCE
 

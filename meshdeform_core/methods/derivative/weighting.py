@@ -12,8 +12,9 @@ from ...numerics.rigid import finish
 from ...numerics.tangents import finish_gradients, finish_tangents
 from ...numerics.tape import Tape, Tracked, plain
 from ...parallel import current_ranks, empty
+from ..scattered.fast_idw_sums import FastEvaluator
 from ..scattered.idw import PreparedIDW
-from ..scattered.idw_sums import Bound, ExactEvaluator, FastEvaluator
+from ..scattered.idw_sums import Bound, ExactEvaluator
 from ..scattered.summation import MAX_RETRIES
 from ..scattered.transition import with_motion
 from ..scattered.tuned import ALPHA_CAP

@@ -16,8 +16,9 @@ from ...parallel import Shared, alone, current_ranks, for_items
 from ..base import Account, Problem, Progress, Setting, of_stage
 from ..options import used
 from ..transfinite.skeleton import Skeleton, make_skeleton
+from .centres import Centres
 from .radial_system import RadialSystem
-from .rbf import RBF, Centres
+from .rbf import RBF
 
 
 @dataclass(frozen=True)

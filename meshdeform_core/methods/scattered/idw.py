@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
@@ -18,12 +18,15 @@ from ...numerics.tape import plain
 from ..base import Account, Problem, Progress, Setting
 from ..limits import LARGEST_ROTATION, PLAIN_ROTATION, warn_of_alpha, warn_of_rotation
 from ..options import choose, option, positive, used
-from .idw_sums import Bound, ExactEvaluator, FastEvaluator, SourceValues
+from .idw_sums import Bound, ExactEvaluator, SourceValues
 from .mirror import mirror_images
 from .motion_values import motion_values
 from .summation import Summation, check_summation, fast_pays
 from .transition import MovingShare, bodies, with_motion
 from .tuned import ALPHA_CAP, FAR, FAR_IN_PLANES, FAR_OF_ONE_BODY, ROUNDS, STEEPER, WIDTH, WIDTH_IN_PLANES
+
+if TYPE_CHECKING:
+    from .fast_idw_sums import FastEvaluator
 
 Rotation = Literal["none", "quaternion", "division", "blend", "lie"]
 Weights = Literal["luke", "shepard"]
@@ -324,4 +327,7 @@ class PreparedIDW:
         if not fast:
             return ExactEvaluator(bound)
         self.account.settings |= used(o, "summation_tolerance")
+        # Its loops take a while to load; exact sums need none of them.
+        from .fast_idw_sums import FastEvaluator
+
         return FastEvaluator(bound, o.summation_tolerance, self.account)

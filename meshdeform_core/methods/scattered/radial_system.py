@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal, get_args
-
 import numpy as np
 
 from ...grid import FloatArray
@@ -17,23 +14,9 @@ from ...numerics.systems.krylov import KrylovSolver
 from ...numerics.systems.products import ExactProduct, nested_bytes, product_of
 from ...numerics.systems.saddle import DirectSolver
 from ..base import Account, Progress, Setting, of_stage
-from .rbf_sums import Centres
+from .centres import DIRECT_CENTRES, Centres, SystemOptions
 
-Solver = Literal["auto", "direct", "minres", "krylov"]
-SOLVERS: tuple[str, ...] = get_args(Solver)
-DIRECT_CENTRES = 4000
-"""Most centres that ``auto`` solves directly; beyond, a factorisation takes longer than GMRES with its set-up."""
 _TOLERANCE = {"minres": 1e-10, "krylov": 1e-6}
-
-
-@dataclass(frozen=True)
-class SystemOptions:
-    """The options of :class:`.rbf.RBF` that concern its linear system."""
-
-    basis: str
-    solver: str
-    tolerance: float | str
-    max_iterations: int
 
 
 class RadialSystem:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
@@ -11,15 +11,16 @@ from ...boundary import Kind
 from ...errors import MethodError
 from ...grid import FloatArray, IntArray
 from ...numerics.exact.basis import BASES
-from ...numerics.exact.radial import radial_sums
-from ...numerics.systems.greedy import Selection, select
 from ..base import Account, Problem, Progress, Setting, of_stage
 from ..limits import warn_of_coarse_tolerance, warn_of_radius
 from ..options import choose, option, positive, used
+from .centres import DIRECT_CENTRES, SOLVERS, Centres, Coefficients, Solver, SystemOptions
 from .mirror import mirror_images
-from .radial_system import DIRECT_CENTRES, SOLVERS, RadialSystem, Solver, SystemOptions
-from .rbf_sums import Centres, Coefficients, RadialSums
 from .summation import Summation, check_summation
+
+if TYPE_CHECKING:
+    from ...numerics.systems.greedy import Selection
+    from .rbf_sums import RadialSums
 
 Basis = Literal["tps", "wendland-c0", "wendland-c2", "ctps-c1", "ctps-c2a", "ctps-c2b"]
 Greedy = Literal["none", "single", "hybrid", "double-edged"]
@@ -120,9 +121,14 @@ class RBF:
 
 
 class PreparedRBF:
-    """RBF bound to the sources of one undeformed grid."""
+    """RBF bound to the sources of one undeformed grid.
+
+    What its loops are in is imported when they are needed: other methods do without them.
+    """
 
     def __init__(self, options: RBF, problem: Problem):
+        from .radial_system import RadialSystem
+
         self.options = options
         self.account = Account()
         self._problem = problem
@@ -181,6 +187,8 @@ class PreparedRBF:
         return Coefficients(self.centres.points, *self._system.solve(values, self.account, progress))
 
     def _fit_reduced(self, values: FloatArray, progress: Progress | None) -> Coefficients:
+        from ...numerics.systems.greedy import select
+
         o, n = self.options, len(values)
         scale = np.ones(n)
         if o.greedy_error == "first-cell":
@@ -200,6 +208,8 @@ class PreparedRBF:
     def _with_residual(
         self, points: FloatArray, coefficients: FloatArray, polynomial: FloatArray, values: FloatArray
     ) -> Coefficients:
+        from ...numerics.exact.radial import radial_sums
+
         here = self.centres.points
         residual = values - radial_sums(BASES[self.options.basis], here, points, coefficients)
         residual -= self.centres.polynomial(here)[:, : len(polynomial)] @ polynomial
@@ -225,6 +235,8 @@ class PreparedRBF:
 
     def at(self, flat: IntArray) -> RadialSums:
         """Bind to the target nodes ``flat``."""
+        from .rbf_sums import RadialSums
+
         o, grid = self.options, self._problem.grid
         correct = o.greedy != "none" and o.greedy_correct
         sums = RadialSums(grid, flat, self.centres, o.basis, o.summation, o.summation_tolerance, correct, self.account)

@@ -9,8 +9,6 @@ import numpy as np
 
 from ...errors import MethodError
 from ...grid import FloatArray, Grid, IntArray
-from ...numerics.fastsum.clusters.bricks import node_sizes
-from ...numerics.fastsum.clusters.targets import shape_table
 from ..base import Account, Setting
 from ..options import choose, positive
 
@@ -97,6 +95,9 @@ def largest_error(
     Searched at samples of the bricks with the largest bounds ``risk`` (b,) and at random nodes; ``exact`` computes the
     displacement (n, 3) of given nodes by exact sums.
     """
+    from ...numerics.fastsum.clusters.bricks import node_sizes
+    from ...numerics.fastsum.clusters.targets import shape_table
+
     flat = doubtful(targets, risk)
     size = node_sizes(grid.points, shape_table(grid.shapes), grid.offsets, flat)
     return float((np.linalg.norm(found[flat] - exact(flat), axis=1) / size).max())

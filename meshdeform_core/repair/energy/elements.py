@@ -17,9 +17,7 @@ from ...numerics.cell.foldover.plane import (
     energy_of_triangles,
     excess_of_triangles,
 )
-from ...numerics.cell.foldover.plane_tangents import products_of_triangles, slopes_of_triangles
 from ...numerics.cell.foldover.samples import Samples, shortest_edges
-from ...numerics.cell.foldover.tangents import products_of_cells, slopes_of_cells
 
 COLLAPSED = 1e-10
 """A Jacobian below this share of the product of the edges is that of a collapsed corner."""
@@ -174,11 +172,15 @@ class Hexahedra:
     def products(
         self, x: FloatArray, penalty: Penalty, change: FloatArray, share: float, between: FloatArray
     ) -> tuple[FloatArray, float, FloatArray]:
+        from ...numerics.cell.foldover.tangents import products_of_cells
+
         found, gradient = np.zeros_like(change), np.zeros(len(self.nodes))
         total = products_of_cells(x, *self._loops, tuple(penalty), change, share, between, found, gradient)
         return found, total, gradient
 
     def excess_products(self, x: FloatArray, change: FloatArray, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
+        from ...numerics.cell.foldover.tangents import slopes_of_cells
+
         excess, found = np.zeros(len(self.nodes)), np.zeros_like(change)
         slopes_of_cells(x, *self._corners, HEALTHY, NORM, SOFT, change, gradient, excess, found)
         return excess, found
@@ -253,11 +255,15 @@ class Triangles:
     def products(
         self, x: FloatArray, penalty: Penalty, change: FloatArray, share: float, between: FloatArray
     ) -> tuple[FloatArray, float, FloatArray]:
+        from ...numerics.cell.foldover.plane_tangents import products_of_triangles
+
         found, where = np.zeros_like(change), (self.nodes, self.slope, self.weight)
         total = products_of_triangles(x, *where, tuple(penalty), change, share, found)
         return found, total, np.zeros(len(self.nodes))
 
     def excess_products(self, x: FloatArray, change: FloatArray, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
+        from ...numerics.cell.foldover.plane_tangents import slopes_of_triangles
+
         excess, found = np.zeros(len(self.nodes)), np.zeros_like(change)
         slopes_of_triangles(x, self.nodes, self.slope, HEALTHY, SOFT, change, gradient, excess, found)
         return excess, found

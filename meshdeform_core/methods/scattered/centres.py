@@ -1,0 +1,76 @@
+"""Centres of radial basis functions, the options of their linear system, and its solution.
+
+Apart from the system and the sums themselves, whose loops take a while to load.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from ...grid import FloatArray
+
+Solver = Literal["auto", "direct", "minres", "krylov"]
+SOLVERS: tuple[str, ...] = get_args(Solver)
+DIRECT_CENTRES = 4000
+"""Most centres that ``auto`` solves directly; beyond, a factorisation takes longer than GMRES with its set-up."""
+
+
+@dataclass(frozen=True)
+class SystemOptions:
+    """The options of :class:`.rbf.RBF` that concern its linear system."""
+
+    basis: str
+    solver: str
+    tolerance: float | str
+    max_iterations: int
+
+
+@dataclass(frozen=True)
+class Centres:
+    """Centres in normalised coordinates with the polynomial terms that they determine.
+
+    Thin plate splines with a linear polynomial do not depend on the unit of length, and compact functions take
+    distances in radii; both are conditioned best with distances near one. A direction normal to a plane that holds all
+    centres has no polynomial term, so that 2-D grids and planar patches have a solution.
+    """
+
+    points: FloatArray
+    origin: FloatArray
+    scale: float
+    axes: FloatArray
+
+    @classmethod
+    def of(cls, points: FloatArray, radius: float | None) -> Centres:
+        origin = points.mean(axis=0)
+        arms = points - origin
+        extent = float(np.linalg.norm(arms, axis=1).max()) or 1.0
+        _, sizes, axes = np.linalg.svd(arms, full_matrices=False)
+        spread = axes[sizes > 1e-8 * extent * np.sqrt(len(points))]
+        scale = extent if radius is None else radius
+        return cls(np.ascontiguousarray(arms / scale), origin, scale, spread)
+
+    def normalised(self, points: FloatArray) -> FloatArray:
+        """Points in the normalised coordinates."""
+        return (points - self.origin) / self.scale
+
+    def polynomial(self, normalised: FloatArray) -> FloatArray:
+        """Polynomial terms (n, q) at normalised points: the constant and the directions in which centres spread."""
+        return np.concatenate([np.ones((len(normalised), 1)), normalised @ self.axes.T], axis=1)
+
+
+@dataclass(frozen=True)
+class Coefficients:
+    """Solved coefficients: ``centres`` (k, 3) normalised, ``coefficients`` (k, 3), ``polynomial`` (q, 3).
+
+    ``residual`` (n, 3) is the error that a greedy reduction left at the sources (else ``None``), ``reach`` the length
+    over which it is spread.
+    """
+
+    centres: FloatArray
+    coefficients: FloatArray
+    polynomial: FloatArray
+    residual: FloatArray | None = None
+    reach: float = 0.0
