@@ -1,6 +1,8 @@
 """Draw the pictures of the documentation: the sample cases deformed by every method, into docs/images.
 
-Run from the repository: ``.venv/bin/python docs/make_pictures.py [NAME ...]``; without names all are drawn (a minute).
+Run from the repository: ``.venv/bin/python docs/make_pictures.py [NAME ...]``; without names all are drawn (minutes).
+The report is photographed in a browser, the package PyQt6-WebEngine. Pictures in docs/images/pages are those of the
+commands on the pages; ``PYTHONPATH=docs .venv/bin/python docs/build.py --pictures`` renews them.
 """
 
 from __future__ import annotations
@@ -9,6 +11,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
+from contextlib import chdir
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -19,7 +22,7 @@ from meshdeform_core.grid.topology import find_topology
 from meshdeform_formats import read_grid
 from meshdeform_formats.picture import STYLE, Subject, draw, plane_facets
 
-IMAGES = Path(__file__).parent / "images"
+IMAGES = Path(__file__).resolve().parent / "images"
 Panel = tuple[str, str, tuple[str, ...]]
 """Title, method, further options of ``deform``."""
 
@@ -48,8 +51,8 @@ def picture(name: str, sample: str, size: int, panels: list[Panel], window: tupl
 
 
 def keep(drawn: Path, name: str) -> None:
-    """A palette is enough for one colour map and makes the file four times smaller."""
-    small = Image.open(drawn).convert("RGB").quantize(128, method=Image.Quantize.MAXCOVERAGE)
+    """A palette is enough for one colour map and makes the file three times smaller."""
+    small = Image.open(drawn).convert("RGB").quantize(256)
     small.save(IMAGES / f"{name}.png", optimize=True)
 
 
@@ -81,10 +84,33 @@ def optimisation() -> None:
         keep(Path(folder) / "optimise.png", "optimise")
 
 
+def report() -> None:
+    """The page of a deformation with invalid cells, as docs/report.md describes it, on a screen and on a phone."""
+    with tempfile.TemporaryDirectory() as folder, chdir(folder):
+        call("sample", "splitter-plate", "-o", "case")
+        call("deform", "case/grid.cgns", "-c", "case/case.toml", "-o", "far.cgns", "-s", "constants.angle=60",
+             "--steps", 1, "--repair", "off", "--allow-invalid", "-q", "--report", "far.html")  # fmt: skip
+        for name, width, scheme in (("light", 980, "light"), ("dark", 980, "dark"), ("phone", 420, "light")):
+            subprocess.run(
+                [
+                    sys.executable,
+                    IMAGES.parent / "photograph.py",
+                    "far.html",
+                    f"{name}.png",
+                    str(width),
+                    "1700",
+                    scheme,
+                ],
+                check=True,
+            )
+            keep(Path(f"{name}.png"), f"report-{name}")
+
+
 PICTURES: dict[str, Callable[[], None]] = {
     **{name: plate(name, name) for name in ("tfi-tfi", "rbf-rbf", "idw-idw", "rbf-tfi", "idw-rbf", "idw-tfi")},
     "rotations": rotations,
     "optimise": optimisation,
+    "report": report,
 }
 
 

@@ -37,6 +37,8 @@ STYLE: dict[Any, Any] = {
 }
 _CORNER = 64.0
 """Width of the triad of axes, in points, at its full size."""
+_HIGH = 3.5
+"""Height of a figure, in inches, whose colour bar has room for its label in one line."""
 _VECTOR_POLYGONS = 6000
 """Most polygons that flat pictures in .svg and .pdf files draw as lines; larger ones are an image."""
 
@@ -136,7 +138,9 @@ def _frames(figure: Figure, page: Page) -> list[Axes]:
             ax.set_axis_off()
     if page.scale:
         mappable = plt.cm.ScalarMappable(page.scale.norm(), page.scale.map_name)
-        bar = figure.colorbar(mappable, ax=axes, label=page.scale.label, shrink=0.85, aspect=28, pad=0.015,
+        # The label is not to be longer than the bar.
+        label = page.scale.label if figure.get_figheight() > _HIGH else page.scale.label.replace(" (", "\n(")
+        bar = figure.colorbar(mappable, ax=axes, label=label, shrink=0.85, aspect=28, pad=0.015,
                               extend=page.scale.extended)  # fmt: skip
         bar.outline.set_linewidth(0.5)
     entries = [Patch(facecolor=colour, edgecolor="0.3", linewidth=0.4, label=name) for name, colour in page.legend]
