@@ -15,6 +15,7 @@ from meshdeform_core.methods.limits import patch_motions
 from meshdeform_core.repair.limit import Limit
 from meshdeform_core.setup import Start
 from meshdeform_core.stepping.course import Course, doubts
+from meshdeform_core.wording import counted
 from meshdeform_formats.grids import variant_of
 from meshdeform_formats.report import Report, plan_report
 
@@ -87,8 +88,8 @@ def forecast(setup: Setup, time: float, steps: int | str | None, precision: str)
     count = steps if isinstance(steps, int) else 1
     if setup.grid.n_nodes * count > TRIAL_NODES:
         untried = (
-            f"not tried: {_steps(count)} with {setup.grid.n_nodes:,} nodes; trials are made up to {TRIAL_NODES:,} "
-            f"nodes times steps"
+            f"not tried: {counted(count, 'step')} with {setup.grid.n_nodes:,} nodes; trials are made up to "
+            f"{TRIAL_NODES:,} nodes times steps"
         )
         return Forecast([*certain, untried], bool(certain))
     alone = setup.with_repair("off")
@@ -97,16 +98,13 @@ def forecast(setup: Setup, time: float, steps: int | str | None, precision: str)
     return Forecast([*certain, *failures], bool(certain))
 
 
-def _steps(count: int) -> str:
-    return f"{count} step{'s' if count > 1 else ''}"
-
-
 def _failure(setup: Setup, result: Result, steps: int | str | None, certain: bool) -> str:
     """The result of the trial, and what the run will do about it."""
     cells, count = result.assessment.after.invalid_cells, result.steps
     groups = [place_of(dataclasses.asdict(group)) for group in result.assessment.groups[:_GROUPS]]
     found = (
-        f"tried with {setup.case.method.name} in {_steps(count)}: {cells} cells become invalid {' and '.join(groups)}"
+        f"tried with {setup.case.method.name} in {counted(count, 'step')}: {counted(cells, 'cell')} "
+        f"{'becomes' if cells == 1 else 'become'} invalid {' and '.join(groups)}"
     )
     if certain:
         return f"{found}; no repair can mend that"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from meshdeform_formats.text.wording import counted
+from meshdeform_core.wording import counted
 
 _MAX_LISTED = 24
 """Most unnamed faces that are listed individually; more are summarised by role."""

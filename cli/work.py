@@ -22,6 +22,7 @@ from meshdeform_core.memory import COORDINATE_ARRAYS, Demand, MemoryLimit, peak_
 from meshdeform_core.methods import make_method
 from meshdeform_core.parallel import current_ranks, thread_count
 from meshdeform_core.quality.fields import CellFields
+from meshdeform_core.wording import counted
 from meshdeform_formats.case import CaseFile
 from meshdeform_formats.fields import with_fields
 from meshdeform_formats.files import invalid_path
@@ -199,12 +200,12 @@ def _flaw(result: dict[str, Any], quality: dict[str, Any]) -> str:
         where = f" {place_of(groups[0])}"
     else:
         largest = ", the largest" if len(groups) > _GROUPS_TOLD else ""
-        each = (f"{group['cells']} {place_of(group)}" for group in groups[:_GROUPS_TOLD])
+        each = (f"{group['cells']:,} {place_of(group)}" for group in groups[:_GROUPS_TOLD])
         where = f" in {len(groups)} groups{largest}: {'; '.join(each)}"
     repaired = any(attempt["repair"] for attempt in result.get("attempts", ()))
     advice = "a smaller motion" if repaired else "--repair auto, --steps auto"
     return (
-        f"{quality['invalid_cells']} cells became invalid{where}; "
+        f"{counted(quality['invalid_cells'], 'cell')} became invalid{where}; "
         f"try {advice}, or another method (see `meshdeform methods`)"
     )
 

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from meshdeform_core.errors import GridError, vector
+from meshdeform_core.errors import GridError
 from meshdeform_core.grid import FloatArray, Grid
 from meshdeform_core.parallel import empty, for_rows
+from meshdeform_core.wording import vector
 
 # Beyond this the square of a length is no number any more in single precision, and no grid is so large in any unit.
 LARGEST = 1e30

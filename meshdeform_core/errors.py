@@ -12,11 +12,6 @@ def suggestion(word: object, known: Iterable[str], most: int = 1) -> str:
     return f"; did you mean {' or '.join(map(repr, close))}?" if close else ""
 
 
-def vector(values: Iterable[float], digits: int = 10) -> str:
-    """``(0.3, 0, -1)``: a point or vector in a message."""
-    return f"({', '.join(f'{value + 0.0:.{digits}g}' for value in values)})"
-
-
 class MeshDeformError(Exception):
     """Base of all errors caused by the input rather than the program (exit code 2)."""
 

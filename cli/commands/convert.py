@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from meshdeform_core.errors import FormatError
-from meshdeform_formats.text.wording import counted
+from meshdeform_core.wording import counted
 
 from ..measured import measured
 from ..options import (

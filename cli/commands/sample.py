@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from meshdeform_core.errors import CaseError
-from meshdeform_formats.text.wording import counted
+from meshdeform_core.wording import counted
 
 from .. import completion
 from ..options import PATH, force_option, parse_pairs, variant_option

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from meshdeform_core.boundary import BoundarySpec, Kind
+from meshdeform_core.boundary.motions.expression import Expression
 from meshdeform_core.boundary.motions.motion import VARIABLES, Displace, Follow, Motion, Rotate, Step
 from meshdeform_core.boundary.tables.matching import AUTOMATIC, Matching, SurfaceData
 from meshdeform_core.deform import Case
@@ -219,9 +220,16 @@ def _boundary(entry: Table, number: int, constants: Mapping[str, float], folder:
     if (kind is Kind.MOVING) != bool(steps):
         missing = "moves but has no motion" if kind is Kind.MOVING else f"is {kind.label} but has a motion"
         raise fail(where, f'{missing}; expected motion = [...] for kind = "moving", and only for this kind')
-    condition = formula_of(entry["where"], (*constants, "x", "y", "z"), f"{where}: where") if "where" in entry else None
+    condition = _condition(entry["where"], constants, where) if "where" in entry else None
     motion = _motion(steps, constants, where, folder) if steps else None
     return BoundarySpec(name, tuple(select), kind, condition, motion)
+
+
+def _condition(value: Any, constants: Sequence[str], where: str) -> Expression:
+    condition = formula_of(value, (*constants, "x", "y", "z"), f"{where}: where")
+    if not condition.is_condition:
+        raise fail(where, f"where = {value!r} is neither true nor false; expected a condition, like x > 0.5 and y < 1")
+    return condition
 
 
 def _kind(entry: Table, where: str) -> Kind:

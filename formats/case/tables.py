@@ -10,8 +10,9 @@ import numpy as np
 
 from meshdeform_core.boundary.motions.histories import History
 from meshdeform_core.boundary.motions.numbered import Positions
-from meshdeform_core.errors import FormatError, vector
+from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray
+from meshdeform_core.wording import vector
 
 from ..files import require_regular
 from ..plausible import LARGEST

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshdeform_core.boundary.tables.matching import SurfaceData
-from meshdeform_core.errors import FormatError, vector
+from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray, IntArray
+from meshdeform_core.wording import counted, vector
 
 POINT_NAMES = ("", "points", "point", "coordinates", "coordinate", "coords", "coord", "positions", "position", "nodes")
 VECTOR_NAMES = ("displacement", "displacements", "pointdisplacement", "disp", "displ", "depl", "deformation")
@@ -137,7 +138,7 @@ def checked_surface(table: DisplacementTable, path: Path) -> SurfaceData:
         if bad.size:
             raise FormatError(
                 f"{path}, {table.place(int(bad[0]))}: the {what} {vector(values[bad[0]])} is not finite "
-                f"({bad.size} such rows)"
+                f"({counted(bad.size, 'such row')})"
             )
     _check_duplicates(points, displacement, table.place, path)
     if not (table.triangles == np.floor(table.triangles)).all():

@@ -95,7 +95,7 @@ def _layout(path: Path) -> _Layout:
             )
         if any(map(_is_number, words)):
             wrong = next(word for word in words if not _is_number(word))
-            raise FormatError(f"{path}, line {number}: {wrong!r} is not a number")
+            raise FormatError(f"{path}, line {number}: {_no_number(wrong)}")
         header = text
     below = f" below the header {header[:60]!r}" if header else ""
     raise FormatError(f"{path} has no rows of numbers{below}")
@@ -163,6 +163,11 @@ def _line_of_row(path: Path, layout: _Layout, row: int) -> int:
     return next(number for index, (number, _) in enumerate(_rows(path, layout)) if index == row)
 
 
+def _no_number(word: str) -> str:
+    comma = "; decimal commas are not read: write points" if _is_number(word.replace(",", ".", 1)) else ""
+    return f"{word!r} is not a number{comma}"
+
+
 def _explained(path: Path, layout: _Layout, error: ValueError) -> FormatError:
     """The line and word that numpy could not read."""
     for number, words in _rows(path, layout):
@@ -170,5 +175,5 @@ def _explained(path: Path, layout: _Layout, error: ValueError) -> FormatError:
             return FormatError(f"{path}, line {number}: found {len(words)} columns; expected {layout.width} as before")
         wrong = [words[column] for column in layout.points + layout.displacement if not _is_number(words[column])]
         if wrong:
-            return FormatError(f"{path}, line {number}: {wrong[0]!r} is not a number")
+            return FormatError(f"{path}, line {number}: {_no_number(wrong[0])}")
     return FormatError(f"{path}: {error}")

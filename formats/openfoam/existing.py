@@ -10,10 +10,11 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from meshdeform_core.errors import FormatError, vector
+from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Grid, IntArray
 from meshdeform_core.grid.topology import RELATIVE_TOLERANCE, Topology, find_topology
 from meshdeform_core.parallel import empty
+from meshdeform_core.wording import vector
 
 from ..plausible import LARGEST
 from .poly_mesh.lists import read_points

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 from meshdeform_core.boundary import Kind
 from meshdeform_core.deform import Result
+from meshdeform_core.wording import counted
 
-from ..text.wording import counted
 from .parts import Report, quality_part
 
 HEADS = ("component", "blocks", "nodes", "moving", "largest displacement", "verdict", "steps", "f_skew min")

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 
-from ..text.wording import counted
+from meshdeform_core.wording import counted
+
 from .components import HEADS, component_rows
 from .measures import measure_rows
 from .parts import Report

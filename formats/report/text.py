@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from typing import Any
 
 from meshdeform_core.memory import readable
+from meshdeform_core.wording import counted
 
-from ..text.wording import counted
 from .components import component_lines
 from .measures import measure_rows, place_text
 from .repaired import repair_lines

@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from meshdeform_core.boundary.plates import open_two_sided_walls
-from meshdeform_core.errors import CaseError, GridError, MotionError, vector
+from meshdeform_core.errors import CaseError, GridError, MotionError
 from meshdeform_core.grid import FloatArray, Grid, IntArray, Patch
 from meshdeform_core.grid.selection import quads_of_patch
 from meshdeform_core.grid.topology import Topology, find_topology
 from meshdeform_core.grid.windows import rectangles
+from meshdeform_core.wording import vector
 
 from ..choice import options_of
 from ..grids.grid import Grid as UserGrid

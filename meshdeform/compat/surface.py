@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from meshdeform_core.errors import GridError, MotionError, vector
+from meshdeform_core.errors import GridError, MotionError
 from meshdeform_core.grid import BoolArray, FloatArray, Grid, IntArray
 from meshdeform_core.grid.topology import RELATIVE_TOLERANCE, Topology
+from meshdeform_core.wording import vector
 
 
 @dataclass(frozen=True)

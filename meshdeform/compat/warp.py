@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from meshdeform_core.errors import CaseError, GridError, MotionError, vector
+from meshdeform_core.errors import CaseError, GridError, MotionError
 from meshdeform_core.grid import FloatArray, Grid, IntArray
 from meshdeform_core.parallel import OneRank, Ranks, empty, sharing
+from meshdeform_core.wording import vector
 
 from ..grids.files import read, write
 from ..grids.grid import Grid as UserGrid

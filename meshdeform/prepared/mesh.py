@@ -15,11 +15,12 @@ from meshdeform_core.boundary import Kind
 from meshdeform_core.boundary.motions.motion import SMALLEST
 from meshdeform_core.boundary.prescribed import given_displacement
 from meshdeform_core.deform import BoundaryMotion, Setup, Start, Timing, impose
-from meshdeform_core.errors import CaseError, MotionError, vector
+from meshdeform_core.errors import CaseError, MotionError
 from meshdeform_core.grid import BoolArray, FloatArray, IntArray
 from meshdeform_core.methods import PreparedMethod, Progress, prepare_method
 from meshdeform_core.parallel import Ranks, sharing
 from meshdeform_core.repair.options import Mode
+from meshdeform_core.wording import vector
 
 from ..gate import checked_array, checked_time, require_arguments, whole
 from ..grids.grid import Grid

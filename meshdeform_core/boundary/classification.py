@@ -8,13 +8,14 @@ from enum import IntEnum
 
 import numpy as np
 
-from ..errors import CaseError, vector
+from ..errors import CaseError
 from ..grid import Grid, IntArray
 from ..grid.planes import Plane
 from ..grid.selection import select_quads
 from ..grid.sides import end_planes
 from ..grid.topology import Topology
 from ..numerics.geometry.coincidence import distinct
+from ..wording import vector
 from .coverage import Tables
 from .motions.doubts import tiny_rotations
 from .motions.expression import Expression

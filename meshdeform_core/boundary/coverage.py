@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..errors import MotionError, vector
+from ..errors import MotionError
 from ..grid import BoolArray, FloatArray, IntArray
 from ..grid.topology import Topology
 from ..notices import Notice
+from ..wording import counted, vector
 from .motions.motion import PreparedMotion
 from .tables.frames import far_points, other_frame
 from .tables.matching import Nodes, Transfer
@@ -173,8 +174,8 @@ def _abrupt_end(use: _Use, corners: IntArray, whole: BoolArray, mixed: BoolArray
     ends = np.unique(corners[mixed][torn & smooth])
     worst = int(ends[np.argmax(step[ends])])
     text = (
-        f": the motion ends abruptly at {int(found.sum())} faces of a smooth wall, where nodes that move by up to "
-        f"{step[worst]:.3g} (at {nodes.label(worst)}) have neighbours without a match, which stay"
+        f": the motion ends abruptly at {counted(int(found.sum()), 'face')} of a smooth wall, where nodes that move "
+        f"by up to {step[worst]:.3g} (at {nodes.label(worst)}) have neighbours without a match, which stay"
     )
     return [use.notice("abrupt end", text)]
 
@@ -197,7 +198,7 @@ def _distances(use: _Use) -> list[Notice]:
         if not out.any():
             return []
         text = (
-            f": {int(out.sum())} nodes lie beyond the table, by up to {match.beyond[out].max():.3g}; their "
+            f": {int(out.sum()):,} nodes lie beyond the table, by up to {match.beyond[out].max():.3g}; their "
             f"displacement is extrapolated"
         )
         return [use.notice("extrapolation", text)]

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..errors import MotionError, vector
+from ..errors import MotionError
 from ..grid import BoolArray, FloatArray, Grid, IntArray
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology
 from ..numerics.arrays import lengths
+from ..wording import vector
 from .classification import Boundary, Kind
 from .periodic import Periodic
 

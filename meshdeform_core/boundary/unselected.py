@@ -51,10 +51,10 @@ def unselected_notes(grid: Grid, topology: Topology, quads: IntArray, moving: In
     places = regions(grid, topology, quads)
     notes = []
     if not expected:
-        listed = ", ".join(f"{range_label(grid, window)} ({len(found)})" for window, found in places[:_LISTED])
+        listed = ", ".join(f"{range_label(grid, window)} ({len(found):,})" for window, found in places[:_LISTED])
         more = f" and {len(places) - _LISTED} more ranges" if len(places) > _LISTED else ""
         notes.append(
-            f"{quads.size} external face quads are not selected by any boundary entry; they are fixed: {listed}{more}"
+            f"{quads.size:,} external face quads are not selected by any boundary entry; they are fixed: {listed}{more}"
         )
     moves = np.zeros(topology.n_unique, dtype=bool)
     moves[moving] = True

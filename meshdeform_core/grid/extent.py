@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..errors import GridError, vector
+from ..errors import GridError
 from ..numerics.arrays import batches, extent
+from ..wording import vector
 from .blocks import FloatArray, Grid
 
 _SMALLEST = 1e-100

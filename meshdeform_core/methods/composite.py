@@ -11,10 +11,11 @@ from typing import Protocol
 
 import numpy as np
 
-from ..errors import MotionError, vector
+from ..errors import MotionError
 from ..grid import FloatArray, IntArray
 from ..numerics.rows import put_rows, spread_rows, take_rows
 from ..parallel import current_ranks, empty, for_chunks, for_rows
+from ..wording import vector
 from .base import Account, Interpolation, Mover, PreparedMethod, Problem, Progress
 from .periodic_steps import PreparedPeriodic, free_periodic, with_known_periodic
 from .transfinite.edge_graph import PreparedEdgeGraph

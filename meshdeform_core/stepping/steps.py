@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..errors import MethodError, vector
+from ..errors import MethodError
 from ..grid import FloatArray
 from ..methods import Account, Options, PreparedMethod, Problem, prepare_method
 from ..parallel import for_rows
@@ -17,6 +17,7 @@ from ..quality.verdict.comparison import Comparison
 from ..quality.verdict.validity import Verdict, judge
 from ..repair.outcome import Repair
 from ..repair.regions import PATIENTLY, QUICKLY, Way
+from ..wording import vector
 from .course import Attempt, Course
 
 

@@ -14,9 +14,9 @@ import meshdeform as md
 from meshdeform_core.errors import MotionError
 from meshdeform_core.grid.selection import select_quads
 from meshdeform_core.grid.topology import find_topology
+from meshdeform_core.wording import counted
 from meshdeform_formats import write_grid
 from meshdeform_formats.report.text import axis_text
-from meshdeform_formats.text.wording import counted
 from meshdeform_samples import generate
 
 DEFORM = ("deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz")
@@ -103,6 +103,15 @@ MISTAKES = {
     "keys of keys": (deep_keys, DEFORM, "case.toml"),
     "a kind that is none": (
         edited("case.toml", '"moving"', '"movin"'), DEFORM, "'movin'",
+    ),
+    "a where that is no condition": (
+        edited("case.toml", 'where = "abs(x) < 0.51 and abs(y) < 0.51"', "where = 5"), DEFORM,
+        "where = 5 is neither true nor false; expected a condition",
+    ),
+    "decimal commas": (
+        lambda: Path("wrong.csv").write_text("x;y;z;dx;dy;dz\n0,5;0;0;0;0;0\n"),
+        ("deform", "grid.xyz", "-d", "wrong.csv", "-o", "out.xyz"),
+        "'0,5' is not a number; decimal commas are not read",
     ),
     "a file with the name of the invalid grid": (
         own_notes, (*DEFORM, "-s", "constants.turn=85", "--repair", "off"), "out.invalid.xyz",

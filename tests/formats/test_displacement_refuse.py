@@ -31,7 +31,7 @@ TEXTS = {
     "1,2,3,4,5,6\n2,2,3,,5,6\n": "line 2: '' is not a number",
     "x y z dx dy dz n\n1 2 3 4 5 6 a\n2 3 4 5\n": "line 3: found 4 columns; expected 7 as before",
     "x y z dx dy dz n\n1 2 3 4 5 b a\n": "line 2: 'b' is not a number",
-    ROW + "# c\n2 2 3 4 5 nan\n": "line 3: the displacement (4, 5, nan) is not finite (1 such rows)",
+    ROW + "# c\n2 2 3 4 5 nan\n": "line 3: the displacement (4, 5, nan) is not finite (1 such row)",
     ROW + "-inf 2 3 4 5 6\n": "line 2: the point (-inf, 2, 3) is not finite",
     ROW + "2 2 3 4 5 6\n\n1 2 3 4 5 7\n": "(4, 5, 6) in line 1 and (4, 5, 7) in line 4; keep one of them",
     "x[m] y[m] z[m] dx[mm] dy[mm] dz[mm]\n" + ROW: "lengths in m, mm; expected all in the grid's unit",

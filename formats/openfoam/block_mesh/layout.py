@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from meshdeform_core.errors import FormatError, vector
+from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray, Shape
+from meshdeform_core.wording import vector
 
 from .curves import Arc, Curve, Polygon, Spline, arc_about, arc_by_angle, arc_through, straight
 from .dictionary import Atom, Dictionary, Item, Items

@@ -7,8 +7,8 @@ from html import escape
 from typing import Any
 
 from meshdeform_core.memory import readable
+from meshdeform_core.wording import counted
 
-from ...text.wording import counted
 from ..components import HEADS, component_rows
 from ..measures import measure_rows, place_text
 from ..parts import Report

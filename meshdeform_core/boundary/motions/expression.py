@@ -139,6 +139,11 @@ class Expression:
         found = {node.id for node in ast.walk(self._tree) if isinstance(node, ast.Name)}
         return frozenset(found & self.variables)
 
+    @property
+    def is_condition(self) -> bool:
+        """Whether the formula is true or false: a comparison, or several joined by ``and``, ``or``, ``not``."""
+        return _is_condition(self._tree)
+
     def __call__(self, values: Mapping[str, Any]) -> Any:
         """Value of the formula; arrays in ``values`` broadcast. May contain NaN or inf, which the caller reports."""
         with np.errstate(all="ignore"):
@@ -150,6 +155,17 @@ def expression(source: str | float | int, variables: Iterable[str]) -> Expressio
     if isinstance(source, bool) or not isinstance(source, (str, int, float)):
         raise CaseError(f"expected a number or a formula in quotes, found {source!r}")
     return Expression(source if isinstance(source, str) else repr(float(source)), frozenset(variables))
+
+
+def _is_condition(node: ast.AST) -> bool:
+    match node:
+        case ast.Compare():
+            return True
+        case ast.BoolOp(values=values):
+            return all(map(_is_condition, values))
+        case ast.UnaryOp(op=ast.Not(), operand=operand):
+            return _is_condition(operand)
+    return False
 
 
 def _check(node: ast.AST, owner: Expression) -> None:

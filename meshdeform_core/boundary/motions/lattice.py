@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 import scipy
 
-from ...errors import MotionError, vector
+from ...errors import MotionError
 from ...grid import FloatArray, IntArray
+from ...wording import vector
 from ..tables.matching import Nodes
 from .expression import Expression
 from .motion import at_time

@@ -13,8 +13,9 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
-from ...errors import MotionError, vector
+from ...errors import MotionError
 from ...grid import BoolArray, FloatArray, Grid
+from ...wording import vector
 from ..tables.matching import Matching, Nodes, SurfaceData, Transfer
 from ..tables.transfer import transfer
 from .expression import Expression

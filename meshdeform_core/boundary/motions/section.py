@@ -9,8 +9,9 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy
 
-from ...errors import MotionError, vector
+from ...errors import MotionError
 from ...grid import FloatArray, IntArray
+from ...wording import vector
 from ..tables.matching import Nodes
 
 _SAME = 1e-9

@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from ...errors import MotionError, vector
+from ...errors import MotionError
 from ...grid import BoolArray, FloatArray, Grid, IntArray
 from ...grid.faces.roles import Role
 from ...grid.faces.surfaces import Surface, find_outside
 from ...grid.topology import Topology
+from ...wording import vector
 from .frames import other_frame
 from .matching import AUTOMATIC, Matching, Nodes, SurfaceData
 

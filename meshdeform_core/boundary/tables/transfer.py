@@ -7,9 +7,10 @@ import dataclasses
 import numpy as np
 import scipy
 
-from ...errors import MotionError, vector
+from ...errors import MotionError
 from ...grid import BoolArray, FloatArray, Grid, IntArray, Side
 from ...grid.topology import RELATIVE_TOLERANCE, side_nodes
+from ...wording import counted, vector
 from .frames import other_frame
 from .matching import Matching, Nodes, SurfaceData, Transfer
 
@@ -108,8 +109,8 @@ def _require_continuous(data: SurfaceData) -> None:
         raise MotionError(
             f"{data.label} has the points {vector(points[one])} and {vector(points[other])}, "
             f"{float(np.linalg.norm(points[one] - points[other])):.2g} apart, with the displacements "
-            f"{vector(displacement[one])} and {vector(displacement[other])} ({int(conflict.sum())} such points); "
-            f"expected one displacement at one place"
+            f"{vector(displacement[one])} and {vector(displacement[other])} "
+            f"({counted(int(conflict.sum()), 'such point')}); expected one displacement at one place"
         )
 
 
