@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from ..grid import FloatArray, IntArray
 from .basis import Whole
 from .energy.onset import share_of
-from .energy.untangle import Pace, Untangler
+from .energy.untangle import CLOSE, Pace, Untangler
 from .limit import Limit
 
 # A regularisation that begins large and falls slowly finds valid grids where a quick one is caught.
@@ -54,9 +54,11 @@ def minimise(
     guess: FloatArray | None,
     progress: Progress | None,
     limit: Limit,
+    close: float = CLOSE,
 ) -> Search | None:
     """Search the minimum from ``points`` (n_nodes, 3) of the method, moved by a ``guess``; ``None`` where no cell is
-    weak. ``polish``: the energy has its full share in any case, and cells at walls count little more than others."""
+    weak. ``polish``: the energy has its full share in any case, and cells at walls count little more than others;
+    ``close``: how near to the minimum the search ends, see :mod:`.energy.untangle`."""
     plot = whole.plot
     reference = plot.inside(points)
     share, energy = share_of(plot.region.energy, reference)
@@ -70,6 +72,6 @@ def minimise(
     most = most_steps(region.n_unknowns)
     untangled = untangler.untangle(replace(QUICK, steps=min(QUICK.steps, most)))
     first = plot.shift(untangler.x - reference) if untangled else None
-    converged = untangled and untangler.minimise(share, min(_CONVERGING, most), whole.edges)
+    converged = untangled and untangler.minimise(share, min(_CONVERGING, most), whole.edges, close)
     shift = plot.shift(untangler.x - reference)
     return Search(plot.moved, shift, converged, untangler.steps, untangled=None if converged else first)

@@ -19,6 +19,7 @@ from ..quality.verdict.validity import Verdict, judge
 from .basis import Basis, Whole
 from .energy.newton import NewtonSystem
 from .energy.onset import share_of
+from .energy.untangle import CLOSE
 from .limit import Limit
 from .minimum import Progress, Search, minimise
 from .outcome import Judged, Outcome, Repair
@@ -83,6 +84,7 @@ class Repairer:
         polish: bool = False,
         ways: tuple[Way, ...] = EVERY_WAY,
         guess: FloatArray | None = None,
+        close: float = CLOSE,
     ) -> Outcome:
         """Make cells sound; the coordinates returned may still have invalid ones, but not more than ``points``.
 
@@ -91,20 +93,20 @@ class Repairer:
 
         If not, it is searched without the guess; then cells are untangled in regions, and it is searched from the grid
         found. The ``ways`` are tried in turn until one succeeds; without any, the minimum is searched once. ``polish``:
-        the weakest cells count as weak however good they are.
+        the weakest cells count as weak however good they are. ``close``: how near to the minimum its search ends.
 
         Raises
         ------
         MethodError
             When the memory limit is too small.
         """
-        plane = self._in_plane(points, verdict, polish, ways, guess)
+        plane = self._in_plane(points, verdict, polish, ways, guess, close)
         if plane is not None:
             return plane
         begin, start = clock.perf_counter(), Judged(points, verdict)
         best, steps, converged = start, 0, False
         if not any(way.hasty for way in ways):
-            best, steps, converged = self._minimum(start, polish, guess)
+            best, steps, converged = self._minimum(start, polish, guess, close)
         if guess is not None and ways and not (converged and best.verdict.valid):
             best, more, converged = self._minimum(start, polish, None)
             steps += more
@@ -128,7 +130,9 @@ class Repairer:
         nearer, more, converged = self._minimum(start, polish, best.points - start.points)
         return (nearer if nearer.verdict.valid else best), steps + more, converged
 
-    def _minimum(self, start: Judged, polish: bool, guess: FloatArray | None) -> tuple[Judged, int, bool]:
+    def _minimum(
+        self, start: Judged, polish: bool, guess: FloatArray | None, close: float = CLOSE
+    ) -> tuple[Judged, int, bool]:
         """The minimum of the energy over all nodes, or what was reached of it, Newton steps, and whether it was."""
 
         def make() -> Search | None:
@@ -136,7 +140,7 @@ class Repairer:
             if whole is None:
                 return None
             with alone():
-                return minimise(whole, start.points, polish, guess, self.progress, self.limit)
+                return minimise(whole, start.points, polish, guess, self.progress, self.limit, close)
 
         found = current_ranks().once(make)
         if found is None:
@@ -163,7 +167,13 @@ class Repairer:
         return None if change is None else (extrusion.plane.points + change, basis)
 
     def _in_plane(
-        self, points: FloatArray, verdict: Verdict, polish: bool, ways: tuple[Way, ...], guess: FloatArray | None
+        self,
+        points: FloatArray,
+        verdict: Verdict,
+        polish: bool,
+        ways: tuple[Way, ...],
+        guess: FloatArray | None,
+        close: float,
     ) -> Outcome | None:
         """The repair on the plane grid that this one is extruded from, if the motion stays in its plane."""
         begin, found = clock.perf_counter(), self._flattened(points)
@@ -172,7 +182,7 @@ class Repairer:
         (flat, basis), extrusion = found, self.basis.extrusion[0]
         repairer = Repairer(basis, self.rounded, self.memory, self.progress, self.limit)
         guess = None if guess is None else extrusion.flattened(guess)
-        end = repairer.repair(flat, judge(basis.original, self.rounded(flat)), polish, ways, guess)
+        end = repairer.repair(flat, judge(basis.original, self.rounded(flat)), polish, ways, guess, close)
         spread = extrusion.spread(self.original.grid.points, points, end.points - extrusion.plane.points)
         after = Judged(spread, judge(self.original, self.rounded(spread)))
         seconds = clock.perf_counter() - begin

@@ -14,6 +14,7 @@ from ..grid import FloatArray
 from ..notices import Notice
 from ..numerics.arrays import lengths
 from ..quality.verdict.validity import Verdict, judge
+from ..repair.energy.untangle import CLOSE
 from ..repair.outcome import Outcome
 from ..smoothness import shortest_edges
 from .course import Course
@@ -25,6 +26,8 @@ _PART, _PARTS = 0.875, 12
 """A motion is followed from the largest of the first _PARTS powers of _PART of it at which the method alone keeps the
 grid valid, by steps of which the first is 1 - _PART, the smallest _SHORTEST."""
 _SHORTEST, _STEPS = 0.01, 24
+_NEAR = 0.02
+"""How near to the minimum, in local edges, it is followed on the way."""
 FOLLOWED = 50_000
 """Nodes of the largest grid on which a motion is followed."""
 
@@ -70,7 +73,7 @@ def _follow(trial: Trial) -> Outcome | None:
     if reached is None:
         return None
     start = _plain(trial, reached)
-    outcome, step = repairer.repair(start, _verdict(course, start), ways=()), 1.0 - _PART
+    outcome, step = repairer.repair(start, _verdict(course, start), ways=(), close=_NEAR), 1.0 - _PART
     correction = outcome.points - start
     for _ in range(_STEPS):
         if reached == 1.0 or step < _SHORTEST:
@@ -79,7 +82,8 @@ def _follow(trial: Trial) -> Outcome | None:
         plain = _plain(trial, part)
         found = None
         if _verdict(course, plain + correction).valid:
-            found = repairer.repair(plain, _verdict(course, plain), ways=(), guess=correction)
+            close = _NEAR if part < 1.0 else CLOSE
+            found = repairer.repair(plain, _verdict(course, plain), ways=(), guess=correction, close=close)
         if found and found.repair.converged:
             outcome, correction, reached, step = found, found.points - plain, part, 1.5 * step
         else:

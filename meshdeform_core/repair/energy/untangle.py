@@ -26,9 +26,9 @@ CUBIC = 2.0
 """Of the energy that is minimised: the larger, the more the worst cells count."""
 # A determinant that stays below -_LOCKED eps while eps falls has nowhere to go in this region.
 _LOCKED = 100.0
-CLOSE, CLOSER = 1e-6, 1e-7
+CLOSE, _CLOSER = 1e-6, 0.1
 """The minimum is reached when a step moves no node by more than the share CLOSE of its shortest edge, or the next one
-would move none by more than CLOSER."""
+would move none by more than CLOSER times that."""
 _SMALLEST_STEP = 1e-4
 # Sufficient decrease of a line search (Armijo), but for round-off of the energy.
 _DECREASE, _ROUND_OFF = 1e-4, 1e-13
@@ -121,8 +121,8 @@ class Untangler:
             eps = _next_eps(eps, after.lowest, max(pace.slowest, 1.0 - after.energy / now.energy))
         return False
 
-    def minimise(self, share: float, most: int, edges: FloatArray) -> bool:
-        """At most so many Newton steps to the minimum from a valid start; whether it was reached.
+    def minimise(self, share: float, most: int, edges: FloatArray, close: float = CLOSE) -> bool:
+        """At most so many Newton steps to the minimum from a valid start; whether it was reached, as ``close``.
 
         ``edges`` (n,) are the shortest undeformed edges at the nodes.
         """
@@ -137,7 +137,7 @@ class Untangler:
             now = after
             self.x = now.x
             # Steps shrink ever faster: the next one by more than this one has.
-            if length < CLOSE or (step and length * length < CLOSER * before):
+            if length < close or (step and length * length < _CLOSER * close * before):
                 return True
         return False
 
