@@ -12,7 +12,7 @@ import click
 
 from meshdeform_core.parallel import current_ranks
 from meshdeform_formats.report import Report, as_json, run_part, with_other, write_report
-from meshdeform_formats.report.illustrations import Illustrate, Illustrations
+from meshdeform_formats.report.figures import Illustrate, Illustrations
 from meshdeform_formats.report.text import as_text
 
 STDOUT = Path("-")

@@ -25,7 +25,7 @@ from meshdeform_formats.case.sequences import parse_times
 from meshdeform_formats.fields import check_fields, with_fields
 from meshdeform_formats.grids import FORMATS, complete_for_export
 from meshdeform_formats.report import Report
-from meshdeform_formats.report.illustrations import Illustrations, level_thumbnails
+from meshdeform_formats.report.figures import Illustrations
 from meshdeform_formats.report.series_report import level_record, series_head, series_report
 from meshdeform_formats.series.foam import FoamFiles
 from meshdeform_formats.series.manifest import NAME, Manifest, ingredients_of
@@ -169,6 +169,8 @@ def _how_to_continue(run: Run) -> str:
 
 def illustrate(run: Run) -> Illustrations:
     """Small pictures of some evenly spaced levels, as far as their files can be read."""
+    from meshdeform_formats.report.illustrations import level_thumbnails
+
     count = len(run.schedule.times)
     shown = min(count, _PICTURES)
     chosen = [round(n * (count - 1) / max(1, shown - 1)) for n in range(shown)]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import time as clock
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -30,7 +29,7 @@ from meshdeform_formats.grids import complete_for_export, variant_of, write_grid
 from meshdeform_formats.joined import grid_of_case
 from meshdeform_formats.placing import existing, require_space
 from meshdeform_formats.report import Report, as_json, deformation_report
-from meshdeform_formats.report.illustrations import Illustrate, deformation_figures
+from meshdeform_formats.report.figures import Illustrate, Illustrations
 from meshdeform_formats.report.text import as_text
 
 from .exit_codes import EXIT_INVALID
@@ -152,7 +151,12 @@ def run(
         cells = cells_of(result.setup, result.grid)
         write_grid(result.grid, target, variant, lambda _: with_fields(cells, options.fields))
     seconds = {"read": job.read_seconds, "write": clock.perf_counter() - before}
-    illustrate = functools.partial(deformation_figures, result)
+
+    def illustrate() -> Illustrations:
+        from meshdeform_formats.report.illustrations import deformation_figures
+
+        return deformation_figures(result)
+
     return deformation_report(result, seconds, peak_memory()) | {"output": str(target)}, illustrate
 
 

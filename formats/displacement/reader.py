@@ -22,8 +22,6 @@ from meshdeform_core.grid import Grid
 
 from ..files import read_head, replacing
 from ..grids import FORMATS, read_grid
-from ..vtk.legacy_file import dataset_kind
-from ..vtk.xml.tags import file_kind
 from .cells import grid_triangles
 from .table import VECTOR_NAMES, DisplacementTable, checked_surface, pick_vector
 
@@ -133,6 +131,8 @@ def _read_hdf5(path: Path) -> DisplacementTable | Grid:
 
 
 def _read_vtk_legacy(path: Path) -> DisplacementTable | Grid:
+    from ..vtk.legacy_file import dataset_kind
+
     kind = dataset_kind(path)
     if kind == "POLYDATA":
         return _module("vtk").read_vtk_legacy(path)
@@ -142,6 +142,8 @@ def _read_vtk_legacy(path: Path) -> DisplacementTable | Grid:
 
 
 def _read_vtk_xml(path: Path) -> DisplacementTable | Grid:
+    from ..vtk.xml.tags import file_kind
+
     kind = file_kind(path)
     if kind in ("PolyData", "UnstructuredGrid"):
         return _module("vtk").read_vtk_xml(path)

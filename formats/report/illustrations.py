@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -25,18 +24,7 @@ from ..picture import (
     worst_cell,
     worst_cells,
 )
-from .page import Figure
-
-
-@dataclass(frozen=True)
-class Illustrations:
-    """Pictures of one deformation, and thumbnails of the levels of a series with the files that they link to."""
-
-    figures: tuple[Figure, ...] = ()
-    thumbnails: tuple[tuple[Figure, str], ...] = ()
-
-
-Illustrate = Callable[[], Illustrations]
+from .figures import Figure, Illustrations
 
 
 def deformation_figures(result: Result) -> Illustrations:

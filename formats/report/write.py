@@ -11,7 +11,7 @@ from meshdeform_core.errors import FormatError
 
 from ..files import replacing
 from ..text.json import json_text
-from .illustrations import Illustrate, Illustrations
+from .figures import Illustrate, Illustrations
 from .parts import Report
 
 SUFFIXES = (".json", ".txt", ".html", ".md")

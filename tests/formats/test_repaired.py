@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from meshdeform_formats.report.figures import Figure
 from meshdeform_formats.report.measures import MeasureRow
-from meshdeform_formats.report.page.figures import Figure, figure_lines
+from meshdeform_formats.report.page.figures import figure_lines
 from meshdeform_formats.report.repaired import repair_sentence
 from meshdeform_formats.report.series_text import _motion
 

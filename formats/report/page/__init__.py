@@ -1,6 +1,5 @@
 """Reports as one self-contained page: verdict, pictures, measures, run, times."""
 
 from .document import as_html
-from .figures import Figure
 
-__all__ = ["Figure", "as_html"]
+__all__ = ["as_html"]

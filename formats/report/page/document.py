@@ -6,8 +6,9 @@ from collections.abc import Iterator, Sequence
 from html import escape
 from importlib.resources import files
 
+from ..figures import Figure
 from ..parts import Report
-from .figures import Figure, figure_lines
+from .figures import figure_lines
 from .levels import level_tiles, levels_section
 from .sections import (
     attempts_section,

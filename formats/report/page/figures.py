@@ -4,24 +4,9 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Iterator
-from dataclasses import dataclass
 from html import escape
 
-
-@dataclass(frozen=True)
-class Figure:
-    """A picture, or the same view before and after (both PNG, of one size).
-
-    ``names`` label the two; ``caption`` describes the picture, also for readers who cannot see it. Only a pair in the
-    same window can have a ``slider``; others are shown side by side.
-    """
-
-    title: str
-    caption: str
-    after: bytes
-    before: bytes | None = None
-    slider: bool = True
-    names: tuple[str, str] = ("before", "after")
+from ..figures import Figure
 
 
 def figure_lines(figure: Figure, number: int) -> Iterator[str]:

@@ -8,9 +8,10 @@ from pathlib import PurePath
 from typing import Any
 from urllib.parse import quote
 
+from ..figures import Figure
 from ..parts import Report
 from .charts import curve
-from .figures import Figure, thumbnail_lines
+from .figures import thumbnail_lines
 
 _HEADS = ("level", "time", "file", "moved", "rotated [deg]", "f_skew mean", "f_skew min", "invalid", "steps", "seconds")
 
