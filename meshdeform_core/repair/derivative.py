@@ -41,7 +41,8 @@ class RepairDerivative(Protocol):
     def settle(self, rounding: float) -> float:
         """Go on to the minimum itself: coordinates are rounded when they are written, by up to ``rounding``.
 
-        Returns how much farther than that it is, in shortest edges, at most.
+        Returns how much farther than that it is, in shortest edges, at most; infinity where the Hessian is not that of
+        a minimum or too nearly singular for the linear system to be solved.
         """
         ...
 
@@ -76,6 +77,7 @@ class _AtMinimum:
             self.share, of_share = 1.0, np.zeros_like(of_share)
         self._slopes = of_share, of_between
         self._region = replace(self._plot.region, energy=energy.softened(POLISHED) if polish else energy)
+        self._regular = True
 
     def push(self, change: FloatArray) -> FloatArray:
         plot, moved = self._plot, np.array(change)
@@ -112,6 +114,8 @@ class _AtMinimum:
                 for _ in range(_STEPS):
                     self._fill()
                     self._x = self._x + self._spread(self._solved(-self._whole.system.gradient.copy()))
+                    if not self._regular:
+                        return np.full_like(self._x, np.inf)
             return self._x
 
         before = self._x
@@ -138,13 +142,19 @@ class _AtMinimum:
             if before <= _ENOUGH * size:
                 break
             system.gradient[...] = -rest
-            step, _ = system.direction(_LOOSE, _ITERATIONS)
+            step, convex = system.direction(_LOOSE, _ITERATIONS)
+            # No minimum, or one that is hardly determined: more of the same would take minutes.
+            if not convex or system.iterations == _ITERATIONS:
+                self._regular = False
+                break
             image, _, _ = self._products(self._spread(found + step), 1.0, 0.0, np.zeros(self._cells))
             rest = right - self._gathered(image)
             after = np.linalg.norm(rest)
             if after >= before:
                 break
-            found, before = found + step, after
+            slow, found, before = after > 0.5 * before, found + step, after
+            if slow:
+                break
         return found
 
     def _spread(self, unknowns: FloatArray) -> FloatArray:

@@ -8,6 +8,7 @@ from grids import frame, frame_2d
 
 import meshdeform as md
 from meshdeform_core.grid.blocks import FileFormat
+from meshdeform_core.repair import derivative
 from meshdeform_core.repair.derivative import derivative_of_repair
 
 BODY = {"where": "abs(x) < 0.51 and abs(y) < 0.51", "select": ["*.i*", "*.j*"], "kind": "moving", "name": "body"}
@@ -97,6 +98,20 @@ def test_a_grid_that_is_not_the_minimum_is_told():
     there = derivative_of_repair(setup.undeformed.repairs, start, end, polish=False)
     beside = derivative_of_repair(setup.undeformed.repairs, start, 0.99 * end + 0.01 * start, polish=False)
     assert there.settle(0.0) < 1e-9 < 1e-4 < beside.settle(0.0)
+
+
+def test_a_system_that_is_hardly_determined_ends_the_search_at_once(monkeypatch):
+    mesh, solved = prepared(frame(5, 4)), []
+    at = bend(mesh, 0.6, 0.3)
+    own = derivative._AtMinimum._solved
+    monkeypatch.setattr(derivative._AtMinimum, "_solved", lambda self, right: solved.append(1) or own(self, right))
+    assert mesh.linearise(at, steps=1).exact
+    assert len(solved) == derivative._STEPS
+    monkeypatch.setattr(derivative, "_ITERATIONS", 3)
+    found = mesh.linearise(at, steps=1)
+    assert not found.exact
+    assert "not the minimum" in found.reason
+    assert len(solved) == derivative._STEPS + 1
 
 
 def test_coordinates_in_single_precision_are_near_enough_to_the_minimum():
