@@ -29,13 +29,16 @@ $(VENV)/installed: $(VENV)/program
 	$(PIP) -e '.[test,check]'
 	@touch $@
 
-# Compiled once, before several processes ask for the same loops.
-test: $(VENV)/installed
+# Compiled once, before several processes ask for the same loops; again only when a source has changed.
+SOURCES := $(shell find meshdeform_core formats -name '*.py')
+$(VENV)/compiled: $(VENV)/installed $(SOURCES)
 	$(BIN)/meshdeform warm-up
+	@touch $@
+
+test: $(VENV)/compiled
 	$(BIN)/pytest -n auto -m 'not slow'
 
-test-all: $(VENV)/installed
-	$(BIN)/meshdeform warm-up
+test-all: $(VENV)/compiled
 	$(BIN)/pytest -n auto
 
 check: $(VENV)/installed

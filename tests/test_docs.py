@@ -47,7 +47,12 @@ def missing_extras(code: str) -> list[str]:
     return [name for name in ("jax", "openmdao") if f"import {name}" in code and not find_spec(name)]
 
 
-@EACH_PAGE
+@pytest.mark.parametrize(
+    "page",
+    # The wing of the tutorial takes as long as all other pages together.
+    [pytest.param(page, marks=pytest.mark.slow) if page.name == "tutorial.md" else page for page in PAGES],
+    ids=[page.name for page in PAGES],
+)
 @pytest.mark.timeout(240)
 def test_commands_and_code_do_what_the_page_says(page, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
@@ -84,7 +89,12 @@ def called(*command: str) -> subprocess.CompletedProcess[str]:
 
 
 @EACH_SHELL
-@pytest.mark.parametrize(("page", "text"), SCRIPTS, ids=[f"{page.stem}-{n}" for n, (page, _) in enumerate(SCRIPTS)])
+@pytest.mark.parametrize(
+    ("page", "text"),
+    # Each starts the program several times; the shortest shows that such scripts work at all.
+    [pytest.param(*found, marks=() if "case $code" in found[1] else pytest.mark.slow) for found in SCRIPTS],
+    ids=[f"{page.stem}-{n}" for n, (page, _) in enumerate(SCRIPTS)],
+)
 def test_shell_scripts_run(page, text, shell, workshop):
     before = set(workshop.iterdir())
     done = called(*SHELLS[shell], "-c", text)

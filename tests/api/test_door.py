@@ -376,7 +376,7 @@ def test_a_function_may_deform_another_mesh(mesh, bend):
 def test_a_forked_process_does_not_wait_for_threads_that_it_lacks(mesh, bend):
     code = """
 import os, threading, time, numpy as np, meshdeform as md
-from meshdeform.turns import one_at_a_time
+from meshdeform.prepared.turns import one_at_a_time
 def hold():
     with one_at_a_time():
         time.sleep(60)

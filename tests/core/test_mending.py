@@ -16,9 +16,9 @@ from meshdeform_core.quality.verdict.validity import newly_invalid
 from meshdeform_core.repair import RepairOptions
 
 
-def spoilt(layers=3, angle=110):
+def spoilt(layers=3, angle=110, size=6):
     """A grid, the same turned by another program so that cells are inverted, and the case."""
-    grid = frame(6, layers)
+    grid = frame(size, layers)
     case = Case(tuple(body_specs(turning(str(angle)))), repair=RepairOptions("off"))
     bad = deform(grid, case, steps=1)
     assert not bad.valid
@@ -77,7 +77,7 @@ def test_what_the_boundary_makes_impossible_is_said():
     grid, bad, _ = spoilt(1)
     mended = mend(bad.grid.moved(bad.grid.points), grid, Case((), repair=RepairOptions()))
     assert mended.assessment.valid, "ends of a grid one cell thick slide"
-    thick, bad, _ = spoilt(2)
+    thick, bad, _ = spoilt(2, size=4)
     mended = mend(bad.grid, thick, Case(()))
     assert not mended.assessment.valid
     assert any("no valid grid" in warning for warning in mended.warnings)

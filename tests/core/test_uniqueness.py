@@ -110,7 +110,7 @@ def test_whichever_way_leads_to_a_valid_grid_the_minimum_is_the_same():
 def test_a_repair_that_does_not_fit_into_memory_is_refused_not_done_otherwise():
     case = Case(tuple(body_specs(turning("80"), Kind.FIXED)))
     needed = set_up(frame(5, 3), case)
-    assert impose(needed, needed.motion(0.0), 1, "float64", Timing()).repair is not None
+    assert not impose(needed.with_repair("off"), needed.motion(0.0), 1, "float64", Timing()).valid
     tight = set_up(frame(5, 3), case, memory=MemoryLimit(100_000, "--max-memory allows"))
     with pytest.raises(MethodError, match=r"a repair of .* needs about .*, --max-memory allows .*--repair off"):
         impose(tight, tight.motion(0.0), 1, "float64", Timing())

@@ -8,7 +8,7 @@ import pytest
 from cases import constant, formulas
 
 from meshdeform_core.boundary import BoundarySpec, Kind
-from meshdeform_core.deform import Case, deform
+from meshdeform_core.deform import Case, deform, set_up
 from meshdeform_core.grid import Grid
 from meshdeform_core.methods import Options
 from meshdeform_core.quality.measures.lines import LAYERS
@@ -107,7 +107,7 @@ def test_all_reports_show_both_kinds_of_walls():
 def test_layers_that_a_repair_changed_are_counted():
     """The first node off one place of the floor is moved up by a tenth of its height, and nothing else."""
     grid = channel()
-    setup = deform(grid, case("tfi", constant(0.0, -0.01, 0.0))).setup
+    setup = set_up(grid, case("tfi", constant(0.0, -0.01, 0.0)))
     before, after = grid.points, grid.points.copy()
     nodes = grid.block(0, after)
     nodes[0, 1, 0, 1] += 0.1 * (nodes[0, 1, 0, 1] - nodes[0, 0, 0, 1])
