@@ -3,7 +3,8 @@
     python benchmarks/rank_memory.py 24 idw-tfi         # or: idw; a third argument is the suffix of the grid
 
 The resident size of a process counts the pages that it shares with others in full. The proportional set size (PSS)
-divides each page among the processes that share it: the sum over the ranks is the machine's total. Linux only.
+divides each page among the processes that share it: the sum over the ranks is the machine's total. Ranks "apart" act
+as machines of their own, which share nothing. Linux only.
 """
 
 import os
@@ -18,18 +19,23 @@ from tables import MarkdownTable
 
 COUNTS = (1, 2, 4)
 PERIOD = 0.02
+APART = "apart"
 
 
 def main(size, method, suffix=".cgns"):
     table = MarkdownTable(f"Splitter plate n = {size} ({suffix}), {method}: one thread per rank")
     with tempfile.TemporaryDirectory() as name:
         folder = make_sample(Path(name), "splitter-plate", size, suffix)
-        command = [
-            sys.executable, "-m", "meshdeform", "deform", f"{folder}/grid{suffix}", "-c", f"{folder}/case.toml",
+        arguments = [
+            "deform", f"{folder}/grid{suffix}", "-c", f"{folder}/case.toml",
             "-m", method, "-o", f"{folder}/deformed{suffix}", "--force", "--allow-invalid", "-q", "--threads", "1",
+            "--repair", "off",
         ]  # fmt: skip
         for count in COUNTS:
-            table.rows.append({"ranks": count, **measure(["mpiexec", "--oversubscribe", "-n", str(count), *command])})
+            for apart in (False, True)[: min(count, 2)]:
+                program = [sys.executable, *([__file__, APART] if apart else ["-m", "meshdeform"])]
+                found = measure(["mpiexec", "--oversubscribe", "-n", str(count), *program, *arguments])
+                table.rows.append({"ranks": f"{count} apart" if apart else count, **found})
     print(table.markdown())
 
 
@@ -68,4 +74,18 @@ def _pss(pid):
     return sum(int(line.split()[1]) * 1024e-6 for line in lines if line.startswith("Pss:"))
 
 
-main(int(sys.argv[1]), *sys.argv[2:])
+def run_apart(arguments):
+    """The command on ranks of this machine that share no memory with each other."""
+    from meshdeform_cli.main import main as command
+    from meshdeform_core.parallel import mpi
+
+    made = mpi.MPIRanks
+    mpi.MPIRanks = lambda world: made(world, machines=world.size)
+    sys.argv[1:] = arguments
+    command()
+
+
+if sys.argv[1] == APART:
+    run_apart(sys.argv[2:])
+else:
+    main(int(sys.argv[1]), *sys.argv[2:])

@@ -88,10 +88,23 @@ class Stored:
             part = part[done:]
 
     def write(self, first: int, values: NDArray[Any], synchronous: bool = False) -> None:
-        """Write planes (n, nj, ni) from k = ``first`` on into the file, which must exist."""
+        """Write planes (n, nj, ni) from k = ``first`` on into the file, which the first rank has made.
+
+        Raises
+        ------
+        FormatError
+            When this process does not see the file.
+        """
         stored = np.ascontiguousarray(values, self.dtype)
         flags = os.O_WRONLY | getattr(os, "O_BINARY", 0) | (getattr(os, "O_DSYNC", 0) if synchronous else 0)
-        with open(os.open(self.path, flags), "wb", buffering=0) as file:
+        try:
+            number = os.open(self.path, flags)
+        except FileNotFoundError as error:
+            raise FormatError(
+                f"a rank does not see {self.path}, to which all ranks write; choose an output folder that all machines "
+                f"share"
+            ) from error
+        with open(number, "wb", buffering=0) as file:
             for at, part in self._parts(first, stored):
                 file.seek(at)
                 left = part

@@ -17,7 +17,7 @@ from ..boundary.slip import Slip
 from ..grid import BoolArray, FloatArray, IntArray
 from ..numerics.arrays import lengths
 from ..numerics.geometry.surface import TriangleTree
-from ..parallel import current_ranks, for_rows
+from ..parallel import current_ranks, empty, for_rows
 from .base import Account, Interpolation, PreparedMethod, Problem, Progress, Setting
 from .composite import Composite, Filler, PreparedComposite
 from .transfinite.tfi import TFI
@@ -94,7 +94,7 @@ class PreparedInGaps:
         closing = self.closing(displacement)
         if closing is None:
             return out
-        lines, share = self.transfinite.apply(displacement), self.spread(closing.share)
+        share, lines = self.spread(closing.share), self.transfinite.apply(displacement)
 
         def blend(rows: slice) -> None:
             out[rows] += share[rows] * (lines[rows] - out[rows])
@@ -118,8 +118,9 @@ class PreparedInGaps:
     def spread(self, share: FloatArray) -> FloatArray:
         """Values (n_nodes, 1) at all nodes from 0 to 1 by TFI of those (n_sources,) at the sources."""
         found = self.scalar.apply(np.outer(share, [1.0, 0.0, 0.0]))
-        for_rows(lambda rows: np.clip(found[rows], 0.0, 1.0, out=found[rows]), found)
-        return found[:, :1]
+        result = empty((len(found), 1))
+        for_rows(lambda rows: np.clip(found[rows, :1], 0.0, 1.0, out=result[rows]), result)
+        return np.asarray(result)
 
     @cached_property
     def _gap(self) -> FloatArray:

@@ -9,6 +9,7 @@ from cgns_witness import AdfWriter, box, tree, zone
 from grids import frame
 from pretended import UNTOUCHED, Pretended, rank
 
+from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Field, Planes
 from meshdeform_core.parallel import alone
 from meshdeform_formats import files, planes, read_grid, write_grid
@@ -120,6 +121,18 @@ def test_ranks_write_their_ranges_of_one_file(variant, source, iblank, tmp_path,
         assert (shared.read_bytes() == (tmp_path / f"alone{suffix}").read_bytes()) == (number == 2)
     assert len(set(written)) == len(written)
     assert max(np.diff(sizes)) - min(np.diff(sizes)) <= 3 + iblank
+
+
+def test_a_folder_that_a_rank_does_not_see(tmp_path):
+    place = Stored(tmp_path / "elsewhere" / "part.xyz", np.dtype(float), (1, 2), 0, 16)
+    with pytest.raises(FormatError, match=r"does not see .*part\.xyz, to which all ranks write; choose"):
+        place.write(0, np.zeros((1, 1, 2)))
+
+
+def test_a_file_that_is_cut_while_it_is_read(tmp_path):
+    (tmp_path / "grid.xyz").write_bytes(bytes(31))
+    with pytest.raises(FormatError, match=r"grid\.xyz ends before all of its coordinates"):
+        Stored(tmp_path / "grid.xyz", np.dtype(float), (1, 2), 0, 16).read(0, 2)
 
 
 def test_cgns_in_hdf5(tmp_path):
