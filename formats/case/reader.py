@@ -225,7 +225,7 @@ def _boundary(entry: Table, number: int, constants: Mapping[str, float], folder:
     return BoundarySpec(name, tuple(select), kind, condition, motion)
 
 
-def _condition(value: Any, constants: Sequence[str], where: str) -> Expression:
+def _condition(value: Any, constants: Iterable[str], where: str) -> Expression:
     condition = formula_of(value, (*constants, "x", "y", "z"), f"{where}: where")
     if not condition.is_condition:
         raise fail(where, f"where = {value!r} is neither true nor false; expected a condition, like x > 0.5 and y < 1")
