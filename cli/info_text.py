@@ -32,7 +32,7 @@ def _head(facts: dict[str, Any]) -> list[str]:
     return [
         f"{facts['file']}: {facts['format']}",
         f"{facts['dimension']}-D{layer}, {counted(len(facts['blocks']), 'block')}, {facts['nodes']:,} nodes "
-        f"({facts['unique_nodes']:,} unique), {facts['cells']:,} cells",
+        f"({facts['unique_nodes']:,} unique), {counted(facts['cells'], 'cell')}",
         f"extent {_box(facts['bounding_box'])}, shortest edge on a block face {facts['shortest_face_edge']:.3g}",
     ]
 

@@ -36,7 +36,7 @@ def _lines(report: dict[str, Any], parameters: bool) -> Iterator[str]:
     yield f"grid      {grid['file'] or '(in memory)'}: {grid['format'] or _no_format(grid)}"
     yield (
         f"          {grid['dimension']}-D, {counted(grid['blocks'], 'block')}, {grid['nodes']:,} nodes, "
-        f"{grid['cells']:,} cells"
+        f"{counted(grid['cells'], 'cell')}"
     )
     if "method" in report:
         yield f"method    {report['method']['name']}" + ("" if parameters else "  (-v shows its parameters)")

@@ -6,6 +6,8 @@ from collections.abc import Iterator, Sequence
 from html import escape
 from importlib.resources import files
 
+from meshdeform_core.wording import counted
+
 from ..figures import Figure
 from ..parts import Report
 from .figures import figure_lines
@@ -71,8 +73,8 @@ def _about(report: Report) -> str:
     grid = report["grid"]
     kind = f"{grid['format']}, " if grid["format"] else ""
     return (
-        f'<p class="soft">{escape(kind)}{grid["dimension"]}-D, {grid["blocks"]:,} '
-        f"block{'s' if grid['blocks'] != 1 else ''}, {grid['nodes']:,} nodes, {grid['cells']:,} cells</p>"
+        f'<p class="soft">{escape(kind)}{grid["dimension"]}-D, {counted(grid["blocks"], "block")}, '
+        f"{grid['nodes']:,} nodes, {counted(grid['cells'], 'cell')}</p>"
     )
 
 
