@@ -29,6 +29,16 @@ class SystemOptions:
 
 
 @dataclass(frozen=True)
+class SumOptions:
+    """The options of :class:`.rbf.RBF` that concern its sums; ``correct``: add what a greedy reduction has left."""
+
+    basis: str
+    summation: str
+    tolerance: float
+    correct: bool
+
+
+@dataclass(frozen=True)
 class Centres:
     """Centres in normalised coordinates with the polynomial terms that they determine.
 

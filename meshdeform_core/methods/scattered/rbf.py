@@ -14,7 +14,7 @@ from ...numerics.exact.basis import BASES
 from ..base import Account, Problem, Progress, Setting, of_stage
 from ..limits import warn_of_coarse_tolerance, warn_of_radius
 from ..options import choose, option, positive, used
-from .centres import DIRECT_CENTRES, SOLVERS, Centres, Coefficients, Solver, SystemOptions
+from .centres import DIRECT_CENTRES, SOLVERS, Centres, Coefficients, Solver, SumOptions, SystemOptions
 from .mirror import mirror_images
 from .summation import Summation, check_summation
 
@@ -114,6 +114,12 @@ class RBF:
     def system(self) -> SystemOptions:
         """The options of the linear system."""
         return SystemOptions(self.basis, self.solver, self.tolerance, self.max_iterations)
+
+    @property
+    def sums(self) -> SumOptions:
+        """The options of the sums at the nodes."""
+        correct = self.greedy != "none" and self.greedy_correct
+        return SumOptions(self.basis, self.summation, self.summation_tolerance, correct)
 
     def bind(self, problem: Problem) -> PreparedRBF:
         """Sources and their images at symmetry planes as centres; nothing is solved yet."""
@@ -237,9 +243,7 @@ class PreparedRBF:
         """Bind to the target nodes ``flat``."""
         from .rbf_sums import RadialSums
 
-        o, grid = self.options, self._problem.grid
-        correct = o.greedy != "none" and o.greedy_correct
-        sums = RadialSums(grid, flat, self.centres, o.basis, o.summation, o.summation_tolerance, correct, self.account)
-        if o.greedy == "none":
+        sums = RadialSums(self._problem.grid, flat, self.centres, self.options.sums, self.account)
+        if self.options.greedy == "none":
             sums.prepare(len(self.centres.points))
         return sums

@@ -15,29 +15,18 @@ from ...numerics.fastsum.radial.sums import FastRadial
 from ...numerics.fastsum.radial.targets import RadialTargets, make_radial_targets
 from ...parallel import Shared, empty, for_chunks, for_rows, thread_count
 from ..base import Account, Progress, Setting, of_stage
-from .centres import Centres, Coefficients
+from .centres import Centres, Coefficients, SumOptions
 from .summation import fast_pays, largest_error, sum_accurately
 
 _CHUNK = 1024
 
 
 class RadialSums:
-    """Sums at the target nodes, with the greedy residual added near the walls if ``correct``."""
+    """Sums at the target nodes ``flat``, with the greedy residual added near the walls where the options say so."""
 
-    def __init__(
-        self,
-        grid: Grid,
-        flat: IntArray,
-        centres: Centres,
-        basis: str,
-        summation: str,
-        tolerance: float,
-        correct: bool,
-        account: Account,
-    ):
-        self._grid, self.flat, self._centres, self._basis = grid, flat, centres, basis
-        self._summation, self._tolerance = summation, tolerance
-        self._correct, self._account = correct, account
+    def __init__(self, grid: Grid, flat: IntArray, centres: Centres, options: SumOptions, account: Account):
+        self._grid, self.flat, self._centres = grid, flat, centres
+        self._options, self._account = options, account
         self._is_fast = False
         self.targets: RadialTargets | None = None
         self._tree: tuple[FloatArray, FastRadial] | None = None
@@ -45,10 +34,14 @@ class RadialSums:
 
     def prepare(self, n_centres: int) -> None:
         """Sort the target nodes for fast sums, if these pay off for this number of centres."""
-        self._is_fast, self._account.settings["summation"] = fast_pays(self._summation, len(self.flat), n_centres)
+        self._is_fast, self._account.settings["summation"] = fast_pays(
+            self._options.summation, len(self.flat), n_centres
+        )
         if not self._is_fast or self.targets is not None:
             return
-        self._account.settings["summation_tolerance"] = Setting(self._tolerance, "error relative to the local cell")
+        self._account.settings["summation_tolerance"] = Setting(
+            self._options.tolerance, "error relative to the local cell"
+        )
         grid = self._grid
         points = empty(grid.points.shape)
         for_rows(lambda rows: np.copyto(points[rows], self._centres.normalised(grid.points[rows])), points)
@@ -63,13 +56,13 @@ class RadialSums:
             self._fast(fit, out, report)
         else:
             self._exact(fit, out, report)
-        if self._correct and fit.reach > 0:
+        if self._options.correct and fit.reach > 0:
             self._add_residual(fit, out)
 
     def _displacement(self, fit: Coefficients, flat: IntArray) -> FloatArray:
         """Displacement (n, 3) of the nodes ``flat`` by exact sums."""
         x = self._centres.normalised(self._grid.points[flat])
-        moved = radial_sums(BASES[self._basis], x, fit.centres, fit.coefficients)
+        moved = radial_sums(BASES[self._options.basis], x, fit.centres, fit.coefficients)
         return np.asarray(moved + self._centres.polynomial(x)[:, : len(fit.polynomial)] @ fit.polynomial)
 
     def _exact(self, fit: Coefficients, out: FloatArray, report: Report | None) -> None:
@@ -83,7 +76,7 @@ class RadialSums:
         assert self.targets is not None
         targets = self.targets
         if self._tree is None or not np.array_equal(self._tree[0], fit.centres):
-            self._tree = fit.centres, FastRadial(BASES[self._basis], fit.centres)
+            self._tree = fit.centres, FastRadial(BASES[self._options.basis], fit.centres)
 
         def use(flat: IntArray, sums: FloatArray) -> None:
             x = targets.points[flat]
@@ -92,10 +85,10 @@ class RadialSums:
         sums = self._tree[1]
 
         def once() -> float:
-            risk = sums.evaluate(fit.coefficients, targets, self._tolerance, use, out, report)
+            risk = sums.evaluate(fit.coefficients, targets, self._options.tolerance, use, out, report)
             return largest_error(self._grid, targets, risk, out, partial(self._displacement, fit))
 
-        sum_accurately("rbf", sums, once, self._tolerance, self._account)
+        sum_accurately("rbf", sums, once, self._options.tolerance, self._account)
 
     def _add_residual(self, fit: Coefficients, out: FloatArray) -> None:
         """Residual of the nearest source, fading smoothly with the distance to it (Wendland C2)."""

@@ -141,6 +141,12 @@ def inspect_hexahedra(before, x, compare, both, sign, scale, i0, i1, out, is_ope
                             skewness(t, g * CELLS)
                             collect(t, g * CELLS, r, m, 4 * g * N, inside, total, 2 * g * WIDTH, bins, g * COUNTS)
                     _copy(r, i - 1 - i0, j0, k0, rows - 1, width, out, is_open, 6 if both and compare else 4)
+    _add_lanes(total, bins, sums, counts)
+
+
+@inlined
+def _add_lanes(total, bins, sums, counts):
+    """Add what the lanes of vectors have counted."""
     for g in range(2):
         for n in range(WIDTH):
             sums[g, 0] += total[2 * g * WIDTH + n]

@@ -21,6 +21,7 @@ def sum_groups_single(targets, target_span, charged, pieces, piece_span, a, kapp
 
     Without ``all_charges`` the first and the last charge are taken for zero.
     """
+    # In one piece: with the sums over a tile in a function of their own, the compiler orders the additions differently.
     tile, center = np.empty((11, _TILE), np.float32), np.empty(3)
     weight = np.empty(_TILE, np.float32)
     for group in range(target_span.shape[0]):

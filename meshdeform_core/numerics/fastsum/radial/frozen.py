@@ -101,12 +101,12 @@ def scatter_to_centres(child, span, bases, upper, charges):
 def spread_region(kind, region, points, boxes, clusters, gradient, out):
     """Of :func:`.sums.sum_regions` for one region: add to ``out`` (n + m, 3), the gradients of centres and skeletons,
     what those (k, 3) of its targets give. The charges of ``clusters`` are the rows of ``out``."""
-    tree, spaces = boxes.tree, boxes.spaces
+    tree = boxes.tree
     total = out.shape[0]
     far, near = np.empty((6, total)), np.empty((6, total))
     left = np.empty((DEPTH, clusters.child.size), dtype=np.int64)
     n_left, known = np.zeros(DEPTH, dtype=np.int64), np.zeros(DEPTH, dtype=np.bool_)
-    polynomial = np.zeros((DEPTH, np.diff(spaces.start).max(), 3))
+    polynomial = np.zeros((DEPTH, np.diff(boxes.spaces.start).max(), 3))
     stack = np.empty((2 * DEPTH, 3), dtype=np.int64)
     risk = np.zeros(boxes.allowed.size)
     origin = tree.span[tree.region[region], 0]
@@ -139,19 +139,26 @@ def spread_region(kind, region, points, boxes, clusters, gradient, out):
                 _collect(n, boxes, x, given, polynomial[level])
         if not known[level]:
             continue
-        s = boxes.space[n]
-        first, m = spaces.start[s], spaces.start[s + 1] - spaces.start[s]
-        place, value = np.empty((m, 3)), np.zeros((m, 3))
-        place_points(tree.center[n], tree.axes[n], tree.half[n], spaces.points[first : first + m], place)
-        for i in range(m):
-            for j in range(m):
-                w = spaces.matrix[spaces.begin[s] + i * m + j]
-                for d in range(3):
-                    value[j, d] += w * polynomial[level, i, d]
+        place, value = _at_points(n, boxes, polynomial[level])
         _spread_sums(kind, place, value, far, n_far, out)
         if known[level - 1]:
             # The parent's polynomial is that of the box around.
             _collect(_parent(n, level, stack, depth), boxes, place, value, polynomial[level - 1])
+
+
+@kernel
+def _at_points(n, boxes, polynomial):
+    """Points (m, 3) of the box of a node, and the gradients (m, 3) there from those of its ``polynomial`` (m, 3)."""
+    tree, spaces, s = boxes.tree, boxes.spaces, boxes.space[n]
+    first, m = spaces.start[s], spaces.start[s + 1] - spaces.start[s]
+    place, value = np.empty((m, 3)), np.zeros((m, 3))
+    place_points(tree.center[n], tree.axes[n], tree.half[n], spaces.points[first : first + m], place)
+    for i in range(m):
+        for j in range(m):
+            w = spaces.matrix[spaces.begin[s] + i * m + j]
+            for d in range(3):
+                value[j, d] += w * polynomial[i, d]
+    return place, value
 
 
 @kernel
