@@ -1,0 +1,34 @@
+"""Ranges of planes and stretches of bytes, against plain lists."""
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from meshdeform_formats.planes import Stretches, ranges_of
+
+SIDES = st.integers(1, 2000)
+
+
+@given(st.lists(st.tuples(st.integers(0, 9), st.integers(1, 7)), min_size=1, max_size=6), st.data())
+def test_bytes_lie_where_their_stretches_are(gaps, data):
+    stretches, every, at = [], [], 0
+    for gap, length in gaps:
+        stretches.append((at + gap, length))
+        every += range(at + gap, at + gap + length)
+        at += gap + length
+    first = data.draw(st.integers(0, len(every)))
+    last = data.draw(st.integers(first, len(every)))
+    found = list(Stretches(stretches).places(first, last))
+    assert [place for offset, length in found for place in range(offset, offset + length)] == every[first:last]
+    assert len(found) <= len(stretches)
+
+
+@given(st.lists(st.tuples(SIDES, SIDES, SIDES), min_size=1, max_size=5))
+def test_ranges_are_all_planes_once(shapes):
+    parts = ranges_of(list(enumerate(shapes)))
+    assert [(part.block, k) for part in parts for k in range(part.first, part.last)] == [
+        (block, k) for block, shape in enumerate(shapes) for k in range(shape[2])
+    ]
+    for block, first, last in parts:
+        ni, nj, nk = shapes[block]
+        assert last - first >= 8 or last == nk
+        assert ni * nj * (last - first) <= max(1 << 18, 8 * ni * nj)
