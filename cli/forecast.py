@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from meshdeform_core.boundary.pinned import find_pinned
 from meshdeform_core.boundary.prescribed import largest_displacement
 from meshdeform_core.deform import Result, Setup, Timing, impose, set_up
+from meshdeform_core.memory import MemoryLimit
 from meshdeform_core.methods import prepare_method
 from meshdeform_core.methods.limits import patch_motions
 from meshdeform_core.repair.limit import Limit
@@ -19,6 +20,7 @@ from meshdeform_core.wording import counted
 from meshdeform_formats.grids import variant_of
 from meshdeform_formats.report import Report, plan_report
 
+from .expense import expense_of
 from .work import Imposed, Job, place_of
 
 if TYPE_CHECKING:
@@ -37,9 +39,11 @@ class Forecast:
     impossible: bool
 
 
-def plan(job: Job, output: Path | None, imposed: Imposed, variant: dict[str, str]) -> tuple[Report, bool]:
-    """The report of a dry run (classification, parameters, node counts, early warnings), and whether no valid grid
-    exists."""
+def plan(
+    job: Job, output: Path | None, imposed: Imposed, variant: dict[str, str], limit: MemoryLimit
+) -> tuple[Report, bool]:
+    """The report of a dry run (classification, parameters, node counts, early warnings; of a grid too large for a
+    trial, what a run takes), and whether no valid grid exists."""
     precision = variant_of(job.grid, output, variant).precision if output is not None else job.grid.precision
     setup = set_up(job.grid, imposed.case(job.case.case), memory=job.memory)
     prepared = prepare_method(job.case.case.method, setup.problem)
@@ -55,6 +59,9 @@ def plan(job: Job, output: Path | None, imposed: Imposed, variant: dict[str, str
     report["warnings"] += prepared.warnings_for(motion[sources], first[sources])
     expected = forecast(setup, imposed.time, imposed.steps, precision)
     report["warnings"] += expected.warnings
+    if job.grid.n_nodes > TRIAL_NODES:
+        expense = expense_of(job.grid, setup.case, output, precision, limit)
+        report["expected"] = dataclasses.asdict(expense)
     return report, expected.impossible
 
 

@@ -62,6 +62,15 @@ def make_room(
     Demand(f"{doing} {nodes:,} nodes", nodes, 24 * nodes, faces, arrays).place(limit, folder)
 
 
+def too_large(limit: MemoryLimit, source: GridInput) -> Layout | None:
+    """The blocks of a grid that cannot be deformed in memory; ``None`` for others, and where its header does not
+    tell."""
+    if not source.path.is_file() or Demand("", 0, _UNPACKED * _bytes_of(source.path)).in_memory <= limit.size:
+        return None
+    layout = layout_at(source)
+    return layout if layout and Demand("", 0, 24 * layout.n_nodes).in_memory > limit.size else None
+
+
 def _bytes_of(path: Path) -> int:
     """Size of a file; of a small one, with those that it may refer to."""
     from meshdeform_formats.inputs import files_behind

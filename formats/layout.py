@@ -31,6 +31,15 @@ class Layout:
         return face_node_count(self.shapes)
 
     @property
+    def n_blocks(self) -> int:
+        return len(self.shapes)
+
+    @property
+    def n_cells(self) -> int:
+        """The single plane of a 2-D block counts as one layer of cells."""
+        return node_count([(max(ni - 1, 1), max(nj - 1, 1), max(nk - 1, 1)) for ni, nj, nk in self.shapes])
+
+    @property
     def dimension(self) -> int:
         """2 if the blocks are planes of nodes, else 3."""
         return 2 if 1 in self.shapes[0] else 3

@@ -14,6 +14,7 @@ from meshdeform_core.memory import readable
 
 from .files import followed
 from .grids import format_of
+from .layout import Layout
 
 
 def require_space(grid: Grid, path: Path, variant: FileFormat) -> None:
@@ -40,7 +41,7 @@ def require_space(grid: Grid, path: Path, variant: FileFormat) -> None:
         )
 
 
-def least_bytes(grid: Grid, path: Path, variant: FileFormat) -> int:
+def least_bytes(grid: Grid | Layout, path: Path, variant: FileFormat) -> int:
     """Size in bytes that a grid has at least in a file; 0 where it is compressed or text, whose size is not known."""
     name = format_of(path)
     container = grid.format.options.get("container") if grid.format else None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -154,13 +155,24 @@ class Demand:
         Raises
         ------
         MethodError
-            When the rest does not fit either.
+            When the rest does not fit either, or the files not on the disk.
         """
         possible = sys.platform == "linux" and current_ranks().count == 1
         files = folder if possible and self.in_memory > limit.size else None
         set_scratch(Scratch(files, limit.size) if files else None)
         needed = min(self.in_memory, self.beside_files(limit)) if files else self.in_memory
         limit.require(needed, self.what, _INSTEAD)
+        if files:
+            _require_disk(2 * self.coordinate_bytes, self.what, files)
+
+
+def _require_disk(size: int, what: str, folder: Path) -> None:
+    free = shutil.disk_usage(folder).free
+    if size > free:
+        raise MethodError(
+            f"{what} beyond the memory needs files of {readable(size)} to work in; the disk of {folder} has "
+            f"{readable(free)} free: make room there, choose another disk, or allow more memory"
+        )
 
 
 def machine_memory() -> MemoryLimit:

@@ -21,6 +21,7 @@ from ..options import (
 from ..outputs import check_output, check_reports
 from ..process.machine import use_threads
 from ..process.progress import ProgressBar
+from ..room import too_large
 
 
 @click.command("deform")
@@ -79,13 +80,17 @@ def command(
 
     outputs = [output, *([] if output is None or run.allow_invalid else [invalid_path(output)]), *run.reports]
     imposed = work.Imposed(steps, at_time)
+    if run.dry_run and (layout := too_large(limit, source)):
+        from ..expense import plan_by_sizes
+
+        return work.print_plan(plan_by_sizes(layout, case.read().case, output, options, limit), False, run)
     with ProgressBar(not run.quiet) as progress:
         workplace = None if run.dry_run or output is None else output.parent
         job = work.load(source, case, limit, [path for path in outputs if path is not None], workplace)
         if output is not None and not (run.force or run.dry_run or run.allow_invalid):
             require_earlier_grid(invalid_path(output), job.grid)
         if run.dry_run or output is None:
-            planned, impossible = forecast.plan(job, output, imposed, options)
+            planned, impossible = forecast.plan(job, output, imposed, options, limit)
         else:
             report, illustrate = work.run(job, output, imposed, options, run, progress)
     if run.dry_run:

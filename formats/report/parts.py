@@ -17,11 +17,13 @@ from meshdeform_core.grid import Grid
 from meshdeform_core.methods import Account
 from meshdeform_core.quality import Assessment, InvalidCell
 
+from ..layout import Layout
+
 SCHEMA = 1
 Report = dict[str, Any]
 
 
-def head_part(grid: Grid) -> Report:
+def head_part(grid: Grid | Layout) -> Report:
     """Versions and the grid."""
     return {
         "schema": SCHEMA,

@@ -50,12 +50,24 @@ def _lines(report: dict[str, Any], parameters: bool) -> Iterator[str]:
         yield from _quality(report)
     if parameters and "method" in report:
         yield from _parameters(report["method"])
+    if "expected" in report:
+        yield _expected(report["expected"])
     if "timing" in report:
         timing = report["timing"]
         yield "seconds   " + "  ".join(f"{name} {value:.2f}" for name, value in timing.items())
         yield f"memory    {readable(report['peak_memory_bytes'])} at most"
     for warning in report["warnings"]:
         yield f"warning   {warning}"
+
+
+def _expected(expense: dict[str, Any]) -> str:
+    """What a run will take."""
+    work, output, seconds = expense["work_bytes"], expense["output_bytes"], expense["cpu_seconds"]
+    disk = [f"{readable(work)} of files to work in"] if work else []
+    disk += [f"{readable(output)} for the output"] if output else []
+    parts = [f"memory {readable(expense['memory_bytes'])}", *([f"disk {' and '.join(disk)}"] if disk else [])]
+    parts += [] if seconds is None else [f"processor time {seconds:,.3g} s on this machine"]
+    return f"expected  {'; '.join(parts)}"
 
 
 def _no_format(grid: dict[str, Any]) -> str:

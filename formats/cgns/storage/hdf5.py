@@ -10,7 +10,7 @@ Files of hundreds of zones have tens of thousands of nodes, for which h5py's hig
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
@@ -163,9 +163,13 @@ def _node(group: h5g.GroupID | h5d.DatasetID, file: Path, path: str, links: int 
         members -= 1
         dataset = h5d.open(group, _DATA)
         node.dims, node.dtype = dataset.shape[::-1], _dtype(dataset, data_type)
-        node.require = partial(_require_stored, group, file, path)
-        node.read = _reading(group, dataset, node.dims, node.dtype) if node.dims else node.read
-        node.place = partial(_place, group)
+        values = _few_values(dataset, node.dims, node.dtype)
+        if values is not None:
+            node.read = lambda: values.T
+        else:
+            node.require = partial(_require_stored, group, file, path)
+            node.read = (lambda: _values(group)) if node.dims else node.read
+            node.place = partial(_place, group)
     if members:
         node.expand = lambda: _children(group, file, path)
     return node
@@ -176,18 +180,21 @@ def _dtype(dataset: h5d.DatasetID, data_type: str) -> np.dtype[Any]:
     return DTYPES[data_type] if known is not None and dataset.get_type().equal(known) else dataset.dtype
 
 
-def _reading(
-    group: h5g.GroupID, dataset: h5d.DatasetID, dims: tuple[int, ...], dtype: np.dtype[Any]
-) -> Callable[[], NDArray[Any]]:
-    """What reads the values. A few are read at once: they take less memory than an open group of the library."""
-    if math.prod(dims) * dtype.itemsize <= _FEW_BYTES:
-        try:
-            values = np.empty(dims[::-1], dtype)
-            dataset.read(h5s.ALL, h5s.ALL, values, _NATIVE_TYPES.get(dtype))
-            return lambda: values.T
-        except (OSError, RuntimeError, KeyError, ValueError, TypeError):  # reported if they are asked for
-            pass
-    return lambda: _values(group)
+def _few_values(dataset: h5d.DatasetID, dims: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any] | None:
+    """The values of a small array, if they are all stored in the file itself: they take less memory than an open group
+    of the library, some 10 kB. ``None`` for others, whose faults are reported if they are asked for."""
+    size = math.prod(dims) * dtype.itemsize
+    if not 0 < size <= _FEW_BYTES or dataset.get_storage_size() < size:
+        return None
+    layout = dataset.get_create_plist()
+    if layout.get_layout() == h5d.VIRTUAL or layout.get_external_count():
+        return None
+    try:
+        values = np.empty(dims[::-1], dtype)
+        dataset.read(h5s.ALL, h5s.ALL, values, _NATIVE_TYPES.get(dtype))
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError):
+        return None
+    return values
 
 
 def _follow(group: h5g.GroupID, name: bytes, links: int) -> Node | None:

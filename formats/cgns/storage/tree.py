@@ -108,13 +108,24 @@ class Node:
     @cached_property
     def children(self) -> tuple[Node, ...]:
         """Children in file order, without following links."""
-        return tuple(self.expand())
+        found = tuple(self.expand())
+        # What reads them may hold an open group of a library.
+        self.expand = tuple
+        return found
 
-    @cached_property
+    def release(self) -> None:
+        """Let go of the nodes below, and of what the container holds for them, where nothing needs them any more."""
+        for name in ("children", "_by_name"):
+            self.target.__dict__.pop(name, None)
+
+    @property
     def target(self) -> Node:
         """The node with label, data and children; an empty node for a link that is broken or circular."""
-        if self.link is None:
-            return self
+        # Not stored: a node that refers to itself is freed late, and with it an open group of the library.
+        return self if self.link is None else self._followed
+
+    @cached_property
+    def _followed(self) -> Node:
         if self._following:
             return self._empty()
         self._following = True

@@ -1,0 +1,74 @@
+"""What a dry run says that a run takes: from the header of the file alone, where the grid is larger than the memory."""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+
+import jsonschema
+import numpy as np
+import pytest
+
+from meshdeform_cli import expense, forecast
+from meshdeform_core.memory import parse_memory
+from meshdeform_formats.grids import read_grid
+from meshdeform_formats.report.schema import report_schema
+
+BILLION = 10**9
+
+
+@pytest.fixture
+def sparse(tmp_path):
+    """A Plot3D file of 1e9 nodes in 1000 blocks, nearly all of it a hole."""
+    shapes = np.full((1000, 3), 100, np.int32)
+    with (tmp_path / "sparse.xyz").open("wb") as stream:
+        stream.write(struct.pack("<i", len(shapes)) + shapes.tobytes())
+        stream.truncate(4 + shapes.nbytes + 24 * BILLION)
+    if os.stat(tmp_path / "sparse.xyz").st_blocks * 512 > 10**6:
+        pytest.skip("this file system has no holes")
+    return tmp_path / "sparse.xyz"
+
+
+def test_a_billion_nodes_are_foretold_from_a_header(sparse, call, bench, tmp_path):
+    output = tmp_path / "out.xyz"
+    done = call("deform", sparse, "-c", "case.toml", "-o", output, "--dry-run", "--json", "-q", "--max-memory", "64GiB")
+    assert done.code == 0, done.err
+    assert "only the header of its file was read" in done.err
+    report = json.loads(done.out)
+    jsonschema.validate(report, report_schema())
+    assert report["grid"]["nodes"] == BILLION
+    expected = report["expected"]
+    assert 63 * 2**30 < expected["memory_bytes"] <= 64 * 2**30
+    assert expected["work_bytes"] == pytest.approx(53 * BILLION)
+    assert expected["output_bytes"] == 24 * BILLION
+    assert 100 < expected["cpu_seconds"] < 100_000
+    assert not output.exists()
+
+
+def test_what_fits_in_no_way_is_refused_with_its_size(sparse, call, bench):
+    done = call("deform", sparse, "-c", "case.toml", "--dry-run", "--max-memory", "8GiB")
+    assert done.code == 2
+    assert "deforming 1,000,000,000 nodes needs about 24." in done.err
+
+
+def test_grids_too_large_for_a_trial_are_told_what_they_take(call, bench, monkeypatch):
+    """By the same numbers, in a report and as text; of methods whose time the sizes do not tell, without it."""
+    monkeypatch.setattr(forecast, "TRIAL_NODES", 1000)
+    command = ("deform", "grid.cgns", "-c", "case.toml", "-o", "out.cgns", "--dry-run")
+    expected = json.loads(call(*command, "--json", "-q").out)["expected"]
+    assert expected["output_bytes"] == os.path.getsize("grid.cgns")
+    assert expected["work_bytes"] == 0
+    assert 200e6 < expected["memory_bytes"] < 400e6
+    assert "expected  memory" in call(*command).out
+    assert "processor time" not in call(*command, "-m", "rbf").out
+
+
+def test_the_time_scales_with_that_of_the_sample(bench, monkeypatch):
+    grid, limit = read_grid("grid.cgns"), parse_memory("8GiB", "--max-memory")
+    seconds = []
+    for sample in (0.5, 1.0):
+        monkeypatch.setattr(expense, "_sample_seconds", lambda _, sample=sample: sample)
+        case = type("Case", (), {"method": type("Method", (), {"name": "idw-tfi"})})
+        seconds.append(expense.expense_of(grid, case, None, "float64", limit).cpu_seconds)
+    assert seconds[1] == pytest.approx(2 * seconds[0])
