@@ -27,6 +27,7 @@ from ..notices import Notice
 from ..numerics.geometry.crossing import crossing_faces, displaced, near_faces, with_moved
 from ..numerics.geometry.overlap import BESIDE, ORDINARY, SLIDING, FaceTree
 from ..numerics.geometry.solid_angle import plane_winding, winding
+from ..wording import counted
 from .classification import Boundary, Kind
 
 TOUCH = 1e-7
@@ -58,7 +59,7 @@ class Crossing:
         one, two = self.patches
         pair = f"{one!r} meets itself" if one == two else f"{one!r} and {two!r} meet"
         place = ", ".join(f"{x:.6g}" for x in self.point)
-        return f"{pair} at ({place}) ({self.count} pairs of faces)"
+        return f"{pair} at ({place}) ({counted(self.count, 'pair of faces', 'pairs of faces')})"
 
 
 @dataclass(frozen=True)
