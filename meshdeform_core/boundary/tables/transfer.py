@@ -59,21 +59,24 @@ def _from_points(data: SurfaceData, matching: Matching, nodes: Nodes) -> Transfe
     distance, nearest = tree.query(nodes.points)
     matched = distance <= reach
     _require_one_displacement(data, nodes, tree)
-    displacement = np.where(matched[:, None], data.displacement[nearest], 0.0)
-    used = len(np.unique(nearest[matched])), len(data.points)
-    beyond = np.zeros(len(distance))
+    used = len(np.unique(nearest[matched]))
+    return _of_table(data, matching, data.displacement[nearest], matched, distance, used, np.zeros(len(distance)))
+
+
+def _of_table(
+    data: SurfaceData,
+    matching: Matching,
+    displacement: FloatArray,
+    matched: BoolArray,
+    distance: FloatArray,
+    used: int,
+    beyond: FloatArray,
+) -> Transfer:
+    n = len(data.points)
     return Transfer(
-        displacement,
-        matched,
-        distance,
-        data.label,
-        matching.how,
-        used,
-        data.points,
-        beyond,
-        matching.partial,
-        data.plane,
-    )
+        np.where(matched[:, None], displacement, 0.0), matched, distance, data.label, matching.how, (used, n),
+        data.points, beyond, matching.partial, data.plane,
+    )  # fmt: skip
 
 
 def _require_one_displacement(data: SurfaceData, nodes: Nodes, tree: scipy.spatial.cKDTree) -> None:
@@ -115,27 +118,13 @@ def _require_continuous(data: SurfaceData) -> None:
 
 
 def _interpolate(data: SurfaceData, matching: Matching, nodes: Nodes) -> Transfer:
-    if not len(data.triangles):
-        _require_continuous(data)
     if len(data.triangles):
         displacement, distance, beyond = _on_triangles(data, nodes.points)
     else:
+        _require_continuous(data)
         displacement, distance, beyond = _between_points(data, nodes)
-    matched = distance <= _reach(data, matching, nodes)
-    displacement = np.where(matched[:, None], displacement, 0.0)
-    count = (len(data.points),) * 2
-    return Transfer(
-        displacement,
-        matched,
-        distance,
-        data.label,
-        matching.how,
-        count,
-        data.points,
-        beyond,
-        matching.partial,
-        data.plane,
-    )
+    matched = np.asarray(distance <= _reach(data, matching, nodes))
+    return _of_table(data, matching, displacement, matched, distance, len(data.points), beyond)
 
 
 def _reach(data: SurfaceData, matching: Matching, nodes: Nodes) -> FloatArray | float:
