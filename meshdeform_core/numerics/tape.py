@@ -15,6 +15,7 @@ import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
 
 from .arrays import FloatArray
+from .partials import FIXED, MATMUL, PARTIALS
 
 Linear = Callable[[FloatArray], FloatArray]
 Link = tuple["Tracked", Linear, Linear]
@@ -175,15 +176,15 @@ class Tracked(NDArrayOperatorsMixin):
         if method != "__call__":
             return NotImplemented
         plain = [_plain(each) for each in inputs]
-        if ufunc.__name__ in _FIXED:
+        if ufunc.__name__ in FIXED:
             return ufunc(*plain)
         if ufunc is np.matmul:
-            return _products(np.matmul, _MATMUL[plain[0].ndim, plain[1].ndim], inputs)
+            return _products(np.matmul, MATMUL[plain[0].ndim, plain[1].ndim], inputs)
         out, mask = options.get("out", (None,))[0], options.get("where", True)
         # A masked operation keeps what is in ``out`` elsewhere, which is no tracked array.
         value = ufunc(*plain) if mask is True else ufunc(*plain, out=_plain(out).copy(), where=mask)
         with np.errstate(all="ignore"):
-            partials = _PARTIALS[ufunc.__name__](value, *plain)
+            partials = PARTIALS[ufunc.__name__](value, *plain)
         links = []
         for each, partial in zip(inputs, partials, strict=True):
             if isinstance(each, Tracked):
@@ -221,48 +222,6 @@ def _scaled(source: Tracked, factor: Any, shape: tuple[int, ...]) -> Link:
     """Change of an elementwise operation with partial derivative ``factor``."""
     own = source.shape
     return source, lambda t: np.broadcast_to(factor * t, shape), lambda g: _reduced(np.asarray(factor * g), own)
-
-
-def _quotient(a: Any, b: Any) -> Any:
-    """a / b, zero where b is."""
-    b = np.asarray(b)
-    return np.where(b != 0.0, a / np.where(b != 0.0, b, 1.0), 0.0)
-
-
-_FIXED = frozenset(
-    [
-        "less",
-        "less_equal",
-        "greater",
-        "greater_equal",
-        "equal",
-        "not_equal",
-        "isfinite",
-        "isnan",
-        "rint",
-        "sign",
-        "floor",
-        "ceil",
-        "logical_not",
-    ]
-)
-_PARTIALS: dict[str, Callable[..., tuple[Any, ...]]] = {
-    "add": lambda y, a, b: (1.0, 1.0),
-    "subtract": lambda y, a, b: (1.0, -1.0),
-    "multiply": lambda y, a, b: (b, a),
-    "divide": lambda y, a, b: (1.0 / np.asarray(b), -np.asarray(a) / np.asarray(b) ** 2),
-    "negative": lambda y, a: (-1.0,),
-    "absolute": lambda y, a: (np.sign(a),),
-    "sqrt": lambda y, a: (_quotient(0.5, y),),
-    "sin": lambda y, a: (np.cos(a),),
-    "cos": lambda y, a: (-np.sin(a),),
-    "power": lambda y, a, n: (n * a ** (n - 1.0), 0.0),
-    "square": lambda y, a: (2.0 * a,),
-    "arctan2": lambda y, a, b: (_quotient(b, a**2 + b**2), -_quotient(a, a**2 + b**2)),
-    "maximum": lambda y, a, b: ((np.asarray(a) >= b) * 1.0, (np.asarray(a) < b) * 1.0),
-    "minimum": lambda y, a, b: ((np.asarray(a) <= b) * 1.0, (np.asarray(a) > b) * 1.0),
-}
-_MATMUL = {(1, 1): "i,i->", (1, 2): "i,ij->j", (2, 1): "ij,j->i", (2, 2): "ij,jk->ik"}
 
 
 def _tape_of(values: Any) -> Tape:

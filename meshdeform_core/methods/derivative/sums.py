@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
 
 import numpy as np
 
@@ -23,27 +22,6 @@ _CHUNK = 2048
 _PORTIONS = 32
 
 Weights = tuple[tuple[float, float, float], ...]
-
-
-class LinearSums(Protocol):
-    """See :class:`..fastsum.weighted.frozen.FrozenSums`."""
-
-    portions: int
-    acting: BoolArray
-
-    @property
-    def flat(self) -> IntArray: ...
-
-    def push(
-        self,
-        values: FloatArray,
-        use: Use,
-        result: FloatArray | None = None,
-        kept: Sequence[FloatArray] = (),
-        weigh: bool = False,
-    ) -> None: ...
-
-    def pull(self, make: Make, k: int) -> FloatArray: ...
 
 
 def sums_of(bound: Bound, fast: bool, weights: Weights, acting: BoolArray, share: float = 1.0) -> LinearSums:
@@ -130,3 +108,6 @@ class ExactSums:
 
         for_chunks(work, self.portions, 1, shared=[Shared(totals)])
         return np.asarray(sum(totals[portion] for portion in range(self.portions)))
+
+
+LinearSums = ExactSums | FrozenSums

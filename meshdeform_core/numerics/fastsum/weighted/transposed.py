@@ -15,7 +15,7 @@ from ..clusters.acceptance import Kernel
 from ..clusters.boxes import box_coordinate, chebyshev, lagrange
 from ..clusters.bricks import spans
 from ..clusters.tree import CHARGES, SourceTree
-from .treesum import Places, shares_of_box
+from .treesum import Places, boxes_of, shares_of_box
 from .walk import Lists, few_nodes
 
 
@@ -36,12 +36,7 @@ def collect_sums(first, last, bricks, regions, places, filled, gradient):
                     step == 1 and not filled[region]
                 ):
                     continue
-                center, axes, half = (
-                    (bricks.center, bricks.axes, bricks.half)
-                    if step == 0
-                    else (regions.center, regions.axes, regions.half)
-                )
-                per_side, box = (bricks.per_side, b) if step == 0 else (regions.per_side, g)
+                center, axes, half, per_side, box = boxes_of(step == 1, bricks, regions, b, g)
                 _collect(
                     center, axes, half, per_side, box, places.span[source, 0], places.points, places.span[target, 0],
                     places.span[target, 1], gradient,

@@ -184,18 +184,21 @@ def interpolate_sums(first, last, bricks, regions, places, filled, sums):
                 source, target = (region, item + 1 + few) if step == 0 else (item + 1, item + 2)
                 if not filled[source] or (step == 1 and few):
                     continue
-                center, axes, half = (
-                    (regions.center, regions.axes, regions.half)
-                    if step == 0
-                    else (bricks.center, bricks.axes, bricks.half)
-                )
-                per_side, box = (regions.per_side, g) if step == 0 else (bricks.per_side, b)
+                center, axes, half, per_side, box = boxes_of(step == 0, bricks, regions, b, g)
                 _interpolate(
                     center, axes, half, per_side, box, places.span[source, 0], columns, places.points,
                     places.span[target, 0], places.span[target, 1], sums,
                 )  # fmt: skip
             item += 2
         item += 1
+
+
+@inlined
+def boxes_of(coarse, bricks, regions, b, g):
+    """The boxes of regions, if ``coarse``, or of bricks, and the number of the one meant."""
+    if coarse:
+        return regions.center, regions.axes, regions.half, regions.per_side, g
+    return bricks.center, bricks.axes, bricks.half, bricks.per_side, b
 
 
 @inlined
