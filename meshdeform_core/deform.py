@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -165,20 +166,20 @@ def _joined(course: Course, found: list[tuple[Component, Result]]) -> Result:
     warnings = [named(component.name, text) for component, result in found for text in result.warnings]
     repairs = [result.repair for result in results if result.repair]
     return Result(
-        setup,
-        setup.grid.moved(points),
-        dataclasses.replace(whole, invalid=tuple(listed[:MAX_LISTED]), groups=tuple(groups[:MAX_GROUPS])),
-        account_of({component.name: result.account for component, result in found if result.account.settings}),
-        max(result.steps for result in results),
-        min(result.reached for result in results),
-        course.total,
-        course.timing,
-        (*course.log.warnings, *warnings),
-        patch_motions(setup.problem, course.total),
-        tuple(attempt for result in results for attempt in result.attempts),
-        functools.reduce(Repair.beside, repairs) if repairs else None,
-        tuple((component.name, result) for component, result in found),
-        "; ".join(f"{component.name}: {result.way}" for component, result in found),
+        setup=setup,
+        grid=setup.grid.moved(points),
+        assessment=dataclasses.replace(whole, invalid=tuple(listed[:MAX_LISTED]), groups=tuple(groups[:MAX_GROUPS])),
+        account=account_of({component.name: result.account for component, result in found if result.account.settings}),
+        steps=max(result.steps for result in results),
+        reached=min(result.reached for result in results),
+        displacement=course.total,
+        timing=course.timing,
+        warnings=(*course.log.warnings, *warnings),
+        motion=patch_motions(setup.problem, course.total),
+        attempts=tuple(attempt for result in results for attempt in result.attempts),
+        repair=functools.reduce(Repair.beside, repairs) if repairs else None,
+        components=tuple((component.name, result) for component, result in found),
+        way="; ".join(f"{component.name}: {result.way}" for component, result in found),
     )
 
 
@@ -194,25 +195,23 @@ def _result(reached: Reached) -> Result:
             broken = assess(setup.original, points, setup.boundary, cells)
             assessment = dataclasses.replace(assessment, invalid=broken.invalid, groups=broken.groups)
         assessment = assessment.with_steps(setup.grid, state.first_bad, state.steps + (failed is not None))
-    account = state.account or (failed.account if failed else Account())
     return Result(
-        setup,
-        setup.grid.moved(final),
-        assessment,
-        account,
-        state.steps,
-        state.fraction,
-        course.total,
-        course.timing,
-        (
-            *course.log.warnings,
-            *state.notices.values(),
-            *_nearly_collapsed(assessment),
-            *_overlaps(state, assessment),
+        setup=setup,
+        grid=setup.grid.moved(final),
+        assessment=assessment,
+        account=state.account or (failed.account if failed else Account()),
+        steps=state.steps,
+        reached=state.fraction,
+        displacement=course.total,
+        timing=course.timing,
+        warnings=tuple(
+            itertools.chain(
+                course.log.warnings, state.notices.values(), _nearly_collapsed(assessment), _overlaps(state, assessment)
+            )
         ),
-        patch_motions(setup.problem, course.total),
-        tuple(course.log.attempts),
-        sum(state.repairs[1:], state.repairs[0]) if state.repairs else None,
+        motion=patch_motions(setup.problem, course.total),
+        attempts=tuple(course.log.attempts),
+        repair=sum(state.repairs[1:], state.repairs[0]) if state.repairs else None,
         way=state.way,
         plain=state.plain,
     )
