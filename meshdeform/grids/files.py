@@ -10,7 +10,7 @@ from .grid import Grid
 
 
 def read(path: str | Path, *, boundary_file: str | Path | None = None, **variant: str) -> Grid:
-    """Read a block-structured grid: Plot3D, CGNS or VTK, recognised by its content.
+    """Read a block-structured grid: Plot3D, CGNS, VTK or a blockMeshDict of OpenFOAM, recognised by its content.
 
     Parameters
     ----------
