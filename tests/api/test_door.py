@@ -300,6 +300,14 @@ NUMBERS = hnp.arrays(
 )
 
 
+def test_messages_tell_the_rows_of_one_patch_from_those_of_all():
+    mesh = md.prepare(square(4), moving=["block1.jmin", "block1.jmax"], method="tfi")
+    with pytest.raises(md.MotionError, match=r"one row per node of mesh\.points"):
+        mesh.deform(np.zeros((3, 3)))
+    with pytest.raises(md.MotionError, match="one row per node of the patch"):
+        mesh.deform({"block1.jmin": np.zeros((3, 3)), "block1.jmax": np.zeros((4, 3))})
+
+
 @settings(max_examples=150, deadline=None)
 @given(NUMBERS)
 def test_any_array_gives_a_finite_grid_or_a_message(values):

@@ -1,12 +1,14 @@
 """Rotations by about 180 degrees and beyond: where the logarithm of a rotation changes its sign."""
 
+import functools
+
 import numpy as np
 import pytest
 from cases import ALL_METHODS, apply, body_specs, problem_of, turning
 from grids import frame, frame_2d, polar
 from scipy.spatial.transform import Rotation
 
-from meshdeform_core.methods import IDW, Options
+from meshdeform_core.methods import IDW, Options, make_method
 from meshdeform_core.methods.limits import largest_rotation
 from meshdeform_core.numerics.branches import continuous, nearest_branch
 from meshdeform_core.numerics.rotation import SurfaceRotations
@@ -28,13 +30,23 @@ def bend(x: np.ndarray) -> np.ndarray:
     return np.stack(wave, axis=1)
 
 
-@pytest.mark.parametrize("angle", ANGLES)
+@functools.cache
+def prepared(name):
+    """A method prepared for a grid in space and one in the plane, with the axes about which they turn."""
+    problems = problem_of(frame()), problem_of(frame_2d())
+    return [
+        (problem, make_method(ALL_METHODS[name]).prepare(problem), axes)
+        for problem, axes in zip(problems, (AXES, AXES[:1]), strict=True)
+    ]
+
+
 @pytest.mark.parametrize("name", TURNING)
+@pytest.mark.parametrize("angle", ANGLES)
 def test_rigid_motion_of_everything_is_reproduced(name, angle):
-    for grid, axes in ((frame(), AXES), (frame_2d(), AXES[:1])):
-        problem = problem_of(grid)
+    for problem, method, axes in prepared(name):
+        grid, x = problem.grid, problem.source_points
         for axis in axes:
-            moved = apply(ALL_METHODS[name], problem, lambda x, axis=axis: turned(x, angle, axis) - x)
+            moved = method.apply(turned(x, angle, axis) - x)
             limit = 1e-10 if "rbf" in name else 1e-12
             assert np.abs(grid.points + moved - turned(grid.points, angle, axis)).max() < limit
 

@@ -51,19 +51,26 @@ def untangler_of(region, reference):
 PENALTIES = [Penalty(1.0), Penalty(0.05), Penalty(0.0, 0.3, 2.0, 0.7), Penalty(0.0, 0.3, 2.0, 0.7, True)]
 
 
+def unequal(region, random):
+    """The region with a share of its own for the samples between corners of every cell."""
+    share = random.uniform(0.1, 1.0, len(region.energy.weight))
+    return dataclasses.replace(region, energy=region.energy.with_between(share))
+
+
 @pytest.mark.parametrize("dimension", [2, 3])
 @pytest.mark.parametrize("penalty", PENALTIES)
 def test_gradient_is_that_of_differences_and_matrix_is_symmetric(dimension, penalty):
     setup = fixed_setup(cube(5, dimension))
     plot, random = whole_region(setup), np.random.default_rng(0)
+    region = unequal(plot.region, random) if dimension == 3 else plot.region
     start = plot.inside(setup.grid.points)
     x = start + 0.02 * random.standard_normal(start.shape)
-    untangler = untangler_of(plot.region, start)
+    untangler = untangler_of(region, start)
     system = untangler.system
-    system.fill(plot.region, x, start, penalty)
+    system.fill(region, x, start, penalty)
     for _ in range(3):
-        step = random.standard_normal((plot.region.n_unknowns, dimension))
-        moved = [plot.region.moved(x, plot.region.unknowns, step, h) for h in (-1e-6, 1e-6)]
+        step = random.standard_normal((region.n_unknowns, dimension))
+        moved = [region.moved(x, region.unknowns, step, h) for h in (-1e-6, 1e-6)]
         ends = [untangler.state(at, penalty).energy for at in moved]
         assert (ends[1] - ends[0]) / 2e-6 == pytest.approx(np.vdot(system.gradient, step), rel=1e-4)
     dense = system.dense()

@@ -308,6 +308,14 @@ def test_elements_of_gmsh_that_are_read_out_of_step(tmp_path):
         read_displacement(path)
 
 
+@pytest.mark.parametrize("number", ["1e17", "2.5", "-1e300"])
+def test_node_numbers_of_gmsh_are_whole_and_no_larger_than_floats_tell_apart(tmp_path, number):
+    path = tmp_path / "a.msh"
+    path.write_text(GMSH.replace("3 1 1 0\n", f"{number} 1 1 0\n"))
+    with pytest.raises(FormatError, match="a whole number was expected"):
+        read_displacement(path)
+
+
 def test_cells_of_a_type_that_vtk_does_not_have(tmp_path):
     triangles = np.array([[0, 1, 2], [0, 2, 3]])
     mesh = meshio.Mesh(POINTS[[0, 1, 2, 3]] % 5, [("triangle", triangles)], {"displacement": np.ones((4, 3))})

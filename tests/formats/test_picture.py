@@ -23,6 +23,7 @@ from meshdeform_formats.picture import (
     Pair,
     Panel,
     Subject,
+    comparison,
     cut_facets,
     moved_walls,
     overview,
@@ -215,6 +216,31 @@ def test_an_image_shows_the_near_side_of_a_cube():
     seen = {int(facets.group[n]) for n in np.unique(image.item) if n >= 0}
     assert seen == {1, 2, 5}
     assert 0.3 < image.pixels[..., 3].mean() < 0.95
+
+
+@pytest.mark.parametrize("corner", [(0, 0), (0, 1), (1, 0), (1, 1)])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_cell_is_shown_in_the_plane_in_which_it_folds(axis, corner):
+    """Whichever corner of its quadrilateral crosses the opposite diagonal."""
+    line = np.array([0.0, 1.0])
+    grid = Grid.from_blocks([np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1)])
+    points = grid.points.copy()
+    at = list(corner)
+    at.insert(axis, 0)
+    inwards = np.where(np.array(at) == 0, 0.8, -0.8)
+    inwards[axis] = 0.0
+    grid.block(0, points)[tuple(at)] += inwards
+    pair = Pair(grid, grid.moved(points), find_topology(grid))
+    found, normal = comparison._telling_plane(pair, 0, (0, 0, 0))
+    assert found == axis
+    np.testing.assert_array_equal(np.abs(normal), np.eye(3)[axis])
+
+
+def test_a_cell_without_folds_is_shown_where_its_smallest_angle_is():
+    """A kite, whose angles of 37 degrees and more lie between sides of different lengths, sheared to 30 degrees."""
+    kite = np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]], [[0.0, 1.0, 0.0], [0.0, 2.0, 2.0]]])
+    grid = Grid.from_blocks([np.stack([kite, kite + (0.5, 0.75**0.5, 0.0)])])
+    assert comparison._telling_plane(Pair(grid, grid, find_topology(grid)), 0, (0, 0, 0))[0] == 2
 
 
 def test_pages_before_and_after_have_one_size_and_scale():
