@@ -219,7 +219,7 @@ def test_points_that_are_no_coordinates_are_refused(value, tmp_path):
     points = made_case(tmp_path)
     points[5, 1] = value
     write_points(tmp_path / "constant/polyMesh/points", points, "x", True)
-    with pytest.raises(FormatError, match=r"point 5 is \[.*\]; expected finite coordinates up to 1e\+30"):
+    with pytest.raises(FormatError, match=r"point 5 is \(.*\); expected finite coordinates up to 1e\+30"):
         read_grid(tmp_path)
 
 
