@@ -11,10 +11,11 @@ from ..grid import FloatArray
 from ..numerics.cell.health import all_healthy
 from ..quality import Original
 from .constraints import Constraints
-from .energy.elements import COLLAPSED, HEALTHY, SOFT
+from .energy.elements import COLLAPSED
 from .energy.newton import NewtonSystem
 from .extrusion import Extrusion, find_extrusion
 from .neighbourhood import Neighbourhood, Plot
+from .tuned import HEALTHY, SOFT
 
 
 class Basis:

@@ -17,9 +17,8 @@ from ..parallel import alone, current_ranks
 from .basis import Basis, Whole
 from .energy.elements import Penalty
 from .energy.onset import share_of, share_slopes
-from .energy.untangle import CUBIC
 from .extrusion import Extrusion
-from .minimum import POLISHED
+from .tuned import CUBIC, POLISHED
 
 _LOOSE, _ITERATIONS, _REFINEMENTS = 1e-3, 5000, 40
 """The system is kept in single precision, so that its solution is refined."""

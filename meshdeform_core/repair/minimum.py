@@ -10,14 +10,13 @@ from .basis import Whole
 from .energy.onset import share_of
 from .energy.untangle import CLOSE, Pace, Untangler
 from .limit import Limit
+from .tuned import POLISHED
 
 # A regularisation that begins large and falls slowly finds valid grids where a quick one is caught.
 QUICK, PATIENT = Pace(60, 2.0, 0.2, around=40), Pace(200, 50.0, 0.1)
 # Where no valid grid exists, most cells that can become valid do so early.
 HASTY = Pace(30, 2.0, 0.3)
 _CONVERGING = 60
-POLISHED = 0.25
-"""Power of the weights of cells where a healthy grid is polished: those at walls are good already."""
 # A region of n nodes takes at most _WORK / n Newton steps, so that time is bounded on large grids.
 _WORK, _FEWEST = 20_000_000, 6
 

@@ -14,17 +14,9 @@ import itertools
 import numpy as np
 
 from ..grid import FloatArray, IntArray
+from .tuned import FALL, FIRST, GROWTH, HEAVIEST, REACH, SHARE, STEEP, THIN
 
-REACH = 32
-_SHARE = 0.4
-"""Cells count more up to REACH cells from walls, and up to this share of the largest distance in the grid: where
-there is little room, walls must give, too."""
-FALL, FIRST, STEEP = 2.5, 400.0, 4.0
-"""At a share s of that distance, cells count s^-FALL times as much, and those in layer l at least FIRST / l^STEEP times
-that distance in cells."""
 UNLIMITED = 1 << 14
-THIN, GROWTH, HEAVIEST = 50.0, 1.25, 40.0
-"""Cells of aspect ratio a weigh (a / THIN)^GROWTH, but at least 1 and at most HEAVIEST."""
 
 
 def nearness(layers: np.ndarray) -> FloatArray:
@@ -32,7 +24,7 @@ def nearness(layers: np.ndarray) -> FloatArray:
 
     ``layers`` (n,) are the distances in cells, -1 where no wall can be reached.
     """
-    reach = max(1.0, min(REACH, _SHARE * int(layers.max(initial=0))))
+    reach = max(1.0, min(REACH, SHARE * int(layers.max(initial=0))))
     return np.where(layers < 0, 1.0, np.minimum((layers + 1.0) / reach, 1.0)).astype(np.float64)
 
 

@@ -18,16 +18,13 @@ from ...numerics.cell.foldover.plane import (
     excess_of_triangles,
 )
 from ...numerics.cell.foldover.samples import Samples, shortest_edges
+from ..tuned import HEALTHY, NORM, SOFT
 
 COLLAPSED = 1e-10
 """A Jacobian below this share of the product of the edges is that of a collapsed corner."""
 _CORNERS = (1 << 8) - 1
 # Of the derivatives of a sample of a hexahedron, and of a triangle; measured.
 _SAMPLE, _TRIANGLE = 0.9, 0.4
-HEALTHY, SOFT, NORM = 2.5, 0.5, 24.0
-"""An element is healthy while its f, regularised by SOFT, is below HEALTHY: sheared by less than 45 degrees, or shorter
-or longer by less than 2. The excess log(f / HEALTHY) of the corners of a cell is combined in a NORM, as that of cells
-is."""
 
 
 class Penalty(NamedTuple):

@@ -10,14 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from ...grid import FloatArray
-from .elements import HEALTHY, NORM, Energy
-
-_FULL, _POWER = np.log(15.0 / HEALTHY), 3.0
-"""A grid whose excess is that of one corner with f = 15 has a share of 1, with which the elastic energy matters
-little."""
-_BETWEEN = np.log(4.0 / HEALTHY)
-"""Samples of a hexahedron between its corners count from this excess on, that of one corner with f = 4: few are
-negative below, and in a grid with many weak cells they are more than half of the work."""
+from ..tuned import BETWEEN, FULL, NORM, POWER
+from .elements import Energy
 
 
 def share_of(energy: Energy, x: FloatArray) -> tuple[float, Energy]:
@@ -28,7 +22,7 @@ def share_of(energy: Energy, x: FloatArray) -> tuple[float, Energy]:
     excess, whole = _excess(energy, x)
     if whole == 0.0:
         return 0.0, energy
-    return (whole / _FULL) ** _POWER, energy.with_between(_share_between(excess))
+    return (whole / FULL) ** POWER, energy.with_between(_share_between(excess))
 
 
 def share_slopes(energy: Energy, x: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -36,10 +30,10 @@ def share_slopes(energy: Energy, x: FloatArray) -> tuple[FloatArray, FloatArray]
     excess, whole = _excess(energy, x)
     if whole == 0.0:
         return np.zeros_like(excess), np.zeros_like(excess)
-    between, beyond = _share_between(excess), excess - _BETWEEN
+    between, beyond = _share_between(excess), excess - BETWEEN
     inside = (between > 0.0) & (between < 1.0)
-    of_between = np.divide(_POWER * between, beyond, out=np.zeros_like(excess), where=inside)
-    return _POWER / _FULL * (whole / _FULL) ** (_POWER - 1.0) * (excess / whole) ** (NORM - 1.0), of_between
+    of_between = np.divide(POWER * between, beyond, out=np.zeros_like(excess), where=inside)
+    return POWER / FULL * (whole / FULL) ** (POWER - 1.0) * (excess / whole) ** (NORM - 1.0), of_between
 
 
 def _excess(energy: Energy, x: FloatArray) -> tuple[FloatArray, float]:
@@ -52,4 +46,4 @@ def _excess(energy: Energy, x: FloatArray) -> tuple[FloatArray, float]:
 
 
 def _share_between(excess: FloatArray) -> FloatArray:
-    return np.clip((excess - _BETWEEN) / (_FULL - _BETWEEN), 0.0, 1.0) ** _POWER
+    return np.clip((excess - BETWEEN) / (FULL - BETWEEN), 0.0, 1.0) ** POWER

@@ -10,6 +10,7 @@ import numpy as np
 from ...grid import FloatArray
 from ...parallel import for_chunks
 from ..limit import Limit
+from ..tuned import CUBIC, SOFTENED
 from .elements import Energy, Penalty
 from .newton import NewtonSystem
 from .region import Region
@@ -20,10 +21,6 @@ _ELEMENTS = 4096
 _EVALUATION = 0.15
 _ROUGH, _ROUGH_ITERATIONS = 3e-2, 200
 _FINE, _FINE_ITERATIONS = 1e-5, 5000
-SOFTENED = 0.5
-"""Power of the weights of cells while they are untangled."""
-CUBIC = 2.0
-"""Of the energy that is minimised: the larger, the more the worst cells count."""
 # A determinant that stays below -_LOCKED eps while eps falls has nowhere to go in this region.
 _LOCKED = 100.0
 CLOSE, _CLOSER = 1e-6, 0.1
