@@ -39,13 +39,9 @@ from ..room import too_large
 )
 @run_options
 def command(
-    source: GridInput,
-    output: Path | None,
-    case: CaseInput,
-    steps: int | str | None,
-    at_time: float | None,
+    source: GridInput, output: Path | None, case: CaseInput, steps: int | str | None, at_time: float | None,
     run: RunInput,
-) -> int:
+) -> int:  # fmt: skip
     """Deform GRID, judge the result and write it.
 
     \b
