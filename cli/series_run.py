@@ -134,7 +134,7 @@ def _keep_what_exists(run: Run, manifest: Manifest) -> None:
         return
     gone = [number for number in range(len(manifest.levels)) if not run.files.has(number)]
     manifest.levels = manifest.levels[: gone[0]] if gone else manifest.levels
-    manifest.kinds = manifest.kinds[: len(manifest.levels)]
+    manifest.kinds, manifest.made = (part[: len(manifest.levels)] for part in (manifest.kinds, manifest.made))
     run.files.recall(manifest.levels)
     manifest.complete = False
 
@@ -146,7 +146,9 @@ def carry_out(run: Run, progress: ProgressBar) -> Report:
         progress("levels", first, count)
         # What a complete series was put together from is gone.
         finished = run.files.read if first < count else None
-        levels = deform_series(run.setup, run.schedule, run.files.variant.precision, progress, first, finished)
+        # Files that cannot be read back tell nothing of the levels before.
+        made = tuple(run.manifest.made) if run.files.readable else ()
+        levels = deform_series(run.setup, run.schedule, run.files.variant.precision, progress, first, finished, made)
         with Recorder(run) as recorder:
             for level in levels:
                 recorder.finish()
@@ -273,12 +275,13 @@ def _note(run: Run, level: Level, seconds: float) -> None:
     record = level_record(level, files.path(level.number).name, seconds, manifest.head, warnings)
     manifest.levels.append(record)
     manifest.kinds.append([kind_of(text) for text in warnings])
+    manifest.made.append(level.made)
     try:
         manifest.save()
     except BaseException:
         # A signal's message tells how many levels are recorded.
-        manifest.levels.pop()
-        manifest.kinds.pop()
+        for part in (manifest.levels, manifest.kinds, manifest.made):
+            part.pop()
         raise
     if level.number + 1 < len(run.schedule.times):
         with run.timing.stage("publish"):

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property, partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from .parallel import empty, for_rows
 from .smoothness import Moment, Smoothness, shortest_edges, smoothness
 from .velocity import PAST, VELOCITIES, face_fields, grid_velocity
 
-REVISION = 7
+REVISION = 8
 """Number of the algorithms: a series is continued only by a program with the same one.
 
 Raise it with every change after which a level of some series gets other coordinates or another verdict.
@@ -28,6 +29,8 @@ Raise it with every change after which a level of some series gets other coordin
 ORIGINS = ("reference", "last")
 _WRITTEN = 1e-6
 _SAMPLED = 8
+_RECENT = 2
+"""Levels before one from which its smoothness is known."""
 
 
 @dataclass(frozen=True)
@@ -71,13 +74,22 @@ class Drift:
     rms: float
 
 
+class Made(NamedTuple):
+    """How a level was made: ``plain`` and ``way`` as in :class:`Moment`; ``doubtful`` whether the next one is compared
+    with a level that starts anew."""
+
+    plain: bool
+    way: str
+    doubtful: bool
+
+
 @dataclass(frozen=True)
 class Level:
     """One time level.
 
     ``rotation`` is the largest rotation of a moving wall against the undeformed grid (degrees), ``velocity``
     (n_nodes, 3) the grid velocity, zero at the first level; ``faces`` are fields at the cell faces.
-    ``smoothness`` counts levels from the first that the same call has made.
+    ``made`` is what later levels need to know of this one, beside its coordinates.
     """
 
     number: int
@@ -89,6 +101,7 @@ class Level:
     faces: tuple[Field, ...]
     timing: Timing
     smoothness: Smoothness
+    made: Made
 
 
 def deform_series(
@@ -98,6 +111,7 @@ def deform_series(
     progress: Progress | None = None,
     first: int = 0,
     finished: Callable[[int], FloatArray] | None = None,
+    made: Sequence[Made] = (),
 ) -> Iterator[Level]:
     """Make the levels ``first``, ``first + 1``, ... in order; only the data that the next one needs are kept.
 
@@ -109,12 +123,17 @@ def deform_series(
     precision : of the files that will be written. Marching and velocities use the coordinates as written, so that
         they match the files and a continued series equals an uninterrupted one
     finished : coordinates (n_nodes, 3) as written of a level before ``first``; required if ``first`` needs any
+    made : of the levels before ``first``, if ``finished`` can tell their coordinates; without it the smoothness of
+        levels is known from ``first`` on only
     """
     for spec in setup.case.boundaries:
         if spec.motion:
             spec.motion.require(schedule.times)
     series = _Series(setup, schedule, precision, progress)
-    past = [finished(n) for n in range(first - series.past(first), first)] if finished else []
+    past: list[FloatArray] = []
+    if finished:
+        read = max(series.past(first), min(len(made), _RECENT))
+        past = series.recall([finished(n) for n in range(first - read, first)], first, made)
     for number in range(first, len(schedule.times)):
         level = series.level(number, past)
         yield level
@@ -132,6 +151,16 @@ class _Series:
         self._recent: list[Moment] = []
         self._last: Result | None = None
         self._doubtful = True
+
+    def recall(self, past: list[FloatArray], first: int, made: Sequence[Made]) -> list[FloatArray]:
+        """Continue after the levels ``made``; of ``past``, coordinates of the last ones, those that ``first`` needs."""
+        if made:
+            numbers = range(first - min(first, _RECENT), first)
+            self._recent = [
+                Moment(self.schedule.times[n], past[n - first], made[n].plain, made[n].way) for n in numbers
+            ]
+            self._doubtful = made[-1].doubtful
+        return past[len(past) - self.past(first) :]
 
     def level(self, number: int, past: list[FloatArray]) -> Level:
         setup, schedule = self.setup, self.schedule
@@ -157,12 +186,12 @@ class _Series:
         if smooth.warning:
             result = dataclasses.replace(result, warnings=(*result.warnings, smooth.warning))
         self._last, self._doubtful = result, bool(smooth.warning or (result.repair and result.repair.unique is False))
-        return Level(number, time, result, self._rotation(displacement), drift, velocity, faces, timing, smooth)
+        made = Made(self._recent[-1].plain, result.way, self._doubtful)
+        return Level(number, time, result, self._rotation(displacement), drift, velocity, faces, timing, smooth, made)
 
     def _smoothness(self, time: float, result: Result) -> Smoothness:
-        """Of the levels that this run has made."""
         self._recent = [
-            *self._recent[-2:],
+            *self._recent[-_RECENT:],
             Moment(time, result.grid.points, result.repair is None and result.steps == 1, result.way),
         ]
         return smoothness(self._recent, self._walls, self._edges)

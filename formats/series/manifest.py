@@ -14,7 +14,7 @@ from typing import Any
 from meshdeform_core.deform import Case
 from meshdeform_core.errors import CaseError, FormatError
 from meshdeform_core.methods import entry_of
-from meshdeform_core.series import REVISION, Schedule
+from meshdeform_core.series import REVISION, Made, Schedule
 
 from ..case import CaseFile
 from ..files import replacing
@@ -37,6 +37,7 @@ class Manifest:
     head : the part of the report that all levels share; empty before the first one
     levels : a record of each finished level, in order
     kinds : for each finished level the kinds of the warnings that no level before it gave
+    made : for each finished level what later ones need to know of it
     complete : whether all outputs are in their final place
     """
 
@@ -45,6 +46,7 @@ class Manifest:
     head: dict[str, Any] = field(default_factory=dict)
     levels: list[dict[str, Any]] = field(default_factory=list)
     kinds: list[list[str]] = field(default_factory=list)
+    made: list[Made] = field(default_factory=list)
     complete: bool = False
 
     def save(self) -> None:
@@ -67,8 +69,8 @@ class Manifest:
         """
         try:
             content = json.loads(path.read_text(encoding="utf-8"), parse_float=_finite, parse_constant=_finite)
-            return cls(path, **content)
-        except (ValueError, TypeError) as error:
+            return cls(path, **content | {"made": [Made(*each) for each in content["made"]]})
+        except (ValueError, TypeError, KeyError) as error:
             raise FormatError(
                 f"{path} is not the state of a series ({error}); restart the series with --force"
             ) from error

@@ -92,11 +92,14 @@ def test_a_continued_series_equals_an_uninterrupted_one(origin, precision):
     setup, schedule = setup_of(), Schedule((0.0, 0.1, 0.25, 0.3), origin, "second")
     whole = list(deform_series(setup, schedule, precision))
     grids = [level.result.grid.points for level in whole]
-    rest = list(deform_series(setup, schedule, precision, first=2, finished=lambda n: grids[n]))
+    made = [level.made for level in whole[:2]]
+    rest = list(deform_series(setup, schedule, precision, first=2, finished=lambda n: grids[n], made=made))
     assert [level.number for level in rest] == [2, 3]
     for one, two in zip(whole[2:], rest, strict=True):
         np.testing.assert_array_equal(one.result.grid.points, two.result.grid.points)
         np.testing.assert_array_equal(one.velocity, two.velocity)
+        assert one.smoothness == two.smoothness
+        assert one.smoothness.acceleration is not None
 
 
 @pytest.mark.parametrize(("order", "exponent"), [("first", 1.0), ("second", 2.0)])
