@@ -134,7 +134,8 @@ def _keep_what_exists(run: Run, manifest: Manifest) -> None:
         return
     gone = [number for number in range(len(manifest.levels)) if not run.files.has(number)]
     manifest.levels = manifest.levels[: gone[0]] if gone else manifest.levels
-    manifest.kinds, manifest.made = (part[: len(manifest.levels)] for part in (manifest.kinds, manifest.made))
+    manifest.kinds = manifest.kinds[: len(manifest.levels)]
+    manifest.made = manifest.made[: len(manifest.levels)]
     run.files.recall(manifest.levels)
     manifest.complete = False
 

@@ -46,8 +46,6 @@ def zone_connections(base: Base, zones: Sequence[Zone], grid: Grid, notes: Notes
                     notes.add(
                         f"{kind} connectivity is kept in the file but not used; coincident nodes stay joined", place
                     )
-            # Thousands of zones have tens of thousands of connections.
-            group.release()
     return connections
 
 

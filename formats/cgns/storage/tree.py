@@ -108,15 +108,7 @@ class Node:
     @cached_property
     def children(self) -> tuple[Node, ...]:
         """Children in file order, without following links."""
-        found = tuple(self.expand())
-        # What reads them may hold an open group of a library.
-        self.expand = tuple
-        return found
-
-    def release(self) -> None:
-        """Let go of the nodes below, and of what the container holds for them, where nothing needs them any more."""
-        for name in ("children", "_by_name"):
-            self.target.__dict__.pop(name, None)
+        return tuple(self.expand())
 
     @property
     def target(self) -> Node:
