@@ -11,8 +11,8 @@ import numpy as np
 
 from meshdeform_core.deform import Case, Result, deform, set_up
 from meshdeform_core.grid import Grid
-from meshdeform_core.methods import IDW, RBF, Options, Progress, make_method
-from meshdeform_core.methods.derivative import derivative_of
+from meshdeform_core.methods import IDW, RBF, Options, Progress, make_method, prepare_method
+from meshdeform_core.methods.derivative import StepsDerivative, derivative_of
 from meshdeform_core.numerics.exact.basis import BASES
 from meshdeform_core.numerics.fastsum.radial.nested import NestedSums
 from meshdeform_core.repair.derivative import derivative_of_repair
@@ -56,7 +56,11 @@ def runs() -> Iterator[Callable[[], object]]:
     yield partial(_derivatives, "hemisphere", 8, Options("tfi"))
     yield partial(_derivatives, "airfoil", 33, Options("idw-tfi"))
     yield partial(_derivatives, "hemisphere", 8, Options("idw", idw=IDW(rotation="quaternion", summation="fast")))
-    yield partial(_derivatives, "hemisphere", 8, Options("rbf", rbf=_FAST_RBF))
+    yield partial(_derivatives, "cascade", 16, Options("rbf", rbf=_FAST_RBF))
+    yield partial(_step_derivatives, "hemisphere", 8, Options("idw-tfi"))
+    yield partial(_step_derivatives, "airfoil", 33, Options("idw-tfi"))
+    yield partial(_step_derivatives, "square", 11, Options("tfi"))
+    yield partial(_step_derivatives, "hemisphere", 8, Options("idw", idw=IDW(rotation="quaternion")))
     yield partial(_repair_derivatives, "splitter-plate", 8, Options("tfi"), angle=40.0)
     yield partial(_repair_derivatives, "hemisphere", 8, Options("tfi"), amplitude=0.045)
     yield partial(_pictures, "hemisphere", 8, Options("tfi"))
@@ -89,6 +93,14 @@ def _derivatives(name: str, size: int, method: Options) -> None:
     setup = set_up(*_sample(name, size, method))
     displacement = setup.displacement(2.5e-4)[setup.problem.source_numbers]
     derivative = derivative_of(make_method(method).prepare(setup.problem), displacement)
+    derivative.pull(derivative.push(displacement))
+
+
+def _step_derivatives(name: str, size: int, method: Options) -> None:
+    setup = set_up(*_sample(name, size, method))
+    displacement = setup.displacement(2.5e-4)[setup.problem.source_numbers]
+    first = prepare_method(method, setup.problem)
+    derivative = StepsDerivative(first, method, setup.problem, displacement, (0.5, 1.0))
     derivative.pull(derivative.push(displacement))
 
 
