@@ -66,6 +66,7 @@ def test_every_kind_of_boundary(name, kind, state):
     check(make_method(METHODS[name]).prepare(where), np.zeros_like(smooth) if state == "undeformed" else smooth, rough)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in ("slip", "curved slip")])
 @pytest.mark.parametrize("name", OTHERS)
 def test_every_other_method_with_every_kind_of_boundary(name, kind):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+import pytest
 from cases import body_specs, turning
 from grids import frame, frame_2d
 
@@ -28,6 +29,7 @@ def levels_of(setup, times):
     return list(deform_series(setup, Schedule(tuple(times)), "float64"))
 
 
+@pytest.mark.slow
 def test_the_grid_does_not_jump_where_a_repair_begins():
     """Accelerations are small, and with half the step they are a quarter, as those of smooth motions are."""
     setup, largest = bar(6), []
