@@ -80,7 +80,7 @@ def warnings_in(path: Path) -> list[str]:
 def messages() -> list[str]:
     """Every error of the program, and the warnings of its core."""
     files = [path for folder in PROGRAM for path in (ROOT / folder).rglob("*.py")]
-    core = [path for path in files if "meshdeform_core" in path.parts] + [ROOT / "cli" / "forecast.py"]
+    core = [path for path in files if "meshdeform_core" in path.parts] + [ROOT / "cli" / "dry_run" / "forecast.py"]
     found = [text for path in files for text in errors_in(path)] + [text for path in core for text in warnings_in(path)]
     return sorted({text for text in found if len(re.findall(r"[a-zA-Z]{2,}", text)) >= FEWEST_WORDS})
 

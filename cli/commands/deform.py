@@ -72,12 +72,13 @@ def command(
     from meshdeform_formats.files import invalid_path
     from meshdeform_formats.grids import require_earlier_grid
 
-    from .. import forecast, work
+    from .. import work
+    from ..dry_run import forecast
 
     outputs = [output, *([] if output is None or run.allow_invalid else [invalid_path(output)]), *run.reports]
     imposed = work.Imposed(steps, at_time)
     if run.dry_run and (layout := too_large(limit, source)):
-        from ..expense import plan_by_sizes
+        from ..dry_run.expense import plan_by_sizes
 
         return work.print_plan(plan_by_sizes(layout, case.read().case, output, options, limit), False, run)
     with ProgressBar(not run.quiet) as progress:

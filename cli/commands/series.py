@@ -48,7 +48,8 @@ def command(source: GridInput, case: CaseInput, wanted: SeriesInput, run: RunInp
     check_reports(run.reports, run.force or wanted.resume, *source.files, *case.files)
     limit = run.memory
 
-    from .. import forecast, series_run, work
+    from .. import series_run, work
+    from ..dry_run import forecast
 
     with ProgressBar(not run.quiet) as progress:
         timed = dataclasses.replace(case, times=wanted.times)

@@ -10,7 +10,7 @@ import jsonschema
 import numpy as np
 import pytest
 
-from meshdeform_cli import expense, forecast
+from meshdeform_cli.dry_run import expense, forecast
 from meshdeform_core.memory import parse_memory
 from meshdeform_formats.grids import read_grid
 from meshdeform_formats.report.schema import report_schema

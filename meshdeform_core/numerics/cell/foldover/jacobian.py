@@ -43,6 +43,7 @@ def mapping(x, cell, start, own, count, node, slope, inverse, b, a):
 
 @inlined
 def determinant(a):
+    """Of a matrix (3, 3)."""
     return (
         a[0, 0] * (a[1, 1] * a[2, 2] - a[1, 2] * a[2, 1])
         + a[0, 1] * (a[1, 2] * a[2, 0] - a[1, 0] * a[2, 2])

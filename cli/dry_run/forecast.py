@@ -20,11 +20,11 @@ from meshdeform_core.wording import counted
 from meshdeform_formats.grids import variant_of
 from meshdeform_formats.report import Report, plan_report
 
+from ..work import Imposed, Job, place_of
 from .expense import expense_of
-from .work import Imposed, Job, place_of
 
 if TYPE_CHECKING:
-    from .series_run import Run
+    from ..series_run import Run
 
 TRIAL_NODES = 5_000_000
 """Largest number of nodes times steps for which the motion is tried."""
