@@ -27,7 +27,7 @@ _COMMANDS = (
     "reproduce", "schema", "warm-up",
 )  # fmt: skip
 _ON_RANKS = ("deform", "series")
-_OF_STREAMS = (errno.ENOSPC, errno.EIO, errno.EDQUOT, errno.EFBIG)
+_OF_STREAMS = (errno.ENOSPC, errno.EIO, errno.EDQUOT, errno.EFBIG, errno.EBADF)
 
 
 def _module(name: str) -> str:

@@ -7,8 +7,6 @@ from pathlib import Path
 
 from meshdeform_core.grid import Grid
 
-from .plot3d.blocks import IBLANK
-
 _LISTED = 6
 _ALL = ("vtk", "cgns")
 _OF_ALL_BLOCKS = (".vtu", ".xdmf")
@@ -17,7 +15,7 @@ _OF_ALL_BLOCKS = (".vtu", ".xdmf")
 def losses(grid: Grid, target: Path, kind: str) -> list[str]:
     """Warnings about fields, IBLANK and solutions that a file ``target`` of the format ``kind`` does not get.
 
-    Fields that were made for the file, and data that every format holds, are not looked at.
+    Fields computed for the file itself (``--field``) do not count.
     """
     names = list(dict.fromkeys(_lost_fields(grid, target, kind)))
     if grid.format is not None and grid.format.name == "cgns" and kind != "cgns" and grid.path is not None:
@@ -36,9 +34,8 @@ def _lost_fields(grid: Grid, target: Path, kind: str) -> Iterator[str]:
         for field in grid.fields
     }
     for field in grid.fields:
-        blanking = field.location == "node" and field.name.lower() == IBLANK
-        kept = kind in _ALL or (kind == "plot3d" and blanking)
+        kept = kind in _ALL or (kind == "plot3d" and field.blanks)
         if target.suffix.lower() in _OF_ALL_BLOCKS:
             kept = field.location in ("node", "cell") and everywhere[field.location, field.name] == grid.n_blocks
         if not kept:
-            yield field.name.upper() if blanking else field.name
+            yield field.name.upper() if field.blanks else field.name

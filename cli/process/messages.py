@@ -46,16 +46,21 @@ class Warnings:
 
 
 def open_streams() -> None:
-    """Make stdin, stdout and stderr usable, even if the caller closed them.
+    """Occupy the descriptors of stdin, stdout and stderr if the caller closed them.
 
-    A file opened while descriptor 1 is closed would get this number and receive everything printed.
+    A file opened while descriptor 1 is closed would get this number and receive everything printed. Messages to a
+    closed stderr are lost; writing to a closed stdout fails, as it does on a full disk.
     """
-    for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
+    for number, name, mode, access in (
+        (0, "stdin", "r", os.O_RDWR),
+        (1, "stdout", "w", os.O_RDONLY),
+        (2, "stderr", "w", os.O_RDWR),
+    ):
         try:
             os.fstat(number)
         except OSError:
             # The system assigns the lowest free number, which is the missing one.
-            os.open(os.devnull, os.O_RDWR)
+            os.open(os.devnull, access)
             setattr(sys, name, open(number, mode, encoding="utf-8", closefd=False))  # noqa: SIM115
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):

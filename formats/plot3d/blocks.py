@@ -23,8 +23,6 @@ from ..planes import Stored, Stretches
 from .detect import Reading
 from .variant import Variant
 
-IBLANK = "iblank"
-
 
 class Numbers(Protocol):
     """The numbers after the header of a text, in sequence."""
@@ -61,7 +59,7 @@ def allocate(reading: Reading, path: Path) -> tuple[Grid, list[NDArray[Any]]]:
     if not reading.variant.iblank:
         return grid, []
     flags = empty([grid.n_nodes], np.int32)
-    fields = tuple(Field(IBLANK, "node", block, grid.block(block, flags)) for block in range(grid.n_blocks))
+    fields = tuple(Field("iblank", "node", block, grid.block(block, flags)) for block in range(grid.n_blocks))
     return replace(grid, fields=fields), [flags]
 
 
@@ -108,5 +106,4 @@ def text_arrays(grid: Grid, variant: Variant, index: int) -> Iterator[NDArray[An
 
 def iblank_of(grid: Grid, index: int) -> NDArray[Any] | None:
     """IBLANK values (ni, nj, nk) of a block from any format."""
-    found = (f.values for f in grid.fields if f.block == index and f.location == "node" and f.name.lower() == IBLANK)
-    return next(found, None)
+    return next((field.values for field in grid.fields if field.block == index and field.blanks), None)

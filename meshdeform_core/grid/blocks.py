@@ -136,6 +136,11 @@ class Field:
     block: int
     values: NDArray[Any]
 
+    @property
+    def blanks(self) -> bool:
+        """Whether it is the IBLANK array of a block."""
+        return self.location == "node" and self.name.lower() == "iblank"
+
 
 @dataclass(frozen=True)
 class FileFormat:

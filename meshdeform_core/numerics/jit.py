@@ -16,6 +16,7 @@ from typing import Any
 
 from numba import njit
 from numba.core import event
+from numba.core.caching import FunctionCache
 
 # numba tries the rules for an operation in the order in which they were imported. Without this, those for characters,
 # lists and dictionaries come before those for arrays: a tenth of the time that compiling takes.
@@ -56,16 +57,38 @@ _clock = _CompileClock()
 event.register("numba:compile", _clock)
 
 
+class _Cache(FunctionCache):
+    """numba's cache, without which a loop is compiled again: no fault of its files ends the program."""
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        try:
+            return super().load_overload(sig, target_context)
+        except Exception:
+            # Entries are pickled: one that names a class which an update has moved raises whatever its import raises.
+            try:
+                self.flush()
+            except OSError:
+                self.disable()
+            return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        try:
+            super().save_overload(sig, data)
+        except OSError:
+            _clock.cached = False
+
+
 def _compiled(**options: Any) -> Callable[[Callable], Any]:
     """A decorator: numba with the options of all our loops and ``options``."""
 
     def decorate(function: Callable) -> Any:
+        loop = njit(**_OPTIONS, **options)(function)
         try:
-            return njit(cache=True, **_OPTIONS, **options)(function)
+            loop._cache = _Cache(function)
         except RuntimeError:
             # No folder for the cache can be written, neither beside the source nor in the user's home.
             _clock.cached = False
-            return njit(**_OPTIONS, **options)(function)
+        return loop
 
     return decorate
 

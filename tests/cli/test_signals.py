@@ -126,10 +126,9 @@ def run_closed(redirection: str, *arguments: object, cwd: Path) -> subprocess.Co
     [*(pytest.param(each, marks=pytest.mark.slow) for each in (">&-", "2>&-", "2>/dev/full")), "<&- >&- 2>&-"],
 )
 def test_closed_streams_change_nothing(redirection, bench):
-    done = run_closed(redirection, "deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz", cwd=bench)
+    done = run_closed(redirection, "deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz", "-q", cwd=bench)
     assert done.returncode == 0, done.stderr
     assert "Traceback" not in done.stderr
-    assert run_closed(redirection, "compare", "out.xyz", "grid.xyz", cwd=bench).returncode == 0
     # An opened file must not have got the number of a closed stream.
     assert b"verdict" not in (bench / "out.xyz").read_bytes()
 
@@ -142,12 +141,13 @@ def test_closed_streams_do_not_turn_errors_into_tracebacks(redirection, bench):
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-def test_output_that_cannot_be_written_is_an_error(bench):
-    done = run_closed(">/dev/full", "info", "grid.xyz", cwd=bench)
+@pytest.mark.parametrize(
+    ("redirection", "reason"), [(">/dev/full", "No space left on device"), (">&-", "Bad file descriptor")]
+)
+def test_output_that_cannot_be_written_is_an_error(redirection, reason, bench):
+    done = run_closed(redirection, "info", "grid.xyz", cwd=bench)
     assert done.returncode == 2
-    assert done.stderr.startswith("meshdeform: error: ")
-    assert done.stderr.endswith("No space left on device\n")
-    assert done.stderr.count("\n") == 1
+    assert done.stderr == f"meshdeform: error: cannot write to stdout: {reason}\n"
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="file names are bytes on Linux")

@@ -1,5 +1,6 @@
 """Compiling: told once, timed apart, done ahead, or done without a cache."""
 
+import importlib
 import json
 import os
 import subprocess
@@ -49,10 +50,10 @@ def test_compiling_is_a_stage_of_its_own(monkeypatch):
 
 
 def test_without_a_folder_for_the_cache_loops_are_compiled_all_the_same(monkeypatch):
-    def refuse(self):
+    def refuse(function):
         raise RuntimeError("cannot cache function: no locator available")
 
-    monkeypatch.setattr("numba.core.dispatcher.Dispatcher.enable_caching", refuse)
+    monkeypatch.setattr(jit, "_Cache", refuse)
     monkeypatch.setattr(jit._clock, "cached", True)
     before, heard = jit.compiled_loops(), []
     monkeypatch.setattr(jit._clock, "notice", heard.append)
@@ -65,3 +66,41 @@ def test_without_a_folder_for_the_cache_loops_are_compiled_all_the_same(monkeypa
     assert twice(3) == 6
     assert jit.compiled_loops() == before + 1
     assert heard == [before]
+
+
+BOX = "from typing import NamedTuple\nclass Box(NamedTuple):\n    low: float\n    high: float\n"
+LOOP = "from meshdeform_core.numerics.jit import kernel\n@kernel\ndef width(box):\n    return box.high - box.low\n"
+
+
+@pytest.mark.parametrize("writable", [True, False])
+def test_a_cached_loop_of_a_class_that_moved_is_compiled_again(writable, tmp_path, monkeypatch):
+    """After an update in place: the file of the loop is the same, the class of its argument is elsewhere."""
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "loops_of_boxes.py").write_text(LOOP)
+    compiled = []
+    for home in ("old_boxes", "new_boxes", "new_boxes"):
+        (tmp_path / f"{home}.py").write_text(BOX)
+        importlib.invalidate_caches()
+        boxes, loops = (importlib.import_module(name) for name in (home, "loops_of_boxes"))
+        before = jit.compiled_loops()
+        if not writable and home == "new_boxes":
+            monkeypatch.setattr(jit._Cache, "flush", _refuse)
+        assert loops.width(boxes.Box(1.0, 3.0)) == 2.0
+        compiled.append(jit.compiled_loops() - before)
+        (tmp_path / f"{home}.py").unlink()
+        for name in (home, "loops_of_boxes"):
+            del sys.modules[name]
+    assert compiled == [1, 1, 0 if writable else 1]
+
+
+def test_a_cache_that_cannot_be_written_does_not_matter(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(jit._clock, "cached", True)
+    monkeypatch.setattr("numba.core.caching.IndexDataCacheFile.save", _refuse)
+    (tmp_path / "loops_on_full_disks.py").write_text(LOOP + "@kernel\ndef half(x):\n    return 0.5 * x\n")
+    assert importlib.import_module("loops_on_full_disks").half(3.0) == 1.5
+    assert not jit.is_cached()
+
+
+def _refuse(*_):
+    raise OSError(28, "No space left on device")
