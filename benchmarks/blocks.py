@@ -13,7 +13,7 @@ from runs import run
 from tables import MarkdownTable, Row, exponent
 
 from meshdeform_core.grid import Connection, FloatArray, Grid, Patch, Side, Window
-from meshdeform_core.grid.blocks import FileFormat
+from meshdeform_core.grid.parts import FileFormat
 from meshdeform_formats.grids import write_grid
 
 _FAMILIES = dict(zip(Side, ("inflow", "outflow", "wall", "far", "left", "right"), strict=True))

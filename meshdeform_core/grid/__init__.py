@@ -1,18 +1,8 @@
 """Grids: blocks of nodes, and the topology that follows from their coordinates."""
 
 from ..numerics.arrays import BoolArray, FloatArray, IntArray
-from .blocks import (
-    Connection,
-    Field,
-    FileFormat,
-    Grid,
-    Patch,
-    Periodicity,
-    Planes,
-    Shape,
-    Side,
-    Window,
-)
+from .blocks import Grid
+from .parts import Connection, Field, FileFormat, Patch, Periodicity, Planes, Shape, Side, Window
 
 __all__ = [
     "BoolArray",

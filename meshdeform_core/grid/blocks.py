@@ -1,4 +1,4 @@
-"""The grid: blocks of nodes in one array, named patches on their faces, and other data from the file.
+"""The grid: blocks of nodes in one array.
 
 All blocks share one coordinate array ``points`` of shape ``(n_nodes, 3)``; ``grid.block(b)`` is the view
 ``(ni, nj, nk, 3)`` of block ``b`` in it, C-contiguous, so that node ``(i, j, k)`` of block ``b`` has the flat index
@@ -8,13 +8,11 @@ All blocks share one coordinate array ``points`` of shape ``(n_nodes, 3)``; ``gr
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from enum import IntEnum
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,142 +21,7 @@ from ..errors import GridError
 from ..numerics.arrays import FloatArray, IntArray
 from ..parallel import Shared, empty, for_items
 from .lattice import SideLattice
-
-Shape = tuple[int, int, int]
-
-
-class Side(IntEnum):
-    """The six faces of a block; ``side // 2`` is the index axis, ``side % 2`` is 1 at its far end."""
-
-    IMIN = 0
-    IMAX = 1
-    JMIN = 2
-    JMAX = 3
-    KMIN = 4
-    KMAX = 5
-
-    @property
-    def axis(self) -> int:
-        """Index axis (0, 1, 2) that is constant on this face."""
-        return self.value // 2
-
-    @property
-    def tangential(self) -> tuple[int, int]:
-        """The two index axes that vary on this face, ascending."""
-        first, second = (a for a in range(3) if a != self.axis)
-        return first, second
-
-    @property
-    def label(self) -> str:
-        """Name as written in case files and reports: ``imin`` ... ``kmax``."""
-        return self.name.lower()
-
-
-class Planes(NamedTuple):
-    """The planes of nodes first <= k < last of a block."""
-
-    block: int
-    first: int
-    last: int
-
-
-@dataclass(frozen=True)
-class Window:
-    """A rectangle of nodes on one face of one block.
-
-    ``low`` and ``high`` are the first and last node (0-based, both inclusive) along ``side.tangential``.
-    In a 2-D grid one of the two tangential extents is the single plane (low = high = 0).
-    """
-
-    block: int
-    side: Side
-    low: tuple[int, int]
-    high: tuple[int, int]
-
-
-@dataclass(frozen=True)
-class Patch:
-    """A named boundary region as the file declares it.
-
-    ``family`` groups patches (CGNS FamilyName, else empty); ``bc_type`` is the boundary condition as the file names it
-    (``BCWallViscous``, ``viscous_solid``, ...), or empty.
-    """
-
-    name: str
-    windows: tuple[Window, ...]
-    family: str = ""
-    bc_type: str = ""
-
-
-@dataclass(frozen=True)
-class Periodicity:
-    """Rigid motion that maps this side of a periodic connection onto its donor side.
-
-    ``rotation_angle`` are degrees about the x, y and z axes in turn through ``rotation_center`` (CGNS convention),
-    ``translation`` is in grid length units.
-    """
-
-    rotation_center: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    rotation_angle: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    translation: tuple[float, float, float] = (0.0, 0.0, 0.0)
-
-
-@dataclass(frozen=True)
-class Connection:
-    """A one-to-one block connection as the file declares it (checked against the coordinates, never trusted).
-
-    ``begin`` and ``end`` are 0-based inclusive node indices (i, j, k) in ``block``; ``donor_begin`` is the donor node
-    that corresponds to ``begin``. ``transform`` is the CGNS short form: entry ``a`` is the signed, 1-based donor axis
-    that runs along axis ``a``; the donor of ``begin + n`` is ``donor_begin + T n``.
-    """
-
-    name: str
-    block: int
-    begin: Shape
-    end: Shape
-    donor_block: int
-    donor_begin: Shape
-    donor_end: Shape
-    transform: tuple[int, int, int]
-    periodic: Periodicity | None = None
-
-
-@dataclass(frozen=True)
-class Field:
-    """Values from the file other than coordinates (IBLANK, VTK arrays); written again unchanged.
-
-    ``location`` is ``"node"``, ``"cell"``, or for the faces across an index axis ``"iface"``, ``"jface"``, ``"kface"``;
-    ``values`` has the block's node, cell or face shape, with a trailing component axis for vectors.
-    """
-
-    name: str
-    location: str
-    block: int
-    values: NDArray[Any]
-
-    @property
-    def blanks(self) -> bool:
-        """Whether it is the IBLANK array of a block."""
-        return self.location == "node" and self.name.lower() == "iblank"
-
-
-@dataclass(frozen=True)
-class FileFormat:
-    """Format and variant of a grid's file, so that it can be written the same way.
-
-    ``name`` is a key of ``meshdeform_formats.FORMATS``; ``precision`` is the coordinate type in the file
-    (``"float32"`` or ``"float64"``); ``options`` are the variant's own switches (byte order, record markers, ...).
-    """
-
-    name: str
-    precision: str = "float64"
-    options: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
-
-    @property
-    def label(self) -> str:
-        """One line of text, e.g. ``plot3d (fortran, big endian, multi-block), float64``."""
-        words = ", ".join(f"{key}={value}" for key, value in self.options.items())
-        return f"{self.name} ({words}), {self.precision}" if words else f"{self.name}, {self.precision}"
+from .parts import Connection, Field, FileFormat, Patch, Planes, Shape
 
 
 @dataclass(frozen=True, eq=False, repr=False)

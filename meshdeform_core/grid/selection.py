@@ -11,7 +11,8 @@ import numpy as np
 from ..errors import CaseError, suggestion
 from ..numerics.arrays import spans
 from ..numerics.geometry.coincidence import distinct
-from .blocks import Grid, IntArray, Patch, Side, Window
+from .blocks import Grid, IntArray
+from .parts import Patch, Side, Window
 from .topology import FaceQuads, Topology
 
 _FACE = re.compile(r"(?P<block>.+)\.(?P<side>[ijk*?][a-z*?]*)(?:\[(?P<window>[^\]]*)\])?", re.DOTALL)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from .blocks import Grid, IntArray, Shape, Side
+from .blocks import Grid, IntArray
+from .parts import Shape, Side
 from .topology import Topology, side_nodes
 
 

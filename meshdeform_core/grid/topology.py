@@ -14,8 +14,9 @@ import numpy as np
 
 from ..numerics.arrays import BoolArray, batches, runs, spans
 from ..numerics.geometry.coincidence import coincident_groups, coincident_within, distinct, equal_rows
-from .blocks import FloatArray, Grid, IntArray, Shape, Side
+from .blocks import FloatArray, Grid, IntArray
 from .handedness import block_handedness, index_order
+from .parts import Shape, Side
 
 RELATIVE_TOLERANCE = 1e-3
 """Coincident means closer than this fraction of the shortest edge at either node."""

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..numerics.arrays import IntArray, runs, spans
-from .blocks import Grid, Shape, Side, Window
+from .blocks import Grid
+from .parts import Shape, Side, Window
 from .topology import FaceQuads
 
 

@@ -7,7 +7,7 @@ import pytest
 from grids import frame, frame_2d
 
 import meshdeform as md
-from meshdeform_core.grid.blocks import FileFormat
+from meshdeform_core.grid.parts import FileFormat
 from meshdeform_core.repair import derivative
 from meshdeform_core.repair.derivative import derivative_of_repair
 

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from ...errors import GridError
 from ...numerics.arrays import BoolArray, batches, spans
 from ...numerics.geometry.coincidence import distinct
-from ..blocks import Connection, FloatArray, Grid, IntArray, Periodicity
+from ..blocks import FloatArray, Grid, IntArray
+from ..parts import Connection, Periodicity
 from ..topology import RELATIVE_TOLERANCE, Topology
 
 _TOGETHER = 300_000

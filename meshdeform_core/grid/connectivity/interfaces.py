@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...numerics.arrays import runs
-from ..blocks import Connection, Grid, IntArray, Shape, Side
+from ..blocks import Grid, IntArray
+from ..parts import Connection, Shape, Side
 from ..topology import Topology
 from ..windows import Rectangles, rectangles
 

@@ -14,8 +14,9 @@ from ...numerics.arrays import BoolArray, batches, runs, spans, spread
 from ...numerics.geometry.boxes import overlapping_boxes
 from ...numerics.geometry.coincidence import close_pairs, connected_components, distinct, equal_rows
 from ...numerics.geometry.distance import distance_to_faces
-from ..blocks import FloatArray, Grid, IntArray, Side, Window
+from ..blocks import FloatArray, Grid, IntArray
 from ..faces.roles import Role, role_of_patch
+from ..parts import Side, Window
 from ..selection import quads_of_patch
 from ..topology import Topology
 from ..windows import largest_rectangles, rectangles

@@ -15,8 +15,9 @@ from ...numerics.arrays import BoolArray, batches, runs, spans, spread
 from ...numerics.geometry.boxes import overlapping_boxes
 from ...numerics.geometry.distance import distance_to_faces
 from ...numerics.geometry.solid_angle import plane_winding, winding
-from ..blocks import FloatArray, Grid, IntArray, Side, Window
+from ..blocks import FloatArray, Grid, IntArray
 from ..extent import block_extents
+from ..parts import Side, Window
 from ..planes import FLATNESS, plane_normal
 from ..topology import Topology, side_nodes
 from ..windows import largest_rectangles

@@ -12,7 +12,8 @@ from functools import cached_property
 import numpy as np
 
 from ...numerics.arrays import batches, medians, spans, spread
-from ..blocks import FloatArray, Grid, IntArray, Patch, Window
+from ..blocks import FloatArray, Grid, IntArray
+from ..parts import Patch, Window
 from ..planes import Plane, plane_normal, planes_of
 from ..selection import quads_of_patches
 from ..topology import FaceQuads, Topology

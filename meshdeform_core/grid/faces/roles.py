@@ -13,8 +13,9 @@ import numpy as np
 
 from ...numerics.arrays import BoolArray, runs
 from ...numerics.geometry.coincidence import connected_components
-from ..blocks import FloatArray, Grid, IntArray, Patch, Side
+from ..blocks import FloatArray, Grid, IntArray
 from ..extent import Bounds
+from ..parts import Patch, Side
 from ..planes import FLATNESS
 from ..topology import Topology
 from .pieces import Face, QuadGeometry

@@ -193,7 +193,7 @@ class PreparedRBF:
         return Coefficients(self.centres.points, *self._system.solve(values, self.account, progress))
 
     def _fit_reduced(self, values: FloatArray, progress: Progress | None) -> Coefficients:
-        from ...numerics.systems.greedy import select
+        from ...numerics.systems.greedy import Search, select
 
         o, n = self.options, len(values)
         scale = np.ones(n)
@@ -201,11 +201,10 @@ class PreparedRBF:
             scale = self._problem.first_cell_height[self._images.owner]
         if o.greedy_start >= n:
             raise MethodError(f"method.rbf.greedy_start = {o.greedy_start}; expected 0 to {n - 1}")
-        report = of_stage(progress, "greedy")
+        search = Search(o.greedy, o.greedy_tolerance, o.greedy_start, o.greedy_updates or n, o.greedy_max_points or n)
         found = select(
             BASES[o.basis], self.centres.points, self.centres.polynomial(self.centres.points), values, scale,
-            method=o.greedy, tolerance=o.greedy_tolerance, start=o.greedy_start,
-            per_round=o.greedy_updates or n, max_points=o.greedy_max_points or n, progress=report,
+            search, of_stage(progress, "greedy"),
         )  # fmt: skip
         self._record(found)
         points = np.ascontiguousarray(self.centres.points[found.active])

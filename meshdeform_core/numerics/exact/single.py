@@ -21,39 +21,23 @@ def sum_groups_single(targets, target_span, charged, pieces, piece_span, a, kapp
 
     Without ``all_charges`` the first and the last charge are taken for zero.
     """
-    # In one piece: with the sums over a tile in a function of their own, the compiler orders the additions differently.
-    tile, center = np.empty((11, _TILE), np.float32), np.empty(3)
-    weight = np.empty(_TILE, np.float32)
+    # The sums over a tile stay here: in a function of their own, the compiler orders the additions differently.
+    tile, weight, center = np.empty((11, _TILE), np.float32), np.empty(_TILE, np.float32), np.empty(3)
     for group in range(target_span.shape[0]):
         first, piece, end = target_span[group, 0], piece_span[group, 0], piece_span[group, 1]
         count = target_span[group, 1] - first
         if count == 0 or piece == end:
             continue
-        x = np.empty((3, count), np.float32)
         at = pieces[piece, 0]
         scale = _frame(targets, first, count, charged, at, center)
         unit = 1.0 / scale
-        for d in range(3):
-            for t in range(count):
-                x[d, t] = np.float32((targets[first + t, d] - center[d]) * unit)
+        x = _relative(targets, first, count, center, unit)
         one, three = np.float32(1.0), np.float32(1.0 if a == 3.0 else 0.0)
         four, five = np.float32(0.0 if a == 3.0 else unit), np.float32(kappa * unit * unit)
         # r^-3 in units of the extent.
         back = unit * unit * unit
         while piece < end:
-            m = 0
-            while piece < end and m < _TILE:
-                more = min(pieces[piece, 1] - at, _TILE - m)
-                for s in range(more):
-                    for d in range(3):
-                        tile[d, m + s] = np.float32((charged[at + s, d] - center[d]) * unit)
-                    for c in range(3, 11):
-                        tile[c, m + s] = np.float32(charged[at + s, c])
-                m += more
-                at += more
-                if at == pieces[piece, 1]:
-                    piece += 1
-                    at = pieces[min(piece, end - 1), 0]
+            m, piece, at = _load(charged, pieces, piece, end, at, center, unit, tile)
             for t in range(count):
                 px, py, pz = x[0, t], x[1, t], x[2, t]
                 a0 = a1 = a2 = a3 = a4 = a5 = a6 = a7 = np.float32(0.0)
@@ -81,6 +65,35 @@ def sum_groups_single(targets, target_span, charged, pieces, piece_span, a, kapp
                         a7 += weight[s] * tile[10, s]
                     out[first + t, 0] += back * a0
                     out[first + t, 7] += back * a7
+
+
+@inlined
+def _relative(targets, first, count, center, unit):
+    """Coordinates (3, count) of targets, in single precision."""
+    x = np.empty((3, count), np.float32)
+    for d in range(3):
+        for t in range(count):
+            x[d, t] = np.float32((targets[first + t, d] - center[d]) * unit)
+    return x
+
+
+@inlined
+def _load(charged, pieces, piece, end, at, center, unit, tile):
+    """Fill ``tile`` from row ``at`` of ``piece`` on; returns its number of sources, and where the next tile begins."""
+    m = 0
+    while piece < end and m < _TILE:
+        more = min(pieces[piece, 1] - at, _TILE - m)
+        for s in range(more):
+            for d in range(3):
+                tile[d, m + s] = np.float32((charged[at + s, d] - center[d]) * unit)
+            for c in range(3, 11):
+                tile[c, m + s] = np.float32(charged[at + s, c])
+        m += more
+        at += more
+        if at == pieces[piece, 1]:
+            piece += 1
+            at = pieces[min(piece, end - 1), 0]
+    return m, piece, at
 
 
 @inlined

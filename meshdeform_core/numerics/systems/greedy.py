@@ -14,6 +14,17 @@ from ..jit import kernel
 from .saddle import DirectSolver
 
 
+class Search(NamedTuple):
+    """How centres are chosen: ``single``, ``hybrid`` or ``double-edged``, until the error at all of them is within
+    ``tolerance`` or ``max_points`` are chosen; ``start`` is the first."""
+
+    method: str
+    tolerance: float
+    start: int
+    per_round: int
+    max_points: int
+
+
 @dataclass(frozen=True)
 class Selection:
     """What a greedy reduction found.
@@ -42,15 +53,10 @@ def select(
     polynomial: FloatArray,
     values: FloatArray,
     scale: FloatArray,
-    *,
-    method: str,
-    tolerance: float,
-    start: int,
-    per_round: int,
-    max_points: int,
+    search: Search,
     progress: Report | None = None,
 ) -> Selection:
-    """Choose centres until the error at all of them is within ``tolerance``.
+    """Choose centres until the error at all of them is within the tolerance of ``search``.
 
     ``single``: correct the centre with the largest error by its own basis function, again and again; every centre
     that was ever corrected is chosen. ``hybrid``: ``per_round`` such updates, then an exact solution on the chosen
@@ -64,9 +70,8 @@ def select(
     polynomial : (n, q)
     values : (n, m) displacements at the centres
     scale : (n,) lengths relative to which errors are measured
-    start : first centre
-    max_points : stop when this many are chosen
     """
+    method, tolerance, start, per_round, max_points = search
     n = len(centres)
     columns = np.ascontiguousarray(centres.T)
     residual = np.array(values, dtype=np.float64)

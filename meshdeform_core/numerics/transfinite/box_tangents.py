@@ -112,6 +112,18 @@ def _largest(shape):
     return largest
 
 
+@inlined
+def _push_node(to, w, dw, x, d, dx, linear, out, here, deviation):
+    """Add to ``here`` what node ``to``, of weight ``w`` with change ``dw``, gives an inner node."""
+    for c in range(3):
+        u, v = d[to, c], out[to, c]
+        for a in range(3):
+            u -= x[to, a] * linear[a, c]
+            v -= dx[to, a] * linear[a, c]
+        here[c] += w * v + dw * u
+        deviation[c] -= w * x[to, c]
+
+
 @kernel
 def push_boxes(x, d, dx, start, shape, nodes, wanted, linear, d_linear, out):
     """Fill inner nodes of boxes, one box after the other, with the change of their displacement, in place in ``out``.
@@ -157,17 +169,26 @@ def push_boxes(x, d, dx, start, shape, nodes, wanted, linear, d_linear, out):
                                 if r > 0:
                                     dw += sign * wp * wq * vr * change[2, at]
                                 to = nodes[first + (ip * nj + iq) * nk + ir]
-                                for c in range(3):
-                                    u, v = d[to, c], out[to, c]
-                                    for a in range(3):
-                                        u -= x[to, a] * linear[box, a, c]
-                                        v -= dx[to, a] * linear[box, a, c]
-                                    here[c] += w * v + dw * u
-                                    deviation[c] -= w * x[to, c]
+                                _push_node(to, w, dw, x, d, dx, linear[box], out, here, deviation)
                     for c in range(3):
                         for a in range(3):
                             here[c] += dx[node, a] * linear[box, a, c] + deviation[a] * d_linear[box, a, c]
                         out[node, c] = here[c]
+
+
+@inlined
+def _pull_node(to, w, own, x, d, linear, g, of_x, deviation):
+    """Pass the gradient ``own`` of an inner node on to node ``to``, of weight ``w``; returns that of the weight."""
+    along = 0.0
+    for c in range(3):
+        u = d[to, c]
+        for a in range(3):
+            u -= x[to, a] * linear[a, c]
+            of_x[to, a] -= w * own[c] * linear[a, c]
+        along += own[c] * u
+        g[to, c] += w * own[c]
+        deviation[c] -= w * x[to, c]
+    return along
 
 
 @kernel
@@ -205,15 +226,7 @@ def pull_boxes(x, d, start, shape, nodes, wanted, linear, g, of_x, of_linear):
                                 sign = -1.0 if sides == 2 else 1.0
                                 w = sign * wp * wq * wr
                                 to = nodes[first + (ip * nj + iq) * nk + ir]
-                                along = 0.0
-                                for c in range(3):
-                                    u = d[to, c]
-                                    for a in range(3):
-                                        u -= x[to, a] * linear[box, a, c]
-                                        of_x[to, a] -= w * own[c] * linear[box, a, c]
-                                    along += own[c] * u
-                                    g[to, c] += w * own[c]
-                                    deviation[c] -= w * x[to, c]
+                                along = _pull_node(to, w, own, x, d, linear[box], g, of_x, deviation)
                                 if p > 0:
                                     slope[0, at] += sign * vp * wq * wr * along
                                 if q > 0:
