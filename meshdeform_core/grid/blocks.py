@@ -37,7 +37,7 @@ class Grid:
     patches, connections, fields : declarations and data from the file
     format, path : of the file; ``None`` for grids made in memory
     notes : warnings of the reader, for the report
-    components : name of the overset component of every block; empty if all blocks are one
+    components : name of the overset component of every block; empty if the grid is not divided into components
     overset : whether the file connects its blocks by overset interpolation only
     """
 
@@ -103,7 +103,7 @@ class Grid:
 
     @cached_property
     def component_numbers(self) -> IntArray:
-        """Number (n_blocks,) of the component of every block, from 0, in the order in which they come."""
+        """(n_blocks,) number of the component of each block, from 0 in the order of their first blocks."""
         names = list(dict.fromkeys(self.components))
         return np.array([names.index(name) for name in self.components] or [0] * self.n_blocks, dtype=np.int64)
 
@@ -163,7 +163,7 @@ class Grid:
     def fill_planes(
         self, put: Callable[[Planes], None], parts: Sequence[Planes], *others: NDArray[Any], threads: int | None = None
     ) -> None:
-        """The same for ranges of planes, which together are all of the grid; on ``threads``, by default all."""
+        """Like :meth:`fill`, for ranges of planes that together cover the grid; on ``threads``, by default all."""
 
         def rows(first: int, last: int) -> IntArray:
             return np.concatenate([self._rows(part) for part in parts[first:last]])
@@ -178,7 +178,7 @@ class Grid:
 
     def moved(self, points: FloatArray) -> Grid:
         """The same grid with other coordinates."""
-        # A copy keeps what follows from the shapes, which takes longer to check than some parts to measure.
+        # A copy keeps the cached properties; recomputing them costs more than some loops over the nodes of a block.
         grid = copy.copy(self)
         object.__setattr__(grid, "points", points)
         grid._check_points()

@@ -1,4 +1,4 @@
-"""Check that a grid has an extent in all its dimensions."""
+"""The extent of a grid: bounds in any direction, and the check that it is not flat."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ def block_extents(grid: Grid) -> tuple[FloatArray, FloatArray]:
 
 @dataclass
 class _Reach:
-    """Bounds of the largest x . normal of a grid: that of the corners of its blocks, and of the boxes around them."""
+    """Bounds of the largest x . normal of a grid: from the corners of its blocks, and from their bounding boxes."""
 
     least: float
     most: float
 
 
 class Bounds:
-    """The extent of a grid in any direction, mostly from those of its blocks."""
+    """The extent of a grid in any direction, mostly from the bounding boxes of its blocks."""
 
     def __init__(self, grid: Grid):
         self._grid = grid
@@ -64,7 +64,7 @@ class Bounds:
         return reach.most <= level
 
     def _support(self, normal: FloatArray) -> float:
-        """Largest x . ``normal``; block by block, until the others cannot reach it."""
+        """Largest x . ``normal``; blocks whose upper bound is below it are not looked at."""
         highest = np.maximum(self.low * normal, self.high * normal).sum(axis=1)
         found = -np.inf
         for block in np.argsort(-highest):
@@ -81,7 +81,7 @@ def require_extent(grid: Grid) -> None:
     Raises
     ------
     GridError
-        With the extent of the nodes.
+        Stating the extent of the nodes.
     """
     some = grid.points[:: max(1, grid.n_nodes // _SAMPLE)]
     low, high = extent(grid.points)

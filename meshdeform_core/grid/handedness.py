@@ -1,4 +1,4 @@
-"""Handedness of blocks, and which way the corners of their face quads go round."""
+"""Handedness of blocks, and the winding of their face quads."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from .blocks import FloatArray, Grid, IntArray
 
 _SAMPLED_CELLS = 8
 _TOGETHER = 100_000
-"""Corners of cells that are looked at together: few enough for the processor's cache."""
+"""Cell corners processed at a time: few enough for the processor's cache."""
 
 
 def block_handedness(grid: Grid) -> IntArray:
@@ -27,7 +27,7 @@ def block_handedness(grid: Grid) -> IntArray:
 
 
 def _handedness(grid: Grid, blocks: IntArray) -> IntArray:
-    """The same of blocks with equally many sampled cells and the same axis of a single node, if they have one."""
+    """Handedness of ``blocks`` with the same number of sampled cells and, in 2-D, the same axis of one node."""
     shapes = np.array([grid.shapes[block] for block in blocks])
     axes = [axis for axis in range(3) if shapes[0, axis] > 1]
     edges = _mean_edges(grid, blocks, shapes, axes)
@@ -58,10 +58,9 @@ def _mean_edges(grid: Grid, blocks: IntArray, shapes: IntArray, axes: list[int])
 
 
 def index_order(grid: Grid, handedness: IntArray) -> BoolArray:
-    """Whether (n_blocks, 6) the corners of a side's quads, counter-clockwise as seen from outside the block, go round
-    in the order of its indices.
+    """(n_blocks, 6) whether the index order of a side winds its quads counter-clockwise as seen from outside the block.
 
-    In 2-D the direction is such that the outside lies to the right, looking against the plane's positive normal.
+    In 2-D the outside of the block lies to the right, looking against the plane's positive normal.
     """
     axis, far = np.divmod(np.arange(6), 2)
     outward = (np.where(far == 1, 1, -1) * handedness[:, None]) > 0

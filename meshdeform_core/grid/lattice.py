@@ -69,7 +69,7 @@ class SideLattice:
         return np.asarray(self.origin[side] + u * self.stride[side, 0] + v * self.stride[side, 1])
 
     def all_nodes(self, sides: IntArray) -> tuple[IntArray, IntArray, IntArray, IntArray]:
-        """Every node of some sides, side after side: its side, u, v and flat index."""
+        """All nodes of ``sides``, side after side: the side, u, v and flat index of each."""
         side, local = spans(self.nodes[sides].prod(axis=1))
         side = sides[side]
         u, v = np.divmod(local, self.nodes[side, 1])

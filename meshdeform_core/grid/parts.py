@@ -1,4 +1,4 @@
-"""What grids are made of beside coordinates: faces and windows of blocks, patches, connections and data of the file."""
+"""The parts of a grid other than coordinates: block faces and windows, patches, connections, fields, file format."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ class Connection:
 
 @dataclass(frozen=True)
 class Field:
-    """Values from the file other than coordinates (IBLANK, VTK arrays); written again unchanged.
+    """Values from the file other than coordinates (IBLANK, VTK arrays), written back unchanged.
 
     ``location`` is ``"node"``, ``"cell"``, or for the faces across an index axis ``"iface"``, ``"jface"``, ``"kface"``;
     ``values`` has the block's node, cell or face shape, with a trailing component axis for vectors.

@@ -30,7 +30,7 @@ def plane_of(points: FloatArray, plane_normal: FloatArray | None) -> Plane | Non
 
 
 def planes_of(points: FloatArray, plane_normal: FloatArray | None) -> list[Plane | None]:
-    """The same of each of several sets of equally many points (m, n, 3)."""
+    """:func:`plane_of` for each of several sets of equally many points (m, n, 3)."""
     center = points.mean(axis=1)
     arms = points - center[:, None]
     size = np.abs(arms).max(axis=(1, 2), initial=0.0)
@@ -51,7 +51,7 @@ def _main_axes(arms: FloatArray) -> FloatArray:
 
 
 def _snapped(normal: FloatArray) -> FloatArray:
-    """Unit normals (m, 3) with a positive largest component; those along an axis, but for round-off, exactly so."""
+    """Unit normals (m, 3) with a positive largest component; those along an axis up to round-off become exact."""
     unit = np.eye(3)[np.argmax(np.abs(normal), axis=1)]
     positive = normal * np.sign((normal * unit).sum(axis=1, keepdims=True))
     near = np.linalg.norm(positive - unit, axis=1) < FLATNESS
@@ -75,7 +75,7 @@ def plane_normal(grid: Grid) -> FloatArray | None:
 
 
 def plane_axes(normal: FloatArray) -> FloatArray:
-    """Two unit vectors (2, 3) that are a right-handed frame with the unit ``normal``; exact where it is an axis."""
+    """Two unit vectors (2, 3) that form a right-handed frame with the unit ``normal``; exact if it is an axis."""
     axis = int(np.argmax(np.abs(normal)))
     near = np.zeros(3)
     near[(axis + 1) % 3] = 1.0

@@ -9,7 +9,7 @@ from .blocks import FloatArray
 
 
 def rounded(points: FloatArray, precision: str) -> FloatArray:
-    """Coordinates (n_nodes, 3) rounded to ``float32``, or themselves."""
+    """Coordinates (n_nodes, 3) rounded to ``precision``; returned as they are for ``float64``."""
     if precision != "float32":
         return points
     result: FloatArray = empty(points.shape)

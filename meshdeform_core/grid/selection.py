@@ -19,7 +19,7 @@ _FACE = re.compile(r"(?P<block>.+)\.(?P<side>[ijk*?][a-z*?]*)(?:\[(?P<window>[^\
 
 
 def select_quads(grid: Grid, topology: Topology, patterns: Iterable[str], owner: str) -> IntArray:
-    """External face quads that any of ``patterns`` selects, ascending.
+    """External face quads that match any of ``patterns``, ascending.
 
     A pattern is a patch name, a family name, ``block/patch``, ``block/family``, or a block face ``block.side`` with an
     optional window ``[a:b,c:d]`` of nodes (1-based, inclusive); ``*`` and ``?`` are wildcards. ``owner`` names the
@@ -44,12 +44,12 @@ def select_quads(grid: Grid, topology: Topology, patterns: Iterable[str], owner:
 
 
 def quads_of_windows(quads: FaceQuads, windows: Sequence[Window]) -> tuple[IntArray, IntArray]:
-    """Quads within windows, window after window, and the number of the window of each; a line of nodes has none."""
+    """Quads within windows, window after window, and the number of each quad's window; a line of nodes has no quads."""
     rows = [(6 * window.block + window.side, *window.low, *window.high) for window in windows]
     side, u0, v0, u1, v1 = np.array(rows, dtype=np.int64).reshape(-1, 5).T
     size = np.stack([u1 - u0, v1 - v0], axis=1)
     if quads.corners.shape[1] == 2:
-        # In a 2-D grid a window has no extent across the single plane of nodes, yet contains one cell edge.
+        # In a 2-D grid a window has no extent across the single plane of nodes, but contains one cell edge.
         size[(size > 0).any(axis=1)] = np.maximum(size[(size > 0).any(axis=1)], 1)
     window, place = spans(size.prod(axis=1))
     u, v = np.divmod(place, size[window, 1])
@@ -86,7 +86,7 @@ def quads_of_pattern(grid: Grid, quads: FaceQuads, pattern: str, owner: str) -> 
 
 
 def _named_windows(grid: Grid, patch: Patch, pattern: str) -> tuple[Window, ...]:
-    """The windows of a patch that a pattern names by patch or family, ``BLOCK/`` before it for those in one block."""
+    """The windows of a patch that match a pattern for its name or family; with ``BLOCK/`` before it, in that block."""
     names = [name for name in (patch.name, patch.family) if name]
     if any(fnmatch.fnmatchcase(name, pattern) for name in names):
         return patch.windows

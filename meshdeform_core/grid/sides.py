@@ -1,4 +1,4 @@
-"""Block sides: the unique numbers of their nodes, and which of them are the end planes of a grid one cell thick."""
+"""Block sides: their unique node numbers, and the end planes of a grid that is one cell thick."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ def side_numbers(grid: Grid, topology: Topology, block: int, side: Side) -> IntA
 def end_planes(grid: Grid, topology: Topology) -> list[int]:
     """Block sides (``6 * block + side``) between which the whole grid is one cell thick; empty if it is not.
 
-    A block that is one cell thick between outside faces in two directions is thin in the one in which its neighbours
-    are; where neighbours do not tell, there are no end planes.
+    A block that is one cell thick between outside faces in two directions counts as thin in the direction in which its
+    neighbours are; if these leave it open, there are no end planes.
     """
     thin = []
     for block, shape in enumerate(grid.shapes):
@@ -44,7 +44,7 @@ def _sides(thin: list[list[int]]) -> list[int]:
 
 
 def _thin_axes(shape: Shape, topology: Topology, block: int) -> list[int]:
-    """Index directions in which a block is one cell thick, with outside faces only at both ends."""
+    """Index directions in which a block is one cell thick, with only outside faces at both ends."""
     return [
         axis
         for axis in range(3)
@@ -54,7 +54,7 @@ def _thin_axes(shape: Shape, topology: Topology, block: int) -> list[int]:
 
 
 def _edges_across(grid: Grid, topology: Topology, block: int, axis: int) -> IntArray:
-    """The edges from one side to the other of a block that is one cell thick, a number for each."""
+    """A number for each edge that crosses a block which is one cell thick along ``axis``."""
     ends = [topology.numbers_of(side_nodes(grid, block, Side(2 * axis + end)).ravel()) for end in (0, 1)]
     edges: IntArray = np.minimum(*ends) * topology.n_unique + np.maximum(*ends)
     return edges

@@ -22,7 +22,7 @@ RELATIVE_TOLERANCE = 1e-3
 """Coincident means closer than this fraction of the shortest edge at either node."""
 
 _TOGETHER = 100_000
-"""Nodes whose edges are measured at once: few enough for the processor's cache."""
+"""Nodes whose edges are measured at a time: few enough for the processor's cache."""
 COLLAPSED = -2
 EXTERNAL = -1
 
@@ -36,7 +36,7 @@ class FaceQuads:
     start : (n_blocks, 6) first quad of each block side; quads of a side are C-ordered in ``counts``
     counts : (n_blocks, 6, 2) quads along ``side.tangential``
     corners : (n_quads, 4) unique node numbers, counter-clockwise as seen from outside the block; (n_quads, 2) in 2-D
-    in_order : (n_blocks, 6) whether the corners go round in the order of the side's indices, not in the opposite one
+    in_order : (n_blocks, 6) whether the corners are wound in the index order of the side, not in the opposite one
     """
 
     start: IntArray
@@ -45,7 +45,7 @@ class FaceQuads:
     in_order: BoolArray
 
     def places(self, quads: IntArray) -> tuple[IntArray, IntArray, IntArray]:
-        """Block side (n,), and number along both of its axes, of face quads (n,)."""
+        """Block side (n,) of face quads (n,), and their position along both axes of the side."""
         side = self.block_side[quads]
         u, v = np.divmod(quads - self.start.ravel()[side], self.counts[..., 1].ravel()[side])
         return side, u, v
@@ -53,7 +53,7 @@ class FaceQuads:
     def numbers_at(self, side: IntArray, u: IntArray, v: IntArray) -> IntArray:
         """Unique numbers of nodes (u, v) of sides ``6 * block + side``, arrays of any common shape.
 
-        From the corners of the quads, which is much faster than looking up every node.
+        They are taken from the corners of the quads, which is much faster than searching for every node.
         """
         counts = self.counts.reshape(-1, 2)[side]
         a, b = np.minimum(u, counts[..., 0] - 1), np.minimum(v, counts[..., 1] - 1)
@@ -63,7 +63,7 @@ class FaceQuads:
         return np.asarray(self.corners[quad, np.where(self.in_order.ravel()[side], corner, last - corner)])
 
     def by_side(self, quads: IntArray) -> list[tuple[int, IntArray]]:
-        """Some quads side by side, in their order on each: ``6 * block + side`` and those on it."""
+        """Quads grouped by block side: ``6 * block + side`` and the quads on it, in their order."""
         side = self.block_side[quads]
         if np.any(side[1:] < side[:-1]):
             order = np.argsort(side, kind="stable")
@@ -97,7 +97,7 @@ class Topology:
     quads : the cell faces on block faces
     partner : (n_quads,) the quad on the other side of an interface, ``EXTERNAL`` or ``COLLAPSED``
     handedness : (n_blocks,) +1 for right-handed blocks, -1 for left-handed ones
-    crowded : quads that more than two blocks share (their partners form a ring)
+    crowded : number of quads that more than two blocks share (their partners form a ring)
     """
 
     face_nodes: IntArray
@@ -161,7 +161,7 @@ def find_topology(grid: Grid, tolerance: float = RELATIVE_TOLERANCE) -> Topology
 
 
 def _coincident(grid: Grid, face_nodes: IntArray, tolerance: FloatArray) -> IntArray:
-    """Unique number of every face node; components have no nodes in common."""
+    """Unique number of every face node; nodes of different components are never identified."""
     if not grid.component_numbers.any():
         return coincident_groups(grid.points[face_nodes], tolerance)
     part = np.repeat(grid.component_numbers, np.diff(np.searchsorted(face_nodes, grid.offsets)))
@@ -185,9 +185,9 @@ def inward_step(shape: Shape, side: Side) -> int:
 
 
 def _shortest_edges(grid: Grid, sides: IntArray, rows: IntArray, face_nodes: IntArray) -> FloatArray:
-    """Shortest edge at every face node that is longer than the round-off of the file's precision.
+    """Shortest edge at every face node, ignoring edges within the round-off of the file's precision.
 
-    ``rows``: of every node of the ``sides`` in ``face_nodes``.
+    ``rows`` are the positions in ``face_nodes`` of all nodes of the ``sides``.
     """
     shortest = np.full(len(face_nodes), np.inf)
     epsilon = 4 * float(np.finfo(grid.precision).eps)
@@ -202,7 +202,7 @@ def _shortest_edges(grid: Grid, sides: IntArray, rows: IntArray, face_nodes: Int
 
 
 def _edges_of_sides(grid: Grid, sides: IntArray, epsilon: float) -> FloatArray:
-    """Square of the shortest edge on its side, or into the block, of every node of some sides."""
+    """Square of the shortest edge at every node of ``sides``, along the side or into the block."""
     side, u, v, flat = grid.sides.all_nodes(sides)
     here = grid.points[flat].T.copy()
     size = _largest(here)
@@ -223,14 +223,14 @@ def _largest(x: FloatArray) -> FloatArray:
 
 
 def _sound_square(edge: FloatArray, epsilon: float, one: FloatArray, two: FloatArray) -> FloatArray:
-    """Squared length of edges (3, n), infinite where it is nothing but noise at ends of this size."""
+    """Squared length of edges (3, n); infinite where it is within the round-off of coordinates of this size."""
     square = edge[0] * edge[0] + edge[1] * edge[1] + edge[2] * edge[2]
     square[square <= (epsilon * np.maximum(one, two)) ** 2] = np.inf
     return np.asarray(square)
 
 
 def _face_quads(grid: Grid, sides: IntArray, numbers: IntArray, handedness: IntArray) -> FaceQuads:
-    """The quads of all sides from the unique numbers of all nodes of those ``sides`` that have quads."""
+    """The quads of all sides, from the unique ``numbers`` of the nodes of all ``sides`` that have quads."""
     lattice = grid.sides
     counts = np.where(lattice.has_quads[:, None], lattice.cells, 0)
     sizes = counts.prod(axis=1)
@@ -254,9 +254,10 @@ def _face_quads(grid: Grid, sides: IntArray, numbers: IntArray, handedness: IntA
 
 
 def _partners(corners: IntArray, shared: np.ndarray) -> tuple[IntArray, int]:
-    """Partner of every quad, and how many more than two blocks share; ``shared`` (n_unique,): nodes of several blocks.
+    """Partner of every quad, and the number of quads that more than two blocks share.
 
-    Shared quads have shared corners, collapsed ones at most one that is not; the others need not be sorted.
+    ``shared`` (n_unique,): nodes that several blocks have in common. Only quads whose corners are shared, all but one
+    for collapsed ones, need to be sorted.
     """
     count = np.zeros(len(corners), dtype=np.int8)
     for column in corners.T:
@@ -274,7 +275,7 @@ def _partners_of(corners: IntArray) -> tuple[IntArray, int]:
     collapsed = distinct < (3 if rows.shape[1] == 4 else 2)
     triangles = (distinct == 3) & (rows.shape[1] == 4)
     if triangles.any():
-        # The same triangle may repeat another corner on the other side: keep three corners and pad.
+        # On the other side, the same triangle may repeat another corner: keep three corners and pad.
         repeated = np.argmax(np.diff(rows[triangles], axis=1) == 0, axis=1)
         some = rows[triangles]
         some[np.arange(len(some)), repeated] = rows.max() + 1

@@ -48,15 +48,15 @@ def windows_of_quads(shape: Shape, block: int, side: Side, quads: NDArray[np.boo
 
 @dataclass(frozen=True)
 class Rectangles:
-    """Rectangles of face quads on block sides, a row each.
+    """Rectangles of face quads on block sides, one per row.
 
     Attributes
     ----------
     side : (n,) ``6 * block + side``
-    label : (n,) what its quads have in common
+    label : (n,) the common label of its quads
     low, high : (n, 2) first and last node along ``side.tangential``
-    quads : the face quads of all, rectangle after rectangle and in ascending order in each
-    start : (n + 1,) where those of each begin
+    quads : the face quads, rectangle after rectangle, ascending in each
+    start : (n + 1,) offset of each rectangle in ``quads``
     """
 
     side: IntArray
@@ -70,7 +70,7 @@ class Rectangles:
         return len(self.side)
 
     def windows(self) -> list[Window]:
-        """The same as objects."""
+        """The rectangles as windows of nodes."""
         rows = zip(self.side.tolist(), self.low.tolist(), self.high.tolist(), strict=True)
         return [Window(side // 6, _SIDES[side % 6], (a, b), (c, d)) for side, (a, b), (c, d) in rows]
 
@@ -79,7 +79,7 @@ class Rectangles:
         return self.quads[self.start[number] : self.start[number + 1]]
 
     def chosen(self, some: IntArray) -> Rectangles:
-        """Some of them, in the order of the numbers ``some``."""
+        """The rectangles with the numbers ``some``, in this order."""
         sizes = np.diff(self.start)[some]
         run, place = spans(sizes)
         quads = self.quads[self.start[some][run] + place]
@@ -91,19 +91,19 @@ _SIDES = tuple(Side)
 
 
 def rectangles(grid: Grid, faces: FaceQuads, label: IntArray) -> Rectangles:
-    """Rectangles of face quads with equal labels, on all block sides: what :func:`windows_of_quads` finds of each.
+    """Rectangles of face quads with equal labels on all block sides, divided as by :func:`windows_of_quads`.
 
     Parameters
     ----------
-    label : (n_quads,) the quads to be covered have labels from 0 on
+    label : (n_quads,) labels from 0; quads with a negative label are left out
 
     Returns
     -------
-    They are ordered by side, label, first node along the second axis, last one, first node along the first axis.
+    Ordered by side, label, first node along the second axis, last one, first node along the first axis.
     """
     some = np.flatnonzero(label >= 0)
     side, u, v = faces.places(some)
-    # Runs of quads within one row of a side, then equal runs of successive rows.
+    # First runs of quads within one row of a side, then equal runs of successive rows.
     new = np.ones(len(some), dtype=bool)
     new[1:] = (np.diff(some) != 1) | (v[1:] == 0) | (label[some[1:]] != label[some[:-1]])
     first = np.flatnonzero(new)

@@ -17,8 +17,8 @@ from .measures.lines import InterfaceLines, WallFace, kink_and_jump, lines_acros
 def wall_cells(before: Grid, topology: Topology, after: FloatArray, quads: IntArray) -> tuple[FloatArray, FloatArray]:
     """Deviation (degrees) and height ratio (n_cells,) of the cells at wall ``quads``, NaN elsewhere.
 
-    A cell gets the largest deviation of its grid lines off the wall in coordinates ``after`` (n_nodes, 3), and, of the
-    ratios of their heights to those before, the one farthest from 1.
+    A cell gets the largest deviation of its grid lines at the wall in coordinates ``after`` (n_nodes, 3) and, of the
+    ratios of first-cell heights after to before along them, the one farthest from 1.
     """
     deviation, ratio = _of_no_cell(before), _of_no_cell(before)
     chosen = np.zeros(len(topology.partner), dtype=bool)
@@ -41,14 +41,14 @@ def _of_no_cell(grid: Grid) -> FloatArray:
 
 
 def _corners(face: WallFace, values: FloatArray) -> FloatArray:
-    """Values of the touched nodes of a face at the corners (n, 2 or 4) of its wall quads."""
+    """Node values of a wall face at the corners (n, 2 or 4) of its wall quads."""
     at_nodes = np.full(face.nodes.shape, np.nan)
     at_nodes[face.touched] = values
     return np.stack([at_nodes[window][face.wall] for window in face.corners], axis=1)
 
 
 def _farthest(known: FloatArray, ratios: FloatArray) -> FloatArray:
-    """The ratios farthest from 1, of (n, m) and those already known (n,)."""
+    """(n,) the ratio farthest from 1 among ``ratios`` (n, m) and the ``known`` ones (n,)."""
     all_ratios = np.concatenate([known[:, None], ratios], axis=1)
     with np.errstate(divide="ignore"):
         reach = np.abs(np.log(np.maximum(all_ratios, 0.0)))
@@ -69,8 +69,8 @@ def interface_cells(
 ) -> tuple[FloatArray, FloatArray]:
     """Kink (degrees) and spacing jump (n_cells,) of the cells beside shared faces, NaN elsewhere.
 
-    A cell gets the largest magnitude of the grid lines through a face; changes relative to coordinates ``before``
-    (n_nodes, 3) if there are any.
+    A cell gets the largest magnitude among the grid lines through its faces; with coordinates ``before`` (n_nodes, 3),
+    of the changes since these.
     """
     kink, jump = _of_no_cell(grid), _of_no_cell(grid)
     quads = np.flatnonzero(topology.partner > np.arange(len(topology.partner)))
@@ -92,7 +92,7 @@ def _cells_behind(grid: Grid, topology: Topology, quads: IntArray) -> IntArray:
     side, u, v = topology.quads.places(quads)
     block, shapes = side // 6, np.array(grid.cell_shapes)[side // 6]
     axis, far = side % 6 // 2, side % 2
-    # The places along the other two axes, and the first or the last layer along this one.
+    # Indices along the side's axes; the first or the last layer along the third.
     row = np.arange(len(quads))
     at = np.stack([np.where(axis == 0, 0, u), np.where(axis == 0, u, v), v], axis=1)
     at[axis == 1, 1] = 0
@@ -101,17 +101,17 @@ def _cells_behind(grid: Grid, topology: Topology, quads: IntArray) -> IntArray:
 
 
 def cell_at_wall(grid: Grid, faces: Sequence[WallFace], number: int) -> int:
-    """A wall cell with one of the grid lines off ``faces``, numbered as by :func:`.measures.lines.wall_lines`."""
+    """A wall cell at one of the grid lines off ``faces``, numbered as by :func:`.measures.lines.wall_lines`."""
     for face in faces:
         touched = np.argwhere(face.touched)
         if number < len(touched):
-            # At the edge of a wall, some cells around a node are not wall cells.
+            # At the edge of a wall, not all cells around a node are wall cells.
             quads = np.argwhere(face.wall)
             away = touched[number] - quads
             a, b = quads[int(np.argmax(((away == 0) | (away == 1)).all(axis=1)))]
             return _cell_along(grid, int(face.nodes[a, b]), int(face.nodes[a, b] + face.step))
         number -= len(touched)
-    raise IndexError(f"walls have {number} grid lines fewer")
+    raise IndexError(f"there are {number} grid lines fewer at walls")
 
 
 def cell_at_interface(grid: Grid, lines: InterfaceLines, number: int) -> int:
@@ -120,7 +120,7 @@ def cell_at_interface(grid: Grid, lines: InterfaceLines, number: int) -> int:
 
 
 def _cell_along(grid: Grid, node: int, neighbour: int) -> int:
-    """The cell after the edge between two nodes of a block, by flat index; at the end of the block the one before."""
+    """The cell beyond the edge between two nodes (flat indices) of a block; at the end of the block the one before."""
     block = int(np.searchsorted(grid.offsets, node, side="right")) - 1
     ends = np.array(np.unravel_index([node - grid.offsets[block], neighbour - grid.offsets[block]], grid.shapes[block]))
     shape = grid.cell_shapes[block]

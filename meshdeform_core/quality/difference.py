@@ -69,7 +69,7 @@ def require_same_blocks(a: Grid, b: Grid) -> None:
     Raises
     ------
     GridError
-        With the number of blocks, or the first block that differs.
+        Stating the numbers of blocks, or the first block that differs.
     """
     first, second = (str(grid.path or name) for grid, name in ((a, "the first grid"), (b, "the second grid")))
     if a.n_blocks != b.n_blocks:

@@ -24,14 +24,14 @@ from .verdict.validity import Verdict, judge
 
 _ROUND_OFF = 1e-9
 Cells = tuple[slice, slice, slice]
-"""A box of cells of a block, with explicit first and last."""
+"""A box of cells of a block; the slices have explicit bounds."""
 
 
 @dataclass(frozen=True)
 class CellMeasure:
     """A cell measure: its meaning and what it requires.
 
-    ``from_reference`` ones compare with the undeformed grid, ``of_walls`` ones need to know where walls are.
+    ``from_reference``: it compares with the undeformed grid; ``of_walls``: it requires known walls.
     """
 
     definition: str
@@ -57,22 +57,22 @@ CELL_MEASURES = {
     "wall_distance": CellMeasure("distance to the nearest wall node", of_walls=True),
     "displacement": CellMeasure("displacement", from_reference=True),
 }
-"""All measures by name. Measures of walls are NaN except in cells at walls, those of interfaces except beside
-interfaces. Kinks and jumps are changes where there is an undeformed grid."""
+"""All measures by name. Measures at walls are NaN in cells away from walls, those at interfaces in cells away from
+interfaces. With an undeformed grid, kinks and jumps are changes since that grid."""
 
 _SHAPE = ("aspect_ratio", "growth_ratio", "non_orthogonality_deg", "skewness")
 
 
 @dataclass(frozen=True)
 class CellFields:
-    """The cells of a grid as they are measured.
+    """The cells of a grid and what their measures require.
 
     Attributes
     ----------
     topology : of the undeformed grid
-    reference : the undeformed grid; cells that became invalid are judged against it
-    moving : numbers of face quads that move, which are walls whatever they look like
-    original : the undeformed grid where its faces have been found already
+    reference : the undeformed grid, against which cells are judged, if there is one
+    moving : numbers of the face quads that move; these count as walls in any case
+    original : the undeformed grid with its faces, if these have been found already
     """
 
     grid: Grid
@@ -83,7 +83,7 @@ class CellFields:
 
     @cached_property
     def outside(self) -> Outside:
-        """Faces and roles, of the undeformed grid where there is one."""
+        """Faces and roles, of the undeformed grid if there is one."""
         return self.original.outside if self.original else find_outside(self.reference or self.grid, self.topology)
 
     def whole(self, block: int) -> Cells:
@@ -97,7 +97,7 @@ class CellFields:
         Raises
         ------
         CaseError
-            When the measure is unknown, needs the undeformed grid and there is none, or needs walls and none is known.
+            When the measure is unknown, or requires an undeformed grid or walls that are not known.
         """
         self.require(measure)
         return _VALUES[measure](self, block, cells)
@@ -113,7 +113,7 @@ class CellFields:
             raise CaseError(f"{measure}: no wall is known; see `meshdeform info`")
 
     def bad(self, block: int, cells: Cells) -> BoolArray:
-        """Invalid cells: those that became invalid if there is an undeformed grid, else those turned inside out."""
+        """Invalid cells: those that became invalid or, without an undeformed grid, those with a negative Jacobian."""
         if self.reference is None:
             return np.asarray(self.measure(block, cells).scaled < -_ROUND_OFF)
         return np.asarray(self._box(self.verdict.failed, block, cells) != 0)
@@ -135,7 +135,7 @@ class CellFields:
 
     @cached_property
     def walls(self) -> IntArray:
-        """Numbers of the face quads of walls: what the file declares or what looks like one, and what moves."""
+        """Numbers of the face quads of walls: declared, guessed or moving."""
         quads = [surface.quads for surface in self.outside.of_role(Role.WALL)]
         if self.moving is not None:
             quads.append(self.moving)
@@ -143,12 +143,12 @@ class CellFields:
 
     @cached_property
     def at_walls(self) -> tuple[FloatArray, FloatArray]:
-        """Deviation from the wall normal (degrees) and height ratio (n_cells,) of the cells at walls, else NaN."""
+        """Deviation from the wall normal (degrees) and height ratio (n_cells,) of the cells at walls; NaN elsewhere."""
         return wall_cells(self.reference or self.grid, self.topology, self.grid.points, self.walls)
 
     @cached_property
     def at_interfaces(self) -> tuple[FloatArray, FloatArray]:
-        """Kink (degrees) and spacing jump (n_cells,) of the cells beside block interfaces, else NaN."""
+        """Kink (degrees) and spacing jump (n_cells,) of the cells beside block interfaces; NaN elsewhere."""
         before = None if self.reference is None else self.reference.points
         return interface_cells(self.grid, self.topology, self.grid.points, before)
 

@@ -1,4 +1,4 @@
-"""Invalid cells grouped by location: those that touch each other, also across blocks."""
+"""Invalid cells grouped by location: cells that touch each other form a group, also across blocks."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ class InvalidGroup:
     blocks : names of the blocks they lie in
     box : lowest and highest coordinates of the deformed cells
     center : mean of the centres of the deformed cells
-    block, ijk : the worst of them (1-based), with the smallest Jacobian relative to the undeformed one
-    nearest_patch : the moving boundary nearest to it in the undeformed grid
+    block, ijk : the worst cell (1-based), that with the smallest Jacobian relative to the undeformed one
+    nearest_patch : the moving boundary nearest to the worst cell in the undeformed grid
     """
 
     cells: int
@@ -83,14 +83,14 @@ def _group(
 
 
 def _unique(topology: Topology, nodes: IntArray) -> IntArray:
-    """Nodes with coincident ones replaced by the first of them."""
+    """``nodes`` with coincident ones replaced by the first of them."""
     at = np.minimum(np.searchsorted(topology.face_nodes, nodes), len(topology.face_nodes) - 1)
     shared = topology.face_nodes[at] == nodes
     return np.where(shared, topology.first[topology.number[at]], nodes)
 
 
 def _touching(nodes: IntArray) -> IntArray:
-    """Number of the connected group of every row of nodes (n,)."""
+    """(n,) number of the group of each row of ``nodes``; rows with a node in common are in one group."""
     _, local = np.unique(nodes, return_inverse=True)
     n = len(nodes)
     rows = np.repeat(np.arange(n), nodes.shape[1])

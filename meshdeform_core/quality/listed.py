@@ -31,8 +31,8 @@ class Worst:
 class InvalidCell:
     """A cell that was valid and no longer is.
 
-    ``test`` is the one it failed, see :class:`.verdict.validity.Failure`; ``ijk`` are 1-based; ``center`` is the mean
-    of the corners; ``step`` the first step that broke it.
+    ``test`` is the test that it failed, see :class:`.verdict.inspection.Failure`; ``ijk`` are 1-based; ``center`` is
+    the mean of the corners; ``step`` is the first step after which it was invalid.
     """
 
     block: str
@@ -46,7 +46,7 @@ class InvalidCell:
 
 
 def worst_cell(grid: Grid, points: FloatArray, cell: int, value: float) -> Worst:
-    """The cell with the worst value of a measure, by number; a value that is infinite counts as one."""
+    """The entry for ``cell``, the number of the cell with the worst value of a measure; an infinite value becomes 1."""
     block, ijk = place_of(grid, cell)
     i, j, k = ijk
     center = grid.block(block, points)[i : i + 2, j : j + 2, k : k + 2].reshape(-1, 3).mean(axis=0)
@@ -62,7 +62,7 @@ def place_of(grid: Grid, cell: int) -> tuple[int, Shape]:
 
 
 def list_cells(original: Original, points: FloatArray, cells: IntArray, verdict: Verdict) -> Iterator[InvalidCell]:
-    """The invalid ones among ``cells``, by number, with coordinates ``points`` (n_nodes, 3)."""
+    """Entries for ``cells`` (numbers of invalid cells) at coordinates ``points`` (n_nodes, 3)."""
     grid, normal = original.grid, plane_normal(original.grid)
     for cell in cells.tolist():
         block, (i, j, k) = place_of(grid, cell)
@@ -82,7 +82,7 @@ def list_cells(original: Original, points: FloatArray, cells: IntArray, verdict:
 def with_nearest_patch(
     grid: Grid, topology: Topology, boundary: Boundary | None, points: FloatArray, cells: list[InvalidCell]
 ) -> tuple[InvalidCell, ...]:
-    """Name the boundary nearest to each cell, both undeformed, see :func:`nearest_patches`."""
+    """The cells with the name of the boundary nearest to each in the undeformed grid, see :func:`nearest_patches`."""
     if not cells:
         return ()
     centers = []
@@ -95,9 +95,9 @@ def with_nearest_patch(
 
 
 def nearest_patches(grid: Grid, topology: Topology, boundary: Boundary | None, at: FloatArray) -> list[str]:
-    """Names of the moving boundaries nearest to points (n, 3); without moving ones of any; empty without a boundary.
+    """Names of the moving boundaries nearest to points (n, 3), or of any boundaries if none moves; empty without any.
 
-    On grids with only one or a few layers of cells the side planes would be nearest everywhere, which says nothing.
+    Fixed boundaries are left out because in grids of few layers the side planes would be nearest everywhere.
     """
     if boundary is None or not boundary.patches:
         return [""] * len(at)

@@ -44,7 +44,7 @@ def per_block(original: Original, cells: Comparison) -> tuple[BlockQuality, ...]
 
 
 def _skews(grid: Grid, tally: Tally) -> list[BlockSkew]:
-    """The rows of a tally, one per slab, put together by block."""
+    """The rows of a tally, one per slab, combined by block."""
     block_of = np.array([slab.block for slab in slabs(grid)])
     starts = np.searchsorted(block_of, np.arange(grid.n_blocks))
     lows = np.minimum.reduceat(tally.lows, starts, axis=0)

@@ -76,7 +76,7 @@ class Assessment:
         return change
 
     def with_steps(self, grid: Grid, first_bad: Mapping[int, int], otherwise: int) -> Assessment:
-        """The same with the step that first broke each listed cell, by cell number (see ``newly_invalid``)."""
+        """The assessment with the first step after which each listed cell was invalid, by cell number."""
         starts = cell_starts(grid)
 
         def number(cell: InvalidCell) -> int:
@@ -149,7 +149,7 @@ def assess(
 
 
 def _of_moving_walls(walls: WallQuality | None) -> dict[str, Worst]:
-    """The worst places at moving walls that are given for the grid as a whole, too."""
+    """The worst cells at moving walls, which the report also lists for the grid as a whole."""
     places = walls.worst.items() if walls else ()
     return {name: worst for name, worst in places if not name.startswith("layer")}
 
@@ -162,7 +162,7 @@ def _quality(
     ratio: Range,
     worst: Mapping[str, Worst],
 ) -> Quality:
-    """``verdict``: cells that are invalid, cells that were bad before, smallest relative Jacobian."""
+    """``verdict``: numbers of invalid and of inherited cells, smallest relative Jacobian."""
     invalid, inherited, relative = verdict
     counts = invalid, inherited, cells.negative
     scaled = cells.smallest_scaled[1]

@@ -25,7 +25,7 @@ _NO_CELLS = np.empty((0, 0, 0, 4))
 
 @dataclass(frozen=True)
 class ShapeMeasure:
-    """A measure of a whole grid: its mean, its largest value and the cell where that is."""
+    """A measure over a whole grid: its mean, its largest value, and the cell with that value."""
 
     mean: float
     max: float
@@ -71,7 +71,7 @@ def shape_of_cells(grid: Grid, block: int, cells: tuple[slice, slice, slice]) ->
 
 
 def _solid(grid: Grid, block: int, points: FloatArray) -> tuple[FloatArray, IntArray]:
-    """The nodes of a block, of a 2-D one extruded by one layer, and its index axes with more than one cell."""
+    """The nodes of a block (a 2-D one extruded by one layer), and its index axes with more than one cell."""
     x = grid.block(block, points)
     resolved = np.array([n > 1 for n in grid.cell_shapes[block]], dtype=np.int64)
     if grid.dimension == 2:

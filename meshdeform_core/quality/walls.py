@@ -17,7 +17,7 @@ from .measures.tally import Range, Spread
 from .verdict.original import Original, Walls
 
 CHANGED = 0.01
-"""A grid line off a wall is changed where its first cells are thicker or thinner by more than this part."""
+"""A grid line at a wall counts as changed if the thickness of its first cells differs by more than this fraction."""
 
 Extremes = dict[str, tuple[int, float]]
 """Number and value of the worst cell for each measure; measures with the same value everywhere are left out."""
@@ -27,7 +27,7 @@ Extremes = dict[str, tuple[int, float]]
 class WallQuality:
     """The grid lines off the moving or the fixed walls, as in the report's ``walls``.
 
-    ``layer_thickness_ratio``: of the first cells of each line, see :data:`.lines.LAYERS`, along the wall's normal.
+    ``layer_thickness_ratio``: of the first :data:`.lines.LAYERS` cells of each line, along the wall normal.
     ``worst`` names the cells with the extremes: ``wall_normal_deviation_deg``, ``first_cell_height_ratio_min`` and
     ``_max``, ``layer_thickness_ratio_min`` and ``_max``; none before.
     """
@@ -40,10 +40,10 @@ class WallQuality:
 
 @dataclass(frozen=True)
 class LayerChange:
-    """What a repair has made of the grid lines off the moving or the fixed walls.
+    """Effect of a repair on the grid lines at the moving or the fixed walls.
 
-    Of ``lines`` grid lines ``changed`` have a first cell, or first cells together (see :data:`.lines.LAYERS`), whose
-    height along the wall's normal differs by more than :data:`CHANGED`; ratios are to the heights before the repair.
+    ``changed`` of the ``lines`` grid lines have a first cell, or first :data:`.lines.LAYERS` cells together, whose
+    height along the wall normal differs by more than :data:`CHANGED`; ratios are to the heights before the repair.
     """
 
     lines: int
@@ -60,8 +60,7 @@ def measure_walls(
 ) -> tuple[WallQualities, WallQualities]:
     """The ``moving`` and the ``fixed`` walls before, and with coordinates ``after`` (n_nodes, 3).
 
-    ``None`` where there are none. Fixed walls are fixed faces with the role of a wall (:mod:`..grid.faces.roles`), no
-    far field.
+    ``None`` where there are none. Fixed walls are fixed faces with the role of a wall (:mod:`..grid.faces.roles`).
     """
     before: WallQualities = {"moving": None, "fixed": None}
     now: WallQualities = dict(before)
@@ -95,7 +94,7 @@ def _compared(original: Original, walls: Walls, after: FloatArray) -> tuple[Wall
 def layer_changes(
     original: Original, boundary: Boundary, plain: FloatArray, after: FloatArray
 ) -> dict[str, LayerChange | None]:
-    """What a repair changed at the ``moving`` and the ``fixed`` walls, from coordinates ``plain`` to ``after``, both
+    """Effect of a repair on the ``moving`` and the ``fixed`` walls: from coordinates ``plain`` to ``after``, both
     (n_nodes, 3); ``None`` where there are none."""
     normal = plane_normal(original.grid)
     found: dict[str, LayerChange | None] = {}
@@ -118,7 +117,7 @@ Ends = tuple[tuple[int, float], tuple[int, float]]
 
 
 def _ratios(old: FloatArray, new: FloatArray) -> Ends | None:
-    """The smallest and the largest ratio of lengths (n,) after to those before, where these are positive."""
+    """The smallest and the largest ratio of ``new`` to ``old`` lengths (n,), where the old ones are positive."""
     sound = np.flatnonzero(old > 0)
     if not sound.size:
         return None

@@ -1,4 +1,4 @@
-"""What all repairs of one undeformed grid share."""
+"""Data common to all repairs of one undeformed grid."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .tuned import HEALTHY, SOFT
 
 
 class Basis:
-    """What all repairs of one undeformed grid share; its parts are made when the first one needs them."""
+    """Data common to all repairs of one undeformed grid; each part is computed when first needed."""
 
     def __init__(self, original: Original, boundary: Boundary | Constraints):
         self.original, self._boundary = original, boundary
@@ -37,7 +37,7 @@ class Basis:
 
     @cached_property
     def extrusion(self) -> tuple[Extrusion, Basis] | None:
-        """The plane grid that this one is extruded from."""
+        """The plane grid that this one is extruded from, with its own basis; ``None`` if it is no extrusion."""
         found = find_extrusion(self._constraints)
         if found is None:
             return None
@@ -45,7 +45,7 @@ class Basis:
         return found, Basis(original, found.constraints)
 
     def healthy(self, points: FloatArray) -> bool:
-        """Whether the corners of all cells are healthy, told without building a region; not of plane grids."""
+        """Whether the corners of all cells are healthy, found without building a region; not for plane grids."""
         grid = self.original.grid
         if grid.dimension == 2:
             return False
@@ -54,7 +54,7 @@ class Basis:
 
     @cached_property
     def whole(self) -> Whole | None:
-        """All nodes that may move, ``None`` where there are none."""
+        """The region of all nodes that may move, or ``None`` if no node may."""
         free = self.neighbourhood.around(np.empty(0, dtype=np.int64), None)
         if not free.size:
             return None
@@ -70,5 +70,5 @@ class Whole:
 
     @cached_property
     def system(self) -> NewtonSystem:
-        """Of Newton's method, its pattern found once."""
+        """The linear system of Newton's method, whose pattern is found once."""
         return NewtonSystem(self.plot.region)

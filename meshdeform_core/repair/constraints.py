@@ -1,4 +1,4 @@
-"""Constraints that a repair must respect: held nodes, sliding planes, periodic images that move alike."""
+"""Constraints of a repair: held nodes, nodes that slide in planes or on surfaces, periodic images that move alike."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ class Constraints:
     held : (n_unique,) nodes that stay where they are: moving, fixed, and those at edges of curved slip surfaces
     walls : (n_unique,) moving nodes, and those of fixed faces that are likely to be walls, not far field
     removed : (n_unique, 3, 3) projectors on the directions in which a node must not move
-    root : (n_unique,) the smallest of the periodic images of a node, which has the unknown of all of them
-    turn : node -> rotation (3, 3) from its root, where that is not the identity
+    root : (n_unique,) the periodic image of a node with the smallest number, whose unknown all images share
+    turn : node -> rotation (3, 3) from its root, unless that is the identity
     sliding : the nodes that slide on curved surfaces
     """
 
@@ -40,7 +40,7 @@ class Constraints:
     sliding: tuple[Sliding, ...] = ()
 
     def without_sliding(self) -> Constraints:
-        """The same with the nodes held that slide on curved surfaces."""
+        """The constraints with the nodes that slide on curved surfaces held instead."""
         held = self.held.copy()
         for each in self.sliding:
             held[each.nodes] = True
@@ -75,7 +75,7 @@ class Constraints:
 
 
 def _on_one_surface(topology: Topology, boundary: Boundary) -> BoolArray:
-    """(n_unique,) nodes on no more than one curved slip surface and on no plane or periodic boundary."""
+    """(n_unique,) whether a node is on at most one curved slip surface and on no plane or periodic boundary."""
     count = np.zeros(topology.n_unique, dtype=np.int64)
     for surface in boundary.slip.curved:
         count[surface.nodes] += 1
@@ -87,7 +87,7 @@ def _on_one_surface(topology: Topology, boundary: Boundary) -> BoolArray:
 
 
 def _spans(sums: FloatArray) -> FloatArray:
-    """Projectors on the spans of sums of projectors (n, 3, 3); along axes there is no round-off."""
+    """Projectors (n, 3, 3) on the ranges of sums of projectors; exact if these are along coordinate axes."""
     values, vectors = np.linalg.eigh(sums)
     kept = np.where(values[:, None, :] > 1e-9, vectors, 0.0)
     exact = np.abs(sums - np.round(sums)).max(axis=(1, 2), initial=0.0) < 1e-12

@@ -1,8 +1,8 @@
 """The derivative of a repaired grid with respect to the grid of the method.
 
-At the minimum the gradient of the energy vanishes, whatever the grid of the method: a change of that grid moves the
-nodes by the solution of one linear system with the Hessian of the energy. What the energy takes from that grid changes,
-too: the elastic reference, and the shares with which cells count.
+At the minimum the gradient of the energy vanishes for any grid of the method (implicit function theorem). A change of
+that grid therefore moves the nodes by the solution of one linear system with the Hessian of the energy. Its right-hand
+side contains what the energy takes from that grid: the elastic reference, and the shares with which cells count.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from .extrusion import Extrusion
 from .tuned import CUBIC, POLISHED
 
 _LOOSE, _ITERATIONS, _REFINEMENTS = 1e-3, 5000, 40
-"""The system is kept in single precision, so that its solution is refined."""
+"""Tolerance and iterations of one solution, and number of refinements: the matrix is stored in single precision."""
 _ENOUGH = 1e-15
 _STEPS = 2
 
@@ -30,25 +30,25 @@ class RepairDerivative(Protocol):
     """Changes and gradients (n_nodes, 3) of block nodes."""
 
     def push(self, change: FloatArray) -> FloatArray:
-        """Change of the repaired grid for one of the method's."""
+        """Change of the repaired grid for a change of the method's grid."""
         ...
 
     def pull(self, gradient: FloatArray) -> FloatArray:
-        """Gradient with respect to the method's grid from that with respect to the repaired one."""
+        """Gradient with respect to the method's grid, from that with respect to the repaired grid."""
         ...
 
     def settle(self, rounding: float) -> float:
-        """Go on to the minimum itself: coordinates are rounded when they are written, by up to ``rounding``.
+        """Move on to the exact minimum, from coordinates that were rounded by up to ``rounding`` when written.
 
-        Returns how much farther than that it is, in shortest edges, at most; infinity where the Hessian is not that of
-        a minimum or too nearly singular for the linear system to be solved.
+        Returns the largest distance to it beyond the rounding, in shortest edges; infinity if the Hessian is not
+        positive definite, or too nearly singular for the linear system to be solved.
         """
         ...
 
 
 def derivative_of_repair(basis: Basis, start: FloatArray, end: FloatArray, polish: bool) -> RepairDerivative | None:
-    """The derivative at a grid of the method ``start`` (n_nodes, 3) whose repair is ``end``, if that is the minimum of
-    the energy; ``None`` where no cell is weak, or nodes slide on curved surfaces."""
+    """The derivative of the repair from ``start``, the method's grid (n_nodes, 3), to ``end``, the minimum of the
+    energy; ``None`` where no cell is weak, or nodes slide on curved surfaces."""
     undeformed = basis.original.grid.points
     if basis.extrusion is not None:
         extrusion, plane = basis.extrusion
@@ -65,7 +65,7 @@ def derivative_of_repair(basis: Basis, start: FloatArray, end: FloatArray, polis
 
 
 class _AtMinimum:
-    """With x = y + F u, the coordinates of the repaired grid, those of the method's, and the unknowns."""
+    """The derivative for x = y + F u: coordinates x of the repaired grid, y of the method's grid, unknowns u."""
 
     def __init__(self, whole: Whole, start: FloatArray, end: FloatArray, polish: bool) -> None:
         self._whole, self._plot = whole, whole.plot
@@ -133,7 +133,7 @@ class _AtMinimum:
         self._whole.system.fill(self._region, self._x, self._start, self._penalty(1.0))
 
     def _solved(self, right: FloatArray) -> FloatArray:
-        """The unknowns (n_unknowns, d) that the Hessian takes to a right-hand side."""
+        """Solution (n_unknowns, d) of the linear system with the Hessian and the ``right``-hand side."""
         self._fill()
         system, found, rest = self._whole.system, np.zeros_like(right), right
         size = before = np.linalg.norm(right)
@@ -142,7 +142,7 @@ class _AtMinimum:
                 break
             system.gradient[...] = -rest
             step, convex = system.direction(_LOOSE, _ITERATIONS)
-            # No minimum, or one that is hardly determined: more of the same would take minutes.
+            # No minimum, or one that is nearly singular: further refinements would take minutes.
             if not convex or system.iterations == _ITERATIONS:
                 self._regular = False
                 break
@@ -183,14 +183,14 @@ class _AtMinimum:
 
 
 class _Extruded:
-    """The same on the plane grid that a grid is extruded from; held nodes follow the method."""
+    """The derivative on the plane grid that a grid is extruded from; held nodes follow the method."""
 
     def __init__(self, extrusion: Extrusion, inside: RepairDerivative) -> None:
         self._extrusion, self._inside = extrusion, inside
 
     @property
     def _held(self) -> BoolArray:
-        """(n_nodes, 1) nodes on lines that are held."""
+        """(n_nodes, 1) whether a node is on a line that is held."""
         extrusion, held = self._extrusion, np.zeros(self._extrusion.plane.n_nodes, dtype=bool)
         topology = extrusion.constraints.topology
         held[topology.face_nodes] = extrusion.constraints.held[topology.number]

@@ -1,4 +1,4 @@
-"""Straight extrusions of plane grids: a plane motion of such a grid is repaired on the plane grid."""
+"""Straight extrusions of plane grids; plane motions of such grids are repaired on the plane grid."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ _STRAIGHT = 1e-10
 
 @dataclass(frozen=True, eq=False)
 class Extrusion:
-    """A grid as copies of a plane one.
+    """A grid that consists of copies of a plane grid.
 
     Attributes
     ----------
     direction : (3,) unit vector, normal to the plane
     plane : the plane grid, blocks with one node along one index
-    line : (n_nodes,) its node that every block node is a copy of
+    line : (n_nodes,) the node of the plane grid that each block node is a copy of
     constraints : of the plane grid
     scale : extent of the grid
     """
@@ -41,7 +41,7 @@ class Extrusion:
         return np.bincount(self.line, minlength=self.plane.n_nodes)
 
     def mean(self, change: FloatArray) -> FloatArray:
-        """The mean along lines (n_plane, 3) of a displacement (n_nodes, 3), in the plane."""
+        """The mean along lines (n_plane, 3) of a displacement (n_nodes, 3), projected on the plane."""
         return self._in_plane(self.summed(change) / self._count[:, None])
 
     def of_mean(self, gradient: FloatArray) -> FloatArray:
@@ -49,14 +49,14 @@ class Extrusion:
         return np.asarray((self._in_plane(gradient) / self._count[:, None])[self.line])
 
     def summed(self, gradient: FloatArray) -> FloatArray:
-        """Sums along lines (n_plane, 3) of values (n_nodes, 3): the transpose of a copy to all nodes of a line."""
+        """Sums along lines (n_plane, 3) of values (n_nodes, 3): the transpose of copying to all nodes of a line."""
         return np.stack([np.bincount(self.line, c, self.plane.n_nodes) for c in gradient.T], axis=1)
 
     def _in_plane(self, vectors: FloatArray) -> FloatArray:
         return np.asarray(vectors - (vectors @ self.direction)[:, None] * self.direction)
 
     def flattened(self, change: FloatArray) -> FloatArray | None:
-        """The displacement (n_plane, 3) of the plane grid for one of the grid (n_nodes, 3), a mean along lines.
+        """The displacement (n_plane, 3) of the plane grid: the mean along lines of that of the grid (n_nodes, 3).
 
         ``None`` if held nodes move out of the plane, or differently along a line.
         """
@@ -107,7 +107,7 @@ def find_extrusion(constraints: Constraints) -> Extrusion | None:
 
 
 def _heights(block: FloatArray, scale: float) -> list[FloatArray]:
-    """Vectors from one end of a block to the other that are the same everywhere; not of blocks that close."""
+    """Vectors between opposite faces of a block that are the same at all nodes; none where the two faces coincide."""
     found = []
     for axis in range(3):
         height = block.take(-1, axis=axis) - block.take(0, axis=axis)
@@ -160,9 +160,9 @@ def _extruded(
 def _in_plane(
     constraints: Constraints, topology: Topology, plane: Grid, line: IntArray, bottom: IntArray, unit: FloatArray
 ) -> Constraints | None:
-    """The constraints of the plane grid, ``None`` if those of the grid are not the same along all lines.
+    """The constraints of the plane grid, or ``None`` if those of the grid vary along a line.
 
-    Along lines inside the plane grid's blocks only the ends may be constrained, and only to stay in their planes.
+    On lines through the interior of the plane grid's blocks only the ends may be constrained, and only to their planes.
     """
     space, flat = constraints.topology, np.eye(3) - np.outer(unit, unit)
     removed = flat @ constraints.removed @ flat
@@ -179,7 +179,7 @@ def _in_plane(
         difference = np.abs(values[space.number[on_edge]].astype(float) - values[chosen][of[on_edge]].astype(float))
         if difference.max(initial=0.0) > 1e-12:
             return None
-    # The image of a line is a line; those of its ends may be the ends of the same one.
+    # The periodic image of a line is a line; the images of its two ends may be ends of that line itself.
     plane_of = np.full(space.n_unique, -1)
     plane_of[space.number] = of
     root = plane_of[constraints.root[chosen]]

@@ -1,4 +1,4 @@
-"""Limits on the time and the work that the repairs and attempts of a motion take."""
+"""Limits on the time and the work of the repairs and attempts of a motion."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import time as clock
 from ..parallel import current_ranks
 
 _PER_NODE, _FEWEST = 600.0, 35_000
-"""Work that a grid is worth, 60 s per 100,000 nodes, and the number of nodes that small grids count as."""
+"""Work allowed per node (60 s per 100,000 nodes), and the number of nodes that smaller grids count as."""
 
 
 class Limit:
@@ -31,25 +31,24 @@ class Limit:
         self._left -= work
 
     def affords(self, work: float) -> int:
-        """How many pieces of such work may still be done, but at least one."""
+        """Number of times that such work may still be done, at least 1."""
         return max(1, int(min(self._left / work, 1e9)))
 
     @property
     def exhausted(self) -> bool:
-        """Whether all work is spent, the same on all ranks: all of them must ask."""
+        """Whether all work is spent; a collective call with the same answer on all ranks."""
         return current_ranks().on_first(lambda: self._left <= 0.0)
 
     @property
     def late(self) -> bool:
-        """Whether the time is over, the same on all ranks: all of them must ask."""
+        """Whether the time is over; a collective call with the same answer on all ranks."""
         return current_ranks().on_first(lambda: clock.monotonic() >= self._end)
 
     @property
     def reached(self) -> bool:
-        """Whether either is."""
+        """Whether the work is spent or the time is over; a collective call."""
         return self.exhausted or self.late
 
     def over(self) -> bool:
-        """The same for one rank; the time is never over where several ranks compute the same, which are not equally
-        fast."""
+        """Like :meth:`reached`, for one rank alone. Several ranks are not equally fast, so that only work counts."""
         return self._left <= 0.0 or (current_ranks().count == 1 and clock.monotonic() >= self._end)

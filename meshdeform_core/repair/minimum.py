@@ -12,9 +12,9 @@ from .energy.untangle import CLOSE, Pace, Untangler
 from .limit import Limit
 from .tuned import POLISHED
 
-# A regularisation that begins large and falls slowly finds valid grids where a quick one is caught.
+# A regularisation that starts large and falls slowly finds valid grids where a quick one gets stuck.
 QUICK, PATIENT = Pace(60, 2.0, 0.2, around=40), Pace(200, 50.0, 0.1)
-# Where no valid grid exists, most cells that can become valid do so early.
+# Where no valid grid exists, most of the cells that can become valid do so early.
 HASTY = Pace(30, 2.0, 0.3)
 _CONVERGING = 60
 # A region of n nodes takes at most _WORK / n Newton steps, so that time is bounded on large grids.
@@ -25,11 +25,11 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class Search:
-    """Where a search has ended.
+    """The end of a search.
 
-    Block nodes ``moved`` (k,) with their ``shift`` (k, 3); whether it has ``succeeded``: the minimum is reached, or no
-    sample of a region is inverted any more; the largest f ``before``, infinite where a sample was inverted, and after.
-    ``untangled`` is the shift at which no sample was inverted any more, where the minimum was not reached from there.
+    Block nodes ``moved`` (k,) with their ``shift`` (k, 3); ``succeeded``: the minimum is reached or, in a region, no
+    sample is inverted any more; the largest f ``before`` (infinite if a sample was inverted) and after. ``untangled``
+    is the shift at which no sample was inverted any more, if the minimum was not reached from there.
     """
 
     moved: IntArray
@@ -42,7 +42,7 @@ class Search:
 
 
 def most_steps(n_unknowns: int) -> int:
-    """Newton steps that a region may take."""
+    """Largest number of Newton steps for a region."""
     return max(_FEWEST, _WORK // n_unknowns)
 
 
@@ -55,9 +55,9 @@ def minimise(
     limit: Limit,
     close: float = CLOSE,
 ) -> Search | None:
-    """Search the minimum from ``points`` (n_nodes, 3) of the method, moved by a ``guess``; ``None`` where no cell is
-    weak. ``polish``: the energy has its full share in any case, and cells at walls count little more than others;
-    ``close``: how near to the minimum the search ends, see :mod:`.energy.untangle`."""
+    """Search for the minimum from ``points`` (n_nodes, 3) of the method, moved by a ``guess``; ``None`` if no cell is
+    weak. ``polish``: the energy always has its full share, and cells at walls count little more than others;
+    ``close``: the distance from the minimum at which the search ends, see :mod:`.energy.untangle`."""
     plot = whole.plot
     reference = plot.inside(points)
     share, energy = share_of(plot.region.energy, reference)

@@ -1,4 +1,4 @@
-"""Which nodes a repair moves: those around broken cells, in a region with an energy."""
+"""The nodes that a repair moves: those around weak cells, as a region with an energy."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from .walls import UNLIMITED, nearness, weigh
 class Plot(NamedTuple):
     """A region of a grid.
 
-    The block nodes ``nodes`` (n,) stand for its nodes; all block nodes ``moved`` (k,) move as its nodes ``at`` (k,) do.
-    Its coordinates are the components along ``axes`` (d, 3).
+    ``nodes`` (n,): one block node for each node of the region; ``moved`` (k,): block nodes that follow the region's
+    nodes ``at`` (k,). The region's coordinates are the components along ``axes`` (d, 3).
     """
 
     region: Region
@@ -76,12 +76,12 @@ class Neighbourhood:
 
     @cached_property
     def _from_walls(self) -> FloatArray:
-        """How near every block node is to walls, (n_nodes,)."""
+        """(n_nodes,) :func:`.walls.nearness` of every block node."""
         walls = self.topology.face_nodes[self.constraints.walls[self.topology.number]]
         return nearness(self._layers(walls, UNLIMITED))
 
     def around(self, cells: IntArray, layers: int | None) -> IntArray:
-        """Block nodes that may move, all copies included, within ``layers`` cells of the given ones; ``None``: all."""
+        """Block nodes that may move, with all coincident ones, within ``layers`` cells of ``cells``; ``None``: all."""
         near = np.arange(self.grid.n_nodes)
         if layers is not None:
             near = np.flatnonzero(self._layers(self._corners(cells).ravel(), layers) >= 0)
@@ -110,15 +110,15 @@ class Neighbourhood:
                 yield Slide(local, partial(self._normals, each), partial(self._onto, each))
 
     def _normals(self, sliding: Sliding, x: FloatArray) -> FloatArray:
-        """Unit normals of a surface, in coordinates (k, d) of the region."""
+        """Unit normals (k, d) of a surface next to coordinates (k, d) of the region."""
         return np.asarray(sliding.normals(self._outside(x)) @ self.axes.T)
 
     def _onto(self, sliding: Sliding, x: FloatArray) -> FloatArray:
-        """The closest places on a surface, in coordinates (k, d) of the region."""
+        """Coordinates (k, d) of the region projected onto a surface."""
         return np.asarray(sliding.project(self._outside(x)) @ self.axes.T)
 
     def _outside(self, x: FloatArray) -> FloatArray:
-        """The place in space (k, 3) of coordinates (k, d) of a region."""
+        """Coordinates in space (k, 3) from those of a region (k, d)."""
         return np.asarray(x @ self.axes + self.grid.points[0] - self.axes.T @ (self.axes @ self.grid.points[0]))
 
     def _layers(self, seeds: IntArray, layers: int) -> np.ndarray:
@@ -128,7 +128,7 @@ class Neighbourhood:
     def _energy(
         self, start: FloatArray, cells: IntArray, sign: FloatArray, weight: FloatArray, moves: BoolArray
     ) -> Energy:
-        """The energy of the samples that depend on a node that ``moves`` (n,): the others cannot be improved."""
+        """The energy of the samples that depend on a node that ``moves`` (n,); the others are constant."""
         if self.grid.dimension == 2:
             return Triangles.at_corners(start, cells, sign, weight).with_any(moves)
         samples = cell_samples()
@@ -137,12 +137,12 @@ class Neighbourhood:
         return Hexahedra(start, cells, cells, mask, samples, weight, np.ones(len(cells)))
 
     def _owners(self, flat: IntArray) -> IntArray:
-        """The block node that stands for each of ``flat``."""
+        """The block node that represents each of ``flat``."""
         number = self.number[flat]
         return np.where(number >= 0, self.topology.first[number], flat)
 
     def _corners(self, cells: IntArray) -> IntArray:
-        """Block nodes (m, 8) or (m, 4) at the corners of cells."""
+        """Block nodes at the corners of cells: (m, 8), in 2-D (m, 4)."""
         found = np.empty((len(cells), 2**self.grid.dimension), dtype=np.int64)
         starts = cell_starts(self.grid)
         ends = np.searchsorted(cells, starts)
@@ -165,7 +165,7 @@ class Neighbourhood:
         return sign[block]
 
     def _unknowns(self, nodes: IntArray, free: IntArray) -> tuple[Unknowns, FloatArray]:
-        """How the ``nodes`` of a region follow its unknowns, given its ``free`` nodes; see :class:`Region`."""
+        """The dependence of a region's ``nodes`` on its unknowns, given its ``free`` nodes; see :class:`Region`."""
         constraints, axes = self.constraints, self.axes
         number = self.number[nodes]
         on_face = number >= 0

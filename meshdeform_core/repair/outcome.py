@@ -14,11 +14,11 @@ from ..quality.verdict.validity import Verdict
 class Repair:
     """Summary of repairs.
 
-    ``cells`` that were invalid or weak before, ``nodes`` moved and how far at most (grid length unit), Newton steps,
-    seconds. ``converged``: the grid is the minimum of the energy over all nodes, a smooth function of the displacement
-    of the boundary; otherwise it depends on the way on which it was found, and the next one may differ much.
-    ``unique``: whether Newton's method arrived at the same minimum from another start; ``None`` where that was not
-    tried.
+    ``cells`` that were invalid or weak before, ``nodes`` moved and their largest movement (grid length unit), Newton
+    steps, seconds. ``converged``: the grid is the minimum of the energy over all nodes, a smooth function of the
+    displacement of the boundary; otherwise it depends on the path of the search, and may change abruptly with the
+    displacement. ``unique``: whether Newton's method reached the same minimum from another start; ``None`` if not
+    tested.
     """
 
     cells: int

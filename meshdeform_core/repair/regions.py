@@ -1,4 +1,4 @@
-"""Where the minimum over all nodes is out of reach: cells are untangled in regions around the invalid ones."""
+"""Untangling in regions around invalid cells, where the minimum over all nodes is out of reach."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from .neighbourhood import Plot
 from .outcome import Judged
 
 WEAK = 0.35
-"""Cells with a corner below this share of its undeformed Jacobian are the middle of what a repair moves."""
+"""Cells with a corner below this share of its undeformed Jacobian are the centres of regions."""
 _LAYERS: dict[int, tuple[int | None, ...]] = {2: (32, None), 3: (8, 32, None)}
 _IMPROVING = 20
 _ROUNDS, _LAST_ROUNDS = 2, 6
-# More layers are tried while the largest f is above this; for valid grids, if the first ones lower it by a tenth.
+# More layers are tried while the largest f is above _ENOUGH; in valid grids, if the first lower it to _GAIN of it.
 _ENOUGH, _GAIN = 2.9, 0.9
 
 
 class Way(NamedTuple):
-    """How cells are untangled: ``patient`` or quickly; ``even``: cells at walls count like all others; ``hasty``: only
-    around weak cells, and no improvement follows."""
+    """A strategy of untangling: ``patient`` or quick; ``even``: cells at walls count like all others; ``hasty``: only
+    around weak cells, and without subsequent improvement."""
 
     patient: bool = False
     even: bool = False
@@ -38,7 +38,7 @@ class Way(NamedTuple):
 
     @property
     def pace(self) -> Pace:
-        """Of the Newton steps."""
+        """The effort of its searches."""
         return PATIENT if self.patient else HASTY if self.hasty else QUICK
 
 
@@ -59,10 +59,10 @@ class Growth:
     limit: Limit
 
     def best(self, start: Judged, weak: float, way: Way) -> tuple[Judged, int]:
-        """The best grid, and the Newton steps taken; cells with a relative Jacobian below ``weak`` are in the middle.
+        """The best grid, and the Newton steps taken; regions surround cells with a relative Jacobian below ``weak``.
 
-        First the nodes within some layers move, then more, until the worst cell is no longer far from its undeformed
-        shape, or until more nodes do not help; with patience all of them at once.
+        At first the nodes within some layers move, then more, until the worst cell is no longer far from its undeformed
+        shape or more nodes do not help; a patient strategy moves all of them at once.
         """
         stages = _LAYERS[self.basis.original.grid.dimension][-1 if way.patient else 0 : 1 if way.hasty else None]
         best = now = start
@@ -73,7 +73,7 @@ class Growth:
             now, found, taken = self._stage(now, layers, weak, way, done)
             steps += taken
             if found is None or (start.verdict.valid and found.after > _GAIN * found.before):
-                # No nodes are left to move, or the weak cells cannot be improved.
+                # No further nodes to move, or the weak cells cannot be improved.
                 break
             if now.count < best.count or (now.count == best.count and found.after < density):
                 best, density = now, found.after
@@ -85,7 +85,7 @@ class Growth:
     def _stage(
         self, now: Judged, layers: int | None, weak: float, way: Way, done: int
     ) -> tuple[Judged, Search | None, int]:
-        """Some searches with so many layers: the grid, the last search, and the Newton steps taken."""
+        """Searches with a number of layers: the grid, the last search, and the Newton steps taken."""
         steps, found = 0, None
         for _ in range(_ROUNDS if layers else _LAST_ROUNDS):
             other = self._search(now, layers, weak, way, done)
@@ -98,8 +98,8 @@ class Growth:
         return now, found, steps
 
     def _search(self, now: Judged, layers: int | None, limit: float, way: Way, done: int) -> Search | None:
-        """Move the nodes within ``layers`` layers of weak cells; ``None`` if there are none, or only those that have
-        been ``done``."""
+        """Move the nodes within ``layers`` layers of weak cells; ``None`` if there are none, or no more than have been
+        ``done``."""
         weak = np.flatnonzero((now.verdict.failed != 0) | (now.verdict.ratio < limit))
 
         def make() -> Search | None:

@@ -1,4 +1,4 @@
-"""Nodes are moved until every cell is sound; the boundary stays where it is.
+"""Repair of deformed grids: nodes are moved until every cell is sound; the boundary stays in place.
 
 The repaired grid is the minimum of an energy over all nodes, a smooth function of the displacement of the boundary:
 see :mod:`.onset`. Where that minimum is out of reach, cells are untangled in regions: see :mod:`.regions`.
@@ -36,8 +36,8 @@ class Repairer:
 
     Parameters
     ----------
-    rounded : coordinates as they will be written; the verdict is about those
-    memory, limit : of a repair, the latter of all repairs together
+    rounded : function that rounds coordinates to the precision of the output, to which the verdict applies
+    memory, limit : memory of each repair; time and work of all repairs together
     """
 
     def __init__(
@@ -53,17 +53,17 @@ class Repairer:
 
     @property
     def size(self) -> int:
-        """Nodes of the grid that is repaired: of the plane grid, where there is one."""
+        """Number of nodes of the repaired grid: that of the plane grid, if there is one."""
         basis = self.basis.extrusion[1] if self.basis.extrusion else self.basis
         return basis.original.grid.n_nodes
 
     def needed(self, points: FloatArray, verdict: Verdict) -> bool:
-        """Are there cells that are invalid or weak?
+        """Whether there are cells that are invalid or weak.
 
         Raises
         ------
         MethodError
-            When that cannot be told, or mended, within the memory limit.
+            When the memory limit is too small to find out, or to repair them.
         """
         if verdict.failed.any():
             return True
@@ -86,14 +86,15 @@ class Repairer:
         guess: FloatArray | None = None,
         close: float = CLOSE,
     ) -> Outcome:
-        """Make cells sound; the coordinates returned may still have invalid ones, but not more than ``points``.
+        """Make cells sound; the result may still have invalid cells, but not more than ``points`` (n_nodes, 3).
 
-        The grid is the minimum of the energy over all nodes, if that is found. Newton's method starts from ``guess``
-        (n_nodes, 3), the displacement by the repair of a grid close to this one, which saves time.
+        If found, the result is the minimum of the energy over all nodes. Newton's method starts from ``guess``
+        (n_nodes, 3), the displacement by the repair of a similar grid, which saves time.
 
-        If not, it is searched without the guess; then cells are untangled in regions, and it is searched from the grid
-        found. The ``ways`` are tried in turn until one succeeds; without any, the minimum is searched once. ``polish``:
-        the weakest cells count as weak however good they are. ``close``: how near to the minimum its search ends.
+        Otherwise the search is repeated without the guess; then cells are untangled in regions, and the minimum is
+        searched for from there. The ``ways`` are tried in turn until one succeeds; without any, the minimum is searched
+        for once. ``polish``: the weakest cells count as weak however good they are. ``close``: the distance from the
+        minimum at which its search ends.
 
         Raises
         ------
@@ -117,7 +118,7 @@ class Repairer:
         return Outcome(best.points, best.verdict, replace(record, converged=converged and best.verdict.valid))
 
     def _by_regions(self, start: Judged, best: Judged, polish: bool, ways: tuple[Way, ...]) -> tuple[Judged, int, bool]:
-        """The best grid of all ways, Newton steps, and whether the minimum was found from there."""
+        """The best grid of all ``ways``, the Newton steps, and whether the minimum was found from there."""
         weak = max(WEAK, min(1.0, 2.0 * float(start.verdict.ratio.min()))) if polish else WEAK
         growth, steps = Growth(self.basis, self._moved, self.progress, self.limit), 0
         for way in ways:
@@ -133,7 +134,8 @@ class Repairer:
     def _minimum(
         self, start: Judged, polish: bool, guess: FloatArray | None, close: float = CLOSE
     ) -> tuple[Judged, int, bool]:
-        """The minimum of the energy over all nodes, or what was reached of it, Newton steps, and whether it was."""
+        """The grid at the minimum of the energy over all nodes or on the way to it, Newton steps, and whether the
+        minimum was reached."""
 
         def make() -> Search | None:
             whole = self._whole(self.basis)
@@ -159,7 +161,7 @@ class Repairer:
         return basis.whole
 
     def _flattened(self, points: FloatArray) -> tuple[FloatArray, Basis] | None:
-        """The same on the plane grid that this one is extruded from, if the motion stays in its plane."""
+        """Coordinates and basis of the plane grid that this one is extruded from, if the motion stays in its plane."""
         if self.basis.extrusion is None:
             return None
         extrusion, basis = self.basis.extrusion

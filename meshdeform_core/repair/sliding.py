@@ -1,4 +1,4 @@
-"""Nodes of a repair that slide on curved slip surfaces: directions along the surface, and the way back onto it."""
+"""Nodes of a repair that slide on curved slip surfaces: surface normals, and the projection back onto the surface."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ..boundary.slip import CurvedSurface
 from ..grid import BoolArray, FloatArray, IntArray
 
 _CREASE = np.cos(np.deg2rad(30.0))
-"""Nodes where triangles meet at a larger angle stay: the edge of the surface would be cut off."""
+"""Nodes where triangles meet at a larger angle are held, as sliding would cut off the edge of the surface."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +25,7 @@ class Sliding:
 
     @classmethod
     def on(cls, surface: CurvedSurface, free: BoolArray, starts: FloatArray, normal: FloatArray | None) -> Sliding:
-        """Of the nodes that are ``free`` (n_unique,), those with neighbours all around; they begin at ``starts``."""
+        """The ``free`` (n_unique,) nodes that have neighbours all around; their initial coordinates are ``starts``."""
         plane = np.zeros(3) if normal is None else normal
         everything = cls(surface, surface.nodes, plane)
         smooth = everything._smoothness(starts[surface.nodes]) > _CREASE
@@ -35,7 +35,7 @@ class Sliding:
         """Unit normals (k, 3) of the surface next to ``points`` (k, 3)."""
         triangle, weights, _ = self.surface.tree.closest(points)
         corners = self._vertex_normals[self.surface.triangles[triangle]]
-        # Blocks may count the nodes of their sides in different senses.
+        # Blocks may number the nodes of their sides in opposite senses.
         sense = np.sign(np.einsum("ncd,nd->nc", corners, self._triangle_normals[triangle]))
         mean = np.einsum("nc,ncd->nd", weights * sense, corners)
         return np.asarray(mean / np.maximum(np.linalg.norm(mean, axis=1), 1e-300)[:, None])
@@ -48,13 +48,13 @@ class Sliding:
 
     @cached_property
     def _triangle_normals(self) -> FloatArray:
-        """Normals (m, 3) as long as the triangles are large; for curves in a plane, as the segments are long."""
+        """Normals (m, 3), as long as triangles are large; of curves in a plane, as segments are long."""
         a, b, c = (self.surface.points[self.surface.triangles[:, n]] for n in range(3))
         return np.asarray(np.cross(b - a, self.normal) if self.normal.any() else np.cross(b - a, c - a))
 
     @cached_property
     def _vertex_normals(self) -> FloatArray:
-        """Directions (n, 3) nearest to the normals of the triangles around, of either sign."""
+        """Mean directions (n, 3), of either sign, of the normals of the triangles at each node."""
         total = np.zeros((len(self.surface.points), 3, 3))
         normal = self._triangle_normals
         square = (

@@ -1,10 +1,10 @@
-"""Weights of cells in a repair: those near walls turn with the wall or stay, boundary layers keep their heights.
+"""Weights of cells in a repair: cells near walls follow the wall, and boundary layers keep their heights.
 
-With equal weights everywhere, the minimum of the energy concentrates shear at a rotating wall (in a ring, as 1 / r^2),
-where first cells would lose nine tenths of their height. Weights that fall with a high power of distance reverse that.
+With equal weights, the minimum of the energy concentrates shear at a rotating wall (in a ring, as 1 / r^2), where first
+cells would lose nine tenths of their height. Weights that fall with a high power of distance reverse that.
 
-Where a grid is squeezed, the smallest largest distortion is that of all cells alike, boundary layers included. So thin
-cells, at walls that move or not, are kept from it, at little cost: they take up little of the space.
+Where a grid is squeezed, the largest distortion is smallest if all cells share it, boundary layers included. Thin cells
+therefore have larger weights, at fixed walls, too; this costs little, as they take up little of the space.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ UNLIMITED = 1 << 14
 
 
 def nearness(layers: np.ndarray) -> FloatArray:
-    """Distance of nodes from walls relative to their reach, (n,), at most 1; 1 without any walls.
+    """(n,) distance of nodes from walls relative to the reach of walls, at most 1; 1 without walls.
 
     ``layers`` (n,) are the distances in cells, -1 where no wall can be reached.
     """
@@ -29,7 +29,7 @@ def nearness(layers: np.ndarray) -> FloatArray:
 
 
 def weigh(share: FloatArray, first: float, start: FloatArray, cells: IntArray) -> FloatArray:
-    """Weights (m,) of cells (m, k) among the undeformed nodes ``start`` (n, d); ``share`` (m, k) is the
+    """Weights (m,) of ``cells`` (m, k) with undeformed node coordinates ``start`` (n, d); ``share`` (m, k) is the
     :func:`nearness` of their nodes, ``first`` that of nodes on walls."""
     near = share.min(axis=1)
     thin = np.clip((_aspect_ratio(start, cells) / THIN) ** GROWTH, 1.0, HEAVIEST)
@@ -39,7 +39,7 @@ def weigh(share: FloatArray, first: float, start: FloatArray, cells: IntArray) -
 
 
 def _aspect_ratio(start: FloatArray, cells: IntArray) -> FloatArray:
-    """Longest over shortest edge of cells (m,); edges without length, which are collapsed, do not count."""
+    """Longest over shortest edge of cells (m,); collapsed edges do not count."""
     shortest, longest = np.full(len(cells), np.inf), np.zeros(len(cells))
     corners = cells.shape[1]
     for one, step in itertools.product(range(corners), (1, 2, 4)):

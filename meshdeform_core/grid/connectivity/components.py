@@ -27,7 +27,7 @@ Components = str | Mapping[str, Sequence[str]]
 
 
 def with_components(grid: Grid, components: Components) -> Grid:
-    """The grid with the components of a case; without any it stays as it is.
+    """The grid divided into the components that the case defines; unchanged if it defines none.
 
     Raises
     ------
@@ -126,7 +126,7 @@ def _copied(grid: Grid, block: Callable[[int], FloatArray]) -> FloatArray:
 
 
 def split(grid: Grid, topology: Topology) -> tuple[Component, ...]:
-    """The components of a grid, in the order in which their first blocks come; none if all blocks are one."""
+    """The components of a grid, in the order of their first blocks; empty if the grid is not divided."""
     if not grid.component_numbers.any():
         return ()
     names = list(dict.fromkeys(grid.components))
@@ -168,18 +168,18 @@ def _blocks_of(grid: Grid, flat: IntArray) -> IntArray:
 
 
 def _local(grid: Grid, alone: Grid, blocks: IntArray, flat: IntArray) -> IntArray:
-    """Flat indices in the grid of some blocks alone."""
+    """Flat indices in ``alone``, the grid of ``blocks`` only, of nodes ``flat`` of the whole grid."""
     block = _blocks_of(grid, flat)
     return np.asarray(flat - grid.offsets[block] + alone.offsets[np.searchsorted(blocks, block)])
 
 
 def require_apart(grid: Grid, topology: Topology) -> None:
-    """Refuse components that meet at faces with the same nodes from both sides: neighbours, which a motion would tear.
+    """Refuse components that share block faces: a motion would tear the grid between such neighbours.
 
     Raises
     ------
     CaseError
-        With two of their blocks.
+        Naming two of the blocks.
     """
     outside = np.flatnonzero(topology.external)
     nodes = distinct(topology.quads.corners[outside], topology.n_unique)
@@ -203,7 +203,7 @@ def require_apart(grid: Grid, topology: Topology) -> None:
 
 
 def _opposite(one: IntArray, two: IntArray) -> BoolArray:
-    """Whether quads with the same corners (n, c) go round in opposite directions, as those of two neighbours do."""
+    """Whether quads with the same corners (n, c) are wound in opposite directions, as those of two neighbours are."""
     count, row = one.shape[1], np.arange(len(one))
     start = (two == one[:, :1]).argmax(axis=1)
     return np.asarray(two[row, (start - 1) % count] == one[:, 1])

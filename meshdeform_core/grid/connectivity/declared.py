@@ -15,7 +15,7 @@ from ..parts import Connection, Periodicity
 from ..topology import RELATIVE_TOLERANCE, Topology
 
 _TOGETHER = 300_000
-"""Pairs of nodes that are compared at once."""
+"""Pairs of nodes compared at a time, which bounds the memory."""
 
 
 def connected_nodes(grid: Grid, connection: Connection) -> tuple[IntArray, IntArray]:
@@ -76,13 +76,13 @@ def check_connections(grid: Grid, topology: Topology) -> list[str]:
             run, own, donor = table.nodes(some)
             a, b = topology.numbers_of(own), topology.numbers_of(donor)
             declared[a] = declared[b] = True
-            # What joins nodes with themselves joins nothing.
+            # A connection of nodes with themselves has no effect.
             idle = np.bincount(run[own != donor], minlength=len(some)) == 0
             doubtful[some] = (np.bincount(run[a != b], minlength=len(some)) > 0) | idle
         doubtful |= [each.periodic is not None for each in grid.connections]
     for number in np.flatnonzero(doubtful):
         messages += _remark(grid, topology, grid.connections[number])
-    # Where a file declares periodic connections only, it leaves the others to the coordinates.
+    # A file that declares only periodic connections leaves the interfaces to be found from the coordinates.
     if any(connection.periodic is None for connection in grid.connections):
         messages += _undeclared(grid, topology, declared)
     return messages
@@ -90,7 +90,7 @@ def check_connections(grid: Grid, topology: Topology) -> list[str]:
 
 @dataclass(frozen=True)
 class _Table:
-    """All declared connections, a row each, in the blocks with these ``shapes`` and ``offsets``.
+    """All declared connections, one per row, between blocks with these ``shapes`` and ``offsets``.
 
     ``blocks`` (n, 2) and first nodes ``begin`` (n, 2, 3) of both sides, number of nodes ``counts`` (n, 3), and the
     ``steps`` (n, 2, 3, 3) of the indices of both sides along each axis of the first.
@@ -134,7 +134,7 @@ class _Table:
         return np.asarray(((both >= 0) & (both < self.shapes[self.blocks])).all(axis=(0, 2, 3)))
 
     def nodes(self, some: IntArray) -> tuple[IntArray, IntArray, IntArray]:
-        """Every pair of nodes of some connections: which of these, and the flat indices on both sides."""
+        """All node pairs of the connections ``some``: the connection of each, and the flat indices on both sides."""
         counts = self.counts[some]
         run, place = spans(counts.prod(axis=1))
         i, rest = np.divmod(place, (counts[:, 1] * counts[:, 2])[run])
@@ -151,7 +151,7 @@ class _Table:
 
 
 def _remark(grid: Grid, topology: Topology, connection: Connection) -> list[str]:
-    """What is wrong with a connection, if anything."""
+    """A message that says what is wrong with a connection, if anything."""
     try:
         own, donor = connected_nodes(grid, connection)
     except GridError as error:

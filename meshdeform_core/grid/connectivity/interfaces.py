@@ -15,7 +15,7 @@ from ..windows import Rectangles, rectangles
 
 
 def find_interfaces(grid: Grid, topology: Topology) -> tuple[Connection, ...]:
-    """One connection per rectangle of shared faces, each interface once (from its lower block side)."""
+    """One connection per rectangle of shared quads; each interface once, from the block side with the lower number."""
     faces, partner = topology.quads, topology.partner
     quads = np.flatnonzero(partner >= 0)
     own, other = faces.block_side[quads], faces.block_side[partner[quads]]
@@ -47,10 +47,11 @@ class _Maps:
 
 
 def _index_maps(grid: Grid, topology: Topology, quads: IntArray, pair: IntArray) -> tuple[IntArray, _Maps]:
-    """The transformations of all ``pair`` (n,) of sides and which one maps each of the ``quads`` (n,), -1: none does.
+    """The transformations between all pairs of sides, and the number of the one that maps each quad (n,), or -1.
 
-    Each round finds one transformation of every pair from one of its quads, and takes the quads that it maps. Faces
-    with a collapsed edge fit several transformations: quads that are not collapsed come first.
+    ``pair`` (n,) is the pair of sides of each of the ``quads``. Each round finds one transformation per pair from one
+    of its quads, and removes the quads that it maps. Quads with a collapsed edge fit several transformations, so
+    that the others come first.
     """
     faces, partner = topology.quads, topology.partner[quads]
     corners = np.sort(faces.corners[quads], axis=1)
@@ -64,7 +65,7 @@ def _index_maps(grid: Grid, topology: Topology, quads: IntArray, pair: IntArray)
     while waiting.size:
         seed = waiting[runs(pair[waiting])[0]]
         turn = _orientation(grid, topology, quads[seed], partner[seed])
-        # A quad that fits no transformation is no seed; it may yet lie within that of another.
+        # A quad that determines no transformation may still be mapped by that of another quad.
         hopeless = np.isin(waiting, seed[turn < 0])
         seed, turn = seed[turn >= 0], turn[turn >= 0]
         matrix = _ORIENTATIONS[turn]
@@ -84,7 +85,7 @@ def _index_maps(grid: Grid, topology: Topology, quads: IntArray, pair: IntArray)
 
 
 def _orientation(grid: Grid, topology: Topology, quads: IntArray, partner: IntArray) -> IntArray:
-    """The first of the orientations (n,) in which quads (n,) lie on their partners, by their nodes; -1: none."""
+    """The first orientation (n,) that maps the nodes of quads (n,) to those of their partners, or -1."""
     own, donor = (_corner_numbers(grid, topology, each) for each in (quads, partner))
     found = np.full(len(quads), -1)
     for turn in reversed(range(len(_ORIENTATIONS))):
@@ -93,7 +94,7 @@ def _orientation(grid: Grid, topology: Topology, quads: IntArray, partner: IntAr
 
 
 def _corner_numbers(grid: Grid, topology: Topology, quads: IntArray) -> IntArray:
-    """Unique numbers (n, 2, 2) of the corners of face quads along u and v; in 2-D equal along one of them."""
+    """Unique node numbers (n, 2, 2) of the corners of face quads along u and v; in 2-D equal along one of them."""
     side, u, v = topology.quads.places(quads)
     du, dv = grid.sides.corner_steps[side].T
     flat = [[grid.sides.at(side, u + a, v + b) for b in (0 * dv, dv)] for a in (0 * du, du)]
@@ -139,7 +140,7 @@ def _transforms(own: IntArray, donors: IntArray, matrix: IntArray) -> IntArray:
     for axis in (0, 1):
         along = np.argmax(matrix[:, :, axis] != 0, axis=1)
         transform[row, tangential[own % 6, axis]] = matrix[row, along, axis] * (tangential[donors % 6, along] + 1)
-    # Leaving this block across its far face is entering the donor across its near one.
+    # A step out of this block is a step into the donor.
     outward, inward = np.where(own % 2, 1, -1), np.where(donors % 2, -1, 1)
     transform[row, own % 6 // 2] = outward * inward * (donors % 6 // 2 + 1)
     return transform

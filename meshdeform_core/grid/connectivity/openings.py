@@ -1,6 +1,6 @@
-"""Outside faces close to others without coinciding: gaps, interfaces that do not match, overlaps (:mod:`.overset`).
+"""Outside faces that nearly coincide with others, or touch them with other nodes; for overlaps see :mod:`.overset`.
 
-Nothing is welded by mere proximity, so such a face is a wall, and a motion would tear the grid there.
+Nodes are never merged by proximity alone. Such faces therefore remain boundaries, and a motion would tear the grid.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ from ..windows import largest_rectangles, rectangles
 from .overset import Overlap, find_overlaps
 
 NEAR = 0.25
-"""Nodes closer than this part of the shortest edge at either of them look like one node."""
+"""Nodes closer than this fraction of the shortest edge at either of them were probably meant to coincide."""
 _ABUTTING = 0.1
-"""Faces whose middle lies closer than this part of its shortest edge to another face touch it."""
+"""A quad whose centre is closer to another face than this fraction of its shortest edge touches that face."""
 _ROUND_OFF = 1e-9
 _LISTED = 6
 _SAMPLES = 48
 _FEWEST = 2
 _TOGETHER = 300_000
-"""Samples that are compared at once."""
+"""Samples compared at a time, which bounds the memory."""
 
 
 @dataclass(frozen=True)
 class Opening:
-    """Outside faces of one block side that nearly coincide with those of another.
+    """Outside quads of one block side that nearly coincide with those of another, or touch them.
 
     Attributes
     ----------
@@ -83,8 +83,8 @@ class Opening:
 
 
 def patched_groups(openings: Sequence[Opening | Overlap]) -> list[list[Opening | Overlap]]:
-    """The patched faces of each surface together, for example of the plane between a rotor and a stator; others
-    alone."""
+    """Groups of openings: the patched faces of one surface, such as the plane between a rotor and a stator, form a
+    group; each other opening is one by itself."""
     patched = [opening for opening in openings if isinstance(opening, Opening) and not opening.matching]
     number = {side: n for n, side in enumerate(dict.fromkeys(side for opening in patched for side in opening.sides))}
     pairs = [[number[side] for side in opening.sides] for opening in patched]
@@ -112,7 +112,7 @@ def describe_group(grid: Grid, group: Sequence[Opening | Overlap]) -> str:
 
 
 def _apart(openings: Sequence[Opening]) -> str:
-    """How far faces are apart, where that is more than round-off."""
+    """A phrase with the distance of the faces if it exceeds round-off, else empty."""
     gap = max(opening.gap for opening in openings)
     return f", at most {gap:.3g} apart" if max(opening.relative for opening in openings) > _ROUND_OFF else ""
 
@@ -120,8 +120,8 @@ def _apart(openings: Sequence[Opening]) -> str:
 def find_openings(grid: Grid, topology: Topology) -> tuple[Opening | Overlap, ...]:
     """Outside faces that nearly coincide with others or lie inside other blocks, largest first.
 
-    Each pair of sides once if its nodes match. What the file calls a wall is none: the two sides of a thin wing are
-    close to each other.
+    A pair of sides with matching nodes is listed once. Faces that the file declares as walls are left out, as the two
+    sides of a thin wing are close to each other.
     """
     outside = np.flatnonzero(topology.external)
     if outside.size == 0:
@@ -135,7 +135,7 @@ def find_openings(grid: Grid, topology: Topology) -> tuple[Opening | Overlap, ..
 
 
 def declared_walls(grid: Grid, topology: Topology) -> BoolArray:
-    """Face quads (n_quads,) of patches that the file calls walls."""
+    """(n_quads,) whether a face quad belongs to a patch that the file declares as a wall."""
     wall = np.zeros(len(topology.partner), dtype=bool)
     for patch in grid.patches:
         if role_of_patch(patch) is Role.WALL:
@@ -144,8 +144,8 @@ def declared_walls(grid: Grid, topology: Topology) -> BoolArray:
 
 
 def _near_partners(grid: Grid, topology: Topology, outside: IntArray) -> tuple[IntArray, FloatArray, FloatArray]:
-    """The outside quad (n_quads,) with nearly the same corners, or -1; how far nodes (n_unique,) are apart, and over
-    the edge.
+    """(n_quads,) the outside quad with nearly the same corners, or -1; (n_unique,) the distances of the nodes, in
+    length units and relative to the local edge.
     """
     corners = topology.quads.corners
     nodes = distinct(corners[outside], topology.n_unique)
@@ -173,7 +173,7 @@ def _near_partners(grid: Grid, topology: Topology, outside: IntArray) -> tuple[I
 def _matching(grid: Grid, topology: Topology, paired: IntArray, gap: FloatArray, relative: FloatArray) -> list[Opening]:
     near = np.flatnonzero(paired >= 0)
     own, other = (topology.quads.block_side[quads] for quads in (near, paired[near]))
-    # Each pair of sides from its lower one; of a seam within one side each pair of quads once.
+    # Each pair of sides once, from the one with the lower number; within one side, each pair of quads once.
     chosen = (own < other) | ((own == other) & (near < paired[near]))
     label = np.full(len(paired), -1)
     label[near[chosen]] = other[chosen]
@@ -208,7 +208,7 @@ def _abutting(grid: Grid, topology: Topology, paired: IntArray) -> list[Opening]
 
 @dataclass(frozen=True)
 class _Walls:
-    """Some face quads, side by side, and samples of them.
+    """Face quads ordered by block side, and samples of them.
 
     Attributes
     ----------
@@ -247,7 +247,7 @@ class _Walls:
         return cls(side[first], corners, start, low, high, middle, edge, sample, grid.component_numbers)
 
     def candidates(self) -> IntArray:
-        """Pairs (p, 2) of different sides of which enough samples of the first lie in the extent of the second."""
+        """Pairs (p, 2) of different sides where enough samples of the first lie in the bounding box of the second."""
         slack = 1e-6 * np.linalg.norm(self.high - self.low, axis=1)[:, None]
         pairs = overlapping_boxes((self.low - slack, self.high + slack), (self.low, self.high))
         block = self.side[pairs] // 6
@@ -257,19 +257,19 @@ class _Walls:
         return pairs[np.concatenate([np.empty(0, dtype=bool), *enough])]
 
     def _within(self, pairs: IntArray, counts: IntArray) -> IntArray:
-        """How many (p,) samples of the first side of each pair lie in the extent of the second."""
+        """(p,) number of samples of the first side of each pair that lie in the bounding box of the second."""
         run, place = spans(counts)
         own, other = pairs[run].T
         return np.bincount(run[self._inside(self.sample[own] + place, other)], minlength=len(pairs))
 
     def _inside(self, sample: IntArray, other: IntArray) -> BoolArray:
-        """Which samples lie in the extents of sides ``other``."""
+        """Which samples lie in the bounding boxes of the sides ``other``."""
         middle, slack = self.middle[sample], _ABUTTING * self.edge[sample, None]
         within = (middle >= self.low[other] - slack) & (middle <= self.high[other] + slack)
         return np.asarray(within.all(axis=1))
 
     def touching(self, own: int, other: int) -> tuple[int, float, float]:
-        """How many samples of one side lie on the quads of another, the largest distance, also over the edge."""
+        """Number of samples of one side on quads of another; their largest distance, also relative to the edge."""
         sample = np.arange(self.sample[own], self.sample[own + 1])
         edge = self.edge[sample]
         inside = self._inside(sample, np.full(len(sample), other))
@@ -277,7 +277,7 @@ class _Walls:
         faces = self.corners[self.start[other] : self.start[other + 1]]
         distance[inside] = distance_to_faces(self.middle[sample[inside]], faces)
         hit = distance < _ABUTTING * edge
-        # Two walls that meet in a sharp edge are close to each other in only a few quads.
+        # Two walls that meet at a sharp edge are close to each other at a few quads only.
         if hit.sum() < max(_FEWEST, 0.1 * len(sample)):
             return 0, 0.0, 0.0
         return int(hit.sum()), float(distance[hit].max()), float((distance / edge)[hit].max())

@@ -1,7 +1,7 @@
 """Outside faces that lie inside another block: overset grids, and blocks that overlap by mistake.
 
-A solver for overset grids interpolates at such a face. Here it would be a fixed wall in the middle of the other block,
-and what moves would pull the two apart, unless the blocks are of different components.
+A solver for overset grids interpolates at such a face. Here it would count as a fixed boundary within the other block,
+and a motion would pull the two blocks apart, unless they belong to different components.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from ..windows import largest_rectangles
 _SAMPLES = 24
 _FEWEST = 2
 _PART = 0.1
-"""Of the samples of a face that lie inside."""
+"""Smallest fraction of a face's samples inside another block that counts as an overlap."""
 _DEEP = 0.1
-"""A face is inside when its middle is farther from the other block's surface than this part of its longest edge."""
+"""A quad is inside if its centre is farther from the other block's surface than this fraction of its longest edge."""
 _COARSE = 12
-"""Cells per direction of the surface by which most blocks are ruled out."""
+"""Cells per direction of the coarse surface that rules out most blocks."""
 _SOME, _SURE = 0.1, 0.9
 _TOGETHER = 300_000
-"""Samples that are compared at once."""
+"""Samples compared at a time, which bounds the memory."""
 
 
 @dataclass(frozen=True)
@@ -44,8 +44,8 @@ class Overlap:
     quads : (n,) face quads of the side that are outside
     window : their nodes
     block, side, other : which side lies in which block
-    share : part of the sampled quads that does
-    depth : the farthest of these from the surface of the other block (grid length unit)
+    share : fraction of the sampled quads that lies inside
+    depth : largest distance of these from the surface of the other block (grid length unit)
     """
 
     quads: IntArray
@@ -99,14 +99,14 @@ def _enough(samples: int) -> float:
 def _candidates(
     grid: Grid, middle: FloatArray, start: IntArray, block: IntArray
 ) -> Iterator[tuple[int, int, BoolArray]]:
-    """Sides and other blocks in whose extent enough samples ``middle`` of the side lie, and which of them do.
+    """Sides, blocks whose bounding box contains enough samples ``middle`` of the side, and which samples those are.
 
-    ``start``: first sample of each side; ``block``: to which it belongs.
+    ``start``: first sample of each side; ``block``: the block of each side.
     """
     if len(block) == 0:
         return
     low, high = block_extents(grid)
-    # The plane of a 2-D grid is as flat as reading and writing it leave it.
+    # A 2-D grid is plane only up to the precision of its file.
     slack = FLATNESS * float((high.max(axis=0) - low.min(axis=0)).max())
     own = np.minimum.reduceat(middle, start[:-1]), np.maximum.reduceat(middle, start[:-1])
     pairs = overlapping_boxes(own, (low - slack, high + slack))
@@ -124,18 +124,18 @@ def _candidates(
 
 
 class _Surface:
-    """The closed surface of a block, coarse for a first look and as it is."""
+    """The closed surface of a block: a coarse one for a first test, and the exact one."""
 
     def __init__(self, grid: Grid, block: int, normal: FloatArray | None):
         self._grid, self._block, self._normal = grid, block, normal
-        # Of the two axes beside the first one, the sides of this one are wound the other way round; see _turned.
+        # The sides of this axis are wound the other way round; see _turned.
         shape = grid.shapes[block]
         self._second = 1 if self._normal is None else max(axis for axis in range(3) if shape[axis] > 1)
         self._coarse = self._faces(_COARSE)
         self._fine: FloatArray | None = None
 
     def depth(self, corners: FloatArray, middle: FloatArray) -> FloatArray:
-        """How deep (k,) the middles of quads lie inside the block; 0 outside and close to its surface."""
+        """Depth (k,) of the centres of quads below the block's surface; 0 outside and close to it."""
         depth = np.zeros(len(middle))
         some = np.flatnonzero(self._winding(self._coarse, middle) > _SOME)
         if some.size == 0:
@@ -157,7 +157,7 @@ class _Surface:
         return np.abs(winding(points, np.concatenate([at + [0, 1, 2], at + [2, 3, 0]]), places))
 
     def _faces(self, cells: int | None) -> FloatArray:
-        """Corners (m, 4, 3) of the faces, in 2-D (m, 2, 3); all sides turned alike. At most ``cells`` per direction."""
+        """Corners (m, 4, 3) of the faces, in 2-D (m, 2, 3), all wound alike; at most ``cells`` per direction."""
         grid, found = self._grid, []
         for side in Side:
             if grid.shapes[self._block][side.axis] == 1:
@@ -172,7 +172,7 @@ class _Surface:
 
 
 def _turned(x: FloatArray, side: Side, second: int) -> FloatArray:
-    """Corners of the quads of a side (na, nb, 3) in an order that shows outwards on all sides, or inwards on all.
+    """Corners of the quads of a side (na, nb, 3), wound so that all sides have outward normals, or all inward ones.
 
     The tangential axes ascend: (j, k), (i, k), (i, j); the second pair is not cyclic. In 2-D the sides of the first
     axis and those of the second are wound differently.

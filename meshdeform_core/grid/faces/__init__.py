@@ -1,1 +1,1 @@
-"""The block faces of a grid: their pieces, the roles they are likely to have, and the outer surfaces they form."""
+"""The block faces of a grid: their pieces, their likely roles, and the outer surfaces that they form."""

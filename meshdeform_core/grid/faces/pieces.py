@@ -1,4 +1,4 @@
-"""The block faces in pieces: position, size and first cell heights of each.
+"""Pieces of block faces, with the position, size and first-cell heights of each.
 
 A piece is a rectangle of face quads of one kind on one block side: part of a patch, part of an interface, or an
 unnamed outside face. :mod:`meshdeform_core.grid.faces.roles` guesses the role of each.
@@ -21,7 +21,7 @@ from ..windows import Rectangles, rectangles
 
 _SAMPLED_LINES = 12
 _TOGETHER = 100_000
-"""Nodes or quads that are looked at together: few enough for the processor's cache."""
+"""Nodes or quads processed at a time: few enough for the processor's cache."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ def _mean_first_edges(grid: Grid, faces: FaceQuads, quads: IntArray) -> FloatArr
 
 
 def find_faces(grid: Grid, topology: Topology, geometry: QuadGeometry | None = None) -> list[Face]:
-    """All block sides as pieces: of patches, of interfaces, and the rest; without collapsed quads."""
+    """All block sides divided into pieces: patches, interfaces and unnamed outside faces; without collapsed quads."""
     geometry = geometry or quad_geometry(grid, topology)
     pieces = _pieces(grid, topology)
     if len(pieces) == 0:
@@ -150,7 +150,7 @@ def find_faces(grid: Grid, topology: Topology, geometry: QuadGeometry | None = N
 
 
 def _pieces(grid: Grid, topology: Topology) -> Rectangles:
-    """The pieces; the label is twice the number of the patch, from 1 on, and one more where blocks share the quads."""
+    """The pieces; their label is twice the number of the patch (from 1), plus one where blocks share the quads."""
     label = np.zeros(len(topology.partner), dtype=np.int64)
     quads, patch = quads_of_patches(topology.quads, grid.patches)
     label[quads] = 2 * (patch + 1)

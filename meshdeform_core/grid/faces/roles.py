@@ -1,6 +1,6 @@
 """The likely roles of the faces of a grid: walls, symmetry planes, far field, end planes.
 
-The declarations of the file decide. Where there are none the coordinates do: grid lines cluster towards walls, a body
+Declarations in the file take precedence. Otherwise the coordinates decide: grid lines cluster towards walls, a body
 surrounded by the grid is a wall, cells grow towards the far field, the end planes of an extruded grid are congruent.
 """
 
@@ -40,13 +40,13 @@ _WORDS: tuple[tuple[Role, tuple[str, ...]], ...] = (
                 "characteristic")),
 )  # fmt: skip
 
-# Types of OpenFOAM for the sides of a plane or axisymmetric grid.
+# OpenFOAM's patch types for the end planes of a plane or axisymmetric grid.
 _END_TYPES = ("empty", "wedge")
 
 _CLUSTERED = 2.0
 """Ratio of mean to first spacing above which a face counts as a wall."""
 _FIRST_IS_FINEST = 0.3
-"""Least ratio of smallest to first spacing for a wall: cells must not be finer elsewhere."""
+"""Smallest ratio of the finest to the first spacing at a wall: cells must not be much finer elsewhere."""
 _COARSENED = 0.75
 """Ratio of mean to first spacing below which cells grow towards a face."""
 _ENCLOSED = 0.02
@@ -59,12 +59,12 @@ def guess_roles(grid: Grid, topology: Topology, geometry: QuadGeometry, faces: S
 
 
 def declared_role(face: Face) -> Role | None:
-    """The role that the file declares for a face: by type, then by family and name."""
+    """The role that the file declares for a face: by its type, else by its family or name."""
     return role_of_patch(face.patch) if face.patch is not None else None
 
 
 def role_of_patch(patch: Patch) -> Role | None:
-    """The role that a declaration of the file stands for: by type, then by family and name."""
+    """The role that a patch declares: by its type, else by its family or name."""
     if patch.bc_type in _END_TYPES:
         return Role.END
     for text in (patch.bc_type, patch.family, patch.name):
@@ -80,7 +80,7 @@ def clusters(face: Face) -> bool:
 
 
 class _Guess:
-    """Data on all faces while their roles are guessed."""
+    """Data on all faces needed to guess their roles."""
 
     def __init__(self, grid: Grid, topology: Topology, geometry: QuadGeometry, faces: Sequence[Face]):
         self.grid, self.topology, self.geometry, self.faces = grid, topology, geometry, faces
@@ -99,7 +99,7 @@ class _Guess:
             if role is Role.WALL:
                 near[self.topology.quads.corners[face.quads]] = True
         touched = [bool(near[self.topology.quads.corners[face.quads]].any()) for face in self.faces]
-        # Walls that extend from border to border belong to a channel, whose ends are not symmetry planes.
+        # Walls that extend across the whole grid are those of a channel, whose ends are not symmetry planes.
         outwards = [out for out, touch, role in zip(self.outward, touched, roles, strict=True)
                     if out is not None and touch and role is None]  # fmt: skip
         borders = np.unique(np.reshape(outwards, (-1, 3)), axis=0)
@@ -109,10 +109,10 @@ class _Guess:
         ]
 
     def _first_role(self, face: Face) -> Role | None:
-        """Roles that a face has whatever its neighbours are."""
+        """The role that follows from a face alone, without its neighbours."""
         declared = declared_role(face)
         if not face.outside:
-            # Two faces on one place that the file calls walls are a thin plate.
+            # Two coincident faces that the file declares as walls are a thin plate.
             return Role.WALL if declared is Role.WALL else Role.INTERFACE
         if (face.window.block, face.window.side) in self.ends and declared in (None, Role.FAR):
             return Role.END
@@ -121,19 +121,19 @@ class _Guess:
         return Role.WALL if clusters(face) or self.body[face.quads[0]] else None
 
     def _rest(self, face: Face, outward: FloatArray | None, touched: bool, borders: FloatArray) -> Role:
-        """Faces without clustered cells: planes that a wall stands on may be mirrors, cells grow to the far field."""
+        """The role of a face without clustered cells: planes at walls may be symmetry planes, large cells far field."""
         if outward is not None and touched and face.stretching > _COARSENED**2:
             channel = bool((borders @ outward < -0.99).any())
             return Role.UNKNOWN if channel else Role.SYMMETRY
-        # What bounds a grid around a body, away from it.
+        # The outer boundary of a grid around a body.
         if face.stretching < _COARSENED or (self.has_bodies and outward is not None and not touched):
             return Role.FAR
-        # A step: plane, part of the same surface as a wall, and the grid goes on beyond its plane.
+        # A step: a plane face that touches a wall, where the grid extends beyond the plane.
         step = face.plane is not None and outward is None and touched
         return Role.WALL if step else Role.UNKNOWN
 
     def _bounding(self, face: Face) -> FloatArray | None:
-        """Outward normal of a plane face that has the whole grid on one side; else ``None``."""
+        """Outward normal of a plane face with the whole grid on one side of it, else ``None``."""
         if face.plane is None or not face.outside:
             return None
         outward = self.geometry.outward[face.quads].sum(axis=0)
@@ -142,7 +142,7 @@ class _Guess:
         return normal if self.bounds.within(normal, level) else None
 
     def _bodies(self) -> BoolArray:
-        """(n_quads,) the surfaces surrounded by the grid: closed except where they end on its bounding planes."""
+        """(n_quads,) whether a quad belongs to a surface inside the grid, closed but for the bounding planes."""
         inner, body = np.zeros((2, len(self.topology.partner)), dtype=bool)
         for face, outward in zip(self.faces, self.outward, strict=True):
             if face.outside and outward is None:
@@ -165,11 +165,11 @@ class _Guess:
         return bool(flux < -_ENCLOSED * float(area @ np.linalg.norm(arm, axis=1)))
 
     def _closed(self, quads: IntArray) -> bool:
-        """A body is smaller than the grid in some direction along each plane that bounds it."""
+        """Whether quads form a body: in each bounding plane, smaller than the grid in at least one direction."""
         corners = self.topology.first[self.topology.quads.corners[quads]]
         own = np.ptp(self.grid.points[corners].reshape(-1, 3), axis=0)
         varying = self.extent > FLATNESS * self.size
-        # A surface that extends from border to border in two directions is a floor or a ceiling, not a body.
+        # A surface that extends across the whole grid in two directions is a floor or a ceiling, not a body.
         return int((own[varying] > 0.999 * self.extent[varying]).sum()) <= int(varying.sum()) - 2
 
 
@@ -184,8 +184,8 @@ def _connected(corners: IntArray, n_unique: int) -> IntArray:
 def _end_sides(grid: Grid, topology: Topology, faces: Sequence[Face]) -> set[tuple[int, Side]]:
     """Block sides on the end planes of an extruded 3-D grid, in the direction with the fewest cells.
 
-    Faces towards which cells cluster are not end planes; a grid that is extruded in several directions by equally many
-    cells, like a cube, has none.
+    Faces towards which cells cluster are not end planes. A grid extruded by equally many cells in several directions,
+    such as a cube, has none.
     """
     if grid.dimension == 2:
         return set()
@@ -218,7 +218,7 @@ def _extruded_axes(grid: Grid, direction: FloatArray) -> list[int] | None:
 
 
 def _extruded_axis(x: FloatArray, direction: FloatArray) -> int | None:
-    """Index axis along which all layers of a block (ni, nj, nk, 3) are the first one shifted along ``direction``."""
+    """Index axis along which all layers of a block (ni, nj, nk, 3) are the first one, shifted along ``direction``."""
     for axis in range(3):
         first, last = np.take(x, 0, axis=axis), np.take(x, -1, axis=axis)
         shift = (last - first).reshape(-1, 3)

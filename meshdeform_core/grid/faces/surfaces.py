@@ -16,19 +16,19 @@ from .pieces import Face, find_faces, quad_geometry
 from .roles import Role, clusters, declared_role, guess_roles
 
 _MOST = 0.6
-"""Walls longer than this part of the grid in two directions are floors and sides, not bodies."""
+"""Walls longer than this fraction of the grid in two directions are floors or side walls, not bodies."""
 
 
 @dataclass(frozen=True)
 class Surface:
-    """Faces that belong together.
+    """The faces of one family or patch, or a single unnamed face.
 
     Attributes
     ----------
     name : of the family or patch; the label of the face if the file has no name for it
     named : whether the file has a name for it
-    role : that of the largest part of its area
-    declared : whether the file declares the role; else it is a guess
+    role : of the faces with the largest total area
+    declared : whether the file declares the role; otherwise it is a guess
     faces : its pieces
     """
 
@@ -74,8 +74,8 @@ class Surface:
 class Outside:
     """All faces of a grid with their roles, and its surfaces.
 
-    ``plates`` are faces between blocks that are likely walls without thickness; nothing treats them as walls before the
-    case names them. ``extent`` (3,) of the grid.
+    ``plates`` are faces between blocks that are probably walls without thickness; they count as walls only if the case
+    names them. ``extent`` (3,) is that of the grid.
     """
 
     faces: tuple[Face, ...]
@@ -89,9 +89,9 @@ class Outside:
 
     @property
     def bodies(self) -> tuple[Surface, ...]:
-        """Walls of bodies in the grid, not the floors and sides of a channel or a box.
+        """Walls of bodies in the grid, not the floor, ceiling and side walls of a channel or box.
 
-        Those extend over most of the grid in two directions, alone or with other walls in the same plane.
+        The latter extend over most of the grid in two directions, alone or together with other walls in the same plane.
         """
         found = []
         walls = self.of_role(Role.WALL)
@@ -107,7 +107,7 @@ class Outside:
 
 
 def _level(surface: Surface, extent: FloatArray) -> tuple[int, float] | None:
-    """The axis and coordinate of a surface in a plane across an axis, else ``None``."""
+    """Axis and coordinate of a surface that lies in a plane normal to a coordinate axis, else ``None``."""
     thin = np.flatnonzero(np.ptp(surface.box, axis=0) <= 1e-6 * extent)
     return (int(thin[0]), round(float(surface.box[0, thin[0]] / extent.max()), 6)) if len(thin) == 1 else None
 
@@ -129,9 +129,9 @@ def find_outside(grid: Grid, topology: Topology) -> Outside:
 
 
 def _likely_plates(grid: Grid, topology: Topology, outside: Outside) -> tuple[Surface, ...]:
-    """Faces between blocks with cells clustered towards both sides that, unlike wakes, do not reach the far field.
+    """Faces between blocks with cells clustered from both sides that, unlike wakes, do not reach the far field.
 
-    Only where they are larger than the bodies that are known: beside a wing such a face is more likely a wake.
+    They must be larger than the known bodies: beside a wing, such a face is more likely its wake.
     """
     far = outside.of_role(Role.FAR)
     if not far:

@@ -56,8 +56,8 @@ def measure_block(
 
 def side_of_good_quads(flat: int, sign: float, plane_normal: FloatArray) -> FloatArray:
     """Unit normal of positively oriented cells of a 2-D block, one node thick along ``flat``, in index order."""
-    # Handedness is judged from the side of a positive largest component. The positive normal of (i, j) and (j, k)
-    # index planes follows their order, that of (i, k) is opposite.
+    # Handedness refers to the normal whose largest component is positive. In (i, j) and (j, k) index planes the index
+    # order gives the positive normal, in (i, k) the negative one.
     side = plane_normal * np.sign(plane_normal[int(np.argmax(np.abs(plane_normal)))])
     return np.asarray(sign * (-1.0 if flat == 1 else 1.0) * side)
 
@@ -82,7 +82,7 @@ class Slab:
 
 
 def slabs(grid: Grid) -> list[Slab]:
-    """All cells of a grid in slabs of about 130,000, which bound the memory that the measures take."""
+    """All cells of a grid in slabs of about 130,000, which bounds the memory required for their measures."""
     found, start = [], 0
     for block, (ci, cj, ck) in enumerate(grid.cell_shapes):
         step = max(1, _SLAB_CELLS // (cj * ck))
@@ -100,9 +100,9 @@ def for_slabs(
     per_cell: Sequence[np.ndarray],
     per_slab: Sequence[np.ndarray] = (),
 ) -> None:
-    """Call ``work`` for the number of every slab and the slab, from several threads.
+    """Call ``work(number, slab)`` for every slab, on several threads.
 
-    It fills its cells of the arrays ``per_cell`` (n_cells, ...) and its row of the arrays ``per_slab`` (n_slabs, ...).
+    It fills the slab's cells in the arrays ``per_cell`` (n_cells, ...) and its row in ``per_slab`` (n_slabs, ...).
     """
     parts = slabs(grid)
 
@@ -160,7 +160,7 @@ def block_volumes(grid: Grid, points: FloatArray, sign: IntArray) -> FloatArray:
     for alike in _alike(grid.sides.nodes):
         for lo, hi in batches(grid.sides.nodes[alike].prod(axis=1), _SLAB_CELLS):
             flux[alike[lo:hi]] = _flux(grid, points, center, alike[lo:hi])
-    # The other two axes in their order are a right-handed frame with i and k, a left-handed one with j.
+    # With the other two axes in ascending order, i and k form a right-handed frame, j a left-handed one.
     total: FloatArray = np.zeros(grid.n_blocks)
     for side, outward in enumerate((-1, 1, 1, -1, -1, 1)):
         total = total + outward * flux[side::6]
@@ -168,7 +168,7 @@ def block_volumes(grid: Grid, points: FloatArray, sign: IntArray) -> FloatArray:
 
 
 def _alike(shapes: IntArray) -> list[IntArray]:
-    """The numbers of those of equal ``shapes`` (n, 2), ascending, for every shape."""
+    """For every distinct row of ``shapes`` (n, 2), the ascending numbers of the rows equal to it."""
     order = np.lexsort(shapes.T)
     new = np.append(True, (shapes[order[1:]] != shapes[order[:-1]]).any(axis=1))
     return np.split(order, np.flatnonzero(new)[1:])
@@ -178,7 +178,7 @@ def _flux(grid: Grid, points: FloatArray, center: FloatArray, sides: IntArray) -
     """24 times the flux through sides of one shape of a third of the position relative to ``center`` (n_blocks, 3)."""
     na, nb = grid.sides.nodes[sides[0]]
     nodes = grid.sides.at(sides[:, None, None], np.arange(na)[:, None], np.arange(nb))
-    # Component by component: a cross product over so short an axis would be slow.
+    # Component by component, as numpy is slow on axes of length 3.
     face = np.ascontiguousarray(np.moveaxis(points[nodes] - center[sides // 6, None, None], -1, 0))
     low, high, right, left = face[..., :-1, :-1], face[..., 1:, 1:], face[..., 1:, :-1], face[..., :-1, 1:]
     (px, py, pz), (qx, qy, qz), (mx, my, mz) = high - low, left - right, low + high + left + right

@@ -15,7 +15,7 @@ from ...grid.topology import Topology
 from ...numerics.tape import Tape
 from .cells import cell_starts, corner_nodes, places, side_of_good_quads
 
-# Cells whose derivatives are recorded at a time.
+# Cells recorded on one tape.
 _CELLS = 8192
 
 Values = Callable[[Any, Any], Any]
@@ -23,7 +23,7 @@ Values = Callable[[Any, Any], Any]
 
 @dataclass(frozen=True)
 class Measure:
-    """A measure of a grid: ``values`` of cells (n, ...) from their edges, and how they make up one number.
+    """A measure of a grid: ``values`` of cells (n, ...) from their edges, and a function that combines them.
 
     ``combine(values, sharpness)`` gives the number and its derivatives with respect to the values.
     """
@@ -42,13 +42,12 @@ def quality_gradient(
 ) -> tuple[float, FloatArray]:
     """A measure of the grid with coordinates ``points`` (n_nodes, 3), and its gradient (n_nodes, 3).
 
-    With ``blocks``, numbers from 0, it is that of their cells only.
+    With ``blocks`` (numbers from 0), only the cells of these blocks count.
 
     Raises
     ------
     GridError
-        For an unknown measure or block, and for f_skew of a grid with a corner Jacobian that is not positive: it is
-        zero there.
+        For an unknown measure or block, and for f_skew of a grid with a corner Jacobian <= 0, where it is zero.
     """
     if measure not in MEASURES:
         raise GridError(f"no quality measure {measure!r}; expected one of {', '.join(MEASURES)}")
@@ -77,7 +76,8 @@ def quality_gradient(
 
 
 def _parts(grid: Grid, topology: Topology, blocks: Iterable[int]) -> Iterator[tuple[IntArray, Any]]:
-    """Corner nodes (n, 8) of some cells of a block at a time, and its handedness, or in 2-D the normal of its cells."""
+    """Corner nodes (n, 8) of a limited number of cells of one block at a time, with the handedness of the block or, in
+    2-D, the normal of its cells."""
     starts, normal = cell_starts(grid), plane_normal(grid)
     for block in blocks:
         side: Any = float(topology.handedness[block])
@@ -114,7 +114,7 @@ def _inverse_skew(x: Any, side: Any) -> Any:
         product = 1.0
         for edge in edges:
             product = product * np.einsum("ni,ni->n", edge, edge)
-        # Negative bases of the power give no number.
+        # Negative bases of the power yield NaN.
         total = total + (np.sqrt(product) / jacobian) ** (2.0 / len(edges))
         count += 1
     return total / count

@@ -14,9 +14,9 @@ NOTHING: FloatArray = np.empty(0, np.float32)
 
 
 class KeptCells:
-    """Corner Jacobians and volumes of undeformed hexahedra, slab by slab: 36 bytes per cell and a few per cent.
+    """Corner Jacobians and volumes of undeformed hexahedra, slab by slab: a little over 36 bytes per cell.
 
-    Nothing is kept before :meth:`begin`; results are the same. Copies begin with nothing.
+    Nothing is stored before :meth:`begin`, and copies start empty. Results do not depend on what is stored.
     """
 
     def __init__(self, grid: Grid):
@@ -26,17 +26,17 @@ class KeptCells:
 
     @cached_property
     def bytes(self) -> int:
-        """Bytes that all of them take together, shared by the ranks of a machine."""
+        """Memory in bytes for all cells, shared by the ranks of a machine."""
         if self._grid.dimension == 2:
             return 0
         return sum(self._size(slab) for slab in slabs(self._grid)) * NOTHING.itemsize
 
     def begin(self) -> None:
-        """Begin to store what the next pass computes."""
+        """Store the measures computed from the next pass on."""
         self.begun = True
 
     def of(self, slab: Slab, both: bool) -> tuple[FloatArray, bool]:
-        """The array of a slab: to read if its values are known, else to fill; empty for passes that cannot use it."""
+        """The array of a slab, and whether it holds its values or is to be filled; empty where a pass cannot use it."""
         if slab.start in self._parts:
             return (NOTHING, False) if both else (self._parts[slab.start], True)
         return np.empty(self._size(slab) if self.begun else 0, np.float32), False

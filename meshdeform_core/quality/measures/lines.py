@@ -13,7 +13,7 @@ from ...grid.topology import Topology, inward_step, side_nodes
 from ...numerics.geometry.coincidence import distinct
 
 LAYERS = 8
-"""Cells of a grid line off a wall whose thickness together is measured, but at most half of those that it crosses."""
+"""First cells of a grid line at a wall whose total thickness is measured; at most half of the cells of the line."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ def interface_lines(grid: Grid, topology: Topology) -> InterfaceLines:
 
 
 def lines_across(grid: Grid, topology: Topology, quads: IntArray) -> tuple[InterfaceLines, tuple[IntArray, IntArray]]:
-    """The grid lines across shared face ``quads`` (n,), four (in 2-D two) of each, as arrays (n, 4).
+    """The grid lines across shared face ``quads`` (n,): four (in 2-D two) per quad, as arrays (n, 4).
 
     Returns the lines and the block sides of the quads and of their partners.
     """
@@ -67,7 +67,7 @@ def _corners(grid: Grid, topology: Topology, quads: IntArray) -> tuple[IntArray,
 
 def kink_and_jump(lines: InterfaceLines, points: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Angle (degrees) between the two segments that meet at an interface, and ln of the ratio of their lengths."""
-    # Component by component: operations on so short an axis would be slow.
+    # Component by component, as numpy is slow on axes of length 3.
     u = list(np.moveaxis(points[lines.here] - points[lines.before], -1, 0).copy())
     v = list(np.moveaxis(points[lines.beyond] - points[lines.there], -1, 0).copy())
     normal = u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
@@ -85,9 +85,9 @@ def _dot(u: Sequence[FloatArray], v: Sequence[FloatArray]) -> FloatArray:
 class WallFace:
     """The part of one face of a block that is a wall.
 
-    ``nodes`` (na, nb) flat indices of the whole face, ``wall`` (qa, qb) which of its quads are wall, ``step`` to the
-    first node off the wall, ``layers`` of cells that are measured together (:data:`LAYERS`), ``inward`` +1 if the
-    face's index order gives normals into the block, -1 if out of it.
+    ``nodes`` (na, nb): flat indices of the whole face; ``wall`` (qa, qb): which of its quads are wall; ``step``:
+    difference in flat index to the first node off the wall; ``layers``: cells whose total thickness is measured
+    (:data:`LAYERS`); ``inward``: +1 if the index order of the face gives normals into the block, -1 if out of it.
     """
 
     nodes: IntArray
@@ -114,7 +114,7 @@ class WallFace:
 
 
 def wall_faces(grid: Grid, topology: Topology, chosen: BoolArray) -> list[WallFace]:
-    """All block faces with ``chosen`` face quads (n_quads,)."""
+    """All block faces with quads that are ``chosen`` (n_quads,) as walls."""
     faces = []
     for block_side in distinct(topology.quads.block_side[chosen], 6 * grid.n_blocks):
         block, side = int(block_side) // 6, Side(int(block_side) % 6)
@@ -131,10 +131,10 @@ def wall_faces(grid: Grid, topology: Topology, chosen: BoolArray) -> list[WallFa
 
 
 def _inward_sign(topology: Topology, block: int, side: Side, nodes: IntArray) -> float:
-    """Whether the normal from the face's index order (in 2-D: plane normal cross tangent) points into the block."""
+    """+1 if the normal by the face's index order (in 2-D: plane normal cross tangent) points into the block, or -1."""
     if topology.quads.corners.shape[1] == 2:
         first = topology.quads.corners[topology.quads.of_side(block, side)][0, 0]
-        # Corner order has the outside to the right.
+        # The outside lies to the right of the corner order.
         return 1.0 if first == topology.numbers_of(nodes.ravel()[:1])[0] else -1.0
     # e_b x e_c of the tangential axes points along +a for i and k faces, along -a for j faces.
     index_normal = (-1.0 if side.axis == 1 else 1.0) * float(topology.handedness[block])
@@ -142,8 +142,8 @@ def _inward_sign(topology: Topology, block: int, side: Side, nodes: IntArray) ->
 
 
 class WallLines(NamedTuple):
-    """Angle (degrees) of the first grid line to the wall normal, and the wall-normal height of the first cell and
-    thickness of the first layers: one value per node of the wall quads of a face, ``WallFace.touched``, in their order.
+    """Angle (degrees) between grid lines and the wall normal, and along it the height of the first cell and the
+    thickness of the first layers: one value per node of the wall quads of a face, in the order of ``WallFace.touched``.
     """
 
     angle: FloatArray

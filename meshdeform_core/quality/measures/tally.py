@@ -13,7 +13,7 @@ from ...parallel import current_ranks
 from .cells import Slab
 
 HISTOGRAM_BINS = 20
-# Not kept by the objects that it guards, as these are copied.
+# A module's lock, as the objects that it guards are copied and locks cannot be.
 _adding = threading.Lock()
 
 
@@ -63,13 +63,13 @@ class Sums:
 
     @classmethod
     def of(cls, skew: FloatArray, volume: FloatArray, bad: BoolArray) -> Sums:
-        """Sums over cells (m,) with these values; ``bad``: with a corner Jacobian <= 0."""
+        """Sums over cells (m,); ``bad`` marks those with a corner Jacobian <= 0."""
         sums = cls(0.0, 0.0, np.zeros(HISTOGRAM_BINS, dtype=np.int64), area=float(volume.sum()))
         sums.add(skew, volume, bad)
         return sums
 
     def add(self, skew: FloatArray, volume: FloatArray, bad: BoolArray) -> None:
-        """Add cells (m,); their area is left alone."""
+        """Add cells (m,), but for their area."""
         with np.errstate(divide="ignore"):
             self.inverse += float((1.0 / skew).sum())
         self.skew += float(skew.sum())
@@ -82,8 +82,8 @@ class Tally:
     """Sums over the cells of one grid: one row per slab, added in the order of the grid once all are complete.
 
     ``sums`` (n_slabs, 5): 1/f_skew, f_skew, area (2-D), cells with negative volume, with a bad corner; ``lows``
-    (n_slabs, 2): smallest f_skew and scaled Jacobian; ``low_cells`` (n_slabs, 2) where; ``counts`` (n_slabs, 20):
-    histogram of f_skew; ``lowest``: the hundredth of the cells with the smallest f_skew.
+    (n_slabs, 2): smallest f_skew and scaled Jacobian; ``low_cells`` (n_slabs, 2): their cells; ``counts``
+    (n_slabs, 20): histogram of f_skew; ``lowest``: the one per cent of cells with the smallest f_skew.
     """
 
     def __init__(self, n_cells: int, n_slabs: int):
@@ -109,7 +109,7 @@ class Tally:
 
     @property
     def volume(self) -> float:
-        """Totals over all cells; in 2-D their area."""
+        """Total volume; in 2-D area."""
         return float(self.sums[:, 2].sum()) if self.solid is None else self.solid
 
     @property
@@ -143,7 +143,7 @@ class Tally:
 
 
 class Lowest:
-    """The ``count`` smallest of values (at least as many) that arrive in parts: the same for any parts in any order."""
+    """The ``count`` smallest of at least as many values that are added in parts; independent of parts and order."""
 
     def __init__(self, count: int):
         self._count, self._limit = count, np.float32(np.inf)
@@ -151,7 +151,7 @@ class Lowest:
         self._size = 0
 
     def add(self, values: np.ndarray) -> None:
-        """Take account of values (n,) float32; from several threads."""
+        """Add values (n,) float32; may be called by several threads."""
         found = values[values < self._limit]
         with _adding:
             self._parts.append(found)
@@ -160,13 +160,13 @@ class Lowest:
                 self._shorten()
 
     def complete(self) -> None:
-        """Take account of the values of all ranks, which must call this together."""
+        """Combine the values of all ranks, which must all call this."""
         self._parts = current_ranks().gather(self._parts)
         self._shorten()
 
     @property
     def largest(self) -> float:
-        """The largest of them, once all values have arrived."""
+        """The largest of the ``count`` smallest values, once all have been added."""
         return float(self._limit)
 
     def _shorten(self) -> None:

@@ -1,4 +1,4 @@
-"""The cells of a deformed grid against those of the original."""
+"""The cells of a deformed grid compared with those of the original."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Comparison:
         self.after, self.verdict = Tally(grid.n_cells, n_slabs), Verdict.blank(grid.n_cells)
         alone = after is grid.points
         self._before = None if alone or original.measured else Tally(grid.n_cells, n_slabs)
-        # Smallest and largest change of volume and smallest relative Jacobian, and the cells.
+        # Smallest and largest volume ratio and smallest relative Jacobian, and their cells.
         self._inherited, self._extremes, self._cells = (
             np.empty(n_slabs), np.empty((n_slabs, 3)), np.empty((n_slabs, 3), dtype=np.int64)
         )  # fmt: skip
@@ -40,7 +40,7 @@ class Comparison:
             self._measure_extremes()
 
     def _measure_extremes(self) -> None:
-        """Values of the extreme cells, found in single precision, in double precision."""
+        """Recompute in double precision the values of the extreme cells, which were found in single precision."""
         grid, cells = self._original.grid, self._cells.ravel()
         sign = self._original.topology.handedness[places(grid, cells)[0]].astype(float)
         old, new = (
@@ -101,7 +101,7 @@ def _extremes(slab: Slab, f: SlabMeasures) -> tuple[tuple[float, float, float], 
 
 
 def _complete(tally: Tally, grid: Grid, topology: Topology, points: FloatArray) -> None:
-    """The quantile and the volume; the smallest values of the slabs, found in single precision, in double precision."""
+    """Complete a tally: the quantile, the volume, and in double precision the smallest values of every slab."""
     tally.lowest.complete()
     if grid.dimension == 2:
         return

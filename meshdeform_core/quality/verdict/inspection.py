@@ -1,7 +1,7 @@
-"""All cells of a grid, judged against the undeformed one in one pass, slab by slab.
+"""All cells of a grid judged against the undeformed one, slab by slab.
 
-In 3-D a pass in single precision (:mod:`..numerics.cell.inspection`) leaves doubtful cells undecided; they are measured
-here in double precision and judged by the proof of :mod:`..numerics.cell.positivity`.
+In 3-D a pass in single precision (:mod:`..numerics.cell.inspection`) leaves doubtful cells undecided. These are
+measured here in double precision and judged by the proof of :mod:`..numerics.cell.positivity`.
 """
 
 from __future__ import annotations
@@ -26,8 +26,9 @@ from .original import Original
 class Failure(IntEnum):
     """Why a cell is invalid.
 
-    ``CORNER``: a corner Jacobian that was positive is not, or is below the smallest share allowed; ``INSIDE``: the
-    Jacobian is negative between positive corners, or could not be proved positive; ``VOLUME``: the volume alone.
+    ``CORNER``: a corner Jacobian that was positive is no longer, or is below the smallest share allowed; ``INSIDE``:
+    the Jacobian is negative between positive corners, or could not be proved positive; ``VOLUME``: only the volume is
+    negative.
     """
 
     NONE = 0
@@ -44,17 +45,17 @@ class Failure(IntEnum):
 class SlabMeasures:
     """Measures of a slab of n cells: arrays (n,) float32 unless said otherwise.
 
-    They are views of a buffer of this thread, which its next call overwrites.
+    The arrays are views of a per-thread buffer, overwritten by the next call in the same thread.
 
     Attributes
     ----------
     skew, scaled : f_skew and smallest scaled corner Jacobian, deformed
     ratio : smallest corner Jacobian relative to the undeformed one, infinite where that has no sound corner
-    change : volume relative to the undeformed one, not-a-number where that has none
+    change : volume relative to the undeformed one, NaN where that has none
     failed : int8, :class:`Failure`
-    after, before : sums; ``before`` only if asked for
+    after, before : sums; ``before`` only on request
     inherited : cells with a bad corner before and after that failed no test
-    skew_before, scaled_before : if asked for
+    skew_before, scaled_before : of the undeformed cells, only on request
     """
 
     skew: FloatArray
@@ -70,7 +71,7 @@ class SlabMeasures:
 
 
 def inspect_slab(original: Original, after: FloatArray, slab: Slab, both: bool) -> SlabMeasures:
-    """Measures of one slab with coordinates ``after`` (n_nodes, 3); of the undeformed cells too with ``both``."""
+    """Measures of one slab with coordinates ``after`` (n_nodes, 3); with ``both``, of the undeformed cells, too."""
     figures = (_quads if original.grid.dimension == 2 else _hexahedra)(original, after, slab, both)
     low = (figures.ratio <= 0.0) | (figures.ratio < original.min_jacobian)
     figures.failed[low] = Failure.CORNER
@@ -81,7 +82,7 @@ _memory = threading.local()
 
 
 def _scratch(cells: int) -> tuple[FloatArray, BoolArray]:
-    """Arrays for the results of a slab, the same for all slabs of a thread."""
+    """Arrays for the results of a slab, reused by all slabs of a thread."""
     if getattr(_memory, "size", 0) < cells:
         _memory.size, _memory.out, _memory.open = cells, np.empty(6 * cells, np.float32), np.empty(cells, dtype=bool)
     return _memory.out[: 6 * cells].reshape(6, cells), _memory.open[:cells]
@@ -116,7 +117,7 @@ def _hexahedra(original: Original, after: FloatArray, slab: Slab, both: bool) ->
 
 
 def _scale(x: FloatArray, slab: Slab) -> float:
-    """One over the size of a cell, to within some orders of magnitude."""
+    """The reciprocal of a cell size, correct to within some orders of magnitude."""
     part = x[np.ix_([slab.first, slab.last], [0, -1], [0, x.shape[2] // 2])].reshape(-1, 3)
     size = float(np.abs(part - part.mean(axis=0)).max()) / max(x.shape[1:3])
     return 2.0 ** -round(np.log2(size)) if 0.0 < size < np.inf else 1.0

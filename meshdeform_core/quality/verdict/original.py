@@ -39,8 +39,7 @@ class Original:
     """An undeformed grid with the data that the judgement needs.
 
     ``min_jacobian``: cells with a corner below this share of its undeformed Jacobian count as invalid; ``measured``:
-    totals over its cells, from the first comparison with another grid; ``kept``: stored measures
-    of undeformed cells.
+    totals over its cells, filled by the first comparison with another grid; ``kept``: stored measures of its cells.
     """
 
     grid: Grid
@@ -55,7 +54,7 @@ class Original:
 
     @property
     def tally(self) -> Tally:
-        """Totals over its cells; there must have been a comparison."""
+        """Totals over its cells; available after the first comparison."""
         assert self.measured is not None
         return self.measured
 

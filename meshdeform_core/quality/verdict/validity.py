@@ -1,8 +1,8 @@
 """The verdict: which cells were valid and no longer are.
 
 A cell is sound if its Jacobian is positive everywhere. In 2-D the corners decide; in 3-D the corners and a proof for
-the inside (:mod:`..numerics.cell.positivity`). Corners that are collapsed in the undeformed grid have no sign to judge;
-cells whose undeformed Jacobian is negative somewhere are judged by their other corners and by their volume.
+the interior (:mod:`..numerics.cell.positivity`). Corners collapsed in the undeformed grid have no sign and are not
+judged; cells whose undeformed Jacobian is negative somewhere are judged by their other corners and their volume.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ __all__ = ["Failure", "Verdict", "judge", "newly_invalid"]
 
 @dataclass(frozen=True)
 class Verdict:
-    """The verdict on all cells, counted block after block, C-ordered within each block.
+    """The verdict on all cells, numbered block after block, C-ordered within each block.
 
     ``failed`` (n_cells,) int8, :class:`Failure`; ``ratio`` (n_cells,) float32, smallest corner Jacobian relative to the
     undeformed one, infinite where the undeformed cell has no sound corner.

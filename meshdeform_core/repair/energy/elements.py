@@ -21,15 +21,15 @@ from ...numerics.cell.foldover.samples import Samples, shortest_edges
 from ..tuned import HEALTHY, NORM, SOFT
 
 COLLAPSED = 1e-10
-"""A Jacobian below this share of the product of the edges is that of a collapsed corner."""
+"""A corner whose Jacobian is below this share of the product of its edges is collapsed."""
 _CORNERS = (1 << 8) - 1
-# Of the derivatives of a sample of a hexahedron, and of a triangle; measured.
+# Work, measured, for the derivatives at one sample of a hexahedron, and of a triangle.
 _SAMPLE, _TRIANGLE = 0.9, 0.4
 
 
 class Penalty(NamedTuple):
-    """The parameters of the energy, see :mod:`..numerics.cell.foldover`; ``exact``: all of its second derivatives,
-    else their convex part."""
+    """The parameters of the energy, see :mod:`..numerics.cell.foldover`; ``exact``: use the full second derivatives
+    instead of their convex part."""
 
     eps: float = 0.0
     share: float = 1.0
@@ -39,8 +39,8 @@ class Penalty(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """The rows ``first <= row < last`` of a sparse matrix of blocks, whose ``columns`` begin at ``starts``; the
-    ``matrix`` (n_blocks, d, d) has the blocks of these rows, the ``gradient`` (n_unknowns, d) all rows."""
+    """The rows ``first <= row < last`` of a block-sparse matrix: ``columns`` of row r from ``starts[r]`` on, ``matrix``
+    (n_blocks, d, d) the blocks of these rows, ``gradient`` (n_unknowns, d) of all rows."""
 
     first: int
     last: int
@@ -51,7 +51,7 @@ class Rows(NamedTuple):
 
     @property
     def pattern(self) -> tuple[int, int, IntArray, IntArray]:
-        """What the loops over rows need."""
+        """The arguments of the loops over rows."""
         return self[:4]
 
 
@@ -63,25 +63,25 @@ class Energy(Protocol):
 
     @property
     def work(self) -> float:
-        """That of the second derivatives of all elements, see :mod:`.limit`."""
+        """Work of computing the second derivatives of all elements, see :mod:`.limit`."""
         ...
 
     def edges(self) -> FloatArray:
-        """(n,) the shortest undeformed edge at every node, infinite where there is none of any length."""
+        """(n,) the shortest undeformed edge of non-zero length at every node, infinite where there is none."""
         ...
 
     def softened(self, power: float) -> Energy:
-        """The same with the given power of all weights."""
+        """The energy with all weights raised to ``power``."""
         ...
 
     def excess(self, x: FloatArray) -> FloatArray:
-        """(m,) how weak elements are, see :mod:`.onset`."""
+        """(m,) the excess of the elements, see :mod:`.onset`."""
         ...
 
     def sum(
         self, x: FloatArray, reference: FloatArray, penalty: Penalty, low: int, high: int
     ) -> tuple[float, float, float]:
-        """Over elements low <= m < high: energy, smallest determinant, largest f."""
+        """Energy, smallest determinant and largest f of the elements low <= m < high."""
         ...
 
     def add(
@@ -104,11 +104,11 @@ class Energy(Protocol):
         ...
 
     def with_between(self, share: FloatArray) -> Energy:
-        """The same with shares (m,) of the samples between corners; those without are left out."""
+        """The energy with shares (m,) of the samples between corners; samples with a share of 0 are left out."""
         ...
 
     def matrices(self, x: FloatArray) -> FloatArray:
-        """Jacobian matrices (m, d, d) of the maps from undeformed elements, of hexahedra their mean."""
+        """Jacobian matrices (m, d, d) of the maps from undeformed elements; for hexahedra their means."""
         ...
 
     def stretched(self, stretch: FloatArray) -> Energy:
@@ -204,8 +204,8 @@ class Hexahedra:
 
 @dataclass(frozen=True)
 class Triangles:
-    """The energy of the corners of quadrilaterals: ``nodes`` (m, 3), ``slope`` (m, 3, 2) the undeformed gradients of
-    their shape functions, ``start`` (n, 2) undeformed coordinates, ``weight`` (m,) those of their cells."""
+    """The energy of the corners of quadrilaterals, as triangles of ``nodes`` (m, 3): ``slope`` (m, 3, 2) gradients of
+    the shape functions in the undeformed grid, ``start`` (n, 2) undeformed coordinates, ``weight`` (m,) of cells."""
 
     nodes: IntArray
     slope: FloatArray
@@ -227,14 +227,14 @@ class Triangles:
 
     @classmethod
     def at_corners(cls, start: FloatArray, cells: IntArray, sign: FloatArray, weight: FloatArray) -> Triangles:
-        """Of the sound corners of undeformed quadrilaterals (m, 4); ``sign`` (m,) is that of sound Jacobians."""
+        """From the sound corners of undeformed quadrilaterals (m, 4); ``sign`` (m,) is the sign of sound Jacobians."""
         most = 4 * len(cells)
         nodes, slope, cell = np.empty((most, 3), np.int64), np.empty((most, 3, 2)), np.empty(most, np.int64)
         count = corner_triangles(start, cells, sign, COLLAPSED, nodes, slope, cell)
         return cls(nodes[:count], slope[:count], start, weight[cell[:count]])
 
     def with_any(self, moves: BoolArray) -> Triangles:
-        """Those that have one of the nodes that ``moves`` (n,) is true for."""
+        """The triangles with at least one node that ``moves`` (n,)."""
         kept = np.asarray(moves[self.nodes].any(axis=1))
         return self if kept.all() else Triangles(self.nodes[kept], self.slope[kept], self.start, self.weight[kept])
 
@@ -276,7 +276,7 @@ class Triangles:
 
 
 def _edges(x: FloatArray, nodes: IntArray) -> FloatArray:
-    """Mean edges (m, 3, 3) of hexahedra along their axes, in columns."""
+    """Mean edges of hexahedra along their index axes, as the columns of matrices (m, 3, 3)."""
     corners = x[nodes].reshape(-1, 2, 2, 2, 3)
     means = [np.diff(corners, axis=axis).mean(axis=(1, 2, 3)) for axis in (1, 2, 3)]
     return np.stack(means, axis=-1)

@@ -1,8 +1,8 @@
-"""How much a repair does: nothing while all cells are healthy, smoothly more as they grow weak.
+"""The onset of a repair: no effect while all cells are healthy, and a smoothly growing one as they become weak.
 
-A repair that began at a threshold would make a moving grid jump where the threshold is passed. The share of the energy
-of cells, against the elastic one that holds the grid, therefore grows as a power of the excess of the whole grid: the
-norm of log(f / HEALTHY) over all corners, with f regularised so that it passes through inversion without a jump.
+A repair that set in at a threshold would make a moving grid jump when the threshold is passed. The energy of the cells
+is therefore weighted, against the elastic energy that holds the grid, by a *share* that grows as a power of the
+*excess* of the grid: the norm of log(f / HEALTHY) over all corners, with f regularised to stay finite on inversion.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from .elements import Energy
 
 
 def share_of(energy: Energy, x: FloatArray) -> tuple[float, Energy]:
-    """The share of the energy for a grid at ``x`` (n, d), 0 where all cells are healthy, and the energy of it.
+    """The share for a grid at ``x`` (n, d), 0 where all cells are healthy, and the energy to which it applies.
 
-    Samples of hexahedra between corners count by the excess of their own cell, at most as corners do.
+    Samples of hexahedra between corners are weighted by the excess of their own cell, with corners as the upper limit.
     """
     excess, whole = _excess(energy, x)
     if whole == 0.0:
@@ -26,7 +26,7 @@ def share_of(energy: Energy, x: FloatArray) -> tuple[float, Energy]:
 
 
 def share_slopes(energy: Energy, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """How the share, and that of the samples between corners of each cell, follow the excess of the cells (m,)."""
+    """Derivatives of the share, and of each cell's share of samples between corners, with respect to excess (m,)."""
     excess, whole = _excess(energy, x)
     if whole == 0.0:
         return np.zeros_like(excess), np.zeros_like(excess)
@@ -37,7 +37,7 @@ def share_slopes(energy: Energy, x: FloatArray) -> tuple[FloatArray, FloatArray]
 
 
 def _excess(energy: Energy, x: FloatArray) -> tuple[FloatArray, float]:
-    """The excess of the cells (m,), and that of the whole grid."""
+    """The excess (m,) of the cells, and that of the grid."""
     excess = energy.excess(x)
     largest = float(excess.max(initial=0.0))
     if largest == 0.0:

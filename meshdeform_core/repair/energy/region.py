@@ -1,4 +1,4 @@
-"""The region that a repair moves: its energy, and how its nodes follow the unknowns."""
+"""The region that a repair moves: its energy, and the dependence of its nodes on the unknowns."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from .elements import Energy
 
 
 class Slide(NamedTuple):
-    """Nodes (k,) that stay on a surface: its unit ``normals`` (k, d) next to coordinates (k, d), and the way ``back``
-    onto it."""
+    """Nodes (k,) that stay on a surface: functions of coordinates (k, d) for its unit ``normals`` (k, d), and for the
+    projection ``back`` onto it."""
 
     nodes: IntArray
     normals: Callable[[FloatArray], FloatArray]
@@ -24,9 +24,9 @@ class Slide(NamedTuple):
 
 @dataclass(frozen=True)
 class Region:
-    """Some cells whose nodes are moved, with nodes of their own numbering, in coordinates (n, d) of space or plane.
+    """Cells whose nodes are moved. Nodes have local numbers and coordinates (n, d) in space or in the plane.
 
-    ``fixed`` (n_unknowns, d, d) projects on the directions in which unknowns may move, without regard to ``slides``.
+    ``fixed`` (n_unknowns, d, d) projects on the directions in which unknowns may move; it does not include ``slides``.
     """
 
     energy: Energy
@@ -47,7 +47,7 @@ class Region:
         return self.unknowns.number
 
     def directions(self, x: FloatArray) -> tuple[Unknowns, FloatArray]:
-        """How nodes at ``x`` (n, d) follow the unknowns, and the projectors on the directions of these."""
+        """Dependence of nodes at ``x`` (n, d) on the unknowns, and the projectors on the directions of the latter."""
         if not self.slides:
             return self.unknowns, self.fixed
         frame, plain, freedom = self.unknowns.frame.copy(), self.unknowns.plain.copy(), self.fixed.copy()

@@ -17,23 +17,23 @@ from .region import Region
 from .surroundings import among_others
 
 _ELEMENTS = 4096
-# Of the energy, relative to its derivatives; measured.
+# Work of evaluating the energy relative to that of its derivatives; measured.
 _EVALUATION = 0.15
 _ROUGH, _ROUGH_ITERATIONS = 3e-2, 200
 _FINE, _FINE_ITERATIONS = 1e-5, 5000
-# A determinant that stays below -_LOCKED eps while eps falls has nowhere to go in this region.
+# A determinant that stays below -_LOCKED eps while eps falls cannot become positive in this region.
 _LOCKED = 100.0
 CLOSE, _CLOSER = 1e-6, 0.1
-"""The minimum is reached when a step moves no node by more than the share CLOSE of its shortest edge, or the next one
-would move none by more than CLOSER times that."""
+"""The minimum is reached when a step moves no node by more than CLOSE times its shortest edge, or the next step would
+move none by more than CLOSER times that."""
 _SMALLEST_STEP = 1e-4
-# Sufficient decrease of a line search (Armijo), but for round-off of the energy.
+# Sufficient decrease in the line search (Armijo), and the round-off of the energy that it tolerates.
 _DECREASE, _ROUND_OFF = 1e-4, 1e-13
 
 
 @dataclass(frozen=True)
 class State:
-    """Coordinates with the energy there, its smallest determinant and its largest f."""
+    """Coordinates, with the energy, the smallest determinant and the largest f there."""
 
     x: FloatArray
     energy: float
@@ -43,8 +43,9 @@ class State:
 
 @dataclass(frozen=True)
 class Pace:
-    """How patiently a region is untangled: at most so many ``steps``, the ``first`` regularisation, and by which part
-    it falls at the ``slowest``; before, at most so many steps with cells compared with those ``around``."""
+    """The effort spent on untangling a region: the largest number of ``steps``, the ``first`` regularisation, the
+    ``slowest`` relative decrease of it, and the largest number of steps before with cells compared with those
+    ``around`` them."""
 
     steps: int
     first: float = 0.5
@@ -56,7 +57,7 @@ class Pace:
 class Untangler:
     """Moves the unknowns of a region from coordinates ``x`` (n, d), within a limit.
 
-    ``reference`` (n, d) is where the elastic energy holds them.
+    ``reference`` (n, d) are the coordinates of zero elastic energy.
     """
 
     region: Region
@@ -79,10 +80,11 @@ class Untangler:
         return State(x, parts[:, 0].sum(), parts[:, 1].min(), parts[:, 2].max())
 
     def untangle(self, pace: Pace) -> bool:
-        """Newton steps until every determinant is positive: relative to the undeformed cells, but where some are
-        squeezed first to those around them, see :mod:`.surroundings`.
+        """Newton steps until every determinant is positive; returns whether this succeeded.
 
-        Cells at walls weigh less here than in the energy to be minimised: a fold opens sooner where all take part.
+        Cells are compared with undeformed ones; where some are squeezed, first with those around them, see
+        :mod:`.surroundings`. Cells at walls weigh less than in the energy to be minimised, as a fold opens sooner
+        where all cells take part.
         """
         if self.state(self.x, Penalty(pace.first)).lowest > 0.0:
             return True
@@ -94,7 +96,7 @@ class Untangler:
         return self._untangle(energy, pace)
 
     def _untangle(self, energy: Energy, pace: Pace) -> bool:
-        """The same with an energy.
+        """Newton steps with a given energy until every determinant is positive.
 
         The regularisation falls as in Garanzha et al. 2021 (section 2.3), but by at least ``pace.slowest`` where the
         energy hardly changes any more: a few extra steps at the end cost less than many on the way.
@@ -119,9 +121,9 @@ class Untangler:
         return False
 
     def minimise(self, share: float, most: int, edges: FloatArray, close: float = CLOSE) -> bool:
-        """At most so many Newton steps to the minimum from a valid start; whether it was reached, as ``close``.
+        """At most ``most`` Newton steps to the minimum from a valid start; returns whether it was reached.
 
-        ``edges`` (n,) are the shortest undeformed edges at the nodes.
+        ``edges`` (n,) are the shortest undeformed edges at the nodes, relative to which steps must be below ``close``.
         """
         penalty = Penalty(0.0, share, CUBIC, 1.0)
         now, length = self.state(self.x, penalty), np.inf
@@ -133,7 +135,7 @@ class Untangler:
             before, length = length, float((np.abs(after.x - now.x).max(axis=1) / edges).max())
             now = after
             self.x = now.x
-            # Steps shrink ever faster: the next one by more than this one has.
+            # Convergence is superlinear: the next step shrinks by more than this one has.
             if length < close or (step and length * length < _CLOSER * close * before):
                 return True
         return False
@@ -143,7 +145,7 @@ class Untangler:
             self.progress("repair", done, most)
 
     def _step(self, now: State, penalty: Penalty, tolerance: float) -> State:
-        """A step with the complete second derivatives where they are positive definite, and eps is 0."""
+        """One step; with the full second derivatives if eps is 0 and they are positive definite."""
         step = self._exact(now, penalty, tolerance) if penalty.eps == 0.0 else None
         if step is None:
             self._fill(now.x, penalty)
