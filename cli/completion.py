@@ -37,7 +37,7 @@ def settings(context: click.Context, parameter: click.Parameter, typed: str) -> 
 
 
 def fields(context: click.Context, parameter: click.Parameter, typed: str) -> list[CompletionItem]:
-    """What can be written into files beside coordinates."""
+    """Names of fields that can be written to files."""
     return _items((*MEASURES, "invalid", "all"), typed)
 
 

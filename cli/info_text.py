@@ -1,4 +1,4 @@
-"""What ``meshdeform info`` prints for people."""
+"""The text output of ``meshdeform info``."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 from meshdeform_core.wording import counted
 
 _MAX_LISTED = 24
-"""Most unnamed faces that are listed individually; more are summarised by role."""
+"""Largest number of unnamed faces that are listed one by one; more are summarised by role."""
 
 
 def as_text(facts: dict[str, Any], verbose: bool = False) -> str:
@@ -143,7 +143,7 @@ def _box(box: list[list[float]]) -> str:
 
 
 def _range(low: float, high: float, size: float) -> str:
-    # Mere round-off relative to the other coordinates counts as 0.
+    # Values within round-off of the other coordinates count as 0.
     low, high = (0.0 if abs(v) < 1e-9 * size else v for v in (low, high))
     return f"{low:.5g}" if high - low <= 1e-9 * size else f"{low:.5g}..{high:.5g}"
 

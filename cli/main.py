@@ -139,7 +139,7 @@ def run(args: Sequence[str] | None = None) -> int:
     try:
         code = _invoke(args)
     except BaseException as error:
-        # A signal's exception, or what a library turned it into.
+        # The exception of a signal, or one into which a library converted it.
         if interruption.requested() is None:
             if not isinstance(error, Exception):
                 raise
@@ -155,7 +155,7 @@ def run(args: Sequence[str] | None = None) -> int:
 
 
 def _invoke(args: Sequence[str] | None) -> int:
-    """Call the command; faults of the input or the system become a message and exit code 2."""
+    """Call the command; errors in the input or from the system become a message and exit code 2."""
     from meshdeform_core.errors import MeshDeformError
 
     try:
@@ -176,20 +176,20 @@ def _invoke(args: Sequence[str] | None) -> int:
         tell("interrupted; no output was left half-written")
         return EXIT_INTERRUPTED
     except (BrokenPipeError, SystemExit) as stop:
-        # The reader is gone (`meshdeform info grid | head`), which click turns into exit code 1: no message needed.
+        # The reader has closed the pipe (`meshdeform info grid | head`), for which click exits with 1; no error.
         if isinstance(stop, SystemExit) and stop.code != 1:
             raise
         drop_output()
         return 0
     except OSError as error:
-        # Refused by the system: no permission, a name too long, a full disk.
+        # From the operating system: no permission, a name too long, a full disk.
         return _fail(_refusal(error))
     except MemoryError as error:
         return _fail(f"out of memory ({error}); see --max-memory, or use a smaller grid or method")
 
 
 def _check_environment() -> None:
-    """Check environment variables and the current folder, on which imports of libraries would fail."""
+    """Check and set environment variables, and check the current folder, on which imports of libraries may fail."""
     from meshdeform_core.errors import CaseError
 
     try:
@@ -199,7 +199,7 @@ def _check_environment() -> None:
 
     # Pictures are drawn into files, whatever backend the user has set for matplotlib.
     os.environ["MPLBACKEND"] = "agg"
-    # The HDF5 library crashes on a driver that it does not know, and none but the default is of use here.
+    # The HDF5 library crashes on an unknown driver, and only the default one is of use here.
     os.environ.pop("HDF5_DRIVER", None)
     threads = os.environ.get("NUMBA_NUM_THREADS")
     if threads is not None and not (threads.isdecimal() and int(threads) > 0):
@@ -207,7 +207,7 @@ def _check_environment() -> None:
 
 
 def _refusal(error: OSError) -> str:
-    """What the system refused; files that are written or read are named, so without a name it is something else."""
+    """The message for an error of the operating system; errors without a file name are those of stdout."""
     if error.filename:
         return f"{error.filename}: {error.strerror}"
     return f"cannot write to stdout: {error.strerror}" if error.errno in _OF_STREAMS else str(error)

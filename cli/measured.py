@@ -12,7 +12,8 @@ if TYPE_CHECKING:
 
 
 def measured(grid: Grid, reference: Path | None) -> CellFields:
-    """The cells of ``grid`` as they are measured; boundaries that the file ``reference`` lacks are those of the grid.
+    """The cells of ``grid`` for measuring, compared with the file ``reference`` if it is given; boundaries that this
+    file lacks are taken from the grid.
 
     Raises
     ------

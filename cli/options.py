@@ -1,4 +1,4 @@
-"""Options that several commands share, packed into one record each, and the checks that need no grid."""
+"""Options that several commands share, packed into records, with the checks that need no grid."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ OUTPUT = OutputPath(path_type=Path)
 
 
 class FiniteNumber(click.FloatRange):
-    """A number other than nan and inf, which would pass every range check."""
+    """A finite number: nan and inf would pass click's range checks."""
 
     def _describe_range(self) -> str:
         # Without limits click would describe the range as x<=None.
@@ -211,7 +211,7 @@ def case_options(command: Command) -> Command:
 
 
 def judged_case_options(command: Command) -> Command:
-    """Those of commands that deform nothing: which walls move, and which cells count as invalid."""
+    """The options of commands that judge but do not deform: which walls move, and which cells count as invalid."""
 
     @functools.wraps(command)
     def packed(
@@ -294,7 +294,7 @@ def run_options(command: Command) -> Command:
 
 
 def parse_steps(context: click.Context, option: click.Parameter, text: str | None) -> int | str | None:
-    """Number of steps: ``auto``, a positive whole number, or nothing (a callback of click)."""
+    """Click's callback for the number of steps: ``auto``, a positive whole number, or ``None``."""
     if text is None or text == "auto":
         return text
     if not text.isascii() or not text.isdigit() or int(text) == 0:

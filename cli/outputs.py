@@ -1,4 +1,4 @@
-"""Checks of outputs before anything is computed: what would be overwritten, and whether there is a folder."""
+"""Checks of output paths before anything is computed: nothing is overwritten by accident, and the folder exists."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from meshdeform_core.errors import FormatError
 
 
 def keep_inputs(path: Path, *inputs: Path | None) -> None:
-    """Refuse an output that would replace a file which the run reads, by whatever name."""
+    """Refuse an output that would replace a file that the run reads, under any name."""
     from meshdeform_formats.inputs import existing_outputs, require_no_input
 
-    # Nothing is replaced where nothing is: no need to look into the inputs.
+    # A new file replaces nothing, so that the inputs need not be searched.
     if existing_outputs(path):
         require_no_input(path, inputs)
 
@@ -27,13 +27,13 @@ def check_output(path: Path, force: bool, *inputs: Path | None) -> None:
     from meshdeform_formats.files import require_replaceable
     from meshdeform_formats.inputs import existing_outputs
 
-    # First: reading the pieces of an existing .vtm would wait for ever if it were a pipe.
+    # First, as reading the pieces of an existing .vtm would block if it were a pipe.
     require_replaceable(path)
     keep_inputs(path, *inputs)
     there = existing_outputs(path)
     if there and not force:
         raise FormatError(f"{there[0]} exists; use --force to overwrite it")
-    # The folder of a case is made with it.
+    # The folder of an OpenFOAM case is created.
     folder = path.parent.absolute().parent if path.suffix.lower() == ".foam" else path.parent
     if not folder.is_dir():
         reason = "is a file" if folder.exists() else "does not exist; create it first"
@@ -41,7 +41,7 @@ def check_output(path: Path, force: bool, *inputs: Path | None) -> None:
 
 
 def check_reports(reports: tuple[Path, ...], force: bool, *inputs: Path | None) -> None:
-    """The same for reports, whose suffix must be known."""
+    """:func:`check_output` for reports, whose suffix must be known."""
     from meshdeform_formats.report import check_report_path
 
     for path in reports:

@@ -22,7 +22,7 @@ STDOUT = Path("-")
 class Delivery:
     """Data on a command for its report: start time, files read and written, pictures.
 
-    ``start`` is a ``perf_counter``; ``files`` are roles and paths.
+    ``start`` is a value of ``time.perf_counter``; ``files`` are pairs of role and path.
     """
 
     start: float

@@ -1,4 +1,4 @@
-"""Whether a grid has room in memory, told before it is read."""
+"""Checks that grids fit into memory, from the headers of their files."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ if TYPE_CHECKING:
     from meshdeform_formats.layout import Layout
 
 _UNPACKED = 6
-"""Coordinates take at most this many times the bytes of their file: in single precision, compressed."""
+"""Largest ratio of the memory of coordinates to the size of a compressed file in single precision."""
 
 
 _SMALL = 1 << 20
 
 
 def limit_of(text: str | None) -> MemoryLimit:
-    """``--max-memory``, or what the machine has."""
+    """``--max-memory``, or the memory of the machine."""
     return machine_memory() if text is None else parse_memory(text, "--max-memory")
 
 
@@ -34,7 +34,7 @@ def make_room(
     folder: Path | None,
     arrays: float = COORDINATE_ARRAYS,
 ) -> None:
-    """Refuse grids that do not fit, before they are read; let large arrays lie in files where that makes them fit.
+    """Refuse grids that do not fit, before they are read; large arrays are put into files if they fit in that way.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def make_room(
     Raises
     ------
     MethodError
-        With the size that is needed.
+        Stating the required size.
     """
     there = [source for source in sources if source.path.is_file()]
     size = sum(_bytes_of(source.path) for source in there)
@@ -72,7 +72,7 @@ def too_large(limit: MemoryLimit, source: GridInput) -> Layout | None:
 
 
 def _bytes_of(path: Path) -> int:
-    """Size of a file; of a small one, with those that it may refer to."""
+    """Size of a file; for small ones, including the files that they may refer to."""
     from meshdeform_formats.inputs import files_behind
 
     size = os.path.getsize(path)
@@ -87,5 +87,5 @@ def layout_at(source: GridInput) -> Layout | None:
 
 
 def temporary_folder() -> Path:
-    """Where commands that write no grid have their files: as ``TMPDIR`` says."""
+    """Folder for temporary files of commands that write no grid: ``TMPDIR``, or the system's default."""
     return Path(tempfile.gettempdir())

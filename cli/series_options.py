@@ -17,7 +17,7 @@ from .options import PATH, Command, parse_steps
 
 @dataclass(frozen=True)
 class SeriesInput:
-    """Where the levels go, their times, how they are made and in which format."""
+    """Output folder, times, mode and format of the levels."""
 
     output: Path
     times: str | None
@@ -30,7 +30,7 @@ class SeriesInput:
 
     @property
     def more_arrays(self) -> int:
-        """Arrays as large as the coordinates that a series needs beside those of a single deformation."""
+        """Memory that a series needs in addition to a single deformation, in units of the coordinates."""
         return (
             SMOOTHNESS_ARRAYS + VELOCITY_ARRAYS * (self.velocity != "none") + SWEPT_ARRAYS * (self.velocity == "swept")
         )

@@ -101,12 +101,12 @@ def _times_of_files(case: CaseFile) -> tuple[float, ...]:
 
 
 def open_manifest(run: Run, resume: bool, force: bool) -> Manifest:
-    """Begin a series, or continue from the levels that an earlier run has finished.
+    """Start a series, or continue from the levels finished by an earlier run.
 
     Raises
     ------
     FormatError, CaseError
-        When files would be overwritten, or the series to be continued has different inputs.
+        When files would be overwritten, or the series to be continued has other inputs.
     """
     new = run.manifest
     begun = new.path.exists() and not force
@@ -129,7 +129,7 @@ def open_manifest(run: Run, resume: bool, force: bool) -> Manifest:
 
 
 def _keep_what_exists(run: Run, manifest: Manifest) -> None:
-    """Forget levels whose files are missing; a complete series must have all its files."""
+    """Discard levels whose files are missing; a complete series must have all its files."""
     if manifest.complete and all(path.exists() for path in run.files.outputs):
         return
     gone = [number for number in range(len(manifest.levels)) if not run.files.has(number)]
@@ -145,9 +145,9 @@ def carry_out(run: Run, progress: ProgressBar) -> Report:
     with interruption.continued_by(partial(_how_to_continue, run)):
         count, first, ranks = len(run.schedule.times), len(run.manifest.levels), current_ranks()
         progress("levels", first, count)
-        # What a complete series was put together from is gone.
+        # The files from which a complete series was assembled no longer exist.
         finished = run.files.read if first < count else None
-        # Files that cannot be read back tell nothing of the levels before.
+        # The state of earlier levels is known only from files that can be read back.
         made = tuple(run.manifest.made) if run.files.readable else ()
         levels = deform_series(run.setup, run.schedule, run.files.variant.precision, progress, first, finished, made)
         with Recorder(run) as recorder:
@@ -162,7 +162,7 @@ def carry_out(run: Run, progress: ProgressBar) -> Report:
 
 
 def _how_to_continue(run: Run) -> str:
-    """Advice for a series that is interrupted; none if it has no finished level, or needs one that it cannot read."""
+    """Advice for an interrupted series; empty if no level is finished, or the last one is needed but cannot be read."""
     done, count = len(run.manifest.levels), len(run.schedule.times)
     reads = run.schedule.origin != "reference" or run.schedule.velocity != "none"
     if not done or (reads and not run.files.readable):
@@ -171,7 +171,7 @@ def _how_to_continue(run: Run) -> str:
 
 
 def illustrate(run: Run) -> Illustrations:
-    """Small pictures of some evenly spaced levels, as far as their files can be read."""
+    """Small pictures of some evenly spaced levels whose files can be read."""
     from meshdeform_formats.report.illustrations import level_thumbnails
 
     count = len(run.schedule.times)
@@ -197,10 +197,10 @@ def _complete(run: Run) -> Report:
 
 
 class Recorder:
-    """Writes and records levels, each while the next one is computed, if memory allows.
+    """Writes and records levels; if memory allows, each while the next one is computed.
 
-    What happens and in which order does not depend on that: a level whose file cannot be written ends the series before
-    anything is said or written about the next one.
+    The order of events is the same in both cases: a level whose file cannot be written ends the series before anything
+    about the next one is printed or written.
     """
 
     def __init__(self, run: Run):
@@ -210,7 +210,7 @@ class Recorder:
         self._writing: Future[None] | None = None
 
     def record(self, level: Level) -> None:
-        """Begin to write a level, or write it; :meth:`finish` first."""
+        """Write a level, or start to write it, after finishing the previous one."""
         ranks = current_ranks()
         if self._alone(level, ranks.count):
             _record(self._run, level)
@@ -218,9 +218,9 @@ class Recorder:
             self._level, self._writing = level, self._thread.submit(carried(_record), self._run, level, beside=True)
 
     def _alone(self, level: Level, ranks: int) -> bool:
-        """Whether nothing may be computed at the same time."""
+        """Whether a level must be written before the next one is computed."""
         run, size = self._run, level.result.grid.points.nbytes
-        # The arrays that fields and other programs' formats take count for a level that is written alone.
+        # The memory forecast for fields and unstructured formats assumes that nothing is computed meanwhile.
         plain = run.files.readable and not run.fields
         last = level.number + 1 == len(run.schedule.times)
         if ranks > 1 or thread_count() == 1 or last or not plain:
@@ -233,7 +233,7 @@ class Recorder:
         Raises
         ------
         MeshDeformError
-            When it cannot be.
+            When it cannot be written.
         """
         if self._level is not None and self._writing is not None:
             if not self._writing.done():
@@ -250,14 +250,14 @@ class Recorder:
     ) -> None:
         self._thread.shutdown(wait=True)
         if error is None or isinstance(error, MeshDeformError):
-            # A level before the one that failed comes first.
+            # First the level before the one that failed.
             self.finish()
 
 
 def _record(run: Run, level: Level, beside: bool = False) -> None:
-    """Write a level, then record it as finished: in this order, so that every recorded level exists.
+    """Write a level, then record it as finished, in this order, so that every recorded level exists.
 
-    ``beside`` other work it shows no progress.
+    ``beside`` other work, no progress is shown.
     """
     files, before = run.files, clock.perf_counter()
     if not level.result.valid and not run.allow_invalid:
@@ -280,7 +280,7 @@ def _note(run: Run, level: Level, seconds: float) -> None:
     try:
         manifest.save()
     except BaseException:
-        # A signal's message tells how many levels are recorded.
+        # The message on a signal states the number of recorded levels.
         for part in (manifest.levels, manifest.kinds, manifest.made):
             part.pop()
         raise

@@ -28,7 +28,7 @@ _FAST_IDW, _FAST_RBF = IDW(summation="fast"), RBF(summation="fast", solver="kryl
 
 
 def options() -> Iterator[tuple[str, int, Options]]:
-    """Sample, size and method of every run that tries a method."""
+    """Sample, size and method of the runs that deform a sample."""
     for sample, size in (("hemisphere", 8), ("square", 11)):
         yield from ((sample, size, Options(name)) for name in ("tfi", "idw-tfi", "rbf-tfi", "idw-rbf"))
     for rotation in ("none", "quaternion", "blend"):
@@ -38,13 +38,13 @@ def options() -> Iterator[tuple[str, int, Options]]:
     yield "hemisphere", 8, Options("rbf", rbf=_FAST_RBF)
     yield "hemisphere", 8, Options("rbf", rbf=RBF(basis="wendland-c2", radius=0.1, solver="krylov"))
     yield "cascade", 16, Options("idw-tfi")
-    # Sub-blocks with curved lines.
+    # Sub-blocks with curved grid lines.
     yield "airfoil", 33, Options("idw-tfi")
     yield "splitter-plate", 8, Options("idw-tfi", idw=_FAST_IDW)
 
 
 def runs() -> Iterator[Callable[[], object]]:
-    """What is to be called, in this order."""
+    """The functions to call, in this order."""
     yield from (partial(_deformed, *each) for each in options())
     # A table with triangles.
     yield partial(_deformed, "wing", 8, Options("idw-tfi"))
@@ -126,6 +126,6 @@ def _pictures(name: str, size: int, method: Options) -> None:
 
 
 def _nested_sums() -> None:
-    """Products for so many centres that a run would take long."""
+    """Products with so many centres that a whole run would take long."""
     line = np.linspace(0.0, 1.0, 2000)[:, None] * np.ones(3)
     NestedSums(BASES["tps"], line, 1e-6)(np.ones_like(line))

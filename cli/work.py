@@ -63,8 +63,8 @@ def load(
 ) -> Job:
     """Read the case first (it is small and most often wrong), then the grid with its boundary information.
 
-    ``outputs`` must not be files named in the case; ``more_arrays`` as large as the coordinates will be needed.
-    A grid larger than the memory is worked on in files in the folder ``workplace``, if that is given.
+    ``outputs`` must not be files named in the case; ``more_arrays`` is additional memory in units of the coordinates.
+    If ``workplace`` is given, arrays of a grid larger than the memory are put into files in this folder.
     """
     what = case.read()
     for path in outputs:
@@ -82,7 +82,7 @@ def load(
 
 
 def _other_bytes(grid: Grid, case: CaseFile) -> int:
-    """Size of the data of the grid file other than coordinates, and of the tables of the case."""
+    """Size of the data in the grid file other than coordinates, and of the tables of the case."""
     steps = [step for spec in case.case.boundaries if spec.motion for step in spec.motion.steps]
     tables = [step.data for step in steps if isinstance(step, Follow)]
     arrays = [array for table in tables if isinstance(table, SurfaceData) for array in vars(table).values()]
@@ -114,8 +114,8 @@ class Imposed:
 
 
 def print_plan(report: Report, impossible: bool, run: RunInput, more: str = "") -> int:
-    """Print the result of a dry run: the report as JSON on stdout if requested, and the text; returns the exit code,
-    which tells that no valid grid exists (``impossible``)."""
+    """Print the result of a dry run, the report as JSON on stdout if requested, and the text; returns the exit code, 3
+    if no valid grid exists (``impossible``)."""
     to_stdout = run.as_json or STDOUT in run.reports
     if to_stdout:
         click.echo(as_json(report), nl=False)
@@ -129,7 +129,7 @@ def print_plan(report: Report, impossible: bool, run: RunInput, more: str = "") 
 def run(
     job: Job, output: Path, imposed: Imposed, variant: dict[str, str], options: RunInput, progress: ProgressBar
 ) -> tuple[Report, Illustrate]:
-    """Deform and write; returns the report and a function that makes its pictures."""
+    """Deform and write; returns the report and a function that draws its pictures."""
     chosen = variant_of(job.grid, output, variant)
     require_space(job.grid, output, chosen)
     precision = chosen.precision
@@ -161,7 +161,7 @@ def run(
 
 
 def cells_of(setup: Setup, after: Grid) -> CellFields:
-    """The cells of a deformed grid as they are measured against the original."""
+    """The cells of a deformed grid for measuring against the original."""
     moving = np.flatnonzero(setup.boundary.quad_kind == Kind.MOVING)
     return CellFields(after, setup.topology, setup.grid, moving, setup.original)
 

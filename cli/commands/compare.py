@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from meshdeform_core.quality.difference import Difference
 
 EXIT_DIFFERENT = 1
-# Arrays as large as the coordinates of both grids: they, their distances, and what reading takes.
+# Memory in units of the coordinates of both grids: these, the distances, and buffers of reading.
 _ARRAYS = 1.5
 
 

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from meshdeform_core.grid import Grid
 
 
-# Arrays as large as the coordinates: they, and what reading and writing take; with fields of nodes and cells.
+# Memory in units of the coordinates: these, and buffers of reading and writing; the same with fields.
 _ARRAYS, _FIELD_ARRAYS = 2, 5
 
 
@@ -105,7 +105,7 @@ def _beside(grid: Grid, kind: str, target: Path) -> Path | None:
 
 
 def _is_there(grid: Grid, path: Path) -> bool:
-    """Whether the file already holds the boundaries, as it does when the same grid was converted to another format."""
+    """Whether the file already holds these boundaries, as after a conversion of the same grid to another format."""
     from meshdeform_formats.neutral_map import neutral_map_text
 
     try:
@@ -115,7 +115,7 @@ def _is_there(grid: Grid, path: Path) -> bool:
 
 
 def _check_boundaries(path: Path, target: Path, force: bool, *inputs: Path | None) -> None:
-    """Refuse to replace a file of other boundaries."""
+    """Refuse to replace a file with other boundaries."""
     try:
         check_output(path, force, *inputs)
     except FormatError as error:
@@ -132,6 +132,6 @@ def _write_boundaries(grid: Grid, path: Path) -> None:
 
 
 def _by_name(grid: Grid) -> Grid:
-    """The grid with the families or names of its patches as types, so that case files remain usable."""
+    """The grid with the families or names of its patches as their types, so that case files remain usable."""
     named = (dataclasses.replace(patch, bc_type=patch.family or patch.name) for patch in grid.patches)
     return dataclasses.replace(grid, patches=tuple(named))

@@ -106,5 +106,5 @@ def check_target(output: Path, run: RunInput, *inputs: Path | None) -> None:
     check_fields(run.fields, output, True)
     check_output(output, run.force, *inputs)
     if not run.allow_invalid:
-        # The file of an earlier run is replaced, but never an input.
+        # The invalid grid of an earlier run may be replaced, an input never.
         check_output(invalid_path(output), True, *inputs)

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from meshdeform_core.grid.topology import Topology
 
 
-# Arrays as large as the coordinates: they, and what reading takes.
+# Memory in units of the coordinates: these, and buffers of reading.
 _ARRAYS = 1.5
 
 
@@ -204,12 +204,12 @@ def _named(names: Sequence[str]) -> str:
 
 
 _NAMED = 6
-# Chords of models and bodies in metres, and first cells of boundary layers: what is common, by a wide margin.
+# In metres: bodies are rarely larger, and first cells of boundary layers rarely thicker.
 _LARGEST_BODY, _THICKEST_LAYER = 150.0, 0.02
 
 
 def _units(outside: Outside) -> list[str]:
-    """Whether lengths look like millimetres: a large body with first cells that are thick for a layer in metres."""
+    """A remark if the unit looks like millimetres: large bodies with first cells too thick for layers in metres."""
     from meshdeform_core.grid.faces.roles import Role
 
     walls = outside.of_role(Role.WALL)

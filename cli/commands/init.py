@@ -16,7 +16,7 @@ from ..outputs import check_output
 @click.command("init")
 @grid_options
 @click.option("-o", "--output", type=PATH, help="Case file to write (default: print it).")
-@click.option("--table", type=PATH, help="Displacement table: the wall that it fits follows it.")
+@click.option("--table", type=PATH, help="Displacement table for the wall that it fits.")
 @force_option
 def command(source: GridInput, output: Path | None, table: Path | None, force: bool) -> int:
     """Create a case file for GRID: every boundary with its position and likely role.

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 @click.option(
     "-o", "--output", type=PATH, required=True, help="Picture, .png .svg or .pdf; film of a series, .gif or .mp4."
 )
-@click.option("--reference", type=PATH, help="The undeformed grid, for what compares with it.")
+@click.option("--reference", type=PATH, help="The undeformed grid, for measures that compare with it.")
 @click.option("--metric", type=click.Choice(MEASURES), default="f_skew", show_default=True, metavar="MEASURE",
               help=f"Colour by this: {', '.join(MEASURES)}.")  # fmt: skip
 @click.option("--plane", metavar="AXIS=N", help="Plane of nodes (k=1, j=mid) or cut in space (z=0.25).")
@@ -54,7 +54,7 @@ if TYPE_CHECKING:
 @click.option("--log", is_flag=True, help="Logarithmic colours.")
 @click.option("--lines/--no-lines", default=True, show_default=True, help="Draw grid lines.")
 @click.option("--rate", type=FiniteNumber(min=0, min_open=True), default=10.0, show_default=True,
-              help="Of a film: levels per second.")  # fmt: skip
+              help="Levels per second of a film.")  # fmt: skip
 @click.option("--title", default=None, help="Default: the file's name.")
 @force_option
 def command(
@@ -72,12 +72,12 @@ def command(
       meshdeform plot airfoil.p2dfmt -o nose.svg --zoom=-0.1,0.3,-0.2,0.2
       meshdeform plot flutter -o flutter.gif --rate 20
 
-    Without options it shows what tells most: a plane grid, also one that is extruded, from above; else the walls in
-    space and a cut; what is small beside the whole has a close-up. Invalid cells have a colour of their own: with
-    --reference those that became invalid, without it all that are.
+    The default view depends on the grid: plane and extruded grids are seen from above, others as walls in space and a
+    cut, with a close-up of walls that are small relative to the grid. Invalid cells have a colour of their own: with
+    --reference those that became invalid, otherwise all.
 
-    Given the folder of a series instead of a grid it draws every level into a .gif, or a .mp4 where ffmpeg is
-    installed; the reference is then the grid that the series was made of, unless it has changed.
+    If GRID is the folder of a series, every level becomes a frame of a .gif, or of an .mp4 if ffmpeg is installed; the
+    reference is then the grid of the series, unless its file has changed since.
     """
     from meshdeform_formats.files import shown
     from meshdeform_formats.picture import PlotOptions, check_picture_path, picture, save_page

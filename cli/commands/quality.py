@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from meshdeform_formats.case import CaseFile
 
 
-# Arrays as large as the coordinates: they, the verdict, totals, and what reading takes.
+# Memory in units of the coordinates: these, the verdict, totals, and buffers of reading.
 _ARRAYS = 2.5
 
 

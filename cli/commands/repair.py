@@ -38,18 +38,18 @@ def command(
     source: GridInput, reference: Path, output: Path | None, case_file: Path | None, polish: bool,
     min_jacobian: float | None, run: RunInput,
 ) -> int:  # fmt: skip
-    """Make GRID valid, which another program deformed: its boundary stays where it is.
+    """Make GRID, which another program deformed, valid; its boundary stays in place.
 
     \b
     Examples:
       meshdeform repair bent.cgns --reference wing.cgns -o repaired.cgns
       meshdeform repair bent.xyz --reference wing.xyz -c case.toml -o repaired.xyz --report repair.json
 
-    GRID and the reference have the same blocks. Cells that are sound in the reference and not in GRID are repaired by
-    moving nodes around them; where many are not, or that fails, the reference is deformed again with the boundary of
-    GRID. Nodes on outside faces stay; with a case file those on slip, symmetry and periodic
-    boundaries slide or move alike. What is still invalid is written beside OUT, with .invalid before the suffix (exit
-    code 3).
+    GRID and the reference have the same blocks. Cells that are sound in the reference but not in GRID are repaired by
+    moving the nodes around them. If there are many, or if that fails, the reference is deformed anew with the boundary
+    of GRID. Nodes on outside faces stay in place; with a case file, those on slip and symmetry boundaries slide, and
+    those on periodic boundaries move alike. A grid that is still invalid is written next to OUT, with .invalid before
+    the suffix (exit code 3).
     """
     start = clock.perf_counter()
     use_threads(run.threads)
@@ -93,7 +93,7 @@ def repaired(
     make_room(run.memory, "repairing", sources, existing(output.absolute().parent) if output else None)
     start = clock.perf_counter()
     grid, original = source.read(what.boundary_file), read_grid(reference)
-    # The reference is what boundaries are selected on.
+    # Boundaries are selected on the reference.
     original = original if original.patches else dataclasses.replace(original, patches=grid.patches)
     seconds = {"read": clock.perf_counter() - start}
     if output is not None and not (run.force or run.dry_run or run.allow_invalid):
@@ -121,7 +121,7 @@ def repaired(
 
 
 def _write(mended: Mended, output: Path, variant: dict[str, str], run: RunInput) -> Path:
-    """Write the grid, with the fields that were asked for; where it was written."""
+    """Write the grid with the requested fields; returns the path of the file."""
     from meshdeform_core.quality.fields import CellFields
     from meshdeform_formats.fields import with_fields
     from meshdeform_formats.files import invalid_path

@@ -16,7 +16,7 @@ from ..outputs import check_output
 
 @click.command("view")
 @grid_options
-@click.option("--reference", type=PATH, help="The undeformed grid, for what compares with it.")
+@click.option("--reference", type=PATH, help="The undeformed grid, for measures that compare with it.")
 @click.option("--metric", type=click.Choice(MEASURES), default="f_skew", show_default=True, metavar="MEASURE",
               help="Colour by this; as for `meshdeform plot`.")  # fmt: skip
 @click.option("--log", is_flag=True, help="Logarithmic colours.")
@@ -26,7 +26,7 @@ from ..outputs import check_output
 def command(
     source: GridInput, reference: Path | None, metric: str, log: bool, lines: bool, screenshot: Path | None, force: bool
 ) -> int:
-    """Show GRID in a window: walls and a cut to drag, coloured by a measure of the cells.
+    """Show GRID in a window: walls and a movable cut, coloured by a measure of the cells.
 
     \b
     Examples:
@@ -34,9 +34,9 @@ def command(
       meshdeform view bent.cgns --reference wing.cgns --metric volume_ratio
       meshdeform view bent.cgns --reference wing.cgns --screenshot bent.png
 
-    Turn it with the left button, move it with the middle one, zoom with the right one or the wheel; q closes the
-    window. Boxes at the left show the other boundaries. Invalid cells have a colour of their own, wherever they are.
-    Needs pyvista, which comes with the extra `view`.
+    The left mouse button rotates the view, the middle one moves it, the right one and the wheel zoom; q closes the
+    window. Check boxes at the left show other boundaries. Invalid cells have a colour of their own and are always
+    visible. Needs pyvista (extra `view`).
     """
     from meshdeform_formats.files import shown
     from meshdeform_formats.picture import Choice, Subject
@@ -64,13 +64,13 @@ def command(
 
 
 def require_display() -> None:
-    """Refuse a window where none can be opened."""
+    """Refuse to open a window where there is no display."""
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise click.UsageError("There is no display for a window; use --screenshot FILE.png or `meshdeform plot`.")
 
 
 def check_screenshot(path: Path, force: bool, *inputs: Path | None) -> None:
-    """Refuse a name that cannot be written or is no picture."""
+    """Refuse a path that cannot be written or is not a .png file."""
     if path.suffix.lower() != ".png":
         raise click.UsageError(
             f"--screenshot {path}: expected a .png file; `meshdeform plot` writes .svg and .pdf too."

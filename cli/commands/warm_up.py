@@ -12,7 +12,7 @@ from meshdeform_core.errors import CaseError
 @click.command("warm-up")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing.")
 def command(quiet: bool) -> int:
-    """Compile all loops now, so that no later run has to: for container images and shared installations.
+    """Compile all loops now instead of in later runs, as for container images and shared installations.
 
     \b
     Examples:

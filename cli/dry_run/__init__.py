@@ -1,1 +1,1 @@
-"""What a run would do and take: dry runs, forecasts of memory, disk and time."""
+"""Dry runs: what a run would do, whether it would succeed, and forecasts of its memory, disk space and time."""

@@ -1,4 +1,4 @@
-"""What a deformation takes, told from the sizes of its grid: memory, disk, processor time."""
+"""Memory, disk space and processor time of a deformation, estimated from the sizes of its grid."""
 
 from __future__ import annotations
 
@@ -25,20 +25,21 @@ from meshdeform_formats.report.parts import head_part
 from meshdeform_samples import folder, load
 
 _SAMPLE, _SIZE, _TIMES = "hemisphere", 32, 3
-# In files: the coordinates before and after, a verdict and a measure of every cell; in memory nearly all of the limit.
+# Bytes per node in files: coordinates before and after, and the verdict and one measure of every cell.
 _IN_FILES = 24 + 24 + 5
 
 
 @dataclass(frozen=True)
 class Rates:
-    """Of one method, in one step without a repair, file to file: measured with 10 and 1000 blocks of up to 20 million
-    nodes (docs/performance.md).
+    """Measured rates of one method: one step without a repair, from file to file, with 10 and 1000 blocks of up to
+    20 million nodes (docs/performance.md).
 
     Attributes
     ----------
-    program, node, face_node, block : bytes of the program, for each node, in addition for each node on block faces, and
-        for each block
-    start, per_node, per_face_node, per_block : processor seconds of the same, where the sample took ``sample`` seconds
+    program, node, face_node, block : bytes of the program itself, per node, additional ones per node on block faces,
+        and per block
+    start, per_node, per_face_node, per_block : processor seconds likewise, on the machine where the sample took
+        ``sample`` seconds
     """
 
     program: float
@@ -52,11 +53,11 @@ class Rates:
     sample: float
 
     def memory(self, grid: Grid | Layout) -> float:
-        """Bytes, where all arrays are in memory."""
+        """Bytes if all arrays are in memory."""
         return self.program + self.node * grid.n_nodes + self.face_node * grid.n_face_nodes + self.block * grid.n_blocks
 
     def seconds(self, grid: Grid | Layout, sample: float) -> float:
-        """Processor seconds, where the sample takes ``sample`` seconds."""
+        """Processor seconds on a machine where the sample takes ``sample`` seconds."""
         there = self.start + self.per_block * grid.n_blocks
         there += self.per_node * grid.n_nodes + self.per_face_node * grid.n_face_nodes
         return there * sample / self.sample
@@ -71,8 +72,8 @@ RATES = {
 
 @dataclass(frozen=True)
 class Expense:
-    """Largest resident size, files to work in while it runs, and the size of the output, all in bytes; processor
-    seconds of all threads together, ``None`` for methods whose time the sizes do not tell."""
+    """Largest resident size, temporary files, and size of the output, all in bytes; processor seconds of all threads
+    together, ``None`` for methods whose time does not follow from the sizes."""
 
     memory_bytes: int
     work_bytes: int
@@ -81,15 +82,15 @@ class Expense:
 
 
 def expense_of(grid: Grid | Layout, case: Case, output: Path | None, precision: str, limit: MemoryLimit) -> Expense:
-    """What one step without a repair takes.
+    """The expense of one step without a repair.
 
-    The processor time is that of this machine: it is scaled by a small sample, which is deformed by the same method
-    now, a second of work.
+    The processor time is scaled to this machine by deforming a small sample with the same method, which takes about a
+    second.
 
     Raises
     ------
     MethodError
-        When the memory does not suffice, not even with large arrays in files.
+        When the memory does not suffice even with large arrays in files.
     """
     size = 24 * grid.n_nodes
     demand = Demand(f"deforming {grid.n_nodes:,} nodes", grid.n_nodes, size, grid.n_face_nodes)
@@ -103,7 +104,7 @@ def expense_of(grid: Grid | Layout, case: Case, output: Path | None, precision: 
     if output is not None:
         options = grid.format.options if grid.format and grid.format.name == format_of(output) else {}
         written = least_bytes(grid, output, FileFormat(format_of(output), precision, options))
-    # Pages of files are returned some way below the limit: two thirds of the reserve were seen in use.
+    # Pages of mapped files are released some way below the limit: measured, two thirds of the reserve remain in use.
     least = limit.size - RESERVE // 3
     return Expense(
         int(min(memory, least) if files else memory), _IN_FILES * grid.n_nodes if files else 0, written, seconds
@@ -111,7 +112,7 @@ def expense_of(grid: Grid | Layout, case: Case, output: Path | None, precision: 
 
 
 def _sample_seconds(method: Options) -> float:
-    """Processor seconds in which one thread deforms the sample: the best of a few, as the first may compile."""
+    """Processor seconds of one thread for the sample: the smallest of a few runs, as the first may compile loops."""
     grid = load(_SAMPLE).generate(_SIZE)
     with as_file(folder(_SAMPLE) / "case.toml") as path:
         case = read_case(path, (), None, None, None, None).case
@@ -128,7 +129,7 @@ def _sample_seconds(method: Options) -> float:
 def plan_by_sizes(
     layout: Layout, case: Case, output: Path | None, variant: dict[str, str], limit: MemoryLimit
 ) -> Report:
-    """The report of a dry run for a grid that does not fit into memory: its coordinates are not read."""
+    """The report of a dry run for a grid that does not fit into memory, from the header of its file."""
     precision = variant.get("precision", layout.precision)
     expense = expense_of(layout, case, output, precision, limit)
     note = (

@@ -1,4 +1,4 @@
-"""Warnings of a dry run: whether the motion is bound to fail, found by tests and by a trial."""
+"""Warnings of a dry run about motions that are bound to fail, found by tests of the boundary and by a trial."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ class Forecast:
 def plan(
     job: Job, output: Path | None, imposed: Imposed, variant: dict[str, str], limit: MemoryLimit
 ) -> tuple[Report, bool]:
-    """The report of a dry run (classification, parameters, node counts, early warnings; of a grid too large for a
-    trial, what a run takes), and whether no valid grid exists."""
+    """The report of a dry run (classification, parameters, node counts, early warnings and, for a grid too large for a
+    trial, its expense), and whether no valid grid exists."""
     precision = variant_of(job.grid, output, variant).precision if output is not None else job.grid.precision
     setup = set_up(job.grid, imposed.case(job.case.case), memory=job.memory)
     prepared = prepare_method(job.case.case.method, setup.problem)
@@ -83,10 +83,10 @@ def plan_series(run: Run) -> tuple[Report, bool, str]:
 
 
 def forecast(setup: Setup, time: float, steps: int | str | None, precision: str) -> Forecast:
-    """Warnings about a motion that is bound to fail: the boundary by itself, and the method by a trial.
+    """Warnings about a motion that is bound to fail, from tests of the boundary and from a trial of the method.
 
-    The trial imposes the motion without repair, in the steps that were asked for or in one, and judges the grid as the
-    run itself would. It says nothing about smaller steps and repairs, which the run tries afterwards.
+    The trial imposes the motion without repair, in the requested number of steps or in one, and judges the grid as the
+    run would. It does not cover smaller steps and repairs, which the run tries afterwards.
     """
     motion = setup.displacement(time)
     contact = setup.undeformed.crossing_test.contact(functools.partial(setup.displacement, time))
@@ -106,7 +106,7 @@ def forecast(setup: Setup, time: float, steps: int | str | None, precision: str)
 
 
 def _failure(setup: Setup, result: Result, steps: int | str | None, certain: bool) -> str:
-    """The result of the trial, and what the run will do about it."""
+    """The result of the trial, and how the run will respond to it."""
     cells, count = result.assessment.after.invalid_cells, result.steps
     groups = [place_of(dataclasses.asdict(group)) for group in result.assessment.groups[:_GROUPS]]
     found = (

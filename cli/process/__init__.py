@@ -1,1 +1,1 @@
-"""The running process: signals, ranks, threads, its streams and what they show of its progress."""
+"""The process: signals, ranks, threads, streams, and the display of progress."""

@@ -13,7 +13,7 @@ _LIBRARIES = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VEC
 def use_threads(count: int | None) -> None:
     """Apply ``--threads`` to our loops, and run linear algebra in one thread; to be called before numpy is imported.
 
-    Our loops call it on all threads, mostly with small matrices; threads of its own would wait in busy loops.
+    Our loops call it from all threads, mostly with small matrices; additional threads of the libraries would busy-wait.
     """
     set_threads(count)
     os.environ.update(dict.fromkeys(_LIBRARIES, "1"))

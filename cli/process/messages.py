@@ -29,7 +29,7 @@ class Warnings:
         self._told: set[str] = set()
 
     def tell(self, warnings: Iterable[str]) -> None:
-        """Print the new ones.
+        """Print the warnings of kinds that have not been printed.
 
         Raises
         ------
@@ -39,7 +39,7 @@ class Warnings:
         new = first_of_each_kind(warnings, self._told)
         for text in new:
             tell(f"warning: {text}")
-        # Reports that were read from a file have the texts only.
+        # Warnings read back from a report have no kind, so that their texts are remembered, too.
         self._told.update(*((kind_of(text), str(text)) for text in new))
         if self._strict and new:
             raise CaseError(f"{'a warning' if len(new) == 1 else f'{len(new)} warnings'} (see above) and --strict")

@@ -1,4 +1,4 @@
-"""Progress of whatever takes longer than a second: a bar on a terminal, lines at growing intervals in a log."""
+"""Progress of work that takes longer than a second: a bar on a terminal, lines at growing intervals in a log."""
 
 from __future__ import annotations
 
@@ -20,31 +20,31 @@ if TYPE_CHECKING:
     from rich.progress import TaskID
 
 PATIENCE = 1.0
-"""A stage that takes longer has a bar (seconds)."""
+"""Stages longer than this have a bar (seconds)."""
 LOGGED = 1.0
-"""Work that takes longer leaves a line with its stages where stderr is no terminal (seconds)."""
+"""If stderr is not a terminal, runs longer than this end with a line of their stages (seconds)."""
 SELDOM, SELDOMEST = 10.0, 60.0
-"""Where stderr is no terminal, a line says how far the work is after so many seconds, then at intervals that grow with
-the time taken, up to the second number of seconds."""
+"""If stderr is not a terminal, a line states the progress after SELDOM seconds, then at intervals that grow with the
+time taken, up to SELDOMEST seconds."""
 _GROWTH = 0.5
-# Stages that would show as 0.0 s are left out.
+# Stages that would be shown as 0.0 s are left out.
 _LISTED = 0.05
 _TICK = 0.1
-# Loops that a run with fast sums takes.
+# Number of loops compiled for a run with fast sums.
 _LOOPS = 24
 _UNCACHED = "at every start: no folder for them can be written; NUMBA_CACHE_DIR may name one"
 _OUTER = "levels"
 
 Extent = Callable[[], tuple[int, int]]
-"""How much is done, and of how much."""
+"""Returns the amount done and the total."""
 
 
 class ProgressBar:
-    """Callback for the core's progress, ``bar(stage, done, total)``; ``total`` is 0 where it is not known.
+    """Callback for the core's progress, ``bar(stage, done, total)``; ``total`` is 0 if unknown.
 
-    On a terminal a stage that takes longer than a second is shown with what remains of it. Elsewhere a line says now
-    and then how far long work is and, when all is done and took more than a second, one line how long the stages took.
-    That loops are being compiled is said in any case, unless it is not ``enabled``, or nothing ``compiles``.
+    On a terminal, a stage that takes longer than a second is shown with the time remaining. Elsewhere, long work is
+    logged at intervals, and a run of more than a second ends with a line of the times of its stages. Compiling of loops
+    is announced in either case, unless the bar is not ``enabled`` or nothing ``compiles``.
     """
 
     active: ProgressBar | None = None
@@ -69,7 +69,7 @@ class ProgressBar:
 
     @contextlib.contextmanager
     def stage(self, name: str, extent: Extent) -> Iterator[None]:
-        """A stage whose progress is asked for, because what does it does not tell."""
+        """A stage whose code does not report progress; it is polled by calling ``extent``."""
         self._enter(name, extent)
         try:
             yield
@@ -89,13 +89,13 @@ class ProgressBar:
 
         if loops == 0:
             tell("compiling loops, " + ("once per installation" if is_cached() else _UNCACHED))
-        # How many loops a run needs is known when it has run.
+        # The number of loops that a run needs is known only afterwards.
         self("compile", loops, max(_LOOPS, loops + 1))
 
     def __enter__(self) -> ProgressBar:
         ProgressBar.active = self
         if self._loops:
-            # Imported late: it loads the compiler, which many commands do without.
+            # Imported late, as it loads the compiler, which many commands do not need.
             from meshdeform_core.numerics.jit import on_compile
 
             on_compile(self._compiling if self._compiles else None)
@@ -123,7 +123,7 @@ class ProgressBar:
             tell(", ".join(stages))
 
     def _show(self) -> None:
-        """Draw until all is over; runs in a thread of its own, because long stages call nothing."""
+        """Draw until the end; runs in a separate thread, because long stages do not call back."""
         while not self._over.wait(_TICK):
             if time.perf_counter() - self._began > PATIENCE:
                 with _bar() as bar:
@@ -132,7 +132,7 @@ class ProgressBar:
                         self._update(bar, tasks)
 
     def _log(self) -> None:
-        """Tell now and then; runs in a thread of its own."""
+        """Log the progress at intervals; runs in a separate thread."""
         elapsed = 0.0
         while not self._over.wait(min(SELDOMEST, max(SELDOM, _GROWTH * elapsed))):
             elapsed = time.perf_counter() - self._start
@@ -142,7 +142,7 @@ class ProgressBar:
             tell(", ".join([f"{elapsed:.0f} s", *parts]))
 
     def _update(self, bar: Bar, tasks: dict[str, TaskID]) -> None:
-        """One task for the levels of a series, if it is one, and one for what is being done."""
+        """One task for the levels of a series, if it is one, and one for the current stage."""
         stage, extent = self._stage, self._extent
         lines = [(_OUTER, self._levels)] if self._levels else []
         if stage and time.perf_counter() - self._began > PATIENCE:
@@ -179,7 +179,7 @@ def _bar() -> Bar:
 
 @contextlib.contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Progress of reading a file, within the bar that there is or one of its own."""
+    """Show the progress of reading a file, in the current bar or in a new one."""
     total = path.stat().st_size if path.is_file() else 0
     with _stage("read", _counted("rchar", total)):
         yield
@@ -187,7 +187,7 @@ def reading(path: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def writing(total: int) -> Iterator[None]:
-    """Progress of writing about so many bytes."""
+    """Show the progress of writing about ``total`` bytes."""
     with _stage("write", _counted("wchar", total)):
         yield
 
@@ -201,12 +201,12 @@ def _stage(name: str, extent: Extent) -> Iterator[None]:
 
 
 def _counted(counter: str, total: int) -> Extent:
-    """How many bytes this process has moved since now; where the system does not count them, nothing is known."""
+    """Counts the bytes that this process transfers from now on; (0, 0) where the system does not count them."""
     before = _moved(counter)
 
     def extent() -> tuple[int, int]:
         done = _moved(counter) - before
-        # Mapped files are not counted.
+        # Memory-mapped files are not counted.
         return (done, total) if done > 0 else (0, 0)
 
     return extent

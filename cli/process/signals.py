@@ -10,7 +10,7 @@ from typing import Any
 
 from meshdeform_core import interruption
 
-# A second signal within this time (an impatient user, a process group) must not interrupt the cleaning up.
+# A second signal within this time (s), as from an impatient user or a process group, does not interrupt the clean-up.
 _PATIENCE = 0.5
 
 
@@ -37,20 +37,20 @@ class Handler:
         interruption.request(number)
         last, self._last = self._last, time.monotonic()
         if self._last - last >= _PATIENCE:
-            # As an exception, so that half-written files are removed on the way out.
+            # Raises an exception, so that half-written files are removed while it propagates.
             interruption.check()
 
     def finish(self) -> None:
         """Ignore signals once everything is written: an exception would be lost in the interpreter's shutdown."""
         self._finishing = True
         if interruption.requested() is not None:
-            # The exit code is settled.
+            # The exit code is already determined.
             for number in self._numbers:
                 signal.signal(number, signal.SIG_IGN)
 
 
 def _unraisable(lost: Any) -> None:
-    """Python cannot deliver an exception raised within a callback of the collector: the next check raises it again."""
+    """Python discards exceptions raised in callbacks of the garbage collector; the next check raises it again."""
     if not (isinstance(lost.exc_value, SystemExit) and interruption.requested() is not None):
         sys.__unraisablehook__(lost)
 
