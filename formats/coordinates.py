@@ -1,7 +1,7 @@
 """Coordinates of a block as most files hold them: component after component, each with i running fastest.
 
-A grid holds x, y and z of a node together, with k running fastest. One component at a time would read every line of
-the cache three times; only a few lines along j are converted at once, so that the data between two uses stay in it.
+A grid stores x, y and z of a node together, with k running fastest. Converting one component at a time would load every
+cache line three times; a few lines along j are converted at a time, so that they stay in the cache between uses.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from meshdeform_core.grid import FloatArray
 from meshdeform_core.parallel import carried, for_chunks, thread_count
 
 T = TypeVar("T")
-# Larger blocks are converted component by component, so that no copy of them is needed.
+# Larger blocks are converted component by component, without a copy of the block.
 _TOGETHER = 1 << 28
 _LINES = 8
 _AHEAD = 3
@@ -58,7 +58,7 @@ def _groups(block: FloatArray, count: int) -> list[slice]:
 
 
 def ahead(items: Iterable[T]) -> Iterator[T]:
-    """The same items, a few of them made in a thread of their own while the last ones are in use."""
+    """The same items, of which a few are produced in advance by a separate thread."""
     if thread_count() == 1:
         yield from items
         return

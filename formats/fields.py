@@ -53,8 +53,8 @@ def check_fields(names: Sequence[str], target: Path, compared: bool) -> None:
 def with_fields(cells: CellFields, names: Sequence[str]) -> Grid:
     """The grid of ``cells`` with fields, which replace existing ones of the same names.
 
-    Measures and ``invalid`` (0 or 1) are cell values, ``displacement`` is a vector at the nodes; ``all`` are those that
-    exist for the grid: measures at walls need walls, comparing ones an undeformed grid.
+    Measures and ``invalid`` (0 or 1) are cell values, ``displacement`` is a vector at the nodes; ``all`` are the
+    measures available for the grid: those at walls require walls, comparing ones an undeformed grid.
     """
     grid = cells.grid
     if not names:
@@ -83,7 +83,7 @@ def _fields(cells: CellFields, name: str) -> Iterator[Field]:
     found = empty([grid.n_cells], np.int32 if name == INVALID else np.float32)
     for block, shape in enumerate(grid.cell_shapes):
         values = found[grid.cell_offsets[block] : grid.cell_offsets[block + 1]].reshape(shape)
-        # A few layers at a time: what is computed on the way takes several times the memory of the result.
+        # A few layers at a time, as intermediate arrays take several times the memory of the result.
         layers = max(1, _CELLS // (shape[1] * shape[2])) if grid.dimension == 3 else shape[0]
         for first in range(0, shape[0], layers):
             some = slice(first, min(first + layers, shape[0])), slice(0, shape[1]), slice(0, shape[2])

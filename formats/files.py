@@ -1,4 +1,4 @@
-"""Complete files or none: every output is written next to its target and renamed when complete. File headers."""
+"""Output files that are complete or absent: each is written next to its target and renamed when complete."""
 
 from __future__ import annotations
 
@@ -47,9 +47,9 @@ def replacing(target: Path) -> Iterator[Path]:
 
 @contextmanager
 def replacing_by_all(target: Path) -> Iterator[Path]:
-    """The same for a file that all ranks write: the first one makes room for it and, if all succeed, renames it.
+    """:func:`replacing` for a file that all ranks write; the first one creates it and, if all succeed, renames it.
 
-    What fails in the block must fail on all ranks.
+    An error in the block must be raised on all ranks.
     """
     ranks = current_ranks()
     with contextlib.ExitStack() as own:
@@ -69,7 +69,7 @@ def partial_path(target: Path) -> Path:
 
 
 def require_replaceable(target: Path) -> None:
-    """Refuse to write where there is anything but a regular file: a pipe would be replaced, not written to.
+    """Refuse a target that exists and is not a regular file: a pipe would be replaced, not written to.
 
     Raises
     ------
@@ -82,7 +82,7 @@ def require_replaceable(target: Path) -> None:
 
 
 def _kind_of(mode: int) -> str:
-    """What is at a path that is no regular file; empty if it is one."""
+    """The kind of a path that is not a regular file, such as ``a folder``; empty for regular files."""
     if stat.S_ISDIR(mode):
         return "a folder"
     if stat.S_ISREG(mode):
@@ -96,9 +96,9 @@ def followed(path: Path) -> Path:
 
 
 def invalid_path(output: Path) -> Path:
-    """Where a grid with invalid cells is written: beside ``output``, so that make does not take it for that.
+    """Path for a grid with invalid cells: next to ``output``, so that make does not take it for the output.
 
-    A case of OpenFOAM has one mesh, so that another one needs another folder.
+    An OpenFOAM case holds one mesh, so that an invalid one needs another folder.
     """
     if output.suffix.lower() == ".foam":
         folder = Path(os.path.abspath(output.parent))
@@ -143,7 +143,7 @@ def _remove(path: Path) -> None:
 def remove_partial(folder: Path) -> None:
     """Remove files that killed runs left in ``folder``: the temporary paths of :func:`replacing`.
 
-    Those of processes that still run on this machine stay; whether a process of another machine runs is unknown.
+    Files of processes that still run on this machine are kept; processes of other machines cannot be checked.
     """
     for left in folder.glob(".*.partial*"):
         found = re.fullmatch(r"\..+\.(\d+)-([0-9a-f]{4})[0-9a-f]{4}\.partial(\..+)?", left.name)

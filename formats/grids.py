@@ -24,11 +24,11 @@ from .plausible import require_plausible
 class Format:
     """One row of the format table.
 
-    The module defines ``read(path) -> Grid`` (absent for write-only formats), ``layout(path) -> (shapes, FileFormat)``
-    or ``None`` (where the header tells the blocks), ``variant(grid, path, options) ->
+    The module defines ``read(path) -> Grid`` (absent for write-only formats), ``layout(path)``, which returns shapes
+    and ``FileFormat`` if the header determines them, otherwise ``None``, ``variant(grid, path, options) ->
     FileFormat``, which decides how to write, and ``write(grid, path, variant) -> None``, which replaces ``path`` as a
-    whole or leaves it unchanged (see :func:`meshdeform_formats.files.replacing`); ``together``: it is called by all
-    ranks, which share the work.
+    whole or leaves it unchanged (see :func:`meshdeform_formats.files.replacing`). ``together``: all ranks call
+    ``write`` and share the work.
     """
 
     module: str
@@ -56,7 +56,7 @@ FORMATS: dict[str, Format] = {
 }
 
 
-# First bytes of other programs' files, so that they are refused by name instead of being tried as Plot3D.
+# First bytes of files in other formats, which are refused by name instead of being tried as Plot3D.
 _FOREIGN: tuple[tuple[bytes, str], ...] = (
     (b"$MeshFormat", "a Gmsh mesh (unstructured)"),
     (b"NDIME", "an SU2 mesh (unstructured)"),
@@ -94,7 +94,7 @@ def read_grid(path: str | Path, options: Mapping[str, Any] | None = None) -> Gri
     except FileNotFoundError as error:
         raise FormatError(f"{path} does not exist") from error
     except (OSError, ValueError):
-        # Other faults of the name are reported when the file is opened.
+        # Other errors of the path are reported when the file is opened.
         pass
     name = format_at(path)
     if options and name != "plot3d":
@@ -118,8 +118,8 @@ def read_grid_with_boundaries(path: Path, boundary_file: Path | None, options: M
 
 
 def complete_for_export(grid: Grid, path: Path) -> Grid:
-    """The grid with the interfaces found from coordinates, if the target can hold them and the source declared none,
-    and with a note of the data that the target cannot hold."""
+    """The grid, ready to be written to ``path``: with interfaces found from the coordinates if the format holds
+    connections and the grid declares none, and with a note of the data that the format cannot hold."""
     from .losses import losses
 
     kind = format_of(path)

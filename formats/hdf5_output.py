@@ -1,8 +1,8 @@
 """HDF5 output that survives a full disk.
 
-The HDF5 library cannot close a file whose last bytes it failed to write: it complains on stderr, keeps the file open
-and may end the process when the interpreter exits. So it writes through an object that never reports a failure to it;
-the first failure is recorded, later writes are dropped, and the failure is raised when the file is closed.
+The HDF5 library cannot close a file whose last bytes it failed to write: it prints errors, keeps the file open, and may
+crash the process at exit. It therefore writes through an object that reports no failure to the library; the first
+failure is recorded, later writes are dropped, and the failure is raised when the file is closed.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from h5py import h5f
 from meshdeform_core import interruption
 
 _MOST = 1 << 20
-"""Bytes that wait to be written together."""
+"""Largest number of bytes buffered to be written together."""
 
 
 @contextmanager
@@ -55,7 +55,7 @@ def target(path: Path, mode: str) -> Iterator[Sink]:
 
 def _close(sink: Sink) -> None:
     """Close the file, after any HDF5 files left open on it."""
-    # h5py names a file by what it was opened with.
+    # h5py identifies a file by the object that it was opened with.
     name = repr(sink).encode()
     for left in h5f.get_obj_ids(h5f.OBJ_ALL, h5f.OBJ_FILE):
         if left.valid and left.name == name:
@@ -64,13 +64,13 @@ def _close(sink: Sink) -> None:
 
 
 class Sink:
-    """A file object for ``h5py.File``; after ``failure``, the first error of the system, nothing is written."""
+    """A file object for ``h5py.File``; after the first error of the system, ``failure``, nothing more is written."""
 
     def __init__(self, path: Path, mode: str):
         flags = os.O_RDWR | getattr(os, "O_BINARY", 0) | (os.O_CREAT | os.O_TRUNC if mode == "w" else 0)
         self._file = os.open(path, flags, 0o666)
         self._at = 0
-        # The library writes the headers of thousands of nodes one by one, most of them in the order of their places.
+        # The library writes the headers of thousands of nodes one by one, mostly in ascending order.
         self._begin, self._waiting = 0, bytearray()
         self.failure: OSError | None = None
 
@@ -116,7 +116,7 @@ class Sink:
         return len(view)
 
     def flush(self) -> None:
-        """Write what waits."""
+        """Write the buffered bytes."""
         if self._waiting:
             self._put(memoryview(self._waiting), self._begin)
         self._waiting = bytearray()

@@ -1,4 +1,4 @@
-"""The files that an input consists of, their digest, and those that an output replaces: no input is overwritten."""
+"""The files that make up an input, their digest, and those that an output replaces, so that no input is overwritten."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .files import read_head
 
 
 def files_of(path: Path) -> list[Path]:
-    """The file itself; of a case of OpenFOAM, what is read of it."""
+    """The file itself; of an OpenFOAM case, the files that are read."""
     if not _of_openfoam(path):
         return [path]
     from .openfoam.case import case_files
@@ -28,19 +28,19 @@ def digest(path: Path) -> str:
 
 
 def size(path: Path) -> int:
-    """Bytes."""
+    """Size of an input in bytes."""
     return sum(file.stat().st_size for file in files_of(path))
 
 
 def require_no_input(output: Path, inputs: Iterable[Path | None]) -> None:
-    """Refuse an output that would replace a file which the run reads, by whatever name.
+    """Refuse an output that would replace a file that the run reads, under any name.
 
     The pieces of multi-block sets and the targets of links in CGNS files are included on both sides.
 
     Raises
     ------
     FormatError
-        With the names of both files.
+        Naming both files.
     """
     replaced = {identity: path for path in _replaced(output) if (identity := _identity(path))}
     if not replaced:
@@ -58,7 +58,7 @@ def require_no_input(output: Path, inputs: Iterable[Path | None]) -> None:
 
 
 def files_behind(path: Path) -> tuple[Path, ...]:
-    """A file that is read and the files it refers to: the data sets of a .vtm, the targets of CGNS links."""
+    """An input file and the files that it refers to: the data sets of a .vtm, the targets of CGNS links."""
     try:
         found = path.stat()
     except (OSError, ValueError):
@@ -77,7 +77,7 @@ def _digest(path: Path) -> str:
 
 @functools.lru_cache(maxsize=64)
 def _files_behind(path: Path, state: tuple[int, ...]) -> tuple[Path, ...]:
-    """Kept while the file is the same: the outputs of a series are compared with its inputs one by one."""
+    """Cached while the file is unchanged, as the outputs of a series are compared with its inputs one by one."""
     return tuple(_related(path))
 
 
@@ -86,7 +86,7 @@ def _related(path: Path) -> Iterator[Path]:
     if _of_openfoam(path):
         yield from files_of(path)
         return
-    # Faults of the file are reported when it is read.
+    # Errors in the file are reported when it is read.
     try:
         head = read_head(path)
         if b"<VTKFile" in head:
@@ -111,7 +111,7 @@ def _replaced(output: Path) -> Iterable[Path]:
 
 
 def existing_outputs(output: Path) -> list[Path]:
-    """What exists of the files that writing an output replaces."""
+    """The existing files that writing an output would replace."""
     found = [output] if output.exists() else []
     if output.suffix.lower() == ".foam":
         from .openfoam.case import mesh_files

@@ -1,4 +1,4 @@
-"""Components in files of their own, joined with the grid to one."""
+"""Grids whose components are in separate files."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from .case import CaseFile
 from .grids import read_grid_with_boundaries
 
 _WITHOUT_TREE = ("plot3d", "vtk")
-"""Formats whose files hold nothing but what a grid holds."""
+"""Formats whose files hold nothing beyond the grid, so that they can be written without a copy of the original."""
 
 
 def grid_of_case(grid: Grid, case: CaseFile) -> Grid:
-    """The grid with the components of a case: those in files of their own follow, as ``NAME.BLOCK``.
+    """The grid with the components of a case: those in separate files come last, as ``NAME.BLOCK``.
 
     Raises
     ------
@@ -31,7 +31,7 @@ def grid_of_case(grid: Grid, case: CaseFile) -> Grid:
 
 
 def join(grid: Grid, others: Mapping[str, Grid]) -> Grid:
-    """One grid of the blocks of several; those of ``others`` are called ``NAME.BLOCK``."""
+    """One grid with the blocks of several; those of ``others`` are called ``NAME.BLOCK``."""
     grids = [grid, *others.values()]
     for name, other in others.items():
         if other.dimension != grid.dimension:
@@ -79,7 +79,7 @@ def _shifted_patches(grids: Sequence[Grid], first: Sequence[int]) -> Iterable[Pa
 
 
 def _format(grids: Sequence[Grid]) -> FileFormat | None:
-    """The common format, if it is one whose files can be written anew."""
+    """The common format of several grids, if its files can be written without a copy of an original."""
     form = grids[0].format
     alike = form is not None and form.name in _WITHOUT_TREE and all(each.format == form for each in grids)
     return form if alike else None

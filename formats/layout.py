@@ -1,4 +1,4 @@
-"""The sizes of a grid, from the header of its file alone: what it takes is told before it is read."""
+"""Block sizes from the header of a file, so that the memory of a grid is known before it is read."""
 
 from __future__ import annotations
 
@@ -51,10 +51,10 @@ class Layout:
 
 
 def layout_of(path: Path, options: Mapping[str, Any] | None = None) -> Layout | None:
-    """The blocks of a grid file without its coordinates; ``None`` where the format, or an ambiguous variant, does not
-    tell them before everything is read.
+    """The blocks of a grid file without its coordinates; ``None`` if they are known only after reading the whole file,
+    because of its format or an ambiguous variant.
 
-    ``options`` as for :func:`.grids.read_grid`, which has the messages on files that cannot be read.
+    ``options`` as for :func:`.grids.read_grid`, which reports files that cannot be read.
 
     Raises
     ------

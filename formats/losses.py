@@ -13,7 +13,7 @@ _OF_ALL_BLOCKS = (".vtu", ".xdmf")
 
 
 def losses(grid: Grid, target: Path, kind: str) -> list[str]:
-    """Warnings about fields, IBLANK and solutions that a file ``target`` of the format ``kind`` does not get.
+    """Warnings about fields, IBLANK and solutions that are not written to a file ``target`` of the format ``kind``.
 
     Fields computed for the file itself (``--field``) do not count.
     """

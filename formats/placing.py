@@ -1,4 +1,4 @@
-"""Whether there is room for an output: a full disk is found before the computation, not after it."""
+"""Disk space for outputs, which is checked before the computation."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from .layout import Layout
 
 
 def require_space(grid: Grid, path: Path, variant: FileFormat) -> None:
-    """Refuse an output for whose coordinates the disk has no room beside the file that it replaces.
+    """Refuse an output whose coordinates do not fit on the disk in addition to the file that it replaces.
 
-    The output is complete before it replaces anything. Quotas, and what others write meanwhile, are not foreseen.
+    An output is completed before it replaces a file. Quotas, and data that others write meanwhile, are not considered.
 
     Raises
     ------
     FormatError
-        With the bytes needed at least, and those free.
+        Stating the smallest size required, and the free space.
     """
     needed = least_bytes(grid, path, variant)
     folder = existing(followed(path).absolute().parent)
     try:
         free = shutil.disk_usage(folder).free
     except OSError:
-        # Writing will tell what is wrong with the folder.
+        # Errors of the folder are reported when the file is written.
         return
     if needed > free:
         raise FormatError(
@@ -42,11 +42,11 @@ def require_space(grid: Grid, path: Path, variant: FileFormat) -> None:
 
 
 def least_bytes(grid: Grid | Layout, path: Path, variant: FileFormat) -> int:
-    """Size in bytes that a grid has at least in a file; 0 where it is compressed or text, whose size is not known."""
+    """Smallest size in bytes of a grid in a file; 0 for text and compressed files, whose size is not known."""
     name = format_of(path)
     container = grid.format.options.get("container") if grid.format else None
     if name == "cgns" and container == "HDF5" and grid.path is not None and grid.path.exists():
-        # A copy of the file, whose coordinates may be packed.
+        # A copy of the original file, whose coordinates may be compressed.
         return os.path.getsize(grid.path) // (1 if variant.precision == grid.precision else 2)
     raw = name == "cgns" or (name == "plot3d" and variant.options.get("encoding") != "ascii")
     count = 2 if name == "plot3d" and str(variant.options.get("dimension")) == "2" else grid.dimension
@@ -54,5 +54,5 @@ def least_bytes(grid: Grid | Layout, path: Path, variant: FileFormat) -> int:
 
 
 def existing(folder: Path) -> Path:
-    """The folder, or the lowest one above it that exists."""
+    """The folder, or its closest parent that exists."""
     return next((each for each in (folder, *folder.parents) if each.is_dir()), folder)

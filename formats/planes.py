@@ -1,4 +1,4 @@
-"""Arrays that a file holds as they are: every thread and every rank reads and writes its own ranges of planes.
+"""Arrays stored uncompressed in a file, of which every thread and rank reads and writes its own ranges of planes.
 
 Most formats store the values of a block with k running slowest, so that a range of planes k is one stretch of bytes.
 """
@@ -22,12 +22,12 @@ from meshdeform_core.parallel import current_ranks, for_items
 
 from .coordinates import merge, split
 
-# Nodes and planes of a range: enough that files are read in large pieces and lines of the grid are not torn apart.
+# Smallest numbers of nodes and planes per range, so that reads are large and cache lines of the grid are not split.
 _NODES, _PLANES = 1 << 18, 8
 
 
 class Stretches:
-    """Bytes that belong together and lie in a file in one or more stretches, (offset, length) each."""
+    """Bytes stored in a file in one or more stretches, each given as (offset, length)."""
 
     def __init__(self, stretches: Sequence[tuple[int, int]]) -> None:
         self._offsets = [offset for offset, _ in stretches]
@@ -52,7 +52,7 @@ class Stored:
     plane : (nj, ni)
     start : first byte of plane k = 0, counted in ``within``
     step : bytes from one plane to the next
-    within : the bytes of the file that count; ``None``: all
+    within : the bytes of the file to which offsets refer; ``None``: all
     """
 
     path: Path
@@ -88,12 +88,12 @@ class Stored:
             part = part[done:]
 
     def write(self, first: int, values: NDArray[Any], synchronous: bool = False) -> None:
-        """Write planes (n, nj, ni) from k = ``first`` on into the file, which the first rank has made.
+        """Write planes (n, nj, ni) from k = ``first`` on into the file, which the first rank has created.
 
         Raises
         ------
         FormatError
-            When this process does not see the file.
+            When the file does not exist for this process.
         """
         stored = np.ascontiguousarray(values, self.dtype)
         flags = os.O_WRONLY | getattr(os, "O_BINARY", 0) | (getattr(os, "O_DSYNC", 0) if synchronous else 0)
@@ -112,7 +112,7 @@ class Stored:
                     left = left[file.write(left) :]
 
     def _parts(self, first: int, values: NDArray[Any]) -> Iterator[tuple[int, memoryview]]:
-        """Places in the file of consecutive bytes of planes from k = ``first`` on, and these bytes."""
+        """Offsets in the file, and the bytes at each, of planes from k = ``first`` on."""
         count, size = len(values), values[0].nbytes
         if self.step == size:
             count, size = 1, values.nbytes
@@ -128,7 +128,7 @@ class Stored:
 
 
 def ranges_of(blocks: Sequence[tuple[int, Shape]]) -> list[Planes]:
-    """Some blocks, by number and shape, in ranges of planes that do not depend on threads and ranks."""
+    """Ranges of planes of blocks, given by number and shape; they do not depend on threads and ranks."""
     found = []
     for block, (ni, nj, nk) in blocks:
         step = max(_PLANES, _NODES // (ni * nj))
@@ -159,8 +159,8 @@ def write_coordinates(grid: Grid, arrays: Mapping[int, Sequence[Stored]]) -> Non
 
 
 def across_machines() -> bool:
-    """Whether several machines share the work. What they write to one file must then be synchronous: else clients of a
-    network file system may write whole pages, with old bytes where another machine has written."""
+    """Whether several machines share the work. They must then write to a common file synchronously: clients of a
+    network file system may otherwise write whole pages, overwriting the bytes of another machine with old ones."""
     ranks = current_ranks()
     return ranks.count > ranks.on_machine
 

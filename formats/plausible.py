@@ -11,9 +11,9 @@ from meshdeform_core.grid import FloatArray, Grid
 from meshdeform_core.parallel import empty, for_rows
 from meshdeform_core.wording import vector
 
-# Beyond this the square of a length is no number any more in single precision, and no grid is so large in any unit.
+# The square of a larger length overflows in single precision, and no grid is so large in any unit.
 LARGEST = 1e30
-# Nodes looked at first; and the share of them that may have coordinates too small to be normal numbers.
+# Number of nodes sampled, and the fraction of them that may have denormal coordinates.
 _SAMPLE = 10_000
 _MOST_DENORMAL = 0.01
 # A node off the line through two others by less than this fraction of their distance lies on it.
@@ -21,12 +21,12 @@ _ON_LINE = 1e-13
 
 
 def require_plausible(grid: Grid, path: Path) -> None:
-    """Refuse coordinates that are not finite, absurdly large, or all on one point or line.
+    """Refuse coordinates that are not finite, implausibly large, or all at one point or on one line.
 
     Raises
     ------
     GridError
-        With the first such node.
+        Naming the first such node.
     """
     _require_bounded(grid, path)
     sample = grid.points[:: max(grid.n_nodes // _SAMPLE, 1)]
@@ -48,7 +48,7 @@ def _require_bounded(grid: Grid, path: Path) -> None:
 
     def judge(rows: slice) -> None:
         good = np.abs(grid.points[rows]) <= LARGEST
-        # A reduction over so short an axis is slow, and hardly ever needed.
+        # numpy is slow on axes of length 3, and this is hardly ever needed.
         bad[rows] = False if good.all() else ~good.all(axis=1)
 
     for_rows(judge, bad)

@@ -13,7 +13,7 @@ from meshdeform_core.grid.connectivity.components import BY_PREFIX, Components
 from .values import Table, check_keys, fail, file_of
 
 MAIN = "main"
-"""The component of the grid's own blocks where all others are in files of their own."""
+"""Name of the component formed by the grid's own blocks if all other components are in separate files."""
 _EXPECTED = (
     f'expected "{BY_PREFIX}", or names with block patterns, like {{ wing = ["wing*"], flap = ["flap*"] }}, or with a '
     f'file, like {{ flap = {{ file = "flap.cgns" }} }}'
@@ -22,7 +22,7 @@ _EXPECTED = (
 
 @dataclass(frozen=True)
 class ComponentFile:
-    """A component in a file of its own; ``boundary_file`` is its neutral map file."""
+    """A component in a separate file; ``boundary_file`` is its neutral map file."""
 
     path: Path
     boundary_file: Path | None = None
@@ -30,7 +30,7 @@ class ComponentFile:
 
 @dataclass(frozen=True)
 class ComponentsEntry:
-    """The blocks of the components, and the files in which some of them are."""
+    """Block patterns of the components, and the separate files of some of them."""
 
     patterns: Components = ""
     files: Mapping[str, ComponentFile] = field(default_factory=dict)
@@ -42,7 +42,7 @@ def components_of(grid: Table, folder: Path) -> ComponentsEntry:
     Raises
     ------
     CaseError
-        Unless it is as expected.
+        For anything else than the documented forms.
     """
     value = grid.get("components", "")
     if value in ("", BY_PREFIX):

@@ -19,12 +19,12 @@ from ..displacement import read_displacement
 
 _ROOM = 1.05
 _SMALLEST = 1e-9
-"""Tolerances are at least this part of the size of the wall: rounding must not count."""
+"""Smallest tolerance relative to the size of the wall, so that rounding in the table does not matter."""
 
 
 @dataclass(frozen=True)
 class FittedTable:
-    """A table, the names of the surfaces that follow it, and a matching that reaches all their nodes."""
+    """A table, the names of the surfaces that it moves, and a match and tolerance that cover all their nodes."""
 
     file: str
     surfaces: tuple[str, ...]
@@ -38,7 +38,7 @@ def fitted_table(grid: Grid, topology: Topology, path: Path, name: str) -> Fitte
     Raises
     ------
     CaseError, FormatError, MotionError
-        When the file is no table of points, or lies on no wall.
+        When the file is not a table of points, or its points lie on no wall.
     """
     data = read_displacement(path)
     if not isinstance(data, SurfaceData):
@@ -56,6 +56,6 @@ def fitted_table(grid: Grid, topology: Topology, path: Path, name: str) -> Fitte
 
 
 def _rounded_up(value: float) -> float:
-    """To two significant digits."""
+    """The value, rounded up to two significant digits."""
     unit = 10.0 ** (math.floor(math.log10(value)) - 1)
     return float(f"{math.ceil(value / unit) * unit:.3g}")

@@ -1,4 +1,4 @@
-"""Motions with tables of their own: boxes, rigid bodies from files, modes, new shapes of airfoils."""
+"""Motions defined by TOML tables: free-form deformation, rigid bodies from files, modes, airfoils, positions."""
 
 from __future__ import annotations
 
@@ -196,4 +196,4 @@ def _vector(value: Any, where: str) -> FloatArray:
 WITHOUT_MATCHING: dict[str, Callable[[Any, Sequence[str], Path, str], Step]] = {
     "ffd": _ffd, "rigid": _rigid, "airfoil": _airfoil, "positions": _positions,
 }  # fmt: skip
-"""How to read the motions that need no matching, by name."""
+"""Readers of the motions that need no matching, by name."""

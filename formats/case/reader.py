@@ -107,7 +107,7 @@ def read_case(
 
 
 def _require_method(name: str) -> None:
-    """Refuse a method of the command line before the case file is looked at, which is not to blame."""
+    """Check the method of the command line before the case file, so that the message does not name the file."""
     try:
         entry_of(name)
     except MethodError as error:

@@ -1,4 +1,4 @@
-"""The JSON schema of case files, made from the checks of the reader; editors complete and check cases with it."""
+"""The JSON schema of case files, derived from the reader's checks, with which editors complete and check cases."""
 
 from __future__ import annotations
 
@@ -172,7 +172,7 @@ def _lattice() -> Schema:
 
 
 def _given_motions(pattern: Schema, times: Schema, table: Mapping[str, Schema]) -> tuple[Schema, ...]:
-    """Motions with tables of their own; ``pattern`` names files, ``times`` their times, ``table`` how they match."""
+    """Motions defined by TOML tables; ``pattern``: file names, ``times``: their times, ``table``: their matching."""
     rigid = _table(
         "A rigid body with six degrees of freedom.",
         file=_text("Table with t, x y z, and rx ry rz (degrees) or qx qy qz qw."),

@@ -62,7 +62,7 @@ def case_template(
     ----------
     source : the grid file, for the header
     boundary_file : neutral map file, relative to the case file
-    table : displacement table whose surfaces move; others are fixed then
+    table : displacement table; only the surfaces that it fits are moving
     """
     entries = list(_entries(grid, outside, table))
     lines = [
@@ -100,7 +100,7 @@ def _entries(grid: Grid, outside: Outside, table: FittedTable | None) -> Iterato
         kind = "moving" if surface in moving else _kind(grid, surface)
         name = surface.name if surface.named else surface.role.value
         if kind == "periodic":
-            # Both sides of a pair belong to one entry.
+            # Both sides of a periodic pair belong to one entry.
             name = kind
         groups.setdefault((name, kind), []).append(surface)
     for (name, kind), surfaces in groups.items():
@@ -146,10 +146,10 @@ def _in_one_plane(grid: Grid, surface: Surface) -> bool:
 
 
 def _motion(grid: Grid, outside: Outside, entry: _Entry) -> Iterator[str]:
-    """A motion to fill in; its examples have the size of the wall, and keep it on the planes that it may not leave.
+    """A motion to fill in, with examples of a size that suits the wall.
 
-    These are the plane of a plane or extruded grid, and the symmetry plane: rotations about its normal, and bending
-    that begins at it.
+    The examples keep the wall in the plane of a plane or extruded grid, or on its symmetry plane: rotations about the
+    normal, and bending that begins at the plane.
     """
     low, high = entry.box
     normal, place = _out_of_plane(grid, outside), None
@@ -168,7 +168,7 @@ def _motion(grid: Grid, outside: Outside, entry: _Entry) -> Iterator[str]:
 
 
 def _bending(low: FloatArray, high: FloatArray, along: int, place: float | None) -> str:
-    """A displacement of a twentieth of the wall's length: its middle, or its end away from the symmetry plane."""
+    """A displacement of a twentieth of the wall's length, largest at its middle or away from the symmetry plane."""
     name, length = "xyz"[along], high[along] - low[along]
     begin = low[along] if place is None else place
     start = "" if abs(begin) < 1e-3 * length else f" {'-' if begin > 0 else '+'} {abs(begin):.4g}"
@@ -177,7 +177,7 @@ def _bending(low: FloatArray, high: FloatArray, along: int, place: float | None)
 
 
 def _symmetry(outside: Outside, box: FloatArray) -> tuple[FloatArray | None, float | None]:
-    """Normal of the only symmetry plane, if a wall within ``box`` ends at it, and its coordinate there."""
+    """Normal and coordinate of the only symmetry plane, if a wall within ``box`` ends at it."""
     planes = [face.plane for face, role in zip(outside.faces, outside.roles, strict=True)
               if role is Role.SYMMETRY and face.plane]  # fmt: skip
     axes = {int(np.argmax(np.abs(plane.normal))) for plane in planes}
@@ -223,13 +223,13 @@ def _pattern(name: str) -> str:
 
 
 def _face_pattern(grid: Grid, surface: Surface) -> str:
-    """The label of an unnamed face as a pattern: only brackets of the block's name match any character."""
+    """The label of an unnamed face as a pattern; brackets in the name of the block become ``?``."""
     block = grid.names[surface.faces[0].window.block]
     return _pattern(block) + surface.name.removeprefix(block)
 
 
 def _place(surface: Surface) -> str:
-    # Mere round-off relative to the other coordinates counts as 0.
+    # Values within round-off of the other coordinates count as 0.
     corners = np.where(np.abs(surface.box) < 1e-9 * np.abs(surface.box).max(), 0.0, surface.box)
     box = "  ".join(
         f"{name} {low:.5g}" if np.isclose(low, high) else f"{name} {low:.5g}..{high:.5g}"

@@ -14,7 +14,7 @@ from .values import Table
 
 _PART = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
 _DEEP_KEY = re.compile(rf"(?<![\w.-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{30}}")
-"""More parts than any key of a case; the parser's work and memory grow with their square."""
+"""Dotted keys with more parts than any key of a case: the parser's work and memory grow with their square."""
 TABLES = ("grid", "constants", "boundary", "method", "repair")
 """The tables of a case."""
 _TOO_LONG = "it has an integer of more than 64 bits; write large numbers like 1e30"
@@ -35,7 +35,7 @@ def load(path: Path | None) -> Table:
     except FormatError as error:
         raise CaseError(str(error)) from error
     try:
-        # Some editors of Windows begin a file with a byte order mark.
+        # Some Windows editors begin files with a byte order mark.
         return _toml(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise CaseError(f"cannot read the case file {path}: {error.strerror or error}") from error

@@ -58,7 +58,7 @@ def read(path: Path) -> Grid:
 
 
 def _fill(grid: Grid, zones: Sequence[Zone]) -> None:
-    """Read the coordinates: zones that are packed or in pieces as a whole, others in ranges of planes."""
+    """Read the coordinates: zones that are compressed or stored in pieces as a whole, others in ranges of planes."""
     places = [zone.places() for zone in zones]
     parts = []
     for block, (shape, known) in enumerate(zip(grid.shapes, places, strict=True)):

@@ -35,7 +35,7 @@ from .write_new import solution_nodes
 from .zone import Base, Zone, find_base, structured_zones
 
 Places = dict[int, list[tuple[int, np.dtype[Any]]]]
-"""First byte and type of the coordinate arrays of blocks, by number."""
+"""Offset and type of the coordinate arrays, by the number of the block."""
 
 
 def write_copy(grid: Grid, path: Path, precision: str | None) -> None:
@@ -58,7 +58,7 @@ def write_copy(grid: Grid, path: Path, precision: str | None) -> None:
 
 
 def _begin(grid: Grid, source: Path, path: Path, partial: Path, precision: str | None) -> Places:
-    """Write everything but the coordinates that lie in the file as they are; returns their places."""
+    """Write everything but the coordinates that can be written in place later; returns the places of these."""
     with opened_cgns(source) as root:
         with naming(source):
             base, zones = _same_zones(root, grid, source)
@@ -95,7 +95,7 @@ def _same_zones(root: Node, grid: Grid, source: Path) -> tuple[Base, list[Zone]]
 
 
 def _replace_coordinates(parents: list[h5py.Group], zones: list[Zone], grid: Grid, precision: str | None) -> Places:
-    """Write the coordinates of zones where they are packed or have rind planes; returns the places of the others."""
+    """Write compressed coordinates and those with rind planes; returns the places of all others."""
     places: Places = {}
     for block, (parent, zone) in enumerate(zip(parents, zones, strict=True)):
         group = own_group(parent, zone.grid)
@@ -130,8 +130,8 @@ def _add_fields(parent: h5py.Group, zone: Zone, grid: Grid, block: int) -> None:
 
 
 def _writable_dataset(group: h5py.Group, precision: str | None, counts: tuple[int, ...]) -> h5py.Dataset:
-    """The coordinate dataset, recreated if its precision changes; with its values only where some of them stay: beside
-    the nodes ``counts`` of the zone."""
+    """The coordinate dataset, recreated if its precision changes. Old values are copied only if some of them remain:
+    rind values in addition to the nodes ``counts`` of the zone."""
     dataset = group[DATA]
     stored = dataset.dtype.newbyteorder("=")
     dtype = stored if precision is None else np.dtype(precision)

@@ -21,7 +21,7 @@ from .storage.hdf5_write import write_hdf5
 from .storage.names import unique_names
 from .storage.tree import Node, data_type_of, make
 
-# The version of the standard whose readers know everything written here.
+# The version of the standard that defines everything written here.
 _LIBRARY_VERSION = 3.2
 _LOCATIONS = {
     "node": "Vertex",
@@ -48,7 +48,7 @@ def write_new(grid: Grid, path: Path, precision: str) -> None:
 
 
 def _begin(grid: Grid, path: Path, partial: Path, precision: str) -> list[list[int]]:
-    """Write everything but the coordinates; returns the first byte of the arrays of every block."""
+    """Write everything but the coordinates; returns the offsets of the arrays of every block."""
     starts: list[list[int]] = [[] for _ in grid.shapes]
     with hdf5_errors(path, "write"):
         write_hdf5(_tree(grid, precision, starts), partial)
@@ -78,7 +78,7 @@ def _tree(grid: Grid, precision: str, starts: list[list[int]]) -> Node:
 
 
 def _coordinates(shape: Sequence[int], dimension: int, precision: str, starts: list[int]) -> Node:
-    """Arrays for the coordinates of a zone, which add the places of their values to ``starts``."""
+    """Coordinate arrays of a zone, still without values; writing them appends their offsets to ``starts``."""
     kind = np.dtype(precision)
     names = ("CoordinateX", "CoordinateY", "CoordinateZ")[:dimension]
     arrays = [
@@ -111,8 +111,8 @@ def solution_nodes(grid: Grid, block: int, shape: Sequence[int]) -> list[Node]:
 
 
 def _located(location: str, word: str, shape: Sequence[int], nodes: Sequence[int]) -> tuple[list[int], str]:
-    """Values along the index axes of a zone at a location, and its name: axes are those of the zone, without the flat
-    one of a block."""
+    """Values of a field on the index axes of the zone, without the flat one of a 2-D block, and the CGNS name of their
+    location."""
     if location == "node":
         return list(shape), word
     size = [n - 1 for n in shape]

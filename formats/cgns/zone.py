@@ -51,7 +51,7 @@ class Zone:
         return tuple(part.stop - part.start for part in self.core)
 
     def places(self) -> list[Stored] | None:
-        """Where the coordinates lie; ``None`` if they are packed, in pieces, or have other values between them."""
+        """Offsets of the coordinates; ``None`` if they are compressed, in pieces, or mixed with other values."""
         found = []
         ni, nj, _ = self.shape
         for node in (each.target for each in self.coordinates):
@@ -115,7 +115,7 @@ _FLAT = {1: "a surface", 2: "a curve", 3: "a point"}
 
 
 def _require_volumes(base: Base, zones: list[Zone]) -> None:
-    """Refuse curves, and surfaces beside volumes; a base of nothing but surfaces is a plane grid."""
+    """Refuse curves, and surfaces together with volumes; a base with only surfaces is a plane grid."""
     flat = [base.cell_dimension - sum(count > 1 for count in zone.counts) for zone in zones]
     for zone, missing in zip(zones, flat, strict=True):
         if missing and (base.cell_dimension - missing != 2 or not all(flat)):

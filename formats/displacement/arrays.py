@@ -70,7 +70,7 @@ def read_hdf5(path: Path) -> DisplacementTable:
 
 
 def hdf5_entries(path: Path) -> set[str]:
-    """Names in the root group, which show what wrote the file."""
+    """Names in the root group, from which the program that wrote the file can be told."""
     with _opened(path) as file:
         return set(file)
 

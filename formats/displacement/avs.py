@@ -73,7 +73,7 @@ def _triangles(path: Path, numbers: IntArray, lines: list[list[str]]) -> IntArra
 def _node_data(
     path: Path, numbers: IntArray, lines: list[list[str]], components: int, more: bool
 ) -> dict[str, NDArray[Any]]:
-    """Arrays by name; ``more``: data of cells follow."""
+    """Arrays by name; ``more``: cell data follow."""
     sizes = [int(word) for word in lines[0][1:]]
     if len(sizes) != int(lines[0][0]) or min(sizes, default=0) < 1 or sum(sizes) != components:
         raise ValueError(f"the sizes of the node data are not {components} components")

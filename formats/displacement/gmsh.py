@@ -1,7 +1,7 @@
 """Displacement tables as surfaces of Gmsh, versions 2 and 4.1, as text and binary.
 
-The data of a ``$NodeData`` section belong to the nodes whose numbers it lists, in any order; meshio takes them for the
-nodes in the order of the file, hence this reader. Format: Gmsh reference manual, "Gmsh file formats".
+A ``$NodeData`` section lists the numbers of the nodes to which its data belong, in any order; meshio assigns the data
+to nodes in the order of the file, hence this reader. Format: Gmsh reference manual, "Gmsh file formats".
 """
 
 from __future__ import annotations
@@ -91,13 +91,13 @@ class _Numbers:
         self.words = text_numbers(data) if not order else np.empty(0)
 
     def integers(self, count: int, kind: str = "i4") -> IntArray:
-        """So many whole numbers, in binary files of this kind."""
+        """The next ``count`` whole numbers, of type ``kind`` in binary files."""
         if not self.order:
             return _whole(self._words(count))
         return self._records(count, np.dtype(self.order + kind)).astype(np.int64)
 
     def rows(self, count: int, floats: int) -> tuple[IntArray, NDArray[Any]]:
-        """So many rows of a number and floats."""
+        """The next ``count`` rows of a number and floats."""
         if not self.order:
             table = self._words(count * (1 + floats)).reshape(count, 1 + floats)
             return _whole(table[:, 0]), table[:, 1:]
@@ -105,11 +105,11 @@ class _Numbers:
         return found["number"].astype(np.int64), found["x"].reshape(count, floats).astype(np.float64)
 
     def floats(self, count: int) -> NDArray[Any]:
-        """So many floats."""
+        """The next ``count`` floats."""
         return self._records(count, np.dtype(self.order + "f8")) if self.order else self._words(count)
 
     def finish(self, what: str) -> None:
-        """Refuse numbers that nothing has used."""
+        """Refuse a section with numbers left over."""
         left = self.data[self.at :].strip() if self.order else self.words[self.at :]
         if len(left):
             raise ValueError(f"{what}: more numbers than announced")
@@ -192,7 +192,7 @@ def _elements_2_text(numbers: _Numbers) -> Iterator[tuple[int, IntArray]]:
         first, at = at + 3 + tags, at + 3 + tags + _NODES[kind]
         if tags < 0 or at > len(words):
             raise ValueError("$Elements ends too early")
-        # A number that is lost or too many gives other elements, among which one comes twice.
+        # With a number missing or added, elements are misread, and one of them usually appears twice.
         if number in seen:
             raise ValueError(f"$Elements has two elements {number}")
         seen.add(number)

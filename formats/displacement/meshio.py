@@ -28,18 +28,18 @@ def read(path: Path, file_format: str) -> DisplacementTable:
         When the file is damaged, with meshio's message, or has no displacement.
     """
     try:
-        # Not meshio.read, which prints what goes wrong and ends the program.
+        # Not meshio.read, which prints errors and ends the program.
         with contextlib.redirect_stderr(io.StringIO()) as doubts:
             mesh = getattr(meshio, file_format).read(_source(path, file_format))
         if doubts.getvalue():
-            # It has left out cells.
+            # meshio has skipped cells.
             raise ValueError(" ".join(doubts.getvalue().split()))
         triangles = [
             split_cells(np.asarray(block.data), _CORNERS.get(block.type, len(block.data[0])))
             for block in mesh.cells
             if len(block.data) and (block.type in _CORNERS or block.type == "polygon")
         ]
-    # meshio's readers raise whatever they stumble over in a damaged file.
+    # On damaged files, meshio's readers raise exceptions of any type.
     except Exception as error:
         reason = str(error) or f"{type(error).__name__}, the file is damaged"
         raise FormatError(f"cannot read {path} as {file_format}: {reason}") from error
@@ -47,7 +47,7 @@ def read(path: Path, file_format: str) -> DisplacementTable:
 
 
 def _source(path: Path, file_format: str) -> Any:
-    """The source for the reader: Tecplot's never ends on a truncated file, unless its end raises an error."""
+    """The source for a reader; meshio's Tecplot reader loops on truncated files unless reading at the end raises."""
     if file_format == "tecplot":
         return _EndingText(path.read_text(encoding="utf-8"))
     return str(path)

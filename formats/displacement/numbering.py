@@ -1,4 +1,4 @@
-"""Numbers in the text of surfaces, and nodes that a file knows by numbers: values and cells refer to them."""
+"""Numbers in text files of surfaces, and node numbers, by which values and cells refer to nodes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def text_numbers(data: bytes) -> NDArray[np.float64]:
     Raises
     ------
     ValueError
-        For anything else, also what only Python takes for a number: 1_000 and digits of other scripts.
+        For anything else, including what only Python accepts as a number: 1_000 and digits of other scripts.
     """
     if b"_" in data or not data.isascii():
         raise ValueError("a word among its numbers is no number")

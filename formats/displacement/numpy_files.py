@@ -17,7 +17,7 @@ from ..files import reason_of
 
 # Deflate cannot compress more; other methods exceed this only for zeros.
 _LARGEST_RATIO = 1100
-# Coordinates and displacements are compressed by far less on the whole; zeros alone may be compressed by more.
+# Coordinates and displacements compress far less; only zeros may compress more.
 _LARGEST_WHOLE_RATIO, _SMALL = 100, 1 << 28
 _ENCRYPTED = 1
 _SUFFIX = ".npy"
@@ -93,7 +93,7 @@ def _members(archive: zipfile.ZipFile) -> Iterator[tuple[str, NDArray[Any]]]:
             )
         with archive.open(member) as stream:
             values = _array(stream, member.file_size, member.filename)
-            # Reading on to the end also compares the checksum.
+            # Reading to the end also verifies the checksum.
             if stream.read(1):
                 raise FormatError(f"its member {member.filename!r} continues after the array")
         yield member.filename.removesuffix(_SUFFIX), values

@@ -1,6 +1,6 @@
 """Displacement tables as surfaces in PLY files, as text and binary.
 
-Every number must be where the header announces it: rows that are too short or too long are refused. Format: Greg Turk,
+Rows must have exactly the numbers that the header declares; shorter and longer ones are refused. Format: Greg Turk,
 "The PLY polygon file format", 1994.
 """
 
@@ -148,7 +148,7 @@ class _Rows:
         return {name: values[:, 0].astype(np.float64) for name, values in scalars.items()}, entries
 
     def _parts(self, element: _Element) -> Iterator[dict[str, NDArray[Any]]]:
-        """All rows; in each part the lists have the same lengths, so that no row needs to be read on its own."""
+        """All rows, in parts with lists of equal lengths, so that rows need not be read one by one."""
         left, most = element.count, element.count
         while left:
             lengths, start = self._lengths(element), self.at
@@ -162,12 +162,12 @@ class _Rows:
             yield {name: values[:count] for name, values in table.items()}
 
     def finish(self) -> None:
-        """Refuse what nothing has announced."""
+        """Refuse data that the header does not declare."""
         if self.data[self.at :].strip() if self.order else len(self.words) > self.at:
             raise ValueError("more follows than its header announces")
 
     def _lengths(self, element: _Element) -> dict[str, int]:
-        """Lengths of the lists of the row that comes next."""
+        """Lengths of the lists in the next row."""
         lengths: dict[str, int] = {}
         start = self.at
         for name, *kinds in element.properties:
@@ -187,7 +187,7 @@ class _Rows:
         return self.words[self.at - count : self.at]
 
     def _uniform(self, element: _Element, lengths: dict[str, int], count: int) -> tuple[dict[str, NDArray[Any]], int]:
-        """At most so many rows whose lists have these lengths, as far as the file goes, and the width of one."""
+        """At most ``count`` rows with lists of these lengths, as far as the file goes, and the width of a row."""
         fields = []
         for name, *kinds in element.properties:
             fields += [(f"{name} count", kinds[0], 1)] if len(kinds) == 2 else []

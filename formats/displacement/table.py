@@ -22,7 +22,7 @@ DISPLACEMENT_NAMES = (*VECTOR_NAMES, "delta", "d", "u")
 
 NO_TRIANGLES: IntArray = np.empty((0, 3), dtype=np.int64)
 
-# Points are one that differ by less than this fraction of the largest coordinate: by rounding.
+# Points that differ by less than this fraction of the largest coordinate, by rounding, are identical.
 _TOGETHER = 1e-14
 # Coincident points must have the same displacement, up to this fraction of the largest one.
 _ALIKE = 1e-9

@@ -23,7 +23,7 @@ from .table import NO_TRIANGLES, DisplacementTable, surface_table
 _CORNERS = {5: 3, 22: 3, 34: 3, 9: 4, 23: 4, 28: 4}
 _POLYGON, _STRIP = 7, 6
 _TYPES = 81
-"""Largest code of a type of cells."""
+"""Largest code of a cell type."""
 
 
 def read_vtk_xml(path: Path) -> DisplacementTable:

@@ -16,7 +16,7 @@ from ..files import followed, partial_path, reason_of
 _DICTIONARIES = ("system/blockMeshDict", "constant/polyMesh/blockMeshDict")
 POLY_MESH = Path("constant") / "polyMesh"
 _FILES = ("points", "faces", "owner", "neighbour", "boundary")
-# Written by other tools for the faces, cells and points of one mesh.
+# Files that other tools write for the faces, cells and points of one particular mesh.
 _DEPENDENT = ("cellZones", "faceZones", "pointZones", "sets", "cellLevel", "pointLevel", "surfaceIndex", "level0Edge",
               "refinementHistory", "meshModifiers", "cellDecomposition")  # fmt: skip
 _CONTROL = """\
@@ -80,13 +80,13 @@ def dictionary_of(path: Path) -> Path:
 
 
 def mesh_files(path: Path) -> list[Path]:
-    """The files of the mesh of a case that exist, packed ones too."""
+    """The existing files of the mesh of a case, including compressed ones."""
     mesh = case_folder(path) / POLY_MESH
     return [file for name in _FILES for file in (mesh / name, mesh / f"{name}.gz") if file.is_file()]
 
 
 def case_files(path: Path) -> list[Path]:
-    """The files that reading a case reads."""
+    """The files from which a case is read."""
     folder = case_folder(path)
     return [folder / name for name in _DICTIONARIES if (folder / name).is_file()] + mesh_files(path)
 
@@ -95,13 +95,14 @@ def case_files(path: Path) -> list[Path]:
 def replaced_mesh(foam: Path) -> Iterator[Path]:
     """Yield a new folder for the files of a mesh; they replace those of the case if the block succeeds.
 
-    The points go first and come last, so that a run that is killed leaves the old mesh or none. The case gets its
-    ``.foam`` file and, if it has none, a ``system/controlDict``, which OpenFOAM's tools and ParaView need.
+    The points are removed first and put in place last, so that a killed run leaves the old mesh or none. The case gets
+    its ``.foam`` file and, if it has none, a ``system/controlDict``, which OpenFOAM's tools and ParaView require.
 
     Raises
     ------
     FormatError
-        When the folder around the case does not exist, or the mesh has zones or sets, which would not fit the new one.
+        When the parent folder of the case does not exist, or the mesh has zones or sets, which would not fit the new
+        one.
     """
     folder = followed(foam.parent)
     if not folder.is_dir() and not folder.parent.is_dir():

@@ -1,4 +1,4 @@
-"""The mesh that a case already has: which of its points each node of the grid is."""
+"""The existing mesh of a case, and the correspondence of its points with the nodes of the grid."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from .poly_mesh.lists import read_points
 from .poly_mesh.numbering import point_numbers
 
 _DIGITS = 1e-6
-"""Relative to the largest coordinate: points are text of six digits unless a case asks for more."""
+"""Tolerance relative to the largest coordinate: points are written with six digits unless a case requests more."""
 _MOST = 0.1
-"""Of the local edge: points farther from their node are never taken for it, whatever their digits."""
+"""Largest tolerance relative to the local edge, however few digits the points have."""
 
 
 def points_file(mesh: Path) -> Path | None:
@@ -32,7 +32,7 @@ def points_file(mesh: Path) -> Path | None:
 
 
 def with_points_of(grid: Grid, path: Path) -> tuple[Grid, IntArray]:
-    """The grid with the points of a mesh that was made of it, and the number of the point of every node (n_nodes,).
+    """The grid with the points of a mesh that was generated from it, and the point number of every node (n_nodes,).
 
     Raises
     ------

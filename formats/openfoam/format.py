@@ -1,7 +1,7 @@
 """OpenFOAM: blockMeshDict files and cases with one are read, polyMesh is written.
 
-A case whose ``constant/polyMesh`` was made of its ``blockMeshDict`` is written with the same faces, patches and numbers
-of points; only the points change. Any other grid becomes a new mesh.
+A case whose ``constant/polyMesh`` was generated from its ``blockMeshDict`` keeps its faces, patches and point numbers;
+only the points change. Any other grid becomes a new mesh.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _OPTIONS = {"encoding": ("binary", "ascii"), "compression": ("none", "gzip")}
 
 @dataclass(frozen=True)
 class FoamFormat(FileFormat):
-    """Format of a grid from a case with a mesh: the folder of that mesh, and the point of every node (n_nodes,)."""
+    """Format of a grid from a case with a mesh: the folder of the mesh, and the point of every node (n_nodes,)."""
 
     mesh: Path | None = None
     numbering: IntArray | None = dataclasses.field(default=None, compare=False, repr=False)
@@ -112,7 +112,7 @@ class MeshWriter:
         """All files of the mesh in an existing folder."""
         if self._mesh is not None:
             write_mesh(folder, self._mesh, self._points(grid), self._binary, self._packed)
-            # Faces take several times the memory of the points.
+            # Faces take several times the memory of points.
             self._mesh = None
             return
         assert self._copied is not None, "the faces are written once"

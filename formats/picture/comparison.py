@@ -32,8 +32,8 @@ _AROUND = 7
 class Pair:
     """The same grid before and after, with the topology of the undeformed one.
 
-    ``undeformed`` is the grid that both are judged against, where it is not the one before; ``original``: its cells, if
-    its faces have been found already.
+    ``undeformed`` is the grid that both are judged against, if it differs from the one before; ``original`` are its
+    cells and faces, if these have been found already.
     """
 
     before: Grid
@@ -153,7 +153,7 @@ def _surroundings(pair: Pair, block: int, cell: Shape, view: View) -> tuple[Wind
     reach = 0.0
     for grid, center in zip((pair.before, pair.after), centers, strict=True):
         near = np.abs(view.project(_corners(grid, block, cell, _AROUND))[:, :2] - center).max(axis=1)
-        # Where cells grow quickly the far ones must not make the worst one a dot.
+        # Where cells grow quickly, the window is limited so that the worst cell remains visible.
         close = np.abs(view.project(_corners(grid, block, cell, 1))[:, :2] - center).max()
         reach = max(reach, min(float(np.quantile(near, 0.7)), 8.0 * float(close)))
     one, two = (
@@ -194,7 +194,7 @@ def _around(subject: Subject, block: int, axis: int, cell: Shape, normal: FloatA
 
 
 def _viewed(normal: FloatArray) -> float:
-    """Whether a normal points towards the viewer who faces its plane."""
+    """Whether a normal points towards a viewer who faces its plane."""
     return float(facing(normal).towards @ normal)
 
 

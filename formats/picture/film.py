@@ -32,7 +32,7 @@ _WIDTH, _DPI = 7.2, 110
 
 @dataclasses.dataclass(frozen=True)
 class Common:
-    """What all pictures of a film share, so that only the grid moves.
+    """Properties common to all pictures of a film, so that only the grid moves.
 
     ``windows`` of the panels, ``values``: lowest and highest, ``invalid``: a picture shows invalid cells.
     """
@@ -43,14 +43,14 @@ class Common:
 
     @classmethod
     def of(cls, page: Page) -> Common:
-        """Of a single picture."""
+        """The properties of a single picture."""
         values = np.concatenate([panel.scene.facets.values for panel in page.panels])
         known = values[np.isfinite(values)]
         low, high = float(known.min(initial=np.inf)), float(known.max(initial=-np.inf))
         return cls(tuple(panel.window for panel in page.panels), (low, high), page.invalid > 0)
 
     def joined(self, other: Common) -> Common:
-        """What has room for both."""
+        """The properties that cover both."""
         windows = tuple(
             (min(a[0], b[0]), max(a[1], b[1]), min(a[2], b[2]), max(a[3], b[3]))
             for a, b in zip(self.windows, other.windows, strict=False)
@@ -63,14 +63,14 @@ class Common:
         return scale_of(choice.metric, np.array(self.values), choice.limits, choice.logarithmic)
 
     def on(self, page: Page, scale: Scale) -> Page:
-        """A page with these windows and the colour bar of all of them."""
+        """The page with these windows and the common colour bar."""
         panels = page.panels[: len(self.windows)]
         shown = tuple(dataclasses.replace(p, window=w) for p, w in zip(panels, self.windows, strict=True))
         return dataclasses.replace(page, panels=shown, scale=scale, explained=self.invalid)
 
 
 def check_film_path(path: Path) -> None:
-    """Refuse, before anything is computed, a suffix that is no film or needs a program that is missing."""
+    """Refuse, before anything is computed, an unknown suffix or one that needs a program that is not installed."""
     if path.suffix.lower() not in FILMS:
         raise FormatError(f"film {path}: suffix {path.suffix!r} is unknown; expected {' or '.join(FILMS)}")
     if path.suffix.lower() == ".mp4" and shutil.which("ffmpeg") is None:
@@ -111,16 +111,16 @@ def save_film(pictures: Iterable[bytes], path: Path, rate: float) -> None:
 def _save_gif(pictures: Iterable[bytes], path: Path, rate: float) -> None:
     palette = _palette()
     frames = [_reduced(png, palette) for png in pictures]
-    # The last picture stays a little.
+    # The last picture is shown longer.
     each = round(1000 / rate)
     times = [each] * (len(frames) - 1) + [max(each, 800)]
     frames[0].save(path, format="GIF", save_all=True, append_images=frames[1:], duration=times, loop=0, disposal=1)
 
 
 def _palette() -> Image:
-    """The 256 colours of all pictures of a film: those of the maps, also under lines and in shade, and greys.
+    """The 256 colours of all pictures of a film: those of the colour maps, also under lines and shaded, and greys.
 
-    Chosen picture by picture they would flicker, and the colour bar would lose what no cell has.
+    A palette for each picture would flicker, and the colour bar would lose colours that no cell has.
     """
     from matplotlib import colormaps
     from PIL import Image
@@ -146,7 +146,7 @@ def _reduced(png: bytes, palette: Image) -> Image:
 
 
 def _save_mp4(pictures: Iterable[bytes], path: Path, rate: float) -> None:
-    # Players want even numbers of pixels and colours at half the resolution.
+    # Players expect even numbers of pixels and chroma at half the resolution.
     command = ["ffmpeg", "-loglevel", "error", "-y", "-f", "image2pipe", "-c:v", "png", "-framerate", f"{rate:g}",
                "-i", "-", "-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2:color=white", "-pix_fmt", "yuv420p",
                "-movflags", "+faststart", "-f", "mp4", str(path)]  # fmt: skip
@@ -158,7 +158,7 @@ def _save_mp4(pictures: Iterable[bytes], path: Path, rate: float) -> None:
                 encoder.stdin.write(png)
             encoder.stdin.close()
         except BrokenPipeError:
-            # Why it stopped is on its stderr.
+            # ffmpeg has printed the reason on stderr.
             pass
         message = encoder.stderr.read().decode(errors="replace").strip()
     if encoder.returncode:

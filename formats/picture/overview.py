@@ -22,11 +22,11 @@ from .drawing.page import Page, Panel
 from .view import View, Window, facing, iso, shaped, window_of
 
 _SMALL = 0.3
-"""A detail smaller than this fraction of the picture, along its larger side, has a close-up."""
+"""Details smaller than this fraction of the picture along its larger side get a close-up."""
 _LOST, _NOSE_NODES = 1e-3, (4, 9)
-"""First cells lower than this part of a close-up have another one, with so many nodes of the wall."""
+"""If first cells are lower than this fraction of a close-up, a second one shows so many nodes of the wall."""
 _NOSE = 0.08
-"""Largest close-up of a leading edge, as a part of the picture that it is taken from."""
+"""Largest close-up of a leading edge, as a fraction of the picture around it."""
 _SQUARE = (0.85, 1.15)
 _TALL, _FLAT = 1.15, 0.05
 _PALE = np.array([0.93, 0.94, 0.96])
@@ -93,7 +93,7 @@ def _close(panel: Panel, nose: Window | None) -> list[Panel]:
 
 
 def _nose(subject: Subject, points: FloatArray, view: View, window: Window) -> Window | None:
-    """Around the leading edge (the left end) of walls with ``points`` (n, 3) whose first cells are lost in a window."""
+    """A window at the leading (left) edge of walls with ``points`` (n, 3) whose first cells a window cannot show."""
     walls = body_walls(subject)
     height = min((wall.median_height for wall in walls), default=np.inf)
     flat = np.unique(view.project(points)[:, :2], axis=0)
@@ -127,7 +127,7 @@ def _wall_edges(subject: Subject, facets: Facets, view: View) -> FloatArray:
 
 
 def moved_into(window: Window, whole: Window) -> Window:
-    """A window shifted into the whole, as far as it fits."""
+    """A window shifted to lie within the whole picture, as far as it fits."""
     left, right, bottom, top = window
     rim = 0.03 * _extent(window)
     across = max(whole[0] - rim - left, 0.0) or min(whole[1] + rim - right, 0.0)
@@ -136,12 +136,12 @@ def moved_into(window: Window, whole: Window) -> Window:
 
 
 def _detail(subject: Subject, facets: Facets, view: View) -> Window | None:
-    """Where the nodes of walls crowd, else where the cells are smallest; ``None`` if that is most of the picture."""
+    """A window where the nodes of walls cluster, else where the cells are smallest; ``None`` if it is nearly all."""
     whole = window_of(view, facets.corners, 0.0)
     walls = all_walls(subject)
     if walls:
         points = view.project(nodes_of(subject, walls))[:, :2]
-        # Bodies are shown whole; walls from border to border where their nodes crowd.
+        # Bodies are shown completely, walls that cross the whole picture only where their nodes cluster.
         if _extent(_box(points)) > 0.7 * _extent(whole):
             points = _middle(points)
     else:
@@ -157,13 +157,13 @@ def _detail(subject: Subject, facets: Facets, view: View) -> Window | None:
 
 
 def _within(window: Window, whole: Window) -> Window:
-    """The part of a window that holds anything."""
+    """The part of a window that is not empty."""
     left, right, bottom, top = window
     return max(left, whole[0]), min(right, whole[1]), max(bottom, whole[2]), min(top, whole[3])
 
 
 def _middle(points: FloatArray) -> FloatArray:
-    """The middle of points (n, 2), without the tails along either axis."""
+    """The range of points (n, 2) without the tails along either axis."""
     low, high = np.quantile(points, [0.2, 0.8], axis=0)
     return np.stack([low, high])
 
@@ -215,7 +215,7 @@ def before_backdrop(scene: Scene, facets: Facets) -> Scene:
 
 
 def _section(corners: FloatArray, plane: Plane) -> FloatArray:
-    """Where a plane cuts face quads (n, m, 3), as segments (k, 2, 3)."""
+    """Sections (k, 2, 3) of face quads (n, m, 3) with a plane."""
     following = np.roll(corners, -1, axis=1)
     here, there = ((x - plane.point) @ plane.normal for x in (corners, following))
     cut = (here > 0) != (there > 0)
@@ -227,7 +227,7 @@ def _section(corners: FloatArray, plane: Plane) -> FloatArray:
 
 
 def _cut_window(subject: Subject, points: FloatArray, view: View) -> Window:
-    """Around the part of the walls near a plane."""
+    """A window around the part of the walls near a plane."""
     whole = window_of(view, subject.grid.points, 0.0)
     return moved_into(shaped(window_of(view, points, 0.3), (0.6, _TALL)), whole)
 

@@ -62,13 +62,13 @@ class Request:
 
     @property
     def plain(self) -> bool:
-        """Nothing is asked for but how to colour."""
+        """Whether only the colouring is specified."""
         return dataclasses.replace(self, choice=Choice(), lead="") == Request()
 
 
 @dataclasses.dataclass(frozen=True)
 class _Part:
-    """A part of a grid: polygons, edges of blocks, where from, in space or in a plane; ``quads`` of surfaces."""
+    """A part of a grid: polygons, block edges, view, whether in space or in a plane; ``quads`` of surfaces."""
 
     facets: Facets
     outlines: FloatArray
@@ -176,7 +176,7 @@ def _surface(subject: Subject, quads: IntArray, metric: str, view: View) -> _Par
 
 
 def _view_of(facets: Facets) -> tuple[View, bool]:
-    """From where to look at polygons, and whether they are not flat along an axis."""
+    """The view of polygons, and whether they are not flat along an axis."""
     size = np.ptp(facets.corners.reshape(-1, 3), axis=0)
     axis = int(np.argmin(size))
     if size[axis] <= 1e-6 * size.max():
@@ -214,7 +214,7 @@ def _worst(subject: Subject, request: Request, title: str) -> Page:
 
 
 def _arrows(old: _Part, new: _Part, view: View, window: Window) -> FloatArray:
-    """Displacements (k, 2, 3) of polygons spread over the picture, of undeformed place and motion."""
+    """Arrows (k, 2, 3), undeformed position and displacement, of polygons spread over the picture."""
     if len(old.facets) != len(new.facets):
         raise CaseError("arrows need a plane of nodes, a surface or a flat grid; a cut in space has no cells in common")
     start, end = old.facets.corners[:, 0], new.facets.corners[:, 0]

@@ -11,7 +11,7 @@ from meshdeform_core.grid import FloatArray
 
 @dataclass(frozen=True)
 class View:
-    """Parallel projection: unit vectors to the right, up and towards the viewer, and the names of the first two axes.
+    """A parallel projection: unit vectors to the right, up and towards the viewer, and the names of the first two axes.
 
     Names are empty for axes of the picture that are not axes of the grid.
     """
@@ -32,7 +32,7 @@ class View:
 
 
 def along(axis: str, mirrored: bool = False) -> View:
-    """Looking against an axis of the grid, ``x``, ``y`` or ``z``, with the other two in their order."""
+    """The view against a coordinate axis, ``x``, ``y`` or ``z``, with the other two in their order."""
     unit = np.eye(3)
     right, up = {"x": (1, 2), "y": (0, 2), "z": (0, 1)}[axis]
     towards = unit["xyz".index(axis)] * (-1.0 if axis == "y" else 1.0)
@@ -40,7 +40,7 @@ def along(axis: str, mirrored: bool = False) -> View:
 
 
 def towards(direction: FloatArray, up: FloatArray | None = None) -> View:
-    """Seen from ``direction``; ``up`` (default z, or y where the view is along z) points upwards."""
+    """The view from ``direction``; ``up`` (default z, or y if the view is along z) points upwards."""
     back = direction / np.linalg.norm(direction)
     if up is None:
         up = np.array([0.0, 0.0, 1.0]) if abs(back[2]) < 0.95 else np.array([0.0, 1.0, 0.0])
@@ -50,12 +50,12 @@ def towards(direction: FloatArray, up: FloatArray | None = None) -> View:
 
 
 def iso() -> View:
-    """From above, in front of all axes."""
+    """The isometric view from the positive octant."""
     return towards(np.array([0.8, -1.0, 0.7]))
 
 
 def facing(normal: FloatArray) -> View:
-    """Onto a plane: along the axis of the grid that is its normal, if one is."""
+    """The view onto a plane; along a coordinate axis if that is its normal."""
     axis = int(np.argmax(np.abs(normal)))
     if abs(normal[axis]) > 1 - 1e-6:
         return along("xyz"[axis])
@@ -63,7 +63,7 @@ def facing(normal: FloatArray) -> View:
 
 
 def spread(points: FloatArray) -> View:
-    """Onto what is flat along an axis of the grid, else from in front of all axes."""
+    """The view onto points that are flat along a coordinate axis, else the isometric one."""
     extent = np.ptp(points.reshape(-1, 3), axis=0)
     axis = int(np.argmin(extent))
     return along("xyz"[axis]) if extent[axis] < 1e-6 * extent.max() else iso()
@@ -82,7 +82,7 @@ def window_of(view: View, points: FloatArray, margin: float = 0.04) -> Window:
 
 
 def shaped(window: Window, aspect: tuple[float, float]) -> Window:
-    """The window made larger until height over width lies within limits."""
+    """The window, enlarged until height over width is within limits."""
     left, right, bottom, top = window
     width, height = right - left, top - bottom
     wanted = min(max(height / width, aspect[0]), aspect[1])

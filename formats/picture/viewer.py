@@ -1,4 +1,4 @@
-"""A grid in space to turn and cut, with pyvista (the extra ``view``)."""
+"""An interactive view of a grid, with pyvista (the extra ``view``)."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ _MEASURE = "measure"
 
 
 def scene(subject: Subject, choice: Choice, title: str = "", off_screen: bool = False) -> pyvista.Plotter:
-    """A plotter with the walls, what is around them, and a cut that can be dragged, coloured by a measure.
+    """A plotter with the walls, other boundaries, and a cut that can be dragged, coloured by a measure.
 
-    Invalid cells are seen from everywhere. A plane grid is seen from above. Where there is a window, the other
-    boundaries have a box each that shows them.
+    Invalid cells are visible from everywhere. A plane grid is seen from above. In a window, each of the other
+    boundaries has a check box that shows it.
 
     Raises
     ------
@@ -42,7 +42,7 @@ def scene(subject: Subject, choice: Choice, title: str = "", off_screen: bool = 
     """
     pv = _pyvista()
     if off_screen:
-        # Without a display VTK tries its ways to draw one after the other, and complains of those that fail.
+        # Without a display, VTK tries several ways of rendering and prints errors for those that fail.
         pv.vtk_verbosity("off")
     plotter = pv.Plotter(off_screen=off_screen or None, title=f"meshdeform: {title}" if title else "meshdeform")
     plotter.set_background("white")
@@ -77,7 +77,7 @@ def _pyvista() -> Any:
 def _solid(
     plotter: pyvista.Plotter, subject: Subject, choice: Choice, off_screen: bool
 ) -> tuple[FloatArray, View, FloatArray]:
-    """Walls, other boundaries and a cut of a grid in space; outlines, view and what the view is filled with."""
+    """Add walls, other boundaries and a cut of a 3-D grid, and its outlines; set a view filled by the walls."""
     walls = all_walls(subject)
     quads = quads_of(walls) if walls else np.flatnonzero(subject.topology.external)
     surface = surface_facets(subject, quads, choice.metric)
@@ -132,7 +132,7 @@ def _polygons(corners: FloatArray) -> Any:
 
 
 def _add_cut(plotter: pyvista.Plotter, cells: Any, plane: Plane, scale: Scale, off_screen: bool) -> None:
-    """The plane through all blocks, draggable where there is a window."""
+    """Add a cut through all blocks, draggable in a window."""
     normal, origin = tuple(plane.normal), tuple(plane.point)
     if off_screen:
         cut = cells.slice(normal=normal, origin=origin).combine()
@@ -145,7 +145,7 @@ def _add_cut(plotter: pyvista.Plotter, cells: Any, plane: Plane, scale: Scale, o
 
 
 def _add_others(plotter: pyvista.Plotter, subject: Subject, off_screen: bool) -> None:
-    """The other boundaries, hidden at first; in a window each has a box that shows it."""
+    """Add the other boundaries, initially hidden; in a window, each has a check box that shows it."""
     if off_screen:
         return
     height = 10
@@ -173,7 +173,7 @@ def _add_lines(plotter: pyvista.Plotter, edges: FloatArray) -> None:
 
 
 def _add_invalid(plotter: pyvista.Plotter, subject: Subject) -> None:
-    """All faces of invalid cells, wherever they are."""
+    """Add all faces of invalid cells."""
     parts = [_faces_of_cells(subject, b, np.argwhere(subject.bad(b, subject.whole(b)))) for b in
              range(subject.grid.n_blocks)]  # fmt: skip
     found = joined([Facets.plain(part) for part in parts])
@@ -202,7 +202,7 @@ def _faces_of_cells(subject: Subject, block: int, cells: IntArray) -> FloatArray
 
 
 def _look(plotter: pyvista.Plotter, view: View, at: FloatArray) -> None:
-    """Look from where the view is seen, close enough for points (..., 3) to fill the picture."""
+    """Place the camera for a view, close enough for points (..., 3) to fill the picture."""
     low, high = at.reshape(-1, 3).min(axis=0), at.reshape(-1, 3).max(axis=0)
     plotter.camera.focal_point = tuple(0.5 * (low + high))
     plotter.camera.position = tuple(0.5 * (low + high) + view.towards)
@@ -211,7 +211,7 @@ def _look(plotter: pyvista.Plotter, view: View, at: FloatArray) -> None:
 
 
 def save_screenshot(plotter: pyvista.Plotter, path: Path) -> None:
-    """What a plotter without a window shows, as a .png file that is replaced as a whole."""
+    """Write the picture of a plotter without a window to a .png file, which is replaced as a whole."""
     from PIL import Image
 
     pixels = plotter.screenshot(None, return_img=True)

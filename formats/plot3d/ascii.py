@@ -47,7 +47,7 @@ def write_ascii(grid: Grid, stream: BinaryIO, variant: Variant) -> None:
     for index in range(grid.n_blocks):
         for array in text_arrays(grid, variant, index):
             for start in range(0, array.size, _LINES):
-                # Where integers follow, a number without a dot must be one of them.
+                # If integers follow, a number without a dot must be an integer.
                 stream.write(number_lines(array[start : start + _LINES], dotted=variant.iblank))
 
 

@@ -66,7 +66,7 @@ def write_binary(grid: Grid, path: Path, variant: Variant) -> None:
             for at, data in chain(markers, *map(_divided, header, records)):
                 stream.seek(at)
                 stream.write(data)
-            # The data follow; the last marker of a Fortran file lies behind them.
+            # The data come later; the last marker of a Fortran file is behind them.
             if not markers:
                 stream.truncate(sum(records[-1][-1]))
 
@@ -97,7 +97,7 @@ def _divided(array: NDArray[Any], stretches: list[tuple[int, int]]) -> Iterator[
 
 def _readings(stream: BinaryIO) -> list[Reading]:
     readings = list(fortran_readings(stream))
-    # A header in proper records is no coincidence; a stream of matching size can be.
+    # A header in proper records cannot be a coincidence, but a stream of matching size can.
     return readings if any(reading.evidence >= (1, 2) for reading in readings) else [*readings, *_c_readings(stream)]
 
 

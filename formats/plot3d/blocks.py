@@ -66,7 +66,7 @@ def allocate(reading: Reading, path: Path) -> tuple[Grid, list[NDArray[Any]]]:
 def places_of(
     variant: Variant, shapes: Sequence[Shape], path: Path, data: Stretches
 ) -> tuple[list[list[Stored]], list[Stored]]:
-    """Where the components of every block and, in a file with IBLANK, its flags lie among the ``data`` of a file."""
+    """Positions of the components and, with IBLANK, of the flags of every block within the ``data`` of a file."""
     coordinates: list[list[Stored]] = []
     flags, begin = [], 0
     for ni, nj, nk in shapes:

@@ -152,7 +152,7 @@ def choose(readings: Iterable[Reading], file: UnknownFile) -> Grid:
 
 
 def _makes_sense(reading: Reading, file: UnknownFile) -> bool:
-    """Whether the numbers are plausible in this reading."""
+    """Whether a reading gives plausible numbers."""
     try:
         grid = file.load(reading)
     except (FormatError, GridError):
@@ -162,7 +162,7 @@ def _makes_sense(reading: Reading, file: UnknownFile) -> bool:
 
 
 def _require_sense(grid: Grid, reading: Reading, path: Path) -> None:
-    """Refuse other data that happen to have the right size; a sample of nodes is sufficient."""
+    """Refuse other data that happen to have the right size, judged by a sample of nodes."""
     share = _senseless_share(grid, reading.variant, max(grid.n_nodes // 10_000, 1))
     if share > 0.01:
         raise FormatError(

@@ -57,8 +57,8 @@ def read(path: Path, **options: Any) -> Grid:
 
 
 def layout(path: Path, **options: Any) -> tuple[tuple[Shape, ...], FileFormat] | None:
-    """Nodes of the blocks of a binary file, without their coordinates; ``None`` for texts, and where the size of the
-    file does not tell the variant."""
+    """Block sizes of a binary file, without coordinates; ``None`` for text files, and if the size of the file does not
+    determine the variant."""
     with path.open("rb") as stream:
         if b"\0" not in stream.read(1024):
             return None

@@ -78,7 +78,7 @@ def read_numbers(stream: BinaryIO, path: Path) -> FloatArray:
 
 
 def skip_mark(stream: BinaryIO) -> None:
-    """Go to the beginning of a text, behind the byte order mark that some editors write."""
+    """Go to the beginning of a text, after the byte order mark that some editors write."""
     stream.seek(0)
     if stream.read(len(codecs.BOM_UTF8)) != codecs.BOM_UTF8:
         stream.seek(0)
@@ -182,7 +182,7 @@ def _repeated(values: FloatArray, where: NDArray[np.int64]) -> FloatArray | None
 
 
 def _spelled_numbers(text: bytes, line: int, path: Path) -> FloatArray:
-    """The same word by word, for exponents without a letter, NaN, and to locate invalid words."""
+    """The numbers read word by word, for exponents without a letter and NaN, and to locate invalid words."""
     counts, values = [], []
     for word in _WORD.finditer(text):
         number = _NUMBER.fullmatch(word[0])

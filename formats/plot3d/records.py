@@ -118,7 +118,7 @@ def _data_readings(header: Variant, shapes: tuple[Shape, ...], walk: Walk, used:
     segments = tuple(chain.from_iterable(record.segments for record in walk.records[used:]))
     planes = sum(nk for _, _, nk in shapes)
     for precision, iblank, per in product(("float64", "float32"), (False, True), ("block", "array", "plane")):
-        # Blocks of one plane are the same records either way.
+        # Blocks of one plane have the same records in both forms.
         if per == "plane" and not len(shapes) < planes <= ABSURD * len(found):
             continue
         variant = replace(header, precision=precision, iblank=iblank, records=per)

@@ -15,7 +15,7 @@ HEADS = ("component", "blocks", "nodes", "moving", "largest displacement", "verd
 
 
 def outcome_part(name: str, result: Result) -> Report:
-    """How the deformation of one component went."""
+    """The outcome of the deformation of one component."""
     return {
         "name": name,
         "valid": result.valid,
@@ -28,7 +28,7 @@ def outcome_part(name: str, result: Result) -> Report:
 
 
 def component_part(name: str, result: Result) -> Report:
-    """The same with its size, its motion and its quality."""
+    """The outcome for one component, with its size, motion and quality."""
     grid = result.setup.grid
     return {
         **outcome_part(name, result),

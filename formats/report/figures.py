@@ -1,4 +1,4 @@
-"""Pictures in a report, whatever they show; :mod:`.illustrations` makes them."""
+"""Containers for the pictures of a report; :mod:`.illustrations` draws them."""
 
 from __future__ import annotations
 

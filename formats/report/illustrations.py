@@ -59,7 +59,7 @@ def _repaired_region(setup: Setup, plain: Grid, after: Grid) -> Figure:
     where = f"{setup.grid.names[block]} ({', '.join(str(n + 1) for n in cell)})"
     caption = f"Around cell {where}, the worst that the method alone gives: without the repair and with it."
     page = worst_cells(pair, block, cell)
-    # The same place, not the same cell, which the repair has moved.
+    # The same position, not the same cell, which the repair has moved.
     panels = tuple(dataclasses.replace(panel, window=page.panels[0].window) for panel in page.panels)
     plain_png, after_png = map(page_png, apart(dataclasses.replace(page, panels=panels)))
     return Figure("What the repair changed", caption, after_png, plain_png, names=("the method alone", "repaired"))

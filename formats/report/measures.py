@@ -36,7 +36,7 @@ _MEASURES = (
     ("volume ratio max", ("volume_ratio", "max")),
     ("total volume", ("total_volume",)),
 )
-# What all cells contribute to, so that no cell is its place.
+# Measures to which all cells contribute, so that they have no worst cell.
 _OF_ALL = ("harmonic_mean", "mean", "p01", "rms")
 
 
@@ -51,7 +51,7 @@ class MeasureRow:
 
     @property
     def change(self) -> float | None:
-        """What was added, ``None`` without a value before; round-off is no change."""
+        """Difference from the value before, ``None`` without one; round-off counts as no change."""
         if self.before is None:
             return None
         change = self.after - self.before

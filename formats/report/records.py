@@ -54,7 +54,7 @@ def deformation_report(result: Result, timing: Mapping[str, float], peak_memory:
 
 
 def _repaired_layers(result: Result) -> Report | None:
-    """What a repair changed in the layers at the walls, where the grid before it is known."""
+    """Changes by a repair in the layers at the walls, if the grid before the repair is known."""
     if result.plain is None:
         return None
     setup = result.setup
@@ -84,7 +84,7 @@ def quality_report(
 
 
 def mended_report(mended: Mended, reference: str, seconds: Mapping[str, float], peak_memory: int) -> Report:
-    """The report of a repair of a grid against the file ``reference``; ``seconds`` of its stages, bytes at most."""
+    """The report of a repair of a grid against the file ``reference``; ``seconds`` by stage, peak memory in bytes."""
     found = mended.repair
     return {
         **quality_report(mended.grid, mended.assessment, mended.warnings, reference, mended.original),
@@ -115,7 +115,7 @@ def blocks_part(grid: Grid, blocks: Sequence[BlockQuality]) -> list[Report]:
 
 
 def _shape_part(grid: Grid) -> Report:
-    """What solvers complain about, with the worst cell of each."""
+    """Measures that matter to flow solvers, with the worst cell of each."""
     return {name: dataclasses.asdict(measure) for name, measure in shape_measures(grid).items()}
 
 

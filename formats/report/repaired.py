@@ -1,4 +1,4 @@
-"""What a repair did, in one sentence for the banner of the page, the Markdown and the text."""
+"""A summary of a repair for the banner of the page, the Markdown and the text report."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ def repair_sentence(report: dict[str, Any]) -> str:
 
 
 def repair_lines(report: dict[str, Any]) -> list[str]:
-    """How many cells a repair mended, how far nodes moved, what the method alone would have given, and which part of
-    the layers at the walls was changed; empty without a repair."""
+    """Number of cells repaired, largest movement of nodes, result of the method alone, and fraction of the layers at
+    walls that changed; empty without a repair."""
     done = report.get("repair")
     if not done:
         return []

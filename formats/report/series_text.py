@@ -1,4 +1,4 @@
-"""The levels of a series as text for people."""
+"""The levels of a series as a text table."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from .parts import Report
 
 
 def series_lines(report: Report) -> Iterator[str]:
-    """The levels as a table for people."""
+    """The levels as lines of a table."""
     series, levels = report["series"], report["levels"]
     before = report["quality"]["before"]["f_skew"]
     yield f"series    {series['levels']} levels, each from the {_ORIGINS[series['origin']]}"

@@ -61,7 +61,7 @@ def _lines(report: dict[str, Any], parameters: bool) -> Iterator[str]:
 
 
 def _expected(expense: dict[str, Any]) -> str:
-    """What a run will take."""
+    """The forecast of a run's memory, disk space and time."""
     work, output, seconds = expense["work_bytes"], expense["output_bytes"], expense["cpu_seconds"]
     disk = [f"{readable(work)} of files to work in"] if work else []
     disk += [f"{readable(output)} for the output"] if output else []
@@ -75,7 +75,7 @@ def _no_format(grid: dict[str, Any]) -> str:
 
 
 def _verdict(report: dict[str, Any]) -> Iterator[str]:
-    """Whether the grid is valid, how that was reached, and the cells that are not."""
+    """Whether the grid is valid, how it was obtained, and its invalid cells."""
     yield f"verdict   {'valid' if report['valid'] else 'INVALID'}"
     cells = report.get("invalid_cells", [])
     for cell in cells[:_LISTED]:
@@ -130,7 +130,7 @@ def _fitted(match: dict[str, Any]) -> str:
 
 
 def _motion(patches: list[dict[str, Any]]) -> Iterator[str]:
-    """The motion as evaluated: shows, for instance, radians given as degrees."""
+    """The motion as evaluated, which reveals, for instance, radians given as degrees."""
     for patch in patches:
         mean = ", ".join(f"{part:.4g}" for part in patch["mean_displacement"])
         yield (

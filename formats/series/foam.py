@@ -82,7 +82,7 @@ class FoamFiles:
         target.parent.mkdir(parents=True, exist_ok=True)
         with replacing(target) as partial:
             self._writer.write_points(partial, grid, f"{self._names[number]}/polyMesh")
-        # A level of an earlier run, valid where this one is not or the other way round, would be taken for it.
+        # Remove the level of an earlier run with the other verdict, which could be mistaken for this one.
         self._remove(self._folders(number)[number not in self.invalid])
 
     def read(self, number: int) -> FloatArray:
@@ -96,7 +96,7 @@ class FoamFiles:
         return self._points(self.path(number)).is_file() and len(mesh_files(self.view)) > 0
 
     def publish(self, done: int) -> None:
-        """OpenFOAM and ParaView find the times by their folders."""
+        """Nothing to publish: OpenFOAM and ParaView find the times by their folders."""
 
     def clean(self, complete: bool = False) -> None:
         for folder in (self._folder, self._folder / POLY_MESH):
@@ -114,7 +114,7 @@ class FoamFiles:
 
 
 def _time_names(times: Sequence[float]) -> list[str]:
-    """Names of the times with as few digits as tell them apart, at least six as OpenFOAM writes them."""
+    """Distinct names of the times with as few digits as possible, at least the six that OpenFOAM writes."""
     for digits in range(6, _LONGEST + 1):
         names = [f"{time:.{digits}g}" for time in times]
         if len(set(names)) == len(names):

@@ -1,4 +1,4 @@
-"""The levels of a series that lies on disk, one after the other."""
+"""Reading the levels of a series from its files."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from .manifest import NAME, Manifest
 
 @dataclass(frozen=True)
 class Levels:
-    """Times of the levels that are done and the files that hold them.
+    """Times of the finished levels and their files.
 
-    ``undeformed`` is the grid that they were made of, if it is still where and what it was. ``foam`` is the ``.foam``
-    file of a series whose levels are points of an OpenFOAM mesh.
+    ``undeformed`` is the undeformed grid, if its file still exists unchanged. ``foam`` is the ``.foam`` file of a
+    series whose levels are points of an OpenFOAM mesh.
     """
 
     times: tuple[float, ...]
@@ -38,7 +38,7 @@ class Levels:
         Raises
         ------
         FormatError
-            When its file is gone or cannot be read.
+            When its file is missing or cannot be read.
         """
         path = self.files[number]
         if self.foam is not None:

@@ -34,10 +34,10 @@ class Manifest:
     ----------
     path : of the file
     ingredients : everything that the levels depend on, see :func:`ingredients_of`
-    head : the part of the report that all levels share; empty before the first one
+    head : the part of the report common to all levels; empty before the first level
     levels : a record of each finished level, in order
-    kinds : for each finished level the kinds of the warnings that no level before it gave
-    made : for each finished level what later ones need to know of it
+    kinds : for each finished level, the kinds of warnings that occurred there first
+    made : for each finished level, the data on it that later levels need
     complete : whether all outputs are in their final place
     """
 
@@ -81,7 +81,7 @@ class Manifest:
         Raises
         ------
         CaseError
-            With the changes.
+            Listing the changes.
         """
         # Compare as JSON, which has lists instead of tuples.
         now = json.loads(json.dumps(ingredients))

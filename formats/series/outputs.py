@@ -27,7 +27,7 @@ Dress = Callable[[Grid], Grid]
 
 
 def as_it_is(grid: Grid) -> Grid:
-    """The level without further fields."""
+    """The level unchanged, without further fields."""
     return grid
 
 
@@ -94,7 +94,7 @@ class SeriesFiles(Protocol):
 def with_velocity(grid: Grid, velocity: FloatArray | None, faces: Sequence[Field], precision: str) -> Grid:
     """The grid with the velocity (n_nodes, 3) as a vector field at its nodes and the fields ``faces``.
 
-    Existing fields of these names are replaced. What faces sweep keeps its precision: sums of it are small.
+    Existing fields of these names are replaced. Swept volumes keep double precision, as their sums nearly cancel.
     """
     if velocity is None:
         return grid
@@ -162,7 +162,7 @@ class LevelFiles:
             return with_velocity(self.dress(level), velocity, faces, self.variant.precision)
 
         write_grid(grid, self.path(number), self._options, dressed)
-        # A level of an earlier run, valid where this one is not or the other way round, would be taken for it.
+        # Remove the level of an earlier run with the other verdict, which could be mistaken for this one.
         current_ranks().on_first(lambda: self._remove(self._names(number)[number not in self.invalid]))
 
     def read(self, number: int) -> FloatArray:

@@ -1,4 +1,4 @@
-"""JSON for people and programs: indented, but long lists with one entry per line."""
+"""JSON output, indented, with one entry per line in long lists."""
 
 from __future__ import annotations
 

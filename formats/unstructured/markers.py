@@ -1,4 +1,4 @@
-"""The outside faces of a grid in named groups, one per family, as unstructured formats hold them; periodic pairs."""
+"""The outside faces of a grid in named groups, one per family, for unstructured formats; periodic pairs."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def _pairs(grid: Grid, topology: Topology) -> list[tuple[IntArray, IntArray, Per
         try:
             one, two = (topology.numbers_of(flat) for flat in connected_nodes(grid, connection))
         except GridError:
-            # The set-up warns of a range that its block does not have.
+            # The set-up warns about ranges outside their block.
             continue
         own, donor = _paired(topology, free, one, two)
         if own.size == 0:

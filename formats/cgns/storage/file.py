@@ -11,7 +11,7 @@ from meshdeform_core.errors import FormatError
 from .adf import is_adf, read_adf
 from .tree import MAXIMUM_DEPTH, Node
 
-# Thirty per zone, with all its connections.
+# About thirty nodes per zone, including its connections.
 _MOST_NODES = 10_000_000
 
 

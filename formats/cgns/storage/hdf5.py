@@ -43,7 +43,7 @@ _MAXIMUM_LINKS = 100
 _TEXT = h5t.C_S1.copy()
 _TEXT.set_size(256)
 _TEXT_DTYPE = _TEXT.dtype
-# What most files hold, recognised in a fraction of the time that h5py takes to describe a type.
+# The types in most files, which are recognised in a fraction of the time that h5py takes to describe a type.
 _NATIVE = {name: h5t.py_create(dtype) for name, dtype in DTYPES.items()}
 _NATIVE_TYPES = {DTYPES[name]: kind for name, kind in _NATIVE.items()}
 
@@ -76,7 +76,7 @@ def opened_hdf5(path: Path) -> Iterator[Node]:
 
 
 def _large_cache(file: h5py.File) -> h5ac.CacheConfig:
-    """Settings with which the library keeps the headers of thousands of nodes in memory, rather than a megabyte."""
+    """Settings that let the library cache the headers of thousands of nodes; its default cache is one megabyte."""
     config = file.id.get_mdc_config()
     config.set_initial_size, config.initial_size = True, _CACHE_BYTES
     config.min_size, config.max_size = _CACHE_BYTES, 2 * _CACHE_BYTES
@@ -181,8 +181,8 @@ def _dtype(dataset: h5d.DatasetID, data_type: str) -> np.dtype[Any]:
 
 
 def _few_values(dataset: h5d.DatasetID, dims: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any] | None:
-    """The values of a small array, if they are all stored in the file itself: they take less memory than an open group
-    of the library, some 10 kB. ``None`` for others, whose faults are reported if they are asked for."""
+    """The values of a small array that is stored in the file itself, which take less memory than an open group of the
+    library (some 10 kB); ``None`` for other arrays, whose errors are reported when they are read."""
     size = math.prod(dims) * dtype.itemsize
     if not 0 < size <= _FEW_BYTES or dataset.get_storage_size() < size:
         return None
@@ -237,7 +237,7 @@ def _place(group: h5g.GroupID) -> int | None:
 
 
 def place_of(dataset: h5d.DatasetID) -> int | None:
-    """The first byte of an array in its file; ``None`` if it lies there in pieces, is packed or not stored at all."""
+    """Offset of an array in its file; ``None`` if it is stored in pieces, compressed, or not at all."""
     layout = dataset.get_create_plist()
     plain = layout.get_layout() == h5d.CONTIGUOUS and not layout.get_external_count()
     if not plain or not dataset.get_type().equal(h5t.py_create(dataset.dtype)):

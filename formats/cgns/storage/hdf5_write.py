@@ -28,7 +28,7 @@ def _text_type(length: int) -> h5t.TypeStringID:
 
 
 def _ordered() -> h5p.PropGCID:
-    """Groups that remember the order in which their members were made."""
+    """Creation properties of groups that track the order in which their members are created."""
     properties = h5p.create(h5p.GROUP_CREATE)
     properties.set_link_creation_order(h5p.CRT_ORDER_TRACKED | h5p.CRT_ORDER_INDEXED)
     properties.set_obj_track_times(False)
@@ -36,7 +36,7 @@ def _ordered() -> h5p.PropGCID:
 
 
 def _timeless() -> h5p.PropDCID:
-    """Datasets without the time at which they were made: equal grids are equal files."""
+    """Creation properties of datasets without time stamps, so that equal grids yield equal files."""
     properties = h5p.create(h5p.DATASET_CREATE)
     properties.set_obj_track_times(False)
     return properties
@@ -87,7 +87,7 @@ def own_group(parent: h5py.Group, node: Node) -> h5py.Group:
 
 def put_node(parent: h5py.Group, node: Node) -> None:
     """Add a node to a file being written, in the place of any node of the same name."""
-    # Whether there is a link of this name; where it leads does not matter.
+    # Whether there is a link of this name, wherever it points.
     if parent.id.links.exists(node.name.encode()):
         del parent[node.name]
     _write(parent.id, node, Path(), 0)

@@ -84,9 +84,9 @@ class Node:
 
     ``dtype`` is the type of the stored values (byte order included), ``None`` without data. ``read``, ``expand`` and
     ``follow`` fetch the data, the children and the link's target from the container; ``require`` raises FormatError
-    when less is stored than ``dims`` declare, so that nothing is allocated for it. ``place`` is the first byte of the
-    values in ``file``, if they lie there in one stretch as they are. ``placed`` is called with that byte when a node of
-    which only the type and ``dims`` are known is written, so that its values can follow.
+    when less is stored than ``dims`` declare, before memory is allocated. ``place`` is the offset of the values in
+    ``file``, if they are stored contiguously and unchanged. For a node of which only type and ``dims`` are known,
+    ``placed`` is called with that offset when the node is written, so that the values can be written later.
     """
 
     name: str
@@ -113,7 +113,7 @@ class Node:
     @property
     def target(self) -> Node:
         """The node with label, data and children; an empty node for a link that is broken or circular."""
-        # Not stored: a node that refers to itself is freed late, and with it an open group of the library.
+        # Not cached: a node that refers to itself would be freed late, and with it an open group of the library.
         return self if self.link is None else self._followed
 
     @cached_property
@@ -164,7 +164,7 @@ class Node:
         """The children whose targets cannot be found."""
         return tuple(child for child in self.children if child.dangling)
 
-    # Files of thousands of zones: each of them asks the base for its units.
+    # Cached for files of thousands of zones, each of which looks up the units of the base.
     @cached_property
     def _by_name(self) -> dict[str, Node]:
         """The first child of every name."""

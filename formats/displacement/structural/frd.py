@@ -26,7 +26,7 @@ _CORNERS = {1: (8, True), 2: (6, True), 3: (4, True), 4: (8, True), 5: (6, True)
             7: (3, False), 8: (3, False), 9: (4, False), 10: (4, False), 11: (2, False), 12: (2, False)}  # fmt: skip
 _NODES = {1: 8, 2: 6, 3: 4, 4: 20, 5: 15, 6: 10, 7: 3, 8: 6, 9: 4, 10: 8, 11: 2, 12: 3}
 _COMPLEX = ("DISPI", "PDISP")
-# Kind of analysis, of which the value of a step is a time, a frequency, a number.
+# Kinds of analysis, and the meaning of the value of a step: a time, a frequency or a number.
 _FREQUENCY = "2"
 
 

@@ -50,7 +50,7 @@ def _models(path: Path, geometry: Path) -> tuple[Any, Any]:
     try:
         from pyNastran.bdf.bdf import BDF
         from pyNastran.op2.op2 import OP2
-    # Versions that do not fit numpy lack attributes of it.
+    # pyNastran versions that do not fit the installed numpy raise AttributeError.
     except (ImportError, AttributeError) as error:
         raise FormatError(
             f"{path}: reading .op2 files needs pyNastran (pip install 'meshdeform[nastran]'): {error}"
@@ -59,7 +59,7 @@ def _models(path: Path, geometry: Path) -> tuple[Any, Any]:
     for read, file in ((model.read_bdf, geometry), (results.read_op2, path)):
         try:
             read(str(file))
-        # pyNastran raises whatever it stumbles over in a damaged file.
+        # On damaged files, pyNastran raises exceptions of any type.
         except (Exception, SystemExit) as error:
             reason = str(error).strip().splitlines()
             raise FormatError(

@@ -18,14 +18,14 @@ from ..numbering import rows_of
 from ..table import NO_TRIANGLES
 
 SHELLS = (3, 4)
-"""Corners of shells."""
+"""Numbers of corners of shell elements."""
 SOLIDS: Mapping[int, tuple[tuple[int, ...], ...]] = {
     4: ((0, 2, 1), (0, 1, 3), (1, 2, 3), (2, 0, 3)),
     5: ((0, 3, 2, 1), (0, 1, 4), (1, 2, 4), (2, 3, 4), (3, 0, 4)),
     6: ((0, 2, 1), (3, 4, 5), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5)),
     8: ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)),
 }
-"""The faces of a solid by its number of corners, numbered as CalculiX and Nastran do."""
+"""Corners of the faces of solids, by the number of corners of the solid, in the order of CalculiX and Nastran."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Results:
     points : (n, 3) of the surface
     triangles : (m, 3) rows of ``points``; none for models without shells and solids
     shapes : (n, 3) each
-    labels : what each one is, like ``12.5 Hz``
+    labels : label of each, like ``12.5 Hz``
     """
 
     points: FloatArray
@@ -78,7 +78,7 @@ def surface_results(
         raise FormatError(f"{path} has no displacements of nodes")
     triangles = np.concatenate([NO_TRIANGLES, *(split_cells(face, face.shape[1]) for face in faces)])
     used = np.unique(triangles) if len(triangles) else np.unique(numbers)
-    # Also of nodes that have two coordinates or none.
+    # This also covers nodes without coordinates, or with two of them.
     rows_of(path, numbers, used)
     shapes = []
     for each in found:

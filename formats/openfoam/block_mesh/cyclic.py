@@ -15,7 +15,7 @@ from .entries import reading_of, text_of
 from .layout import FoamPatch, Layout
 
 _TOLERANCE = 1e-5
-"""Of the size of the patches, between a corner and its image."""
+"""Largest distance between a corner and its image, relative to the size of the patches."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ def _connection(
     donor: tuple[int, Side, list[Shape]],
     motion: _Motion,
 ) -> Connection:
-    """From the indices of the corners of a side and of their images; corners as in :func:`_corners`."""
+    """The connection from the indices of the corners of a side and of their images, ordered as in :func:`_corners`."""
     (block, side, at), (other, there, images) = own, donor
     transform = [0, 0, 0]
     for axis, corner in zip(side.tangential, (1, 2), strict=True):

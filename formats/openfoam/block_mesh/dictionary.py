@@ -18,7 +18,7 @@ from ...files import read_head, require_regular
 
 _LARGEST_FILE = 64 * 2**20
 _DEEPEST = 50
-# A few macros of macros would otherwise fill any memory.
+# Bounds the memory of nested macros.
 _MOST_ITEMS = 5_000_000
 _MOST_ENTRIES = 100_000
 
@@ -98,7 +98,7 @@ def parse_dictionary(text: str, path: Path) -> Dictionary:
 
 
 class _Parser:
-    """Recursive descent over the tokens, which are looked ahead by one."""
+    """A recursive descent parser with one token of lookahead."""
 
     def __init__(self, text: str, path: Path):
         self._path = path

@@ -1,4 +1,4 @@
-"""Where the nodes of a block edge lie: its sections, each with a part of the length, of the cells and an expansion."""
+"""The nodes of a block edge, from sections that each have a share of the length and of the cells, and an expansion."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ def reversed_grading(grading: Grading) -> Grading:
 def divide(cells: int, grading: Sequence[Section]) -> FloatArray:
     """Parameters (cells + 1,) of the nodes from 0 to 1, as blockMesh places them.
 
-    An edge with fewer cells than sections is divided uniformly. The section with the largest share of cells takes what
-    rounding leaves.
+    An edge with fewer cells than sections is divided uniformly. The section with the largest share of cells absorbs
+    the rounding.
     """
     if cells < len(grading):
         return np.linspace(0.0, 1.0, cells + 1)

@@ -26,7 +26,7 @@ class Reading:
 
     @property
     def line(self) -> int:
-        """Of the next item, or the last one."""
+        """Line of the next item, or of the last one."""
         return getattr(self._items[self._at], "line", self._line) if self.more else self._line
 
     def fail(self, message: str) -> NoReturn:
@@ -48,7 +48,7 @@ class Reading:
         return item.text.strip('"')
 
     def next_word(self) -> str | None:
-        """The next item if it is a word that is no number; else nothing is taken."""
+        """Take the next item if it is a word and not a number."""
         item = self._items[self._at] if self.more else None
         if not isinstance(item, Atom) or number_in(item.text) is not None:
             return None
@@ -56,7 +56,7 @@ class Reading:
         return item.text.strip('"')
 
     def next_number(self) -> float | None:
-        """The next item if it is a number; else nothing is taken."""
+        """Take the next item if it is a number."""
         item = self._items[self._at] if self.more else None
         value = number_in(item.text) if isinstance(item, Atom) else None
         self._at += value is not None
@@ -118,7 +118,7 @@ def describe(item: Item) -> str:
 
 
 def reading_of(dictionary: Dictionary, key: str) -> Reading:
-    """The items of an entry; without items if it does not exist."""
+    """A cursor over the items of an entry; over none if it does not exist."""
     value = dictionary.entries.get(key, ())
     items = (value,) if isinstance(value, Dictionary) else value
     return Reading(dictionary, items, dictionary.lines.get(key, dictionary.line))

@@ -37,7 +37,7 @@ class HexBlock:
 
 @dataclass(frozen=True)
 class Layout:
-    """What blockMesh makes a mesh of.
+    """The geometry from which blockMesh generates a mesh.
 
     Attributes
     ----------

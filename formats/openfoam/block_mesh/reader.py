@@ -1,4 +1,4 @@
-"""blockMeshDict files: the nodes that blockMesh makes of them.
+"""blockMeshDict files, and the nodes that blockMesh generates from them.
 
 Nodes inside a block are blended from its twelve edges, each divided by its own grading and, where it is curved, placed
 on its curve. Source: C. Greenshields, "OpenFOAM user guide", section "Mesh generation with blockMesh"; positions agree
@@ -25,11 +25,11 @@ from .layout import HexBlock, Layout, read_layout
 
 # Local vertices at the ends of the twelve edges: four along i, four along j, four along k.
 _EDGES = ((0, 1), (3, 2), (7, 6), (4, 5), (0, 3), (1, 2), (5, 6), (4, 7), (0, 4), (1, 5), (2, 6), (3, 7))
-# Bytes per node while the nodes are made, and nodes that are made at once.
+# Bytes per node while nodes are generated, and number of nodes generated at a time.
 _NODE_BYTES = 40
 _AT_ONCE = 50_000
 _TOLERANCE = 1e-3
-"""Of the local spacing, between the nodes of two blocks on their common edge."""
+"""Largest distance between the nodes of two blocks on a common edge, relative to the local spacing."""
 
 
 def read_block_mesh(path: Path) -> Grid:
@@ -76,7 +76,7 @@ def _edges(layout: Layout, block: HexBlock) -> list[tuple[FloatArray, FloatArray
 
 
 def _require_matching(layout: Layout, edges: Sequence[Sequence[tuple[FloatArray, FloatArray]]]) -> None:
-    """Refuse blocks with other nodes than their neighbours on a common edge: blockMesh joins blocks by vertices."""
+    """Refuse blocks whose nodes differ from their neighbours' on a common edge: blockMesh joins blocks by vertices."""
     seen: dict[tuple[int, int], tuple[HexBlock, FloatArray]] = {}
     for block, own in zip(layout.blocks, edges, strict=True):
         for (a, b), (_, points) in zip(_EDGES, own, strict=True):
@@ -118,8 +118,8 @@ def _contributions(
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Weights (ni, nj, nk) and positions of the edges, for some layers.
 
-    The weights of the four edges of one direction add up to one. The straight edges of all directions count a third,
-    what curves add to them counts once.
+    The weights of the four edges of one direction add up to one. Straight edges count a third in each direction; the
+    deviations of curved edges count in full.
     """
     at = [
         (values[rows] if number < 4 else values).reshape([-1 if axis == number // 4 else 1 for axis in range(3)])
@@ -137,7 +137,7 @@ def _contributions(
 
 
 def _weight(at: Sequence[FloatArray], number: int) -> FloatArray:
-    """How much an edge counts at the nodes: one at its own nodes, falling to zero at the opposite edges.
+    """The weight of an edge at the nodes: one at its own nodes, falling to zero at the opposite edges.
 
     At each of its ends it is the product of the parameters, towards that end, of the other two edges there.
     """

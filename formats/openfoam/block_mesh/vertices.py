@@ -22,7 +22,7 @@ class Vertices:
     names: Mapping[str, int]
 
     def take(self, items: Reading) -> int:
-        """The number of the vertex that comes next."""
+        """Take the next vertex; returns its number."""
         word = items.next_word()
         if word is not None:
             if word not in self.names:

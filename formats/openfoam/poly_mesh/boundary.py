@@ -63,7 +63,7 @@ def boundary_patches(grid: Grid, topology: Topology, cells: IntArray) -> list[Bo
 
 
 def _parted(marker: Marker, ends: np.ndarray) -> list[Marker]:
-    """Apart from the rest of its family, the faces on the sides of a plane grid."""
+    """Split off the faces of a family that lie on the two sides of a plane grid."""
     own = ends[marker.quads]
     if marker.partner or own.all() or not own.any():
         return [marker]
@@ -89,7 +89,7 @@ def _type(grid: Grid, topology: Topology, marker: Marker, ends: np.ndarray) -> s
 
 
 def _words(names: Sequence[str]) -> list[str]:
-    """The names as different words."""
+    """The names converted to distinct words of OpenFOAM."""
     found: list[str] = []
     for name in names:
         word = plain = _FORBIDDEN.sub("_", name).strip("_") or "patch"
@@ -127,7 +127,7 @@ def _vector(values: FloatArray) -> str:
 def _aligned(
     grid: Grid, topology: Topology, markers: Sequence[Marker], patches: list[BoundaryPatch]
 ) -> list[BoundaryPatch]:
-    """The second patch of each pair with the image of the other's first corner first in every face."""
+    """The second patch of each pair, with every face starting at the image of the first corner of its partner."""
     by_name = {marker.name: number for number, marker in enumerate(markers)}
     points = grid.points[topology.first]
     for number, marker in enumerate(markers):

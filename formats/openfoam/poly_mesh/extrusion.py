@@ -1,4 +1,4 @@
-"""Plane grids as OpenFOAM has them: one layer of cells between two sides of type ``empty``."""
+"""Plane grids in OpenFOAM's form: one layer of cells between two sides of type ``empty``."""
 
 from __future__ import annotations
 

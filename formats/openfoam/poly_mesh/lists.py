@@ -1,4 +1,4 @@
-"""Files with OpenFOAM's lists: points, faces, labels; as text or binary, packed with gzip or not."""
+"""Files of OpenFOAM's lists of points, faces and labels, as text or binary, optionally compressed with gzip."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ...files import reason_of, require_regular
 
 _ROWS_AT_ONCE = 20_000
 _LABEL = np.dtype("<i4")
-# No line of text with three numbers is longer; more than this is never unpacked.
+# Largest length of a line of text with three numbers, which bounds what is decompressed.
 _POINT_BYTES = 100
 _BANNER = "/* Written by meshdeform */\n"
 

@@ -1,1 +1,1 @@
-"""What a picture shows of a grid: polygons of planes and surfaces, walls, the worst cell, values for the colours."""
+"""The content of pictures: polygons of planes and surfaces, walls, the worst cell, values for the colours."""

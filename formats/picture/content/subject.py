@@ -16,9 +16,9 @@ __all__ = ["METRICS", "Cells", "Metric", "Subject"]
 
 @dataclass(frozen=True)
 class Metric:
-    """What cells are coloured by: label of the colour bar, the range that is always shown, if any.
+    """The measure that colours cells: its values, the label of the colour bar, the range that is always shown, if any.
 
-    ``diverging`` values have a neutral one, 1; of ``rising`` ones the large are the bad ones.
+    ``diverging`` measures have the neutral value 1; for ``rising`` ones large values are bad.
     """
 
     label: str
@@ -41,11 +41,11 @@ METRICS = {
 
 @dataclass(frozen=True)
 class Subject(CellFields):
-    """A grid to draw; cells that became invalid are marked against the reference, without one all that are."""
+    """A grid to draw; cells that are invalid are marked, with a reference only those that became invalid."""
 
     @cached_property
     def thin(self) -> FloatArray | None:
-        """Normal of the plane of a 2-D grid or of one that is one cell thick."""
+        """Normal of the plane of a 2-D grid, or of a grid that is one cell thick."""
         return thin_direction(self.grid)
 
     @cached_property

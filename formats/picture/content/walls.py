@@ -1,4 +1,4 @@
-"""The walls of a grid as pictures show them: from which side, and where to cut."""
+"""Views and cuts of the walls of a grid for pictures."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from .subject import Subject
 
 
 def body_walls(subject: Subject) -> tuple[Surface, ...]:
-    """Walls of bodies in the grid, and what is likely a thin plate."""
+    """Walls of bodies in the grid, and likely thin plates."""
     return subject.outside.bodies + subject.outside.plates
 
 
 def all_walls(subject: Subject) -> tuple[Surface, ...]:
-    """All walls, and what is likely a thin plate."""
+    """All walls, and likely thin plates."""
     return subject.outside.of_role(Role.WALL) + subject.outside.plates
 
 
@@ -43,7 +43,7 @@ def nodes_of(subject: Subject, surfaces: Iterable[Surface]) -> FloatArray:
 
 
 def onto_walls(subject: Subject) -> View:
-    """From in front of all axes, with symmetry planes behind the walls."""
+    """An isometric view onto the walls, with symmetry planes behind them."""
     direction = np.array([0.8, -1.0, 0.7])
     walls = body_walls(subject)
     middle = _box_of(walls).mean(axis=0) if walls else None
@@ -71,7 +71,7 @@ def _box_of(walls: Sequence[Surface]) -> FloatArray:
 
 
 def cut_plane(subject: Subject, walls: Sequence[Surface]) -> Plane:
-    """Through the middle of the walls, parallel to a symmetry plane, else across their longest extent."""
+    """A plane through the middle of the walls, parallel to a symmetry plane or else across their longest extent."""
     box = _box_of(walls)
     normal = np.zeros(3)
     mirrors = subject.outside.of_role(Role.SYMMETRY)
@@ -83,7 +83,7 @@ def cut_plane(subject: Subject, walls: Sequence[Surface]) -> Plane:
 
 
 def middle_plane(subject: Subject) -> Plane:
-    """Through the middle of the bodies, else of the grid, across its shortest extent."""
+    """A plane through the middle of the bodies, or else of the grid, across the shortest extent."""
     walls = body_walls(subject)
     if walls:
         return cut_plane(subject, walls)

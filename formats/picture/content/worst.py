@@ -23,7 +23,7 @@ def worst_cell(subject: Subject, metric: str) -> tuple[int, Shape]:
         rank = np.where(np.isfinite(values), rank, np.inf)
         bad = subject.bad(block, cells)
         if bad.any():
-            # Below all that is valid, by how far the corner is turned inside out.
+            # Invalid cells rank below all valid ones, by the size of their negative corner Jacobian.
             scaled = subject.measure(block, cells).scaled
             rank = np.where(bad, -1e300 * (1.0 - 0.5 * scaled) / 1.5, rank)
         at = int(np.argmin(rank))

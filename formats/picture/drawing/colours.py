@@ -1,4 +1,4 @@
-"""Colours that colour-blind people can tell apart: of values and of groups."""
+"""Colours of values and of groups, chosen so that colour-blind people can distinguish them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ..content.subject import METRICS
 from .image import INVALID_COLOUR
 
 _REACHES = (0.01, 0.02, 0.05)
-"""Shortest ranges of metrics with an end that is always shown; longer ones are whole tenths."""
+"""Shortest ranges for metrics with a fixed end; longer ones are multiples of a tenth."""
 SEQUENTIAL, DIVERGING = "viridis", "PuOr"
 NO_VALUE = (0.86, 0.86, 0.87)
 GROUPS = (

@@ -36,11 +36,11 @@ STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
 }
 _CORNER = 64.0
-"""Width of the triad of axes, in points, at its full size."""
+"""Full width of the triad of axes, in points."""
 _HIGH = 3.5
-"""Height of a figure, in inches, whose colour bar has room for its label in one line."""
+"""Height of a figure, in inches, from which on the label of the colour bar fits in one line."""
 _VECTOR_POLYGONS = 6000
-"""Most polygons that flat pictures in .svg and .pdf files draw as lines; larger ones are an image."""
+"""Largest number of polygons drawn as lines in flat .svg and .pdf pictures; with more they become an image."""
 
 
 def check_picture_path(path: Path) -> None:
@@ -54,7 +54,7 @@ def check_picture_path(path: Path) -> None:
 def save_page(page: Page, path: Path, width: float = 7.2) -> None:
     """Write a page; the suffix picks png, svg or pdf, ``width`` is in inches."""
     check_picture_path(path)
-    # In memory first: matplotlib cannot close a file on a full disk.
+    # Into memory first, as matplotlib cannot close a file on a full disk.
     buffer = io.BytesIO()
     _save(page, buffer, path.suffix.lower().lstrip("."), width, STYLE["savefig.dpi"])
     with replacing(path) as partial:
@@ -76,7 +76,7 @@ def page_figure(page: Page, width: float = 7.2, dpi: int = 150, fine: int = FINE
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     with mpl.rc_context(STYLE | {"figure.dpi": dpi, "savefig.dpi": dpi}):
-        # Ticks may change when panels get their final shape: some room for their labels.
+        # Ticks may change when panels get their final shape, so that their labels need some room.
         layout = ConstrainedLayoutEngine(w_pad=0.08)
         figure = Figure(figsize=_size(page, width), layout=layout)
         FigureCanvasAgg(figure)
@@ -138,7 +138,7 @@ def _frames(figure: Figure, page: Page) -> list[Axes]:
             ax.set_axis_off()
     if page.scale:
         mappable = plt.cm.ScalarMappable(page.scale.norm(), page.scale.map_name)
-        # The label is not to be longer than the bar.
+        # Keeps the label shorter than the bar.
         label = page.scale.label if figure.get_figheight() > _HIGH else page.scale.label.replace(" (", "\n(")
         bar = figure.colorbar(mappable, ax=axes, label=label, shrink=0.85, aspect=28, pad=0.015,
                               extend=page.scale.extended)  # fmt: skip
@@ -160,7 +160,7 @@ def _fill(ax: Axes, panel: Panel, fine: int, vector: bool) -> None:
         _paint(ax, panel.under, panel, fine, vector)
     image = _paint(ax, panel.scene, panel, fine, vector, alpha=1.0 if panel.under is None else 0.75)
     _mark_invalid(ax, panel)
-    # Only now: the layout measures labels and titles where they are when the panel fills its place.
+    # Not earlier: the layout measures labels and titles with panels of their full size.
     ax.set(xlim=panel.window[:2], ylim=panel.window[2:], aspect="equal")
     if not panel.view.flat:
         size = _triad_size(ax)
@@ -202,7 +202,7 @@ def _paint(ax: Axes, scene: Scene, panel: Panel, fine: int, vector: bool, alpha:
 
         add_polygons(ax, scene, panel.view, panel.window, alpha)
         return None
-    # More pixels, each of fewer samples: a file that is enlarged later takes as long as another.
+    # More pixels with fewer samples each, so that files that can be enlarged take no longer than others.
     more, fine = (1.5, min(fine, 2)) if vector else (1.0, fine)
     width = max(64, round(ax.get_window_extent().width * more))
     image = render(scene, panel.view, panel.window, width, fine)
@@ -232,8 +232,8 @@ def _triad_size(ax: Axes) -> float:
 
 
 def _free_corner(scene: Scene, image: Image | None, part: float) -> tuple[float, float]:
-    """The corner of a panel, in parts of its width and height, that shows least of what is not mere backdrop; corners
-    are squares with sides of a ``part`` of the width."""
+    """The corner of a panel, in fractions of its width and height, that shows least apart from the backdrop; corners
+    are squares whose side is the fraction ``part`` of the width."""
     corners = ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0))
     if image is None:
         return corners[0]

@@ -69,7 +69,7 @@ def render(scene: Scene, view: View, window: Window, width: int, fine: int = FIN
 
     corners = pixels(scene.facets.corners)
     if not scene.lit:
-        # Cells that are turned inside out lie on their neighbours: they are the ones to be seen.
+        # Inverted cells overlap their neighbours and are drawn in front of them.
         corners[scene.facets.bad, :, 2] += fine
     seen = _inside(corners, shape)
     number = np.flatnonzero(seen)
@@ -83,7 +83,7 @@ def render(scene: Scene, view: View, window: Window, width: int, fine: int = FIN
 
 
 def _inside(points: FloatArray, shape: tuple[int, int]) -> np.ndarray:
-    """Of polygons (n, m, 3) in pixels those that may touch the image."""
+    """The polygons (n, m, 3), in pixels, that may touch the image."""
     low, high = points[..., :2].min(axis=1), points[..., :2].max(axis=1)
     return np.asarray(((high >= 0) & (low <= (shape[1], shape[0]))).all(axis=1))
 
@@ -93,7 +93,7 @@ def _composed(scene: Scene, view: View, item: np.ndarray, line: np.ndarray, cove
     colours = (scene.colours * _light(scene, view)[:, None] if scene.lit else scene.colours).astype(np.float32)
     height, width = item.shape
     result = np.empty((height // fine, width // fine, 4), dtype=np.float32)
-    # Strip by strip: the enlarged image is large.
+    # In strips, as the enlarged image is large.
     rows = max(fine, fine * (2_000_000 // (width * fine)))
     for start in range(0, height, rows):
         part = slice(start, min(start + rows, height))

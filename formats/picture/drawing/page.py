@@ -1,4 +1,4 @@
-"""A page of panels: what is drawn, before anything is."""
+"""The description of a page of panels to be drawn."""
 
 from __future__ import annotations
 
@@ -59,5 +59,5 @@ class Page:
 
     @property
     def invalid(self) -> int:
-        """Invalid cells in the panel that shows most of them."""
+        """Number of invalid cells in the panel that shows the most of them."""
         return max((int(panel.scene.facets.bad.sum()) for panel in self.panels), default=0)

@@ -27,7 +27,7 @@ def add_polygons(ax: Axes, scene: Scene, view: View, window: Window, alpha: floa
     low, high = flat.min(axis=1), flat.max(axis=1)
     left, right, bottom, top = window
     seen = ((high >= (left, bottom)) & (low <= (right, top))).all(axis=1)
-    # Cells that are turned inside out lie on their neighbours: they are drawn last.
+    # Inverted cells overlap their neighbours and are drawn last.
     seen = np.flatnonzero(seen)[np.argsort(scene.facets.bad[seen], kind="stable")]
     widths, strength = _line_widths(flat[seen], ax.get_window_extent().width * 72 / ax.figure.dpi / (right - left))
     edges = np.concatenate([np.tile(LINE_COLOUR, (len(widths), 1)), 0.62 * strength[:, None]], axis=1)
@@ -61,7 +61,7 @@ def draw(
 ) -> Any:  # fmt: skip
     """Draw polygons into matplotlib axes, far ones first; returns the collection (for a colour bar).
 
-    For figures that are put together elsewhere. ``limits`` of the colours default to those of the values.
+    For figures assembled by the caller. ``limits`` of the colours default to those of the values.
     """
     from matplotlib.collections import PolyCollection
 

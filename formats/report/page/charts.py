@@ -31,7 +31,7 @@ def _bars(before: Sequence[int] | None, after: Sequence[int], decades: int) -> I
 
 
 def _decade_height(count: float, decades: int) -> float:
-    """Half a decade is left below 1, so that a single cell has a bar."""
+    """Height of a decade; half a decade below 1 is included so that a single cell has a visible bar."""
     share = (math.log10(count) + 0.5) / (decades + 0.5)
     return _TOP + (_HEIGHT - _TOP - _BOTTOM) * (1.0 - share)
 
@@ -74,7 +74,7 @@ def ticks(low: float, high: float, count: int = 5) -> list[float]:
 
 
 def labels(values: Sequence[float]) -> list[str]:
-    """Distinct labels of ticks: with as many digits as that takes, or as differences from the first one."""
+    """Distinct labels of ticks, with as many digits as necessary, or as differences from the first one."""
     for digits in range(4, 9):
         texts = [f"{value:.{digits}g}" for value in values]
         if len(set(texts)) == len(values) and all(
