@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import datetime
+import math
 from collections.abc import Iterable
+from typing import Any
 
 
 def counted(count: int, noun: str, plural: str = "") -> str:
@@ -13,3 +16,18 @@ def counted(count: int, noun: str, plural: str = "") -> str:
 def vector(values: Iterable[float], digits: int = 10) -> str:
     """``(0.3, 0, -1)``: a point or vector in a message."""
     return f"({', '.join(f'{value + 0.0:.{digits}g}' for value in values)})"
+
+
+def literal(value: Any) -> str:
+    """A value in a message, as TOML writes it: ``true``, ``{ angle = 5 }``, ``1979-05-27 (a date)``."""
+    if isinstance(value, dict):
+        return f"{{ {', '.join(f'{key} = {literal(item)}' for key, item in value.items())} }}" if value else "{}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(literal(item) for item in value)}]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, float) and math.isinf(value):
+        return "infinity" if value > 0 else "-infinity"
+    if isinstance(value, datetime.date | datetime.time):
+        return f"{value.isoformat()} (a {'time' if isinstance(value, datetime.time) else 'date'})"
+    return repr(value)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from meshdeform_core.grid.connectivity.components import BY_PREFIX, Components
+from meshdeform_core.wording import literal
 
 from .values import Table, check_keys, fail, file_of
 
@@ -48,7 +49,7 @@ def components_of(grid: Table, folder: Path) -> ComponentsEntry:
     if value in ("", BY_PREFIX):
         return ComponentsEntry(value)
     if not isinstance(value, dict) or not value:
-        raise fail("grid.components", f"found {value!r}; {_EXPECTED}")
+        raise fail("grid.components", f"found {literal(value)}; {_EXPECTED}")
     files = {name: _file(name, entry, folder) for name, entry in value.items() if isinstance(entry, dict)}
     own = {name: _patterns(name, entry) for name, entry in value.items() if name not in files}
     if files and not own:
@@ -71,5 +72,5 @@ def _file(name: str, entry: Table, folder: Path) -> ComponentFile:
 def _patterns(name: str, entry: Any) -> tuple[str, ...]:
     patterns = [entry] if isinstance(entry, str) else entry
     if not isinstance(patterns, list) or not patterns or not all(isinstance(each, str) for each in patterns):
-        raise fail(f"grid.components.{name}", f"found {entry!r}; {_EXPECTED}")
+        raise fail(f"grid.components.{name}", f"found {literal(entry)}; {_EXPECTED}")
     return tuple(patterns)

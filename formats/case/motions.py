@@ -17,6 +17,7 @@ from meshdeform_core.boundary.motions.section import Airfoil
 from meshdeform_core.boundary.tables.matching import Matching, SurfaceData
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray, Grid, IntArray
+from meshdeform_core.wording import literal
 
 from ..displacement import read_displacement
 from ..displacement.structural import read_shapes
@@ -37,12 +38,12 @@ def _ffd(value: Any, known: Sequence[str], folder: Path, where: str) -> Step:
     frame = np.array([_vector(edge, f"{where}: edges") for edge in three_of(edges, f"{where}: edges")])
     if not abs(np.linalg.det(frame)) > 1e-12 * float(np.prod(np.linalg.norm(frame, axis=1))):
         raise fail(
-            where, f"edges = {edges!r} span no volume; expected three directions, like [[1,0,0],[0,1,0],[0,0,1]]"
+            where, f"edges = {literal(edges)} span no volume; expected three directions, like [[1,0,0],[0,1,0],[0,0,1]]"
         )
     counts = three_of(table.get("points"), f"{where}: points")
     if any(not isinstance(n, int) or isinstance(n, bool) or n < 2 for n in counts) or np.prod(counts) > _MOST_CONTROLS:
         raise fail(
-            where, f"points = {counts!r}; expected three numbers of control points of at least 2 along each edge"
+            where, f"points = {literal(counts)}; expected three numbers of control points of at least 2 along each edge"
         )
     moves = table.get("move")
     if not isinstance(moves, list) or not moves:
@@ -67,7 +68,7 @@ def _numbers(entry: Any, count: int, where: str) -> range:
     if entry == "*":
         return range(count)
     if not isinstance(entry, int) or isinstance(entry, bool) or not 1 <= entry <= count:
-        raise fail(where, f'at: found {entry!r}; expected a control point from 1 to {count}, or "*" for all')
+        raise fail(where, f'at: found {literal(entry)}; expected a control point from 1 to {count}, or "*" for all')
     return range(entry - 1, entry)
 
 
@@ -92,7 +93,7 @@ def _rigid(value: Any, known: Sequence[str], folder: Path, where: str) -> Step:
     ):
         raise fail(
             where,
-            f"order = {order!r}; expected, for angles rx ry rz in degrees and only for them, the sequence of axes: "
+            f"order = {literal(order)}; expected, only for angles rx ry rz in degrees, the sequence of axes: "
             '"xyz" about the fixed axes, "XYZ" about those of the body',
         )
     if quaternions is not None:
@@ -150,7 +151,7 @@ def _shapes(table: Table, folder: Path, where: str) -> tuple[SurfaceData | Grid,
     chosen = table.get("shapes", list(range(1, len(found) + 1)))
     known = range(1, len(found) + 1)
     if not isinstance(chosen, list) or not chosen or any(isinstance(n, bool) or n not in known for n in chosen):
-        raise fail(where, f"shapes = {chosen!r}; expected numbers from 1 to {len(found)}, which {path} has")
+        raise fail(where, f"shapes = {literal(chosen)}; expected numbers from 1 to {len(found)}, which {path} has")
     return tuple(found[int(n) - 1] for n in chosen)
 
 
@@ -159,10 +160,10 @@ def _airfoil(value: Any, known: Sequence[str], folder: Path, where: str) -> Step
     table = _table(value, ("file", "plane", "fit"), where)
     plane, fit = table.get("plane", "xy"), table.get("fit", "chord")
     if not isinstance(plane, str) or sorted(plane) not in (["x", "y"], ["x", "z"], ["y", "z"]):
-        raise fail(where, f'plane = {plane!r}; expected the axes along the chord and upwards, like "xy" or "xz"')
+        raise fail(where, f'plane = {literal(plane)}; expected the axes along the chord and upwards, like "xy" or "xz"')
     if fit not in ("chord", "none"):
         raise fail(
-            where, f'fit = {fit!r}; expected "chord" (leading and trailing edge stay) or "none" (as in the file)'
+            where, f'fit = {literal(fit)}; expected "chord" (leading and trailing edge stay) or "none" (as in the file)'
         )
     path = file_of(table.get("file"), folder, f"{where}: file")
     axes = ("xyz".index(plane[0]), "xyz".index(plane[1]))
@@ -184,7 +185,7 @@ def _positions(value: Any, known: Sequence[str], folder: Path, where: str) -> St
 
 def _table(value: Any, known: Sequence[str], where: str) -> Table:
     if not isinstance(value, dict):
-        raise fail(where, f"found {value!r}; expected a table with {', '.join(known)}")
+        raise fail(where, f"found {literal(value)}; expected a table with {', '.join(known)}")
     check_keys(value, known, where)
     return value
 

@@ -21,6 +21,7 @@ from meshdeform_core.errors import CaseError, MethodError, suggestion
 from meshdeform_core.grid.topology import RELATIVE_TOLERANCE
 from meshdeform_core.methods import IDW, RBF, TFI, Options, entry_of
 from meshdeform_core.repair import RepairOptions
+from meshdeform_core.wording import literal
 
 from ..displacement import read_displacement
 from .components import ComponentFile, components_of
@@ -173,7 +174,7 @@ def _open_faces(grid: Table) -> bool | tuple[str, ...]:
     if isinstance(value, bool):
         return value
     if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
-        raise fail("grid.open", f'expected true, or faces like ["block1.imax"], found {value!r}')
+        raise fail("grid.open", f'expected true, or faces like ["block1.imax"], found {literal(value)}')
     return tuple(value)
 
 
@@ -181,7 +182,7 @@ def _plates(grid: Table) -> tuple[str, ...]:
     """``grid.plates``: a list of faces."""
     value = grid.get("plates", [])
     if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
-        raise fail("grid.plates", f'expected faces like ["block1.kmax[10:20,*]"], found {value!r}')
+        raise fail("grid.plates", f'expected faces like ["block1.kmax[10:20,*]"], found {literal(value)}')
     return tuple(value)
 
 
@@ -207,15 +208,15 @@ def _constants(table: Table) -> dict[str, float]:
 
 def _boundary(entry: Table, number: int, constants: Mapping[str, float], folder: Path) -> BoundarySpec:
     name = entry.get("name", f"boundary {number}")
-    where = f"boundary {name!r}"
+    where = f"boundary {literal(name)}"
     check_keys(entry, ("name", "select", "where", "kind", "motion"), where)
     if not isinstance(name, str):
-        raise fail(where, f"name = {name!r}; expected a text in quotes")
+        raise fail(where, f"name = {literal(name)}; expected a text in quotes")
     kind = _kind(entry, where)
     select = entry.get("select", ["*"])
     select = [select] if isinstance(select, str) else select
     if not isinstance(select, list) or not select or not all(isinstance(item, str) for item in select):
-        raise fail(where, f'select = {select!r}; expected a list of names, like ["wing", "block2.jmin"]')
+        raise fail(where, f'select = {literal(select)}; expected a list of names, like ["wing", "block2.jmin"]')
     steps = entry.get("motion", [])
     if (kind is Kind.MOVING) != bool(steps):
         missing = "moves but has no motion" if kind is Kind.MOVING else f"is {kind.label} but has a motion"
@@ -228,7 +229,9 @@ def _boundary(entry: Table, number: int, constants: Mapping[str, float], folder:
 def _condition(value: Any, constants: Iterable[str], where: str) -> Expression:
     condition = formula_of(value, (*constants, "x", "y", "z"), f"{where}: where")
     if not condition.is_condition:
-        raise fail(where, f"where = {value!r} is neither true nor false; expected a condition, like x > 0.5 and y < 1")
+        raise fail(
+            where, f"where = {literal(value)} is neither true nor false; expected a condition, like x > 0.5 and y < 1"
+        )
     return condition
 
 
@@ -239,7 +242,7 @@ def _kind(entry: Table, where: str) -> Kind:
         raise fail(where, f"has no kind; {known}")
     kind = entry.get("kind", "moving")
     if not isinstance(kind, str) or kind not in _KINDS:
-        raise fail(where, f"kind = {kind!r}; {known}{suggestion(kind, _KINDS)}")
+        raise fail(where, f"kind = {literal(kind)}; {known}{suggestion(kind, _KINDS)}")
     return _KINDS[kind]
 
 
@@ -285,7 +288,7 @@ def _matching(step: Table, where: str) -> Matching:
 
 def _rotation(value: Any, known: tuple[str, ...], where: str) -> Rotate:
     if not isinstance(value, dict):
-        raise fail(where, f"rotate = {value!r}; expected {{ angle = degrees, axis = [..], center = [..] }}")
+        raise fail(where, f"rotate = {literal(value)}; expected {{ angle = degrees, axis = [..], center = [..] }}")
     check_keys(value, ("angle", "axis", "center"), f"{where}, rotate")
     if "angle" not in value:
         raise fail(where, "rotate has no angle; expected degrees, or a formula of t")
@@ -306,7 +309,7 @@ def _options(table: Table) -> Options:
     check_keys(table, [f.name for f in fields(Options)], "[method]")
     name = table.get("name", Options().name)
     if not isinstance(name, str):
-        raise fail("method.name", f"expected a name, found {name!r}")
+        raise fail("method.name", f"expected a name, found {literal(name)}")
     parts = {part: _build(kind, table_of(table, part, "method."), f"[method.{part}]")
              for part, kind in (("idw", IDW), ("rbf", RBF), ("tfi", TFI))}  # fmt: skip
     return Options.relevant(name, **parts)

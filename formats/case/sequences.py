@@ -15,6 +15,7 @@ from meshdeform_core.boundary.motions.motion import FollowSequence
 from meshdeform_core.boundary.tables.matching import Matching, SurfaceData
 from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import Grid
+from meshdeform_core.wording import literal
 
 from ..displacement import read_displacement
 
@@ -70,11 +71,13 @@ def sequence_files(value: Any, folder: Path, where: str) -> list[Path]:
     if isinstance(value, str) and value and "\0" not in value:
         found = glob.glob(os.path.join(glob.escape(str(folder)), value))
         if not found:
-            raise CaseError(f"{where}: no file matches {value!r} in {folder.absolute()}")
+            raise CaseError(f"{where}: no file matches {literal(value)} in {folder.absolute()}")
         return [Path(name) for name in sorted(found, key=_numerically)]
     if isinstance(value, list) and value and all(isinstance(name, str) and name and "\0" not in name for name in value):
         return [folder / name for name in value]
-    raise CaseError(f'{where}: files = {value!r}; expected a pattern like "surface_*.csv" or a list of file names')
+    raise CaseError(
+        f'{where}: files = {literal(value)}; expected a pattern like "surface_*.csv" or a list of file names'
+    )
 
 
 def _numerically(name: str) -> list[tuple[int, str]]:
@@ -99,7 +102,7 @@ def read_sequence(files: Any, times: Any, folder: Path, matching: Matching, wher
 
 
 def files_over_time(files: Any, times: Any, folder: Path, where: str) -> tuple[list[Path], tuple[float, ...]]:
-    """Existing files and as many times.
+    """Files, which must exist, and their times, one for each file.
 
     Raises
     ------
@@ -123,6 +126,6 @@ def _times(value: Any, where: str) -> tuple[float, ...]:
     if isinstance(value, str):
         return parse_times(value, where)
     if not isinstance(value, list) or any(isinstance(n, bool) or not isinstance(n, (int, float)) for n in value):
-        found = "there are none" if value is None else f"found {value!r}"
+        found = "there are none" if value is None else f"found {literal(value)}"
         raise CaseError(f"{where}: {found}; {_EXPECTED}")
     return _ascending(value, where)

@@ -13,6 +13,7 @@ import numpy as np
 
 from meshdeform_core.boundary.motions.expression import Expression, expression
 from meshdeform_core.errors import CaseError, suggestion
+from meshdeform_core.wording import literal
 
 Table = dict[str, Any]
 _DEEPEST = 100
@@ -40,7 +41,7 @@ def table_of(data: Table, key: str, prefix: str = "") -> Table:
     """The table of a key, empty if there is none; ``prefix`` is the dotted path of the enclosing tables."""
     value = data.get(key, {})
     if not isinstance(value, dict):
-        raise fail(f"{prefix}{key}", f"expected a table [{prefix}{key}], found {value!r}")
+        raise fail(f"{prefix}{key}", f"expected a table [{prefix}{key}], found {literal(value)}")
     return value
 
 
@@ -56,21 +57,21 @@ def check_keys(table: Table, known: Iterable[str], where: str) -> None:
 def three_of(value: Any, where: str) -> list[Any]:
     """A list of three values of any type."""
     if not isinstance(value, list) or len(value) != 3:
-        raise fail(where, f"expected three values, found {value!r}")
+        raise fail(where, f"expected three values, found {literal(value)}")
     return value
 
 
 def file_of(value: Any, folder: Path, where: str) -> Path:
     """A file name, relative to the folder of the case file."""
     if not isinstance(value, str) or not value or "\0" in value:
-        raise fail(where, f"expected a file name, found {value!r}")
+        raise fail(where, f"expected a file name, found {literal(value)}")
     return folder / value
 
 
 def number_of(value: Any, where: str) -> float:
     """A finite number; booleans are refused."""
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) < float("inf"):
-        raise fail(where, f"expected a finite number, found {value!r}")
+        raise fail(where, f"expected a finite number, found {literal(value)}")
     return float(value)
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import MethodError
+from ..wording import literal
 from .base import Setting
 
 
@@ -35,7 +36,7 @@ def used(options: Any, *names: str) -> dict[str, Setting]:
 def choose(name: str, value: Any, known: tuple[Any, ...]) -> None:
     """Refuse a value that is not one of ``known``."""
     if not any(value == k and type(value) is type(k) for k in known):
-        raise MethodError(f"method.{name} = {value!r} is unknown; known are {', '.join(str(k) for k in known)}")
+        raise MethodError(f"method.{name} = {literal(value)} is unknown; known are {', '.join(str(k) for k in known)}")
 
 
 def positive(
@@ -49,6 +50,6 @@ def positive(
         kind = "whole number" if whole else "number"
         expected = f"a {kind} >= 0" if zero else f"a positive {kind}"
         alternative = ' or "auto"' if auto else ""
-        raise MethodError(f"method.{name} = {value!r}; expected {expected}{alternative}")
+        raise MethodError(f"method.{name} = {literal(value)}; expected {expected}{alternative}")
     if value > most:
-        raise MethodError(f"method.{name} = {value!r}; expected at most {most:g}, beyond which powers overflow")
+        raise MethodError(f"method.{name} = {literal(value)}; expected at most {most:g}, beyond which powers overflow")

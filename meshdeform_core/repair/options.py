@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 from ..errors import CaseError
+from ..wording import literal
 
 Mode = Literal["auto", "off", "polish"]
 MODES: tuple[str, ...] = get_args(Mode)
@@ -29,10 +30,10 @@ class RepairOptions:
 
     def __post_init__(self) -> None:
         if self.mode not in MODES:
-            raise CaseError(f"repair = {self.mode!r} is unknown; known are {', '.join(MODES)}")
+            raise CaseError(f"repair = {literal(self.mode)} is unknown; known are {', '.join(MODES)}")
         if not 0.0 <= self.min_jacobian < 1.0:
             raise CaseError(
-                f"min_jacobian = {self.min_jacobian!r}; expected a share of the undeformed Jacobian, 0 <= R < 1"
+                f"min_jacobian = {literal(self.min_jacobian)}; expected a share of the undeformed Jacobian, 0 <= R < 1"
             )
         if not self.time_limit > 0.0:
-            raise CaseError(f"time_limit = {self.time_limit!r}; expected seconds > 0")
+            raise CaseError(f"time_limit = {literal(self.time_limit)}; expected seconds > 0")

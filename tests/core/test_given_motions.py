@@ -176,7 +176,7 @@ def test_quaternions_turn_uniformly(tmp_path):
 
 
 BAD_RIGID = {
-    "t,x,y,z,rx,ry,rz\n0,0,0,0,0,0,0\n": (CaseError, "order = ''; expected, for angles"),
+    "t,x,y,z,rx,ry,rz\n0,0,0,0,0,0,0\n": (CaseError, "order = ''; expected, only for angles"),
     "t,x,y\n0,0,0\n": (FormatError, "columns x, y; expected all of x, y, z"),
     "t,x,y,z,w\n0,0,0,0,0\n": (CaseError, "column 'w'"),
     "t,x,y,z\n1,0,0,0\n0,0,0,0\n": (FormatError, "the times do not ascend: 1 before 0"),

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import CaseError, suggestion
+from ...wording import literal
 
 MAX_LENGTH = 1000
 
@@ -152,8 +153,9 @@ class Expression:
 
 def expression(source: str | float | int, variables: Iterable[str]) -> Expression:
     """Expression from a case file's number or text."""
-    if isinstance(source, bool) or not isinstance(source, (str, int, float)):
-        raise CaseError(f"expected a number or a formula in quotes, found {source!r}")
+    number = isinstance(source, int | float) and not isinstance(source, bool) and abs(source) < np.inf
+    if not number and not isinstance(source, str):
+        raise CaseError(f"expected a number or a formula in quotes, found {literal(source)}")
     return Expression(source if isinstance(source, str) else repr(float(source)), frozenset(variables))
 
 

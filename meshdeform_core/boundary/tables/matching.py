@@ -11,6 +11,7 @@ from ...grid import BoolArray, FloatArray, Grid, IntArray
 from ...grid.planes import plane_normal
 from ...grid.topology import Topology
 from ...numerics.geometry.coincidence import distinct
+from ...wording import literal
 
 HOW = ("exact", "nearest", "interpolate")
 AUTOMATIC = "automatic"
@@ -122,7 +123,7 @@ class Matching:
 
     def __post_init__(self) -> None:
         if self.how not in HOW and not (self.partial and self.how == AUTOMATIC):
-            raise CaseError(f"match = {self.how!r} is unknown; known are {', '.join(HOW)}")
+            raise CaseError(f"match = {literal(self.how)} is unknown; known are {', '.join(HOW)}")
         if self.tolerance is not None and not (np.isfinite(self.tolerance) and self.tolerance > 0):
             raise CaseError(f"tolerance = {self.tolerance} of a displacement table; expected a positive length")
 

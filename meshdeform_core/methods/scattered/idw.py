@@ -15,6 +15,7 @@ from ...numerics.frame import AT_REST, Frame
 from ...numerics.paper.division import division_path
 from ...numerics.rigid import NO_TRANSITION
 from ...numerics.tape import plain
+from ...wording import literal
 from ..base import Account, Problem, Progress, Setting
 from ..limits import LARGEST_ROTATION, PLAIN_ROTATION, warn_of_alpha, warn_of_rotation
 from ..options import choose, option, positive, used
@@ -102,7 +103,7 @@ class IDW:
         positive("idw.a", self.a, auto=True, most=_LARGEST_POWER)
         positive("idw.transition", self.transition, auto=True, zero=True)
         if self.transition != "auto" and float(self.transition) > 0.5:
-            raise MethodError(f'method.idw.transition = {self.transition!r}; expected 0 to 0.5, or "auto"')
+            raise MethodError(f'method.idw.transition = {literal(self.transition)}; expected 0 to 0.5, or "auto"')
         positive("idw.smoothing", self.smoothing, auto=True, whole=True, zero=True)
         positive("idw.eta", self.eta, most=_LARGEST_ALPHA)
         for name in ("b", "p_moving", "p_fixed"):
