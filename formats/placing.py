@@ -27,18 +27,26 @@ def require_space(grid: Grid, path: Path, variant: FileFormat) -> None:
     FormatError
         Stating the smallest size required, and the free space.
     """
+    missing = shortage(grid, path, variant)
+    if missing:
+        raise FormatError(f"cannot write {path}: {missing}")
+
+
+def shortage(grid: Grid | Layout, path: Path, variant: FileFormat) -> str:
+    """What is missing on the disk for an output, see :func:`require_space`; empty if nothing is."""
     needed = least_bytes(grid, path, variant)
     folder = existing(followed(path).absolute().parent)
     try:
         free = shutil.disk_usage(folder).free
     except OSError:
         # Errors of the folder are reported when the file is written.
-        return
-    if needed > free:
-        raise FormatError(
-            f"cannot write {path}: the disk of {folder} has {readable(free)} free, the grid takes at least "
-            f"{readable(needed)}; free some space, or choose an output on another disk"
-        )
+        return ""
+    if needed <= free:
+        return ""
+    return (
+        f"the disk of {folder} has {readable(free)} free, the grid takes at least {readable(needed)}; free some space, "
+        f"or choose an output on another disk"
+    )
 
 
 def least_bytes(grid: Grid | Layout, path: Path, variant: FileFormat) -> int:

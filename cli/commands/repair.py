@@ -56,7 +56,7 @@ def command(
     if output is None and not run.dry_run:
         raise click.UsageError("Missing option '-o' / '--output' (or --dry-run).")
     inputs = (reference, case_file, *source.files)
-    if output is not None:
+    if output is not None and not run.dry_run:
         check_target(output, run, *inputs)
     check_reports(run.reports, run.force, output, *inputs)
     settings = () if min_jacobian is None else (f"repair.min_jacobian={min_jacobian!r}",)
@@ -83,7 +83,7 @@ def repaired(
     from meshdeform_core.mending import mend
     from meshdeform_formats.files import invalid_path
     from meshdeform_formats.grids import complete_for_export, read_grid, require_earlier_grid, variant_of
-    from meshdeform_formats.placing import existing, require_space
+    from meshdeform_formats.placing import existing, require_space, shortage
     from meshdeform_formats.report import mended_report
 
     what = case.read()
@@ -100,7 +100,8 @@ def repaired(
         require_earlier_grid(invalid_path(output), grid)
     options = run.variant_options
     chosen = variant_of(grid, output, options) if output else None
-    if output and chosen:
+    missing = shortage(grid, output, chosen) if output and chosen and run.dry_run else ""
+    if output and chosen and not run.dry_run:
         require_space(grid, output, chosen)
     precision = chosen.precision if chosen else None
     demand = Demand(
@@ -117,7 +118,9 @@ def repaired(
         target = _write(mended, output, options, run)
         seconds["write"] = clock.perf_counter() - start
     name = None if target is None else str(target)
-    return {**mended_report(mended, str(reference), seconds, peak_memory()), "output": name}
+    report = {**mended_report(mended, str(reference), seconds, peak_memory()), "output": name}
+    report["warnings"] += [missing] if missing else []
+    return report
 
 
 def _write(mended: Mended, output: Path, variant: dict[str, str], run: RunInput) -> Path:

@@ -11,13 +11,14 @@ from meshdeform_core.boundary.pinned import find_pinned
 from meshdeform_core.boundary.prescribed import largest_displacement
 from meshdeform_core.deform import Result, Setup, Timing, impose, set_up
 from meshdeform_core.memory import MemoryLimit
-from meshdeform_core.methods import prepare_method
+from meshdeform_core.methods import PreparedMethod, prepare_method
 from meshdeform_core.methods.limits import patch_motions
 from meshdeform_core.repair.limit import Limit
 from meshdeform_core.setup import Start
 from meshdeform_core.stepping.course import Course, doubts
 from meshdeform_core.wording import counted
 from meshdeform_formats.grids import variant_of
+from meshdeform_formats.placing import shortage
 from meshdeform_formats.report import Report, plan_report
 
 from ..work import Imposed, Job, place_of
@@ -44,21 +45,18 @@ def plan(
 ) -> tuple[Report, bool]:
     """The report of a dry run (classification, parameters, node counts, early warnings and, for a grid too large for a
     trial, its expense), and whether no valid grid exists."""
-    precision = variant_of(job.grid, output, variant).precision if output is not None else job.grid.precision
+    chosen = variant_of(job.grid, output, variant) if output is not None else None
+    precision = chosen.precision if chosen else job.grid.precision
     setup = set_up(job.grid, imposed.case(job.case.case), memory=job.memory)
     prepared = prepare_method(job.case.case.method, setup.problem)
     motion = setup.displacement(imposed.time)
     largest = largest_displacement(motion)
     report = plan_report(setup, prepared.account, largest, patch_motions(setup.problem, motion))
-    # Adaptive steps are halved until they succeed, so none is too large.
-    part = 1 / imposed.steps if isinstance(imposed.steps, int) else 0.0
-    first = setup.displacement(imposed.time, part)
-    sources = setup.problem.source_numbers
-    course = Course(setup, setup.motion(imposed.time), precision, Timing(), None, Start(setup.grid.points), Limit())
-    report["warnings"] += doubts(course, one_of_many=False)
-    report["warnings"] += prepared.warnings_for(motion[sources], first[sources])
+    report["warnings"] += _doubts(setup, prepared, imposed.time, imposed.steps, precision, one_of_many=False)
     expected = forecast(setup, imposed.time, imposed.steps, precision)
     report["warnings"] += expected.warnings
+    if output is not None and chosen and (missing := shortage(job.grid, output, chosen)):
+        report["warnings"].append(missing)
     if job.grid.n_nodes > TRIAL_NODES:
         expense = expense_of(job.grid, setup.case, output, precision, limit)
         report["expected"] = dataclasses.asdict(expense)
@@ -73,13 +71,27 @@ def plan_series(run: Run) -> tuple[Report, bool, str]:
     largest, worst = max((largest_displacement(run.setup.displacement(t)), t) for t in times)
     last = run.files.path(len(times) - 1)
     report = plan_report(run.setup, prepared.account, largest)
-    expected = forecast(run.setup, worst, run.schedule.steps, run.files.variant.precision)
-    report["warnings"] += [f"at t = {worst:g}, where the displacement is largest: {text}" for text in expected.warnings]
+    steps, precision = run.schedule.steps, run.files.variant.precision
+    expected = forecast(run.setup, worst, steps, precision)
+    found = [*_doubts(run.setup, prepared, worst, steps, precision, one_of_many=True), *expected.warnings]
+    report["warnings"] += [f"at t = {worst:g}, where the displacement is largest: {text}" for text in found]
     return (
         report,
         expected.impossible,
         f"series    {len(times)} levels from t = {times[0]:g} to {times[-1]:g}: {run.files.path(0)} ... {last}\n",
     )
+
+
+def _doubts(
+    setup: Setup, prepared: PreparedMethod, time: float, steps: int | str | None, precision: str, one_of_many: bool
+) -> list[str]:
+    """The warnings that a run gives before its first step; see :func:`meshdeform_core.stepping.course.doubts`."""
+    course = Course(setup, setup.motion(time), precision, Timing(), None, Start(setup.grid.points), Limit())
+    # Adaptive steps are halved until they succeed, so none is too large.
+    first = setup.displacement(time, 1 / steps if isinstance(steps, int) else 0.0)
+    sources = setup.problem.source_numbers
+    motion = setup.displacement(time)[sources]
+    return [*doubts(course, one_of_many), *prepared.warnings_for(motion, first[sources])]
 
 
 def forecast(setup: Setup, time: float, steps: int | str | None, precision: str) -> Forecast:

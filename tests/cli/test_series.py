@@ -227,6 +227,13 @@ def test_a_dry_run_writes_nothing(swing, call, snapshot):
     assert "5 levels from t = 0 to 1: out/grid_0000.xyz ... out/grid_0004.xyz" in result.out
 
 
+def test_a_dry_run_gives_the_warnings_of_the_method(swing, call):
+    Path("swing.toml").write_text(SWING.replace("20*sin", "40*sin"))
+    result = call(*RUN, "-s", 'method.idw.rotation="none"', "--steps", "1", "--dry-run")
+    found = [text for text in result.warnings if "where the displacement is largest: walls turn by up to 40" in text]
+    assert len(found) == 1
+
+
 KILLED = """\
 import os, pathlib, signal, sys
 calls = 0
