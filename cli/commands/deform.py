@@ -73,7 +73,6 @@ def command(
     from meshdeform_formats.grids import require_earlier_grid
 
     from .. import work
-    from ..dry_run import forecast
 
     outputs = [output, *([] if output is None or run.allow_invalid else [invalid_path(output)]), *run.reports]
     imposed = work.Imposed(steps, at_time)
@@ -87,6 +86,8 @@ def command(
         if output is not None and not (run.force or run.dry_run or run.allow_invalid):
             require_earlier_grid(invalid_path(output), job.grid)
         if run.dry_run or output is None:
+            from ..dry_run import forecast
+
             planned, impossible = forecast.plan(job, output, imposed, options, limit)
         else:
             report, illustrate = work.run(job, output, imposed, options, run, progress)

@@ -126,7 +126,9 @@ class Course:
     def repairer(self) -> Repairer:
         """Repairs cells relative to the undeformed grid."""
         setup = self.setup
-        return Repairer(setup.undeformed.repairs, self.rounded, setup.memory, self.progress, self.limit)
+        # Not `self.rounded`: arrays of objects that refer to each other stay until the collector runs.
+        written = partial(rounded, precision=self.precision)
+        return Repairer(setup.undeformed.repairs, written, setup.memory, self.progress, self.limit)
 
     @cached_property
     def components(self) -> tuple[tuple[Component, Course], ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import gc
 
 import numpy as np
 import pytest
@@ -18,8 +19,10 @@ from meshdeform_core.grid import Grid
 from meshdeform_core.methods import IDW, Options, make_method
 from meshdeform_core.quality.verdict.validity import newly_invalid
 from meshdeform_core.repair import RepairOptions
+from meshdeform_core.repair.repair import Repairer
 from meshdeform_core.series import Schedule, deform_series, grid_velocity
 from meshdeform_core.smoothness import Moment, shortest_edges, smoothness
+from meshdeform_core.stepping.course import Course
 
 SWING = turning("20*sin(2*pi*t)")
 QUARTERS = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -189,6 +192,16 @@ def test_repaired_levels_depend_on_the_boundary_only():
     assert max(s.acceleration for s in smooth) < 0.5
     assert levels[0].smoothness.velocity is None
     assert levels[1].smoothness.acceleration is None
+
+
+def test_levels_leave_no_arrays_to_the_collector():
+    gc.collect()
+    gc.disable()
+    try:
+        assert levels_of(bar("t"), Schedule((60.0,)))[0].result.repair
+        assert not [left for left in gc.get_objects() if isinstance(left, Course | Repairer)]
+    finally:
+        gc.enable()
 
 
 def test_a_jump_of_the_grid_alone_is_told():
