@@ -13,6 +13,7 @@ _requests: list[int] = []
 _deferrals: list[None] = []
 _pending: list[Callable[[], object]] = []
 _advice: list[Callable[[], str]] = []
+_raised: list[None] = []
 
 
 def request(signal_number: int) -> None:
@@ -28,7 +29,13 @@ def requested() -> int | None:
 def check() -> None:
     """Raise ``SystemExit`` with the exit code of the signal if the program was asked to stop."""
     if _requests and not _deferrals:
+        _raised.append(None)
         raise SystemExit(128 + _requests[0])
+
+
+def raised() -> bool:
+    """Whether :func:`check` has raised an exception."""
+    return bool(_raised)
 
 
 @contextlib.contextmanager

@@ -6,12 +6,17 @@ import os
 import signal
 import sys
 import time
+from types import FrameType
 from typing import Any
 
 from meshdeform_core import interruption
 
 # A second signal within this time (s), as from an impatient user or a process group, does not interrupt the clean-up.
 _PATIENCE = 0.5
+_FRAGILE = "llvmlite."
+"""Modules that no exception may leave: what they were about to free would be freed once more by its destructor."""
+_AGAIN = 0.01
+"""Seconds after which it is tried again to raise an exception that had to wait."""
 
 
 class Handler:
@@ -30,23 +35,47 @@ class Handler:
             if number is not None and signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
                 signal.signal(number, self)
                 self._numbers.append(number)
+        if hasattr(signal, "setitimer"):
+            signal.signal(signal.SIGALRM, self._again)
 
-    def __call__(self, number: int, frame: object) -> None:
+    def __call__(self, number: int, frame: FrameType | None) -> None:
         if self._finishing:
             os._exit(128 + number)
         interruption.request(number)
         last, self._last = self._last, time.monotonic()
         if self._last - last >= _PATIENCE:
-            # Raises an exception, so that half-written files are removed while it propagates.
+            self._stop(frame)
+
+    def _stop(self, frame: FrameType | None) -> None:
+        """Raise an exception, so that half-written files are removed on the way out; where that is unsafe, soon."""
+        if hasattr(signal, "setitimer") and _fragile(frame):
+            signal.setitimer(signal.ITIMER_REAL, _AGAIN)
+        else:
             interruption.check()
+
+    def _again(self, _: int, frame: FrameType | None) -> None:
+        # A check elsewhere may have come first: cleaning up must not be interrupted.
+        if not interruption.raised():
+            self._stop(frame)
 
     def finish(self) -> None:
         """Ignore signals once everything is written: an exception would be lost in the interpreter's shutdown."""
         self._finishing = True
+        if hasattr(signal, "setitimer"):
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
         if interruption.requested() is not None:
             # The exit code is already determined.
             for number in self._numbers:
                 signal.signal(number, signal.SIG_IGN)
+
+
+def _fragile(frame: FrameType | None) -> bool:
+    """Whether a function of a fragile module is being executed."""
+    while frame is not None:
+        if str(frame.f_globals.get("__name__")).startswith(_FRAGILE):
+            return True
+        frame = frame.f_back
+    return False
 
 
 def _unraisable(lost: Any) -> None:

@@ -324,8 +324,12 @@ def _on_threads(work: Work, bounds: list[Bounds], progress: Counter | None, limi
     others = [
         threading.Thread(target=carried(run), args=(None,), name="chunks") for _ in range(min(limit, len(bounds)) - 1)
     ]
-    for other in others:
-        other.start()
+    try:
+        for other in others:
+            other.start()
+    except BaseException as error:
+        # A signal's: those that have started end after their chunk.
+        failures.append(error)
     run(progress)
     _joined(others, failures)
     if failures:

@@ -37,6 +37,18 @@ def command(how):
         partial.write_text("half")
         if how == "destructor":
             Swallows()
+        elif how == "llvm":
+            from llvmlite import binding
+            from llvmlite.binding import ffi
+            free = ffi.lib.LLVMPY_DisposeString
+            def freed(text):
+                # An exception here makes the destructor of the string free it once more.
+                free(text)
+                print("ready", flush=True)
+                time.sleep(1)
+            ffi.lib._fntab["LLVMPY_DisposeString"] = freed
+            binding.get_default_triple()
+            time.sleep(5)
         elif how == "callback":
             try:
                 print("ready", flush=True)
@@ -73,7 +85,7 @@ def started(how: str, folder: Path) -> subprocess.Popen[str]:
 
 
 @EACH_SIGNAL
-@pytest.mark.parametrize("how", ["plainly", "destructor", "callback", "bare"])
+@pytest.mark.parametrize("how", ["plainly", "destructor", "llvm", "callback", "bare"])
 def test_exit_code_is_that_of_the_signal_and_nothing_is_left(how, number, tmp_path):
     with started(how, tmp_path) as process:
         assert process.stdout.readline() == "ready\n"
