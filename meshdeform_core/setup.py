@@ -21,6 +21,7 @@ from .grid import FloatArray, Grid
 from .grid.connectivity.components import BY_PREFIX, Component, Components, require_apart, split, with_components
 from .grid.connectivity.declared import check_connections
 from .grid.connectivity.openings import find_openings
+from .grid.connectivity.overset import coincident_blocks
 from .grid.extent import require_extent
 from .grid.topology import RELATIVE_TOLERANCE, Topology, find_topology
 from .memory import UNLIMITED, MemoryLimit
@@ -246,7 +247,7 @@ def set_up(grid: Grid, case: Case, timing: Timing | None = None, memory: MemoryL
         )
     with timing.stage("topology"):
         topology = current_ranks().once(lambda: find_topology(grid, case.tolerance))
-        warnings = [*grid.notes, *case.notes, *check_connections(grid, topology)]
+        warnings = [*grid.notes, *case.notes, *check_connections(grid, topology), *coincident_blocks(grid, topology)]
         if topology.crowded:
             warnings.append(f"{topology.crowded} face quads are shared by more than two blocks")
         openings = current_ranks().once(lambda: find_openings(grid, topology))

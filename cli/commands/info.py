@@ -80,6 +80,7 @@ def gather(grid: Grid, file: str) -> dict[str, Any]:
     from meshdeform_core.grid.connectivity.declared import check_connections
     from meshdeform_core.grid.connectivity.interfaces import find_interfaces
     from meshdeform_core.grid.connectivity.openings import describe_group, find_openings, patched_groups
+    from meshdeform_core.grid.connectivity.overset import coincident_blocks
     from meshdeform_core.grid.faces.surfaces import find_outside, thin_direction
     from meshdeform_core.grid.topology import find_topology
     from meshdeform_core.numerics.arrays import extent
@@ -112,6 +113,7 @@ def gather(grid: Grid, file: str) -> dict[str, Any]:
         "notes": [
             *grid.notes,
             *check_connections(grid, topology),
+            *coincident_blocks(grid, topology),
             *(describe_group(grid, group) for group in patched_groups(find_openings(grid, topology))),
             *_remarks(grid, topology, outside),
             *_units(outside),

@@ -14,7 +14,7 @@ from meshdeform_core.deform import Case, set_up
 from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import Grid, Patch, Side
 from meshdeform_core.grid.connectivity.openings import describe_group, find_openings, patched_groups
-from meshdeform_core.grid.connectivity.overset import Overlap
+from meshdeform_core.grid.connectivity.overset import Overlap, coincident_blocks
 from meshdeform_core.grid.topology import find_topology
 
 MOVE = formulas("0", "0.01*x", "0")
@@ -217,3 +217,20 @@ def test_walls_of_the_file_close_to_each_other_need_no_word_of_the_case():
     with pytest.raises(CaseError, match="nearly coincide"):
         set_up(grid, Case((WALL,)))
     assert not any("nearly coincide" in text for text in set_up(declared, Case((WALL,))).warnings)
+
+
+@pytest.mark.parametrize("flat", [False, True])
+def test_a_block_that_is_there_twice_is_named(flat):
+    grid = frame(3, 0 if flat else 2)
+    blocks = [grid.block(b) for b in range(grid.n_blocks)]
+    again = blocks[2][::-1].transpose(1, 0, 2, 3)
+    twice = Grid.from_blocks([*blocks, again])
+    (said,) = coincident_blocks(twice, find_topology(twice))
+    assert said.startswith(f"blocks 'block3' and 'block{len(blocks) + 1}' lie in the same place")
+    assert coincident_blocks(grid, find_topology(grid)) == []
+    apart = dataclasses.replace(twice, components=(*["main"] * len(blocks), "other"))
+    assert coincident_blocks(apart, find_topology(apart)) == []
+
+
+def test_a_block_that_closes_on_itself_is_not_there_twice():
+    assert coincident_blocks(polar(), find_topology(polar())) == []

@@ -19,7 +19,7 @@ from ..blocks import FloatArray, Grid, IntArray
 from ..extent import block_extents
 from ..parts import Side, Window
 from ..planes import FLATNESS, plane_normal
-from ..topology import Topology, side_nodes
+from ..topology import COLLAPSED, Topology, side_nodes
 from ..windows import largest_rectangles
 
 _SAMPLES = 24
@@ -94,6 +94,24 @@ def find_overlaps(grid: Grid, topology: Topology) -> list[Overlap]:
 
 def _enough(samples: int) -> float:
     return max(_FEWEST, _PART * samples)
+
+
+def coincident_blocks(grid: Grid, topology: Topology) -> list[str]:
+    """A message for each pair of blocks all of whose faces coincide: they lie in the same place."""
+    shared = np.flatnonzero(topology.partner != COLLAPSED)
+    block = topology.quads.block_side[shared] // 6
+    partner = topology.partner[shared]
+    other = np.where(partner >= 0, topology.quads.block_side[partner] // 6, -1)
+    first = np.full(grid.n_blocks, -1)
+    first[block[::-1]] = other[::-1]
+    alike = np.bincount(block, other == first[block], grid.n_blocks) == np.bincount(block, minlength=grid.n_blocks)
+    found = np.flatnonzero(alike & (first >= 0) & (first != np.arange(grid.n_blocks)))
+    pairs = sorted({(min(b, first[b]), max(b, first[b])) for b in found.tolist()})
+    return [
+        f"blocks {grid.names[one]!r} and {grid.names[two]!r} lie in the same place: all their faces coincide, so that "
+        f"none of them is an outside face; remove one of the blocks, or assign them to components ([grid] components)"
+        for one, two in pairs
+    ]
 
 
 def _candidates(
