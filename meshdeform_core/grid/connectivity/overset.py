@@ -19,7 +19,7 @@ from ..blocks import FloatArray, Grid, IntArray
 from ..extent import block_extents
 from ..parts import Side, Window
 from ..planes import FLATNESS, plane_normal
-from ..topology import COLLAPSED, Topology, side_nodes
+from ..topology import Topology, side_nodes
 from ..windows import largest_rectangles
 
 _SAMPLES = 24
@@ -97,21 +97,30 @@ def _enough(samples: int) -> float:
 
 
 def coincident_blocks(grid: Grid, topology: Topology) -> list[str]:
-    """A message for each pair of blocks all of whose faces coincide: they lie in the same place."""
-    shared = np.flatnonzero(topology.partner != COLLAPSED)
-    block = topology.quads.block_side[shared] // 6
-    partner = topology.partner[shared]
-    other = np.where(partner >= 0, topology.quads.block_side[partner] // 6, -1)
-    first = np.full(grid.n_blocks, -1)
-    first[block[::-1]] = other[::-1]
-    alike = np.bincount(block, other == first[block], grid.n_blocks) == np.bincount(block, minlength=grid.n_blocks)
-    found = np.flatnonzero(alike & (first >= 0) & (first != np.arange(grid.n_blocks)))
-    pairs = sorted({(min(b, first[b]), max(b, first[b])) for b in found.tolist()})
+    """A message for each block all of whose face nodes are those of an earlier one: both lie in the same place."""
+    corners, first = topology.quads.corners, topology.quads.start[:, 0]
+    # Equal sums and sums of squares of their unique numbers rule out nearly all other pairs.
+    sums = [np.add.reduceat((corners**power).sum(axis=1), first) for power in (1, 2)]
+    _, group = np.unique(np.stack(sums, axis=1), axis=0, return_inverse=True)
+    earlier: dict[int, list[int]] = {}
+    pairs = []
+    for block in np.flatnonzero(np.bincount(group.ravel())[group.ravel()] > 1).tolist():
+        nodes = _face_numbers(topology, block)
+        candidates = earlier.setdefault(int(group.ravel()[block]), [])
+        pairs += [(one, block) for one in candidates if np.array_equal(_face_numbers(topology, one), nodes)][:1]
+        candidates.append(block)
     return [
         f"blocks {grid.names[one]!r} and {grid.names[two]!r} lie in the same place: all their faces coincide, so that "
         f"none of them is an outside face; remove one of the blocks, or assign them to components ([grid] components)"
         for one, two in pairs
     ]
+
+
+def _face_numbers(topology: Topology, block: int) -> IntArray:
+    """Unique numbers of the nodes on the faces of a block, ascending."""
+    first = topology.quads.start[block, 0]
+    count = int(topology.quads.counts[block].prod(axis=1).sum())
+    return np.unique(topology.quads.corners[first : first + count])
 
 
 def _candidates(
