@@ -13,9 +13,9 @@ def counted(count: int, noun: str, plural: str = "") -> str:
     return f"{count:,} {noun}" if count == 1 else f"{count:,} {plural or noun + 's'}"
 
 
-def vector(values: Iterable[float], digits: int = 10) -> str:
+def vector(values: Iterable[float]) -> str:
     """``(0.3, 0, -1)``: a point or vector in a message."""
-    return f"({', '.join(f'{value + 0.0:.{digits}g}' for value in values)})"
+    return f"({', '.join(f'{value + 0.0:.10g}' for value in values)})"
 
 
 def literal(value: Any) -> str:

@@ -51,7 +51,7 @@ class Pair:
         return Subject(self.after, self.topology, self.undeformed or self.before, original=self.old)
 
 
-def moved_walls(pair: Pair, quads: IntArray, title: str = "") -> Page:
+def moved_walls(pair: Pair, quads: IntArray) -> Page:
     """The moving walls before and after, in the same view, coloured by displacement.
 
     Parameters
@@ -60,7 +60,7 @@ def moved_walls(pair: Pair, quads: IntArray, title: str = "") -> Page:
     """
     old, new = pair.old, pair.new
     if is_flat(old):
-        return _flat_walls(pair, quads, title)
+        return _flat_walls(pair, quads)
     choice = Choice("displacement")
     view = onto_walls(old)
     before, after = surface_facets(old, quads), _displaced(new, quads)
@@ -73,7 +73,7 @@ def moved_walls(pair: Pair, quads: IntArray, title: str = "") -> Page:
     ):
         scene = Scene(facets, colours, block_outlines(grid, pair.topology, quads), lit=True)
         panels.append(Panel(scene, view, window, name))
-    return Page(tuple(panels), title, scale)
+    return Page(tuple(panels), "", scale)
 
 
 def _displaced(subject: Subject, quads: IntArray) -> Facets:
@@ -85,7 +85,7 @@ def _displaced(subject: Subject, quads: IntArray) -> Facets:
     return dataclasses.replace(facets, values=moved)
 
 
-def _flat_walls(pair: Pair, quads: IntArray, title: str) -> Page:
+def _flat_walls(pair: Pair, quads: IntArray) -> Page:
     choice = Choice()
     nodes = pair.topology.first[np.unique(pair.topology.quads.corners[quads])]
     planes = [plane_of_grid(subject, choice.metric) for subject in (pair.old, pair.new)]
@@ -93,16 +93,14 @@ def _flat_walls(pair: Pair, quads: IntArray, title: str) -> Page:
     view = found[0][2]
     points = np.concatenate([pair.before.points[nodes], pair.after.points[nodes]])
     window = shaped(window_of(view, points, 0.25), (0.4, 1.0))
-    return _twins(pair, choice, found, view, (window, window), title)
+    return _twins(pair, choice, found, view, (window, window))
 
 
 Flat = tuple[Facets, FloatArray, View]
 """Polygons, block outlines and view of a plane."""
 
 
-def _twins(
-    pair: Pair, choice: Choice, planes: Sequence[Flat], view: View, windows: tuple[Window, Window], title: str
-) -> Page:
+def _twins(pair: Pair, choice: Choice, planes: Sequence[Flat], view: View, windows: tuple[Window, Window]) -> Page:
     """Two planes side by side in common colours."""
     scale = choice.scale(*(facets for facets, _, _ in planes))
     panels = [
@@ -111,7 +109,7 @@ def _twins(
             (pair.old, pair.new), planes, windows, ("before", "after"), strict=True
         )
     ]
-    return Page(tuple(panels), title, scale)
+    return Page(tuple(panels), "", scale)
 
 
 def worst_cells(
@@ -119,7 +117,6 @@ def worst_cells(
     block: int,
     cell: Shape,
     choice: Choice | None = None,
-    title: str = "",
 ) -> Page:
     """The surroundings of a cell (0-based ``cell`` of ``block``) before and after, on the same scale."""
     choice = choice or Choice()
@@ -134,7 +131,7 @@ def worst_cells(
         planes = [(_around(subject, block, axis, cell, normal, choice), np.empty((0, 2, 3)), view)
                   for subject in (old, new)]  # fmt: skip
         sizes = _surroundings(pair, block, cell, view)
-    page = _twins(pair, choice, planes, view, sizes, title)
+    page = _twins(pair, choice, planes, view, sizes)
     panels = (
         dataclasses.replace(panel, title=name) for panel, name in zip(page.panels, ("before", "after"), strict=True)
     )
@@ -198,9 +195,9 @@ def _viewed(normal: FloatArray) -> float:
     return float(facing(normal).towards @ normal)
 
 
-def quality_planes(pair: Pair, choice: Choice | None = None, title: str = "") -> tuple[Page, Page]:
+def quality_planes(pair: Pair) -> tuple[Page, Page]:
     """A plane through the grid around its walls, before and after, in the same frame and colours (for a slider)."""
-    return apart(_planes_around(pair, choice or Choice(), _wall_points(pair, body_walls(pair.old)), title))
+    return apart(_planes_around(pair, Choice(), _wall_points(pair, body_walls(pair.old))))
 
 
 def apart(page: Page) -> tuple[Page, Page]:
@@ -210,20 +207,20 @@ def apart(page: Page) -> tuple[Page, Page]:
     return one, two
 
 
-def plane_around(subject: Subject, points: FloatArray, choice: Choice | None = None, title: str = "") -> Page:
+def plane_around(subject: Subject, points: FloatArray, choice: Choice) -> Page:
     """A plane through a grid around ``points`` (n, 3), coloured by quality; the whole plane if there are none."""
     choice = choice or Choice()
     facets, outlines, view = _plane_at(subject, choice)
     window = _window_around(view, facets, points)
     scale = choice.scale(facets)
-    return Page((Panel(flat_scene(subject, choice, scale, facets, outlines, view), view, window),), title, scale)
+    return Page((Panel(flat_scene(subject, choice, scale, facets, outlines, view), view, window),), "", scale)
 
 
-def _planes_around(pair: Pair, choice: Choice, points: FloatArray, title: str) -> Page:
+def _planes_around(pair: Pair, choice: Choice, points: FloatArray) -> Page:
     planes = [_plane_at(subject, choice) for subject in (pair.old, pair.new)]
     view = planes[0][2]
     window = _window_around(view, planes[0][0], points)
-    return _twins(pair, choice, planes, view, (window, window), title)
+    return _twins(pair, choice, planes, view, (window, window))
 
 
 def _plane_at(subject: Subject, choice: Choice) -> Flat:

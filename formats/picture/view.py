@@ -39,11 +39,10 @@ def along(axis: str, mirrored: bool = False) -> View:
     return View(unit[right], unit[up], -towards if mirrored else towards, ("xyz"[right], "xyz"[up]))
 
 
-def towards(direction: FloatArray, up: FloatArray | None = None) -> View:
-    """The view from ``direction``; ``up`` (default z, or y if the view is along z) points upwards."""
+def towards(direction: FloatArray) -> View:
+    """The view from ``direction``; z points upwards, or y if the view is along z."""
     back = direction / np.linalg.norm(direction)
-    if up is None:
-        up = np.array([0.0, 0.0, 1.0]) if abs(back[2]) < 0.95 else np.array([0.0, 1.0, 0.0])
+    up = np.array([0.0, 0.0, 1.0]) if abs(back[2]) < 0.95 else np.array([0.0, 1.0, 0.0])
     right = np.cross(up, back)
     right /= np.linalg.norm(right)
     return View(right, np.cross(back, right), back)

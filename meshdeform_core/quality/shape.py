@@ -32,23 +32,22 @@ class ShapeMeasure:
     worst: Worst
 
 
-def shape_measures(grid: Grid, points: FloatArray | None = None) -> dict[str, ShapeMeasure]:
-    """All measures of :data:`DEFINITIONS` of a grid with coordinates ``points`` (n_nodes, 3; default its own).
+def shape_measures(grid: Grid) -> dict[str, ShapeMeasure]:
+    """All measures of :data:`DEFINITIONS` of a grid.
 
     Collapsed edges and faces have no ratio or direction and are skipped.
     """
-    points = grid.points if points is None else points
     best = np.full(4, -1.0)
     cells: list[tuple[int, IntArray]] = [(0, np.zeros(3, dtype=np.int64))] * 4
     total, count = np.zeros(4), np.zeros(4, dtype=np.int64)
     for block in range(grid.n_blocks):
         worst, place = np.full(4, -1.0), np.zeros((4, 3), dtype=np.int64)
-        x, resolved = _solid(grid, block, points)
+        x, resolved = _solid(grid, block)
         measure_shape(x, resolved, worst, place, total, count, _NO_CELLS)
         for m in np.flatnonzero(worst > best):
             best[m], cells[m] = worst[m], (block, place[m])
     return {
-        name: ShapeMeasure(float(total[m] / count[m]), float(best[m]), _worst(grid, points, float(best[m]), *cells[m]))
+        name: ShapeMeasure(float(total[m] / count[m]), float(best[m]), _worst(grid, float(best[m]), *cells[m]))
         for m, name in enumerate(DEFINITIONS)
         if count[m]
     }
@@ -59,7 +58,7 @@ def shape_of_cells(grid: Grid, block: int, cells: tuple[slice, slice, slice]) ->
 
     For measures between neighbours a cell gets the largest value of its faces.
     """
-    x, resolved = _solid(grid, block, grid.points)
+    x, resolved = _solid(grid, block)
     # The outer cells of the box also depend on the neighbours around it.
     low = [max(c.start - 1, 0) for c in cells]
     high = [min(c.stop + 1, n - 1) for c, n in zip(cells, x.shape[:3], strict=True)]
@@ -70,9 +69,9 @@ def shape_of_cells(grid: Grid, block: int, cells: tuple[slice, slice, slice]) ->
     return np.asarray(values[tuple(slice(c.start - a, c.stop - a) for c, a in zip(cells, low, strict=True))])
 
 
-def _solid(grid: Grid, block: int, points: FloatArray) -> tuple[FloatArray, IntArray]:
+def _solid(grid: Grid, block: int) -> tuple[FloatArray, IntArray]:
     """The nodes of a block (a 2-D one extruded by one layer), and its index axes with more than one cell."""
-    x = grid.block(block, points)
+    x = grid.block(block)
     resolved = np.array([n > 1 for n in grid.cell_shapes[block]], dtype=np.int64)
     if grid.dimension == 2:
         flat = grid.shapes[block].index(1)
@@ -84,9 +83,9 @@ def _solid(grid: Grid, block: int, points: FloatArray) -> tuple[FloatArray, IntA
     return np.ascontiguousarray(x), resolved
 
 
-def _worst(grid: Grid, points: FloatArray, value: float, block: int, cell: IntArray) -> Worst:
+def _worst(grid: Grid, value: float, block: int, cell: IntArray) -> Worst:
     i, j, k = (int(n) for n in cell)
-    center = grid.block(block, points)[i : i + 2, j : j + 2, k : k + 2].reshape(-1, 3).mean(axis=0)
+    center = grid.block(block)[i : i + 2, j : j + 2, k : k + 2].reshape(-1, 3).mean(axis=0)
     return Worst(
         value, grid.names[block], (i + 1, j + 1, k + 1), (float(center[0]), float(center[1]), float(center[2]))
     )

@@ -35,6 +35,8 @@ STYLE: dict[Any, Any] = {
     "svg.hashsalt": "meshdeform",
     "svg.fonttype": "none",
 }
+_WIDTH = 7.2
+"""Width of a page, in inches."""
 _CORNER = 64.0
 """Full width of the triad of axes, in points."""
 _HIGH = 3.5
@@ -51,24 +53,24 @@ def check_picture_path(path: Path) -> None:
         raise FormatError(f"picture {path}: suffix {path.suffix!r} is unknown; expected {', '.join(SUFFIXES)}")
 
 
-def save_page(page: Page, path: Path, width: float = 7.2) -> None:
-    """Write a page; the suffix picks png, svg or pdf, ``width`` is in inches."""
+def save_page(page: Page, path: Path) -> None:
+    """Write a page; the suffix picks png, svg or pdf."""
     check_picture_path(path)
     # Into memory first, as matplotlib cannot close a file on a full disk.
     buffer = io.BytesIO()
-    _save(page, buffer, path.suffix.lower().lstrip("."), width, STYLE["savefig.dpi"])
+    _save(page, buffer, path.suffix.lower().lstrip("."), _WIDTH, STYLE["savefig.dpi"])
     with replacing(path) as partial:
         partial.write_bytes(buffer.getbuffer())
 
 
-def page_png(page: Page, width: float = 7.2, dpi: int | None = None) -> bytes:
+def page_png(page: Page, width: float = _WIDTH, dpi: int | None = None) -> bytes:
     """A page as the bytes of a PNG file, by default with the resolution of ``STYLE`` for the screen."""
     buffer = io.BytesIO()
     _save(page, buffer, "png", width, dpi or STYLE["figure.dpi"], fine=2)
     return buffer.getvalue()
 
 
-def page_figure(page: Page, width: float = 7.2, dpi: int = 150, fine: int = FINE, vector: bool = False) -> Figure:
+def page_figure(page: Page, width: float = _WIDTH, dpi: int = 150, fine: int = FINE, vector: bool = False) -> Figure:
     """A page as a matplotlib figure, ``width`` inches wide; ``vector``: for a file that holds lines."""
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg

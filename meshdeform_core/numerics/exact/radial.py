@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...parallel import for_chunks
-from ..arrays import FloatArray, Report
+from ..arrays import FloatArray
 from ..jit import fast_kernel
 from .basis import apply_basis
 
@@ -14,9 +14,7 @@ _TARGETS = 64
 _CHUNK = 1024
 
 
-def radial_sums(
-    kind: int, targets: FloatArray, centres: FloatArray, coefficients: FloatArray, progress: Report | None = None
-) -> FloatArray:
+def radial_sums(kind: int, targets: FloatArray, centres: FloatArray, coefficients: FloatArray) -> FloatArray:
     """Sums over all centres of coefficient * phi(distance), eq. 11 without its polynomial.
 
     Parameters
@@ -35,7 +33,7 @@ def radial_sums(
     def work(lo: int, hi: int) -> None:
         radial_block(kind, targets[lo:hi], packed, packed.shape[1], sums[lo:hi])
 
-    for_chunks(work, len(targets), _CHUNK, progress)
+    for_chunks(work, len(targets), _CHUNK)
     return sums
 
 

@@ -12,6 +12,8 @@ import scipy
 from ..arrays import BoolArray, FloatArray, IntArray
 
 _FLAT = 1e-6
+_NEIGHBOURS = 16
+"""Points that determine a spline."""
 _SEARCHED = 4
 """To find both sides of a thin body, this many times the points of a spline are searched."""
 _FEWEST = 6
@@ -28,7 +30,6 @@ def local_spline(
     points: FloatArray,
     values: FloatArray,
     targets: FloatArray,
-    neighbours: int = 16,
     normals: tuple[FloatArray, FloatArray] | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Values at ``targets`` (k, 3) from those (n, c) at distinct ``points`` (n, 3).
@@ -43,7 +44,7 @@ def local_spline(
     interpolated : (k, c)
     distance : (k,) to the nearest point
     """
-    count = min(neighbours, len(points))
+    count = min(_NEIGHBOURS, len(points))
     distance, near = scipy.spatial.cKDTree(points).query(targets, k=count)
     distance, near = distance.reshape(-1, count), near.reshape(-1, count)
     if normals is not None:
