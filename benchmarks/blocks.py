@@ -43,11 +43,11 @@ def box(blocks: tuple[int, int, int], nodes: tuple[int, int, int], ring: bool = 
     ----------
     ring : bent into a ring around a wall, closed along i: an O-grid with a seam, cells that grow off the wall
     """
-    at = [_positions(count, n) for count, n in zip(blocks, nodes, strict=True)]
+    at = [positions(count, n) for count, n in zip(blocks, nodes, strict=True)]
     grids, patches, connections = [], [], []
     for number, place in enumerate(np.ndindex(*blocks)):
         u, v, w = np.meshgrid(*(along[start] for along, start in zip(at, place, strict=True)), indexing="ij")
-        grids.append(_ring(u, v, w) if ring else _bent(u, v, w))
+        grids.append(_ring(u, v, w) if ring else bent(u, v, w))
         patches += _patches(number, place, blocks, nodes, closed=ring)
         connections += _connections(number, place, blocks, nodes, closed=ring)
     names = [f"zone{number + 1}" for number in range(len(grids))]
@@ -55,13 +55,13 @@ def box(blocks: tuple[int, int, int], nodes: tuple[int, int, int], ring: bool = 
     return Grid.from_blocks(grids, names, **declared, format=FileFormat("cgns"))
 
 
-def _positions(count: int, n: int) -> FloatArray:
+def positions(count: int, n: int) -> FloatArray:
     """Parameters (count, n) of the nodes of every block along one direction; blocks share their ends exactly."""
     step = np.arange(count * (n - 1) + 1) / (count * (n - 1))
     return step[np.arange(count)[:, None] * (n - 1) + np.arange(n)]
 
 
-def _bent(u: FloatArray, v: FloatArray, w: FloatArray) -> FloatArray:
+def bent(u: FloatArray, v: FloatArray, w: FloatArray) -> FloatArray:
     """A box whose lines are slightly curved."""
     wave = 0.02 * np.sin(2 * np.pi * u) * np.sin(2 * np.pi * v)
     return np.stack([u + wave, v + wave * np.cos(w), w + 0 * u], axis=-1)

@@ -58,8 +58,7 @@ def make_room(
         names = " and ".join(str(source.path) for source in there)
         Demand(f"{doing} {names} (read as a whole)", 0, size, arrays=arrays + 1).place(limit, None)
         return
-    nodes, faces = sum(each.n_nodes for each in known), sum(each.n_face_nodes for each in known)
-    Demand(f"{doing} {nodes:,} nodes", nodes, 24 * nodes, faces, arrays).place(limit, folder)
+    Demand.of(doing, *known, arrays=arrays).place(limit, folder)
 
 
 def too_large(limit: MemoryLimit, source: GridInput) -> Layout | None:
@@ -68,7 +67,7 @@ def too_large(limit: MemoryLimit, source: GridInput) -> Layout | None:
     if not source.path.is_file() or Demand("", 0, _UNPACKED * _bytes_of(source.path)).in_memory <= limit.size:
         return None
     layout = layout_at(source)
-    return layout if layout and Demand("", 0, 24 * layout.n_nodes).in_memory > limit.size else None
+    return layout if layout and Demand.of("deforming", layout).in_memory > limit.size else None
 
 
 def _bytes_of(path: Path) -> int:

@@ -76,8 +76,7 @@ def load(
     start = clock.perf_counter()
     grid = grid_of_case(source.read(what.boundary_file), what)
     seconds = clock.perf_counter() - start
-    size, other = grid.points.nbytes, _other_bytes(grid, what)
-    demand = Demand(f"deforming {grid.n_nodes:,} nodes", grid.n_nodes, size, grid.n_face_nodes, arrays, other)
+    demand = Demand.of("deforming", grid, arrays=arrays, other_bytes=_other_bytes(grid, what))
     return Job(grid, what, seconds, demand.left_of(memory))
 
 

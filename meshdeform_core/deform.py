@@ -186,6 +186,8 @@ def _joined(course: Course, found: list[tuple[Component, Result]]) -> Result:
 def _result(reached: Reached) -> Result:
     state, failed = reached
     course, setup, last = state.course, state.course.setup, state.last
+    # Nothing will be imposed any more: what the method has prepared makes room for the assessment.
+    course.latest.put(state.points, state.options, None)
     final = course.rounded(state.points)
     with course.timing.stage("quality"):
         assessment = assess(setup.original, final, setup.boundary, last.cells if last else None)

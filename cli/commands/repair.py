@@ -104,10 +104,7 @@ def repaired(
     if output and chosen and not run.dry_run:
         require_space(grid, output, chosen)
     precision = chosen.precision if chosen else None
-    demand = Demand(
-        f"repairing {grid.n_nodes:,} nodes", 2 * grid.n_nodes, 2 * grid.points.nbytes, 2 * grid.n_face_nodes
-    )
-    memory = demand.left_of(run.memory)
+    memory = Demand.of("repairing", grid, original).left_of(run.memory)
     start = clock.perf_counter()
     whole = complete_for_export(grid, output) if output else grid
     mended = mend(whole, original, what.case, precision, memory, progress)

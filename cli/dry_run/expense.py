@@ -92,8 +92,7 @@ def expense_of(grid: Grid | Layout, case: Case, output: Path | None, precision: 
     MethodError
         When the memory does not suffice even with large arrays in files.
     """
-    size = 24 * grid.n_nodes
-    demand = Demand(f"deforming {grid.n_nodes:,} nodes", grid.n_nodes, size, grid.n_face_nodes)
+    demand = Demand.of("deforming", grid)
     files = demand.in_memory > limit.size
     if files:
         limit.require(demand.beside_files(limit), demand.what, "allow more, or use a machine that has it")

@@ -93,7 +93,7 @@ def prepare(
             held = Grid._of(grid_of_case(held._core, what), held._plane)
         chosen = what.case if method is None else dataclasses.replace(what.case, method=options_of(method))
         own = held._core
-        memory = Demand(f"deforming {own.n_nodes:,} nodes", own.n_nodes, own.points.nbytes).left_of(_memory(max_memory))
+        memory = Demand.of("deforming", own).left_of(_memory(max_memory))
         setup = set_up(own, chosen, memory=memory)
         return Mesh(setup, held._plane, ranks, threads)
 

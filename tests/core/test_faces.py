@@ -12,6 +12,7 @@ import pytest
 from grids import block_around, frame, frame_2d, permuted, polar, whole_face
 
 from meshdeform_core.grid import Grid, Patch, Side, Window
+from meshdeform_core.grid.faces import pieces
 from meshdeform_core.grid.faces.pieces import find_faces, quad_geometry
 from meshdeform_core.grid.faces.roles import Role
 from meshdeform_core.grid.faces.surfaces import find_outside, thin_direction
@@ -46,6 +47,19 @@ def test_area_vectors_close_and_point_outwards(axes, flips):
     flux = np.einsum("ni,ni->", geometry.center[topology.external], outward)
     assert flux == pytest.approx(3 * 15.0)
     assert (geometry.height > 0).all()
+
+
+@pytest.mark.parametrize("grid", [frame(), frame_2d(), polar()], ids=["frame", "plane", "polar"])
+def test_faces_do_not_depend_on_how_many_are_looked_at_together(grid, monkeypatch):
+    topology = find_topology(grid)
+    whole, faces = quad_geometry(grid, topology), find_faces(grid, topology)
+    monkeypatch.setattr(pieces, "_TOGETHER", 7)
+    parts = quad_geometry(grid, topology)
+    for name in ("center", "outward", "height"):
+        np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name))
+    for one, other in zip(find_faces(grid, topology), faces, strict=True):
+        np.testing.assert_array_equal(one.box, other.box)
+        assert (one.area, one.median_height, one.finest) == (other.area, other.median_height, other.finest)
 
 
 def test_boxes_areas_and_first_cells_of_a_single_block():

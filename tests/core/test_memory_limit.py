@@ -1,7 +1,17 @@
-"""What a memory limit leaves for work that only saves time."""
+"""What work on a grid asks for, and what a memory limit leaves for work that only saves time."""
+
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from grids import whole_face
 
 from meshdeform_core import memory
-from meshdeform_core.memory import UNLIMITED, MemoryLimit
+from meshdeform_core.grid import Grid, Patch, Side
+from meshdeform_core.memory import UNLIMITED, Demand, MemoryLimit
+from meshdeform_formats import write_grid
 
 
 def test_a_quarter_may_be_taken_while_the_rest_is_in_its_bounds(monkeypatch):
@@ -15,3 +25,29 @@ def test_a_quarter_may_be_taken_while_the_rest_is_in_its_bounds(monkeypatch):
 def test_what_is_set_apart_adds_up():
     left = MemoryLimit(1000, "--max-memory allows").after(300, "one").after(200, "two")
     assert (left.size, left.taken) == (500, 500)
+
+
+def test_every_block_takes_memory_beside_its_nodes():
+    """Of one block and of a thousand with the same nodes, in memory and in files."""
+    one, many = (Demand.of("deforming", SimpleNamespace(n_nodes=10**6, n_face_nodes=0, n_blocks=n)) for n in (1, 1000))
+    assert one.what == "deforming 1,000,000 nodes"
+    limit = MemoryLimit(2**32, "--max-memory allows")
+    for more in (many.in_memory - one.in_memory, many.beside_files(limit) - one.beside_files(limit)):
+        assert 100e6 < more < 300e6
+
+
+@pytest.mark.slow
+def test_what_is_asked_for_suffices_for_many_zones(tmp_path):
+    """The library for HDF5 keeps the headers of all zones where its cache is large."""
+    nodes = np.stack(np.meshgrid(*[np.arange(3.0)] * 3, indexing="ij"), axis=-1)
+    walls = [Patch(f"p{n}-{side.label}", (whole_face((3, 3, 3), n, side),)) for n in range(500) for side in Side]
+    blocks = [nodes + [3.0 * n, 0.0, 0.0] for n in range(500)]
+    write_grid(Grid.from_blocks(blocks, patches=tuple(walls)), tmp_path / "zones.cgns")
+    code = (
+        "import sys; from meshdeform_core.memory import peak_memory; import h5py, numpy; "
+        "from meshdeform_formats.grids import FORMATS, read_grid; FORMATS['cgns'].load(); before = peak_memory(); "
+        "grid = read_grid(sys.argv[1]); print(grid.n_blocks, peak_memory() - before)"
+    )
+    done = subprocess.run([sys.executable, "-c", code, tmp_path / "zones.cgns"], capture_output=True, check=True)
+    blocks, taken = map(int, done.stdout.split())
+    assert taken < 160 * 2**10 * blocks

@@ -36,7 +36,8 @@ _OLD_VERSION = b" version"
 # Deflate cannot compress more; a dataset that declares more was never written or is damaged.
 _MAXIMUM_COMPRESSION = 1100
 _FEW_BYTES = 1024
-_CACHE_BYTES = 16 << 20
+# Headers take ten times these bytes in memory. Zones are read one after the other, so that a small cache is as fast.
+_CACHE_BYTES = 2 << 20
 # A longer chain of links is circular (the CGNS library has the same limit).
 _MAXIMUM_LINKS = 100
 # Longer than any text attribute of a node, which have 32 characters.
@@ -65,7 +66,7 @@ def hdf5_errors(path: Path, action: str) -> Iterator[None]:
 def opened_hdf5(path: Path) -> Iterator[Node]:
     """Root node of a CGNS file in HDF5; children and data can be read while the context lasts."""
     with hdf5_errors(path, "read"), h5py.File(path, "r") as file:
-        file.id.set_mdc_config(_large_cache(file))
+        file.id.set_mdc_config(_small_cache(file))
         root = h5g.open(file.id, b"/")
         if _OLD_VERSION in root:
             raise FormatError(
@@ -75,11 +76,11 @@ def opened_hdf5(path: Path) -> Iterator[Node]:
         yield Node("", path, "", expand=lambda: _children(root, path, ""))
 
 
-def _large_cache(file: h5py.File) -> h5ac.CacheConfig:
-    """Settings that let the library cache the headers of thousands of nodes; its default cache is one megabyte."""
+def _small_cache(file: h5py.File) -> h5ac.CacheConfig:
+    """Settings that let the library cache the headers of hundreds of nodes, but not of all."""
     config = file.id.get_mdc_config()
     config.set_initial_size, config.initial_size = True, _CACHE_BYTES
-    config.min_size, config.max_size = _CACHE_BYTES, 2 * _CACHE_BYTES
+    config.min_size = config.max_size = _CACHE_BYTES
     return config
 
 

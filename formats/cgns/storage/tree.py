@@ -108,7 +108,10 @@ class Node:
     @cached_property
     def children(self) -> tuple[Node, ...]:
         """Children in file order, without following links."""
-        return tuple(self.expand())
+        found = tuple(self.expand())
+        # What it holds to fetch them, like an open group of the library, is no longer needed.
+        self.expand = tuple
+        return found
 
     @property
     def target(self) -> Node:

@@ -92,22 +92,29 @@ class Face:
 
 def quad_geometry(grid: Grid, topology: Topology) -> QuadGeometry:
     """Centres, area vectors and first-cell heights of all face quads."""
-    corners = grid.points[topology.first[topology.quads.corners]]
-    if grid.dimension == 2:
-        normal = plane_normal(grid)
-        assert normal is not None
-        # The outside lies to the right of the corner order, looking against the plane's positive normal.
-        outward = np.cross(corners[:, 1] - corners[:, 0], normal * np.sign(normal[int(np.argmax(np.abs(normal)))]))
-    else:
-        outward = 0.5 * np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
-    area = np.linalg.norm(outward, axis=1, keepdims=True)
-    unit = np.divide(outward, area, out=np.zeros_like(outward), where=area > 0)
-    height = np.empty(len(outward))
-    for lo in range(0, len(height), _TOGETHER):
-        some = slice(lo, min(lo + _TOGETHER, len(height)))
+    count = len(topology.quads.corners)
+    found = QuadGeometry(np.empty((count, 3)), np.empty((count, 3)), np.empty(count))
+    normal = plane_normal(grid)
+    if normal is not None:
+        normal = normal * np.sign(normal[int(np.argmax(np.abs(normal)))])
+    for lo in range(0, count, _TOGETHER):
+        some = slice(lo, min(lo + _TOGETHER, count))
+        corners = grid.points[topology.first[topology.quads.corners[some]]]
+        outward = _outward(corners, normal)
+        area = np.linalg.norm(outward, axis=1, keepdims=True)
+        unit = np.divide(outward, area, out=np.zeros_like(outward), where=area > 0)
         arm = _mean_first_edges(grid, topology.quads, np.arange(some.start, some.stop))
-        height[some] = -np.einsum("ni,ni->n", unit[some], arm)
-    return QuadGeometry(corners.mean(axis=1), outward, height)
+        found.center[some], found.outward[some] = corners.mean(axis=1), outward
+        found.height[some] = -np.einsum("ni,ni->n", unit, arm)
+    return found
+
+
+def _outward(corners: FloatArray, normal: FloatArray | None) -> FloatArray:
+    """Area vectors (n, 3) of quads with ``corners`` (n, 4, 3), or of edges (n, 2, 3) in a plane with a ``normal``."""
+    if normal is None:
+        return 0.5 * np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
+    # The outside lies to the right of the corner order, looking against the plane's positive normal.
+    return np.cross(corners[:, 1] - corners[:, 0], normal)
 
 
 def _mean_first_edges(grid: Grid, faces: FaceQuads, quads: IntArray) -> FloatArray:
@@ -162,16 +169,18 @@ def _pieces(grid: Grid, topology: Topology) -> Rectangles:
 
 def _boxes(grid: Grid, faces: FaceQuads, pieces: Rectangles) -> FloatArray:
     """Lowest and highest coordinates (n, 2, 3) of the nodes of every piece."""
-    side, u, v = faces.places(pieces.quads)
-    du, dv = grid.sides.corner_steps[side].T
-    corners = [(u, v), (u + du, v), (u, v + dv), (u + du, v + dv)]
-    found = []
-    for extreme in (np.minimum, np.maximum):
-        whole = grid.points[grid.sides.at(side, *corners[0])]
-        for corner in corners[1:]:
-            extreme(whole, grid.points[grid.sides.at(side, *corner)], out=whole)
-        found.append(extreme.reduceat(whole, pieces.start[:-1], axis=0))
-    return np.stack(found, axis=1)
+    found = np.empty((len(pieces), 2, 3))
+    for lo, hi in batches(np.diff(pieces.start), _TOGETHER):
+        start = pieces.start[lo : hi + 1]
+        side, u, v = faces.places(pieces.quads[start[0] : start[-1]])
+        du, dv = grid.sides.corner_steps[side].T
+        corners = [(u, v), (u + du, v), (u, v + dv), (u + du, v + dv)]
+        for which, extreme in enumerate((np.minimum, np.maximum)):
+            whole = grid.points[grid.sides.at(side, *corners[0])]
+            for corner in corners[1:]:
+                extreme(whole, grid.points[grid.sides.at(side, *corner)], out=whole)
+            found[lo:hi, which] = extreme.reduceat(whole, start[:-1] - start[0], axis=0)
+    return found
 
 
 def _spacing(grid: Grid, pieces: Rectangles) -> tuple[FloatArray, FloatArray]:

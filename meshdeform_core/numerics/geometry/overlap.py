@@ -31,7 +31,7 @@ class FaceTree:
     """
 
     def __init__(self, points: FloatArray, faces: IntArray, role: NDArray[np.int8]):
-        self._order = _curve(points[faces].mean(axis=1))
+        self._order = _curve(sum((points[corner] for corner in faces.T[1:]), points[faces[:, 0]]) / 4.0)
         self._faces, self._role = faces[self._order], role[self._order]
         self._leaves = 1 << max(0, int(len(faces) - 1).bit_length() - (_LEAF.bit_length() - 1))
 
