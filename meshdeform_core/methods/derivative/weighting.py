@@ -22,6 +22,9 @@ from .reduced import reduced
 from .sums import TOLERANCE, LinearSums, Weights, sums_of
 
 _LEAST_ALPHA = 1e-3
+_FIRST_SHARE = 2.0
+"""Error first allowed to one cluster, as a multiple of that of the sum: enough on the hemispheres, on the plates half
+of it is."""
 # The nodes at which fast sums are checked are few.
 _CHECKED = 64
 _WORST_BRICKS, _SAMPLES, _RANDOM_NODES = 64, 9, 256
@@ -118,6 +121,8 @@ class IDWDerivative:
         bound, turn, k = self._bound, self._turned(), len(self._fit.values)
         # Of every portion: turn, rest, alpha, and the value common to sources at rest.
         parts = np.zeros((self._sums.portions, 9 + 6 + 1 + k))
+        # The total weight of the moving sources is the last sum with a transition, and never changes.
+        changing = k - 1 if self._transition.width > 0.0 else k
 
         def make(rows: slice, flat: IntArray, portion: int) -> FloatArray:
             g, sums, part = gradient[flat], self._base.rows(rows), parts[portion]
@@ -130,10 +135,11 @@ class IDWDerivative:
             if self._near:
                 part[15] += self._slope * np.einsum("nk,nk->", found, self._near.rows(rows))
             part[16:] += sums[:, 0] @ found[:, 1:]
-            return found[:, 1:]
+            return found[:, 1 : 1 + changing]
 
         acting = self._sums.acting
-        values = self._sums.pull(make, k)[:, acting]
+        values = np.zeros((k, np.count_nonzero(acting)))
+        values[:changing] = self._sums.pull(make, changing)[:, acting]
         part = np.sum(current_ranks().gather([parts]), axis=(0, 1))
         if not acting.all():
             values = np.append(values, (part[16:] - values.sum(axis=1))[:, None], axis=1)
@@ -171,7 +177,7 @@ def _accurate(
     bound: Bound, weights: Weights, values: FloatArray, acting: BoolArray, fast: bool, transition: bool
 ) -> tuple[LinearSums, _AtNodes]:
     """Fast sums, the more accurate the larger their error is where they are compared with exact ones, or exact sums."""
-    share = 1.0
+    share = _FIRST_SHARE
     for _ in range(1 + MAX_RETRIES if fast else 0):
         sums = sums_of(bound, True, weights, acting, share)
         found = _AtNodes(sums, values, True, transition)
@@ -179,7 +185,7 @@ def _accurate(
         error = found.error(bound, sums, weights, values)
         if error <= TOLERANCE:
             return sums, found
-        share *= 0.25 * TOLERANCE / error
+        share *= 0.5 * TOLERANCE / error
     sums = sums_of(bound, False, weights, acting)
     return sums, _AtNodes(sums, values, False, transition)
 

@@ -1,7 +1,7 @@
 """Exact inverse-distance sums: every target with every source, at the speed of the machine's arithmetic.
 
 The inner loop runs over sources in separate arrays, so that the compiler turns it into vector instructions; on AVX2
-machines it is bound by the square root and the division, which leaves room for eight accumulated columns.
+machines it is bound by multiplications and additions once the square root and the division are in single precision.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def weighted_sums(
         sums = np.zeros((len(targets), 1 + N_VALUES))
 
         def work(lo: int, hi: int, charged: FloatArray = charged, sums: FloatArray = sums) -> None:
-            sum_groups(targets, np.array([[lo, hi]]), charged, *every, a, b, kappa, sums)
+            sum_groups(targets, np.array([[lo, hi]]), charged, *every, a, b, kappa, True, sums)
 
         for_chunks(work, len(targets), chunk, progress)
         result[:, 0] = sums[:, 0]
@@ -65,7 +65,7 @@ def weighted_sums(
 
 
 @fast_kernel
-def sum_groups(targets, target_span, charged, pieces, piece_span, a, b, kappa, out):
+def sum_groups(targets, target_span, charged, pieces, piece_span, a, b, kappa, all_charges, out):
     """Add to ``out`` (n, 8) the sums of charge * (r^-a + kappa r^-b), for groups of targets and of sources.
 
     Parameters
@@ -75,10 +75,10 @@ def sum_groups(targets, target_span, charged, pieces, piece_span, a, b, kappa, o
     charged : (s, 11) x, y, z and eight charges of the sources
     pieces : (p, 2) int64, first and one past the last source of each piece, none of them empty
     piece_span : (m, 2) int64, first and one past the last piece that acts on each group
+    all_charges : otherwise the first and the last charge are taken for zero
     """
-    # Whole exponents: r^-3 (three + four / r + kappa / r^2) in one vector loop.
+    # Whole exponents: r^-3 (three + four / r + five / r^2) in one vector loop.
     whole = (a == 3.0 or a == 4.0) and b == 5.0
-    three, four = (1.0, 0.0) if a == 3.0 else (0.0, 1.0)
     # Square roots take a fraction of the time of logarithms and exponentials.
     roots = a == 2.5 and b == 5.0
     # A tile of sources stays in the first-level cache while all targets are summed over it. Its size is fixed, so that
@@ -87,12 +87,19 @@ def sum_groups(targets, target_span, charged, pieces, piece_span, a, b, kappa, o
     for group in range(target_span.shape[0]):
         piece, end = piece_span[group, 0], piece_span[group, 1]
         at = pieces[piece, 0] if piece < end else 0
+        unit = three = four = five = 1.0
+        if whole and piece < end and target_span[group, 0] < target_span[group, 1]:
+            unit = _unit(targets, target_span[group, 0], charged, at)
+            three, four = (unit**3, 0.0) if a == 3.0 else (0.0, unit**4)
+            five = kappa * unit**5
         while piece < end:
             m = 0
             while piece < end and m < _TILE:
                 more = min(pieces[piece, 1] - at, _TILE - m)
                 for s in range(more):
-                    for row in range(11):
+                    for row in range(3):
+                        tile[row, m + s] = unit * charged[at + s, row]
+                    for row in range(3, 11):
                         tile[row, m + s] = charged[at + s, row]
                 m += more
                 at += more
@@ -100,40 +107,59 @@ def sum_groups(targets, target_span, charged, pieces, piece_span, a, b, kappa, o
                     piece += 1
                     at = pieces[min(piece, end - 1), 0]
             for t in range(target_span[group, 0], target_span[group, 1]):
-                px, py, pz = targets[t, 0], targets[t, 1], targets[t, 2]
+                px, py, pz = unit * targets[t, 0], unit * targets[t, 1], unit * targets[t, 2]
                 if not whole:
                     _weights(px, py, pz, tile, m, a, b, kappa, roots, weight)
-                _add(px, py, pz, tile, m, three, four, kappa, whole, weight, out, t)
+                _add(px, py, pz, tile, m, three, four, five, whole, all_charges, weight, out, t)
 
 
 @inlined
-def _add(px, py, pz, tile, m, three, four, kappa, whole, weight, out, t):
-    """Contribution of a tile to one target; ``whole``: weights three r^-3 + four r^-4 + kappa r^-5, one vector loop."""
+def _unit(targets, target, charged, source):
+    """A power of two by which a distance of a group is of the order of one."""
+    largest = 0.0
+    for d in range(3):
+        largest = max(largest, abs(targets[target, d] - charged[source, d]))
+    return math.ldexp(1.0, -math.frexp(largest)[1])
+
+
+@inlined
+def _add(px, py, pz, tile, m, three, four, five, whole, all_charges, weight, out, t):
+    """Contribution of a tile to one target; ``whole``: weights three r^-3 + four r^-4 + five r^-5, one vector loop.
+
+    A root and a division in double precision take longer than the rest of the loop. Those in single precision, wrong by
+    less than 3e-7, are refined by Newton's method: what is left is below 1e-13. Distances of a group may differ by a
+    factor of 1e19.
+    """
     a0 = a1 = a2 = a3 = a4 = a5 = a6 = a7 = 0.0
     for s in range(m):
         if whole:
             dx, dy, dz = px - tile[0, s], py - tile[1, s], pz - tile[2, s]
-            r = 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz)
+            square = dx * dx + dy * dy + dz * dz
+            r = np.float64(np.float32(1.0) / math.sqrt(np.float32(square)))
+            r *= 1.5 - 0.5 * square * r * r
             r2 = r * r
-            w = r * r2 * (three + r * (four + kappa * r))
+            w = r * r2 * (three + r * (four + five * r))
+            weight[s] = w
         else:
             w = weight[s]
-        a0 += w * tile[3, s]
         a1 += w * tile[4, s]
         a2 += w * tile[5, s]
         a3 += w * tile[6, s]
         a4 += w * tile[7, s]
         a5 += w * tile[8, s]
         a6 += w * tile[9, s]
-        a7 += w * tile[10, s]
-    out[t, 0] += a0
     out[t, 1] += a1
     out[t, 2] += a2
     out[t, 3] += a3
     out[t, 4] += a4
     out[t, 5] += a5
     out[t, 6] += a6
-    out[t, 7] += a7
+    if all_charges:
+        for s in range(m):
+            a0 += weight[s] * tile[3, s]
+            a7 += weight[s] * tile[10, s]
+        out[t, 0] += a0
+        out[t, 7] += a7
 
 
 @inlined

@@ -61,7 +61,8 @@ class FrozenSums:
         reaches = [cluster_reach(tree, self._strength[g], unit[g], still[g]) for g, tree in self._groups]
         alike = targets._replace(sizes=np.ones_like(targets.sizes))
         allowed, mean = allowance(alike, trees, kinds, reaches, tolerance * share)
-        self._plan = Plan(PlanKey(kinds, reaches, acting, share, 0), targets, self._groups, allowed, mean, room=0)
+        key, room = PlanKey(kinds, reaches, acting, share, 0), targets.every.nbytes
+        self._plan = Plan(key, targets, self._groups, allowed, mean, room, weights=False)
         # The transpose leaves out groups that do not act.
         self._points = [
             np.concatenate([tree.points, tree.proxies]) if moving.any() else np.empty((0, 3))
@@ -155,13 +156,14 @@ class FrozenSums:
             here = np.zeros((len(places.points), CHARGES))
             part = gradient[:, number * N_VALUES : (number + 1) * N_VALUES]
             here[: len(part), 1 : 1 + part.shape[1]] = part
-            collect_sums(first, last, targets.bricks, targets.regions, places, filled, here)
+            every = bool(here[:, -1].any())
+            collect_sums(first, last, targets.bricks, targets.regions, places, filled, every, here)
             for (_, tree), points, each, kind, moving, lo, hi in zip(
                 self._groups, self._points, lists, self._plan.key.kinds, self._plan.moving, sizes[:-1], sizes[1:],
                 strict=True,
             ):  # fmt: skip
                 if lo < hi:
-                    spread_lists(places, here, tree, points, each, kind, moving, total[number, lo:hi])
+                    spread_lists(places, here, tree, points, each, kind, moving, every, total[number, lo:hi])
 
     def _sources(self, tree: SourceTree, total: FloatArray) -> FloatArray:
         """Gradients (n, 8) of the sources of a tree in its order, from those of its sources and points (n + m, 8)."""

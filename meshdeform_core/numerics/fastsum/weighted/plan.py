@@ -60,6 +60,8 @@ class PlanKey:
 class Plan:
     """The lists of clusters of one :class:`PlanKey`; made on demand, and kept while there is ``room`` (bytes).
 
+    Weights of targets are kept only if asked for by ``weights``.
+
     Attributes
     ----------
     risk : (b,) bound of each brick's error, in units that only allow comparing
@@ -77,6 +79,7 @@ class Plan:
         allowed: FloatArray,
         mean: FloatArray,
         room: int,
+        weights: bool = True,
     ) -> None:
         self.key, self._targets, self._trees = key, targets, [tree for _, tree in trees]
         self._allowed, self._mean = allowed, mean
@@ -84,8 +87,8 @@ class Plan:
         self.moving = [_any_of(tree, key.moving[group]) for group, tree in trees]
         self._kept: dict[int, list[Lists]] = {}
         rows = len(targets.every)
-        size = 8 * rows * (1 + key.lasting)
-        self.weight = np.empty((rows, 1 + key.lasting)) if size <= room else None
+        size = 8 * rows * (1 + key.lasting) if weights else 0
+        self.weight = np.empty((rows, 1 + key.lasting)) if weights and size <= room else None
         self.weighed = self.complete = False
         self.used = [np.zeros(len(tree.child), dtype=bool) for tree in self._trees]
         self._room = room - size
@@ -127,7 +130,8 @@ class Plan:
                 filled |= sum_lists(places, tree, charge, each, kind, moving, total)
                 if weighing and number == 0:
                     filled |= sum_lists(places, tree, charge, each, kind, ~moving, total)
-            interpolate_sums(first, last, bricks, regions, places, filled, total)
+            every = any(charge.all for charge in charges)
+            interpolate_sums(first, last, bricks, regions, places, filled, every, total)
             found.append(total[:n_nodes])
         return found
 

@@ -20,11 +20,13 @@ from .walk import Lists, few_nodes
 
 
 @fast_kernel
-def collect_sums(first, last, bricks, regions, places, filled, gradient):
+def collect_sums(first, last, bricks, regions, places, filled, all_charges, gradient):
     """Of :func:`.treesum.interpolate_sums`: add to ``gradient`` (n, 8) at points of bricks and regions what nodes have.
 
-    ``filled`` (items,) tells which of them act anywhere.
+    ``filled`` (items,) tells which of them act anywhere. Without ``all_charges`` the first and the last column are taken
+    for zero.
     """
+    low, high = (0, gradient.shape[1]) if all_charges else (1, gradient.shape[1] - 1)
     item = 0
     for g in range(first, last):
         region = item
@@ -38,20 +40,20 @@ def collect_sums(first, last, bricks, regions, places, filled, gradient):
                     continue
                 center, axes, half, per_side, box = boxes_of(step == 1, bricks, regions, b, g)
                 _collect(
-                    center, axes, half, per_side, box, places.span[source, 0], places.points, places.span[target, 0],
-                    places.span[target, 1], gradient,
+                    center, axes, half, per_side, box, places.span[source, 0], low, high, places.points,
+                    places.span[target, 0], places.span[target, 1], gradient,
                 )  # fmt: skip
             item += 2
         item += 1
 
 
 @inlined
-def _collect(center, axes, half, per_side, b, m, points, first, last, gradient):
+def _collect(center, axes, half, per_side, b, m, low, high, points, first, last, gradient):
     """Add to ``gradient`` of the box's points, rows ``m`` onwards, those of rows first <= t < last."""
-    n, columns, most = last - first, gradient.shape[1], max(per_side[b, 0], per_side[b, 1], per_side[b, 2])
-    share, given, product = np.empty((3 * most, n)), np.empty((columns, n)), np.empty(n)
+    n, most = last - first, max(per_side[b, 0], per_side[b, 1], per_side[b, 2])
+    share, given, product = np.empty((3 * most, n)), np.empty((high, n)), np.empty(n)
     shares_of_box(center, axes, half, per_side, b, points, first, n, most, product, share)
-    for c in range(columns):
+    for c in range(low, high):
         for t in range(n):
             given[c, t] = gradient[first + t, c]
     for i in range(per_side[b, 0]):
@@ -60,7 +62,7 @@ def _collect(center, axes, half, per_side, b, m, points, first, last, gradient):
                 one, two, three = share[i], share[most + j], share[2 * most + k]
                 for t in range(n):
                     product[t] = one[t] * two[t] * three[t]
-                for c in range(columns):
+                for c in range(low, high):
                     total, line = 0.0, given[c]
                     for t in range(n):
                         total += line[t] * product[t]
@@ -76,11 +78,13 @@ def spread_lists(
     lists: Lists,
     function: Kernel,
     acting: BoolArray,
+    all_charges: bool,
     out: FloatArray,
 ) -> None:
     """Of :func:`.treesum.sum_lists`: add to ``out`` (n + m, 8) the gradients of sources and interpolation points.
 
-    ``points`` (n + m, 3) are those of the ``tree``; ``gradient`` (places, 8).
+    ``points`` (n + m, 3) are those of the ``tree``; ``gradient`` (places, 8), of which the first and the last column are
+    taken for zero without ``all_charges``.
     """
     number, raw = lists.codes >> 1, lists.codes & 1 == 1
     active = acting[number]
@@ -96,7 +100,7 @@ def spread_lists(
     charged = np.concatenate([places.points, gradient], axis=1)
     pieces = np.ascontiguousarray(places.span[item[order]])
     span = np.ascontiguousarray(spans(np.append(start, len(order))))
-    sum_groups(points, rows, charged, pieces, span, function.a, function.b, function.kappa, out)
+    sum_groups(points, rows, charged, pieces, span, function.a, function.b, function.kappa, all_charges, out)
 
 
 def filled_by(lists: Lists, acting: BoolArray) -> BoolArray:

@@ -162,17 +162,20 @@ def sum_lists(
         a, kappa = function.a, function.kappa
         sum_groups_single(places.points, places.span, charges.rows, *clusters, a, kappa, charges.all, out)
     else:
-        sum_groups(places.points, places.span, charges.rows, *clusters, function.a, function.b, function.kappa, out)
+        sum_groups(
+            places.points, places.span, charges.rows, *clusters, function.a, function.b, function.kappa, charges.all, out
+        )  # fmt: skip
     return stop[1:] > stop[:-1]
 
 
 @kernel
-def interpolate_sums(first, last, bricks, regions, places, filled, sums):
+def interpolate_sums(first, last, bricks, regions, places, filled, all_charges, sums):
     """Add to the sums at nodes those interpolated from the points of their region and brick.
 
     From the points of a region to those of its bricks, and from there to the nodes; a brick of few nodes has none.
+    Without ``all_charges`` the first and the last column of ``sums`` are taken for zero.
     """
-    columns = sums.shape[1]
+    low, high = (0, sums.shape[1]) if all_charges else (1, sums.shape[1] - 1)
     item = 0
     for g in range(first, last):
         region = item
@@ -186,7 +189,7 @@ def interpolate_sums(first, last, bricks, regions, places, filled, sums):
                     continue
                 center, axes, half, per_side, box = boxes_of(step == 0, bricks, regions, b, g)
                 _interpolate(
-                    center, axes, half, per_side, box, places.span[source, 0], columns, places.points,
+                    center, axes, half, per_side, box, places.span[source, 0], low, high, places.points,
                     places.span[target, 0], places.span[target, 1], sums,
                 )  # fmt: skip
             item += 2
@@ -202,12 +205,12 @@ def boxes_of(coarse, bricks, regions, b, g):
 
 
 @inlined
-def _interpolate(center, axes, half, per_side, b, m, columns, points, first, last, sums):
+def _interpolate(center, axes, half, per_side, b, m, low, high, points, first, last, sums):
     """Add to ``sums`` at rows first <= t < last the interpolated sums at the box's points, rows ``m`` onwards."""
     n, most = last - first, max(per_side[b, 0], per_side[b, 1], per_side[b, 2])
-    share, total, product = np.empty((3 * most, n)), np.empty((columns, n)), np.empty(n)
+    share, total, product = np.empty((3 * most, n)), np.empty((high, n)), np.empty(n)
     shares_of_box(center, axes, half, per_side, b, points, first, n, most, product, share)
-    for c in range(columns):
+    for c in range(low, high):
         for t in range(n):
             total[c, t] = 0.0
     for i in range(per_side[b, 0]):
@@ -216,13 +219,13 @@ def _interpolate(center, axes, half, per_side, b, m, columns, points, first, las
                 one, two, three = share[i], share[most + j], share[2 * most + k]
                 for t in range(n):
                     product[t] = one[t] * two[t] * three[t]
-                for c in range(columns):
+                for c in range(low, high):
                     value, line = sums[m, c], total[c]
                     for t in range(n):
                         line[t] += value * product[t]
                 m += 1
     for t in range(n):
-        for c in range(columns):
+        for c in range(low, high):
             sums[first + t, c] += total[c, t]
 
 
