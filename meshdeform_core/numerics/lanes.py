@@ -100,6 +100,13 @@ class Lanes:
             total = total + _shuffle(total, zero, places)
         return total
 
+    def total(self) -> ir.Value:
+        """The sum of all lanes of double precision, one half added to the other until one number is left."""
+        lanes = self
+        for step in (8, 4, 2, 1):
+            lanes = lanes + _shuffle(lanes, lanes, [(n + step) % WIDTH for n in range(WIDTH)])
+        return self.builder.extract_element(lanes.value, ir.Constant(ir.IntType(32), 0))
+
     def last(self) -> Lanes:
         """The last lane in all sixteen."""
         return _shuffle(self, self, [WIDTH - 1] * WIDTH)
@@ -142,6 +149,11 @@ class Array:
 
     def add(self, at: ir.Value, lanes: Lanes, further: int = 0) -> None:
         self.store(at, self.load(at, further) + lanes, further)
+
+    def add_one(self, at: ir.Value, number: ir.Value, further: int = 0) -> None:
+        """Add to a single number."""
+        pointer = self.builder.gep(self._data, [self.builder.add(at, ir.Constant(at.type, further))])
+        self.builder.store(self.builder.fadd(self.builder.load(pointer), number), pointer)
 
     def load_some(self, at: ir.Value, count: ir.Value) -> Lanes:
         """The first ``count`` of sixteen numbers, zero beyond, where nothing is read."""

@@ -15,6 +15,8 @@ from meshdeform_core.errors import MethodError
 from meshdeform_core.methods import IDW, RBF, Options, make_method
 from meshdeform_core.methods.derivative import derivative_of, radial, weighting
 from meshdeform_core.methods.derivative.sums import TOLERANCE, ExactSums
+from meshdeform_core.numerics.exact.mixed import Scale
+from meshdeform_core.numerics.fastsum.weighted import frozen
 from meshdeform_core.numerics.fastsum.weighted.frozen import FrozenSums
 from meshdeform_core.numerics.tape import Tape
 from meshdeform_core.parallel import OneRank, sharing
@@ -161,6 +163,18 @@ def test_fast_sums_that_are_too_wrong_are_made_more_accurate_or_exact(monkeypatc
         derivative.push(rough, out[kind])
     gap = np.abs(out["fast"] - out["exact"]).max() / np.abs(out["exact"]).max()
     assert gap == 0.0 if tolerance == 1e-15 else 0.0 < gap < 1e-6
+
+
+def test_weights_too_large_for_single_precision_are_in_double_precision(monkeypatch):
+    where = problem_of(frame(9, 6), body_specs(turning(20)))
+    smooth, rough = directions(where)
+    monkeypatch.setattr(frozen, "scale_of", lambda parts: Scale(np.zeros(3), 2.0**-30))
+    found = []
+    for kind in ("exact", "fast"):
+        derivative = derivative_of(make_method(Options("idw", idw=IDW(summation=kind))).prepare(where), smooth)
+        found.append(derivative.push(rough))
+    assert isinstance(derivative._mover._derivative._sums, FrozenSums)
+    assert np.abs(found[1] - found[0]).max() < TOLERANCE * np.abs(found[0]).max()
 
 
 @pytest.mark.parametrize("tolerance", [1e-7, 1e-17])

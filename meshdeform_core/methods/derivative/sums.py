@@ -26,8 +26,11 @@ _PORTIONS = 32
 Weights = tuple[tuple[float, float, float], ...]
 
 
-def sums_of(bound: Bound, fast: bool, weights: Weights, acting: BoolArray, share: float = 1.0) -> LinearSums:
-    """Exact sums over all sources, or fast ones with fixed clusters and the error ``share`` allowed to each."""
+def sums_of(
+    bound: Bound, fast: bool, weights: Weights, acting: BoolArray, share: float = 1.0, single: bool = True
+) -> LinearSums:
+    """Exact sums over all sources, or fast ones with fixed clusters and the error ``share`` allowed to each; ``single``
+    as for :class:`.FrozenSums`."""
     if not fast:
         return ExactSums(bound, weights, acting)
     # Few sources act: clusters of these alone need fewer points than sources.
@@ -41,7 +44,7 @@ def sums_of(bound: Bound, fast: bool, weights: Weights, acting: BoolArray, share
     trees = [build_tree(bound.sources[group], _ORDER) for group in groups]
     targets = make_targets(grid.points, grid.shapes, grid.offsets, bound.flat, _ORDER, _PER_POINT)
     kinds = [each for _, each in parts]
-    return FrozenSums(groups, trees, targets, bound.strength, kinds, acting, TOLERANCE, share)
+    return FrozenSums(groups, trees, targets, bound.strength, kinds, acting, TOLERANCE, share, single)
 
 
 class ExactSums:

@@ -176,16 +176,22 @@ def _apart(values: FloatArray, acting: BoolArray) -> tuple[FloatArray, FloatArra
 def _accurate(
     bound: Bound, weights: Weights, values: FloatArray, acting: BoolArray, fast: bool, transition: bool
 ) -> tuple[LinearSums, _AtNodes]:
-    """Fast sums, the more accurate the larger their error is where they are compared with exact ones, or exact sums."""
-    share = _FIRST_SHARE
-    for _ in range(1 + MAX_RETRIES if fast else 0):
-        sums = sums_of(bound, True, weights, acting, share)
+    """Fast sums, the more accurate the larger their error is where they are compared with exact ones, or exact sums.
+
+    Weights are in single precision unless they are too large for it, or the accuracy has been raised in vain.
+    """
+    share, single = _FIRST_SHARE, True
+    for attempt in range(1 + MAX_RETRIES if fast else 0):
+        sums = sums_of(bound, True, weights, acting, share, single and attempt < 2)
         found = _AtNodes(sums, values, True, transition)
         assert isinstance(sums, FrozenSums)
         error = found.error(bound, sums, weights, values)
         if error <= TOLERANCE:
             return sums, found
-        share *= 0.5 * TOLERANCE / error
+        if np.isfinite(error):
+            share *= 0.5 * TOLERANCE / error
+        else:
+            single = False
     sums = sums_of(bound, False, weights, acting)
     return sums, _AtNodes(sums, values, False, transition)
 
@@ -213,7 +219,9 @@ class _AtNodes:
 
     def error(self, bound: Bound, sums: FrozenSums, weights: Weights, values: FloatArray) -> float:
         """Largest error of a sum relative to the total weight, for values of one, at the nodes with the largest bounds
-        and at random ones."""
+        and at random ones; infinite if any sum is not finite."""
+        if not np.isfinite(self._weight).all():
+            return np.inf
         n, (own, common) = len(sums.flat), _apart(values, sums.acting)
         random = np.random.default_rng(0).integers(0, n, _RANDOM_NODES)
         rows = np.unique(np.append(sums.worst_rows(_WORST_BRICKS, _SAMPLES), random))

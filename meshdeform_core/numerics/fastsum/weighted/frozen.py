@@ -1,7 +1,8 @@
 """Fast weighted sums as a linear map of the values, with its transpose: clusters, orders and lists stay the same.
 
-For derivatives: the accuracy is relative to the largest change of a value, whatever the displacement is, and all sums
-are in double precision, so that the two directions are transposes of each other to round-off.
+For derivatives: the accuracy is relative to the largest change of a value, whatever the displacement is. Products are
+added in double precision, of weights that are the same in both directions to the last bit, or to that precision, so
+that these are transposes of each other to round-off.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import numpy as np
 from ....parallel import Shared, empty, for_chunks
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...exact.direct import N_VALUES
+from ...exact.mixed import scale_of
 from ..clusters.acceptance import inverse_powers
 from ..clusters.targets import Targets
 from ..clusters.tree import CHARGES, SourceTree
@@ -37,6 +39,8 @@ class FrozenSums:
     strength : (n,) per source, weights : (a, b, kappa) per group
     tolerance : error of a sum relative to the total weight, for values of one
     share : error allowed to one cluster, as a multiple of that of the sum
+    single : whether weights may be in single precision, where that has a loop; sums that are too large for it are not
+        finite
 
     Attributes
     ----------
@@ -53,6 +57,7 @@ class FrozenSums:
         acting: BoolArray,
         tolerance: float,
         share: float,
+        single: bool = True,
     ) -> None:
         self._groups = [(np.asarray(group), tree) for group, tree in zip(groups, trees, strict=True)]
         self._targets, self._strength, self.acting = targets, strength / strength.max(), acting
@@ -61,8 +66,12 @@ class FrozenSums:
         reaches = [cluster_reach(tree, self._strength[g], unit[g], still[g]) for g, tree in self._groups]
         alike = targets._replace(sizes=np.ones_like(targets.sizes))
         allowed, mean = allowance(alike, trees, kinds, reaches, tolerance * share)
+        whole = all(kind.a in (3.0, 4.0) and kind.b == 5.0 for kind in kinds)
+        every = [targets.bricks.proxies, targets.regions.proxies]
+        every += [part for tree in trees for part in (tree.points, tree.proxies)]
+        self._scale = scale_of(every) if single and whole else None
         key, room = PlanKey(kinds, reaches, acting, share, 0), targets.every.nbytes
-        self._plan = Plan(key, targets, self._groups, allowed, mean, room, weights=False)
+        self._plan = Plan(key, targets, self._groups, allowed, mean, room, weights=False, scale=self._scale)
         # The transpose leaves out groups that do not act.
         self._points = [
             np.concatenate([tree.points, tree.proxies]) if moving.any() else np.empty((0, 3))
@@ -163,7 +172,9 @@ class FrozenSums:
                 strict=True,
             ):  # fmt: skip
                 if lo < hi:
-                    spread_lists(places, here, tree, points, each, kind, moving, every, total[number, lo:hi])
+                    spread_lists(
+                        places, here, tree, points, each, kind, moving, self._scale, every, total[number, lo:hi]
+                    )
 
     def _sources(self, tree: SourceTree, total: FloatArray) -> FloatArray:
         """Gradients (n, 8) of the sources of a tree in its order, from those of its sources and points (n + m, 8)."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...arrays import BoolArray, FloatArray, IntArray
+from ...exact.mixed import Scale
 from ..clusters.acceptance import Kernel
 from ..clusters.targets import Targets
 from ..clusters.tree import CHARGES, SourceTree
@@ -60,7 +61,7 @@ class PlanKey:
 class Plan:
     """The lists of clusters of one :class:`PlanKey`; made on demand, and kept while there is ``room`` (bytes).
 
-    Weights of targets are kept only if asked for by ``weights``.
+    Weights of targets are kept only if asked for by ``weights``; ``scale`` as for :func:`.treesum.sum_lists`.
 
     Attributes
     ----------
@@ -80,9 +81,10 @@ class Plan:
         mean: FloatArray,
         room: int,
         weights: bool = True,
+        scale: Scale | None = None,
     ) -> None:
         self.key, self._targets, self._trees = key, targets, [tree for _, tree in trees]
-        self._allowed, self._mean = allowed, mean
+        self._allowed, self._mean, self._scale = allowed, mean, scale
         self.risk = np.zeros(len(allowed))
         self.moving = [_any_of(tree, key.moving[group]) for group, tree in trees]
         self._kept: dict[int, list[Lists]] = {}
@@ -127,9 +129,9 @@ class Plan:
             for tree, charge, kind, each, moving in zip(
                 self._trees, charges, self.key.kinds, lists, self.moving, strict=True
             ):
-                filled |= sum_lists(places, tree, charge, each, kind, moving, total)
+                filled |= sum_lists(places, tree, charge, each, kind, moving, self._scale, total)
                 if weighing and number == 0:
-                    filled |= sum_lists(places, tree, charge, each, kind, ~moving, total)
+                    filled |= sum_lists(places, tree, charge, each, kind, ~moving, self._scale, total)
             every = any(charge.all for charge in charges)
             interpolate_sums(first, last, bricks, regions, places, filled, every, total)
             found.append(total[:n_nodes])

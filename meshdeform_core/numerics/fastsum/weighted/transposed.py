@@ -10,6 +10,7 @@ import numpy as np
 
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...exact.direct import sum_groups
+from ...exact.mixed import Scale, sum_groups_mixed
 from ...jit import fast_kernel, inlined, kernel
 from ..clusters.acceptance import Kernel
 from ..clusters.boxes import box_coordinate, chebyshev, lagrange
@@ -23,8 +24,8 @@ from .walk import Lists, few_nodes
 def collect_sums(first, last, bricks, regions, places, filled, all_charges, gradient):
     """Of :func:`.treesum.interpolate_sums`: add to ``gradient`` (n, 8) at points of bricks and regions what nodes have.
 
-    ``filled`` (items,) tells which of them act anywhere. Without ``all_charges`` the first and the last column are taken
-    for zero.
+    ``filled`` (items,) tells which of them act anywhere. Without ``all_charges`` the first and the last column are
+    taken for zero.
     """
     low, high = (0, gradient.shape[1]) if all_charges else (1, gradient.shape[1] - 1)
     item = 0
@@ -78,13 +79,14 @@ def spread_lists(
     lists: Lists,
     function: Kernel,
     acting: BoolArray,
+    scale: Scale | None,
     all_charges: bool,
     out: FloatArray,
 ) -> None:
     """Of :func:`.treesum.sum_lists`: add to ``out`` (n + m, 8) the gradients of sources and interpolation points.
 
-    ``points`` (n + m, 3) are those of the ``tree``; ``gradient`` (places, 8), of which the first and the last column are
-    taken for zero without ``all_charges``.
+    ``points`` (n + m, 3) are those of the ``tree``; ``gradient`` (places, 8), of which the first and the last column
+    are taken for zero without ``all_charges``.
     """
     number, raw = lists.codes >> 1, lists.codes & 1 == 1
     active = acting[number]
@@ -100,7 +102,11 @@ def spread_lists(
     charged = np.concatenate([places.points, gradient], axis=1)
     pieces = np.ascontiguousarray(places.span[item[order]])
     span = np.ascontiguousarray(spans(np.append(start, len(order))))
-    sum_groups(points, rows, charged, pieces, span, function.a, function.b, function.kappa, all_charges, out)
+    a, b, kappa, _ = function
+    if scale:
+        sum_groups_mixed(points, rows, charged, pieces, span, scale, a, kappa, all_charges, out)
+    else:
+        sum_groups(points, rows, charged, pieces, span, a, b, kappa, all_charges, out)
 
 
 def filled_by(lists: Lists, acting: BoolArray) -> BoolArray:

@@ -20,6 +20,7 @@ import numpy as np
 from ....parallel import for_chunks
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...exact.direct import sum_groups
+from ...exact.mixed import Scale, sum_groups_mixed
 from ...exact.single import sum_groups_single
 from ...jit import inlined, kernel
 from ..clusters.acceptance import Kernel, distance2, square, weight
@@ -143,11 +144,13 @@ def sum_lists(
     lists: Lists,
     function: Kernel,
     acting: BoolArray,
+    scale: Scale | None,
     out: FloatArray,
 ) -> BoolArray:
     """Weighted sums over the ``acting`` (m,) clusters of a tree at all places, added to ``out`` (n, 8).
 
-    Returns which (items,) have any.
+    With a ``scale`` of all points, weights are in single precision, the same in both directions. Returns which (items,)
+    have any.
     """
     number, raw = lists.codes >> 1, lists.codes & 1 == 1
     active = acting[number]
@@ -158,13 +161,13 @@ def sum_lists(
     ).T
     stop = np.append(0, np.cumsum(active))[np.append(0, lists.stop)]
     clusters = np.ascontiguousarray(rows), spans(stop)
-    if function.single:
-        a, kappa = function.a, function.kappa
+    a, b, kappa, single = function
+    if single:
         sum_groups_single(places.points, places.span, charges.rows, *clusters, a, kappa, charges.all, out)
+    elif scale:
+        sum_groups_mixed(places.points, places.span, charges.rows, *clusters, scale, a, kappa, charges.all, out)
     else:
-        sum_groups(
-            places.points, places.span, charges.rows, *clusters, function.a, function.b, function.kappa, charges.all, out
-        )  # fmt: skip
+        sum_groups(places.points, places.span, charges.rows, *clusters, a, b, kappa, charges.all, out)
     return stop[1:] > stop[:-1]
 
 
