@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from meshdeform_core.grid import Grid
+from meshdeform_core.wording import listed
 
-_LISTED = 6
 _ALL = ("vtk", "cgns")
 _OF_ALL_BLOCKS = (".vtu", ".xdmf")
 
@@ -24,8 +24,7 @@ def losses(grid: Grid, target: Path, kind: str) -> list[str]:
         names += solutions(grid.path)
     if not names:
         return []
-    listed = ", ".join(names[:_LISTED]) + (f" and {len(names) - _LISTED} more" if len(names) > _LISTED else "")
-    return [f"{target.suffix} files cannot hold these data of the grid, which are not written: {listed}"]
+    return [f"{target.suffix} files cannot hold these data of the grid, which are not written: {listed(names)}"]
 
 
 def _lost_fields(grid: Grid, target: Path, kind: str) -> Iterator[str]:

@@ -7,10 +7,19 @@ import math
 from collections.abc import Iterable
 from typing import Any
 
+_LISTED = 6
+
 
 def counted(count: int, noun: str, plural: str = "") -> str:
     """A number of things: ``1 block``, ``2 blocks``."""
     return f"{count:,} {noun}" if count == 1 else f"{count:,} {plural or noun + 's'}"
+
+
+def listed(texts: Iterable[str], separator: str = ", ", noun: str = "") -> str:
+    """The first six texts, and how many more there are (``nouns``): ``a, b, c, d, e, f and 3 more``."""
+    all_texts = list(texts)
+    rest = len(all_texts) - _LISTED
+    return separator.join(all_texts[:_LISTED]) + (f" and {rest} more{noun and ' ' + noun}" if rest > 0 else "")
 
 
 def vector(values: Iterable[float]) -> str:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
+from meshdeform_core.wording import listed
 from meshdeform_formats.text.json import json_text
 
 from ..info_text import as_text
@@ -184,7 +185,7 @@ def _remarks(grid: Grid, topology: Topology, outside: Outside) -> list[str]:
         from meshdeform_formats.case.template import plates_line
 
         return [
-            f"{_named([plate.name for plate in outside.plates])}: likely a thin plate (a wall without thickness "
+            f"{listed([plate.name for plate in outside.plates])}: likely a thin plate (a wall without thickness "
             f"between blocks): cells cluster from both sides, and it does not reach the far field; if it "
             f"is a wall, the case needs: [grid] {plates_line(outside.plates)}"
         ]
@@ -194,18 +195,11 @@ def _remarks(grid: Grid, topology: Topology, outside: Outside) -> list[str]:
     if not names:
         return []
     return [
-        f"no wall was found, but cells cluster from both sides towards {_named(names)}: a wake, or in part a thin "
+        f"no wall was found, but cells cluster from both sides towards {listed(names)}: a wake, or in part a thin "
         f'plate, whose nodes the case can name: [grid] plates = ["{names[0]}[1:9,*]"]'
     ]
 
 
-def _named(names: Sequence[str]) -> str:
-    """The first few names."""
-    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-    return ", ".join(names[:_NAMED]) + more
-
-
-_NAMED = 6
 # In metres: bodies are rarely larger, and first cells of boundary layers rarely thicker.
 _LARGEST_BODY, _THICKEST_LAYER = 150.0, 0.02
 

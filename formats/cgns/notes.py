@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-_SHOWN = 4
+from meshdeform_core.wording import listed
 
 
 class Notes:
@@ -16,9 +16,5 @@ class Notes:
         self._places.setdefault(remark, {})[place] = None
 
     def lines(self) -> tuple[str, ...]:
-        """One line per remark, e.g. ``rind planes are ...: zone 1, zone 2, and 7 more``."""
-        return tuple(
-            f"{remark}: {', '.join(list(places)[:_SHOWN])}"
-            + (f" and {len(places) - _SHOWN} more" if len(places) > _SHOWN else "")
-            for remark, places in self._places.items()
-        )
+        """One line per remark, e.g. ``rind planes are ...: zone 1, zone 2 ... and 7 more``."""
+        return tuple(f"{remark}: {listed(places)}" for remark, places in self._places.items())

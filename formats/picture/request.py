@@ -13,6 +13,7 @@ from meshdeform_core.grid import FloatArray, Grid, IntArray
 from meshdeform_core.grid.planes import Plane
 from meshdeform_core.grid.selection import select_quads
 from meshdeform_core.numerics.arrays import extent
+from meshdeform_core.wording import listed
 
 from .comparison import Pair, worst_cells
 from .content.end_plane import plane_of_grid
@@ -144,7 +145,7 @@ def _blocks(names: Sequence[str], request: Request) -> tuple[int, ...] | None:
     for pattern in request.blocks:
         matching = [n for n, name in enumerate(names) if fnmatch.fnmatchcase(name, pattern)]
         if not matching:
-            raise CaseError(f"{request.lead}block {pattern!r} matches no block; blocks are {', '.join(names[:12])}")
+            raise CaseError(f"{request.lead}block {pattern!r} matches no block; blocks are {listed(names)}")
         found += matching
     return tuple(dict.fromkeys(found)) or None
 

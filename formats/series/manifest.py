@@ -15,13 +15,13 @@ from meshdeform_core.deform import Case
 from meshdeform_core.errors import CaseError, FormatError
 from meshdeform_core.methods import entry_of
 from meshdeform_core.series import REVISION, Made, Schedule
+from meshdeform_core.wording import listed
 
 from ..case import CaseFile
 from ..files import replacing
 from ..inputs import digest
 
 NAME = "series.json"
-_SHOWN = 6
 # Keys of a case that are stored as the options that they resolve to.
 _RESOLVED = ("method.", "repair.")
 
@@ -87,10 +87,9 @@ class Manifest:
         now = json.loads(json.dumps(ingredients))
         changes = list(_changes(self.ingredients, now))
         if changes:
-            more = f" and {len(changes) - _SHOWN} more" if len(changes) > _SHOWN else ""
             raise CaseError(
                 f"cannot continue the series in {self.path.parent}, its inputs have changed: "
-                f"{'; '.join(changes[:_SHOWN])}{more}. Undo that, write to another folder, or restart it (--force)"
+                f"{listed(changes, '; ')}. Undo that, write to another folder, or restart it (--force)"
             )
 
 

@@ -14,8 +14,7 @@ from ..grid.planes import plane_normal, plane_of
 from ..grid.selection import quads_of_windows, select_quads
 from ..grid.topology import Topology
 from ..grid.windows import rectangles
-
-_LISTED = 6
+from ..wording import listed
 
 Region = tuple[Window, IntArray]
 
@@ -51,10 +50,9 @@ def unselected_notes(grid: Grid, topology: Topology, quads: IntArray, moving: In
     places = regions(grid, topology, quads)
     notes = []
     if not expected:
-        listed = ", ".join(f"{range_label(grid, window)} ({len(found):,})" for window, found in places[:_LISTED])
-        more = f" and {len(places) - _LISTED} more ranges" if len(places) > _LISTED else ""
+        ranges = listed((f"{range_label(grid, window)} ({len(found):,})" for window, found in places), noun="ranges")
         notes.append(
-            f"{quads.size:,} external face quads are not selected by any boundary entry; they are fixed: {listed}{more}"
+            f"{quads.size:,} external face quads are not selected by any boundary entry; they are fixed: {ranges}"
         )
     moves = np.zeros(topology.n_unique, dtype=bool)
     moves[moving] = True
@@ -69,7 +67,7 @@ def unselected_notes(grid: Grid, topology: Topology, quads: IntArray, moving: In
         )
         if expected:
             remedy += " in a case file; `meshdeform init --table` writes one"
-        names = ", ".join(range_label(grid, window) for window in touching[:_LISTED])
+        names = listed(range_label(grid, window) for window in touching)
         notes.append(f"faces that no boundary entry selects touch moving nodes but are fixed: {names}; {remedy}")
     return notes
 

@@ -11,6 +11,7 @@ import numpy as np
 from ..errors import CaseError, suggestion
 from ..numerics.arrays import spans
 from ..numerics.geometry.coincidence import distinct
+from ..wording import listed
 from .blocks import Grid, IntArray
 from .parts import Patch, Side, Window
 from .topology import FaceQuads, Topology
@@ -141,5 +142,5 @@ def _hint(grid: Grid, pattern: str) -> str:
     hint = suggestion(pattern, [*known, *(f"{n}.{s.label}" for n in grid.names for s in Side)], 3)
     if hint:
         return hint
-    patches = f"patches are {', '.join(known[:12])}" if known else "the grid has no named patches"
+    patches = f"patches are {listed(known)}" if known else "the grid has no named patches"
     return f"; {patches}, block faces are written like {faces[0]}"

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from meshdeform_core.boundary.tables.matching import SurfaceData
 from meshdeform_core.errors import FormatError
+from meshdeform_core.wording import listed
 
 from ..table import DisplacementTable, checked_surface, row_place
 from .results import Results
@@ -41,9 +42,9 @@ def read_single(path: Path) -> DisplacementTable:
     """
     results = _read(path, None)
     if len(results.shapes) > 1:
-        listed = "; ".join(f"{number}: {label}" for number, label in enumerate(results.labels[:8], start=1))
+        labels = listed((f"{number}: {label}" for number, label in enumerate(results.labels, start=1)), "; ")
         raise FormatError(
-            f"{path} has {len(results.shapes)} displacements ({listed}); a table has one. Use them in a case as "
+            f"{path} has {len(results.shapes)} displacements ({labels}); a table has one. Use them in a case as "
             f"modes = {{ file = ..., shapes = [...], amplitudes = [...] }}"
         )
     return _table(results, 0)

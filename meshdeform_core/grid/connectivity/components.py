@@ -14,13 +14,13 @@ from ...errors import CaseError, suggestion
 from ...numerics.arrays import BoolArray, FloatArray, IntArray
 from ...numerics.geometry.coincidence import coincident_groups, distinct, equal_rows
 from ...parallel import Shared, empty, for_items
+from ...wording import listed
 from ..blocks import Grid
 from ..topology import RELATIVE_TOLERANCE, FaceQuads, Topology
 
 BY_PREFIX = "zone prefix"
 """Components are the blocks whose names differ in the number at their end only: ``flap.00001``, ``flap.00002``."""
 _NUMBER = re.compile(r"[ ._-]*\d+$")
-_LISTED = 6
 
 Components = str | Mapping[str, Sequence[str]]
 """``BY_PREFIX``, or patterns of block names by the name of the component; the first one that fits counts."""
@@ -43,7 +43,7 @@ def with_components(grid: Grid, components: Components) -> Grid:
     if len(set(names)) < 2:
         raise CaseError(
             f"grid.components: all {grid.n_blocks} blocks belong to the component {names[0]!r}; expected two or more "
-            f"(blocks: {_list(grid.names)})"
+            f"(blocks: {listed(grid.names)})"
         )
     return dataclasses.replace(grid, components=tuple(names))
 
@@ -56,7 +56,7 @@ def _by_patterns(grid: Grid, components: Mapping[str, Sequence[str]]) -> list[st
             if not fitting:
                 raise CaseError(
                     f"grid.components: {pattern!r} of {component!r} matches no block; blocks are "
-                    f"{_list(grid.names)}{suggestion(pattern, grid.names)}"
+                    f"{listed(grid.names)}{suggestion(pattern, grid.names)}"
                 )
             for block in fitting:
                 names[block] = names[block] or component
@@ -65,14 +65,10 @@ def _by_patterns(grid: Grid, components: Mapping[str, Sequence[str]]) -> list[st
     rest = [grid.names[b] for b, name in enumerate(names) if not name]
     if rest:
         raise CaseError(
-            f"grid.components: {len(rest)} blocks belong to no component: {_list(rest)}; "
+            f"grid.components: {len(rest)} blocks belong to no component: {listed(rest)}; "
             f'name them, or let the last component take the rest with "*"'
         )
     return names
-
-
-def _list(names: Sequence[str]) -> str:
-    return ", ".join(names[:_LISTED]) + (f" and {len(names) - _LISTED} more" if len(names) > _LISTED else "")
 
 
 @dataclass(frozen=True, eq=False, repr=False)

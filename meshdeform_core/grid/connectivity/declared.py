@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ...errors import GridError
 from ...numerics.arrays import BoolArray, batches, spans
 from ...numerics.geometry.coincidence import distinct
+from ...wording import listed
 from ..blocks import FloatArray, Grid, IntArray
 from ..parts import Connection, Periodicity
 from ..topology import RELATIVE_TOLERANCE, Topology
@@ -193,7 +194,7 @@ def _undeclared(grid: Grid, topology: Topology, declared: np.ndarray) -> list[st
     sides = distinct(topology.quads.block_side[quads], 6 * grid.n_blocks)
     if sides.size == 0:
         return []
-    names = ", ".join(f"{grid.names[s // 6]}" for s in sides[:6])
+    names = listed(dict.fromkeys(grid.names[side // 6] for side in sides))
     return [f"{int(quads.sum())} face quads coincide but no connection declares them (blocks {names}); they are joined"]
 
 

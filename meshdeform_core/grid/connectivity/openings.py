@@ -14,6 +14,7 @@ from ...numerics.arrays import BoolArray, batches, runs, spans, spread
 from ...numerics.geometry.boxes import overlapping_boxes
 from ...numerics.geometry.coincidence import close_pairs, connected_components, distinct, equal_rows
 from ...numerics.geometry.distance import distance_to_faces
+from ...wording import listed
 from ..blocks import FloatArray, Grid, IntArray
 from ..faces.roles import Role, role_of_patch
 from ..parts import Side, Window
@@ -27,7 +28,6 @@ NEAR = 0.25
 _ABUTTING = 0.1
 """A quad whose centre is closer to another face than this fraction of its shortest edge touches that face."""
 _ROUND_OFF = 1e-9
-_LISTED = 6
 _SAMPLES = 48
 _FEWEST = 2
 _TOGETHER = 300_000
@@ -103,11 +103,10 @@ def describe_group(grid: Grid, group: Sequence[Opening | Overlap]) -> str:
     sides = list(dict.fromkeys(side for opening in patched for side in opening.sides))
     if len(sides) <= 2:
         return first.describe(grid)
-    names = [f"{grid.names[block]}.{side.label}" for block, side in sides]
-    more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
+    names = listed(f"{grid.names[block]}.{side.label}" for block, side in sides)
     return (
-        f"{len(names)} faces touch each other{_apart(patched)}, but their nodes do not match (patched blocks, for "
-        f"example a rotor and a stator): {', '.join(names[:_LISTED])}{more}"
+        f"{len(sides)} faces touch each other{_apart(patched)}, but their nodes do not match (patched blocks, for "
+        f"example a rotor and a stator): {names}"
     )
 
 
