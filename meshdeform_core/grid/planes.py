@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import GridError
+from ..numerics.arrays import extent
 from .blocks import FloatArray, Grid
 
 FLATNESS = 1e-6
@@ -68,6 +69,11 @@ def plane_normal(grid: Grid) -> FloatArray | None:
     """
     if grid.dimension == 3:
         return None
+    low, high = extent(grid.points)
+    constant = np.flatnonzero(low == high)
+    if constant.size == 1:
+        # Nearly all 2-D grids: the singular value decomposition of all nodes takes much longer.
+        return np.asarray(np.eye(3)[constant[0]])
     plane = plane_of(grid.points, None)
     if plane is None:
         raise GridError("the grid is one layer of nodes but not a plane; surface grids cannot be deformed")

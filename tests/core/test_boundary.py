@@ -308,6 +308,12 @@ def test_a_flat_grid_stays_flat():
         plane_normal(bent.moved(bent.points + np.array([0, 0, 1.0]) * bent.points[:, :1] ** 2))
 
 
+def test_the_plane_of_a_thin_strip_far_from_the_origin_is_exact():
+    strip = frame_2d()
+    far = strip.points * [1.0, 1e-9, 0.0] + [0.0, 0.0, 1e6 / 3]
+    np.testing.assert_array_equal(plane_normal(strip.moved(far)), [0.0, 0.0, 1.0])
+
+
 def table(points, displacement, triangles=None, label="table.csv"):
     return SurfaceData(points, displacement, np.empty((0, 3), np.int64) if triangles is None else triangles, label)
 
