@@ -20,7 +20,7 @@ from .parallel import empty, for_rows
 from .smoothness import Moment, Smoothness, shortest_edges, smoothness
 from .velocity import PAST, VELOCITIES, face_fields, grid_velocity
 
-REVISION = 8
+REVISION = 9
 """Number of the algorithms: a series is continued only by a program with the same one.
 
 Raise it with every change after which a level of some series gets other coordinates or another verdict.
@@ -28,7 +28,7 @@ Raise it with every change after which a level of some series gets other coordin
 
 ORIGINS = ("reference", "last")
 _WRITTEN = 1e-6
-_SAMPLED = 8
+_SAMPLED = 16
 _RECENT = 2
 """Levels before one from which its smoothness is known."""
 
@@ -211,8 +211,8 @@ class _Series:
         return max(self.schedule.past(number), min(number, int(repairs)))
 
     def _start(self, number: int, past: list[FloatArray], reference: PreparedMethod) -> Start:
-        """A repair starts from the level before; some are compared with one that starts anew: every eighth, the first,
-        and those after a level where the two differed or the grid jumped."""
+        """A repair starts from the level before; some are compared with one that starts anew: every sixteenth, the
+        first, and those after a level where the two differed or the grid jumped."""
         points = self.setup.grid.points
         if not past or self.setup.case.repair.mode == "off":
             return Start(points, reference)

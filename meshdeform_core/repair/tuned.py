@@ -20,7 +20,7 @@ negative, and in a grid with many weak cells they are more than half of the work
 SOFTENED = 0.5
 """Power of the weights of cells while they are untangled."""
 CUBIC = 2.0
-"""Exponent of the energy that is minimised: the larger it is, the more the worst cells count."""
+"""Factor of the cubic term of the energy that is minimised: the larger it is, the more the worst cells count."""
 POLISHED = 0.25
 """Power of the weights of cells when a healthy grid is polished, as cells at walls are good already."""
 REACH = 32
@@ -30,5 +30,8 @@ gaps, cells at walls must change, too."""
 FALL, FIRST, STEEP = 2.5, 400.0, 4.0
 """Weights are s^-FALL at a share s of that distance, and at least FIRST / l^STEEP times that distance (in cells) in
 layer l."""
+ROOM, CRAMPED = 4.0, 8.0
+"""Where that distance r is less than ROOM cells, the latter is (r / ROOM)^CRAMPED times as large: nearly all cells are at
+walls there, and the others would be sacrificed to them."""
 THIN, GROWTH, HEAVIEST = 50.0, 1.25, 40.0
 """Weights of cells of aspect ratio a are (a / THIN)^GROWTH, limited to 1 ... HEAVIEST."""

@@ -14,7 +14,7 @@ import itertools
 import numpy as np
 
 from ..grid import FloatArray, IntArray
-from .tuned import FALL, FIRST, GROWTH, HEAVIEST, REACH, SHARE, STEEP, THIN
+from .tuned import CRAMPED, FALL, FIRST, GROWTH, HEAVIEST, REACH, ROOM, SHARE, STEEP, THIN
 
 UNLIMITED = 1 << 14
 
@@ -34,8 +34,9 @@ def weigh(share: FloatArray, first: float, start: FloatArray, cells: IntArray) -
     near = share.min(axis=1)
     thin = np.clip((_aspect_ratio(start, cells) / THIN) ** GROWTH, 1.0, HEAVIEST)
     # The layer, from 1 at walls.
-    layer = np.where(near < 1.0, near / first, np.inf)
-    return np.asarray(np.maximum.reduce([near**-FALL, FIRST / first / layer**STEEP, thin]))
+    layer, reach = np.where(near < 1.0, near / first, np.inf), 1.0 / first
+    rigid = FIRST * reach * min(1.0, reach / ROOM) ** CRAMPED
+    return np.asarray(np.maximum.reduce([near**-FALL, rigid / layer**STEEP, thin]))
 
 
 def _aspect_ratio(start: FloatArray, cells: IntArray) -> FloatArray:

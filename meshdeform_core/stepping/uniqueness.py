@@ -14,7 +14,6 @@ from ..grid import FloatArray
 from ..notices import Notice
 from ..numerics.arrays import lengths
 from ..quality.verdict.validity import Verdict, judge
-from ..repair.energy.untangle import CLOSE
 from ..repair.outcome import Outcome
 from ..smoothness import shortest_edges
 from .course import Course
@@ -26,8 +25,8 @@ _PART, _PARTS = 0.875, 12
 """A motion is followed from the largest of the first _PARTS powers of _PART of it at which the method alone keeps the
 grid valid, by steps of which the first is 1 - _PART, the smallest _SHORTEST."""
 _SHORTEST, _STEPS = 0.01, 24
-_NEAR = 0.02
-"""How near to the minimum, in local edges, it is followed on the way."""
+_NEAR, _ENOUGH = 0.02, 0.1 * SAME
+"""How near to the minimum, in local edges, it is followed on the way, and how near it is searched in the end."""
 FOLLOWED = 50_000
 """Nodes of the largest grid on which a motion is followed."""
 
@@ -56,7 +55,7 @@ def _from_another_start(trial: Trial) -> Outcome | None:
     if course.start.correction() is not None:
         if not course.start.compare:
             return None
-        return course.repairer.repair(plain.points, plain.verdict, ways=())
+        return course.repairer.repair(plain.points, plain.verdict, ways=(), close=_ENOUGH)
     if plain.verdict.valid or course.repairer.size > FOLLOWED:
         return None
     return _follow(trial)
@@ -82,7 +81,7 @@ def _follow(trial: Trial) -> Outcome | None:
         plain = _plain(trial, part)
         found = None
         if _verdict(course, plain + correction).valid:
-            close = _NEAR if part < 1.0 else CLOSE
+            close = _NEAR if part < 1.0 else _ENOUGH
             found = repairer.repair(plain, _verdict(course, plain), ways=(), guess=correction, close=close)
         if found and found.repair.converged:
             outcome, correction, reached, step = found, found.points - plain, part, 1.5 * step

@@ -20,6 +20,7 @@ from meshdeform_core.quality.verdict.validity import judge, newly_invalid
 from meshdeform_core.repair import RepairOptions, minimum
 from meshdeform_core.repair.basis import Basis
 from meshdeform_core.repair.constraints import Constraints
+from meshdeform_core.repair.energy import products
 from meshdeform_core.repair.energy.elements import Penalty
 from meshdeform_core.repair.energy.newton import NewtonSystem
 from meshdeform_core.repair.energy.untangle import Untangler
@@ -102,6 +103,23 @@ def test_complete_second_derivatives_are_those_of_differences_of_the_gradient(di
     found = np.einsum("nij,nj->ni", lower, product)
     expected = (ends[1] - ends[0]) / 2e-5
     np.testing.assert_allclose(found, expected, atol=2e-5 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("rows", [7, 1 << 15])
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_a_direction_solves_the_linear_system_in_ranges_of_any_size(dimension, rows, monkeypatch):
+    monkeypatch.setattr(products, "_SWEPT", rows)
+    setup = fixed_setup(cube(6, dimension))
+    plot, random = whole_region(setup), np.random.default_rng(2)
+    start = plot.inside(setup.grid.points)
+    system = NewtonSystem(plot.region)
+    system.fill(plot.region, start + 0.02 * random.standard_normal(start.shape), start, Penalty(0.0, 1.0, 2.0, 1.0))
+    step, convex = system.direction(1e-9, 1000)
+    right = -np.einsum("nij,nj->ni", system._factor, system.gradient)
+    solved = np.linalg.solve(system.dense(), right.ravel()).reshape(right.shape)
+    expected = np.einsum("nji,nj->ni", system._factor, solved)
+    assert convex
+    np.testing.assert_allclose(step, expected, atol=1e-6 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("dimension", [2, 3])

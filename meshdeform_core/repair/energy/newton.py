@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -13,11 +12,10 @@ from ...numerics.arrays import FloatArray
 from ...numerics.jit import kernel
 from ...parallel import for_chunks
 from .elements import Penalty, Rows
+from .products import Plain, Products, Swept, sum_over_rows
 from .region import Region
 
 _ROWS = 2048
-# Rows of vectors, which are cheaper.
-_LONG = 1 << 16
 # Of a block in a product of the matrix; measured.
 _BLOCK = 0.0045
 
@@ -27,8 +25,8 @@ class NewtonSystem:
 
     ``work`` is that of an iteration, see :mod:`.limit`; ``iterations`` those of the last direction.
 
-    The Hessian is scaled from both sides by the Cholesky factors of its diagonal blocks (block-Jacobi
-    preconditioning) and kept in single precision, which only makes steps a little inexact.
+    The Hessian is scaled from both sides by the Cholesky factors of its diagonal blocks and kept in single precision,
+    which only makes steps a little inexact. How it is preconditioned further: :mod:`.products`.
     """
 
     def __init__(self, region: Region) -> None:
@@ -50,7 +48,8 @@ class NewtonSystem:
         ]
         self._matrix = np.empty((len(self._columns), d, d), np.float32)
         self._factor = np.empty((n, d, d))
-        self._multiply = multiply_rows if d == 3 else multiply_plane_rows
+        matrix = self._matrix, self._starts, self._columns
+        self._products: Products = Plain(matrix) if d == 3 else Swept(matrix)
         self.work, self.iterations = _BLOCK * len(self._columns), 0
         self.gradient = np.empty((n, d))
 
@@ -86,46 +85,34 @@ class NewtonSystem:
         return not penalty.exact or not bad.any()
 
     def direction(self, tolerance: float, most: int) -> tuple[FloatArray, bool]:
-        """The Newton step (n_unknowns, d), by conjugate gradients until ``|r| <= tolerance |b|``; whether no direction
-        of negative curvature was met. Where one is, the step so far is one of descent."""
-        factor, (n, d) = self._factor, self.gradient.shape
-        r = -np.einsum("nij,nj->ni", factor, self.gradient)
+        """The Newton step (n_unknowns, d), by conjugate gradients until ``|r| <= tolerance |b|`` after preconditioning;
+        whether no direction of negative curvature was met. Where one is, the step so far is one of descent."""
+        factor, products = self._factor, self._products
+        r = products.begin(-np.einsum("nij,nj->ni", factor, self.gradient))
         y, p, image = np.zeros_like(r), r.copy(), np.empty_like(r)
         flat = [v.ravel() for v in (y, r, p, image)]
-        rho = _sum_over_rows(partial(dot_rows, flat[1], flat[1]), n * d)
+        rho = sum_over_rows(partial(dot_rows, flat[1], flat[1]), r.size)
         goal, convex = tolerance * tolerance * rho, True
-        matrix = self._matrix, self._starts, self._columns
         self.iterations = 0
         for _ in range(most):
             if rho <= goal:
                 break
             self.iterations += 1
-            curvature = _sum_over_rows(partial(self._multiply, *matrix, p, image), n)
+            curvature = products.multiply(p, image)
             if curvature <= 0.0:
                 convex = False
                 break
             length, before = rho / curvature, rho
-            rho = _sum_over_rows(partial(advance_rows, *flat, length), n * d)
+            rho = sum_over_rows(partial(advance_rows, *flat, length), r.size)
             p *= rho / before
             p += r
-        return np.einsum("nji,nj->ni", factor, y), convex
+        return np.einsum("nji,nj->ni", factor, products.end(y)), convex
 
     def dense(self) -> FloatArray:
         """The scaled Hessian as one matrix (d n, d n), for small regions."""
         n, d = self.gradient.shape
         blocks = self._matrix.astype(np.float64), self._columns, self._starts
         return scipy.sparse.bsr_array(blocks, shape=(d * n, d * n)).toarray()
-
-
-def _sum_over_rows(work: Callable[[int, int], float], n: int) -> float:
-    """Sum of ``work(low, high)`` over chunks of rows, always in the same order."""
-    parts = np.zeros(-(-n // _LONG))
-
-    def add(low: int, high: int) -> None:
-        parts[low // _LONG] = work(low, high)
-
-    for_chunks(add, n, _LONG)
-    return parts.sum()
 
 
 @kernel
@@ -203,39 +190,6 @@ def scale_right(matrix, starts, columns, factor, low, high):
                     for o in range(e):
                         total += f[e, o] * block[d, o]
                     block[d, e] = total
-
-
-@kernel
-def multiply_rows(matrix, starts, columns, p, image, low, high):
-    """The rows low <= i < high of the product of the matrix and ``p`` (n, 3); returns their share of ``p . image``."""
-    total = 0.0
-    for row in range(low, high):
-        x = y = z = 0.0
-        for at in range(starts[row], starts[row + 1]):
-            m, o = matrix[at], columns[at]
-            a, b, c = p[o, 0], p[o, 1], p[o, 2]
-            x += m[0, 0] * a + m[0, 1] * b + m[0, 2] * c
-            y += m[1, 0] * a + m[1, 1] * b + m[1, 2] * c
-            z += m[2, 0] * a + m[2, 1] * b + m[2, 2] * c
-        image[row, 0], image[row, 1], image[row, 2] = x, y, z
-        total += x * p[row, 0] + y * p[row, 1] + z * p[row, 2]
-    return total
-
-
-@kernel
-def multiply_plane_rows(matrix, starts, columns, p, image, low, high):
-    """:func:`multiply_rows` with blocks of 2 x 2."""
-    total = 0.0
-    for row in range(low, high):
-        x = y = 0.0
-        for at in range(starts[row], starts[row + 1]):
-            m, o = matrix[at], columns[at]
-            a, b = p[o, 0], p[o, 1]
-            x += m[0, 0] * a + m[0, 1] * b
-            y += m[1, 0] * a + m[1, 1] * b
-        image[row, 0], image[row, 1] = x, y
-        total += x * p[row, 0] + y * p[row, 1]
-    return total
 
 
 @kernel
