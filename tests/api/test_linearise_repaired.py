@@ -10,6 +10,8 @@ import meshdeform as md
 from meshdeform_core.grid.parts import FileFormat
 from meshdeform_core.repair import derivative
 from meshdeform_core.repair.derivative import derivative_of_repair
+from meshdeform_core.repair.energy import untangle
+from meshdeform_core.repair.energy.untangle import CLOSE
 
 BODY = {"where": "abs(x) < 0.51 and abs(y) < 0.51", "select": ["*.i*", "*.j*"], "kind": "moving", "name": "body"}
 STILL = [{"displace": ["0", "0", "0"]}]
@@ -45,8 +47,14 @@ def flat(blocks):
     return np.concatenate([np.ravel(block) for block in blocks])
 
 
+@pytest.fixture
+def converged(monkeypatch):
+    """Newton's method goes on until a step itself moves no node: differences of grids need more digits than grids."""
+    monkeypatch.setattr(untangle, "_SAFETY", np.inf)
+
+
 @pytest.mark.parametrize("name", CASES)
-def test_central_differences_through_a_repair(name):
+def test_central_differences_through_a_repair(name, converged):
     make, size, twist = CASES[name]
     mesh = make()
     at = bend(mesh, size, twist)
@@ -90,6 +98,7 @@ def test_a_repair_that_ends_elsewhere_says_so():
 
 
 def test_a_grid_that_is_not_the_minimum_is_told():
+    """What a repair calls the minimum is that to a millionth of an edge."""
     mesh = prepared(frame(5, 4))
     at = bend(mesh, 0.6, 0.3)
     step, setup = mesh.deform(at, steps=1), mesh._setup
@@ -97,7 +106,7 @@ def test_a_grid_that_is_not_the_minimum_is_told():
     start, end = plain._result.grid.points, step._result.grid.points
     there = derivative_of_repair(setup.undeformed.repairs, start, end, polish=False)
     beside = derivative_of_repair(setup.undeformed.repairs, start, 0.99 * end + 0.01 * start, polish=False)
-    assert there.settle(0.0) < 1e-9 < 1e-4 < beside.settle(0.0)
+    assert there.settle(0.0) < CLOSE < 1e-4 < beside.settle(0.0)
 
 
 def test_a_system_that_is_hardly_determined_ends_the_search_at_once(monkeypatch):

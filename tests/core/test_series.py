@@ -158,7 +158,7 @@ def test_schedules_that_make_no_sense_are_refused(wrong):
 
 def test_a_continued_series_equals_an_uninterrupted_one_also_where_a_repair_has_several_minima():
     times = tuple(np.linspace(1.0, 1.1, 5))
-    setup = set_up(frame(6, 2), Case(tuple(body_specs(turning("108*t")))))
+    setup = set_up(frame(6, 2), Case(tuple(body_specs(turning("120*t")))))
     levels = levels_of(setup, Schedule(times))
     assert all(level.result.valid and level.result.repair for level in levels)
     grids = [level.result.grid.points for level in levels]

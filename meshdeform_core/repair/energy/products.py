@@ -18,6 +18,7 @@ from functools import partial
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...numerics.arrays import FloatArray, IntArray
 from ...numerics.jit import kernel
@@ -27,7 +28,7 @@ _LONG = 1 << 16
 # Rows in the ranges, each of which one thread sweeps through.
 _SWEPT = 1 << 15
 
-Matrix = tuple[FloatArray, IntArray, IntArray]
+Matrix = tuple[NDArray[np.float32], IntArray, IntArray]
 """Blocks, where the rows start, and columns."""
 
 
