@@ -31,7 +31,7 @@ FALL, FIRST, STEEP = 2.5, 400.0, 4.0
 """Weights are s^-FALL at a share s of that distance, and at least FIRST / l^STEEP times that distance (in cells) in
 layer l."""
 ROOM, CRAMPED = 4.0, 8.0
-"""Where that distance r is less than ROOM cells, the latter is (r / ROOM)^CRAMPED times as large: nearly all cells are at
-walls there, and the others would be sacrificed to them."""
+"""Where that distance r is less than ROOM cells, the latter is (r / ROOM)^CRAMPED times as large: nearly all cells are
+at walls there, and the others would be sacrificed to them."""
 THIN, GROWTH, HEAVIEST = 50.0, 1.25, 40.0
 """Weights of cells of aspect ratio a are (a / THIN)^GROWTH, limited to 1 ... HEAVIEST."""
