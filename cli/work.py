@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import time as clock
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import click
 import numpy as np
@@ -19,7 +19,7 @@ from meshdeform_core.deform import Case, Setup, deform
 from meshdeform_core.grid import Grid
 from meshdeform_core.memory import COORDINATE_ARRAYS, Demand, MemoryLimit, peak_memory
 from meshdeform_core.methods import make_method
-from meshdeform_core.parallel import current_ranks, thread_count
+from meshdeform_core.parallel import WholeGridNeeded, current_ranks, dividing, require_whole, thread_count
 from meshdeform_core.quality.fields import CellFields
 from meshdeform_core.wording import counted
 from meshdeform_formats.case import CaseFile
@@ -40,7 +40,9 @@ from .process.progress import ProgressBar, writing
 from .reporting import STDOUT, Delivery, deliver
 from .room import make_room
 
-__all__ = ["Imposed", "Job", "conclude", "load", "place_of", "print_plan", "run"]
+T = TypeVar("T")
+
+__all__ = ["Imposed", "Job", "conclude", "in_parts", "load", "place_of", "print_plan", "run"]
 
 
 @dataclass(frozen=True)
@@ -78,6 +80,19 @@ def load(
     seconds = clock.perf_counter() - start
     demand = Demand.of("deforming", grid, arrays=arrays, other_bytes=_other_bytes(grid, what))
     return Job(grid, what, seconds, demand.left_of(memory))
+
+
+def in_parts(action: Callable[[], T], verbose: bool) -> T:
+    """Do it with grids in parts if there are several ranks; if that is not possible, with
+    the whole grid on each."""
+    if current_ranks().count > 1:
+        try:
+            with dividing():
+                return action()
+        except WholeGridNeeded as reason:
+            if verbose:
+                tell(f"every rank holds the whole grid: {reason}")
+    return action()
 
 
 def _other_bytes(grid: Grid, case: CaseFile) -> int:
@@ -132,6 +147,8 @@ def run(
     chosen = variant_of(job.grid, output, variant)
     require_space(job.grid, output, chosen)
     precision = chosen.precision
+    if options.fields or any(path.suffix == ".html" for path in options.reports):
+        require_whole(job.grid.points, "fields or pictures are asked for")
     grid = complete_for_export(job.grid, output)
     result = deform(
         grid,
@@ -156,7 +173,9 @@ def run(
 
         return deformation_figures(result)
 
-    return deformation_report(result, seconds, peak_memory()) | {"output": str(target)}, illustrate
+    return deformation_report(result, seconds, max(current_ranks().gather([peak_memory()]))) | {
+        "output": str(target)
+    }, illustrate
 
 
 def cells_of(setup: Setup, after: Grid) -> CellFields:

@@ -14,7 +14,7 @@ from typing import Any
 
 from meshdeform_core.errors import FormatError, GridError, MeshDeformError
 from meshdeform_core.grid import FileFormat, Grid
-from meshdeform_core.parallel import current_ranks
+from meshdeform_core.parallel import Part, current_ranks, require_whole
 
 from .files import read_head
 from .plausible import require_plausible
@@ -145,7 +145,7 @@ def write_grid(
     fields to the grid on the first one, which writes them.
     """
     path = Path(path)
-    if dress:
+    if dress and not isinstance(grid.points, Part):
         dressed: list[Grid] = []
         current_ranks().on_first(lambda: dressed.append(dress(grid)))
         grid = dressed[0] if dressed else grid
@@ -155,6 +155,7 @@ def write_grid(
     if entry.together:
         write()
     else:
+        require_whole(grid.points, f"{path} is written as a whole")
         current_ranks().on_first(write)
     return variant
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 from bisect import bisect_right
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
 from pathlib import Path
@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError
-from meshdeform_core.grid import Grid, Planes, Shape
-from meshdeform_core.parallel import current_ranks, for_items
+from meshdeform_core.grid import Grid, IntArray, Planes, Shape
+from meshdeform_core.parallel import Part, current_ranks, for_items
 
 from .coordinates import merge, split
 
@@ -137,15 +137,19 @@ def ranges_of(blocks: Sequence[tuple[int, Shape]]) -> list[Planes]:
 
 
 def read_planes(grid: Grid, part: Planes, arrays: Sequence[Stored]) -> None:
-    """Fill planes of a block from the arrays of its components; those that are missing become zero."""
-    block = grid.block(part.block)[:, :, part.first : part.last]
-    merge(block, (array.read(part.first, part.last) for array in arrays), len(arrays))
+    """Fill planes of a block, as far as this rank holds them, from the arrays of its components; those that are missing
+    become zero."""
+    own = grid.planes(part.block)
+    block = grid.in_planes(part.block)[:, :, part.first : part.last]
+    merge(block, (array.read(part.first, part.last)[:, :, own] for array in arrays), len(arrays))
     block[..., len(arrays) :] = 0.0
 
 
 def write_coordinates(grid: Grid, arrays: Mapping[int, Sequence[Stored]]) -> None:
     """Write the components of some blocks, by number, to their places in a file; all ranks share the work."""
-
+    if isinstance(grid.points, Part):
+        write_parts(grid, grid.points, arrays)
+        return
     synchronous = across_machines()
 
     def put(part: Planes) -> None:
@@ -156,6 +160,56 @@ def write_coordinates(grid: Grid, arrays: Mapping[int, Sequence[Stored]]) -> Non
             place.write(part.first, values, synchronous)
 
     for_ranges(put, [(block, grid.shapes[block]) for block in arrays])
+
+
+def write_parts(grid: Grid, points: Part, arrays: Mapping[int, Sequence[Stored]]) -> None:
+    """The same for a grid in parts along i: ranks that share a block send each other their parts of ranges of planes k.
+
+    Raises
+    ------
+    OSError, FormatError
+        On all ranks, what one of them met first.
+    """
+    ranks, failures, synchronous = points.ranks, list[Exception](), across_machines()
+    for turn in _turns(grid, points.bounds, arrays):
+        sends, receives, own = {}, {}, None
+        for writer, (part, owners) in turn.items():
+            places = arrays[part.block]
+            kind = np.result_type(*(place.dtype.newbyteorder("=") for place in places))
+            if ranks.number in owners:
+                block = grid.in_planes(part.block)[:, :, part.first : part.last]
+                sends[writer] = np.stack(list(split(block, kind, len(places))))
+            if writer == ranks.number:
+                nj, planes = grid.shapes[part.block][1], part.last - part.first
+                receives = {rank: np.empty((len(places), planes, nj, width), kind) for rank, width in owners.items()}
+                own = part, places
+        if own:
+            receives[ranks.number] = sends.pop(ranks.number)
+        ranks.swap(sends, {rank: values for rank, values in receives.items() if rank != ranks.number})
+        if own and not failures:
+            part, places = own
+            try:
+                for component, place in enumerate(places):
+                    values = np.concatenate([receives[rank][component] for rank in sorted(receives)], axis=-1)
+                    place.write(part.first, values, synchronous)
+            except (OSError, FormatError) as error:
+                failures.append(error)
+    for failure in ranks.gather(failures):
+        raise failure
+
+
+def _turns(grid: Grid, bounds: IntArray, blocks: Iterable[int]) -> list[dict[int, tuple[Planes, dict[int, int]]]]:
+    """What is written at a time: for each rank that writes, planes k of a block, and the ranks that hold some of them
+    with their numbers of planes i."""
+    queues: dict[int, list[tuple[Planes, dict[int, int]]]] = {}
+    for block in blocks:
+        ni, nj, nk = grid.shapes[block]
+        ends = np.clip((bounds - grid.offsets[block]) // (nj * nk), 0, ni)
+        owners = {rank: width for rank, width in enumerate(np.diff(ends).tolist()) if width}
+        for number, part in enumerate(ranges_of([(block, (ni, nj, nk))])):
+            queues.setdefault(list(owners)[number % len(owners)], []).append((part, owners))
+    most = max((len(queue) for queue in queues.values()), default=0)
+    return [{rank: queue[n] for rank, queue in queues.items() if n < len(queue)} for n in range(most)]
 
 
 def across_machines() -> bool:

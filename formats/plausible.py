@@ -8,7 +8,8 @@ import numpy as np
 
 from meshdeform_core.errors import GridError
 from meshdeform_core.grid import FloatArray, Grid
-from meshdeform_core.parallel import empty, for_rows
+from meshdeform_core.numerics.arrays import IntArray, extent
+from meshdeform_core.parallel import Part, check_rows, of_all
 from meshdeform_core.wording import vector
 
 # The square of a larger length overflows in single precision, and no grid is so large in any unit.
@@ -29,7 +30,7 @@ def require_plausible(grid: Grid, path: Path) -> None:
         Naming the first such node.
     """
     _require_bounded(grid, path)
-    sample = grid.points[:: max(grid.n_nodes // _SAMPLE, 1)]
+    sample = grid.sample(_SAMPLE)
     size = np.abs(sample)
     share = float(((size > 0) & (size < np.finfo(np.float64).tiny)).mean())
     if share > _MOST_DENORMAL:
@@ -37,29 +38,36 @@ def require_plausible(grid: Grid, path: Path) -> None:
             f"{path}: {share:.0%} of the coordinates are smaller than any normal number ({size[size > 0].min():g}); "
             "they are bits of something else, or in the other byte order"
         )
-    if _on_one_line(sample) and _on_one_line(grid.points):
-        first, low, high = grid.points[0], grid.points.min(axis=0), grid.points.max(axis=0)
+    if _on_one_line(sample) and _all_on_one_line(grid.points):
+        first, (low, high) = grid.points[0], extent(grid.points)
         what = "on one line" if (low < high).any() else f"at one point, {vector(first)}"
         raise GridError(f"{path}: all {grid.n_nodes} nodes lie {what}; a grid needs at least a surface")
 
 
 def _require_bounded(grid: Grid, path: Path) -> None:
-    bad = empty([grid.n_nodes], bool)
+    bad: list[IntArray] = []
 
     def judge(rows: slice) -> None:
         good = np.abs(grid.points[rows]) <= LARGEST
         # numpy is slow on axes of length 3, and this is hardly ever needed.
-        bad[rows] = False if good.all() else ~good.all(axis=1)
+        if not good.all():
+            bad.append(rows.start + np.flatnonzero(~good.all(axis=1)))
 
-    for_rows(judge, bad)
-    if bad.any():
-        first = int(np.argmax(bad))
+    check_rows(judge, grid.points)
+    found = [rows for own in of_all(grid.points, bad) for rows in own]
+    if found:
+        count, first = sum(map(len, found)), min(int(rows[0]) for rows in found)
         point = grid.points[first]
         what = f"beyond {LARGEST:g}" if np.isfinite(point).all() else "not finite numbers"
         raise GridError(
-            f"{path} has {int(bad.sum())} nodes whose coordinates are {what}; the first is "
+            f"{path} has {count} nodes whose coordinates are {what}; the first is "
             f"{grid.node_label(first)} = {vector(point)}"
         )
+
+
+def _all_on_one_line(points: FloatArray) -> bool:
+    """The same of all nodes; a grid in parts is so large that its sample tells."""
+    return isinstance(points, Part) or _on_one_line(points)
 
 
 def _on_one_line(points: FloatArray) -> bool:

@@ -250,7 +250,9 @@ class _Series:
 
         for_rows(fill, distance)
         largest = float(distance.max())
-        return Drift(largest, float(np.sqrt(np.mean(np.square(distance, out=distance)))))
+        # In place, but not by code that all ranks run.
+        for_rows(lambda rows: np.square(distance[rows], out=distance[rows]), distance)
+        return Drift(largest, float(np.sqrt(np.mean(distance))))
 
     def _rotation(self, displacement: FloatArray) -> float:
         turned = self.problem.rotations.vectors(displacement)

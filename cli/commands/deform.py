@@ -82,15 +82,24 @@ def command(
         return work.print_plan(plan_by_sizes(layout, case.read().case, output, options, limit), False, run)
     with ProgressBar(not run.quiet) as progress:
         workplace = None if run.dry_run or output is None else output.parent
-        job = work.load(source, case, limit, [path for path in outputs if path is not None], workplace)
-        if output is not None and not (run.force or run.dry_run or run.allow_invalid):
-            require_earlier_grid(invalid_path(output), job.grid)
+
+        def load() -> work.Job:
+            job = work.load(source, case, limit, [path for path in outputs if path is not None], workplace)
+            if output is not None and not (run.force or run.dry_run or run.allow_invalid):
+                require_earlier_grid(invalid_path(output), job.grid)
+            return job
+
+        def deform() -> tuple[work.Job, tuple[work.Report, work.Illustrate]]:
+            job = load()
+            assert output is not None
+            return job, work.run(job, output, imposed, options, run, progress)
+
         if run.dry_run or output is None:
             from ..dry_run import forecast
 
-            planned, impossible = forecast.plan(job, output, imposed, options, limit)
+            planned, impossible = forecast.plan(load(), output, imposed, options, limit)
         else:
-            report, illustrate = work.run(job, output, imposed, options, run, progress)
+            job, (report, illustrate) = work.in_parts(deform, run.verbose)
     if run.dry_run:
         return work.print_plan(planned, impossible, run)
     files = [*source.roles, *case.roles(job.case), ("output", Path(report["output"]))]

@@ -17,8 +17,9 @@ from h5py import h5g, h5l
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray, Grid
+from meshdeform_core.grid.extent import block_extents
 from meshdeform_core.numerics.arrays import extent
-from meshdeform_core.parallel import current_ranks
+from meshdeform_core.parallel import Part, current_ranks
 
 from ..coordinates import ahead, split
 from ..files import replacing_by_all
@@ -34,6 +35,8 @@ from .storage.tree import Node, data_type_of
 from .write_new import solution_nodes
 from .zone import Base, Zone, find_base, structured_zones
 
+Boxes = tuple[FloatArray, FloatArray]
+"""Lowest and highest coordinates (n_blocks, 3) of blocks."""
 Places = dict[int, list[tuple[int, np.dtype[Any]]]]
 """Offset and type of the coordinate arrays, by the number of the block."""
 
@@ -48,8 +51,10 @@ def write_copy(grid: Grid, path: Path, precision: str | None) -> None:
     source = grid.path
     if source is None or not source.is_file():
         raise FormatError(f"cannot write {path}: {source}, whose other contents are to be copied, no longer exists")
+    # The first rank alone does not know the boxes of a grid in parts.
+    boxes = block_extents(grid) if isinstance(grid.points, Part) else None
     with replacing_by_all(path) as partial:
-        places = current_ranks().on_first(lambda: _begin(grid, source, path, partial, precision))
+        places = current_ranks().on_first(lambda: _begin(grid, source, path, partial, precision, boxes))
         arrays = {}
         for block, found in places.items():
             ni, nj, _ = grid.shapes[block]
@@ -57,7 +62,7 @@ def write_copy(grid: Grid, path: Path, precision: str | None) -> None:
         write_coordinates(grid, arrays)
 
 
-def _begin(grid: Grid, source: Path, path: Path, partial: Path, precision: str | None) -> Places:
+def _begin(grid: Grid, source: Path, path: Path, partial: Path, precision: str | None, boxes: Boxes | None) -> Places:
     """Write everything but the coordinates that can be written in place later; returns the places of these."""
     with opened_cgns(source) as root:
         with naming(source):
@@ -71,7 +76,7 @@ def _begin(grid: Grid, source: Path, path: Path, partial: Path, precision: str |
                 _adapt_links(file, source.parent, path.parent)
                 group = own_group(file, base.node)
                 owns = [own_group(group, zone.node) for zone in zones]
-                places = _replace_coordinates(owns, zones, grid, precision)
+                places = _replace_coordinates(owns, zones, grid, precision, boxes)
                 for block, (own, zone) in enumerate(zip(owns, zones, strict=True)):
                     _add_fields(own, zone, grid, block)
     return places
@@ -94,7 +99,9 @@ def _same_zones(root: Node, grid: Grid, source: Path) -> tuple[Base, list[Zone]]
     return base, zones
 
 
-def _replace_coordinates(parents: list[h5py.Group], zones: list[Zone], grid: Grid, precision: str | None) -> Places:
+def _replace_coordinates(
+    parents: list[h5py.Group], zones: list[Zone], grid: Grid, precision: str | None, boxes: Boxes | None
+) -> Places:
     """Write compressed coordinates and those with rind planes; returns the places of all others."""
     places: Places = {}
     for block, (parent, zone) in enumerate(zip(parents, zones, strict=True)):
@@ -106,7 +113,10 @@ def _replace_coordinates(parents: list[h5py.Group], zones: list[Zone], grid: Gri
             places[block] = found
         else:
             _write_packed(datasets, zone, grid.block(block))
-        _replace_bounding_box(group, zone, grid.block(block))
+        if zone.grid.target.dims == (len(datasets), 2):
+            # GridCoordinates_t may hold the lowest and highest coordinates (SIDS 7.1).
+            box = np.array([end[block] for end in boxes] if boxes else extent(grid.block(block)))
+            group[DATA][...] = box[:, : len(datasets)]
     return places
 
 
@@ -155,14 +165,6 @@ def _packing(dataset: h5py.Dataset) -> dict[str, object]:
         "shuffle": dataset.shuffle,
         "fletcher32": dataset.fletcher32,
     }
-
-
-def _replace_bounding_box(grid: h5py.Group, zone: Zone, block: FloatArray) -> None:
-    """GridCoordinates_t may hold the lowest and highest coordinates (SIDS 7.1)."""
-    dimension = len(zone.coordinates)
-    if zone.grid.target.dims == (dimension, 2):
-        box = np.array(extent(block))
-        grid[DATA][...] = box[:, :dimension]
 
 
 def _adapt_links(file: h5py.File, old: Path, new: Path) -> None:

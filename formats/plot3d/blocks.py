@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshdeform_core.grid import Field, FloatArray, Grid, Shape
-from meshdeform_core.parallel import empty
+from meshdeform_core.parallel import empty, require_whole
 
 from ..coordinates import merge, split
 from ..planes import Stored, Stretches
@@ -58,6 +58,7 @@ def allocate(reading: Reading, path: Path) -> tuple[Grid, list[NDArray[Any]]]:
     grid = Grid.allocate(reading.shapes, format=reading.variant.file_format(), path=path)
     if not reading.variant.iblank:
         return grid, []
+    require_whole(grid.points, "the file has IBLANK values")
     flags = empty([grid.n_nodes], np.int32)
     fields = tuple(Field("iblank", "node", block, grid.block(block, flags)) for block in range(grid.n_blocks))
     return replace(grid, fields=fields), [flags]

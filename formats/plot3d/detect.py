@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError, GridError
 from meshdeform_core.grid import Grid, Shape
+from meshdeform_core.parallel import require_whole
 
 from .variant import CHOICES, Variant
 
@@ -157,6 +158,7 @@ def _makes_sense(reading: Reading, file: UnknownFile) -> bool:
         grid = file.load(reading)
     except (FormatError, GridError):
         return False
+    require_whole(grid.points, f"{file.path} can be read in several ways")
     all_blanked = reading.variant.iblank and not any(field.values.any() for field in grid.fields)
     return not all_blanked and not np.isnan(grid.points).any() and _senseless_share(grid, reading.variant) == 0
 
@@ -174,7 +176,7 @@ def _require_sense(grid: Grid, reading: Reading, path: Path) -> None:
 
 def _senseless_share(grid: Grid, variant: Variant, step: int = 1) -> float:
     """Fraction of implausible coordinates or IBLANK values, among every ``step``-th node."""
-    size = np.abs(grid.points[::step])
+    size = np.abs(grid.points[np.arange(0, grid.n_nodes, step)])
     bad = [((size < np.finfo(variant.precision).tiny) & (size > 0)) | (size > 1e30)]
     # Negative IBLANK values are numbers of neighbouring blocks.
     bad += [np.abs(field.values.reshape(-1)[::step].astype(np.int64)) > MOST_BLOCKS for field in grid.fields]

@@ -14,7 +14,8 @@ import numpy as np
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FileFormat, Grid, Shape
-from meshdeform_core.parallel import current_ranks
+from meshdeform_core.numerics.arrays import extent
+from meshdeform_core.parallel import current_ranks, require_whole
 
 from ..files import replacing_by_all
 from .binary import binary_layout, read_binary, write_binary
@@ -80,6 +81,8 @@ def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
     """
     chosen = _usual_variant(grid, Path(path)).changed(parse_options(options))
     _require_writable(grid, Path(path), chosen)
+    if chosen.encoding == "ascii" or chosen.iblank:
+        require_whole(grid.points, f"{path} is written as a whole")
     return chosen.file_format()
 
 
@@ -93,6 +96,8 @@ def write(grid: Grid, path: Path, variant: FileFormat) -> None:
     """
     chosen = Variant.of(variant)
     _require_writable(grid, Path(path), chosen)
+    if chosen.encoding == "ascii" or chosen.iblank:
+        require_whole(grid.points, f"{path} is written as a whole")
     with replacing_by_all(Path(path)) as partial:
         if chosen.encoding == "ascii":
             current_ranks().on_first(lambda: _write_text(grid, partial, chosen))
@@ -136,7 +141,8 @@ def _require_writable(grid: Grid, path: Path, chosen: Variant) -> None:
     if chosen.dimension == 2:
         _require_flat(grid, path)
     if chosen.precision == "float32":
-        largest = max(float(grid.points.max()), -float(grid.points.min()))
+        low, high = extent(grid.points)
+        largest = max(float(high.max()), -float(low.min()))
         if largest > float(np.finfo(np.float32).max):
             raise FormatError(f"cannot write {path} as float32: a coordinate is {largest:g}; use precision=float64")
 

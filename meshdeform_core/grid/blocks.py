@@ -18,8 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import GridError
-from ..numerics.arrays import FloatArray, IntArray
-from ..parallel import Shared, empty, for_items
+from ..numerics.arrays import FloatArray, IntArray, total
+from ..numerics.pieces import pieces
+from ..parallel import Part, Shared, divided, empty, for_items, of_all, on_each, own_rows, require_whole
+from .dealing import in_parts
 from .lattice import SideLattice
 from .parts import Connection, Field, FileFormat, Patch, Planes, Shape
 
@@ -75,10 +77,11 @@ class Grid:
     @classmethod
     def allocate(cls, shapes: Sequence[Shape], names: Sequence[str] | None = None, **rest: Any) -> Grid:
         """Make a grid with uninitialised coordinates, to be filled block by block through :meth:`fill`."""
-        sizes = tuple(tuple(int(n) for n in shape) for shape in shapes)
+        sizes: tuple[Shape, ...] = tuple((int(ni), int(nj), int(nk)) for ni, nj, nk in shapes)
         total = sum(ni * nj * nk for ni, nj, nk in sizes)
         labels = tuple(names) if names is not None else tuple(f"block{b + 1}" for b in range(len(sizes)))
-        return cls(empty((total, 3)), sizes, labels, **rest)  # type: ignore[arg-type]
+        points = in_parts(sizes) if divided() else empty((total, 3))
+        return cls(points, sizes, labels, **rest)  # type: ignore[arg-type]
 
     @classmethod
     def from_blocks(cls, blocks: Sequence[FloatArray], names: Sequence[str] | None = None, **rest: Any) -> Grid:
@@ -151,12 +154,50 @@ class Grid:
         lo, hi = self.offsets[index], self.offsets[index + 1]
         return array[lo:hi].reshape(self.shapes[index] + array.shape[1:])
 
+    @property
+    def total(self) -> FloatArray:
+        """Sum (3,) of the coordinates of all nodes, piece by piece: the same to the last bit for any ranks."""
+        low, high = own_rows(self.points)
+        block, first, last = pieces(self.shapes).T
+        size = np.prod(self.shapes, axis=1)[block] // np.array(self.shapes)[block, 0]
+        rows = self.offsets[block] + np.stack([first, last]) * size
+        own = rows[:, (rows[0] >= low) & (rows[1] <= high)].T
+        sums = [total(self.points[begin:end]) for begin, end in own.tolist()]
+        return np.asarray(sum(each for found in of_all(self.points, sums) for each in found))
+
+    def planes(self, index: int) -> slice:
+        """The planes i of a block that this rank owns; all of them unless the grid is in parts."""
+        lo, hi = own_rows(self.points)
+        ni, nj, nk = self.shapes[index]
+        first, last = np.clip((np.array([lo, hi]) - self.offsets[index]) // (nj * nk), 0, ni)
+        return slice(int(first), int(last))
+
+    def in_planes(self, index: int, values: FloatArray | None = None, more: int = 0) -> FloatArray:
+        """View of the planes i of a block that this rank owns, and of some ``more`` of the planes that follow, in
+        ``points`` or in an array alike."""
+        own, (ni, nj, nk) = self.planes(index), self.shapes[index]
+        last = min(own.stop + more, ni) if own.stop > own.start else own.stop
+        start, stop = (int(self.offsets[index]) + plane * nj * nk for plane in (own.start, last))
+        return (self.points if values is None else values)[start:stop].reshape(-1, nj, nk, 3)
+
+    def hold_neighbours(self, values: FloatArray | None = None) -> None:
+        """Hold the planes beside those of this rank, too, if the grid is in parts, of ``points`` or an array alike."""
+        if not isinstance(self.points, Part):
+            return
+        low, high = own_rows(self.points)
+        for block, shape in enumerate(self.shapes):
+            first, last = self.offsets[[block, block + 1]].tolist()
+            low -= shape[1] * shape[2] * (first < self.points.low < last)
+            high += shape[1] * shape[2] * (first < self.points.high < last)
+        (self.points if values is None else values).widen(low, high)
+
     def fill(self, put: Callable[[int], None], *others: NDArray[Any]) -> None:
         """Call ``put(b)`` for every block, in ascending order; several ranks share the blocks.
 
         ``put`` fills the block's rows of ``points`` and of the arrays ``others`` with one row per node. An exception on
         one rank is raised on all.
         """
+        require_whole(self.points, "the grid is read as a whole")
         whole = [Planes(block, 0, shape[2]) for block, shape in enumerate(self.shapes)]
         self.fill_planes(lambda part: put(part.block), whole, *others, threads=1)
 
@@ -168,6 +209,11 @@ class Grid:
         def rows(first: int, last: int) -> IntArray:
             return np.concatenate([self._rows(part) for part in parts[first:last]])
 
+        if isinstance(self.points, Part):
+            own = [part for part in parts if self.planes(part.block).start < self.planes(part.block).stop]
+            on_each(lambda: for_items(lambda number: put(own[number]), len(own), [], threads=threads))
+            self.points.keep(self.sides.near)
+            return
         shared = [Shared(array, rows) for array in (self.points, *others)]
         for_items(lambda number: put(parts[number]), len(parts), shared, threads=threads)
 
@@ -183,6 +229,10 @@ class Grid:
         object.__setattr__(grid, "points", points)
         grid._check_points()
         return grid
+
+    def sample(self, count: int) -> FloatArray:
+        """Coordinates (n, 3) of about ``count`` nodes, spread evenly over all."""
+        return np.asarray(self.points[np.arange(0, self.n_nodes, max(1, self.n_nodes // count))])
 
     def locate(self, flat: int) -> tuple[int, Shape]:
         """Block and 0-based (i, j, k) of a flat node index."""

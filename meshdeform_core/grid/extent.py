@@ -8,6 +8,7 @@ import numpy as np
 
 from ..errors import GridError
 from ..numerics.arrays import batches, extent
+from ..parallel import Part, of_all
 from ..wording import vector
 from .blocks import FloatArray, Grid
 
@@ -19,6 +20,8 @@ _TOGETHER = 100_000
 
 def block_extents(grid: Grid) -> tuple[FloatArray, FloatArray]:
     """Smallest and largest coordinates (n_blocks, 3) of every block."""
+    if isinstance(grid.points, Part):
+        return _extents_of_parts(grid)
     low, high = (np.empty((grid.n_blocks, 3)) for _ in range(2))
     for first, last in batches(np.diff(grid.offsets), _TOGETHER):
         rows = grid.points[grid.offsets[first] : grid.offsets[last]]
@@ -29,6 +32,17 @@ def block_extents(grid: Grid) -> tuple[FloatArray, FloatArray]:
         for extreme, found in ((np.minimum, low), (np.maximum, high)):
             extreme.reduceat(rows, starts, axis=0, out=found[first:last])
     return low, high
+
+
+def _extents_of_parts(grid: Grid) -> tuple[FloatArray, FloatArray]:
+    """The same of a grid of which every rank holds a part."""
+    low, high = np.full((grid.n_blocks, 3), np.inf), np.full((grid.n_blocks, 3), -np.inf)
+    for block in range(grid.n_blocks):
+        rows = grid.in_planes(block)
+        if rows.size:
+            low[block], high[block] = extent(rows)
+    found = of_all(grid.points, (low, high))
+    return np.min([each[0] for each in found], axis=0), np.max([each[1] for each in found], axis=0)
 
 
 @dataclass
@@ -70,8 +84,8 @@ class Bounds:
         for block in np.argsort(-highest):
             if highest[block] <= found:
                 break
-            rows = self._grid.points[self._grid.offsets[block] : self._grid.offsets[block + 1]]
-            found = max(found, float((rows @ normal).max()))
+            rows = self._grid.in_planes(block)
+            found = max(found, *of_all(self._grid.points, float((rows @ normal).max(initial=-np.inf))))
         return found
 
 
@@ -83,7 +97,7 @@ def require_extent(grid: Grid) -> None:
     GridError
         Stating the extent of the nodes.
     """
-    some = grid.points[:: max(1, grid.n_nodes // _SAMPLE)]
+    some = grid.sample(_SAMPLE)
     low, high = extent(grid.points)
     size = float((high - low).max())
     if not size > _SMALLEST:

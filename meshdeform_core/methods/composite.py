@@ -14,7 +14,7 @@ import numpy as np
 from ..errors import MotionError
 from ..grid import FloatArray, IntArray
 from ..numerics.rows import put_rows, spread_rows, take_rows
-from ..parallel import current_ranks, empty, for_chunks, for_rows
+from ..parallel import Part, alike, current_ranks, for_chunks, for_rows, own_rows, require_whole, rows_of
 from ..wording import vector
 from .base import Account, Interpolation, Mover, PreparedMethod, Problem, Progress
 from .periodic_steps import PreparedPeriodic, free_periodic, with_known_periodic
@@ -62,7 +62,8 @@ class Composite:
         periodic = free_periodic(problem)
         if periodic.size == 0:
             return PreparedComposite(self, problem)
-        first = _mover(self.mover, problem, problem.topology.first[periodic])
+        require_whole(problem.grid.points, "periodic sides move")
+        first = _mover(self.mover, problem, np.sort(problem.topology.first[periodic]))
         guided = with_known_periodic(problem)
         return PreparedPeriodic(problem, first, PreparedComposite(self, guided), guided)
 
@@ -127,7 +128,7 @@ class PreparedComposite:
         problem = self._problem
         check_displacement(displacement, len(problem.source_numbers))
         # Every node lies on a block face, in the skeleton, or inside a block or sub-block: none is left unset.
-        out = empty((problem.grid.n_nodes, 3))
+        out = alike(problem.grid.points)
         if self._left_out:
             # Read the face values before the second step overwrites them.
             for_rows(lambda rows: out[rows].fill(np.nan), out)
@@ -148,10 +149,13 @@ class PreparedComposite:
         boundary.slip.constrain(face, self._problem.grid.points, topology.first)
         boundary.periodic.constrain(face, ~boundary.known)
 
-        def work(lo: int, hi: int) -> None:
-            spread_rows(face, topology.number[lo:hi], topology.face_nodes[lo:hi], out)
+        begin, end = np.searchsorted(topology.face_nodes, own_rows(out)).tolist()
+        number, nodes, rows = topology.number[begin:end], topology.face_nodes[begin:end], rows_of(out)
 
-        for_chunks(work, len(topology.number), _NODES, common=[out])
+        def work(lo: int, hi: int) -> None:
+            spread_rows(face, number[lo:hi], nodes[lo:hi], rows)
+
+        for_chunks(work, end - begin, _NODES, common=[rows])
 
 
 def check_displacement(displacement: FloatArray, n_sources: int) -> None:
@@ -180,24 +184,31 @@ def check_displacement(displacement: FloatArray, n_sources: int) -> None:
 
 def _on_faces(displacement: FloatArray, problem: Problem) -> FloatArray:
     """The rows (n_unique, 3) of ``displacement`` (n_nodes, 3) at nodes on block faces."""
+    if isinstance(displacement, Part):
+        return np.asarray(displacement[problem.topology.first])
     face = np.empty((problem.topology.n_unique, 3))
     take_rows(displacement, problem.topology.first, face)
     return face
 
 
 def first_step_nodes(problem: Problem, skeleton: Skeleton | None) -> IntArray:
-    """Flat indices of the nodes that the first step moves: without sources, coincident nodes once."""
+    """Flat indices, ascending, of the nodes that the first step moves: without sources, coincident nodes once.
+
+    Of a grid in parts they are those of this rank.
+    """
     topology = problem.topology
-    chosen = np.zeros(problem.grid.n_nodes, dtype=bool)
-    if skeleton is None:
-        chosen[:] = True
-    else:
-        chosen[skeleton.nodes()] = True
-    # A node belongs to the skeleton if any coincident node does: the blocks on both sides of an interface may be cut
-    # at different places.
-    wanted = np.zeros(topology.n_unique, dtype=bool)
-    wanted[topology.number[chosen[topology.face_nodes]]] = True
+    low, high = own_rows(problem.grid.points)
+    chosen = np.full(high - low, skeleton is None)
+    if skeleton is not None:
+        chosen[skeleton.nodes() - low] = True
+    begin, end = np.searchsorted(topology.face_nodes, [low, high])
+    faces = topology.face_nodes[begin:end] - low
+    # A node belongs to the skeleton if any coincident node does: all nodes on block faces do but for sides left out.
+    wanted = np.full(topology.n_unique, skeleton is None or not skeleton.left_out)
+    if not wanted.all():
+        wanted[topology.number[chosen[faces]]] = True
     wanted[problem.source_numbers] = False
-    chosen[topology.face_nodes] = False
-    chosen[topology.first[wanted]] = True
-    return np.flatnonzero(chosen)
+    chosen[faces] = False
+    first = topology.first[wanted]
+    chosen[first[(first >= low) & (first < high)] - low] = True
+    return low + np.flatnonzero(chosen)

@@ -17,7 +17,7 @@ from ..boundary.slip import Slip
 from ..grid import BoolArray, FloatArray, IntArray
 from ..numerics.arrays import lengths
 from ..numerics.geometry.surface import TriangleTree
-from ..parallel import current_ranks, empty, for_rows
+from ..parallel import alike, current_ranks, for_rows
 from .base import Account, Interpolation, PreparedMethod, Problem, Progress, Setting
 from .composite import Composite, Filler, PreparedComposite
 from .transfinite.tfi import TFI
@@ -97,7 +97,8 @@ class PreparedInGaps:
         share, lines = self.spread(closing.share), self.transfinite.apply(displacement)
 
         def blend(rows: slice) -> None:
-            out[rows] += share[rows] * (lines[rows] - out[rows])
+            moved = out[rows]
+            moved += share[rows] * (lines[rows] - moved)
 
         for_rows(blend, out)
         if self._problem.boundary.slip.curved:
@@ -118,9 +119,9 @@ class PreparedInGaps:
     def spread(self, share: FloatArray) -> FloatArray:
         """Values (n_nodes, 1) at all nodes from 0 to 1 by TFI of those (n_sources,) at the sources."""
         found = self.scalar.apply(np.outer(share, [1.0, 0.0, 0.0]))
-        result = empty((len(found), 1))
-        for_rows(lambda rows: np.clip(found[rows, :1], 0.0, 1.0, out=result[rows]), result)
-        return np.asarray(result)
+        result: FloatArray = alike(found, 1)
+        for_rows(lambda rows: np.clip(found[rows][:, :1], 0.0, 1.0, out=result[rows]), result)
+        return result
 
     @cached_property
     def _gap(self) -> FloatArray:

@@ -7,6 +7,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ..parallel import Part, of_all
+
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 KeyArray = NDArray[np.uint64]
@@ -25,6 +27,10 @@ def extent(points: FloatArray) -> tuple[FloatArray, FloatArray]:
 
     Many points are reduced as one row, because numpy reduces long rows much faster than short ones.
     """
+    if isinstance(points, Part):
+        found = of_all(points, extent(points.own) if len(points.own) else None)
+        lows, highs = zip(*(each for each in found if each), strict=True)
+        return np.min(lows, axis=0), np.max(highs, axis=0)
     rows = np.ascontiguousarray(points).reshape(-1, 3)
     even = len(rows) // _TOGETHER * _TOGETHER
     long, rest = rows[:even].reshape(-1, 3 * _TOGETHER), rows[even:]

@@ -16,10 +16,12 @@ from seeing each other's unfinished work:
 Memory is released when the last rank drops the array; ranks need not do that together.
 """
 
+from __future__ import annotations
+
 import math
 import os
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar, copy_context
 from functools import partial
@@ -35,8 +37,6 @@ Bounds = tuple[int, int]
 
 # For smaller arrays the synchronisation of shared memory costs more than it saves.
 _SMALL = 1 << 20
-# Rows of coordinates per chunk; they fit into the cache of a core.
-_ROWS = 1 << 14
 
 
 class Ranks(Protocol):
@@ -91,6 +91,18 @@ class Ranks(Protocol):
         """The (small) results of all ranks, in rank order."""
         ...
 
+    def collect(self, own: Any, counts: Sequence[int]) -> Any:
+        """The rows of all ranks, ``counts`` of each, one after the other."""
+        ...
+
+    def swap(self, sends: Mapping[int, Any], receives: Mapping[int, Any]) -> None:
+        """Send arrays to other ranks, by number, and fill those that they send; empty ones are left out."""
+        ...
+
+    def dividing(self) -> Ranks:
+        """The same ranks without common memory: each holds its part of the grid."""
+        ...
+
     def on_first(self, action: Callable[[], T]) -> T:
         """Run ``action``, such as writing a file, on the first rank only; all get its result or raise its error."""
         ...
@@ -135,6 +147,15 @@ class OneRank:
     def gather(self, found: Sequence[T]) -> list[T]:
         return list(found)
 
+    def collect(self, own: Any, counts: Sequence[int]) -> Any:
+        return own
+
+    def swap(self, sends: Mapping[int, Any], receives: Mapping[int, Any]) -> None:
+        """Nothing to do: there are no others."""
+
+    def dividing(self) -> OneRank:
+        return self
+
     def on_first(self, action: Callable[[], T]) -> T:
         return action()
 
@@ -147,10 +168,12 @@ class Shared(NamedTuple):
 
 
 class Sharing(NamedTuple):
-    """Who shares the work: MPI ranks, and at most this number of threads on each; ``None`` for all its cores."""
+    """Who shares the work: MPI ranks, and at most this number of threads on each, ``None`` for all its cores;
+    ``divided``: every rank holds a part of the grid (:mod:`.parts`)."""
 
     ranks: Ranks
     threads: int | None
+    divided: bool = False
 
 
 # A context variable, not a global one: calls in different threads of a program do not change each other's setting, and
@@ -184,9 +207,25 @@ def sharing(ranks: Ranks, threads: int | None) -> Iterator[None]:
         _sharing.reset(before)
 
 
+@contextmanager
+def dividing() -> Iterator[None]:
+    """Within the block, grids that are read are in parts, if there are several ranks."""
+    before = _sharing.get()
+    token = _sharing.set(Sharing(before.ranks.dividing(), before.threads, divided=before.ranks.count > 1))
+    try:
+        yield
+    finally:
+        _sharing.reset(token)
+
+
+def divided() -> bool:
+    """Whether every rank holds a part of the grid."""
+    return _sharing.get().divided
+
+
 def alone() -> AbstractContextManager[None]:
     """Share nothing within the block: for work that one rank does alone."""
-    ranks, threads = _sharing.get()
+    ranks, threads, _ = _sharing.get()
     return sharing(OneRank(ranks.cores), threads)
 
 
@@ -212,7 +251,7 @@ def empty(shape: Sequence[int], dtype: Any = "float64") -> Any:
 
 def thread_count() -> int:
     """Number of threads that loops use."""
-    ranks, threads = _sharing.get()
+    ranks, threads, _ = _sharing.get()
     return max(1, min(threads or ranks.cores, usable_cores()))
 
 
@@ -291,11 +330,6 @@ def for_items(
     if found := current_ranks().gather(failures):
         # Raise the error that a single process would have met first.
         raise min(found, key=lambda each: each[0])[1]
-
-
-def for_rows(fill: Callable[[slice], object], array: Any) -> None:
-    """Let ``fill(rows)`` fill slices of ``array`` (n, ...): for values that cost less to compute than to send."""
-    for_chunks(lambda first, last: fill(slice(first, last)), len(array), _ROWS, common=[array])
 
 
 def _on_threads(work: Work, bounds: list[Bounds], progress: Counter | None, limit: int) -> None:

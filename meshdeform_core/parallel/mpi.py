@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import mmap
 import os
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import accumulate
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -167,6 +168,30 @@ class MPIRanks:
     def _gather(comm: Comm, found: Sequence[T]) -> list[T]:
         _meet(comm)
         return [each for own in comm.allgather(list(found)) for each in own]
+
+    def collect(self, own: np.ndarray, counts: Sequence[int]) -> np.ndarray:
+        """The rows of all ranks, ``counts`` of each, one after the other."""
+        import numpy as np
+
+        found = np.empty((sum(counts), *own.shape[1:]), own.dtype)
+        width = math.prod(own.shape[1:])
+        _meet(self._comm)
+        self._comm.Allgatherv(np.ascontiguousarray(own), [found, [width * count for count in counts]])
+        return found
+
+    def swap(self, sends: Mapping[int, np.ndarray], receives: Mapping[int, np.ndarray]) -> None:
+        """Send arrays to other ranks, by number, and fill those that they send; empty ones are left out."""
+        _meet(self._comm)
+        requests = [self._comm.Irecv(array, source=number) for number, array in receives.items() if array.size]
+        requests += [self._comm.Isend(array, dest=number) for number, array in sends.items() if array.size]
+        for request in requests:
+            request.Wait()
+
+    def dividing(self) -> MPIRanks:
+        """The same ranks without common memory: each holds its part of the grid."""
+        other = copy.copy(self)
+        other._together = False
+        return other
 
     def on_first(self, action: Callable[[], T]) -> T:
         """Run ``action`` on the first rank only; all get its result or fail with it."""

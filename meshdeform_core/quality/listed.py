@@ -49,7 +49,7 @@ def worst_cell(grid: Grid, points: FloatArray, cell: int, value: float) -> Worst
     """The entry for ``cell``, the number of the cell with the worst value of a measure; an infinite value becomes 1."""
     block, ijk = place_of(grid, cell)
     i, j, k = ijk
-    center = grid.block(block, points)[i : i + 2, j : j + 2, k : k + 2].reshape(-1, 3).mean(axis=0)
+    center = cell_corners(grid, points, block, ijk).reshape(-1, 3).mean(axis=0)
     return Worst(value if np.isfinite(value) else 1.0, grid.names[block], (i + 1, j + 1, k + 1), tuple(center.tolist()))
 
 
@@ -61,12 +61,19 @@ def place_of(grid: Grid, cell: int) -> tuple[int, Shape]:
     return block, (i, j, k)
 
 
+def cell_corners(grid: Grid, points: FloatArray, block: int, ijk: Shape) -> FloatArray:
+    """Corners (2, 2, 2, 3) of a cell with coordinates ``points`` (n_nodes, 3); one along the flat index in 2-D."""
+    shape = grid.shapes[block]
+    ends = [np.arange(at, min(at + 2, n)) for at, n in zip(ijk, shape, strict=True)]
+    return np.asarray(points[grid.offsets[block] + np.ravel_multi_index(np.ix_(*ends), shape)])
+
+
 def list_cells(original: Original, points: FloatArray, cells: IntArray, verdict: Verdict) -> Iterator[InvalidCell]:
     """Entries for ``cells`` (numbers of invalid cells) at coordinates ``points`` (n_nodes, 3)."""
     grid, normal = original.grid, plane_normal(original.grid)
-    for cell in cells.tolist():
+    for cell, failed in zip(cells.tolist(), verdict.failed[cells].tolist(), strict=True):
         block, (i, j, k) = place_of(grid, cell)
-        x = np.ascontiguousarray(grid.block(block, points)[i : i + 2, j : j + 2, k : k + 2])
+        x = cell_corners(grid, points, block, (i, j, k))
         measures = measure_block(x, float(original.topology.handedness[block]), normal)
         center = x.reshape(-1, 3).mean(axis=0)
         yield InvalidCell(
@@ -75,7 +82,7 @@ def list_cells(original: Original, points: FloatArray, cells: IntArray, verdict:
             measures.skew.item(),
             measures.jacobian.item(),
             (float(center[0]), float(center[1]), float(center[2])),
-            Failure(verdict.failed[cell]).label,
+            Failure(failed).label,
         )
 
 
@@ -88,8 +95,8 @@ def with_nearest_patch(
     centers = []
     for cell in cells:
         i, j, k = (n - 1 for n in cell.ijk)
-        x = grid.block(grid.names.index(cell.block), points)
-        centers.append(x[i : i + 2, j : j + 2, k : k + 2].reshape(-1, 3).mean(axis=0))
+        x = cell_corners(grid, points, grid.names.index(cell.block), (i, j, k))
+        centers.append(x.reshape(-1, 3).mean(axis=0))
     near = nearest_patches(grid.moved(points), topology, boundary, np.array(centers))
     return tuple(dataclasses.replace(cell, nearest_patch=name) for cell, name in zip(cells, near, strict=True))
 

@@ -9,11 +9,12 @@ import numpy as np
 from ..boundary import Boundary
 from ..grid import FloatArray
 from ..numerics.cell.health import all_healthy
+from ..parallel import of_all
 from ..quality import Original
 from .constraints import Constraints
 from .energy.elements import COLLAPSED
 from .energy.newton import NewtonSystem
-from .extrusion import Extrusion, find_extrusion
+from .extrusion import Extrusion, find_extrusion, may_be_extruded
 from .neighbourhood import Neighbourhood, Plot
 from .tuned import HEALTHY, SOFT
 
@@ -49,8 +50,14 @@ class Basis:
         grid = self.original.grid
         if grid.dimension == 2:
             return False
-        pairs = ((grid.block(n, points), grid.block(n)) for n in range(grid.n_blocks))
-        return all(all_healthy(x, start, HEALTHY, SOFT, COLLAPSED) for x, start in pairs)
+        pairs = ((grid.in_planes(n, points, 1), grid.in_planes(n, grid.points, 1)) for n in range(grid.n_blocks))
+        healthy = all(all_healthy(x, start, HEALTHY, SOFT, COLLAPSED) for x, start in pairs if len(x) > 1)
+        return all(of_all(points, healthy))
+
+    @property
+    def may_be_extruded(self) -> bool:
+        """Whether the grid may be extruded from a plane one, as far as a grid in parts tells."""
+        return may_be_extruded(self.original.grid)
 
     @cached_property
     def whole(self) -> Whole | None:

@@ -7,9 +7,10 @@ from functools import cached_property
 
 import numpy as np
 
-from ..grid import FloatArray, Grid, IntArray
+from ..grid import FloatArray, Grid, IntArray, Side
 from ..grid.planes import plane_normal
-from ..grid.topology import Topology, find_topology
+from ..grid.topology import Topology, find_topology, side_nodes
+from ..numerics.arrays import extent
 from ..parallel import empty, for_rows
 from .constraints import Constraints
 
@@ -97,7 +98,7 @@ def find_extrusion(constraints: Constraints) -> Extrusion | None:
         return None
     constraints = constraints.without_sliding()
     scale = float(np.ptp(grid.points, axis=0).max())
-    for height in _heights(grid.block(0), scale):
+    for height in _heights(grid, scale):
         axes = [axis for b in range(grid.n_blocks) if (axis := _axis(grid.block(b), height, scale))]
         unit = height / np.linalg.norm(height)
         found = _extruded(constraints, axes, unit, scale) if len(axes) == grid.n_blocks else None
@@ -106,11 +107,19 @@ def find_extrusion(constraints: Constraints) -> Extrusion | None:
     return None
 
 
-def _heights(block: FloatArray, scale: float) -> list[FloatArray]:
-    """Vectors between opposite faces of a block that are the same at all nodes; none where the two faces coincide."""
+def may_be_extruded(grid: Grid) -> bool:
+    """Whether its first block has the same height everywhere."""
+    low, high = extent(grid.points)
+    return bool(_heights(grid, float((high - low).max())))
+
+
+def _heights(grid: Grid, scale: float) -> list[FloatArray]:
+    """Vectors between opposite faces of the first block that are the same at all nodes; none where the two faces
+    coincide."""
     found = []
     for axis in range(3):
-        height = block.take(-1, axis=axis) - block.take(0, axis=axis)
+        low, high = (grid.points[side_nodes(grid, 0, Side(2 * axis + end))] for end in range(2))
+        height = high - low
         mean = height.reshape(-1, 3).mean(axis=0)
         straight = np.ptp(height.reshape(-1, 3), axis=0).max() <= _STRAIGHT * scale
         if straight and np.linalg.norm(mean) > _STRAIGHT * scale:

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..grid import FloatArray
 from ..memory import UNLIMITED, MemoryLimit
-from ..parallel import alone, current_ranks, empty, for_rows
+from ..parallel import Part, alone, current_ranks, empty, for_rows, require_whole
 from ..quality.verdict.validity import Verdict, judge
 from .basis import Basis, Whole
 from .energy.newton import NewtonSystem
@@ -66,7 +66,10 @@ class Repairer:
             When the memory limit is too small to find out, or to repair them.
         """
         if verdict.failed.any():
+            require_whole(points, "cells are invalid and may be repaired")
             return True
+        if isinstance(points, Part):
+            return not self._surely_healthy(points)
 
         def weak() -> bool:
             flat, basis = self._flattened(points) or (points, self.basis)
@@ -76,6 +79,14 @@ class Repairer:
             return whole is not None and share_of(whole.plot.region.energy, whole.plot.inside(flat))[0] > 0.0
 
         return current_ranks().once(weak)
+
+    def _surely_healthy(self, points: FloatArray) -> bool:
+        """Whether cells in parts need no repair; all that is less clear takes the whole grid."""
+        for each in (points, self.original.grid.points):
+            self.original.grid.hold_neighbours(each)
+        if self.basis.may_be_extruded or not self.basis.healthy(points):
+            require_whole(points, "cells are weak and may be repaired")
+        return True
 
     def repair(
         self,

@@ -18,6 +18,7 @@ from ..grid.precision import rounded
 from ..methods import Options, PreparedMethod, Progress
 from ..methods.components import PreparedComponents
 from ..notices import Notice, first_of_each_kind, kind_of
+from ..parallel import Part
 from ..repair.limit import Limit
 from ..repair.repair import Repairer
 from ..setup import BoundaryMotion, Setup, Start, Timing
@@ -120,7 +121,10 @@ class Course:
 
     def rounded(self, points: FloatArray) -> FloatArray:
         """Coordinates as they will be written."""
-        return rounded(points, self.precision)
+        found = rounded(points, self.precision)
+        if isinstance(found, Part) and not found.keeps:
+            found.keep_like(self.setup.grid.points)
+        return found
 
     @cached_property
     def repairer(self) -> Repairer:

@@ -102,12 +102,12 @@ class Trial:
     @property
     def invalid_cells(self) -> int:
         """Number of invalid cells."""
-        return int(np.count_nonzero(self.found.verdict.failed))
+        return len(self.found.verdict.invalid)
 
     @property
     def smallest_ratio(self) -> float:
         """Smallest Jacobian of a corner relative to the undeformed grid."""
-        return float(self.found.verdict.ratio.min())
+        return self.found.verdict.smallest_ratio
 
 
 def beginning(course: Course, options: Options) -> State:

@@ -129,7 +129,7 @@ def test_bricks_hold_every_target_once():
     grid = frame(9, 7)
     shapes = shape_table(grid.shapes)
     wanted = np.random.default_rng(0).random(grid.n_nodes) < 0.6
-    bricks, first = build_bricks(grid.points, shapes, grid.offsets, wanted, 4, 100)
+    bricks, first = build_bricks(grid.points, shapes, grid.offsets, np.flatnonzero(wanted), 4, 100)
     np.testing.assert_array_equal(np.sort(bricks.targets), np.flatnonzero(wanted))
     for b in range(len(bricks.start) - 1):
         x = grid.points[bricks.targets[bricks.start[b] : bricks.start[b + 1]]]

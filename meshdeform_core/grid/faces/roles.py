@@ -17,7 +17,7 @@ from ..blocks import FloatArray, Grid, IntArray
 from ..extent import Bounds
 from ..parts import Patch, Side
 from ..planes import FLATNESS
-from ..topology import Topology
+from ..topology import Topology, side_nodes
 from .pieces import Face, QuadGeometry
 
 
@@ -210,17 +210,17 @@ def _extruded_axes(grid: Grid, direction: FloatArray) -> list[int] | None:
     """The axis of every block along which it is extruded, ``None`` if one of them is not."""
     axes = []
     for block in range(grid.n_blocks):
-        axis = _extruded_axis(grid.block(block), direction)
+        axis = _extruded_axis(grid, block, direction)
         if axis is None:
             return None
         axes.append(axis)
     return axes
 
 
-def _extruded_axis(x: FloatArray, direction: FloatArray) -> int | None:
-    """Index axis along which all layers of a block (ni, nj, nk, 3) are the first one, shifted along ``direction``."""
+def _extruded_axis(grid: Grid, block: int, direction: FloatArray) -> int | None:
+    """Index axis along which all layers of a block are the first one, shifted along ``direction``."""
     for axis in range(3):
-        first, last = np.take(x, 0, axis=axis), np.take(x, -1, axis=axis)
+        first, last = (grid.points[side_nodes(grid, block, Side(2 * axis + far))] for far in (0, 1))
         shift = (last - first).reshape(-1, 3)
         length = np.abs(shift @ direction).max()
         if length == 0.0 or np.abs(shift - shift[0]).max() > FLATNESS * length:

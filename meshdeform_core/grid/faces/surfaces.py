@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...numerics.arrays import extent
-from ..blocks import FloatArray, Grid, IntArray
+from ..blocks import FloatArray, Grid, IntArray, Side
 from ..planes import plane_normal, plane_of
-from ..topology import Topology
+from ..topology import Topology, side_nodes
 from .pieces import Face, find_faces, quad_geometry
 from .roles import Role, clusters, declared_role, guess_roles
 
@@ -176,7 +176,7 @@ def thin_direction(grid: Grid) -> FloatArray | None:
     for block, axis in enumerate(axes):
         if axis is None:
             return None
-        layer = plane_of(np.take(grid.block(block), 0, axis=axis).reshape(-1, 3), None)
+        layer = plane_of(grid.points[side_nodes(grid, block, Side(2 * axis)).ravel()], None)
         if layer is None:
             return None
         normals.append(layer.normal)

@@ -94,7 +94,7 @@ class RBFDerivative:
             def keep(flat: IntArray, sums: FloatArray) -> None:
                 found[flat] = sums
 
-            flat = doubtful(targets, fast.push(coefficients, keep, found))
+            flat = doubtful(targets.points, targets, fast.push(coefficients, keep, found))
             exact = radial_sums(kind, targets.points[flat], centres.points, coefficients)
             error = float(np.abs(found[flat] - exact).max())
             if error <= TOLERANCE:

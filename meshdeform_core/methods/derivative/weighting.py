@@ -140,7 +140,7 @@ class IDWDerivative:
         acting = self._sums.acting
         values = np.zeros((k, np.count_nonzero(acting)))
         values[:changing] = self._sums.pull(make, changing)[:, acting]
-        part = np.sum(current_ranks().gather([parts]), axis=(0, 1))
+        part = np.sum(current_ranks().gather([parts]), axis=0).sum(axis=0)
         if not acting.all():
             values = np.append(values, (part[16:] - values.sum(axis=1))[:, None], axis=1)
         known = {

@@ -12,7 +12,7 @@ from ...grid import FloatArray, IntArray, Side
 from ...grid.topology import side_nodes
 from ...numerics.exact.basis import BASES
 from ...numerics.exact.radial import radial_sums
-from ...parallel import Shared, alone, current_ranks, for_items
+from ...parallel import Shared, alone, current_ranks, for_items, require_whole
 from ..base import Account, Problem, Progress, Setting, of_stage
 from ..options import used
 from ..transfinite.skeleton import Skeleton, make_skeleton
@@ -29,6 +29,7 @@ class BlockRBF:
 
     def skeleton(self, problem: Problem) -> Skeleton:
         """The first step moves block faces except slip planes, whose nodes are not centres."""
+        require_whole(problem.grid.points, "RBF inside of blocks")
         return dataclasses.replace(make_skeleton(problem, 0), left_out=_slip_sides(problem))
 
     def prepare(self, problem: Problem, skeleton: Skeleton) -> PreparedBlockRBF:

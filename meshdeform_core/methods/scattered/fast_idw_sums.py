@@ -10,6 +10,7 @@ from ...numerics.fastsum.clusters.tree import build_tree
 from ...numerics.fastsum.weighted.sums import FastSums, Summands
 from ...numerics.rigid import finish
 from ...numerics.rows import put_rows, take_rows
+from ...parallel import apart, rows_of
 from ..base import Account, Progress, of_stage
 from .idw_sums import Bound, ExactEvaluator, SourceValues, Weighed
 from .summation import largest_error, sum_accurately
@@ -22,16 +23,18 @@ class FastEvaluator:
         self.bound = bound
         self._tolerance = tolerance
         self._account = account
-        self._sums = self._sorted(bound.sources, bound.grid.points)
+        bound.grid.hold_neighbours()
+        with apart(bound.grid.points):
+            self._sums = self._sorted(bound.sources, bound.points)
         self._weighed: Weighed | None = None
 
     def _sorted(self, sources: FloatArray, points: FloatArray) -> FastSums:
         grid, order = self.bound.grid, interpolation_order(self._tolerance)
         trees = [build_tree(sources[group], order) for group in self.bound.groups]
         targets = make_targets(points, grid.shapes, grid.offsets, self.bound.flat, order)
-        if points is not grid.points:
+        if points is not self.bound.points:
             # Accuracy is relative to the undeformed cells; in later steps only the targets have moved.
-            targets = targets.sized(grid.points, grid.shapes, grid.offsets)
+            targets = targets.sized(self.bound.points, grid.shapes, grid.offsets)
         return FastSums(self.bound.strength, self.bound.groups, trees, targets, self._tolerance, self.bound.room)
 
     def evaluate(self, fit: SourceValues, out: FloatArray, progress: Progress | None) -> None:
@@ -42,18 +45,19 @@ class FastEvaluator:
             return found
 
         def once() -> float:
-            targets, risk = self._sum(fit, out, progress)
-            return largest_error(self.bound.grid, targets, risk, out, exact)
+            with apart(out):
+                targets, risk = self._sum(fit, rows_of(out), progress)
+            return largest_error(self.bound.grid, targets, risk, rows_of(out), exact)
 
         sum_accurately("idw", self._sums, once, self._tolerance, self._account)
 
     def _sum(self, fit: SourceValues, out: FloatArray, progress: Progress | None) -> tuple[Targets, FloatArray]:
         """Write displacements to ``out``; return the last targets and an error bound for each brick, up to a factor."""
         report = of_stage(progress, "idw")
-        bound, sums, points = self.bound, self._sums, self.bound.grid.points
+        bound, sums, points = self.bound, self._sums, self.bound.points
         for step, sources in enumerate(fit.path):
             if step:
-                points = bound.grid.points.copy()
+                points = bound.points.copy()
                 points[bound.flat] += out[bound.flat] - fit.frame.shift
                 sums = self._sorted(sources + fit.origin, points)
                 sums.share = self._sums.share

@@ -10,7 +10,7 @@ from ...grid import FloatArray, Grid, IntArray
 from ...numerics.exact.direct import weighted_sums
 from ...numerics.frame import Frame
 from ...numerics.rigid import NO_TRANSITION, Transition, finish
-from ...parallel import Shared, for_chunks
+from ...parallel import Shared, apart, for_chunks, rows_of
 from ..base import Progress, of_stage
 
 _CHUNK = 2048
@@ -58,6 +58,11 @@ class Bound:
     room: int
 
     @property
+    def points(self) -> FloatArray:
+        """Coordinates (n_nodes, 3), of a grid in parts those that this rank holds."""
+        return np.asarray(rows_of(self.grid.points))
+
+    @property
     def repeats(self) -> int:
         """Number of steps in which the mean rigid motion is applied."""
         return self.divisions if self.rotation == "division" and not self.reweight else 1
@@ -80,32 +85,32 @@ class ExactEvaluator:
 
     def evaluate(self, fit: SourceValues, out: FloatArray, progress: Progress | None) -> None:
         """Write the displacement of the targets into ``out`` (n_nodes, 3)."""
+        flat, rows = self.bound.flat, rows_of(out)
 
         def work(lo: int, hi: int) -> None:
-            flat = self.bound.flat[lo:hi]
-            out[flat] = self.displacement(fit, flat)
+            rows[flat[lo:hi]] = self.displacement(fit, flat[lo:hi])
 
-        report = of_stage(progress, "idw")
-        flat = self.bound.flat
-        for_chunks(work, len(flat), _CHUNK, report, [Shared(out, lambda lo, hi: flat[lo:hi])])
+        with apart(out):
+            shared = [Shared(rows, lambda lo, hi: flat[lo:hi])]
+            for_chunks(work, len(flat), _CHUNK, of_stage(progress, "idw"), shared)
 
     def displacement(self, fit: SourceValues, flat: IntArray) -> FloatArray:
         """Displacement (n, 3) of the nodes ``flat``."""
-        x = self.bound.grid.points[flat] - fit.origin
+        x = self.bound.points[flat] - fit.origin
         total = np.zeros_like(x)
         for sources in fit.path:
             total += self._moved(fit, x + total, self._sums(fit, x + total, sources))
-        return fit.frame.absolute(self.bound.grid.points[flat], total)
+        return fit.frame.absolute(self.bound.points[flat], total)
 
     def checked(self, fit: SourceValues, flat: IntArray, known: Weighed | None) -> tuple[FloatArray, Weighed | None]:
         """The same, and the weights of these nodes; where they are ``known``, they are not summed again."""
         if len(fit.path) > 1 or fit.still is None:
             return self.displacement(fit, flat), None
-        x = self.bound.grid.points[flat] - fit.origin
+        x = self.bound.points[flat] - fit.origin
         if known is None or known.weights != fit.weights or not np.array_equal(known.flat, flat):
             known = Weighed(flat, fit.weights, self._weight(fit, x))
         moved = self._moved(fit, x, self._sums_of_moving(fit, x, known.total))
-        return fit.frame.absolute(self.bound.grid.points[flat], moved), known
+        return fit.frame.absolute(self.bound.points[flat], moved), known
 
     def _moved(self, fit: SourceValues, x: FloatArray, sums: FloatArray) -> FloatArray:
         """Displacement (n, 3) in one step of targets at ``x``, relative to the origin, from their sums (n, 1 + k)."""

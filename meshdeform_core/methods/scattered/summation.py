@@ -9,6 +9,7 @@ import numpy as np
 
 from ...errors import MethodError
 from ...grid import FloatArray, Grid, IntArray
+from ...parallel import apart, current_ranks, of_all, rows_of
 from ..base import Account, Setting
 from ..options import choose, positive
 
@@ -98,13 +99,24 @@ def largest_error(
     from ...numerics.fastsum.clusters.bricks import node_sizes
     from ...numerics.fastsum.clusters.targets import shape_table
 
-    flat = doubtful(targets, risk)
-    size = node_sizes(grid.points, shape_table(grid.shapes), grid.offsets, flat)
-    return float((np.linalg.norm(found[flat] - exact(flat), axis=1) / size).max())
+    flat, error = doubtful(grid.points, targets, risk), np.zeros(0)
+    if flat.size:
+        with apart(grid.points):
+            size = node_sizes(rows_of(grid.points), shape_table(grid.shapes), grid.offsets, flat)
+            error = np.linalg.norm(found[flat] - exact(flat), axis=1) / size
+    return float(np.max(of_all(grid.points, error.max(initial=0.0))))
 
 
-def doubtful(targets: HasSamples, risk: FloatArray) -> IntArray:
-    """Flat indices of samples of the bricks with the largest bounds ``risk`` (b,), and of random nodes."""
-    worst = targets.samples[np.argsort(risk)[-_WORST_BRICKS:]].ravel()
-    every = targets.every
-    return np.concatenate([worst, every[np.random.default_rng(0).integers(0, len(every), _RANDOM_NODES)]])
+def doubtful(points: FloatArray, targets: HasSamples, risk: FloatArray) -> IntArray:
+    """Flat indices of samples of the bricks with the largest bounds ``risk`` (b,), and of random nodes; of
+    ``points`` in parts, those of all ranks that are targets of this one."""
+    others = of_all(points, (risk, len(targets.every)))
+    bricks, nodes = (np.cumsum([0, *sizes]) for sizes in zip(*((len(one), many) for one, many in others), strict=True))
+    number = current_ranks().number if len(others) > 1 else 0
+    worst = np.argsort(np.concatenate([one for one, _ in others]))[-_WORST_BRICKS:]
+    some = np.random.default_rng(0).integers(0, nodes[-1], _RANDOM_NODES)
+    worst, some = (
+        numbers[(numbers >= first[number]) & (numbers < first[number + 1])] - first[number]
+        for numbers, first in ((worst, bricks), (some, nodes))
+    )
+    return np.concatenate([targets.samples[worst].ravel(), targets.every[some]])

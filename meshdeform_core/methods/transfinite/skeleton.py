@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...grid import FloatArray, Grid, IntArray, Side
+from ...grid import Grid, IntArray, Side
 from ...numerics.arrays import spans
+from ...numerics.pieces import even_cuts
 from ..base import Problem
 
 Cuts = tuple[IntArray, IntArray, IntArray]
@@ -45,22 +46,24 @@ class Skeleton:
         return np.column_stack([self.grid.offsets[block], shapes, *ends, unset])
 
     def nodes(self) -> IntArray:
-        """Flat indices of all nodes that the first step moves, including coincident ones, ascending."""
+        """Flat indices of all nodes that the first step moves, including coincident ones, ascending; of a grid in parts
+        those of this rank."""
         return np.concatenate([self._of_block(b) for b in range(self.grid.n_blocks)])
 
     def _of_block(self, block: int) -> IntArray:
-        shape = self.grid.shapes[block]
+        shape, own = self.grid.shapes[block], self.grid.planes(block)
         on = [np.zeros(n, dtype=bool) for n in shape]
         for axis, cut in enumerate(self.cuts[block]):
             # The one plane of a 2-D block is not a cut: it holds the interior.
             on[axis][cut if shape[axis] > 1 else []] = True
-        mask = on[0][:, None, None] | on[1][:, None] | on[2]
+        mask = on[0][own, None, None] | on[1][:, None] | on[2]
         for side in (side for side in Side if (block, side) in self.left_out):
             a, b = side.tangential
             plane: list[slice | int] = [slice(None)] * 3
             plane[side.axis] = shape[side.axis] - 1 if side % 2 else 0
             mask[tuple(plane)] = on[a][:, None] | on[b]
-        return np.asarray(self.grid.offsets[block] + np.flatnonzero(mask), dtype=np.int64)
+        start = self.grid.offsets[block] + own.start * shape[1] * shape[2]
+        return np.asarray(start + np.flatnonzero(mask), dtype=np.int64)
 
 
 _TURNING = np.deg2rad(50.0)
@@ -76,39 +79,33 @@ def make_skeleton(problem: Problem, max_cells: int) -> Skeleton:
     degrees within ``max_cells`` is cut at every half of it.
     """
     grid = problem.grid
-    cuts = tuple(_cuts(grid.block(block), max_cells) for block in range(grid.n_blocks))
+    cuts = tuple(_cuts(grid, block, max_cells) for block in range(grid.n_blocks))
     return Skeleton(grid, cuts)
 
 
-def _cuts(points: FloatArray, max_cells: int) -> Cuts:
+def _cuts(grid: Grid, block: int, max_cells: int) -> Cuts:
+    shape = grid.shapes[block]
+
     def along(axis: int) -> IntArray:
-        n = points.shape[axis]
-        if n == 1:
-            return np.zeros(1, dtype=np.int64)
-        cells = n - 1
-        most = max_cells
-        # Short blocks stay uncut whether their lines turn or not.
-        if max_cells > 1 and 2 * cells > max_cells and _turning(points, axis, max_cells) > _TURNING:
+        cells, most = shape[axis] - 1, max_cells
+        # Coarse blocks turn around a body as much as fine ones do: only short blocks stay uncut, whether their lines
+        # turn or not.
+        long = max_cells > 0 and 2 * cells > max_cells
+        if long and max_cells > 1 and _turning(grid, block, axis, max_cells) > _TURNING:
             most = -(-max_cells // 2)
-        parts = -(-cells // most) if most else 1
-        # Coarse blocks turn around a body as much as fine ones do: only short blocks stay uncut.
-        if parts == 1 and max_cells and 2 * cells > max_cells:
-            parts = 2
-        # The same planes seen from either end: an odd number of cells has no middle plane to cut at.
-        parts += cells % 2 == 1 and parts % 2 == 0
-        if parts == 1:
-            return np.array([0, n - 1])
-        return np.round(np.linspace(0, n - 1, parts + 1)).astype(np.int64)
+        return even_cuts(shape[axis], most, 2 if long else 1)
 
     i, j, k = (along(axis) for axis in range(3))
     return i, j, k
 
 
-def _turning(points: FloatArray, axis: int, cells: int) -> float:
+def _turning(grid: Grid, block: int, axis: int, cells: int) -> float:
     """Largest angle (radians) by which one of some grid lines along ``axis`` turns within ``cells`` cells."""
-    chosen = [np.unique(np.linspace(0, n - 1, min(n, _LINES)).astype(int)) for n in points.shape[:3]]
-    chosen[axis] = np.arange(points.shape[axis])
-    some = np.moveaxis(points[np.ix_(*chosen)], axis, 0)
+    shape = grid.shapes[block]
+    chosen = [np.unique(np.linspace(0, n - 1, min(n, _LINES)).astype(int)) for n in shape]
+    chosen[axis] = np.arange(shape[axis])
+    flat = grid.offsets[block] + np.ravel_multi_index(np.ix_(*chosen), shape)
+    some = np.moveaxis(grid.points[flat], axis, 0)
     edge = np.diff(some, axis=0)
     cosine = (edge[1:] * edge[:-1]).sum(axis=-1)
     sine = np.linalg.norm(np.cross(edge[1:], edge[:-1]), axis=-1)

@@ -11,7 +11,7 @@ import numpy as np
 from ...grid import FloatArray, IntArray
 from ...numerics.arrays import batches
 from ...numerics.transfinite.boxes import box_nodes, box_numbers
-from ...parallel import Shared, alone, for_items
+from ...parallel import Part, Shared, alone, apart, for_items, own_rows, rows_of
 from ..base import Account, Problem, Progress, Setting, of_stage
 from ..options import option, positive, used
 from .curved import Bent, CurvedLines
@@ -87,7 +87,7 @@ class PreparedTFI:
     """
 
     def __init__(self, options: TFI, problem: Problem, skeleton: Skeleton):
-        self._points, self._subs = problem.grid.points, skeleton.sub_blocks()
+        self._points, self._subs = rows_of(problem.grid.points), skeleton.sub_blocks()
         self.account = Account()
         cells = options.cells(problem)
         setting = dataclasses.replace(used(options, "max_cells")["max_cells"], value=cells)
@@ -95,6 +95,11 @@ class PreparedTFI:
             setting = dataclasses.replace(setting, reason=_reason(problem, setting.reason.removeprefix("default: ")))
         self.account.settings["max_cells"] = setting
         self.account.settings["sub_blocks"] = Setting(len(self._subs))
+        # Rows of the nodes of the sub-blocks of this rank.
+        self._rows = own_rows(problem.grid.points)
+        if isinstance(problem.grid.points, Part):
+            self._subs, self._rows = _within(self._subs, *self._rows)
+            problem.grid.points.widen(*self._rows)
         self._groups = batches(box_numbers(self._subs), _TOGETHER)
         self._straight = cells == 0
         # Which sub-blocks of a group are bent, once they have been looked at.
@@ -102,18 +107,22 @@ class PreparedTFI:
 
     def fill(self, displacement: FloatArray, progress: Progress | None = None) -> None:
         """Interior of every sub-block from its faces, in place in ``displacement`` (n_nodes, 3)."""
+        if isinstance(displacement, Part):
+            displacement.widen(*self._rows)
+        values = rows_of(displacement)
 
         def work(number: int) -> None:
             with alone():
                 group, curved = self.group(number)
-                group.blend(displacement)
+                group.blend(values)
                 if curved:
-                    curved.add(displacement)
+                    curved.add(values)
 
         def filled(first: int, last: int) -> IntArray:
             return box_nodes(self._subs[self._groups[first][0] : self._groups[last - 1][1]], inside=True)
 
-        for_items(work, len(self._groups), [Shared(displacement, filled)], of_stage(progress, "tfi"))
+        with apart(displacement):
+            for_items(work, len(self._groups), [Shared(values, filled)], of_stage(progress, "tfi"))
 
     def group(self, number: int) -> tuple[Group, CurvedLines | None]:
         """A group of sub-blocks, and those of its grid lines that TFI would not generate."""
@@ -129,3 +138,18 @@ class PreparedTFI:
     def n_groups(self) -> int:
         """Number of groups."""
         return len(self._groups)
+
+
+def _within(subs: IntArray, low: int, high: int) -> tuple[IntArray, tuple[int, int]]:
+    """The sub-blocks with nodes inside them among the rows low <= n < high, and the rows of all of their nodes.
+
+    Ranks whose parts end inside of sub-blocks both fill them.
+    """
+    start, plane = subs[:, 0], subs[:, 2] * subs[:, 3]
+    thick = subs[:, 7] > subs[:, 4]
+    first, last = start + (subs[:, 4] + thick) * plane, start + (subs[:, 7] + ~thick) * plane
+    own = np.flatnonzero((first < high) & (last > low))
+    if not own.size:
+        return subs[own], (low, high)
+    rows = (start + subs[:, 4] * plane)[own].min(), (start + (subs[:, 7] + 1) * plane)[own].max()
+    return subs[own], (min(low, int(rows[0])), max(high, int(rows[1])))

@@ -17,6 +17,9 @@ _GENERIC = np.array([0.5403023058681398, 0.6427876096865393, 0.5446390350150271]
 _MANY = 50_000
 """From so many points on, close pairs are sought among those with a close neighbour only."""
 
+_SPARSE = 16
+"""Numbers are few if they are drawn from so many times as many."""
+
 
 def _key(points: FloatArray) -> FloatArray:
     # Not a matrix product: equal points must get equal keys, whatever order a BLAS sums in.
@@ -206,11 +209,19 @@ def mixed(rows: IntArray) -> KeyArray:
     return key
 
 
+def ascending(numbers: IntArray) -> IntArray:
+    """The different ones of integers ``numbers`` (any shape), ascending, int64, by sorting: numpy.unique hashes."""
+    found = np.sort(numbers, axis=None)
+    return found[np.append(True, found[1:] != found[:-1])[: found.size]].astype(np.int64, copy=False)
+
+
 def distinct(numbers: IntArray, size: int) -> IntArray:
     """The different ones of ``numbers`` (any shape, integers in 0 ... size - 1), ascending, int64.
 
-    Marks them in an array of length ``size``, which is faster than sorting or hashing.
+    Marks them in an array of length ``size``, which is faster than sorting or hashing, unless they are few.
     """
+    if size > _SPARSE * numbers.size:
+        return ascending(numbers)
     marked = np.zeros(size, dtype=bool)
     marked[numbers] = True
     return np.flatnonzero(marked)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from ...grid import FloatArray, Grid, IntArray
 from ...numerics.arrays import batches
 from ...numerics.cell.measures import measure_hexahedra, measure_quads
-from ...parallel import Shared, for_chunks
+from ...parallel import Part, Shared, empty, for_chunks, on_each
 
 _SLAB_CELLS = 131072
 
@@ -102,9 +103,13 @@ def for_slabs(
 ) -> None:
     """Call ``work(number, slab)`` for every slab, on several threads.
 
-    It fills the slab's cells in the arrays ``per_cell`` (n_cells, ...) and its row in ``per_slab`` (n_slabs, ...).
+    It fills the slab's cells in the arrays ``per_cell`` (n_cells, ...), which are in parts if the grid is (see
+    :func:`cells_alike`), and its row in ``per_slab`` (n_slabs, ...).
     """
     parts = slabs(grid)
+    if isinstance(grid.points, Part):
+        _for_own_slabs(grid.points, _first_slabs(grid, grid.points, parts), parts, work, per_slab)
+        return
 
     def some(lo: int, hi: int) -> None:
         for number, slab in enumerate(parts[lo:hi], lo):
@@ -114,6 +119,55 @@ def for_slabs(
         return np.arange(parts[lo].start, parts[hi - 1].stop)
 
     for_chunks(some, len(parts), 1, shared=[*(Shared(a, cells) for a in per_cell), *map(Shared, per_slab)])
+
+
+def _for_own_slabs(
+    points: Part, ends: IntArray, parts: Sequence[Slab], work: Callable[[int, Slab], None],
+    per_slab: Sequence[np.ndarray],
+) -> None:  # fmt: skip
+    """The same for the slabs of every rank by itself; the rows per slab are exchanged."""
+    ranks = points.ranks
+    first, last = ends[[ranks.number, ranks.number + 1]].tolist()
+
+    def one(lo: int, _: int) -> None:
+        work(first + lo, parts[first + lo])
+
+    on_each(lambda: for_chunks(one, last - first, 1))
+    counts = np.diff(ends).tolist()
+    for array in per_slab:
+        array[...] = ranks.collect(array[first:last], counts)
+
+
+def _first_slabs(grid: Grid, points: Part, parts: Sequence[Slab]) -> IntArray:
+    """First slab (n_ranks + 1,) of every rank: slabs belong to the rank that holds their first plane."""
+    blocks, planes = np.array([(slab.block, slab.first) for slab in parts]).T
+    shapes = np.array(grid.shapes)
+    rows = grid.offsets[blocks] + planes * (shapes[:, 1] * shapes[:, 2])[blocks]
+    return np.asarray(np.searchsorted(rows, points.bounds))
+
+
+def cells_alike(grid: Grid, dtype: Any) -> Any:
+    """A new array (n_cells,) for :func:`for_slabs`, in parts if the grid is."""
+    if not isinstance(grid.points, Part):
+        return empty([grid.n_cells], dtype)
+    parts = slabs(grid)
+    starts = np.array([*(slab.start for slab in parts), grid.n_cells])
+    return Part(grid.points.ranks, starts[_first_slabs(grid, grid.points, parts)], [grid.n_cells], dtype)
+
+
+def hold_cells(grid: Grid, *arrays: FloatArray) -> None:
+    """Hold all corners of the cells of this rank in arrays (n_nodes, 3), if they are in parts."""
+    if not isinstance(grid.points, Part):
+        return
+    parts = slabs(grid)
+    first, last = _first_slabs(grid, grid.points, parts)[[grid.points.ranks.number, grid.points.ranks.number + 1]]
+    end = grid.points.high
+    if last > first:
+        final = parts[last - 1]
+        _, nj, nk = grid.shapes[final.block]
+        end = int(grid.offsets[final.block] + (final.last + 1) * nj * nk)
+    for array in dict.fromkeys(arrays):
+        array.widen(grid.points.low, end)
 
 
 def places(grid: Grid, cells: IntArray) -> tuple[IntArray, IntArray]:

@@ -7,7 +7,7 @@ import numpy as np
 from ...grid import FloatArray, Grid
 from ...grid.topology import Topology
 from ...numerics.cell.measures import scattered_hexahedra
-from ..measures.cells import Slab, block_volumes, corners_of, for_slabs, places, slabs
+from ..measures.cells import Slab, block_volumes, corners_of, for_slabs, hold_cells, places, slabs
 from ..measures.tally import Range, Tally
 from .inspection import SlabMeasures, inspect_slab, relative_jacobian
 from .original import Original
@@ -23,7 +23,7 @@ class Comparison:
     def __init__(self, original: Original, after: FloatArray):
         grid, n_slabs = original.grid, len(slabs(original.grid))
         self._original, self._points = original, after
-        self.after, self.verdict = Tally(grid.n_cells, n_slabs), Verdict.blank(grid.n_cells)
+        self.after, self.verdict = Tally(grid.n_cells, n_slabs), Verdict.blank(grid)
         alone = after is grid.points
         self._before = None if alone or original.measured else Tally(grid.n_cells, n_slabs)
         # Smallest and largest volume ratio and smallest relative Jacobian, and their cells.
@@ -32,6 +32,7 @@ class Comparison:
         )  # fmt: skip
         tallies = [self.after, *([self._before] if self._before else [])]
         per_slab = [array for t in tallies for array in t.per_slab] + [self._inherited, self._extremes, self._cells]
+        hold_cells(grid, grid.points, after)
         for_slabs(grid, self._put, self.verdict.arrays, per_slab)
         for tally, points in zip(tallies, (after, grid.points), strict=False):
             _complete(tally, grid, original.topology, points)

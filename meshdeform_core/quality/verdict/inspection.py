@@ -17,6 +17,7 @@ from ...grid.planes import plane_normal
 from ...numerics.cell import inspection as rows
 from ...numerics.cell.measures import scattered_hexahedra
 from ...numerics.cell.positivity import COLLAPSED, decide, judge_quads
+from ...parallel import rows_of
 from ..measures.cells import Slab, corners_of, measure_block, side_of_good_quads
 from ..measures.kept import NOTHING
 from ..measures.tally import HISTOGRAM_BINS, Sums
@@ -90,7 +91,7 @@ def _scratch(cells: int) -> tuple[FloatArray, BoolArray]:
 
 def _hexahedra(original: Original, after: FloatArray, slab: Slab, both: bool) -> SlabMeasures:
     grid, sign = original.grid, float(original.topology.handedness[slab.block])
-    before, x = grid.block(slab.block), grid.block(slab.block, after)
+    before, x = (grid.block(slab.block, rows_of(points)) for points in (grid.points, after))
     shape = (slab.last - slab.first, *grid.cell_shapes[slab.block][1:])
     out, is_open = _scratch(slab.stop - slab.start)
     sums, counts = np.zeros((2, 2)), np.zeros((2, HISTOGRAM_BINS), dtype=np.int64)
@@ -126,7 +127,8 @@ def _scale(x: FloatArray, slab: Slab) -> float:
 def _corners(original: Original, after: FloatArray, slab: Slab, cells: IntArray) -> tuple[FloatArray, FloatArray]:
     """Corners (m, 8, 3) before and after of ``cells`` of a slab, numbered from its first one."""
     number = slab.start + cells
-    return corners_of(original.grid, original.grid.points, number), corners_of(original.grid, after, number)
+    one, two = (corners_of(original.grid, rows_of(points), number) for points in (original.grid.points, after))
+    return one, two
 
 
 def _look_again(original: Original, after: FloatArray, slab: Slab, cells: IntArray, f: SlabMeasures) -> None:

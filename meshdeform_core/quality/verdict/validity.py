@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...grid import FloatArray, IntArray
-from ...parallel import empty
-from ..measures.cells import Slab, for_slabs
+from ...grid import FloatArray, Grid, IntArray
+from ...parallel import Part, rows_of
+from ..measures.cells import Slab, cells_alike, for_slabs, hold_cells
 from .inspection import Failure, SlabMeasures, inspect_slab
 from .original import Original
 
@@ -25,29 +25,35 @@ class Verdict:
     """The verdict on all cells, numbered block after block, C-ordered within each block.
 
     ``failed`` (n_cells,) int8, :class:`Failure`; ``ratio`` (n_cells,) float32, smallest corner Jacobian relative to the
-    undeformed one, infinite where the undeformed cell has no sound corner.
+    undeformed one, infinite where the undeformed cell has no sound corner; in parts if the grid is.
     """
 
     failed: np.ndarray
     ratio: np.ndarray
 
     @classmethod
-    def blank(cls, n_cells: int) -> Verdict:
+    def blank(cls, grid: Grid) -> Verdict:
         """Empty arrays for :meth:`put` to fill."""
-        return cls(empty([n_cells], np.int8), empty([n_cells], np.float32))
+        return cls(cells_alike(grid, np.int8), cells_alike(grid, np.float32))
 
     def put(self, slab: Slab, figures: SlabMeasures) -> None:
         """Record one slab."""
-        self.failed[slab.cells], self.ratio[slab.cells] = figures.failed, figures.ratio
+        for values, found in zip(self.arrays, (figures.failed, figures.ratio), strict=True):
+            rows_of(values)[slab.cells] = found
 
     @property
     def invalid(self) -> IntArray:
         """Numbers of the cells that failed a test."""
-        return np.flatnonzero(self.failed)
+        return self.failed.nonzero_rows() if isinstance(self.failed, Part) else np.flatnonzero(self.failed)
 
     @property
     def valid(self) -> bool:
         return not self.failed.any()
+
+    @property
+    def smallest_ratio(self) -> float:
+        """The smallest ``ratio``."""
+        return float(self.ratio.min())
 
     @property
     def arrays(self) -> list[np.ndarray]:
@@ -56,7 +62,8 @@ class Verdict:
 
 def judge(original: Original, after: FloatArray) -> Verdict:
     """Judge coordinates ``after`` (n_nodes, 3)."""
-    verdict = Verdict.blank(original.grid.n_cells)
+    verdict = Verdict.blank(original.grid)
+    hold_cells(original.grid, original.grid.points, after)
     for_slabs(
         original.grid,
         lambda _, slab: verdict.put(slab, inspect_slab(original, after, slab, both=False)),

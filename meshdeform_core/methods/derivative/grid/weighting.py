@@ -106,7 +106,7 @@ class IDWGridDerivative:
 
         rows = [Shared(of_sources), Shared(of_x, lambda lo, hi: range(cut[lo], cut[hi]))]
         for_chunks(work, self._portions, 1, shared=rows)
-        part = np.sum(current_ranks().gather([rest]), axis=(0, 1))
+        part = np.sum(current_ranks().gather([rest]), axis=0).sum(axis=0)
         sources = np.asarray(sum(of_sources[portion] for portion in range(self._portions)))
         known = {
             "charges": sources[:columns], "points": sources[columns:].T, "shift": gradient[bound.flat].sum(axis=0),

@@ -10,6 +10,7 @@ import numpy as np
 from ....parallel import for_chunks
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...jit import inlined, kernel
+from ...pieces import pieces
 from .boxes import extents, fit_boxes, place_points, points_per_side
 
 REGION = 8
@@ -58,44 +59,50 @@ class Regions(NamedTuple):
 
 
 def build_bricks(
-    points: FloatArray, shapes: IntArray, offsets: IntArray, wanted: BoolArray, order: int, capacity: int
+    points: FloatArray, shapes: IntArray, offsets: IntArray, flat: IntArray, order: int, capacity: int
 ) -> tuple[Bricks, IntArray]:
-    """Cut every block's index box into bricks of at most about ``capacity`` targets, and group them into regions.
+    """Cut the index box of every piece of a block into bricks of at most about ``capacity`` targets, in regions.
 
     Boxes are halved along the index direction in which they are longest in space, so that bricks are compact although
-    cells are stretched. A region is such a box with about ``REGION`` bricks.
+    cells are stretched. A region is such a box with about ``REGION`` bricks. Pieces are those of :mod:`...pieces`, so
+    that bricks do not depend on what else is wanted, or held, of the grid.
 
     Parameters
     ----------
     points : (n_nodes, 3)
     shapes : (n_blocks, 3) int64, nodes
     offsets : (n_blocks + 1,) int64
-    wanted : (n_nodes,) bool, the target nodes
+    flat : (n,) the target nodes, ascending
 
     Returns
     -------
     bricks : :class:`Bricks`
     first : (g + 1,) number of each region's first brick
     """
+    block, low, high = pieces(shapes).T
+    rows = offsets[block] + np.stack([low, high]) * shapes[block, 1:].prod(axis=1)
+    begin, end = np.searchsorted(flat, rows)
+    found = np.flatnonzero(end > begin)
     cuts: dict[int, tuple[IntArray, IntArray, IntArray]] = {}
 
-    def cut(block: int, _: int) -> None:
-        lo, hi = offsets[block], offsets[block + 1]
-        mask = wanted[lo:hi].reshape(shapes[block])
-        inside = int(mask.sum())
-        if inside:
-            volume = capacity * mask.size / inside
-            cuts[block] = _cut_block(points[lo:hi].reshape(*shapes[block], 3), mask, inside, volume)
+    def cut(number: int, _: int) -> None:
+        one = found[number]
+        (first, last), shape = rows[:, one], (high[one] - low[one], *shapes[block[one], 1:])
+        mask = np.zeros(last - first, dtype=bool)
+        mask[flat[begin[one] : end[one]] - first] = True
+        inside = int(end[one] - begin[one])
+        volume = capacity * mask.size / inside
+        cuts[number] = _cut_box(points[first:last].reshape(*shape, 3), mask.reshape(shape), inside, volume)
 
-    for_chunks(cut, len(shapes), 1)
+    for_chunks(cut, len(found), 1)
     starts, firsts, targets = [np.zeros(1, np.int64)], [np.zeros(1, np.int64)], [np.empty(0, np.int64)]
-    for block in sorted(cuts):
-        start, first, flat = cuts[block]
+    for number in sorted(cuts):
+        start, first, own = cuts[number]
         firsts.append(first[1:] + firsts[-1][-1])
         starts.append(start[1:] + starts[-1][-1])
-        targets.append(flat + offsets[block])
-    start, flat = np.concatenate(starts), np.concatenate(targets)
-    return make_bricks(points, start, flat, order), np.concatenate(firsts)
+        targets.append(own + rows[0, found[number]])
+    start, every = np.concatenate(starts), np.concatenate(targets)
+    return make_bricks(points, start, every, order), np.concatenate(firsts)
 
 
 def make_bricks(points: FloatArray, start: IntArray, targets: IntArray, order: int) -> Bricks:
@@ -123,7 +130,7 @@ def spans(start: IntArray) -> IntArray:
     return np.stack([start[:-1], start[1:]], axis=1)
 
 
-def _cut_block(x: FloatArray, mask: BoolArray, count: int, capacity: float) -> tuple[IntArray, IntArray, IntArray]:
+def _cut_box(x: FloatArray, mask: BoolArray, count: int, capacity: float) -> tuple[IntArray, IntArray, IntArray]:
     starts, firsts = np.zeros(count + 1, dtype=np.int64), np.zeros(count + 1, dtype=np.int64)
     targets = np.empty(count, dtype=np.int64)
     # Ranges of indices, and whether the box lies in a region.

@@ -83,7 +83,7 @@ def make_targets(
     order: int,
     per_point: int = 8,
 ) -> Targets:
-    """Sort the target nodes ``flat`` of a grid into bricks of about ``per_point`` times their interpolation points."""
+    """Sort target nodes ``flat``, ascending, into bricks of about ``per_point`` times their interpolation points."""
     shapes, capacity = shape_table(shapes), per_point * order**3
     return Targets(points, *current_ranks().once(lambda: _sorted(points, shapes, offsets, flat, order, capacity)))
 
@@ -92,9 +92,7 @@ def _sorted(
     points: FloatArray, shapes: IntArray, offsets: IntArray, flat: IntArray, order: int, capacity: int
 ) -> tuple[Bricks, Regions, IntArray, FloatArray]:
     """All of :class:`Targets` but the points."""
-    wanted = np.zeros(len(points), dtype=bool)
-    wanted[flat] = True
-    bricks, first = build_bricks(points, shapes, offsets, wanted, order, capacity)
+    bricks, first = build_bricks(points, shapes, offsets, flat, order, capacity)
     samples = bricks.targets[sample_places(bricks.start)]
     return bricks, make_regions(points, bricks, first, order), samples, _edges(points, shapes, offsets, samples)
 

@@ -1,0 +1,44 @@
+"""Which rank holds which nodes of a grid: consecutive pieces of blocks, with about equally many nodes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..numerics.arrays import IntArray, Shapes
+from ..numerics.pieces import pieces
+from ..parallel import Part, WholeGridNeeded, current_ranks
+
+
+def in_parts(shapes: Shapes) -> Part:
+    """Coordinates (n_nodes, 3) of blocks of these shapes, of which every rank holds its part.
+
+    Raises
+    ------
+    WholeGridNeeded
+        For plane grids, which are small.
+    """
+    if any(1 in shape for shape in shapes):
+        raise WholeGridNeeded("the grid is 2-D")
+    ranks = current_ranks()
+    bounds = bounds_of(shapes, ranks.count)
+    return Part(ranks, bounds, (int(bounds[-1]), 3), np.float64)
+
+
+def bounds_of(shapes: Shapes, count: int) -> IntArray:
+    """First row (count + 1,) of each of several ranks, and the number of all rows: the largest part is as small as it
+    can be."""
+    block, first, last = pieces(shapes).T
+    ends = np.append(0, np.cumsum((last - first) * np.prod(shapes, axis=1)[block] // np.array(shapes)[block, 0]))
+    few, many = -(-int(ends[-1]) // count), int(ends[-1])
+    while few < many:
+        most = (few + many) // 2
+        few, many = (few, most) if _dealt(ends, most, count)[-1] == ends[-1] else (most + 1, many)
+    return _dealt(ends, many, count)
+
+
+def _dealt(ends: IntArray, most: int, count: int) -> IntArray:
+    """First rows if no rank takes more than ``most`` rows; pieces that are left over remain beyond the last one."""
+    found = [0]
+    for _ in range(count):
+        found.append(int(ends[np.searchsorted(ends, found[-1] + most, side="right") - 1]))
+    return np.array(found)

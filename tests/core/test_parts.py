@@ -1,0 +1,237 @@
+"""Grids of which every rank holds a part: nothing of the others is read but by asking for it, and results are the same.
+
+The ranks are forks of this process (:mod:`forked_ranks`); rows that a rank does not hold are poisoned.
+"""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from cases import body_specs, turning
+from forked_ranks import Failed, on_ranks
+from grids import frame, frame_2d
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from meshdeform_core.boundary import Kind
+from meshdeform_core.deform import Case, deform
+from meshdeform_core.grid.dealing import bounds_of
+from meshdeform_core.methods import IDW, TFI, Options
+from meshdeform_core.numerics import pieces as pieces_module
+from meshdeform_core.numerics.pieces import pieces
+from meshdeform_core.parallel import Part, WholeGridNeeded, alone, dividing, parts
+from meshdeform_core.repair import RepairOptions
+from meshdeform_formats.grids import read_grid, write_grid
+
+METHODS = {
+    "tfi": Options("tfi"),
+    "idw-exact": Options("idw", idw=IDW(summation="exact")),
+    "idw-fast": Options("idw", idw=IDW(summation="fast")),
+    "idw-division": Options("idw", idw=IDW(rotation="division", summation="fast")),
+    "idw-tfi": Options("idw-tfi"),
+    "idw-tfi-fast": Options("idw-tfi", idw=IDW(summation="fast"), tfi=TFI(max_cells=4)),
+}
+OFF = RepairOptions(mode="off")
+
+
+@pytest.fixture
+def small_pieces(monkeypatch):
+    """Blocks are cut although they are small."""
+    monkeypatch.setattr(pieces_module, "_NODES", 100)
+    monkeypatch.setattr(pieces_module, "_CELLS", 4)
+    pieces_module._ends.cache_clear()
+    yield
+    pieces_module._ends.cache_clear()
+
+
+@pytest.fixture
+def poisoned(monkeypatch):
+    """What a rank does not hold is no number."""
+    blank = parts.blank
+
+    def poison(shape, dtype):
+        array = blank(shape, dtype)
+        array[...] = np.nan if np.dtype(dtype).kind == "f" else 77
+        return array
+
+    monkeypatch.setattr(parts, "blank", poison)
+
+
+shapes = st.lists(st.tuples(*[st.integers(2, 90)] * 3), min_size=1, max_size=6)
+
+
+@given(shapes)
+def test_pieces_are_the_planes_of_all_blocks(shapes):
+    found = pieces(shapes)
+    for block, (ni, _, _) in enumerate(shapes):
+        planes = [n for number, first, last in found.tolist() for n in range(first, last) if number == block]
+        assert planes == list(range(ni))
+
+
+@given(shapes, st.integers(1, 7))
+def test_ranks_take_consecutive_pieces_and_the_largest_part_is_as_small_as_it_can_be(shapes, count):
+    block, first, last = pieces(shapes).T
+    sizes = [int((b - a) * shapes[n][1] * shapes[n][2]) for n, a, b in zip(block, first, last, strict=True)]
+    ends = np.append(0, np.cumsum(sizes))
+    bounds = bounds_of(shapes, count)
+    assert len(bounds) == count + 1
+    assert (bounds[0], bounds[-1]) == (0, ends[-1])
+    assert np.isin(bounds, ends).all()
+    assert (np.diff(bounds) >= 0).all()
+
+    def enough(most):
+        """Whether greedy dealing needs no more ranks than there are."""
+        used, left = 1, most
+        for size in sizes:
+            if size > most:
+                return False
+            if size > left:
+                used, left = used + 1, most
+            left -= size
+        return used <= count
+
+    largest = int(np.diff(bounds).max())
+    assert enough(largest)
+    assert not enough(largest - 1)
+
+
+def part_of(bounds, values):
+    """The part of this rank of an array."""
+    from meshdeform_core.parallel import current_ranks
+
+    part = Part(current_ranks(), np.array(bounds), values.shape, values.dtype)
+    part.own[...] = values[part.low : part.high]
+    return part
+
+
+@settings(max_examples=5, deadline=None)
+@given(st.integers(1, 4), st.integers(0, 10**6))
+def test_rows_come_from_their_owners(count, seed):
+    random = np.random.default_rng(seed)
+    values = random.random((50, 3))
+    bounds = [0, *np.sort(random.integers(0, 51, count - 1)), 50]
+    some, ordered = random.integers(0, 50, (4, 5)), np.unique(random.integers(0, 50, 20))
+
+    def look(number):
+        part = part_of(bounds, values)
+        np.testing.assert_array_equal(part[some], values[some])
+        np.testing.assert_array_equal(part[7], values[7])
+        part.keep(ordered)
+        part.own[...] += 1.0
+        # Copies that are kept do not follow.
+        np.testing.assert_array_equal(part[ordered[::-1]], values[ordered[::-1]])
+        first, last = max(part.low - 3, 0), min(part.high + 5, 50)
+        part.widen(first, last)
+        np.testing.assert_array_equal(part[first:last], values[first:last] + 1.0)
+        flags = part_of(bounds, np.arange(50) % 7 == 0)
+        np.testing.assert_array_equal(flags.nonzero_rows(), np.arange(0, 50, 7))
+        assert part_of(bounds, np.arange(5.0, 55.0)).min() == 5.0
+        return True
+
+    assert all(on_ranks(count, look))
+
+
+def test_a_part_refuses_rows_of_others():
+    values = np.arange(30.0).reshape(10, 3)
+
+    def look(number):
+        part = part_of([0, 5, 10], values)
+        for rows in (slice(3, 8), slice(0, 10, 2)):
+            with pytest.raises(IndexError, match="in parts"):
+                part[rows]
+        with pytest.raises(TypeError):
+            part[np.ones(10, bool)]
+        # Alone, a rank would wait for others that do not ask.
+        with alone(), pytest.raises(RuntimeError, match="by itself"):
+            part[np.array([0, 9])]
+        return True
+
+    assert all(on_ranks(2, look))
+
+
+def case_of(method, angle=20.0, **rest):
+    return Case(tuple(body_specs(turning(angle))), method=method, repair=OFF, **rest)
+
+
+def outcome(source, target, case, **rest):
+    """The bytes of the deformed grid, and all that is reported."""
+    result = deform(read_grid(source), case, **rest)
+    variant = {"precision": rest["precision"]} if "precision" in rest else None
+    write_grid(result.grid, target, variant)
+    account = dataclasses.asdict(result.account)
+    return target.read_bytes(), result.assessment, account, result.warnings, result.attempts
+
+
+def same_on_ranks(tmp_path, count, case, suffix=".cgns", **rest):
+    """Compare deforming a file on several ranks, each with a part, with deforming it in one process."""
+    source = tmp_path / f"grid{suffix}"
+    write_grid(frame(9, 8), source)
+    expected = outcome(source, tmp_path / f"one{suffix}", case, **rest)
+
+    def act(number):
+        with dividing():
+            return outcome(source, tmp_path / f"ranks{suffix}", case, **rest)
+
+    for found in on_ranks(count, act):
+        for one, two in zip(found, expected, strict=True):
+            assert one == two
+
+
+@pytest.mark.parametrize("count", [2, 4])
+@pytest.mark.parametrize("name", METHODS)
+def test_every_method_gives_the_same_bytes(name, count, tmp_path, small_pieces, poisoned):
+    same_on_ranks(tmp_path, count, case_of(METHODS[name]))
+
+
+@pytest.mark.parametrize("suffix", [".xyz", ".cgns"])
+def test_single_precision_and_steps_give_the_same_bytes(suffix, tmp_path, small_pieces, poisoned):
+    same_on_ranks(tmp_path, 3, case_of(METHODS["idw-tfi"]), suffix, steps=3, precision="float32")
+
+
+def test_invalid_cells_are_listed_alike(tmp_path, small_pieces, poisoned):
+    same_on_ranks(tmp_path, 3, case_of(METHODS["tfi"], angle=150.0), steps=1)
+
+
+def test_ranks_without_nodes_take_part(tmp_path, poisoned):
+    """The blocks are not cut: more ranks than pieces."""
+    same_on_ranks(tmp_path, 7, case_of(METHODS["idw-tfi-fast"]))
+
+
+def refused(tmp_path, count, grid, case, options=None):
+    """Why the whole grid is needed on every rank."""
+    source = tmp_path / "grid.xyz"
+    write_grid(grid, source, options)
+
+    def act(number):
+        with dividing():
+            try:
+                deform(read_grid(source), case)
+            except WholeGridNeeded as reason:
+                return str(reason)
+            return ""
+
+    first, *others = on_ranks(count, act)
+    assert all(each == first for each in others)
+    return first
+
+
+def test_what_takes_the_whole_grid_says_so(tmp_path):
+    idw = METHODS["idw-tfi"]
+    assert refused(tmp_path, 2, frame_2d(5), case_of(idw)) == "the grid is 2-D"
+    assert refused(tmp_path, 2, frame(), case_of(idw), {"iblank": "true"}) == "the file has IBLANK values"
+    assert refused(tmp_path, 2, frame(), case_of(Options("rbf"))) == "RBF"
+    assert refused(tmp_path, 2, frame(), case_of(Options("idw-rbf"))) == "RBF inside of blocks"
+    periodic = dataclasses.replace(case_of(idw), boundaries=tuple(body_specs(turning(5), Kind.PERIODIC)))
+    assert refused(tmp_path, 2, frame(3, 4), periodic) == "periodic sides move"
+    repaired = dataclasses.replace(case_of(METHODS["tfi"], angle=150.0), repair=RepairOptions())
+    assert refused(tmp_path, 2, frame(), repaired) == "cells are invalid and may be repaired"
+
+
+def test_a_failing_rank_is_seen():
+    """The forks themselves: an error of one rank is not lost."""
+
+    def act(number):
+        assert number == 0, "rank 1 fails"
+
+    with pytest.raises(Failed, match="rank 1 fails"):
+        on_ranks(2, act)

@@ -1,0 +1,107 @@
+"""Ranks that are forks of this process, which passes on what they exchange: several ranks without MPI."""
+
+import multiprocessing
+import traceback
+
+import numpy as np
+
+from meshdeform_core.parallel import OneRank, sharing
+
+_PATIENCE = 120.0
+_FORK = multiprocessing.get_context("fork")
+
+
+class ForkedRank(OneRank):
+    """One of several ranks, as far as arrays in parts need them."""
+
+    private = "forks share no memory"
+
+    def __init__(self, number, count, hub):
+        super().__init__(cores=1)
+        self.number, self.count, self._hub = number, count, hub
+
+    def _exchange(self, what):
+        """What every rank has sent, in rank order."""
+        self._hub.send(what)
+        return self._hub.recv()
+
+    def gather(self, found):
+        return [each for own in self._exchange(list(found)) for each in own]
+
+    def collect(self, own, counts):
+        found = self._exchange(own)
+        assert [len(each) for each in found] == list(counts)
+        return np.concatenate(found)
+
+    def swap(self, sends, receives):
+        sent = self._exchange(sends)
+        for number, array in receives.items():
+            array[...] = sent[number].get(self.number, array)
+
+    def on_first(self, action):
+        result = failure = None
+        if self.number == 0:
+            try:
+                with sharing(OneRank(1), 1):
+                    result = action()
+            except Exception as error:
+                failure = error
+        result, failure = self._exchange((result, failure))[0]
+        if failure:
+            raise failure
+        return result
+
+
+class Failed(Exception):
+    """What a rank failed with: the text of its error."""
+
+
+def on_ranks(count, action):
+    """The results of ``action(number)`` on each of several ranks.
+
+    Raises
+    ------
+    Failed
+        When one of them fails.
+    """
+    hubs, ranks = zip(*(_FORK.Pipe() for _ in range(count)), strict=True)
+    forks = [_FORK.Process(target=_run, args=(number, count, ranks[number], action)) for number in range(count)]
+    for fork in forks:
+        fork.start()
+    try:
+        while True:
+            sent = [_received(hub, forks) for hub in hubs]
+            if any(isinstance(each, _End) for each in sent):
+                assert all(isinstance(each, _End) for each in sent), "some ranks have ended, others exchange data"
+                return [each.result for each in sent]
+            for hub in hubs:
+                hub.send(sent)
+    finally:
+        for fork in forks:
+            fork.kill()
+            fork.join()
+
+
+class _End:
+    """The end of a rank: its result, or the text of its error."""
+
+    def __init__(self, result, failure=""):
+        self.result, self.failure = result, failure
+
+
+def _run(number, count, hub, action):
+    try:
+        with sharing(ForkedRank(number, count, hub), 1):
+            end = _End(action(number))
+    except BaseException:
+        end = _End(None, traceback.format_exc())
+    hub.send(end)
+
+
+def _received(hub, forks):
+    if not hub.poll(_PATIENCE):
+        raise Failed(f"a rank waits in vain; alive: {[fork.is_alive() for fork in forks]}")
+    found = hub.recv()
+    if isinstance(found, _End) and found.failure:
+        raise Failed(found.failure)
+    return found
