@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...numerics.arrays import extent
-from ..blocks import FloatArray, Grid, IntArray, Side
+from ..blocks import FloatArray, Grid, IntArray
+from ..parts import Side
 from ..planes import plane_normal, plane_of
 from ..topology import Topology, side_nodes
 from .pieces import Face, find_faces, quad_geometry
