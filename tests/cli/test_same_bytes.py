@@ -1,71 +1,173 @@
-"""Levels of a series are the same bytes, whatever the cap on memory, the threads, and wherever a run was cut off."""
+"""Grids and levels are the same bytes, whatever the cap on memory, the threads, and wherever a run was cut off."""
 
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
+from grids import frame_2d
 
 from meshdeform_core.memory import Demand
 from meshdeform_core.methods import CATALOGUE
 from meshdeform_core.parallel import scratch
 from meshdeform_core.parallel.loops import set_threads
+from meshdeform_formats import write_grid
 
-_LEVELS = 4
 FAST = {
     "idw, fast": ("-m", "idw", "-s", "method.idw.summation=fast"),
     "idw-tfi, fast": ("-m", "idw-tfi", "-s", "method.idw.summation=fast"),
     "rbf, fast": ("-m", "rbf", "-s", "method.rbf.summation=fast", "-s", "method.rbf.solver=krylov"),
 }
-CHOSEN = {**{name: ("-m", name) for name in CATALOGUE}, **FAST}
+FLAT = """\
+[[boundary]]
+name = "body"
+select = ["*.i*", "*.j*"]
+where = "abs(x) < 0.51 and abs(y) < 0.51"
+motion = [{ rotate = { angle = "10*(1+t)", axis = [0, 0, 1] } }]
+"""
+FOLDED = ("-s", "constants.turn=45")
+"""So far that cells are folded by TFI."""
+SERIES = {
+    **{name: ("-m", name) for name in CATALOGUE},
+    **FAST,
+    "repair": ("-m", "tfi", *FOLDED),
+    "polished": ("-m", "tfi", "--repair", "polish"),
+    "steps": ("-m", "idw-tfi", "--steps", "2"),
+    "as many steps as needed": ("-m", "tfi", *FOLDED, "--steps", "auto", "--repair", "off"),
+    "from the last level": ("-m", "idw", "--from", "last", "--velocity", "swept"),
+    "single precision": ("-m", "idw-tfi", "--variant", "precision=float32", "--velocity", "second"),
+    "one file": ("-m", "idw-tfi", "--single-file"),
+    "VTK": ("-m", "rbf", "--suffix", ".vtm", "--velocity", "first", "--field", "all"),
+    "plane": ("-m", "idw-tfi"),
+    "plane, rbf": ("-m", "rbf-tfi", "--suffix", ".vtm"),
+}
+FORMATS = {
+    "cgns": ("out.cgns",),
+    "cgns float32": ("out.cgns", "--variant", "precision=float32"),
+    "plot3d records": ("out.xyz",),
+    "plot3d stream": ("out.xyz", *("--variant", "encoding=binary"), *("--variant", "byte_order=big")),
+    "plot3d float32": ("out.p3dbin", "--variant", "precision=float32"),
+    "plot3d text": ("out.p3dfmt",),
+    "vtk": ("out.vtm", "--field", "all"),
+    "vtk text": ("out.vtm", "--variant", "encoding=ascii"),
+    "vtk base64": ("out.vtm", "--variant", "encoding=binary"),
+    "unstructured": ("out.vtu",),
+    "gmsh": ("out.msh",),
+    "su2": ("out.su2",),
+    "abaqus": ("out.inp",),
+    "openfoam": ("out.foam",),
+}
+_OWN = ("timing", "seconds", "peak_memory_bytes", "run", "output")
+"""Of a run, not of its result."""
 
 
 def facts(record: object) -> object:
-    """What a level says, without times."""
+    """What a report says, without times."""
     if isinstance(record, dict):
-        return {
-            key: facts(value) for key, value in record.items() if key not in ("timing", "seconds", "peak_memory_bytes")
-        }
+        return {key: facts(value) for key, value in record.items() if key not in _OWN}
     return [facts(each) for each in record] if isinstance(record, list) else record
 
 
-def levels(folder: str) -> tuple[list[bytes], list[dict]]:
-    files = [(Path(folder) / f"grid_{number:04d}.cgns").read_bytes() for number in range(_LEVELS)]
-    return files, facts(json.loads((Path(folder) / "series.json").read_text())["levels"])
+def made(folder: str) -> dict[str, bytes | object]:
+    """The files in a folder, and what its reports say."""
+    files = (path for path in sorted(Path(folder).rglob("*")) if path.is_file())
+    return {
+        str(path.relative_to(folder)): facts(json.loads(path.read_text())) if path.suffix == ".json"
+        else path.read_bytes() for path in files
+    }  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    "name", [name if name == "idw, fast" else pytest.param(name, marks=pytest.mark.slow) for name in CHOSEN]
-)
-def test_levels_do_not_depend_on_the_way_they_were_run(name, call, bench, monkeypatch):
-    text = (bench / "case.toml").read_text()
-    (bench / "case.toml").write_text(text.replace('angle = "turn"', 'angle = "turn*(1+t)"'))
-    words = ("series", "grid.cgns", "-c", "case.toml", *CHOSEN[name], "--times", "0:0.75:0.25", "-q", "--allow-invalid")
-
-    def made(folder: str, *more: str) -> tuple[list[bytes], list[dict]]:
+@pytest.fixture
+def run(call):
+    def called(*words: str, code: int = 0) -> None:
         try:
-            done = call(*words, "-o", folder, *more)
+            done = call(*words, "-q")
         finally:
             set_threads(None)
-        assert done.code == 0, done.err
-        return levels(folder)
+        assert done.code == code, done.err
 
-    expected = made("whole", "--threads", "1")
-    assert made("threads", "--threads", "2") == expected
-    for number in (2, 3):
-        (Path("threads") / f"grid_{number:04d}.cgns").unlink()
-    assert made("threads", "--resume") == expected
-    # All arrays in files, of which every look returns the pages.
-    monkeypatch.setattr(scratch, "SMALLEST", 1000)
-    monkeypatch.setattr(scratch.Scratch, "__init__", _always_full(scratch.Scratch.__init__))
-    monkeypatch.setattr(Demand, "in_memory", 2**60)
-    assert made("files", "--max-memory", "2GiB") == expected
+    return called
 
 
-def _always_full(begin):
-    def changed(self, folder, limit):
+@pytest.fixture
+def in_files(monkeypatch):
+    """Lets all arrays lie in files, of which every look returns the pages."""
+    begin = scratch.Scratch.__init__
+
+    def always_full(self, folder, limit):
         begin(self, folder, limit)
         self._full = 1
 
-    return changed
+    def switch() -> tuple[str, str]:
+        monkeypatch.setattr(scratch, "SMALLEST", 1000)
+        monkeypatch.setattr(scratch.Scratch, "__init__", always_full)
+        monkeypatch.setattr(Demand, "in_memory", 2**60)
+        return "--max-memory", "2GiB"
+
+    return switch
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        name if name in ("idw, fast", "repair", "plane") else pytest.param(name, marks=pytest.mark.slow)
+        for name in SERIES
+    ],
+)
+def test_levels_do_not_depend_on_the_way_they_were_run(name, run, in_files, bench):
+    text = (bench / "case.toml").read_text()
+    (bench / "case.toml").write_text(text.replace('angle = "turn"', 'angle = "turn*(1+t)"'))
+    (bench / "flat.toml").write_text(FLAT)
+    write_grid(frame_2d(), "flat.cgns")
+    inputs = ("flat.cgns", "-c", "flat.toml") if name.startswith("plane") else ("grid.cgns", "-c", "case.toml")
+    words = ("series", *inputs, *SERIES[name], "--times", "0:0.75:0.25", "--allow-invalid")
+
+    run(*words, "-o", "whole", "--threads", "1")
+    expected = made("whole")
+    assert any(level["repair"] for level in expected["series.json"]["levels"]) == (name in ("repair", "polished"))
+    run(*words, "-o", "threads", "--threads", "2")
+    assert made("threads") == expected
+    if name != "one file":
+        for path in Path("threads").glob("*_000[23]*"):
+            path.unlink() if path.is_file() else shutil.rmtree(path)
+        run(*words, "-o", "threads", "--resume")
+        assert made("threads") == expected
+    run(*words, "-o", "files", *in_files())
+    assert made("files") == expected
+
+
+@pytest.mark.parametrize(
+    "name",
+    [name if name in ("cgns float32", "vtk") else pytest.param(name, marks=pytest.mark.slow) for name in FORMATS],
+)
+def test_a_file_does_not_depend_on_where_its_arrays_lay(name, run, in_files, bench):
+    output, *more = FORMATS[name]
+    words = ("deform", "grid.cgns", "-c", "case.toml", "-m", "idw-tfi", *more)
+
+    def deformed(folder: str, *way: str) -> dict[str, bytes | object]:
+        Path(folder).mkdir()
+        run(*words, "-o", f"{folder}/{output}", "--report", f"{folder}/report.json", *way)
+        return made(folder)
+
+    expected = deformed("whole", "--threads", "1")
+    assert len(expected) > 1
+    assert deformed("threads", "--threads", "2") == expected
+    assert deformed("files", *in_files()) == expected
+
+
+def test_a_repair_does_not_depend_on_where_its_arrays_lay(run, in_files, bench):
+    """Of ``repair``: the grid and the report."""
+    run("deform", "grid.cgns", "-c", "case.toml", "-m", "tfi", *FOLDED, "--repair", "off", "-o", "bad.cgns",
+        "--allow-invalid")  # fmt: skip
+    words = ("repair", "bad.cgns", "--reference", "grid.cgns", "-c", "case.toml")
+
+    def repaired(folder: str, *way: str) -> dict[str, bytes | object]:
+        Path(folder).mkdir()
+        run(*words, "-o", f"{folder}/out.cgns", "--report", f"{folder}/report.json", *way)
+        return made(folder)
+
+    expected = repaired("whole", "--threads", "1")
+    assert repaired("threads", "--threads", "2") == expected
+    assert repaired("files", *in_files()) == expected
