@@ -14,7 +14,7 @@ from meshdeform_core.boundary.prescribed import given_displacement, given_gradie
 from meshdeform_core.errors import GridError, MethodError
 from meshdeform_core.grid import FloatArray, IntArray
 from meshdeform_core.methods import PreparedMethod
-from meshdeform_core.methods.derivative import StepsDerivative, derivative_of
+from meshdeform_core.methods.derivative import ComponentsInSteps, StepsDerivative, derivative_of, derivative_of_steps
 from meshdeform_core.repair.derivative import RepairDerivative, derivative_of_repair
 
 from .step import Step
@@ -162,7 +162,9 @@ class Linearisation:
         return flat
 
 
-def _chained(method: PreparedMethod, step: Step, displacement: FloatArray) -> tuple[StepsDerivative | None, str]:
+def _chained(
+    method: PreparedMethod, step: Step, displacement: FloatArray
+) -> tuple[StepsDerivative | ComponentsInSteps | None, str]:
     """The derivative of the steps that led to a grid, or why there is none."""
     result = step._result
     # The attempt made last for each step is the one that was accepted.
@@ -172,7 +174,7 @@ def _chained(method: PreparedMethod, step: Step, displacement: FloatArray) -> tu
     case, problem = result.setup.case, result.setup.problem
     try:
         ends = [fractions[number] for number in range(1, result.steps + 1)]
-        return StepsDerivative(method, case.method, problem, displacement, ends), ""
+        return derivative_of_steps(method, case.method, problem, displacement, ends), ""
     except MethodError as error:
         return None, f"and {error}"
 

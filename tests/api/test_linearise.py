@@ -82,6 +82,33 @@ def test_several_steps(mesh):
         assert np.abs(block - other).max() > 1e-4
 
 
+def test_several_steps_of_components():
+    """One of three components stays at rest."""
+    own = [block.copy() for block in md.Grid._of(frame(2, 2)).blocks]
+    blocks = [block + [shift, 0.0, 0.0] for shift in (0.0, 0.3, 0.1) for block in own]
+    grid = md.Grid(blocks, [f"{name}.{n}" for name in "abc" for n in range(len(own))])
+    given = case()
+    span, motion = given["boundary"][1], given["boundary"][0]["motion"]
+    body = [
+        {"name": name, "kind": "moving", "motion": motion, "select": [f"{name}.*.i*", f"{name}.*.j*"]}
+        | {"where": f"abs(x-{shift}) < 0.51 and abs(y) < 0.51"}
+        for name, shift in (("a", 0.0), ("b", 0.3))
+    ]
+    mesh = md.prepare(grid, {**given, "boundary": [*body, span], "grid": {"components": "zone prefix"}})
+    at, change, h = bend(mesh, 0.1), bend(mesh, 1.0)[:, [1, 0, 2]], 1e-4
+    found = mesh.linearise(at, steps=2)
+    assert found.exact, found.reason
+    moved, one_step = found.jvp(change), mesh.linearise(at, steps=1).jvp(change)
+    one, two = (mesh.deform(at + s * h * change, steps=2).grid.blocks for s in (1, -1))
+    for a, b, block in zip(one, two, moved, strict=True):
+        np.testing.assert_allclose((a - b) / (2 * h), block, atol=1e-6)
+    assert not any(block.any() for block in moved[-len(own) :])
+    assert max(np.abs(a - b).max() for a, b in zip(moved, one_step, strict=True)) > 1e-4
+    weights = [np.cos(block + 1.0) for block in moved]
+    product = sum(float((w * m).sum()) for w, m in zip(weights, moved, strict=True))
+    assert product == pytest.approx((found.vjp(weights) * change).sum(), rel=1e-11)
+
+
 def test_several_steps_without_derivative_say_why(mesh):
     rbf = md.prepare(md.Grid([block.copy() for block in mesh.grid.blocks]), case(name="rbf-tfi"))
     found = rbf.linearise(bend(rbf), steps=2)

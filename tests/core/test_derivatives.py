@@ -189,6 +189,17 @@ def test_fast_radial_sums_that_are_too_wrong_are_made_more_accurate_or_exact(mon
     assert np.abs(one - two).max() < 1e-6 * np.abs(one).max()
 
 
+def test_fast_radial_sums_of_rough_directions_are_judged_by_the_derivative():
+    """Its coefficients are 1e9 times the direction, and sums over them are exact to 1e-6 only."""
+    sample = md.sample("hemisphere", 8)
+    meshes = [md.prepare(sample.grid, sample.case, method=md.RBF(summation=kind)) for kind in ("exact", "fast")]
+    exact, fast = (mesh.linearise(steps=1, repair="off") for mesh in meshes)
+    assert fast._derivative._mover._derivative._fast is not None
+    rough = np.random.default_rng(1).standard_normal(meshes[0].points.shape)
+    one, two = (np.concatenate([block.ravel() for block in found.jvp(rough)]) for found in (exact, fast))
+    assert 0.0 < np.abs(one - two).max() < TOLERANCE * np.abs(one).max()
+
+
 @pytest.mark.parametrize("plane", [False, True])
 @pytest.mark.parametrize("options", [{}, {"basis": "wendland-c2", "radius": 1.0}, {"basis": "ctps-c1", "radius": 6.0}])
 def test_fast_radial_sums_are_differentiated(options, plane):

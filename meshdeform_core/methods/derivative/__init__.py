@@ -2,6 +2,6 @@
 
 from .choice import derivative_of
 from .composite import Derivative
-from .steps import StepsDerivative
+from .steps import ComponentsInSteps, StepsDerivative, derivative_of_steps
 
-__all__ = ["Derivative", "StepsDerivative", "derivative_of"]
+__all__ = ["ComponentsInSteps", "Derivative", "StepsDerivative", "derivative_of", "derivative_of_steps"]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ...grid import FloatArray
@@ -22,7 +24,9 @@ def derivative_of(method: PreparedMethod, displacement: FloatArray) -> Derivativ
         For options without a derivative: greedy reduction, and weights that are recomputed on the way.
     """
     if isinstance(method, PreparedComponents):
-        return ComponentsDerivative(method, displacement)
+        return ComponentsDerivative(
+            method, [derivative_of(own, displacement[rows]) if own else None for _, own, rows in method.parts]
+        )
     if not isinstance(method, PreparedInGaps):
         return derivative_of_composite(method, displacement)
     closing = method.closing(displacement)
@@ -32,12 +36,12 @@ def derivative_of(method: PreparedMethod, displacement: FloatArray) -> Derivativ
 
 
 class ComponentsDerivative:
-    """Of every component with respect to the displacement of its own sources."""
+    """Of every component with respect to the displacement of its own sources; ``own`` those of the components,
+    ``None`` at rest."""
 
-    def __init__(self, method: PreparedComponents, displacement: FloatArray) -> None:
-        self._method, self._grid = method, method.problem.grid
-        self._own = [derivative_of(own, displacement[rows]) if own else None for _, own, rows in method.parts]
-        self.on_edges = sum(own.on_edges for own in self._own if own)
+    def __init__(self, method: PreparedComponents, own: Sequence[Derivative | None]) -> None:
+        self._method, self._grid, self._own = method, method.problem.grid, own
+        self.on_edges = sum(each.on_edges for each in own if each)
 
     def push(self, change: FloatArray) -> FloatArray:
         """Change (n_nodes, 3) for one of the sources (n_sources, 3)."""

@@ -65,8 +65,8 @@ def accurate(options: SystemOptions, centres: Centres, problem: Problem) -> Radi
 class RBFDerivative:
     """Derivative of the displacement of some nodes with respect to that of the sources; the same at all of them.
 
-    Fast sums of the method are fast here, too, with an error below :data:`.sums.TOLERANCE` of the largest change where
-    they are compared with exact ones; otherwise sums are exact.
+    Fast sums of the method are fast here, too, with an error below :data:`.sums.TOLERANCE` of the derivative where they
+    are compared with exact ones; otherwise sums are exact.
     """
 
     def __init__(self, method: PreparedRBF, problem: Problem, sums: RadialSums) -> None:
@@ -83,11 +83,22 @@ class RBFDerivative:
 
     def _accurate(self, targets: RadialTargets) -> FrozenRadial | None:
         """Fast sums, the more accurate the larger their error is where they are compared with exact ones; ``None`` if
-        it stays too large."""
-        system, centres, allowed = self._system, self._system.centres, TOLERANCE
+        it stays too large.
+
+        Errors are relative to the derivative for the same change: a random one has coefficients, and between its nodes
+        values, many times larger than itself.
+        """
+        system, centres = self._system, self._system.centres
         rough = np.random.default_rng(0).uniform(-1.0, 1.0, centres.points.shape)
-        coefficients, _ = system.solve(rough, Account(), None)
+        coefficients, polynomial = system.solve(rough, Account(), None)
         kind, found = BASES[system.options.basis], np.zeros_like(self._points)
+
+        def exactly(flat: IntArray) -> FloatArray:
+            return radial_sums(kind, targets.points[flat], centres.points, coefficients)
+
+        some = doubtful(targets.points, targets, np.zeros(len(targets.leaves)))
+        size = float(np.abs(exactly(some) + self._terms(some) @ polynomial).max())
+        allowed = TOLERANCE * size
         for _ in range(1 + MAX_RETRIES):
             fast = FrozenRadial(kind, centres.points, targets, coefficients, allowed)
 
@@ -95,8 +106,7 @@ class RBFDerivative:
                 found[flat] = sums
 
             flat = doubtful(targets.points, targets, fast.push(coefficients, keep, found))
-            exact = radial_sums(kind, targets.points[flat], centres.points, coefficients)
-            error = float(np.abs(found[flat] - exact).max())
+            error = float(np.abs(found[flat] - exactly(flat)).max()) / size
             if error <= TOLERANCE:
                 return fast
             allowed *= 0.25 * TOLERANCE / error

@@ -8,10 +8,25 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...grid import FloatArray
+from ...grid.connectivity.components import assembled
 from .. import Options, PreparedMethod, prepare_method
 from ..base import Problem
-from .choice import derivative_of
+from ..components import PreparedComponents
+from .choice import ComponentsDerivative, derivative_of
 from .grid.composite import GridDerivative, grid_derivative_of, require_derivative
+
+
+def derivative_of_steps(
+    first: PreparedMethod, options: Options, problem: Problem, displacement: FloatArray, fractions: Sequence[float]
+) -> StepsDerivative | ComponentsInSteps:
+    """The derivative of a motion in several steps, of every component by itself; see :class:`StepsDerivative`."""
+    if not isinstance(first, PreparedComponents):
+        return StepsDerivative(first, options, problem, displacement, fractions)
+    own = [
+        StepsDerivative(method, options, part, displacement[rows], fractions) if method else None
+        for (_, part), method, rows in first.parts
+    ]
+    return ComponentsInSteps(first, own)
 
 
 class StepsDerivative:
@@ -69,3 +84,15 @@ class StepsDerivative:
             own, of_grid = step.pull(g)
             found, g = found + part * own, g + of_grid
         return np.asarray(found + self._parts[0] * self._first.pull(g))
+
+
+class ComponentsInSteps(ComponentsDerivative):
+    """Of components that take the same steps; ``points`` (n_nodes, 3) is the grid reached, without repairs."""
+
+    def __init__(self, method: PreparedComponents, own: Sequence[StepsDerivative | None]) -> None:
+        super().__init__(method, own)
+        reached = [
+            (component, each.points if each else component.grid.points)
+            for ((component, _), _, _), each in zip(method.parts, own, strict=True)
+        ]
+        self.points = assembled(method.problem.grid, reached)

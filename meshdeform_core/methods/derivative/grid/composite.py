@@ -9,7 +9,6 @@ import numpy as np
 from ....errors import MethodError
 from ....grid import FloatArray
 from ...base import Mover, PreparedMethod
-from ...components import PreparedComponents
 from ...composite import PreparedComposite, _on_faces, _Scattered
 from ...gaps import PreparedInGaps
 from ...periodic_steps import PreparedPeriodic
@@ -62,11 +61,9 @@ def require_derivative(method: PreparedMethod) -> None:
     Raises
     ------
     MethodError
-        For methods with radial basis functions, and for components.
+        For methods with radial basis functions.
     """
     text = "a method has no derivative with respect to the grid on which it is prepared"
-    if isinstance(method, PreparedComponents):
-        raise MethodError(f"{text} where the grid has components")
     if isinstance(method, PreparedInGaps):
         method = method.method
     if isinstance(method, PreparedPeriodic):
