@@ -167,12 +167,11 @@ def test_plot_formats(suffix, magic, bench, call):
 @pytest.mark.parametrize(
     "options",
     [
-        ("--plane", "i=1"),
         ("--plane", "j=mid", "--metric", "volume"),
         ("--plane", "k=4", "--metric", "scaled_jacobian", "--no-lines"),
         ("--select", "body", "--view", "iso", "--title", "The body"),
         ("--select", "block1.imin", "--select", "block*.kmax[1:2,*]", "--view", "x"),
-        ("--zoom", "-1,1,-0.5,0.5"),
+        ("--zoom", "-1,1,-0.5,0.5", "--plane", "i=1"),
         ("--zoom=-1,1,-0.5,0.5", "--title", "x < y & z"),
         ("--plane", "z=0.4", "--zoom", "walls", "--range", "0.5,1", "--metric", "wall_distance"),
         ("--plane", "x=-2", "--view", "1,1,0.5"),

@@ -28,7 +28,12 @@ def imposed(options, where, displacement):
     return points
 
 
-@pytest.mark.parametrize(("name", "kind"), [("tfi", "slip"), *OF_IDW, *BOUNDARIES])
+# The filler of the hybrid is the same TFI.
+LONG = [pytest.param(*each, marks=pytest.mark.slow) for each in BOUNDARIES if each[0] == "tfi"]
+SHORT = [each for each in BOUNDARIES if each[0] != "tfi"]
+
+
+@pytest.mark.parametrize(("name", "kind"), [("tfi", "slip"), *OF_IDW, *SHORT, *LONG])
 def test_central_differences_and_transposes(name, kind):
     where, options = PLACES[kind](), METHODS[name]
     smooth, rough = directions(where)
