@@ -133,8 +133,8 @@ def test_bricks_hold_every_target_once():
     np.testing.assert_array_equal(np.sort(bricks.targets), np.flatnonzero(wanted))
     for b in range(len(bricks.start) - 1):
         x = grid.points[bricks.targets[bricks.start[b] : bricks.start[b + 1]]]
-        inside = np.abs((x - bricks.center[b]) @ bricks.axes[b].T)
-        assert np.all(inside <= bricks.half[b] + 1e-12)
+        inside = np.abs((x - bricks.boxes.center[b]) @ bricks.boxes.axes[b].T)
+        assert np.all(inside <= bricks.boxes.half[b] + 1e-12)
     assert first[0] == 0
     assert first[-1] == len(bricks.start) - 1
     assert np.all(np.diff(first) > 0)
@@ -142,12 +142,12 @@ def test_bricks_hold_every_target_once():
     for g in range(len(first) - 1):
         x = np.concatenate(
             [
-                bricks.proxies[bricks.proxy[first[g]] : bricks.proxy[first[g + 1]]],
+                bricks.boxes.proxies[bricks.boxes.proxy[first[g]] : bricks.boxes.proxy[first[g + 1]]],
                 grid.points[bricks.targets[bricks.start[first[g]] : bricks.start[first[g + 1]]]],
             ]
         )
-        inside = np.abs((x - regions.center[g]) @ regions.axes[g].T)
-        assert np.all(inside <= regions.half[g] + 1e-12)
+        inside = np.abs((x - regions.boxes.center[g]) @ regions.boxes.axes[g].T)
+        assert np.all(inside <= regions.boxes.half[g] + 1e-12)
 
 
 def test_node_sizes():
@@ -176,18 +176,18 @@ def test_clusters_hold_their_sources_and_keep_their_charges(n, flat, seed):
     charges = rng.random((n, 8))
     tree = build_tree(points, 3)
     np.testing.assert_array_equal(np.sort(tree.order), np.arange(n))
-    proxy = np.empty((len(tree.proxies), 8))
+    proxy = np.empty((len(tree.boxes.proxies), 8))
     gather_charges(tree, charges[tree.order], proxy, np.ones(len(tree.span), dtype=bool), 0, len(tree.span))
     for c, (lo, hi) in enumerate(tree.span):
         members = tree.order[lo:hi]
-        inside = np.abs((points[members] - tree.center[c]) @ tree.axes[c].T)
-        assert np.all(inside <= tree.half[c] + 1e-12)
-        mine = slice(tree.proxy[c], tree.proxy[c + 1])
+        inside = np.abs((points[members] - tree.boxes.center[c]) @ tree.boxes.axes[c].T)
+        assert np.all(inside <= tree.boxes.half[c] + 1e-12)
+        mine = slice(tree.boxes.proxy[c], tree.boxes.proxy[c + 1])
         if mine.stop > mine.start:
             np.testing.assert_allclose(proxy[mine].sum(axis=0), charges[members].sum(axis=0), rtol=1e-11)
             moments = points[members].T @ charges[members]
-            if np.all(tree.per_side[c] >= 2 - (tree.half[c] < 1e-12)):
-                np.testing.assert_allclose(tree.proxies[mine].T @ proxy[mine], moments, rtol=1e-9, atol=1e-9)
+            if np.all(tree.boxes.per_side[c] >= 2 - (tree.boxes.half[c] < 1e-12)):
+                np.testing.assert_allclose(tree.boxes.proxies[mine].T @ proxy[mine], moments, rtol=1e-9, atol=1e-9)
 
 
 def test_interpolation_reproduces_polynomials():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,6 +12,38 @@ from ...jit import inlined, kernel
 
 # Ratio of distance to half width for which the number of points along a box's longest side is meant.
 _REFERENCE_RATIO = 5.0
+
+
+class Boxes(NamedTuple):
+    """Boxes along principal axes.
+
+    Attributes
+    ----------
+    center, half : (m, 3) middles and half widths
+    axes : (m, 3, 3) in rows, longest first
+    per_side : (m, 3) interpolation points per side
+    proxy : (m + 1,) where each box's interpolation points begin
+    proxies : (total, 3) interpolation points
+    """
+
+    center: np.ndarray
+    axes: np.ndarray
+    half: np.ndarray
+    per_side: np.ndarray
+    proxy: np.ndarray
+    proxies: np.ndarray
+
+
+def make_boxes(
+    center: FloatArray, axes: FloatArray, half: FloatArray, order: int, fewest: IntArray | None = None
+) -> Boxes:
+    """Boxes with up to ``order`` interpolation points per side; none where that takes ``fewest`` (m,) or more."""
+    per_side = points_per_side(half, order)
+    sizes = per_side.prod(axis=1)
+    if fewest is not None:
+        sizes[sizes >= fewest] = 0
+    proxy = np.append(0, np.cumsum(sizes))
+    return Boxes(center, axes, half, per_side, proxy, place_points(center, axes, half, per_side, proxy))
 
 
 def fit_boxes(points: FloatArray, members: IntArray, span: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -11,7 +11,7 @@ from ....parallel import for_chunks
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...jit import inlined, kernel
 from ...pieces import pieces
-from .boxes import extents, fit_boxes, place_points, points_per_side
+from .boxes import Boxes, extents, fit_boxes, make_boxes
 
 REGION = 8
 """Bricks of a region."""
@@ -24,19 +24,12 @@ class Bricks(NamedTuple):
     ----------
     start : (b + 1,) where each brick's targets begin
     targets : (n,) flat node indices
-    center, axes, half, per_side : boxes as in :class:`SourceTree`
-    proxy : (b + 1,) where each brick's interpolation points begin
-    proxies : (total, 3) interpolation points
+    boxes : around the targets of each
     """
 
     start: np.ndarray
     targets: np.ndarray
-    center: np.ndarray
-    axes: np.ndarray
-    half: np.ndarray
-    per_side: np.ndarray
-    proxy: np.ndarray
-    proxies: np.ndarray
+    boxes: Boxes
 
 
 class Regions(NamedTuple):
@@ -45,17 +38,11 @@ class Regions(NamedTuple):
     Attributes
     ----------
     first : (g + 1,) number of each region's first brick
-    center, axes, half, per_side : boxes around the targets and the interpolation points of the bricks
-    proxy, proxies : their interpolation points, as those of :class:`Bricks`
+    boxes : around the targets and the interpolation points of the bricks of each
     """
 
     first: np.ndarray
-    center: np.ndarray
-    axes: np.ndarray
-    half: np.ndarray
-    per_side: np.ndarray
-    proxy: np.ndarray
-    proxies: np.ndarray
+    boxes: Boxes
 
 
 def build_bricks(
@@ -107,22 +94,16 @@ def build_bricks(
 
 def make_bricks(points: FloatArray, start: IntArray, targets: IntArray, order: int) -> Bricks:
     """Bricks of ``targets`` beginning at ``start`` (b + 1,), with up to ``order`` interpolation points per side."""
-    boxes = fit_boxes(points, targets, spans(start))
-    per_side = points_per_side(boxes[2], order)
-    proxy = np.append(0, np.cumsum(per_side.prod(axis=1)))
-    return Bricks(start, targets, *boxes, per_side, proxy, place_points(*boxes, per_side, proxy))
+    return Bricks(start, targets, make_boxes(*fit_boxes(points, targets, spans(start)), order))
 
 
 def make_regions(points: FloatArray, bricks: Bricks, first: IntArray, order: int) -> Regions:
     """Regions of the bricks beginning with number ``first`` (g + 1,)."""
-    proxies = np.arange(len(bricks.proxies))
-    center, axes, half = fit_boxes(bricks.proxies, proxies, spans(bricks.proxy[first]))
+    inner = bricks.boxes
+    center, axes, half = fit_boxes(inner.proxies, np.arange(len(inner.proxies)), spans(inner.proxy[first]))
     # The boxes enclose the targets too.
     low, high = extents(points, bricks.targets, spans(bricks.start[first]), center, axes)
-    half = np.maximum(half, np.maximum(-low, high))
-    per_side = points_per_side(half, order)
-    proxy = np.append(0, np.cumsum(per_side.prod(axis=1)))
-    return Regions(first, center, axes, half, per_side, proxy, place_points(center, axes, half, per_side, proxy))
+    return Regions(first, make_boxes(center, axes, np.maximum(half, np.maximum(-low, high)), order))
 
 
 def spans(start: IntArray) -> IntArray:

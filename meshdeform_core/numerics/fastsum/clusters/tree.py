@@ -8,7 +8,7 @@ import numpy as np
 
 from ...arrays import FloatArray, IntArray
 from ...jit import inlined, kernel
-from .boxes import box_coordinate, chebyshev, fit_boxes, lagrange, place_points, points_per_side
+from .boxes import Boxes, box_coordinate, chebyshev, fit_boxes, lagrange, make_boxes
 
 LEAF = 24
 CHARGES = 8
@@ -24,22 +24,14 @@ class SourceTree(NamedTuple):
     points : (n, 3) sources in that order
     span : (m, 2) first and one past the last place of each cluster
     child : (m,) first child (the second follows it), -1 for leaves
-    center, axes, half : (m, 3), (m, 3, 3), (m, 3) boxes
-    per_side : (m, 3) interpolation points per side
-    proxy : (m + 1,) where each cluster's interpolation points begin
-    proxies : (total, 3) interpolation points
+    boxes : around the sources of each cluster; without interpolation points where these are no fewer than its sources
     """
 
     order: np.ndarray
     points: np.ndarray
     span: np.ndarray
     child: np.ndarray
-    center: np.ndarray
-    axes: np.ndarray
-    half: np.ndarray
-    per_side: np.ndarray
-    proxy: np.ndarray
-    proxies: np.ndarray
+    boxes: Boxes
 
 
 def build_tree(points: FloatArray, order: int, leaf: int = LEAF) -> SourceTree:
@@ -49,13 +41,8 @@ def build_tree(points: FloatArray, order: int, leaf: int = LEAF) -> SourceTree:
     """
     points = np.ascontiguousarray(points)
     place, span, child, (center, axes, half) = _split(points, leaf)
-    count = points_per_side(half, order)
-    sizes = count.prod(axis=1)
-    # A cluster with fewer sources than interpolation points acts by its sources.
-    sizes[sizes >= span[:, 1] - span[:, 0]] = 0
-    proxy = np.append(0, np.cumsum(sizes))
-    proxies = place_points(center, axes, half, count, proxy)
-    return SourceTree(place, points[place].copy(), span, child, center, axes, half, count, proxy, proxies)
+    boxes = make_boxes(center, axes, half, order, fewest=span[:, 1] - span[:, 0])
+    return SourceTree(place, points[place].copy(), span, child, boxes)
 
 
 def _split(points: FloatArray, leaf: int) -> tuple[IntArray, IntArray, IntArray, list[FloatArray]]:
@@ -131,14 +118,14 @@ def gather_charges(tree, charges, out, active, first_cluster, last_cluster):
     ``active`` (m,) clusters have sources with charges.
     """
     node, weight, value = np.empty((3, 32)), np.empty((3, 32)), np.empty((3, 32))
-    for n in range(tree.proxy[first_cluster], tree.proxy[last_cluster]):
+    for n in range(tree.boxes.proxy[first_cluster], tree.boxes.proxy[last_cluster]):
         for c in range(CHARGES):
             out[n, c] = 0.0
     for cluster in range(first_cluster, last_cluster):
-        first = tree.proxy[cluster]
-        if tree.proxy[cluster + 1] == first or not active[cluster]:
+        first = tree.boxes.proxy[cluster]
+        if tree.boxes.proxy[cluster + 1] == first or not active[cluster]:
             continue
-        count = tree.per_side[cluster]
+        count = tree.boxes.per_side[cluster]
         for d in range(3):
             chebyshev(count[d], node[d], weight[d])
         for s in range(tree.span[cluster, 0], tree.span[cluster, 1]):
@@ -147,7 +134,7 @@ def gather_charges(tree, charges, out, active, first_cluster, last_cluster):
             if c0 == c1 == c2 == c3 == c4 == c5 == c6 == c7 == 0.0:
                 continue
             for d in range(3):
-                t = box_coordinate(tree.points, s, tree.center, tree.axes, tree.half, cluster, d)
+                t = box_coordinate(tree.points, s, tree.boxes.center, tree.boxes.axes, tree.boxes.half, cluster, d)
                 lagrange(count[d], node[d], weight[d], t, value[d])
             n = first
             for i in range(count[0]):

@@ -28,11 +28,11 @@ def find_interactions(tree: SourceTree, radius: FloatArray, compact: bool) -> In
     """:class:`Interactions` of all clusters."""
     none = np.empty(0, dtype=np.int64)
     counts = np.zeros((2, len(radius)), dtype=np.int64)
-    _meet(tree.center, radius, tree.child, REACH, compact, counts, False, none, none)
+    _meet(tree.boxes.center, radius, tree.child, REACH, compact, counts, False, none, none)
     starts = [np.append(0, np.cumsum(count)) for count in counts]
     far, near = (np.empty(start[-1], dtype=np.int64) for start in starts)
     places = np.stack([start[:-1] for start in starts])
-    _meet(tree.center, radius, tree.child, REACH, compact, places, True, far, near)
+    _meet(tree.boxes.center, radius, tree.child, REACH, compact, places, True, far, near)
     return Interactions(starts[0], far, starts[1], near)
 
 

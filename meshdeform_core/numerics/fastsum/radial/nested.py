@@ -70,7 +70,7 @@ class NestedSums:
     ) -> None:
         self._kind = kind
         self._tree: SourceTree = like._tree if like else build_tree(centres, 1, LEAF)
-        radius = np.sqrt((self._tree.half**2).sum(axis=1))
+        radius = np.sqrt((self._tree.boxes.half**2).sum(axis=1))
         compact = kind != BASES["tps"]
         self._lists: Interactions = like._lists if like else find_interactions(self._tree, radius, compact)
         acting = np.diff(self._lists.far_start) > 0
@@ -169,7 +169,7 @@ def _skeleton(
     n = len(places)
     # Thin plate splines are the same in any unit up to polynomials, which few points reproduce.
     unit = radius if kind == BASES["tps"] and radius > 0 else 1.0
-    points = (tree.points[places] - tree.center[c]) / unit
+    points = (tree.points[places] - tree.boxes.center[c]) / unit
     order, share = np.empty(n, dtype=np.int64), np.zeros((n, n))
     rank = decompose(kind, points, proxies * (radius / unit), tolerance, order, share)
     return places[order[:rank]], order, share[: n - rank, :rank].copy()

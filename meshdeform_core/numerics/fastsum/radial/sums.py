@@ -87,7 +87,7 @@ class FastRadial:
     def __init__(self, kind: int, centres: FloatArray) -> None:
         self._kind, self._centres = kind, centres
         self._tree = build_tree(centres, 1, LEAF)
-        self._radius = np.sqrt((self._tree.half**2).sum(axis=1))
+        self._radius = np.sqrt((self._tree.boxes.half**2).sum(axis=1))
         self._bases: dict[float, Bases] = {}
         self.restart()
 
@@ -178,7 +178,7 @@ class FastRadial:
         gather_up(tree.span, tree.child, bases, charges, upper)
         squares = np.append(0.0, np.cumsum((upper**2).sum(axis=1)))
         strength = np.sqrt(np.diff(squares[bases.start]))
-        where = tree.center, self._radius, tree.child, tree.span, tree.points
+        where = tree.boxes.center, self._radius, tree.child, tree.span, tree.points
         return Clusters(self._kind != BASES["tps"], *where, bases, charges, upper, strength)
 
     def _on_leaves(self, chosen: IntArray, targets: RadialTargets, boxes: Boxes, clusters: Clusters) -> FloatArray:

@@ -67,14 +67,14 @@ class FrozenSums:
         alike = targets._replace(sizes=np.ones_like(targets.sizes))
         allowed, mean = allowance(alike, trees, kinds, reaches, tolerance * share)
         whole = all(kind.a in (3.0, 4.0) and kind.b == 5.0 for kind in kinds)
-        every = [targets.bricks.proxies, targets.regions.proxies]
-        every += [part for tree in trees for part in (tree.points, tree.proxies)]
+        every = [targets.bricks.boxes.proxies, targets.regions.boxes.proxies]
+        every += [part for tree in trees for part in (tree.points, tree.boxes.proxies)]
         self._scale = scale_of(every) if single and whole else None
         key, room = PlanKey(kinds, reaches, acting, share, 0), targets.every.nbytes
         self._plan = Plan(key, targets, self._groups, allowed, mean, room, weights=False, scale=self._scale)
         # The transpose leaves out groups that do not act.
         self._points = [
-            np.concatenate([tree.points, tree.proxies]) if moving.any() else np.empty((0, 3))
+            np.concatenate([tree.points, tree.boxes.proxies]) if moving.any() else np.empty((0, 3))
             for tree, moving in zip(trees, self._plan.moving, strict=True)
         ]
         size = CHARGES * sum(map(len, self._points))

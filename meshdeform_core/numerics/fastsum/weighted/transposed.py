@@ -16,7 +16,7 @@ from ..clusters.acceptance import Kernel
 from ..clusters.boxes import box_coordinate, chebyshev, lagrange
 from ..clusters.bricks import spans
 from ..clusters.tree import CHARGES, SourceTree
-from .treesum import Places, boxes_of, shares_of_box
+from .treesum import Places, shares_of_box
 from .walk import Lists, few_nodes
 
 
@@ -39,9 +39,9 @@ def collect_sums(first, last, bricks, regions, places, filled, all_charges, grad
                     step == 1 and not filled[region]
                 ):
                     continue
-                center, axes, half, per_side, box = boxes_of(step == 1, bricks, regions, b, g)
+                boxes, box = (regions.boxes, g) if step == 1 else (bricks.boxes, b)
                 _collect(
-                    center, axes, half, per_side, box, places.span[source, 0], low, high, places.points,
+                    boxes, box, places.span[source, 0], low, high, places.points,
                     places.span[target, 0], places.span[target, 1], gradient,
                 )  # fmt: skip
             item += 2
@@ -49,11 +49,12 @@ def collect_sums(first, last, bricks, regions, places, filled, all_charges, grad
 
 
 @inlined
-def _collect(center, axes, half, per_side, b, m, low, high, points, first, last, gradient):
+def _collect(boxes, b, m, low, high, points, first, last, gradient):
     """Add to ``gradient`` of the box's points, rows ``m`` onwards, those of rows first <= t < last."""
+    per_side = boxes.per_side
     n, most = last - first, max(per_side[b, 0], per_side[b, 1], per_side[b, 2])
     share, given, product = np.empty((3 * most, n)), np.empty((high, n)), np.empty(n)
-    shares_of_box(center, axes, half, per_side, b, points, first, n, most, product, share)
+    shares_of_box(boxes, b, points, first, n, most, product, share)
     for c in range(low, high):
         for t in range(n):
             given[c, t] = gradient[first + t, c]
@@ -97,7 +98,7 @@ def spread_lists(
     if not len(found):
         return
     number, raw = found >> 1, found & 1 == 1
-    first = len(tree.order) + np.stack([tree.proxy[number], tree.proxy[number + 1]])
+    first = len(tree.order) + np.stack([tree.boxes.proxy[number], tree.boxes.proxy[number + 1]])
     rows = np.ascontiguousarray(np.where(raw, tree.span[number].T, first).T)
     charged = np.concatenate([places.points, gradient], axis=1)
     pieces = np.ascontiguousarray(places.span[item[order]])
@@ -126,16 +127,16 @@ def spread_charges(tree, proxy, used, first, last, out):
         low, high = max(tree.span[cluster, 0], first), min(tree.span[cluster, 1], last)
         if low >= high or not used[cluster]:
             continue
-        count = tree.per_side[cluster]
+        count = tree.boxes.per_side[cluster]
         for d in range(3):
             chebyshev(count[d], node[d], weight[d])
         for s in range(low, high):
             for d in range(3):
-                t = box_coordinate(tree.points, s, tree.center, tree.axes, tree.half, cluster, d)
+                t = box_coordinate(tree.points, s, tree.boxes.center, tree.boxes.axes, tree.boxes.half, cluster, d)
                 lagrange(count[d], node[d], weight[d], t, value[d])
             for c in range(CHARGES):
                 total[c] = 0.0
-            n = tree.proxy[cluster]
+            n = tree.boxes.proxy[cluster]
             for i in range(count[0]):
                 for j in range(count[1]):
                     product = value[0, i] * value[1, j]
@@ -151,4 +152,4 @@ def spread_charges(tree, proxy, used, first, last, out):
 def used_clusters(tree: SourceTree, proxy: FloatArray) -> BoolArray:
     """Clusters (m,) whose interpolation points have any gradient ``proxy`` (total, 8)."""
     count: IntArray = np.append(0, np.cumsum(proxy.any(axis=1)))
-    return np.asarray(count[tree.proxy[1:]] > count[tree.proxy[:-1]])
+    return np.asarray(count[tree.boxes.proxy[1:]] > count[tree.boxes.proxy[:-1]])

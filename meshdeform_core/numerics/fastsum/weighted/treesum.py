@@ -55,19 +55,19 @@ def gather(tree: SourceTree, source: FloatArray, used: BoolArray | None = None) 
     """
     charged = np.append(0, np.cumsum(source.any(axis=1)))
     active = charged[tree.span[:, 1]] > charged[tree.span[:, 0]]
-    proxy = np.empty((len(tree.proxies), CHARGES))
+    proxy = np.empty((len(tree.boxes.proxies), CHARGES))
     acting = active if used is None else active & used
     cut = _portions(tree)
     for_chunks(lambda lo, hi: gather_charges(tree, source, proxy, acting, cut[lo], cut[hi]), len(cut) - 1, 1)
     n = len(source)
     rows = np.empty((n + len(proxy), 3 + CHARGES))
-    rows[:n, :3], rows[:n, 3:], rows[n:, :3], rows[n:, 3:] = tree.points, source, tree.proxies, proxy
+    rows[:n, :3], rows[:n, 3:], rows[n:, :3], rows[n:, 3:] = tree.points, source, tree.boxes.proxies, proxy
     return Charges(rows, bool(source[:, [0, -1]].any()))
 
 
 def _portions(tree: SourceTree) -> IntArray:
     """First clusters of portions that cost about the same, and one past the last: those near the root cost most."""
-    work = np.cumsum((tree.span[:, 1] - tree.span[:, 0]) * np.diff(tree.proxy))
+    work = np.cumsum((tree.span[:, 1] - tree.span[:, 0]) * np.diff(tree.boxes.proxy))
     inner = np.searchsorted(work, np.linspace(0.0, work[-1], _PORTIONS + 1)[1:-1], side="right")
     return np.unique(np.concatenate([[0], inner, [len(work)]]))
 
@@ -90,8 +90,8 @@ def add_totals(samples, tree, reach, function, total, moved):
         while depth:
             depth -= 1
             c = stack[depth]
-            d2 = distance2(samples, s, tree.center, c)
-            extent2 = square(tree.half, c)
+            d2 = distance2(samples, s, tree.boxes.center, c)
+            extent2 = square(tree.boxes.half, c)
             if d2 > 2.0 * extent2 or tree.child[c] < 0:
                 # A leaf around the sample: its weight as if seen from the rim, which is a lower bound.
                 w = reach.strength[c] * weight(max(d2, 0.25 * extent2), function)
@@ -119,10 +119,14 @@ def places_of(first: int, last: int, points: FloatArray, bricks: Bricks, regions
     """:class:`Places` of the regions first <= g < last; ``points`` (n_nodes, 3)."""
     ends = regions.first[first : last + 1]
     low, high = ends[0], ends[-1]
-    start, proxy, region = bricks.start[low : high + 1], bricks.proxy[low : high + 1], regions.proxy[first : last + 1]
+    start, proxy, region = (
+        bricks.start[low : high + 1],
+        bricks.boxes.proxy[low : high + 1],
+        regions.boxes.proxy[first : last + 1],
+    )
     x = np.concatenate(
-        [points[bricks.targets[start[0] : start[-1]]], bricks.proxies[proxy[0] : proxy[-1]],
-         regions.proxies[region[0] : region[-1]]]
+        [points[bricks.targets[start[0] : start[-1]]], bricks.boxes.proxies[proxy[0] : proxy[-1]],
+         regions.boxes.proxies[region[0] : region[-1]]]
     )  # fmt: skip
     start, proxy, region = start - start[0], proxy - proxy[0] + start[-1] - start[0], region - region[0]
     region = region + proxy[-1]
@@ -157,7 +161,7 @@ def sum_lists(
     number, raw = number[active], raw[active]
     # Rows of the clusters: those of their sources, or of their interpolation points.
     rows = np.where(
-        raw, tree.span[number].T, len(tree.order) + np.stack([tree.proxy[number], tree.proxy[number + 1]])
+        raw, tree.span[number].T, len(tree.order) + np.stack([tree.boxes.proxy[number], tree.boxes.proxy[number + 1]])
     ).T
     stop = np.append(0, np.cumsum(active))[np.append(0, lists.stop)]
     clusters = np.ascontiguousarray(rows), spans(stop)
@@ -190,9 +194,9 @@ def interpolate_sums(first, last, bricks, regions, places, filled, all_charges, 
                 source, target = (region, item + 1 + few) if step == 0 else (item + 1, item + 2)
                 if not filled[source] or (step == 1 and few):
                     continue
-                center, axes, half, per_side, box = boxes_of(step == 0, bricks, regions, b, g)
+                boxes, box = (regions.boxes, g) if step == 0 else (bricks.boxes, b)
                 _interpolate(
-                    center, axes, half, per_side, box, places.span[source, 0], low, high, places.points,
+                    boxes, box, places.span[source, 0], low, high, places.points,
                     places.span[target, 0], places.span[target, 1], sums,
                 )  # fmt: skip
             item += 2
@@ -200,19 +204,12 @@ def interpolate_sums(first, last, bricks, regions, places, filled, all_charges, 
 
 
 @inlined
-def boxes_of(coarse, bricks, regions, b, g):
-    """The boxes of regions, if ``coarse``, or of bricks, and the number of the one meant."""
-    if coarse:
-        return regions.center, regions.axes, regions.half, regions.per_side, g
-    return bricks.center, bricks.axes, bricks.half, bricks.per_side, b
-
-
-@inlined
-def _interpolate(center, axes, half, per_side, b, m, low, high, points, first, last, sums):
+def _interpolate(boxes, b, m, low, high, points, first, last, sums):
     """Add to ``sums`` at rows first <= t < last the interpolated sums at the box's points, rows ``m`` onwards."""
+    per_side = boxes.per_side
     n, most = last - first, max(per_side[b, 0], per_side[b, 1], per_side[b, 2])
     share, total, product = np.empty((3 * most, n)), np.empty((high, n)), np.empty(n)
-    shares_of_box(center, axes, half, per_side, b, points, first, n, most, product, share)
+    shares_of_box(boxes, b, points, first, n, most, product, share)
     for c in range(low, high):
         for t in range(n):
             total[c, t] = 0.0
@@ -233,17 +230,18 @@ def _interpolate(center, axes, half, per_side, b, m, low, high, points, first, l
 
 
 @inlined
-def shares_of_box(center, axes, half, per_side, b, points, start, n, most, product, share):
+def shares_of_box(boxes, b, points, start, n, most, product, share):
     """Lagrange polynomials along the three sides of a box at ``n`` points; those of side d from row d ``most`` on of
     ``share`` (3 most, n). ``product`` (n,) is overwritten."""
     node, weights, at = np.empty(most), np.empty(most), np.empty(n)
     for d in range(3):
-        _shares(center, axes, half, per_side[b, d], b, points, start, n, d, node, weights, at, product, share, d * most)
+        _shares(boxes, b, points, start, n, d, node, weights, at, product, share, d * most)
 
 
 @inlined
-def _shares(center, axes, half, count, b, points, start, n, d, node, weights, at, product, share, first):
+def _shares(boxes, b, points, start, n, d, node, weights, at, product, share, first):
     """Lagrange polynomials along one side of a box at ``n`` points, in rows of ``share``: vector loops over points."""
+    center, axes, half, count = boxes.center, boxes.axes, boxes.half, boxes.per_side[b, d]
     chebyshev(count, node, weights)
     for t in range(n):
         at[t], product[t] = 0.0, 1.0

@@ -105,12 +105,11 @@ def _look(first, last, regions, bricks, tree, reach, function, allowed, mean, co
                 return -1
             region = b < regions.first[g]
             tops, n_tops, other = (root, 1, left) if region else (left, n_left, near)
-            center, half = (regions.center, regions.half) if region else (bricks.center, bricks.half)
-            count, box = (regions.per_side, g) if region else (bricks.per_side, b)
+            boxes, box = (regions.boxes, g) if region else (bricks.boxes, b)
             limit, moved = (least, most) if region else (allowed[b], mean[b])
             few = not region and few_nodes(bricks, b)
             at, n_other, more = _walk(
-                tops, n_tops, region, few, center, half, count, box, tree, reach, function, limit, moved, stack, codes,
+                tops, n_tops, region, few, boxes, box, tree, reach, function, limit, moved, stack, codes,
                 at, other,
             )  # fmt: skip
             stop[item] = at
@@ -130,13 +129,11 @@ def _look(first, last, regions, bricks, tree, reach, function, allowed, mean, co
 @inlined
 def few_nodes(bricks, b):
     """Whether a brick has so few nodes that it needs no interpolation points of its own."""
-    return bricks.start[b + 1] - bricks.start[b] <= 2 * (bricks.proxy[b + 1] - bricks.proxy[b])
+    return bricks.start[b + 1] - bricks.start[b] <= 2 * (bricks.boxes.proxy[b + 1] - bricks.boxes.proxy[b])
 
 
 @inlined
-def _walk(
-    tops, n_tops, region, few, center, half, count, b, tree, reach, function, allowed, mean, stack, codes, at, other
-):
+def _walk(tops, n_tops, region, few, boxes, b, tree, reach, function, allowed, mean, stack, codes, at, other):
     """Walk from the clusters ``tops`` for box ``b``, of a ``region`` or a brick.
 
     ``codes`` get, from ``at`` on, what acts on its interpolation points; ``other`` the clusters left to the bricks of a
@@ -144,6 +141,7 @@ def _walk(
     """
     bound = 0.0
     n_other = 0
+    center, half, count = boxes.center, boxes.half, boxes.per_side
     radius = math.sqrt(square(half, b))
     for top in range(n_tops):
         stack[0] = tops[top]
@@ -151,15 +149,15 @@ def _walk(
         while depth:
             depth -= 1
             c = stack[depth]
-            d2 = distance2(center, b, tree.center, c)
-            distance, extent = math.sqrt(d2), math.sqrt(square(tree.half, c))
-            raw = tree.proxy[c + 1] == tree.proxy[c]
+            d2 = distance2(center, b, tree.boxes.center, c)
+            distance, extent = math.sqrt(d2), math.sqrt(square(tree.boxes.half, c))
+            raw = tree.boxes.proxy[c + 1] == tree.boxes.proxy[c]
             # Effect of a cluster on the mean if its weights are wrong by 100 %, relative to the error allowed to it.
             pull = reach.strength[c] * (reach.shift[c] + reach.turn[c] * distance + mean) / allowed
             if not few and distance > extent and (raw or distance > radius):
                 error = box_error(half, count, b, distance - extent, distance, function)
                 if not raw:
-                    error = max(error, box_error(tree.half, tree.per_side, c, distance, distance, function))
+                    error = max(error, box_error(tree.boxes.half, tree.boxes.per_side, c, distance, distance, function))
                 if pull * error < 0.5:
                     bound += pull * error
                     codes[at] = 2 * c + (1 if raw else 0)
@@ -167,7 +165,7 @@ def _walk(
                     continue
             if not region and not raw and distance > radius:
                 gap = distance - radius
-                error = box_error(tree.half, tree.per_side, c, gap, gap, function)
+                error = box_error(tree.boxes.half, tree.boxes.per_side, c, gap, gap, function)
                 if pull * error < 0.5:
                     bound += pull * error
                     other[n_other] = 2 * c
