@@ -73,6 +73,12 @@ def test_the_report_has_every_level_and_shows_that_preparation_happened_once(swi
     assert report["levels"][1]["max_rotation_deg"] == pytest.approx(20.0)
     assert report["boundary"]["max_displacement"] == pytest.approx(np.sqrt(0.5) * 2 * np.sin(np.deg2rad(10)), rel=1e-6)
     assert all(level["drift"] is None and level["warnings"] == [] for level in report["levels"])
+    assert all(len(level["attempts"]) == 1 and level["repair"] is None for level in report["levels"])
+    smooth = [level["smoothness"] for level in report["levels"]]
+    assert [s["velocity"] is None for s in smooth] == [True, False, False, False, False]
+    assert [s["acceleration"] is None for s in smooth] == [True, True, False, False, False]
+    assert 1.0 - 1e-9 <= smooth[2]["velocity"] < 1.5
+    assert smooth[4]["acceleration_in_edges"] > 0.0
 
 
 def test_a_warning_is_given_once_and_not_for_round_off(swing, call):

@@ -10,7 +10,7 @@ import pytest
 from cases import body_specs, formulas, turning
 from grids import frame, frame_2d
 
-from meshdeform_core.boundary import Kind
+from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.boundary.motions.expression import expression
 from meshdeform_core.boundary.motions.motion import Motion, Rotate
 from meshdeform_core.deform import Case, Timing, impose, set_up
@@ -202,6 +202,36 @@ def test_levels_leave_no_arrays_to_the_collector():
         assert not [left for left in gc.get_objects() if isinstance(left, Course | Repairer)]
     finally:
         gc.enable()
+
+
+def test_a_cycle_with_repairs_closes():
+    """The same boundary gives the same grid, going up, coming back and a period later."""
+    times = tuple(np.linspace(0.0, 1.25, 11))
+    levels = levels_of(bar("62*sin(2*pi*t)"), Schedule(times))
+    repaired = [n for n, level in enumerate(levels) if level.result.repair]
+    assert repaired == [n for n in range(11) if n % 4]
+    assert all(levels[n].result.repair.converged for n in repaired)
+    grids = [level.result.grid.points for level in levels]
+    for one, two in ((0, 4), (1, 3), (0, 8), (1, 9), (2, 10)):
+        assert np.abs(grids[one] - grids[two]).max() < 1e-6
+
+
+def test_levels_keep_sliding_nodes_on_curved_walls():
+    """A quarter of a shell whose inner side bulges; the outer one slides on its polygons, repairs included."""
+    angle, radius, z = np.linspace(0.0, np.pi / 2, 13), np.linspace(1.0, 2.0, 9), np.linspace(0.0, 0.6, 5)
+    a, r, h = np.meshgrid(angle, radius, z, indexing="ij")
+    grid = Grid.from_blocks([np.stack([(1 + 0.2 * h**2) * r * np.cos(a), r * np.sin(a), h], axis=-1)])
+    outer = BoundarySpec("outer", ("*.jmax",), Kind.SLIP)
+    inner = BoundarySpec("inner", ("*.jmin",), Kind.MOVING, None, formulas("0", "-0.4*t*x*y", "0"))
+    setup = set_up(grid, Case((outer, inner)))
+    (surface,) = setup.boundary.slip.curved
+    nodes = setup.topology.first[surface.nodes]
+    levels = levels_of(setup, Schedule((0.8, 1.0, 1.3)))
+    assert all(level.result.repair for level in levels)
+    for level in levels:
+        assert level.result.valid
+        assert surface.tree.closest(level.result.grid.points[nodes])[2].max() < 1e-12
+    assert np.abs(levels[-1].result.grid.points - grid.points)[nodes].max() > 0.01
 
 
 def test_a_jump_of_the_grid_alone_is_told():
