@@ -3,11 +3,13 @@
 import importlib
 import json
 import os
+import re
 import subprocess
 import sys
 
 import pytest
 
+from meshdeform_cli import warm_up_runs
 from meshdeform_core import setup
 from meshdeform_core.numerics import jit
 
@@ -104,3 +106,9 @@ def test_a_cache_that_cannot_be_written_does_not_matter(tmp_path, monkeypatch):
 
 def _refuse(*_):
     raise OSError(28, "No space left on device")
+
+
+def test_warm_up_tells_what_it_compiled_unless_quiet(call, monkeypatch):
+    monkeypatch.setattr(warm_up_runs, "run_everything", lambda _: None)
+    assert re.fullmatch(r"\d+ loops compiled in [\d.]+ s, the others .*\n", call("warm-up").out)
+    assert call("warm-up", "-q").out == ""

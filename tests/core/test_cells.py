@@ -8,6 +8,7 @@ import pytest
 from meshdeform_core.numerics.cell.measures import measure_hexahedra
 from meshdeform_core.numerics.exact.elementary import cube_root
 from meshdeform_core.numerics.jit import kernel
+from meshdeform_core.quality.measures.cells import measure_block
 
 
 def corner_frames(x):
@@ -99,3 +100,11 @@ def test_cube_root():
     out = np.empty_like(x)
     cube_roots(x, out)
     np.testing.assert_allclose(out, np.cbrt(x), rtol=2e-15)
+
+
+def test_a_corner_without_area_is_bad_in_a_plane():
+    """The corner (1, 1) lies on the line through its neighbours."""
+    x = np.array([[[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]], [[1.0, 0.0, 0.0], [0.5, 0.5, 0.0]]])[:, :, None]
+    measures = measure_block(x, 1.0, np.array([0.0, 0.0, 1.0]))
+    assert measures.bad.item() != 0
+    assert measures.jacobian.item() == measures.skew.item() == 0.0

@@ -444,3 +444,17 @@ def test_attributes_of_other_writers(tmp_path, kind):
     assert grid.names == ("left", "right")
     write_grid(grid, tmp_path / "out.cgns")
     np.testing.assert_array_equal(read_grid(tmp_path / "out.cgns").points, grid.points)
+
+
+def test_the_first_of_several_conditions_of_a_family_counts(tmp_path):
+    twice = [N("FamilyBC", "FamilyBC_t", "BCWall"), N("FamilyBC 2", "FamilyBC_t", "BCFarfield")]
+    condition = N("top", "BC_t", "FamilySpecified", [
+        N("PointRange", "IndexRange_t", np.array([[1, 2], [1, 2], [2, 2]], np.int32)),
+        N("FamilyName", "FamilyName_t", "Wing"),
+    ])  # fmt: skip
+    root = tree(
+        zone("z", box(2, 2, 2), N("ZoneBC", "ZoneBC_t", None, [condition])),
+        more=[N("Wing", "Family_t", None, twice)],
+    )
+    (patch,) = read_grid(write_hdf5(tmp_path / "grid.cgns", root)).patches
+    assert patch.bc_type == "BCWall"

@@ -288,3 +288,9 @@ def test_thin_invalid_cells_have_edges_of_their_colour():
     with Image.open(io.BytesIO(page_png(Page((panel,)), 3.0, 100))) as png:
         pixels = np.asarray(png.convert("RGB")) / 255
     assert (np.abs(pixels - INVALID_COLOUR).max(axis=-1) < 0.3).sum() > 100
+
+
+def test_of_equally_bad_cells_the_first_is_shown():
+    block = block_around(*(np.arange(3.0),) * 3)
+    grid = Grid.from_blocks([block, block + 10.0])
+    assert worst_cell(Subject(grid, find_topology(grid)), "f_skew") == (0, (0, 0, 0))
