@@ -177,7 +177,10 @@ def _invoke(args: Sequence[str] | None) -> int:
     except click.ClickException as error:
         error.show()
         return EXIT_INPUT
-    except (KeyboardInterrupt, click.Abort):
+    except (KeyboardInterrupt, click.Abort) as stop:
+        if isinstance(stop.__cause__, EOFError):
+            # click takes it for the end of what a user types; here it is an error of a reader.
+            raise stop.__cause__ from None
         tell("interrupted; no output was left half-written")
         return EXIT_INTERRUPTED
     except (BrokenPipeError, SystemExit) as stop:

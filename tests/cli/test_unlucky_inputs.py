@@ -99,3 +99,17 @@ def test_a_signal_within_a_callback_of_the_collector_prints_no_traceback(monkeyp
     assert capsys.readouterr().err == ""
     with pytest.raises(SystemExit):
         interruption.check()
+
+
+def test_a_file_that_ends_too_early_for_a_library_is_no_interrupt(call, bench, monkeypatch):
+    """click turns EOFError into what Ctrl-C raises."""
+    from meshdeform_cli.commands import info
+
+    def broken(**_: object) -> None:
+        raise EOFError("marshal data too short")
+
+    monkeypatch.setattr(info.command, "callback", broken)
+    result = call("info", "grid.xyz")
+    assert result.code == 1
+    assert "marshal data too short" in result.err
+    assert "interrupted" not in result.err

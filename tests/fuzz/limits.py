@@ -37,12 +37,15 @@ SUFFIXES = (".xyz", ".p3dfmt", ".cgns", ".vtm", ".vtu", ".msh")
 @contextlib.contextmanager
 def full_after(size: int) -> Iterator[None]:
     """No file grows beyond ``size`` bytes."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    before, without = resource.getrlimit(resource.RLIMIT_FSIZE), sys.dont_write_bytecode
+    # Bytecode cut off at the limit would stay and break every later start.
+    sys.dont_write_bytecode = True
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
     try:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        sys.dont_write_bytecode = without
 
 
 def full_disk(bench: Bench, rng: Random) -> str:
