@@ -1,6 +1,7 @@
 """Advice on warnings finds the warnings that it is for."""
 
 import ast
+import functools
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,7 @@ import meshdeform_core
 from meshdeform_formats.report.remedies import _REMEDIES, remedy_of
 
 
+@functools.cache
 def texts_of_the_core() -> list[str]:
     """All string literals of the core, the values in formatted ones left out."""
     found = []
