@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time as clock
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -22,6 +23,9 @@ from ..outputs import check_output, check_reports
 from ..process.machine import use_threads
 from ..process.progress import ProgressBar
 from ..room import too_large
+
+if TYPE_CHECKING:
+    from .. import work
 
 
 @click.command("deform")
@@ -69,41 +73,45 @@ def command(
     check_reports(run.reports, run.force, output, *source.files, *case.files)
     options, limit = run.variant_options, run.memory
 
-    from meshdeform_formats.files import invalid_path
-    from meshdeform_formats.grids import require_earlier_grid
-
     from .. import work
 
-    outputs = [output, *([] if output is None or run.allow_invalid else [invalid_path(output)]), *run.reports]
     imposed = work.Imposed(steps, at_time)
     if run.dry_run and (layout := too_large(limit, source)):
         from ..dry_run.expense import plan_by_sizes
 
         return work.print_plan(plan_by_sizes(layout, case.read().case, output, options, limit), False, run)
     with ProgressBar(not run.quiet) as progress:
-        workplace = None if run.dry_run or output is None else output.parent
-
-        def load() -> work.Job:
-            job = work.load(source, case, limit, [path for path in outputs if path is not None], workplace)
-            if output is not None and not (run.force or run.dry_run or run.allow_invalid):
-                require_earlier_grid(invalid_path(output), job.grid)
-            return job
-
-        def deform() -> tuple[work.Job, tuple[work.Report, work.Illustrate]]:
-            job = load()
-            assert output is not None
-            return job, work.run(job, output, imposed, options, run, progress)
-
         if run.dry_run or output is None:
             from ..dry_run import forecast
 
-            planned, impossible = forecast.plan(load(), output, imposed, options, limit)
+            planned, impossible = forecast.plan(_load(source, case, output, run), output, imposed, options, limit)
         else:
+            target = output
+
+            def deform() -> tuple[work.Job, tuple[work.Report, work.Illustrate]]:
+                job = _load(source, case, target, run)
+                return job, work.run(job, target, imposed, options, run, progress)
+
             job, (report, illustrate) = work.in_parts(deform, run.verbose)
     if run.dry_run:
         return work.print_plan(planned, impossible, run)
     files = [*source.roles, *case.roles(job.case), ("output", Path(report["output"]))]
     return work.conclude(report, run, work.Delivery(start, files, illustrate))
+
+
+def _load(source: GridInput, case: CaseInput, output: Path | None, run: RunInput) -> work.Job:
+    """The case and the grid; no output may replace a file that they name, or anything but an earlier invalid grid."""
+    from meshdeform_formats.files import invalid_path
+    from meshdeform_formats.grids import require_earlier_grid
+
+    from .. import work
+
+    outputs = [output, *([] if output is None or run.allow_invalid else [invalid_path(output)]), *run.reports]
+    workplace = None if run.dry_run or output is None else output.parent
+    job = work.load(source, case, run.memory, [path for path in outputs if path is not None], workplace)
+    if output is not None and not (run.force or run.dry_run or run.allow_invalid):
+        require_earlier_grid(invalid_path(output), job.grid)
+    return job
 
 
 def check_target(output: Path, run: RunInput, *inputs: Path | None) -> None:

@@ -12,8 +12,7 @@ from meshdeform_core.deform import Case, deform
 from meshdeform_core.grid import FileFormat, Grid
 from meshdeform_core.memory import Demand, MemoryLimit, readable
 from meshdeform_core.methods import Options
-from meshdeform_core.parallel import sharing
-from meshdeform_core.parallel.loops import OneRank
+from meshdeform_core.parallel import OneRank, sharing
 from meshdeform_core.parallel.scratch import RESERVE
 from meshdeform_core.repair import RepairOptions
 from meshdeform_formats.case import read_case

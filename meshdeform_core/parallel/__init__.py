@@ -1,8 +1,6 @@
 """Loops over shared arrays by threads and MPI ranks."""
 
 from .loops import (
-    OneRank,
-    Ranks,
     Shared,
     alone,
     carried,
@@ -30,6 +28,7 @@ from .parts import (
     require_whole,
     rows_of,
 )
+from .ranks import OneRank, Ranks
 
 __all__ = [
     "OneRank",

@@ -13,7 +13,8 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from .loops import Ranks, alone, current_ranks, empty, for_chunks
+from .loops import alone, current_ranks, empty, for_chunks
+from .ranks import Ranks
 
 if TYPE_CHECKING:
     import numpy as np

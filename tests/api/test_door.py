@@ -19,7 +19,7 @@ from hypothesis.extra import numpy as hnp
 import meshdeform as md
 from meshdeform_cli.main import run
 from meshdeform_core.parallel import thread_count
-from meshdeform_core.parallel.loops import usable_cores
+from meshdeform_core.parallel.ranks import usable_cores
 
 ROOT = Path(__file__).parents[2]
 
