@@ -57,6 +57,10 @@ class Linearisation:
                 "where there is no derivative"
             )
 
+        greedy = method.account.settings.get("greedy")
+        if not self._reason and greedy and greedy.value != "none":
+            self._reason = "the centres that the greedy reduction has chosen are held fixed"
+
     @property
     def step(self) -> Step:
         """The deformed grid at this displacement, as :meth:`Mesh.deform` gives it."""

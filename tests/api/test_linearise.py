@@ -118,6 +118,14 @@ def test_several_steps_without_derivative_say_why(mesh):
         np.testing.assert_array_equal(one, two)
 
 
+def test_centres_chosen_greedily_are_named(mesh):
+    rbf = {"basis": "wendland-c2", "radius": 6.0, "greedy": "hybrid"}
+    greedy = md.prepare(md.Grid([block.copy() for block in mesh.grid.blocks]), case(name="rbf", rbf=rbf))
+    found = greedy.linearise(bend(greedy), steps=1, repair="off")
+    assert not found.exact
+    assert "held fixed" in found.reason
+
+
 def test_bad_arrays(mesh):
     found = mesh.linearise()
     with pytest.raises(md.MotionError, match="displacement"):

@@ -15,9 +15,11 @@ from meshdeform_core.errors import MethodError
 from meshdeform_core.methods import IDW, RBF, Options, make_method
 from meshdeform_core.methods.derivative import derivative_of, radial, weighting
 from meshdeform_core.methods.derivative.sums import TOLERANCE, ExactSums
+from meshdeform_core.numerics.exact.basis import BASES
 from meshdeform_core.numerics.exact.mixed import Scale
 from meshdeform_core.numerics.fastsum.weighted import frozen
 from meshdeform_core.numerics.fastsum.weighted.frozen import FrozenSums
+from meshdeform_core.numerics.systems import greedy as greedy_system
 from meshdeform_core.numerics.tape import Tape
 from meshdeform_core.parallel import OneRank, sharing
 
@@ -237,6 +239,32 @@ def test_threads_change_no_bit_of_a_derivative():
             np.testing.assert_array_equal(one[part], three[part])
 
 
+@pytest.mark.parametrize(("greedy", "correct"), [("hybrid", True), ("hybrid", False), ("double-edged", True)])
+def test_greedy_centres_are_held_fixed(monkeypatch, greedy, correct):
+    where = KINDS["slip"]()
+    options = RBF(
+        basis="wendland-c2", radius=6.0, greedy=greedy, greedy_tolerance=1.0, greedy_updates=30, greedy_correct=correct
+    )
+    method = make_method(Options("rbf", rbf=options)).prepare(where)
+    smooth, rough = directions(where)
+    # No two sources share the largest rest.
+    smooth = smooth * (1.0 + 0.2 * where.source_points @ [[1.0], [0.5], [0.3]])
+    bound = method._mover._bound
+    chosen = bound.selected(bound._images.displaced(smooth))
+
+    def held(values, progress=None):
+        terms = bound.centres.polynomial(bound.centres.points)
+        kind = BASES[options.basis]
+        solved, _ = greedy_system._solve_exactly(kind, bound.centres.points, terms, values, chosen.active)
+        return dataclasses.replace(chosen, coefficients=solved[0], polynomial=solved[1])
+
+    monkeypatch.setattr(bound, "selected", held)
+    for change in (smooth[:, [1, 2, 0]], rough):
+        check(method, smooth, change)
+    with pytest.raises(MethodError, match="nothing has moved"):
+        derivative_of(method, 0.0 * smooth)
+
+
 @pytest.mark.slow
 def test_fast_sums_of_many_nodes():
     """Some 90,000 nodes and 7,900 sources, of which 2,400 move."""
@@ -254,7 +282,7 @@ def test_fast_sums_of_many_nodes():
     ("options", "found"),
     [
         (Options("idw", idw=IDW(rotation="division", reweight=True)), "reweight has no derivative"),
-        (Options("rbf", rbf=RBF(basis="wendland-c2", radius=6.0, greedy="hybrid")), "greedy has no derivative"),
+        (Options("rbf", rbf=RBF(basis="wendland-c2", radius=6.0, greedy="single")), "sequence of corrections"),
     ],
 )
 def test_what_has_no_derivative_is_refused(options, found):

@@ -21,7 +21,7 @@ def derivative_of(method: PreparedMethod, displacement: FloatArray) -> Derivativ
     Raises
     ------
     MethodError
-        For options without a derivative: greedy reduction, and weights that are recomputed on the way.
+        For options without a derivative: some kinds of greedy reduction, and weights that are recomputed on the way.
     """
     if isinstance(method, PreparedComponents):
         return ComponentsDerivative(

@@ -12,9 +12,11 @@ from ..composite import PreparedComposite, PreparedFiller, _on_faces, _Scattered
 from ..periodic_steps import PreparedPeriodic
 from ..scattered.block_rbf import PreparedBlockRBF
 from ..scattered.idw import PreparedIDW
+from ..scattered.rbf import PreparedRBF
 from ..transfinite.edge_graph import PreparedEdgeGraph
 from ..transfinite.tfi import PreparedTFI
 from .constraints import Constraints
+from .greedy import GreedyDerivative
 from .radial import BlockRBFDerivative, RBFDerivative
 from .transfinite import EdgeGraphDerivative, TFIDerivative
 from .weighting import IDWDerivative
@@ -149,11 +151,15 @@ class _Interpolated:
 
     def __init__(self, mover: _Scattered, problem: Problem, displacement: FloatArray) -> None:
         self._problem, bound = problem, mover._bound
-        self._derivative: IDWDerivative | RBFDerivative
+        self._derivative: IDWDerivative | RBFDerivative | GreedyDerivative
         if isinstance(bound, PreparedIDW):
             self._derivative = IDWDerivative(bound, mover._evaluator, displacement)  # type: ignore[arg-type]
-        else:
+            return
+        assert isinstance(bound, PreparedRBF)
+        if bound.options.greedy == "none":
             self._derivative = RBFDerivative(bound, problem, mover._evaluator)  # type: ignore[arg-type]
+        else:
+            self._derivative = GreedyDerivative(bound, problem, mover._evaluator, displacement)  # type: ignore[arg-type]
 
     def push(self, change: FloatArray, out: FloatArray) -> FloatArray:
         self._derivative.push(change, out)

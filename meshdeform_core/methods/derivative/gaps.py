@@ -33,14 +33,21 @@ class InGapsDerivative:
 
     def push(self, change: FloatArray) -> FloatArray:
         """Change (n_nodes, 3) for one of the sources (n_sources, 3)."""
-        closing, own = self._closing, self._own.push(change)
+        closing, out = self._closing, self._own.push(change)
+        # In place: one array beside the result.
+        more = self._lines.push(change)
+        more -= out
+        more *= self._share
+        out += more
+        del more
         share = np.zeros_like(change)
         share[closing.rows, 0] = np.einsum("ni,ni->n", closing.slope, change[closing.rows] - change[closing.other])
-        spread = self._scalar.push(share)[:, :1]
-        out = own + self._share * (self._lines.push(change) - own) + spread * self._apart
+        more = self._scalar.push(share)
+        np.multiply(self._apart, more[:, :1].copy(), out=more)
+        out += more
         if self._again:
             self._again.impose(_on_faces(out, self._problem), out)
-        return np.asarray(out)
+        return out
 
     def pull(self, gradient: FloatArray) -> FloatArray:
         """Gradient (n_sources, 3) from that (n_nodes, 3) of all block nodes."""
@@ -48,10 +55,13 @@ class InGapsDerivative:
             gradient = np.array(gradient)
             face = self._again.gathered(gradient)
             gradient[self._problem.topology.first] += face
-        closing, spread = self._closing, np.zeros_like(gradient)
-        spread[:, 0] = np.einsum("ni,ni->n", gradient, self._apart)
-        share = self._scalar.pull(spread)[closing.rows, :1] * closing.slope
-        found = self._own.pull((1.0 - self._share) * gradient) + self._lines.pull(self._share * gradient)
+        closing, part = self._closing, np.zeros_like(gradient)
+        part[:, 0] = np.einsum("ni,ni->n", gradient, self._apart)
+        share = self._scalar.pull(part)[closing.rows, :1] * closing.slope
+        np.multiply(gradient, self._share, out=part)
+        found = self._lines.pull(part)
+        np.subtract(gradient, part, out=part)
+        found += self._own.pull(part)
         np.add.at(found, closing.rows, share)
         np.subtract.at(found, closing.other, share)
         return np.asarray(found)

@@ -6,7 +6,6 @@ import dataclasses
 
 import numpy as np
 
-from ...errors import MethodError
 from ...grid import FloatArray, IntArray
 from ...numerics.exact.basis import BASES
 from ...numerics.exact.radial import radial_sums
@@ -70,11 +69,6 @@ class RBFDerivative:
     """
 
     def __init__(self, method: PreparedRBF, problem: Problem, sums: RadialSums) -> None:
-        if method.options.greedy != "none":
-            raise MethodError(
-                "method.rbf.greedy has no derivative: the centres that it keeps change abruptly with the displacement; "
-                'use greedy = "none"'
-            )
         self._images, self._points, self.flat = method._images, problem.grid.points, sums.flat
         self._n = len(problem.source_numbers)
         self._system = accurate(method.options.system, method.centres, problem)

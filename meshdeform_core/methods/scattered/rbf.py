@@ -29,6 +29,10 @@ GreedyError = Literal["first-cell", "absolute"]
 GREEDY: tuple[str, ...] = get_args(Greedy)
 ERRORS: tuple[str, ...] = get_args(GreedyError)
 
+REACH = 20.0
+"""Distance up to which nodes take over what a greedy reduction leaves at a wall, as a multiple of it: so large that the
+correction cannot fold cells."""
+
 
 @dataclass(frozen=True)
 class RBF:
@@ -195,6 +199,13 @@ class PreparedRBF:
         return Coefficients(self.centres.points, *self._system.solve(values, self.account, progress))
 
     def _fit_reduced(self, values: FloatArray, progress: Progress | None) -> Coefficients:
+        found = self.selected(values, progress)
+        self._record(found)
+        points = np.ascontiguousarray(self.centres.points[found.active])
+        return self._with_residual(points, found.coefficients, found.polynomial, values)
+
+    def selected(self, values: FloatArray, progress: Progress | None = None) -> Selection:
+        """Centres chosen for values (n, 3) at all of them, with their coefficients."""
         from ...numerics.systems.greedy import Search, select
 
         o, n = self.options, len(values)
@@ -204,13 +215,10 @@ class PreparedRBF:
         if o.greedy_start >= n:
             raise MethodError(f"method.rbf.greedy_start = {o.greedy_start}; expected 0 to {n - 1}")
         search = Search(o.greedy, o.greedy_tolerance, o.greedy_start, o.greedy_updates or n, o.greedy_max_points or n)
-        found = select(
+        return select(
             BASES[o.basis], self.centres.points, self.centres.polynomial(self.centres.points), values, scale,
             search, of_stage(progress, "greedy"),
         )  # fmt: skip
-        self._record(found)
-        points = np.ascontiguousarray(self.centres.points[found.active])
-        return self._with_residual(points, found.coefficients, found.polynomial, values)
 
     def _with_residual(
         self, points: FloatArray, coefficients: FloatArray, polynomial: FloatArray, values: FloatArray
@@ -220,8 +228,7 @@ class PreparedRBF:
         here = self.centres.points
         residual = values - radial_sums(BASES[self.options.basis], here, points, coefficients)
         residual -= self.centres.polynomial(here)[:, : len(polynomial)] @ polynomial
-        # The support is many times the size of the correction, so that the correction cannot fold cells.
-        reach = 20.0 * float(np.linalg.norm(residual, axis=1).max())
+        reach = REACH * float(np.linalg.norm(residual, axis=1).max())
         return Coefficients(points, coefficients, polynomial, residual, reach)
 
     def _record(self, found: Selection) -> None:

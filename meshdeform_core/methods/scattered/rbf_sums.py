@@ -90,13 +90,17 @@ class RadialSums:
 
         sum_accurately("rbf", sums, once, self._options.tolerance, self._account)
 
-    def _add_residual(self, fit: Coefficients, out: FloatArray) -> None:
-        """Residual of the nearest source, fading smoothly with the distance to it (Wendland C2)."""
-        assert fit.residual is not None
+    def nearest(self) -> tuple[FloatArray, IntArray]:
+        """Distance (n,) of every target from the nearest source, and its number (n,)."""
         if self._nearest is None:
             tree = scipy.spatial.cKDTree(self._centres.points * self._centres.scale + self._centres.origin)
             self._nearest = tree.query(self._grid.points[self.flat], workers=thread_count())
-        distance, nearest = self._nearest
+        return self._nearest
+
+    def _add_residual(self, fit: Coefficients, out: FloatArray) -> None:
+        """Residual of the nearest source, fading smoothly with the distance to it (Wendland C2)."""
+        assert fit.residual is not None
+        distance, nearest = self.nearest()
         residual, flat = fit.residual, self.flat
 
         def work(lo: int, hi: int) -> None:
