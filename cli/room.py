@@ -61,13 +61,16 @@ def make_room(
     Demand.of(doing, *known, arrays=arrays).place(limit, folder)
 
 
-def too_large(limit: MemoryLimit, source: GridInput) -> Layout | None:
+def too_large(limit: MemoryLimit, source: GridInput, more_arrays: int = 0) -> Layout | None:
     """The blocks of a grid that cannot be deformed in memory; ``None`` for others, and where its header does not
     tell."""
-    if not source.path.is_file() or Demand("", 0, _UNPACKED * _bytes_of(source.path)).in_memory <= limit.size:
+    arrays = COORDINATE_ARRAYS + more_arrays
+    if not source.path.is_file():
+        return None
+    if Demand("", 0, _UNPACKED * _bytes_of(source.path), arrays=arrays).in_memory <= limit.size:
         return None
     layout = layout_at(source)
-    return layout if layout and Demand.of("deforming", layout).in_memory > limit.size else None
+    return layout if layout and Demand.of("deforming", layout, arrays=arrays).in_memory > limit.size else None
 
 
 def _bytes_of(path: Path) -> int:

@@ -29,11 +29,14 @@ class SeriesInput:
     resume: bool
 
     @property
+    def velocity_arrays(self) -> int:
+        """Memory that the velocities need, in units of the coordinates."""
+        return VELOCITY_ARRAYS * (self.velocity != "none") + SWEPT_ARRAYS * (self.velocity == "swept")
+
+    @property
     def more_arrays(self) -> int:
         """Memory that a series needs in addition to a single deformation, in units of the coordinates."""
-        return (
-            SMOOTHNESS_ARRAYS + VELOCITY_ARRAYS * (self.velocity != "none") + SWEPT_ARRAYS * (self.velocity == "swept")
-        )
+        return SMOOTHNESS_ARRAYS + self.velocity_arrays
 
 
 def series_options(command: Command) -> Command:

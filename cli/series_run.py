@@ -15,7 +15,7 @@ from meshdeform_core import interruption
 from meshdeform_core.boundary.motions.motion import FollowSequence
 from meshdeform_core.deform import Setup, Timing, set_up
 from meshdeform_core.errors import CaseError, FormatError, MeshDeformError
-from meshdeform_core.grid import Grid
+from meshdeform_core.grid import FileFormat
 from meshdeform_core.memory import WRITING_ARRAYS, peak_memory
 from meshdeform_core.notices import first_of_each_kind, kind_of
 from meshdeform_core.parallel import carried, current_ranks, thread_count
@@ -58,9 +58,9 @@ class Run:
 
 def prepare(job: Job, source: GridInput, wanted: SeriesInput, options: RunInput) -> Run:
     """Determine times and files, topology and boundary; nothing is written."""
-    times = parse_times(wanted.times, "--times") if wanted.times else _times_of_files(job.case)
+    times = times_of(job.case, wanted)
     schedule = Schedule(times, wanted.origin, wanted.velocity, wanted.steps)
-    name = source.path.stem + _suffix(source.path, wanted, job.grid)
+    name = name_of(source.path, wanted, job.grid.format)
     check_fields(options.fields, Path(name), True)
     grid = complete_for_export(job.grid, Path(name))
     kind = SingleFile if wanted.single_file else FoamFiles if Path(name).suffix.lower() == ".foam" else LevelFiles
@@ -80,14 +80,24 @@ def prepare(job: Job, source: GridInput, wanted: SeriesInput, options: RunInput)
     return Run(job, setup, schedule, files, manifest, timing, options.warnings, options.allow_invalid, options.fields)
 
 
-def _suffix(source: Path, wanted: SeriesInput, grid: Grid) -> str:
+def name_of(source: Path, wanted: SeriesInput, form: FileFormat | None) -> str:
+    """The name of the grid that a level is written as, before its number."""
+    return source.stem + _suffix(source, wanted, form)
+
+
+def _suffix(source: Path, wanted: SeriesInput, form: FileFormat | None) -> str:
     if wanted.suffix:
         return wanted.suffix if wanted.suffix.startswith(".") else f".{wanted.suffix}"
-    if grid.format is not None and grid.format.name == "openfoam" and not wanted.single_file:
+    if form is not None and form.name == "openfoam" and not wanted.single_file:
         return ".foam"
     # ADF files can only be read.
     cgns = wanted.single_file or source.suffix.lower() in FORMATS["cgns"].suffixes
     return ".cgns" if cgns else source.suffix
+
+
+def times_of(case: CaseFile, wanted: SeriesInput) -> tuple[float, ...]:
+    """The times of the levels: those asked for, or those of the case's displacement files."""
+    return parse_times(wanted.times, "--times") if wanted.times else _times_of_files(case)
 
 
 def _times_of_files(case: CaseFile) -> tuple[float, ...]:

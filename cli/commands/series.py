@@ -14,6 +14,7 @@ from ..options import CaseInput, GridInput, RunInput, case_options, grid_options
 from ..outputs import check_reports
 from ..process.machine import use_threads
 from ..process.progress import ProgressBar
+from ..room import too_large
 from ..series_options import SeriesInput, series_options
 
 
@@ -50,19 +51,27 @@ def command(source: GridInput, case: CaseInput, wanted: SeriesInput, run: RunInp
 
     from .. import series_run, work
     from ..dry_run import forecast
+    from ..dry_run.expense import Levels, plan_by_sizes
 
+    timed = dataclasses.replace(case, times=wanted.times)
+    if run.dry_run and (layout := too_large(limit, source, wanted.more_arrays)):
+        what = timed.read()
+        levels = Levels(len(series_run.times_of(what, wanted)), wanted.velocity_arrays)
+        output = wanted.output / series_run.name_of(source.path, wanted, layout.format)
+        planned = plan_by_sizes(layout, what.case, output, run.variant_options, limit, levels)
+        return work.print_plan(planned, False, run)
     with ProgressBar(not run.quiet) as progress:
-        timed = dataclasses.replace(case, times=wanted.times)
         workplace = None if run.dry_run else wanted.output
         job = work.load(source, timed, limit, run.reports, workplace, wanted.more_arrays)
         plan = series_run.prepare(job, source, wanted, run)
         run.warnings.tell(plan.setup.warnings)
         if run.dry_run:
-            planned, impossible, levels = forecast.plan_series(plan)
+            levels = Levels(len(plan.schedule.times), wanted.velocity_arrays)
+            planned, impossible, text = forecast.plan_series(plan, levels, limit)
         else:
             plan.manifest = current_ranks().on_first(lambda: series_run.open_manifest(plan, wanted.resume, run.force))
             report = series_run.carry_out(plan, progress)
     if run.dry_run:
-        return work.print_plan(planned, impossible, run, levels)
+        return work.print_plan(planned, impossible, run, text)
     files = [*source.roles, *case.roles(job.case), ("index", plan.files.view)]
     return work.conclude(report, run, work.Delivery(start, files, partial(series_run.illustrate, plan)))

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from meshdeform_core.deform import Case, deform
 from meshdeform_core.grid import FileFormat, Grid
-from meshdeform_core.memory import Demand, MemoryLimit, readable
+from meshdeform_core.memory import COORDINATE_ARRAYS, SMOOTHNESS_ARRAYS, Demand, MemoryLimit, readable
 from meshdeform_core.methods import Options
 from meshdeform_core.parallel import OneRank, sharing
 from meshdeform_core.parallel.scratch import RESERVE
@@ -25,54 +25,76 @@ from meshdeform_samples import folder, load
 
 _SAMPLE, _SIZE, _TIMES = "hemisphere", 32, 3
 # Bytes per node in files: coordinates before and after, and the verdict and one measure of every cell.
-_IN_FILES = 24 + 24 + 5
+_COORDINATES = 24
+_IN_FILES = 2 * _COORDINATES + 5
+# Bytes per node of a series: undeformed cells, the level before, and the one that is being written. From the third level
+# on there are also those from which accelerations follow.
+_SERIES = 72
+
+
+@dataclass(frozen=True)
+class Levels:
+    """How many grids a run writes, and how many arrays as large as the coordinates their velocities take."""
+
+    count: int = 1
+    velocity_arrays: int = 0
+
+
+ONE = Levels()
 
 
 @dataclass(frozen=True)
 class Rates:
-    """Measured rates of one method: one step without a repair, from file to file, with 10 and 1000 blocks of up to
-    20 million nodes (docs/performance.md).
+    """Measured rates of one method: levels of one step without a repair, from file to file (docs/performance.md).
 
     Attributes
     ----------
-    program, node, face_node, block : bytes of the program itself, per node, additional ones per node on block faces,
-        and per block
-    start, per_node, per_face_node, per_block : processor seconds likewise, on the machine where the sample took
-        ``sample`` seconds
+    program, node, face_node : bytes of the program itself, per node, and additional ones per node on block faces
+    start, per_node, per_face_node, further : processor seconds likewise, and per node of each further level, on the
+        machine where the sample took ``sample`` seconds
     """
 
     program: float
     node: float
     face_node: float
-    block: float
     start: float
     per_node: float
     per_face_node: float
-    per_block: float
+    further: float
     sample: float
 
-    def memory(self, grid: Grid | Layout) -> float:
+    def memory(self, grid: Grid | Layout, levels: Levels) -> float:
         """Bytes if all arrays are in memory."""
-        return self.program + self.node * grid.n_nodes + self.face_node * grid.n_face_nodes + self.block * grid.n_blocks
+        arrays = levels.velocity_arrays + SMOOTHNESS_ARRAYS * (levels.count > 2)
+        node = self.node + _COORDINATES * arrays + _SERIES * (levels.count > 1)
+        return self.program + node * grid.n_nodes + self.face_node * grid.n_face_nodes + _per_block(grid)[0]
 
-    def seconds(self, grid: Grid | Layout, sample: float) -> float:
-        """Processor seconds on a machine where the sample takes ``sample`` seconds."""
-        there = self.start + self.per_block * grid.n_blocks
-        there += self.per_node * grid.n_nodes + self.per_face_node * grid.n_face_nodes
+    def seconds(self, grid: Grid | Layout, levels: Levels, sample: float) -> float | None:
+        """Processor seconds on a machine where the sample takes ``sample`` seconds; velocities were not measured."""
+        if levels.velocity_arrays:
+            return None
+        node = self.per_node + self.further * (levels.count - 1)
+        there = self.start + node * grid.n_nodes + self.per_face_node * grid.n_face_nodes + _per_block(grid)[1]
         return there * sample / self.sample
 
 
+def _per_block(grid: Grid | Layout) -> tuple[float, float]:
+    """Bytes and processor seconds for all blocks beside their nodes: a CGNS zone has dozens of nodes in its file."""
+    zones = grid.format is not None and grid.format.name == "cgns"
+    return (160e3 * grid.n_blocks, 0.012 * grid.n_blocks) if zones else (33e3 * grid.n_blocks, 0.002 * grid.n_blocks)
+
+
 RATES = {
-    "tfi": Rates(250e6, 68, 250, 450e3, 2.6, 0.61e-6, 9e-6, 0.012, 0.21),
-    "idw": Rates(254e6, 105, 250, 450e3, 2.6, 1.04e-6, 16e-6, 0.012, 0.5),
-    "idw-tfi": Rates(261e6, 74, 250, 450e3, 1.9, 0.83e-6, 16e-6, 0.012, 0.45),
+    "tfi": Rates(233e6, 59, 240, 1.57, 0.57e-6, 4.6e-6, 0.29e-6, 0.27),
+    "idw": Rates(206e6, 91, 305, 1.96, 1.37e-6, 6.4e-6, 0.95e-6, 0.58),
+    "idw-tfi": Rates(241e6, 55, 305, 2.41, 0.74e-6, 6.4e-6, 0.33e-6, 0.46),
 }
 
 
 @dataclass(frozen=True)
 class Expense:
     """Largest resident size, temporary files, and size of the output, all in bytes; processor seconds of all threads
-    together, ``None`` for methods whose time does not follow from the sizes."""
+    together. These are ``None`` for methods whose time does not follow from the sizes; their memory is a bound."""
 
     memory_bytes: int
     work_bytes: int
@@ -80,8 +102,10 @@ class Expense:
     cpu_seconds: float | None
 
 
-def expense_of(grid: Grid | Layout, case: Case, output: Path | None, precision: str, limit: MemoryLimit) -> Expense:
-    """The expense of one step without a repair.
+def expense_of(
+    grid: Grid | Layout, case: Case, output: Path | None, precision: str, limit: MemoryLimit, levels: Levels = ONE
+) -> Expense:
+    """The expense of one step without a repair, at every level.
 
     The processor time is scaled to this machine by deforming a small sample with the same method, which takes about a
     second.
@@ -91,22 +115,25 @@ def expense_of(grid: Grid | Layout, case: Case, output: Path | None, precision: 
     MethodError
         When the memory does not suffice even with large arrays in files.
     """
-    demand = Demand.of("deforming", grid)
+    more = SMOOTHNESS_ARRAYS + levels.velocity_arrays if levels.count > 1 else 0
+    demand = Demand.of("deforming", grid, arrays=COORDINATE_ARRAYS + more)
     files = demand.in_memory > limit.size
     if files:
         limit.require(demand.beside_files(limit), demand.what, "allow more, or use a machine that has it")
     rates = RATES.get(case.method.name)
-    memory = rates.memory(grid) if rates else demand.in_memory
-    seconds = rates.seconds(grid, _sample_seconds(case.method)) if rates else None
-    written = 0
-    if output is not None:
-        options = grid.format.options if grid.format and grid.format.name == format_of(output) else {}
-        written = least_bytes(grid, output, FileFormat(format_of(output), precision, options))
+    memory = rates.memory(grid, levels) if rates else demand.in_memory
+    seconds = rates.seconds(grid, levels, _sample_seconds(case.method)) if rates else None
     # Pages of mapped files are released some way below the limit: measured, two thirds of the reserve remain in use.
     least = limit.size - RESERVE // 3
-    return Expense(
-        int(min(memory, least) if files else memory), _IN_FILES * grid.n_nodes if files else 0, written, seconds
-    )
+    work = (_IN_FILES + (_COORDINATES * more)) * grid.n_nodes if files else 0
+    written = levels.count * _written(grid, output, precision) if output is not None else 0
+    return Expense(int(min(memory, least) if files else memory), work, written, seconds)
+
+
+def _written(grid: Grid | Layout, output: Path, precision: str) -> int:
+    """Bytes of the coordinates of one level."""
+    options = grid.format.options if grid.format and grid.format.name == format_of(output) else {}
+    return least_bytes(grid, output, FileFormat(format_of(output), precision, options))
 
 
 def _sample_seconds(method: Options) -> float:
@@ -125,11 +152,16 @@ def _sample_seconds(method: Options) -> float:
 
 
 def plan_by_sizes(
-    layout: Layout, case: Case, output: Path | None, variant: dict[str, str], limit: MemoryLimit
+    layout: Layout,
+    case: Case,
+    output: Path | None,
+    variant: dict[str, str],
+    limit: MemoryLimit,
+    levels: Levels = ONE,
 ) -> Report:
     """The report of a dry run for a grid that does not fit into memory, from the header of its file."""
     precision = variant.get("precision", layout.precision)
-    expense = expense_of(layout, case, output, precision, limit)
+    expense = expense_of(layout, case, output, precision, limit, levels)
     note = (
         f"the grid is larger than the memory ({readable(limit.size)}): only the header of its file was read; the "
         "boundary was not classified, the motion not tried"

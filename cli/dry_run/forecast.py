@@ -22,7 +22,7 @@ from meshdeform_formats.placing import shortage
 from meshdeform_formats.report import Report, plan_report
 
 from ..work import Imposed, Job, place_of
-from .expense import expense_of
+from .expense import Levels, expense_of
 
 if TYPE_CHECKING:
     from ..series_run import Run
@@ -63,9 +63,10 @@ def plan(
     return report, expected.impossible
 
 
-def plan_series(run: Run) -> tuple[Report, bool, str]:
-    """The report of a dry run (classification, parameters, node counts), whether no valid grid exists at the level of
-    the largest displacement, and the levels as a line of text."""
+def plan_series(run: Run, levels: Levels, limit: MemoryLimit) -> tuple[Report, bool, str]:
+    """The report of a dry run (classification, parameters, node counts and, for a grid too large for a trial, its
+    expense), whether no valid grid exists at the level of the largest displacement, and the levels as a line of text.
+    """
     prepared = prepare_method(run.setup.case.method, run.setup.problem)
     times = run.schedule.times
     largest, worst = max((largest_displacement(run.setup.displacement(t)), t) for t in times)
@@ -75,6 +76,9 @@ def plan_series(run: Run) -> tuple[Report, bool, str]:
     expected = forecast(run.setup, worst, steps, precision)
     found = [*_doubts(run.setup, prepared, worst, steps, precision, one_of_many=True), *expected.warnings]
     report["warnings"] += [f"at t = {worst:g}, where the displacement is largest: {text}" for text in found]
+    if run.setup.grid.n_nodes > TRIAL_NODES:
+        expense = expense_of(run.setup.grid, run.setup.case, run.files.path(0), precision, limit, levels)
+        report["expected"] = dataclasses.asdict(expense)
     return (
         report,
         expected.impossible,

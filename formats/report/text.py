@@ -65,8 +65,10 @@ def _expected(expense: dict[str, Any]) -> str:
     work, output, seconds = expense["work_bytes"], expense["output_bytes"], expense["cpu_seconds"]
     disk = [f"{readable(work)} of files to work in"] if work else []
     disk += [f"{readable(output)} for the output"] if output else []
-    parts = [f"memory {readable(expense['memory_bytes'])}", *([f"disk {' and '.join(disk)}"] if disk else [])]
-    parts += [] if seconds is None else [f"processor time {seconds:,.3g} s on this machine"]
+    bound = "" if seconds is not None else "at most "
+    parts = [f"memory {bound}{readable(expense['memory_bytes'])}", *([f"disk {' and '.join(disk)}"] if disk else [])]
+    told = "cannot be told from the size of the grid" if seconds is None else f"{seconds:,.3g} s on this machine"
+    parts.append(f"processor time {told}")
     return f"expected  {'; '.join(parts)}"
 
 

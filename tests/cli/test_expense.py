@@ -63,7 +63,44 @@ def test_grids_too_large_for_a_trial_are_told_what_they_take(call, bench, monkey
     assert expected["work_bytes"] == 0
     assert 200e6 < expected["memory_bytes"] < 400e6
     assert "expected  memory" in call(*command).out
-    assert "processor time" not in call(*command, "-m", "rbf").out
+    told = call(*command, "-m", "rbf").out
+    assert "expected  memory at most" in told
+    assert "processor time cannot be told" in told
+
+
+def test_a_series_takes_the_output_of_all_levels_and_time_for_each(call, bench, monkeypatch):
+    monkeypatch.setattr(forecast, "TRIAL_NODES", 1000)
+    monkeypatch.setattr(expense, "_sample_seconds", lambda _: 1.0)
+    command = ("series", "grid.cgns", "-c", "case.toml", "-o", "out", "--dry-run", "--json", "-q", "-m", "idw-tfi")
+
+    def expected(*more: str) -> dict:
+        return json.loads(call(*command, *more).out)["expected"]
+
+    few, many = (expected("--times", f"0:{count}:1") for count in (2, 9))
+    size = os.path.getsize("grid.cgns")
+    assert (few["output_bytes"], many["output_bytes"]) == (3 * size, 10 * size)
+    assert few["cpu_seconds"] < many["cpu_seconds"] < 5 * few["cpu_seconds"]
+    assert few["memory_bytes"] == many["memory_bytes"]
+    fast = expected("--times", "0:9:1", "--velocity", "second")
+    assert fast["memory_bytes"] > many["memory_bytes"]
+    assert fast["cpu_seconds"] is None
+
+
+def test_a_series_of_a_billion_nodes_is_foretold_from_a_header(sparse, call, bench, tmp_path):
+    done = call("series", sparse, "-c", "case.toml", "-o", tmp_path / "levels", "--times", "0:4:1", "--dry-run",
+                "--json", "-q", "--max-memory", "64GiB")  # fmt: skip
+    assert done.code == 0, done.err
+    expected = json.loads(done.out)["expected"]
+    assert expected["output_bytes"] == 5 * 24 * BILLION
+    assert expected["work_bytes"] > 53 * BILLION
+    assert not (tmp_path / "levels").exists()
+
+
+def test_zones_of_cgns_take_more_than_blocks_of_other_formats(bench):
+    zones, blocks = (read_grid(name) for name in ("grid.cgns", "grid.xyz"))
+    rates = expense.RATES["tfi"]
+    assert rates.memory(zones, expense.ONE) > rates.memory(blocks, expense.ONE)
+    assert rates.seconds(zones, expense.ONE, 1.0) > rates.seconds(blocks, expense.ONE, 1.0)
 
 
 def test_the_time_scales_with_that_of_the_sample(bench, monkeypatch):
