@@ -203,3 +203,12 @@ def test_the_table_of_angles_names_what_was_tried():
     page = robustness_markdown({"sample": "splitter-plate 8", "largest_angle": largest, "figures": []}, ".")
     assert "| idw-tfi | 40 | 55 | 120 |" in page
     assert "of 60, 120" in page
+
+
+def test_an_existing_page_is_not_replaced_without_force(tmp_path, capsys):
+    page = tmp_path / "page.md"
+    page.write_text("mine")
+    arguments = ["reproduce", "figB", "-o", str(tmp_path / "out"), "--quick", "--validation", str(page)]
+    assert command(arguments) == 2
+    assert f"{page} exists; use --force" in capsys.readouterr().err
+    assert page.read_text() == "mine"
