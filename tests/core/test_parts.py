@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from meshdeform_core.boundary import Kind
 from meshdeform_core.deform import Case, deform
 from meshdeform_core.grid.dealing import bounds_of
+from meshdeform_core.memory import PROGRAM_BYTES, Demand
 from meshdeform_core.methods import IDW, TFI, Options
 from meshdeform_core.numerics import pieces as pieces_module
 from meshdeform_core.numerics.pieces import pieces
@@ -225,6 +226,17 @@ def test_what_takes_the_whole_grid_says_so(tmp_path):
     assert refused(tmp_path, 2, frame(3, 4), periodic) == "periodic sides move"
     repaired = dataclasses.replace(case_of(METHODS["tfi"], angle=150.0), repair=RepairOptions())
     assert refused(tmp_path, 2, frame(), repaired) == "cells are invalid and may be repaired"
+
+
+def test_ranks_need_memory_for_their_part(small_pieces):
+    demand = Demand("deforming", 10**8, 24 * 10**8, face_nodes=10**6, blocks=10)
+
+    def act(number):
+        with dividing():
+            return demand.in_memory
+
+    assert on_ranks(4, act) == [pytest.approx(PROGRAM_BYTES + 0.25 * 1.25 * 9 * 24e8 + 1e9, rel=0.02)] * 4
+    assert demand.in_memory > 2.5 * on_ranks(4, act)[0]
 
 
 def test_a_failing_rank_is_seen():
