@@ -120,14 +120,24 @@ class Part:
         import numpy as np
 
         self._require_all()
-        owner = np.searchsorted(self.bounds, rows, side="right") - 1
-        counts = np.bincount(owner, minlength=self.ranks.count)
-        found = self.ranks.collect(self.rows[rows[owner == self.ranks.number]], counts.tolist())
-        if np.all(owner[1:] >= owner[:-1]):
+        order = None
+        if np.any(rows[1:] < rows[:-1]):
+            order = np.argsort(np.searchsorted(self.bounds, rows, side="right"), kind="stable")
+            rows = rows[order]
+        first = np.searchsorted(rows, self.bounds) if order is None else self._first_of(rows)
+        own = rows[first[self.ranks.number] : first[self.ranks.number + 1]]
+        found = self.ranks.collect(self.rows[own], np.diff(first).tolist())
+        if order is None:
             return found
         result = np.empty_like(found)
-        result[np.argsort(owner, kind="stable")] = found
+        result[order] = found
         return result
+
+    def _first_of(self, rows: np.ndarray) -> np.ndarray:
+        """Where the rows (n,) of each rank begin, which come rank after rank."""
+        import numpy as np
+
+        return np.searchsorted(np.searchsorted(self.bounds, rows, side="right"), np.arange(1, self.ranks.count + 2))
 
     def widen(self, first: int, last: int) -> None:
         """Hold the rows first <= n < last, too, as they are now with their owners; all ranks call this together."""
