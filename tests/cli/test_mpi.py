@@ -186,6 +186,18 @@ def test_command_writes_the_same_file_and_speaks_once(bench, compiled):
 
 
 @needs_mpi
+@pytest.mark.parametrize(("method", "reason"), [("idw-tfi", ""), ("rbf", "every rank holds the whole grid: RBF")])
+def test_a_rank_holds_its_part_or_says_why_not(method, reason, bench, compiled):
+    args = ("deform", "grid.cgns", "-c", "case.toml", "-m", method, "--repair", "off", "-v")
+    assert by_itself(*args, "-o", "alone.cgns") == 0
+    done = on_ranks(3, *args, "-o", "shared.cgns")
+    assert done.returncode == 0, done.stderr
+    assert Path("shared.cgns").read_bytes() == Path("alone.cgns").read_bytes()
+    assert done.stderr.count("every rank holds the whole grid") == bool(reason)
+    assert reason in done.stderr
+
+
+@needs_mpi
 @pytest.mark.parametrize("thick", [False, True])
 def test_a_repair_gives_the_same_grid(thick, bench, compiled):
     """As a plane grid, and in space, where the ends of the span are free."""
