@@ -151,6 +151,7 @@ class Grid:
     def block(self, index: int, values: FloatArray | None = None) -> FloatArray:
         """View ``(ni, nj, nk, ...)`` of block ``index`` in ``points``, or in any array with one row per node."""
         array = self.points if values is None else values
+        require_whole(array, "a block is read as a whole")
         lo, hi = self.offsets[index], self.offsets[index + 1]
         return array[lo:hi].reshape(self.shapes[index] + array.shape[1:])
 

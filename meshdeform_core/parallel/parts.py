@@ -96,6 +96,10 @@ class Part:
         found = self._looked_up(flat)
         return (self._sent(flat) if found is None else found).reshape(numbers.shape + self.shape[1:])
 
+    def __array__(self, *_: Any, **__: Any) -> Any:
+        """Operations of numpy on all rows take all of them."""
+        raise WholeGridNeeded("an operation on all nodes")
+
     def keep(self, rows: np.ndarray) -> None:
         """Keep a copy of some rows (n,), ascending, on every rank: they need not be sent again."""
         self._known = rows, self._sent(rows)
@@ -177,6 +181,8 @@ def blank(shape: Sequence[int], dtype: Any) -> Any:
     """An array whose pages take memory once they are written to; not counted by a limit on data."""
     import numpy as np
 
+    if not hasattr(mmap, "MAP_ANONYMOUS"):
+        return np.zeros(shape, dtype)
     size = max(math.prod(shape) * np.dtype(dtype).itemsize, 1)
     reserve = getattr(mmap, "MAP_NORESERVE", 0)
     flags = mmap.MAP_SHARED | mmap.MAP_ANONYMOUS | reserve

@@ -142,6 +142,9 @@ def test_a_part_refuses_rows_of_others():
                 part[rows]
         with pytest.raises(TypeError):
             part[np.ones(10, bool)]
+        for operation in (np.sum, np.asarray, lambda x: x - values, lambda x: np.ptp(x, axis=0)):
+            with pytest.raises(WholeGridNeeded):
+                operation(part)
         # Alone, a rank would wait for others that do not ask.
         with alone(), pytest.raises(RuntimeError, match="by itself"):
             part[np.array([0, 9])]
@@ -216,6 +219,11 @@ def refused(tmp_path, count, grid, case, options=None):
     return first
 
 
+def block_in_parts(source):
+    with dividing():
+        return read_grid(source).block(0)
+
+
 def test_what_takes_the_whole_grid_says_so(tmp_path):
     idw = METHODS["idw-tfi"]
     assert refused(tmp_path, 2, frame_2d(5), case_of(idw)) == "the grid is 2-D"
@@ -225,6 +233,8 @@ def test_what_takes_the_whole_grid_says_so(tmp_path):
     periodic = dataclasses.replace(case_of(idw), boundaries=tuple(body_specs(turning(5), Kind.PERIODIC)))
     assert refused(tmp_path, 2, frame(3, 4), periodic) == "periodic sides move"
     repaired = dataclasses.replace(case_of(METHODS["tfi"], angle=150.0), repair=RepairOptions())
+    with pytest.raises(Failed, match="a block is read as a whole"):
+        on_ranks(2, lambda number: block_in_parts(tmp_path / "grid.xyz"))
     assert refused(tmp_path, 2, frame(), repaired) == "cells are invalid and may be repaired"
 
 
