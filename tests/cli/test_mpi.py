@@ -188,11 +188,11 @@ def test_command_writes_the_same_file_and_speaks_once(bench, compiled):
 @needs_mpi
 @pytest.mark.parametrize(("method", "reason"), [("idw-tfi", ""), ("rbf", "every rank holds the whole grid: RBF")])
 def test_a_rank_holds_its_part_or_says_why_not(method, reason, bench, compiled):
-    args = ("deform", "grid.cgns", "-c", "case.toml", "-m", method, "--repair", "off", "-v")
-    assert by_itself(*args, "-o", "alone.cgns") == 0
-    done = on_ranks(3, *args, "-o", "shared.cgns")
+    args = ("deform", "grid.xyz", "-c", "case.toml", "-m", method, "--repair", "off", "-v")
+    assert by_itself(*args, "-o", "alone.xyz") == 0
+    done = on_ranks(3, *args, "-o", "shared.xyz")
     assert done.returncode == 0, done.stderr
-    assert Path("shared.cgns").read_bytes() == Path("alone.cgns").read_bytes()
+    assert Path("shared.xyz").read_bytes() == Path("alone.xyz").read_bytes()
     assert done.stderr.count("every rank holds the whole grid") == bool(reason)
     assert reason in done.stderr
 
