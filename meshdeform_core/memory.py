@@ -165,10 +165,11 @@ class Demand:
 
     @property
     def _of_part(self) -> int:
-        """Bytes for a rank that holds a part of the grid, and what lies near block faces."""
-        part = _LARGEST_PART * self.arrays * self.coordinate_bytes / current_ranks().count
-        shell = _PER_SHELL_NODE * self.face_nodes + _PER_BLOCK * self.blocks
-        return PROGRAM_BYTES + _MPI_BYTES + int(part) + shell + _OTHER_COPIES * self.other_bytes
+        """Bytes for a rank that holds a part of the grid, and what lies near block faces; no more than for all of it."""
+        whole = self.arrays * self.coordinate_bytes
+        part = _LARGEST_PART * whole / current_ranks().count + _PER_SHELL_NODE * self.face_nodes + _MPI_BYTES
+        own = _OTHER_COPIES * self.other_bytes + _PER_BLOCK * self.blocks
+        return PROGRAM_BYTES + int(min(whole, part)) + own
 
     def beside_files(self, limit: MemoryLimit) -> int:
         """Bytes, where large arrays lie in files (:mod:`.parallel.scratch`)."""
