@@ -154,22 +154,21 @@ class Demand:
     @property
     def in_memory(self) -> int:
         """Bytes, where all of it is in memory; ranks that share memory each count their share of the grid."""
-        if divided():
-            return self._of_part
         ranks = current_ranks()
         # Machines may run different numbers of ranks, but all ranks must arrive at the same size.
         sharers = 1 if ranks.private else min(ranks.gather([ranks.on_machine]))
         arrays = _OWN_ARRAYS + (self.arrays - _OWN_ARRAYS) / sharers
         own = _OTHER_COPIES * self.other_bytes + _PER_BLOCK * self.blocks
-        return PROGRAM_BYTES + int(arrays * self.coordinate_bytes) + own
+        whole = PROGRAM_BYTES + int(arrays * self.coordinate_bytes) + own
+        # In a small grid most of what a part takes is common to all ranks.
+        return min(whole, self._of_part) if divided() else whole
 
     @property
     def _of_part(self) -> int:
-        """Bytes for a rank that holds a part of the grid, and what lies near block faces; no more than for all of it."""
-        whole = self.arrays * self.coordinate_bytes
-        part = _LARGEST_PART * whole / current_ranks().count + _PER_SHELL_NODE * self.face_nodes + _MPI_BYTES
-        own = _OTHER_COPIES * self.other_bytes + _PER_BLOCK * self.blocks
-        return PROGRAM_BYTES + int(min(whole, part)) + own
+        """Bytes for a rank that holds a part of the grid, and what lies near block faces."""
+        part = _LARGEST_PART * self.arrays * self.coordinate_bytes / current_ranks().count
+        shell = _PER_SHELL_NODE * self.face_nodes + _PER_BLOCK * self.blocks
+        return PROGRAM_BYTES + _MPI_BYTES + int(part) + shell + _OTHER_COPIES * self.other_bytes
 
     def beside_files(self, limit: MemoryLimit) -> int:
         """Bytes, where large arrays lie in files (:mod:`.parallel.scratch`)."""

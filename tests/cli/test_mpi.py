@@ -274,7 +274,7 @@ def test_what_is_wrong_is_said_once(args, message, bench, snapshot):
 def test_a_block_that_does_not_fit_the_memory_is_refused_by_all(bench, snapshot):
     """The second step of idw-rbf: the system of a block is the work of one rank."""
     before = snapshot(bench)
-    args = ("deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz", "-m", "idw-rbf", "--max-memory", "240.146MiB")
+    args = ("deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz", "-m", "idw-rbf", "--max-memory", "241.396MiB")
     done = on_ranks(2, *args)
     assert done.returncode == 2
     assert done.stderr.count("a radial basis function system of") == 1
