@@ -36,8 +36,8 @@ WRONG = {
     "memory-negative": ((*DEFORM, "--max-memory", "-1GiB"), ("--max-memory '-1GiB'",)),
     "memory-small": ((*DEFORM, "--max-memory", "10KiB"), ("1,152 nodes", "--max-memory allows 10 KiB", "allow more")),
     "memory-system": (
-        (*DEFORM, "-m", "rbf", "--max-memory", "240.253MiB"),
-        ("radial basis function system", "centres needs about", "240 MiB for program and grid", "greedy"),
+        (*DEFORM, "-m", "rbf", "--max-memory", "241.5MiB"),
+        ("radial basis function system", "centres needs about", "241 MiB for program and grid", "greedy"),
     ),
     "tolerance-negative": (("compare", "grid.xyz", "grid.cgns", "--tolerance", "-1"), ("--tolerance", "x>=0")),
     "tolerance-nan": (("compare", "grid.xyz", "grid.cgns", "--tolerance", "nan"), ("--tolerance", "finite")),

@@ -33,7 +33,7 @@ SERIES = {
     **{name: ("-m", name) for name in CATALOGUE},
     **FAST,
     "repair": ("-m", "tfi", *FOLDED),
-    "polished": ("-m", "tfi", "--repair", "polish"),
+    "polished": ("-m", "tfi", "--repair", "polish", "-s", "constants.turn=30"),
     "steps": ("-m", "idw-tfi", "--steps", "2"),
     "as many steps as needed": ("-m", "tfi", *FOLDED, "--steps", "auto", "--repair", "off"),
     "from the last level": ("-m", "idw", "--from", "last", "--velocity", "swept"),
