@@ -20,7 +20,7 @@ from tables import MarkdownTable, Row
 from meshdeform_core.deform import set_up
 from meshdeform_core.grid import FloatArray
 from meshdeform_core.grid.topology import find_topology
-from meshdeform_core.memory import COORDINATE_ARRAYS, PROGRAM_BYTES
+from meshdeform_core.memory import COORDINATE_ARRAYS, Demand
 from meshdeform_core.methods import CATALOGUE, Options, make_method
 from meshdeform_formats import read_grid
 from meshdeform_formats.case import read_case
@@ -158,9 +158,9 @@ def _noisy(folder: Path, levels: int) -> _Case:
 
 def _capped(case: _Case, method: str, every: int) -> Row:
     """The same with the least memory that the method accepts."""
-    size = 24 * read_grid(case.folder / "grid.cgns").n_nodes
+    grid = read_grid(case.folder / "grid.cgns")
     for arrays in _CAPS:
-        cap = PROGRAM_BYTES + (COORDINATE_ARRAYS + arrays) * size
+        cap = Demand.of("deforming", grid, arrays=COORDINATE_ARRAYS + arrays).in_memory
         try:
             return _series(case, method, every, str(cap))
         except subprocess.CalledProcessError as error:

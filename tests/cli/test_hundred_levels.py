@@ -12,7 +12,7 @@ import pytest
 from meshdeform_core.deform import set_up
 from meshdeform_core.errors import MethodError
 from meshdeform_core.grid.topology import find_topology
-from meshdeform_core.memory import COORDINATE_ARRAYS, PROGRAM_BYTES, SMOOTHNESS_ARRAYS
+from meshdeform_core.memory import COORDINATE_ARRAYS, SMOOTHNESS_ARRAYS, Demand
 from meshdeform_core.methods import make_method
 from meshdeform_core.series import Level, _Series
 from meshdeform_formats import read_grid
@@ -147,10 +147,10 @@ def test_files_do_not_depend_on_memory_threads_or_interruption(folder, method, o
 
     whole = made(f"{method}-whole", "--threads", "2")
     assert len(whole) == 4
-    nodes = len(read_grid(folder / "hemisphere/grid.cgns").points)
+    grid = read_grid(folder / "hemisphere/grid.cgns")
     room = {"rbf-tfi": 200, "tfi": 3}.get(method, 1)
     for arrays in (room, 10 * room):
-        cap = PROGRAM_BYTES + (COORDINATE_ARRAYS + SMOOTHNESS_ARRAYS + arrays) * 24 * nodes
+        cap = Demand.of("deforming", grid, arrays=COORDINATE_ARRAYS + SMOOTHNESS_ARRAYS + arrays).in_memory
         assert made(f"{method}-{arrays}", "--max-memory", str(cap), "--threads", "1") == whole
     stopped = folder / f"{method}-stopped"
     with monkeypatch.context() as patch:

@@ -418,7 +418,7 @@ def test_wrong_calls_are_refused(arguments, words, swing, call, snapshot):
 
 @pytest.mark.parametrize("command", [RUN, ("deform", "grid.xyz", "-c", "swing.toml", "-o", "out.xyz", "--time", "0.2")])
 def test_methods_keep_to_the_memory_limit(command, swing, call):
-    result = call(*command, "-m", "rbf", "--max-memory", "240.5MiB")
+    result = call(*command, "-m", "rbf", "--max-memory", "241.8MiB")
     assert result.code == 2
     assert "a radial basis function system of" in result.err
     assert "--max-memory allows" in result.err

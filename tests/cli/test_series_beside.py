@@ -77,10 +77,11 @@ def test_files_are_the_same_as_when_levels_are_written_alone(extra, swing, call,
                                    ("--max-memory", "tight")])  # fmt: skip
 def test_without_threads_or_memory_to_spare_levels_are_written_alone(extra, swing, call, written):
     if extra[-1] == "tight":
-        from meshdeform_core.memory import COORDINATE_ARRAYS, PROGRAM_BYTES
+        from meshdeform_core.memory import COORDINATE_ARRAYS, Demand
         from meshdeform_formats import read_grid
 
-        extra = ("--max-memory", str(PROGRAM_BYTES + (COORDINATE_ARRAYS + 6) * read_grid("grid.xyz").points.nbytes))
+        need = Demand.of("deforming", read_grid("grid.xyz"), arrays=COORDINATE_ARRAYS + 6)
+        extra = ("--max-memory", str(need.in_memory))
     assert call(*RUN, "-m", "tfi", *extra, "-o", "out").code == 0
     assert written == [(n, True) for n in range(COUNT)]
 

@@ -109,8 +109,8 @@ class Node:
     def children(self) -> tuple[Node, ...]:
         """Children in file order, without following links."""
         found = tuple(self.expand())
-        # What it holds to fetch them, like an open group of the library, is no longer needed.
-        self.expand = tuple
+        # What it holds to fetch them, like an open group of the library, is no longer needed; copies need the children.
+        self.expand = lambda: found
         return found
 
     @property

@@ -127,8 +127,8 @@ def _add(px, py, pz, tile, m, three, four, five, whole, all_charges, weight, out
     """Contribution of a tile to one target; ``whole``: weights three r^-3 + four r^-4 + five r^-5, one vector loop.
 
     A root and a division in double precision take longer than the rest of the loop. Those in single precision, wrong by
-    less than 3e-7, are refined by Newton's method: what is left is below 1e-13. Distances of a group may differ by a
-    factor of 1e19.
+    less than 3e-7, are refined by two terms of the binomial series: what is left is round-off. Distances of a group may
+    differ by a factor of 1e19.
     """
     a0 = a1 = a2 = a3 = a4 = a5 = a6 = a7 = 0.0
     for s in range(m):
@@ -136,7 +136,8 @@ def _add(px, py, pz, tile, m, three, four, five, whole, all_charges, weight, out
             dx, dy, dz = px - tile[0, s], py - tile[1, s], pz - tile[2, s]
             square = dx * dx + dy * dy + dz * dz
             r = np.float64(np.float32(1.0) / math.sqrt(np.float32(square)))
-            r *= 1.5 - 0.5 * square * r * r
+            rest = 1.0 - square * r * r
+            r += r * rest * (0.5 + 0.375 * rest)
             r2 = r * r
             w = r * r2 * (three + r * (four + five * r))
             weight[s] = w

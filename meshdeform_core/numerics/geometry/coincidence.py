@@ -6,7 +6,6 @@ Plain numpy (``meshdeform info`` must start fast and imports no numba).
 from __future__ import annotations
 
 import numpy as np
-import scipy
 
 from ...parallel import thread_count
 from ..arrays import BoolArray, FloatArray, IntArray, KeyArray
@@ -89,6 +88,9 @@ def _with_close_neighbour(points: FloatArray, tolerance: FloatArray) -> IntArray
 
     The keys of many points are dense: a sweep would compare each with hundreds of others.
     """
+    # Imported late: the format readers import this module and must start fast.
+    import scipy
+
     tree = scipy.spatial.cKDTree(points, balanced_tree=False, compact_nodes=False)
     bound = float(tolerance.max(initial=0.0)) * (1.0 + 1e-9)
     distance, _ = tree.query(points, k=2, distance_upper_bound=bound, workers=thread_count())
