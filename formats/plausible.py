@@ -9,7 +9,7 @@ import numpy as np
 from meshdeform_core.errors import GridError
 from meshdeform_core.grid import FloatArray, Grid
 from meshdeform_core.numerics.arrays import IntArray, extent
-from meshdeform_core.parallel import Part, check_rows, of_all
+from meshdeform_core.parallel import check_rows, of_all, require_whole
 from meshdeform_core.wording import vector
 
 # The square of a larger length overflows in single precision, and no grid is so large in any unit.
@@ -66,8 +66,9 @@ def _require_bounded(grid: Grid, path: Path) -> None:
 
 
 def _all_on_one_line(points: FloatArray) -> bool:
-    """The same of all nodes; a grid in parts is so large that its sample tells."""
-    return isinstance(points, Part) or _on_one_line(points)
+    """The same of all nodes. The sample of a sound grid may lie on one of its lines, so that it does not suffice."""
+    require_whole(points, "a sample of its nodes lies on one line")
+    return _on_one_line(points)
 
 
 def _on_one_line(points: FloatArray) -> bool:

@@ -11,7 +11,7 @@ import click
 from meshdeform_core.errors import FormatError
 from meshdeform_core.wording import counted
 
-from ..measured import measured
+from ..measures import measured
 from ..options import (
     OUTPUT,
     PATH,

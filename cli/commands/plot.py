@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from .. import completion
-from ..measured import measured
-from ..measures import MEASURES
+from ..measures import MEASURES, measured
 from ..options import PATH, FiniteNumber, GridInput, force_option, grid_options
 from ..outputs import check_output
 from ..process.progress import ProgressBar

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import click
 
-from ..measured import measured
-from ..measures import MEASURES
+from ..measures import MEASURES, measured
 from ..options import PATH, GridInput, force_option, grid_options
 from ..outputs import check_output
 

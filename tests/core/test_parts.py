@@ -22,6 +22,7 @@ from meshdeform_core.numerics import pieces as pieces_module
 from meshdeform_core.numerics.pieces import pieces
 from meshdeform_core.parallel import Part, WholeGridNeeded, alone, dividing, parts
 from meshdeform_core.repair import RepairOptions
+from meshdeform_formats import plausible
 from meshdeform_formats.grids import read_grid, write_grid
 
 METHODS = {
@@ -224,7 +225,7 @@ def block_in_parts(source):
         return read_grid(source).block(0)
 
 
-def test_what_takes_the_whole_grid_says_so(tmp_path):
+def test_what_takes_the_whole_grid_says_so(tmp_path, monkeypatch):
     idw = METHODS["idw-tfi"]
     assert refused(tmp_path, 2, frame_2d(5), case_of(idw)) == "the grid is 2-D"
     assert refused(tmp_path, 2, frame(), case_of(idw), {"iblank": "true"}) == "the file has IBLANK values"
@@ -233,6 +234,9 @@ def test_what_takes_the_whole_grid_says_so(tmp_path):
     periodic = dataclasses.replace(case_of(idw), boundaries=tuple(body_specs(turning(5), Kind.PERIODIC)))
     assert refused(tmp_path, 2, frame(3, 4), periodic) == "periodic sides move"
     repaired = dataclasses.replace(case_of(METHODS["tfi"], angle=150.0), repair=RepairOptions())
+    monkeypatch.setattr(plausible, "_SAMPLE", 2)
+    assert refused(tmp_path, 2, frame(), case_of(idw)) == "a sample of its nodes lies on one line"
+    monkeypatch.undo()
     with pytest.raises(Failed, match="a block is read as a whole"):
         on_ranks(2, lambda number: block_in_parts(tmp_path / "grid.xyz"))
     assert refused(tmp_path, 2, frame(), repaired) == "cells are invalid and may be repaired"
