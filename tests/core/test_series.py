@@ -196,7 +196,8 @@ def test_repaired_levels_depend_on_the_boundary_only():
 
 def test_levels_leave_no_arrays_to_the_collector():
     def kept() -> list[int]:
-        return [id(each) for each in gc.get_objects() if isinstance(each, Course | Repairer)]
+        # type() and not isinstance(), which asks a weak proxy of somebody else for its class.
+        return [id(each) for each in gc.get_objects() if type(each) in (Course, Repairer)]
 
     gc.collect()
     gc.disable()
