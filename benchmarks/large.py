@@ -27,7 +27,7 @@ def write_large(folder: Path, count: int, nodes: int) -> Path:
     count : blocks
     nodes : of the whole grid, about
     """
-    blocks = SIZES[count][0]
+    blocks = SIZES[count][0] if count in SIZES else (count, 1, 1)
     n = round((nodes / count) ** (1 / 3))
     file = folder / "grid.p3dbin"
     with file.open("wb") as out:

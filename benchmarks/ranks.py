@@ -1,124 +1,87 @@
-"""Strong scaling over ranks: the splitter plate by IDW, one thread per rank.
+"""Memory and time of ``deform`` on MPI ranks that act as machines of their own, against one process.
 
-    mpiexec -n 2 python benchmarks/ranks.py 24 fast     # or: exact, or: idw-tfi
+    python benchmarks/ranks.py 12e6 1 4 --limit 900
 
-One start measures 1, 2, 4, ... ranks one after the other. For every stage it prints the wall seconds, and the largest
-CPU seconds that a rank computed in it: on a shared machine the wall time says little, the CPU time is what
-the stage takes when every rank has a core of its own, without the exchange.
+Each rank has its own temporary folder and its own limit on data (heap and private memory, ``ulimit -d``), and messages
+go through TCP only. Rows for 1 rank are those of a process without MPI, which has as many threads as there are ranks at
+most.
 """
 
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
 import sys
-import time
-from contextlib import contextmanager
+import tempfile
+from pathlib import Path
 
-import numpy as np
-from mpi4py import MPI
+from large import write_large
+from runs import run
+from tables import MarkdownTable, Row
 
-from meshdeform_core.deform import set_up
-from meshdeform_core.methods import make_method
-from meshdeform_core.parallel import for_rows, set_ranks, set_threads
-from meshdeform_core.parallel.mpi import MPIRanks
-from meshdeform_core.quality import Original, assess
-from meshdeform_formats.case import read_case
-from meshdeform_samples import folder, load
-
-WORLD = MPI.COMM_WORLD
-METHODS = {
-    "exact": ("idw", ("method.idw.summation=exact",)),
-    "fast": ("idw", ("method.idw.summation=fast",)),
-    "idw-tfi": ("idw-tfi", ()),
-}
+_APART = 'ulimit -d "$0"; export TMPDIR=$(mktemp -d); "$@"; code=$?; rm -r "$TMPDIR"; exit $code'
+_TCP = ("--bind-to", "none", "--mca", "pml", "ob1", "--mca", "btl", "self,tcp")
 
 
-class TimedRanks(MPIRanks):
-    """Separates the time a rank computes from the time it spends waiting and exchanging data."""
-
-    idle = 0.0
-
-    @contextmanager
-    def _counted(self, sign):
-        start = time.process_time()
-        yield
-        self.idle += sign * (time.process_time() - start)
-
-    def begin(self, arrays):
-        with self._counted(1):
-            super().begin(arrays)
-
-    def share(self, array, rows):
-        with self._counted(1):
-            super().share(array, rows)
-
-    def finish(self, arrays):
-        with self._counted(1):
-            super().finish(arrays)
-
-    def empty(self, shape, dtype):
-        with self._counted(1):
-            return super().empty(shape, dtype)
-
-    def once(self, make):
-        def worked():
-            with self._counted(-1):
-                return make()
-
-        with self._counted(1):
-            return super().once(worked)
+def on_ranks(nodes: int, blocks: int, counts: list[int], threads: int, limit: int, method: str) -> MarkdownTable:
+    """The same box on each number of ranks; ``limit`` in MiB, 0 for none; ``threads`` of one process."""
+    table = MarkdownTable(
+        f"Ranks as machines of their own: {method}, {blocks} blocks",
+        notes=[
+            f"limit on data of every rank: {limit} MiB" if limit else "no limit on data",
+            "binary Plot3D, no repair; CPU: of all ranks, start included; peak: resident size of the largest rank",
+        ],
+    )
+    sums = set()
+    with tempfile.TemporaryDirectory() as name:
+        grid = write_large(Path(name), blocks, nodes)
+        for count in counts:
+            table.rows.append(_measured(grid, count, threads, limit if count > 1 else 0, method))
+            sums.add(hashlib.sha256(grid.with_name("out.p3dbin").read_bytes()).hexdigest())
+    first = table.rows[0]
+    for row in table.rows:
+        row["of the first"], row["wall of the first"] = (
+            row["peak MiB"] / first["peak MiB"],
+            row["wall s"] / first["wall s"],
+        )
+    table.notes.append("all files are equal" if len(sums) == 1 else "THE FILES DIFFER")
+    return table
 
 
-def main(size, kind):
-    set_threads(1)
-    method, overrides = METHODS[kind]
-    case = read_case(folder("splitter-plate") / "case.toml", overrides, method).case
-    if WORLD.rank == 0:
-        print(f"splitter plate n = {size}, {kind}: wall s / largest CPU s per rank")
-    counts = [2**n for n in range(WORLD.size.bit_length()) if 2**n <= WORLD.size]
-    # The first round compiles and touches the memory.
-    first = measure(8, case, WORLD.size)
-    assert first or WORLD.rank
-    for count in counts:
-        found = measure(size, case, count)
-        if WORLD.rank == 0:
-            columns = "  ".join(f"{name} {wall:.2f} / {cpu:.2f}" for name, (wall, cpu) in found.items())
-            print(f"{count} ranks  {columns}", flush=True)
+def _measured(grid: Path, count: int, threads: int, limit: int, method: str) -> Row:
+    folder, report = grid.parent, grid.parent / "report.json"
+    alone = [str(Path(sys.executable).with_name("mpiexec")), "-n", str(count), *_TCP] if count > 1 else []
+    apart = ["bash", "-c", _APART, str(limit * 1024)] if limit else []
+    command = [
+        *alone, *apart, sys.executable, "-m", "meshdeform", "deform", str(grid), "-c", f"{folder}/case.toml", "-m",
+        method, "-o", f"{folder}/out.p3dbin", "--report", str(report), "-q", "--force", "--repair", "off",
+        "--threads", str(1 if count > 1 else threads),
+    ]  # fmt: skip
+    wall, usage = run(command)
+    facts = json.loads(report.read_text(encoding="utf-8"))
+    return {
+        "ranks": count,
+        "nodes": facts["grid"]["nodes"],
+        "peak MiB": facts["peak_memory_bytes"] / 2**20,
+        "wall s": wall,
+        "CPU s": usage.ru_utime + usage.ru_stime,
+    }
 
 
-def measure(size, case, count):
-    """Seconds (wall, largest CPU) of each stage on the first ``count`` ranks, known to the first one."""
-    group = WORLD.Split(0 if WORLD.rank < count else MPI.UNDEFINED)
-    found = _stages(TimedRanks(group), size, case) if group != MPI.COMM_NULL else {}
-    done = WORLD.Ibarrier()
-    while not done.Test():
-        # Sleep, so that idle ranks leave the cores to the others.
-        time.sleep(0.01)
-    return found
+def main() -> None:
+    """Measure and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("nodes", type=float, help="of the grid, about")
+    parser.add_argument("ranks", type=int, nargs="*", default=[1, 4])
+    parser.add_argument("--blocks", type=int, default=1)
+    parser.add_argument("--threads", type=int, default=1, help="of one process")
+    parser.add_argument("--limit", type=int, default=0, help="MiB of data of every rank")
+    parser.add_argument("--method", default="idw-tfi")
+    wanted = parser.parse_args()
+    table = on_ranks(int(wanted.nodes), wanted.blocks, wanted.ranks, wanted.threads, wanted.limit, wanted.method)
+    print(table.markdown())
 
 
-def _stages(ranks, size, case):
-    group, found = ranks._comm, {}
-    set_ranks(ranks)
-    grid = load("splitter-plate").generate(size)
-
-    @contextmanager
-    def stage(name):
-        group.Barrier()
-        wall, cpu, idle = time.perf_counter(), time.process_time(), ranks.idle
-        yield
-        busy = time.process_time() - cpu - (ranks.idle - idle)
-        group.Barrier()
-        found[name] = time.perf_counter() - wall, group.allreduce(busy, MPI.MAX)
-
-    with stage("topology"):
-        setup = set_up(grid, case)
-    with stage("prepare"):
-        prepared = make_method(case.method).prepare(setup.problem)
-    displacement = setup.displacement(0.0)[setup.problem.source_numbers]
-    with stage("apply"):
-        after = prepared.apply(displacement)
-        for_rows(lambda rows: np.add(grid.points[rows], after[rows], out=after[rows]), after)
-    with stage("quality"):
-        assess(Original(grid, setup.topology), after, setup.boundary)
-    return found
-
-
-main(int(sys.argv[1]), sys.argv[2])
+if __name__ == "__main__":
+    main()

@@ -41,12 +41,14 @@ def deliver(
     """Write the reports; if JSON is requested on stdout, the text goes to stderr; ``verbose``: with all settings."""
     files = [path for path in reports if path != STDOUT]
     to_stdout = to_stdout or STDOUT in reports
+    ranks = current_ranks()
     if files or to_stdout:
-        report["run"] = current_ranks().on_first(lambda: run_part(_arguments(), delivery.files))
+        # The checksums of files take time.
+        report["run"] = ranks.on_first(lambda: run_part(_arguments(), delivery.files)) | {"ranks": ranks.count}
     if "timing" in report:
         report["timing"] = with_other(report["timing"], clock.perf_counter() - delivery.start)
     for path in files:
-        current_ranks().on_first(functools.partial(write_report, report, path, delivery.illustrate))
+        ranks.on_first(functools.partial(write_report, report, path, delivery.illustrate))
     if to_stdout:
         click.echo(as_json(report), nl=False)
     if not quiet:

@@ -83,16 +83,16 @@ def load(
 
 
 def in_parts(action: Callable[[], T], verbose: bool) -> T:
-    """Do it with grids in parts if there are several ranks; if that is not possible, with
-    the whole grid on each."""
-    if current_ranks().count > 1:
+    """Do it with grids in parts if there are several ranks; if that is not possible, on the first rank alone."""
+    ranks = current_ranks()
+    if ranks.count > 1:
         try:
             with dividing():
                 return action()
         except WholeGridNeeded as reason:
             if verbose:
-                tell(f"every rank holds the whole grid: {reason}")
-    return action()
+                tell(f"the first rank alone holds the whole grid: {reason}")
+    return ranks.on_first(action)
 
 
 def _other_bytes(grid: Grid, case: CaseFile) -> int:
@@ -193,8 +193,6 @@ def conclude(report: Report, run: RunInput, delivery: Delivery) -> int:
         ranks = current_ranks()
         if ranks.count > 1:
             tell(f"{ranks.count} ranks, the first with {thread_count()} threads")
-        if ranks.private:
-            tell(f"every rank has its own copy of the grid: {ranks.private}")
         for stage, seconds in report["timing"].items():
             tell(f"{stage} {seconds:.3f} s")
     return 0 if report["valid"] or run.allow_invalid else EXIT_INVALID

@@ -130,9 +130,7 @@ def complete_for_export(grid: Grid, path: Path) -> Grid:
     from meshdeform_core.grid.connectivity.interfaces import find_interfaces
     from meshdeform_core.grid.topology import find_topology
 
-    return dataclasses.replace(
-        grid, connections=current_ranks().once(lambda: find_interfaces(grid, find_topology(grid)))
-    )
+    return dataclasses.replace(grid, connections=find_interfaces(grid, find_topology(grid)))
 
 
 def write_grid(

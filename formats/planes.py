@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Grid, IntArray, Planes, Shape
-from meshdeform_core.parallel import Part, current_ranks, for_items
+from meshdeform_core.parallel import Part, for_items
 
 from .coordinates import merge, split
 
@@ -146,18 +146,18 @@ def read_planes(grid: Grid, part: Planes, arrays: Sequence[Stored]) -> None:
 
 
 def write_coordinates(grid: Grid, arrays: Mapping[int, Sequence[Stored]]) -> None:
-    """Write the components of some blocks, by number, to their places in a file; all ranks share the work."""
+    """Write the components of some blocks, by number, to their places in a file; all ranks together those of a grid in
+    parts."""
     if isinstance(grid.points, Part):
         write_parts(grid, grid.points, arrays)
         return
-    synchronous = across_machines()
 
     def put(part: Planes) -> None:
         places = arrays[part.block]
         kind = np.result_type(*(place.dtype.newbyteorder("=") for place in places))
         block = grid.block(part.block)[:, :, part.first : part.last]
         for place, values in zip(places, split(block, kind, len(places)), strict=True):
-            place.write(part.first, values, synchronous)
+            place.write(part.first, values)
 
     for_ranges(put, [(block, grid.shapes[block]) for block in arrays])
 
@@ -170,7 +170,9 @@ def write_parts(grid: Grid, points: Part, arrays: Mapping[int, Sequence[Stored]]
     OSError, FormatError
         On all ranks, what one of them met first.
     """
-    ranks, failures, synchronous = points.ranks, list[Exception](), across_machines()
+    ranks, failures = points.ranks, list[Exception]()
+    # Clients of a network file system may otherwise write whole pages, with old bytes of other machines in them.
+    synchronous = ranks.count > ranks.on_machine
     for turn in _turns(grid, points.bounds, arrays):
         sends, receives, own = {}, {}, None
         for writer, (part, owners) in turn.items():
@@ -212,14 +214,7 @@ def _turns(grid: Grid, bounds: IntArray, blocks: Iterable[int]) -> list[dict[int
     return [{rank: queue[n] for rank, queue in queues.items() if n < len(queue)} for n in range(most)]
 
 
-def across_machines() -> bool:
-    """Whether several machines share the work. They must then write to a common file synchronously: clients of a
-    network file system may otherwise write whole pages, overwriting the bytes of another machine with old ones."""
-    ranks = current_ranks()
-    return ranks.count > ranks.on_machine
-
-
 def for_ranges(put: Callable[[Planes], None], blocks: Sequence[tuple[int, Shape]]) -> None:
-    """Call ``put`` for all ranges of planes of some blocks, spread over the threads of all ranks."""
+    """Call ``put`` for all ranges of planes of some blocks, spread over the threads."""
     parts = ranges_of(blocks)
-    for_items(lambda number: put(parts[number]), len(parts), [], threads=None)
+    for_items(lambda number: put(parts[number]), len(parts), threads=None)

@@ -34,9 +34,7 @@ _BESIDE_FILES, _PER_FACE_NODE, _WINDOW = 10, 250, 8
 # What the library for HDF5 keeps of a zone while it is read, and what the program knows of a block: 158 KiB were
 # measured with CGNS files, 32 with Plot3D.
 _PER_BLOCK = 160 * 2**10
-# Coordinate arrays that each of several ranks on a machine holds privately: 0.9 to 1.05 were measured.
 _OTHER_COPIES = 3
-_OWN_ARRAYS = 1
 # Of a rank that holds a part of the grid: its size relative to the mean, bytes per node on block faces for what all
 # ranks have in common (510 to 920 were measured), and the MPI library.
 _LARGEST_PART, _PER_SHELL_NODE, _MPI_BYTES = 1.25, 1000, 32 * 2**20
@@ -153,13 +151,9 @@ class Demand:
 
     @property
     def in_memory(self) -> int:
-        """Bytes, where all of it is in memory; ranks that share memory each count their share of the grid."""
-        ranks = current_ranks()
-        # Machines may run different numbers of ranks, but all ranks must arrive at the same size.
-        sharers = 1 if ranks.private else min(ranks.gather([ranks.on_machine]))
-        arrays = _OWN_ARRAYS + (self.arrays - _OWN_ARRAYS) / sharers
+        """Bytes, where all of it is in memory."""
         own = _OTHER_COPIES * self.other_bytes + _PER_BLOCK * self.blocks
-        whole = PROGRAM_BYTES + int(arrays * self.coordinate_bytes) + own
+        whole = PROGRAM_BYTES + int(self.arrays * self.coordinate_bytes) + own
         # In a small grid most of what a part takes is common to all ranks.
         return min(whole, self._of_part) if divided() else whole
 

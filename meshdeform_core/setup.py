@@ -28,7 +28,6 @@ from .memory import UNLIMITED, MemoryLimit
 from .methods import Options, PreparedMethod, Problem, Progress
 from .numerics.arrays import extent
 from .numerics.jit import compile_seconds
-from .parallel import current_ranks
 from .quality import Original
 from .repair import Mode, RepairOptions
 from .repair.basis import Basis
@@ -246,11 +245,11 @@ def set_up(grid: Grid, case: Case, timing: Timing | None = None, memory: MemoryL
             f'"{BY_PREFIX}", or patterns of block names'
         )
     with timing.stage("topology"):
-        topology = current_ranks().once(lambda: find_topology(grid, case.tolerance))
+        topology = find_topology(grid, case.tolerance)
         warnings = [*grid.notes, *case.notes, *check_connections(grid, topology), *coincident_blocks(grid, topology)]
         if topology.crowded:
             warnings.append(f"{topology.crowded} face quads are shared by more than two blocks")
-        openings = current_ranks().once(lambda: find_openings(grid, topology))
+        openings = find_openings(grid, topology)
         if grid.components and case.open_faces is not True:
             require_apart(grid, topology)
         topology = open_plates(grid, topology, case.plates)

@@ -9,7 +9,7 @@ import numpy as np
 
 from .grid import FloatArray, Grid, IntArray
 from .numerics.arrays import lengths
-from .parallel import current_ranks, empty
+from .parallel import empty
 
 _JUMP, _JUMP_IN_EDGES = 0.5, 0.2
 """The grid jumps where its acceleration exceeds that of the walls by JUMP wall steps, and JUMP_IN_EDGES local edges."""
@@ -83,11 +83,6 @@ class Moment(NamedTuple):
 def shortest_edges(grid: Grid) -> FloatArray:
     """(n_nodes,) the shortest edge of any length at every node, infinite where there is none."""
     result: FloatArray = empty([grid.n_nodes])
-    current_ranks().alter(result, lambda: _shorten(grid, result))
-    return result
-
-
-def _shorten(grid: Grid, result: FloatArray) -> None:
     result.fill(np.inf)
     for number, shape in enumerate(grid.shapes):
         x, mine = grid.block(number), grid.block(number, result)
@@ -97,6 +92,7 @@ def _shorten(grid: Grid, result: FloatArray) -> None:
             some = slice(first, first + layers + 1)
             for axis in range(3):
                 _shorten_along(axis, x[some], mine[some])
+    return result
 
 
 def _shorten_along(axis: int, x: FloatArray, result: FloatArray) -> None:

@@ -92,7 +92,7 @@ def swept_volumes(grid: Grid, before: FloatArray, after: FloatArray) -> FloatArr
         towards = side_of_good_quads(thin, sign if other < axis else -sign, normal)
         sweep_edges(before, after, first, out.shape, across[other], across, towards, out)
 
-    for_chunks(work, 3 * grid.n_blocks, 1, common=[swept])
+    for_chunks(work, 3 * grid.n_blocks, 1)
     return swept
 
 

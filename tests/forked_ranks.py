@@ -14,8 +14,6 @@ _FORK = multiprocessing.get_context("fork")
 class ForkedRank(OneRank):
     """One of several ranks, as far as arrays in parts need them."""
 
-    private = "forks share no memory"
-
     def __init__(self, number, count, hub):
         super().__init__(cores=1)
         self.number, self.count, self._hub = number, count, hub

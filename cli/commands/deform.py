@@ -80,23 +80,21 @@ def command(
         from ..dry_run.expense import plan_by_sizes
 
         return work.print_plan(plan_by_sizes(layout, case.read().case, output, options, limit), False, run)
-    with ProgressBar(not run.quiet) as progress:
-        if run.dry_run or output is None:
-            from ..dry_run import forecast
+    if run.dry_run or output is None:
+        from ..dry_run import forecast
 
+        with ProgressBar(not run.quiet):
             planned, impossible = forecast.plan(_load(source, case, output, run), output, imposed, options, limit)
-        else:
-            target = output
-
-            def deform() -> tuple[work.Job, tuple[work.Report, work.Illustrate]]:
-                job = _load(source, case, target, run)
-                return job, work.run(job, target, imposed, options, run, progress)
-
-            job, (report, illustrate) = work.in_parts(deform, run.verbose)
-    if run.dry_run:
         return work.print_plan(planned, impossible, run)
-    files = [*source.roles, *case.roles(job.case), ("output", Path(report["output"]))]
-    return work.conclude(report, run, work.Delivery(start, files, illustrate))
+
+    def deform() -> int:
+        with ProgressBar(not run.quiet) as progress:
+            job = _load(source, case, output, run)
+            report, illustrate = work.run(job, output, imposed, options, run, progress)
+        files = [*source.roles, *case.roles(job.case), ("output", Path(report["output"]))]
+        return work.conclude(report, run, work.Delivery(start, files, illustrate))
+
+    return work.in_parts(deform, run.verbose)
 
 
 def _load(source: GridInput, case: CaseInput, output: Path | None, run: RunInput) -> work.Job:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import time as clock
 from functools import partial
+from pathlib import Path
 
 import click
 
@@ -60,18 +61,27 @@ def command(source: GridInput, case: CaseInput, wanted: SeriesInput, run: RunInp
         output = wanted.output / series_run.name_of(source.path, wanted, layout.format)
         planned = plan_by_sizes(layout, what.case, output, run.variant_options, limit, levels)
         return work.print_plan(planned, False, run)
-    with ProgressBar(not run.quiet) as progress:
-        workplace = None if run.dry_run else wanted.output
-        job = work.load(source, timed, limit, run.reports, workplace, wanted.more_arrays)
+
+    def planned_series(workplace: Path | None) -> series_run.Run:
+        job = work.load(source, timed, run.memory, run.reports, workplace, wanted.more_arrays)
         plan = series_run.prepare(job, source, wanted, run)
         run.warnings.tell(plan.setup.warnings)
-        if run.dry_run:
+        return plan
+
+    if run.dry_run:
+        with ProgressBar(not run.quiet):
+            plan = planned_series(None)
             levels = Levels(len(plan.schedule.times), wanted.velocity_arrays)
             planned, impossible, text = forecast.plan_series(plan, levels, limit)
-        else:
-            plan.manifest = current_ranks().on_first(lambda: series_run.open_manifest(plan, wanted.resume, run.force))
-            report = series_run.carry_out(plan, progress)
-    if run.dry_run:
         return work.print_plan(planned, impossible, run, text)
-    files = [*source.roles, *case.roles(job.case), ("index", plan.files.view)]
-    return work.conclude(report, run, work.Delivery(start, files, partial(series_run.illustrate, plan)))
+
+    def deform() -> int:
+        with ProgressBar(not run.quiet) as progress:
+            plan = planned_series(wanted.output)
+            ranks = current_ranks()
+            plan.manifest = ranks.on_first(lambda: series_run.open_manifest(plan, wanted.resume, run.force))
+            report = series_run.carry_out(plan, progress)
+        files = [*source.roles, *case.roles(plan.job.case), ("index", plan.files.view)]
+        return work.conclude(report, run, work.Delivery(start, files, partial(series_run.illustrate, plan)))
+
+    return current_ranks().on_first(deform)

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray, Grid
-from meshdeform_core.parallel import current_ranks
 
 from .blocks import assemble, text_arrays
 from .detect import LONGEST_HEADER, Reading, UnknownFile, Writing, choose, header_variants, stream_readings
@@ -25,7 +24,7 @@ _LINES = 1 << 20
 def read_ascii(path: Path, options: Mapping[str, Any]) -> Grid:
     """Read a Plot3D text of any variant that ``options`` allow."""
     with path.open("rb") as stream:
-        numbers = current_ranks().once(lambda: read_numbers(stream, path))
+        numbers = read_numbers(stream, path)
         writing = Writing(ends_with_integer(stream), lambda: _count_integers(path))
 
     def load(reading: Reading) -> Grid:
@@ -67,10 +66,6 @@ class _Text:
         taken = self._numbers[self._position : self._position + count]
         self._position += count
         return taken if dtype.kind == "f" else _integers(taken, self._path)
-
-    def skip(self, dtype: np.dtype[Any], count: int) -> None:
-        """Skip the next ``count`` numbers."""
-        self._position += count
 
 
 def _integers(values: FloatArray, path: Path) -> FloatArray:

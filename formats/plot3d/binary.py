@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from meshdeform_core.grid import Grid, Planes
 from meshdeform_core.parallel import current_ranks
 
-from ..planes import Stretches, across_machines, for_ranges, ranges_of, read_planes, write_coordinates
+from ..planes import Stretches, for_ranges, ranges_of, read_planes, write_coordinates
 from .blocks import allocate, iblank_of, places_of
 from .detect import LONGEST_HEADER, Reading, UnknownFile, choose, header_variants, stream_readings
 from .records import fortran_readings, laid_out, record_lengths
@@ -49,7 +49,7 @@ def _load(reading: Reading, path: Path) -> Grid:
             values = flag_places[part.block].read(part.first, part.last)
             grid.block(part.block, array)[:, :, part.first : part.last] = values.T
 
-    grid.fill_planes(put, ranges_of(list(enumerate(grid.shapes))), *flags)
+    grid.fill_planes(put, ranges_of(list(enumerate(grid.shapes))))
     return grid
 
 
@@ -75,13 +75,11 @@ def write_binary(grid: Grid, path: Path, variant: Variant) -> None:
     places, flag_places = places_of(variant, grid.shapes, path, data)
     write_coordinates(grid, dict(enumerate(places)))
 
-    synchronous = across_machines()
-
     def put(part: Planes) -> None:
         chosen = grid.block(part.block)[:, :, part.first : part.last]
         flags = iblank_of(grid, part.block)
         values = np.ones(chosen.shape[:3]) if flags is None else flags[:, :, part.first : part.last]
-        flag_places[part.block].write(part.first, values.T, synchronous)
+        flag_places[part.block].write(part.first, values.T)
 
     if variant.iblank:
         for_ranges(put, list(enumerate(grid.shapes)))

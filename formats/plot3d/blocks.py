@@ -31,25 +31,16 @@ class Numbers(Protocol):
         """The next ``count`` numbers."""
         ...
 
-    def skip(self, dtype: np.dtype[Any], count: int) -> None:
-        """Skip the next ``count`` numbers."""
-        ...
-
 
 def assemble(reading: Reading, path: Path, numbers: Numbers) -> Grid:
     """Make the grid of a reading from the numbers of a text."""
     variant = reading.variant
     grid, flags = allocate(reading, path)
-    ahead = iter(range(grid.n_blocks))
 
     def put(index: int) -> None:
-        # Blocks that other processes read.
-        while (skipped := next(ahead)) != index:
-            numbers.skip(variant.real, variant.dimension * math.prod(grid.shapes[skipped]))
-            numbers.skip(variant.integer, variant.iblank * math.prod(grid.shapes[skipped]))
         _read_block(numbers, variant, grid.block(index), grid.block(index, flags[0]) if flags else None)
 
-    grid.fill(put, *flags)
+    grid.fill(put)
     return grid
 
 

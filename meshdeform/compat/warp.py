@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from meshdeform_core.errors import CaseError, GridError, MotionError
 from meshdeform_core.grid import FloatArray, Grid, IntArray
-from meshdeform_core.parallel import OneRank, Ranks, empty, sharing
+from meshdeform_core.parallel import OneRank, Ranks, sharing
 from meshdeform_core.wording import vector
 
 from ..grids.files import read, write
@@ -155,15 +154,9 @@ class Warp:
             if not step.valid:
                 first = step.invalid_cells[0] if step.invalid_cells else None
                 warnings.warn(f"the warped grid{where} is invalid: {step!r}; first {first}", stacklevel=3)
-        with sharing(self._ranks, None):
-            points: FloatArray = empty(self._grid.points.shape)
-        self._ranks.alter(points, partial(self._assemble, points))
-        self._points = points
-
-    def _assemble(self, points: FloatArray) -> None:
-        points[:] = self._grid.points
+        self._points = self._grid.points.copy()
         for component in self._components:
-            component.put(points)
+            component.put(self._points)
 
     def _require_still(self, whole: FloatArray) -> None:
         if not self._still.size:
@@ -185,11 +178,9 @@ class Warp:
         if own.shape != self.surface.shape:
             raise MotionError(f"dXs has {own.size} values; expected {self._surface.size}")
         whole = gathered(self._ranks, own)
-        with sharing(self._ranks, None):
-            moved: FloatArray = empty(self._grid.points.shape)
-        self._ranks.alter(moved, partial(moved.fill, 0.0))
+        moved = np.zeros_like(self._grid.points)
         for component in self._components:
-            self._ranks.alter(moved, partial(moved.__setitem__, component.rows, component.forward(whole)))
+            moved[component.rows] = component.forward(whole)
             self._tell_of(component)
         return moved[rows].ravel()
 

@@ -10,17 +10,16 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import GridError
 from ..numerics.arrays import FloatArray, IntArray, total
 from ..numerics.pieces import pieces
-from ..parallel import Part, Shared, divided, empty, for_items, of_all, on_each, own_rows, require_whole
+from ..parallel import Part, divided, empty, for_items, of_all, on_each, own_rows, require_whole
 from .dealing import in_parts
 from .lattice import SideLattice
 from .parts import Connection, Field, FileFormat, Patch, Planes, Shape
@@ -192,36 +191,24 @@ class Grid:
             high += shape[1] * shape[2] * (first < self.points.high < last)
         (self.points if values is None else values).widen(low, high)
 
-    def fill(self, put: Callable[[int], None], *others: NDArray[Any]) -> None:
-        """Call ``put(b)`` for every block, in ascending order; several ranks share the blocks.
-
-        ``put`` fills the block's rows of ``points`` and of the arrays ``others`` with one row per node. An exception on
-        one rank is raised on all.
-        """
+    def fill(self, put: Callable[[int], None]) -> None:
+        """Call ``put(b)``, which fills the block's rows of ``points``, for every block, in ascending order."""
         require_whole(self.points, "the grid is read as a whole")
-        whole = [Planes(block, 0, shape[2]) for block, shape in enumerate(self.shapes)]
-        self.fill_planes(lambda part: put(part.block), whole, *others, threads=1)
+        for block in range(self.n_blocks):
+            put(block)
 
-    def fill_planes(
-        self, put: Callable[[Planes], None], parts: Sequence[Planes], *others: NDArray[Any], threads: int | None = None
-    ) -> None:
-        """Like :meth:`fill`, for ranges of planes that together cover the grid; on ``threads``, by default all."""
+    def fill_planes(self, put: Callable[[Planes], None], parts: Sequence[Planes], threads: int | None = None) -> None:
+        """Like :meth:`fill`, for ranges of planes that together cover the grid; on ``threads``, by default all.
 
-        def rows(first: int, last: int) -> IntArray:
-            return np.concatenate([self._rows(part) for part in parts[first:last]])
-
+        Of a grid in parts, every rank fills its own; an error on one of them is raised on all.
+        """
+        own = [part for part in parts if self.planes(part.block).start < self.planes(part.block).stop]
+        fill = partial(for_items, lambda number: put(own[number]), len(own), threads=threads)
         if isinstance(self.points, Part):
-            own = [part for part in parts if self.planes(part.block).start < self.planes(part.block).stop]
-            on_each(lambda: for_items(lambda number: put(own[number]), len(own), [], threads=threads))
+            on_each(fill)
             self.points.keep(self.sides.near)
-            return
-        shared = [Shared(array, rows) for array in (self.points, *others)]
-        for_items(lambda number: put(parts[number]), len(parts), shared, threads=threads)
-
-    def _rows(self, part: Planes) -> IntArray:
-        ni, nj, nk = self.shapes[part.block]
-        lines = self.offsets[part.block] + nk * np.arange(ni * nj)
-        return np.asarray((lines[:, None] + np.arange(part.first, part.last)).ravel())
+        else:
+            fill()
 
     def moved(self, points: FloatArray) -> Grid:
         """The same grid with other coordinates."""

@@ -14,7 +14,7 @@ import numpy as np
 from ..errors import MotionError
 from ..grid import FloatArray, IntArray
 from ..numerics.rows import put_rows, spread_rows, take_rows
-from ..parallel import Part, alike, current_ranks, for_chunks, for_rows, own_rows, require_whole, rows_of
+from ..parallel import Part, alike, for_chunks, for_rows, own_rows, require_whole, rows_of
 from ..wording import vector
 from .base import Account, Interpolation, Mover, PreparedMethod, Problem, Progress
 from .periodic_steps import PreparedPeriodic, free_periodic, with_known_periodic
@@ -105,7 +105,7 @@ class PreparedComposite:
     def __init__(self, method: Composite, problem: Problem):
         self._problem = problem
         skeleton = method.filler.skeleton(problem) if method.filler else None
-        nodes = current_ranks().once(lambda: first_step_nodes(problem, skeleton))
+        nodes = first_step_nodes(problem, skeleton)
         self._mover = _mover(method.mover, problem, nodes)
         self._filler = method.filler.prepare(problem, skeleton) if method.filler and skeleton else None
         self._left_out = skeleton is not None and bool(skeleton.left_out)
@@ -155,7 +155,7 @@ class PreparedComposite:
         def work(lo: int, hi: int) -> None:
             spread_rows(face, number[lo:hi], nodes[lo:hi], rows)
 
-        for_chunks(work, end - begin, _NODES, common=[rows])
+        for_chunks(work, end - begin, _NODES)
 
 
 def check_displacement(displacement: FloatArray, n_sources: int) -> None:

@@ -17,7 +17,7 @@ from ..boundary.slip import Slip
 from ..grid import BoolArray, FloatArray, IntArray
 from ..numerics.arrays import lengths
 from ..numerics.geometry.surface import TriangleTree
-from ..parallel import alike, current_ranks, for_rows
+from ..parallel import alike, for_rows
 from .base import Account, Interpolation, PreparedMethod, Problem, Progress, Setting
 from .composite import Composite, Filler, PreparedComposite
 from .transfinite.tfi import TFI
@@ -126,7 +126,7 @@ class PreparedInGaps:
     @cached_property
     def _gap(self) -> FloatArray:
         """Distance (n_sources,) of every moving source from the nearest of the others, and of these from the former."""
-        return current_ranks().once(lambda: self._across(self._problem.source_points)[0])
+        return self._across(self._problem.source_points)[0]
 
     def _across(self, points: FloatArray, within: FloatArray | None = None) -> tuple[FloatArray, IntArray]:
         distance, other = np.empty(len(points)), np.empty(len(points), dtype=np.int64)

@@ -1,19 +1,8 @@
 """Distribution of loops over the threads of a process and over MPI ranks.
 
-The numba loops release the interpreter lock, so plain threads suffice within a process. Processes (MPI ranks) run the
-same program on the same data; loops that declare the arrays they fill are distributed among the ranks, and the results
-are exchanged afterwards, so that every rank continues with the same data.
-
-Large arrays made by :func:`empty` exist once per machine, in memory shared by its ranks. Three rules keep the ranks
-from seeing each other's unfinished work:
-
-1. Only loops that name the array (``shared`` or ``common`` of :func:`for_chunks`) and :meth:`Ranks.alter` write to it.
-   Code that all ranks run must not: ``+=`` would be applied once per rank.
-2. Of the rows that such a loop fills, a chunk reads only its own; the others are read before or after the loop.
-3. Before the first write and after the last one the ranks of the machine wait for each other. So no rank reads
-   unfinished data, and none overwrites data that another one, still in the code before the loop, reads.
-
-Memory is released when the last rank drops the array; ranks need not do that together.
+The numba loops release the interpreter lock, so plain threads suffice within a process. MPI ranks run the same program
+on the same data, or each on its part of a grid (:mod:`.parts`). Loops that declare the arrays they fill are distributed
+among the ranks, and the results are exchanged afterwards, so that every rank continues with the same data.
 """
 
 from __future__ import annotations
@@ -34,9 +23,6 @@ P = ParamSpec("P")
 Work = Callable[[int, int], object]
 Counter = Callable[[int, int], object]
 Bounds = tuple[int, int]
-
-# For smaller arrays the synchronisation of shared memory costs more than it saves.
-_SMALL = 1 << 20
 
 
 class Shared(NamedTuple):
@@ -90,7 +76,7 @@ def sharing(ranks: Ranks, threads: int | None) -> Iterator[None]:
 def dividing() -> Iterator[None]:
     """Within the block, grids that are read are in parts, if there are several ranks."""
     before = _sharing.get()
-    token = _sharing.set(Sharing(before.ranks.dividing(), before.threads, divided=before.ranks.count > 1))
+    token = _sharing.set(before._replace(divided=before.ranks.count > 1))
     try:
         yield
     finally:
@@ -102,10 +88,10 @@ def divided() -> bool:
     return _sharing.get().divided
 
 
-def alone() -> AbstractContextManager[None]:
-    """Share nothing within the block: for work that one rank does alone."""
+def alone(cores: int | None = None) -> AbstractContextManager[None]:
+    """Share nothing within the block: for work that one rank does alone, by default on its share of the cores."""
     ranks, threads, _ = _sharing.get()
-    return sharing(OneRank(ranks.cores), threads)
+    return sharing(OneRank(cores or ranks.cores), threads)
 
 
 def carried(action: Callable[P, T]) -> Callable[P, T]:
@@ -114,18 +100,11 @@ def carried(action: Callable[P, T]) -> Callable[P, T]:
 
 
 def empty(shape: Sequence[int], dtype: Any = "float64") -> Any:
-    """An uninitialised array; if large, shared by all ranks of a machine under the rules of this module, or in a file
-    (:mod:`.scratch`).
-
-    All ranks must call it, with the same shape.
-    """
+    """An uninitialised array, in a file (:mod:`.scratch`) if memory is limited."""
     import numpy as np
 
-    size, ranks = math.prod(shape) * np.dtype(dtype).itemsize, current_ranks()
-    scratch = current_scratch()
-    if scratch and ranks.count == 1 and scratch.takes(size):
-        return scratch.empty(shape, dtype)
-    return (ranks if size >= _SMALL else OneRank()).empty(shape, dtype)
+    size, scratch = math.prod(shape) * np.dtype(dtype).itemsize, current_scratch()
+    return scratch.empty(shape, dtype) if scratch and scratch.takes(size) else np.empty(shape, dtype)
 
 
 def thread_count() -> int:
@@ -140,13 +119,12 @@ def for_chunks(
     chunk: int,
     progress: Counter | None = None,
     shared: Sequence[Shared] | None = None,
-    common: Sequence[Any] = (),
     threads: int | None = None,
 ) -> None:
     """Call ``work(first, last)`` for consecutive chunks of ``range(size)``, spread over the threads.
 
     Chunks do not depend on the number of ranks. They are assigned to ranks round-robin, because neighbours cost alike,
-    and always in the same way for the same size and chunk. Without ``shared`` and ``common`` every rank does all.
+    and always in the same way for the same size and chunk. Without ``shared`` every rank does all.
 
     Parameters
     ----------
@@ -154,19 +132,14 @@ def for_chunks(
     chunk : items per call; small enough that the threads finish together
     progress : called with (items done, number of items) as chunks finish
     shared : all arrays that ``work`` fills and all ranks need: distributed among all ranks, the rows are exchanged
-    common : the same where computing costs less than sending: distributed only among the ranks that share the memory
-        of all these arrays
     threads : largest number of threads, for work that must not run concurrently
     """
     bounds = [(first, min(first + chunk, size)) for first in range(0, size, chunk)]
-    filled = [*(array for array, _ in shared or ()), *common]
     ranks = current_ranks()
-    number, count = ranks.group_of(common) if shared is None else (ranks.number, ranks.count)
-    ranks.begin(filled)
-    _on_threads(work, bounds[number::count], progress, threads or thread_count())
+    own = bounds if shared is None else bounds[ranks.number :: ranks.count]
+    _on_threads(work, own, progress, threads or thread_count())
     for array, rows in shared or ():
-        ranks.share(array, partial(_rows_of, rows, bounds, count))
-    ranks.finish(filled)
+        ranks.share(array, partial(_rows_of, rows, bounds, ranks.count))
 
 
 def _rows_of(rows: Callable[[int, int], Any], bounds: list[Bounds], count: int, rank: int) -> list[Any]:
@@ -176,11 +149,11 @@ def _rows_of(rows: Callable[[int, int], Any], bounds: list[Bounds], count: int, 
 def for_items(
     work: Callable[[int], object],
     count: int,
-    shared: Sequence[Shared],
+    shared: Sequence[Shared] | None = None,
     progress: Counter | None = None,
     threads: int | None = 1,
 ) -> None:
-    """Call ``work(n)`` for every n of ``range(count)``, ascending, distributed among all ranks.
+    """Call ``work(n)`` for every n of ``range(count)``, ascending, distributed among all ranks if they share arrays.
 
     One at a time, for large items that use the threads themselves, or none; or on ``threads`` (``None``: all), and then
     the loops of an item use no others. ``shared`` as for :func:`for_chunks`. An exception on one rank ends its items
@@ -201,9 +174,11 @@ def for_items(
             failures.append((number, error))
 
     for_chunks(attempt, count, 1, progress, shared, threads=threads)
-    if found := current_ranks().gather(failures):
+    if shared is not None:
+        failures = current_ranks().gather(failures)
+    if failures:
         # Raise the error that a single process would have met first.
-        raise min(found, key=lambda each: each[0])[1]
+        raise min(failures, key=lambda each: each[0])[1]
 
 
 def _on_threads(work: Work, bounds: list[Bounds], progress: Counter | None, limit: int) -> None:

@@ -1,19 +1,17 @@
-"""The ranks of an MPI communicator, and memory shared by those of one machine."""
+"""The ranks of an MPI communicator."""
 
 from __future__ import annotations
 
-import copy
 import math
-import mmap
 import os
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from itertools import accumulate
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from ..errors import MeshDeformError
 from .loops import alone
+from .ranks import usable_cores
 
 if TYPE_CHECKING:
     import numpy as np
@@ -26,21 +24,12 @@ _GRACE = 5.0
 _POLL = 0.002
 # Number of polls without a pause, some ten microseconds, before a waiting rank sleeps.
 _TRIES = 50
-# Alignment of arrays in bytes: a cache line.
-_LINE = 64
-
-
-class CommonMemory(mmap.mmap):
-    """Memory mapped by several processes of a machine; the ``base`` of arrays that lie in it."""
 
 
 class MPIRanks:
-    """The ranks of a communicator as the core sees them (:class:`meshdeform_core.parallel.Ranks`).
+    """The ranks of a communicator as the core sees them (:class:`meshdeform_core.parallel.Ranks`)."""
 
-    ``machines`` > 1 treats the ranks of this machine as if spread over several, to test exchange between machines.
-    """
-
-    def __init__(self, world: Comm, machines: int = 1):
+    def __init__(self, world: Comm):
         from mpi4py import MPI
 
         self._comm, self._end = world.Dup(), world.Dup()
@@ -51,123 +40,25 @@ class MPIRanks:
         usable = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set(range(os.cpu_count() or 1))
         every = set().union(*machine.allgather(usable))
         self.cores = max(1, min(len(usable), len(every) // machine.size))
-        self._machine = machine.Split(machine.rank * machines // machine.size)
         machine.Free()
-        # Shared arrays are exchanged between machines by the first rank of each.
-        leads = self._machine.rank == 0
-        self._leaders = world.Split(0 if leads else MPI.UNDEFINED)
-        self._leader_of = world.allgather(self._machine.bcast(self._leaders.rank if leads else None))
-        # Decided for all ranks together, even those alone on their machine: all must use the same way of sharing.
-        several = max(world.allgather(self._machine.size)) > 1
-        self.private = next(filter(None, world.allgather(self._why_private())), "") if several else ""
-        self._together = several and not self.private
-
-    def _why_private(self) -> str:
-        """Test shared memory: ranks in different containers, for instance, cannot see each other's files."""
-        word = self._machine.bcast(os.urandom(16))
-        try:
-            memory = self._map(len(word))
-        except (OSError, MeshDeformError) as error:
-            return str(error)
-        if self._machine.rank == 0:
-            memory[:] = word
-        self._machine.Barrier()
-        same = all(self._machine.allgather(memory[:] == word))
-        return "" if same else "the ranks of a machine do not see the same memory"
-
-    def _map(self, size: int) -> CommonMemory:
-        """New memory mapped by all ranks of the machine; freed when the last of them unmaps it or ends."""
-        name = self._from_first(self._machine, lambda: _memory_file(size))
-        failures = []
-        try:
-            memory = _mapped(name, size)
-        except OSError as error:
-            failures.append(error)
-        for failure in self._gather(self._machine, failures):
-            raise failure
-        if self._machine.rank == 0:
-            # The mapping keeps the memory alive; the descriptor is no longer needed.
-            os.close(int(name.rpartition("/")[2]))
-        return memory
-
-    def empty(self, shape: Sequence[int], dtype: Any) -> np.ndarray:
-        """An uninitialised array, shared by the ranks of the machine where possible."""
-        import numpy as np
-
-        if not self._together:
-            return np.empty(shape, dtype)
-        size = math.prod(shape) * np.dtype(dtype).itemsize
-        return np.ndarray(shape, dtype, buffer=self._map(max(size, 1)))
-
-    def group_of(self, arrays: Sequence[np.ndarray]) -> tuple[int, int]:
-        """Index of this rank among the ranks that share the memory of ``arrays``, and their number."""
-        together = bool(arrays) and all(_is_common(array) for array in arrays)
-        return (self._machine.rank, self._machine.size) if together else (0, 1)
-
-    def begin(self, arrays: Sequence[np.ndarray]) -> None:
-        """Wait until no rank of the machine reads the shared memory of ``arrays`` any more."""
-        self._meet(arrays)
-
-    def finish(self, arrays: Sequence[np.ndarray]) -> None:
-        """Wait until all ranks of the machine have written their part of ``arrays`` in shared memory."""
-        self._meet(arrays)
-
-    def _meet(self, arrays: Sequence[np.ndarray]) -> None:
-        if any(_is_common(array) for array in arrays):
-            _meet(self._machine)
 
     def share(self, array: np.ndarray, rows: Callable[[int], Sequence[Any]]) -> None:
-        """Send the rows of each rank to all that lack them, rank by rank: no buffer is larger than one rank's part."""
-        if not _is_common(array):
-            for number in range(self.count):
-                _send(self._comm, number, array, rows(number))
-        elif max(self._leader_of):
-            _meet(self._machine)
-            if self._machine.rank == 0:
-                for number, leader in enumerate(self._leader_of):
-                    _send(self._leaders, leader, array, rows(number))
-
-    def alter(self, array: np.ndarray, action: Callable[[], object]) -> None:
-        """Let ``action``, the same on all ranks, write to ``array``: once per copy of the array."""
-        self.begin([array])
-        if self._machine.rank == 0 or not _is_common(array):
-            action()
-        self.finish([array])
-
-    def once(self, make: Callable[[], T]) -> T:
-        """The result of ``make``, the same on all ranks: made once per machine, with large arrays in shared memory."""
-        if not self._together:
-            return make()
+        """Send the rows of each rank to all others, rank by rank: no buffer is larger than one rank's part."""
         import numpy as np
-        from mpi4py.MPI import pickle
 
-        buffers: list[Any] = []
-
-        def packed() -> tuple[bytes, list[int]]:
-            data, parts = pickle.dumps_oob(make())
-            buffers.extend(parts)
-            return data, [part.nbytes for part in parts]
-
-        data, sizes = self._from_first(self._machine, packed)
-        ends = list(accumulate((-(-size // _LINE) * _LINE for size in sizes), initial=0))
-        memory = self.empty([ends[-1]], np.uint8)
-        places = [memory[start : start + size] for start, size in zip(ends, sizes, strict=False)]
-
-        def unpack() -> None:
-            for place, buffer in zip(places, buffers, strict=True):
-                place[:] = np.frombuffer(buffer, np.uint8)
-
-        self.alter(memory, unpack)
-        return pickle.loads_oob(data, places)
+        for number in range(self.count):
+            if parts := rows(number):
+                at = np.concatenate(parts)
+                own = number == self.number
+                part = array[at] if own else np.empty((len(at), *array.shape[1:]), array.dtype)
+                self._comm.Bcast(part, root=number)
+                if not own:
+                    array[at] = part
 
     def gather(self, found: Sequence[T]) -> list[T]:
         """The (small) results of all ranks, in rank order."""
-        return self._gather(self._comm, found)
-
-    @staticmethod
-    def _gather(comm: Comm, found: Sequence[T]) -> list[T]:
-        _meet(comm)
-        return [each for own in comm.allgather(list(found)) for each in own]
+        self._meet()
+        return [each for own in self._comm.allgather(list(found)) for each in own]
 
     def collect(self, own: np.ndarray, counts: Sequence[int]) -> np.ndarray:
         """The rows of all ranks, ``counts`` of each, one after the other."""
@@ -175,45 +66,44 @@ class MPIRanks:
 
         found = np.empty((sum(counts), *own.shape[1:]), own.dtype)
         width = math.prod(own.shape[1:])
-        _meet(self._comm)
+        self._meet()
         self._comm.Allgatherv(np.ascontiguousarray(own), [found, [width * count for count in counts]])
         return found
 
     def swap(self, sends: Mapping[int, np.ndarray], receives: Mapping[int, np.ndarray]) -> None:
         """Send arrays to other ranks, by number, and fill those that they send; empty ones are left out."""
-        _meet(self._comm)
+        self._meet()
         requests = [self._comm.Irecv(array, source=number) for number, array in receives.items() if array.size]
         requests += [self._comm.Isend(array, dest=number) for number, array in sends.items() if array.size]
         for request in requests:
             request.Wait()
 
-    def dividing(self) -> MPIRanks:
-        """The same ranks without common memory: each holds its part of the grid."""
-        other = copy.copy(self)
-        other._together = False
-        return other
-
     def on_first(self, action: Callable[[], T]) -> T:
-        """Run ``action`` on the first rank only; all get its result or fail with it."""
-        return self._from_first(self._comm, action)
-
-    @staticmethod
-    def _from_first(comm: Comm, action: Callable[[], T]) -> T:
+        """Run ``action`` on the first rank only, with all cores that it may use, while the others wait; all get its
+        result or fail with it."""
         failure: Exception | None = None
         result: T | None = None
-        if comm.rank == 0:
+        if self.number == 0:
             try:
-                with alone():
+                with alone(usable_cores()):
                     result = action()
             except Exception as error:
                 failure = error
-        _meet(comm)
-        failed, result = comm.bcast((failure is not None, result))
+        self._meet()
+        failed, result = self._comm.bcast((failure is not None, result))
         if failure is not None:
             raise failure
         if failed:
             raise MeshDeformError("the first rank failed; its message says why")
         return result
+
+    def _meet(self) -> None:
+        """Barrier that sleeps after a while, because the rank that is late may need the core."""
+        arrived, tries = self._comm.Ibarrier(), 0
+        while not arrived.Test():
+            tries += 1
+            if tries > _TRIES:
+                time.sleep(min(1e-5 * (tries - _TRIES), _POLL))
 
     def conclude(self, code: int, messages: str, complete: bool) -> int:
         """Wait for the other ranks at the end and agree on the exit code.
@@ -240,48 +130,3 @@ class MPIRanks:
         if number and messages:
             sys.stderr.write(f"rank {number} of {self.count}: {messages}")
             sys.stderr.flush()
-
-
-def _meet(comm: Comm) -> None:
-    """Barrier that sleeps after a while, because the rank that is late may need the core."""
-    arrived, tries = comm.Ibarrier(), 0
-    while not arrived.Test():
-        tries += 1
-        if tries > _TRIES:
-            time.sleep(min(1e-5 * (tries - _TRIES), _POLL))
-
-
-def _memory_file(size: int) -> str:
-    """The name, for other processes, of a new anonymous file of ``size`` bytes in memory."""
-    if not hasattr(os, "memfd_create"):
-        raise OSError("shared memory requires Linux")
-    number = os.memfd_create("meshdeform")
-    os.truncate(number, size)
-    return f"/proc/{os.getpid()}/fd/{number}"
-
-
-def _mapped(name: str, size: int) -> CommonMemory:
-    number = os.open(name, os.O_RDWR)
-    try:
-        return CommonMemory(number, size)
-    finally:
-        os.close(number)
-
-
-def _is_common(array: Any) -> bool:
-    while hasattr(array, "base"):
-        array = array.base
-    return isinstance(array, CommonMemory)
-
-
-def _send(comm: Comm, root: int, array: np.ndarray, parts: Sequence[Any]) -> None:
-    """Copy the rows ``parts`` (index arrays) of ``array`` from one process to all others, in place."""
-    import numpy as np
-
-    if not parts:
-        return
-    at = np.concatenate(parts)
-    part = array[at] if comm.rank == root else np.empty((len(at), *array.shape[1:]), array.dtype)
-    comm.Bcast(part, root=root)
-    if comm.rank != root:
-        array[at] = part

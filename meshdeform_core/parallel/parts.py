@@ -235,7 +235,7 @@ def for_rows(fill: Callable[[slice], object], array: Any) -> None:
     if isinstance(array, Part):
         on_each(lambda: for_chunks(work, end - begin, _ROWS))
     else:
-        for_chunks(work, len(array), _ROWS, common=[array])
+        for_chunks(work, len(array), _ROWS)
 
 
 def check_rows(look: Callable[[slice], object], array: Any) -> None:

@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from ..grid import BoolArray, FloatArray
-from ..parallel import alone, current_ranks
+from ..parallel import current_ranks
 from .basis import Basis, Whole
 from .energy.elements import Penalty
 from .energy.onset import share_of, share_slopes
@@ -83,42 +83,39 @@ class _AtMinimum:
         given = plot.inside(change)
 
         def make() -> FloatArray:
-            with alone():
-                excess, _ = self._of_excess(given, np.zeros(self._cells))
-                shares = float(self._slopes[0] @ excess), self._slopes[1] * excess
-                force, _, _ = self._products(given, 0.0, *shares)
-                return plot.shift(self._spread(self._solved(-self._gathered(force))))
+            excess, _ = self._of_excess(given, np.zeros(self._cells))
+            shares = float(self._slopes[0] @ excess), self._slopes[1] * excess
+            force, _, _ = self._products(given, 0.0, *shares)
+            return plot.shift(self._spread(self._solved(-self._gathered(force))))
 
-        moved[plot.moved] += current_ranks().once(make)
+        moved[plot.moved] += current_ranks().on_first(make)
         return moved
 
     def pull(self, gradient: FloatArray) -> FloatArray:
         plot, pulled = self._plot, np.array(gradient)
 
         def make() -> FloatArray:
-            with alone():
-                own = np.zeros_like(self._x)
-                np.add.at(own, plot.at, gradient[plot.moved] @ plot.axes.T)
-                step = self._spread(self._solved(-self._gathered(own)))
-                found, share, between = self._products(step, 0.0, 0.0, np.zeros(self._cells))
-                _, rest = self._of_excess(step, share * self._slopes[0] + between * self._slopes[1])
-                return np.asarray((found + rest) @ plot.axes)
+            own = np.zeros_like(self._x)
+            np.add.at(own, plot.at, gradient[plot.moved] @ plot.axes.T)
+            step = self._spread(self._solved(-self._gathered(own)))
+            found, share, between = self._products(step, 0.0, 0.0, np.zeros(self._cells))
+            _, rest = self._of_excess(step, share * self._slopes[0] + between * self._slopes[1])
+            return np.asarray((found + rest) @ plot.axes)
 
-        pulled[plot.nodes] += current_ranks().once(make)
+        pulled[plot.nodes] += current_ranks().on_first(make)
         return pulled
 
     def settle(self, rounding: float) -> float:
         def make() -> FloatArray:
-            with alone():
-                for _ in range(_STEPS):
-                    self._fill()
-                    self._x = self._x + self._spread(self._solved(-self._whole.system.gradient.copy()))
-                    if not self._regular:
-                        return np.full_like(self._x, np.inf)
+            for _ in range(_STEPS):
+                self._fill()
+                self._x = self._x + self._spread(self._solved(-self._whole.system.gradient.copy()))
+                if not self._regular:
+                    return np.full_like(self._x, np.inf)
             return self._x
 
         before = self._x
-        self._x = current_ranks().once(make)
+        self._x = current_ranks().on_first(make)
         moved = np.maximum(np.abs(self._x - before).max(axis=1) - rounding, 0.0)
         return float((moved / self._whole.edges).max())
 

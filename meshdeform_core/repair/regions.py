@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..parallel import alone, current_ranks
+from ..parallel import current_ranks
 from .basis import Basis
 from .energy.elements import Penalty
 from .energy.newton import NewtonSystem
@@ -103,14 +103,13 @@ class Growth:
         weak = np.flatnonzero((now.verdict.failed != 0) | (now.verdict.ratio < limit))
 
         def make() -> Search | None:
-            with alone():
-                neighbourhood = self.basis.neighbourhood
-                free = neighbourhood.around(weak, layers)
-                if free.size in (0, done):
-                    return None
-                return self._untangle(neighbourhood.plot(free, way.even), now, way)
+            neighbourhood = self.basis.neighbourhood
+            free = neighbourhood.around(weak, layers)
+            if free.size in (0, done):
+                return None
+            return self._untangle(neighbourhood.plot(free, way.even), now, way)
 
-        return current_ranks().once(make)
+        return current_ranks().on_first(make)
 
     def _untangle(self, plot: Plot, now: Judged, way: Way) -> Search:
         start, region = plot.inside(now.points), plot.region

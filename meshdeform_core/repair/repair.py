@@ -14,7 +14,7 @@ import numpy as np
 
 from ..grid import FloatArray
 from ..memory import UNLIMITED, MemoryLimit
-from ..parallel import Part, alone, current_ranks, empty, for_rows, require_whole
+from ..parallel import Part, current_ranks, empty, for_rows, require_whole
 from ..quality.verdict.validity import Verdict, judge
 from .basis import Basis, Whole
 from .energy.newton import NewtonSystem
@@ -78,7 +78,7 @@ class Repairer:
             whole = self._whole(basis)
             return whole is not None and share_of(whole.plot.region.energy, whole.plot.inside(flat))[0] > 0.0
 
-        return current_ranks().once(weak)
+        return current_ranks().on_first(weak)
 
     def _surely_healthy(self, points: FloatArray) -> bool:
         """Whether cells in parts need no repair; all that is less clear takes the whole grid."""
@@ -152,10 +152,9 @@ class Repairer:
             whole = self._whole(self.basis)
             if whole is None:
                 return None
-            with alone():
-                return minimise(whole, start.points, polish, guess, self.progress, self.limit, close)
+            return minimise(whole, start.points, polish, guess, self.progress, self.limit, close)
 
-        found = current_ranks().once(make)
+        found = current_ranks().on_first(make)
         if found is None:
             return start, 0, False
         end = self._moved(start, found)
@@ -205,11 +204,7 @@ class Repairer:
     def _moved(self, now: Judged, found: Search) -> Judged:
         points: FloatArray = empty(now.points.shape)
         for_rows(lambda rows: np.copyto(points[rows], now.points[rows]), points)
-
-        def put() -> None:
-            points[found.moved] += found.shift
-
-        current_ranks().alter(points, put)
+        points[found.moved] += found.shift
         return Judged(points, judge(self.original, self.rounded(points)))
 
     def _record(self, start: Judged, end: Judged, steps: int, seconds: float) -> Repair:

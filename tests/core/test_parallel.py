@@ -1,17 +1,10 @@
-"""Chunks for threads and ranks, and arrays that ranks have in common; tests/cli/test_mpi.py does the same with MPI."""
+"""Chunks for threads and ranks; tests/cli/test_mpi.py does the same with MPI."""
 
-import os
-import signal
-import subprocess
-import sys
 import threading
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
-from grids import frame
-from pretended import UNTOUCHED, rank
 
 from meshdeform_core.grid import Grid
 from meshdeform_core.parallel import (
@@ -20,21 +13,25 @@ from meshdeform_core.parallel import (
     alone,
     carried,
     current_ranks,
-    empty,
     for_chunks,
     for_rows,
     set_threads,
     sharing,
     thread_count,
 )
-from meshdeform_core.parallel.mpi import _is_common, _mapped, _memory_file
 
-needs_linux = pytest.mark.skipif(not hasattr(os, "memfd_create"), reason="shared memory requires Linux")
+
+class Pretended(OneRank):
+    """Rank ``number`` of ``count``; nothing is exchanged."""
+
+    def __init__(self, number, count):
+        super().__init__(cores=1)
+        self.number, self.count, self.on_machine = number, count, count
 
 
 def chunks_of(number, count, **filled):
     found = []
-    with rank(number, count, []):
+    with sharing(Pretended(number, count), None):
         for_chunks(lambda lo, hi: found.append((lo, hi)), 10, 2, **filled)
     return sorted(found)
 
@@ -44,7 +41,6 @@ def test_a_process_alone_does_all_chunks():
     for_chunks(lambda lo, hi: done.append((lo, hi)), 10, 4)
     assert sorted(done) == [(0, 4), (4, 8), (8, 10)]
     assert OneRank().on_first(lambda: 7) == 7
-    assert OneRank().once(lambda: 8) == 8
     assert OneRank().gather([9]) == [9]
 
 
@@ -54,8 +50,6 @@ def test_what_all_need_is_dealt_out_and_the_rest_is_not():
         dealt = [chunks_of(number, 3, shared=shared) for number in range(3)]
         assert dealt == [[(0, 2), (6, 8)], [(2, 4), (8, 10)], [(4, 6)]]
     assert chunks_of(1, 3) == everything
-    # The pretended ranks cannot fill an array together without sending: each does all of it.
-    assert chunks_of(1, 3, common=[np.empty(10)]) == everything
 
 
 def test_work_that_must_not_run_at_the_same_time_does_not():
@@ -74,33 +68,11 @@ def test_rows_are_all_filled_once():
     assert (counts == 1).all()
 
 
-def test_only_large_arrays_are_in_common():
-    with rank(0, 2, arrays := [], small=1000):
-        empty([249], np.int32)
-        assert not arrays
-        assert empty([250], np.int32) is arrays[0]
-    assert arrays[0].dtype == np.int32
-    assert not _is_common(empty((1 << 18, 3))[5:])
-
-
 def test_what_the_first_rank_does_alone_meets_nobody():
-    with rank(0, 3, arrays := []):
+    with sharing(Pretended(0, 3), None):
         with alone():
             assert (current_ranks().count, current_ranks().cores) == (1, 1)
-            empty([3])
         assert current_ranks().count == 3
-    assert not arrays
-
-
-def test_grids_are_filled_by_all_ranks_together():
-    whole, arrays = frame(), []
-    for number in range(3):
-        with rank(number, 3, arrays):
-            grid = Grid.from_blocks([whole.block(b) for b in range(whole.n_blocks)])
-        for block in range(grid.n_blocks):
-            is_there = not (grid.block(block) == UNTOUCHED).any()
-            assert is_there == (block % 3 <= number)
-    np.testing.assert_array_equal(grid.points, whole.points)
 
 
 def test_a_block_that_cannot_be_filled_ends_the_filling():
@@ -114,47 +86,6 @@ def test_a_block_that_cannot_be_filled_ends_the_filling():
     with pytest.raises(OSError, match="made to fail"):
         grid.fill(put)
     assert called == [0, 1]
-
-
-HOLDER = """
-import sys, time
-from meshdeform_core.parallel.mpi import _mapped, _memory_file
-name = _memory_file(1000)
-memory = _mapped(name, 1000)
-memory[:5] = b"hello"
-print(name, flush=True)
-time.sleep(60)
-"""
-
-
-@needs_linux
-def test_common_memory_outlives_the_process_that_made_it_and_leaves_nothing_behind():
-    with subprocess.Popen([sys.executable, "-c", HOLDER], stdout=subprocess.PIPE, text=True) as holder:
-        try:
-            name = holder.stdout.readline().strip()
-            assert os.readlink(name).startswith("/memfd:")
-            memory = _mapped(name, 1000)
-            memory[5:7] = b" !"
-        finally:
-            holder.send_signal(signal.SIGKILL)
-    assert memory[:7] == b"hello !"
-    assert not Path(name).exists()
-
-
-@needs_linux
-def test_views_of_common_memory_are_known():
-    name = _memory_file(240)
-    array = np.ndarray((10, 3), buffer=_mapped(name, 240))
-    os.close(int(name.rpartition("/")[2]))
-    assert _is_common(array)
-    assert _is_common(array[2:].reshape(-1)[::2])
-    assert not _is_common(array + 1)
-
-
-@needs_linux
-def test_memory_that_cannot_be_found_is_an_error():
-    with pytest.raises(OSError, match="No such file"):
-        _mapped("/proc/self/fd/999999", 100)
 
 
 @pytest.mark.parametrize("threads", [1, 3])

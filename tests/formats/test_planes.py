@@ -1,9 +1,12 @@
-"""Ranges of planes and stretches of bytes, against plain lists."""
+"""Ranges of planes and stretches of bytes, against plain lists; files that are not there or too short."""
 
+import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from meshdeform_formats.planes import Stretches, ranges_of
+from meshdeform_core.errors import FormatError
+from meshdeform_formats.planes import Stored, Stretches, ranges_of
 
 SIDES = st.integers(1, 2000)
 
@@ -32,3 +35,15 @@ def test_ranges_are_all_planes_once(shapes):
         ni, nj, nk = shapes[block]
         assert last - first >= 8 or last == nk
         assert ni * nj * (last - first) <= max(1 << 18, 8 * ni * nj)
+
+
+def test_a_folder_that_a_rank_does_not_see(tmp_path):
+    place = Stored(tmp_path / "elsewhere" / "part.xyz", np.dtype(float), (1, 2), 0, 16)
+    with pytest.raises(FormatError, match=r"does not see .*part\.xyz, to which all ranks write; choose"):
+        place.write(0, np.zeros((1, 1, 2)))
+
+
+def test_a_file_that_is_cut_while_it_is_read(tmp_path):
+    (tmp_path / "grid.xyz").write_bytes(bytes(31))
+    with pytest.raises(FormatError, match=r"grid\.xyz ends before all of its coordinates"):
+        Stored(tmp_path / "grid.xyz", np.dtype(float), (1, 2), 0, 16).read(0, 2)

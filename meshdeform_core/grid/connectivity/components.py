@@ -13,7 +13,7 @@ import numpy as np
 from ...errors import CaseError, suggestion
 from ...numerics.arrays import BoolArray, FloatArray, IntArray
 from ...numerics.geometry.coincidence import coincident_groups, distinct, equal_rows
-from ...parallel import Shared, empty, for_items
+from ...parallel import empty
 from ...wording import listed
 from ..blocks import Grid
 from ..topology import RELATIVE_TOLERANCE, FaceQuads, Topology
@@ -110,14 +110,8 @@ def assembled(whole: Grid, parts: Sequence[tuple[Component, FloatArray]]) -> Flo
 def _copied(grid: Grid, block: Callable[[int], FloatArray]) -> FloatArray:
     """A new array (n_nodes, 3) filled with the values ``block(b)`` (ni, nj, nk, 3) of every block of a grid."""
     found: FloatArray = empty((grid.n_nodes, 3))
-
-    def put(number: int) -> None:
+    for number in range(grid.n_blocks):
         grid.block(number, found)[...] = block(number)
-
-    def rows(first: int, last: int) -> range:
-        return range(grid.offsets[first], grid.offsets[last])
-
-    for_items(put, grid.n_blocks, [Shared(found, rows)])
     return found
 
 

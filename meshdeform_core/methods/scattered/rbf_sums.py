@@ -107,4 +107,4 @@ class RadialSums:
             r = np.minimum(distance[lo:hi] / fit.reach, 1.0)
             out[flat[lo:hi]] += ((1 - r) ** 4 * (4 * r + 1))[:, None] * residual[nearest[lo:hi]]
 
-        for_chunks(work, len(flat), _CHUNK, common=[out])
+        for_chunks(work, len(flat), _CHUNK)

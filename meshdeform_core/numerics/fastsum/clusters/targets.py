@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ....parallel import current_ranks
 from ...arrays import FloatArray, IntArray, Shapes
 from .bricks import Bricks, Regions, build_bricks, make_regions, node_sizes
 
@@ -85,7 +84,7 @@ def make_targets(
 ) -> Targets:
     """Sort target nodes ``flat``, ascending, into bricks of about ``per_point`` times their interpolation points."""
     shapes, capacity = shape_table(shapes), per_point * order**3
-    return Targets(points, *current_ranks().once(lambda: _sorted(points, shapes, offsets, flat, order, capacity)))
+    return Targets(points, *_sorted(points, shapes, offsets, flat, order, capacity))
 
 
 def _sorted(

@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ....parallel import current_ranks
 from ...arrays import FloatArray, IntArray, Shapes
 from ..clusters.bricks import node_sizes
 from ..clusters.target_tree import TargetTree, build_target_tree
@@ -78,7 +77,7 @@ def make_radial_targets(
 ) -> RadialTargets:
     """Sort the target nodes ``flat`` of a grid."""
     shapes = shape_table(shapes)
-    return RadialTargets(points, *current_ranks().once(lambda: _sorted(points, shapes, offsets, flat)))
+    return RadialTargets(points, *_sorted(points, shapes, offsets, flat))
 
 
 def _sorted(
