@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import numpy as np
+import pytest
 from grids import frame
 
 from meshdeform_core.boundary import BoundarySpec, Kind, classify
@@ -35,6 +36,16 @@ ALL_METHODS: dict[str, Options] = {
     "idw-tfi": Options("idw-tfi"),
     "idw-tfi-cut": Options("idw-tfi", tfi=TFI(max_cells=2)),
 }
+
+REPEATED = {"rbf-wendland-c0", "rbf-ctps-c1", "rbf-ctps-c2a", "rbf-ctps-c2b"}
+"""Methods that differ from others by a formula only, which has tests of its own."""
+
+
+def every(names: Iterable[str], repeated: Iterable[str] = REPEATED) -> pytest.MarkDecorator:
+    """Runs a test with every method; with those that repeat others in the long test run only."""
+    return pytest.mark.parametrize(
+        "name", [pytest.param(name, marks=pytest.mark.slow if name in repeated else ()) for name in names]
+    )
 
 
 def constant(x: float, y: float, z: float) -> Motion:

@@ -9,10 +9,17 @@ from pathlib import Path
 for _library in ("OPENBLAS", "OMP", "MKL"):
     os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
 
-import pytest  # noqa: E402 (numpy reads the variables when it is loaded)
+import hypothesis  # noqa: E402 (numpy reads the variables when it is loaded)
+import pytest  # noqa: E402
 
 from meshdeform_cli.process import progress  # noqa: E402
 from meshdeform_formats.picture.drawing import figure  # noqa: E402
+
+# The same examples in every run, and no limits of time: a loaded machine is no reason to fail.
+hypothesis.settings.register_profile(
+    "repeatable", derandomize=True, deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow]
+)
+hypothesis.settings.load_profile("repeatable")
 
 
 @pytest.fixture(scope="session", autouse=True)

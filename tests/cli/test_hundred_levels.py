@@ -138,7 +138,12 @@ FAST = (*FEW, "-s", "method.idw.summation=fast")
 
 @pytest.mark.parametrize(
     ("method", "options"),
-    [("idw", FAST), ("idw-tfi", FAST), ("rbf-tfi", (*FEW, "-s", "method.rbf.solver=krylov")), ("tfi", FEW)],
+    [
+        pytest.param("idw", FAST, marks=pytest.mark.slow),
+        ("idw-tfi", FAST),
+        pytest.param("rbf-tfi", (*FEW, "-s", "method.rbf.solver=krylov"), marks=pytest.mark.slow),
+        ("tfi", FEW),
+    ],
 )
 def test_files_do_not_depend_on_memory_threads_or_interruption(folder, method, options, monkeypatch):
     def made(out: str, *more: str) -> dict[str, bytes]:

@@ -161,80 +161,110 @@ def on_a_terminal(code: str, **environment: str) -> tuple[str, int]:
     return seen.decode(errors="replace"), process.wait(timeout=30)
 
 
-SLOW = """
-import time
+DRAWN = """
+import math, os, threading
 from meshdeform_cli.process import progress
-progress.PATIENCE, progress.LOGGED = 0.2, {logged}
-with progress.ProgressBar({enabled}, compiles=False) as bar:
-    bar("fast", 0, 0)
-    for n in range(8):
-        bar("levels", n // 4, 2)
-        bar("idw", n, 8)
-        time.sleep(0.15)
-    with progress.writing(1000):
-        time.sleep(0.3)
+
+drawn, update = threading.Event(), progress.ProgressBar._update
+
+def updated(self, bar, tasks):
+    update(self, bar, tasks)
+    bar.refresh()
+    drawn.set()
+
+def shown(patience):
+    progress.PATIENCE = patience
+    # What is under way may have begun with the stage before.
+    for _ in range(2):
+        drawn.clear()
+        assert drawn.wait(60)
+
+progress.ProgressBar._update, progress._TICK, progress.LOGGED = updated, 0.001, 0.0
+for colour in ({}, {"NO_COLOR": "1"}):
+    os.environ |= colour
+    with progress.ProgressBar(compiles=False) as bar:
+        bar("idw", 2, 8)
+        shown(-1.0)
+        bar("fast", 0, 0)
+        shown(math.inf)
+        bar("levels", 1, 2)
+        bar("idw", 4, 8)
+        shown(-1.0)
+        with progress.writing(1000):
+            shown(-1.0)
+    os.write(2, b"|")
+with progress.ProgressBar(False, compiles=False) as bar:
+    bar("idw", 2, 8)
+    assert bar._display is None
 """
 
 
 def test_a_terminal_shows_stages_and_what_remains():
-    seen, code = on_a_terminal(SLOW.format(logged=0.1, enabled=True))
+    seen, code = on_a_terminal(DRAWN)
     assert code == 0
+    coloured, plain, quiet = seen.split("|")
     for words in ("idw", "levels", "write", "remaining", "50%", "0:00:0"):
-        assert words in seen
+        assert words in coloured
+        assert words in plain
     assert "fast" not in seen
-    assert "\x1b[38" in seen or "\x1b[1;3" in seen or "\x1b[3" in seen
+    assert re.search(r"\x1b\[[0-9;]*3[0-8][;0-9]*m", coloured)
+    assert not re.search(r"\x1b\[[0-9;]*3[0-8][;0-9]*m", plain)
     # The bar goes when all is done, and a terminal needs no summary.
-    assert seen.rstrip().endswith(("\x1b[?25h", "\x1b[2K")) or "\x1b[2K" in seen[-60:]
+    assert coloured.rstrip().endswith(("\x1b[?25h", "\x1b[2K")) or "\x1b[2K" in coloured[-60:]
     assert "meshdeform:" not in seen
+    assert quiet == ""
 
 
-def test_no_colour_where_none_is_wanted():
-    seen, _ = on_a_terminal(SLOW.format(logged=0.1, enabled=True), NO_COLOR="1")
-    assert "idw" in seen
-    assert not re.search(r"\x1b\[[0-9;]*3[0-8][;0-9]*m", seen)
+class Clock:
+    """In place of the module ``time``, and of the event that ends the display: waiting only sets the clock forward."""
+
+    def __init__(self, waits: int = 0):
+        self.now, self.waited, self._waits = 0.0, [], waits
+
+    def perf_counter(self) -> float:
+        return self.now
+
+    def wait(self, seconds: float) -> bool:
+        self.waited.append(seconds)
+        self.now += seconds
+        return len(self.waited) > self._waits
 
 
-def test_quiet_shows_nothing():
-    assert on_a_terminal(SLOW.format(logged=0.1, enabled=False)) == ("", 0)
+@pytest.mark.parametrize(
+    ("seconds", "logged", "lines"),
+    [
+        ({"fast": 0.04, "idw": 1.2, "write": 0.3}, 0.1, "meshdeform: idw 1.2 s, write 0.3 s\n"),
+        ({"fast": 0.04, "idw": 1.2, "write": 0.3}, 100.0, ""),
+        # Many short stages make a long run.
+        ({f"{name} {n}": 0.15 for n in range(4) for name in ("read", "apply")}, 1.0, "read 0.6 s, apply 0.6 s\n"),
+    ],
+)
+def test_a_log_has_one_line(seconds, logged, lines, monkeypatch, capsys):
+    clock = Clock()
+    monkeypatch.setattr(progress, "time", clock)
+    monkeypatch.setattr(progress, "LOGGED", logged)
+    with progress.ProgressBar(compiles=False) as bar:
+        for stage, spent in seconds.items():
+            bar(stage.split()[0], 0, 8)
+            clock.now += spent
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.removeprefix("meshdeform: ") == lines.removeprefix("meshdeform: ")
 
 
-def test_a_log_has_one_line():
-    done = subprocess.run(
-        [sys.executable, "-c", SLOW.format(logged=0.1, enabled=True)], capture_output=True, text=True, check=True
-    )
-    assert done.stdout == ""
-    assert re.fullmatch(r"meshdeform: idw \d\.\d s, write \d\.\d s\n", done.stderr)
-    # Many short stages make a long run.
-    stages = """
-import time
-from meshdeform_cli.process import progress
-with progress.ProgressBar(compiles=False) as bar:
-    for n in range(8):
-        bar("read" if n % 2 else "apply", n, 8)
-        time.sleep(0.15)
-"""
-    done = subprocess.run([sys.executable, "-c", stages], capture_output=True, text=True, check=True)
-    assert re.fullmatch(r"meshdeform: apply \d\.\d s, read \d\.\d s\n", done.stderr)
-    quick = SLOW.format(logged=100, enabled=True)
-    done = subprocess.run([sys.executable, "-c", quick], capture_output=True, text=True, check=True)
-    assert done.stderr == ""
-
-
-def test_long_work_tells_a_log_how_far_it_is():
+def test_long_work_tells_a_log_how_far_it_is(monkeypatch, capsys):
     """At intervals that grow with the time taken, but not without bound."""
-    told = SLOW.format(logged=100, enabled=True).replace("progress.PATIENCE", "progress.SELDOM, progress.PATIENCE")
-    told = told.replace("= 0.2,", "= 0.25, 0.2,")
-    done = subprocess.run([sys.executable, "-c", told], capture_output=True, text=True, check=True)
-    lines = done.stderr.splitlines()
-    assert re.fullmatch(r"meshdeform: 0 s, levels 0 of 2, idw \d of 8", lines[0])
-    # The next ones after .25, .25, .37 s and so on: some of eight stages of .15 s.
-    assert 2 <= len(lines) <= 8
-    assert (
-        subprocess.run(
-            [sys.executable, "-c", told.replace("True", "False")], capture_output=True, text=True, check=True
-        ).stderr
-        == ""
-    )
+    clock = Clock(waits=8)
+    monkeypatch.setattr(progress, "time", clock)
+    bar = progress.ProgressBar(compiles=False)
+    bar._over = clock
+    bar("levels", 0, 2)
+    bar("idw", 3, 8)
+    bar._log()
+    assert clock.waited == pytest.approx([10.0, 10.0, 10.0, 15.0, 22.5, 33.75, 50.625, 60.0, 60.0])
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 8
+    assert lines[:2] == [f"meshdeform: {n} s, levels 0 of 2, idw 3 of 8" for n in (10, 20)]
 
 
 @pytest.mark.skipif(not Path("/proc/self/io").exists(), reason="the system does not count bytes")

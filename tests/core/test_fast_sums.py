@@ -166,7 +166,7 @@ def test_node_sizes():
         np.testing.assert_allclose(here, shortest.ravel(), rtol=1e-14)
 
 
-@settings(max_examples=20, deadline=None, derandomize=True)
+@settings(max_examples=20)
 @given(st.integers(2, 900), st.integers(0, 2), st.integers(0, 10**6))
 def test_clusters_hold_their_sources_and_keep_their_charges(n, flat, seed):
     """Boxes contain their sources, and interpolation keeps the total and the first moment of the charges."""
@@ -207,8 +207,16 @@ def test_logarithm_and_exponential():
     np.testing.assert_allclose([log(v) for v in y], np.log(y), rtol=1e-15, atol=1e-15)
 
 
-@pytest.mark.parametrize("basis", ["tps", "wendland-c0", "wendland-c2", "ctps-c1", "ctps-c2a", "ctps-c2b"])
-@pytest.mark.parametrize("radius", [12.0, 2.5])
+# The radius of tps is of no effect; both kinds of compact bases are summed with a large and with a small one.
+@pytest.mark.parametrize(
+    ("basis", "radius"),
+    [
+        ("tps", 12.0), ("wendland-c0", 2.5), ("wendland-c2", 12.0), ("ctps-c1", 12.0), ("ctps-c2a", 12.0),
+        ("ctps-c2b", 2.5),
+        *(pytest.param(basis, 14.5 - radius, marks=pytest.mark.slow)
+          for basis, radius in (("wendland-c0", 2.5), ("wendland-c2", 12.0), ("ctps-c1", 12.0), ("ctps-c2b", 2.5))),
+    ],
+)  # fmt: skip
 def test_radial_sums(basis, radius, problem):
     """The same coefficients, once exactly and once fast, at nodes and at the centres themselves."""
     exact, fast = (

@@ -4,7 +4,7 @@ import functools
 
 import numpy as np
 import pytest
-from cases import ALL_METHODS, apply, body_specs, problem_of, turning
+from cases import ALL_METHODS, apply, body_specs, every, problem_of, turning
 from grids import frame, frame_2d, polar
 from scipy.spatial.transform import Rotation
 
@@ -40,7 +40,7 @@ def prepared(name):
     ]
 
 
-@pytest.mark.parametrize("name", TURNING)
+@every(TURNING)
 @pytest.mark.parametrize("angle", ANGLES)
 def test_rigid_motion_of_everything_is_reproduced(name, angle):
     for problem, method, axes in prepared(name):

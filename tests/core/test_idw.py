@@ -43,8 +43,17 @@ def told(problem):
     return prescribed_displacement(problem.grid, problem.topology, problem.boundary)[problem.source_numbers]
 
 
-@pytest.mark.parametrize("grid", [frame(3, 2), frame_2d(4)], ids=["3-d", "2-d"])
-@pytest.mark.parametrize("name", VARIANTS)
+# In space as in the plane.
+ALIKE = {"lie with mean", "lie by weights", "other exponents", "one round", "length", "smooth transition"}
+
+
+@pytest.mark.parametrize(
+    ("name", "grid"),
+    [
+        *((name, frame_2d(4)) for name in VARIANTS),
+        *(pytest.param(name, frame(3, 2), marks=pytest.mark.slow if name in ALIKE else ()) for name in VARIANTS),
+    ],
+)
 def test_slow_twin(name, grid):
     bend = body_specs(turning(25))[: 2 if grid.dimension == 3 else 1]
     problem = problem_of(grid, bend)

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from cases import ALL_METHODS, apply, body_specs, problem_of, turning
+from cases import ALL_METHODS, apply, body_specs, every, problem_of, turning
 from grids import back, frame, frame_2d, permuted, polar
 
 from meshdeform_core.boundary import Kind
@@ -14,7 +14,7 @@ from meshdeform_core.methods import make_method
 from meshdeform_core.parallel import OneRank
 from meshdeform_core.parallel import loops as parallel
 
-EVERY = pytest.mark.parametrize("name", ALL_METHODS)
+EVERY = every(ALL_METHODS)
 ROTATION = np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))[0]
 ROTATION *= np.sign(np.linalg.det(ROTATION))
 

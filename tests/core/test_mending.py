@@ -72,11 +72,15 @@ def test_without_boundary_entries_all_outside_nodes_stay():
     np.testing.assert_array_equal(mended.grid.points[nodes], points[nodes])
 
 
-def test_what_the_boundary_makes_impossible_is_said():
-    """Without a case the end planes stay, whose cells the motion has turned over."""
+def test_ends_of_a_grid_one_cell_thick_slide():
     grid, bad, _ = spoilt(1)
     mended = mend(bad.grid.moved(bad.grid.points), grid, Case((), repair=RepairOptions()))
-    assert mended.assessment.valid, "ends of a grid one cell thick slide"
+    assert mended.assessment.valid
+
+
+@pytest.mark.slow
+def test_what_the_boundary_makes_impossible_is_said():
+    """Without a case the end planes stay, whose cells the motion has turned over."""
     thick, bad, _ = spoilt(2, size=4)
     mended = mend(bad.grid, thick, Case(()))
     assert not mended.assessment.valid

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from cases import ALL_METHODS, INNER, apply, formulas, problem_of, turning
+from cases import ALL_METHODS, INNER, apply, every, formulas, problem_of, turning
 from grids import block_around, frame, polar, stretched
 
 from meshdeform_core.boundary import BoundarySpec, Kind
@@ -13,7 +13,7 @@ from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import Grid
 from meshdeform_core.repair import RepairOptions
 
-EVERY = pytest.mark.parametrize("name", ALL_METHODS)
+EVERY = every(ALL_METHODS)
 XYZ = {"x", "y", "z"}
 SPAN = BoundarySpec("span", ("*.kmin", "*.kmax"), Kind.SLIP)
 WALL = ("block2.imax", "block4.jmax", "block5.jmin", "block7.imin")
@@ -44,7 +44,7 @@ def test_offset_costs_the_round_off_of_the_coordinates(name):
         assert np.abs(displaced(away, name, motion) - here).max() < np.spacing(distance)
 
 
-@pytest.mark.parametrize("name", sorted(ALL_METHODS.keys() - ABOUT_ORIGIN))
+@every(sorted(ALL_METHODS.keys() - ABOUT_ORIGIN))
 def test_offset_of_a_rotating_body(name):
     """The position of its axis is rounded too, and the angle is found from rounded nodes."""
     grid = frame()
@@ -93,7 +93,7 @@ def split(grid: Grid, block: int, axis: int, at: int) -> Grid:
     return Grid.from_blocks([*blocks, np.ascontiguousarray(two)])
 
 
-@pytest.mark.parametrize("name", sorted(ALL_METHODS.keys() - BY_BLOCKS))
+@every(sorted(ALL_METHODS.keys() - BY_BLOCKS))
 def test_split_blocks_do_not_matter(name):
     grid = frame()
     specs = [

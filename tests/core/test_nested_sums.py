@@ -165,6 +165,7 @@ def test_little_memory_is_refused_and_changes_no_sums(nested):
         solved(100 * points, "wendland-c2", 5.0, limit=KrylovSolver.memory(3000) + 10_000)
 
 
+@pytest.mark.slow
 def test_solutions_do_not_depend_on_those_before(nested, monkeypatch):
     """The first of them makes products finer, which the others must not profit from."""
     monkeypatch.setattr(products, "_FINER", 1e3)

@@ -3,8 +3,7 @@
 from collections.abc import Callable
 
 import numpy as np
-import pytest
-from cases import ALL_METHODS, apply, everything_moves, problem_of
+from cases import ALL_METHODS, apply, every, everything_moves, problem_of
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 from random_grids import BlockGrid, block_grids
@@ -12,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from meshdeform_core.methods import Problem
 
-EVERY = pytest.mark.parametrize("name", ALL_METHODS)
+EVERY = every(ALL_METHODS)
 # Few and always the same examples, no search for smaller ones: bounded in time also when it fails.
 FEW = settings(
     max_examples=6,
@@ -64,7 +63,7 @@ def test_translations_are_reproduced(name, drawn, shift):
     assert np.abs(moved - shift).max() < 1e-10
 
 
-@pytest.mark.parametrize("name", RIGID)
+@every(RIGID)
 @FEW
 @given(data=st.data(), axis=st.tuples(*[st.floats(-1, 1)] * 3), shift=st.tuples(*[st.floats(-2, 2)] * 3))
 def test_rigid_motions_are_reproduced(name, data, axis, shift):
@@ -73,7 +72,7 @@ def test_rigid_motions_are_reproduced(name, data, axis, shift):
     assert np.abs(moved - motion(problem.grid.points)).max() < 1e-9
 
 
-@pytest.mark.parametrize("name", LINEAR)
+@every(LINEAR)
 @FEW
 @given(data=st.data(), entries=st.lists(st.floats(-0.5, 0.5), min_size=9, max_size=9))
 def test_linear_motions_are_reproduced(name, data, entries):

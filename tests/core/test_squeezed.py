@@ -62,6 +62,7 @@ def test_cells_that_are_all_stretched_alike_are_healthy_among_each_other(dimensi
     assert among_others(plot.region.energy, 0.4 * start) is None
 
 
+@pytest.mark.slow
 def test_folds_in_a_throat_open_within_a_few_steps():
     setup = throat(0.03)
     plain = impose(setup.with_repair("off"), setup.motion(0.0), 1, "float64", Timing())

@@ -261,7 +261,7 @@ def grid_or_message(path: Path) -> Grid | str:
         return str(error)
 
 
-@settings(max_examples=300, deadline=None, derandomize=True)
+@settings(max_examples=300)
 @given(
     which=st.integers(0, 1),
     changes=st.lists(st.tuples(st.floats(0, 1, exclude_max=True), st.integers(0, 255)), min_size=1, max_size=6),
@@ -274,7 +274,7 @@ def test_random_damage_ends_in_a_clear_error_or_a_grid(originals, scratch, which
     assert grid_or_message(scratch)
 
 
-@settings(max_examples=200, deadline=None, derandomize=True)
+@settings(max_examples=200)
 @given(
     which=st.integers(0, 1),
     node=st.integers(0, 200),

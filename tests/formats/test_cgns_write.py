@@ -182,7 +182,7 @@ def test_writing_over_the_source(tmp_path):
     assert [entry[:2] for entry in listing(source)] == [entry[:2] for entry in before]
 
 
-@settings(max_examples=25, deadline=None, derandomize=True)
+@settings(max_examples=25)
 @given(
     shapes=st.lists(st.tuples(st.integers(2, 4), st.integers(2, 4), st.integers(2, 5)), min_size=1, max_size=3),
     dtype=st.sampled_from(["f4", "f8"]),

@@ -309,7 +309,7 @@ def test_a_structured_surface_with_components(tmp_path):
 finite = st.floats(allow_nan=False, allow_infinity=False, width=64)
 
 
-@settings(max_examples=30, deadline=None, derandomize=True)
+@settings(max_examples=30)
 @given(rows=npst.arrays(float, st.tuples(st.integers(1, 6), st.just(6)), elements=finite, fill=st.nothing()))
 @pytest.mark.parametrize("suffix", [".csv", ".npz"])
 def test_write_and_read(tmp_path_factory, suffix, rows):

@@ -120,10 +120,19 @@ EXPORTS = (
     (".vtu", {}), (".vtu", {"boundary": "true"}), (".su2", {}), (".msh", {}), (".msh", {"encoding": "ascii"}),
     (".msh", {"version": "4.1"}), (".inp", {}), (".xdmf", {}), (".med", {}),
 )  # fmt: skip
+FEW = ("backstep5_4levdn.p3dbin", "shear_3blk_2d.p2dfmt")
 
 
-@EACH
-@pytest.mark.parametrize(("suffix", "options"), EXPORTS, ids=str)
+# Every format with a grid of several blocks and with one in the plane, every grid in one format.
+@pytest.mark.parametrize(
+    ("name", "suffix", "options"),
+    [
+        pytest.param(name, *export, marks=() if name in FEW or export == (".vtu", {}) else pytest.mark.slow)
+        for name in NAMES
+        for export in EXPORTS
+    ],
+    ids=str,
+)
 def test_unstructured_export_holds_every_cell_and_point(name, suffix, options, third_party, tmp_path):
     """Read back by meshio: as many cells as the blocks have, at the oracle's points, each once."""
     grid = read_grid(third_party / name)

@@ -85,21 +85,21 @@ def written_and_read(grid, path, options):
     return again
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=40)
 @given(grid=grids(), options=XML_OPTIONS)
 def test_vts_round_trip(tmp_path_factory, grid, options):
     again = written_and_read(grid, tmp_path_factory.mktemp("vts") / "grid.vts", options)
     assert options.items() <= {**again.format.options, "precision": again.precision}.items()
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=40)
 @given(grid=grids(), options=LEGACY_OPTIONS)
 def test_legacy_round_trip(tmp_path_factory, grid, options):
     again = written_and_read(grid, tmp_path_factory.mktemp("vtk") / "grid.vtk", options)
     assert again.format.options == {"kind": "legacy", "encoding": options["encoding"]}
 
 
-@settings(max_examples=20, deadline=None, derandomize=True)
+@settings(max_examples=20)
 @given(grid=grids(n_blocks=3))
 def test_vtm_round_trip(tmp_path_factory, grid):
     path = tmp_path_factory.mktemp("vtm") / "grid.vtm"

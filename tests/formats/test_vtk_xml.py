@@ -512,7 +512,7 @@ def test_a_surface_of_vtk_in_every_encoding(tmp_path):
         assert data.triangles.tolist() == [[0, 1, 2], [1, 2, 3], [1, 3, 4]]
 
 
-@settings(max_examples=150, deadline=None, derandomize=True)
+@settings(max_examples=150)
 @given(data=st.data())
 def test_damage_is_refused_or_harmless(tmp_path_factory, data):
     """Whatever is read of a damaged file has finite coordinates and the shape that its extent says."""

@@ -61,8 +61,8 @@ def limited(sample: Callable[[int], tuple[str, str]], number: int, limit: float 
     # clocks strike again, for what swallows an exception; what never returns to Python is ended with its process.
     for clock in (signal.SIGPROF, signal.SIGALRM):
         signal.signal(clock, too_long)
-    signal.setitimer(signal.ITIMER_PROF, limit, 1.0)
-    signal.setitimer(signal.ITIMER_REAL, 10 * limit, 1.0)
+    signal.setitimer(signal.ITIMER_PROF, limit, min(limit, 1.0))
+    signal.setitimer(signal.ITIMER_REAL, 10 * limit, min(limit, 1.0))
     faulthandler.dump_traceback_later(20 * limit, exit=True)
     try:
         return sample(number)

@@ -50,7 +50,7 @@ def test_a_hang_is_wrong_and_never_refused(hang, place, tmp_path, monkeypatch):
 
     assert limited(sample, 0)[1] == "ok"
     with mock.patch(place, hang):
-        _, result = limited(sample, 0, 0.2)
+        _, result = limited(sample, 0, 0.05)
     assert result.startswith("TooLong"), result
     assert signal.getitimer(signal.ITIMER_PROF) == (0.0, 0.0)
     assert "| judge | 1 | 0 | 0 | 1 |" in table([(0, "judge", result)], 1)

@@ -83,8 +83,9 @@ def page_figure(page: Page, width: float = _WIDTH, dpi: int = 150, fine: int = F
         figure = Figure(figsize=_size(page, width), layout=layout)
         FigureCanvasAgg(figure)
         axes = _frames(figure, page)
-        figure.canvas.draw()
-        figure.set_layout_engine("none")
+        # The layout alone, without drawing; `None` also keeps `savefig` from laying out once more.
+        layout.execute(figure)
+        figure.set_layout_engine(None)
         for ax, panel in zip(axes, page.panels, strict=True):
             _fill(ax, panel, fine, vector)
         return figure
