@@ -2,7 +2,7 @@
 
 python benchmarks/run.py                                  tables on stdout
 python benchmarks/run.py --quick --only idw
-python benchmarks/run.py --write docs/performance.md      the page with all tables
+python benchmarks/run.py --write docs/performance.md      and into the page, between its marks
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from __future__ import annotations
 import argparse
 import json
 import resource
-import string
 import sys
 import time
 from collections.abc import Callable
@@ -26,7 +25,6 @@ import rbf
 import runs
 from tables import MarkdownTable
 
-TEMPLATE = Path(__file__).parent / "performance.md"
 SECTIONS: dict[str, tuple[Callable[[bool], MarkdownTable], ...]] = {
     "machine": (lambda quick: machine.description(), lambda quick: machine.limits()),
     "loop": (idw.exact_loop,),
@@ -41,7 +39,7 @@ SECTIONS: dict[str, tuple[Callable[[bool], MarkdownTable], ...]] = {
     "ranks": (runs.ranks,),
     "start": (runs.start_up,),
 }
-"""What ``--only`` accepts; the names of the places in the template."""
+"""What ``--only`` accepts; the names of the marks in the page."""
 
 
 def measure(names: list[str], quick: bool) -> tuple[dict[str, list[MarkdownTable]], MarkdownTable]:
@@ -69,14 +67,15 @@ def _cpu_seconds() -> float:
     return sum(usage.ru_utime + usage.ru_stime for usage in usages)
 
 
-def page(results: dict[str, list[MarkdownTable]], quick: bool) -> str:
-    """The documentation page: the template with the tables in their places."""
-    texts = {name: "\n".join(table.markdown() for table in tables).rstrip() for name, tables in results.items()}
-    unmeasured = dict.fromkeys(SECTIONS, "*Not measured in this run.*")
-    remark = "\nThese are the small sizes of `--quick`, not the ones to quote.\n" if quick else ""
-    template = string.Template(TEMPLATE.read_text(encoding="utf-8"))
-    whole = template.substitute(unmeasured | texts, date=time.strftime("%Y-%m-%d"), remark=remark)
-    return whole.rstrip() + "\n"
+def renewed(page: str, results: dict[str, list[MarkdownTable]]) -> str:
+    """The page with the tables of the measured sections, with today's date, in place of what its marks enclose."""
+    for name, tables in results.items():
+        begin, end = f"<!-- run.py {name} begin -->\n", f"<!-- run.py {name} end -->"
+        if begin in page:
+            before, rest = page.split(begin)
+            texts = [*(table.markdown() for table in tables), f"*Measured on {time.strftime('%Y-%m-%d')}.*\n"]
+            page = before + begin + "\n".join(texts) + end + rest.split(end)[1]
+    return page
 
 
 def main() -> None:
@@ -85,15 +84,18 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="small sizes: under two minutes")
     parser.add_argument("--only", action="append", choices=SECTIONS, metavar="NAME", help=f"{', '.join(SECTIONS)}")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the tables as JSON")
-    parser.add_argument("--write", type=Path, metavar="PAGE", help="write the page with all tables")
+    parser.add_argument("--write", type=Path, metavar="PAGE", help="renew the tables of the page")
     options = parser.parse_args()
+    if options.quick and options.write:
+        parser.error("the page has no tables of small sizes")
     results, times = measure(options.only or list(SECTIONS), options.quick)
     print(times.markdown())
     if options.json:
         record = {name: [table.as_json() for table in tables] for name, tables in results.items()}
         options.json.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
     if options.write:
-        options.write.write_text(page(results, options.quick), encoding="utf-8")
+        page = options.write.read_text(encoding="utf-8")
+        options.write.write_text(renewed(page, results), encoding="utf-8")
 
 
 if __name__ == "__main__":

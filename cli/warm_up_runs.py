@@ -2,24 +2,32 @@
 
 from __future__ import annotations
 
+import signal
 import warnings
 from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from functools import partial
+from multiprocessing import active_children, get_context
 from typing import Any
 
 import numpy as np
 
 from meshdeform_core.deform import Case, Result, deform, set_up
+from meshdeform_core.errors import MeshDeformError
 from meshdeform_core.grid import Grid
 from meshdeform_core.methods import IDW, RBF, Options, Progress, make_method, prepare_method
 from meshdeform_core.methods.derivative import StepsDerivative, derivative_of
 from meshdeform_core.numerics.exact.basis import BASES
 from meshdeform_core.numerics.fastsum.radial.nested import NestedSums
+from meshdeform_core.numerics.jit import compiled_loops
+from meshdeform_core.parallel.ranks import usable_cores
+from meshdeform_core.repair import RepairOptions
 from meshdeform_core.repair.derivative import derivative_of_repair
 from meshdeform_core.series import Schedule, deform_series
 from meshdeform_formats.case import case_of
 from meshdeform_formats.fields import ALL, with_fields
-from meshdeform_formats.report.illustrations import deformation_figures
+from meshdeform_formats.picture import Pair, page_png, quality_planes
 from meshdeform_samples import case_content, generate
 
 from .work import cells_of
@@ -27,66 +35,77 @@ from .work import cells_of
 _FAST_IDW, _FAST_RBF = IDW(summation="fast"), RBF(summation="fast", solver="krylov")
 
 
-def options() -> Iterator[tuple[str, int, Options]]:
-    """Sample, size and method of the runs that deform a sample."""
-    for sample, size in (("hemisphere", 8), ("square", 11)):
-        yield from ((sample, size, Options(name)) for name in ("tfi", "idw-tfi", "rbf-tfi", "idw-rbf"))
-    for rotation in ("none", "quaternion", "blend"):
-        yield "hemisphere", 8, Options("idw", idw=IDW(rotation=rotation, summation="exact"))
-    yield "hemisphere", 8, Options("idw", idw=IDW(summation="fast"))
-    yield "hemisphere", 8, Options("rbf", rbf=RBF(basis="wendland-c2", radius=1.0, greedy="single"))
-    yield "hemisphere", 8, Options("rbf", rbf=_FAST_RBF)
-    yield "hemisphere", 8, Options("rbf", rbf=RBF(basis="wendland-c2", radius=0.1, solver="krylov"))
-    yield "cascade", 16, Options("idw-tfi")
-    # Sub-blocks with curved grid lines.
-    yield "airfoil", 33, Options("idw-tfi")
-    yield "splitter-plate", 8, Options("idw-tfi", idw=_FAST_IDW)
-
-
 def runs() -> Iterator[Callable[[], object]]:
-    """The functions to call, in this order."""
-    yield from (partial(_deformed, *each) for each in options())
-    # A table with triangles.
-    yield partial(_deformed, "wing", 8, Options("idw-tfi"))
-    # A plane grid to repair, and a boundary that crosses itself.
-    yield partial(_deformed, "splitter-plate", 8, Options("tfi"), angle=40.0)
-    yield partial(_deformed, "splitter-plate", 8, Options("tfi"), amplitude=200.0)
-    yield partial(_series, "splitter-plate", 8, Options("tfi"))
+    """The functions to call; none is there that adds no loop to the others.
+
+    Two processes take them in this order: the long ones come first, and neighbours have few loops in common.
+    """
+    yield partial(_deformed, "hemisphere", 8, Options("tfi"))
+    yield _nested_sums
+    yield partial(_repair_derivatives, "hemisphere", 8, Options("tfi"), amplitude=0.045)
+    yield partial(_deformed, "hemisphere", 8, Options("idw", idw=_FAST_IDW))
+    yield partial(_derivatives, "cascade", 16, Options("rbf", rbf=_FAST_RBF))
+    yield partial(_deformed, "hemisphere", 8, Options("idw-tfi"))
+    yield partial(_series, "splitter-plate", 8, Options("idw-tfi", idw=_FAST_IDW))
+    yield partial(_repair_derivatives, "cascade", 8, Options("tfi"), angle=60.0)
+    yield partial(_derivatives, "hemisphere", 8, Options("idw", idw=IDW(rotation="quaternion", summation="fast")))
+    yield partial(_pictures, "hemisphere", 8, Options("tfi"))
+    # Sub-blocks with curved grid lines.
+    yield partial(_derivatives, "airfoil", 33, Options("idw-tfi"))
+    yield partial(_step_derivatives, "hemisphere", 8, Options("idw-tfi"))
+    for rotation in ("none", "quaternion", "blend"):
+        yield partial(_deformed, "hemisphere", 8, Options("idw", idw=IDW(rotation=rotation, summation="exact")))
+    yield partial(_deformed, "hemisphere", 8, Options("rbf-tfi"))
+    yield partial(_deformed, "hemisphere", 8, Options("rbf", rbf=RBF(basis="wendland-c2", radius=1.0, greedy="single")))
+    yield partial(_deformed, "airfoil", 33, Options("idw-tfi"))
     yield partial(_series, "square", 11, Options("tfi"))
     yield partial(_derivatives, "hemisphere", 8, Options("tfi"))
-    yield partial(_derivatives, "airfoil", 33, Options("idw-tfi"))
-    yield partial(_derivatives, "hemisphere", 8, Options("idw", idw=IDW(rotation="quaternion", summation="fast")))
-    yield partial(_derivatives, "cascade", 16, Options("rbf", rbf=_FAST_RBF))
-    yield partial(_step_derivatives, "hemisphere", 8, Options("idw-tfi"))
-    yield partial(_step_derivatives, "airfoil", 33, Options("idw-tfi"))
-    yield partial(_step_derivatives, "square", 11, Options("tfi"))
-    yield partial(_step_derivatives, "hemisphere", 8, Options("idw", idw=IDW(rotation="quaternion")))
-    yield partial(_repair_derivatives, "splitter-plate", 8, Options("tfi"), angle=40.0)
-    yield partial(_repair_derivatives, "hemisphere", 8, Options("tfi"), amplitude=0.045)
-    yield partial(_pictures, "hemisphere", 8, Options("tfi"))
-    yield _nested_sums
 
 
-def run_everything(progress: Progress) -> None:
-    """Call all of :func:`runs` and discard the results."""
-    done = list(runs())
-    for number, each in enumerate(done):
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            each()
-        progress("warm-up", number + 1, len(done))
+def run_everything(progress: Progress) -> int:
+    """Call all of :func:`runs` in up to two processes and discard the results; returns how many loops they compiled.
+
+    numba compiles under one lock, hence processes instead of threads. With more than two, most would compile what
+    another one is compiling already.
+    """
+    calls, loops = list(runs()), 0
+    pool = ProcessPoolExecutor(
+        min(2, usable_cores()), get_context("spawn"), signal.signal, (signal.SIGINT, signal.SIG_DFL)
+    )
+    try:
+        for number, done in enumerate(as_completed([pool.submit(_loops_of, call) for call in calls])):
+            loops += done.result()
+            progress("warm-up", number + 1, len(calls))
+    except BrokenProcessPool as error:
+        raise MeshDeformError("a process that compiled loops was killed, perhaps for lack of memory") from error
+    except BaseException:
+        for process in active_children():
+            process.terminate()
+        raise
+    finally:
+        pool.shutdown(cancel_futures=True)
+    return loops
 
 
-def _sample(name: str, size: int, method: Options, **constants: float) -> tuple[Grid, Case]:
+def _loops_of(call: Callable[[], object]) -> int:
+    """The number of loops that a call compiles."""
+    before = compiled_loops()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        call()
+    return compiled_loops() - before
+
+
+def _sample(name: str, size: int, method: Options, repair: str = "auto", **constants: float) -> tuple[Grid, Case]:
     grid, tables = generate(name, size)
     content: dict[str, Any] = case_content(name, tables)
     content["constants"] = {**content.get("constants", {}), **constants}
     case = case_of(content).case
-    return grid, Case(case.boundaries, case.constants, method)
+    return grid, Case(case.boundaries, case.constants, method, repair=RepairOptions(repair))
 
 
-def _deformed(name: str, size: int, method: Options, **constants: float) -> Result:
-    return deform(*_sample(name, size, method, **constants), time=2.5e-4)
+def _deformed(name: str, size: int, method: Options, repair: str = "off", **constants: float) -> Result:
+    return deform(*_sample(name, size, method, repair, **constants), time=2.5e-4)
 
 
 def _derivatives(name: str, size: int, method: Options) -> None:
@@ -105,7 +124,7 @@ def _step_derivatives(name: str, size: int, method: Options) -> None:
 
 
 def _repair_derivatives(name: str, size: int, method: Options, **constants: float) -> None:
-    result = _deformed(name, size, method, **constants)
+    result = _deformed(name, size, method, "auto", **constants)
     points = result.grid.points
     derivative = derivative_of_repair(result.setup.undeformed.repairs, points, points, polish=False)
     if derivative:
@@ -122,7 +141,8 @@ def _series(name: str, size: int, method: Options) -> None:
 def _pictures(name: str, size: int, method: Options) -> None:
     result = _deformed(name, size, method)
     with_fields(cells_of(result.setup, result.grid), [ALL])
-    deformation_figures(result)
+    setup = result.setup
+    page_png(quality_planes(Pair(setup.grid, result.grid, setup.topology, original=setup.original))[1], dpi=10)
 
 
 def _nested_sums() -> None:

@@ -14,6 +14,9 @@ pytestmark = pytest.mark.skipif(not FOLDER.is_dir(), reason="the studies are not
 def study(monkeypatch, capsys):
     """``study(name, *arguments)``: what the program prints."""
     monkeypatch.syspath_prepend(FOLDER)
+    # Its modules are scripts, whose names others have, too.
+    for name in [path.stem for path in FOLDER.glob("*.py")]:
+        monkeypatch.delitem(sys.modules, name, raising=False)
 
     def told(name: str, *arguments: object) -> str:
         monkeypatch.setattr(sys, "argv", [str(FOLDER / f"{name}.py"), *map(str, arguments)])

@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+from functools import partial
 
 import pytest
 
@@ -108,7 +109,21 @@ def _refuse(*_):
     raise OSError(28, "No space left on device")
 
 
-def test_warm_up_tells_what_it_compiled_unless_quiet(call, monkeypatch):
-    monkeypatch.setattr(warm_up_runs, "run_everything", lambda _: None)
-    assert re.fullmatch(r"\d+ loops compiled in [\d.]+ s, the others .*\n", call("warm-up").out)
+@pytest.mark.slow
+def test_loops_that_other_processes_compile_are_counted(call, monkeypatch):
+    run = partial(exec, "from numba import njit; njit(lambda x: x)(1.0)")
+    monkeypatch.setattr(warm_up_runs, "runs", lambda: iter([run] * 3))
+    told = call("warm-up").out
+    assert re.fullmatch(r"3 loops compiled, the others were already compiled; [\d.]+ s\n", told), told
+
+
+def test_a_process_that_dies_while_it_compiles_is_told(call, monkeypatch):
+    monkeypatch.setattr(warm_up_runs, "runs", lambda: iter([partial(os._exit, 1)]))
+    done = call("warm-up")
+    assert (done.code, done.out, "was killed" in done.err) == (2, "", True)
+
+
+def test_quietly_it_prints_nothing(call, monkeypatch):
+    monkeypatch.setattr(warm_up_runs, "run_everything", lambda _: 3)
+    assert call("warm-up").out.startswith("3 loops compiled")
     assert call("warm-up", "-q").out == ""
