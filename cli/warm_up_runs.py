@@ -18,6 +18,7 @@ from meshdeform_core.errors import MeshDeformError
 from meshdeform_core.grid import Grid
 from meshdeform_core.methods import IDW, RBF, Options, Progress, make_method, prepare_method
 from meshdeform_core.methods.derivative import StepsDerivative, derivative_of
+from meshdeform_core.numerics.damping import damp_rows
 from meshdeform_core.numerics.exact.basis import BASES
 from meshdeform_core.numerics.fastsum.radial.nested import NestedSums
 from meshdeform_core.numerics.jit import compiled_loops
@@ -60,6 +61,7 @@ def runs() -> Iterator[Callable[[], object]]:
     yield partial(_deformed, "airfoil", 33, Options("idw-tfi"))
     yield partial(_series, "square", 11, Options("tfi"))
     yield partial(_derivatives, "hemisphere", 8, Options("tfi"))
+    yield _damping
 
 
 def run_everything(progress: Progress) -> int:
@@ -143,6 +145,11 @@ def _pictures(name: str, size: int, method: Options) -> None:
     with_fields(cells_of(result.setup, result.grid), [ALL])
     setup = result.setup
     page_png(quality_planes(Pair(setup.grid, result.grid, setup.topology, original=setup.original))[1], dpi=10)
+
+
+def _damping() -> None:
+    """A displacement beside slip sides; no sample has one normal to them."""
+    damp_rows(np.ones((1, 3)), np.zeros(1, dtype=np.int64), np.eye(3), np.ones((1, 3)), 0.0)
 
 
 def _nested_sums() -> None:

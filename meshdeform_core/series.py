@@ -20,7 +20,7 @@ from .parallel import empty, for_rows
 from .smoothness import Moment, Smoothness, shortest_edges, smoothness
 from .velocity import PAST, VELOCITIES, face_fields, grid_velocity
 
-REVISION = 9
+REVISION = 10
 """Number of the algorithms: a series is continued only by a program with the same one.
 
 Raise it with every change after which a level of some series gets other coordinates or another verdict.

@@ -46,11 +46,13 @@ class Slip:
     planes : slip and symmetry planes with all unique nodes that lie on them, sources included
     groups : (node numbers (n,), removed directions (3, 3)) for each set of planes that meet at a node; the displacement
         loses its components along the removed directions: ``d - d @ removed``
+    sides : (unit normal (3,), face quads) of plane slip sides, those with the same normal together; none of symmetries
     curved : curved slip surfaces
     """
 
     planes: tuple[tuple[Plane, IntArray], ...] = ()
     groups: tuple[tuple[IntArray, FloatArray], ...] = ()
+    sides: tuple[tuple[FloatArray, IntArray], ...] = ()
     curved: tuple[CurvedSurface, ...] = ()
 
     def constrain(self, displacement: FloatArray, points: FloatArray, first: IntArray) -> None:
@@ -99,6 +101,7 @@ def find_sliding(
     planes: list[tuple[Plane, IntArray]] = []
     curved: list[CurvedSurface] = []
     mirrors: list[Plane] = []
+    sides: list[tuple[Plane, IntArray]] = []
     normal = plane_normal(grid)
     for name, quads, symmetry in slipping:
         bent = []
@@ -109,42 +112,59 @@ def find_sliding(
                 bent.append(part)
                 continue
             planes.append((plane, nodes))
-            mirrors += [plane] if symmetry else []
+            if symmetry:
+                mirrors.append(plane)
+            else:
+                sides.append((plane, part))
         if bent and symmetry:
             raise CaseError(f'boundary {name!r} is a symmetry but not plane; use kind = "slip" for curved surfaces')
         if bent:
             curved.append(_curved_surface(grid, topology, np.concatenate(bent), free))
-    return Slip(tuple(planes), _groups(planes, free), tuple(curved)), _distinct(mirrors)
+    normals, which = _directions([plane for plane, _ in sides])
+    parts = [
+        np.concatenate([part for (_, part), w in zip(sides, which, strict=True) if w == n]) for n in range(len(normals))
+    ]
+    slip = Slip(tuple(planes), _groups(planes, free), tuple(zip(normals, parts, strict=True)), tuple(curved))
+    return slip, _distinct(mirrors)
 
 
 def _curved_surface(grid: Grid, topology: Topology, quads: IntArray, free: BoolArray) -> CurvedSurface:
     corners = topology.quads.corners[quads]
     nodes, local = np.unique(corners, return_inverse=True)
     local = local.reshape(corners.shape)
-    # In 2-D a cell edge is a triangle without width.
-    split = ([0, 1, 2], [0, 2, 3]) if corners.shape[1] == 4 else ([0, 1, 1],)
-    triangles = np.concatenate([local[:, which] for which in split])
-    return CurvedSurface(nodes[free[nodes]], grid.points[topology.first[nodes]], triangles)
+    return CurvedSurface(nodes[free[nodes]], grid.points[topology.first[nodes]], triangles_of(local))
+
+
+def triangles_of(quads: IntArray) -> IntArray:
+    """Two triangles (2 n, 3) for each of the quads (n, 4); of cell edges (n, 2) in 2-D, triangles without width."""
+    split = ([0, 1, 2], [0, 2, 3]) if quads.shape[1] == 4 else ([0, 1, 1],)
+    return np.concatenate([quads[:, which] for which in split])
 
 
 def _groups(planes: list[tuple[Plane, IntArray]], free: BoolArray) -> tuple[tuple[IntArray, FloatArray], ...]:
     """Free nodes grouped by the set of slip directions that meet at them."""
-    normals: list[FloatArray] = []
-    member = []
-    for plane, nodes in planes:
-        same = [i for i, n in enumerate(normals) if abs(n @ plane.normal) > 1 - FLATNESS**2 * 8]
-        if not same:
-            normals.append(plane.normal)
-            same = [len(normals) - 1]
-        member.append((same[0], nodes))
+    normals, which = _directions([plane for plane, _ in planes])
     on = np.zeros((len(free), len(normals)), dtype=bool)
-    for index, nodes in member:
+    for index, (_, nodes) in zip(which, planes, strict=True):
         on[nodes, index] = True
     touched = np.flatnonzero(on.any(axis=1) & free)
     if touched.size == 0:
         return ()
-    sets, which = np.unique(on[touched], axis=0, return_inverse=True)
-    return tuple((touched[which == s], _span_projector(np.array(normals)[chosen])) for s, chosen in enumerate(sets))
+    sets, member = np.unique(on[touched], axis=0, return_inverse=True)
+    return tuple((touched[member == s], _span_projector(np.array(normals)[chosen])) for s, chosen in enumerate(sets))
+
+
+def _directions(planes: list[Plane]) -> tuple[list[FloatArray], list[int]]:
+    """The different normals of planes, and which of them each plane has."""
+    normals: list[FloatArray] = []
+    which = []
+    for plane in planes:
+        same = [i for i, n in enumerate(normals) if abs(n @ plane.normal) > 1 - FLATNESS**2 * 8]
+        if not same:
+            normals.append(plane.normal)
+            same = [len(normals) - 1]
+        which.append(same[0])
+    return normals, which
 
 
 def _span_projector(normals: FloatArray) -> FloatArray:

@@ -17,6 +17,7 @@ from ..numerics.rows import put_rows, spread_rows, take_rows
 from ..parallel import Part, alike, for_chunks, for_rows, own_rows, require_whole, rows_of
 from ..wording import vector
 from .base import Account, Interpolation, Mover, PreparedMethod, Problem, Progress
+from .beside_slip import BesideSlip
 from .periodic_steps import PreparedPeriodic, free_periodic, with_known_periodic
 from .transfinite.edge_graph import PreparedEdgeGraph
 from .transfinite.skeleton import Skeleton
@@ -87,16 +88,22 @@ class _Scattered:
     def __post_init__(self) -> None:
         self._bound = self.interpolation.bind(self.problem)
         self._evaluator = self._bound.at(self.flat)
+        self.beside_slip = BesideSlip(self.problem, self.flat)
         self.account = self._bound.account
 
     def warnings_for(self, motion: FloatArray, step: FloatArray) -> list[str]:
         return self._bound.warnings_for(motion, step)
 
     def move(self, displacement: FloatArray, out: FloatArray, progress: Progress | None = None) -> FloatArray:
-        self._evaluator.evaluate(self._bound.fit(displacement, progress), out, progress)
+        self.interpolate(displacement, out, progress)
+        self.beside_slip.apply(out)
         face = _on_faces(out, self.problem)
         put_rows(displacement, self.problem.source_numbers, face)
         return face
+
+    def interpolate(self, displacement: FloatArray, out: FloatArray, progress: Progress | None = None) -> None:
+        """Write what the interpolation gives into the rows of ``out`` (n_nodes, 3) of its nodes."""
+        self._evaluator.evaluate(self._bound.fit(displacement, progress), out, progress)
 
 
 class PreparedComposite:

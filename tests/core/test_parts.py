@@ -7,7 +7,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from cases import body_specs, turning
+from cases import body_specs, formulas, turning
 from forked_ranks import Failed, on_ranks
 from grids import frame, frame_2d
 from hypothesis import given, settings
@@ -194,6 +194,12 @@ def test_every_method_gives_the_same_bytes(name, count, tmp_path, small_pieces, 
 @pytest.mark.parametrize("suffix", [".xyz", ".cgns"])
 def test_single_precision_and_steps_give_the_same_bytes(suffix, tmp_path, small_pieces, poisoned):
     same_on_ranks(tmp_path, 3, case_of(METHODS["idw-tfi"]), suffix, steps=3, precision="float32")
+
+
+@pytest.mark.parametrize("name", ["idw-fast", "idw-tfi"])
+def test_motions_towards_slip_sides_give_the_same_bytes(name, tmp_path, small_pieces, poisoned):
+    swaying = formulas("0.1*z", "0.0", "0.2*sin(pi*z)")
+    same_on_ranks(tmp_path, 3, Case(tuple(body_specs(swaying)), method=METHODS[name], repair=OFF))
 
 
 def test_invalid_cells_are_listed_alike(tmp_path, small_pieces, poisoned):

@@ -150,7 +150,7 @@ class _Interpolated:
     """An interpolation as the first step; sources on faces move as they are told."""
 
     def __init__(self, mover: _Scattered, problem: Problem, displacement: FloatArray) -> None:
-        self._problem, bound = problem, mover._bound
+        self._problem, self._beside_slip, bound = problem, mover.beside_slip, mover._bound
         self._derivative: IDWDerivative | RBFDerivative | GreedyDerivative
         if isinstance(bound, PreparedIDW):
             self._derivative = IDWDerivative(bound, mover._evaluator, displacement)  # type: ignore[arg-type]
@@ -163,6 +163,7 @@ class _Interpolated:
 
     def push(self, change: FloatArray, out: FloatArray) -> FloatArray:
         self._derivative.push(change, out)
+        self._beside_slip.damp(out)
         face = _on_faces(out, self._problem)
         face[self._problem.source_numbers] = change
         return face
@@ -171,4 +172,5 @@ class _Interpolated:
         own = face[self._problem.source_numbers].copy()
         face[self._problem.source_numbers] = 0.0
         g[self._problem.topology.first] += face
+        self._beside_slip.damp(g)
         return np.asarray(own + self._derivative.pull(g))

@@ -54,7 +54,7 @@ class EdgeGraphDerivative:
         lines_transposed(face, lines.start, lines.nodes, lines.arc)
         if method._graph:
             graph = method._graph
-            found = graph.factor.solve(face[method._free], trans="T")
+            found = graph.harmonic(face[method._free])
             face[method._free] = 0.0
             np.add.at(face, graph.known, graph.weight[:, None] * found[graph.row])
         return face[method._problem.source_numbers]

@@ -22,7 +22,10 @@ from ..limits import TFI_ROTATION, warn_of_rotation
 from .faces import Faces, Lines
 
 if TYPE_CHECKING:
+    from scipy.sparse import csc_array
     from scipy.sparse.linalg import SuperLU
+
+    from ...boundary.slip import Slip
 
 
 @dataclass(frozen=True)
@@ -87,7 +90,7 @@ class PreparedEdgeGraph:
         points = grid.points[topology.first]
         self._free = np.flatnonzero(reached & ~known)
         segments = _segments(points, edges, np.zeros(len(edges), dtype=np.int64), reached, known)
-        self._graph = _Graph.of(segments, self._free, len(known)) if self._free.size else None
+        self._graph = _Graph.of(segments, self._free, len(known), problem.boundary.slip) if self._free.size else None
         reached[segments.rows.nodes] = True
         parts, width, wanted = _face_parts(grid, topology, reached)
         # L-shaped faces are divided into rectangles, some borders of which are not block edges.
@@ -180,7 +183,8 @@ class _Graph:
     """Harmonic extension to the free vertices.
 
     ``row``, ``known``, ``weight`` (m,) list the edges from free vertices to nodes that are known; ``factor`` is the
-    Laplacian of the free ones; ``segments`` are all edges.
+    Laplacian of the free ones; ``segments`` are all edges. Vertices on slip planes stay in them: ``removed`` lists sets
+    of them with the directions (3, 3) that they lose, and the Laplacian is that of all three components.
     """
 
     segments: _Segments
@@ -188,9 +192,10 @@ class _Graph:
     row: IntArray
     known: IntArray
     weight: FloatArray
+    removed: tuple[tuple[IntArray, FloatArray], ...] = ()
 
     @classmethod
-    def of(cls, segments: _Segments, free: IntArray, n_unique: int) -> _Graph:
+    def of(cls, segments: _Segments, free: IntArray, n_unique: int, slip: Slip) -> _Graph:
         n = len(free)
         index = np.full(n_unique, -1)
         index[free] = np.arange(n)
@@ -207,12 +212,38 @@ class _Graph:
         values = np.r_[diagonal, -weight[inner]]
         places = np.r_[every, one[inner]], np.r_[every, index[two[inner]]]
         laplacian = scipy.sparse.csc_array((values, places), shape=(n, n))
-        return cls(segments, scipy.sparse.linalg.splu(laplacian), one[outer], two[outer], weight[outer])
+        sliding = [(index[nodes], span) for nodes, span in slip.groups]
+        removed = tuple((rows[rows >= 0], span) for rows, span in sliding if (rows >= 0).any())
+        if removed:
+            laplacian = _within_planes(laplacian, removed)
+        return cls(segments, scipy.sparse.linalg.splu(laplacian), one[outer], two[outer], weight[outer], removed)
 
     def solve(self, d: FloatArray) -> FloatArray:
         """Displacement of the free vertices from ``d`` (n_unique, 3) of the known nodes."""
-        pull = [np.bincount(self.row, self.weight * d[self.known, c], self.factor.shape[0]) for c in range(3)]
-        return np.asarray(self.factor.solve(np.stack(pull, axis=1)))
+        size = self.factor.shape[0] // (3 if self.removed else 1)
+        pull = [np.bincount(self.row, self.weight * d[self.known, c], size) for c in range(3)]
+        return self.harmonic(np.stack(pull, axis=1))
+
+    def harmonic(self, right: FloatArray) -> FloatArray:
+        """Displacement of the free vertices for the pull ``right`` (n, 3) of the known ones; its own transpose."""
+        if not self.removed:
+            return np.asarray(self.factor.solve(right))
+        along = right.copy()
+        for rows, span in self.removed:
+            along[rows] -= along[rows] @ span
+        return np.asarray(self.factor.solve(along.ravel())).reshape(right.shape)
+
+
+def _within_planes(laplacian: csc_array, removed: tuple[tuple[IntArray, FloatArray], ...]) -> csc_array:
+    """The Laplacian (3 n, 3 n) of all components, 3 m + c of vertex m, restricted to motions along the planes; of what
+    is removed it is the identity."""
+    n = laplacian.shape[0]
+    blocks = np.zeros((n, 3, 3))
+    for rows, span in removed:
+        blocks[rows] = span
+    off = scipy.sparse.bsr_array((blocks, np.arange(n), np.arange(n + 1)), shape=(3 * n, 3 * n))
+    along = scipy.sparse.eye_array(3 * n) - off
+    return scipy.sparse.csc_array(along @ scipy.sparse.kron(laplacian, np.eye(3)) @ along + off)
 
 
 def _face_parts(grid: Grid, topology: Topology, reached: BoolArray) -> tuple[_Rows, IntArray, BoolArray]:

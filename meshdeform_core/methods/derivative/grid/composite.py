@@ -16,6 +16,7 @@ from ...scattered.idw import PreparedIDW
 from ...transfinite.edge_graph import PreparedEdgeGraph
 from ...transfinite.tfi import PreparedTFI
 from ..constraints import Constraints
+from .beside_slip import BesideSlipGridDerivative
 from .transfinite import EdgeGraphGridDerivative, TFIGridDerivative
 from .weighting import IDWGridDerivative
 
@@ -146,9 +147,13 @@ class _Interpolated:
     def __init__(self, mover: Any, displacement: FloatArray) -> None:
         self._problem = mover.problem
         self._derivative = IDWGridDerivative(mover._bound, mover._evaluator.bound, displacement)
+        out = np.empty((self._problem.grid.n_nodes, 3))
+        mover.interpolate(displacement, out)
+        self._beside_slip = BesideSlipGridDerivative(mover.beside_slip, self._problem, mover.flat, out[mover.flat])
 
     def push(self, change: FloatArray, dx: FloatArray, out: FloatArray) -> FloatArray:
         self._derivative.push(change, dx, out)
+        self._beside_slip.push(out, dx)
         face = _on_faces(out, self._problem)
         face[self._problem.source_numbers] = change
         return face
@@ -157,4 +162,5 @@ class _Interpolated:
         own = face[self._problem.source_numbers].copy()
         face[self._problem.source_numbers] = 0.0
         g[self._problem.topology.first] += face
+        self._beside_slip.pull(g, of_grid)
         return np.asarray(own + self._derivative.pull(g, of_grid))

@@ -111,7 +111,7 @@ class EdgeGraphGridDerivative:
             total = (weight * self._longer(own))[:, None] * apart
             np.add.at(right, one, total)
             np.subtract.at(right, two, total)
-            face[free] = graph.factor.solve(right[free])
+            face[free] = graph.harmonic(right[free])
         for boxes in (self._lines, self._faces):
             flat = self._flat[: len(boxes[1])]
             push_boxes(self._points, self._face, own, *boxes, flat, flat, face)
@@ -126,7 +126,7 @@ class EdgeGraphGridDerivative:
             pull_boxes(self._points, self._face, *boxes, flat, face, own, np.zeros_like(flat))
         if method._graph:
             graph, found = method._graph, np.zeros_like(face)
-            found[method._free] = graph.factor.solve(face[method._free], trans="T")
+            found[method._free] = graph.harmonic(face[method._free])
             face[method._free] = 0.0
             np.add.at(face, graph.known, graph.weight[:, None] * found[method._free[graph.row]])
             one, two, apart, weight = self._edges()

@@ -1,0 +1,110 @@
+"""Displacements beside plane slip sides: their normal component fades out towards the plane.
+
+A node on a slip plane moves along it only. An interpolation knows nothing of that: where it displaces the next nodes
+off the plane, or towards it, the cells between them and the plane stretch, or fold.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+
+from ..boundary import Kind
+from ..boundary.slip import triangles_of
+from ..grid import FloatArray, IntArray
+from ..numerics.damping import damp_rows
+from ..numerics.geometry.surface import TriangleTree
+from ..parallel import apart, for_chunks, rows_of
+from .base import Problem
+
+WIDTH = 0.3
+"""Length of the parabolic end at the walls, as a part of the way to a slip side (studies/slip_sides.py)."""
+_CHUNK = 4096
+# Relative to the extent of the sources: what round-off leaves of a motion along the planes.
+_ROUND_OFF = 1e-13
+# Share of the memory for what is kept between displacements.
+_KEPT = 8
+
+
+class BesideSlip:
+    """What slip sides with normals n_k make of the interpolated displacement u of nodes:
+
+        v = (I + sum_k c_k n_k n_k^T)^-1 u,    1 / (1 + c_k) = f(d_k / (d + d_k))
+
+    with the distance d of the undeformed node from the nearest moving face, and d_k from the nearest face of the slip
+    sides. f rises from 0 to 1, linearly but for a parabolic end: of one plane v . n = f u . n is zero in the plane, and
+    cells at walls follow them. v is linear in u; motions along the planes are left as they are.
+
+    Parameters
+    ----------
+    flat : (n,) nodes of the grid, none of them a source
+    """
+
+    def __init__(self, problem: Problem, flat: IntArray) -> None:
+        self._problem, self._flat = problem, flat
+        sides = problem.boundary.slip.sides
+        self.normals: FloatArray = np.array([normal for normal, _ in sides]).reshape(-1, 3)
+        keeps = self.normals.shape[0] * 8 * len(flat) * _KEPT <= problem.memory.size
+        self._parts: dict[int, FloatArray] | None = {} if keeps else None
+
+    def apply(self, out: FloatArray) -> None:
+        """Damp the rows of ``out`` (n_nodes, 3) of these nodes, in place."""
+        if not len(self.normals):
+            return
+        rows, least = rows_of(out), self._least
+
+        def work(lo: int, hi: int) -> None:
+            flat = self._flat[lo:hi]
+            if np.abs(rows[flat] @ self.normals.T).max() > least:
+                damp_rows(rows, flat, self.normals, self._kept(lo, hi), least)
+
+        with apart(out):
+            for_chunks(work, len(self._flat), _CHUNK)
+
+    def damp(self, values: FloatArray) -> None:
+        """The same for rows of ``values`` (n_nodes, 3) of any size, which may be changes or gradients."""
+        for lo in range(0, len(self._flat) if len(self.normals) else 0, _CHUNK):
+            hi = min(lo + _CHUNK, len(self._flat))
+            damp_rows(values, self._flat[lo:hi], self.normals, self._kept(lo, hi), 0.0)
+
+    def _kept(self, lo: int, hi: int) -> FloatArray:
+        """What :meth:`_part` gives, kept from one displacement to the next if there is room."""
+        if self._parts is None:
+            return self._part(self._flat[lo:hi])
+        if lo not in self._parts:
+            self._parts[lo] = self._part(self._flat[lo:hi])
+        return self._parts[lo]
+
+    def _part(self, flat: IntArray) -> FloatArray:
+        """Part 1 - f, (n, k), of the normal components that some nodes lose."""
+        x = rows_of(self._problem.grid.points)[flat]
+        to_wall, *to_sides = (tree.closest(x)[2] for tree in self.trees)
+        return np.stack([lost(place(to_wall, to_side)) for to_side in to_sides], axis=1)
+
+    @cached_property
+    def _least(self) -> float:
+        return _ROUND_OFF * float(np.ptp(self._problem.source_points, axis=0).max())
+
+    @cached_property
+    def trees(self) -> Sequence[TriangleTree]:
+        """Search trees of the moving faces and of the slip sides of every normal; of unique node numbers."""
+        problem, corners = self._problem, self._problem.topology.quads.corners
+        walls = triangles_of(corners[problem.boundary.quad_kind == Kind.MOVING])
+        # Nodes that a table moves without the faces around them.
+        alone = np.setdiff1d(np.flatnonzero(problem.boundary.kind == Kind.MOVING), walls)
+        walls = np.concatenate([walls, np.repeat(alone, 3).reshape(-1, 3)])
+        every = [walls, *(triangles_of(corners[quads]) for _, quads in problem.boundary.slip.sides)]
+        return [TriangleTree(problem.grid.points[problem.topology.first], triangles) for triangles in every]
+
+
+def place(to_wall: FloatArray, to_side: FloatArray) -> FloatArray:
+    """Place between a slip side, 0, and a wall, 1."""
+    both = to_wall + to_side
+    return np.divide(to_side, both, out=np.ones_like(both), where=both > 0.0)
+
+
+def lost(at: FloatArray) -> FloatArray:
+    """Part of the normal component that is lost at a place."""
+    return np.where(at < 1.0 - WIDTH, 1.0 - at / (1.0 - 0.5 * WIDTH), (1.0 - at) ** 2 / (WIDTH * (2.0 - WIDTH)))
