@@ -3,7 +3,7 @@
 python studies/random_flows.py                                        200 flows, table on stdout
 python studies/random_flows.py --count 30 --grid wing --steps auto    a part of them
 python studies/random_flows.py --method idw-tfi --method rbf-tfi      several methods
-python studies/random_flows.py --write docs/validity.md               put the table in its place on the page
+python studies/random_flows.py --write docs/validity.md               put the rows in the table on the page
 
 A flow carries all nodes of a grid to a grid that is valid; the program is given the boundary only. Flow n belongs to
 grid n modulo the number of grids, whichever of them are run.
@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 from flows import Terrain, available, case_of, flowed, terrain
-from tables import Row, show
+from tables import Row, keep, show
 
 from meshdeform_core.deform import Result, deform
 from meshdeform_core.grid import FloatArray
@@ -100,10 +100,9 @@ def judge(result: Result, points: FloatArray, place: Terrain) -> dict[str, Any]:
 def summary(rows: list[Row], settings: list[Setting]) -> list[Row]:
     """By grid the valid results of each setting, and those with cells nearly as good as the flow's."""
     table = []
-    for grid in [*dict.fromkeys(row["grid"] for row in rows), None]:
-        mine = [row for row in rows if grid in (None, row["grid"])]
-        line: Row = {"grid": grid or "all", "nodes": mine[0]["nodes"] if grid else ""}
-        line["flows"] = len({row["flow"] for row in mine})
+    for grid in dict.fromkeys(row["grid"] for row in rows):
+        mine = [row for row in rows if row["grid"] == grid]
+        line: Row = {"grid": grid, "flows": len({row["flow"] for row in mine})}
         for setting in settings:
             own = [row for row in mine if row["setting"] == setting.label]
             line[setting.label] = sum(row["valid"] for row in own)
@@ -123,7 +122,7 @@ def main() -> None:
     parser.add_argument("--steps", action="append", type=lambda text: text if text == "auto" else int(text))
     parser.add_argument("--repair", action="append", choices=("off", "auto", "polish"))
     parser.add_argument("--json", type=Path, metavar="FILE", help="write every flow's result")
-    parser.add_argument("--write", type=Path, metavar="PAGE", help="put the table between its marks on a page")
+    parser.add_argument("--write", type=Path, metavar="PAGE", help="put the rows in the table on a page")
     options = parser.parse_args()
     settings = [
         Setting(method, steps, repair)
@@ -136,7 +135,8 @@ def main() -> None:
     for row in measure(numbers, available(), options.grid or available(), settings):
         rows.append(row)
         print(f"{row['grid']} {row['flow']} {row['setting']}: {_words(row)}", file=sys.stderr, flush=True)
-    show(summary(rows, settings), options.write, __file__)
+        keep(summary(rows, settings), options.write, __file__)
+    show(summary(rows, settings), None, __file__)
     if options.json:
         record = {"settings": [dataclasses.asdict(setting) for setting in settings], "flows": rows}
         options.json.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")

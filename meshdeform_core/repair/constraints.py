@@ -23,7 +23,7 @@ class Constraints:
     ----------
     grid, topology : undeformed
     held : (n_unique,) nodes that stay where they are: moving, fixed, and those at edges of curved slip surfaces
-    walls : (n_unique,) moving nodes, and those of fixed faces that are likely to be walls, not far field
+    walls : (n_unique,) nodes of moving and fixed faces that are likely to be walls, not far field
     removed : (n_unique, 3, 3) projectors on the directions in which a node must not move
     root : (n_unique,) the periodic image of a node with the smallest number, whose unknown all images share
     turn : node -> rotation (3, 3) from its root, unless that is the identity
@@ -69,8 +69,9 @@ class Constraints:
                 removed[root[node]] += rotation.T @ removed[node] @ rotation
         several = np.flatnonzero(np.einsum("nii->n", removed) > 1.5)
         removed[several] = _spans(removed[several])
-        walls = boundary.kind == Kind.MOVING
-        walls[topology.quads.corners[original.fixed_wall_quads(boundary)]] = True
+        quads = original.moving_wall_quads(boundary) | original.fixed_wall_quads(boundary)
+        walls = np.zeros(topology.n_unique, dtype=bool)
+        walls[topology.quads.corners[quads]] = True
         return cls(grid, topology, held, walls, removed, root, turn, sliding)
 
 

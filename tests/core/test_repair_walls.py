@@ -27,6 +27,24 @@ def test_first_cells_at_walls_weigh_most_and_less_where_walls_are_few_cells_apar
     np.testing.assert_array_equal(weigh(free[cells], float(free.min()), start, cells), 1.0)
 
 
+def test_moving_far_field_is_no_wall_unless_nothing_else_moves():
+    """A ring around a body: its outer side, towards which cells grow, is moved by another program, too."""
+    angle, radius = np.linspace(0.0, 2.0 * np.pi, 49), 1.15 ** np.arange(17)
+    angle[-1] = 0.0
+    ring = radius[None, :] * np.exp(1j * angle)[:, None]
+    grid = Grid.from_blocks([np.stack([ring.real, ring.imag, 0.0 * ring.real], axis=-1)[:, :, None]])
+    moved = formulas("0.1", "0", "0")
+
+    def walls(*sides):
+        setup = set_up(grid, Case((BoundarySpec("given", sides, Kind.MOVING, None, moved),)))
+        found = Constraints.of(setup.original, setup.boundary).walls
+        return np.linalg.norm(setup.grid.points[setup.topology.first[found]], axis=1)
+
+    np.testing.assert_allclose(walls("*.jmin", "*.jmax"), 1.0)
+    # The fixed body is a wall, too.
+    np.testing.assert_allclose(np.unique(walls("*.jmax").round(9)), [1.0, radius[-1].round(9)])
+
+
 def test_fixed_walls_are_kept_like_moving_ones():
     """A channel whose roof comes down, with clustered cells at both walls; the far ends are no walls."""
     x, s = np.linspace(-3.0, 3.0, 61), np.linspace(-1.0, 1.0, 25)

@@ -34,7 +34,7 @@ def test_the_grid_does_not_jump_where_a_repair_begins():
     """Accelerations are small, and with half the step they are a quarter, as those of smooth motions are."""
     setup, largest = bar(6), []
     for step in (2.0, 1.0, 0.5):
-        levels = levels_of(setup, np.arange(30.0, 62.0 + step / 2, step))
+        levels = levels_of(setup, np.arange(20.0, 62.0 + step / 2, step))
         repaired = [level.result.repair is not None for level in levels]
         assert not repaired[0]
         assert repaired[-1]

@@ -72,11 +72,19 @@ class Original:
     def fixed_wall_quads(self, boundary: Boundary) -> BoolArray:
         """(n_quads,) fixed face quads that are likely to be walls, not far field."""
         fixed = np.asarray(boundary.quad_kind == Kind.FIXED)
-        if fixed.any():
-            faces = zip(self.outside.faces, self.outside.roles, strict=True)
-            walls = [face.quads for face, role in faces if role is Role.WALL]
-            fixed &= np.isin(np.arange(len(fixed)), np.concatenate(walls) if walls else [])
-        return fixed
+        return fixed & self._quads_of(Role.WALL) if fixed.any() else fixed
+
+    def moving_wall_quads(self, boundary: Boundary) -> BoolArray:
+        """(n_quads,) moving face quads without those that are likely to be far field, unless all of them are."""
+        moving = np.asarray(boundary.quad_kind == Kind.MOVING)
+        near = moving & ~self._quads_of(Role.FAR) if moving.any() else moving
+        return near if near.any() else moving
+
+    def _quads_of(self, wanted: Role) -> BoolArray:
+        found = np.zeros(len(self.topology.quads.corners), dtype=bool)
+        for face, role in zip(self.outside.faces, self.outside.roles, strict=True):
+            found[face.quads] = role is wanted
+        return found
 
     def walls(self, boundary: Boundary) -> dict[str, Walls]:
         """The ``moving`` and the ``fixed`` walls of a boundary; those of the last boundary are cached."""

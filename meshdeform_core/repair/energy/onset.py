@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...grid import FloatArray
-from ..tuned import BETWEEN, FULL, NORM, POWER
+from ..tuned import ALL, BETWEEN, FULL, NORM, POWER, SLOWLY
 from .elements import Energy
 
 
@@ -32,7 +32,7 @@ def share_slopes(energy: Energy, x: FloatArray) -> tuple[FloatArray, FloatArray]
         return np.zeros_like(excess), np.zeros_like(excess)
     between, beyond = _share_between(excess), excess - BETWEEN
     inside = (between > 0.0) & (between < 1.0)
-    of_between = np.divide(POWER * between, beyond, out=np.zeros_like(excess), where=inside)
+    of_between = np.divide(SLOWLY * between, beyond, out=np.zeros_like(excess), where=inside)
     return POWER / FULL * (whole / FULL) ** (POWER - 1.0) * (excess / whole) ** (NORM - 1.0), of_between
 
 
@@ -46,4 +46,4 @@ def _excess(energy: Energy, x: FloatArray) -> tuple[FloatArray, float]:
 
 
 def _share_between(excess: FloatArray) -> FloatArray:
-    return np.clip((excess - BETWEEN) / (FULL - BETWEEN), 0.0, 1.0) ** POWER
+    return np.asarray(np.clip((excess - BETWEEN) / (ALL - BETWEEN), 0.0, 1.0) ** SLOWLY)
