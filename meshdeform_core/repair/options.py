@@ -18,7 +18,7 @@ class RepairOptions:
 
     Attributes
     ----------
-    mode : ``auto``: when cells are invalid or weak (below 10 % of their undeformed Jacobian, or skew); ``off``: never;
+    mode : ``auto``: when cells are invalid or weak (sheared or stretched so far that repairs set in); ``off``: never;
         ``polish``: also the worst cells of a valid grid
     time_limit : no repair, Newton step or further attempt begins after so many seconds
     min_jacobian : cells with a corner below this share of its undeformed Jacobian count as invalid; 0 <= R < 1
