@@ -1,8 +1,8 @@
 """Weighted sums in single precision: twice as many numbers in a vector register, and faster roots and divisions.
 
 Coordinates are taken relative to the targets and in units of their extent, so that a distance is wrong by less than
-1e-7 of that extent however far away the origin is. Charges should be of the order of one: see
-:mod:`.fastsum.weighted.sums`.
+1e-7 of that extent however far away the origin is. Shorter distances, of nodes within 1e-5 of the extent from a source,
+take double precision. Charges should be of the order of one: see :mod:`.fastsum.weighted.sums`.
 """
 
 import math
@@ -13,6 +13,9 @@ from ..jit import fast_kernel, inlined
 
 # Every tile ends with sums over the lanes of a vector: tiles are as long as the first-level cache allows.
 _TILE = 512
+# Inverse fourth power of the distance, in units of the extent, above which single precision is not enough: there fifth
+# powers are wrong by a tenth, and from a distance of 1e-8 on too large.
+_CLOSE = 2.0**68
 
 
 @fast_kernel
@@ -23,6 +26,7 @@ def sum_groups_single(targets, target_span, charged, pieces, piece_span, a, kapp
     """
     # The sums over a tile stay here: in a function of their own, the compiler orders the additions differently.
     tile, weight, center = np.empty((11, _TILE), np.float32), np.empty(_TILE, np.float32), np.empty(3)
+    row, limit = np.empty(_TILE, np.int64), np.float32(_CLOSE)
     for group in range(target_span.shape[0]):
         first, piece, end = target_span[group, 0], piece_span[group, 0], piece_span[group, 1]
         count = target_span[group, 1] - first
@@ -32,19 +36,25 @@ def sum_groups_single(targets, target_span, charged, pieces, piece_span, a, kapp
         scale = _frame(targets, first, count, charged, at, center)
         unit = 1.0 / scale
         x = _relative(targets, first, count, center, unit)
-        one, three = np.float32(1.0), np.float32(1.0 if a == 3.0 else 0.0)
-        four, five = np.float32(0.0 if a == 3.0 else unit), np.float32(kappa * unit * unit)
+        first_power, last_power = 1.0 if a == 3.0 else unit, kappa * unit * unit
+        # The larger of the two factors of powers is taken out: weights of distances that are not close are finite then.
+        largest = max(first_power, last_power)
+        one, three = np.float32(1.0), np.float32(first_power / largest if a == 3.0 else 0.0)
+        four, five = np.float32(0.0 if a == 3.0 else first_power / largest), np.float32(last_power / largest)
         # r^-3 in units of the extent.
-        back = unit * unit * unit
+        back = unit * unit * unit * largest
         while piece < end:
-            m, piece, at = _load(charged, pieces, piece, end, at, center, unit, tile)
+            m, piece, at = _load(charged, pieces, piece, end, at, center, unit, tile, row)
             for t in range(count):
                 px, py, pz = x[0, t], x[1, t], x[2, t]
                 a0 = a1 = a2 = a3 = a4 = a5 = a6 = a7 = np.float32(0.0)
+                close = np.float32(0.0)
                 for s in range(m):
                     dx, dy, dz = px - tile[0, s], py - tile[1, s], pz - tile[2, s]
                     r = one / math.sqrt(dx * dx + dy * dy + dz * dz)
                     r2 = r * r
+                    # A sum is a vector loop, and a minimum is not.
+                    close += r2 * r2
                     w = r * r2 * (three + r * (four + five * r))
                     weight[s] = w
                     a1 += w * tile[4, s]
@@ -53,6 +63,9 @@ def sum_groups_single(targets, target_span, charged, pieces, piece_span, a, kapp
                     a4 += w * tile[7, s]
                     a5 += w * tile[8, s]
                     a6 += w * tile[9, s]
+                if close > limit:
+                    _add_in_double(targets, first + t, charged, row, m, a, kappa, all_charges, out)
+                    continue
                 out[first + t, 1] += back * a1
                 out[first + t, 2] += back * a2
                 out[first + t, 3] += back * a3
@@ -68,6 +81,20 @@ def sum_groups_single(targets, target_span, charged, pieces, piece_span, a, kapp
 
 
 @inlined
+def _add_in_double(targets, target, charged, row, m, a, kappa, all_charges, out):
+    """Contribution of ``m`` sources, the rows ``row`` of ``charged``, to one target."""
+    low, high = (0, 8) if all_charges else (1, 7)
+    for s in range(m):
+        square = 0.0
+        for d in range(3):
+            square += (targets[target, d] - charged[row[s], d]) ** 2
+        r = 1.0 / math.sqrt(square)
+        w = (r * r * r if a == 3.0 else r * r * r * r) + kappa * r * r * r * r * r
+        for c in range(low, high):
+            out[target, c] += w * charged[row[s], 3 + c]
+
+
+@inlined
 def _relative(targets, first, count, center, unit):
     """Coordinates (3, count) of targets, in single precision."""
     x = np.empty((3, count), np.float32)
@@ -78,12 +105,14 @@ def _relative(targets, first, count, center, unit):
 
 
 @inlined
-def _load(charged, pieces, piece, end, at, center, unit, tile):
-    """Fill ``tile`` from row ``at`` of ``piece`` on; returns its number of sources, and where the next tile begins."""
+def _load(charged, pieces, piece, end, at, center, unit, tile, row):
+    """Fill ``tile`` from row ``at`` of ``piece`` on, and ``row`` with the rows that it has; returns its number of
+    sources, and where the next tile begins."""
     m = 0
     while piece < end and m < _TILE:
         more = min(pieces[piece, 1] - at, _TILE - m)
         for s in range(more):
+            row[m + s] = at + s
             for d in range(3):
                 tile[d, m + s] = np.float32((charged[at + s, d] - center[d]) * unit)
             for c in range(3, 11):
