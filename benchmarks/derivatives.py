@@ -57,7 +57,7 @@ def _row(case: Motion, name: str) -> Row:
     change = random.standard_normal(at.shape) * at.any(axis=1, keepdims=True)
     moved = derivative.push(change)
     weight = random.standard_normal(moved.shape)
-    gap = abs((weight * moved).sum() - (derivative.pull(weight) * change).sum())
+    gap = abs((weight * moved).sum() - (derivative.pull(weight.copy()) * change).sum())
     summation = method.account.settings.get("summation")
     return {
         "case": case.label,
@@ -67,7 +67,7 @@ def _row(case: Motion, name: str) -> Row:
         "apply s": one,
         "linearise": linearise / one,
         "jvp": _cpu(lambda: derivative.push(change)) / one,
-        "vjp": _cpu(lambda: derivative.pull(weight)) / one,
+        "vjp": _cpu(lambda: derivative.pull(weight.copy())) / one,
         "transpose": gap / float(np.linalg.norm(weight) * np.linalg.norm(moved)),
     }
 
@@ -116,7 +116,7 @@ def _against_jax(case: Motion) -> list[Row]:
     works: dict[str, tuple[Callable[[], FloatArray], Callable[[], FloatArray]]] = {
         "apply": (lambda: method.apply(at)[flat], lambda: np.asarray(theirs(at))),
         "jvp": (lambda: derivative.push(change)[flat], lambda: np.asarray(forward(change))),
-        "vjp": (lambda: derivative.pull(weight)[moving], lambda: np.asarray(back(weight[flat]))[moving]),
+        "vjp": (lambda: derivative.pull(weight.copy())[moving], lambda: np.asarray(back(weight[flat]))[moving]),
     }
     rows = []
     for name, (own, other) in works.items():

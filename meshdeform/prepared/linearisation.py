@@ -125,7 +125,7 @@ class Linearisation:
 
         def pull(w: FloatArray) -> FloatArray:
             with self._moving.at_work():
-                return self._pulled(np.asarray(w, dtype=np.float64).reshape(nodes, 3)).ravel()
+                return self._pulled(np.array(w, dtype=np.float64).reshape(nodes, 3)).ravel()
 
         return LinearOperator((3 * nodes, 3 * moving), matvec=push, rmatvec=pull, dtype=np.float64)
 
@@ -136,6 +136,7 @@ class Linearisation:
         return self._repair.push(moved) if self._repair else moved
 
     def _pulled(self, gradient: FloatArray) -> FloatArray:
+        """From the gradient (n_nodes, 3), which is overwritten."""
         setup = self._setup
         if self._repair:
             gradient = self._repair.pull(gradient)

@@ -28,6 +28,15 @@ def spread_rows(values, numbers, rows, out):
 
 
 @kernel
+def collect_rows(values, numbers, rows, out):
+    """The transpose of :func:`spread_rows`: add ``values[rows[n]]``, which become zero, to ``out[numbers[n]]``."""
+    for n in range(rows.size):
+        for c in range(3):
+            out[numbers[n], c] += values[rows[n], c]
+            values[rows[n], c] = 0.0
+
+
+@kernel
 def project_rows(values, rows, removed):
     """``values[r] -= values[r] @ removed`` for the given rows, each once; ``removed`` (3, 3)."""
     for r in rows:

@@ -51,7 +51,7 @@ class ComponentsDerivative:
         return assembled(self._grid, moved)
 
     def pull(self, gradient: FloatArray) -> FloatArray:
-        """Gradient (n_sources, 3) from that (n_nodes, 3) of all block nodes."""
+        """Gradient (n_sources, 3) from that (n_nodes, 3) of all block nodes, which may be overwritten."""
         found = np.zeros((len(self._method.problem.source_numbers), 3))
         for ((component, _), _, rows), own in zip(self._method.parts, self._own, strict=True):
             if own:

@@ -34,7 +34,7 @@ class Derivative(Protocol):
         ...
 
     def pull(self, gradient: FloatArray) -> FloatArray:
-        """Gradient (n_sources, 3) from that (n_nodes, 3) of all block nodes."""
+        """Gradient (n_sources, 3) from that (n_nodes, 3) of all block nodes, which is overwritten."""
         ...
 
 
@@ -63,7 +63,9 @@ class _Composite:
             self.on_edges += self._second.on_edges
 
     def push(self, change: FloatArray) -> FloatArray:
-        problem, out = self._problem, np.full((self._problem.grid.n_nodes, 3), np.nan)
+        problem, out = self._problem, np.empty((self._problem.grid.n_nodes, 3))
+        if self._left_out:
+            out.fill(np.nan)
         face = self._mover.push(change, out)
         self._first.impose(face, out)
         if self._filler:
@@ -73,13 +75,12 @@ class _Composite:
         return out
 
     def pull(self, gradient: FloatArray) -> FloatArray:
-        g = np.array(gradient)
         if self._filler:
             if self._left_out:
-                face = self._second.gathered(g)
-                g[self._problem.topology.first] += face
-            self._filler.pull(g)
-        return self._mover.pull(self._first.gathered(g), g)
+                face = self._second.gathered(gradient)
+                gradient[self._problem.topology.first] += face
+            self._filler.pull(gradient)
+        return self._mover.pull(self._first.gathered(gradient), gradient)
 
 
 class _Periodic:
@@ -106,7 +107,8 @@ class _Periodic:
         face = np.zeros((self._problem.topology.n_unique, 3))
         face[self._sources] = self._rest.pull(gradient)
         self._constraints.pull(face)
-        return self._mover.pull(face, np.zeros((self._problem.grid.n_nodes, 3)))
+        gradient[...] = 0.0
+        return self._mover.pull(face, gradient)
 
 
 class _FirstStep(Protocol):

@@ -6,6 +6,7 @@ import numpy as np
 
 from ...boundary.slip import CurvedSurface
 from ...grid import FloatArray, IntArray
+from ...numerics.rows import collect_rows, project_rows, spread_rows
 from ..base import Problem
 
 
@@ -48,7 +49,7 @@ class Constraints:
             own = 0.0 if dx is None else dx[nodes]
             face[nodes] = np.einsum("nij,nj->ni", tangent, face[nodes] + own) - own
         for nodes, removed in problem.boundary.slip.groups:
-            face[nodes] -= face[nodes] @ removed
+            project_rows(face, nodes, removed)
         problem.boundary.periodic.constrain(face, ~problem.boundary.known)
 
     def pull(self, face: FloatArray, of_x: FloatArray | None = None) -> None:
@@ -63,7 +64,7 @@ class Constraints:
             face[nodes[free]] = 0.0
             face[nodes] += np.einsum("nij,nj->ni", turn, total[root] / count[root, None])
         for nodes, removed in problem.boundary.slip.groups:
-            face[nodes] -= face[nodes] @ removed.T
+            project_rows(face, nodes, np.ascontiguousarray(removed.T))
         for nodes, tangent in self._sliding:
             along = np.einsum("nji,nj->ni", tangent, face[nodes])
             if of_x is not None:
@@ -74,16 +75,13 @@ class Constraints:
         """Impose them on a change ``face``, and copy it to all coincident nodes of ``out`` (n_nodes, 3)."""
         self.push(face, dx)
         topology = self._problem.topology
-        out[topology.face_nodes] = face[topology.number]
+        spread_rows(face, topology.number, topology.face_nodes, out)
 
     def gathered(self, gradient: FloatArray, of_x: FloatArray | None = None) -> FloatArray:
         """The transpose: gradient (n_unique, 3) of the face nodes from that (n_nodes, 3) of all block nodes, of which
         coincident ones add; theirs become zero."""
         topology = self._problem.topology
-        rows = gradient[topology.face_nodes]
         face: FloatArray = np.zeros((topology.n_unique, 3))
-        for c in range(3):
-            face[:, c] = np.bincount(topology.number, rows[:, c], topology.n_unique)
-        gradient[topology.face_nodes] = 0.0
+        collect_rows(gradient, topology.number, topology.face_nodes, face)
         self.pull(face, of_x)
         return face

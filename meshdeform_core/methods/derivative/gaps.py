@@ -50,18 +50,18 @@ class InGapsDerivative:
         return out
 
     def pull(self, gradient: FloatArray) -> FloatArray:
-        """Gradient (n_sources, 3) from that (n_nodes, 3) of all block nodes."""
+        """Gradient (n_sources, 3) from that (n_nodes, 3) of all block nodes, which is overwritten."""
         if self._again:
-            gradient = np.array(gradient)
             face = self._again.gathered(gradient)
             gradient[self._problem.topology.first] += face
         closing, part = self._closing, np.zeros_like(gradient)
         part[:, 0] = np.einsum("ni,ni->n", gradient, self._apart)
         share = self._scalar.pull(part)[closing.rows, :1] * closing.slope
         np.multiply(gradient, self._share, out=part)
+        gradient -= part
         found = self._lines.pull(part)
-        np.subtract(gradient, part, out=part)
-        found += self._own.pull(part)
+        del part
+        found += self._own.pull(gradient)
         np.add.at(found, closing.rows, share)
         np.subtract.at(found, closing.other, share)
         return np.asarray(found)

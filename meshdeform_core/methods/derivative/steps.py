@@ -78,12 +78,13 @@ class StepsDerivative:
         return moved
 
     def pull(self, gradient: FloatArray) -> FloatArray:
-        """Gradient (n_sources, 3) from that (n_nodes, 3) of all block nodes."""
-        found, g = np.zeros_like(gradient[:1]), np.array(gradient)
+        """Gradient (n_sources, 3) from that (n_nodes, 3) of all block nodes, which is overwritten."""
+        found = np.zeros_like(gradient[:1])
         for part, step in zip(self._parts[:0:-1], self._later[::-1], strict=True):
-            own, of_grid = step.pull(g)
-            found, g = found + part * own, g + of_grid
-        return np.asarray(found + self._parts[0] * self._first.pull(g))
+            own, of_grid = step.pull(gradient)
+            found = found + part * own
+            gradient += of_grid
+        return np.asarray(found + self._parts[0] * self._first.pull(gradient))
 
 
 class ComponentsInSteps(ComponentsDerivative):

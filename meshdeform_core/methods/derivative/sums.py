@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...grid import BoolArray, FloatArray, IntArray
-from ...numerics.exact.direct import weighted_sums
+from ...numerics.exact.direct import N_VALUES, weighted_sums
 from ...numerics.fastsum.clusters.targets import make_targets
 from ...numerics.fastsum.clusters.tree import build_tree
 from ...numerics.fastsum.weighted.frozen import FrozenSums, Make, Use
@@ -52,7 +52,9 @@ class ExactSums:
 
     def __init__(self, bound: Bound, weights: Weights, acting: BoolArray) -> None:
         self._bound, self._weights, self.acting = bound, weights, acting
-        self.portions = max(1, min(_PORTIONS, len(bound.flat) // _CHUNK))
+        # The sums of all portions together are no larger than half of the coordinates.
+        most = bound.grid.points.size // (2 * (1 + N_VALUES) * max(np.count_nonzero(acting), 1))
+        self.portions = max(1, min(_PORTIONS, len(bound.flat) // _CHUNK, most))
 
     @property
     def flat(self) -> IntArray:
@@ -96,7 +98,8 @@ class ExactSums:
         """The transpose: gradients (k, n_sources) from those (m, k) of the sums of values."""
         bound, n = self._bound, len(self._bound.sources)
         cut = np.linspace(0, len(bound.flat), self.portions + 1).astype(np.int64)
-        totals = empty((self.portions, k, n))
+        place = np.cumsum(self.acting) - 1
+        totals = empty((self.portions, k, np.count_nonzero(self.acting)))
 
         def work(lo: int, hi: int) -> None:
             for portion in range(lo, hi):
@@ -109,10 +112,12 @@ class ExactSums:
                     for group, weights in zip(bound.groups, self._weights, strict=True):
                         some = group[self.acting[group]]
                         found = weighted_sums(bound.sources[some], x, ones, weights, given, chunk=n)
-                        totals[portion][:, some] += bound.strength[some] * found[:, 1:].T
+                        totals[portion][:, place[some]] += bound.strength[some] * found[:, 1:].T
 
         for_chunks(work, self.portions, 1, shared=[Shared(totals)])
-        return np.asarray(sum(totals[portion] for portion in range(self.portions)))
+        gradient = np.zeros((k, n))
+        gradient[:, self.acting] = sum(totals[portion] for portion in range(self.portions))
+        return gradient
 
 
 LinearSums = ExactSums | FrozenSums

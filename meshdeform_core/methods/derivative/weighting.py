@@ -119,22 +119,23 @@ class IDWDerivative:
     def pull(self, gradient: FloatArray) -> FloatArray:
         """Gradient (n_sources, 3) from that of the nodes, rows of ``gradient`` (n_nodes, 3)."""
         bound, turn, k = self._bound, self._turned(), len(self._fit.values)
-        # Of every portion: turn, rest, alpha, and the value common to sources at rest.
-        parts = np.zeros((self._sums.portions, 9 + 6 + 1 + k))
+        # Of every portion: shift, turn, rest, alpha, and the value common to sources at rest.
+        parts = np.zeros((self._sums.portions, 3 + 9 + 6 + 1 + k))
         # The total weight of the moving sources is the last sum with a transition, and never changes.
         changing = k - 1 if self._transition.width > 0.0 else k
 
         def make(rows: slice, flat: IntArray, portion: int) -> FloatArray:
             g, sums, part = gradient[flat], self._base.rows(rows), parts[portion]
+            part[:3] += g.sum(axis=0)
             if turn is not None:
-                part[:9] += (g.T @ self._seen(sums, flat)).ravel()
+                part[3:12] += (g.T @ self._seen(sums, flat)).ravel()
                 g = g @ turn
             x = bound.grid.points[flat] - self._fit.origin
             found, rest = finish_gradients(bound.rotation, sums, x, g, bound.repeats, self._transition)
-            part[9:15] += rest
+            part[12:18] += rest
             if self._near:
-                part[15] += self._slope * np.einsum("nk,nk->", found, self._near.rows(rows))
-            part[16:] += sums[:, 0] @ found[:, 1:]
+                part[18] += self._slope * np.einsum("nk,nk->", found, self._near.rows(rows))
+            part[19:] += sums[:, 0] @ found[:, 1:]
             return found[:, 1 : 1 + changing]
 
         acting = self._sums.acting
@@ -142,10 +143,10 @@ class IDWDerivative:
         values[:changing] = self._sums.pull(make, changing)[:, acting]
         part = np.sum(current_ranks().gather([parts]), axis=0).sum(axis=0)
         if not acting.all():
-            values = np.append(values, (part[16:] - values.sum(axis=1))[:, None], axis=1)
+            values = np.append(values, (part[19:] - values.sum(axis=1))[:, None], axis=1)
         known = {
-            "values": values, "shift": gradient[bound.flat].sum(axis=0), "turn": part[:9].reshape(3, 3),
-            "rest": part[9:15], "alpha": part[15],
+            "values": values, "shift": part[:3], "turn": part[3:12].reshape(3, 3),
+            "rest": part[12:18], "alpha": part[18],
         }  # fmt: skip
         given = {number: known[name] for name, number in self._numbers.items()}
         return self._tape.pull(given, [self._variable])[0]
@@ -185,7 +186,8 @@ def _accurate(
         sums = sums_of(bound, True, weights, acting, share, single and attempt < 2)
         found = _AtNodes(sums, values, True, transition)
         assert isinstance(sums, FrozenSums)
-        error = found.error(bound, sums, weights, values)
+        # All ranks must decide alike, also those whose processors round otherwise.
+        error = float(np.max(current_ranks().gather([found.error(bound, sums, weights, values)])))
         if error <= TOLERANCE:
             return sums, found
         if np.isfinite(error):

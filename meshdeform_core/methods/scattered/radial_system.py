@@ -35,8 +35,9 @@ class RadialSystem:
             self.solver = "direct" if n <= DIRECT_CENTRES else "krylov"
             self._reason = f"{n:,} centres, direct up to {DIRECT_CENTRES:,}"
         self._limit = limit
-        self._require(KrylovSolver.memory(n) + nested_bytes(n) if self.solver == "krylov" else dense)
         self._tolerance = _TOLERANCE.get(self.solver, 0.0) if options.tolerance == "auto" else float(options.tolerance)
+        krylov = KrylovSolver.memory(n, self._tolerance) + nested_bytes(n)
+        self._require(krylov if self.solver == "krylov" else dense)
         self._direct: DirectSolver | None = None
         self._krylov: KrylovSolver | None = None
         self._matrix: FloatArray | None = None
@@ -84,9 +85,9 @@ class RadialSystem:
     ) -> tuple[FloatArray, FloatArray]:
         if self._krylov is None:
             points = self.centres.points
-            solver = KrylovSolver.memory(len(points))
+            solver = KrylovSolver.memory(len(points), self._tolerance)
             product = product_of(self.kind, points, self._tolerance, lambda size: self._require(solver + size))
-            self._krylov = KrylovSolver(self.kind, points, self.terms, product)
+            self._krylov = KrylovSolver(self.kind, points, self.terms, product, self._tolerance)
         report = of_stage(progress, "krylov")
         found = self._krylov.solve(values, self._tolerance, self.options.max_iterations, report)
         account.settings["products"] = Setting(self._krylov.product.how)

@@ -59,6 +59,7 @@ class SchwarzPreconditioner:
     product : A times coefficients (n, 3), see :class:`.products.Product`
     coarse_solver : makes a solver, as a function of kind, coarse centres and their polynomial, for a coarse system too
         large to factorise; it need not be accurate
+    widening : multiple of ``OWN`` and ``OVERLAP``
     """
 
     def __init__(
@@ -68,10 +69,11 @@ class SchwarzPreconditioner:
         polynomial: FloatArray,
         product: Product,
         coarse_solver: Callable[[int, FloatArray, FloatArray], CoarseSolver],
+        widening: int = 1,
     ) -> None:
         self._side = np.linalg.qr(polynomial)[0]
-        self._own = bisect(points, -(-len(points) // OWN))
-        self._near = _with_overlap(points, self._own)
+        self._own = bisect(points, -(-len(points) // (OWN * widening)))
+        self._near = _with_overlap(points, self._own, OVERLAP * widening)
         self._rows = _restricted_inverses(kind, points, self._own, self._near)
         self._coarse = _coarse(points, polynomial)
         self._at_coarse = product.roughly_at(self._coarse)
@@ -82,10 +84,10 @@ class SchwarzPreconditioner:
             self._next = DirectSolver(lambda: radial_matrix(kind, centres, centres), polynomial[self._coarse])
 
     @staticmethod
-    def memory(n: int) -> int:
+    def memory(n: int, widening: int = 1) -> int:
         """Bytes that it takes for ``n`` centres."""
         coarse = min(n // COARSENING + _FEWEST, _DIRECT)
-        return 8 * (n * OVERLAP + coarse * coarse)
+        return 8 * (n * OVERLAP * widening + coarse * coarse)
 
     def solve(self, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Coefficients (n, 3), with P^T c = 0, and polynomial (q, 3) for a residual (n, 3)."""
@@ -141,14 +143,14 @@ def _coarse(points: FloatArray, polynomial: FloatArray) -> IntArray:
     return chosen[np.unique(points[chosen], axis=0, return_index=True)[1]]
 
 
-def _with_overlap(points: FloatArray, boxes: list[IntArray]) -> list[IntArray]:
-    """Each box with the points nearest to it, ``OVERLAP`` in all, its own last.
+def _with_overlap(points: FloatArray, boxes: list[IntArray], size: int) -> list[IntArray]:
+    """Each box with the points nearest to it, ``size`` in all, its own last.
 
     Near is measured in spacings of the nodes of the box: where the grid is graded, the coarse end of a box would get
     no neighbours if lengths were compared.
     """
     tree = scipy.spatial.cKDTree(points)
-    candidates = np.arange(1, min(len(points), OVERLAP // 3) + 1)
+    candidates = np.arange(1, min(len(points), size // 3) + 1)
 
     def widened(box: IntArray) -> IntArray:
         distance, around = tree.query(points[box], candidates, workers=thread_count())
@@ -157,7 +159,7 @@ def _with_overlap(points: FloatArray, boxes: list[IntArray]) -> list[IntArray]:
         once, rank = np.unique(around, return_index=True)
         outside = ~np.isin(once, box)
         nearest = once[outside][np.argsort(rank[outside])]
-        return np.concatenate([nearest[: OVERLAP - len(box)], box])
+        return np.concatenate([nearest[: size - len(box)], box])
 
     return [widened(box) for box in boxes]
 

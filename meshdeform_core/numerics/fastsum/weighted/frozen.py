@@ -28,6 +28,8 @@ Make = Callable[[slice, IntArray, int], FloatArray]
 
 _MOST_PORTIONS = 64
 _SOURCES = 2048
+# Of groups that do not act.
+_NONE = Charges(np.empty((0, 3 + CHARGES)), False)
 
 
 class FrozenSums:
@@ -78,8 +80,8 @@ class FrozenSums:
             for tree, moving in zip(trees, self._plan.moving, strict=True)
         ]
         size = CHARGES * sum(map(len, self._points))
-        # The sums of all portions together are no larger than the coordinates.
-        self.portions = int(np.clip(3 * len(targets.points) // size, 1, _MOST_PORTIONS))
+        # The sums of all portions together are no larger than half of the coordinates.
+        self.portions = int(np.clip(3 * len(targets.points) // (2 * size), 1, _MOST_PORTIONS))
 
     @property
     def flat(self) -> IntArray:
@@ -161,8 +163,10 @@ class FrozenSums:
         lists = self._plan.lists_of(first, last)
         places = places_of(first, last, targets.points, targets.bricks, targets.regions)
         filled = np.logical_or.reduce([filled_by(each, m) for each, m in zip(lists, self._plan.moving, strict=True)])
+        charged = np.empty((len(places.points), 3 + CHARGES))
+        charged[:, :3], here = places.points, charged[:, 3:]
         for number in range(len(total)):
-            here = np.zeros((len(places.points), CHARGES))
+            here[:] = 0.0
             part = gradient[:, number * N_VALUES : (number + 1) * N_VALUES]
             here[: len(part), 1 : 1 + part.shape[1]] = part
             every = bool(here[:, -1].any())
@@ -173,7 +177,7 @@ class FrozenSums:
             ):  # fmt: skip
                 if lo < hi:
                     spread_lists(
-                        places, here, tree, points, each, kind, moving, self._scale, every, total[number, lo:hi]
+                        places.span, charged, tree, points, each, kind, moving, self._scale, every, total[number, lo:hi]
                     )
 
     def _sources(self, tree: SourceTree, total: FloatArray) -> FloatArray:
@@ -186,7 +190,10 @@ class FrozenSums:
 
     def _charges(self, values: FloatArray, weigh: bool) -> list[Charges]:
         charges = []
-        for group, tree in self._groups:
+        for (group, tree), moving in zip(self._groups, self._plan.moving, strict=True):
+            if not (weigh or moving.any()):
+                charges.append(_NONE)
+                continue
             members, source = group[tree.order], np.zeros((len(group), CHARGES))
             if weigh:
                 source[:, 0] = self._strength[members]

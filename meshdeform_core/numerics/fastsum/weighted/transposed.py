@@ -16,7 +16,7 @@ from ..clusters.acceptance import Kernel
 from ..clusters.boxes import box_coordinate, chebyshev, lagrange
 from ..clusters.bricks import spans
 from ..clusters.tree import CHARGES, SourceTree
-from .treesum import Places, shares_of_box
+from .treesum import shares_of_box
 from .walk import Lists, few_nodes
 
 
@@ -73,8 +73,8 @@ def _collect(boxes, b, m, low, high, points, first, last, gradient):
 
 
 def spread_lists(
-    places: Places,
-    gradient: FloatArray,
+    place: IntArray,
+    charged: FloatArray,
     tree: SourceTree,
     points: FloatArray,
     lists: Lists,
@@ -86,8 +86,9 @@ def spread_lists(
 ) -> None:
     """Of :func:`.treesum.sum_lists`: add to ``out`` (n + m, 8) the gradients of sources and interpolation points.
 
-    ``points`` (n + m, 3) are those of the ``tree``; ``gradient`` (places, 8), of which the first and the last column
-    are taken for zero without ``all_charges``.
+    ``points`` (n + m, 3) are those of the ``tree``; ``charged`` (places, 11) has the coordinates of places and their
+    gradients, of which the first and the last are taken for zero without ``all_charges``; ``place`` is
+    :attr:`.treesum.Places.span`.
     """
     number, raw = lists.codes >> 1, lists.codes & 1 == 1
     active = acting[number]
@@ -100,8 +101,7 @@ def spread_lists(
     number, raw = found >> 1, found & 1 == 1
     first = len(tree.order) + np.stack([tree.boxes.proxy[number], tree.boxes.proxy[number + 1]])
     rows = np.ascontiguousarray(np.where(raw, tree.span[number].T, first).T)
-    charged = np.concatenate([places.points, gradient], axis=1)
-    pieces = np.ascontiguousarray(places.span[item[order]])
+    pieces = np.ascontiguousarray(place[item[order]])
     span = np.ascontiguousarray(spans(np.append(start, len(order))))
     a, b, kappa, _ = function
     if scale:
