@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -17,6 +17,7 @@ from meshdeform_core.methods import PreparedMethod
 from meshdeform_core.methods.derivative import ComponentsInSteps, StepsDerivative, derivative_of, derivative_of_steps
 from meshdeform_core.repair.derivative import RepairDerivative, derivative_of_repair
 
+from ..gate import checked_array
 from .step import Step
 
 if TYPE_CHECKING:
@@ -121,11 +122,11 @@ class Linearisation:
 
         def push(x: FloatArray) -> FloatArray:
             with self._moving.at_work():
-                return self._pushed(np.asarray(x, dtype=np.float64).reshape(moving, 3)).ravel()
+                return self._pushed(_real(x).reshape(moving, 3)).ravel()
 
         def pull(w: FloatArray) -> FloatArray:
             with self._moving.at_work():
-                return self._pulled(np.array(w, dtype=np.float64).reshape(nodes, 3)).ravel()
+                return self._pulled(_real(w).reshape(nodes, 3)).ravel()
 
         return LinearOperator((3 * nodes, 3 * moving), matvec=push, rmatvec=pull, dtype=np.float64)
 
@@ -150,21 +151,24 @@ class Linearisation:
         return [block[:, :, 0, :2].copy() if self._step._plane else block for block in blocks]
 
     def _flat(self, gradients: Sequence[Any]) -> FloatArray:
-        grid, wanted = self._setup.grid, [block.shape for block in self._step.grid.blocks]
-        found = [np.asarray(each, dtype=np.float64) for each in gradients]
-        if [each.shape for each in found] != wanted:
-            shapes = ", ".join(str(each.shape) for each in found[:4])
-            raise GridError(
-                f"gradients have the shapes {shapes}; expected those of the {len(wanted)} blocks: "
-                f"{', '.join(map(str, wanted[:4]))}"
-            )
-        if not all(np.isfinite(each).all() for each in found):
-            raise GridError("gradients contain values that are not finite; expected numbers")
+        grid, shapes = self._setup.grid, [block.shape for block in self._step.grid.blocks]
+        found = list(gradients) if isinstance(gradients, Iterable) else [gradients]
+        if len(found) != len(shapes):
+            raise GridError(f"found gradients for {len(found)} blocks; expected those of the {len(shapes)} blocks")
         flat = np.zeros((grid.n_nodes, 3))
-        for block, each in enumerate(found):
+        for block, (each, shape) in enumerate(zip(found, shapes, strict=True)):
+            what, meaning = f"gradient of block {block + 1}", f"expected those of the {len(shapes)} blocks"
             rows = flat[grid.offsets[block] : grid.offsets[block + 1]]
-            rows[:, : each.shape[-1]] = each.reshape(-1, each.shape[-1])
+            rows[:, : shape[-1]] = checked_array(each, shape, what, meaning, GridError).reshape(-1, shape[-1])
         return flat
+
+
+def _real(values: Any) -> FloatArray:
+    """A copy of the argument of a ``LinearOperator``."""
+    found = np.array(values)
+    if found.dtype.kind == "c":
+        raise GridError("found complex numbers; expected real ones: apply the operator to both parts")
+    return found.astype(np.float64)
 
 
 def _chained(

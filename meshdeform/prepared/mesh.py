@@ -163,7 +163,7 @@ class Mesh:
         ----------
         displacement : at which it is taken, as for :meth:`deform`; ``None``: the undeformed grid
         steps, repair : as for :meth:`deform`. ``.exact`` is false for a grid repaired without reaching the minimum of
-            the repair's energy, and for several steps with a repair or radial basis functions
+            the repair's energy, and for several steps with repairs on the way; ``.reason`` says why
 
         Raises
         ------

@@ -110,10 +110,11 @@ def test_several_steps_of_components():
 
 
 def test_several_steps_without_derivative_say_why(mesh):
-    rbf = md.prepare(md.Grid([block.copy() for block in mesh.grid.blocks]), case(name="rbf-tfi"))
+    options = {"basis": "wendland-c2", "radius": "auto"}
+    rbf = md.prepare(md.Grid([block.copy() for block in mesh.grid.blocks]), case(name="rbf-tfi", rbf=options))
     found = rbf.linearise(bend(rbf), steps=2)
     assert not found.exact
-    assert "2 steps, and a method has no derivative" in found.reason
+    assert '2 steps, and method.rbf.radius = "auto" has no derivative' in found.reason
     for one, two in zip(found.jvp(bend(rbf)), rbf.linearise(bend(rbf), steps=1).jvp(bend(rbf)), strict=True):
         np.testing.assert_array_equal(one, two)
 
@@ -130,10 +131,21 @@ def test_bad_arrays(mesh):
     found = mesh.linearise()
     with pytest.raises(md.MotionError, match="displacement"):
         found.jvp(np.ones((3, 3)))
-    with pytest.raises(md.GridError, match="expected those of the"):
+    with pytest.raises(md.GridError, match="gradients for 1 blocks; expected those of the 8 blocks"):
         found.vjp([np.ones((2, 2, 2, 3))])
-    with pytest.raises(md.GridError, match="not finite"):
-        found.vjp([np.full(block.shape, np.nan) for block in mesh.grid.blocks])
+    zeros = [np.zeros(block.shape) for block in mesh.grid.blocks]
+    for given, message in (
+        ([*zeros[:-1], np.full(zeros[-1].shape, np.nan)], "block 8 has .* not finite"),
+        ([*zeros[:-1], zeros[-1][:-1]], "block 8 has the shape"),
+        ([block * 1j for block in zeros], "block 1 has the type complex128"),
+        (np.zeros((5, 3)), "gradients for 5 blocks"),
+        (["a"] * 8, "block 1 has the type"),
+        (None, "gradients for 1 blocks"),
+    ):
+        with pytest.raises(md.GridError, match=message):
+            found.vjp(given)
+    with pytest.raises(md.GridError, match="complex numbers"):
+        found.operator @ (1j * np.ones(mesh.points.size))
 
 
 def test_methods_without_derivative():

@@ -83,7 +83,7 @@ def test_every_other_method_with_every_kind_of_boundary(name, kind):
     check(make_method(METHODS[name]).prepare(where), at, rough)
 
 
-@pytest.mark.parametrize("name", ["tfi", "idw-lie", "idw-tfi"])
+@pytest.mark.parametrize("name", ["tfi", "idw-lie", "idw-tfi", "idw-rbf", "rbf-tfi"])
 def test_sliding_on_a_curved_surface(name):
     where = KINDS["curved slip"]()
     assert where.boundary.slip.curved

@@ -4,12 +4,12 @@ import dataclasses
 
 import numpy as np
 import pytest
-from cases import ALL_METHODS, body_specs, problem_of, turning
+from cases import body_specs, problem_of, turning
 from derivative_cases import KINDS, METHODS, directions
 from grids import frame
 
 from meshdeform_core.errors import MethodError
-from meshdeform_core.methods import make_method, prepare_method
+from meshdeform_core.methods import RBF, Options, make_method, prepare_method
 from meshdeform_core.methods.derivative import StepsDerivative
 
 PLACES = KINDS | {"sub-blocks": lambda: problem_of(frame(7, 5), body_specs(turning(10)))}
@@ -29,11 +29,16 @@ def imposed(options, where, displacement):
 
 
 # The filler of the hybrid is the same TFI.
+OF_RBF = [
+    *((name, "slip") for name in METHODS if name.startswith("rbf") and name not in ("rbf-minres", "rbf-krylov")),
+    *(("idw-rbf", kind) for kind in ("slip", "periodic", "curved slip")),
+    *(("rbf-tfi", kind) for kind in ("symmetry", "plane")),
+]
 LONG = [pytest.param(*each, marks=pytest.mark.slow) for each in BOUNDARIES if each[0] == "tfi"]
 SHORT = [each for each in BOUNDARIES if each[0] != "tfi"]
 
 
-@pytest.mark.parametrize(("name", "kind"), [("tfi", "slip"), *OF_IDW, *SHORT, *LONG])
+@pytest.mark.parametrize(("name", "kind"), [("tfi", "slip"), *OF_IDW, *OF_RBF, *SHORT, *LONG])
 def test_central_differences_and_transposes(name, kind):
     where, options = PLACES[kind](), METHODS[name]
     smooth, rough = directions(where)
@@ -48,7 +53,8 @@ def test_central_differences_and_transposes(name, kind):
         one, two = (imposed(options, where, at + sign * h * change) for sign in (1, -1))
         errors.append(np.abs((one - two) / (2.0 * h) - moved).max() / np.abs(moved).max())
     assert errors[1] < 1e-6
-    assert errors[1] < errors[0] / 12 or errors[1] < 1e-9
+    # Solutions of systems are less accurate than sums, which differences divide by h.
+    assert errors[1] < errors[0] / 12 or errors[1] < (1e-7 if "rbf" in name else 1e-9)
     weight = np.random.default_rng(6).standard_normal(moved.shape)
     gap = (weight * moved).sum() - (found.pull(weight.copy()) * change).sum()
     assert abs(gap) < 1e-12 * np.linalg.norm(weight) * np.linalg.norm(moved)
@@ -65,9 +71,15 @@ def test_later_steps_are_not_those_of_the_first_grid():
     assert np.abs(moved - apart).max() > 0.01 * np.abs(moved).max()
 
 
-@pytest.mark.parametrize("name", ["rbf-tps", "rbf-tfi", "idw-rbf"])
-def test_systems_are_refused(name):
-    where, options = PLACES["slip"](), ALL_METHODS[name]
-    method = make_method(options).prepare(where)
-    with pytest.raises(MethodError, match="radial basis functions"):
-        StepsDerivative(method, options, where, directions(where)[0], ENDS)
+@pytest.mark.parametrize(
+    ("options", "found"),
+    [
+        ({"greedy": "hybrid", "radius": 6.0}, "greedy has no derivative"),
+        ({}, 'radius = "auto" has no derivative'),
+    ],
+)
+def test_systems_that_follow_the_grid_in_other_ways_are_refused(options, found):
+    where, chosen = PLACES["slip"](), Options("rbf", rbf=RBF(basis="wendland-c2", **options))
+    method = make_method(chosen).prepare(where)
+    with pytest.raises(MethodError, match=found):
+        StepsDerivative(method, chosen, where, directions(where)[0], ENDS)

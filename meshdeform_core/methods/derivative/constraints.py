@@ -27,7 +27,9 @@ class Constraints:
     def _tangents(self, surface: CurvedSurface, face: FloatArray) -> tuple[IntArray, FloatArray]:
         """Nodes that slide and projectors (n, 3, 3) on the triangle, or the edge of one, on which they are."""
         problem = self._problem
-        target = problem.grid.points[problem.topology.first[surface.nodes]] + face[surface.nodes]
+        # Those on sides that a second step fills have no displacement before it.
+        nodes = surface.nodes[np.isfinite(face[surface.nodes, 0])]
+        target = problem.grid.points[problem.topology.first[nodes]] + face[nodes]
         triangle, weights, distance = surface.tree.closest(target)
         corners, positive = surface.points[surface.triangles[triangle]], weights > 1e-9
         count, size = positive.sum(axis=1), np.ptp(corners, axis=1).max(axis=1)
@@ -40,7 +42,7 @@ class Constraints:
         middle = np.einsum("nc,ncd->nd", base, corners) / base.sum(axis=1)[:, None]
         left, length, _ = np.linalg.svd(((corners - middle[:, None]) * base[:, :, None]).transpose(0, 2, 1))
         kept = left[:, :, :2] * (length[:, None, :2] > 1e-9 * size[:, None, None])
-        return surface.nodes, np.asarray(kept @ kept.transpose(0, 2, 1))
+        return nodes, np.asarray(kept @ kept.transpose(0, 2, 1))
 
     def push(self, face: FloatArray, dx: FloatArray | None = None) -> None:
         """Impose them on a change (n_unique, 3), in place; ``dx`` (n_unique, 3): of the coordinates."""

@@ -13,7 +13,7 @@ from .. import Options, PreparedMethod, prepare_method
 from ..base import Problem
 from ..components import PreparedComponents
 from .choice import ComponentsDerivative, derivative_of
-from .grid.composite import GridDerivative, grid_derivative_of, require_derivative
+from .grid.composite import GridDerivative, grid_derivative_of
 
 
 def derivative_of_steps(
@@ -57,7 +57,6 @@ class StepsDerivative:
         displacement: FloatArray,
         fractions: Sequence[float],
     ) -> None:
-        require_derivative(first)
         self._parts = np.diff(fractions, prepend=0.0)
         imposed = fractions[0] * displacement
         self._first, points = derivative_of(first, imposed), problem.grid.points + first.apply(imposed)

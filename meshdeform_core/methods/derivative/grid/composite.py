@@ -8,15 +8,17 @@ import numpy as np
 
 from ....errors import MethodError
 from ....grid import FloatArray
-from ...base import Mover, PreparedMethod
-from ...composite import PreparedComposite, _on_faces, _Scattered
+from ...base import Mover, PreparedMethod, Problem
+from ...composite import PreparedComposite, PreparedFiller, _on_faces
 from ...gaps import PreparedInGaps
 from ...periodic_steps import PreparedPeriodic
+from ...scattered.block_rbf import PreparedBlockRBF
 from ...scattered.idw import PreparedIDW
 from ...transfinite.edge_graph import PreparedEdgeGraph
 from ...transfinite.tfi import PreparedTFI
 from ..constraints import Constraints
 from .beside_slip import BesideSlipGridDerivative
+from .radial import BlockRBFGridDerivative, RBFGridDerivative
 from .transfinite import EdgeGraphGridDerivative, TFIGridDerivative
 from .weighting import IDWGridDerivative
 
@@ -43,9 +45,8 @@ def grid_derivative_of(method: PreparedMethod, displacement: FloatArray) -> Grid
     Raises
     ------
     MethodError
-        As :func:`require_derivative`, and where gaps close.
+        Where gaps close, and for radial basis functions whose centres or radius follow the grid.
     """
-    require_derivative(method)
     if isinstance(method, PreparedInGaps):
         if method.closing(displacement) is not None:
             raise MethodError("what is blended in closing gaps has no derivative with respect to the grid")
@@ -56,51 +57,40 @@ def grid_derivative_of(method: PreparedMethod, displacement: FloatArray) -> Grid
     return _Composite(method, displacement)
 
 
-def require_derivative(method: PreparedMethod) -> None:
-    """Refuse what has no derivative with respect to the grid.
-
-    Raises
-    ------
-    MethodError
-        For methods with radial basis functions.
-    """
-    text = "a method has no derivative with respect to the grid on which it is prepared"
-    if isinstance(method, PreparedInGaps):
-        method = method.method
-    if isinstance(method, PreparedPeriodic):
-        method = method._rest
-    assert isinstance(method, PreparedComposite)
-    mover, filler = method._mover, method._filler
-    known = isinstance(mover, PreparedEdgeGraph) or (
-        isinstance(mover, _Scattered) and isinstance(mover._bound, PreparedIDW)
-    )
-    if not known or not (filler is None or isinstance(filler, PreparedTFI)):
-        raise MethodError(f"{text} with radial basis functions, whose systems depend on it")
-
-
 class _Composite:
     def __init__(self, method: PreparedComposite, displacement: FloatArray) -> None:
         self._problem, mover, filler = method._problem, method._mover, method._filler
         out = np.full((self._problem.grid.n_nodes, 3), np.nan)
-        self._constraints = Constraints(self._problem, mover.move(displacement, out).copy())
-        self.on_edges = self._constraints.on_edges
+        face = mover.move(displacement, out)
+        self._first, self._second = Constraints(self._problem, face.copy()), None
+        self.on_edges = self._first.on_edges
+        if method._left_out and filler:
+            method._constrain(face, out)
+            filler.fill(out)
+            self._second = Constraints(self._problem, _on_faces(out, self._problem))
+            self.on_edges += self._second.on_edges
         self._mover = _first_step(mover, displacement)
         self.moved = method.apply(displacement)
-        self._filler = TFIGridDerivative(filler, self.moved) if isinstance(filler, PreparedTFI) else None
+        self._filler = _filling(filler, self._problem, self.moved)
 
     def push(self, change: FloatArray, dx: FloatArray) -> FloatArray:
-        out = np.full((self._problem.grid.n_nodes, 3), np.nan)
-        self._constraints.impose(self._mover.push(change, dx, out), out, dx[self._problem.topology.first])
+        out, of_first = np.full((self._problem.grid.n_nodes, 3), np.nan), dx[self._problem.topology.first]
+        self._first.impose(self._mover.push(change, dx, out), out, of_first)
         if self._filler:
             self._filler.push(out, dx)
+        if self._second:
+            self._second.impose(_on_faces(out, self._problem), out, of_first)
         return out
 
     def pull(self, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
         g, of_grid, first = np.array(gradient), np.zeros_like(gradient), self._problem.topology.first
+        of_first = np.zeros((len(first), 3))
+        if self._second:
+            face = self._second.gathered(g, of_first)
+            g[first] += face
         if self._filler:
             self._filler.pull(g, of_grid)
-        of_first = np.zeros((len(first), 3))
-        face = self._constraints.gathered(g, of_first)
+        face = self._first.gathered(g, of_first)
         of_grid[first] += of_first
         return self._mover.pull(face, g, of_grid), of_grid
 
@@ -135,6 +125,15 @@ class _Periodic:
         return self._mover.pull(face, np.zeros_like(gradient), of_grid), of_grid
 
 
+def _filling(
+    filler: PreparedFiller | None, problem: Problem, moved: FloatArray
+) -> TFIGridDerivative | BlockRBFGridDerivative | None:
+    if isinstance(filler, PreparedBlockRBF):
+        return BlockRBFGridDerivative(filler, problem, moved)
+    assert filler is None or isinstance(filler, PreparedTFI)
+    return TFIGridDerivative(filler, moved) if filler else None
+
+
 def _first_step(mover: Mover, displacement: FloatArray) -> EdgeGraphGridDerivative | _Interpolated:
     if isinstance(mover, PreparedEdgeGraph):
         return EdgeGraphGridDerivative(mover, displacement)
@@ -146,7 +145,11 @@ class _Interpolated:
 
     def __init__(self, mover: Any, displacement: FloatArray) -> None:
         self._problem = mover.problem
-        self._derivative = IDWGridDerivative(mover._bound, mover._evaluator.bound, displacement)
+        self._derivative: IDWGridDerivative | RBFGridDerivative
+        if isinstance(mover._bound, PreparedIDW):
+            self._derivative = IDWGridDerivative(mover._bound, mover._evaluator.bound, displacement)
+        else:
+            self._derivative = RBFGridDerivative(mover._bound, self._problem, mover.flat, displacement)
         out = np.empty((self._problem.grid.n_nodes, 3))
         mover.interpolate(displacement, out)
         self._beside_slip = BesideSlipGridDerivative(mover.beside_slip, self._problem, mover.flat, out[mover.flat])
