@@ -136,6 +136,8 @@ def main(args: Sequence[str] | None = None) -> NoReturn:
     handler.finish()
     stopped = interruption.requested()
     flush_messages()
+    # The interpreter would look for cycles in all that was imported once more; the system frees the memory anyway.
+    gc.freeze()
     sys.exit(code if stopped is None else 128 + stopped)
 
 

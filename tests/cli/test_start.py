@@ -55,3 +55,13 @@ def test_hybrid_loads_nothing_that_it_does_not_use(tmp_path, call):
     command = [sys.executable, "-c", LAZY, *map(str, job), "--time", "2.5e-4", "-q"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=600)
     assert done.stdout.splitlines()[-1] == "0 []", done.stderr
+
+
+def test_the_end_looks_for_no_cycles_in_what_was_imported():
+    """It would take a third of the time of a small run."""
+    look = "print(gc.get_freeze_count() > 1000)"
+    code = (
+        f"import atexit, gc; from meshdeform_cli.main import main; atexit.register(lambda: {look}); main(['--version'])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.stdout.splitlines()[-1] == "True"

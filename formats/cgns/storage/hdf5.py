@@ -160,9 +160,9 @@ def _node(group: h5g.GroupID | h5d.DatasetID, file: Path, path: str, links: int 
         return Node(name, file, path, data_type="LK", link=link, follow=follow)
     node = Node(name, file, path, label, data_type)
     members = group.get_num_objs()
-    if data_type != "MT" and members and group.links.exists(_DATA):
+    dataset = _dataset(group) if data_type != "MT" and members else None
+    if dataset:
         members -= 1
-        dataset = h5d.open(group, _DATA)
         node.dims, node.dtype = dataset.shape[::-1], _dtype(dataset, data_type)
         values = _few_values(dataset, node.dims, node.dtype)
         if values is not None:
@@ -176,6 +176,15 @@ def _node(group: h5g.GroupID | h5d.DatasetID, file: Path, path: str, links: int 
     return node
 
 
+def _dataset(group: h5g.GroupID) -> h5d.DatasetID | None:
+    try:
+        return h5d.open(group, _DATA)
+    except KeyError:
+        if group.links.exists(_DATA):
+            raise
+        return None
+
+
 def _dtype(dataset: h5d.DatasetID, data_type: str) -> np.dtype[Any]:
     known = _NATIVE.get(data_type)
     return DTYPES[data_type] if known is not None and dataset.get_type().equal(known) else dataset.dtype
@@ -187,9 +196,11 @@ def _few_values(dataset: h5d.DatasetID, dims: tuple[int, ...], dtype: np.dtype[A
     size = math.prod(dims) * dtype.itemsize
     if not 0 < size <= _FEW_BYTES or dataset.get_storage_size() < size:
         return None
-    layout = dataset.get_create_plist()
-    if layout.get_layout() == h5d.VIRTUAL or layout.get_external_count():
-        return None
+    if dataset.get_offset() is None:
+        # Not simply one range of bytes in the file.
+        layout = dataset.get_create_plist()
+        if layout.get_layout() == h5d.VIRTUAL or layout.get_external_count():
+            return None
     try:
         values = np.empty(dims[::-1], dtype)
         dataset.read(h5s.ALL, h5s.ALL, values, _NATIVE_TYPES.get(dtype))
