@@ -23,7 +23,7 @@ from meshdeform_core.numerics.exact.basis import BASES
 from meshdeform_core.numerics.fastsum.radial.nested import NestedSums
 from meshdeform_core.numerics.jit import compiled_loops
 from meshdeform_core.parallel.ranks import usable_cores
-from meshdeform_core.repair import RepairOptions
+from meshdeform_core.repair import Mode, RepairOptions
 from meshdeform_core.repair.derivative import derivative_of_repair
 from meshdeform_core.series import Schedule, deform_series
 from meshdeform_formats.case import case_of
@@ -98,7 +98,7 @@ def _loops_of(call: Callable[[], object]) -> int:
     return compiled_loops() - before
 
 
-def _sample(name: str, size: int, method: Options, repair: str = "auto", **constants: float) -> tuple[Grid, Case]:
+def _sample(name: str, size: int, method: Options, repair: Mode = "auto", **constants: float) -> tuple[Grid, Case]:
     grid, tables = generate(name, size)
     content: dict[str, Any] = case_content(name, tables)
     content["constants"] = {**content.get("constants", {}), **constants}
@@ -106,7 +106,7 @@ def _sample(name: str, size: int, method: Options, repair: str = "auto", **const
     return grid, Case(case.boundaries, case.constants, method, repair=RepairOptions(repair))
 
 
-def _deformed(name: str, size: int, method: Options, repair: str = "off", **constants: float) -> Result:
+def _deformed(name: str, size: int, method: Options, repair: Mode = "off", **constants: float) -> Result:
     return deform(*_sample(name, size, method, repair, **constants), time=2.5e-4)
 
 

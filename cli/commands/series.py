@@ -41,13 +41,7 @@ def command(source: GridInput, case: CaseInput, wanted: SeriesInput, run: RunInp
     """
     start = clock.perf_counter()
     use_threads(run.threads)
-    if case.empty:
-        raise click.UsageError("Nothing to do: give a case file (-c) or displacement files (-d).")
-    if case.displacement and not wanted.times:
-        raise click.UsageError("Displacement files (-d 'surface_*.csv') need their times: --times START:STOP:STEP.")
-    if wanted.resume and run.force:
-        raise click.UsageError("--resume continues a series, --force restarts it; give one of them.")
-    check_reports(run.reports, run.force or wanted.resume, *source.files, *case.files)
+    _check(source, case, wanted, run)
     limit = run.memory
 
     from .. import series_run, work
@@ -85,3 +79,14 @@ def command(source: GridInput, case: CaseInput, wanted: SeriesInput, run: RunInp
         return work.conclude(report, run, work.Delivery(start, files, partial(series_run.illustrate, plan)))
 
     return current_ranks().on_first(deform)
+
+
+def _check(source: GridInput, case: CaseInput, wanted: SeriesInput, run: RunInput) -> None:
+    """Refuse options that do not go together, and reports that would replace a file."""
+    if case.empty:
+        raise click.UsageError("Nothing to do: give a case file (-c) or displacement files (-d).")
+    if case.displacement and not wanted.times:
+        raise click.UsageError("Displacement files (-d 'surface_*.csv') need their times: --times START:STOP:STEP.")
+    if wanted.resume and run.force:
+        raise click.UsageError("--resume continues a series, --force restarts it; give one of them.")
+    check_reports(run.reports, run.force or wanted.resume, *source.files, *case.files)

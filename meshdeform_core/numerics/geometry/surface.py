@@ -6,6 +6,7 @@ import numpy as np
 
 from ..arrays import FloatArray, IntArray
 from ..jit import inlined, kernel
+from ..partition import partition
 
 _LEAF = 8
 _DEPTH = 64
@@ -23,7 +24,10 @@ class TriangleTree:
     def __init__(self, points: FloatArray, triangles: IntArray) -> None:
         self.triangles = triangles
         corners = np.ascontiguousarray(points[triangles])
-        self._order, self._node, self._box = _build(corners.min(axis=1), corners.max(axis=1))
+        self._order = np.arange(len(triangles))
+        node, box = np.empty((2 * len(triangles) + 1, 3), dtype=np.int64), np.empty((2 * len(triangles) + 1, 6))
+        used = _build(corners.min(axis=1), corners.max(axis=1), self._order, node, box)
+        self._node, self._box = node[:used].copy(), box[:used].copy()
         self._corners = corners[self._order]
 
     def closest(self, targets: FloatArray, within: FloatArray | None = None) -> tuple[IntArray, FloatArray, FloatArray]:
@@ -43,34 +47,35 @@ class TriangleTree:
 
 
 @kernel
-def _build(low, high):
-    """Split at the median centroid along the longest box axis until a box holds few triangles.
+def _build(low, high, order, node, box):
+    """Halve boxes along their longest axis until they hold few triangles; returns the number of boxes.
 
     ``node[n] = (first, count, child)``: a leaf has child -1, else its children are ``child`` and ``child + 1``.
     """
-    m = low.shape[0]
-    centroid = 0.5 * (low + high)
-    order = np.arange(m)
-    node = np.empty((2 * m + 1, 3), dtype=np.int64)
-    box = np.empty((2 * m + 1, 6))
-    node[0] = np.array([0, m, -1])
+    along = np.empty(order.shape[0])
+    node[0, 0], node[0, 1], node[0, 2] = 0, order.shape[0], -1
     used, current = 1, 0
     while current < used:
         first, count = node[current, 0], node[current, 1]
-        members = order[first : first + count]
+        longest = 0
         for axis in range(3):
-            box[current, axis] = low[members, axis].min()
-            box[current, 3 + axis] = high[members, axis].max()
+            box[current, axis], box[current, 3 + axis] = np.inf, -np.inf
+            for place in range(first, first + count):
+                box[current, axis] = min(box[current, axis], low[order[place], axis])
+                box[current, 3 + axis] = max(box[current, 3 + axis], high[order[place], axis])
+            if box[current, 3 + axis] - box[current, axis] > box[current, 3 + longest] - box[current, longest]:
+                longest = axis
         if count > _LEAF:
-            axis = np.argmax(box[current, 3:] - box[current, :3])
-            order[first : first + count] = members[np.argsort(centroid[members, axis])]
+            for place in range(first, first + count):
+                along[place] = low[order[place], longest] + high[order[place], longest]
             half = count // 2
+            partition(order, along, first, first + count - 1, first + half)
             node[current, 2] = used
-            node[used] = np.array([first, half, -1])
-            node[used + 1] = np.array([first + half, count - half, -1])
+            node[used, 0], node[used, 1], node[used, 2] = first, half, -1
+            node[used + 1, 0], node[used + 1, 1], node[used + 1, 2] = first + half, count - half, -1
             used += 2
         current += 1
-    return order, node[:used].copy(), box[:used].copy()
+    return used
 
 
 @kernel

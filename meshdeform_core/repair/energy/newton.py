@@ -1,4 +1,4 @@
-"""The linear system of one Newton step: square blocks, scaled by their diagonal, conjugate gradients."""
+"""The linear system of a Newton step: a sparse matrix of square blocks, solved by conjugate gradients."""
 
 from __future__ import annotations
 
@@ -15,18 +15,24 @@ from .elements import Penalty, Rows
 from .products import Plain, Products, Swept, sum_over_rows
 from .region import Region
 
+# Unknowns per call of a loop.
 _ROWS = 2048
-# Of a block in a product of the matrix; measured.
+# Work of one block in a product with the matrix, in the units of limit.py; measured.
 _BLOCK = 0.0045
 
 
 class NewtonSystem:
-    """Gradient and Hessian of a region's energy, filled anew in every step.
+    """Gradient and Hessian of a region's energy, computed anew for every step by ``fill``.
 
-    ``work`` is that of an iteration, see :mod:`.limit`; ``iterations`` those of the last direction.
+    The Hessian is scaled from both sides by the inverse Cholesky factors of its diagonal blocks and stored in single
+    precision, which makes steps slightly inexact and nothing else. :mod:`.products` preconditions it further.
 
-    The Hessian is scaled from both sides by the Cholesky factors of its diagonal blocks and kept in single precision,
-    which only makes steps a little inexact. How it is preconditioned further: :mod:`.products`.
+    Attributes
+    ----------
+    unknowns : how the region's nodes depend on the unknowns, at the coordinates of the last ``fill``
+    gradient : (n_unknowns, d) of the energy there
+    work : cost of one iteration, in the units of :mod:`..limit`
+    iterations : number of iterations that the last ``direction`` took
     """
 
     def __init__(self, region: Region) -> None:
@@ -55,14 +61,15 @@ class NewtonSystem:
 
     @staticmethod
     def memory(n_unknowns: int, dimension: int) -> int:
-        """Bytes that it takes, while the pattern is being found."""
+        """Peak memory in bytes, reached while the sparsity pattern is found."""
         return n_unknowns * (27 * (36 + 24) + 300 if dimension == 3 else 9 * (16 + 24) + 700)
 
     def fill(self, region: Region, x: FloatArray, reference: FloatArray, penalty: Penalty) -> bool:
-        """Gradient and scaled Hessian at the coordinates ``x`` (n, d); see :mod:`..numerics.cell.foldover`.
+        """Compute gradient and scaled Hessian at the coordinates ``x`` (n, d); see :mod:`...numerics.cell.foldover`.
 
-        The ``region`` is the one that the system was made for, but for shares of samples.
-        ``False`` if a diagonal block is not positive definite; that never happens with the convex part.
+        ``region`` is the one that the system was made for; only the weights of its samples may have changed.
+        Returns ``False`` if a diagonal block is not positive definite, which cannot happen with the convex part of the
+        energy alone.
         """
         starts, columns = self._starts, self._columns
         self.unknowns, freedom = region.directions(x)
@@ -85,8 +92,11 @@ class NewtonSystem:
         return not penalty.exact or not bad.any()
 
     def direction(self, tolerance: float, most: int) -> tuple[FloatArray, bool]:
-        """The Newton step (n_unknowns, d), by conjugate gradients until ``|r| <= tolerance |b|`` after preconditioning;
-        whether no direction of negative curvature was met. Where one is, the step so far is one of descent."""
+        """The Newton step (n_unknowns, d), and whether the Hessian was convex along all directions searched.
+
+        Conjugate gradients take at most ``most`` iterations, until ``|r| <= tolerance |b|`` after preconditioning. They
+        stop at a direction of negative curvature; the step found until then descends.
+        """
         factor, products = self._factor, self._products
         r = products.begin(-np.einsum("nij,nj->ni", factor, self.gradient))
         y, p, image = np.zeros_like(r), r.copy(), np.empty_like(r)
@@ -109,7 +119,7 @@ class NewtonSystem:
         return np.einsum("nji,nj->ni", factor, products.end(y)), convex
 
     def dense(self) -> FloatArray:
-        """The scaled Hessian as one matrix (d n, d n), for small regions."""
+        """The scaled Hessian as a dense matrix (d n, d n), for small regions."""
         n, d = self.gradient.shape
         blocks = self._matrix.astype(np.float64), self._columns, self._starts
         return scipy.sparse.bsr_array(blocks, shape=(d * n, d * n)).toarray()
@@ -117,10 +127,10 @@ class NewtonSystem:
 
 @kernel
 def factor_diagonal(blocks, rows, freedom, factor):
-    """The inverse Cholesky factors of the diagonal blocks of ``rows``; returns how many pivots were not positive.
+    """Fill ``factor`` with the inverse Cholesky factors of diagonal blocks; returns how many pivots were negative.
 
-    ``rows`` are those of :func:`..numerics.cell.foldover.hexahedra.add_derivatives`; ``freedom`` (n, d, d) projects on
-    the directions in which an unknown may move; the others get a stiffness of their own.
+    ``rows`` as in :func:`...numerics.cell.foldover.hexahedra.add_derivatives`. ``freedom`` (n, d, d) projects onto the
+    directions in which an unknown may move; in the others it gets the trace of its block as stiffness.
     """
     first, last, starts, columns = rows
     size, bad = freedom.shape[1], 0
@@ -161,7 +171,7 @@ def factor_diagonal(blocks, rows, freedom, factor):
 
 @kernel
 def scale_left(blocks, rows, factor):
-    """``H_ij <- F_i H_ij`` in some rows."""
+    """``H_ij <- F_i H_ij`` for the block rows i of ``rows``."""
     first, last, starts, _ = rows
     size = factor.shape[1]
     for row in range(first, last):
@@ -179,7 +189,7 @@ def scale_left(blocks, rows, factor):
 
 @kernel
 def scale_right(matrix, starts, columns, factor, low, high):
-    """``H_ij <- H_ij F_j^T`` in the rows low <= i < high."""
+    """``H_ij <- H_ij F_j^T`` for the block rows low <= i < high."""
     size = factor.shape[1]
     for row in range(low, high):
         for at in range(starts[row], starts[row + 1]):
@@ -194,7 +204,7 @@ def scale_right(matrix, starts, columns, factor, low, high):
 
 @kernel
 def advance_rows(y, r, p, image, length, low, high):
-    """One step of conjugate gradients in entries low <= i < high; returns their share of the new ``r . r``."""
+    """A step of conjugate gradients for entries low <= i < high of ``y`` and ``r``; their part of the new ``r . r``."""
     total = 0.0
     for i in range(low, high):
         y[i] += length * p[i]
@@ -205,7 +215,7 @@ def advance_rows(y, r, p, image, length, low, high):
 
 @kernel
 def dot_rows(a, b, low, high):
-    """Share of entries low <= i < high in ``a . b``."""
+    """The part of ``a . b`` from entries low <= i < high."""
     total = 0.0
     for i in range(low, high):
         total += a[i] * b[i]

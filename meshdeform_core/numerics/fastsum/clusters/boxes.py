@@ -9,9 +9,7 @@ import numpy as np
 
 from ...arrays import FloatArray, IntArray
 from ...jit import inlined, kernel
-
-# Ratio of distance to half width for which the number of points along a box's longest side is meant.
-_REFERENCE_RATIO = 5.0
+from ..tuned import REFERENCE_RATIO
 
 
 class Boxes(NamedTuple):
@@ -108,7 +106,7 @@ def points_per_side(half: FloatArray, order: int) -> IntArray:
     """Interpolation points (m, 3) along each side of boxes: fewer where flat, for the same error in all directions."""
     thick = half > 1e-12 * half.max(axis=1, keepdims=True)
     flatness = half.max(axis=1, keepdims=True) / np.where(thick, half, 1.0)
-    wanted = np.ceil(order * math.log(_REFERENCE_RATIO) / np.log(_REFERENCE_RATIO * np.maximum(flatness, 1.0)) - 1e-9)
+    wanted = np.ceil(order * math.log(REFERENCE_RATIO) / np.log(REFERENCE_RATIO * np.maximum(flatness, 1.0)) - 1e-9)
     return np.where(thick, np.maximum(wanted, 1.0), 1.0).astype(np.int64)
 
 

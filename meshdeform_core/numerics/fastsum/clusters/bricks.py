@@ -11,10 +11,8 @@ from ....parallel import for_chunks
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...jit import inlined, kernel
 from ...pieces import pieces
+from ..tuned import REGION
 from .boxes import Boxes, extents, fit_boxes, make_boxes
-
-REGION = 8
-"""Bricks of a region."""
 
 
 class Bricks(NamedTuple):

@@ -8,10 +8,9 @@ import numpy as np
 
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...jit import kernel
+from ..tuned import RADIAL_REGION
 from .boxes import fit_boxes
 from .bricks import longest_side
-
-_REGION = 64
 
 
 class TargetTree(NamedTuple):
@@ -53,7 +52,7 @@ def build_target_tree(
         inside = int(mask.sum())
         if inside:
             volume = capacity * mask.size / inside
-            targets, span, child, roots = _cut(points[lo:hi].reshape(*shape, 3), mask, inside, volume, _REGION)
+            targets, span, child, roots = _cut(points[lo:hi].reshape(*shape, 3), mask, inside, volume, RADIAL_REGION)
             parts.append((targets + lo, span + used, np.where(child >= 0, child + nodes, -1), roots + nodes))
             used, nodes = used + len(targets), nodes + len(span)
     targets, span, child, roots = (np.concatenate(each) for each in zip(*parts, strict=True))

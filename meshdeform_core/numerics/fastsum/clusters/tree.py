@@ -7,10 +7,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ...arrays import FloatArray, IntArray
-from ...jit import inlined, kernel
+from ...jit import kernel
+from ...partition import partition
+from ..tuned import LEAF
 from .boxes import Boxes, box_coordinate, chebyshev, fit_boxes, lagrange, make_boxes
 
-LEAF = 24
 CHARGES = 8
 """Charges of a source: its strength and seven values."""
 
@@ -82,32 +83,7 @@ def _halve(points, place, span, center, axes, half):
         for i in range(lo, hi):
             n = place[i]
             along[i] = u * points[n, 0] + v * points[n, 1] + w * points[n, 2]
-        _partition(place, along, lo, hi - 1, (lo + hi) // 2)
-
-
-@inlined
-def _partition(members, key, first, last, middle):
-    """Reorder ``first`` to ``last`` so that the smallest keys come before ``middle`` (quickselect)."""
-    lo, hi = first, last
-    while lo < hi:
-        pivot = key[(lo + hi) // 2]
-        i, j = lo, hi
-        while i <= j:
-            while key[i] < pivot:
-                i += 1
-            while key[j] > pivot:
-                j -= 1
-            if i <= j:
-                key[i], key[j] = key[j], key[i]
-                members[i], members[j] = members[j], members[i]
-                i += 1
-                j -= 1
-        if middle <= j:
-            hi = j
-        elif middle >= i:
-            lo = i
-        else:
-            lo = hi
+        partition(place, along, lo, hi - 1, (lo + hi) // 2)
 
 
 @kernel

@@ -9,9 +9,8 @@ import numpy as np
 from ...arrays import FloatArray
 from ...jit import kernel
 from ..clusters.tree import SourceTree
+from ..tuned import REACH
 
-REACH = 2.0
-"""Distance, in radii of a cluster, from which others see it as far."""
 _STACK = 4096
 
 

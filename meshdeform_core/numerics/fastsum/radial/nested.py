@@ -18,10 +18,10 @@ from ...exact.basis import BASES
 from ...exact.radial import radial_block
 from ...jit import kernel
 from ..clusters.tree import SourceTree, build_tree
-from .interactions import REACH, Interactions, find_interactions
+from ..tuned import NESTED_LEAF, REACH
+from .interactions import Interactions, find_interactions
 from .skeletons import decompose, proxy_points
 
-LEAF = 96
 _CHUNK = 16
 
 
@@ -69,7 +69,7 @@ class NestedSums:
         like: NestedSums | None = None,
     ) -> None:
         self._kind = kind
-        self._tree: SourceTree = like._tree if like else build_tree(centres, 1, LEAF)
+        self._tree: SourceTree = like._tree if like else build_tree(centres, 1, NESTED_LEAF)
         radius = np.sqrt((self._tree.boxes.half**2).sum(axis=1))
         compact = kind != BASES["tps"]
         self._lists: Interactions = like._lists if like else find_interactions(self._tree, radius, compact)

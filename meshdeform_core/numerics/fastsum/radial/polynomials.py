@@ -18,9 +18,8 @@ from ...arrays import FloatArray, IntArray
 from ...exact.basis import BASES
 from ...exact.radial import radial_matrix
 from ...jit import fast_kernel
+from ..tuned import HIGHEST, REFERENCE
 
-# Distance, in radii of the box, for which terms are chosen, and the highest degree.
-_REFERENCE, _MOST = 2.5, 14
 # Distances at which the error is measured: the first, and how they grow; positions of sources and points.
 NEAREST, GROWTH = 1.3, 1.25
 _DISTANCES, _SOURCES, _PLACES = 14, 80, 120
@@ -85,13 +84,13 @@ def _space(a: int, b: int, c: int, accuracy: float) -> tuple[IntArray, FloatArra
 
 def _terms(half: FloatArray, accuracy: float) -> IntArray:
     """Degrees (m, 3) of the terms that matter; up to degree 2 all, which r^2 log r has at any distance."""
-    most = [_MOST if h > 0 else 1 for h in half]
+    most = [HIGHEST if h > 0 else 1 for h in half]
     degree = np.stack(np.meshgrid(*map(np.arange, most), indexing="ij"), axis=-1).reshape(-1, 3)
     total = degree.sum(axis=1)
-    factorials = np.array([math.lgamma(n + 1) for n in range(3 * _MOST)])
+    factorials = np.array([math.lgamma(n + 1) for n in range(3 * HIGHEST)])
     # (i + j + k)! / (i! j! k!) prod (h / 2 D)^i, two for every direction with a degree, and i^-3 of r^2 log r.
     size = factorials[total] - factorials[degree].sum(axis=1) - 3.0 * np.log(np.maximum(total, 1))
-    size += (degree * np.log(np.where(half > 0, half, 1.0) / (2.0 * _REFERENCE))).sum(axis=1)
+    size += (degree * np.log(np.where(half > 0, half, 1.0) / (2.0 * REFERENCE))).sum(axis=1)
     size += np.log(2.0) * (degree > 0).sum(axis=1)
     return degree[(size >= math.log(accuracy)) | (total <= 2)]
 

@@ -16,14 +16,12 @@ import numpy as np
 from ...arrays import FloatArray
 from ...exact.radial import fill_rows
 from ...jit import fast_kernel
-
-# Spheres of proxy points: radius in those of the cluster and number of points.
-_SPHERES = ((1.0, 120), (1.4, 60), (2.5, 40), (6.0, 30))
+from ..tuned import SPHERES
 
 
 def proxy_points(reach: float) -> FloatArray:
     """Proxy points (3, n) around a cluster of radius 1 that others see from distance ``reach`` on."""
-    return np.ascontiguousarray(np.concatenate([reach * r * _sphere(n) for r, n in _SPHERES]).T)
+    return np.ascontiguousarray(np.concatenate([reach * r * _sphere(n) for r, n in SPHERES]).T)
 
 
 def _sphere(n: int) -> FloatArray:

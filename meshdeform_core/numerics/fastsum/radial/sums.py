@@ -20,18 +20,12 @@ from ...jit import kernel
 from ..clusters.acceptance import distance2, square
 from ..clusters.target_tree import TargetTree
 from ..clusters.tree import build_tree
-from .interactions import REACH
+from ..tuned import AIM, RADIAL_LEAF, REACH, SKELETONS, TRIAL_LEAVES, TRIALS
 from .nested import Bases, find_bases, gather_up, pack
 from .polynomials import GROWTH, NEAREST, Spaces, add_polynomial, place_points, to_coefficients
 from .targets import RadialTargets
 
-LEAF = 48
-# Accuracy of skeletons, relative to the function at the radius of the cluster.
-_SKELETONS, _FINEST = 1e-6, 1e-13
-# Errors of clusters cancel as much as the coefficients do, which only a trial shows: this fraction of the tolerance is
-# the target on the trial leaves, because others can be worse.
-_TRIALS, _AIM = 6, 0.25
-_TRIAL_LEAVES = 24
+_FINEST = 1e-13
 _CHUNK = 1
 DEPTH = 32
 _STACK = 512
@@ -86,14 +80,14 @@ class FastRadial:
 
     def __init__(self, kind: int, centres: FloatArray) -> None:
         self._kind, self._centres = kind, centres
-        self._tree = build_tree(centres, 1, LEAF)
+        self._tree = build_tree(centres, 1, RADIAL_LEAF)
         self._radius = np.sqrt((self._tree.boxes.half**2).sum(axis=1))
         self._bases: dict[float, Bases] = {}
         self.restart()
 
     def restart(self) -> None:
         """Return to the accuracy with which all coefficients are summed first."""
-        self._tolerance, self._excess = _SKELETONS, np.inf
+        self._tolerance, self._excess = SKELETONS, np.inf
         self.share = 1.0
 
     def refine(self, excess: float) -> None:
@@ -103,7 +97,7 @@ class FastRadial:
         """
         if excess > 0.5 * self._excess:
             self._tolerance = max(0.01 * self._tolerance, _FINEST)
-        self.share *= max(0.03, 0.6 * _AIM / excess)
+        self.share *= max(0.03, 0.6 * AIM / excess)
         self._excess = excess
 
     def evaluate(
@@ -140,18 +134,18 @@ class FastRadial:
 
     def fitted(self, coefficients: FloatArray, targets: RadialTargets, tolerance: float) -> tuple[Clusters, Boxes]:
         """Clusters with these coefficients and boxes with which sums keep the tolerance on trial leaves."""
-        chosen = np.unique(np.linspace(0, len(targets.leaves) - 1, _TRIAL_LEAVES).astype(int))
+        chosen = np.unique(np.linspace(0, len(targets.leaves) - 1, TRIAL_LEAVES).astype(int))
         samples = targets.samples[chosen]
         exact = radial_sums(self._kind, targets.points[samples.ravel()], self._centres, coefficients)
         exact = exact.reshape(*samples.shape, 3)
         permitted = tolerance * targets.permitted(self._kind)
         every = np.ones(len(permitted), dtype=bool)
-        for _ in range(_TRIALS):
+        for _ in range(TRIALS):
             clusters = self._clusters(coefficients)
             boxes = Boxes(targets.tree, *targets.spaces, self.share * permitted, every)
             found = self._on_leaves(chosen, targets, boxes, clusters)
             error = (np.linalg.norm(found - exact, axis=2) / targets.sizes[chosen]).max() / tolerance
-            if error <= _AIM:
+            if error <= AIM:
                 break
             self.refine(error)
         return clusters, boxes

@@ -10,11 +10,9 @@ from ...arrays import FloatArray, IntArray, Shapes
 from ..clusters.bricks import node_sizes
 from ..clusters.target_tree import TargetTree, build_target_tree
 from ..clusters.targets import sample_places, shape_table
+from ..tuned import CAPACITY, TERMS
 from .polynomials import Spaces, spaces_of
 
-_CAPACITY = 350
-# Accuracy of polynomials, relative to the function at the radius of the box.
-_TERMS = 1e-7
 # Singular part of each function at the origin: power of the distance, and size relative to r^2 log r.
 _SINGULAR = {0: (2.0, 1.0), 1: (1.0, 0.5), 2: (3.0, 15.0), 3: (2.0, 20.0), 4: (3.0, 60.0), 5: (4.0, 60.0)}
 
@@ -85,10 +83,10 @@ def _sorted(
 ) -> tuple[TargetTree, IntArray, IntArray, IntArray, FloatArray, tuple[Spaces, IntArray]]:
     wanted = np.zeros(len(points), dtype=bool)
     wanted[flat] = True
-    tree = build_target_tree(points, shapes, offsets, wanted, _CAPACITY)
+    tree = build_target_tree(points, shapes, offsets, wanted, CAPACITY)
     leaves = np.flatnonzero((tree.child[:, 0] < 0) & (tree.span[:, 1] > tree.span[:, 0]))
     leaves = leaves[np.argsort(tree.span[leaves, 0])]
     places = sample_places(np.append(tree.span[leaves, 0], len(tree.targets)))
     samples = tree.targets[places]
     sizes = node_sizes(points, shapes, offsets, samples.ravel()).reshape(samples.shape)
-    return tree, leaves, places, samples, sizes, spaces_of(tree.half, _TERMS)
+    return tree, leaves, places, samples, sizes, spaces_of(tree.half, TERMS)

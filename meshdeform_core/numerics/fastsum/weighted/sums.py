@@ -13,6 +13,7 @@ from ...exact.direct import N_VALUES
 from ..clusters.acceptance import Kernel, inverse_powers
 from ..clusters.targets import Targets, interpolation_order
 from ..clusters.tree import CHARGES, SourceTree
+from ..tuned import SHARE, SINGLE_TOLERANCE
 from .plan import Plan, PlanKey, rounded_up
 from .treesum import Charges, add_totals, cluster_reach, gather
 from .walk import Reach
@@ -21,11 +22,6 @@ CHUNK = 2
 """Regions per call, if they are no smaller than usual."""
 _TARGETS = 4096
 """Targets per call of small regions, about: those of small blocks."""
-# The error allowed to one cluster, as a multiple of the error allowed to all together, is this divided by the square of
-# (interpolation order - 2): errors of many clusters mostly cancel, small ones less so. Measured on the sample cases.
-SHARE = 16.0
-# From this tolerance upwards single precision is enough; it was measured to add less than a hundredth of it.
-_SINGLE_TOLERANCE = 1e-3
 # Plans that are kept: a motion that swings passes between two sizes.
 _PLANS = 2
 
@@ -153,7 +149,7 @@ class FastSums:
 
     def _planned(self, summands: Summands, moving: BoolArray) -> Plan:
         """The plan for these weights and motions: one of those kept, or a new one."""
-        single = self.tolerance >= _SINGLE_TOLERANCE and self.share == self._first_share
+        single = self.tolerance >= SINGLE_TOLERANCE and self.share == self._first_share
         kinds = [
             inverse_powers(a, b, kappa, single and a in (3.0, 4.0) and b == 5.0) for a, b, kappa in summands.weights
         ]
