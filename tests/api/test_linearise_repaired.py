@@ -53,7 +53,9 @@ def converged(monkeypatch):
     monkeypatch.setattr(untangle, "_SAFETY", np.inf)
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow if name in ("space", "extruded") else ()) for name in CASES]
+)
 def test_central_differences_through_a_repair(name, converged):
     make, size, twist = CASES[name]
     mesh = make()

@@ -164,21 +164,25 @@ def test_plot_formats(suffix, magic, bench, call):
     assert (bench / f"picture{suffix}").read_bytes().startswith(magic)
 
 
+def slow(*options):
+    return pytest.param(options, marks=pytest.mark.slow)
+
+
 @pytest.mark.parametrize(
     "options",
     [
         ("--plane", "j=mid", "--metric", "volume"),
-        ("--plane", "k=4", "--metric", "scaled_jacobian", "--no-lines"),
+        slow("--plane", "k=4", "--metric", "scaled_jacobian", "--no-lines"),
         ("--select", "body", "--view", "iso", "--title", "The body"),
         ("--select", "block1.imin", "--select", "block*.kmax[1:2,*]", "--view", "x"),
-        ("--zoom", "-1,1,-0.5,0.5", "--plane", "i=1"),
+        slow("--zoom", "-1,1,-0.5,0.5", "--plane", "i=1"),
         ("--zoom=-1,1,-0.5,0.5", "--title", "x < y & z"),
         ("--plane", "z=0.4", "--zoom", "walls", "--range", "0.5,1", "--metric", "wall_distance"),
-        ("--plane", "x=-2", "--view", "1,1,0.5"),
+        slow("--plane", "x=-2", "--view", "1,1,0.5"),
         ("--reference", "grid.xyz", "--metric", "volume_ratio", "--log", "--plane", "k=2", "--block", "block[12]"),
-        ("--reference", "grid.xyz", "--before", "side"),
+        slow("--reference", "grid.xyz", "--before", "side"),
         ("--reference", "grid.xyz", "--before", "overlay", "--select", "body", "--metric", "displacement"),
-        ("--reference", "grid.xyz", "--arrows", "--metric", "relative_jacobian"),
+        slow("--reference", "grid.xyz", "--arrows", "--metric", "relative_jacobian"),
         ("--zoom", "worst"),
     ],
 )
