@@ -58,7 +58,7 @@ event.register("numba:compile", _clock)
 
 
 class _Cache(FunctionCache):
-    """numba's cache, without which a loop is compiled again: no fault of its files ends the program."""
+    """numba's cache; where its files are unusable, a loop is compiled again instead of ending the program."""
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         try:

@@ -81,7 +81,7 @@ class Lanes:
         return Lanes(self.builder, self.builder.bitcast(self.whole(), _SINGLE))
 
     def whole(self) -> ir.Value:
-        """Whole numbers below, in 32 bits."""
+        """Rounded down to whole numbers of 32 bits."""
         return self.builder.fptosi(self.value, _INTEGER)
 
     def single(self) -> Lanes:

@@ -1,4 +1,4 @@
-"""Halving: the smaller values first, in no other order."""
+"""Partial sorting: the members with the smaller keys first, in no particular order otherwise."""
 
 from .jit import inlined
 

@@ -130,11 +130,11 @@ class Tracked(NDArrayOperatorsMixin):
         return self[int(np.argmax(self.value))]
 
     def astype(self, _: Any) -> Tracked:
-        """The same: tracked values are in double precision."""
+        """Unchanged, as tracked values are always in double precision."""
         return self
 
     def any(self, *args: Any, **options: Any) -> Any:
-        """Whether values are not zero: no tracked array."""
+        """Whether any value is not zero; this is not recorded."""
         return self.value.any(*args, **options)
 
     def __getitem__(self, place: Any) -> Tracked:
