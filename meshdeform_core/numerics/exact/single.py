@@ -26,7 +26,7 @@ def sum_groups_single(targets, target_span, charged, pieces, piece_span, a, kapp
     """
     # The sums over a tile stay here: in a function of their own, the compiler orders the additions differently.
     tile, weight, center = np.empty((11, _TILE), np.float32), np.empty(_TILE, np.float32), np.empty(3)
-    row, limit = np.empty(_TILE, np.int64), np.float32(_CLOSE)
+    row, limit, one = np.empty(_TILE, np.int64), np.float32(_CLOSE), np.float32(1.0)
     for group in range(target_span.shape[0]):
         first, piece, end = target_span[group, 0], piece_span[group, 0], piece_span[group, 1]
         count = target_span[group, 1] - first
@@ -36,13 +36,7 @@ def sum_groups_single(targets, target_span, charged, pieces, piece_span, a, kapp
         scale = _frame(targets, first, count, charged, at, center)
         unit = 1.0 / scale
         x = _relative(targets, first, count, center, unit)
-        first_power, last_power = 1.0 if a == 3.0 else unit, kappa * unit * unit
-        # The larger of the two factors of powers is taken out: weights of distances that are not close are finite then.
-        largest = max(first_power, last_power)
-        one, three = np.float32(1.0), np.float32(first_power / largest if a == 3.0 else 0.0)
-        four, five = np.float32(0.0 if a == 3.0 else first_power / largest), np.float32(last_power / largest)
-        # r^-3 in units of the extent.
-        back = unit * unit * unit * largest
+        three, four, five, back = _factors(a, kappa, unit)
         while piece < end:
             m, piece, at = _load(charged, pieces, piece, end, at, center, unit, tile, row)
             for t in range(count):
@@ -66,18 +60,33 @@ def sum_groups_single(targets, target_span, charged, pieces, piece_span, a, kapp
                 if close > limit:
                     _add_in_double(targets, first + t, charged, row, m, a, kappa, all_charges, out)
                     continue
-                out[first + t, 1] += back * a1
-                out[first + t, 2] += back * a2
-                out[first + t, 3] += back * a3
-                out[first + t, 4] += back * a4
-                out[first + t, 5] += back * a5
-                out[first + t, 6] += back * a6
+                _add_six(out, first + t, back, a1, a2, a3, a4, a5, a6)
                 if all_charges:
                     for s in range(m):
                         a0 += weight[s] * tile[3, s]
                         a7 += weight[s] * tile[10, s]
                     out[first + t, 0] += back * a0
                     out[first + t, 7] += back * a7
+
+
+@inlined
+def _factors(a, kappa, unit):
+    """Factors of r^-3, r^-4 and r^-5 with r in units of the extent, and the common factor of the sums."""
+    first_power, last_power = 1.0 if a == 3.0 else unit, kappa * unit * unit
+    # The larger of the two is taken out: weights of distances that are not close are finite then.
+    largest = max(first_power, last_power)
+    three, four = (first_power / largest, 0.0) if a == 3.0 else (0.0, first_power / largest)
+    return np.float32(three), np.float32(four), np.float32(last_power / largest), unit * unit * unit * largest
+
+
+@inlined
+def _add_six(out, target, back, a1, a2, a3, a4, a5, a6):
+    out[target, 1] += back * a1
+    out[target, 2] += back * a2
+    out[target, 3] += back * a3
+    out[target, 4] += back * a4
+    out[target, 5] += back * a5
+    out[target, 6] += back * a6
 
 
 @inlined
