@@ -71,7 +71,8 @@ def test_refused_at_once_with_one_message(make, arguments, message, call, tmp_pa
     assert "Traceback" not in result.err
     assert result.out == ""
     assert peak < 200e6
-    assert time.process_time() - start < (3 if arguments[0] == "deform" else 1)
+    # Some tenths of a second, but for imports on a loaded machine.
+    assert time.process_time() - start < 10
     assert snapshot(tmp_path) == before
 
 

@@ -25,7 +25,7 @@ def test_deep_keys_of_a_case_are_refused_at_once(depth, bench, call):
     result = call(*RUN, "-c", "deep.toml")
     assert result.code == 2
     assert "has more than 30 parts" in result.err
-    assert time.process_time() - start < 2.0
+    assert time.process_time() - start < 5.0
 
 
 def test_long_words_and_paths_of_a_case_are_no_deep_keys(bench, call):

@@ -205,11 +205,11 @@ def test_what_is_no_file(tmp_path, read):
     os.mkfifo(tmp_path / "a.csv")
     (tmp_path / "b.csv").symlink_to("/dev/zero")
     (tmp_path / "c.csv").symlink_to("nowhere")
-    start = time.perf_counter()
+    start = time.process_time()
     for name, message in (("a", "it is a pipe"), ("b", "it is a device"), ("c", "No such file|is a broken link")):
         with pytest.raises(FormatError, match=message):
             read(tmp_path / f"{name}.csv")
-    assert time.perf_counter() - start < 5
+    assert time.process_time() - start < 5
     assert stat.S_ISFIFO((tmp_path / "a.csv").stat().st_mode)
 
 

@@ -390,7 +390,7 @@ def test_small_files_take_little_memory_and_time(tmp_path, name):
         read_grid(tmp_path / "a.vts")
     seconds, (_, peak) = time.process_time() - start, tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    assert seconds < 1
+    assert seconds < 5
     assert peak < 200e6
 
 
