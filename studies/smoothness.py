@@ -115,6 +115,7 @@ COURSES: dict[str, Course] = {
     "splitter plate, 44 to 46 degrees by 0.2": Course(plate, np.arange(44.0, 46.1, 0.2)),
     "splitter plate, 44 to 44.5 degrees by 0.05": Course(plate, np.arange(44.0, 44.51, 0.05)),
     "nozzle to 3 %, two periods": Course(nozzle, np.linspace(0.0, 2.0, 129), _stroke),
+    "nozzle to 3 %, closing, a quarter of the interval": Course(nozzle, np.linspace(0.0, 0.5, 129)),
     "airfoil, y+ 1, pitching by 75 degrees": Course(
         airfoil, np.linspace(0.0, 1.0, 41), lambda t: np.round(np.sin(2.0 * np.pi * t), 9)
     ),
@@ -122,6 +123,7 @@ COURSES: dict[str, Course] = {
     "flap of Turek and Hron, tip 0.14 m": Course(
         flap, np.linspace(0.0, 1.0, 41), lambda t: np.round(np.sin(2.0 * np.pi * t), 9)
     ),
+    "flap of Turek and Hron, bending, a quarter of the interval": Course(flap, np.linspace(0.0, 0.25, 41)),
 }
 
 

@@ -7,16 +7,16 @@ docs/series.md. Whoever changes one number runs these studies for all of them.
 
 import numpy as np
 
-HEALTHY, SOFT, NORM = 2.2, 0.5, 24.0
-"""An element is healthy while its f, regularised by SOFT, is below HEALTHY: sheared by less than 32 degrees, or
-stretched or shortened by less than a factor of 1.56. The excess log(f / HEALTHY) of corners is combined into that of a
+HEALTHY, SOFT, NORM = 2.15, 0.5, 24.0
+"""An element is healthy while its f, regularised by SOFT, is below HEALTHY: sheared by less than 29 degrees, or
+stretched or shortened by less than a factor of 1.47. The excess log(f / HEALTHY) of corners is combined into that of a
 cell, and that of cells into that of the grid, by the p-norm with p = NORM."""
-FULL, POWER = np.log(10.0 / HEALTHY), 2.0
-"""The share is (excess / FULL)^POWER, 1 for the excess of one corner with f = 10; the elastic energy then matters
+FULL, POWER = np.log(15.0 / HEALTHY), 2.0
+"""The share is (excess / FULL)^POWER, 1 for the excess of one corner with f = 15; the elastic energy then matters
 little."""
-BETWEEN, ALL, SLOWLY = np.log(4.0 / HEALTHY), np.log(15.0 / HEALTHY), 3.0
+BETWEEN, SLOWLY = np.log(4.0 / HEALTHY), 3.0
 """Samples of a hexahedron between its corners count above the excess BETWEEN, that of one corner with f = 4, and as
-much as corners from ALL on: below few are negative, and in a grid with many weak cells they are more than half of the
+much as corners from FULL on: below few are negative, and in a grid with many weak cells they are more than half of the
 work. In between their share is the part of that range, to the power SLOWLY."""
 SOFTENED = 0.5
 """Power of the weights of cells while they are untangled."""

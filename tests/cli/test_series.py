@@ -102,6 +102,16 @@ def test_text_and_page_have_a_line_per_level(swing, call):
     assert "All 5 levels are valid" in Path("r.html").read_text()
 
 
+def test_the_table_has_a_column_of_accelerations(swing, call):
+    result = call(*RUN, "--report", "r.json")
+    (head,) = (line for line in result.out.splitlines() if line.startswith("level "))
+    column = slice(head.index("accel.") - 2, head.index("accel.") + len("accel."))
+    shown = [line[column].strip() for line in result.out.splitlines() if line.strip()[:1].isdigit() and "°" in line]
+    found = [level["smoothness"]["acceleration"] for level in json.loads(Path("r.json").read_text())["levels"]]
+    assert shown == ["", "", *(f"{value:.3f}" for value in found[2:])]
+    assert float(shown[2]) > 1.0
+
+
 def test_marching_reports_its_drift(swing, call):
     report = report_of(call, *RUN, "--from", "last")
     drift = np.linalg.norm(read_grid("out/grid_0004.xyz").points - read_grid("grid.xyz").points, axis=1).max()

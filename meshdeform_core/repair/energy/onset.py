@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...grid import FloatArray
-from ..tuned import ALL, BETWEEN, FULL, NORM, POWER, SLOWLY
+from ..tuned import BETWEEN, FULL, NORM, POWER, SLOWLY
 from .elements import Energy
 
 
@@ -46,4 +46,4 @@ def _excess(energy: Energy, x: FloatArray) -> tuple[FloatArray, float]:
 
 
 def _share_between(excess: FloatArray) -> FloatArray:
-    return np.asarray(np.clip((excess - BETWEEN) / (ALL - BETWEEN), 0.0, 1.0) ** SLOWLY)
+    return np.asarray(np.clip((excess - BETWEEN) / (FULL - BETWEEN), 0.0, 1.0) ** SLOWLY)
