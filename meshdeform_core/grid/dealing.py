@@ -6,19 +6,11 @@ import numpy as np
 
 from ..numerics.arrays import IntArray, Shapes
 from ..numerics.pieces import pieces
-from ..parallel import Part, WholeGridNeeded, current_ranks
+from ..parallel import Part, current_ranks
 
 
 def in_parts(shapes: Shapes) -> Part:
-    """Coordinates (n_nodes, 3) of blocks of these shapes, of which every rank holds its part.
-
-    Raises
-    ------
-    WholeGridNeeded
-        For plane grids, which are small.
-    """
-    if any(1 in shape for shape in shapes):
-        raise WholeGridNeeded("the grid is 2-D")
+    """Coordinates (n_nodes, 3) of blocks of these shapes, of which every rank holds its part."""
     ranks = current_ranks()
     bounds = bounds_of(shapes, ranks.count)
     return Part(ranks, bounds, (int(bounds[-1]), 3), np.float64)

@@ -10,7 +10,6 @@ import numpy as np
 
 from ..boundary import Boundary, Kind
 from ..grid import FloatArray, Grid, IntArray, Shape
-from ..grid.planes import plane_normal
 from ..grid.topology import Topology
 from .measures.cells import cell_starts, measure_block
 from .verdict.original import Original
@@ -70,7 +69,7 @@ def cell_corners(grid: Grid, points: FloatArray, block: int, ijk: Shape) -> Floa
 
 def list_cells(original: Original, points: FloatArray, cells: IntArray, verdict: Verdict) -> Iterator[InvalidCell]:
     """Entries for ``cells`` (numbers of invalid cells) at coordinates ``points`` (n_nodes, 3)."""
-    grid, normal = original.grid, plane_normal(original.grid)
+    grid, normal = original.grid, original.normal
     for cell, failed in zip(cells.tolist(), verdict.failed[cells].tolist(), strict=True):
         block, (i, j, k) = place_of(grid, cell)
         x = cell_corners(grid, points, block, (i, j, k))

@@ -9,7 +9,6 @@ import numpy as np
 
 from ..boundary import Boundary
 from ..grid import FloatArray
-from ..grid.planes import plane_normal
 from .boundary_cells import cell_at_wall
 from .listed import Worst, worst_cell
 from .measures.lines import WallLines, wall_lines
@@ -72,7 +71,7 @@ def measure_walls(
 def _compared(original: Original, walls: Walls, after: FloatArray) -> tuple[WallQuality | None, WallQuality | None]:
     if not walls.faces:
         return None, None
-    grid, normal = original.grid, plane_normal(original.grid)
+    grid, normal = original.grid, original.normal
     old = WallLines.joined(walls.lines)
     new = WallLines.joined([wall_lines(face, after, normal) for face in walls.faces])
     worst: Extremes = {}
@@ -96,7 +95,7 @@ def layer_changes(
 ) -> dict[str, LayerChange | None]:
     """Effect of a repair on the ``moving`` and the ``fixed`` walls: from coordinates ``plain`` to ``after``, both
     (n_nodes, 3); ``None`` where there are none."""
-    normal = plane_normal(original.grid)
+    normal = original.normal
     found: dict[str, LayerChange | None] = {}
     for name, walls in original.walls(boundary).items():
         old, new = (WallLines.joined([wall_lines(face, x, normal) for face in walls.faces]) if walls.faces else None

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from cases import body_specs, formulas, turning
 from forked_ranks import Failed, on_ranks
-from grids import frame, frame_2d
+from grids import frame, frame_2d, permuted
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -167,10 +167,10 @@ def outcome(source, target, case, **rest):
     return target.read_bytes(), result.assessment, account, result.warnings, result.attempts
 
 
-def same_on_ranks(tmp_path, count, case, suffix=".cgns", **rest):
+def same_on_ranks(tmp_path, count, case, suffix=".cgns", grid=None, **rest):
     """Compare deforming a file on several ranks, each with a part, with deforming it in one process."""
     source = tmp_path / f"grid{suffix}"
-    write_grid(frame(9, 8), source)
+    write_grid(grid or frame(9, 8), source)
     expected = outcome(source, tmp_path / f"one{suffix}", case, **rest)
 
     def act(number):
@@ -189,6 +189,15 @@ def same_on_ranks(tmp_path, count, case, suffix=".cgns", **rest):
 ])  # fmt: skip
 def test_every_method_gives_the_same_bytes(name, count, tmp_path, small_pieces, poisoned):
     same_on_ranks(tmp_path, count, case_of(METHODS[name]))
+
+
+@pytest.mark.parametrize("axes", [(0, 1, 2), (0, 2, 1), (2, 0, 1)], ids=["ij", "ik", "jk"])
+@pytest.mark.parametrize("name", METHODS)
+def test_plane_grids_give_the_same_bytes(name, axes, tmp_path, small_pieces, poisoned):
+    """Blocks of a single plane of nodes along each of the indices."""
+    body = dataclasses.replace(body_specs(turning(20))[0], select=("*",))
+    case = dataclasses.replace(case_of(METHODS[name]), boundaries=(body,))
+    same_on_ranks(tmp_path, 3, case, ".xyz", permuted(frame_2d(9), axes, (False, False, False)))
 
 
 @pytest.mark.parametrize("suffix", [".xyz", ".cgns"])
@@ -236,7 +245,6 @@ def block_in_parts(source):
 
 def test_what_takes_the_whole_grid_says_so(tmp_path, monkeypatch):
     idw = METHODS["idw-tfi"]
-    assert refused(tmp_path, 2, frame_2d(5), case_of(idw)) == "the grid is 2-D"
     assert refused(tmp_path, 2, frame(), case_of(idw), {"iblank": "true"}) == "the file has IBLANK values"
     assert refused(tmp_path, 2, frame(), case_of(Options("rbf"))) == "RBF"
     assert refused(tmp_path, 2, frame(), case_of(Options("idw-rbf"))) == "RBF inside of blocks"

@@ -39,7 +39,7 @@ def mirror_images(problem: Problem) -> Images:
     """The sources of a problem with their images at all symmetry planes."""
     n = len(problem.source_points)
     moving = np.asarray(problem.boundary.kind[problem.source_numbers] == Kind.MOVING)
-    reflection = np.tile(np.eye(3), (n, 1, 1))
+    reflection = np.broadcast_to(np.eye(3), (n, 3, 3))
     surface = problem.surface
     images = Images(
         problem.source_points, surface.area, np.arange(n), reflection, moving, surface.corners, surface.edges

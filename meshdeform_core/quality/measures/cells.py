@@ -164,8 +164,8 @@ def hold_cells(grid: Grid, *arrays: FloatArray) -> None:
     end = grid.points.high
     if last > first:
         final = parts[last - 1]
-        _, nj, nk = grid.shapes[final.block]
-        end = int(grid.offsets[final.block] + (final.last + 1) * nj * nk)
+        ni, nj, nk = grid.shapes[final.block]
+        end = int(grid.offsets[final.block] + min(final.last + 1, ni) * nj * nk)
     for array in dict.fromkeys(arrays):
         array.widen(grid.points.low, end)
 

@@ -13,7 +13,6 @@ from enum import IntEnum
 import numpy as np
 
 from ...grid import BoolArray, FloatArray, IntArray
-from ...grid.planes import plane_normal
 from ...numerics.cell import inspection as rows
 from ...numerics.cell.measures import scattered_hexahedra
 from ...numerics.cell.positivity import COLLAPSED, decide, judge_quads
@@ -162,9 +161,9 @@ def relative_jacobian(old: FloatArray, new: FloatArray) -> FloatArray:
 
 def _quads(original: Original, after: FloatArray, slab: Slab, both: bool) -> SlabMeasures:
     grid, sign = original.grid, float(original.topology.handedness[slab.block])
-    normal = plane_normal(grid)
+    normal = original.normal
     assert normal is not None
-    blocks = grid.block(slab.block), grid.block(slab.block, after)
+    blocks = [grid.block(slab.block, rows_of(points)) for points in (grid.points, after)]
     old, new = (measure_block(b, sign, normal, slab.first, slab.last) for b in blocks)
     flat = blocks[0].shape.index(1)
     planes = [np.ascontiguousarray(b.squeeze(axis=flat)) for b in blocks]

@@ -39,17 +39,20 @@ class Original:
     """An undeformed grid with the data that the judgement needs.
 
     ``min_jacobian``: cells with a corner below this share of its undeformed Jacobian count as invalid; ``measured``:
-    totals over its cells, filled by the first comparison with another grid; ``kept``: stored measures of its cells.
+    totals over its cells, filled by the first comparison with another grid; ``normal``: of the plane of a 2-D grid;
+    ``kept``: stored measures of its cells.
     """
 
     grid: Grid
     topology: Topology
     min_jacobian: float = 0.0
     measured: Tally | None = field(default=None, init=False)
+    normal: FloatArray | None = field(init=False)
     kept: KeptCells = field(init=False)
     _walls: tuple[Boundary, dict[str, Walls]] | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
+        self.normal = plane_normal(self.grid)
         self.kept = KeptCells(self.grid)
 
     @property
@@ -89,10 +92,10 @@ class Original:
     def walls(self, boundary: Boundary) -> dict[str, Walls]:
         """The ``moving`` and the ``fixed`` walls of a boundary; those of the last boundary are cached."""
         if self._walls is None or self._walls[0] is not boundary:
-            normal, found = plane_normal(self.grid), {}
+            found = {}
             moving = np.asarray(boundary.quad_kind == Kind.MOVING)
             for name, quads in (("moving", moving), ("fixed", self.fixed_wall_quads(boundary))):
                 faces = wall_faces(self.grid, self.topology, quads)
-                found[name] = Walls(faces, [wall_lines(face, self.grid.points, normal) for face in faces])
+                found[name] = Walls(faces, [wall_lines(face, self.grid.points, self.normal) for face in faces])
             self._walls = boundary, found
         return self._walls[1]
