@@ -18,7 +18,7 @@ from meshdeform_core.errors import CaseError, FormatError, MeshDeformError
 from meshdeform_core.grid import FileFormat
 from meshdeform_core.memory import WRITING_ARRAYS, peak_memory
 from meshdeform_core.notices import first_of_each_kind, kind_of
-from meshdeform_core.parallel import carried, current_ranks, thread_count
+from meshdeform_core.parallel import carried, current_ranks, require_whole, thread_count
 from meshdeform_core.series import Level, Schedule, deform_series
 from meshdeform_formats.case import CaseFile
 from meshdeform_formats.case.sequences import parse_times
@@ -58,6 +58,8 @@ class Run:
 
 def prepare(job: Job, source: GridInput, wanted: SeriesInput, options: RunInput) -> Run:
     """Determine times and files, topology and boundary; nothing is written."""
+    if wanted.velocity != "none" or options.fields or any(path.suffix == ".html" for path in options.reports):
+        require_whole(job.grid.points, "velocities, fields or pictures are asked for")
     times = times_of(job.case, wanted)
     schedule = Schedule(times, wanted.origin, wanted.velocity, wanted.steps)
     name = name_of(source.path, wanted, job.grid.format)
@@ -166,7 +168,8 @@ def carry_out(run: Run, progress: ProgressBar) -> Report:
                 run.warnings.tell(level.result.warnings)
                 recorder.record(level)
                 progress("levels", level.number + 1, count)
-        report = ranks.on_first(lambda: _complete(run))
+        peak = max(ranks.gather([peak_memory()]))
+        report = ranks.on_first(lambda: _complete(run, peak))
     run.warnings.tell(text for text in report["warnings"] if not text.startswith("level "))
     return report
 
@@ -191,7 +194,7 @@ def illustrate(run: Run) -> Illustrations:
     return level_thumbnails(run.setup, levels, run.files.read) if run.files.readable else Illustrations()
 
 
-def _complete(run: Run) -> Report:
+def _complete(run: Run, peak: int) -> Report:
     manifest, files, schedule = run.manifest, run.files, run.schedule
     if not manifest.complete:
         with run.timing.stage("publish"):
@@ -203,7 +206,7 @@ def _complete(run: Run) -> Report:
         files.clean(complete=True)
     seconds = {"read": run.job.read_seconds, **run.timing.seconds}
     places = {"folder": str(manifest.path.parent), "view": str(files.view) if files.view else None}
-    return series_report(manifest.head, manifest.levels, schedule, places, seconds, peak_memory())
+    return series_report(manifest.head, manifest.levels, schedule, places, seconds, peak)
 
 
 class Recorder:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property, partial
@@ -16,7 +17,7 @@ from .errors import CaseError
 from .grid import Field, FloatArray, IntArray
 from .methods import PreparedMethod, Progress, prepare_method
 from .numerics.arrays import lengths
-from .parallel import empty, for_rows
+from .parallel import empty, for_rows, of_all, own_rows, require_whole
 from .smoothness import Moment, Smoothness, shortest_edges, smoothness
 from .velocity import PAST, VELOCITIES, face_fields, grid_velocity
 
@@ -228,6 +229,7 @@ class _Series:
         if last and last.repair is None and last.steps == 1:
             return None
         plain = last.plain if last else None
+        require_whole(before, "a repair of an earlier level is continued")
         if plain is None:
             known = self.setup.displacement(self.schedule.times[number - 1])[self.problem.source_numbers]
             plain = self.setup.grid.points + self._prepared(Timing()).apply(known, self.progress)
@@ -243,16 +245,16 @@ class _Series:
         return self._reference
 
     def _drift(self, result: Result, displacement: FloatArray) -> Drift:
-        start, end, distance = self.setup.grid.points, result.grid.points, empty([len(displacement)])
+        """The distance of a result from a ``displacement`` (n_nodes, 3), which is overwritten."""
+        grid, end, squares = self.setup.grid, result.grid.points, displacement
 
         def fill(rows: slice) -> None:
-            distance[rows] = np.linalg.norm(end[rows] - start[rows] - displacement[rows], axis=1)
+            np.square(end[rows] - grid.points[rows] - displacement[rows], out=squares[rows])
 
-        for_rows(fill, distance)
-        largest = float(distance.max())
-        # In place, but not by code that all ranks run.
-        for_rows(lambda rows: np.square(distance[rows], out=distance[rows]), distance)
-        return Drift(largest, float(np.sqrt(np.mean(distance))))
+        for_rows(fill, squares)
+        low, high = own_rows(squares)
+        largest = max(of_all(squares, float(squares[low:high].sum(axis=1).max(initial=0.0))))
+        return Drift(math.sqrt(largest), math.sqrt(grid.total_of(squares).sum() / grid.n_nodes))
 
     def _rotation(self, displacement: FloatArray) -> float:
         turned = self.problem.rotations.vectors(displacement)

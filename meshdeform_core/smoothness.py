@@ -9,7 +9,7 @@ import numpy as np
 
 from .grid import FloatArray, Grid, IntArray
 from .numerics.arrays import lengths
-from .parallel import empty
+from .parallel import empty, of_all, own_rows
 
 _JUMP, _JUMP_IN_EDGES = 0.5, 0.2
 """The grid jumps where its acceleration exceeds that of the walls by JUMP wall steps, and JUMP_IN_EDGES local edges."""
@@ -81,17 +81,24 @@ class Moment(NamedTuple):
 
 
 def shortest_edges(grid: Grid) -> FloatArray:
-    """(n_nodes,) the shortest edge of any length at every node, infinite where there is none."""
-    result: FloatArray = empty([grid.n_nodes])
-    result.fill(np.inf)
-    for number, shape in enumerate(grid.shapes):
-        x, mine = grid.block(number), grid.block(number, result)
-        # A few layers at a time, which share one with the next few.
-        layers = max(1, _ROWS // (shape[1] * shape[2]))
-        for first in range(0, max(shape[0] - 1, 1), layers):
-            some = slice(first, first + layers + 1)
+    """(n_nodes,) the shortest edge of any length at every node, infinite where there is none; of a grid in parts, at
+    the nodes of this rank."""
+    grid.hold_neighbours()
+    low, high = own_rows(grid.points)
+    result: FloatArray = empty([high - low])
+    for number, (ni, nj, nk) in enumerate(grid.shapes):
+        own, start = grid.planes(number), int(grid.offsets[number])
+        # A few layers at a time, with their neighbours.
+        layers = max(1, _ROWS // (nj * nk))
+        for first in range(own.start, own.stop, layers):
+            last = min(first + layers, own.stop)
+            begin, end = max(first - 1, 0), min(last + 1, ni)
+            x = grid.points[start + begin * nj * nk : start + end * nj * nk].reshape(-1, nj, nk, 3)
+            shortest = np.full(x.shape[:3], np.inf)
             for axis in range(3):
-                _shorten_along(axis, x[some], mine[some])
+                _shorten_along(axis, x, shortest)
+            rows = slice(start + first * nj * nk - low, start + last * nj * nk - low)
+            result[rows] = shortest[first - begin : last - begin].ravel()
     return result
 
 
@@ -113,12 +120,7 @@ def smoothness(levels: list[Moment], walls: IntArray, edges: FloatArray) -> Smoo
     step = max(at_walls[:2])
     if step == 0.0:
         return Smoothness(None, None, None, ways=ways)
-    largest, in_edges = np.zeros(len(at_walls)), 0.0
-    for first in range(0, len(edges), _ROWS):
-        some = slice(first, first + _ROWS)
-        found = _movements(levels, some)
-        largest = np.maximum(largest, [length.max() for length in found])
-        in_edges = max(in_edges, float((found[-1] / edges[some]).max()))
+    largest, in_edges = _largest(levels, edges)
     speed = float(largest[0]) / step
     if len(levels) == 2:
         return Smoothness(speed, None, None, ways=ways)
@@ -127,6 +129,20 @@ def smoothness(levels: list[Moment], walls: IntArray, edges: FloatArray) -> Smoo
     reach = min(moved / walled for moved, walled in movements if walled > _AT_REST * step)
     plain = all(level.plain for level in levels)
     return Smoothness(speed, float(largest[2]) / step, in_edges, at_walls[2] / step, reach, plain, ways)
+
+
+def _largest(levels: list[Moment], edges: FloatArray) -> tuple[FloatArray, float]:
+    """The largest movements of any node, see :func:`_movements`, and the largest of the last in local ``edges``."""
+    points = levels[-1].points
+    low, high = own_rows(points)
+    largest, in_edges = np.zeros(min(2 * len(levels) - 3, 3)), 0.0
+    for first in range(low, high, _ROWS):
+        some = slice(first, min(first + _ROWS, high))
+        found = _movements(levels, some)
+        largest = np.maximum(largest, [length.max() for length in found])
+        in_edges = max(in_edges, float((found[-1] / edges[some.start - low : some.stop - low]).max()))
+    every = of_all(points, (largest, in_edges))
+    return np.max([each for each, _ in every], axis=0), max(each for _, each in every)
 
 
 def _movements(levels: list[Moment], nodes: IntArray | slice) -> list[FloatArray]:

@@ -69,16 +69,21 @@ def command(source: GridInput, case: CaseInput, wanted: SeriesInput, run: RunInp
             planned, impossible, text = forecast.plan_series(plan, levels, limit)
         return work.print_plan(planned, impossible, run, text)
 
+    begun = False
+
     def deform() -> int:
+        nonlocal begun
         with ProgressBar(not run.quiet) as progress:
             plan = planned_series(wanted.output)
-            ranks = current_ranks()
-            plan.manifest = ranks.on_first(lambda: series_run.open_manifest(plan, wanted.resume, run.force))
+            # The first rank alone continues what all of them have begun.
+            begin = partial(series_run.open_manifest, plan, wanted.resume or begun, run.force and not begun)
+            plan.manifest = current_ranks().on_first(begin)
+            begun = True
             report = series_run.carry_out(plan, progress)
         files = [*source.roles, *case.roles(plan.job.case), ("index", plan.files.view)]
         return work.conclude(report, run, work.Delivery(start, files, partial(series_run.illustrate, plan)))
 
-    return current_ranks().on_first(deform)
+    return work.in_parts(deform, run.verbose)
 
 
 def _check(source: GridInput, case: CaseInput, wanted: SeriesInput, run: RunInput) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import io
 import os
 from collections.abc import Callable, Iterator
@@ -19,6 +20,8 @@ _LAUNCHERS = (
     ("PMI_RANK", "PMI_SIZE"),  # MPICH, Intel MPI, Microsoft MPI
     ("PMIX_RANK", "SLURM_STEP_NUM_TASKS"),  # srun --mpi=pmix
 )
+# M_MMAP_THRESHOLD of mallopt(3), which only the GNU C library has.
+_MMAP_THRESHOLD = -3
 
 
 @dataclass(frozen=True)
@@ -53,6 +56,7 @@ def run_on_ranks(run: Callable[[], int], here: Place) -> int:
         return _refuse(here, f"mpi4py uses {library}, which sees {MPI.COMM_WORLD.size}; use the mpiexec of that MPI")
     from meshdeform_core.parallel.mpi import MPIRanks
 
+    _return_freed_memory()
     ranks = MPIRanks(MPI.COMM_WORLD)
     set_ranks(ranks)
     with _voice(ranks.number) as messages:
@@ -62,6 +66,15 @@ def run_on_ranks(run: Callable[[], int], here: Place) -> int:
             # A signal: see meshdeform_cli.main.
             code = stop.code if isinstance(stop.code, int) else 1
     return ranks.conclude(code, messages.getvalue(), complete=code in (0, EXIT_INVALID))
+
+
+def _return_freed_memory() -> None:
+    """Let the C library return freed arrays of 1 MiB and more to the system.
+
+    By default it keeps those up to 32 MiB for later: of a rank with a small part of a grid a tenth of its memory.
+    """
+    with contextlib.suppress(OSError, AttributeError, TypeError):
+        ctypes.CDLL(None).mallopt(_MMAP_THRESHOLD, 1 << 20)
 
 
 def _refuse(here: Place, reason: str) -> int:

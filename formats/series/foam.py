@@ -9,7 +9,7 @@ from typing import Any
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Field, FloatArray, Grid
-from meshdeform_core.parallel import current_ranks
+from meshdeform_core.parallel import current_ranks, require_whole
 
 from ..files import remove_partial, replacing
 from ..grids import variant_of
@@ -71,6 +71,7 @@ class FoamFiles:
         self.invalid = {n for n, record in enumerate(records) if record["file"] == self._folders(n)[1].name}
 
     def write(self, number: int, grid: Grid, velocity: FloatArray | None, faces: Sequence[Field] = ()) -> None:
+        require_whole(grid.points, "levels are written for OpenFOAM")
         current_ranks().on_first(lambda: self._write(number, grid))
 
     def _write(self, number: int, grid: Grid) -> None:

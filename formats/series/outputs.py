@@ -12,7 +12,7 @@ import numpy as np
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Field, FileFormat, FloatArray, Grid
-from meshdeform_core.parallel import current_ranks
+from meshdeform_core.parallel import current_ranks, require_whole
 from meshdeform_core.velocity import FLUX, SWEPT, face_fields, grid_velocity
 
 from ..fields import WITH_FIELDS
@@ -256,6 +256,7 @@ class SingleFile:
 
     def write(self, number: int, grid: Grid, velocity: FloatArray | None, faces: Sequence[Field] = ()) -> None:
         # Velocities are differences of coordinates, computed when the file is assembled.
+        require_whole(grid.points, "all levels are in one file")
         current_ranks().on_first(lambda: self._save(number, grid.points))
 
     def _save(self, number: int, points: FloatArray) -> None:

@@ -154,16 +154,15 @@ class Grid:
         lo, hi = self.offsets[index], self.offsets[index + 1]
         return array[lo:hi].reshape(self.shapes[index] + array.shape[1:])
 
-    @property
-    def total(self) -> FloatArray:
-        """Sum (3,) of the coordinates of all nodes, piece by piece: the same to the last bit for any ranks."""
-        low, high = own_rows(self.points)
+    def total_of(self, values: FloatArray) -> FloatArray:
+        """Sum (3,) of ``values`` (n_nodes, 3), piece by piece: the same to the last bit for any ranks."""
+        low, high = own_rows(values)
         block, first, last = pieces(self.shapes).T
         size = np.prod(self.shapes, axis=1)[block] // np.array(self.shapes)[block, 0]
         rows = self.offsets[block] + np.stack([first, last]) * size
         own = rows[:, (rows[0] >= low) & (rows[1] <= high)].T
-        sums = [total(self.points[begin:end]) for begin, end in own.tolist()]
-        return np.asarray(sum(each for found in of_all(self.points, sums) for each in found))
+        sums = [total(values[begin:end]) for begin, end in own.tolist()]
+        return np.asarray(sum(each for found in of_all(values, sums) for each in found))
 
     def planes(self, index: int) -> slice:
         """The planes i of a block that this rank owns; all of them unless the grid is in parts."""

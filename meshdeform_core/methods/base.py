@@ -137,7 +137,7 @@ class Problem:
     def centroid(self) -> FloatArray:
         """Mean of all unique nodes (eq. 17)."""
         t = self.topology
-        whole = self.grid.total - total(self.grid.points[t.face_nodes])
+        whole = self.grid.total_of(self.grid.points) - total(self.grid.points[t.face_nodes])
         return np.asarray((whole + total(self.grid.points[t.first])) / self.n_unique_nodes)
 
 

@@ -250,6 +250,13 @@ def of_all(array: Any, value: T) -> list[T]:
     return array.ranks.gather([value]) if isinstance(array, Part) else [value]
 
 
+def numbered(array: Any, count: int) -> tuple[int, int]:
+    """Number of the first of this rank's ``count`` items, which follow those of the ranks before, and of all items."""
+    counts = of_all(array, count)
+    number = array.ranks.number if isinstance(array, Part) else 0
+    return sum(counts[:number]), sum(counts)
+
+
 def on_each(action: Callable[[], object]) -> None:
     """Run ``action`` on every rank by itself; an error on one of them is raised on all."""
     ranks, failures = current_ranks(), list[Exception]()

@@ -210,8 +210,11 @@ def test_three_ranks_write_the_same_file_in_single_precision(bench, compiled):
 
 
 @needs_mpi
-def test_series_is_the_same_and_can_be_continued(bench, compiled):
+@pytest.mark.parametrize("repair", ["off", "auto"])
+def test_series_is_the_same_and_can_be_continued(repair, bench, compiled):
+    """In parts; with repairs the first rank alone continues what all have begun."""
     args = ("series", "grid.xyz", "-c", "case.toml", "-s", "constants.turn=20", "-m", "idw-tfi", "--from", "last")
+    args = (*args, "--repair", repair)
     assert by_itself(*args, "--times", "0:2:1", "-o", "alone") == 0
     for resumed in ((), ("--resume",)):
         done = on_ranks(2, *args, "--times", "0:2:1", "-o", "shared", *resumed)

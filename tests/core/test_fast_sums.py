@@ -263,7 +263,8 @@ def test_compact_sums_reach_every_target_of_a_region():
     def use(flat, sums):
         out[flat] = sums
 
-    FastRadial(kind, sources).evaluate(coefficients, targets, 1e-6, use, out)
+    fast = FastRadial(kind, sources)
+    fast.evaluate(fast.fitted(coefficients, targets, 1e-6), targets, use, out)
     np.testing.assert_allclose(out, radial_sums(kind, points, sources, coefficients), atol=1e-6)
     assert out.max() > 0.01
 

@@ -17,11 +17,13 @@ from meshdeform_core.boundary import Kind
 from meshdeform_core.deform import Case, deform
 from meshdeform_core.grid.dealing import bounds_of
 from meshdeform_core.memory import PROGRAM_BYTES, Demand
-from meshdeform_core.methods import IDW, TFI, Options
+from meshdeform_core.methods import IDW, RBF, TFI, Options
 from meshdeform_core.numerics import pieces as pieces_module
 from meshdeform_core.numerics.pieces import pieces
 from meshdeform_core.parallel import Part, WholeGridNeeded, alone, dividing, parts
 from meshdeform_core.repair import RepairOptions
+from meshdeform_core.series import Schedule, deform_series
+from meshdeform_core.setup import set_up
 from meshdeform_formats import plausible
 from meshdeform_formats.grids import read_grid, write_grid
 
@@ -31,6 +33,10 @@ METHODS = {
     "idw-fast": Options("idw", idw=IDW(summation="fast")),
     "idw-division": Options("idw", idw=IDW(rotation="division", summation="fast")),
     "idw-tfi": Options("idw-tfi"),
+    "rbf-exact": Options("rbf", rbf=RBF(summation="exact")),
+    "rbf-fast": Options("rbf", rbf=RBF(summation="fast")),
+    "rbf-greedy": Options("rbf", rbf=RBF(basis="wendland-c2", radius=6.0, greedy="single", summation="fast")),
+    "rbf-tfi-krylov": Options("rbf-tfi", rbf=RBF(solver="krylov")),
     "idw-tfi-fast": Options("idw-tfi", idw=IDW(summation="fast"), tfi=TFI(max_cells=4)),
 }
 OFF = RepairOptions(mode="off")
@@ -205,10 +211,35 @@ def test_single_precision_and_steps_give_the_same_bytes(suffix, tmp_path, small_
     same_on_ranks(tmp_path, 3, case_of(METHODS["idw-tfi"]), suffix, steps=3, precision="float32")
 
 
-@pytest.mark.parametrize("name", ["idw-fast", "idw-tfi"])
+@pytest.mark.parametrize("name", ["idw-fast", "idw-tfi", "rbf-fast"])
 def test_motions_towards_slip_sides_give_the_same_bytes(name, tmp_path, small_pieces, poisoned):
     swaying = formulas("0.1*z", "0.0", "0.2*sin(pi*z)")
     same_on_ranks(tmp_path, 3, Case(tuple(body_specs(swaying)), method=METHODS[name], repair=OFF))
+
+
+def levels(source, target, case, schedule):
+    """The bytes of all levels, and what is reported of each."""
+    found = []
+    for level in deform_series(set_up(read_grid(source), case), schedule, "float64"):
+        write_grid(level.result.grid, target)
+        account = dataclasses.asdict(level.result.account)
+        measured = level.result.assessment, level.rotation, level.drift, level.smoothness, level.made
+        found.append((target.read_bytes(), account, level.result.warnings, measured))
+    return found
+
+
+@pytest.mark.parametrize("origin", ["reference", "last"])
+def test_levels_of_a_series_are_the_same(origin, tmp_path, small_pieces, poisoned):
+    source, schedule = tmp_path / "grid.cgns", Schedule((0.0, 1.0, 2.0, 4.0), origin)
+    write_grid(frame(9, 8), source)
+    case = Case(tuple(body_specs(turning("5*t"))), method=METHODS["idw-tfi"], repair=OFF)
+    expected = levels(source, tmp_path / "one.cgns", case, schedule)
+
+    def act(number):
+        with dividing():
+            return levels(source, tmp_path / "ranks.cgns", case, schedule)
+
+    assert all(found == expected for found in on_ranks(3, act))
 
 
 def test_invalid_cells_are_listed_alike(tmp_path, small_pieces, poisoned):
@@ -246,7 +277,6 @@ def block_in_parts(source):
 def test_what_takes_the_whole_grid_says_so(tmp_path, monkeypatch):
     idw = METHODS["idw-tfi"]
     assert refused(tmp_path, 2, frame(), case_of(idw), {"iblank": "true"}) == "the file has IBLANK values"
-    assert refused(tmp_path, 2, frame(), case_of(Options("rbf"))) == "RBF"
     assert refused(tmp_path, 2, frame(), case_of(Options("idw-rbf"))) == "RBF inside of blocks"
     periodic = dataclasses.replace(case_of(idw), boundaries=tuple(body_specs(turning(5), Kind.PERIODIC)))
     assert refused(tmp_path, 2, frame(3, 4), periodic) == "periodic sides move"

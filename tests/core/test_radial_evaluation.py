@@ -93,7 +93,7 @@ def test_sums_are_exact_to_the_tolerance_of_local_cells(basis, tolerance):
     grid, _, targets = grid_targets()
     kind, centres = BASES[basis], np.concatenate([sphere(1500) * 0.3, 1.1 * sphere(900) + 0.2]) / 3
     points = grid.points / 3
-    targets = targets._replace(points=points, tree=shrunk(targets.tree, 3), sizes=targets.sizes / 3)
+    targets = targets._replace(coordinates=points, tree=shrunk(targets.tree, 3), sizes=targets.sizes / 3)
     coefficients = np.random.default_rng(0).standard_normal((len(centres), 3))
     out = np.full((len(points), 3), np.nan)
 
@@ -102,13 +102,13 @@ def test_sums_are_exact_to_the_tolerance_of_local_cells(basis, tolerance):
 
     fast = FastRadial(kind, centres)
     # The coefficients are no solution of a smooth motion, and the trial aims at a quarter of the tolerance.
-    fast.evaluate(coefficients, targets, tolerance, use, out)
+    fast.evaluate(fast.fitted(coefficients, targets, tolerance), targets, use, out)
     exact = radial_sums(kind, points, centres, coefficients)
     error = np.linalg.norm(out - exact, axis=1)[targets.samples] / targets.sizes
     assert error.max() <= tolerance
     # The same again, with what was found out.
     share, again = fast.share, out.copy()
-    fast.evaluate(coefficients, targets, tolerance, use, out)
+    fast.evaluate(fast.fitted(coefficients, targets, tolerance), targets, use, out)
     assert fast.share == share
     np.testing.assert_array_equal(out, again)
 

@@ -11,7 +11,6 @@ from ...boundary import Kind
 from ...errors import MethodError
 from ...grid import FloatArray, IntArray
 from ...numerics.exact.basis import BASES
-from ...parallel import require_whole
 from ..base import Account, Problem, Progress, Setting, of_stage
 from ..limits import warn_of_coarse_tolerance, warn_of_radius
 from ..options import choose, option, positive, used
@@ -128,7 +127,6 @@ class RBF:
 
     def bind(self, problem: Problem) -> PreparedRBF:
         """Sources and their images at symmetry planes as centres; nothing is solved yet."""
-        require_whole(problem.grid.points, "RBF")
         return PreparedRBF(self, problem)
 
 

@@ -13,7 +13,7 @@ from ...numerics.exact.basis import BASES
 from ...numerics.exact.radial import radial_sums
 from ...numerics.fastsum.radial.sums import FastRadial
 from ...numerics.fastsum.radial.targets import RadialTargets, make_radial_targets
-from ...parallel import Shared, empty, for_chunks, for_rows, thread_count
+from ...parallel import Shared, alike, apart, for_chunks, for_rows, of_all, rows_of, thread_count
 from ..base import Account, Progress, Setting, of_stage
 from .centres import Centres, Coefficients, SumOptions
 from .summation import fast_pays, largest_error, sum_accurately
@@ -34,17 +34,18 @@ class RadialSums:
 
     def prepare(self, n_centres: int) -> None:
         """Sort the target nodes for fast sums, if these pay off for this number of centres."""
-        self._is_fast, self._account.settings["summation"] = fast_pays(
-            self._options.summation, len(self.flat), n_centres
-        )
+        n_targets = sum(of_all(self._grid.points, len(self.flat)))
+        self._is_fast, self._account.settings["summation"] = fast_pays(self._options.summation, n_targets, n_centres)
         if not self._is_fast or self.targets is not None:
             return
         self._account.settings["summation_tolerance"] = Setting(
             self._options.tolerance, "error relative to the local cell"
         )
         grid = self._grid
-        points = empty(grid.points.shape)
+        grid.hold_neighbours()
+        points = alike(grid.points)
         for_rows(lambda rows: np.copyto(points[rows], self._centres.normalised(grid.points[rows])), points)
+        grid.hold_neighbours(points)
         targets = make_radial_targets(points, grid.shapes, grid.offsets, self.flat)
         self.targets = targets._replace(sizes=targets.sizes * self._centres.scale)
 
@@ -54,14 +55,20 @@ class RadialSums:
         self.prepare(len(fit.centres))
         if self._is_fast:
             self._fast(fit, out, report)
-        else:
-            self._exact(fit, out, report)
-        if self._options.correct and fit.reach > 0:
-            self._add_residual(fit, out)
+        with apart(out):
+            if not self._is_fast:
+                self._exact(fit, rows_of(out), report)
+            if self._options.correct and fit.reach > 0:
+                self._add_residual(fit, rows_of(out))
+
+    @property
+    def _points(self) -> FloatArray:
+        """Coordinates (n_nodes, 3), of a grid in parts those that this rank holds."""
+        return np.asarray(rows_of(self._grid.points))
 
     def _displacement(self, fit: Coefficients, flat: IntArray) -> FloatArray:
         """Displacement (n, 3) of the nodes ``flat`` by exact sums."""
-        x = self._centres.normalised(self._grid.points[flat])
+        x = self._centres.normalised(self._points[flat])
         moved = radial_sums(BASES[self._options.basis], x, fit.centres, fit.coefficients)
         return np.asarray(moved + self._centres.polynomial(x)[:, : len(fit.polynomial)] @ fit.polynomial)
 
@@ -80,13 +87,15 @@ class RadialSums:
 
         def use(flat: IntArray, sums: FloatArray) -> None:
             x = targets.points[flat]
-            out[flat] = sums + self._centres.polynomial(x)[:, : len(fit.polynomial)] @ fit.polynomial
+            rows[flat] = sums + self._centres.polynomial(x)[:, : len(fit.polynomial)] @ fit.polynomial
 
-        sums = self._tree[1]
+        sums, rows = self._tree[1], rows_of(out)
 
         def once() -> float:
-            risk = sums.evaluate(fit.coefficients, targets, self._options.tolerance, use, out, report)
-            return largest_error(self._grid, targets, risk, out, partial(self._displacement, fit))
+            fitted = sums.fitted(fit.coefficients, targets, self._options.tolerance)
+            with apart(out):
+                risk = sums.evaluate(fitted, targets, use, rows, report)
+            return largest_error(self._grid, targets, risk, rows, partial(self._displacement, fit))
 
         sum_accurately("rbf", sums, once, self._options.tolerance, self._account)
 
@@ -94,7 +103,7 @@ class RadialSums:
         """Distance (n,) of every target from the nearest source, and its number (n,)."""
         if self._nearest is None:
             tree = scipy.spatial.cKDTree(self._centres.points * self._centres.scale + self._centres.origin)
-            self._nearest = tree.query(self._grid.points[self.flat], workers=thread_count())
+            self._nearest = tree.query(self._points[self.flat], workers=thread_count())
         return self._nearest
 
     def _add_residual(self, fit: Coefficients, out: FloatArray) -> None:

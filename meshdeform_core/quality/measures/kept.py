@@ -26,7 +26,7 @@ class KeptCells:
 
     @cached_property
     def bytes(self) -> int:
-        """Memory in bytes for all cells, shared by the ranks of a machine."""
+        """Memory in bytes for all cells."""
         if self._grid.dimension == 2:
             return 0
         return sum(self._size(slab) for slab in slabs(self._grid)) * NOTHING.itemsize

@@ -6,8 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray, IntArray
+from ...arrays import FloatArray, IntArray
 from ...jit import kernel
+from ...pieces import pieces
 from ..tuned import RADIAL_REGION
 from .boxes import fit_boxes
 from .bricks import longest_side
@@ -37,24 +38,30 @@ class TargetTree(NamedTuple):
 
 
 def build_target_tree(
-    points: FloatArray, shapes: IntArray, offsets: IntArray, wanted: BoolArray, capacity: int
+    points: FloatArray, shapes: IntArray, offsets: IntArray, flat: IntArray, capacity: int
 ) -> TargetTree:
-    """Trees of the nodes ``wanted`` (n_nodes,) of a grid, with leaves of at most about ``capacity`` targets.
+    """Trees of the nodes ``flat`` (n,), ascending, of a grid, with leaves of at most about ``capacity`` targets.
 
     Boxes of indices are halved along the direction in which they are longest in space, so that leaves are compact
-    although cells are stretched.
+    although cells are stretched. No tree reaches beyond a piece of a block (:mod:`...pieces`), so that trees do not
+    depend on what else is wanted, or held, of the grid.
     """
-    parts = []
+    none, pairs = np.empty(0, np.int64), np.empty((0, 2), np.int64)
+    parts = [(none, pairs, pairs, none)]
     used = nodes = 0
-    for block, shape in enumerate(shapes):
-        lo, hi = offsets[block], offsets[block + 1]
-        mask = wanted[lo:hi].reshape(shape)
-        inside = int(mask.sum())
-        if inside:
-            volume = capacity * mask.size / inside
-            targets, span, child, roots = _cut(points[lo:hi].reshape(*shape, 3), mask, inside, volume, RADIAL_REGION)
-            parts.append((targets + lo, span + used, np.where(child >= 0, child + nodes, -1), roots + nodes))
-            used, nodes = used + len(targets), nodes + len(span)
+    block, low, high = pieces(shapes).T
+    rows = offsets[block] + np.stack([low, high]) * shapes[block, 1:].prod(axis=1)
+    ends = np.searchsorted(flat, rows)
+    for number in np.flatnonzero(ends[1] > ends[0]).tolist():
+        (lo, hi), own = rows[:, number], flat[slice(*ends[:, number])]
+        shape = (high[number] - low[number], *shapes[block[number], 1:])
+        mask = np.zeros(hi - lo, dtype=bool)
+        mask[own - lo] = True
+        volume = capacity * mask.size / len(own)
+        x = points[lo:hi].reshape(*shape, 3)
+        targets, span, child, roots = _cut(x, mask.reshape(shape), len(own), volume, RADIAL_REGION)
+        parts.append((targets + lo, span + used, np.where(child >= 0, child + nodes, -1), roots + nodes))
+        used, nodes = used + len(targets), nodes + len(span)
     targets, span, child, roots = (np.concatenate(each) for each in zip(*parts, strict=True))
     return TargetTree(targets, span, child, np.append(roots, nodes), *_fit(points, targets, span, child))
 

@@ -59,7 +59,8 @@ def spaces_of(half: FloatArray, accuracy: float) -> tuple[Spaces, IntArray]:
         flatness = np.floor(2.0 * np.log2(longest / half))
     flat = np.where(half > 1e-12 * longest, np.clip(flatness, 0, _FLATTEST), -1).astype(np.int64)
     shapes, which = np.unique(flat, axis=0, return_inverse=True)
-    found = [_space(*map(int, shape), accuracy) for shape in shapes]
+    # A rank may have no targets.
+    found = [_space(*map(int, shape), accuracy) for shape in shapes] or [_space(0, 0, 0, accuracy)]
     sizes = np.array([len(degree) for degree, _, _, _ in found])
     start, begin = np.append(0, np.cumsum(sizes)), np.append(0, np.cumsum(sizes**2))
     degree, points = (np.concatenate([each[part] for each in found]) for part in (0, 1))

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ....parallel import Shared, for_chunks
+from ....parallel import Shared, for_chunks, numbered, of_all
 from ...arrays import FloatArray, IntArray, Report
 from ...exact.basis import BASES
 from ...exact.radial import radial_block, radial_sums
@@ -102,9 +102,8 @@ class FastRadial:
 
     def evaluate(
         self,
-        coefficients: FloatArray,
+        fitted: tuple[Clusters, Boxes],
         targets: RadialTargets,
-        tolerance: float,
         use: Callable,
         result: FloatArray,
         progress: Report | None = None,
@@ -113,16 +112,15 @@ class FastRadial:
 
         Parameters
         ----------
-        coefficients : (n, 3)
+        fitted : from :meth:`fitted`
         targets : with points in the unit of the centres
-        tolerance : allowed error relative to the local cell size
         result : (n_nodes, ...) array of which ``use`` fills these rows
 
         Returns
         -------
         risk : (b,) of each leaf's error, in units that only allow comparing
         """
-        clusters, boxes = self.fitted(coefficients, targets, tolerance)
+        clusters, boxes = fitted
         risk = np.zeros(len(boxes.allowed))
 
         def work(lo: int, hi: int) -> None:
@@ -133,8 +131,11 @@ class FastRadial:
         return risk[targets.leaves]
 
     def fitted(self, coefficients: FloatArray, targets: RadialTargets, tolerance: float) -> tuple[Clusters, Boxes]:
-        """Clusters with these coefficients and boxes with which sums keep the tolerance on trial leaves."""
-        chosen = np.unique(np.linspace(0, len(targets.leaves) - 1, TRIAL_LEAVES).astype(int))
+        """Clusters with coefficients (n, 3) and boxes with which sums keep the ``tolerance``, relative to the local
+        cell size, on trial leaves: of targets in parts, on those of all ranks."""
+        first, count = numbered(targets.coordinates, len(targets.leaves))
+        chosen = np.unique(np.linspace(0, count - 1, TRIAL_LEAVES).astype(int)) - first
+        chosen = chosen[(chosen >= 0) & (chosen < len(targets.leaves))]
         samples = targets.samples[chosen]
         exact = radial_sums(self._kind, targets.points[samples.ravel()], self._centres, coefficients)
         exact = exact.reshape(*samples.shape, 3)
@@ -144,7 +145,8 @@ class FastRadial:
             clusters = self._clusters(coefficients)
             boxes = Boxes(targets.tree, *targets.spaces, self.share * permitted, every)
             found = self._on_leaves(chosen, targets, boxes, clusters)
-            error = (np.linalg.norm(found - exact, axis=2) / targets.sizes[chosen]).max() / tolerance
+            found = (np.linalg.norm(found - exact, axis=2) / targets.sizes[chosen]).max(initial=0.0)
+            error = max(of_all(targets.coordinates, float(found))) / tolerance
             if error <= AIM:
                 break
             self.refine(error)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from ....parallel import rows_of
 from ...arrays import FloatArray, IntArray, Shapes
 from ..clusters.bricks import node_sizes
 from ..clusters.target_tree import TargetTree, build_target_tree
@@ -22,7 +23,7 @@ class RadialTargets(NamedTuple):
 
     Attributes
     ----------
-    points : (n_nodes, 3)
+    coordinates : (n_nodes, 3), in parts or not
     tree : of the targets
     leaves : (b,) nodes of the tree that are leaves and hold targets
     places : (b, 9) places in the tree spread over each leaf
@@ -31,13 +32,18 @@ class RadialTargets(NamedTuple):
     spaces : of the polynomials on the boxes of the tree, and which of them (m,) each has
     """
 
-    points: np.ndarray
+    coordinates: Any
     tree: TargetTree
     leaves: np.ndarray
     places: np.ndarray
     samples: np.ndarray
     sizes: np.ndarray
     spaces: tuple[Spaces, np.ndarray]
+
+    @property
+    def points(self) -> FloatArray:
+        """Coordinates (n_nodes, 3), of a grid in parts those that this rank holds."""
+        return np.asarray(rows_of(self.coordinates))
 
     @property
     def every(self) -> IntArray:
@@ -68,22 +74,19 @@ class RadialTargets(NamedTuple):
 
 
 def make_radial_targets(
-    points: FloatArray,
+    coordinates: Any,
     shapes: Shapes,
     offsets: IntArray,
     flat: IntArray,
 ) -> RadialTargets:
-    """Sort the target nodes ``flat`` of a grid."""
-    shapes = shape_table(shapes)
-    return RadialTargets(points, *_sorted(points, shapes, offsets, flat))
+    """Sort the target nodes ``flat``, ascending, of a grid; of one in parts, those of this rank."""
+    return RadialTargets(coordinates, *_sorted(rows_of(coordinates), shape_table(shapes), offsets, flat))
 
 
 def _sorted(
     points: FloatArray, shapes: IntArray, offsets: IntArray, flat: IntArray
 ) -> tuple[TargetTree, IntArray, IntArray, IntArray, FloatArray, tuple[Spaces, IntArray]]:
-    wanted = np.zeros(len(points), dtype=bool)
-    wanted[flat] = True
-    tree = build_target_tree(points, shapes, offsets, wanted, CAPACITY)
+    tree = build_target_tree(points, shapes, offsets, flat, CAPACITY)
     leaves = np.flatnonzero((tree.child[:, 0] < 0) & (tree.span[:, 1] > tree.span[:, 0]))
     leaves = leaves[np.argsort(tree.span[leaves, 0])]
     places = sample_places(np.append(tree.span[leaves, 0], len(tree.targets)))
