@@ -57,21 +57,23 @@ def given_displacement(
 
 
 def given_gradient(grid: Grid, boundary: Boundary, nodes: IntArray, gradient: FloatArray) -> FloatArray:
-    """The transpose of :func:`given_displacement`: gradients (n, 3) of ``nodes`` from those (n_unique, 3) of all."""
+    """The transpose of :func:`given_displacement`: gradients (n, 3) of ``nodes`` from those (n_unique, 3) of all.
+
+    If several periodic images of a node are given they share its gradient, so that a displacement along it moves them
+    alike.
+    """
     periodic, normal = boundary.periodic, plane_normal(grid)
     total = gradient.copy()
     if periodic.one.size:
         given = np.zeros(len(gradient), dtype=bool)
         given[nodes] = True
         images, root, turn = periodic.frames(len(gradient))
+        home = np.zeros_like(gradient)
+        np.add.at(home, root, np.einsum("nji,nj->ni", turn, total[images]))
         moving = given[images]
-        home, copied = np.zeros_like(gradient), np.isin(root, root[moving]) & ~moving
-        np.add.at(home, root[copied], np.einsum("nji,nj->ni", turn[copied], total[images[copied]]))
-        # If several images are given, the last one is used.
-        source = np.full(len(gradient), -1)
-        source[root[moving]] = np.flatnonzero(moving)
-        last = source[source >= 0]
-        total[images[last]] += np.einsum("nij,nj->ni", turn[last], home[root[last]])
+        count = np.bincount(root[moving], minlength=len(gradient))
+        shared = home[root[moving]] / count[root[moving], None]
+        total[images[moving]] = np.einsum("nij,nj->ni", turn[moving], shared)
     found = total[nodes]
     return found if normal is None else found - np.outer(found @ normal, normal)
 

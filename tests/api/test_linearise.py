@@ -161,3 +161,26 @@ def test_a_derivative_changes_no_later_step(mesh):
     found.vjp(found.jvp(bend(mesh)))
     for one, two in zip(before, mesh.deform(bend(mesh)).grid.blocks, strict=True):
         np.testing.assert_array_equal(one, two)
+
+
+def test_gradients_at_periodic_images_are_alike():
+    """Where both sides of a sector hold images of wall nodes, a step along the gradient moves them alike."""
+    r, t, z = np.meshgrid(
+        np.linspace(1.0, 2.0, 4), np.linspace(0.0, np.pi / 3, 4), np.linspace(0.0, 1.0, 3), indexing="ij"
+    )
+    grid = md.Grid([np.stack([r * np.cos(t), r * np.sin(t), z], axis=-1)])
+    mesh = md.prepare(
+        grid,
+        moving=["block1.imin"],
+        periodic={"sides": ["block1.jmin", "block1.jmax"]},
+        free=["block1.k*"],
+        method="idw",
+    )
+    outward = mesh.points * [1.0, 1.0, 0.0]
+    at = mesh.linearise(0.03 * outward)
+    weights = [np.cos(3.0 * block) for block in mesh.grid.blocks]
+    gradient = at.vjp(weights)
+    assert mesh.deform(0.03 * outward - 1e-3 * gradient).valid
+    for change in (outward * mesh.points[:, 2:], gradient):
+        product = sum(float((w * moved).sum()) for w, moved in zip(weights, at.jvp(change), strict=True))
+        assert product == pytest.approx(float((gradient * change).sum()), rel=1e-12)

@@ -53,7 +53,8 @@ class ExactSums:
     def __init__(self, bound: Bound, weights: Weights, acting: BoolArray) -> None:
         self._bound, self._weights, self.acting = bound, weights, acting
         # The sums of all portions together are no larger than half of the coordinates.
-        most = bound.grid.points.size // (2 * (1 + N_VALUES) * max(np.count_nonzero(acting), 1))
+        self._n_acting = int(acting.sum())
+        most = bound.grid.points.size // (2 * (1 + N_VALUES) * max(self._n_acting, 1))
         self.portions = max(1, min(_PORTIONS, len(bound.flat) // _CHUNK, most))
 
     @property
@@ -99,7 +100,7 @@ class ExactSums:
         bound, n = self._bound, len(self._bound.sources)
         cut = np.linspace(0, len(bound.flat), self.portions + 1).astype(np.int64)
         place = np.cumsum(self.acting) - 1
-        totals = empty((self.portions, k, np.count_nonzero(self.acting)))
+        totals = empty((self.portions, k, self._n_acting))
 
         def work(lo: int, hi: int) -> None:
             for portion in range(lo, hi):
