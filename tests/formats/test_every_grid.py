@@ -24,6 +24,8 @@ NAMES = (
     "backstep5_4levdn.p3dbin", "shear_3blk_2d.p2dfmt", "StructuredGrid.vts", "SampleStructGrid.vtk",
 )  # fmt: skip
 EACH = pytest.mark.parametrize("name", NAMES)
+FEW = ("backstep5_4levdn.p3dbin", "shear_3blk_2d.p2dfmt", "StructuredGrid.vts")
+"""One of several blocks, one in the plane, one block."""
 
 PLOT3D = [
     {"encoding": "ascii"},
@@ -91,7 +93,7 @@ def test_plot3d_in_the_plane_and_single_blocks(name, third_party, tmp_path):
                 write_grid(grid, path, options)
 
 
-@EACH
+@pytest.mark.parametrize("name", [pytest.param(n, marks=() if n in FEW else pytest.mark.slow) for n in NAMES])
 @pytest.mark.parametrize("suffix", VTK)
 def test_every_vtk_variant_and_back(name, suffix, third_party, tmp_path):
     known, grid = oracle(third_party, name), read_grid(third_party / name)
@@ -120,7 +122,6 @@ EXPORTS = (
     (".vtu", {}), (".vtu", {"boundary": "true"}), (".su2", {}), (".msh", {}), (".msh", {"encoding": "ascii"}),
     (".msh", {"version": "4.1"}), (".inp", {}), (".xdmf", {}), (".med", {}),
 )  # fmt: skip
-FEW = ("backstep5_4levdn.p3dbin", "shear_3blk_2d.p2dfmt")
 
 
 # Every format with a grid of several blocks and with one in the plane, every grid in one format.
