@@ -42,18 +42,17 @@ def command(source: GridInput, case: CaseInput, wanted: SeriesInput, run: RunInp
     start = clock.perf_counter()
     use_threads(run.threads)
     _check(source, case, wanted, run)
-    limit = run.memory
 
     from .. import series_run, work
     from ..dry_run import forecast
     from ..dry_run.expense import Levels, plan_by_sizes
 
     timed = dataclasses.replace(case, times=wanted.times)
-    if run.dry_run and (layout := too_large(limit, source, wanted.more_arrays)):
+    if run.dry_run and (layout := too_large(run.memory, source, wanted.more_arrays)):
         what = timed.read()
         levels = Levels(len(series_run.times_of(what, wanted)), wanted.velocity_arrays)
         output = wanted.output / series_run.name_of(source.path, wanted, layout.format)
-        planned = plan_by_sizes(layout, what.case, output, run.variant_options, limit, levels)
+        planned = plan_by_sizes(layout, what.case, output, run.variant_options, run.memory, levels)
         return work.print_plan(planned, False, run)
 
     def planned_series(workplace: Path | None) -> series_run.Run:
@@ -66,7 +65,7 @@ def command(source: GridInput, case: CaseInput, wanted: SeriesInput, run: RunInp
         with ProgressBar(not run.quiet):
             plan = planned_series(None)
             levels = Levels(len(plan.schedule.times), wanted.velocity_arrays)
-            planned, impossible, text = forecast.plan_series(plan, levels, limit)
+            planned, impossible, text = forecast.plan_series(plan, levels, run.memory)
         return work.print_plan(planned, impossible, run, text)
 
     begun = False
