@@ -63,15 +63,18 @@ class Options:
     Raises
     ------
     CaseError
-        For no options, an unknown one with the nearest known one, or a value that is refused.
+        For no options, an unknown one with the nearest known one, one that is given twice, or a value that is refused.
     """
 
     def __init__(self, given: Mapping[str, Any] | None):
         if not isinstance(given, Mapping):
             raise CaseError(f"options = {given!r}; expected a mapping with 'gridFile' and others")
         self._values = dict(DEFAULTS)
+        spelled: dict[str, str] = {}
         for name, value in given.items():
             self.set(name, value)
+            if (other := spelled.setdefault(self._known(name), name)) != name:
+                raise CaseError(f"found both {other!r} and {name!r}; expected an option once, in any case")
         if not isinstance(self._values["gridFile"], str):
             raise CaseError(f"gridFile = {self._values['gridFile']!r}; expected the name of a grid file")
         if self._values["fileType"] == "PLOT3D" and self._values["symmetryPlanes"] is None:

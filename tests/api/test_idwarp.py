@@ -238,6 +238,7 @@ def test_components_that_stay(overset):
         (None, "options = None"),
         ({"gridFile": "g.cgns", "aEx": 3.0}, "did you mean 'aExp'"),
         ({}, "gridFile = None"),
+        ({"gridFile": "g.cgns", "GridFile": "h.cgns"}, "found both 'gridFile' and 'GridFile'"),
         ({"gridFile": "g", "fileType": "OpenFOAM"}, "unstructured"),
         ({"gridFile": "g.cgns", "fileType": "su2"}, "fileType"),
         ({"gridFile": "g.cgns", "alpha": -1.0}, "alpha = -1.0"),
