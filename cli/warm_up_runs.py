@@ -54,6 +54,7 @@ def runs() -> Iterator[Callable[[], object]]:
     # Sub-blocks with curved grid lines.
     yield partial(_derivatives, "airfoil", 33, Options("idw-tfi"))
     yield partial(_step_derivatives, "hemisphere", 8, Options("idw-tfi"))
+    yield partial(_step_derivatives, "hemisphere", 8, Options("rbf"))
     for rotation in ("none", "quaternion", "blend"):
         yield partial(_deformed, "hemisphere", 8, Options("idw", idw=IDW(rotation=rotation, summation="exact")))
     yield partial(_deformed, "hemisphere", 8, Options("rbf-tfi"))

@@ -11,8 +11,7 @@ from meshdeform_core.boundary import Kind
 from meshdeform_core.boundary.prescribed import prescribed_displacement
 from meshdeform_core.grid import Grid
 from meshdeform_core.methods import make_method
-from meshdeform_core.parallel import OneRank
-from meshdeform_core.parallel import loops as parallel
+from meshdeform_core.parallel.scratch import scratch_in
 
 EVERY = every(ALL_METHODS)
 ROTATION = np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))[0]
@@ -264,11 +263,17 @@ def test_fixed_outside_and_moving_body_are_told_by_the_boundary():
     assert np.all(told[~moving] == 0.0)
 
 
-class Unset(OneRank):
-    """Arrays that are not initialised hold not-a-number."""
+class Unset:
+    """In place of a folder for arrays: those that are not initialised hold not-a-number."""
+
+    def takes(self, size):
+        return True
 
     def empty(self, shape, dtype):
         return np.full(shape, np.nan, dtype) if np.dtype(dtype).kind == "f" else np.zeros(shape, dtype)
+
+    def look(self, maps=None):
+        """Nothing is in files."""
 
 
 REACHED = {
@@ -280,9 +285,8 @@ REACHED = {
 
 @EVERY
 @pytest.mark.parametrize("which", REACHED)
-def test_every_node_is_reached(name, which, monkeypatch):
+def test_every_node_is_reached(name, which):
     problem = REACHED[which]()
     prepared = make_method(ALL_METHODS[name]).prepare(problem)
-    monkeypatch.setattr(parallel, "_SMALL", 0)
-    with parallel.sharing(Unset(), None):
+    with scratch_in(Unset()):
         assert np.isfinite(prepared.apply(bend(problem.source_points))).all()
