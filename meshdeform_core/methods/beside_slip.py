@@ -46,8 +46,8 @@ class BesideSlip:
         self._problem, self._flat = problem, flat
         sides = problem.boundary.slip.sides
         self.normals: FloatArray = np.array([normal for normal, _ in sides]).reshape(-1, 3)
-        keeps = self.normals.shape[0] * 8 * len(flat) * _KEPT <= problem.memory.size
-        self._parts: dict[int, FloatArray] | None = {} if keeps else None
+        self._keeps = self.normals.shape[0] * 8 * len(flat) * _KEPT <= problem.memory.size
+        self._parts: dict[int, FloatArray] | None = None
 
     def apply(self, out: FloatArray) -> None:
         """Damp the rows of ``out`` (n_nodes, 3) of these nodes, in place."""
@@ -62,15 +62,23 @@ class BesideSlip:
 
         with apart(out):
             for_chunks(work, len(self._flat), _CHUNK)
+        self._done()
 
     def damp(self, values: FloatArray) -> None:
         """The same for rows of ``values`` (n_nodes, 3) of any size, which may be changes or gradients."""
         for lo in range(0, len(self._flat) if len(self.normals) else 0, _CHUNK):
             hi = min(lo + _CHUNK, len(self._flat))
             damp_rows(values, self._flat[lo:hi], self.normals, self._kept(lo, hi), 0.0)
+        self._done()
+
+    def _done(self) -> None:
+        """Drop the search trees, and keep what follows from them after the next displacement: one takes no memory."""
+        self.__dict__.pop("trees", None)
+        if self._keeps and self._parts is None:
+            self._parts = {}
 
     def _kept(self, lo: int, hi: int) -> FloatArray:
-        """What :meth:`_part` gives, kept from one displacement to the next if there is room."""
+        """What :meth:`_part` gives, kept from the second displacement on if there is room."""
         if self._parts is None:
             return self._part(self._flat[lo:hi])
         if lo not in self._parts:
@@ -96,7 +104,8 @@ class BesideSlip:
         alone = np.setdiff1d(np.flatnonzero(problem.boundary.kind == Kind.MOVING), walls)
         walls = np.concatenate([walls, np.repeat(alone, 3).reshape(-1, 3)])
         every = [walls, *(triangles_of(corners[quads]) for _, quads in problem.boundary.slip.sides)]
-        return [TriangleTree(problem.grid.points[problem.topology.first], triangles) for triangles in every]
+        points = problem.grid.points[problem.topology.first]
+        return [TriangleTree(points, triangles) for triangles in every]
 
 
 def place(to_wall: FloatArray, to_side: FloatArray) -> FloatArray:

@@ -132,12 +132,27 @@ def test_what_is_kept_of_one_displacement_changes_no_other(name):
     problem = problem_of(frame(), body_specs(SWAYING))
     prepared = make_method(Options(name)).prepare(problem)
     one = told(problem)
-    prepared.apply(0.3 * one)
-    np.testing.assert_array_equal(prepared.apply(one), apply(Options(name), problem, one))
+    # The second displacement leaves what the third takes.
+    for share in (0.3, 0.7, 1.0):
+        found = prepared.apply(share * one)
+    np.testing.assert_array_equal(found, apply(Options(name), problem, one))
+
+
+def test_little_memory_keeps_nothing():
+    problem = problem_of(frame(), body_specs(SWAYING))
     small = dataclasses.replace(problem, memory=dataclasses.replace(problem.memory, size=1))
-    np.testing.assert_array_equal(apply(Options("tfi"), small, one), apply(Options("tfi"), problem, one))
-    method = BesideSlip(small, np.arange(10))
-    assert method._parts is None
+    given = np.random.default_rng(5).standard_normal((problem.grid.n_nodes, 3))
+    inside = np.setdiff1d(np.arange(len(given)), problem.topology.face_nodes)
+    methods, found = [BesideSlip(each, inside) for each in (problem, small)], []
+    for method in methods:
+        for _ in range(3):
+            found.append(given.copy())
+            method.apply(found[-1])
+        assert "trees" not in vars(method)
+    assert methods[0]._parts
+    assert not methods[1]._parts
+    for each in found[1:]:
+        np.testing.assert_array_equal(each, found[0])
 
 
 def test_symmetry_planes_have_images_instead():

@@ -22,13 +22,13 @@ class TriangleTree:
     """
 
     def __init__(self, points: FloatArray, triangles: IntArray) -> None:
-        self.triangles = triangles
-        corners = np.ascontiguousarray(points[triangles])
+        self.triangles, points = triangles, np.ascontiguousarray(points)
         self._order = np.arange(len(triangles))
         node, box = np.empty((2 * len(triangles) + 1, 3), dtype=np.int64), np.empty((2 * len(triangles) + 1, 6))
-        used = _build(corners.min(axis=1), corners.max(axis=1), self._order, node, box)
+        used = _build(*_bounds(points, triangles), self._order, node, box)
         self._node, self._box = node[:used].copy(), box[:used].copy()
-        self._corners = corners[self._order]
+        # Only now: beside the bounds they would raise the peak of memory.
+        self._corners = points[triangles[self._order]]
 
     def closest(self, targets: FloatArray, within: FloatArray | None = None) -> tuple[IntArray, FloatArray, FloatArray]:
         """Closest surface points of ``targets`` (k, 3), or only those ``within`` a distance (k,), which is much faster.
@@ -44,6 +44,17 @@ class TriangleTree:
             np.ascontiguousarray(targets, dtype=np.float64), limit, self._corners, self._node, self._box
         )
         return self._order[found], weights, distance
+
+
+def _bounds(points: FloatArray, triangles: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Lowest and highest coordinates (m, 3) of every triangle."""
+    low = points[triangles[:, 0]]
+    high = low.copy()
+    for n in (1, 2):
+        corner = points[triangles[:, n]]
+        np.minimum(low, corner, out=low)
+        np.maximum(high, corner, out=high)
+    return low, high
 
 
 @kernel
