@@ -11,11 +11,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from meshdeform_core.boundary.prescribed import given_displacement, given_gradient
+from meshdeform_core.deform import Result
 from meshdeform_core.errors import GridError, MethodError
 from meshdeform_core.grid import FloatArray, IntArray
+from meshdeform_core.grid.connectivity.components import Component
 from meshdeform_core.methods import PreparedMethod
 from meshdeform_core.methods.derivative import ComponentsInSteps, StepsDerivative, derivative_of, derivative_of_steps
-from meshdeform_core.repair.derivative import RepairDerivative, derivative_of_repair
+from meshdeform_core.repair.derivative import ComponentRepairs, RepairDerivative, derivative_of_repair
 
 from ..gate import checked_array
 from .step import Step
@@ -205,11 +207,28 @@ def _difference(plain: FloatArray, step: Step, why: str) -> tuple[RepairDerivati
         return None, "another method replaced the chosen one; the derivative is that of the chosen one"
     if result.setup.boundary.slip.curved:
         return None, "nodes slide on a curved surface; the derivative is that of the method before the repair"
-    basis, polish = result.setup.undeformed.repairs, result.setup.case.repair.mode == "polish"
-    found = derivative_of_repair(basis, plain, result.grid.points, polish) if result.repair.converged else None
-    if found and found.settle(4.0 * scale) <= _CLOSE:
-        return found, ""
-    return None, (
+    found = _of_components(result, plain, 4.0 * scale) if result.components else _at_minimum(result, plain, 4.0 * scale)
+    return found, "" if found else (
         "the grid was repaired, but is not the minimum of the repair's energy; "
         "the derivative is that of the method before the repair"
     )
+
+
+def _at_minimum(result: Result, plain: FloatArray, rounding: float) -> RepairDerivative | None:
+    """The derivative of the repair from ``plain``, if it reached the minimum of its energy."""
+    if result.repair is None or not result.repair.converged:
+        return None
+    basis, polish = result.setup.undeformed.repairs, result.setup.case.repair.mode == "polish"
+    found = derivative_of_repair(basis, plain, result.grid.points, polish)
+    return found if found and found.settle(rounding) <= _CLOSE else None
+
+
+def _of_components(result: Result, plain: FloatArray, rounding: float) -> RepairDerivative | None:
+    """The same of an overset grid, whose components are repaired each by itself."""
+    grid, own = result.setup.grid, list[tuple[Component, RepairDerivative | None]]()
+    for (component, _), (_, each) in zip(result.setup.undeformed.components, result.components, strict=True):
+        found = _at_minimum(each, component.rows(grid, plain), rounding)
+        if each.repair and not found:
+            return None
+        own.append((component, found))
+    return ComponentRepairs(grid, own)

@@ -53,6 +53,23 @@ def converged(monkeypatch):
     monkeypatch.setattr(untangle, "_SAFETY", np.inf)
 
 
+def components():
+    """Two components of a plane overset grid, of which each has weak cells, and one at rest."""
+    own = [block.copy() for block in md.Grid._of(frame_2d(9), True).blocks]
+    blocks = [block + [shift, 0.0] for shift in (0.0, 0.3, 0.1) for block in own]
+    body = [
+        {**BODY, "name": name, "motion": STILL, "select": [f"{name}.*.i*", f"{name}.*.j*"]}
+        | {"where": f"abs(x-{shift}) < 0.51 and abs(y) < 0.51"}
+        for name, shift in (("a", 0.0), ("b", 0.3))
+    ]
+    names = [f"{name}.{n}" for name in "abc" for n in range(len(own))]
+    given = {"boundary": body, "method": {"name": "idw-tfi"}, "grid": {"components": "zone prefix"}}
+    return md.prepare(md.Grid(blocks, names), given)
+
+
+CASES["components"] = (components, 0.8, 0.0)
+
+
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=pytest.mark.slow if name in ("space", "extruded") else ()) for name in CASES]
 )
