@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from cases import formulas
 
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.deform import Case, Timing, impose, set_up
-from meshdeform_core.grid import Grid
+from meshdeform_core.grid import Grid, Patch, Side, Window
 from meshdeform_core.methods import Options
 from meshdeform_core.repair.constraints import Constraints
 from meshdeform_core.repair.walls import nearness, weigh
@@ -28,21 +30,27 @@ def test_first_cells_at_walls_weigh_most_and_less_where_walls_are_few_cells_apar
 
 
 def test_moving_far_field_is_no_wall_unless_nothing_else_moves():
-    """A ring around a body: its outer side, towards which cells grow, is moved by another program, too."""
+    """A ring around a body: its outer side, towards which cells grow, is moved by another program, too.
+
+    Only if the file says that it is far field: in another format the same grid is deformed alike.
+    """
     angle, radius = np.linspace(0.0, 2.0 * np.pi, 49), 1.15 ** np.arange(17)
     angle[-1] = 0.0
     ring = radius[None, :] * np.exp(1j * angle)[:, None]
     grid = Grid.from_blocks([np.stack([ring.real, ring.imag, 0.0 * ring.real], axis=-1)[:, :, None]])
+    far = Patch("outer", (Window(0, Side.JMAX, (0, 0), (48, 1)),), bc_type="BCFarfield")
     moved = formulas("0.1", "0", "0")
 
-    def walls(*sides):
-        setup = set_up(grid, Case((BoundarySpec("given", sides, Kind.MOVING, None, moved),)))
+    def walls(*sides, patches=(far,)):
+        setup = set_up(replace(grid, patches=patches), Case((BoundarySpec("given", sides, Kind.MOVING, None, moved),)))
         found = Constraints.of(setup.original, setup.boundary).walls
         return np.linalg.norm(setup.grid.points[setup.topology.first[found]], axis=1)
 
+    both = [1.0, radius[-1].round(9)]
     np.testing.assert_allclose(walls("*.jmin", "*.jmax"), 1.0)
+    np.testing.assert_allclose(np.unique(walls("*.jmin", "*.jmax", patches=()).round(9)), both)
     # The fixed body is a wall, too.
-    np.testing.assert_allclose(np.unique(walls("*.jmax").round(9)), [1.0, radius[-1].round(9)])
+    np.testing.assert_allclose(np.unique(walls("*.jmax").round(9)), both)
 
 
 def test_fixed_walls_are_kept_like_moving_ones():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -9,7 +10,8 @@ import numpy as np
 
 from ...boundary import Boundary, Kind
 from ...grid import BoolArray, FloatArray, Grid
-from ...grid.faces.roles import Role
+from ...grid.faces.pieces import Face
+from ...grid.faces.roles import Role, declared_role
 from ...grid.faces.surfaces import Outside, find_outside
 from ...grid.planes import plane_normal
 from ...grid.topology import Topology
@@ -75,18 +77,24 @@ class Original:
     def fixed_wall_quads(self, boundary: Boundary) -> BoolArray:
         """(n_quads,) fixed face quads that are likely to be walls, not far field."""
         fixed = np.asarray(boundary.quad_kind == Kind.FIXED)
-        return fixed & self._quads_of(Role.WALL) if fixed.any() else fixed
+        outside = self.outside
+        walls = [face for face, role in zip(outside.faces, outside.roles, strict=True) if role is Role.WALL]
+        return fixed & self._quads_of(walls) if fixed.any() else fixed
 
     def moving_wall_quads(self, boundary: Boundary) -> BoolArray:
-        """(n_quads,) moving face quads without those that are likely to be far field, unless all of them are."""
+        """(n_quads,) moving face quads without those that the file declares as far field, unless all of them are.
+
+        What moves is more often a wall than not, and the grid must not depend on a guess.
+        """
         moving = np.asarray(boundary.quad_kind == Kind.MOVING)
-        near = moving & ~self._quads_of(Role.FAR) if moving.any() else moving
+        far = [face for face in self.outside.faces if declared_role(face) is Role.FAR]
+        near = moving & ~self._quads_of(far) if far else moving
         return near if near.any() else moving
 
-    def _quads_of(self, wanted: Role) -> BoolArray:
+    def _quads_of(self, faces: Iterable[Face]) -> BoolArray:
         found = np.zeros(len(self.topology.quads.corners), dtype=bool)
-        for face, role in zip(self.outside.faces, self.outside.roles, strict=True):
-            found[face.quads] = role is wanted
+        for face in faces:
+            found[face.quads] = True
         return found
 
     def walls(self, boundary: Boundary) -> dict[str, Walls]:
