@@ -45,6 +45,13 @@ def own_garbage() -> None:
     gc.freeze()
 
 
+@pytest.fixture
+def openmdao_folder(monkeypatch, tmp_path) -> None:
+    """OpenMDAO makes folders where it runs."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("OPENMDAO_REPORTS", "0")
+
+
 @pytest.fixture(scope="session")
 def third_party() -> Path:
     """Folder of third-party grids with oracle coordinates; they may not be committed, so they may be absent."""

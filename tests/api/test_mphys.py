@@ -20,17 +20,12 @@ from mphys.scenarios.aerostructural import ScenarioAeroStructural  # noqa: E402
 
 from meshdeform.openmdao import MeshCoordinates, MeshDeformBuilder, MeshDeformComp  # noqa: E402
 
+pytestmark = pytest.mark.usefixtures("openmdao_folder")
+
 
 @pytest.fixture(scope="module")
 def mesh():
     return prepared()
-
-
-@pytest.fixture(autouse=True)
-def _away(monkeypatch, tmp_path):
-    """OpenMDAO makes folders where it runs."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("OPENMDAO_REPORTS", "0")
 
 
 class Bend(om.ExplicitComponent):

@@ -14,6 +14,8 @@ from mphys.scenarios.aerostructural import ScenarioAeroStructural  # noqa: E402
 
 from meshdeform.openmdao import MeshCoordinates, MeshDeformBuilder, MeshDeformComp, MeshQualityComp  # noqa: E402
 
+pytestmark = pytest.mark.usefixtures("openmdao_folder")
+
 BODY = {"body": ["block2.imax", "block4.jmax", "block5.jmin", "block7.imin"]}
 X = MPhysVariables.Aerodynamics.Surface
 
@@ -30,13 +32,6 @@ def bent(points):
 @pytest.fixture(scope="module")
 def mesh():
     return prepared()
-
-
-@pytest.fixture(autouse=True)
-def _away(monkeypatch, tmp_path):
-    """OpenMDAO makes folders where it runs."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("OPENMDAO_REPORTS", "0")
 
 
 def model_of(mesh, **options):

@@ -1,6 +1,7 @@
 """Displacements beside plane slip sides: the normal component fades out towards the plane."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -183,7 +184,13 @@ def test_derivative_with_respect_to_the_grid(place):
         BesideSlip(here, flat).damp(found)
         return found[flat]
 
-    derivative = BesideSlipGridDerivative(BesideSlip(problem, flat), problem, flat, values[flat])
+    mover = SimpleNamespace(
+        problem=problem,
+        flat=flat,
+        beside_slip=BesideSlip(problem, flat),
+        interpolate=lambda displacement, out: np.copyto(out, displacement),
+    )
+    derivative = BesideSlipGridDerivative(mover, values)
     moved, of_grid = change.copy(), np.zeros_like(dx)
     derivative.push(moved, dx)
     difference = (damped(1e-6) - damped(-1e-6)) / 2e-6

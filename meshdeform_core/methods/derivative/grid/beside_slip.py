@@ -8,18 +8,21 @@ from __future__ import annotations
 import numpy as np
 
 from ....grid import FloatArray, IntArray
-from ...base import Problem
-from ...beside_slip import WIDTH, BesideSlip, lost, place
+from ...beside_slip import WIDTH, lost, place
+from ...composite import _Scattered
 
 
 class BesideSlipGridDerivative:
-    """For interpolated displacements (n, 3) of the nodes ``flat`` (n,)."""
+    """For what an interpolation gives at one displacement (n_sources, 3) of the sources."""
 
-    def __init__(self, method: BesideSlip, problem: Problem, flat: IntArray, displacement: FloatArray) -> None:
-        self._method, self._flat, self._first = method, flat, problem.topology.first
+    def __init__(self, mover: _Scattered, displacement: FloatArray) -> None:
+        method, flat, first = mover.beside_slip, mover.flat, mover.problem.topology.first
+        self._method, self._flat, self._first = method, flat, first
         if not len(method.normals):
             return
-        x, every = problem.grid.points[flat], problem.grid.points[self._first]
+        points = mover.problem.grid.points
+        x, every, moved = points[flat], points[first], np.empty_like(points)
+        mover.interpolate(displacement, moved)
         self._near = [_Nearest(x, every, tree.triangles, *tree.closest(x)) for tree in method.trees]
         wall, *sides = (near.distance for near in self._near)
         at = np.stack([place(wall, side) for side in sides], axis=1)
@@ -29,7 +32,7 @@ class BesideSlipGridDerivative:
         # Of the lost parts with respect to the distances from sides, and from walls.
         self._slopes = scale * (1.0 - at), -scale * at
         self._ways = _ways(method.normals, lost(at))
-        self._along = np.einsum("nki,ni->nk", self._ways, displacement)
+        self._along = np.einsum("nki,ni->nk", self._ways, moved[flat])
 
     def push(self, out: FloatArray, dx: FloatArray) -> None:
         """Damp the change ``out`` (n_nodes, 3) of the nodes, in place, for a change ``dx`` of the grid."""

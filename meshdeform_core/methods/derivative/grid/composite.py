@@ -150,9 +150,7 @@ class _Interpolated:
             self._derivative = IDWGridDerivative(mover._bound, mover._evaluator.bound, displacement)
         else:
             self._derivative = RBFGridDerivative(mover._bound, self._problem, mover.flat, displacement)
-        out = np.empty((self._problem.grid.n_nodes, 3))
-        mover.interpolate(displacement, out)
-        self._beside_slip = BesideSlipGridDerivative(mover.beside_slip, self._problem, mover.flat, out[mover.flat])
+        self._beside_slip = BesideSlipGridDerivative(mover, displacement)
 
     def push(self, change: FloatArray, dx: FloatArray, out: FloatArray) -> FloatArray:
         self._derivative.push(change, dx, out)
