@@ -10,7 +10,7 @@ from pathlib import Path
 
 import click
 
-from meshdeform_core.parallel import current_ranks
+from meshdeform_core.parallel import OneRank, Ranks
 from meshdeform_formats.report import Report, as_json, run_part, with_other, write_report
 from meshdeform_formats.report.figures import Illustrate, Illustrations
 from meshdeform_formats.report.text import as_text
@@ -22,12 +22,13 @@ STDOUT = Path("-")
 class Delivery:
     """Data on a command for its report: start time, files read and written, pictures.
 
-    ``start`` is a value of ``time.perf_counter``; ``files`` are pairs of role and path.
+    ``start`` is a value of ``time.perf_counter``; ``files`` are pairs of role and path; ``ranks`` shared the work.
     """
 
     start: float
     files: Sequence[tuple[str, Path | None]]
     illustrate: Illustrate = field(default=Illustrations)
+    ranks: Ranks = field(default_factory=OneRank)
 
 
 def deliver(
@@ -41,10 +42,10 @@ def deliver(
     """Write the reports; if JSON is requested on stdout, the text goes to stderr; ``verbose``: with all settings."""
     files = [path for path in reports if path != STDOUT]
     to_stdout = to_stdout or STDOUT in reports
-    ranks = current_ranks()
+    ranks = delivery.ranks
     if files or to_stdout:
         # The checksums of files take time.
-        report["run"] = ranks.on_first(lambda: run_part(_arguments(), delivery.files)) | {"ranks": ranks.count}
+        report["run"] = ranks.on_first(lambda: run_part(_arguments(), delivery.files, ranks.count))
     if "timing" in report:
         report["timing"] = with_other(report["timing"], clock.perf_counter() - delivery.start)
     for path in files:

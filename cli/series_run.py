@@ -18,7 +18,7 @@ from meshdeform_core.errors import CaseError, FormatError, MeshDeformError
 from meshdeform_core.grid import FileFormat
 from meshdeform_core.memory import WRITING_ARRAYS, peak_memory
 from meshdeform_core.notices import first_of_each_kind, kind_of
-from meshdeform_core.parallel import carried, current_ranks, require_whole, thread_count
+from meshdeform_core.parallel import carried, require_whole, thread_count
 from meshdeform_core.series import Level, Schedule, deform_series
 from meshdeform_formats.case import CaseFile
 from meshdeform_formats.case.sequences import parse_times
@@ -155,7 +155,7 @@ def _keep_what_exists(run: Run, manifest: Manifest) -> None:
 def carry_out(run: Run, progress: ProgressBar) -> Report:
     """Make, write and record the missing levels, then report on all."""
     with interruption.continued_by(partial(_how_to_continue, run)):
-        count, first, ranks = len(run.schedule.times), len(run.manifest.levels), current_ranks()
+        count, first, ranks = len(run.schedule.times), len(run.manifest.levels), run.job.ranks
         progress("levels", first, count)
         # The files from which a complete series was assembled no longer exist.
         finished = run.files.read if first < count else None
@@ -224,19 +224,18 @@ class Recorder:
 
     def record(self, level: Level) -> None:
         """Write a level, or start to write it, after finishing the previous one."""
-        ranks = current_ranks()
-        if self._alone(level, ranks.count):
+        if self._alone(level):
             _record(self._run, level)
         else:
             self._level, self._writing = level, self._thread.submit(carried(_record), self._run, level, beside=True)
 
-    def _alone(self, level: Level, ranks: int) -> bool:
+    def _alone(self, level: Level) -> bool:
         """Whether a level must be written before the next one is computed."""
         run, size = self._run, level.result.grid.points.nbytes
         # The memory forecast for fields and unstructured formats assumes that nothing is computed meanwhile.
         plain = run.files.readable and not run.fields
         last = level.number + 1 == len(run.schedule.times)
-        if ranks > 1 or thread_count() == 1 or last or not plain:
+        if run.job.ranks.count > 1 or thread_count() == 1 or last or not plain:
             return True
         return WRITING_ARRAYS * size + run.setup.original.kept.bytes > run.setup.memory.spare
 
@@ -277,7 +276,7 @@ def _record(run: Run, level: Level, beside: bool = False) -> None:
         files.invalid.add(level.number)
     with contextlib.nullcontext() if beside else writing(level.result.grid.points.nbytes):
         files.write(level.number, level.result.grid, level.velocity, level.faces)
-    current_ranks().on_first(lambda: _note(run, level, clock.perf_counter() - before))
+    run.job.ranks.on_first(lambda: _note(run, level, clock.perf_counter() - before))
 
 
 def _note(run: Run, level: Level, seconds: float) -> None:

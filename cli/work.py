@@ -19,7 +19,15 @@ from meshdeform_core.deform import Case, Setup, deform
 from meshdeform_core.grid import Grid
 from meshdeform_core.memory import COORDINATE_ARRAYS, Demand, MemoryLimit, peak_memory
 from meshdeform_core.methods import make_method
-from meshdeform_core.parallel import WholeGridNeeded, current_ranks, dividing, require_whole, thread_count
+from meshdeform_core.parallel import (
+    Ranks,
+    WholeGridNeeded,
+    current_ranks,
+    dividing,
+    ranks_of,
+    require_whole,
+    thread_count,
+)
 from meshdeform_core.quality.fields import CellFields
 from meshdeform_core.wording import counted
 from meshdeform_formats.case import CaseFile
@@ -53,6 +61,11 @@ class Job:
     case: CaseFile
     read_seconds: float
     memory: MemoryLimit
+
+    @property
+    def ranks(self) -> Ranks:
+        """The processes that share the work: those that hold the grid."""
+        return ranks_of(self.grid.points)
 
 
 def load(
@@ -173,7 +186,7 @@ def run(
 
         return deformation_figures(result)
 
-    return deformation_report(result, seconds, max(current_ranks().gather([peak_memory()]))) | {
+    return deformation_report(result, seconds, max(job.ranks.gather([peak_memory()]))) | {
         "output": str(target)
     }, illustrate
 
@@ -190,9 +203,8 @@ def conclude(report: Report, run: RunInput, delivery: Delivery) -> int:
     if not report["valid"]:
         tell(_verdict(report))
     if run.verbose:
-        ranks = current_ranks()
-        if ranks.count > 1:
-            tell(f"{ranks.count} ranks, the first with {thread_count()} threads")
+        if delivery.ranks.count > 1:
+            tell(f"{delivery.ranks.count} ranks, the first with {thread_count()} threads")
         for stage, seconds in report["timing"].items():
             tell(f"{stage} {seconds:.3f} s")
     return 0 if report["valid"] or run.allow_invalid else EXIT_INVALID

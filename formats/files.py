@@ -13,10 +13,11 @@ import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from meshdeform_core import interruption
 from meshdeform_core.errors import FormatError
-from meshdeform_core.parallel import current_ranks
+from meshdeform_core.parallel import ranks_of
 
 
 @contextmanager
@@ -46,12 +47,13 @@ def replacing(target: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def replacing_by_all(target: Path) -> Iterator[Path]:
-    """:func:`replacing` for a file that all ranks write; the first one creates it and, if all succeed, renames it.
+def replacing_by_all(target: Path, points: Any) -> Iterator[Path]:
+    """:func:`replacing` for a file that all ranks write which hold ``points`` in parts; the first one creates it and,
+    if all succeed, renames it.
 
     An error in the block must be raised on all ranks.
     """
-    ranks = current_ranks()
+    ranks = ranks_of(points)
     with contextlib.ExitStack() as own:
         partial = ranks.on_first(lambda: own.enter_context(replacing(target)))
         try:

@@ -7,14 +7,13 @@ import importlib
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 from meshdeform_core.errors import FormatError, GridError, MeshDeformError
 from meshdeform_core.grid import FileFormat, Grid
-from meshdeform_core.parallel import Part, current_ranks, require_whole
+from meshdeform_core.parallel import Part, require_whole
 
 from .files import read_head
 from .plausible import require_plausible
@@ -139,22 +138,17 @@ def write_grid(
     """Write ``grid``, replacing ``path`` as a whole or leaving it unchanged; returns the variant that was written.
 
     The suffix selects the format. If it is that of the grid's own file, its variant is kept, except for ``options``
-    (of a variant, see ``meshdeform convert --help``). All ranks call it, with the same coordinates; ``dress`` adds
-    fields to the grid on the first one, which writes them.
+    (of a variant, see ``meshdeform convert --help``). All ranks call it together for a grid in parts, to which no
+    fields are added; to any other ``dress`` adds them.
     """
     path = Path(path)
     if dress and not isinstance(grid.points, Part):
-        dressed: list[Grid] = []
-        current_ranks().on_first(lambda: dressed.append(dress(grid)))
-        grid = dressed[0] if dressed else grid
+        grid = dress(grid)
     variant = variant_of(grid, path, options)
     entry = FORMATS[format_of(path)]
-    write: Callable[[], object] = partial(entry.load().write, grid, path, variant)
-    if entry.together:
-        write()
-    else:
+    if not entry.together:
         require_whole(grid.points, f"{path} is written as a whole")
-        current_ranks().on_first(write)
+    entry.load().write(grid, path, variant)
     return variant
 
 

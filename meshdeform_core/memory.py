@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Protocol
 
 from .errors import CaseError, MethodError
-from .parallel import current_ranks, divided
+from .parallel import current_ranks, holders
 from .parallel.scratch import RESERVE, Scratch, current_scratch, set_scratch
 
 _UNITS = ("B", "KiB", "MiB", "GiB", "TiB")
@@ -155,12 +155,12 @@ class Demand:
         own = _OTHER_COPIES * self.other_bytes + _PER_BLOCK * self.blocks
         whole = PROGRAM_BYTES + int(self.arrays * self.coordinate_bytes) + own
         # In a small grid most of what a part takes is common to all ranks.
-        return min(whole, self._of_part) if divided() else whole
+        parts = holders().count
+        return min(whole, self._of_part(parts)) if parts > 1 else whole
 
-    @property
-    def _of_part(self) -> int:
-        """Bytes for a rank that holds a part of the grid, and what lies near block faces."""
-        part = _LARGEST_PART * self.arrays * self.coordinate_bytes / current_ranks().count
+    def _of_part(self, parts: int) -> int:
+        """Bytes for a rank that holds one of several parts of the grid, and what lies near block faces."""
+        part = _LARGEST_PART * self.arrays * self.coordinate_bytes / parts
         shell = _PER_SHELL_NODE * self.face_nodes + _PER_BLOCK * self.blocks
         return PROGRAM_BYTES + _MPI_BYTES + int(part) + shell + _OTHER_COPIES * self.other_bytes
 
@@ -190,7 +190,7 @@ class Demand:
         MethodError
             When the rest does not fit either, or the files not on the disk.
         """
-        possible = sys.platform == "linux" and current_ranks().count == 1
+        possible = sys.platform == "linux" and holders().count == 1
         files = folder if possible and self.in_memory > limit.size else None
         set_scratch(Scratch(files, limit.size) if files else None)
         needed = min(self.in_memory, self.beside_files(limit)) if files else self.in_memory

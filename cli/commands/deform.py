@@ -92,7 +92,7 @@ def command(
             job = _load(source, case, output, run)
             report, illustrate = work.run(job, output, imposed, options, run, progress)
         files = [*source.roles, *case.roles(job.case), ("output", Path(report["output"]))]
-        return work.conclude(report, run, work.Delivery(start, files, illustrate))
+        return work.conclude(report, run, work.Delivery(start, files, illustrate, job.ranks))
 
     return work.in_parts(deform, run.verbose)
 

@@ -6,10 +6,9 @@ import dataclasses
 import time as clock
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
-
-from meshdeform_core.parallel import current_ranks
 
 from ..options import CaseInput, GridInput, RunInput, case_options, grid_options, run_options
 from ..outputs import check_reports
@@ -17,6 +16,9 @@ from ..process.machine import use_threads
 from ..process.progress import ProgressBar
 from ..room import too_large
 from ..series_options import SeriesInput, series_options
+
+if TYPE_CHECKING:
+    from .. import series_run
 
 
 @click.command("series")
@@ -44,45 +46,56 @@ def command(source: GridInput, case: CaseInput, wanted: SeriesInput, run: RunInp
     _check(source, case, wanted, run)
 
     from .. import series_run, work
-    from ..dry_run import forecast
-    from ..dry_run.expense import Levels, plan_by_sizes
 
     timed = dataclasses.replace(case, times=wanted.times)
-    if run.dry_run and (layout := too_large(run.memory, source, wanted.more_arrays)):
-        what = timed.read()
-        levels = Levels(len(series_run.times_of(what, wanted)), wanted.velocity_arrays)
-        output = wanted.output / series_run.name_of(source.path, wanted, layout.format)
-        planned = plan_by_sizes(layout, what.case, output, run.variant_options, run.memory, levels)
-        return work.print_plan(planned, False, run)
-
-    def planned_series(workplace: Path | None) -> series_run.Run:
-        job = work.load(source, timed, run.memory, run.reports, workplace, wanted.more_arrays)
-        plan = series_run.prepare(job, source, wanted, run)
-        run.warnings.tell(plan.setup.warnings)
-        return plan
-
     if run.dry_run:
-        with ProgressBar(not run.quiet):
-            plan = planned_series(None)
-            levels = Levels(len(plan.schedule.times), wanted.velocity_arrays)
-            planned, impossible, text = forecast.plan_series(plan, levels, run.memory)
-        return work.print_plan(planned, impossible, run, text)
-
+        return _dry_run(source, timed, wanted, run)
     begun = False
 
     def deform() -> int:
         nonlocal begun
         with ProgressBar(not run.quiet) as progress:
-            plan = planned_series(wanted.output)
+            plan = _planned(source, timed, wanted, run, wanted.output)
             # The first rank alone continues what all of them have begun.
             begin = partial(series_run.open_manifest, plan, wanted.resume or begun, run.force and not begun)
-            plan.manifest = current_ranks().on_first(begin)
+            plan.manifest = plan.job.ranks.on_first(begin)
             begun = True
             report = series_run.carry_out(plan, progress)
         files = [*source.roles, *case.roles(plan.job.case), ("index", plan.files.view)]
-        return work.conclude(report, run, work.Delivery(start, files, partial(series_run.illustrate, plan)))
+        delivery = work.Delivery(start, files, partial(series_run.illustrate, plan), plan.job.ranks)
+        return work.conclude(report, run, delivery)
 
     return work.in_parts(deform, run.verbose)
+
+
+def _planned(
+    source: GridInput, case: CaseInput, wanted: SeriesInput, run: RunInput, workplace: Path | None
+) -> series_run.Run:
+    from .. import series_run, work
+
+    job = work.load(source, case, run.memory, run.reports, workplace, wanted.more_arrays)
+    plan = series_run.prepare(job, source, wanted, run)
+    run.warnings.tell(plan.setup.warnings)
+    return plan
+
+
+def _dry_run(source: GridInput, case: CaseInput, wanted: SeriesInput, run: RunInput) -> int:
+    """Print what the series would do and take; returns the exit code."""
+    from .. import series_run, work
+    from ..dry_run import forecast
+    from ..dry_run.expense import Levels, plan_by_sizes
+
+    if layout := too_large(run.memory, source, wanted.more_arrays):
+        what = case.read()
+        levels = Levels(len(series_run.times_of(what, wanted)), wanted.velocity_arrays)
+        output = wanted.output / series_run.name_of(source.path, wanted, layout.format)
+        planned = plan_by_sizes(layout, what.case, output, run.variant_options, run.memory, levels)
+        return work.print_plan(planned, False, run)
+    with ProgressBar(not run.quiet):
+        plan = _planned(source, case, wanted, run, None)
+        levels = Levels(len(plan.schedule.times), wanted.velocity_arrays)
+        planned, impossible, text = forecast.plan_series(plan, levels, run.memory)
+    return work.print_plan(planned, impossible, run, text)
 
 
 def _check(source: GridInput, case: CaseInput, wanted: SeriesInput, run: RunInput) -> None:

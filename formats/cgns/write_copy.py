@@ -19,7 +19,7 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray, Grid
 from meshdeform_core.grid.extent import block_extents
 from meshdeform_core.numerics.arrays import extent
-from meshdeform_core.parallel import Part, current_ranks
+from meshdeform_core.parallel import Part, ranks_of
 
 from ..coordinates import ahead, split
 from ..files import replacing_by_all
@@ -53,8 +53,8 @@ def write_copy(grid: Grid, path: Path, precision: str | None) -> None:
         raise FormatError(f"cannot write {path}: {source}, whose other contents are to be copied, no longer exists")
     # The first rank alone does not know the boxes of a grid in parts.
     boxes = block_extents(grid) if isinstance(grid.points, Part) else None
-    with replacing_by_all(path) as partial:
-        places = current_ranks().on_first(lambda: _begin(grid, source, path, partial, precision, boxes))
+    with replacing_by_all(path, grid.points) as partial:
+        places = ranks_of(grid.points).on_first(lambda: _begin(grid, source, path, partial, precision, boxes))
         arrays = {}
         for block, found in places.items():
             ni, nj, _ = grid.shapes[block]

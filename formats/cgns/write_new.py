@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshdeform_core.grid import Field, Grid
-from meshdeform_core.parallel import current_ranks
+from meshdeform_core.parallel import ranks_of
 
 from ..files import replacing_by_all
 from ..planes import Stored, write_coordinates
@@ -38,8 +38,8 @@ def write_new(grid: Grid, path: Path, precision: str) -> None:
     Names are cut to 32 characters and made unique. Fields (IBLANK, VTK arrays) become flow solutions at the nodes or
     cells. A grid in the plane z = 0 has two coordinates; a 2-D base cannot hold patches on the plane itself.
     """
-    with replacing_by_all(path) as partial:
-        starts = current_ranks().on_first(lambda: _begin(grid, path, partial, precision))
+    with replacing_by_all(path, grid.points) as partial:
+        starts = ranks_of(grid.points).on_first(lambda: _begin(grid, path, partial, precision))
         kind, arrays = np.dtype(precision), {}
         for block, (ni, nj, _) in enumerate(grid.shapes):
             step = ni * nj * kind.itemsize

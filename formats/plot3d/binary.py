@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshdeform_core.grid import Grid, Planes
-from meshdeform_core.parallel import current_ranks
+from meshdeform_core.parallel import ranks_of
 
 from ..planes import Stretches, for_ranges, ranges_of, read_planes, write_coordinates
 from .blocks import allocate, iblank_of, places_of
@@ -70,7 +70,7 @@ def write_binary(grid: Grid, path: Path, variant: Variant) -> None:
             if not markers:
                 stream.truncate(sum(records[-1][-1]))
 
-    current_ranks().on_first(begin)
+    ranks_of(grid.points).on_first(begin)
     data = Stretches(list(chain.from_iterable(records[len(header) :])))
     places, flag_places = places_of(variant, grid.shapes, path, data)
     write_coordinates(grid, dict(enumerate(places)))

@@ -15,7 +15,7 @@ import numpy as np
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FileFormat, Grid, Shape
 from meshdeform_core.numerics.arrays import extent
-from meshdeform_core.parallel import current_ranks, require_whole
+from meshdeform_core.parallel import require_whole
 
 from ..files import replacing_by_all
 from .binary import binary_layout, read_binary, write_binary
@@ -98,9 +98,9 @@ def write(grid: Grid, path: Path, variant: FileFormat) -> None:
     _require_writable(grid, Path(path), chosen)
     if chosen.encoding == "ascii" or chosen.iblank:
         require_whole(grid.points, f"{path} is written as a whole")
-    with replacing_by_all(Path(path)) as partial:
+    with replacing_by_all(Path(path), grid.points) as partial:
         if chosen.encoding == "ascii":
-            current_ranks().on_first(lambda: _write_text(grid, partial, chosen))
+            _write_text(grid, partial, chosen)
         else:
             write_binary(grid, partial, chosen)
 

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 from importlib.metadata import version
 from pathlib import Path
 
-from meshdeform_core.parallel import current_ranks, thread_count
+from meshdeform_core.parallel import thread_count
 
 from ..inputs import digest, files_of, size
 from .parts import Report
@@ -18,20 +18,21 @@ from .parts import Report
 _LIBRARIES = ("numpy", "scipy", "numba")
 
 
-def run_part(arguments: Sequence[str], files: Iterable[tuple[str, Path | None]]) -> Report:
+def run_part(arguments: Sequence[str], files: Iterable[tuple[str, Path | None]], ranks: int) -> Report:
     """The data needed to repeat a run and to verify that it is the same.
 
     Parameters
     ----------
     arguments : of the command line, without the program's name
     files : role and path of the files read and written; ``None`` and missing files are omitted
+    ranks : number of processes that shared the work
     """
     return {
         "command": shlex.join(["meshdeform", *arguments]),
         "directory": os.getcwd(),
         "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "threads": thread_count(),
-        "ranks": current_ranks().count,
+        "ranks": ranks,
         "versions": {"python": platform.python_version(), **{name: version(name) for name in _LIBRARIES}},
         "files": [_file(role, path) for role, path in files if path is not None and files_of(path) and path.exists()],
     }

@@ -9,7 +9,7 @@ from typing import Any
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Field, FloatArray, Grid
-from meshdeform_core.parallel import current_ranks, require_whole
+from meshdeform_core.parallel import require_whole
 
 from ..files import remove_partial, replacing
 from ..grids import variant_of
@@ -72,9 +72,6 @@ class FoamFiles:
 
     def write(self, number: int, grid: Grid, velocity: FloatArray | None, faces: Sequence[Field] = ()) -> None:
         require_whole(grid.points, "levels are written for OpenFOAM")
-        current_ranks().on_first(lambda: self._write(number, grid))
-
-    def _write(self, number: int, grid: Grid) -> None:
         if not self._begun:
             with replaced_mesh(self.view) as folder:
                 self._writer.write(folder, self._grid)

@@ -12,7 +12,7 @@ import numpy as np
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Field, FileFormat, FloatArray, Grid
-from meshdeform_core.parallel import current_ranks, require_whole
+from meshdeform_core.parallel import ranks_of, require_whole
 from meshdeform_core.velocity import FLUX, SWEPT, face_fields, grid_velocity
 
 from ..fields import WITH_FIELDS
@@ -163,7 +163,7 @@ class LevelFiles:
 
         write_grid(grid, self.path(number), self._options, dressed)
         # Remove the level of an earlier run with the other verdict, which could be mistaken for this one.
-        current_ranks().on_first(lambda: self._remove(self._names(number)[number not in self.invalid]))
+        ranks_of(grid.points).on_first(lambda: self._remove(self._names(number)[number not in self.invalid]))
 
     def read(self, number: int) -> FloatArray:
         path = self.path(number)
@@ -257,12 +257,9 @@ class SingleFile:
     def write(self, number: int, grid: Grid, velocity: FloatArray | None, faces: Sequence[Field] = ()) -> None:
         # Velocities are differences of coordinates, computed when the file is assembled.
         require_whole(grid.points, "all levels are in one file")
-        current_ranks().on_first(lambda: self._save(number, grid.points))
-
-    def _save(self, number: int, points: FloatArray) -> None:
         self._levels.mkdir(exist_ok=True)
         with replacing(self._part(number)) as partial:
-            np.save(partial, points.astype(self.variant.precision, copy=False))
+            np.save(partial, grid.points.astype(self.variant.precision, copy=False))
 
     def read(self, number: int) -> FloatArray:
         return np.load(self._part(number), allow_pickle=False).astype(np.float64)

@@ -19,7 +19,7 @@ import numpy as np
 from ..errors import GridError
 from ..numerics.arrays import FloatArray, IntArray, total
 from ..numerics.pieces import pieces
-from ..parallel import Part, divided, empty, for_items, of_all, on_each, own_rows, require_whole
+from ..parallel import Part, empty, for_items, holders, of_all, on_each, own_rows, require_whole
 from .dealing import in_parts
 from .lattice import SideLattice
 from .parts import Connection, Field, FileFormat, Patch, Planes, Shape
@@ -79,7 +79,8 @@ class Grid:
         sizes: tuple[Shape, ...] = tuple((int(ni), int(nj), int(nk)) for ni, nj, nk in shapes)
         total = sum(ni * nj * nk for ni, nj, nk in sizes)
         labels = tuple(names) if names is not None else tuple(f"block{b + 1}" for b in range(len(sizes)))
-        points = in_parts(sizes) if divided() else empty((total, 3))
+        ranks = holders()
+        points = in_parts(sizes, ranks) if ranks.count > 1 else empty((total, 3))
         return cls(points, sizes, labels, **rest)  # type: ignore[arg-type]
 
     @classmethod

@@ -6,12 +6,11 @@ import numpy as np
 
 from ..numerics.arrays import IntArray, Shapes
 from ..numerics.pieces import pieces
-from ..parallel import Part, current_ranks
+from ..parallel import Part, Ranks
 
 
-def in_parts(shapes: Shapes) -> Part:
+def in_parts(shapes: Shapes, ranks: Ranks) -> Part:
     """Coordinates (n_nodes, 3) of blocks of these shapes, of which every rank holds its part."""
-    ranks = current_ranks()
     bounds = bounds_of(shapes, ranks.count)
     return Part(ranks, bounds, (int(bounds[-1]), 3), np.float64)
 

@@ -83,9 +83,10 @@ def dividing() -> Iterator[None]:
         _sharing.reset(token)
 
 
-def divided() -> bool:
-    """Whether every rank holds a part of the grid."""
-    return _sharing.get().divided
+def holders() -> Ranks:
+    """The ranks each of which is to hold a part of a grid that is read: this process alone unless :func:`dividing`."""
+    ranks, _, divided = _sharing.get()
+    return ranks if divided else OneRank()
 
 
 def alone(cores: int | None = None) -> AbstractContextManager[None]:

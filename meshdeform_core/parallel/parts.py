@@ -14,7 +14,7 @@ from contextlib import AbstractContextManager, nullcontext
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from .loops import alone, current_ranks, empty, for_chunks
-from .ranks import Ranks
+from .ranks import OneRank, Ranks
 
 if TYPE_CHECKING:
     import numpy as np
@@ -207,6 +207,11 @@ def require_whole(array: Any, what: str) -> None:
         raise WholeGridNeeded(what)
 
 
+def ranks_of(array: Any) -> Ranks:
+    """The ranks that hold an array in parts; this process alone for any other array."""
+    return array.ranks if isinstance(array, Part) else OneRank()
+
+
 def rows_of(array: Any) -> Any:
     """The array with the rows that this rank holds, or the array itself."""
     return array.rows if isinstance(array, Part) else array
@@ -247,14 +252,13 @@ def check_rows(look: Callable[[slice], object], array: Any) -> None:
 
 def of_all(array: Any, value: T) -> list[T]:
     """The values of all ranks, if the array is in parts."""
-    return array.ranks.gather([value]) if isinstance(array, Part) else [value]
+    return ranks_of(array).gather([value])
 
 
 def numbered(array: Any, count: int) -> tuple[int, int]:
     """Number of the first of this rank's ``count`` items, which follow those of the ranks before, and of all items."""
     counts = of_all(array, count)
-    number = array.ranks.number if isinstance(array, Part) else 0
-    return sum(counts[:number]), sum(counts)
+    return sum(counts[: ranks_of(array).number]), sum(counts)
 
 
 def on_each(action: Callable[[], object]) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...errors import MethodError
 from ...grid import FloatArray, Grid, IntArray
-from ...parallel import apart, current_ranks, of_all, rows_of
+from ...parallel import apart, of_all, ranks_of, rows_of
 from ..base import Account, Setting
 from ..options import choose, positive
 
@@ -112,7 +112,7 @@ def doubtful(points: FloatArray, targets: HasSamples, risk: FloatArray) -> IntAr
     ``points`` in parts, those of all ranks that are targets of this one."""
     others = of_all(points, (risk, len(targets.every)))
     bricks, nodes = (np.cumsum([0, *sizes]) for sizes in zip(*((len(one), many) for one, many in others), strict=True))
-    number = current_ranks().number if len(others) > 1 else 0
+    number = ranks_of(points).number
     worst = np.argsort(np.concatenate([one for one, _ in others]))[-_WORST_BRICKS:]
     some = np.random.default_rng(0).integers(0, nodes[-1], _RANDOM_NODES)
     worst, some = (

@@ -20,7 +20,7 @@ from ....numerics.rigid import finish
 from ....numerics.rotation import SurfaceRotations
 from ....numerics.tangents import finish_gradients, finish_tangents
 from ....numerics.tape import Tape, Tracked, plain
-from ....parallel import Shared, current_ranks, empty, for_chunks
+from ....parallel import Shared, empty, for_chunks
 from ...base import nodal_area
 from ...scattered.idw import PreparedIDW, farthest
 from ...scattered.idw_sums import Bound, ExactEvaluator, SourceValues
@@ -104,9 +104,9 @@ class IDWGridDerivative:
                     rows = slice(first, min(first + _CHUNK, int(cut[portion + 1])))
                     of_x[rows] = self._pull_rows(gradient, bound.flat[rows], of_sources[portion], rest[portion])
 
-        rows = [Shared(of_sources), Shared(of_x, lambda lo, hi: range(cut[lo], cut[hi]))]
+        rows = [Shared(of_sources), Shared(rest), Shared(of_x, lambda lo, hi: range(cut[lo], cut[hi]))]
         for_chunks(work, self._portions, 1, shared=rows)
-        part = np.sum(current_ranks().gather([rest]), axis=0).sum(axis=0)
+        part = rest.sum(axis=0)
         sources = np.asarray(sum(of_sources[portion] for portion in range(self._portions)))
         known = {
             "charges": sources[:columns], "points": sources[columns:].T, "shift": gradient[bound.flat].sum(axis=0),
