@@ -54,27 +54,27 @@ def lengths(vectors: FloatArray) -> FloatArray:
 
 
 def spans(sizes: IntArray) -> tuple[IntArray, IntArray]:
-    """Runs of the given sizes, one after the other: the number of each item's run, and its place in it."""
+    """For runs of the given sizes, laid end to end: the run of each item, and the item's position within that run."""
     run = np.repeat(np.arange(len(sizes)), sizes)
     start = np.cumsum(sizes) - sizes
     return run, np.arange(len(run)) - start[run]
 
 
 def portions(sizes: IntArray, steps: IntArray) -> IntArray:
-    """Ranges of at most ``steps`` (n,) things of each of n items with ``sizes`` things: rows (m, 3) item, from, to."""
+    """Divide n items of ``sizes`` (n,) into ranges of at most ``steps`` (n,) elements: rows (m, 3) item, first, end."""
     item, number = spans(-(-sizes // steps))
     first = number * steps[item]
     return np.stack([item, first, np.minimum(first + steps[item], sizes[item])], axis=1)
 
 
 def runs(keys: IntArray) -> tuple[IntArray, IntArray]:
-    """First (m,) and one past the last (m,) place of every run of equal ``keys`` (n,)."""
+    """First (m,) and one past the last (m,) index of every run of equal ``keys`` (n,)."""
     first = np.flatnonzero(np.append(True, keys[1:] != keys[:-1])[: len(keys)])
     return first, np.append(first[1:], len(keys))[: len(first)]
 
 
 def batches(sizes: IntArray, most: int) -> list[tuple[int, int]]:
-    """Ranges ``lo, hi`` of items whose sizes add up to at most ``most``, or of one larger item; limits memory."""
+    """Ranges ``lo, hi`` of items whose sizes add up to at most ``most``; a larger item is a range by itself."""
     ends = np.cumsum(sizes)
     found, lo = [], 0
     while lo < len(sizes):
@@ -86,10 +86,10 @@ def batches(sizes: IntArray, most: int) -> list[tuple[int, int]]:
 
 
 def spread(sizes: IntArray, most: int, first: IntArray | None = None) -> tuple[IntArray, IntArray]:
-    """At most ``most`` places spread evenly over each of several runs of the given sizes, first and last included.
+    """At most ``most`` positions, spread evenly over each of several runs of the given sizes, both ends included.
 
-    Returns the run of each place, and the place, counted from ``first`` (0) of the run: what ``numpy.linspace(first,
-    first + size - 1, min(size, most))`` gives, rounded down.
+    Returns the run of each position, and the position itself: ``numpy.linspace(first, first + size - 1,
+    min(size, most))``, rounded down, where ``first`` is the first position of the run (0).
     """
     begin = np.zeros(len(sizes), dtype=np.int64) if first is None else first
     taken = np.minimum(sizes, most)
@@ -101,7 +101,7 @@ def spread(sizes: IntArray, most: int, first: IntArray | None = None) -> tuple[I
 
 
 def medians(values: FloatArray, run: IntArray, count: int, empty: float) -> FloatArray:
-    """Median (count,) of the ``values`` (n,) of every run, ``empty`` if it has none; ``run`` (n,): that of each."""
+    """Median (count,) of every run, ``empty`` for runs without values; ``run`` (n,) is the run of each value (n,)."""
     sizes = np.bincount(run, minlength=count)
     start = np.cumsum(sizes) - sizes
     ordered = np.append(values[np.lexsort((values, run))], empty)
@@ -110,7 +110,7 @@ def medians(values: FloatArray, run: IntArray, count: int, empty: float) -> Floa
 
 
 def distinct_rows(keys: IntArray) -> IntArray:
-    """Places, ascending, of the first of every set of equal rows of ``keys`` (n, m)."""
+    """Ascending indices of the first of each set of equal rows of ``keys`` (n, m)."""
     order = np.lexsort(keys.T)
     new = np.ones(len(order), dtype=bool)
     new[1:] = (keys[order[1:]] != keys[order[:-1]]).any(axis=1)

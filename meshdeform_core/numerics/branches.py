@@ -1,7 +1,7 @@
 """Choice among equivalent rotation vectors, so that they are continuous along surfaces.
 
-A rotation by 190 degrees is one by -170 degrees about the same axis. Logarithms of matrices or quaternions take the
-smaller angle at every node alone, so that a surface that turns by about 180 degrees has nodes that seem to turn in
+A rotation by 190 degrees equals one by -170 degrees about the same axis. The logarithm of a matrix or quaternion yields
+the smaller angle, node by node, so adjacent nodes of a surface that turns by about 180 degrees may appear to turn in
 opposite directions.
 """
 
@@ -19,7 +19,7 @@ from .tape import Tracked, plain
 
 _FULL = 2 * math.pi
 _CERTAIN = 0.5 * math.pi
-"""Surfaces with nodes that turn by less are attached to others or nearly at rest; these nodes fix the branch."""
+"""Nodes that turn by less fix the branch of their surface, which is attached to a resting one or nearly at rest."""
 _LARGEST = 0.9 * _FULL
 """Near a full turn a translation cannot be told from a rotation about a distant axis."""
 _AGREEMENT = 0.05
@@ -28,7 +28,7 @@ fixed box agree, two that turn against each other by up to about 170 degrees kee
 
 
 def nearest_branch(vectors: FloatArray, reference: FloatArray) -> FloatArray:
-    """The rotation vectors (n, 3) of the same rotations that are nearest to ``reference`` (n, 3)."""
+    """Rotation vectors (n, 3) of the same rotations, those nearest to ``reference`` (n, 3)."""
     angle = lengths(vectors)
     # A rotation by zero has any axis.
     axis = np.where((angle > 0.0)[:, None], vectors, reference)
@@ -40,7 +40,7 @@ def nearest_branch(vectors: FloatArray, reference: FloatArray) -> FloatArray:
 def continuous(vectors: FloatArray, pairs: IntArray) -> FloatArray:
     """Rotation vectors (n, 3) of the same rotations that are continuous along every connected surface.
 
-    Unchanged, to the bit, unless some node turns by more than half of half a turn.
+    The vectors are returned unchanged, to the bit, unless some node turns by more than a quarter of a turn.
 
     Parameters
     ----------
@@ -65,8 +65,8 @@ def continuous(vectors: FloatArray, pairs: IntArray) -> FloatArray:
 
 
 def _turn_alike(vectors: FloatArray, surfaces: list[IntArray]) -> None:
-    """Choose the direction of whole surfaces, in place: the shorter one, and where that is not clear the one in which
-    others turn."""
+    """Choose the direction in which each surface turns, in place: the shorter way, or where both are about equally long
+    the way in which the other surfaces turn."""
     means = [vectors[rows].mean(axis=0) for rows in surfaces]
     total, count = np.zeros(3), 0
     for index in np.argsort([np.linalg.norm(mean) for mean in means], kind="stable"):
@@ -81,7 +81,7 @@ def _turn_alike(vectors: FloatArray, surfaces: list[IntArray]) -> None:
 
 
 def _upwards(mean: FloatArray) -> FloatArray:
-    """A small rotation about the same axis, with a positive largest component: half a turn goes in its direction."""
+    """A small rotation about the same axis whose largest component is positive: it decides the sense of half a turn."""
     leading = mean[np.argmax(np.abs(mean).round(6))]
     return 1e-3 * mean * np.sign(leading)
 
@@ -100,7 +100,8 @@ def _adjacency(pairs: IntArray, n: int) -> tuple[IntArray, IntArray]:
 def _along_surfaces(vectors, seeds, start, neighbour):
     """Every node takes the rotation vector nearest to that of the node from which it is reached first, in place.
 
-    ``seeds``: nodes in the order in which they may begin; ``neighbour[start[n]:start[n + 1]]`` are those of node n.
+    ``seeds``: nodes at which the traversal may begin, in order of preference; the neighbours of node n are
+    ``neighbour[start[n]:start[n + 1]]``.
     """
     n_nodes = vectors.shape[0]
     reached = np.zeros(n_nodes, np.bool_)

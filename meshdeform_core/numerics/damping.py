@@ -1,4 +1,4 @@
-"""Displacements without their components along some directions, removed in part."""
+"""Partial removal of the components of displacements along given directions."""
 
 import numpy as np
 
@@ -9,9 +9,9 @@ from .jit import kernel
 def damp_rows(values, rows, normals, parts, least):
     """``values[r] = (I + sum_k c_k n_k n_k^T)^-1 values[r]`` for the given rows, each once; c = part / (1 - part).
 
-    ``normals`` (k, 3) are unit vectors, ``parts`` (n, k) from 0, nothing is removed, to 1: all of the component along a
-    normal. Rows without a component larger than ``least`` are left as they are. The inverse is built up normal by
-    normal, by the formula of Sherman and Morrison.
+    ``normals`` (k, 3) are unit vectors; ``parts`` (n, k) is the part of the component along each normal to be removed,
+    from 0 (none) to 1 (all). Rows without a component larger than ``least`` remain unchanged. The inverse is built up
+    normal by normal with the Sherman-Morrison formula.
     """
     size = normals.shape[0]
     way, factor = np.empty((size, 3)), np.empty(size)
@@ -31,7 +31,7 @@ def damp_rows(values, rows, normals, parts, least):
                 p, q, s = p - t * way[j, 0], q - t * way[j, 1], s - t * way[j, 2]
             part = parts[n, k]
             rest = 1.0 - part + part * (a * p + b * q + c * s)
-            # Zero where the planes before this one leave nothing along its normal.
+            # Zero where the preceding normals leave no component along this one.
             factor[k] = part / rest if rest > 1e-12 else 0.0
             way[k, 0], way[k, 1], way[k, 2] = p, q, s
             t = factor[k] * (p * x + q * y + s * z)

@@ -1,4 +1,4 @@
-"""The rigid motion that a boundary makes on average: the frame in which the rest of its motion is interpolated."""
+"""The average rigid motion of a boundary: the frame in which the remainder of its motion is interpolated."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ class Frame:
     def fitted(
         cls, points: FloatArray, displacement: FloatArray, weight: FloatArray, normal: FloatArray | None
     ) -> Frame:
-        """The rigid motion of ``points`` (n, 3) nearest to ``displacement`` (n, 3), in the weighted square mean.
+        """The rigid motion of ``points`` (n, 3) that is the weighted least-squares fit to ``displacement`` (n, 3).
 
-        The rotation is the one of Kabsch (Acta Cryst. A32, 922, 1976); ``normal``: of the plane in which it turns.
+        The rotation is that of Kabsch (Acta Cryst. A32, 922, 1976); with a ``normal`` (3,), it is about this axis.
         """
         share = weight / weight.sum()
         shift, centre = share @ displacement, share @ points
@@ -41,7 +41,7 @@ class Frame:
         rest = displacement - self.shift
         if self.turn is None or self.centre is None:
             return rest
-        # One product for the inverse rotation, so that a rigid motion leaves only round-off.
+        # A single product with the inverse rotation leaves only round-off of a rigid motion.
         arm = points - self.centre
         inside: FloatArray = (arm + rest) @ self.turn - arm
         return inside
@@ -64,7 +64,8 @@ def _nearest_rotation(moment: FloatArray) -> FloatArray:
 
 
 def _differentiated_rotation(moment: Tracked) -> Tracked:
-    """The same with its derivative: R U^T dM V antisymmetric, divided by sums of singular values."""
+    """:func:`_nearest_rotation` with its derivative U (B - B^T) / (s_i + s_j) V^T, where B = U^T dM V and s are the
+    singular values."""
     left, size, right = np.linalg.svd(moment.value)
     sign = np.linalg.det(left) * np.linalg.det(right)
     left[:, 2] *= sign

@@ -1,10 +1,10 @@
 """How loops are compiled: cached on disk, without the interpreter lock, with numpy's rules for division.
 
-Numpy's error model matters for speed: Python's would test every division for zero, which keeps loops scalar.
+Numpy's error model matters for speed: Python's tests every divisor for zero, which prevents vectorisation.
 
-The first run after installation has to wait for compilation. Its cost grows with the number of functions and of
+The first run after installation has to wait for compilation. The cost grows with the number of functions and of
 distinct array operations, not with the length of a loop: scalar loops compile fastest; slice assignments, array
-expressions, ``zeros``, reductions and searches each pull in functions of numba's own.
+expressions, ``zeros``, reductions and searches each instantiate functions of numba's own.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from numba import njit
 from numba.core import event
 from numba.core.caching import FunctionCache
 
-# numba tries the rules for an operation in the order in which they were imported. Without this, those for characters,
-# lists and dictionaries come before those for arrays: a tenth of the time that compiling takes.
+# numba tries the typing rules of an operation in the order in which they were imported. Without this import, the rules
+# for characters, lists and dictionaries would precede those for arrays, which costs a tenth of the compile time.
 from numba.core.typing import arraydecl as _arrays_first  # noqa: F401
 
 _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 
 
 class _CompileClock(event.Listener):
-    """Counts the loops that are compiled, not those loaded from the cache."""
+    """Counts the loops compiled, not those loaded from the cache, and the time that compiling takes."""
 
     def __init__(self) -> None:
         self.seconds, self.loops, self.cached = 0.0, 0, True
@@ -39,7 +39,7 @@ class _CompileClock(event.Listener):
             self._start = time.perf_counter()
             if self.notice:
                 self.notice(self.loops)
-            # Garbage collection takes a sixth of the compile time, as the compiler allocates millions of objects.
+            # Garbage collection would take a sixth of the compile time, as the compiler allocates millions of objects.
             self._collecting = gc.isenabled()
             gc.disable()
         self._depth += 1
@@ -64,7 +64,7 @@ class _Cache(FunctionCache):
         try:
             return super().load_overload(sig, target_context)
         except Exception:
-            # Entries are pickled: one that names a class which an update has moved raises whatever its import raises.
+            # Entries are pickled: unpickling a class that an update has moved raises whatever its import raises.
             try:
                 self.flush()
             except OSError:
@@ -79,14 +79,14 @@ class _Cache(FunctionCache):
 
 
 def _compiled(**options: Any) -> Callable[[Callable], Any]:
-    """A decorator: numba with the options of all our loops and ``options``."""
+    """A decorator: ``numba.njit`` with the options common to all loops plus ``options``."""
 
     def decorate(function: Callable) -> Any:
         loop = njit(**_OPTIONS, **options)(function)
         try:
             loop._cache = _Cache(function)
         except RuntimeError:
-            # No folder for the cache can be written, neither beside the source nor in the user's home.
+            # No cache folder is writable, neither beside the source nor in the user's home.
             _clock.cached = False
         return loop
 
@@ -100,19 +100,19 @@ fast_kernel = _compiled(no_cfunc_wrapper=True, fastmath=True)
 """Decorator for sums: additions may be reordered, so that loops are vectorised."""
 
 contracted_kernel = _compiled(no_cfunc_wrapper=True, fastmath={"contract"}, forceinline=True)
-"""Decorator for functions that may fuse multiplications with additions but must keep their order."""
+"""Decorator for functions that may fuse multiplications with additions but must not reorder operations."""
 
 inlined = _compiled(inline="always")
 """Decorator for parts of a loop: inlined before compilation, with the options of the calling loop."""
 
 
 def compile_seconds() -> float:
-    """Seconds that this process has spent on compiling so far."""
+    """Seconds that this process has spent compiling so far."""
     return _clock.seconds
 
 
 def compiled_loops() -> int:
-    """Loops that this process has compiled so far."""
+    """Number of loops that this process has compiled so far."""
     return _clock.loops
 
 
@@ -122,5 +122,5 @@ def is_cached() -> bool:
 
 
 def on_compile(notice: Callable[[int], None] | None) -> None:
-    """Call ``notice`` with the number compiled so far whenever a loop is compiled because it is not in the cache."""
+    """Call ``notice`` with the number of loops compiled so far whenever one is compiled as it is not in the cache."""
     _clock.notice = notice

@@ -1,9 +1,9 @@
 """Vector code in numba loops: sixteen numbers in single precision at a time.
 
-numba leaves a loop scalar that computes a hundred numbers from fifty rows, as LLVM cannot exclude that a result
-overwrites another row, and numba has no option that says so. Here Python functions append the vector instructions
-themselves; LLVM maps them to the registers of the processor. The pass over hexahedra takes a fifth to a sixth of the
-time of the same formulas in a plain loop (docs/performance.md, "Vector instructions").
+A loop that computes a hundred numbers from fifty rows remains scalar in numba: LLVM cannot exclude that a result
+overwrites another row, and numba has no option to say so. Here Python functions emit the vector instructions
+themselves, and LLVM maps them to the registers of the processor. The pass over hexahedra takes a fifth to a sixth of
+the time of the same formulas in a plain loop (docs/performance.md, "Vector instructions").
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from numba.core import cgutils, errors
 from numba.extending import intrinsic
 
 WIDTH = 16
-"""Numbers in a vector: an AVX-512 register, two of AVX2, four of NEON."""
+"""Numbers in a vector, which fill one AVX-512 register, two AVX2 or four NEON registers."""
 
 _SINGLE, _DOUBLE, _INTEGER = (ir.VectorType(kind, WIDTH) for kind in (ir.FloatType(), ir.DoubleType(), ir.IntType(32)))
 _BYTES = ir.VectorType(ir.IntType(8), WIDTH)
-# Fused multiplications and additions, approximate reciprocals and roots refined once; no reordering, not-a-number kept.
+# Fuse multiplications with additions, approximate and refine reciprocals and roots; no reordering, NaN is respected.
 _FLAGS = ("contract", "arcp", "afn")
 
 
 class Lanes:
-    """Sixteen numbers of one type; operators append instructions."""
+    """Sixteen numbers of one type; operators emit instructions."""
 
     def __init__(self, builder: ir.IRBuilder, value: ir.Value):
         self.builder, self.value = builder, value
@@ -53,15 +53,15 @@ class Lanes:
     __radd__, __rmul__ = __add__, __mul__
 
     def below(self, other: Lanes | float) -> Mask:
-        """Where this is smaller; nowhere for not-a-number."""
+        """Mask of the lanes where this is smaller; false where either is not a number."""
         return Mask(self.builder, self.builder.fcmp_ordered("<", self.value, self._same(other).value))
 
     def min(self, other: Lanes | float) -> Lanes:
-        """The smaller one, ``other`` where one of them is not a number."""
+        """The smaller of the two; ``other`` where either is not a number."""
         return self.below(other).choose(self, self._same(other))
 
     def max(self, other: Lanes | float) -> Lanes:
-        """The larger one, ``other`` where one of them is not a number."""
+        """The larger of the two; ``other`` where either is not a number."""
         other = self._same(other)
         return other.below(self).choose(self, other)
 
@@ -72,16 +72,16 @@ class Lanes:
         return Lanes(self.builder, self.builder.call(function, [self.value], fastmath=_FLAGS))
 
     def bits(self) -> Lanes:
-        """Single precision: its bits as a number."""
+        """The bits of single-precision lanes, read as integers and converted to numbers."""
         integer = self.builder.bitcast(self.value, _INTEGER)
         return Lanes(self.builder, self.builder.sitofp(integer, _SINGLE))
 
     def from_bits(self) -> Lanes:
-        """Single precision: the number with these bits."""
+        """Inverse of :meth:`bits`: the single-precision numbers with these bits."""
         return Lanes(self.builder, self.builder.bitcast(self.whole(), _SINGLE))
 
     def whole(self) -> ir.Value:
-        """Rounded down to whole numbers of 32 bits."""
+        """Truncated to 32-bit integers."""
         return self.builder.fptosi(self.value, _INTEGER)
 
     def single(self) -> Lanes:
@@ -101,14 +101,14 @@ class Lanes:
         return total
 
     def total(self) -> ir.Value:
-        """The sum of all lanes of double precision, one half added to the other until one number is left."""
+        """The sum of all double-precision lanes, by adding one half to the other until one number is left."""
         lanes = self
         for step in (8, 4, 2, 1):
             lanes = lanes + _shuffle(lanes, lanes, [(n + step) % WIDTH for n in range(WIDTH)])
         return self.builder.extract_element(lanes.value, ir.Constant(ir.IntType(32), 0))
 
     def last(self) -> Lanes:
-        """The last lane in all sixteen."""
+        """The last lane, copied to all sixteen."""
         return _shuffle(self, self, [WIDTH - 1] * WIDTH)
 
     def _same(self, other: Lanes | float) -> Lanes:
@@ -134,7 +134,7 @@ class Mask:
 
 
 class Array:
-    """The data of a contiguous array; ``at + further`` counts numbers from its first one."""
+    """The data of a contiguous array; ``at + further`` is the index of an element of the flattened array."""
 
     def __init__(self, builder: ir.IRBuilder, data: ir.Value, kind: ir.Type):
         self.builder, self._data, self._kind = builder, data, kind
@@ -151,12 +151,12 @@ class Array:
         self.store(at, self.load(at, further) + lanes, further)
 
     def add_one(self, at: ir.Value, number: ir.Value, further: int = 0) -> None:
-        """Add to a single number."""
+        """Add a number to a single element."""
         pointer = self.builder.gep(self._data, [self.builder.add(at, ir.Constant(at.type, further))])
         self.builder.store(self.builder.fadd(self.builder.load(pointer), number), pointer)
 
     def load_some(self, at: ir.Value, count: ir.Value) -> Lanes:
-        """The first ``count`` of sixteen numbers, zero beyond, where nothing is read."""
+        """The first ``count`` of sixteen numbers; the others are zero and not read."""
         kind = ir.VectorType(self._kind, WIDTH)
         value = self._masked("load", at, kind, [], [ir.Constant(kind, [0.0] * WIDTH)], count)
         return Lanes(self.builder, value)
@@ -183,7 +183,7 @@ class Array:
         return builder.call(cgutils.get_or_insert_function(builder.module, types_of, name), values)
 
     def count(self, at: ir.Value, bins: Lanes, row: int) -> None:
-        """Add one to the number ``bins`` of each lane in a row of its own; rows have ``row`` numbers."""
+        """Add one, for each lane n, to bin ``bins[n]`` of the lane's own row of ``row`` numbers."""
         whole, kind = bins.whole(), ir.IntType(32)
         for lane in range(WIDTH):
             place = self.builder.zext(self.builder.extract_element(whole, ir.Constant(kind, lane)), at.type)
@@ -196,7 +196,7 @@ class Array:
         return [self.load(at, WIDTH * n) for n in range(3)]
 
     def load_some_points(self, at: ir.Value, count: ir.Value) -> list[Lanes]:
-        """The same, ``count`` numbers of them and zeros."""
+        """As :meth:`load_points`, but only the first ``count`` numbers; the others are zero and not read."""
         further = [ir.Constant(at.type, WIDTH * n) for n in range(3)]
         return [self.load_some(self.builder.add(at, n), self.builder.sub(count, n)) for n in further]
 
@@ -210,11 +210,11 @@ def _bytes(kind: ir.Type) -> int:
 
 
 def components(points: list[Lanes]) -> list[Lanes]:
-    """The x, y and z of sixteen points whose numbers follow one another in three vectors."""
+    """The x, y and z of sixteen points that are stored interleaved in three vectors."""
     one, two, three = points
     found = []
     for axis in range(3):
-        # Of number n of the component: place 3 n + axis, among the first two vectors and then the third.
+        # Lane n of a component is number 3 n + axis; shuffles take two vectors at a time, the third comes last.
         places = [3 * n + axis for n in range(WIDTH)]
         early = _shuffle(one, two, [min(place, 2 * WIDTH - 1) for place in places])
         found.append(_shuffle(early, three, [n if p < 2 * WIDTH else p - WIDTH for n, p in enumerate(places)]))
@@ -227,10 +227,10 @@ def _shuffle(one: Lanes, two: Lanes, places: list[int]) -> Lanes:
 
 
 def lanes(emit: Callable[..., None]) -> Any:
-    """Decorator: a function for numba loops whose instructions ``emit`` appends.
+    """Decorator: makes a function for numba loops from ``emit``, which emits its instructions.
 
-    Its arguments are :class:`Array` for contiguous arrays, whole numbers (``ir.Value``), and :class:`Lanes` of sixteen
-    equal ones for other numbers.
+    ``emit`` gets :class:`Array` for contiguous arrays, ``ir.Value`` for integers, and :class:`Lanes` of sixteen equal
+    numbers for floats.
     """
 
     def define(typing_context: Any, *kinds: Any) -> Any:
@@ -243,7 +243,7 @@ def lanes(emit: Callable[..., None]) -> Any:
 
     names = ("typing_context", *inspect.signature(emit).parameters)
     define.__name__, define.__doc__ = emit.__name__, emit.__doc__
-    # numba looks for the names of the arguments.
+    # numba inspects the names of the arguments.
     define.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
         [inspect.Parameter(name, inspect.Parameter.POSITIONAL_OR_KEYWORD) for name in names]
     )

@@ -31,7 +31,7 @@ FIXED = frozenset(
         "logical_not",
     ]
 )
-"""Functions whose value does not change with small changes."""
+"""Functions with zero derivative almost everywhere."""
 PARTIALS: dict[str, Callable[..., tuple[Any, ...]]] = {
     "add": lambda y, a, b: (1.0, 1.0),
     "subtract": lambda y, a, b: (1.0, -1.0),
@@ -49,4 +49,4 @@ PARTIALS: dict[str, Callable[..., tuple[Any, ...]]] = {
     "minimum": lambda y, a, b: ((np.asarray(a) <= b) * 1.0, (np.asarray(a) > b) * 1.0),
 }
 MATMUL = {(1, 1): "i,i->", (1, 2): "i,ij->j", (2, 1): "ij,j->i", (2, 2): "ij,jk->ik"}
-"""Of matrices and vectors, by their numbers of dimensions, as a rule of ``einsum``."""
+"""Rule of ``einsum`` for products of matrices and vectors, by the numbers of dimensions of the two operands."""

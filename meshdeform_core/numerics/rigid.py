@@ -1,7 +1,7 @@
 """From interpolated rigid motions to the displacement of nodes, one loop per kind of rotation.
 
-Every loop takes weighted sums (n, 1 + k), weight first, divides by the weight and moves the nodes; ``points`` are
-relative to the origin that the translations refer to.
+Every loop takes weighted sums (n, 1 + k), weight first, divides by the weight and writes displacements ``out`` (n, 3);
+``points`` (n, 3) are relative to the origin that the translations refer to.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def finish_affine(sums, points, out):
 
 @inlined
 def _closeness(weight, power, near, crossing):
-    """Inverse distance, up to a factor, from the total weight: see :class:`Transition`."""
+    """Inverse distance, up to a factor, that corresponds to a total weight; see :class:`Transition`."""
     ratio = weight / crossing
     # The square of a large weight would overflow.
     bend = np.sqrt(1.0 + ratio * ratio) if ratio < 1e100 else ratio
@@ -62,10 +62,10 @@ def _closeness(weight, power, near, crossing):
 
 @inlined
 def _share(moving, rest, power, near, crossing, width):
-    """Share of the moving sources in the motion from their and the others' total weight.
+    """Share of the moving sources in the motion, from their total weight and that of all other sources.
 
-    The ratio of the distances gives the position in the gap, 0 at the moving boundary and 1 at rest. The share falls
-    linearly there, with parabolic ends of length ``width``: walls move rigidly.
+    The ratio of the distances gives the position in the gap, 0 at the moving boundary and 1 at the resting one. The
+    share falls linearly across the gap, with parabolic ends of length ``width``, so that nodes at walls move rigidly.
     """
     to_rest, to_moving = _closeness(rest, power, near, crossing), _closeness(moving, power, near, crossing)
     end = min(to_rest, to_moving) / (to_rest + to_moving)
@@ -77,8 +77,8 @@ def _share(moving, rest, power, near, crossing, width):
 def finish_twist(sums, points, out, rest, power, near, crossing, width):
     """Exponential of the mean twist: (R - 1) x + V v with R = exp w.
 
-    With a ``width`` sums hold the total weight of the moving sources in their last column, and twists relative to
-    ``rest`` (6,), that of all others: see :class:`Transition`.
+    If ``width`` is not zero, the last column of ``sums`` is the total weight of the moving sources, and twists are
+    relative to ``rest`` (6,), the twist of all other sources; see :class:`Transition`.
     """
     for n in range(sums.shape[0]):
         inverse = 1.0 / sums[n, 0]
@@ -97,7 +97,7 @@ def finish_twist(sums, points, out, rest, power, near, crossing, width):
             half = math.sin(0.5 * angle)
             b = 2.0 * half * half / angle2
             c = (angle - math.sin(angle)) / (angle2 * angle)
-        # exp of a twist displaces x by V(w) (w cross x + v): the velocity at x, carried along the screw.
+        # exp of a twist displaces x by V(w) (w cross x + v): the velocity at x, integrated along the screw motion.
         u0 = w1 * points[n, 2] - w2 * points[n, 1] + v0
         u1 = w2 * points[n, 0] - w0 * points[n, 2] + v1
         u2 = w0 * points[n, 1] - w1 * points[n, 0] + v2
@@ -108,11 +108,11 @@ def finish_twist(sums, points, out, rest, power, near, crossing, width):
 
 
 class Transition(NamedTuple):
-    """How ``lie`` passes from moving sources to others, which all have the twist ``rest`` (6,).
+    """Transition, in kind ``lie``, between the moving sources and all others, which share the twist ``rest`` (6,).
 
-    Total weights fall off as distance^-power far from the sources. Closer than the breadth of a surface they fall off
-    as distance^-near only; there they are larger than ``crossing``. ``width`` is the length of the parabolic ends of
-    the share as a part of the gap, 0 without a transition: see :func:`_share`.
+    Total weights decay like distance^-power far from the sources, and like distance^-near closer than the breadth of
+    the surface, where they exceed ``crossing``. ``width`` is the length of the parabolic ends of the share relative to
+    the gap, 0 without a transition; see :func:`_share`.
     """
 
     rest: FloatArray
@@ -123,7 +123,7 @@ class Transition(NamedTuple):
 
 
 NO_TRANSITION = Transition(np.zeros(6), 1.0, 1.0, 1.0, 0.0)
-"""Every source counts by its weight."""
+"""No transition: every source counts by its weight."""
 
 
 def finish(
@@ -134,7 +134,7 @@ def finish(
     steps: int = 1,
     transition: Transition = NO_TRANSITION,
 ) -> None:
-    """Displacement (n, 3) into ``out`` for one of the kinds ``none quaternion division blend lie``."""
+    """Write the displacement (n, 3) into ``out``, for one of the kinds ``none quaternion division blend lie``."""
     if kind == "none":
         finish_displacement(sums, out)
     elif kind in ("quaternion", "division"):

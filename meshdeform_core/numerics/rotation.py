@@ -1,6 +1,6 @@
 """Rotations and rigid motions of surface nodes (Sen et al. appendix A), and their logarithms in SE(3).
 
-Arrays of n rotation vectors, matrices (n, 3, 3), unit quaternions (n, 4, scalar first) and translations (n, 3).
+Rotation vectors are (n, 3) in radians, matrices (n, 3, 3), unit quaternions (n, 4) scalar first, translations (n, 3).
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ from .branches import continuous, nearest_branch
 from .tape import Tracked
 
 SHARP = 0.9
-"""Mean of the unit normals at a node, below which its faces make a sharp edge."""
+"""Length of the mean unit normal at a node below which its faces form a sharp edge."""
 
 
 class SurfaceRotations:
     """Rotation of every node of a deforming surface, fitted to its faces (eqs. 21-25).
 
-    The first turn carries the mean unit normal of the node's faces onto the deformed one; the second turns the edges
-    in the tangent plane. Both edge vectors are projected on that plane and the angle is taken with its sign (atan2):
-    as printed, eq. 23 has no sign for in-plane bending. Sharp edges get the mean of their faces like every node.
+    A first rotation carries the mean unit normal of the node's faces onto the deformed one; a second turns the edges in
+    the tangent plane. Both edge vectors are projected onto that plane, and the angle is taken with its sign (atan2),
+    as eq. 23 as printed has no sign for in-plane bending. Nodes on sharp edges are treated like all others.
 
     Parameters
     ----------
@@ -48,13 +48,13 @@ class SurfaceRotations:
     def quaternions(self, displacement: FloatArray) -> FloatArray:
         """Quaternions (n, 4) for a displacement (n, 3), identity at nodes without faces.
 
-        Those of neighbours have the same sign: where :meth:`vectors` are longer than pi, scalar parts are negative.
-        Methods, their warnings and reports all ask for those of the same displacement: the last ones are kept.
+        Signs are continuous between neighbours: scalar parts are negative where :meth:`vectors` are longer than pi.
+        The last result is kept, as methods, warnings and reports all need it for the same displacement.
         """
         return self._of(displacement)[0].copy()
 
     def vectors(self, displacement: FloatArray) -> FloatArray:
-        """The same as rotation vectors (n, 3), radians, continuous along every surface."""
+        """Rotation vectors (n, 3) of :meth:`quaternions`, radians, continuous along every surface."""
         return self._of(displacement)[1].copy()
 
     def _of(self, displacement: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -73,14 +73,14 @@ class SurfaceRotations:
         return self._last[1:]
 
     def _differentiated(self, displacement: Tracked) -> tuple[FloatArray, FloatArray]:
-        """The same with derivatives; nodes at rest turn too when they or their neighbours begin to move."""
+        """:meth:`_of` with derivatives; nodes at rest are included, as they turn once they or their neighbours move."""
         found = self._fitted(self._points + displacement)
         vectors = continuous(rotation_vector(found), neighbours(self._corners, self._edges, self._plane_normal))
         found[lengths(vectors) > np.pi] *= -1.0
         return found, vectors
 
     def _part_moved_by(self, displacement: FloatArray) -> _Part:
-        """The part of the surface whose nodes may turn: usually the same at all levels of a series."""
+        """The part of the surface whose nodes may turn, usually the same at all levels of a series."""
         x, y, z = displacement.T
         moved = (x != 0.0) | (y != 0.0) | (z != 0.0)
         if self._moved is None or not np.array_equal(self._moved[0], moved):
@@ -88,7 +88,7 @@ class SurfaceRotations:
         return self._moved[1]
 
     def _part(self, moved: BoolArray) -> _Part:
-        """The nodes of faces with a ``moved`` node, and whatever their rotation depends on."""
+        """The nodes of faces with a ``moved`` node, and all nodes that their rotation depends on."""
         corners, edges = self._corners, self._edges
         turning, needed = np.zeros(len(moved), dtype=bool), np.zeros(len(moved), dtype=bool)
         touched = corners[moved[corners].any(axis=1)]
@@ -117,7 +117,7 @@ class SurfaceRotations:
 
 
 def _mean_angles(angle: FloatArray, node: IntArray, n: int) -> FloatArray:
-    """Mean (n,) of the angles of each node, zero without any; those beside half a turn count in one direction."""
+    """Mean (n,) of the angles of each node, zero without any; angles near half a turn are given a common sign first."""
     mean = np.bincount(node, angle, minlength=n) / np.maximum(np.bincount(node, minlength=n), 1)
     large = np.zeros(n, dtype=bool)
     large[node[np.abs(angle) > 0.5 * np.pi]] = True
@@ -132,7 +132,8 @@ def _mean_angles(angle: FloatArray, node: IntArray, n: int) -> FloatArray:
 
 
 class _Part(NamedTuple):
-    """A part of a surface: its nodes as rows of the whole, and which of them have all their faces in it."""
+    """A part of a surface: its nodes, as rows of the whole, and those among them (``turning``) whose faces are all in
+    it."""
 
     surface: SurfaceRotations
     nodes: IntArray
@@ -142,9 +143,9 @@ class _Part(NamedTuple):
 def near_sharp_edges(
     points: FloatArray, corners: IntArray, edges: IntArray, plane_normal: FloatArray | None, rounds: int
 ) -> BoolArray:
-    """Nodes (n,) bool within ``rounds`` edges of a sharp one, where the faces at a node turn away from each other.
+    """Nodes (n,) bool within ``rounds`` edges of a node on a sharp edge.
 
-    Faces that make a ridge of more than about 50 degrees have a mean normal shorter than 0.9; arguments as in
+    Faces whose normals differ by more than about 50 degrees have a mean normal shorter than 0.9. Arguments as in
     :class:`SurfaceRotations`.
     """
     total, count = _sum_of_normals(points, corners, plane_normal)
@@ -156,14 +157,15 @@ def near_sharp_edges(
 
 
 def neighbours(corners: IntArray, edges: IntArray, plane_normal: FloatArray | None) -> IntArray:
-    """Pairs (e, 2) of node and neighbour along the surface; in 2-D those of its curve."""
+    """Pairs (e, 2) of node and neighbour along the surface, or along the curve in 2-D."""
     return edges if plane_normal is None else np.concatenate([corners, corners[:, ::-1]])
 
 
 def smoothed(q: FloatArray, vectors: FloatArray, pairs: IntArray, rounds: int) -> tuple[FloatArray, FloatArray]:
-    """Rotations of which the nodes ``pairs[:, 0]`` take half of their neighbours' mean quaternion, ``rounds`` times.
+    """Rotations smoothed ``rounds`` times: the nodes ``pairs[:, 0]`` take the mean of their own and their neighbours'
+    mean quaternion.
 
-    Takes and returns the rotations as quaternions (n, 4) and as vectors (n, 3), of corresponding signs.
+    Takes and returns the rotations both as quaternions (n, 4) and as vectors (n, 3), of corresponding signs.
     """
     here, there = pairs.T
     nodes, place = np.unique(here, return_inverse=True)
@@ -182,7 +184,7 @@ def smoothed(q: FloatArray, vectors: FloatArray, pairs: IntArray, rounds: int) -
 def _node_normals(x: FloatArray, corners: IntArray, plane_normal: FloatArray | None) -> FloatArray:
     """Mean of the unit normals of the faces at each node, normalised; zero where it is undefined."""
     total, _ = _sum_of_normals(x, corners, plane_normal)
-    # Faces that cancel (both sides of a plate without thickness) or collapse leave round-off: no direction.
+    # Normals that cancel (both sides of a plate without thickness) or vanish (collapsed faces) leave only round-off.
     total[lengths(total) < 1e-6] = 0.0
     return _unit(total)
 
@@ -205,24 +207,25 @@ def _sum_of_normals(x: FloatArray, corners: IntArray, plane_normal: FloatArray |
 
 
 def _aligning(start: FloatArray, end: FloatArray, plane_normal: FloatArray | None = None) -> FloatArray:
-    """Shortest rotation that carries unit vectors onto others; about any normal (of the plane) when opposite."""
+    """Shortest rotation that carries unit vectors onto others; for opposite vectors, half a turn about a perpendicular
+    axis."""
     axis = np.cross(start, end)
     sine = lengths(axis)
     cosine = _dot(start, end)
     opposite = (sine < 1e-12) & (cosine < 0)
     if opposite.any():
         axis[opposite] = _half_turn_axes(start[opposite]) if plane_normal is None else plane_normal
-    # Up to a right angle by the half-angle formula, which is smooth at rest.
+    # Up to a right angle, the half-angle formula, which is smooth at zero angle.
     half = np.sqrt(0.5 * (1.0 + np.maximum(cosine, 0.0)))[:, None]
     near = np.concatenate([half, axis / (2.0 * half)], axis=1)
     return np.where((cosine > 0.0)[:, None], near, _quaternion(_unit(axis), np.arctan2(sine, cosine)))
 
 
 def _half_turn_axes(normals: FloatArray) -> FloatArray:
-    """Axes (n, 3) of half turns that reverse ``normals``: as far as possible that of the whole surface.
+    """Axes (n, 3) of half turns that reverse ``normals``, as far as possible the same axis for the whole surface.
 
-    A body that turns by 180 degrees reverses all normals that are perpendicular to its axis. Any other axis would need
-    half a turn about the normal as well, whose sign is a matter of round-off.
+    A body that turns by 180 degrees reverses all normals perpendicular to its axis. Any other axis would require an
+    additional half turn about the normal, whose sign would depend on round-off.
     """
     common = np.linalg.eigh(normals.T @ normals)[1][:, 0]
     axes = common - _dot(normals, np.broadcast_to(common, normals.shape))[:, None] * normals
@@ -237,7 +240,7 @@ def _quaternion(axis: FloatArray, angle: FloatArray) -> FloatArray:
 
 
 def multiply(p: FloatArray, q: FloatArray) -> FloatArray:
-    """Quaternion product: first ``q``, then ``p``; the scalar part is made non-negative (rotation at most 180 deg)."""
+    """Quaternion product: rotation ``q`` followed by ``p``; the scalar part is made non-negative (angle at most pi)."""
     scalar = p[:, 0] * q[:, 0] - _dot(p[:, 1:], q[:, 1:])
     vector = p[:, :1] * q[:, 1:] + q[:, :1] * p[:, 1:] + np.cross(p[:, 1:], q[:, 1:])
     product = np.concatenate([scalar[:, None], vector], axis=1)
@@ -307,7 +310,7 @@ def _coefficients(w: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def _unit(v: FloatArray) -> FloatArray:
-    """Unit vectors; zero where there is no direction (edges without length, collapsed faces)."""
+    """Unit vectors; zero where the length is zero (collapsed edges and faces)."""
     length = lengths(v)[:, None]
     return np.divide(v, length, out=np.zeros_like(v), where=length > 1e-100)
 

@@ -1,4 +1,4 @@
-"""Rows of displacement arrays (n, 3) picked and put by index, without arrays in between."""
+"""Gather and scatter rows of displacement arrays (n, 3) by index, without temporary arrays."""
 
 from .jit import kernel
 
@@ -29,7 +29,7 @@ def spread_rows(values, numbers, rows, out):
 
 @kernel
 def collect_rows(values, numbers, rows, out):
-    """The transpose of :func:`spread_rows`: add ``values[rows[n]]``, which become zero, to ``out[numbers[n]]``."""
+    """Transpose of :func:`spread_rows`: ``out[numbers[n]] += values[rows[n]]``, then ``values[rows[n]] = 0``."""
     for n in range(rows.size):
         for c in range(3):
             out[numbers[n], c] += values[rows[n], c]

@@ -1,7 +1,7 @@
-"""Derivatives of the loops of :mod:`.rigid`: how the displacement of a node follows its weighted sums.
+"""Derivatives of the loops of :mod:`.rigid`: of the displacement of a node with respect to its weighted sums.
 
-One function of a node per kind gives the change of its displacement for a change of its sums; the transpose applies the
-same function to every unit change.
+For each kind of rotation, one function returns the change of a node's displacement for a change of its sums; the
+transpose applies the same function to every unit change.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def _closeness(weight, power, near, crossing):
 
 @inlined
 def _inverse(sums, n, change, power, near, crossing, width):
-    """What mean twists are sums times of, and its change."""
+    """The factor by which sums are multiplied to give mean twists, and its change."""
     if width == 0.0:
         inverse = 1.0 / sums[n, 0]
         return inverse, -inverse * inverse * change[0]
@@ -102,8 +102,8 @@ def _inverse(sums, n, change, power, near, crossing, width):
 
 @inlined
 def _twist(sums, n, inverse, rest, twist):
-    """The mean twist (6,) of a node, and for its rotation vector w with x = |w|: (1 - cos x) / x^2, (x - sin x) / x^3
-    and their derivatives with respect to x^2."""
+    """Store the mean ``twist`` (6,) of a node; with x the length of its rotation vector, return (1 - cos x) / x^2,
+    (x - sin x) / x^3 and their derivatives with respect to x^2."""
     for d in range(6):
         twist[d] = sums[n, 1 + d] * inverse + rest[d]
     angle2 = twist[0] * twist[0] + twist[1] * twist[1] + twist[2] * twist[2]
@@ -126,7 +126,7 @@ def _twist(sums, n, inverse, rest, twist):
 
 @inlined
 def _along_twist(twist, d_twist, points, n, b, c, db, dc, out):
-    """Change of the displacement of a node for that of its mean twist."""
+    """Change of the displacement of a node for a change ``d_twist`` (6,) of its mean twist."""
     w0, w1, w2, v0, v1, v2 = twist[0], twist[1], twist[2], twist[3], twist[4], twist[5]
     a0, a1, a2, b0, b1, b2 = d_twist[0], d_twist[1], d_twist[2], d_twist[3], d_twist[4], d_twist[5]
     turn = 2.0 * (w0 * a0 + w1 * a1 + w2 * a2)
@@ -223,8 +223,8 @@ def finish_tangents(
     transition: Transition,
     rest_change: FloatArray,
 ) -> FloatArray:
-    """Change (n, 3) of what :func:`.rigid.finish` gives, for changes (n, 1 + k) of the sums and (6,) of the twist at
-    rest."""
+    """Change (n, 3) of the result of :func:`.rigid.finish`, for ``changes`` (n, 1 + k) of the sums and ``rest_change``
+    (6,) of the twist at rest."""
     out = np.empty((len(sums), 3))
     _tangents(_KINDS[kind], sums, points, changes, steps, rest_change, *transition, out)
     return out
@@ -233,7 +233,8 @@ def finish_tangents(
 def finish_gradients(
     kind: str, sums: FloatArray, points: FloatArray, gradient: FloatArray, steps: int, transition: Transition
 ) -> tuple[FloatArray, FloatArray]:
-    """The transpose: gradients (n, 1 + k) and (6,) from that (n, 3) of the displacement."""
+    """Transpose of :func:`finish_tangents`: gradients (n, 1 + k) of the sums and (6,) of the twist at rest, from the
+    ``gradient`` (n, 3) of the displacement."""
     out, rest = np.empty_like(sums), np.zeros(6)
     if kind == "lie":
         _twist_gradients(sums, points, np.ascontiguousarray(gradient), *transition, out, rest)

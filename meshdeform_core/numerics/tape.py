@@ -1,9 +1,8 @@
 """Derivatives of numpy code by recording it: forward and transposed from the same local derivatives.
 
-Code that is called with a :class:`Tracked` array instead of a plain one runs as it is; every operation on the way
-records how small changes pass through it. What the code decides by comparison (branches, masks, numbers of turns) is
-held fixed. Square roots and arc tangents at zero get a derivative of zero: code that is smooth there must not depend
-on them.
+Code runs unchanged with :class:`Tracked` arrays instead of plain ones, and every operation records its derivative.
+Whatever the code decides by comparison (branches, masks, numbers of turns) is held fixed. Square roots and arc tangents
+at zero get a derivative of zero: code that is smooth there must not depend on it.
 """
 
 from __future__ import annotations
@@ -29,11 +28,11 @@ class Tape:
         self._steps: list[tuple[int, list[tuple[int, Linear, Linear]]]] = []
 
     def variable(self, value: FloatArray) -> Tracked:
-        """A tracked array with this value."""
+        """A tracked array with this value, with respect to which derivatives can be taken."""
         return Tracked(np.array(value, dtype=np.float64), self, self._new(value.shape))
 
     def result(self, value: Any, links: list[Link]) -> Tracked:
-        """A tracked array whose change is the sum of those of its ``links``: source, linear map, transposed map."""
+        """A tracked array whose change is the sum over its ``links``: source, linear map of its change, transpose."""
         value = np.asarray(value, dtype=np.float64)
         number = self._new(value.shape)
         self._steps.append((number, [(source.number, push, pull) for source, push, pull in links]))
@@ -44,7 +43,7 @@ class Tape:
         return len(self._shapes) - 1
 
     def push(self, changes: dict[int, FloatArray], wanted: list[int]) -> list[FloatArray]:
-        """Changes of the arrays with the numbers ``wanted`` for changes of variables."""
+        """Changes of the arrays with the numbers ``wanted``, for ``changes`` of variables (by number)."""
         known = dict(changes)
         last = {source: place for place, (_, links) in enumerate(self._steps) for source, _, _ in links}
         for place, (number, links) in enumerate(self._steps):
@@ -52,7 +51,7 @@ class Tape:
             if parts:
                 known[number] = sum(parts[1:], parts[0])
             for source, _, _ in links:
-                # What nothing depends on any more makes room.
+                # Changes that no later operation needs are freed.
                 if last[source] == place and source not in wanted:
                     known.pop(source, None)
         return [known.get(number, np.zeros(self._shapes[number])) for number in wanted]
@@ -70,7 +69,7 @@ class Tape:
 
 
 class Tracked(NDArrayOperatorsMixin):
-    """An array whose changes are recorded; ``value`` is its content, ``number`` its place on the tape."""
+    """An array whose operations are recorded; ``value`` is its content, ``number`` its position on the tape."""
 
     def __init__(self, value: FloatArray, tape: Tape, number: int) -> None:
         self.value, self.tape, self.number = value, tape, number
@@ -101,7 +100,7 @@ class Tracked(NDArrayOperatorsMixin):
         raise TypeError("a tracked array would lose its derivative here")
 
     def copy(self) -> Tracked:
-        """An array of its own with the same value."""
+        """A copy with the same value."""
         return Tracked(self.value.copy(), self.tape, self.number)
 
     def reshape(self, *shape: Any) -> Tracked:
@@ -126,7 +125,7 @@ class Tracked(NDArrayOperatorsMixin):
         )
 
     def max(self) -> Tracked:
-        """The largest value of a row."""
+        """The largest value of a one-dimensional array."""
         return self[int(np.argmax(self.value))]
 
     def astype(self, _: Any) -> Tracked:
@@ -134,7 +133,7 @@ class Tracked(NDArrayOperatorsMixin):
         return self
 
     def any(self, *args: Any, **options: Any) -> Any:
-        """Whether any value is not zero; this is not recorded."""
+        """Whether any value is nonzero; not recorded."""
         return self.value.any(*args, **options)
 
     def __getitem__(self, place: Any) -> Tracked:
@@ -181,7 +180,7 @@ class Tracked(NDArrayOperatorsMixin):
         if ufunc is np.matmul:
             return _products(np.matmul, MATMUL[plain[0].ndim, plain[1].ndim], inputs)
         out, mask = options.get("out", (None,))[0], options.get("where", True)
-        # A masked operation keeps what is in ``out`` elsewhere, which is no tracked array.
+        # Where the mask is false, the result is ``out``, which must not be a tracked array.
         value = ufunc(*plain) if mask is True else ufunc(*plain, out=_plain(out).copy(), where=mask)
         with np.errstate(all="ignore"):
             partials = PARTIALS[ufunc.__name__](value, *plain)
@@ -203,7 +202,7 @@ class Tracked(NDArrayOperatorsMixin):
 
 
 def plain(value: Any) -> Any:
-    """The value of a tracked array; anything else as it is."""
+    """The value of a tracked array; anything else is returned unchanged."""
     return value.value if isinstance(value, Tracked) else value
 
 
@@ -219,7 +218,7 @@ def _reduced(gradient: FloatArray, shape: tuple[int, ...]) -> FloatArray:
 
 
 def _scaled(source: Tracked, factor: Any, shape: tuple[int, ...]) -> Link:
-    """Change of an elementwise operation with partial derivative ``factor``."""
+    """Link of an elementwise operation with partial derivative ``factor``."""
     own = source.shape
     return source, lambda t: np.broadcast_to(factor * t, shape), lambda g: _reduced(np.asarray(factor * g), own)
 
@@ -229,7 +228,7 @@ def _tape_of(values: Any) -> Tape:
 
 
 def _products(function: Callable[..., Any], rule: str, operands: Any) -> Tracked:
-    """A sum of products given by an ``einsum`` rule, where every index of an operand is one of others or of the sum."""
+    """A sum of products by an ``einsum`` rule; every index of an operand occurs in another operand or in the result."""
     values = [_plain(each) for each in operands]
     inputs, result = rule.split("->")
     names = inputs.split(",")
@@ -267,7 +266,7 @@ def _joined(join: Callable[..., Any], parts: Any, axis: int) -> Tracked:
     for n, each in enumerate(parts):
         if isinstance(each, Tracked):
             zeros = [np.zeros(np.shape(_plain(part))) for part in parts]
-            # Where its entries end up.
+            # Where the entries of operand n end up in the result.
             places = join([np.full(np.shape(z), m == n) for m, z in enumerate(zeros)], axis=axis)
             shape, order = each.shape, join([np.arange(z.size).reshape(z.shape) for z in zeros], axis=axis)[places]
 

@@ -17,19 +17,19 @@ NODES, LONGEST = N - 2 * WIDTH, 160
 ALONG_I, ALONG_J, ALONG_K, PLANE, ROWS = 0, 4, 8, 8, 20
 SKEW, SCALED, RATIO, CHANGE, SKEW_BEFORE, SCALED_BEFORE = 0, 1, 2, 3, 4, 5
 OPEN, RESULTS = 6, 7
-# Vectors of measures of sixteen cells: corner Jacobians, plain and divided by the edge lengths; the smallest of each,
-# volume, f_skew.
+# Vectors of measures of sixteen cells: eight corner Jacobians, these divided by the edge lengths, the smallest of each
+# kind, volume, f_skew.
 _JACOBIAN, _UNIT, _LEAST, _LEAST_UNIT, _VOLUME, _SKEW, _FIGURES = 0, 8, 16, 17, 18, 19, 20
 BINS = 20
-# Sizes of the parts of an array that belong to a plane of points, a grid, and sixteen cells of it.
+# Numbers stored for a plane of points, for the edges of a grid, and for the measures of sixteen cells.
 POINTS, GRID, CELLS = 3 * N, (ROWS + 1) * N, _FIGURES * WIDTH
 # Each lane of a vector has its own histogram, so that the increments do not depend on each other.
 BIN_ROW = 32
 COUNTS = BIN_ROW * WIDTH
 # Numbers stored per sixteen undeformed cells: corner Jacobians and volume.
 KEPT = 9 * WIDTH
-# Scaled Jacobians below the first limit are decided in double precision, and so are those above the second, which
-# only overflow or not-a-number can cause.
+# Scaled Jacobians below the first limit are decided in double precision; so are those above the second, which result
+# only from overflow or not-a-number.
 _FLAT, _IMPOSSIBLE = 0.01, 1.001
 _TINY, _SPREAD = 1e-33, 1e-6
 # Rounding of a twist relative to the edges; of corners and products relative to the smallest corner: see "Rounding" in
@@ -47,7 +47,7 @@ def move(one: Array, at: ir.Value, other: Array, to: ir.Value, count: ir.Value) 
 
 @lanes
 def answer(numbers: Array, at: ir.Value, answers: Array, to: ir.Value, count: ir.Value) -> None:
-    """Which of at most sixteen numbers are positive."""
+    """Store which of at most sixteen numbers are positive."""
     zero = numbers.load(at) * 0.0
     answers.store_some(to, zero.below(numbers.load(at)), count)
 
@@ -66,9 +66,9 @@ Lines = dict[tuple[int, int], Edge]
 
 
 def _cell_edges(e: Array, m: ir.Value, low: ir.Value, high: ir.Value, width: ir.Value) -> tuple[Lines, Lines, Lines]:
-    """The edges of cells along i at (b, c), along j at (a, c), along k at (a, b), with 0 or 1 for each end of the cell.
+    """The edges of cells along i at (b, c), along j at (a, c), along k at (a, b); a, b, c are 0 or 1 along i, j, k.
 
-    They begin at ``m`` in the rows along i, at ``low`` and ``high`` in those of both planes.
+    They begin at ``m`` in the rows along i, at ``low`` and ``high`` in the rows of the two planes.
     """
 
     def edge(kind: int, at: ir.Value, next_line: int, next_node: int) -> Edge:
@@ -101,8 +101,8 @@ def _measure(cell: tuple[Lines, Lines, Lines], t: Array, to: ir.Value) -> None:
         total = total + jacobian
     t.store(to, least, _LEAST * WIDTH)
     t.store(to, least_unit, _LEAST_UNIT * WIDTH)
-    # The Jacobian at the centre and the mean of the corner Jacobians deviate from the volume with opposite signs, the
-    # second one twice as far: terms quadratic in one local coordinate contribute to both.
+    # The Jacobian at the centre and the mean of the corner Jacobians deviate from the volume in opposite directions,
+    # the mean twice as far (only terms quadratic in one local coordinate differ), so (2 centre + mean) / 3 is exact.
     mean = _triple(*(_total(lines) for lines in cell))
     t.store(to, mean * (2 / 3 / 64) + total * (1 / 24), _VOLUME * WIDTH)
 
@@ -130,7 +130,7 @@ def _square(x: Any) -> Lanes:
 
 @lanes
 def keep(t: Array, old: ir.Value, kept: Array, at: ir.Value) -> None:
-    """Store what :func:`compare_cells` needs of undeformed cells; the volume is NaN if they always stay undecided."""
+    """Store what :func:`compare_cells` needs of undeformed cells; a volume of NaN marks cells never decided here."""
     for n in range(8):
         kept.store(at, t.load(old, (_JACOBIAN + n) * WIDTH), n * WIDTH)
     least, unit, volume = (t.load(old, n * WIDTH) for n in (_LEAST, _LEAST_UNIT, _VOLUME))
@@ -151,7 +151,7 @@ def recall(kept: Array, at: ir.Value, t: Array, old: ir.Value) -> None:
 
 
 def _comparable(least: Lanes, unit: Lanes, volume: Lanes) -> Mask:
-    """Undeformed cells that are neither too flat, nor too small, nor too distorted for single precision."""
+    """Mask of undeformed cells that are neither too flat nor too small nor too distorted for single precision."""
     return _above(unit, _FLAT) & _above(least, _TINY) & (volume * _SPREAD).below(least)
 
 
@@ -183,9 +183,9 @@ def compare_cells(
     old: ir.Value,
     r: Array,
 ) -> None:
-    """Measures of deformed cells and ratios to the undeformed ones, which were measured before.
+    """Measures of deformed cells and their ratios to those of the undeformed cells, already in ``t`` at ``old``.
 
-    Cells that are not proved sound are marked open: their smallest corner Jacobian does not exceed the twists.
+    Cells whose smallest corner Jacobian does not outweigh the twists are not proved sound and marked open.
     """
     u, v, w = cell = _cell_edges(e, m, low, high, width)
     _measure(cell, t, new)
@@ -197,7 +197,7 @@ def compare_cells(
     least, least_old, volume_old = (t.load(g, n * WIDTH) for g, n in ((new, _LEAST), (old, _LEAST), (old, _VOLUME)))
     r.store(m, t.load(new, _VOLUME * WIDTH) / volume_old, CHANGE * N)
     longest = [_longest(lines) for lines in (u, v, w)]
-    # Between the edges of each kind that differ along one other index: u along j and k, v along k.
+    # Differences of parallel edges one step apart along another index: u along j and k, v along k.
     ab, ac, bc = (
         _twist(u, 0) + longest[0] * _ROUNDING, _twist(u, 1) + longest[0] * _ROUNDING,
         _twist(v, 1) + longest[1] * _ROUNDING,
@@ -215,7 +215,7 @@ def _longest(lines: Lines) -> Lanes:
 
 
 def _twist(lines: Lines, along: int) -> Lanes:
-    """The larger length of the differences of opposite edges, along the first or the second index of their places."""
+    """Largest length of the differences of edges that are opposite along the first or the second index of ``lines``."""
     squares = []
     for other in (0, 1):
         a, b = (lines[(end, other) if along == 0 else (other, end)] for end in (0, 1))
@@ -240,7 +240,7 @@ def collect(
     bins: Array,
     start: ir.Value,
 ) -> None:
-    """f_skew and scaled Jacobian; sums of f_skew, of its inverse and its bin, of cells that are not open."""
+    """Store f_skew and scaled Jacobians; of cells that are not open, add up f_skew, its inverse and its histogram."""
     skew = t.load(g, _SKEW * WIDTH)
     to = r.builder.add(m, first)
     r.store(to, skew, SKEW * N)

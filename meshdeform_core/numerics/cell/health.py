@@ -7,7 +7,7 @@ import numpy as np
 from ..jit import kernel
 from .foldover.jacobian import determinant, regular
 
-# f within rounding of the limit counts as not healthy: the loops of the repair decide then.
+# f within round-off of the limit counts as unhealthy; the repair then decides.
 _BELOW = 1.0 - 1e-9
 
 

@@ -2,27 +2,27 @@
 
 Edges are differences in double precision, rounded once; everything else is relative to the edges of the cell itself, so
 that the measures of cells without nearly flat corners have relative errors of about 1e-6 at any distance from the
-origin. Cells that are nearly
-flat, collapsed, of extreme size or not proved positive inside are left open for :mod:`.measures` and
-:mod:`.positivity`, which work in double precision.
+origin. Cells that are nearly flat, collapsed, of extreme size or not proved positive inside are left open for
+:mod:`.measures` and :mod:`.positivity`, which work in double precision.
 
 **Proof.** The Jacobian J of a trilinear hexahedron is quadratic along each index. Along a, with u, v, w the edges along
 a, b, c, its second difference is 2 det(u, T_ab, T_ac), where T_ab is the difference of two opposite edges of a face
-(its twist). The middle Bernstein coefficient of the three along a is therefore the mean of the outer ones less half of
-it, and, as means of products are bounded by products of the largest lengths, every coefficient is at least
+(its twist). The middle one of the three Bernstein coefficients along a is therefore the mean of the outer two minus
+half this second difference. As means of products are bounded by products of the largest lengths, every coefficient is
+at least
 
     min over corners of J - (|u| |T_ab| |T_ac| + |v| |T_ab| |T_bc| + |w| |T_ac| |T_bc|) / 2
 
-with the largest length of each kind. Where this is positive J is positive everywhere.
+with the largest length of each kind. Where this is positive, J is positive everywhere.
 
 **Rounding.** The comparison is made in single precision, with quotients and roots that the processor estimates and
-refines once (``arcp``, ``afn``), and is still a proof, because it leaves more room than rounding can take. An edge is
+refines once (``arcp``, ``afn``), and is still a proof, because its margin exceeds the rounding errors. An edge is
 rounded twice, by 6e-8 of its length each time, and a product of three edges errs by less than 1e-6 of the product of
 their lengths. Corners where J is below 0.01 of that product (``_FLAT``) are never decided here: the smallest J errs by
 less than 1e-4 of itself. Twists, differences of two edges, are raised by ``_ROUNDING`` of the longest edge; the rest
 are relative errors below 1e-5 of the products, estimates included. Together this is a fifth of the margin by which the
 smallest J must outweigh the twists (``_MARGIN``). Comparisons with not-a-number fail. Every other cell is left open and
-decided in double precision. The figures (f_skew, ratios) do not enter the verdict.
+decided in double precision. The measures that are only reported (f_skew, ratios) do not enter the verdict.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def kept_numbers(shape: tuple[int, int, int], layers: int) -> int:
 
 @kernel
 def inspect_hexahedra(before, x, compare, both, sign, scale, i0, i1, out, is_open, sums, counts, kept, known):
-    """Figures of the cells i0 <= i < i1 of a block.
+    """Measures of the cells i0 <= i < i1 of a block.
 
     Parameters
     ----------
@@ -95,11 +95,11 @@ def inspect_hexahedra(before, x, compare, both, sign, scale, i0, i1, out, is_ope
     out : (4 or with both 6, i1 - i0, cj, ck) float32, out: SKEW f_skew (see :mod:`.measures`), SCALED smallest scaled
         corner Jacobian, RATIO smallest corner Jacobian relative to the undeformed one, CHANGE volume relative to the
         undeformed one; SKEW_BEFORE, SCALED_BEFORE
-    is_open : (i1 - i0, cj, ck) bool, out: neither proved sound nor measured, look again
-    sums : (2, 2) added to: sums of 1 / f_skew and of f_skew, of the cells that are not open, after and before
-    counts : (2, 20) added to: these cells by f_skew, in equal bins of [0, 1]
-    kept : float32, what an earlier pass over these cells has kept of ``before``, if it is ``known``; else to be filled,
-        if it is not empty (:func:`kept_numbers`). ``known`` data are not for ``both``
+    is_open : (i1 - i0, cj, ck) bool, out: cells neither proved sound nor measured, left to the double-precision pass
+    sums : (2, 2), added to: sums of 1 / f_skew and of f_skew over the cells that are not open, after and before
+    counts : (2, 20), added to: histogram of the f_skew of these cells, equal bins of [0, 1]
+    kept : float32, measures of ``before``: if ``known``, those stored by an earlier pass over these cells; otherwise
+        filled, unless empty (:func:`kept_numbers`). ``known`` and ``both`` exclude each other
     """
     # One-dimensional arrays without views: numba counts references to views with atomic operations.
     points, e = np.zeros(4 * POINTS), np.ones(2 * GRID, np.float32)
@@ -146,7 +146,7 @@ def inspect_hexahedra(before, x, compare, both, sign, scale, i0, i1, out, is_ope
 
 @inlined
 def _add_lanes(total, bins, sums, counts):
-    """Add what the lanes of vectors have counted."""
+    """Add the sums and histograms of all lanes."""
     for g in range(2):
         for n in range(WIDTH):
             sums[g, 0] += total[2 * g * WIDTH + n]
@@ -157,7 +157,7 @@ def _add_lanes(total, bins, sums, counts):
 
 @inlined
 def _mark(inside, rows, width):
-    """One where a node of a window begins a cell; the last one of every row begins none."""
+    """Set ``inside`` to one at nodes of a window that are the low corner of a cell: all but the last of every row."""
     for m in range(N):
         inside[m] = 0.0
     for j in range(rows - 1):

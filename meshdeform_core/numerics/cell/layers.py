@@ -1,4 +1,4 @@
-"""Nodes and cells of block-structured grids found from node to node."""
+"""Breadth-first search over the nodes of block-structured grids; cells that touch given nodes."""
 
 import numpy as np
 
@@ -7,14 +7,14 @@ from ..jit import kernel
 
 @kernel
 def layers_from(seeds, layers, shapes, offsets, classes, start, copies):
-    """How many cells every block node is away from ``seeds``: (n_nodes,) int16, -1 where more than ``layers``.
+    """Distance (n_nodes,) int16 of every block node from ``seeds``, in cells; -1 where it exceeds ``layers``.
 
     Parameters
     ----------
     seeds : (s,) block nodes
     shapes, offsets : (n_blocks, 3), (n_blocks + 1,) of the blocks
-    classes : (n_nodes,) number of the set of nodes that count as one, or -1
-    start, copies : nodes of every class: ``copies[start[c] : start[c + 1]]``
+    classes : (n_nodes,) number of the class of coincident nodes that a node belongs to, or -1
+    start, copies : the nodes of class c are ``copies[start[c] : start[c + 1]]``
     """
     reached = np.full(classes.size, -1, dtype=np.int16)
     queue = np.empty(1 << 12, dtype=np.int64)
@@ -48,7 +48,7 @@ def layers_from(seeds, layers, shapes, offsets, classes, start, copies):
 
 @kernel
 def _visit(node, layer, reached, queue, count, classes, start, copies):
-    """Put a node that was not reached yet, and all that count as one with it, at the end of the queue."""
+    """Append a node that was not reached yet, and all nodes of its class, to the queue."""
     if reached[node] >= 0:
         return queue, count
     one = classes[node]

@@ -58,7 +58,7 @@ def measure_hexahedra(x, sign, i0, i1, skew, scaled, jacobian, volume, bad):
 
 @inlined
 def _corner_areas(work, count):
-    """Area vectors at all nodes of the four lines: cross products of the edges along i and j."""
+    """Area vectors at the nodes of the four lines: cross products of the edges along i and j."""
     # The lines are written out: a loop over them would prevent vectorisation of the loop over k.
     for k in range(count):
         # r = 2 a + b: along i from line b to line 2 + b, along j from line 2 a to line 2 a + 1.
@@ -149,7 +149,7 @@ def _triple(ux, uy, uz, vx, vy, vz, wx, wy, wz):
 
 @kernel
 def measure_quads(x, normal, i0, i1, skew, scaled, jacobian, area, bad):
-    """The same for a 2-D block (na, nb, 3) whose good cells have Jacobians along ``normal``.
+    """As :func:`measure_hexahedra`, for a 2-D block (na, nb, 3) whose valid cells have Jacobians along ``normal``.
 
     f_skew = 4 / sum over corners of sqrt(l11 l22) / a; corner c = 2 a + b at (a, b).
     """
@@ -187,7 +187,9 @@ def measure_quads(x, normal, i0, i1, skew, scaled, jacobian, area, bad):
 
 
 def scattered_hexahedra(x: FloatArray, sign: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Measures of cells, corners ``x`` (m, 8, 3), (a, b, c) at 4 a + 2 b + c, in blocks of handedness ``sign`` (m,).
+    """Measures of separate cells with corners ``x`` (m, 8, 3), corner (a, b, c) at 4 a + 2 b + c.
+
+    ``sign`` (m,) is the handedness of the block of each cell.
 
     Returns
     -------

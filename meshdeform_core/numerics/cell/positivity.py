@@ -1,8 +1,8 @@
 """Proof that the Jacobian of a cell is positive everywhere, by its Bernstein coefficients.
 
-The Jacobian of a trilinear hexahedron is a polynomial of degree 2 in each coordinate. Its 27 coefficients in the basis
-of Bernstein bound it, the corner ones are its values at the corners, and halving the cell brings the others closer to
-values of it (Johnen, Weill & Remacle: Robust and efficient validation of the linear hexahedral element, Procedia
+The Jacobian of a trilinear hexahedron is a polynomial of degree 2 in each coordinate. Its 27 coefficients in the
+Bernstein basis bound it, those at the corners are its values there, and halving the cell brings the others closer to
+its values (Johnen, Weill & Remacle: Robust and efficient validation of the linear hexahedral element, Procedia
 Engineering 203, 2017, arXiv 1706.01613). With u, v, w the edges along i, j, k, at corners (b, c), (a, c), (a, b), a
 coefficient is a mean of triple products u x v . w.
 """
@@ -18,10 +18,10 @@ _DEPTH = 10
 
 @kernel
 def judge_quads(before, x, normal, i0, i1, ratio):
-    """Smallest corner Jacobian of quadrilaterals relative to the undeformed one, infinite without a sound one.
+    """Smallest ratio of a corner Jacobian to the undeformed one, per quadrilateral; infinite without a sound corner.
 
-    ``before`` and ``x`` (na, nb, 3), ``normal`` the orientation of valid cells. Where all corners are positive, the
-    cell is: the Jacobian is linear along every grid line.
+    ``before`` and ``x`` (na, nb, 3) are the nodes, ``normal`` is the orientation of valid cells. A cell whose corner
+    Jacobians are positive is valid everywhere, as its Jacobian is linear along every grid line.
     """
     old, new = np.empty(4), np.empty(4)
     for i in range(i0, i1):
@@ -47,10 +47,10 @@ def _quad_corner(x, normal, i, j, a, b):
 
 @kernel
 def decide(before, x, sign):
-    """Which hexahedra have become invalid: (m,) int8, 0 valid, 1 Jacobian negative inside, 2 negative volume.
+    """Which hexahedra have become invalid: (m,) int8, 0 valid, 1 Jacobian not positive inside, 2 negative volume.
 
-    Where the undeformed Jacobian is negative somewhere only the volume is judged. Coefficients that vanish in the
-    undeformed cell, beside collapsed edges, do not count.
+    Only the volume is judged if the undeformed Jacobian is already negative somewhere. Coefficients that vanish in the
+    undeformed cell, next to collapsed edges, do not count.
 
     Parameters
     ----------

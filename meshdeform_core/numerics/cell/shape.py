@@ -1,4 +1,4 @@
-"""Shape of cells, and changes between neighbours along grid lines."""
+"""Shape of cells, and how it changes between neighbours along grid lines."""
 
 import math
 
@@ -16,9 +16,9 @@ def measure_shape(x, resolved, worst, place, total, count, cells):
     Parameters
     ----------
     x : (ni, nj, nk, 3) nodes, at least two along every axis
-    resolved : (3,) 1 along index axes with more than one cell; the others have no neighbours and no say in the ratios
+    resolved : (3,) 1 along index axes with more than one cell; the other axes do not enter the ratios
     worst : (4,) in and out: largest aspect ratio, growth ratio, non-orthogonality (degrees), skewness
-    place : (4, 3) in and out, the cell of each; of measures between two cells the first
+    place : (4, 3) in and out, the cell of each extreme; for measures between two cells, the first one
     total, count : (4,) in and out, for the means
     cells : (ni - 1, nj - 1, nk - 1, 4) in and out, largest value of every cell; not filled if it is empty
     """
@@ -63,7 +63,7 @@ def _note(worst, place, total, count, m, value, i, j, k):
 
 @inlined
 def _ratio(high, low):
-    """Ratio of two lengths; none where the smaller one is collapsed."""
+    """Ratio of two lengths; 1, which counts for nothing, where the smaller one is collapsed."""
     return high / low if low > 0.0 and low < math.inf else 1.0
 
 
@@ -105,7 +105,7 @@ def _face(x, n, a, center, area):
 
 @inlined
 def _across(center, beyond, face, area):
-    """Angle (degrees) between the line of two cell centres and the normal of their face; skewness there.
+    """Angle (degrees) between the line joining two cell centres and the normal of their common face; skewness there.
 
     Skewness: distance between the intersection of that line with the face and the centre of the face, relative to the
     length of the line.

@@ -9,8 +9,8 @@ from ..jit import inlined, kernel
 def sweep_faces(before, after, first, counts, along, across, weight, out):
     """Volumes swept by the faces of a block that lie across one index axis.
 
-    A face moves from its nodes ``before`` to those ``after``: the two make a trilinear hexahedron, whose volume is
-    exact (Grandy 1997). Of a cell all of whose faces move, the volume changes by the sum of theirs, outwards positive.
+    The nodes of a face before and after span a trilinear hexahedron, whose volume is computed exactly (Grandy 1997).
+    The volume of a cell changes by the sum of the volumes that its faces sweep outwards.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ def sweep_faces(before, after, first, counts, along, across, weight, out):
             for k in range(counts[2]):
                 a = first + i * across[0] + j * across[1] + k * across[2]
                 b, c, d = a + v, a + u, a + u + v
-                # Diagonals of the hexahedron and of its faces, towards the far corner and from the near one.
+                # Diagonals of the hexahedron and of its faces, towards its last corner and from its first one.
                 a0, a1, a2 = _difference(after, d, before, c)
                 b0, b1, b2 = _difference(after, d, before, b)
                 c0, c1, c2 = _difference(after, d, after, a)
@@ -43,9 +43,9 @@ def sweep_faces(before, after, first, counts, along, across, weight, out):
 
 @kernel
 def sweep_edges(before, after, first, counts, step, across, normal, out):
-    """The same for the edges of a 2-D block: the areas of bilinear quadrilaterals, seen along ``normal`` (3,).
+    """As :func:`sweep_faces`, for edges of a 2-D block: areas of bilinear quadrilaterals seen along ``normal`` (3,).
 
-    ``step``: between the nodes of an edge; ``out`` as for faces, one of its ``counts`` is that of the flat axis.
+    ``step`` is the step between the nodes of an edge; one of the ``counts`` is that of the flat axis.
     """
     for i in range(counts[0]):
         for j in range(counts[1]):

@@ -1,6 +1,6 @@
 """Radial basis functions (Sen et al. Table I) of squared distances.
 
-The function is chosen by an integer: numba recompiles loops that take functions at every start.
+The function is chosen by an integer, because numba cannot cache compiled loops that take functions as arguments.
 """
 
 import math

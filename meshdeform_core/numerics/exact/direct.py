@@ -1,4 +1,4 @@
-"""Exact inverse-distance sums: every target with every source, at the speed of the machine's arithmetic.
+"""Exact inverse-distance sums: every target with every source, limited only by the machine's arithmetic.
 
 The inner loop runs over sources in separate arrays, so that the compiler turns it into vector instructions; on AVX2
 machines it is bound by multiplications and additions once the square root and the division are in single precision.
@@ -16,7 +16,7 @@ from ..jit import fast_kernel, inlined
 from .elementary import exp, log
 
 N_VALUES = 7
-"""Values that one pass accumulates beside the weight; shorter sets are padded with zeros."""
+"""Values that one pass accumulates in addition to the weight; shorter sets are padded with zeros."""
 
 _TILE = 128
 _CHUNK = 2048
@@ -75,7 +75,7 @@ def sum_groups(targets, target_span, charged, pieces, piece_span, a, b, kappa, a
     charged : (s, 11) x, y, z and eight charges of the sources
     pieces : (p, 2) int64, first and one past the last source of each piece, none of them empty
     piece_span : (m, 2) int64, first and one past the last piece that acts on each group
-    all_charges : otherwise the first and the last charge are taken for zero
+    all_charges : whether all eight charges are summed; otherwise the first and the last one are taken as zero
     """
     # Whole exponents: r^-3 (three + four / r + five / r^2) in one vector loop.
     whole = (a == 3.0 or a == 4.0) and b == 5.0
@@ -115,7 +115,7 @@ def sum_groups(targets, target_span, charged, pieces, piece_span, a, b, kappa, a
 
 @inlined
 def _unit(targets, target, charged, source):
-    """A power of two by which a distance of a group is of the order of one."""
+    """A power of two that scales the distances of a group to the order of one."""
     largest = 0.0
     for d in range(3):
         largest = max(largest, abs(targets[target, d] - charged[source, d]))
@@ -126,9 +126,9 @@ def _unit(targets, target, charged, source):
 def _add(px, py, pz, tile, m, three, four, five, whole, all_charges, weight, out, t):
     """Contribution of a tile to one target; ``whole``: weights three r^-3 + four r^-4 + five r^-5, one vector loop.
 
-    A root and a division in double precision take longer than the rest of the loop. Those in single precision, wrong by
-    less than 3e-7, are refined by two terms of the binomial series: what is left is round-off. Distances of a group may
-    differ by a factor of 1e19.
+    A root and a division in double precision would take longer than the rest of the loop. They are computed in single
+    precision, to a relative error below 3e-7, and refined by two terms of the binomial series to round-off. Distances
+    within a group may differ by a factor of 1e19.
     """
     a0 = a1 = a2 = a3 = a4 = a5 = a6 = a7 = 0.0
     for s in range(m):
@@ -165,7 +165,7 @@ def _add(px, py, pz, tile, m, three, four, five, whole, all_charges, weight, out
 
 @inlined
 def _weights(px, py, pz, tile, m, a, b, kappa, roots, weight):
-    """Weights of ``m`` sources of a tile as seen from a target: for a = 2.5 and b = 5 by ``roots``."""
+    """Weights of ``m`` sources of a tile for a target; with ``roots`` (a = 2.5, b = 5) from square roots."""
     for s in range(m):
         dx, dy, dz = px - tile[0, s], py - tile[1, s], pz - tile[2, s]
         weight[s] = dx * dx + dy * dy + dz * dz

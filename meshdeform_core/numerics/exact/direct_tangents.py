@@ -1,7 +1,7 @@
-"""Derivatives of exact inverse-distance sums with respect to everything they depend on: both ends, charges, kappa.
+"""Derivatives of exact inverse-distance sums with respect to targets, sources, charges and kappa.
 
-For sums of charge * (r^-a + kappa r^-b) at targets x over sources y, whose changes are dx, dy. Charges and positions of
-sources have a row per component, so that the loops over sources are vectorised.
+The sums are those of charge * (r^-a + kappa r^-b) at targets x over sources y; dx and dy are changes of x and y.
+Charges and positions of sources have a row per component, so that the loops over sources are vectorised.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _WEIGHT, _FAR, _SLOPE = 0, 1, 2
 
 @inlined
 def _weights(px, py, pz, tile, m, a, b, kappa, work):
-    """Of ``m`` sources: r^-a + kappa r^-b, r^-b, and the derivative of the former with respect to r, over r."""
+    """Fill ``work`` for ``m`` sources: w = r^-a + kappa r^-b, r^-b, and (dw/dr) / r."""
     # Whole exponents need no logarithms, as in :mod:`.direct`.
     whole = (a == 3.0 or a == 4.0) and b == 5.0
     three, four = (1.0, 0.0) if a == 3.0 else (0.0, 1.0)
@@ -79,9 +79,9 @@ def add_tangents(x, dx, y, dy, charges, changes, a, b, kappa, d_kappa, out):
 
 @fast_kernel
 def add_gradients(x, y, charges, a, b, kappa, gradient, of_x, of_y, of_charges):
-    """The transpose: add gradients, with the shapes of :func:`add_tangents`, from ``gradient`` (n, c) of the sums.
+    """Transpose of :func:`add_tangents`: add gradients that follow from the ``gradient`` (n, c) of the sums.
 
-    Returns the gradient of kappa.
+    Adds to ``of_x``, ``of_y`` and ``of_charges``, shaped like x, y and charges; returns the gradient of kappa.
     """
     work, tile, along, gain = np.empty((3, _TILE)), np.empty((3, _TILE)), np.empty(_TILE), np.empty((3, _TILE))
     of_kappa = 0.0

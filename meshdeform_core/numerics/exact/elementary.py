@@ -39,7 +39,7 @@ def log(x):
     value at 0 is finite (about -709), as x log x needs it.
     """
     bits = _bits(x)
-    # Bias the mantissa so that the split lies at sqrt(1/2) instead of 1.
+    # Shift the mantissa range from [1, 2) to [sqrt(1/2), sqrt(2)).
     shifted = bits - 0x3FE6A09E667F3BCD
     exponent = shifted >> 52
     m = _from_bits(bits - (exponent << 52))

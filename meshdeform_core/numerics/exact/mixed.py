@@ -1,11 +1,11 @@
-"""Weighted sums whose weights are in single precision while their products with charges are added in double precision.
+"""Weighted sums with weights in single precision, whose products with charges are added in double precision.
 
-For sums that are taken in both directions: the distance between two points is the same up to its sign, and every pair
-takes the same instructions, so that a weight is the same to the last bit whichever of the two is the target. Both
-directions are then transposes of each other to the round-off of double precision.
+They serve derivatives, where sums over sources and sums over targets must be transposes of each other. Every pair of
+points takes the same instructions whichever of the two is the target, so its weight is the same to the last bit, and
+the two sums are transposes to the round-off of double precision.
 
-Coordinates relative to the middle of all points, in units of their extent, are kept as a single precision number and
-what it leaves: together they resolve 2e-15 of the extent.
+Coordinates, relative to the middle of all points and in units of their extent, are stored as a single-precision number
+and its remainder; together they resolve 2e-15 of the extent.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from ..arrays import FloatArray
 from ..jit import kernel
 from ..lanes import WIDTH, Array, Lanes, lanes
 
-# Sources of a tile, in vectors that follow one another: what a target needs of them stays in the first-level cache.
+# Vectors of sources in a tile, which stays in the first-level cache while all targets of a group are summed.
 _TILE = 16
 _CHARGES = 8
 
 
 class Scale(NamedTuple):
-    """Middle (3,) of some points, and a power of two by which they fit into a cube of one."""
+    """``center`` (3,) of some points, and ``unit``, the power of two that scales them into a unit cube."""
 
     center: np.ndarray
     unit: float
@@ -81,8 +81,8 @@ def _add_tile(
 def sum_groups_mixed(targets, target_span, charged, pieces, piece_span, scale, a, kappa, all_charges, out):
     """Add to ``out`` (n, 8) the sums of charge * (r^-a + kappa r^-5), a = 3 or 4: as :func:`.direct.sum_groups`.
 
-    Coordinates in units of ``scale``, inverse distances to the fifth power have to be below the largest number of
-    single precision: sums are not finite otherwise.
+    In units of ``scale``, inverse distances to the fifth power must not overflow single precision; otherwise the sums
+    are not finite.
     """
     near, charges = np.empty((_TILE, 6, WIDTH), np.float32), np.empty((_TILE, _CHARGES, WIDTH))
     target = np.empty(6, np.float32)
@@ -109,7 +109,7 @@ def sum_groups_mixed(targets, target_span, charged, pieces, piece_span, scale, a
                 if at == pieces[piece, 1]:
                     piece += 1
                     at = pieces[min(piece, end - 1), 0]
-            # The rest of a vector is filled with the first source, without charges.
+            # The remainder of a vector is filled with copies of the first source, with zero charges.
             vectors = (m + WIDTH - 1) // WIDTH
             for s in range(m, vectors * WIDTH):
                 for row in range(6):

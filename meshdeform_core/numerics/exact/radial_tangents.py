@@ -28,8 +28,11 @@ def _slope(kind, r2):
 
 @kernel
 def add_radial_tangents(kind, x, dx, y, dy, coefficients, out):
-    """Add to ``out`` (n, 3) the change of the sums at targets ``x`` over centres ``y`` (m, 3), in units of the support
-    radius, for changes ``dx`` (n, 3) and ``dy`` (m, 3) of these; ``coefficients`` (m, 3) are fixed."""
+    """Add to ``out`` (n, 3) the change of the sums for changes ``dx`` (n, 3) of the targets and ``dy`` (m, 3) of the
+    centres.
+
+    ``x`` (n, 3) and ``y`` (m, 3) are in units of the support radius; ``coefficients`` (m, 3) are fixed.
+    """
     for t in range(x.shape[0]):
         for j in range(y.shape[0]):
             r2 = along = 0.0
@@ -45,7 +48,8 @@ def add_radial_tangents(kind, x, dx, y, dy, coefficients, out):
 
 @kernel
 def add_radial_gradients(kind, x, y, coefficients, gradient, of_x, of_y):
-    """The transpose: add to ``of_x`` (n, 3) and ``of_y`` (m, 3) what ``gradient`` (n, 3) of the sums gives."""
+    """Transpose of :func:`add_radial_tangents`: add to ``of_x`` (n, 3) and ``of_y`` (m, 3) the gradients that follow
+    from the ``gradient`` (n, 3) of the sums."""
     for t in range(x.shape[0]):
         for j in range(y.shape[0]):
             r2 = weight = 0.0

@@ -1,8 +1,8 @@
-"""Weighted sums in single precision: twice as many numbers in a vector register, and faster roots and divisions.
+"""Weighted sums in single precision: twice as many numbers per vector register, and faster roots and divisions.
 
 Coordinates are taken relative to the targets and in units of their extent, so that a distance is wrong by less than
-1e-7 of that extent however far away the origin is. Shorter distances, of nodes within 1e-5 of the extent from a source,
-take double precision. Charges should be of the order of one: see :mod:`.fastsum.weighted.sums`.
+1e-7 of that extent however far away the origin is. Distances below 1e-5 of the extent are computed in double precision.
+Charges should be of the order of one, see :mod:`.fastsum.weighted.sums`.
 """
 
 import math
@@ -13,8 +13,8 @@ from ..jit import fast_kernel, inlined
 
 # Every tile ends with sums over the lanes of a vector: tiles are as long as the first-level cache allows.
 _TILE = 512
-# Inverse fourth power of the distance, in units of the extent, above which single precision is not enough: there fifth
-# powers are wrong by a tenth, and from a distance of 1e-8 on too large.
+# Inverse fourth power of the distance, in units of the extent, above which single precision is not enough: there the
+# fifth power is wrong by a tenth, and it overflows at distances below 1e-8.
 _CLOSE = 2.0**68
 
 
@@ -22,7 +22,7 @@ _CLOSE = 2.0**68
 def sum_groups_single(targets, target_span, charged, pieces, piece_span, a, kappa, all_charges, out):
     """Add to ``out`` the sums of charge * (r^-a + kappa r^-5), a = 3 or 4: as :func:`.direct.sum_groups`.
 
-    Without ``all_charges`` the first and the last charge are taken for zero.
+    Without ``all_charges`` the first and the last charge are taken as zero.
     """
     # The sums over a tile stay here: in a function of their own, the compiler orders the additions differently.
     tile, weight, center = np.empty((11, _TILE), np.float32), np.empty(_TILE, np.float32), np.empty(3)
@@ -47,7 +47,7 @@ def sum_groups_single(targets, target_span, charged, pieces, piece_span, a, kapp
                     dx, dy, dz = px - tile[0, s], py - tile[1, s], pz - tile[2, s]
                     r = one / math.sqrt(dx * dx + dy * dy + dz * dz)
                     r2 = r * r
-                    # A sum is a vector loop, and a minimum is not.
+                    # A sum, unlike a minimum, is vectorised.
                     close += r2 * r2
                     w = r * r2 * (three + r * (four + five * r))
                     weight[s] = w
@@ -73,7 +73,7 @@ def sum_groups_single(targets, target_span, charged, pieces, piece_span, a, kapp
 def _factors(a, kappa, unit):
     """Factors of r^-3, r^-4 and r^-5 with r in units of the extent, and the common factor of the sums."""
     first_power, last_power = 1.0 if a == 3.0 else unit, kappa * unit * unit
-    # The larger of the two is taken out: weights of distances that are not close are finite then.
+    # Dividing by the larger of the two keeps the weights of all distances that are not close finite.
     largest = max(first_power, last_power)
     three, four = (first_power / largest, 0.0) if a == 3.0 else (0.0, first_power / largest)
     return np.float32(three), np.float32(four), np.float32(last_power / largest), unit * unit * unit * largest
@@ -115,8 +115,10 @@ def _relative(targets, first, count, center, unit):
 
 @inlined
 def _load(charged, pieces, piece, end, at, center, unit, tile, row):
-    """Fill ``tile`` from row ``at`` of ``piece`` on, and ``row`` with the rows that it has; returns its number of
-    sources, and where the next tile begins."""
+    """Fill ``tile`` with sources from row ``at`` of ``piece`` on, and ``row`` with their numbers.
+
+    Returns how many they are, and where the next tile begins.
+    """
     m = 0
     while piece < end and m < _TILE:
         more = min(pieces[piece, 1] - at, _TILE - m)
@@ -136,7 +138,7 @@ def _load(charged, pieces, piece, end, at, center, unit, tile, row):
 
 @inlined
 def _frame(targets, first, count, charged, source, center):
-    """Middle of the targets, into ``center``; returns their extent, or for a single one a part of the distance."""
+    """Store the middle of the targets in ``center``; return their extent, or for one target a part of its distance."""
     extent = apart = 0.0
     for d in range(3):
         low = high = targets[first, d]

@@ -1,48 +1,47 @@
-"""Numbers of the fast sums that were tuned together, and the benchmarks that measure them.
+"""Parameters of the fast sums that were tuned together, and the benchmarks that measure them.
 
-Speed and error of IDW's sums: ``benchmarks/run.py --only idw``, of RBF's: ``benchmarks/run.py --only rbf``. Results are
-in docs/performance.md ("Fast IDW sums", "Radial basis functions"). The numbers balance time against accuracy: whatever
-they are, errors are measured against exact sums and the sums made finer until the tolerance is kept. Whoever changes
-one number runs these benchmarks for all of them.
+``benchmarks/run.py --only idw`` and ``--only rbf`` measure speed and error; results are in docs/performance.md ("Fast
+IDW sums", "Radial basis functions"). The parameters affect time only, not accuracy: errors are measured against exact
+sums, and the sums are refined until they keep the tolerance. After changing any of them, run both benchmarks.
 """
 
-# IDW, and what it has in common with RBF
+# IDW, and parameters shared with RBF
 
 LEAF = 24
-"""Sources in a cluster that is not split further."""
+"""Largest number of sources in a leaf."""
 REGION = 8
-"""Bricks of a region."""
+"""Number of bricks in a region."""
 REFERENCE_RATIO = 5.0
-"""Ratio of distance to half width for which the number of points along a box's longest side is meant."""
+"""Ratio of distance to half width for which the interpolation order along a box's longest side is chosen."""
 SHARE = 16.0
-"""The error allowed to one cluster, as a multiple of the error allowed to all together, is this divided by the square
-of (interpolation order - 2): errors of many clusters mostly cancel, small ones less so."""
+"""This divided by (interpolation order - 2)^2 is the error allowed to one cluster, as a multiple of that allowed to the
+whole sum: the errors of many clusters mostly cancel, small ones less so."""
 SINGLE_TOLERANCE = 1e-3
-"""From this tolerance upwards single precision is enough; it adds less than a hundredth of it."""
+"""From this tolerance upwards single precision is used; it adds less than a hundredth of the tolerance."""
 
 # RBF at nodes
 
 RADIAL_LEAF = 48
-"""Centres in a cluster that is not split further."""
+"""Largest number of centres in a leaf of the source tree."""
 RADIAL_REGION = 64
-"""Targets in a box that is not split further, about."""
+"""Approximate number of leaves of the target tree in a region."""
 CAPACITY = 350
-"""Targets in a leaf of their tree."""
+"""Approximate number of targets in a leaf of the target tree."""
 TERMS = 1e-7
-"""Accuracy of polynomials, relative to the function at the radius of the box."""
+"""Accuracy of polynomials, relative to the function at a distance of the box radius."""
 REFERENCE, HIGHEST = 2.5, 14
-"""Distance, in radii of the box, for which terms of polynomials are chosen, and their highest degree."""
+"""Distance, in box radii, for which the terms of polynomials are chosen, and their highest degree."""
 SKELETONS = 1e-6
-"""Accuracy of skeletons, relative to the function at the radius of the cluster."""
+"""Accuracy of skeletons, relative to the function at a distance of the cluster radius."""
 SPHERES = ((1.0, 120), (1.4, 60), (2.5, 40), (6.0, 30))
-"""Spheres of proxy points: radius in those of the cluster, and number of points."""
+"""Spheres of proxy points: radius in cluster radii, and number of points."""
 REACH = 2.0
-"""Distance, in radii of a cluster, from which others see it as far."""
+"""Distance, in cluster radii, from which a cluster is far."""
 TRIALS, TRIAL_LEAVES, AIM = 6, 24, 0.25
-"""Errors of clusters cancel as much as the coefficients do, which only trials on some leaves show. AIM is the fraction
-of the tolerance that they have to reach, because other leaves can be worse."""
+"""Largest number of trials, leaves per trial, and the fraction of the tolerance that errors there must keep, as other
+leaves may be worse. Trials are needed because errors of clusters cancel to an extent that depends on coefficients."""
 
 # RBF at the centres
 
 NESTED_LEAF = 96
-"""Centres in a cluster of nested sums that is not split further."""
+"""Largest number of centres in a leaf of nested sums."""

@@ -1,4 +1,4 @@
-"""Which of many axis-parallel boxes overlap. Plain numpy (``meshdeform info`` must start fast and imports no numba)."""
+"""Which of many axis-parallel boxes overlap; plain numpy, as ``meshdeform info`` must start fast without numba."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ Boxes = tuple[FloatArray, FloatArray]
 """Smallest and largest coordinates, (n, 3) each."""
 
 _FINEST = 20
-"""Boxes smaller than the largest by more than this power of two are treated like those at this limit."""
+"""Boxes smaller than 2^-20 times the largest one are treated as if they had that size."""
 
 
 def overlapping_boxes(one: Boxes, two: Boxes) -> IntArray:
     """All pairs (m, 2) of a box of ``one`` and a box of ``two`` that have a point in common, in ascending order.
 
-    For every size of box, to within a factor of two, the boxes of that size are put into the cells of a raster as wide
-    as they are, together with all smaller boxes of the other set: each touches eight cells at most. The cost is that of
-    sorting, times the number of different sizes, however the boxes lie.
+    The boxes of each size, to within a factor of two, are entered into the cells of a raster of that width, together
+    with all smaller boxes of the other set; each touches at most eight cells. The cost is that of sorting times the
+    number of different sizes, whatever the arrangement of the boxes.
     """
     if not (len(one[0]) and len(two[0])):
         return np.empty((0, 2), dtype=np.int64)
@@ -53,7 +53,7 @@ def _in_raster(one: Boxes, two: Boxes, mine: IntArray, theirs: IntArray, origin:
     run, place = spans(np.searchsorted(keys, wanted, side="right") - lower)
     at = lower[run] + place
     low, high = np.maximum(one[0][a[run]], two[0][b[at]]), np.minimum(one[1][a[run]], two[1][b[at]])
-    # Each pair once: in the cell that contains the lowest point that the two have in common.
+    # Report each pair once, in the cell that contains the lowest corner of their intersection.
     once = (low <= high) & (cell[run] == other[at]) & (_cell(low, origin, width) == cell[run])
     kept = np.flatnonzero(once.all(axis=1))
     return np.stack([a[run[kept]], b[at[kept]]], axis=1)
@@ -64,7 +64,7 @@ def _cell(points: FloatArray, origin: FloatArray, width: float) -> IntArray:
 
 
 def _registered(boxes: Boxes, some: IntArray, origin: FloatArray, width: float) -> tuple[IntArray, IntArray]:
-    """Every cell (m, 3) that one of some boxes touches, and the number of the box (m,)."""
+    """All pairs of a raster cell (m, 3) and the number (m,) of a box of ``some`` that touches it."""
     low, high = (_cell(x[some], origin, width) for x in boxes)
     extent = high - low + 1
     run, place = spans(extent.prod(axis=1))

@@ -14,14 +14,14 @@ from ..arrays import BoolArray, FloatArray, IntArray, KeyArray
 _GENERIC = np.array([0.5403023058681398, 0.6427876096865393, 0.5446390350150271])
 
 _MANY = 50_000
-"""From so many points on, close pairs are sought among those with a close neighbour only."""
+"""From this number of points on, close pairs are searched only among points with a close neighbour."""
 
 _SPARSE = 16
-"""Numbers are few if they are drawn from so many times as many."""
+"""Numbers are sorted instead of marked if their range exceeds this many times their count."""
 
 
 def _key(points: FloatArray) -> FloatArray:
-    # Not a matrix product: equal points must get equal keys, whatever order a BLAS sums in.
+    # Not a matrix product: equal points must get equal keys, and the order in which a BLAS sums may vary.
     return points[:, 0] * _GENERIC[0] + points[:, 1] * _GENERIC[1] + points[:, 2] * _GENERIC[2]
 
 
@@ -42,7 +42,7 @@ def coincident_groups(points: FloatArray, tolerance: FloatArray) -> IntArray:
     key = _key(points)
     order = np.argsort(key)
     new = np.r_[True, np.diff(key[order]) != 0.0]
-    # Few keys are equal, and hardly any of different points.
+    # Few keys are equal, and those of different points hardly ever.
     same = np.flatnonzero(~new)
     new[same[(points[order[same]] != points[order[same - 1]]).any(axis=1)]] = True
     first = np.flatnonzero(new)
@@ -54,7 +54,7 @@ def coincident_groups(points: FloatArray, tolerance: FloatArray) -> IntArray:
 
 
 def coincident_within(part: IntArray, points: FloatArray, tolerance: FloatArray) -> IntArray:
-    """The same, but only points of the same ``part`` (n,), numbered from 0, coincide."""
+    """As :func:`coincident_groups`, but only points of the same ``part`` (n,), numbered from 0, coincide."""
     labels, count = np.empty(len(points), dtype=np.int64), 0
     for number in range(int(part.max(initial=0)) + 1):
         own = np.flatnonzero(part == number)
@@ -64,7 +64,7 @@ def coincident_within(part: IntArray, points: FloatArray, tolerance: FloatArray)
 
 
 def _differ(rows: FloatArray | IntArray) -> BoolArray:
-    """Which rows (n, m) differ from the one before, (n - 1,); a reduction over so short an axis would be slow."""
+    """Which rows (n, m) differ from the preceding one: (n - 1,). Column by column, as reducing a short axis is slow."""
     differ = rows[1:, 0] != rows[:-1, 0]
     for column in range(1, rows.shape[1]):
         differ |= rows[1:, column] != rows[:-1, column]
@@ -74,8 +74,8 @@ def _differ(rows: FloatArray | IntArray) -> BoolArray:
 def close_pairs(points: FloatArray, tolerance: FloatArray) -> IntArray:
     """All pairs of points closer than the smaller of their tolerances, ``(m, 2)`` int64.
 
-    A sweep along one direction, from the coarsest tolerance to the finest: the points within one tolerance of a
-    plane are few if only points of at least that tolerance take part, however strongly the grid is clustered.
+    Sweeps along one direction, from the coarsest tolerance to the finest: if only points of at least a given tolerance
+    take part, few lie within that tolerance of any plane, however strongly the grid is clustered.
     """
     if len(points) > _MANY:
         chosen = _with_close_neighbour(points, tolerance)
@@ -84,9 +84,9 @@ def close_pairs(points: FloatArray, tolerance: FloatArray) -> IntArray:
 
 
 def _with_close_neighbour(points: FloatArray, tolerance: FloatArray) -> IntArray:
-    """Points whose nearest neighbour is within their tolerance, as both points of a close pair have.
+    """Points whose nearest neighbour is within their tolerance, which holds for both points of any close pair.
 
-    The keys of many points are dense: a sweep would compare each with hundreds of others.
+    The keys of many points are dense: sweeping all of them would compare each with hundreds of others.
     """
     # Imported late: the format readers import this module and must start fast.
     import scipy
@@ -104,10 +104,10 @@ def _sweep_in_order(points: FloatArray, tolerance: FloatArray) -> IntArray:
 
 
 def _sweep(key: FloatArray, points: FloatArray, tolerance: FloatArray) -> IntArray:
-    """The same for points in the order of their keys."""
+    """:func:`close_pairs` for points in the order of their keys."""
     gap = np.diff(key)
     near = np.zeros(len(key), dtype=bool)
-    # The keys of a close pair differ by no more than its distance (up to round-off), nor do consecutive keys between.
+    # The keys of a close pair, and consecutive keys in between, differ by at most its distance, up to round-off.
     near[1:] = gap <= 1.01 * tolerance[1:]
     near[:-1] |= gap <= 1.01 * tolerance[:-1]
     chosen = np.flatnonzero(near)
@@ -137,7 +137,7 @@ def _sweep_all(key: FloatArray, points: FloatArray, tolerance: FloatArray) -> In
 
 def _within(points: FloatArray, tolerance: FloatArray, a: IntArray, b: IntArray) -> BoolArray:
     reach = np.minimum(tolerance[a], tolerance[b])
-    # One coordinate separates most pairs.
+    # Most candidate pairs are rejected by one coordinate.
     near = np.abs(points[a, 0] - points[b, 0]) <= reach
     few = np.flatnonzero(near)
     near[few] = np.linalg.norm(points[a[few]] - points[b[few]], axis=1) <= reach[few]
@@ -159,7 +159,7 @@ def connected_components(n: int, pairs: IntArray) -> IntArray:
 
 
 def _by_first_occurrence(labels: IntArray, count: int) -> IntArray:
-    """Labels below ``count`` numbered anew, in the order in which they come."""
+    """Labels below ``count``, renumbered by first occurrence."""
     n = len(labels)
     first = np.empty(count, dtype=np.int64)
     first[labels[::-1]] = np.arange(n - 1, -1, -1)
@@ -168,7 +168,7 @@ def _by_first_occurrence(labels: IntArray, count: int) -> IntArray:
 
 
 def equal_rows(rows: IntArray) -> tuple[IntArray, IntArray]:
-    """Partner of each row of a small-integer table: the other row that is equal to it.
+    """Partner of each row of an integer table: the other row that is equal to it.
 
     Parameters
     ----------
@@ -176,7 +176,7 @@ def equal_rows(rows: IntArray) -> tuple[IntArray, IntArray]:
 
     Returns
     -------
-    partner : (n,) int64, ``-1`` where no other row is equal; in groups of more than two the rows point in a ring
+    partner : (n,) int64, ``-1`` where no other row is equal; the rows of groups of more than two point in a ring
     count : (n,) int64, size of each row's group
     """
     if not len(rows):
@@ -185,7 +185,7 @@ def equal_rows(rows: IntArray) -> tuple[IntArray, IntArray]:
     ordered = rows[order]
     differ = _differ(ordered)
     if np.count_nonzero(differ) > np.count_nonzero(np.diff(mixed(ordered))):
-        # Two different rows have the same key.
+        # Different rows have the same key.
         order = np.lexsort(rows.T[::-1])
         ordered = rows[order]
         differ = _differ(ordered)
@@ -212,15 +212,15 @@ def mixed(rows: IntArray) -> KeyArray:
 
 
 def ascending(numbers: IntArray) -> IntArray:
-    """The different ones of integers ``numbers`` (any shape), ascending, int64, by sorting: numpy.unique hashes."""
+    """Distinct integers of ``numbers`` (any shape), ascending, int64; sorts, which is faster than numpy.unique."""
     found = np.sort(numbers, axis=None)
     return found[np.append(True, found[1:] != found[:-1])[: found.size]].astype(np.int64, copy=False)
 
 
 def distinct(numbers: IntArray, size: int) -> IntArray:
-    """The different ones of ``numbers`` (any shape, integers in 0 ... size - 1), ascending, int64.
+    """Distinct values of ``numbers`` (any shape, integers in 0 ... size - 1), ascending, int64.
 
-    Marks them in an array of length ``size``, which is faster than sorting or hashing, unless they are few.
+    They are marked in an array of length ``size``, which is faster than sorting or hashing unless they are few.
     """
     if size > _SPARSE * numbers.size:
         return ascending(numbers)

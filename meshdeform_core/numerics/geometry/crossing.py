@@ -1,8 +1,8 @@
 """Which faces of a surface pass through each other: a tree of boxes, then signs of tetrahedra.
 
-A face is a quadrilateral between four nodes, which is not flat: it lies between the two pairs of triangles that its
-diagonals make. Two faces cross if they do with every choice of diagonals, and if an edge of one triangle pierces the
-inside of the other (touching is not crossing; see :mod:`meshdeform_core.boundary.crossing` for that). The signs are
+A face is a quadrilateral, in general not flat: it lies between the two pairs of triangles into which its diagonals
+divide it. Two faces cross if, for every choice of diagonals, an edge of a triangle of one pierces the inside of a
+triangle of the other. Touching is not crossing; :mod:`meshdeform_core.boundary.crossing` treats it. The signs are
 exact: where round-off could change one, the pair is decided in rational arithmetic.
 """
 
@@ -19,7 +19,7 @@ from .overlap import ORDINARY, FaceTree
 # Bound of the round-off of a 3 x 3 determinant of differences, relative to its permanent (Shewchuk 1997, table 3).
 _ROUND_OFF = 8e-16
 
-# Ascending, so that the verdict on several parts is the largest of their verdicts.
+# Ascending, so that the verdict on several triangles is the maximum of their verdicts.
 _NO, _DOUBTFUL, _YES = 0, 1, 2
 
 _Point = list[Fraction]
@@ -37,7 +37,7 @@ def displaced(points: FloatArray, displacement: FloatArray, shift: FloatArray) -
 
 
 def with_moved(faces: IntArray, moved: BoolArray) -> BoolArray:
-    """Which faces (m, 4) have a node that is ``moved`` (n,)."""
+    """Which faces (m, 4) have a ``moved`` (n,) node."""
     found = np.empty(len(faces), dtype=np.bool_)
     _with_moved(faces, moved, found)
     return found
@@ -52,7 +52,7 @@ def crossing_faces(
 
     Parameters
     ----------
-    tree : of the faces
+    tree : tree of the faces
     points : (n, 3) float64
     faces : (m, 4) int64, m >= 1; triangles repeat a node
     asked : (m,) bool
@@ -60,7 +60,7 @@ def crossing_faces(
     Returns
     -------
     pairs : (c, 2) int64, each pair once, ascending
-    places : (c, 3) a point that both faces have in common
+    places : (c, 3) a point common to both faces
     """
     pairs = tree.overlapping(points, asked)
     verdict, places = np.empty(len(pairs), dtype=np.int8), np.empty((len(pairs), 3))
@@ -75,7 +75,7 @@ def crossing_faces(
 
 
 def near_faces(points: FloatArray, faces: IntArray, asked: BoolArray, tolerance: FloatArray) -> BoolArray:
-    """Faces among ``asked`` that another one comes close to without having a node in common.
+    """Faces among ``asked`` that another face comes close to without sharing a node.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ def _decide(points, faces, pairs, verdict, places):
 
 @kernel
 def _cross(points, one, two, place):
-    """Whether two faces cross with every choice of diagonals; a common point into ``place``."""
+    """Whether two faces cross with every choice of diagonals; stores a common point in ``place``."""
     first, second = np.empty(3, dtype=np.int64), np.empty(3, dtype=np.int64)
     result = _YES
     for choice in range(4):
@@ -159,7 +159,7 @@ def _cross(points, one, two, place):
 
 @kernel
 def _triangle(face, diagonal, half, out):
-    """Corners of a half of a face that is cut from corner ``diagonal`` to the opposite one."""
+    """Corners of one half of a face that is divided from corner ``diagonal`` to the opposite one."""
     begin = diagonal + 2 * half
     for k in range(3):
         out[k] = face[(begin + k) % 4]
@@ -187,7 +187,7 @@ def _triangles_cross(points, one, two, place):
 
 @kernel
 def _sides(points, plane, corners, out):
-    """Signed volumes of a triangle's corners over the plane of another one; whether it may cross that plane."""
+    """Store the signed volumes of a triangle's corners over the plane of another; return whether it may cross it."""
     above = below = False
     for k in range(3):
         value, bound = _orient(points, plane[0], plane[1], plane[2], corners[k])
@@ -199,7 +199,7 @@ def _sides(points, plane, corners, out):
 
 @kernel
 def _pierces(points, edges, k, volume, triangle, place):
-    """Whether edge ``k`` of a triangle pierces another one; ``volume``: its corners over the plane of that one."""
+    """Whether edge ``k`` of a triangle pierces another one; ``volume`` as stored by :func:`_sides`."""
     p, q = edges[k], edges[(k + 1) % 3]
     at, to = volume[k], volume[(k + 1) % 3]
     if at * to > 0.0:
@@ -224,7 +224,7 @@ def _pierces(points, edges, k, volume, triangle, place):
 
 @kernel
 def _orient(points, a, b, c, d):
-    """Six times the signed volume of a tetrahedron, and a bound of its round-off."""
+    """Six times the signed volume of a tetrahedron, and a bound of the round-off in it."""
     ax, ay, az = points[a, 0] - points[d, 0], points[a, 1] - points[d, 1], points[a, 2] - points[d, 2]
     bx, by, bz = points[b, 0] - points[d, 0], points[b, 1] - points[d, 1], points[b, 2] - points[d, 2]
     cx, cy, cz = points[c, 0] - points[d, 0], points[c, 1] - points[d, 1], points[c, 2] - points[d, 2]
@@ -235,7 +235,7 @@ def _orient(points, a, b, c, d):
 
 
 def cross_exactly(one: FloatArray, two: FloatArray) -> list[float] | None:
-    """The same decision for two faces, (4, 3) corners each, on rational numbers: a common point or ``None``."""
+    """Decide in rational arithmetic whether two faces, (4, 3) corners each, cross: a common point or ``None``."""
     place = None
     for first in _halves(one):
         for second in _halves(two):

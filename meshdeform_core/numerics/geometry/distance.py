@@ -12,9 +12,9 @@ _NEAREST = 8
 def distance_to_faces(x: FloatArray, faces: FloatArray) -> FloatArray:
     """Distance (k,) of points (k, 3) to the nearest of quads (m, 4, 3), or of edges (m, 2, 3).
 
-    Of each point the faces with the nearest middles are tried.
+    Only the faces whose centres are nearest to a point are tried.
     """
-    # Component by component: sums over an axis of three would be slow.
+    # Component by component, as sums over an axis of length three are slow.
     centers = np.ascontiguousarray(faces.mean(axis=1).T)
     count = min(_NEAREST, len(faces))
     nearest = np.empty((len(x), count), dtype=np.int64)

@@ -1,7 +1,7 @@
 """Local interpolation of scattered data: a thin plate spline through the nearest points of each target.
 
 The spline r^2 ln r with a linear polynomial (Duchon 1977) passes through the data and reproduces linear functions.
-Directions in which the neighbours do not spread, such as the normal of a flat surface, have no linear term.
+Directions in which the neighbours do not extend, such as the normal of a flat surface, have no linear term.
 """
 
 from __future__ import annotations
@@ -13,16 +13,16 @@ from ..arrays import BoolArray, FloatArray, IntArray
 
 _FLAT = 1e-6
 _NEIGHBOURS = 16
-"""Points that determine a spline."""
+"""Number of points that determine a spline."""
 _SEARCHED = 4
-"""To find both sides of a thin body, this many times the points of a spline are searched."""
+"""This many times the number of points of a spline are searched to find both sides of a thin body."""
 _FEWEST = 6
-"""Fewest points that each side needs."""
+"""Smallest number of points for each side."""
 _OPPOSITE = -0.5
 """Largest cosine between the normals of opposite sides of a thin body."""
 _STRETCH, _VARIATION = 1.5, 0.1
-"""The sides move differently if values differ between them by more than these multiples of the slope along the sides,
-times the distance, and of the variation there."""
+"""The sides move differently if values differ between them by more than the first factor times the slope along the
+sides times the distance, and by more than the second factor times the variation there."""
 _CHUNK = 4096
 
 
@@ -36,8 +36,8 @@ def local_spline(
 
     Parameters
     ----------
-    normals : of the surface at the points (n, 3) and at the targets (k, 3). Where points of the opposite side of a thin
-        body, which moves differently, are among the nearest, only those of the target's own side are used
+    normals : of the surface at the points (n, 3) and at the targets (k, 3). If the nearest points include some on the
+        opposite side of a thin body, and that side moves differently, only those on the target's own side are used
 
     Returns
     -------
@@ -53,7 +53,7 @@ def local_spline(
     for first in range(0, len(targets), _CHUNK):
         rows = slice(first, first + _CHUNK)
         result[rows] = _splines(points[near[rows]], values[near[rows]], targets[rows])
-    # Targets that are table points take their values exactly, without the round-off of the solution.
+    # Targets at data points take their values exactly, without the round-off of the solution.
     same = distance[:, 0] == 0.0
     result[same] = values[near[same, 0]]
     return result, distance[:, 0]
@@ -62,7 +62,7 @@ def local_spline(
 def _of_own_side(
     points: FloatArray, values: FloatArray, targets: FloatArray, near: IntArray, normals: tuple[FloatArray, FloatArray]
 ) -> IntArray:
-    """``near`` (k, m), with points of the target's own side only where the opposite side moves differently."""
+    """``near`` (k, m), restricted to the target's own side where the opposite side moves differently."""
     sides, facing = normals
     mixed = np.flatnonzero((np.einsum("kmd,kd->km", sides[near], facing) < _OPPOSITE).any(axis=1))
     if not mixed.size:
@@ -84,7 +84,7 @@ def _of_own_side(
 
 
 def _apart(points: FloatArray, values: FloatArray, own: IntArray, other: IntArray) -> BoolArray:
-    """Whether values (n, c) differ more between two sides, rows of ``own`` and ``other``, than along each of them."""
+    """Whether values (n, c) differ more between two sides, rows ``own`` and ``other``, than along each side."""
     slope, spread = np.zeros((2, len(own), 1, 1))
     for side in (own, other):
         distance, change = _between(points, side, side), _between(values, side, side)
@@ -96,12 +96,12 @@ def _apart(points: FloatArray, values: FloatArray, own: IntArray, other: IntArra
 
 
 def _between(values: FloatArray, one: IntArray, other: IntArray) -> FloatArray:
-    """Distances (k, m, m) between the rows of ``values`` numbered ``one`` and ``other`` (k, m)."""
+    """Distances (k, m, m) between the rows ``one`` (k, m) and ``other`` (k, m) of ``values``."""
     return np.asarray(np.linalg.norm(values[one][:, :, None] - values[other][:, None], axis=3))
 
 
 def _first(near: IntArray, wanted: BoolArray, count: int) -> IntArray:
-    """The first ``count`` of the wanted points in every row; the nearest is repeated where they are fewer."""
+    """The first ``count`` of the wanted points in every row; the nearest is repeated where there are fewer."""
     order = np.argsort(~wanted, axis=1, kind="stable")[:, :count]
     chosen = np.take_along_axis(near, order, axis=1)
     return np.where(np.take_along_axis(wanted, order, axis=1), chosen, chosen[:, :1])
@@ -123,7 +123,7 @@ def _splines(points: FloatArray, values: FloatArray, targets: FloatArray) -> Flo
     system[:, :count, :count] = _thin_plate(arm, arm)
     system[:, :count, count:] = terms
     system[:, count:, :count] = terms.transpose(0, 2, 1)
-    # A term that is left out has the coefficient 0.
+    # Omitted terms have the coefficient 0.
     left_out = np.pad(~kept, ((0, 0), (1, 0)))
     system[:, count + np.arange(q), count + np.arange(q)] = left_out
     right = np.pad(values, ((0, 0), (0, q), (0, 0)))
@@ -133,7 +133,7 @@ def _splines(points: FloatArray, values: FloatArray, targets: FloatArray) -> Flo
 
 
 def _terms(arm: FloatArray, axes: FloatArray, kept: BoolArray) -> FloatArray:
-    """The linear polynomial (k, m, 4) in the principal directions, zero in those left out."""
+    """The linear polynomial (k, m, 4) in the principal directions, zero for omitted directions."""
     linear = (arm @ axes.transpose(0, 2, 1)) * kept[:, None, :]
     return np.concatenate([np.ones((*arm.shape[:2], 1)), linear], axis=2)
 
@@ -144,7 +144,7 @@ def _thin_plate(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def _solved(system: FloatArray, right: FloatArray) -> FloatArray:
-    """Solutions of small systems; least squares where neighbours are so placed that a term is not determined."""
+    """Solutions of small systems, by least squares where the neighbours do not determine all terms."""
     try:
         solution: FloatArray = np.asarray(np.linalg.solve(system, right), dtype=np.float64)
     except np.linalg.LinAlgError:

@@ -1,7 +1,7 @@
-"""Which of many faces have overlapping boxes: a tree in the order of a space-filling curve.
+"""Which of many faces have overlapping boxes: a tree along a space-filling curve.
 
-The order is that of the undeformed faces. For every displacement only the boxes are recomputed, from the leaves to
-the root, and the tree is traversed against itself.
+The tree is built once, from the undeformed faces. For every displacement only the boxes are recomputed, from the leaves
+to the root, and the tree is traversed against itself.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ _LEAF = 8
 _DEPTH = 256
 
 ORDINARY, BESIDE, SLIDING = 0, 1, 2
-"""Roles of faces: those beside a sliding face touch it and are not tested against any sliding one."""
+"""Roles of faces. Faces beside a sliding face touch it; they are not tested against sliding faces."""
 
 
 class FaceTree:
@@ -25,7 +25,7 @@ class FaceTree:
 
     Parameters
     ----------
-    points : (n, 3) undeformed nodes; the tree is good as long as neighbours in space remain neighbours
+    points : (n, 3) undeformed nodes; the tree remains efficient as long as neighbours in space remain neighbours
     faces : (m, 4) int64 nodes, m >= 1; triangles repeat a node
     role : (m,) int8, ``ORDINARY``, ``BESIDE`` or ``SLIDING``
     """
@@ -36,7 +36,7 @@ class FaceTree:
         self._leaves = 1 << max(0, int(len(faces) - 1).bit_length() - (_LEAF.bit_length() - 1))
 
     def overlapping(self, points: FloatArray, asked: BoolArray, margin: FloatArray | None = None) -> IntArray:
-        """Pairs of faces whose boxes overlap and that have no node in common, with at least one that is ``asked``.
+        """Pairs of faces with overlapping boxes and no common node, at least one of which is ``asked``.
 
         Parameters
         ----------
@@ -46,7 +46,7 @@ class FaceTree:
 
         Returns
         -------
-        pairs : (c, 2) int64, the smaller number first, in no order
+        pairs : (c, 2) int64, the smaller number first; rows are not sorted
         """
         count, some = len(self._faces), asked[self._order]
         wider = np.zeros(count) if margin is None else margin[self._order]
@@ -63,7 +63,7 @@ class FaceTree:
 
 
 def _curve(center: FloatArray) -> IntArray:
-    """Order of points along a space-filling (Morton) curve, on a lattice that is finer where most of them are."""
+    """Order of points along a space-filling (Morton) curve, on a lattice refined where points are dense."""
     away = center - np.median(center, axis=0)
     fine = 1e-3 * max(float(np.median(np.abs(away).max(axis=1))), 1e-300)
     key = np.arcsinh(away / fine)
@@ -87,7 +87,7 @@ def _morton(index: KeyArray) -> KeyArray:
 
 @kernel
 def _fit(points, faces, asked, margin, box, tree, active):
-    """Boxes of faces and of all nodes of their tree: (low x, y, z, high x, y, z); nodes with a face that is asked."""
+    """Fill the boxes (low x, y, z, high x, y, z) of faces and tree nodes; mark the nodes with a face that is asked."""
     leaves = tree.shape[0] // 2
     for node in range(tree.shape[0]):
         for axis in range(3):
@@ -113,7 +113,7 @@ def _fit(points, faces, asked, margin, box, tree, active):
 
 @kernel
 def _descend(faces, role, order, asked, box, tree, active, pairs):
-    """Pairs of leaves, found from pairs of nodes, each with itself or one beside it."""
+    """Find pairs of leaves by descending through pairs of tree nodes, from the root with itself."""
     leaves = tree.shape[0] // 2
     stack = np.empty((_DEPTH, 2), dtype=np.int64)
     stack[0, 0] = stack[0, 1] = 1
@@ -136,7 +136,7 @@ def _descend(faces, role, order, asked, box, tree, active, pairs):
 
 @kernel
 def _leaf(faces, role, order, asked, box, tree, a, b, count, pairs):
-    """Pairs of the faces of two leaves, or of one."""
+    """Pairs of faces of two leaves, or within one leaf."""
     leaves, last = tree.shape[0] // 2, min((b + 1) * _LEAF, faces.shape[0])
     for i in range(a * _LEAF, min((a + 1) * _LEAF, faces.shape[0])):
         if _apart(box, i, tree, leaves + b):

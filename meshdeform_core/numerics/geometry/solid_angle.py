@@ -8,7 +8,7 @@ from ..arrays import FloatArray, IntArray
 
 _TOGETHER = 1 << 14
 Vectors = FloatArray | tuple[FloatArray, FloatArray, FloatArray]
-"""Component by component."""
+"""Vectors as a list of their x, y and z components."""
 
 
 def winding(points: FloatArray, triangles: IntArray, places: FloatArray) -> FloatArray:
@@ -16,15 +16,17 @@ def winding(points: FloatArray, triangles: IntArray, places: FloatArray) -> Floa
 
     Parameters
     ----------
-    points : (n, 3); ``triangles`` (m, 3) int64, counter-clockwise seen from outside; ``places`` (k, 3), not on them
+    points : (n, 3)
+    triangles : (m, 3) int64, counter-clockwise seen from outside
+    places : (k, 3), not on the triangles
 
     Returns
     -------
-    winding : (k,) the solid angle (Van Oosterom & Strackee 1983) of the triangles as a part of the whole sphere; a
-        whole number if the surface is closed
+    winding : (k,) solid angle (Van Oosterom & Strackee 1983) of the triangles divided by 4 pi; an integer if the
+        surface is closed
     """
     result = np.empty(len(places))
-    # Component by component, and for as many places at a time as stay in the cache.
+    # Component by component, in chunks of places that fit into the cache.
     corners = [np.ascontiguousarray(points[triangles[:, k]].T) for k in range(3)]
     together = max(1, _TOGETHER // max(len(triangles), 1))
     for first in range(0, len(places), together):
@@ -39,7 +41,7 @@ def winding(points: FloatArray, triangles: IntArray, places: FloatArray) -> Floa
 
 
 def _dot(a: Vectors, b: Vectors) -> FloatArray:
-    """Products of vectors (3, ...)."""
+    """Scalar products of vectors (3, ...)."""
     return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
 
 
@@ -48,9 +50,9 @@ def _cross(a: Vectors, b: Vectors) -> Vectors:
 
 
 def plane_winding(one: FloatArray, two: FloatArray, normal: FloatArray, places: FloatArray) -> FloatArray:
-    """How often the edges from ``one`` (m, 3) to ``two`` (m, 3) of a plane go round ``places`` (k, 3).
+    """Winding number (k,), about ``places`` (k, 3), of the edges from ``one`` (m, 3) to ``two`` (m, 3) in a plane.
 
-    Counter-clockwise seen against ``normal`` (3,); a whole number if they close.
+    Positive if counter-clockwise for a viewer towards whom ``normal`` (3,) points; an integer if the edges close.
     """
     a, b = one[None] - places[:, None], two[None] - places[:, None]
     angle = np.arctan2(np.cross(a, b) @ normal, np.einsum("kmi,kmi->km", a, b))

@@ -27,7 +27,7 @@ class TriangleTree:
         node, box = np.empty((2 * len(triangles) + 1, 3), dtype=np.int64), np.empty((2 * len(triangles) + 1, 6))
         used = _build(*_bounds(points, triangles), self._order, node, box)
         self._node, self._box = node[:used].copy(), box[:used].copy()
-        # Only now: beside the bounds they would raise the peak of memory.
+        # Made only after the bounds are freed, to limit peak memory.
         self._corners = points[triangles[self._order]]
 
     def closest(self, targets: FloatArray, within: FloatArray | None = None) -> tuple[IntArray, FloatArray, FloatArray]:
@@ -37,7 +37,7 @@ class TriangleTree:
         -------
         triangle : (k,) int64
         weights : (k, 3) barycentric coordinates, in [0, 1] and summing to 1
-        distance : (k,), infinite where nothing is within
+        distance : (k,), infinite where no triangle is within the limit
         """
         limit = np.full(len(targets), np.inf) if within is None else np.ascontiguousarray(within)
         found, weights, distance = _search(
@@ -59,9 +59,9 @@ def _bounds(points: FloatArray, triangles: IntArray) -> tuple[FloatArray, FloatA
 
 @kernel
 def _build(low, high, order, node, box):
-    """Halve boxes along their longest axis until they hold few triangles; returns the number of boxes.
+    """Halve boxes along their longest axis until they hold few triangles; return the number of boxes.
 
-    ``node[n] = (first, count, child)``: a leaf has child -1, else its children are ``child`` and ``child + 1``.
+    ``node[n] = (first, count, child)``; the children of a box are ``child`` and ``child + 1``, or -1 for leaves.
     """
     along = np.empty(order.shape[0])
     node[0, 0], node[0, 1], node[0, 2] = 0, order.shape[0], -1
@@ -127,7 +127,7 @@ def _search(targets, limit, corners, node, box):
     return found, weights, distance
 
 
-# One-dimensional views of points would be counted by atomic operations, and each sum of them would allocate.
+# The loops below work on scalars: views of points cost atomic reference counts, and vector sums allocate memory.
 
 
 @inlined

@@ -1,4 +1,4 @@
-"""Division of rotations with new weights in every step (Sen et al. eqs. 26-28), m times the cost of one step."""
+"""Rotations divided into steps with new weights in each (Sen et al. eqs. 26-28), at m times the cost of one step."""
 
 from __future__ import annotations
 

@@ -14,8 +14,8 @@ def minres(
 ) -> tuple[FloatArray, IntArray, FloatArray]:
     """Minimum residual method for a symmetric operator, all right-hand sides side by side (Paige & Saunders 1975).
 
-    Stops when ||r|| <= tolerance ||b|| for every column; the residual norm is the recurrence's own, which is the
-    test of the paper (scipy's stops 10 to 1000 times earlier).
+    Stops when ||r|| <= tolerance ||b|| for every column, with the residual norm of the recurrence, which is the
+    criterion of the paper (scipy's stops at residuals 10 to 1000 times larger).
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """Rows of the inverses of small interpolation systems, many at a time.
 
-Compiled loops instead of LAPACK: the library's own threads would fight over matrices of a few hundred rows.
+Compiled loops instead of LAPACK, whose own threads would compete for matrices of a few hundred rows.
 """
 
 import math
@@ -13,10 +13,10 @@ from ..jit import fast_kernel
 
 @fast_kernel
 def invert_last(kind, points, basis, shift, b, rows):
-    """The last rows of the inverse of A on the complement of the polynomials.
+    """The last rows of the inverse of A on the orthogonal complement of the polynomials.
 
     With orthonormal polynomials Q, ``B = (I - Q Q^T) A (I - Q Q^T) + t Q Q^T`` is positive definite for conditionally
-    positive definite functions, and its inverse differs from the one wanted only by ``Q Q^T / t``.
+    positive definite functions, and its inverse differs from the required one only by ``Q Q^T / t``.
 
     Parameters
     ----------
@@ -24,11 +24,12 @@ def invert_last(kind, points, basis, shift, b, rows):
     basis : (n, q) values of Q
     shift : added to the diagonal, in units of t, the largest absolute value in A (1 if that is 0)
     b : (n, n) work space
-    rows : (m, n), result
+    rows : (m, n), out
 
     Returns
     -------
-    Whether the shifted matrix is positive definite; if not, ``rows`` is not set.
+    bool
+        Whether the shifted matrix is positive definite; if not, ``rows`` is not set.
     """
     fill_rows(kind, points, np.ascontiguousarray(points.T), b)
     t = _project(b, basis, shift)
@@ -46,7 +47,7 @@ def invert_last(kind, points, basis, shift, b, rows):
 
 @fast_kernel
 def _project(a, basis, shift):
-    """Replace symmetric A by ``(I - Q Q^T) A (I - Q Q^T) + t (Q Q^T + shift I)``; returns t."""
+    """Replace symmetric A by ``(I - Q Q^T) A (I - Q Q^T) + t (Q Q^T + shift I)``; return t."""
     n, terms = basis.shape
     t = 0.0
     for i in range(n):
@@ -123,7 +124,7 @@ def _factorise(a):
 
 @fast_kernel
 def _solve_last(a, rows):
-    """Last rows of (L L^T)^-1 from :func:`_factorise`; the first sweep of the last unit vectors is mostly zeros."""
+    """Last rows of (L L^T)^-1 from :func:`_factorise`; forward substitution skips the leading zeros of unit vectors."""
     n, count = a.shape[0], rows.shape[0]
     rows[:] = 0.0
     for c in range(count):

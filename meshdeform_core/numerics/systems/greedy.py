@@ -15,8 +15,10 @@ from .saddle import DirectSolver
 
 
 class Search(NamedTuple):
-    """How centres are chosen: ``single``, ``hybrid`` or ``double-edged``, until the error at all of them is within
-    ``tolerance`` or ``max_points`` are chosen; ``start`` is the first."""
+    """How centres are chosen: ``method`` is ``single``, ``hybrid`` or ``double-edged``; ``start`` is the first centre.
+
+    The search ends when the error at all centres is within ``tolerance``, or when ``max_points`` are chosen.
+    """
 
     method: str
     tolerance: float
@@ -27,14 +29,14 @@ class Search(NamedTuple):
 
 @dataclass(frozen=True)
 class Selection:
-    """What a greedy reduction found.
+    """Result of a greedy reduction.
 
     Attributes
     ----------
-    active : (k,) int64, chosen centres in the order in which they were first updated
+    active : (k,) int64, chosen centres in the order in which they were chosen
     coefficients, polynomial : (k, m), (q, m) of the reduced interpolation
     error : (n,) largest error component at every centre in units of ``scale``
-    rounds, updates : exact solutions and single-point updates that it took
+    rounds, updates : numbers of exact solutions and of single-point updates
     converged : whether the largest error is within the tolerance
     """
 
@@ -58,10 +60,10 @@ def select(
 ) -> Selection:
     """Choose centres until the error at all of them is within the tolerance of ``search``.
 
-    ``single``: correct the centre with the largest error by its own basis function, again and again; every centre
-    that was ever corrected is chosen. ``hybrid``: ``per_round`` such updates, then an exact solution on the chosen
-    centres, and so on. ``double-edged``: like ``hybrid``, but every search also corrects the centre whose error points
-    farthest the opposite way.
+    ``single``: repeatedly correct the centre with the largest error by its own basis function; every centre corrected
+    at least once is chosen. ``hybrid``: rounds of ``per_round`` such updates and an exact solution on the chosen
+    centres. ``double-edged``: like ``hybrid``, but every update also corrects the centre with the largest error in the
+    opposite direction.
 
     Parameters
     ----------
@@ -82,7 +84,7 @@ def select(
     count = rounds = updates = 0
     solved = weight[:0], np.zeros((polynomial.shape[1], values.shape[1]))
     while True:
-        # Between exact solutions all updates are made, whatever the error: it is only known after the solution.
+        # Between exact solutions all updates are made, as the error is known only after the solution.
         limit, enough = (100 * n, tolerance) if method == "single" else (per_round, 0.0)
         state = _State(columns, residual, weight, 1.0 / scale, chosen, order)
         done, count = _update(kind, state, count, max_points, limit, enough, start if updates == 0 else -1, pairs)
@@ -111,7 +113,7 @@ def _solve_exactly(
     coefficients, part = solver.solve(values[active])
     terms = np.zeros((polynomial.shape[1], values.shape[1]))
     terms[: len(part)] = part
-    # Few centres: the whole matrix between all nodes and them would still be larger than the grid's surface.
+    # Even for few centres, the matrix between all nodes and them would need more memory than the surface itself.
     residual = values - polynomial @ terms
     for first in range(0, len(centres), 4096):
         rows = slice(first, first + 4096)
@@ -120,15 +122,15 @@ def _solve_exactly(
 
 
 def independent(polynomial: FloatArray) -> FloatArray:
-    """The leading columns of a polynomial (n, q) that n points determine: all of them, or the constant only."""
+    """The columns of a polynomial (n, q) that n points determine: all of them, or only the constant."""
     if len(polynomial) > polynomial.shape[1] and np.linalg.matrix_rank(polynomial) == polynomial.shape[1]:
         return polynomial
     return polynomial[:, :1]
 
 
 class _State(NamedTuple):
-    """Of a reduction: coordinates (3, n) of the centres, error (n, m), coefficients (n, m), one over the scale (n,),
-    which centres are chosen (n,), and in which order (n,)."""
+    """State of a reduction: coordinates (3, n) of the centres, error (n, m), coefficients (n, m), one over the scale
+    (n,), which centres are chosen (n,), and the order in which they were (n,)."""
 
     columns: np.ndarray
     residual: np.ndarray
@@ -140,7 +142,7 @@ class _State(NamedTuple):
 
 @kernel
 def _update(kind, state, count, max_points, limit, tolerance, start, pairs):
-    """At most ``limit`` single-point corrections; returns their number and the number of chosen centres."""
+    """Make at most ``limit`` single-point corrections; return their number and the number of chosen centres."""
     columns, residual, weight, inverse_scale, chosen, order = state
     value = np.empty(residual.shape[0])
     done = 0
@@ -179,7 +181,7 @@ def _largest(residual, inverse_scale):
 
 @kernel
 def _opposite(residual, inverse_scale, worst):
-    """The centre whose error points farthest against that of ``worst``; -1 if none does."""
+    """The centre with the largest error in the direction opposite to that of ``worst``; -1 if there is none."""
     lowest, where = 0.0, -1
     for i in range(residual.shape[0]):
         along = 0.0

@@ -1,7 +1,7 @@
 """Systems of radial basis functions too large to factorise: block GMRES with fast products.
 
-Flexible GMRES (Saad 1993) preconditioned from the right, in the block form (Simoncini & Gallopoulos 1996): all
-right-hand sides search one common space, so that one product with A serves them all and each profits from the others.
+Flexible GMRES (Saad 1993) preconditioned from the right, in block form (Simoncini & Gallopoulos 1996): all right-hand
+sides share one search space, so one product with A serves them all and each profits from the others.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ from .schwarz import SchwarzPreconditioner
 
 _RESTART = 40
 _DEPENDENT = 1e-14
-# Share of the tolerance that errors of the product may use up.
+# Fraction of the tolerance that errors of the product may use up.
 _LARGEST_ERROR = 0.3
-# Tolerance below which a preconditioner with boxes twice as large is repaid: it saves three iterations in ten.
+# Tolerance below which a preconditioner with boxes twice as large pays: it saves three iterations in ten.
 _MANY_DIGITS = 1e-9
-# Reduction after which a cycle ends: further ones count on a residual that round-off of the products has left behind.
+# Reduction of the residual after which a cycle ends: beyond it, the recursive residual deviates from the true one.
 _REDUCTION = 1e-7
-# Tolerance, iterations, accuracy of the product and memory of a large coarse system, a twenty-fifth of the centres.
+# Tolerance and number of iterations for a large coarse system, with a twenty-fifth of the centres.
 _COARSE_TOLERANCE, _COARSE_ITERATIONS = 0.02, 6
 _COARSE_PRODUCT = 1e-4
 
 
 @dataclass(frozen=True)
 class Solution:
-    """Coefficients (n, 3), polynomial (q, 3), number of iterations, and ||r|| / ||b|| (3,) computed anew from them.
+    """Coefficients (n, 3), polynomial (q, 3), number of iterations, and the true residual ||r|| / ||b|| (3,).
 
-    ``stalled``: more iterations would not have helped.
+    ``stalled``: further iterations would not reduce the residual.
     """
 
     coefficients: np.ndarray
@@ -44,9 +44,9 @@ class Solution:
 
 
 class KrylovSolver:
-    """Solver of ``A c + P p = b, P^T c = 0``; set up once, for any number of right-hand sides.
+    """Solver of ``A c + P p = b, P^T c = 0``, set up once for any number of right-hand sides.
 
-    A solution does not depend on what was solved before.
+    A solution does not depend on earlier ones.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ class KrylovSolver:
     points : (n, 3) centres in units of the support radius
     polynomial : (n, q), full column rank
     product : A times (n, 3), see :class:`.products.Product`
-    tolerance : of the solutions for which it is set up; for many digits the preconditioner has larger boxes
+    tolerance : of the solutions for which it is set up; small ones make the boxes of the preconditioner larger
     """
 
     def __init__(
@@ -67,7 +67,7 @@ class KrylovSolver:
 
     @staticmethod
     def memory(n: int, tolerance: float = 1e-6) -> int:
-        """Bytes that it takes for ``n`` centres and solutions with this tolerance, the product not counted."""
+        """Bytes that the solver takes for ``n`` centres and this tolerance, without the product."""
         return SchwarzPreconditioner.memory(n, _widening(tolerance)) + 8 * n * 3 * (2 * _RESTART + 6)
 
     def solve(
@@ -75,12 +75,12 @@ class KrylovSolver:
     ) -> Solution:
         """Solve for values (n, 3) until ``||r|| <= tolerance ||b||`` in every column.
 
-        Stops without that after ``max_iterations``, or when a whole cycle between restarts has not halved the residual:
+        Stops earlier after ``max_iterations``, or when a whole cycle between restarts has not halved the residual, as
         the limit of round-off or of the product's accuracy is then reached. ``progress`` is called with (iterations,
         max_iterations).
         """
         norm = np.linalg.norm(values, axis=0)
-        # Unit columns: one tolerance for all, and no component drowns in another.
+        # Columns are scaled to unit norm, so that one tolerance serves all and small components count, too.
         scale = np.where(norm > 0, norm, 1.0)
         rest = right = values / scale
         coefficients, polynomial = np.zeros_like(right), np.zeros((self._polynomial.shape[1], right.shape[1]))
@@ -101,7 +101,10 @@ class KrylovSolver:
     def _rest(
         self, right: FloatArray, coefficients: FloatArray, polynomial: FloatArray, tolerance: float
     ) -> tuple[FloatArray, FloatArray]:
-        """Residual (n, 3) of a solution and the norm (3,) of its error, if possible small against the tolerance."""
+        """Residual (n, 3) of a solution, and the norm (3,) of the error of the residual.
+
+        The product is refined until that error is small compared to the tolerance, or round-off.
+        """
         part, before = self._polynomial @ polynomial, np.inf
         while True:
             sums = self.product(coefficients)
@@ -127,7 +130,7 @@ class KrylovSolver:
             directions.append(self.preconditioner.solve(np.ascontiguousarray(space[:, old])))
             image = self.product(directions[-1][0]) + self._polynomial @ directions[-1][1]
             size = np.linalg.norm(image)
-            # Twice is enough for full orthogonality (Giraud, Langou & Rozloznik 2005).
+            # Two passes suffice for full orthogonality (Giraud, Langou & Rozloznik 2005).
             for _ in range(2):
                 overlap = space[:, : new.start].T @ image
                 image -= space[:, : new.start] @ overlap
@@ -148,7 +151,7 @@ def _widening(tolerance: float) -> int:
 
 
 class _CoarseSolver:
-    """A large coarse system, solved by the same method to two digits: errors there cost iterations on all centres."""
+    """A large coarse system, solved by the same method to two digits; less would cost iterations on all centres."""
 
     def __init__(self, kind: int, centres: FloatArray, polynomial: FloatArray) -> None:
         product = product_of(kind, centres, _COARSE_PRODUCT)

@@ -1,4 +1,4 @@
-"""Products of the matrix of basis values between centres with coefficients, for solvers that need only these."""
+"""Products of the matrix of basis values between centres with coefficients, for matrix-free solvers."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from ..fastsum.radial.nested import NestedSums
 from .sparse import sparse_radial_matrix
 
 _CHUNK = 512
-# Number of centres above which nested sums are faster, and the largest share of all pairs that they may sum directly.
+# Number of centres above which nested sums are faster, and the largest part of all pairs that they may sum directly.
 _FEWEST, _LARGEST_PART = 10_000, 0.5
 _SAMPLES = 512
-# Accuracy of nested sums below that of the solution; how much finer when that was not enough, and the finest.
+# Accuracy of nested sums relative to that of the solution, the factor by which it is refined, and the finest one.
 _FINER, _REFINEMENT, _FINEST = 3e-4, 1e-2, 1e-13
-# Enough for use in a preconditioner: rough residuals have large coefficients, which nearly cancel.
+# Accuracy in a preconditioner; not less, as rough residuals have large coefficients, which nearly cancel.
 _ROUGH = 1e-7
-# Numbers per centre that nested sums keep: shares of skeletons, for fine and for rough sums.
+# Numbers per centre that nested sums store: shares of skeletons, for fine and for rough sums.
 _NUMBERS = 250
 
 
@@ -39,7 +39,7 @@ class Product(Protocol):
         ...
 
     def error(self, coefficients: np.ndarray, found: np.ndarray) -> np.ndarray:
-        """Norm (3,) of the error of what was ``found`` (n, 3) for these coefficients, round-off aside."""
+        """Norm (3,) of the error, without round-off, of the sums ``found`` (n, 3) for these coefficients."""
         ...
 
     def restart(self) -> None:
@@ -51,7 +51,7 @@ class Product(Protocol):
         ...
 
     def roughly_at(self, rows: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-        """The product at some centres only, to a few digits, as a function of coefficients (n, 3)."""
+        """A function of coefficients (n, 3) that returns the product at some centres, to a few digits."""
         ...
 
 
@@ -77,7 +77,7 @@ class ExactProduct:
         return np.zeros(3)
 
     def restart(self) -> None:
-        """The sums are exact."""
+        """Nothing to do, as the sums are exact."""
 
     refine = restart
 
@@ -124,7 +124,7 @@ class NestedProduct:
 
 
 def nested_bytes(n: int) -> int:
-    """Bytes that nested sums of n centres take, 0 if there are too few centres for them."""
+    """Bytes that nested sums of n centres take; 0 if there are too few centres for nested sums."""
     return 8 * _NUMBERS * n if n >= _FEWEST else 0
 
 
@@ -133,7 +133,7 @@ def product_of(
 ) -> Product:
     """The cheapest product for centres (n, 3) and a solution with ``tolerance``.
 
-    ``require(bytes)`` is told beforehand what it takes, to raise an error if there is too little memory.
+    ``require(bytes)`` is called beforehand with the memory needed, and raises an error if there is too little.
     """
     sparse = sparse_radial_matrix(kind, points, require)
     if sparse is None and len(points) >= _FEWEST:

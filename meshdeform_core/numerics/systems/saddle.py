@@ -19,10 +19,10 @@ from ..arrays import FloatArray
 class DirectSolver:
     """Factorisation of the system, in the memory of ``A``.
 
-    The side conditions P^T alpha = 0 are turned into "the first q entries are zero" by q Householder reflections. The
-    rest of A is positive definite (for conditionally positive definite bases and all positive definite ones), so that
-    a Cholesky factorisation is enough, with half the work and memory of an LU. If round-off or the basis prevents
-    that, the whole system is factorised by LU.
+    q Householder reflections transform the side conditions P^T alpha = 0 into "the first q entries are zero". The
+    remaining block of A is positive definite (for conditionally positive definite bases and all positive definite
+    ones), so that a Cholesky factorisation suffices, with half the work and memory of an LU. If round-off or the basis
+    prevents that, the whole system is factorised by LU.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class DirectSolver:
             self._lu = scipy.linalg.lu_factor(system, overwrite_a=True, check_finite=False)
 
     def _factorise(self, a: FloatArray) -> bool:
-        # The transpose of a symmetric C-ordered matrix is itself in Fortran order: LAPACK works in place.
+        # The transpose of a symmetric C-ordered matrix is the same matrix in Fortran order: LAPACK works in place.
         a, p = a.T, self._polynomial.copy()
         n, q = p.shape
         self._reflectors = []

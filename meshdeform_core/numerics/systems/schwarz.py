@@ -1,9 +1,10 @@
 """Overlapping Schwarz preconditioner with a coarse level for systems of radial basis functions.
 
 Beatson, Light & Billings, Fast solution of the radial basis function interpolation equations: domain decomposition
-methods, SIAM J. Sci. Comput. 22 (2000), in the restricted form (Cai & Sarkis 1999): every box of centres solves its own
-interpolation problem with an overlap, keeps the coefficients of its own centres and drops those of the overlap. The
-smooth part, which the boxes cannot see, is handled by interpolating the remaining residual on a small set of centres.
+methods, SIAM J. Sci. Comput. 22 (2000), in the restricted form (Cai & Sarkis 1999): for every box of centres an
+interpolation problem with an overlap is solved; the coefficients of the box's own centres are kept, those of the
+overlap dropped. The smooth part, which boxes do not resolve, is treated by interpolating the remaining residual on a
+small set of centres.
 """
 
 from __future__ import annotations
@@ -25,8 +26,8 @@ OWN = 60
 OVERLAP = 300
 COARSENING = 25
 _DIRECT = 8000
-# Up to this many centres per coarse centre are allowed to keep the coarse system small enough to factorise: 60 instead
-# of 25 takes 8 iterations instead of 6; 25 with an approximate coarse solution takes 10 to 16.
+# Up to this many centres per coarse one, the coarse system is kept small enough to factorise: with 60 instead of 25,
+# 8 iterations are needed instead of 6; with 25 and an approximate coarse solution, 10 to 16.
 _SPARSEST = 100
 _FEWEST = 500
 _SPACING = 20
@@ -45,11 +46,11 @@ class CoarseSolver(Protocol):
 class SchwarzPreconditioner:
     """Approximate inverse of the system ``A c + P p = r, P^T c = 0``; linear if its coarse solver is.
 
-    Boxes of at most ``OWN`` centres come from repeated bisection across the direction of largest spread, so that they
-    follow clustered nodes; they are widened to ``OVERLAP`` centres. One centre in ``COARSENING`` is a coarse one, the
-    middle of a smaller box. Both must follow the clustering: with coarse centres spread evenly in space, or an overlap
-    measured as a length, a wall-clustered surface takes 4 to 10 times the iterations. The coarse system is factorised,
-    or, if it is large, solved roughly by another solver.
+    Boxes of at most ``OWN`` centres result from repeated bisection across the direction of largest extent, so that they
+    follow clustered nodes; they are widened to ``OVERLAP`` centres. One centre in ``COARSENING``, the middle of a
+    smaller box, is a coarse centre. Both must follow the clustering: with coarse centres spread evenly in space, or an
+    overlap measured as a length, a surface clustered towards an edge takes 4 to 10 times the iterations. The coarse
+    system is factorised or, if it is large, solved approximately by another solver.
 
     Parameters
     ----------
@@ -57,9 +58,9 @@ class SchwarzPreconditioner:
     points : (n, 3) centres in units of the support radius
     polynomial : (n, q) polynomial terms at the centres, full column rank
     product : A times coefficients (n, 3), see :class:`.products.Product`
-    coarse_solver : makes a solver, as a function of kind, coarse centres and their polynomial, for a coarse system too
-        large to factorise; it need not be accurate
-    widening : multiple of ``OWN`` and ``OVERLAP``
+    coarse_solver : function of kind, coarse centres and their polynomial that returns a solver, which need not be
+        accurate, for a coarse system too large to factorise
+    widening : factor by which ``OWN`` and ``OVERLAP`` are multiplied
     """
 
     def __init__(
@@ -85,7 +86,7 @@ class SchwarzPreconditioner:
 
     @staticmethod
     def memory(n: int, widening: int = 1) -> int:
-        """Bytes that it takes for ``n`` centres."""
+        """Bytes that the preconditioner takes for ``n`` centres."""
         coarse = min(n // COARSENING + _FEWEST, _DIRECT)
         return 8 * (n * OVERLAP * widening + coarse * coarse)
 
@@ -108,7 +109,7 @@ class SchwarzPreconditioner:
 
 
 def bisect(points: FloatArray, parts: int) -> list[IntArray]:
-    """``parts`` boxes of nearly equal numbers of points (n, 3): indices that together hold every point once."""
+    """Divide points (n, 3) into ``parts`` boxes with nearly equal numbers of points; return the indices in each box."""
     boxes, pending = [], [(np.arange(len(points)), parts)]
     while pending:
         box, parts = pending.pop()
@@ -144,10 +145,10 @@ def _coarse(points: FloatArray, polynomial: FloatArray) -> IntArray:
 
 
 def _with_overlap(points: FloatArray, boxes: list[IntArray], size: int) -> list[IntArray]:
-    """Each box with the points nearest to it, ``size`` in all, its own last.
+    """Each box with the points nearest to it, ``size`` in all, its own points last.
 
-    Near is measured in spacings of the nodes of the box: where the grid is graded, the coarse end of a box would get
-    no neighbours if lengths were compared.
+    Distance is measured relative to the local spacing of the box's points; otherwise the coarse end of a box in a
+    graded grid would get no neighbours.
     """
     tree = scipy.spatial.cKDTree(points)
     candidates = np.arange(1, min(len(points), size // 3) + 1)
@@ -165,7 +166,7 @@ def _with_overlap(points: FloatArray, boxes: list[IntArray], size: int) -> list[
 
 
 def _restricted_inverses(kind: int, points: FloatArray, own: list[IntArray], near: list[IntArray]) -> list[FloatArray]:
-    """For each box the rows (own, near) that take values at its points to the coefficients of its own centres."""
+    """For each box, the matrix (own, near) that maps values at its points to the coefficients of its own centres."""
     rows = [np.empty((0, 0))] * len(own)
 
     def work(lo: int, hi: int) -> None:
@@ -173,7 +174,7 @@ def _restricted_inverses(kind: int, points: FloatArray, own: list[IntArray], nea
             x = points[near[box]]
             rows[box] = _last_rows(kind, x, _polynomial_basis(x), len(own[box]))
 
-    # Nothing to share: each rank applies the matrices it has made.
+    # Nothing to exchange: each rank applies the matrices it has made.
     for_chunks(work, len(own), _BOXES, shared=[])
     return rows
 
@@ -183,13 +184,13 @@ def _last_rows(kind: int, points: FloatArray, basis: FloatArray, count: int) -> 
     rows = np.empty((count, len(points)))
     shift = 0.0
     while not invert_last(kind, points, basis, shift, matrix, rows):
-        # Coincident centres or round-off: for a preconditioner, the smallest shift that helps is enough.
+        # Centres coincide, or round-off is too large: for a preconditioner, the smallest sufficient shift will do.
         shift = max(_SHIFT, 100.0 * shift)
     return rows
 
 
 def _polynomial_basis(points: FloatArray) -> FloatArray:
-    """Orthonormal linear polynomials (n, q) on points, without the directions in which they do not spread."""
+    """Orthonormal linear polynomials (n, q) on points, without the directions in which the points do not extend."""
     arms = points - points.mean(axis=0)
     left, size, _ = np.linalg.svd(arms, full_matrices=False)
     spread = left[:, size > 1e-6 * size[0]] if size[0] > 0 else left[:, :0]

@@ -1,4 +1,4 @@
-"""Matrices of compact radial basis functions whose support reaches few centres."""
+"""Matrices of compact radial basis functions whose support contains few centres."""
 
 from __future__ import annotations
 
@@ -20,8 +20,9 @@ _BYTES, _MOST_BYTES = 64, 2**32
 def sparse_radial_matrix(kind: int, points: FloatArray, require: Callable[[int], object]) -> Any:
     """The matrix (n, n) of a compact basis without its zeros, in CSR format, or ``None`` if that does not pay.
 
-    It pays when centres have on average at most 500 neighbours and a twentieth of all centres, and the work space is at
-    most 4 GiB, a fixed number, so that results do not depend on the memory there is; ``require(bytes)`` is told.
+    It pays when centres have on average at most 500 neighbours, at most a twentieth of all centres, and when the work
+    space is at most 4 GiB (a fixed limit, so that results do not depend on the memory available). ``require(bytes)`` is
+    called with the memory needed.
 
     Parameters
     ----------

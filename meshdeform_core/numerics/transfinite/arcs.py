@@ -1,7 +1,7 @@
 """Arc-length coordinates of the nodes inside sub-blocks (Sen et al. eq. 10), from 0 to 1 within every sub-block.
 
-A table ``subs`` (n, 11) lists sub-blocks: first node and shape of the block, low and high node of the sub-block, start
-of its coordinates, see :func:`arc_numbers`.
+Rows of a table ``subs`` (n, 11) describe sub-blocks: first node (1) and shape (3) of the block, low (3) and high (3)
+node of the sub-block, start (1) of its coordinates in an array laid out as :func:`arc_numbers` says.
 """
 
 from __future__ import annotations
@@ -14,32 +14,32 @@ from ..jit import inlined, kernel
 from ..lanes import WIDTH, Array, Lanes, components, lanes
 
 TILE = WIDTH
-"""Nodes along k that are worked on together, so that the data they share stay in the cache."""
+"""Nodes along k that are processed together, so that the data they share stay in the cache."""
 _PART = 65536
-# Vectors of the work array: length so far, one over the whole length or zero.
+# Vectors of the work array: length so far; one over the whole length, or zero for lines of zero length.
 _LENGTH, _INVERSE = 0, WIDTH
 
 
 @inlined
 def padded(count):
-    """The next multiple of four, the numbers in a vector register: no loop along k ends with single numbers."""
+    """``count`` rounded up to a multiple of four, the width of a vector register, so that loops have no scalar end."""
     return (count + 3) // 4 * 4
 
 
 def arc_numbers(subs: IntArray) -> IntArray:
-    """How many numbers the arc coordinates of each sub-block take.
+    """Length of the arc-coordinate array of each sub-block.
 
-    They are kept for interior nodes, in the order of use: for every plane along i tiles along k, for every line of a
-    tile the coordinates along i of its nodes, then those along j, then those along k, each padded to vectors.
+    Coordinates of interior nodes are stored in the order of use: for every i plane, for every tile along k, for every
+    line of the tile, the coordinates along i of its nodes, then along j, then along k, each padded to whole vectors.
     """
     inside = np.maximum(subs[:, 7:10] - subs[:, 4:7] - 1, 0)
     return 3 * inside[:, 0] * inside[:, 1] * (-(-inside[:, 2] // 4) * 4)
 
 
 def arc_parts(subs: IntArray) -> IntArray:
-    """The work on the coordinates of sub-blocks in parts (m, 4) that threads can share: sub-block, kind, from, to.
+    """Units of work (m, 4) that threads share: sub-block, kind, from, to.
 
-    Kind 0: the coordinates along i and j of nodes from .. to along k; kind 1: those along k of planes from .. to.
+    Kind 0: the coordinates along i and j of nodes from .. to along k; kind 1: those along k of i planes from .. to.
     """
     inside = np.maximum(subs[:, 7:10] - subs[:, 4:7] - 1, 0)
     planes = np.maximum(_PART // np.maximum(inside[:, 1] * inside[:, 2], 1), 1)
@@ -50,19 +50,22 @@ def arc_parts(subs: IntArray) -> IntArray:
 
 @inlined
 def tile_start(i, j, first, nj, nk):
-    """Where the coordinates of the tile from k = ``first`` of line (i, j), counted from 0, of nj nk in a plane, lie."""
+    """Start of the coordinates of line (i, j), counted from 0, of the tile that begins at k = ``first``.
+
+    A plane has nj lines of nk interior nodes.
+    """
     return 3 * (nj * (i * padded(nk) + first) + j * min(TILE, padded(nk) - first))
 
 
 @kernel
 def arc_coordinates(points, subs, parts, arc):
-    """Normalised arc lengths of the nodes inside sub-blocks; a line without length gets a uniform coordinate.
+    """Normalised arc lengths of the nodes inside sub-blocks; coordinates are uniform on lines of zero length.
 
     Parameters
     ----------
     points : (n_nodes, 3) of all blocks
     parts : rows of :func:`arc_parts`
-    arc : where to put them, see :func:`arc_numbers`
+    arc : filled with the coordinates, see :func:`arc_numbers`
     """
     work = np.zeros(2 * WIDTH)
     for part in range(parts.shape[0]):
@@ -91,13 +94,13 @@ def arc_coordinates(points, subs, parts, arc):
 def _across(points, node, step, n, count, work, arc, at, apart, width):
     """Coordinates of ``n`` nodes inside each of ``count`` neighbouring lines, all lines together.
 
-    ``node`` is the first end of the first line; coordinates of consecutive nodes lie ``apart``, from ``at`` on.
+    ``node`` is the first end of the first line; coordinates begin at ``at``, those of consecutive nodes are ``apart``.
     """
     for k in range(WIDTH):
         work[k] = 0.0
     for m in range(n + 1):
         one = 3 * (node + m * step)
-        # The last edge adds to the length only.
+        # The last edge adds to the total length only.
         lengthen(points, one, one + 3 * step, 3 * count, work, arc, at + m * apart, width if m < n else 0)
     invert(work)
     for m in range(n):
@@ -106,7 +109,7 @@ def _across(points, node, step, n, count, work, arc, at, apart, width):
 
 @inlined
 def _along(points, node, n, work, arc, first, i, j, nj):
-    """Coordinates along the line of nodes k that begins at ``node``, with ``n`` nodes inside."""
+    """Coordinates along the k line that begins at ``node`` and has ``n`` nodes inside."""
     for k in range(WIDTH):
         work[k] = 0.0
     for k0 in range(0, n + 1, TILE):
@@ -124,7 +127,7 @@ def _along(points, node, n, work, arc, first, i, j, nj):
 
 
 def _edges(points: Array, one: ir.Value, other: ir.Value, count: ir.Value) -> Lanes:
-    """Distances between sixteen points of which ``count`` numbers exist; zero for the others."""
+    """Distances between sixteen pairs of points; only ``count`` coordinates are read, the others count as zero."""
     here, there = (points.load_some_points(at, count) for at in (one, other))
     x, y, z = components([b - a for a, b in zip(here, there, strict=True)])
     return (x * x + y * y + z * z).sqrt()
@@ -146,7 +149,7 @@ def add_up(
     points: Array, one: ir.Value, other: ir.Value, count: ir.Value, work: Array, arc: Array, to: ir.Value,
     width: ir.Value,
 ) -> None:  # fmt: skip
-    """Sums of sixteen consecutive edges of a line; ``work`` has the length so far, sixteen times."""
+    """Running lengths over sixteen consecutive edges of a line; ``work`` holds the length so far, sixteen times."""
     length = work.load(ir.Constant(to.type, _LENGTH)) + _edges(points, one, other, count).running_sum()
     work.store(ir.Constant(to.type, _LENGTH), length.last())
     arc.store_some(to, length, width)
@@ -154,7 +157,7 @@ def add_up(
 
 @lanes
 def invert(work: Array) -> None:
-    """One over the lengths, zero for lines without."""
+    """One over the lengths; zero for lines of zero length."""
     start = ir.Constant(ir.IntType(64), 0)
     length = work.load(start, _LENGTH)
     work.store(start, (length * 0.0).below(length).choose(1.0 / length, 0.0), _INVERSE)
@@ -162,7 +165,7 @@ def invert(work: Array) -> None:
 
 @lanes
 def normalise(arc: Array, at: ir.Value, width: ir.Value, work: Array, uniform: Lanes) -> None:
-    """Coordinates from lengths, ``uniform`` on lines without."""
+    """Coordinates from lengths; ``uniform`` on lines of zero length."""
     inverse = work.load(ir.Constant(at.type, 0), _INVERSE)
     long = (inverse * 0.0).below(inverse)
     arc.store_some(at, long.choose(arc.load_some(at, width) * inverse, uniform), width)

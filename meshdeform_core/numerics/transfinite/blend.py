@@ -11,7 +11,7 @@ import numpy as np
 from ..jit import fast_kernel, inlined
 from .arcs import TILE, padded, tile_start
 
-# Lines along j that are filled together, so that the data they share stay in the cache.
+# Number of neighbouring k lines that are filled together, so that the data they share stay in the cache.
 _LINES = 64
 
 
@@ -24,8 +24,8 @@ def blend_slabs(d, arc, subs, slabs):
     """Fill planes of the interior of sub-blocks from their faces, in place (eqs. 1, 3-9).
 
     With G the blending of the i and j faces at the node's arc coordinates x, y, z, the displacement is
-    ``G + (1 - z) (d - G)(k low) + z (d - G)(k high)``. G is bilinear in x and y. The i faces make up its coefficients
-    along a line of nodes, the same in all planes; the j faces add to those of 1 and y.
+    ``G + (1 - z) (d - G)(k low) + z (d - G)(k high)``. G is bilinear in x and y. Its coefficients along a k line follow
+    from the i faces and are the same in all i planes; the j faces contribute to those of 1 and y.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def blend_slabs(d, arc, subs, slabs):
     slabs : (m, 3) row in ``subs`` and planes i0 <= i < i1 of the block
     """
     lines, slopes, sides = np.empty((_LINES, 15, TILE)), np.empty((_LINES, 12)), np.empty((6, TILE))
-    # Vectors extend beyond the last node: the values computed there do not matter, but must be finite.
+    # Vectors extend beyond the last node; the values there are not used, but must be finite.
     for k in range(TILE):
         for row in range(15):
             for line in range(_LINES):
@@ -58,9 +58,10 @@ def blend_slabs(d, arc, subs, slabs):
 
 @inlined
 def _prepare_lines(d, sub, corner, j0, j1, k0, count, lines, slopes):
-    """Coefficients along lines j0 <= j < j1, counted inside, from the two i faces, and for the ends of the lines.
+    """Coefficients along interior lines j0 <= j < j1 from the two i faces, and at the ends of the lines.
 
-    ``lines`` gets them less those at the low end of the line, ``slopes`` those at the low end less the high end.
+    ``lines`` gets the coefficients minus those at the low end of the line; ``slopes`` those at the low end minus those
+    at the high end.
     """
     sj, up = sub[3], (sub[7] - sub[4]) * sub[2] * sub[3]
     end, high = (sub[8] - sub[5]) * sj, sub[9] - sub[6]
@@ -81,9 +82,9 @@ def _prepare_lines(d, sub, corner, j0, j1, k0, count, lines, slopes):
 
 @inlined
 def _coefficients(d, node, low, high, up, c):
-    """Of 1, y, x, x y at a node of the low i face in the blending of both, less their edges at both ends of j.
+    """Coefficients of 1, y, x, x y at a node of the low i face: both i faces blended, minus their edges at both j ends.
 
-    ``low`` and ``high`` are the ends of the node's line along j, ``up`` the step to the other face.
+    ``low`` and ``high`` are the ends of the node's line along j, ``up`` is the step to the other face.
     """
     first, second = d[node, c] - d[low, c], d[node + up, c] - d[low + up, c]
     along_low, along_high = d[high, c] - d[low, c], d[high + up, c] - d[low + up, c]
@@ -92,10 +93,10 @@ def _coefficients(d, node, low, high, up, c):
 
 @inlined
 def _blend_lines(d, plane, sj, end, far, j0, j1, k0, count, arc, start, lines, slopes, sides):
-    """Lines j0 <= j < j1 of a plane i from its sides along j and the ends of the lines.
+    """Fill lines j0 <= j < j1 of an i plane from its two j sides and the ends of the lines.
 
-    ``plane`` is the node at both low ends, ``end`` the step to the other side, ``far`` to the other end of a line;
-    ``start`` where the coordinates begin.
+    ``plane`` is the node at the low ends of j and k, ``end`` the step to the other j side, ``far`` the step to the
+    other end of a line, ``start`` the start of the coordinates.
     """
     width = padded(count)
     low, high = d[plane + k0 + 1 :], d[plane + end + k0 + 1 :]
@@ -106,7 +107,7 @@ def _blend_lines(d, plane, sj, end, far, j0, j1, k0, count, arc, start, lines, s
             sides[_BY_Y + c, k] = high[k, c] - low[k, c] + edge
     for n in range(j1 - j0):
         row, at = plane + (j0 + n + 1) * sj, start + 3 * width * n
-        # Parts that begin at zero: an index that might be negative would keep the loop over k scalar, and so would a
+        # Views that begin at zero: indices that might be negative prevent vectorisation of the loop over k, as would a
         # loop over components.
         along_i, along_j, along_k = arc[at:], arc[at + width :], arc[at + 2 * width :]
         p0, p1, p2, p3, p4 = _at_ends(d, row, plane, end, far, slopes, n, 0)
@@ -124,7 +125,7 @@ def _blend_lines(d, plane, sj, end, far, j0, j1, k0, count, arc, start, lines, s
 
 @inlined
 def _at_ends(d, row, plane, end, far, slopes, n, c):
-    """Contributions of the ends of a line to the coefficient of 1, and the coefficients of z, y z, x z, x y z."""
+    """Contributions of the ends of a line: to the coefficient of 1, and those of z, y z, x z and x y z."""
     one = d[row, c] - d[plane, c]
     by_z = d[row + far, c] - d[plane + far, c] - one + slopes[n, _ONE + c]
     by_yz = d[plane + far, c] - d[plane + end + far, c] - d[plane, c] + d[plane + end, c] + slopes[n, _BY_Y + c]

@@ -1,10 +1,10 @@
-"""Derivative of transfinite interpolation with respect to the grid: of its arc lengths, and of what it adds on curved
-grid lines.
+"""Derivative of transfinite interpolation with respect to the grid: through arc lengths, and through the deviations of
+curved grid lines.
 
-Lines, faces and sub-blocks are all *boxes* here: a list of nodes in C order with a shape (ni, nj, nk), one node thick
-in the directions that they do not have. Inner nodes are the sum of faces less edges plus corners, each times a product
-of arc-length coordinates, plus the image of their deviation D by the gradient G of the box,
-see :mod:`...methods.transfinite.curved`.
+Lines, faces and sub-blocks are all *boxes* here: a list of nodes in C order with a shape (ni, nj, nk), which is one
+node thick in missing directions. The displacement of an inner node is the sum over faces minus edges plus corners, each
+times a product of arc-length coordinates, plus the image of the node's deviation D under the gradient G of the box, see
+:mod:`...methods.transfinite.curved`.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from ..jit import inlined, kernel
 
 @inlined
 def _arcs(x, nodes, first, step, count, arc, slot):
-    """Arc coordinates of a line of ``count`` nodes, every ``step``-th from ``first`` on; returns its length.
+    """Arc coordinates of a line of ``count`` nodes, every ``step``-th of ``nodes`` from ``first`` on; return its length.
 
-    ``arc`` (3, n) holds them from place ``slot`` on, at the same distances; uniform without length.
+    They are stored in ``arc`` from ``slot`` on, ``step`` apart; uniform if the length is zero.
     """
     total = 0.0
     arc[slot] = 0.0
@@ -36,7 +36,7 @@ def _arcs(x, nodes, first, step, count, arc, slot):
 
 @inlined
 def _arc_tangents(x, dx, nodes, first, step, count, total, arc, change, slot):
-    """Their changes."""
+    """Changes of the coordinates of :func:`_arcs` for changes ``dx`` of the nodes."""
     sum_ = 0.0
     change[slot] = 0.0
     for m in range(1, count):
@@ -53,7 +53,7 @@ def _arc_tangents(x, dx, nodes, first, step, count, total, arc, change, slot):
 
 @inlined
 def _arc_gradients(x, nodes, first, step, count, total, arc, gradient, slot, out):
-    """The transpose: add gradients of the nodes to ``out`` from those of the coordinates."""
+    """Transpose of :func:`_arc_tangents`: add to ``out`` the gradients of the nodes from those of the coordinates."""
     if total == 0.0:
         return
     mean = 0.0
@@ -73,7 +73,10 @@ def _arc_gradients(x, nodes, first, step, count, total, arc, gradient, slot, out
 
 @inlined
 def _weight(s, place, low, thick):
-    """Factor of one direction, its derivative, and the index of the node: inside, low, high end for place 0, 1, 2."""
+    """Factor of one direction, its derivative, and the index of the node that it belongs to.
+
+    ``place`` 0, 1, 2: the inner node itself, the low end, the high end.
+    """
     if place == 0:
         return 1.0, 0.0, low
     if place == 1:
@@ -83,7 +86,7 @@ def _weight(s, place, low, thick):
 
 @inlined
 def _all_arcs(task, x, dx, nodes, first, ni, nj, nk, arc, change, out):
-    """Coordinates of all lines of a box; for ``task`` 1 also their changes, for 2 what their gradients pass on."""
+    """Coordinates of all lines of a box; with ``task`` 1 also their changes, with 2 the gradients that they pass on."""
     n = ni * nj * nk
     for axis in range(3):
         count = ni if axis == 0 else (nj if axis == 1 else nk)
@@ -114,7 +117,7 @@ def _largest(shape):
 
 @inlined
 def _push_node(to, w, dw, x, d, dx, linear, out, here, deviation):
-    """Add to ``here`` what node ``to``, of weight ``w`` with change ``dw``, gives an inner node."""
+    """Add the contribution of node ``to``, whose weight ``w`` changes by ``dw``, to the change of an inner node."""
     for c in range(3):
         u, v = d[to, c], out[to, c]
         for a in range(3):
@@ -126,15 +129,16 @@ def _push_node(to, w, dw, x, d, dx, linear, out, here, deviation):
 
 @kernel
 def push_boxes(x, d, dx, start, shape, nodes, wanted, linear, d_linear, out):
-    """Fill inner nodes of boxes, one box after the other, with the change of their displacement, in place in ``out``.
+    """Fill the inner nodes of boxes, box by box, with the change of their displacement, in place in ``out``.
 
     Parameters
     ----------
     x, d, dx : (n, 3) coordinates, displacements, changes of the coordinates
-    start, shape : (m,) first entry of each box in ``nodes``; (m, 3)
+    start, shape : (m,) first entry of each box in ``nodes``; (m, 3) nodes of each box along i, j, k
     nodes : rows of ``x``
-    wanted : which of them are filled, if they are inside
-    linear, d_linear : (m, 3, 3) gradient of each box along the first index of the component of the second; its change
+    wanted : which inner nodes are filled
+    linear, d_linear : (m, 3, 3) gradient of each box, derivative along the first index of the component of the second;
+        its change
     out : (n, 3) change of the displacement, known at the faces of the first box
     """
     size = _largest(shape)
@@ -178,7 +182,7 @@ def push_boxes(x, d, dx, start, shape, nodes, wanted, linear, d_linear, out):
 
 @inlined
 def _pull_node(to, w, own, x, d, linear, g, of_x, deviation):
-    """Pass the gradient ``own`` of an inner node on to node ``to``, of weight ``w``; returns that of the weight."""
+    """Pass the gradient ``own`` of an inner node on to node ``to`` with weight ``w``; return the gradient of ``w``."""
     along = 0.0
     for c in range(3):
         u = d[to, c]
@@ -193,7 +197,8 @@ def _pull_node(to, w, own, x, d, linear, g, of_x, deviation):
 
 @kernel
 def pull_boxes(x, d, start, shape, nodes, wanted, linear, g, of_x, of_linear):
-    """The transpose, last box first: pass gradients ``g`` (n, 3) of inner nodes on to faces, and set them to zero.
+    """Transpose of :func:`push_boxes`, last box first: pass the gradients ``g`` (n, 3) of inner nodes on to faces, and
+    set them to zero.
 
     Adds to ``of_x`` (n, 3) and ``of_linear`` (m, 3, 3), the gradients of coordinates and of the gradients of boxes.
     """

@@ -1,4 +1,4 @@
-"""Nodes of sub-blocks, listed and copied; the table ``subs`` of sub-blocks is that of :mod:`.arcs`."""
+"""Lists and copies of the nodes of sub-blocks; the table ``subs`` of sub-blocks is described in :mod:`.arcs`."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from ..rows import take_rows
 
 
 def inner_numbers(subs: IntArray) -> IntArray:
-    """Number of nodes inside each sub-block; a 2-D one, one node thick, is inner across."""
+    """Number of nodes inside each sub-block; along an axis one node thick, in 2-D, that node counts as inside."""
     across = subs[:, 7:10] - subs[:, 4:7]
     return np.asarray(np.where(across > 0, across - 1, 1).prod(axis=1))
 
 
 def box_numbers(subs: IntArray) -> IntArray:
-    """Number of nodes of each sub-block, those on its faces included."""
+    """Number of nodes of each sub-block, including its faces."""
     return np.asarray((subs[:, 7:10] - subs[:, 4:7] + 1).prod(axis=1))
 
 
@@ -29,7 +29,7 @@ def box_nodes(subs: IntArray, inside: bool = False) -> IntArray:
 
 
 def apart(points: FloatArray, subs: IntArray) -> tuple[FloatArray, IntArray]:
-    """Copies (n, 3) of the coordinates of sub-blocks, each a block of its own, and the table for them."""
+    """Copies (n, 3) of the coordinates of sub-blocks, each turned into a block, and the table that describes them."""
     nodes, table = box_nodes(subs), subs.copy()
     copies = np.empty((len(nodes), 3))
     take_rows(points, nodes, copies)

@@ -1,4 +1,4 @@
-"""What transfinite interpolation lacks where grid lines are curved, see :mod:`..methods.transfinite.curved`.
+"""Deviations of curved grid lines from transfinite interpolation, see :mod:`..methods.transfinite.curved`.
 
 A table ``subs`` (n, 11) lists sub-blocks as in :mod:`.arcs`; its last column is the row of the first inner node in
 arrays that have a row for every node inside a sub-block (:func:`.boxes.inner_numbers`).
@@ -12,14 +12,14 @@ from .boxes import inner
 
 @kernel
 def deviations(points, blended, subs, first, last, out, largest):
-    """How far nodes inside sub-blocks are from where TFI would place them.
+    """Deviations of the nodes inside sub-blocks from where TFI would place them.
 
     Parameters
     ----------
-    points, blended : (n_nodes, 3), the nodes, and the same blended from the faces of the sub-blocks
-    first, last : rows of ``subs`` to treat
-    out : a row for every inner node
-    largest : largest absolute component in each sub-block
+    points, blended : (n_nodes, 3) coordinates, and those blended from the faces of the sub-blocks
+    first, last : range of rows of ``subs``
+    out : (n_inner, 3), filled: a row for every inner node
+    largest : filled: largest absolute component in each sub-block
     """
     for n in range(first, last):
         i0, i1 = inner(subs[n, 4], subs[n, 7])
@@ -40,9 +40,10 @@ def deviations(points, blended, subs, first, last, out, largest):
 
 @kernel
 def add_images(d, deviation, subs, first, last, gradient):
-    """Add to the displacement ``d`` of the nodes inside sub-blocks the image of their deviations.
+    """Add to the displacement ``d`` of the nodes inside sub-blocks the images of their deviations.
 
-    ``gradient`` (n, 3, 3) of each sub-block: derivative along the first index of the component of the second.
+    ``gradient`` (n, 3, 3) of each sub-block: derivative along the first index of the displacement component given by
+    the second.
     """
     for n in range(first, last):
         i0, i1 = inner(subs[n, 4], subs[n, 7])

@@ -1,6 +1,6 @@
 """Transfinite interpolation of displacements along lines and on faces (Sen et al. eq. 2).
 
-Lines and faces are stored one after another in flat arrays: line n takes the entries ``start[n]`` to ``start[n + 1]``.
+Lines and faces are stored consecutively in flat arrays: line n has the entries ``start[n]`` to ``start[n + 1]``.
 """
 
 import math
@@ -12,9 +12,9 @@ from ..jit import fast_kernel, inlined, kernel
 
 @kernel
 def blend_lines(d, start, nodes, arc):
-    """Displacement inside lines of nodes from their two ends, in ``d`` (n, 3).
+    """Fill rows of ``d`` (n, 3), the displacement inside lines of nodes, from the two ends of each line.
 
-    ``nodes`` are rows of ``d``, ``arc`` their coordinates from 0 to 1.
+    ``nodes`` are rows of ``d``; ``arc`` are their arc coordinates, from 0 to 1.
     """
     for line in range(start.size - 1):
         first, last = nodes[start[line]], nodes[start[line + 1] - 1]
@@ -43,7 +43,7 @@ def face_coordinates(points, start, width, nodes, s, t):
 
 @inlined
 def _arcs(points, nodes, first, step, count, arc):
-    """Arc coordinates of ``count`` nodes, every ``step``-th listed from ``first`` on; uniform without length."""
+    """Arc coordinates of ``count`` nodes, every ``step``-th from ``first`` on; uniform on lines of zero length."""
     total = 0.0
     arc[first] = 0.0
     for m in range(1, count):
@@ -62,7 +62,7 @@ _ONE, _BY_S = 0, 3
 
 @fast_kernel
 def blend_faces(d, start, width, nodes, wanted, s, t):
-    """Displacement inside faces from their four edges, in ``d`` (n, 3), where ``wanted``.
+    """Fill the ``wanted`` rows of ``d`` (n, 3), the displacement inside faces, from the four edges of each face.
 
     ``nodes`` are rows of ``d``, ``s`` and ``t`` their coordinates along the first and second index of their face.
     """

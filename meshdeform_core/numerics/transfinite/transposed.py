@@ -1,7 +1,7 @@
-"""Transposes of the loops of transfinite interpolation: gradients from inside go to the boundary.
+"""Transposes of the loops of transfinite interpolation: gradients of inner nodes are passed on to the boundary.
 
-Arguments as those of the loops in :mod:`.blend`, :mod:`.faces` and :mod:`.deviation`; ``g`` holds gradients with
-respect to displacements. Those of nodes that the loop fills are passed on and set to zero.
+Arguments as in :mod:`.blend`, :mod:`.faces` and :mod:`.deviation`; ``g`` holds gradients with respect to displacements.
+Those of nodes that the forward loop fills are passed on and set to zero.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from .boxes import inner
 
 @kernel
 def blend_transposed(g, arc, subs):
-    """Of :func:`.blend.blend_slabs` for whole sub-blocks: the sum of faces less edges plus corners, node by node."""
+    """Transpose of :func:`.blend.blend_slabs` for whole sub-blocks: faces minus edges plus corners, node by node."""
     x, high, index = np.empty(3), np.empty(3, np.int64), np.empty(3, np.int64)
     for n in range(subs.shape[0]):
         sub = subs[n]
@@ -62,7 +62,7 @@ def _spread(g, corner, index, high, x):
 
 @kernel
 def lines_transposed(g, start, nodes, arc):
-    """Of :func:`.faces.blend_lines`, last line first."""
+    """Transpose of :func:`.faces.blend_lines`, last line first."""
     for line in range(start.size - 2, -1, -1):
         first, last = nodes[start[line]], nodes[start[line + 1] - 1]
         for n in range(start[line] + 1, start[line + 1] - 1):
@@ -75,7 +75,7 @@ def lines_transposed(g, start, nodes, arc):
 
 @kernel
 def faces_transposed(g, start, width, nodes, wanted, s, t):
-    """Of :func:`.faces.blend_faces`, last face first."""
+    """Transpose of :func:`.faces.blend_faces`, last face first."""
     for face in range(start.size - 2, -1, -1):
         at, n = start[face], width[face] - 1
         m = (start[face + 1] - at) // (n + 1) - 1
@@ -101,7 +101,8 @@ def faces_transposed(g, start, width, nodes, wanted, s, t):
 
 @kernel
 def images_transposed(g, deviation, subs, out):
-    """Of :func:`.deviation.add_images`: gradients ``out`` (n, 3, 3) of those of the sub-blocks; ``g`` stays."""
+    """Transpose of :func:`.deviation.add_images`: ``out`` (n, 3, 3) gets the gradients with respect to the gradients of
+    the sub-blocks; ``g`` is not changed."""
     for n in range(subs.shape[0]):
         i0, i1 = inner(subs[n, 4], subs[n, 7])
         j0, j1 = inner(subs[n, 5], subs[n, 8])

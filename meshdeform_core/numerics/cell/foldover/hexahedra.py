@@ -11,8 +11,8 @@ from .jacobian import cofactors, distortion, growth, inner, mapping, regular
 
 
 class Unknowns(NamedTuple):
-    """Of every node of a region: the ``number`` (n,) of its unknown or -1, its ``frame`` (n, d, d) with
-    displacement = frame @ unknown, and whether that is the identity, ``plain`` (n,)."""
+    """The unknowns of a region's n nodes: ``number`` (n,), the unknown of each node or -1; ``frame`` (n, d, d), with
+    displacement = frame @ unknown; ``plain`` (n,), whether the frame is the identity."""
 
     number: np.ndarray
     frame: np.ndarray
@@ -34,12 +34,12 @@ def _differ(x, reference, cell, count, node, b, e):
 
 @kernel
 def energy_of_cells(x, cells, start, own, mask, samples, weight, reference, penalty, low, high):
-    """Sum of the energy over the cells low <= c < high, smallest D, and largest f.
+    """Sum of the energy over the cells low <= c < high, their smallest D and largest f.
 
     Parameters
     ----------
-    x, cells : (n, 3) deformed coordinates, (m, 8) their rows at the corners of cells
-    start, own : (k, 3) undeformed coordinates, (m, 8) their rows
+    x, cells : (n, 3) deformed coordinates; (m, 8) rows of ``x`` at the corners of the cells
+    start, own : (k, 3) undeformed coordinates; (m, 8) rows of ``start`` at the corners of the cells
     mask : (m,) int64, bit s set where sample point s counts
     samples : see :class:`.samples.Samples`
     weight : (m, 2) w of the cells, and the share of their samples between corners
@@ -72,11 +72,11 @@ def energy_of_cells(x, cells, start, own, mask, samples, weight, reference, pena
 
 @inlined
 def coefficients(g, det, eps, weight, cubic, exact):
-    """Derivatives of the energy of one sample, g = |A|^2, but for the elastic term: gradient u A + v K, Hessian
-    w I + p A A^T + q (A K^T + K A^T) + r K K^T with the cofactors K, and v times the derivative of K.
+    """Derivatives of the energy of one sample without its elastic term; g = |A|^2, K are the cofactors of A.
 
-    Without ``exact``, in the 2 x 2 matrix of second derivatives along A and D the entry of D is raised until it has no
-    negative eigenvalue, and the derivative of K is to be left out.
+    The gradient is u A + v K, the Hessian w I + p A A^T + q (A K^T + K A^T) + r K K^T plus v times the derivative of K.
+    Without ``exact`` the derivative of K is left out, and the entry of D in the 2 x 2 matrix of second derivatives
+    along A and D is raised until no eigenvalue is negative.
     """
     chi, root = regular(det, eps)
     h = chi ** (-2.0 / 3.0)
@@ -104,11 +104,10 @@ def add_derivatives(
     Parameters
     ----------
     which : (k,) cells that touch the rows
-    unknowns : (number (n,), frame (n, 3, 3), plain (n,)) of every node: its unknown or -1, and how it follows it,
-        ``d = frame @ u``, the identity where ``plain``
-    rows : (first row, one past the last row, start (n_unknowns + 1,) of each row of blocks, columns of all of them)
-    matrix : (n_blocks, 3, 3) in the sense of BSR, those of the given rows; gradient : (n_unknowns, 3), only these
-        rows are written
+    unknowns : see :class:`Unknowns`
+    rows : first row, one past the last row, start (n_unknowns + 1,) of each row of blocks, columns of all blocks
+    matrix : (n_blocks, 3, 3), the blocks of these rows as in the BSR format
+    gradient : (n_unknowns, 3), of which only these rows are written
     """
     count, node, slope = samples
     eps, share, cubic, elastic, exact = penalty
@@ -183,8 +182,10 @@ def _add_turn(v, b, other_b, a, turn, block):
 
 @inlined
 def _add_cell(cell, force, block, unknowns, rows, matrix, gradient):
-    """Add the gradient ``force`` (8, 3) and the Hessian ``block`` (8, 8, 3, 3) of a cell to the rows that have its
-    unknowns. The nodes of every sample point ascend, so that only the blocks above the diagonal are filled."""
+    """Add the gradient ``force`` (8, 3) and the Hessian ``block`` (8, 8, 3, 3) of a cell to the rows of its unknowns.
+
+    Only blocks on and above the diagonal are filled, as the nodes of every sample point ascend.
+    """
     number, frame, plain = unknowns
     first, last, starts, columns = rows
     part, work = np.empty((3, 3)), np.empty((3, 3))
@@ -239,7 +240,7 @@ def _find(columns, low, high, wanted):
 
 @kernel
 def excess_of_cells(x, cells, start, own, mask, samples, healthy, norm, eps):
-    """Of every cell (m,), the norm over its sample points of log(f / healthy) where that is positive."""
+    """``norm``-norm of max(0, log(f / healthy)) over the sample points of each cell (m,)."""
     count, node, slope = samples
     inverse, b, a = np.empty((3, 3)), np.empty((8, 3)), np.empty((3, 3))
     result = np.empty(len(cells))

@@ -11,8 +11,8 @@ from ...jit import inlined
 def jacobian(x, cell, count, node, slope, a):
     """The Jacobian matrix ``a`` at a sample point: the sum of x_n slope_n over ``count`` of its nodes.
 
-    ``cell`` (8,) are the rows of ``x`` (n, 3) at the corners, ``node`` (m,) says which of them the sum is over, and
-    ``slope`` (m, 3) has the derivatives of their shape functions.
+    ``cell`` (8,): rows of ``x`` (n, 3) at the corners; ``node`` (m,): the corners summed over; ``slope`` (m, 3):
+    derivatives of their shape functions.
     """
     for d in range(3):
         for k in range(3):
@@ -43,7 +43,7 @@ def mapping(x, cell, start, own, count, node, slope, inverse, b, a):
 
 @inlined
 def determinant(a):
-    """Of a matrix (3, 3)."""
+    """Determinant of a matrix (3, 3)."""
     return (
         a[0, 0] * (a[1, 1] * a[2, 2] - a[1, 2] * a[2, 1])
         + a[0, 1] * (a[1, 2] * a[2, 0] - a[1, 0] * a[2, 2])
@@ -63,7 +63,7 @@ def _invert(e, inverse):
 
 @inlined
 def cofactors(a, k):
-    """The derivative of the determinant."""
+    """Cofactors ``k`` (3, 3) of ``a``: the derivative of its determinant."""
     for i in range(3):
         m, n = (i + 1) % 3, (i + 2) % 3
         for j in range(3):
@@ -83,7 +83,7 @@ def inner(a, b):
 
 @inlined
 def distortion(a, det, chi):
-    """f of a map with the Jacobian matrix ``a``, see :mod:`meshdeform_core.numerics.cell.foldover`."""
+    """f, defined in :mod:`meshdeform_core.numerics.cell.foldover`, of a map with the Jacobian matrix ``a``."""
     return inner(a, a) / 3.0 * chi ** (-2.0 / 3.0) + 0.5 * (det * det + 1.0) / chi
 
 
@@ -97,6 +97,6 @@ def growth(f):
 
 @inlined
 def regular(det, eps):
-    """chi and sqrt(eps^2 + D^2), without cancellation."""
+    """chi and sqrt(eps^2 + D^2), computed without cancellation."""
     root = np.sqrt(eps * eps + det * det)
     return 0.5 * (det + root) if det > 0.0 else 0.5 * eps * eps / (root - det), root

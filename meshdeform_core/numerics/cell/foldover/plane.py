@@ -1,16 +1,16 @@
 """The foldover-free energy of plane grids: its sum, gradient, and the convex part of its second derivatives.
 
-Every sound corner of a quadrilateral is a triangle of three nodes. With A the Jacobian matrix (2, 2) of its map from
-the undeformed grid to the deformed one, and D = det A,
+Every sound corner of a quadrilateral defines a triangle of three nodes. With A the Jacobian matrix (2, 2) of the map
+from the undeformed triangle to the deformed one, and D = det A,
 
     f = (|A|^2 + D^2 + 1) / (2 chi),    chi = (D + sqrt(eps^2 + D^2)) / 2
 
 (Garanzha, Kaporin, Kudryavtseva, Protais, Ray, Sokolov: Foldover-free maps in 50 lines of code, ACM TOG 40(4), 2021,
-eqs. 3 and 4 with d = 2 and lambda = 1); 2 is the value of a triangle in rigid motion. The energy of a triangle is that
-of :mod:`meshdeform_core.numerics.cell.foldover`.
+eqs. 3 and 4 with d = 2 and lambda = 1). A triangle in rigid motion has f = 2. Its energy follows from f as in
+:mod:`meshdeform_core.numerics.cell.foldover`.
 
-The second derivatives are diagonal but for one 2 x 2 matrix in the basis of similarities and of their mirror images,
-A = C + M: |A|^2 = |C|^2 + |M|^2 and 2 D = |C|^2 - |M|^2. So their negative part can be left out exactly.
+Split A = C + M into a similarity C and a mirrored similarity M: |A|^2 = |C|^2 + |M|^2 and 2 D = |C|^2 - |M|^2. In this
+basis the second derivatives are diagonal but for one 2 x 2 matrix, so their negative part can be removed exactly.
 """
 
 import numpy as np
@@ -21,7 +21,7 @@ from .jacobian import growth, regular
 
 @inlined
 def plane_matrix(x, node, slope):
-    """The Jacobian matrix a b / c d of a triangle."""
+    """The Jacobian matrix ((a, b), (c, d)) of a triangle, returned as four numbers."""
     a = b = c = d = 0.0
     for n in range(3):
         p = node[n]
@@ -34,7 +34,7 @@ def plane_matrix(x, node, slope):
 
 @inlined
 def slopes_of_triangle(g, det, chi, root):
-    """f, and its derivatives: along g and D, and along both, and D twice; that along g twice is zero."""
+    """f, df/dg, df/dD, d2f/(dg dD) and d2f/dD2 with g = |A|^2; d2f/dg2 is zero."""
     f = 0.5 * (g + det * det + 1.0) / chi
     d_det = det / chi - f / root
     second = 1.0 / chi - 2.0 * det / (chi * root) + f * (1.0 + det / root) / (root * root)
@@ -43,7 +43,7 @@ def slopes_of_triangle(g, det, chi, root):
 
 @kernel
 def energy_of_triangles(x, node, slope, weight, reference, penalty, low, high):
-    """Sum of the energy over the triangles low <= m < high, smallest D, and largest f.
+    """Sum of the energy over the triangles low <= m < high, their smallest D and largest f.
 
     Parameters
     ----------
@@ -72,10 +72,10 @@ def energy_of_triangles(x, node, slope, weight, reference, penalty, low, high):
 
 @inlined
 def _spectrum(c, m, u, v, gg, gd, dd, lowest, values, vectors):
-    """Eigenvalues (4,), those below ``lowest`` replaced by it, and eigenvectors (4, 4) of the second derivatives.
+    """Eigenvalues (4,), at least ``lowest``, and eigenvectors (4, 4) of the second derivatives.
 
-    ``c`` (2,) and ``m`` (2,) are coordinates of the two parts of A, ``u`` twice the derivative along g = |A|^2, ``v``
-    that along D, ``gg``, ``gd``, ``dd`` the second ones.
+    ``c`` (2,) and ``m`` (2,) are coordinates of the two parts of A; ``u`` is twice the derivative along g = |A|^2,
+    ``v`` the one along D; ``gg``, ``gd``, ``dd`` are the second derivatives.
     """
     cc, mm = np.sqrt(c[0] * c[0] + c[1] * c[1]), np.sqrt(m[0] * m[0] + m[1] * m[1])
     c0, c1 = (c[0] / cc, c[1] / cc) if cc > 0.0 else (1.0, 0.0)
@@ -86,7 +86,7 @@ def _spectrum(c, m, u, v, gg, gd, dd, lowest, values, vectors):
     half = 0.5 * (one - two)
     radius = np.sqrt(half * half + mixed * mixed)
     middle = 0.5 * (one + two)
-    # The direction of the larger eigenvalue in the plane of the two radii.
+    # The eigenvector of the larger eigenvalue in the plane spanned by the unit vectors along C and M.
     p, q = (half + radius, mixed) if half >= 0.0 else (mixed, radius - half)
     size = np.sqrt(p * p + q * q)
     p, q = (p / size, q / size) if size > 0.0 else (1.0, 0.0)
@@ -139,7 +139,7 @@ def add_triangles(x, node, slope, weight, reference, penalty, which, unknowns, r
 def _add_triangle(node, force, values, turned, unknowns, rows, matrix, gradient):
     """Add the gradient ``force`` (3, 2) and the Hessian of a triangle to the rows that have its unknowns.
 
-    The Hessian is the sum over i of values_i turned_i turned_i^T, ``turned`` (3, 4, 2); the latter is overwritten.
+    The Hessian is the sum over i of values_i turned_i turned_i^T; ``turned`` (3, 4, 2) is overwritten.
     """
     number, frame, plain = unknowns
     first, last, starts, columns = rows
@@ -179,7 +179,7 @@ def _add_triangle(node, force, values, turned, unknowns, rows, matrix, gradient)
 
 @kernel
 def excess_of_triangles(x, node, slope, healthy, eps):
-    """log(f / healthy) of every triangle (m,), 0 where that is negative."""
+    """max(0, log(f / healthy)) of every triangle (m,)."""
     result = np.zeros(len(node))
     for m in range(len(node)):
         a, b, c, d = plane_matrix(x, node[m], slope[m])
@@ -202,12 +202,13 @@ def corner_triangles(start, cells, sign, tolerance, node, slope, cell):
     ----------
     start : (n, 2) undeformed coordinates
     cells : (m, 4) nodes; node a of a cell is the corner (a >> 1, a & 1)
-    node, slope, cell : filled, (4 m, 3), (4 m, 3, 2), (4 m,): see :func:`energy_of_triangles`, and the cell of each
+    node, slope, cell : (4 m, 3), (4 m, 3, 2), (4 m,), out: as in :func:`energy_of_triangles`, and the cell of each
+        triangle
     """
     count = 0
     for c in range(len(cells)):
         for s in range(4):
-            # Edges along ascending indices, whichever end the corner is at.
+            # Both edges point along ascending indices, at whichever end of them the corner is.
             p, q, r = cells[c, s], cells[c, s ^ 2], cells[c, s ^ 1]
             i, j = (1.0 if s < 2 else -1.0), (1.0 if s % 2 == 0 else -1.0)
             ux, uy = i * (start[q, 0] - start[p, 0]), i * (start[q, 1] - start[p, 1])

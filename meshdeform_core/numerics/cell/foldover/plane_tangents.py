@@ -10,9 +10,10 @@ from .plane import plane_matrix, slopes_of_triangle
 
 @kernel
 def products_of_triangles(x, node, slope, weight, penalty, change, d_share, out):
-    """Change of the gradient of the energy for a ``change`` (n, 2) of ``x`` and of the share, added to ``out`` (n, 2).
+    """Add to ``out`` (n, 2) the change of the energy's gradient for a ``change`` (n, 2) of ``x`` and ``d_share`` of the
+    share.
 
-    Returns the transpose with respect to the latter, as :func:`.tangents.products_of_cells`.
+    Returns the transpose with respect to the share, as :func:`.tangents.products_of_cells`.
     """
     eps, share, cubic, elastic, _ = penalty
     g_share = 0.0
@@ -24,7 +25,7 @@ def products_of_triangles(x, node, slope, weight, penalty, change, d_share, out)
         f, dg, dd, gd, ddd = slopes_of_triangle(a * a + b * b + c * c + d * d, det, chi, root)
         _, one, two = growth(f)
         one, two = weight[at] + cubic * one, cubic * two
-        # Changes of g and D, of the derivatives of the energy along them.
+        # Changes of g and D, and of the derivatives of the energy along g and D.
         tg, td = 2.0 * (a * p + b * q + c * r + d * s), d * p - c * q - b * r + a * s
         t_f = dg * tg + dd * td
         u, v = one * dg, one * dd
@@ -47,7 +48,7 @@ def products_of_triangles(x, node, slope, weight, penalty, change, d_share, out)
 
 @kernel
 def slopes_of_triangles(x, node, slope, healthy, eps, change, gradient, d_excess, out):
-    """Of :func:`.plane.excess_of_triangles`, as :func:`.tangents.slopes_of_cells`."""
+    """Derivatives of :func:`.plane.excess_of_triangles`, as :func:`.tangents.slopes_of_cells`."""
     for at in range(node.shape[0]):
         d_excess[at] = 0.0
         a, b, c, d = plane_matrix(x, node[at], slope[at])

@@ -14,8 +14,8 @@ from .jacobian import determinant, jacobian
 class Samples(NamedTuple):
     """Sample points of the reference cell.
 
-    ``used`` (s,) number of nodes that the Jacobian matrix at each depends on, ``node`` (s, m) which ones, ``slope``
-    (s, m, 3) derivatives of their shape functions. The corners come first.
+    ``used`` (s,): number of nodes on which the Jacobian matrix there depends; ``node`` (s, m): these nodes; ``slope``
+    (s, m, 3): derivatives of their shape functions. The corners come first.
     """
 
     used: np.ndarray
@@ -42,7 +42,7 @@ def cell_samples() -> Samples:
 
 
 def samples_with_any(chosen: np.ndarray, samples: Samples) -> np.ndarray:
-    """Sample points that depend on a ``chosen`` node (m, 8) of their cell: (m,) int64, bit s for sample point s."""
+    """Sample points that depend on any ``chosen`` (m, 8) corner of their cell: (m,) int64, bit s for sample point s."""
     mask = np.zeros(len(chosen), dtype=np.int64)
     for s, (used, node) in enumerate(zip(samples.used, samples.node, strict=True)):
         mask |= chosen[:, node[:used]].any(axis=1).astype(np.int64) << s
@@ -53,7 +53,8 @@ def samples_with_any(chosen: np.ndarray, samples: Samples) -> np.ndarray:
 def sound_samples(start, cells, samples, sign, tolerance):
     """Sample points at which undeformed cells are sound: (m,) int64, bit s for sample point s.
 
-    The determinant there has the ``sign`` (m,) of the cell and is more than ``tolerance`` of the product of the edges.
+    Sound means that the determinant has the ``sign`` (m,) of the cell and exceeds ``tolerance`` times the product of
+    the edges.
     """
     count, node, slope = samples
     e = np.empty((3, 3))
@@ -71,8 +72,10 @@ def sound_samples(start, cells, samples, sign, tolerance):
 
 @kernel
 def shortest_edges(start, cells, pairs):
-    """The shortest edge (n,) at every node of ``start`` (n, d), of the ``pairs`` (p, 2) of nodes of ``cells`` (m, k);
-    edges without length do not count."""
+    """Length (n,) of the shortest edge at every node of ``start`` (n, d), edges of zero length ignored.
+
+    The edges join the ``pairs`` (p, 2) of corners of each of the ``cells`` (m, k).
+    """
     result = np.full(len(start), np.inf)
     for c in range(len(cells)):
         for n in range(len(pairs)):

@@ -14,11 +14,11 @@ from .jacobian import cofactors, distortion, inner, jacobian, mapping, regular
 
 @kernel
 def products_of_cells(x, cells, start, own, mask, samples, weight, penalty, change, d_share, d_between, out, g_between):
-    """Change of the gradient of the energy for a ``change`` (n, 3) of ``x``, added to ``out`` (n, 3).
+    """Add to ``out`` (n, 3) the change of the energy's gradient for a ``change`` (n, 3) of ``x``, ``d_share`` of the
+    share of all samples, and ``d_between`` (m,) of the share of each cell's samples between corners.
 
-    It includes those for a change of the share of all samples, and of that of the samples between corners of each cell
-    (m,). Returns the transpose with respect to the former: the change of the derivative of the
-    energy with respect to the share; ``g_between`` (m,) gets the latter.
+    Returns the change, for ``change`` alone, of the derivative of the energy with respect to the share of all samples,
+    and writes into ``g_between`` (m,) that with respect to the share of the samples between corners: the transposes.
     """
     count, node, slope = samples
     eps, share, cubic, elastic, _ = penalty
@@ -72,8 +72,11 @@ def _turned_cofactors(a, t, result):
 
 @kernel
 def slopes_of_cells(x, cells, start, own, mask, samples, healthy, norm, eps, change, gradient, d_excess, out):
-    """Change ``d_excess`` (m,) of :func:`.hexahedra.excess_of_cells` for a ``change`` (n, 3) of ``x``; and the
-    transpose: the ``gradient`` (m,) of cells gives that of nodes, added to ``out`` (n, 3)."""
+    """Derivative of :func:`.hexahedra.excess_of_cells`, and its transpose.
+
+    Writes the change ``d_excess`` (m,) for a ``change`` (n, 3) of ``x``, and adds to ``out`` (n, 3) the gradient with
+    respect to ``x`` that follows from the ``gradient`` (m,) with respect to the excesses.
+    """
     count, node, slope = samples
     inverse, b, a, k = np.empty((3, 3)), np.empty((8, 3)), np.empty((3, 3)), np.empty((3, 3))
     t, f = np.empty((3, 3)), np.empty(count.size)

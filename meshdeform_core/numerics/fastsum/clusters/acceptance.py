@@ -1,4 +1,4 @@
-"""Which clusters of sources are far enough: functions of distance and the errors of interpolating them over boxes."""
+"""Which clusters of sources are far enough: weight functions, and the error of interpolating them over boxes."""
 
 from __future__ import annotations
 
@@ -36,19 +36,20 @@ def weight(distance2, function):
 
 @inlined
 def square(x, i):
-    """Squared length of row ``i`` of (n, 3). Rows as views would count references, which takes longer than this."""
+    """Squared length of row ``i`` of ``x`` (n, 3), without a view of the row, whose reference count would cost more."""
     return x[i, 0] ** 2 + x[i, 1] ** 2 + x[i, 2] ** 2
 
 
 @inlined
 def distance2(x, i, y, j):
-    """Squared distance of two rows."""
+    """Squared distance of row ``i`` of ``x`` (n, 3) from row ``j`` of ``y`` (m, 3)."""
     return (x[i, 0] - y[j, 0]) ** 2 + (x[i, 1] - y[j, 1]) ** 2 + (x[i, 2] - y[j, 2]) ** 2
 
 
 @kernel
 def box_error(half, count, b, gap, distance, function):
-    """Error of interpolating the function over a box: its shape judged at ``gap``, its size at ``distance``."""
+    """Error of interpolating the function over a box: the relative error at the distance ``gap`` times the function's
+    value at ``distance``."""
     ratio = function.kappa * gap ** (function.a - function.b)
     steep = ratio / (1.0 + ratio)
     error = 0.0
@@ -61,7 +62,7 @@ def box_error(half, count, b, gap, distance, function):
 
 @inlined
 def _nearest_reach(half, b, longest, distance):
-    """Distance of a source from the sides of a box, plus its longest half width: a source off a corner is nearer."""
+    """Distance of a source from the sides of a box plus its longest half width: smaller for a source off a corner."""
     return distance - (math.sqrt(square(half, b)) - longest)
 
 
@@ -69,8 +70,8 @@ def _nearest_reach(half, b, longest, distance):
 def _power_error(half, count, b, distance, power):
     """Error of interpolating r^-power over a box, for a source at ``distance`` from its middle, relative to its value.
 
-    Leading Taylor term beyond the interpolation order in each direction, times its growth towards the nearest side;
-    calibrated against computed errors: 1 to 3 times too large, never too small by more than 2.
+    The leading Taylor term beyond the interpolation order in each direction, times its growth towards the nearest side.
+    Calibrated against computed errors: typically 1 to 3 times too large, at worst 2 times too small.
     """
     longest = max(half[b, 0], half[b, 1], half[b, 2])
     reach = _nearest_reach(half, b, longest, distance)

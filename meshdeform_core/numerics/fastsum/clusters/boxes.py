@@ -18,9 +18,9 @@ class Boxes(NamedTuple):
     Attributes
     ----------
     center, half : (m, 3) middles and half widths
-    axes : (m, 3, 3) in rows, longest first
+    axes : (m, 3, 3) unit vectors in rows, along the longest side first
     per_side : (m, 3) interpolation points per side
-    proxy : (m + 1,) where each box's interpolation points begin
+    proxy : (m + 1,) start of each box's rows in ``proxies``
     proxies : (total, 3) interpolation points
     """
 
@@ -35,7 +35,7 @@ class Boxes(NamedTuple):
 def make_boxes(
     center: FloatArray, axes: FloatArray, half: FloatArray, order: int, fewest: IntArray | None = None
 ) -> Boxes:
-    """Boxes with up to ``order`` interpolation points per side; none where that takes ``fewest`` (m,) or more."""
+    """Boxes with up to ``order`` interpolation points per side, or none where that takes ``fewest`` (m,) or more."""
     per_side = points_per_side(half, order)
     sizes = per_side.prod(axis=1)
     if fewest is not None:
@@ -61,7 +61,10 @@ def fit_boxes(points: FloatArray, members: IntArray, span: IntArray) -> tuple[Fl
 def extents(
     points: FloatArray, members: IntArray, span: IntArray, center: FloatArray, axes: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Least and largest coordinates (m, 3) of the members along the axes of boxes, from their middles; 0 if empty."""
+    """Smallest and largest coordinates (m, 3) of the members along the axes of boxes, relative to their middles.
+
+    Both are 0 for boxes without members.
+    """
     low, high = np.zeros(center.shape), np.zeros(center.shape)
     _extents(points, members, span, center, axes, low, high)
     return low, high
@@ -69,7 +72,7 @@ def extents(
 
 @kernel
 def _moments(points, members, span, center, covariance):
-    """Means, and the lower triangles of the sums of squares about them."""
+    """Means of the members, and the lower triangles of their scatter matrices (sums of products about the means)."""
     for b in range(span.shape[0]):
         lo, hi = span[b, 0], span[b, 1]
         share = 1.0 / max(hi - lo, 1)
@@ -103,7 +106,7 @@ def _extents(points, members, span, center, axes, low, high):
 
 
 def points_per_side(half: FloatArray, order: int) -> IntArray:
-    """Interpolation points (m, 3) along each side of boxes: fewer where flat, for the same error in all directions."""
+    """Interpolation points (m, 3) along each side of boxes: fewer along short sides, for equal errors along all."""
     thick = half > 1e-12 * half.max(axis=1, keepdims=True)
     flatness = half.max(axis=1, keepdims=True) / np.where(thick, half, 1.0)
     wanted = np.ceil(order * math.log(REFERENCE_RATIO) / np.log(REFERENCE_RATIO * np.maximum(flatness, 1.0)) - 1e-9)
@@ -121,7 +124,7 @@ def place_points(
 
 @kernel
 def _place_points(center, axes, half, count, start, out):
-    """Products of Chebyshev points along the sides; boxes without any points are left out."""
+    """Tensor products of Chebyshev points along the sides; boxes without any points are skipped."""
     node = np.empty((3, 32))
     for b in range(center.shape[0]):
         n = start[b]
@@ -150,7 +153,7 @@ def chebyshev(n, node, weight):
 
 @inlined
 def lagrange(n, node, weight, t, value):
-    """Values of the n Lagrange polynomials at ``t``: products of the distances from the other points."""
+    """Values of the n Lagrange polynomials at ``t``, as products of the distances from the other points."""
     product = 1.0
     for i in range(n):
         value[i] = weight[i] * product
@@ -163,7 +166,7 @@ def lagrange(n, node, weight, t, value):
 
 @inlined
 def box_coordinate(points, s, center, axes, half, b, row):
-    """Coordinate of point ``s`` along one side of box ``b``, -1 to 1 inside."""
+    """Coordinate of point ``s`` along axis ``row`` of box ``b``, from -1 to 1 inside the box."""
     at = 0.0
     if half[b, row] > 0.0:
         for d in range(3):

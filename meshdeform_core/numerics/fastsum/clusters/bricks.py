@@ -1,4 +1,4 @@
-"""Bricks and regions of target nodes: the other half of what fast summation sorts once per undeformed grid."""
+"""Bricks and regions of target nodes, built once per undeformed grid; :mod:`.tree` does the same for sources."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ class Bricks(NamedTuple):
 
     Attributes
     ----------
-    start : (b + 1,) where each brick's targets begin
+    start : (b + 1,) start of each brick in ``targets``
     targets : (n,) flat node indices
-    boxes : around the targets of each
+    boxes : around the targets of each brick
     """
 
     start: np.ndarray
@@ -31,12 +31,12 @@ class Bricks(NamedTuple):
 
 
 class Regions(NamedTuple):
-    """Neighbouring bricks that see far clusters alike.
+    """Groups of neighbouring bricks for which the same clusters of sources are far.
 
     Attributes
     ----------
     first : (g + 1,) number of each region's first brick
-    boxes : around the targets and the interpolation points of the bricks of each
+    boxes : around the targets and the interpolation points of the bricks of each region
     """
 
     first: np.ndarray
@@ -46,11 +46,11 @@ class Regions(NamedTuple):
 def build_bricks(
     points: FloatArray, shapes: IntArray, offsets: IntArray, flat: IntArray, order: int, capacity: int
 ) -> tuple[Bricks, IntArray]:
-    """Cut the index box of every piece of a block into bricks of at most about ``capacity`` targets, in regions.
+    """Cut the index range of every piece of a block into bricks of at most about ``capacity`` targets, in regions.
 
-    Boxes are halved along the index direction in which they are longest in space, so that bricks are compact although
-    cells are stretched. A region is such a box with about ``REGION`` bricks. Pieces are those of :mod:`...pieces`, so
-    that bricks do not depend on what else is wanted, or held, of the grid.
+    Index ranges are halved along the direction in which they are longest in space, so that bricks are compact although
+    cells are stretched. A region is such a range with about ``REGION`` bricks. Pieces are those of :mod:`...pieces`, so
+    bricks do not depend on which other parts of the grid are evaluated, or held by this rank.
 
     Parameters
     ----------
@@ -91,12 +91,12 @@ def build_bricks(
 
 
 def make_bricks(points: FloatArray, start: IntArray, targets: IntArray, order: int) -> Bricks:
-    """Bricks of ``targets`` beginning at ``start`` (b + 1,), with up to ``order`` interpolation points per side."""
+    """Bricks of ``targets`` that begin at ``start`` (b + 1,), with up to ``order`` interpolation points per side."""
     return Bricks(start, targets, make_boxes(*fit_boxes(points, targets, spans(start)), order))
 
 
 def make_regions(points: FloatArray, bricks: Bricks, first: IntArray, order: int) -> Regions:
-    """Regions of the bricks beginning with number ``first`` (g + 1,)."""
+    """Regions that begin with the bricks ``first`` (g + 1,)."""
     inner = bricks.boxes
     center, axes, half = fit_boxes(inner.proxies, np.arange(len(inner.proxies)), spans(inner.proxy[first]))
     # The boxes enclose the targets too.
@@ -105,14 +105,14 @@ def make_regions(points: FloatArray, bricks: Bricks, first: IntArray, order: int
 
 
 def spans(start: IntArray) -> IntArray:
-    """Rows (m, 2) of first and one past the last place, of groups that begin at ``start`` (m + 1,)."""
+    """Rows (m, 2) of the first and one past the last index of groups that begin at ``start`` (m + 1,)."""
     return np.stack([start[:-1], start[1:]], axis=1)
 
 
 def _cut_box(x: FloatArray, mask: BoolArray, count: int, capacity: float) -> tuple[IntArray, IntArray, IntArray]:
     starts, firsts = np.zeros(count + 1, dtype=np.int64), np.zeros(count + 1, dtype=np.int64)
     targets = np.empty(count, dtype=np.int64)
-    # Ranges of indices, and whether the box lies in a region.
+    # Per box: first and last index along each axis, and whether it lies in a region.
     box = np.zeros((4096, 7), dtype=np.int64)
     box[0, 1:6:2] = mask.shape
     pieces, regions = _cut_boxes(x, mask, capacity, box, starts, firsts, targets)
@@ -190,7 +190,7 @@ def longest_side(x, b, at, previous):
 
 
 def node_sizes(points: FloatArray, shapes: IntArray, offsets: IntArray, flat: IntArray) -> FloatArray:
-    """Shortest edge (n,) at the nodes ``flat`` of a grid; edges without length, at poles, do not count."""
+    """Length (n,) of the shortest edge at the nodes ``flat`` of a grid; edges of zero length, at poles, are ignored."""
     block = np.searchsorted(offsets, flat, side="right") - 1
     rest, shape = flat - offsets[block], shapes[block]
     size = np.full(len(flat), np.inf)

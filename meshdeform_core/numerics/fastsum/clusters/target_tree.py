@@ -1,4 +1,4 @@
-"""Trees of target nodes that follow the grid's own order: no node is sorted, index boxes are cut."""
+"""Trees of target nodes, built by halving ranges of block indices instead of sorting nodes in space."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ class TargetTree(NamedTuple):
 
     Attributes
     ----------
-    targets : (n,) flat node indices, those of a node of the tree one after the other
-    span : (m, 2) first and one past the last of each
-    child : (m, 2) children, -1 for leaves and for what holds no target
-    region : (g + 1,) node of the tree at which each region begins: its root
+    targets : (n,) flat node indices of the grid; those below a tree node are contiguous
+    span : (m, 2) first and one past the last target below each tree node
+    child : (m, 2) children of each tree node, -1 for leaves and for parts without targets
+    region : (g + 1,) first tree node of each region, its root
     center, axes, half : (m, 3), (m, 3, 3), (m, 3) boxes along principal axes
     """
 
@@ -42,9 +42,9 @@ def build_target_tree(
 ) -> TargetTree:
     """Trees of the nodes ``flat`` (n,), ascending, of a grid, with leaves of at most about ``capacity`` targets.
 
-    Boxes of indices are halved along the direction in which they are longest in space, so that leaves are compact
-    although cells are stretched. No tree reaches beyond a piece of a block (:mod:`...pieces`), so that trees do not
-    depend on what else is wanted, or held, of the grid.
+    Index ranges are halved along the direction in which they are longest in space, so that leaves are compact although
+    cells are stretched. No tree extends beyond a piece of a block (:mod:`...pieces`), so trees do not depend on which
+    other parts of the grid are evaluated, or held by this rank.
     """
     none, pairs = np.empty(0, np.int64), np.empty((0, 2), np.int64)
     parts = [(none, pairs, pairs, none)]
@@ -70,7 +70,7 @@ def build_target_tree(
 def _cut(x, mask, count, capacity, region):
     """Targets, spans, children and roots of one block."""
     ni, nj, nk = mask.shape
-    # Ranges of indices, and the node of the tree: -1 outside of regions.
+    # Per box: first and last index along each axis, and its tree node, -1 outside regions.
     box = np.empty((4096, 7), dtype=np.int64)
     at, previous = np.empty(3, dtype=np.int64), np.empty(3)
     box[0, 0] = box[0, 2] = box[0, 4] = 0
@@ -115,7 +115,7 @@ def _cut(x, mask, count, capacity, region):
 def _fit(
     points: FloatArray, targets: IntArray, span: IntArray, child: IntArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Boxes of all nodes of the tree: of leaves around their targets, of others around the boxes of their children."""
+    """Boxes of all tree nodes: around the targets of leaves, and around the boxes of the children of other nodes."""
     center, axes, half = fit_boxes(points, targets, np.where(child[:, :1] < 0, span, 0))
     filled = span[:, 1] > span[:, 0]
     for level in reversed(_levels(child)):
@@ -133,7 +133,7 @@ def _fit(
 
 
 def _levels(child: IntArray) -> list[IntArray]:
-    """Nodes of the trees in levels, those of the roots first."""
+    """Tree nodes by level, the roots first."""
     inner = child[child[:, 0] >= 0]
     level = np.setdiff1d(np.arange(len(child)), inner)
     levels = []

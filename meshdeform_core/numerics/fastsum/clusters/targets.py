@@ -20,8 +20,8 @@ class Targets(NamedTuple):
     ----------
     points : (n_nodes, 3)
     bricks, regions : :class:`.bricks.Bricks` and :class:`.bricks.Regions`
-    samples : (b, 9) targets spread over each brick in the grid's order
-    sizes : (b, 9) shortest edge at them
+    samples : (b, 9) targets spread over each brick, in the grid's order
+    sizes : (b, 9) length of the shortest edge at each sample
     """
 
     points: np.ndarray
@@ -40,7 +40,7 @@ class Targets(NamedTuple):
         return len(self.regions.first) - 1
 
     def places(self, first: int, last: int) -> slice:
-        """Part of the list of targets that lies in the regions first <= g < last."""
+        """Slice of the list of targets that lies in the regions first <= g < last."""
         start, stop = self.bricks.start[self.regions.first[[first, last]]]
         return slice(start, stop)
 
@@ -54,23 +54,23 @@ class Targets(NamedTuple):
         shapes: Shapes,
         offsets: IntArray,
     ) -> Targets:
-        """The same, with the edges at the samples taken from other coordinates (n_nodes, 3)."""
+        """These targets with ``sizes`` measured on other coordinates (n_nodes, 3)."""
         return self._replace(sizes=_edges(points, shape_table(shapes), offsets, self.samples))
 
     def numbers(self, first: int, last: int) -> range:
-        """Numbers of the bricks in these regions."""
+        """Numbers of the bricks in the regions first <= g < last."""
         return range(self.regions.first[first], self.regions.first[last])
 
 
 def interpolation_order(tolerance: float) -> int:
-    """Interpolation points per side of a cube for a tolerance: 4 for 1e-2, 5 for 1e-4, 7 for 1e-8."""
+    """Interpolation points per side of a cube for a relative tolerance: 4 for 1e-2, 5 for 1e-4, 7 for 1e-8."""
     return 3 + math.ceil(-0.5 * math.log10(tolerance) - 1e-9)
 
 
 def shape_table(
     shapes: Shapes,
 ) -> IntArray:
-    """Block shapes (n_blocks, 3) in the form the loops expect."""
+    """Block shapes (n_blocks, 3) as the int64 array that the loops expect."""
     return np.asarray(shapes, dtype=np.int64).reshape(-1, 3)
 
 
@@ -82,7 +82,7 @@ def make_targets(
     order: int,
     per_point: int = 8,
 ) -> Targets:
-    """Sort target nodes ``flat``, ascending, into bricks of about ``per_point`` times their interpolation points."""
+    """Targets ``flat``, ascending, in bricks that hold about ``per_point`` targets per interpolation point."""
     shapes, capacity = shape_table(shapes), per_point * order**3
     return Targets(points, *_sorted(points, shapes, offsets, flat, order, capacity))
 
@@ -90,18 +90,18 @@ def make_targets(
 def _sorted(
     points: FloatArray, shapes: IntArray, offsets: IntArray, flat: IntArray, order: int, capacity: int
 ) -> tuple[Bricks, Regions, IntArray, FloatArray]:
-    """All of :class:`Targets` but the points."""
+    """All fields of :class:`Targets` except ``points``."""
     bricks, first = build_bricks(points, shapes, offsets, flat, order, capacity)
     samples = bricks.targets[sample_places(bricks.start)]
     return bricks, make_regions(points, bricks, first, order), samples, _edges(points, shapes, offsets, samples)
 
 
 def _edges(points: FloatArray, shapes: IntArray, offsets: IntArray, samples: IntArray) -> FloatArray:
-    """Shortest edge at the samples, in their shape."""
+    """Length (b, 9) of the shortest edge at the ``samples`` (b, 9)."""
     return node_sizes(points, shapes, offsets, samples.ravel()).reshape(samples.shape)
 
 
 def sample_places(start: IntArray) -> IntArray:
-    """Places (b, 9) in the list of targets, spread over each brick; ``start`` (b + 1,) where bricks begin."""
+    """Nine positions (b, 9) in the list of targets, spread over each of the bricks that begin at ``start`` (b + 1,)."""
     count = np.diff(start)
     return start[:-1, None] + (np.arange(_SAMPLES) * (count[:, None] - 1)) // (_SAMPLES - 1)

@@ -1,4 +1,4 @@
-"""Trees of source clusters: one half of what fast summation sorts once per undeformed grid."""
+"""Trees of source clusters, built once per undeformed grid; :mod:`.bricks` does the same for targets."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ..tuned import LEAF
 from .boxes import Boxes, box_coordinate, chebyshev, fit_boxes, lagrange, make_boxes
 
 CHARGES = 8
-"""Charges of a source: its strength and seven values."""
+"""Number of charges of a source: its strength and seven values."""
 
 
 class SourceTree(NamedTuple):
@@ -21,11 +21,12 @@ class SourceTree(NamedTuple):
 
     Attributes
     ----------
-    order : (n,) source at each place of the tree's order
+    order : (n,) source at each position of the tree's order
     points : (n, 3) sources in that order
-    span : (m, 2) first and one past the last place of each cluster
+    span : (m, 2) first and one past the last position of each cluster
     child : (m,) first child (the second follows it), -1 for leaves
-    boxes : around the sources of each cluster; without interpolation points where these are no fewer than its sources
+    boxes : around the sources of each cluster; without interpolation points where that would take as many as it has
+        sources
     """
 
     order: np.ndarray
@@ -47,7 +48,7 @@ def build_tree(points: FloatArray, order: int, leaf: int = LEAF) -> SourceTree:
 
 
 def _split(points: FloatArray, leaf: int) -> tuple[IntArray, IntArray, IntArray, list[FloatArray]]:
-    """Order, spans, first children and boxes of clusters, halved along their longest sides, one level after another."""
+    """Order, spans, first children and boxes of clusters, which are halved along their longest sides level by level."""
     place: IntArray = np.arange(len(points), dtype=np.int64)
     spans: list[IntArray] = []
     children: list[IntArray] = []
@@ -71,7 +72,7 @@ def _split(points: FloatArray, leaf: int) -> tuple[IntArray, IntArray, IntArray,
 
 @kernel
 def _halve(points, place, span, center, axes, half):
-    """Reorder ``place[lo:hi]`` of every cluster so that each half lies on its side of the longest direction."""
+    """Reorder ``place[lo:hi]`` of every cluster so that its halves are separated along its longest axis."""
     along = np.empty(points.shape[0])
     for b in range(span.shape[0]):
         longest = 0
@@ -90,8 +91,8 @@ def _halve(points, place, span, center, axes, half):
 def gather_charges(tree, charges, out, active, first_cluster, last_cluster):
     """Charges (m, 8) of the interpolation points of some clusters from those (n, 8) of the sources in tree order.
 
-    A source's charge is shared among the points of each cluster it belongs to by their Lagrange polynomials.
-    ``active`` (m,) clusters have sources with charges.
+    The Lagrange polynomials of each cluster distribute the charges of its sources among its interpolation points.
+    Clusters not ``active`` (m,) have no charged sources.
     """
     node, weight, value = np.empty((3, 32)), np.empty((3, 32)), np.empty((3, 32))
     for n in range(tree.boxes.proxy[first_cluster], tree.boxes.proxy[last_cluster]):
@@ -117,7 +118,7 @@ def gather_charges(tree, charges, out, active, first_cluster, last_cluster):
                 for j in range(count[1]):
                     product = value[0, i] * value[1, j]
                     for k in range(count[2]):
-                        # One after the other, so that the compiler makes a vector of them.
+                        # Consecutive entries, which the compiler vectorises.
                         w = product * value[2, k]
                         out[n, 0] += w * c0
                         out[n, 1] += w * c1

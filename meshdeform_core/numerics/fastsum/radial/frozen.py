@@ -1,8 +1,8 @@
 """Fast sums of radial basis functions as a linear map of the coefficients, with its transpose.
 
-For derivatives: skeletons, polynomials and lists are chosen once, for one set of coefficients as rough as any of its
-size, and stay. The transpose goes through the same trees in the opposite direction: gradients at nodes become those
-of polynomials, from the leaves up, these those of skeletons, and these those of centres, from the root down.
+For derivatives: skeletons, polynomials and lists are chosen once, for a set of coefficients as rough as any of its
+size, and never change. The transpose traverses the same trees in the opposite direction: gradients are passed from
+nodes to polynomials (leaves to root), from polynomials to skeletons, and from skeletons to centres (root to leaves).
 """
 
 from __future__ import annotations
@@ -47,9 +47,9 @@ class FrozenRadial:
     def push(
         self, coefficients: FloatArray, use: Callable[[IntArray, FloatArray], object], result: FloatArray
     ) -> FloatArray:
-        """Hand sums (k, 3) to ``use``, with the flat indices (k,) of their nodes, which it fills in ``result``.
+        """Call ``use`` with sums (k, 3) and the flat indices (k,) of their nodes; it fills these rows of ``result``.
 
-        Returns a bound (b,) of the error in each leaf, in units that only allow comparing.
+        Returns a bound (b,) of the error in each leaf, in arbitrary units: leaves can be compared with each other.
         """
         clusters, targets = self._sums.charged(self._clusters, coefficients), self._targets
         risk = np.zeros(len(self._boxes.allowed))
@@ -65,7 +65,7 @@ class FrozenRadial:
         """Gradient (m, 3) of the coefficients from that of the nodes (n_nodes, 3)."""
         targets, clusters = self._targets, self._clusters
         n, total = len(clusters.points), len(clusters.bases.place)
-        # Rows in the place of charges: they tell which ones a list has.
+        # Row numbers take the place of charges, so that lists say which centres and skeletons they hold.
         number = np.zeros((n + total, 3))
         number[:, 0] = np.arange(n + total)
         numbered = clusters._replace(charges=number[:n], upper=number[n:])
@@ -90,7 +90,7 @@ class FrozenRadial:
 
 @kernel
 def scatter_to_centres(child, span, bases, upper, charges):
-    """Of :func:`.nested.gather_up`: add to the gradients of ``charges`` (n, 3) what those of skeletons give."""
+    """Transpose of :func:`.nested.gather_up`: add to the gradients of ``charges`` (n, 3) those of the skeletons."""
     _scatter_down(child, bases, upper)
     for c in range(child.size):
         if child[c] < 0:
@@ -99,8 +99,11 @@ def scatter_to_centres(child, span, bases, upper, charges):
 
 @kernel
 def spread_region(kind, region, points, boxes, clusters, gradient, out):
-    """Of :func:`.sums.sum_regions` for one region: add to ``out`` (n + m, 3), the gradients of centres and skeletons,
-    what those (k, 3) of its targets give. The charges of ``clusters`` are the rows of ``out``."""
+    """Transpose of :func:`.sums.sum_regions` for one region: add to ``out`` (n + m, 3), the gradients of centres and
+    skeletons, those that follow from the ``gradient`` (k, 3) of its targets.
+
+    The charges of ``clusters`` are row numbers of ``out``.
+    """
     tree = boxes.tree
     total = out.shape[0]
     far, near = np.empty((6, total)), np.empty((6, total))
@@ -125,7 +128,7 @@ def spread_region(kind, region, points, boxes, clusters, gradient, out):
             known[level] = n_far > 0 or known[level - 1]
             polynomial[level] = 0.0
             if not leaf:
-                # A node comes again when its children are done.
+                # Push the node again: it is finished after its children.
                 stack[depth, 0], stack[depth, 1], stack[depth, 2] = n, level, 1
                 for c in range(2):
                     stack[depth + 1 + c, 0], stack[depth + 1 + c, 1] = tree.child[n, c], level + 1
@@ -142,13 +145,14 @@ def spread_region(kind, region, points, boxes, clusters, gradient, out):
         place, value = _at_points(n, boxes, polynomial[level])
         _spread_sums(kind, place, value, far, n_far, out)
         if known[level - 1]:
-            # The parent's polynomial is that of the box around.
+            # Pass the gradient on to the polynomial of the parent's box.
             _collect(_parent(n, level, stack, depth), boxes, place, value, polynomial[level - 1])
 
 
 @kernel
 def _at_points(n, boxes, polynomial):
-    """Points (m, 3) of the box of a node, and the gradients (m, 3) there from those of its ``polynomial`` (m, 3)."""
+    """Interpolation points (m, 3) of a tree node's box, and the gradients (m, 3) there that follow from the gradient of
+    its ``polynomial`` (m, 3)."""
     tree, spaces, s = boxes.tree, boxes.spaces, boxes.space[n]
     first, m = spaces.start[s], spaces.start[s + 1] - spaces.start[s]
     place, value = np.empty((m, 3)), np.zeros((m, 3))
@@ -163,7 +167,7 @@ def _at_points(n, boxes, polynomial):
 
 @kernel
 def _parent(n, level, stack, depth):
-    """The node of the level above that waits for its children."""
+    """The tree node one level up that is on the stack until its children are finished."""
     for at in range(depth - 1, -1, -1):
         if stack[at, 2] == 1 and stack[at, 1] == level - 1:
             return stack[at, 0]
@@ -172,7 +176,7 @@ def _parent(n, level, stack, depth):
 
 @kernel
 def _collect(n, boxes, x, gradient, out):
-    """Add to gradients of the coefficients of the polynomial of a node of the target tree those at points (k, 3)."""
+    """Add to the gradient of the polynomial of target tree node ``n`` that of its values at points ``x`` (k, 3)."""
     tree, spaces, s = boxes.tree, boxes.spaces, boxes.space[n]
     degree = spaces.degree[spaces.start[s] : spaces.start[s + 1]]
     add_transposed(tree.center[n], tree.axes[n], tree.half[n], degree, x, gradient, out)
@@ -180,7 +184,8 @@ def _collect(n, boxes, x, gradient, out):
 
 @kernel
 def _spread_sums(kind, x, gradient, packed, n, out):
-    """Add to ``out``, at the rows that ``packed`` (6, ...) has in the place of charges, the sums over points (k, 3)."""
+    """Add to the rows of ``out`` whose numbers ``packed`` (6, ...) holds instead of charges the sums over points ``x``
+    (k, 3)."""
     if n == 0:
         return
     k = x.shape[0]

@@ -1,4 +1,4 @@
-"""Which clusters of a tree interact as far ones, and which leaves directly."""
+"""Which pairs of clusters of a tree interact by their skeletons (far), and which leaves directly (near)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _STACK = 4096
 
 
 class Interactions(NamedTuple):
-    """Which clusters act on which: those of cluster ``t`` are ``far[far_start[t] : far_start[t + 1]]``, etc."""
+    """Which clusters act on which: ``far[far_start[t] : far_start[t + 1]]`` on cluster ``t``; likewise ``near``."""
 
     far_start: np.ndarray
     far: np.ndarray
@@ -37,7 +37,8 @@ def find_interactions(tree: SourceTree, radius: FloatArray, compact: bool) -> In
 
 @kernel
 def _meet(center, radius, child, reach, compact, places, fill, far, near):
-    """Walk pairs of clusters from the root; count the partners of each in ``places`` (2, m), or put them there."""
+    """Traverse pairs of clusters from the root; count the partners of each in ``places`` (2, m), or with ``fill`` store
+    them from these positions on."""
     stack = np.empty((_STACK, 2), dtype=np.int64)
     stack[0] = 0
     depth = 1

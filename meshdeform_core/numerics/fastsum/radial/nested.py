@@ -1,9 +1,9 @@
 """Sums of radial basis functions at their own centres in nearly linear time: nested skeletons.
 
-Clusters far from each other interact by their skeletons; charges go up the tree, from each cluster's children to
-its skeleton, potentials come down the same way, and neighbouring leaves act with all their centres. The structure is
-that of the fast multipole method (Greengard & Rokhlin 1987), with skeletons (see :mod:`.skeletons`) in the place of
-multipoles, which works for any function and also for centres on surfaces or clustered to one side.
+Clusters far from each other interact by their skeletons: charges are passed up the tree, from each cluster's children
+to its skeleton, and potentials down again. Neighbouring leaves interact with all their centres. The structure is that
+of the fast multipole method (Greengard & Rokhlin 1987) with skeletons (see :mod:`.skeletons`) instead of multipoles,
+which works for any function, and for centres on surfaces or unevenly distributed ones.
 """
 
 from __future__ import annotations
@@ -30,13 +30,14 @@ class Bases(NamedTuple):
 
     Attributes
     ----------
-    start : (m + 1,) where each cluster's skeleton begins
-    place : (total,) places in the tree's order
-    points : (total, 3)
-    first : (m + 1,) where the candidates of each cluster begin: its sources, or the skeletons of its children
-    order : candidates, counted from 0 in each cluster, those of the skeleton first
-    begin : (m + 1,) where the shares of each cluster begin
-    share : (others, skeleton) of each cluster, one after the other
+    start : (m + 1,) start of each cluster's skeleton in ``place`` and ``points``
+    place : (total,) positions of skeleton sources in the tree's order
+    points : (total, 3) their coordinates
+    first : (m + 1,) start of each cluster's candidates in ``order``: its sources, or the skeletons of its children
+    order : candidates, numbered from 0 in each cluster, those chosen for the skeleton first
+    begin : (m + 1,) start of each cluster's matrix in ``share``
+    share : matrices (others, skeleton), flat: the share of the charge of each other candidate that each skeleton source
+        takes
     """
 
     start: np.ndarray
@@ -55,8 +56,9 @@ class NestedSums:
     ----------
     kind : number of the basis function, see :data:`.basis.BASES`
     centres : (n, 3) in units of the support radius
-    tolerance : error of a unit charge's effect at the distance of its cluster's radius, relative to the function there
-    rows : where sums are wanted; everywhere by default
+    tolerance : error of the effect of a unit charge at the distance of its cluster's radius, relative to the function
+        there
+    rows : centres at which sums are evaluated, by default all
     like : sums with the same centres, whose clusters are reused
     """
 
@@ -80,7 +82,7 @@ class NestedSums:
         self._set_rows(rows)
 
     def _set_rows(self, rows: IntArray | None) -> None:
-        """Places in the tree where sums are wanted, which of them each leaf has, and where each row finds its own."""
+        """Set the tree positions at which sums are evaluated, the range of them in each leaf, and that of each row."""
         wanted = np.full(len(self._tree.order), rows is None)
         place = np.empty(len(wanted), dtype=np.int64)
         place[self._tree.order] = np.arange(len(wanted))
@@ -93,12 +95,12 @@ class NestedSums:
 
     @property
     def order(self) -> IntArray:
-        """Centres (n,) as they follow in the tree: neighbours in space."""
+        """Centres (n,) in the tree's order, in which neighbours in space are close to each other."""
         return self._tree.order
 
     @property
     def pairs(self) -> int:
-        """Pairs of points that one product sums."""
+        """Number of pairs of points that one product evaluates."""
         size, span, lists = np.diff(self._bases.start), np.diff(self._tree.span)[:, 0], self._lists
         far, near = np.repeat(size, np.diff(lists.far_start)), np.repeat(span, np.diff(lists.near_start))
         return int((far * size[lists.far]).sum() + (near * span[lists.near]).sum())
@@ -132,7 +134,7 @@ class NestedSums:
 
 
 def find_bases(kind: int, tree: SourceTree, radius: FloatArray, acting: BoolArray, tolerance: float) -> Bases:
-    """:class:`Bases` of clusters that are ``acting`` (m,) from afar, and of those in them, from the leaves upwards."""
+    """:class:`Bases` of the clusters ``acting`` (m,) on far ones and of their descendants, from the leaves upwards."""
     m = len(radius)
     depth, wanted = np.zeros(m, dtype=np.int64), acting.copy()
     for c in range(m):
@@ -165,9 +167,9 @@ def find_bases(kind: int, tree: SourceTree, radius: FloatArray, acting: BoolArra
 def _skeleton(
     kind: int, tree: SourceTree, places: IntArray, c: int, radius: float, proxies: FloatArray, tolerance: float
 ) -> tuple[IntArray, IntArray, FloatArray]:
-    """Places of the skeleton of a cluster, the order of its candidates ``places``, and the shares of the others."""
+    """Positions of the skeleton of a cluster, the order of its candidates ``places``, and the shares of the others."""
     n = len(places)
-    # Thin plate splines are the same in any unit up to polynomials, which few points reproduce.
+    # A change of unit adds to thin plate splines only polynomials, which a few points reproduce.
     unit = radius if kind == BASES["tps"] and radius > 0 else 1.0
     points = (tree.points[places] - tree.boxes.center[c]) / unit
     order, share = np.empty(n, dtype=np.int64), np.zeros((n, n))
@@ -177,7 +179,7 @@ def _skeleton(
 
 @kernel
 def gather_up(span, child, bases, charges, out):
-    """Charges of all skeletons, from the leaves up."""
+    """Charges of all skeletons from those of the sources, computed from the leaves up."""
     for c in range(span.shape[0] - 1, -1, -1):
         s, rank = bases.start[c], bases.start[c + 1] - bases.start[c]
         o, n = bases.first[c], bases.first[c + 1] - bases.first[c]
@@ -224,7 +226,7 @@ def _spread(c, at, bases, skeleton, out):
 
 @kernel
 def _scatter_down(child, bases, far):
-    """Potentials at the skeletons, from the root to the leaves."""
+    """Pass the potentials at the skeletons on to those of their children, from the root to the leaves."""
     for c in range(child.size):
         if child[c] >= 0:
             _spread(c, bases.start[child[c]], bases, far, far)
@@ -244,7 +246,7 @@ def _act_far(kind, lo, hi, far_start, far, bases, charges, out):
 
 @kernel
 def _act_near(kind, lo, hi, leaves, of_leaf, places, span, points, charges, near_start, near, bases, far, out):
-    """Sums at places in leaves: far contributions by the skeletons, and those of the neighbours directly."""
+    """Sums at positions in leaves: contributions of far clusters by the skeletons, of neighbouring leaves directly."""
     packed = np.empty((6, points.shape[0]))
     for leaf in range(lo, hi):
         t = leaves[leaf]
@@ -261,7 +263,7 @@ def _act_near(kind, lo, hi, leaves, of_leaf, places, span, points, charges, near
 
 @kernel
 def pack(points, charges, first, last, packed, n):
-    """Copy points and charges first <= s < last to the columns of ``packed`` (6, m) from ``n`` on; the next column."""
+    """Copy points and charges first <= s < last to columns of ``packed`` (6, m) from ``n`` on; return the end."""
     for s in range(first, last):
         for d in range(3):
             packed[d, n] = points[s, d]

@@ -1,8 +1,9 @@
 """Polynomials on boxes: the effect of far clusters on a group of targets.
 
-Products of Chebyshev polynomials T_i(x) T_j(y) T_k(z), those whose terms in the Taylor series of a distant source are
-large enough: fewer along the short sides of a box, and of a total degree. They interpolate at approximate Fekete points
-(Sommariva & Vianello, Comput. Math. Appl. 57, 2009). Their accuracy is measured once per box shape.
+The basis consists of products of Chebyshev polynomials T_i(x) T_j(y) T_k(z) of limited total degree; only those are
+used that matter in the Taylor series of a distant source, which are fewer along the short sides of a box. They
+interpolate at approximate Fekete points (Sommariva & Vianello, Comput. Math. Appl. 57, 2009). Their accuracy is
+measured once per box shape.
 """
 
 from __future__ import annotations
@@ -20,23 +21,23 @@ from ...exact.radial import radial_matrix
 from ...jit import fast_kernel
 from ..tuned import HIGHEST, REFERENCE
 
-# Distances at which the error is measured: the first, and how they grow; positions of sources and points.
+# Distances at which the error is measured: the first one, and the ratio between successive ones.
 NEAREST, GROWTH = 1.3, 1.25
 _DISTANCES, _SOURCES, _PLACES = 14, 80, 120
-# Shapes of boxes are told apart by half powers of 2, the longest to the shortest side up to this power.
+# Box shapes are rounded to half powers of 2; the ratio of the longest to the shortest side is limited to this power.
 _FLATTEST = 14
 
 
 class Spaces(NamedTuple):
-    """The spaces of polynomials of some shapes of boxes, one after the other.
+    """The polynomial spaces of several box shapes, concatenated.
 
     Attributes
     ----------
-    start : (s + 1,) where the polynomials of each space begin
-    degree : (total, 3) int64, degrees of each polynomial
-    points : (total, 3) as many interpolation points in [-1, 1]^3
-    begin : (s + 1,) where the matrices begin
-    matrix : flat (m, m) matrices that take values at the points to coefficients
+    start : (s + 1,) start of each space in ``degree`` and ``points``
+    degree : (total, 3) int64, degrees of each polynomial along the three sides
+    points : (total, 3) interpolation points in [-1, 1]^3, as many as polynomials
+    begin : (s + 1,) start of each matrix in ``matrix``
+    matrix : (m, m) matrices, flat, that map values at the points to coefficients
     error : (s, d) largest error of r^2 log r in a box of radius 1 for sources at the distances
         ``NEAREST * GROWTH ** n``
     """
@@ -84,12 +85,12 @@ def _space(a: int, b: int, c: int, accuracy: float) -> tuple[IntArray, FloatArra
 
 
 def _terms(half: FloatArray, accuracy: float) -> IntArray:
-    """Degrees (m, 3) of the terms that matter; up to degree 2 all, which r^2 log r has at any distance."""
+    """Degrees (m, 3) of the terms that matter, including all up to degree 2, which r^2 log r has at any distance."""
     most = [HIGHEST if h > 0 else 1 for h in half]
     degree = np.stack(np.meshgrid(*map(np.arange, most), indexing="ij"), axis=-1).reshape(-1, 3)
     total = degree.sum(axis=1)
     factorials = np.array([math.lgamma(n + 1) for n in range(3 * HIGHEST)])
-    # (i + j + k)! / (i! j! k!) prod (h / 2 D)^i, two for every direction with a degree, and i^-3 of r^2 log r.
+    # (i + j + k)! / (i! j! k!) prod (h / 2 D)^i, a factor 2 for every direction of degree > 0, and n^-3 for r^2 log r.
     size = factorials[total] - factorials[degree].sum(axis=1) - 3.0 * np.log(np.maximum(total, 1))
     size += (degree * np.log(np.where(half > 0, half, 1.0) / (2.0 * REFERENCE))).sum(axis=1)
     size += np.log(2.0) * (degree > 0).sum(axis=1)
@@ -97,7 +98,7 @@ def _terms(half: FloatArray, accuracy: float) -> IntArray:
 
 
 def _values(degree: IntArray, points: FloatArray) -> FloatArray:
-    """Polynomials (n, m) at points (n, 3) of [-1, 1]^3."""
+    """Values (n, m) of the polynomials at points (n, 3) of [-1, 1]^3."""
     values = np.ones((len(points), len(degree)))
     for d in range(3):
         values *= np.cos(degree[:, d] * np.arccos(points[:, d, None]))
@@ -105,7 +106,7 @@ def _values(degree: IntArray, points: FloatArray) -> FloatArray:
 
 
 def _errors(half: FloatArray, degree: IntArray, points: FloatArray, matrix: FloatArray) -> FloatArray:
-    """Errors at all distances: of random sources, at random points of the box."""
+    """Largest error (d,) at each distance, over random sources and random points of the box."""
     random = np.random.default_rng(0)
     places = random.uniform(-1.0, 1.0, (_PLACES, 3))
     shares = _values(degree, places) @ matrix
@@ -116,13 +117,13 @@ def _errors(half: FloatArray, degree: IntArray, points: FloatArray, matrix: Floa
         sources = NEAREST * GROWTH**n * away
         exact, known = (radial_matrix(BASES["tps"], np.ascontiguousarray(x * half), sources) for x in (places, points))
         errors.append(np.abs(shares @ known - exact).max())
-    # The error never grows with distance, except by round-off.
+    # Round-off aside, the error never grows with distance.
     return np.maximum.accumulate(np.array(errors)[::-1])[::-1]
 
 
 @fast_kernel
 def place_points(center, axes, half, canonical, out):
-    """Points (m, 3) of [-1, 1]^3 in a box with these half sides along the rows of ``axes``."""
+    """Map points ``canonical`` (m, 3) of [-1, 1]^3 into a box with half sides ``half`` along the rows of ``axes``."""
     for n in range(canonical.shape[0]):
         for d in range(3):
             out[n, d] = center[d]
@@ -170,7 +171,7 @@ def add_polynomial(center, axes, half, degree, coefficients, points, out):
 
 @fast_kernel
 def add_transposed(center, axes, half, degree, points, gradient, out):
-    """Of :func:`add_polynomial`: add to the gradients (m, 3) of coefficients those (n, 3) of the values."""
+    """Transpose of :func:`add_polynomial`: add to the gradient (m, 3) of the coefficients that (n, 3) of the values."""
     n, most = points.shape[0], degree.max() + 1
     value = np.empty((3, most, n))
     for d in range(3):
@@ -197,7 +198,7 @@ def add_transposed(center, axes, half, degree, points, gradient, out):
 
 @fast_kernel
 def _chebyshev(center, axes, half, d, points, value):
-    """Chebyshev polynomials (degrees, n) along one side of a box."""
+    """Values (degrees, n) of Chebyshev polynomials along side ``d`` of a box."""
     n = points.shape[0]
     value[0] = 1.0
     if value.shape[0] == 1:

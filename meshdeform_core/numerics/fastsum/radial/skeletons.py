@@ -1,10 +1,10 @@
-"""Skeletons: few sources of a cluster that stand for all of them as seen from afar.
+"""Skeletons: a few sources of a cluster that represent all of them for distant targets.
 
-An interpolative decomposition (Cheng, Gimbutas, Martinsson & Rokhlin, SIAM J. Sci. Comput. 26, 2005) of the basis
-values between the cluster's sources and proxy points around it: the other sources act as the
-skeleton does with charges that are combinations of theirs. The proxy points lie on spheres (Huang, Xing & Chow, H2Pack,
-ACM TOMS 47, 2020); the functions are not harmonic, so that one sphere would not be enough. Skeletons of large clusters
-are chosen among those of their children.
+They result from an interpolative decomposition (Cheng, Gimbutas, Martinsson & Rokhlin, SIAM J. Sci. Comput. 26, 2005)
+of the basis values between the cluster's sources and proxy points around it: the charges of the other sources are
+distributed among those of the skeleton. The proxy points lie on several spheres (Huang, Xing & Chow, H2Pack, ACM TOMS
+47, 2020); one is not enough, as the functions are not harmonic. Skeletons of large clusters are chosen among those of
+their children.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from ..tuned import SPHERES
 
 
 def proxy_points(reach: float) -> FloatArray:
-    """Proxy points (3, n) around a cluster of radius 1 that others see from distance ``reach`` on."""
+    """Proxy points (3, n) around a cluster of radius 1 whose skeleton is used from distance ``reach`` on."""
     return np.ascontiguousarray(np.concatenate([reach * r * _sphere(n) for r, n in SPHERES]).T)
 
 
@@ -39,8 +39,8 @@ def decompose(kind, points, proxies, tolerance, order, share):
     Parameters
     ----------
     tolerance : largest error (root mean square over the proxies) of the effect of a unit charge
-    order : (n,) int64, result: the points, those of the skeleton first
-    share : (n, n), result: ``share[i, j]`` of the charge of the i-th of the others goes to the j-th of the skeleton
+    order : (n,) int64, out: the points, those of the skeleton first
+    share : (n, n), out: the part of the charge of the i-th other point that goes to the j-th skeleton point
 
     Returns
     -------
@@ -52,7 +52,7 @@ def decompose(kind, points, proxies, tolerance, order, share):
     for i in range(n):
         order[i] = i
         norm[i] = _dot(values[i], values[i])
-    # Coefficients of each row in the orthonormal ones chosen so far.
+    # Coefficients of each row with respect to the orthonormal rows chosen so far.
     factor = np.zeros((n, n))
     limit = tolerance * tolerance * m
     rank = 0
@@ -72,10 +72,10 @@ def decompose(kind, points, proxies, tolerance, order, share):
 
 @fast_kernel
 def _choose(values, order, rank, factor, norm, limit):
-    """Make the row at place ``rank`` a unit vector, and the rows behind it orthogonal to it; whether it is not zero."""
+    """Normalise row ``rank`` and make later rows orthogonal to it; False if its square does not exceed ``limit``."""
     p = order[rank]
     row = values[p]
-    # Orthogonalise again against those chosen before: updates have lost digits.
+    # Orthogonalise again against the rows chosen before, as updates lose digits.
     for j in range(rank):
         s = _dot(row, values[order[j]])
         factor[p, j] += s
@@ -99,7 +99,7 @@ def _choose(values, order, rank, factor, norm, limit):
 
 @fast_kernel
 def _solve_shares(factor, order, rank, share):
-    """Rows of the others as combinations of those of the skeleton, by its triangle, from the last column on."""
+    """Express the other rows by those of the skeleton: back substitution with its triangular factor."""
     for i in range(rank, order.size):
         for j in range(rank - 1, -1, -1):
             s = factor[order[i], j]

@@ -1,8 +1,8 @@
 """Fast sums of radial basis functions at target nodes.
 
-Clusters of centres act by their skeletons (:mod:`.skeletons`); in a group of targets far from
-them their effect is a polynomial on its box, which its parts inherit (:mod:`.polynomials`). Clusters too near for that
-act on the nodes directly.
+Clusters of centres act by their skeletons (:mod:`.skeletons`). For a group of targets far from a cluster, the cluster's
+effect is a polynomial on the box of the group, which the group's parts inherit (:mod:`.polynomials`). Clusters that are
+too near for that act on the targets directly.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ _STACK = 512
 class Boxes(NamedTuple):
     """The boxes of a target tree with their spaces of polynomials.
 
-    ``allowed`` (m,) is the error allowed to one cluster in each, in the spaces' error unit; boxes not ``wanted``
-    (m,) are left out.
+    ``allowed`` (m,) is the error that one cluster may cause in each box, in the unit of ``Spaces.error``; boxes not
+    ``wanted`` (m,) are skipped.
     """
 
     tree: TargetTree
@@ -53,8 +53,8 @@ class Clusters(NamedTuple):
     compact : the basis function vanishes from distance 1 on
     center, radius, child, span, points : of the tree, see :class:`..clusters.tree.SourceTree`
     bases : skeletons
-    charges, upper : (n, 3) of the centres in the tree's order, and of the skeletons
-    strength : (m,) root of the summed squares of the charges of each skeleton
+    charges, upper : (n, 3) charges of the centres in the tree's order, (s, 3) of the skeletons
+    strength : (m,) root of the sum of squares of the charges of each skeleton
     """
 
     compact: bool
@@ -86,14 +86,14 @@ class FastRadial:
         self.restart()
 
     def restart(self) -> None:
-        """Return to the accuracy with which all coefficients are summed first."""
+        """Return to the initial accuracy, with which the first sum for any coefficients begins."""
         self._tolerance, self._excess = SKELETONS, np.inf
         self.share = 1.0
 
     def refine(self, excess: float) -> None:
-        """Raise the accuracy of all sums until :meth:`restart`: the error was ``excess`` times too large.
+        """Raise the accuracy of all sums until :meth:`restart`, as the error was ``excess`` times too large.
 
-        If the last increase did not help much, the skeletons are refined.
+        If the previous increase had little effect, the skeletons are refined.
         """
         if excess > 0.5 * self._excess:
             self._tolerance = max(0.01 * self._tolerance, _FINEST)
@@ -108,7 +108,7 @@ class FastRadial:
         result: FloatArray,
         progress: Report | None = None,
     ) -> FloatArray:
-        """Sums at target nodes, handed region by region to ``use`` with their flat indices.
+        """Sums at target nodes; ``use`` is called with the sums of each region and their flat indices.
 
         Parameters
         ----------
@@ -118,7 +118,7 @@ class FastRadial:
 
         Returns
         -------
-        risk : (b,) of each leaf's error, in units that only allow comparing
+        risk : (b,) bound of each leaf's error, in arbitrary units
         """
         clusters, boxes = fitted
         risk = np.zeros(len(boxes.allowed))
@@ -131,8 +131,8 @@ class FastRadial:
         return risk[targets.leaves]
 
     def fitted(self, coefficients: FloatArray, targets: RadialTargets, tolerance: float) -> tuple[Clusters, Boxes]:
-        """Clusters with coefficients (n, 3) and boxes with which sums keep the ``tolerance``, relative to the local
-        cell size, on trial leaves: of targets in parts, on those of all ranks."""
+        """Clusters with coefficients (n, 3), and boxes fine enough for the sums at trial leaves to keep the
+        ``tolerance``, which is relative to the local cell size. The trial leaves of all ranks count."""
         first, count = numbered(targets.coordinates, len(targets.leaves))
         chosen = np.unique(np.linspace(0, count - 1, TRIAL_LEAVES).astype(int)) - first
         chosen = chosen[(chosen >= 0) & (chosen < len(targets.leaves))]
@@ -154,11 +154,11 @@ class FastRadial:
 
     @property
     def order(self) -> IntArray:
-        """The centre (n,) at each place of the tree's order."""
+        """The centre (n,) at each position of the tree's order."""
         return self._tree.order
 
     def charged(self, clusters: Clusters, coefficients: FloatArray) -> Clusters:
-        """The same clusters, seen as before, with other coefficients (n, 3)."""
+        """``clusters`` with other coefficients (n, 3), but the same ``strength``, so that the same ones are far."""
         charges, upper = coefficients[self._tree.order], np.empty_like(clusters.upper)
         gather_up(clusters.span, clusters.child, clusters.bases, charges, upper)
         return clusters._replace(charges=charges, upper=upper)
@@ -178,7 +178,7 @@ class FastRadial:
         return Clusters(self._kind != BASES["tps"], *where, bases, charges, upper, strength)
 
     def _on_leaves(self, chosen: IntArray, targets: RadialTargets, boxes: Boxes, clusters: Clusters) -> FloatArray:
-        """Sums at the samples of some leaves, computed as for all targets."""
+        """Sums at the samples of some leaves, computed in the same way as for all targets."""
         tree, leaves = targets.tree, targets.leaves[chosen]
         wanted = np.zeros(len(tree.span), dtype=bool)
         for leaf in leaves:
@@ -194,7 +194,7 @@ class FastRadial:
     def of_regions(
         self, lo: int, hi: int, targets: RadialTargets, boxes: Boxes, clusters: Clusters, risk: FloatArray
     ) -> FloatArray:
-        """Sums (n, 3) at the targets of some regions, as far as boxes are wanted."""
+        """Sums (n, 3) at the targets of the regions lo <= g < hi that lie in ``wanted`` boxes."""
         sums = np.zeros((len(targets.flat(lo, hi)), 3))
         sum_regions(self._kind, lo, hi, targets.points, boxes, clusters, sums, risk)
         return sums
@@ -211,7 +211,7 @@ def sum_regions(kind, lo, hi, points, boxes, clusters, out, risk):
     polynomial = np.empty((DEPTH, np.diff(spaces.start).max(), 3))
     stack = np.empty((DEPTH, 3), dtype=np.int64)
     origin = tree.span[tree.region[lo], 0]
-    # Level 0 is before the root: the cluster of all centres is left to it.
+    # Level 0 is above the root of the target tree; it leaves the cluster of all centres to the root.
     left[0, 0], n_left[0] = 0, 1
     for g in range(lo, hi):
         stack[0, 0], stack[0, 1], stack[0, 2] = tree.region[g], 1, -1
@@ -242,7 +242,7 @@ def sum_regions(kind, lo, hi, points, boxes, clusters, out, risk):
 
 @kernel
 def _fill(kind, n, boxes, far, n_far, parent, inherited, polynomial):
-    """Coefficients of the polynomial of a node of the target tree: what it inherits, if any, and its far clusters."""
+    """Coefficients of the polynomial of a target tree node: what it inherits, if anything, plus its far clusters."""
     tree, spaces, s = boxes.tree, boxes.spaces, boxes.space[n]
     first, last = spaces.start[s], spaces.start[s + 1]
     place, value = np.empty((last - first, 3)), np.zeros((last - first, 3))
@@ -255,7 +255,7 @@ def _fill(kind, n, boxes, far, n_far, parent, inherited, polynomial):
 
 @kernel
 def _add(n, boxes, polynomial, x, out):
-    """Add the polynomial of a node of the target tree at points (k, 3)."""
+    """Add the values of the polynomial of a target tree node at points (k, 3)."""
     tree, spaces, s = boxes.tree, boxes.spaces, boxes.space[n]
     degree = spaces.degree[spaces.start[s] : spaces.start[s + 1]]
     add_polynomial(tree.center[n], tree.axes[n], tree.half[n], degree, polynomial, x, out)
@@ -263,7 +263,7 @@ def _add(n, boxes, polynomial, x, out):
 
 @kernel
 def _error(error, distance, radius):
-    """Error of the polynomial of a box for a unit charge at a distance from its middle, in the table's unit."""
+    """Error of a box's polynomial for a unit charge at a distance from its middle, in the unit of ``Spaces.error``."""
     if distance <= NEAREST * radius:
         return np.inf
     n = int(np.log(distance / (NEAREST * max(radius, 1e-300))) / np.log(GROWTH))
@@ -272,14 +272,14 @@ def _error(error, distance, radius):
 
 @kernel
 def look(n, boxes, tops, clusters, far, near, left, risk):
-    """Sort the clusters left by the parent of a node: those that act on its polynomial (far), on its targets (near, for
-    leaves), and those left to its children."""
+    """Sort the clusters that the parent of a target tree node has left: those that act on the node's polynomial (far),
+    those that act on its targets (near, in leaves only), and those left to its children."""
     tree, child = boxes.tree, clusters.child
     stack = np.empty(_STACK, dtype=np.int64)
     n_far = n_near = n_left = 0
     s = boxes.space[n]
     leaf = tree.child[n, 0] < 0
-    # Few targets need no polynomial of their own.
+    # With fewer targets than coefficients, a polynomial does not pay.
     few = leaf and tree.span[n, 1] - tree.span[n, 0] <= boxes.spaces.start[s + 1] - boxes.spaces.start[s]
     own = np.sqrt(square(tree.half, n))
     for top in tops:
@@ -312,7 +312,7 @@ def look(n, boxes, tops, clusters, far, near, left, risk):
 
 @kernel
 def _act(c, seen, clusters, packed, n):
-    """Append the skeleton of a cluster that is seen from afar, or its centres."""
+    """Append the skeleton of a cluster, if it is ``seen`` from afar, or else its centres."""
     if seen:
         start = clusters.bases.start
         return pack(clusters.bases.points, clusters.upper, start[c], start[c + 1], packed, n)

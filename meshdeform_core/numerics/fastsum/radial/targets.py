@@ -1,4 +1,4 @@
-"""Targets of radial sums: trees of the wanted nodes of every block, in regions."""
+"""Targets of radial sums: trees of the requested nodes of every block, in regions."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ..clusters.targets import sample_places, shape_table
 from ..tuned import CAPACITY, TERMS
 from .polynomials import Spaces, spaces_of
 
-# Singular part of each function at the origin: power of the distance, and size relative to r^2 log r.
+# Leading singular term of each function at the origin: power of the distance, and size relative to that of r^2 log r.
 _SINGULAR = {0: (2.0, 1.0), 1: (1.0, 0.5), 2: (3.0, 15.0), 3: (2.0, 20.0), 4: (3.0, 60.0), 5: (4.0, 60.0)}
 
 
@@ -23,13 +23,13 @@ class RadialTargets(NamedTuple):
 
     Attributes
     ----------
-    coordinates : (n_nodes, 3), in parts or not
+    coordinates : (n_nodes, 3) array, or one in parts
     tree : of the targets
-    leaves : (b,) nodes of the tree that are leaves and hold targets
-    places : (b, 9) places in the tree spread over each leaf
-    samples : (b, 9) the targets there
-    sizes : (b, 9) shortest edge at them
-    spaces : of the polynomials on the boxes of the tree, and which of them (m,) each has
+    leaves : (b,) tree nodes that are leaves and hold targets
+    places : (b, 9) positions in the tree's list of targets, spread over each leaf
+    samples : (b, 9) the targets at these positions
+    sizes : (b, 9) length of the shortest edge at each sample
+    spaces : polynomial spaces, and the number (m,) of the space of each tree node's box
     """
 
     coordinates: Any
@@ -42,7 +42,7 @@ class RadialTargets(NamedTuple):
 
     @property
     def points(self) -> FloatArray:
-        """Coordinates (n_nodes, 3), of a grid in parts those that this rank holds."""
+        """Coordinates (n_nodes, 3); of a grid in parts, only the rows that this rank holds."""
         return np.asarray(rows_of(self.coordinates))
 
     @property
@@ -51,9 +51,9 @@ class RadialTargets(NamedTuple):
         return self.tree.targets
 
     def permitted(self, kind: int) -> FloatArray:
-        """Length relative to which errors of a basis function are measured in each node of the tree, (m,).
+        """Length (m,) relative to which errors of a basis function are measured in each tree node.
 
-        The shortest edge at the samples in it, by the size of the function's singular part at the radius of its box.
+        The shortest edge at its samples, divided by the size of the function's singular part at the radius of its box.
         """
         size, child = np.full(len(self.tree.span), np.inf), self.tree.child
         size[self.leaves] = self.sizes.min(axis=1)
@@ -64,12 +64,12 @@ class RadialTargets(NamedTuple):
         return size / (factor * np.maximum((self.tree.half**2).sum(axis=1), 1e-300) ** (0.5 * power))
 
     def flat(self, first: int, last: int) -> IntArray:
-        """Flat indices of the targets in regions."""
+        """Flat indices of the targets in the regions first <= g < last."""
         roots = self.tree.region[[first, last - 1]]
         return self.tree.targets[self.tree.span[roots[0], 0] : self.tree.span[roots[1], 1]]
 
     def nodes(self, first: int, last: int) -> range:
-        """Numbers of the nodes of the trees of regions."""
+        """Numbers of the tree nodes of the regions first <= g < last."""
         return range(self.tree.region[first], self.tree.region[last])
 
 
@@ -79,7 +79,7 @@ def make_radial_targets(
     offsets: IntArray,
     flat: IntArray,
 ) -> RadialTargets:
-    """Sort the target nodes ``flat``, ascending, of a grid; of one in parts, those of this rank."""
+    """Targets ``flat``, ascending, of a grid; those of this rank if the grid is in parts."""
     return RadialTargets(coordinates, *_sorted(rows_of(coordinates), shape_table(shapes), offsets, flat))
 
 

@@ -1,8 +1,8 @@
-"""Fast weighted sums as a linear map of the values, with its transpose: clusters, orders and lists stay the same.
+"""Fast weighted sums as a linear map of the values, with its transpose; clusters, orders and lists are fixed.
 
-For derivatives: the accuracy is relative to the largest change of a value, whatever the displacement is. Products are
-added in double precision, of weights that are the same in both directions to the last bit, or to that precision, so
-that these are transposes of each other to round-off.
+For derivatives: the accuracy is relative to the largest change of a value, whatever the displacement. Both directions
+use the same weights (to the last bit, or to double precision) and add products in double precision, so they are
+transposes of each other to round-off.
 """
 
 from __future__ import annotations
@@ -28,25 +28,24 @@ Make = Callable[[slice, IntArray, int], FloatArray]
 
 _MOST_PORTIONS = 64
 _SOURCES = 2048
-# Of groups that do not act.
+# Charges of groups that do not act.
 _NONE = Charges(np.empty((0, 3 + CHARGES)), False)
 
 
 class FrozenSums:
-    """Sums over groups of sources of weights times values that are zero but for ``acting`` (n,) sources.
+    """Sums of weights times values over groups of sources; values are zero except at ``acting`` (n,) sources.
 
     Parameters
     ----------
     groups, trees, targets : as for :class:`.sums.FastSums`; sources that act and others in groups of their own
     strength : (n,) per source, weights : (a, b, kappa) per group
-    tolerance : error of a sum relative to the total weight, for values of one
-    share : error allowed to one cluster, as a multiple of that of the sum
-    single : whether weights may be in single precision, where that has a loop; sums that are too large for it are not
-        finite
+    tolerance : error of a sum of unit values relative to the total weight
+    share : error allowed to one cluster, as a multiple of that allowed to the sum
+    single : whether weights may be in single precision where there is such a loop; sums that overflow it are not finite
 
     Attributes
     ----------
-    portions : parts of the targets that :meth:`pull` sums apart from each other; their number depends on sizes only
+    portions : number of parts of the targets that :meth:`pull` sums separately; depends on sizes only
     """
 
     def __init__(
@@ -74,7 +73,7 @@ class FrozenSums:
         self._scale = scale_of(every) if single and whole else None
         key, room = PlanKey(kinds, reaches, acting, share, 0), targets.every.nbytes
         self._plan = Plan(key, targets, self._groups, allowed, mean, room, weights=False, scale=self._scale)
-        # The transpose leaves out groups that do not act.
+        # The transpose skips groups that do not act.
         self._points = [
             np.concatenate([tree.points, tree.boxes.proxies]) if moving.any() else np.empty((0, 3))
             for tree, moving in zip(trees, self._plan.moving, strict=True)
@@ -85,11 +84,14 @@ class FrozenSums:
 
     @property
     def flat(self) -> IntArray:
-        """The nodes (n,) at which sums are taken, in the order of their rows."""
+        """Flat indices (n,) of the nodes at which sums are taken, in the order of their rows."""
         return self._targets.every
 
     def worst_rows(self, bricks: int, each: int) -> IntArray:
-        """Rows of some nodes of the bricks with the largest error bounds, known once weights have been asked for."""
+        """Rows of ``each`` nodes of each of the ``bricks`` bricks with the largest error bounds.
+
+        The bounds are known after :meth:`push` with ``weigh``.
+        """
         worst = np.argsort(self._plan.risk)[-bricks:]
         start, stop = self._targets.bricks.start[worst], self._targets.bricks.start[worst + 1]
         return np.unique(np.linspace(start, stop - 1, each).astype(np.int64))
@@ -102,10 +104,10 @@ class FrozenSums:
         kept: Sequence[FloatArray] = (),
         weigh: bool = False,
     ) -> None:
-        """Hand sums (m, 1 + k) of values (k, n) for some rows to ``use``, with these rows and the flat indices (m,).
+        """Call ``use`` with sums (m, 1 + k) of values (k, n) for some rows, with these rows and flat indices (m,).
 
-        The first column is the total weight of all sources, if asked for by ``weigh``, else zero. ``use`` is called
-        from several threads and fills the nodes of ``result`` (n_nodes, ...) and the rows of arrays ``kept`` (n, ...).
+        The first column is the total weight of all sources if ``weigh``, else zero. ``use`` is called from several
+        threads and fills the nodes of ``result`` (n_nodes, ...) and the rows of the arrays ``kept`` (n, ...).
         """
         k, targets = len(values), self._targets
         passes = [self._charges(values[n : n + N_VALUES], weigh and n == 0) for n in range(0, k, N_VALUES)]
@@ -124,14 +126,14 @@ class FrozenSums:
         for_chunks(work, targets.n_regions, CHUNK, shared=shared)
 
     def pull(self, make: Make, k: int) -> FloatArray:
-        """The transpose: gradients (k, n_sources) from those (m, k) of the sums of values.
+        """Transpose of :meth:`push`: gradients (k, n_sources) of the values from those (m, k) of their sums.
 
-        ``make(rows, flat, portion)`` gives those of some rows; it is called from several threads, but one row of
-        portions after the other.
+        ``make(rows, flat, portion)`` returns the gradients of the sums of some rows; it is called from several threads,
+        within a portion one call after the other.
         """
         sizes = np.append(0, np.cumsum([len(points) for points in self._points]))
         passes = -(-k // N_VALUES)
-        # The lists are kept for chunks that begin at multiples of their size.
+        # Lists are stored for chunks that begin at multiples of the chunk size.
         chunks = -(-self._targets.n_regions // CHUNK)
         cut = np.linspace(0, chunks, self.portions + 1).astype(np.int64)
         totals = empty((self.portions, passes, int(sizes[-1]), CHARGES))
@@ -158,7 +160,7 @@ class FrozenSums:
         return np.where(self.acting, found, 0.0)
 
     def _spread(self, first: int, last: int, gradient: FloatArray, total: FloatArray, sizes: IntArray) -> None:
-        """Add the parts of some regions with gradients (m, k) to ``total`` (passes, points, 8)."""
+        """Add the contributions of some regions with gradients (m, k) to ``total`` (passes, points, 8)."""
         targets = self._targets
         lists = self._plan.lists_of(first, last)
         places = places_of(first, last, targets.points, targets.bricks, targets.regions)

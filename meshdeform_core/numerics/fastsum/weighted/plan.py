@@ -1,4 +1,4 @@
-"""Which clusters act where, for all displacements that agree in what decides it."""
+"""Which clusters act where: the lists that all displacements with the same key share."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from .walk import Lists, Reach, list_clusters
 
 
 def rounded_up(bounds: list[FloatArray]) -> list[FloatArray]:
-    """Common bounds of all clusters that move: the largest, rounded up to a power of four; zeros stay.
+    """One bound for all clusters that move: the largest, rounded up to a power of four; zeros remain.
 
-    So coarse that a motion that grows or swings meets the same ones again, whatever its shape.
+    Rounding is so coarse that the steps of a growing or oscillating motion share a few bounds.
     """
     most = max(float(each.max(initial=0.0)) for each in bounds)
     common = np.ldexp(1.0, 2 * -(-int(np.frexp(most)[1]) // 2))
@@ -28,15 +28,15 @@ def rounded_up(bounds: list[FloatArray]) -> list[FloatArray]:
 
 @dataclass(frozen=True, eq=False)
 class PlanKey:
-    """All that decides which clusters act where, and how their sums are taken.
+    """Everything that determines which clusters act where, and how their sums are taken.
 
     Attributes
     ----------
     kinds : weight function of each group
-    reaches : possible effect of each group's clusters, rounded up
-    moving : (n,) which sources are summed apart from the others
-    share : error allowed to one cluster
-    lasting : number of values per source that are kept with the weights
+    reaches : bounds of the effect of each group's clusters, rounded up
+    moving : (n,) which sources are summed separately from the others
+    share : error allowed to one cluster, as a multiple of that allowed to the whole sum
+    lasting : number of values per source whose sums are stored with the weights
     """
 
     kinds: list[Kernel]
@@ -59,13 +59,13 @@ class PlanKey:
 
 
 class Plan:
-    """The lists of clusters of one :class:`PlanKey`; made on demand, and kept while there is ``room`` (bytes).
+    """The lists of clusters of one :class:`PlanKey`, made on demand and stored while they fit into ``room`` (bytes).
 
-    Weights of targets are kept only if asked for by ``weights``; ``scale`` as for :func:`.treesum.sum_lists`.
+    Weights of targets are stored only with ``weights``; ``scale`` as for :func:`.treesum.sum_lists`.
 
     Attributes
     ----------
-    risk : (b,) bound of each brick's error, in units that only allow comparing
+    risk : (b,) bound of each brick's error, in arbitrary units
     moving : for each tree, which clusters (m,) hold sources that move
     weight : (n, 1 + lasting) of every target in the order of the bricks, and its sums of values that never change,
         known once ``weighed``; ``None`` without room
@@ -96,7 +96,7 @@ class Plan:
         self._room = room - size
 
     def lists_of(self, first: int, last: int) -> list[Lists]:
-        """One of :class:`.walk.Lists` per group, of the regions first <= g < last; called from several threads."""
+        """:class:`.walk.Lists` of each group for the regions first <= g < last; called from several threads."""
         if first in self._kept:
             return self._kept[first]
         targets, key = self._targets, self.key
@@ -117,8 +117,8 @@ class Plan:
     def sums(self, first: int, last: int, passes: Sequence[Sequence[Charges]], weighing: bool) -> list[FloatArray]:
         """Sums (m, 8) of every pass at the nodes of the regions first <= g < last; called from several threads.
 
-        A pass has the charges of each tree. Clusters that hold no sources that move count in the first pass only, when
-        ``weighing``, apart from the others: so the sums of those that move are the same to the last bit without them.
+        A pass consists of the charges of each tree. Clusters without moving sources count only in the first pass, when
+        ``weighing``, and are summed separately, so the sums of the moving ones are the same to the last bit either way.
         """
         targets, lists = self._targets, self.lists_of(first, last)
         bricks, regions = targets.bricks, targets.regions

@@ -36,9 +36,9 @@ class Summands(NamedTuple):
     ----------
     weights : (a, b, kappa) per group of sources
     values : (k, n) per source
-    shift, turn : (n,) displacement and rotation angle of each source, against which errors are judged
+    shift, turn : (n,) displacement and rotation angle (radians) of each source, for error bounds
     still : (k,) values of the sources that do not move, if there are any
-    lasting : number of last rows of ``values`` that never change; their sums are kept with the weights
+    lasting : number of trailing rows of ``values`` that never change; their sums are stored with the weights
     """
 
     weights: Sequence[tuple[float, float, float]]
@@ -50,25 +50,24 @@ class Summands(NamedTuple):
 
 
 class FastSums:
-    """Weighted sums over groups of sources, with an error per target that is small against its cells.
+    """Weighted sums over groups of sources, with an error that is small relative to the cells at each target.
 
-    Which clusters act where, and the weight of every target, are the same for all displacements with the same
-    :class:`.plan.PlanKey`, and are kept for these. With the weights known, only sources that move are summed; as their
-    sums are always taken apart from those of the others, results are the same to the last bit.
+    Which clusters act where, and the weight of every target, are stored for all displacements with the same
+    :class:`.plan.PlanKey`. Once the weights are known, only sources that move are summed; as these are always summed
+    separately from the others, results are the same to the last bit.
 
     Parameters
     ----------
     strength : (n,) per source
-    groups : index arrays; the sources that have the same weight function
-    trees : of the sources of each group, from :func:`..clusters.tree.build_tree` for the order that the tolerance needs
+    groups : index arrays, the sources of each weight function
+    trees : source tree of each group, from :func:`..clusters.tree.build_tree`, of the order that the tolerance requires
     targets : from :func:`..clusters.targets.make_targets`
     tolerance : error of the weighted mean displacement relative to the local cell size
-    room : limit in bytes for the data that are kept; results do not depend on it
+    room : limit in bytes for stored lists and weights; results do not depend on it
 
     Attributes
     ----------
-    share : error allowed to one cluster; once it has been reduced because the error was too large, sums are in
-        double precision
+    share : error allowed to one cluster; once :meth:`refine` has reduced it, sums are in double precision
     """
 
     def __init__(
@@ -88,15 +87,15 @@ class FastSums:
         self.restart()
 
     def restart(self) -> None:
-        """Return to the accuracy with which every displacement is summed first."""
+        """Return to the initial accuracy, with which the first sum of every displacement is taken."""
         self.share = self._first_share = SHARE / (interpolation_order(self.tolerance) - 2) ** 2
 
     def refine(self, excess: float) -> None:
-        """Raise the accuracy of all sums until :meth:`restart`: the error was ``excess`` times too large."""
+        """Raise the accuracy of all sums until :meth:`restart`, as the error was ``excess`` times too large."""
         self.share *= 0.25 / excess
 
     def evaluate(self, summands: Summands, use: Use, result: FloatArray, progress: Report | None = None) -> FloatArray:
-        """Compute the sums brick by brick and hand each chunk to ``use``.
+        """Compute the sums brick by brick and call ``use`` with those of each chunk.
 
         Parameters
         ----------
@@ -105,7 +104,7 @@ class FastSums:
 
         Returns
         -------
-        risk : (b,) bound of each brick's error, in units that only allow comparing
+        risk : (b,) bound of each brick's error, in arbitrary units
         """
         targets, k, lasting = self.targets, len(summands.values), summands.lasting
         middle, spread, scaled = _scaled(summands, self._strength)
@@ -142,13 +141,13 @@ class FastSums:
         return plan.risk
 
     def _reaches(self, shift: FloatArray, turn: FloatArray) -> list[Reach]:
-        """Possible effect of the clusters of each group, its bounds rounded up."""
+        """Bounds, rounded up, of the effect of each group's clusters."""
         found = [cluster_reach(tree, self._strength[g], shift[g], turn[g]) for g, tree in self._groups]
         shifts, turns = (rounded_up([getattr(each, name) for each in found]) for name in ("shift", "turn"))
         return [Reach(each.strength, *bounds) for each, *bounds in zip(found, shifts, turns, strict=True)]
 
     def _planned(self, summands: Summands, moving: BoolArray) -> Plan:
-        """The plan for these weights and motions: one of those kept, or a new one."""
+        """The plan for these weights and motions: a stored one or a new one."""
         single = self.tolerance >= SINGLE_TOLERANCE and self.share == self._first_share
         kinds = [
             inverse_powers(a, b, kappa, single and a in (3.0, 4.0) and b == 5.0) for a, b, kappa in summands.weights
@@ -167,7 +166,7 @@ class FastSums:
         return plan
 
     def _charges(self, values: FloatArray, plan: Plan, weighing: bool) -> list[Charges]:
-        """Charges of one pass, per group; with the strength itself if weights are to be found."""
+        """Charges of one pass, per group; ``weighing`` includes the strength itself, whose sum is the weight."""
         charges = []
         for (group, tree), used in zip(self._groups, plan.used, strict=True):
             source = np.zeros((len(group), CHARGES))
@@ -184,7 +183,7 @@ def allowance(
 ) -> tuple[FloatArray, FloatArray]:
     """Weighted displacement error that one cluster may cause in each brick, and the mean displacement there.
 
-    ``tolerance`` is that of one cluster, relative to the sizes of the targets.
+    ``tolerance`` is that of one cluster, relative to the cell sizes at the targets.
     """
     points, samples = targets.points, targets.samples
     total, moved = np.zeros(samples.shape), np.zeros(samples.shape)
@@ -199,8 +198,11 @@ def allowance(
 
 
 def _scaled(summands: Summands, strength: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Values of the order of one: the value (k,) common to all sources, or to those that do not move, the largest
-    difference (k,) from it, and the values (k, n) without the former in units of the latter."""
+    """Scale values to the order of one.
+
+    Returns an offset (k,), the value of the sources that do not move or a mean of all, the largest difference (k,) from
+    it, and the scaled values (k, n): (value - offset) / difference.
+    """
     values = summands.values
     middle = values @ strength / strength.sum() if summands.still is None else summands.still
     rest = values - middle[:, None]

@@ -1,7 +1,7 @@
 """Transposes of the loops of fast sums: from gradients at nodes to gradients of the charges of sources.
 
-The same clusters act with the same weights, so that :func:`sum_groups` serves both directions: here sources and
-interpolation points of clusters are its targets, nodes and interpolation points of bricks its sources.
+:func:`sum_groups` serves both directions, as clusters and weights are the same: here its targets are the sources and
+the interpolation points of clusters, and its sources are the nodes and the interpolation points of bricks.
 """
 
 from __future__ import annotations
@@ -22,10 +22,11 @@ from .walk import Lists, few_nodes
 
 @fast_kernel
 def collect_sums(first, last, bricks, regions, places, filled, all_charges, gradient):
-    """Of :func:`.treesum.interpolate_sums`: add to ``gradient`` (n, 8) at points of bricks and regions what nodes have.
+    """Transpose of :func:`.treesum.interpolate_sums`: add to ``gradient`` (n, 8), at the interpolation points of bricks
+    and regions, that at their nodes.
 
-    ``filled`` (items,) tells which of them act anywhere. Without ``all_charges`` the first and the last column are
-    taken for zero.
+    ``filled`` (items,): which lists hold any cluster. Without ``all_charges`` the first and the last column are taken
+    as zero.
     """
     low, high = (0, gradient.shape[1]) if all_charges else (1, gradient.shape[1] - 1)
     item = 0
@@ -50,7 +51,7 @@ def collect_sums(first, last, bricks, regions, places, filled, all_charges, grad
 
 @inlined
 def _collect(boxes, b, m, low, high, points, first, last, gradient):
-    """Add to ``gradient`` of the box's points, rows ``m`` onwards, those of rows first <= t < last."""
+    """Add to the rows of ``gradient`` from ``m`` on, the interpolation points of a box, those of first <= t < last."""
     per_side = boxes.per_side
     n, most = last - first, max(per_side[b, 0], per_side[b, 1], per_side[b, 2])
     share, given, product = np.empty((3 * most, n)), np.empty((high, n)), np.empty(n)
@@ -84,10 +85,11 @@ def spread_lists(
     all_charges: bool,
     out: FloatArray,
 ) -> None:
-    """Of :func:`.treesum.sum_lists`: add to ``out`` (n + m, 8) the gradients of sources and interpolation points.
+    """Transpose of :func:`.treesum.sum_lists`: add to ``out`` (n + m, 8) the gradients of sources and interpolation
+    points.
 
-    ``points`` (n + m, 3) are those of the ``tree``; ``charged`` (places, 11) has the coordinates of places and their
-    gradients, of which the first and the last are taken for zero without ``all_charges``; ``place`` is
+    ``points`` (n + m, 3) are those of the ``tree``; ``charged`` (places, 11) holds coordinates and gradients of the
+    places, of which the first and the last gradient are taken as zero without ``all_charges``; ``place`` is
     :attr:`.treesum.Places.span`.
     """
     number, raw = lists.codes >> 1, lists.codes & 1 == 1
@@ -111,16 +113,18 @@ def spread_lists(
 
 
 def filled_by(lists: Lists, acting: BoolArray) -> BoolArray:
-    """Which (items,) have any of the ``acting`` (m,) clusters, as :func:`.treesum.sum_lists` returns it."""
+    """Which lists (items,) hold any of the ``acting`` (m,) clusters, as returned by :func:`.treesum.sum_lists`."""
     count = np.append(0, np.cumsum(acting[lists.codes >> 1]))
     return np.asarray(np.diff(count[np.append(0, lists.stop)]) > 0)
 
 
 @kernel
 def spread_charges(tree, proxy, used, first, last, out):
-    """Of :func:`..clusters.tree.gather_charges`: add to ``out`` (n, 8), the gradients of sources in tree order, at the
-    places first <= s < last, what the interpolation points of all clusters that are ``used`` (m,) have, ``proxy``
-    (m, 8)."""
+    """Transpose of :func:`..clusters.tree.gather_charges`, for the sources first <= s < last in tree order.
+
+    Adds to their gradients, rows of ``out`` (n, 8), those of the interpolation points ``proxy`` (total, 8) of all
+    clusters that are ``used`` (m,).
+    """
     node, weight, value = np.empty((3, 32)), np.empty((3, 32)), np.empty((3, 32))
     total = np.empty(CHARGES)
     for cluster in range(tree.child.size):
@@ -150,6 +154,6 @@ def spread_charges(tree, proxy, used, first, last, out):
 
 
 def used_clusters(tree: SourceTree, proxy: FloatArray) -> BoolArray:
-    """Clusters (m,) whose interpolation points have any gradient ``proxy`` (total, 8)."""
+    """Which clusters (m,) have an interpolation point with a nonzero gradient ``proxy`` (total, 8)."""
     count: IntArray = np.append(0, np.cumsum(proxy.any(axis=1)))
     return np.asarray(count[tree.boxes.proxy[1:]] > count[tree.boxes.proxy[:-1]])

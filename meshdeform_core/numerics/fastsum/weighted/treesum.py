@@ -1,10 +1,10 @@
-"""Fast sums of functions of distance: clusters of sources seen from bricks of target nodes.
+"""Fast sums of functions of distance between clusters of sources and bricks of target nodes.
 
 :mod:`.walk` lists which clusters act on the interpolation points of a region of bricks, on those of a brick and on its
-nodes. Here the lists are summed; results are interpolated from the region to its bricks and from these to their nodes.
+nodes. Here these lists are evaluated; results are interpolated from a region to its bricks and from these to the nodes.
 
-In a weighted mean (eq. 14) numerator and denominator use the same approximate weights, so its error is the error of the
-weights times the *difference* of a cluster's displacement from the mean: a common motion is exact.
+Numerator and denominator of a weighted mean (eq. 14) use the same approximate weights, so its error is the error of the
+weights times the *difference* of a cluster's displacement from the mean: a motion common to all sources is exact.
 
 Source: barycentric cluster-cluster treecodes (Wang, Krasny, Tlupova 2020), with two levels of targets and the
 acceptance of a weighted mean.
@@ -30,7 +30,7 @@ from ..clusters.tree import CHARGES, SourceTree, gather_charges
 from .walk import Lists, Reach, few_nodes
 
 _STACK = 256
-# Parts into which the charges of a tree are divided for threads.
+# Portions into which the clusters of a tree are divided among threads.
 _PORTIONS = 64
 
 
@@ -40,8 +40,8 @@ class Charges(NamedTuple):
     Attributes
     ----------
     rows : (n + m, 11) coordinates and charges of the sources in tree order, then of the interpolation points
-    all : whether the first or the last charge is ever nonzero; the strength is left out once weights are known, and few
-        kinds of rotation have seven values
+    all : whether the first or the last charge can be nonzero; the first, the strength, is omitted once the weights are
+        known, and the last is needed by few kinds of rotation only
     """
 
     rows: np.ndarray
@@ -49,10 +49,7 @@ class Charges(NamedTuple):
 
 
 def gather(tree: SourceTree, source: FloatArray, used: BoolArray | None = None) -> Charges:
-    """:class:`Charges` from those of the sources in tree order (n, 8).
-
-    With ``used`` (m,), interpolation points of the other clusters get none.
-    """
+    """:class:`Charges` from those of the sources in tree order (n, 8); with ``used`` (m,), other clusters get none."""
     charged = np.append(0, np.cumsum(source.any(axis=1)))
     active = charged[tree.span[:, 1]] > charged[tree.span[:, 0]]
     proxy = np.empty((len(tree.boxes.proxies), CHARGES))
@@ -66,7 +63,7 @@ def gather(tree: SourceTree, source: FloatArray, used: BoolArray | None = None) 
 
 
 def _portions(tree: SourceTree) -> IntArray:
-    """First clusters of portions that cost about the same, and one past the last: those near the root cost most."""
+    """First clusters of portions of about equal cost, and one past the last; clusters near the root cost most."""
     work = np.cumsum((tree.span[:, 1] - tree.span[:, 0]) * np.diff(tree.boxes.proxy))
     inner = np.searchsorted(work, np.linspace(0.0, work[-1], _PORTIONS + 1)[1:-1], side="right")
     return np.unique(np.concatenate([[0], inner, [len(work)]]))
@@ -74,7 +71,7 @@ def _portions(tree: SourceTree) -> IntArray:
 
 def cluster_reach(tree: SourceTree, strength: FloatArray, shift: FloatArray, turn: FloatArray) -> Reach:
     """:class:`Reach` of every cluster from the sources' strength, displacement and rotation (n,)."""
-    # Spans as pairs of places; results for the gaps between spans are computed as well and discarded.
+    # reduceat takes the spans as pairs of positions; the results between spans are discarded.
     places = tree.span.ravel()
     sums, most = np.append(strength[tree.order], 0.0), (np.append(each[tree.order], 0.0) for each in (shift, turn))
     return Reach(np.add.reduceat(sums, places)[::2], *(np.maximum.reduceat(each, places)[::2] for each in most))
@@ -82,7 +79,8 @@ def cluster_reach(tree: SourceTree, strength: FloatArray, shift: FloatArray, tur
 
 @kernel
 def add_totals(samples, tree, reach, function, total, moved):
-    """Total weight and weighted displacement bound at sample points (n, 3), added to ``total`` and ``moved`` (n,)."""
+    """Add to ``total`` (n,) the total weight at ``samples`` (n, 3), to ``moved`` (n,) a bound of the weighted
+    displacement."""
     stack = np.empty(_STACK, np.int64)
     for s in range(samples.shape[0]):
         stack[0] = 0
@@ -93,7 +91,7 @@ def add_totals(samples, tree, reach, function, total, moved):
             d2 = distance2(samples, s, tree.boxes.center, c)
             extent2 = square(tree.boxes.half, c)
             if d2 > 2.0 * extent2 or tree.child[c] < 0:
-                # A leaf around the sample: its weight as if seen from the rim, which is a lower bound.
+                # A leaf that may contain the sample: the weight at its rim is a lower bound.
                 w = reach.strength[c] * weight(max(d2, 0.25 * extent2), function)
                 total[s] += w
                 moved[s] += w * (reach.shift[c] + reach.turn[c] * math.sqrt(d2))
@@ -103,12 +101,12 @@ def add_totals(samples, tree, reach, function, total, moved):
 
 
 class Places(NamedTuple):
-    """Where the sums of some neighbouring regions are taken, in one array: nodes, then interpolation points.
+    """Points at which the sums for some neighbouring regions are taken.
 
     Attributes
     ----------
-    points : (n, 3) coordinates: the nodes of the bricks, then points of regions and bricks
-    span : (items, 2) int64, rows that belong to each list of :class:`.walk.Lists`
+    points : (n, 3) coordinates: the nodes of the bricks, then the interpolation points of regions and bricks
+    span : (items, 2) int64, rows of ``points`` that belong to each list of :class:`.walk.Lists`
     """
 
     points: np.ndarray
@@ -130,7 +128,7 @@ def places_of(first: int, last: int, points: FloatArray, bricks: Bricks, regions
     )  # fmt: skip
     start, proxy, region = start - start[0], proxy - proxy[0] + start[-1] - start[0], region - region[0]
     region = region + proxy[-1]
-    # A region's list comes before the two of each of its bricks.
+    # The list of a region precedes the two lists of each of its bricks.
     span = np.empty((last - first + 2 * (high - low), 2), dtype=np.int64)
     item = np.arange(last - first) + 2 * (ends[:-1] - low)
     span[item] = np.stack([region[:-1], region[1:]], axis=1)
@@ -153,13 +151,13 @@ def sum_lists(
 ) -> BoolArray:
     """Weighted sums over the ``acting`` (m,) clusters of a tree at all places, added to ``out`` (n, 8).
 
-    With a ``scale`` of all points, weights are in single precision, the same in both directions. Returns which (items,)
-    have any.
+    With a ``scale`` of all points, weights are in single precision and the same in both directions (:mod:`...mixed`).
+    Returns which lists (items,) hold any cluster.
     """
     number, raw = lists.codes >> 1, lists.codes & 1 == 1
     active = acting[number]
     number, raw = number[active], raw[active]
-    # Rows of the clusters: those of their sources, or of their interpolation points.
+    # Rows of each list entry: those of a cluster's interpolation points, or of its sources.
     rows = np.where(
         raw, tree.span[number].T, len(tree.order) + np.stack([tree.boxes.proxy[number], tree.boxes.proxy[number + 1]])
     ).T
@@ -177,10 +175,10 @@ def sum_lists(
 
 @kernel
 def interpolate_sums(first, last, bricks, regions, places, filled, all_charges, sums):
-    """Add to the sums at nodes those interpolated from the points of their region and brick.
+    """Add to the sums at nodes those interpolated from the interpolation points of their region and brick.
 
-    From the points of a region to those of its bricks, and from there to the nodes; a brick of few nodes has none.
-    Without ``all_charges`` the first and the last column of ``sums`` are taken for zero.
+    A region's sums are interpolated to the points of its bricks, and from there to the nodes; bricks of few nodes have
+    no points. Without ``all_charges`` the first and the last column of ``sums`` are taken as zero.
     """
     low, high = (0, sums.shape[1]) if all_charges else (1, sums.shape[1] - 1)
     item = 0
@@ -189,7 +187,7 @@ def interpolate_sums(first, last, bricks, regions, places, filled, all_charges, 
         for b in range(regions.first[g], regions.first[g + 1]):
             few = few_nodes(bricks, b)
             filled[item + 1] = filled[item + 1] or (filled[region] and not few)
-            # Both steps in one loop: the functions it calls are compiled once.
+            # Both steps share one loop, so that the functions it calls are compiled once.
             for step in range(2):
                 source, target = (region, item + 1 + few) if step == 0 else (item + 1, item + 2)
                 if not filled[source] or (step == 1 and few):
@@ -205,7 +203,7 @@ def interpolate_sums(first, last, bricks, regions, places, filled, all_charges, 
 
 @inlined
 def _interpolate(boxes, b, m, low, high, points, first, last, sums):
-    """Add to ``sums`` at rows first <= t < last the interpolated sums at the box's points, rows ``m`` onwards."""
+    """Add to rows first <= t < last of ``sums`` those interpolated from the points of a box, the rows from ``m`` on."""
     per_side = boxes.per_side
     n, most = last - first, max(per_side[b, 0], per_side[b, 1], per_side[b, 2])
     share, total, product = np.empty((3 * most, n)), np.empty((high, n)), np.empty(n)
@@ -231,8 +229,10 @@ def _interpolate(boxes, b, m, low, high, points, first, last, sums):
 
 @inlined
 def shares_of_box(boxes, b, points, start, n, most, product, share):
-    """Lagrange polynomials along the three sides of a box at ``n`` points; those of side d from row d ``most`` on of
-    ``share`` (3 most, n). ``product`` (n,) is overwritten."""
+    """Lagrange polynomials along the three sides of a box at ``n`` points, into ``share`` (3 most, n).
+
+    Those of side d begin at row d * most. ``product`` (n,) is overwritten.
+    """
     node, weights, at = np.empty(most), np.empty(most), np.empty(n)
     for d in range(3):
         _shares(boxes, b, points, start, n, d, node, weights, at, product, share, d * most)
@@ -240,7 +240,7 @@ def shares_of_box(boxes, b, points, start, n, most, product, share):
 
 @inlined
 def _shares(boxes, b, points, start, n, d, node, weights, at, product, share, first):
-    """Lagrange polynomials along one side of a box at ``n`` points, in rows of ``share``: vector loops over points."""
+    """Lagrange polynomials along side ``d`` of a box at ``n`` points, in rows of ``share``, for vectorised loops."""
     center, axes, half, count = boxes.center, boxes.axes, boxes.half, boxes.per_side[b, d]
     chebyshev(count, node, weights)
     for t in range(n):

@@ -1,11 +1,11 @@
-"""Which clusters act where: the tree of sources walked for every region of bricks, and from there for its bricks.
+"""Which clusters act where: the tree of sources is traversed for every region of bricks, and then for its bricks.
 
-A cluster far enough away for the accuracy that its part of the sum needs is replaced by its interpolation points, which
-act on the region's interpolation points. Nearer clusters are walked again for every brick: they act on the brick's
-interpolation points or on its nodes, and those nearest act on the nodes by their sources.
+A cluster far enough away for the required accuracy of its part of the sum is replaced by its interpolation points,
+which act on those of the region. Nearer clusters are passed on to the bricks of the region: they act on a brick's
+interpolation points or on its nodes; the nearest act on the nodes by their sources.
 
-The lists hold numbers: 2 c for the interpolation points of cluster c and 2 c + 1 for its sources. They are valid for
-every displacement that moves no cluster more than the one they were made for.
+An entry of a list is 2 c for the interpolation points of cluster c, and 2 c + 1 for its sources. The lists are valid
+for every displacement that moves no cluster further than the one they were made for.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _STACK = 256
 
 
 class Reach(NamedTuple):
-    """A cluster's possible effect, for error bounds: strength times (shift + turn * distance + mean of the brick).
+    """Bounds of each cluster's effect: strength * (shift + turn * distance + mean displacement of the brick).
 
     Attributes
     ----------
@@ -43,9 +43,9 @@ class Lists(NamedTuple):
 
     Attributes
     ----------
-    codes : (n,) int32, clusters as above
-    stop : where each list ends: for every region that of its interpolation points and then, for each of its bricks,
-        that of the brick's interpolation points and that of its nodes
+    codes : (n,) int32, all lists, with entries as above
+    stop : end of each list; a region has one list for its interpolation points, followed by two for each of its bricks,
+        for the brick's interpolation points and for its nodes
     """
 
     codes: np.ndarray
@@ -69,8 +69,8 @@ def list_clusters(
     Parameters
     ----------
     allowed : (b,) error of the sums that one cluster may cause in a brick
-    mean : (b,) bound of the mean displacement there
-    risk : (b,) the sum of the error bounds of all clusters, relative to ``allowed``, is added
+    mean : (b,) bound of the mean displacement in a brick
+    risk : (b,), added to: the sum of the error bounds of all clusters, relative to ``allowed``
     """
     ends = regions.first[first : last + 1]
     stop = np.empty(len(ends) - 1 + 2 * int(ends[-1] - ends[0]), dtype=np.int64)
@@ -88,7 +88,7 @@ def list_clusters(
 
 @kernel
 def _look(first, last, regions, bricks, tree, reach, function, allowed, mean, codes, stop, risk):
-    """Fill ``codes`` and ``stop``; returns the length of the former, or -1 if it is too short."""
+    """Fill ``codes`` and ``stop``; return the number of codes, or -1 if the array is too short for them."""
     m = tree.child.size
     stack, root = np.empty(_STACK, np.int64), np.empty(1, np.int64)
     left, near = np.empty(m, np.int64), np.empty(m, np.int64)
@@ -99,7 +99,7 @@ def _look(first, last, regions, bricks, tree, reach, function, allowed, mean, co
         least, most, bound = np.inf, 0.0, 0.0
         for b in range(regions.first[g], regions.first[g + 1]):
             least, most = min(least, allowed[b]), max(most, mean[b])
-        # The region comes before its bricks; one loop for both is compiled once.
+        # The region, then its bricks: one loop for both is compiled once.
         for b in range(regions.first[g] - 1, regions.first[g + 1]):
             if at + 2 * m > codes.size:
                 return -1
@@ -134,10 +134,11 @@ def few_nodes(bricks, b):
 
 @inlined
 def _walk(tops, n_tops, region, few, boxes, b, tree, reach, function, allowed, mean, stack, codes, at, other):
-    """Walk from the clusters ``tops`` for box ``b``, of a ``region`` or a brick.
+    """Traverse the tree from the clusters ``tops`` on for box ``b``, a ``region`` or a brick.
 
-    ``codes`` get, from ``at`` on, what acts on its interpolation points; ``other`` the clusters left to the bricks of a
-    region, or what acts on the nodes of a brick. Returns the ends of both and the bound of the error.
+    Entries that act on the box's interpolation points go into ``codes`` from ``at`` on; ``other`` gets the clusters
+    left to the bricks of a region, or the entries that act on the nodes of a brick. Returns the ends of both and the
+    bound of the error.
     """
     bound = 0.0
     n_other = 0
@@ -152,7 +153,7 @@ def _walk(tops, n_tops, region, few, boxes, b, tree, reach, function, allowed, m
             d2 = distance2(center, b, tree.boxes.center, c)
             distance, extent = math.sqrt(d2), math.sqrt(square(tree.boxes.half, c))
             raw = tree.boxes.proxy[c + 1] == tree.boxes.proxy[c]
-            # Effect of a cluster on the mean if its weights are wrong by 100 %, relative to the error allowed to it.
+            # Effect of a cluster on the mean if its weights are wrong by 100 %, relative to its allowed error.
             pull = reach.strength[c] * (reach.shift[c] + reach.turn[c] * distance + mean) / allowed
             if not few and distance > extent and (raw or distance > radius):
                 error = box_error(half, count, b, distance - extent, distance, function)
