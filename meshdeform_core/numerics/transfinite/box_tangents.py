@@ -18,7 +18,7 @@ from ..jit import inlined, kernel
 
 @inlined
 def _arcs(x, nodes, first, step, count, arc, slot):
-    """Arc coordinates of a line of ``count`` nodes, every ``step``-th of ``nodes`` from ``first`` on; return its length.
+    """Arc coordinates of ``count`` nodes of a line, every ``step``-th of ``nodes`` from ``first`` on; returns length.
 
     They are stored in ``arc`` from ``slot`` on, ``step`` apart; uniform if the length is zero.
     """
