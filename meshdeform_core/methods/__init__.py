@@ -72,7 +72,7 @@ class Options:
 
     @classmethod
     def relevant(cls, name: str, **parts: IDW | RBF | TFI) -> Options:
-        """Keep only the parts ``idw``, ``rbf``, ``tfi`` that the method uses: a case file may serve several methods."""
+        """Options with only those ``parts`` that the method uses, as one case file may serve several methods."""
         used = entry_of(name).parts
         return cls(name, **{key: part for key, part in parts.items() if type(part) in used})  # type: ignore[arg-type]
 
@@ -89,7 +89,7 @@ class MethodEntry:
 
 def _default(options: Options) -> Composite | InGaps:
     method = Composite(options.idw, options.tfi)
-    # The paper's kinds of rotation and blocks that are never cut are as they are printed.
+    # With the paper's kinds of rotation, or blocks that are never cut, methods are exactly as published.
     return InGaps(method) if options.idw.rotation == "lie" and options.tfi.max_cells != 0 else method
 
 
@@ -156,7 +156,7 @@ def entry_of(name: str) -> MethodEntry:
     Raises
     ------
     MethodError
-        For an unknown name, with the known ones.
+        For an unknown name; the message lists the known ones.
     """
     full = ALIASES.get(name, name)
     if full in REFUSED:

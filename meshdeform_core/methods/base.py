@@ -36,11 +36,11 @@ def of_stage(progress: Progress | None, stage: str) -> Callable[[int, int], None
 
 @dataclass(frozen=True)
 class Surface:
-    """Surface faces between sources, from which nodal areas and rotations are computed; indices refer to sources.
+    """Faces between sources, from which nodal areas and rotations are computed; indices refer to sources.
 
     Attributes
     ----------
-    area : (n_sources,) nodal area (in 2-D length): a quarter of each adjacent face (half of each edge)
+    area : (n_sources,) nodal area (length in 2-D): a quarter of each adjacent face (half of each adjacent edge in 2-D)
     corners : (c, 3) node, next and previous node of each corner of a moving face; in 2-D (c, 2) edge ends
     edges : (e, 2) node and neighbour along moving faces, each pair once
     """
@@ -100,7 +100,7 @@ class Problem:
 
     @cached_property
     def source_faces(self) -> IntArray:
-        """Corners (m, 4) of all faces between sources, in 2-D (m, 2); indices refer to sources."""
+        """Corners (m, 4), in 2-D (m, 2), of all faces between sources; indices refer to sources."""
         every = self._between_sources(self.boundary.quad_kind >= Kind.FIXED)
         return np.asarray(every[(every >= 0).all(axis=1)])
 
@@ -116,7 +116,7 @@ class Problem:
 
     @cached_property
     def first_cell_height(self) -> FloatArray:
-        """Distance (n_sources,) from each source to the next node off the wall, the smallest over its faces."""
+        """Smallest distance (n_sources,) from each source to the next node off the wall, over its faces."""
         topology, grid = self.topology, self.grid
         height = np.full(topology.n_unique, np.inf)
         known = self.boundary.quad_kind >= Kind.FIXED
@@ -165,7 +165,7 @@ def _rings(quads: IntArray) -> tuple[IntArray, IntArray]:
 
 @dataclass(frozen=True)
 class Setting:
-    """One parameter as used: its value and, if the program chose it, the reason."""
+    """A parameter as used: its value and, if the program chose it, the reason."""
 
     value: Any
     reason: str = ""
@@ -179,7 +179,7 @@ class Account:
     notices: dict[str, str] = field(default_factory=dict)
 
     def note(self, kind: str, warning: str | None) -> None:
-        """Set the warning of a kind, or with ``None`` withdraw the one from an earlier displacement."""
+        """Set the warning of a kind; ``None`` withdraws that of an earlier displacement."""
         self.notices.pop(kind, None)
         if warning:
             self.notices[kind] = Notice(warning, kind)
@@ -224,10 +224,10 @@ class Mover(Protocol):
         ...
 
     def move(self, displacement: FloatArray, out: FloatArray, progress: Progress | None = None) -> FloatArray:
-        """Displacement of its nodes from that of the sources (n_sources, 3).
+        """Compute the displacement of the mover's nodes from that of the sources (n_sources, 3).
 
-        Returns the displacement of nodes on block faces (n_unique, 3) and writes that of nodes inside blocks to ``out``
-        (n_nodes, 3).
+        Returns the displacement of nodes on block faces (n_unique, 3), and writes that of nodes inside blocks into
+        ``out`` (n_nodes, 3).
         """
         ...
 

@@ -1,7 +1,7 @@
-"""Displacements beside plane slip sides: their normal component fades out towards the plane.
+"""Displacements near plane slip boundaries, whose component normal to the plane fades out towards it.
 
-A node on a slip plane moves along it only. An interpolation knows nothing of that: where it displaces the next nodes
-off the plane, or towards it, the cells between them and the plane stretch, or fold.
+A node on a slip plane moves only within the plane, which interpolation ignores: where it displaces the neighbouring
+nodes away from the plane or towards it, the cells in between stretch or fold.
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ from ..parallel import apart, for_chunks, rows_of
 from .base import Problem
 
 WIDTH = 0.3
-"""Length of the parabolic end at the walls, as a part of the way to a slip side (studies/slip_sides.py)."""
+"""Length of the parabolic end at the walls relative to the distance from wall to slip side (studies/slip_sides.py)."""
 _CHUNK = 4096
-# Relative to the extent of the sources: what round-off leaves of a motion along the planes.
+# Round-off in the normal component of a motion along the planes, relative to the extent of the sources.
 _ROUND_OFF = 1e-13
-# Share of the memory for what is kept between displacements.
+# One part in this many of the memory limit may hold data kept between displacements.
 _KEPT = 8
 
 
 class BesideSlip:
-    """What slip sides with normals n_k make of the interpolated displacement u of nodes:
+    """Corrects the interpolated displacement u of nodes near slip sides with normals n_k:
 
         v = (I + sum_k c_k n_k n_k^T)^-1 u,    1 / (1 + c_k) = f(d_k / (d + d_k))
 
-    with the distance d of the undeformed node from the nearest moving face, and d_k from the nearest face of the slip
-    sides. f rises from 0 to 1, linearly but for a parabolic end: of one plane v . n = f u . n is zero in the plane, and
-    cells at walls follow them. v is linear in u; motions along the planes are left as they are.
+    with the distance d of the undeformed node from the nearest moving face, and d_k from the nearest slip face with
+    normal n_k. f rises from 0 to 1, linearly except for a parabolic end at the walls. For one plane, v . n = f u . n:
+    zero in the plane, and unchanged at the walls. v is linear in u; motions along the planes remain unchanged.
 
     Parameters
     ----------
@@ -65,20 +65,20 @@ class BesideSlip:
         self._done()
 
     def damp(self, values: FloatArray) -> None:
-        """The same for rows of ``values`` (n_nodes, 3) of any size, which may be changes or gradients."""
+        """As :meth:`apply`, for ``values`` (n_nodes, 3) of any magnitude, such as changes or gradients."""
         for lo in range(0, len(self._flat) if len(self.normals) else 0, _CHUNK):
             hi = min(lo + _CHUNK, len(self._flat))
             damp_rows(values, self._flat[lo:hi], self.normals, self._kept(lo, hi), 0.0)
         self._done()
 
     def _done(self) -> None:
-        """Drop the search trees, and keep what follows from them after the next displacement: one takes no memory."""
+        """Drop the search trees; results are stored from the second displacement on, as a single one needs no store."""
         self.__dict__.pop("trees", None)
         if self._keeps and self._parts is None:
             self._parts = {}
 
     def _kept(self, lo: int, hi: int) -> FloatArray:
-        """What :meth:`_part` gives, kept from the second displacement on if there is room."""
+        """:meth:`_part` of the nodes lo <= n < hi, stored from the second displacement on if memory permits."""
         if self._parts is None:
             return self._part(self._flat[lo:hi])
         if lo not in self._parts:
@@ -86,7 +86,7 @@ class BesideSlip:
         return self._parts[lo]
 
     def _part(self, flat: IntArray) -> FloatArray:
-        """Part 1 - f, (n, k), of the normal components that some nodes lose."""
+        """The part 1 - f (n, k) of its normal components that the displacement of each node loses."""
         x = rows_of(self._problem.grid.points)[flat]
         to_wall, *to_sides = (tree.closest(x)[2] for tree in self.trees)
         return np.stack([lost(place(to_wall, to_side)) for to_side in to_sides], axis=1)
@@ -97,10 +97,10 @@ class BesideSlip:
 
     @cached_property
     def trees(self) -> Sequence[TriangleTree]:
-        """Search trees of the moving faces and of the slip sides of every normal; of unique node numbers."""
+        """Search trees, over unique nodes, of the moving faces and of the slip sides of each normal."""
         problem, corners = self._problem, self._problem.topology.quads.corners
         walls = triangles_of(corners[problem.boundary.quad_kind == Kind.MOVING])
-        # Nodes that a table moves without the faces around them.
+        # Moving nodes that belong to no moving face.
         alone = np.setdiff1d(np.flatnonzero(problem.boundary.kind == Kind.MOVING), walls)
         walls = np.concatenate([walls, np.repeat(alone, 3).reshape(-1, 3)])
         every = [walls, *(triangles_of(corners[quads]) for _, quads in problem.boundary.slip.sides)]
@@ -109,11 +109,11 @@ class BesideSlip:
 
 
 def place(to_wall: FloatArray, to_side: FloatArray) -> FloatArray:
-    """Place between a slip side, 0, and a wall, 1."""
+    """Position between a slip side (0) and a wall (1), from the distances to both."""
     both = to_wall + to_side
     return np.divide(to_side, both, out=np.ones_like(both), where=both > 0.0)
 
 
 def lost(at: FloatArray) -> FloatArray:
-    """Part of the normal component that is lost at a place."""
+    """Part 1 - f of the normal component that is lost at a position between 0 and 1."""
     return np.where(at < 1.0 - WIDTH, 1.0 - at / (1.0 - 0.5 * WIDTH), (1.0 - at) ** 2 / (WIDTH * (2.0 - WIDTH)))

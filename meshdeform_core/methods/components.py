@@ -1,4 +1,4 @@
-"""A method on an overset grid: every component moves by its own boundary."""
+"""A method on an overset grid: each component follows its own boundary."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ..notices import Notice, kind_of
 from .base import Account, PreparedMethod, Problem, Progress
 
 Prepared = PreparedMethod | None
-"""A method prepared on a component; ``None`` for one without moving boundaries, which rests."""
+"""A method prepared on a component; ``None`` for a component without moving boundaries, which remains at rest."""
 
 
 class PreparedComponents:
@@ -18,7 +18,7 @@ class PreparedComponents:
 
     Parameters
     ----------
-    methods : for each of the problem's components
+    methods : one for each of the problem's components
     """
 
     def __init__(self, problem: Problem, methods: tuple[Prepared, ...]):
@@ -51,12 +51,12 @@ class PreparedComponents:
 
     @property
     def parts(self) -> list[tuple[tuple[Component, Problem], Prepared, IntArray]]:
-        """Each component with its problem, its method, and the rows of its sources among all."""
+        """Each component with its problem, its method, and the rows of its sources among those of the whole grid."""
         return list(zip(self.problem.components, self.methods, self.sources, strict=True))
 
 
 def account_of(accounts: dict[str, Account]) -> Account:
-    """The account of all components: a setting that is not the same for all is listed by component."""
+    """The accounts of all components in one; a setting that differs between components is listed by component."""
     merged = Account()
     for key in dict.fromkeys(key for account in accounts.values() for key in account.settings):
         settings = {name: account.settings[key] for name, account in accounts.items() if key in account.settings}

@@ -78,7 +78,7 @@ def _mover(interpolation: Interpolation | None, problem: Problem, flat: IntArray
 
 @dataclass
 class _Scattered:
-    """An interpolation as the first step: it moves the nodes of the skeleton that are not sources."""
+    """An interpolation as the first step, which moves the nodes of the skeleton that are not sources."""
 
     interpolation: Interpolation
     problem: Problem
@@ -102,7 +102,7 @@ class _Scattered:
         return face
 
     def interpolate(self, displacement: FloatArray, out: FloatArray, progress: Progress | None = None) -> None:
-        """Write what the interpolation gives into the rows of ``out`` (n_nodes, 3) of its nodes."""
+        """Write the interpolated displacement into the rows of ``out`` (n_nodes, 3) of the target nodes."""
         self._evaluator.evaluate(self._bound.fit(displacement, progress), out, progress)
 
 
@@ -134,7 +134,7 @@ class PreparedComposite:
         """Displacement (n_nodes, 3) of all block nodes from that of the sources (n_sources, 3)."""
         problem = self._problem
         check_displacement(displacement, len(problem.source_numbers))
-        # Every node lies on a block face, in the skeleton, or inside a block or sub-block: none is left unset.
+        # Every row is set: each node lies on a block face, in the skeleton, or inside a block or sub-block.
         out = alike(problem.grid.points)
         if self._left_out:
             # Read the face values before the second step overwrites them.
@@ -147,7 +147,7 @@ class PreparedComposite:
         return out
 
     def constrain_again(self, out: FloatArray) -> None:
-        """Impose the constraints on displacements (n_nodes, 3) that were changed, in place."""
+        """Impose the constraints again, in place, on displacements (n_nodes, 3) that were changed since."""
         self._constrain(_on_faces(out, self._problem), out)
 
     def _constrain(self, face: FloatArray, out: FloatArray) -> None:
@@ -199,9 +199,9 @@ def _on_faces(displacement: FloatArray, problem: Problem) -> FloatArray:
 
 
 def first_step_nodes(problem: Problem, skeleton: Skeleton | None) -> IntArray:
-    """Flat indices, ascending, of the nodes that the first step moves: without sources, coincident nodes once.
+    """Flat indices, ascending, of the nodes that the first step moves: sources left out, coincident nodes once.
 
-    Of a grid in parts they are those of this rank.
+    If the grid is in parts, only the nodes of this rank.
     """
     topology = problem.topology
     low, high = own_rows(problem.grid.points)
@@ -210,7 +210,7 @@ def first_step_nodes(problem: Problem, skeleton: Skeleton | None) -> IntArray:
         chosen[skeleton.nodes() - low] = True
     begin, end = np.searchsorted(topology.face_nodes, [low, high])
     faces = topology.face_nodes[begin:end] - low
-    # A node belongs to the skeleton if any coincident node does: all nodes on block faces do but for sides left out.
+    # A node belongs to the skeleton if any coincident node does: all nodes on block faces, except on omitted sides.
     wanted = np.full(topology.n_unique, skeleton is None or not skeleton.left_out)
     if not wanted.all():
         wanted[topology.number[chosen[faces]]] = True

@@ -1,7 +1,7 @@
-"""Closing gaps between moving walls and others: there grid lines follow both walls, as transfinite interpolation does.
+"""Closing gaps between moving walls and other boundaries, where TFI gradually replaces the method.
 
-A method that moves the cells at a wall rigidly with it needs room for them. Where a gap loses its thickness there is
-none: its cells have to share what is left.
+A method that moves the cells at a wall rigidly needs room for them. A gap that loses its thickness has none: its cells
+must share the remaining space, which they do with transfinite interpolation between both walls.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from .composite import Composite, Filler, PreparedComposite
 from .transfinite.tfi import TFI
 
 OPEN = 0.8
-"""Share of its thickness that a gap keeps before its cells begin to be shared out (studies/default_method.py)."""
+"""Remaining fraction of its thickness below which a gap counts as closing (studies/default_method.py)."""
 _TRANSFINITE = Composite(None, TFI(max_cells=0))
 
 
 @dataclass(frozen=True)
 class InGaps:
-    """A composite that gives way to TFI, gradually, where the gap between a moving wall and another boundary closes."""
+    """A composite that TFI gradually replaces where the gap between a moving wall and another boundary closes."""
 
     method: Composite
 
@@ -44,7 +44,7 @@ class InGaps:
         return self.method.filler
 
     def prepare(self, problem: Problem) -> PreparedMethod:
-        """Bind to the undeformed grid. With periodic boundaries, or if all of the boundary moves, no gap is sought."""
+        """Bind to the undeformed grid; gaps are ignored with periodic boundaries, and if the whole boundary moves."""
         prepared = self.method.prepare(problem)
         moving = problem.boundary.kind[problem.source_numbers] == Kind.MOVING
         if moving.all() or not moving.any() or problem.boundary.periodic.one.size:
@@ -55,10 +55,10 @@ class InGaps:
 
 @dataclass(frozen=True)
 class Closing:
-    """How far gaps have closed at the sources: ``share`` (n_sources,) from 0, open, to 1, closed.
+    """How far gaps have closed at the sources: ``share`` (n_sources,) from 0 (open) to 1 (closed).
 
-    ``rows`` (m,) are the sources with a share, ``other`` (m,) those across the gap, ``slope`` (m, 3) the derivative of
-    the share with respect to the displacement of the former, and less that of the latter.
+    ``rows`` (m,) are the sources with a share, ``other`` (m,) the sources across the gap, ``slope`` (m, 3) the
+    derivative of the share with respect to the displacement of ``rows`` minus that of ``other``.
     """
 
     share: FloatArray
@@ -68,7 +68,7 @@ class Closing:
 
 
 class PreparedInGaps:
-    """A prepared composite, and TFI for the gaps that close."""
+    """A prepared composite, with TFI for closing gaps."""
 
     def __init__(self, method: PreparedComposite, problem: Problem, moving: BoolArray):
         self.method, self._problem, self._moving = method, problem, moving
@@ -112,12 +112,12 @@ class PreparedInGaps:
 
     @cached_property
     def scalar(self) -> PreparedMethod:
-        """The same without constraints: for numbers instead of displacements."""
+        """:attr:`transfinite` without constraints, for scalars instead of displacements."""
         boundary = dataclasses.replace(self._problem.boundary, slip=Slip())
         return _TRANSFINITE.prepare(dataclasses.replace(self._problem, boundary=boundary))
 
     def spread(self, share: FloatArray) -> FloatArray:
-        """Values (n_nodes, 1) at all nodes from 0 to 1 by TFI of those (n_sources,) at the sources."""
+        """Values (n_nodes, 1) from 0 to 1 at all nodes, by TFI of the values (n_sources,) at the sources."""
         found = self.scalar.apply(np.outer(share, [1.0, 0.0, 0.0]))
         result: FloatArray = alike(found, 1)
         for_rows(lambda rows: np.clip(found[rows][:, :1], 0.0, 1.0, out=result[rows]), result)
@@ -125,28 +125,28 @@ class PreparedInGaps:
 
     @cached_property
     def _gap(self) -> FloatArray:
-        """Distance (n_sources,) of every moving source from the nearest of the others, and of these from the former."""
+        """Distance (n_sources,) of every moving source from the nearest resting one, and vice versa."""
         return self._across(self._problem.source_points)[0]
 
     def _across(self, points: FloatArray, within: FloatArray | None = None) -> tuple[FloatArray, IntArray]:
         distance, other = np.empty(len(points)), np.empty(len(points), dtype=np.int64)
         for side in (self._moving, ~self._moving):
             rows = np.flatnonzero(~side)
-            # A tree of points is one of triangles without extent; importing scipy's takes longer than the search.
+            # Points as degenerate triangles: importing scipy's tree would take longer than the search.
             tree = TriangleTree(points[rows], np.repeat(np.arange(len(rows)), 3).reshape(-1, 3))
             nearest, _, distance[side] = tree.closest(points[side], within if within is None else within[side])
             other[side] = rows[nearest]
         return distance, other
 
     def closing(self, displacement: FloatArray) -> Closing | None:
-        """Where gaps close by a displacement (n_sources, 3) of the sources; ``None`` where all stay open."""
+        """Where gaps close for a displacement (n_sources, 3) of the sources; ``None`` if all remain open."""
         longest = float(lengths(displacement).max())
         if longest <= (1.0 - OPEN) * float(self._gap.min()):
             return None
         points = self._problem.source_points + displacement
-        # Sources farther apart than that are in no gap that closes; a little more than that, for round-off.
+        # Sources farther apart than this distance are in no closing gap; the factor allows for round-off.
         distance, other = self._across(points, OPEN * (1.0 + 1e-9) * self._gap)
-        # Boundaries that touch where they are undeformed, but do not share nodes, make no gap.
+        # Boundaries that touch in the undeformed grid without sharing nodes have no gap.
         part = np.divide(distance, self._gap, out=np.full(len(distance), np.inf), where=self._gap > 0.0) / OPEN
         rows = np.flatnonzero(part < 1.0)
         if not rows.size:

@@ -1,8 +1,8 @@
 """Warnings for a displacement before it is applied.
 
-The limits were measured on the splitter plate (Sen et al. section 4; ``meshdeform reproduce robustness``), whose plate
-turns by up to 14 degrees more than its body: one step is valid up to a rotation of 54 degrees with TFI, and of 34 with
-IDW of displacements.
+The limits were measured on the splitter plate (Sen et al. section 4; ``meshdeform reproduce robustness``), which turns
+by up to 14 degrees more than the body it is attached to: one step is valid up to a rotation of 54 degrees with TFI, and
+of 34 degrees with IDW of displacements.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ LARGEST_ROTATION = 150.0
 class PatchMotion:
     """The motion of a moving boundary entry, as evaluated.
 
-    ``max_displacement`` and ``mean_displacement`` (grid length unit) are those of its nodes, ``max_rotation_deg`` the
-    largest rotation of its surface (degrees; above 180 only where parts of a surface turn by less), ``rotation_axis``
-    the unit vector about which it turns there, right-handed; zero without a rotation.
+    ``max_displacement`` and ``mean_displacement`` (grid length unit) are those of its nodes. ``max_rotation_deg`` is
+    the largest rotation of its surface (degrees; above 180 only where other parts of the surface turn by less), and
+    ``rotation_axis`` the right-handed unit axis of that rotation, zero without a rotation.
     """
 
     boundary: str
@@ -92,7 +92,7 @@ def warn_of_rotation(problem: Problem, displacement: FloatArray, limit: float, w
 
 
 def warn_of_alpha(full: float, cap: float) -> list[str]:
-    """A warning if eq. 18 asks for more than ``cap``."""
+    """A warning if alpha by eq. 18 (``full``) exceeds ``cap``."""
     if full <= cap:
         return []
     steps = math.ceil(full / cap)
@@ -106,9 +106,9 @@ def warn_of_alpha(full: float, cap: float) -> list[str]:
 def warn_of_radius(radius: float, terms: FloatArray, values: FloatArray) -> list[str]:
     """A warning if a support radius is too small for a step.
 
-    A compact function falls from 1 to 0 within its radius R with a slope of up to about 2/R: a displacement of more
-    than R/2 folds the space around the centre. The linear part of the displacement does not count, because the
-    polynomial ``terms`` (n, q) reproduce it.
+    A compact function falls from 1 to 0 within its radius R with a slope of up to about 2/R, so a displacement of more
+    than R/2 folds the space around the centre. The linear part of the displacement does not count, as the polynomial
+    ``terms`` (n, q) reproduce it.
     """
     linear = terms @ np.linalg.lstsq(terms, values, rcond=None)[0]
     largest = float(np.linalg.norm(values - linear, axis=1).max())

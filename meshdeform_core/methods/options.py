@@ -13,7 +13,7 @@ from .base import Setting
 
 
 def option(default: Any, why: str) -> Any:
-    """A field of a method's options; ``why`` is a short reason for the default."""
+    """A dataclass field for an option; ``why`` is a short reason for the default."""
     return field(default=default, metadata={"why": why})
 
 

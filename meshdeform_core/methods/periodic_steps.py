@@ -17,7 +17,7 @@ from .base import Account, Mover, PreparedMethod, Problem, Progress
 
 
 def free_periodic(problem: Problem) -> IntArray:
-    """Unique numbers of the periodic nodes that no stronger boundary moves or fixes."""
+    """Unique numbers of the periodic nodes that no boundary of higher precedence moves or fixes."""
     periodic = problem.boundary.periodic
     nodes = np.unique(np.r_[periodic.one, periodic.two])
     return np.asarray(nodes[~problem.boundary.known[nodes]])

@@ -21,7 +21,8 @@ def derivative_of(method: PreparedMethod, displacement: FloatArray) -> Derivativ
     Raises
     ------
     MethodError
-        For options without a derivative: some kinds of greedy reduction, and weights that are recomputed on the way.
+        For options without a derivative: some kinds of greedy reduction, and ``rotation = "division"``, whose weights
+        are recomputed in every step.
     """
     if isinstance(method, PreparedComponents):
         return ComponentsDerivative(
@@ -36,15 +37,15 @@ def derivative_of(method: PreparedMethod, displacement: FloatArray) -> Derivativ
 
 
 class ComponentsDerivative:
-    """Of every component with respect to the displacement of its own sources; ``own`` those of the components,
-    ``None`` at rest."""
+    """Derivative of every component with respect to the displacement of its own sources; ``own`` holds the derivatives
+    of the components, ``None`` for those at rest."""
 
     def __init__(self, method: PreparedComponents, own: Sequence[Derivative | None]) -> None:
         self._method, self._grid, self._own = method, method.problem.grid, own
         self.on_edges = sum(each.on_edges for each in own if each)
 
     def push(self, change: FloatArray) -> FloatArray:
-        """Change (n_nodes, 3) for one of the sources (n_sources, 3)."""
+        """Change (n_nodes, 3) for a ``change`` (n_sources, 3) of the sources."""
         moved = []
         for ((component, _), _, rows), own in zip(self._method.parts, self._own, strict=True):
             moved.append((component, own.push(change[rows]) if own else np.zeros(component.grid.points.shape)))

@@ -1,4 +1,4 @@
-"""Derivative of a composite: of its two steps and of the constraints between them."""
+"""Derivative of a composite, from those of its two steps and of the constraints between them."""
 
 from __future__ import annotations
 
@@ -23,14 +23,15 @@ from .weighting import IDWDerivative
 
 
 class Derivative(Protocol):
-    """Derivative of the displacement (n_nodes, 3) of all block nodes with respect to that (n_sources, 3) of the
-    sources; ``on_edges`` is the number of sliding nodes at which there is none, see :class:`.constraints.Constraints`.
+    """Derivative of the displacement (n_nodes, 3) of all nodes with respect to that (n_sources, 3) of the sources.
+
+    ``on_edges`` is the number of sliding nodes where no derivative exists, see :class:`.constraints.Constraints`.
     """
 
     on_edges: int
 
     def push(self, change: FloatArray) -> FloatArray:
-        """Change (n_nodes, 3) for one of the sources (n_sources, 3)."""
+        """Change (n_nodes, 3) for a ``change`` (n_sources, 3) of the sources."""
         ...
 
     def pull(self, gradient: FloatArray) -> FloatArray:
@@ -84,7 +85,7 @@ class _Composite:
 
 
 class _Periodic:
-    """Periodic nodes first, the others with them as sources."""
+    """Derivative of a method that moves periodic nodes first, and all others with these as additional sources."""
 
     def __init__(self, method: PreparedPeriodic, displacement: FloatArray) -> None:
         problem = method._problem
@@ -149,7 +150,7 @@ class _Edges:
 
 
 class _Interpolated:
-    """An interpolation as the first step; sources on faces move as they are told."""
+    """Derivative of an interpolation as the first step; sources on faces take the change prescribed for them."""
 
     def __init__(self, mover: _Scattered, problem: Problem, displacement: FloatArray) -> None:
         self._problem, self._beside_slip, bound = problem, mover.beside_slip, mover._bound

@@ -1,4 +1,4 @@
-"""Derivatives of what is imposed on the displacement of face nodes: slip, periodicity, coincidence."""
+"""Derivatives of the constraints on the displacement of face nodes: slip, periodicity, coincidence."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from ..base import Problem
 
 
 class Constraints:
-    """Slip and periodicity at one displacement ``face`` (n_unique, 3), before they are imposed on it.
+    """Slip and periodicity at one displacement ``face`` (n_unique, 3), given before the constraints are imposed on it.
 
     Attributes
     ----------
-    on_edges : number of nodes that slide on a curved surface and are at the edge of a flat face, where there is no
-        derivative
+    on_edges : number of nodes that slide on a curved surface and lie on an edge between its flat faces, where no
+        derivative exists
     """
 
     def __init__(self, problem: Problem, face: FloatArray) -> None:
@@ -25,19 +25,19 @@ class Constraints:
         self._sliding = [self._tangents(surface, face) for surface in problem.boundary.slip.curved]
 
     def _tangents(self, surface: CurvedSurface, face: FloatArray) -> tuple[IntArray, FloatArray]:
-        """Nodes that slide and projectors (n, 3, 3) on the triangle, or the edge of one, on which they are."""
+        """Sliding nodes, and projectors (n, 3, 3) onto the triangle or the edge on which each of them lies."""
         problem = self._problem
-        # Those on sides that a second step fills have no displacement before it.
+        # Nodes on sides that the second step fills have no displacement yet.
         nodes = surface.nodes[np.isfinite(face[surface.nodes, 0])]
         target = problem.grid.points[problem.topology.first[nodes]] + face[nodes]
         triangle, weights, distance = surface.tree.closest(target)
         corners, positive = surface.points[surface.triangles[triangle]], weights > 1e-9
         count, size = positive.sum(axis=1), np.ptp(corners, axis=1).max(axis=1)
-        # Curves in a plane are made of triangles without width.
+        # Plane curves are represented by triangles of zero width.
         whole = 2 if (surface.triangles[:, 1] == surface.triangles[:, 2]).all() else 3
         edge = (count < whole) & (distance <= 1e-9 * size)
         self.on_edges += int(np.count_nonzero(edge))
-        # On an edge only the direction along it is left, at a vertex none; on the surface the triangle stands for it.
+        # Free directions: within the triangle, along the edge, or none at a vertex.
         base = np.where(positive | (edge & (count == 1))[:, None], 1.0, 0.0)
         middle = np.einsum("nc,ncd->nd", base, corners) / base.sum(axis=1)[:, None]
         left, length, _ = np.linalg.svd(((corners - middle[:, None]) * base[:, :, None]).transpose(0, 2, 1))
@@ -45,7 +45,8 @@ class Constraints:
         return nodes, np.asarray(kept @ kept.transpose(0, 2, 1))
 
     def push(self, face: FloatArray, dx: FloatArray | None = None) -> None:
-        """Impose them on a change (n_unique, 3), in place; ``dx`` (n_unique, 3): of the coordinates."""
+        """Impose the constraints on a change ``face`` (n_unique, 3), in place; ``dx`` (n_unique, 3) is the change of
+        the coordinates."""
         problem = self._problem
         for nodes, tangent in self._sliding:
             own = 0.0 if dx is None else dx[nodes]
@@ -55,7 +56,7 @@ class Constraints:
         problem.boundary.periodic.constrain(face, ~problem.boundary.known)
 
     def pull(self, face: FloatArray, of_x: FloatArray | None = None) -> None:
-        """The transpose, in place; adds the gradient of the coordinates to ``of_x`` (n_unique, 3)."""
+        """Transpose of :meth:`push`, in place; adds the gradient of the coordinates to ``of_x`` (n_unique, 3)."""
         problem = self._problem
         periodic, known = problem.boundary.periodic, problem.boundary.known
         if periodic.one.size:
@@ -74,14 +75,14 @@ class Constraints:
             face[nodes] = along
 
     def impose(self, face: FloatArray, out: FloatArray, dx: FloatArray | None = None) -> None:
-        """Impose them on a change ``face``, and copy it to all coincident nodes of ``out`` (n_nodes, 3)."""
+        """Impose the constraints on a change ``face``, and copy it to all coincident nodes of ``out`` (n_nodes, 3)."""
         self.push(face, dx)
         topology = self._problem.topology
         spread_rows(face, topology.number, topology.face_nodes, out)
 
     def gathered(self, gradient: FloatArray, of_x: FloatArray | None = None) -> FloatArray:
-        """The transpose: gradient (n_unique, 3) of the face nodes from that (n_nodes, 3) of all block nodes, of which
-        coincident ones add; theirs become zero."""
+        """Transpose of :meth:`impose`: gradient (n_unique, 3) of the face nodes, with the rows of coincident nodes in
+        ``gradient`` (n_nodes, 3) added up and set to zero."""
         topology = self._problem.topology
         face: FloatArray = np.zeros((topology.n_unique, 3))
         collect_rows(gradient, topology.number, topology.face_nodes, face)

@@ -1,4 +1,4 @@
-"""Derivative of a composite that gives way to TFI in closing gaps."""
+"""Derivative of a composite that is replaced by TFI in closing gaps."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .constraints import Constraints
 
 
 class InGapsDerivative:
-    """Of the method, of TFI, and of the share of the latter."""
+    """Derivative of the blend of the method with TFI, including that of the share of TFI."""
 
     def __init__(self, method: PreparedInGaps, closing: Closing, displacement: FloatArray) -> None:
         self._closing, self._share = closing, method.spread(closing.share)
@@ -24,7 +24,7 @@ class InGapsDerivative:
         self._lines: Derivative = derivative_of_composite(method.transfinite, displacement)
         self._scalar: Derivative = derivative_of_composite(method.scalar, displacement)
         self.on_edges = self._own.on_edges + self._lines.on_edges
-        # Blended nodes are put back on curved surfaces.
+        # Blended nodes are projected back onto curved slip surfaces.
         self._problem, self._again = method._problem, None
         if self._problem.boundary.slip.curved:
             blend = own + self._share * apart
@@ -32,9 +32,9 @@ class InGapsDerivative:
             self.on_edges += self._again.on_edges
 
     def push(self, change: FloatArray) -> FloatArray:
-        """Change (n_nodes, 3) for one of the sources (n_sources, 3)."""
+        """Change (n_nodes, 3) for a ``change`` (n_sources, 3) of the sources."""
         closing, out = self._closing, self._own.push(change)
-        # In place: one array beside the result.
+        # In place, so that only one array is needed besides the result.
         more = self._lines.push(change)
         more -= out
         more *= self._share

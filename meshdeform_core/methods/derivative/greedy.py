@@ -1,4 +1,4 @@
-"""Derivative of radial basis functions with few centres, chosen greedily; the chosen ones are held fixed."""
+"""Derivative of radial basis functions with greedily chosen centres; the choice is held fixed."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from .radial import RadialMap, accurate
 class GreedyDerivative:
     """Derivative of the displacement of some nodes at one displacement (n_sources, 3) of the sources.
 
-    The interpolation between the chosen centres, and what it leaves at all sources, which nodes near them take over;
-    the distance up to which they do grows with the largest of it.
+    It includes the interpolation between the chosen centres, the residual at all sources, which nearby nodes take over,
+    and the distance over which they do, which grows with the largest residual.
 
     Raises
     ------
     MethodError
-        With ``greedy = "single"``, whose coefficients are not the solution of a system, and at rest, where one centre
-        is enough.
+        With ``greedy = "single"``, whose coefficients are not the solution of a system, and at zero displacement, where
+        only one centre is chosen.
     """
 
     def __init__(self, method: PreparedRBF, problem: Problem, sums: RadialSums, displacement: FloatArray) -> None:
@@ -55,12 +55,12 @@ class GreedyDerivative:
             distance, self._nearest = sums.nearest()
             r = np.minimum(distance / reach, 1.0)
             self._share = ((1.0 - r) ** 4 * (4.0 * r + 1.0))[:, None]
-            # What a node takes over grows with the reach, and this with the largest rest.
+            # The correction of a node depends on the reach, and the reach on the largest residual.
             self._growth = (20.0 * r**2 * (1.0 - r) ** 3 / reach)[:, None] * left[self._nearest]
             self._of_reach = REACH * left[self._worst] / length[self._worst]
 
     def push(self, change: FloatArray, out: FloatArray) -> None:
-        """Write the change of the nodes into their rows of ``out`` (n_nodes, 3), for one of the sources."""
+        """Write the change of the nodes into their rows of ``out`` (n_nodes, 3), for a ``change`` of the sources."""
         values = self._images.displaced(change)
         moved = self._inside.push(values[self._active])
         if self._corrects:

@@ -1,4 +1,4 @@
-"""Derivative of radial basis functions: they are linear, so that only transposes are new."""
+"""Derivative of radial basis functions, which are linear, so that only the transposes are new."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from ..scattered.summation import MAX_RETRIES, doubtful
 from .sums import TOLERANCE
 
 _TOLERANCE = 1e-13
-"""Of iterative solutions: a transpose is one to this accuracy only."""
+"""Tolerance of iterative solutions, to which forward and transposed derivatives agree."""
 _ROWS = 1 << 16
 
 
@@ -41,7 +41,7 @@ class RadialMap:
         return np.asarray(sums + self._terms @ polynomial)
 
     def pull(self, gradient: FloatArray) -> FloatArray:
-        """Gradient (m, 3) from that at the points."""
+        """Gradient (m, 3) of the values from that (n, 3) at the points."""
         upper = radial_sums(self._kind, self._system.centres.points, self._x, np.ascontiguousarray(gradient))
         return solved_transposed(self._system, upper, self._terms.T @ gradient)
 
@@ -49,8 +49,8 @@ class RadialMap:
 def solved_transposed(system: RadialSystem, upper: FloatArray, lower: FloatArray) -> FloatArray:
     """Gradient (m, 3) of the values at centres from those of coefficients (m, 3) and polynomial (q, 3).
 
-    The matrix [A P; P^T 0] is symmetric; a right-hand side of its lower rows is met by a combination of the columns of
-    P, the rest by the solver as it is.
+    The matrix [A P; P^T 0] is symmetric. A combination of the columns of P satisfies the lower rows of the right-hand
+    side; the solver takes what remains.
     """
     terms = system.terms
     part = terms @ np.linalg.solve(terms.T @ terms, lower)
@@ -58,17 +58,17 @@ def solved_transposed(system: RadialSystem, upper: FloatArray, lower: FloatArray
 
 
 def accurate(options: SystemOptions, centres: Centres, problem: Problem) -> RadialSystem:
-    """The system with a direct solution, or an iterative one to round-off; its factors are made here, once."""
+    """The system with a direct solution, or an iterative one to round-off; it is factorised here, once."""
     system = RadialSystem(dataclasses.replace(options, solver="auto", tolerance=_TOLERANCE), centres, problem.memory)
     system.solve(np.zeros_like(centres.points), Account(), None)
     return system
 
 
 class RBFDerivative:
-    """Derivative of the displacement of some nodes with respect to that of the sources; the same at all of them.
+    """Derivative of the displacement of some nodes with respect to that of the sources, the same at any displacement.
 
-    Fast sums of the method are fast here, too, with an error below :data:`.sums.TOLERANCE` of the derivative where they
-    are compared with exact ones; otherwise sums are exact.
+    If the method uses fast sums, so does the derivative, provided their error, checked against exact sums at some
+    nodes, is below :data:`.sums.TOLERANCE` of the derivative; otherwise sums are exact.
     """
 
     def __init__(self, method: PreparedRBF, problem: Problem, sums: RadialSums) -> None:
@@ -79,11 +79,11 @@ class RBFDerivative:
         self._exact = None if self._fast else RadialMap(self._system, self._points[self.flat])
 
     def _accurate(self, targets: RadialTargets) -> FrozenRadial | None:
-        """Fast sums, the more accurate the larger their error is where they are compared with exact ones; ``None`` if
-        it stays too large.
+        """Fast sums, refined until the error at the nodes where they are compared with exact sums is small enough;
+        ``None`` if it remains too large.
 
-        Errors are relative to the derivative for the same change: a random one has coefficients, and between its nodes
-        values, many times larger than itself.
+        Errors are relative to the derivative for the same, random, change: its coefficients, and its values between the
+        sources, are many times larger than the change itself.
         """
         system, centres = self._system, self._system.centres
         rough = np.random.default_rng(0).uniform(-1.0, 1.0, centres.points.shape)
@@ -103,7 +103,7 @@ class RBFDerivative:
                 found[flat] = sums
 
             flat = doubtful(targets.points, targets, fast.push(coefficients, keep, found))
-            # All ranks must decide alike, also those whose processors round otherwise.
+            # All ranks must decide alike, even if their processors round differently.
             gap = float(np.abs(found[flat] - exactly(flat)).max())
             error = float(np.max(current_ranks().gather([gap]))) / size
             if error <= TOLERANCE:
@@ -114,7 +114,7 @@ class RBFDerivative:
         return None
 
     def push(self, change: FloatArray, out: FloatArray) -> None:
-        """Write the change of the nodes into their rows of ``out`` (n_nodes, 3), for one of the sources."""
+        """Write the change of the nodes into their rows of ``out`` (n_nodes, 3), for a ``change`` of the sources."""
         values = self._images.displaced(change)
         if self._exact:
             out[self.flat] = self._exact.push(values)

@@ -1,7 +1,7 @@
-"""Inverse distance weighting with one source in the place of all that stay at rest.
+"""Inverse distance weighting with a single source in place of all sources at rest.
 
-Those have the same values whatever the others do, so that what is recorded for derivatives needs only one of them,
-which counts with the area of all.
+Sources at rest share the same values whatever the others do, so the record for derivatives needs only one of them,
+with the area of all.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from ..scattered.idw import PreparedIDW
 
 
 def reduced(method: PreparedIDW, acting: BoolArray) -> PreparedIDW:
-    """The method with the ``acting`` (n,) images of sources, in their order, and the first of the others after them.
+    """The method with only the ``acting`` (n,) images of sources, in order, followed by the first of the others.
 
     Faces and their edges connect acting sources only.
     """

@@ -1,4 +1,4 @@
-"""Derivative of a motion that is imposed in several steps, each prepared on the grid that the last one has reached."""
+"""Derivative of a motion imposed in several steps, each prepared on the grid that the previous one has reached."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .grid.composite import GridDerivative, grid_derivative_of
 def derivative_of_steps(
     first: PreparedMethod, options: Options, problem: Problem, displacement: FloatArray, fractions: Sequence[float]
 ) -> StepsDerivative | ComponentsInSteps:
-    """The derivative of a motion in several steps, of every component by itself; see :class:`StepsDerivative`."""
+    """The derivative of a motion in several steps, separately for each component; see :class:`StepsDerivative`."""
     if not isinstance(first, PreparedComponents):
         return StepsDerivative(first, options, problem, displacement, fractions)
     own = [
@@ -30,13 +30,13 @@ def derivative_of_steps(
 
 
 class StepsDerivative:
-    """The chain rule: later steps depend on the grid that they start from, too.
+    """Derivative of several steps by the chain rule; later steps also depend on the grid that they start from.
 
     Parameters
     ----------
     first, options, problem : the method prepared on the undeformed grid, its options, and that grid
     displacement : (n_sources, 3) at the end of the motion
-    fractions : of the motion at the end of each step
+    fractions : fraction of the motion at the end of each step
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class StepsDerivative:
         self.on_edges = self._first.on_edges + sum(step.on_edges for step in self._later)
 
     def push(self, change: FloatArray) -> FloatArray:
-        """Change (n_nodes, 3) for one of the sources (n_sources, 3)."""
+        """Change (n_nodes, 3) for a ``change`` (n_sources, 3) of the sources."""
         moved = self._first.push(self._parts[0] * change)
         for part, step in zip(self._parts[1:], self._later, strict=True):
             moved += step.push(part * change, moved)
@@ -87,7 +87,7 @@ class StepsDerivative:
 
 
 class ComponentsInSteps(ComponentsDerivative):
-    """Of components that take the same steps; ``points`` (n_nodes, 3) is the grid reached, without repairs."""
+    """Derivative of components that take the same steps; ``points`` (n_nodes, 3): the grid reached, without repairs."""
 
     def __init__(self, method: PreparedComponents, own: Sequence[StepsDerivative | None]) -> None:
         super().__init__(method, own)

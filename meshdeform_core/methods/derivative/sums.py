@@ -17,9 +17,9 @@ from ..scattered.idw_sums import Bound
 TOLERANCE = 1e-5
 """Error of fast sums in derivatives, relative to the largest change of a value."""
 _ORDER = 5
-"""Interpolation points per side: of 4 to 7, those that take the least time on the hemisphere."""
+"""Interpolation points per side; among 4 to 7, the fastest on the hemisphere."""
 _PER_POINT = 4
-"""Nodes of a brick per interpolation point; twice as many, as in applications, take a quarter longer there."""
+"""Nodes of a brick per interpolation point; twice as many, as the forward method has, take a quarter longer."""
 _CHUNK = 2048
 _PORTIONS = 32
 
@@ -29,11 +29,13 @@ Weights = tuple[tuple[float, float, float], ...]
 def sums_of(
     bound: Bound, fast: bool, weights: Weights, acting: BoolArray, share: float = 1.0, single: bool = True
 ) -> LinearSums:
-    """Exact sums over all sources, or fast ones with fixed clusters and the error ``share`` allowed to each; ``single``
-    as for :class:`.FrozenSums`."""
+    """Exact sums over all sources, or fast ones with fixed clusters, each allowed the error ``share``.
+
+    ``single`` as for :class:`.FrozenSums`.
+    """
     if not fast:
         return ExactSums(bound, weights, acting)
-    # Few sources act: clusters of these alone need fewer points than sources.
+    # Clusters of acting sources alone, as few sources act.
     parts = [
         (some, each)
         for group, each in zip(bound.groups, weights, strict=True)
@@ -48,7 +50,7 @@ def sums_of(
 
 
 class ExactSums:
-    """Every node with every source; see :class:`..fastsum.weighted.frozen.FrozenSums`."""
+    """Exact sums, every node with every source; interface as :class:`..fastsum.weighted.frozen.FrozenSums`."""
 
     def __init__(self, bound: Bound, weights: Weights, acting: BoolArray) -> None:
         self._bound, self._weights, self.acting = bound, weights, acting
@@ -59,7 +61,7 @@ class ExactSums:
 
     @property
     def flat(self) -> IntArray:
-        """The nodes (n,) at which sums are taken."""
+        """Flat indices (n,) of the nodes at which sums are taken."""
         return self._bound.flat
 
     def push(
@@ -70,7 +72,7 @@ class ExactSums:
         kept: Sequence[FloatArray] = (),
         weigh: bool = False,
     ) -> None:
-        """Hand sums (m, 1 + k) of values (k, n) to ``use``, some rows at a time."""
+        """Call ``use`` with sums (m, 1 + k) of values (k, n), some rows at a time."""
         bound = self._bound
 
         def work(lo: int, hi: int) -> None:
@@ -90,13 +92,13 @@ class ExactSums:
         for_chunks(work, len(bound.flat), _CHUNK, shared=shared)
 
     def _parts(self, group: IntArray, values: FloatArray, weigh: bool) -> list[tuple[IntArray, FloatArray]]:
-        """Sources with values; if weights are wanted, also the others, with none."""
+        """Sources with their values; to ``weigh``, also the others, without values."""
         acting = self.acting[group]
         others = [(group[~acting], values[:0])] if weigh and not acting.all() else []
         return [(group[acting], values), *others]
 
     def pull(self, make: Make, k: int) -> FloatArray:
-        """The transpose: gradients (k, n_sources) from those (m, k) of the sums of values."""
+        """Transpose of :meth:`push`: gradients (k, n_sources) from those (m, k) of the sums of values."""
         bound, n = self._bound, len(self._bound.sources)
         cut = np.linspace(0, len(bound.flat), self.portions + 1).astype(np.int64)
         place = np.cumsum(self.acting) - 1

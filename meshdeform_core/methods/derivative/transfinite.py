@@ -1,4 +1,4 @@
-"""Derivative of transfinite interpolation: it is linear, so that only transposes are new."""
+"""Derivative of transfinite interpolation, which is linear, so that only the transposes are new."""
 
 from __future__ import annotations
 

@@ -23,9 +23,9 @@ from .sums import TOLERANCE, LinearSums, Weights, sums_of
 
 _LEAST_ALPHA = 1e-3
 _FIRST_SHARE = 2.0
-"""Error first allowed to one cluster, as a multiple of that of the sum: enough on the hemispheres, on the plates half
-of it is."""
-# The nodes at which fast sums are checked are few.
+"""Initial error allowed to one cluster, as a multiple of that allowed to the sum; sufficient on the hemispheres, while
+the plates need half of it."""
+# Nodes per chunk when fast sums are checked.
 _CHECKED = 64
 _WORST_BRICKS, _SAMPLES, _RANDOM_NODES = 64, 9, 256
 """Bricks with the largest error bounds, nodes of each, and random nodes, at which fast sums are compared with exact
@@ -35,8 +35,8 @@ ones."""
 class IDWDerivative:
     """Derivative of the displacement of the nodes of an evaluator at one displacement (n_sources, 3) of the sources.
 
-    The rotations, their smoothing and the mean motion are differentiated as they are computed; sums over sources are
-    sums of derivatives, exact or fast as those of the method, and their transposes sums over nodes.
+    The rotations, their smoothing and the mean motion are differentiated operation by operation; sums over sources
+    become sums of derivatives, exact or fast like those of the method, and their transposes are sums over nodes.
     """
 
     def __init__(
@@ -51,7 +51,7 @@ class IDWDerivative:
         self._bound, self._tape, fast = bound, Tape(), isinstance(evaluator, FastEvaluator)
         variable = self._tape.variable(displacement)
         self._variable = variable.number
-        # Sources at rest all move alike, as the mean motion that is taken out does.
+        # Within the frame of the mean motion, all sources at rest move alike.
         images = method._images
         acting = with_motion(images) | images.displaced(displacement).any(axis=1)
         method = reduced(method, acting)
@@ -79,7 +79,7 @@ class IDWDerivative:
 
     @property
     def flat(self) -> IntArray:
-        """The nodes that it moves."""
+        """Flat indices (n,) of the target nodes."""
         return self._bound.flat
 
     def _turned(self) -> FloatArray | None:
@@ -87,7 +87,7 @@ class IDWDerivative:
         return None if turn is None else plain(turn)
 
     def _seen(self, sums: FloatArray, flat: IntArray) -> FloatArray:
-        """Positions relative to the centre of the mean rotation, moved within the frame."""
+        """Displaced positions (n, 3) within the frame, relative to the centre of the mean rotation."""
         assert self._fit.frame.centre is not None
         bound, points = self._bound, self._bound.grid.points[flat]
         moved = np.empty_like(points)
@@ -95,7 +95,7 @@ class IDWDerivative:
         return np.asarray(moved + points - self._fit.frame.centre)
 
     def push(self, change: FloatArray, out: FloatArray) -> None:
-        """Write the change of the nodes into their rows of ``out`` (n_nodes, 3), for one of the sources."""
+        """Write the change of the nodes into their rows of ``out`` (n_nodes, 3), for a ``change`` of the sources."""
         found = dict(
             zip(self._numbers, self._tape.push({self._variable: change}, list(self._numbers.values())), strict=True)
         )
@@ -106,7 +106,7 @@ class IDWDerivative:
             sums = self._base.rows(rows)
             changes[:, 1:] += sums[:, :1] * common
             if self._near:
-                # The weights themselves change with an automatic alpha only.
+                # The weights themselves change only if alpha is automatic.
                 changes += self._slope * found["alpha"] * self._near.rows(rows)
             x = bound.grid.points[flat] - self._fit.origin
             moved = finish_tangents(bound.rotation, sums, x, changes, bound.repeats, self._transition, rest)
@@ -119,9 +119,9 @@ class IDWDerivative:
     def pull(self, gradient: FloatArray) -> FloatArray:
         """Gradient (n_sources, 3) from that of the nodes, rows of ``gradient`` (n_nodes, 3)."""
         bound, turn, k = self._bound, self._turned(), len(self._fit.values)
-        # Of every portion: shift, turn, rest, alpha, and the value common to sources at rest.
+        # For every portion: gradients of shift, turn, rest, alpha, and of the value common to sources at rest.
         parts = np.zeros((self._sums.portions, 3 + 9 + 6 + 1 + k))
-        # The total weight of the moving sources is the last sum with a transition, and never changes.
+        # With a transition, the last sum is the total weight of the moving sources, which never changes.
         changing = k - 1 if self._transition.width > 0.0 else k
 
         def make(rows: slice, flat: IntArray, portion: int) -> FloatArray:
@@ -153,7 +153,7 @@ class IDWDerivative:
 
 
 def automatic_alpha(method: PreparedIDW, displacement: Tracked) -> Tracked | None:
-    """Alpha by eq. 18 at a displacement (n_sources, 3); ``None`` where it is given or at its limits."""
+    """Alpha by eq. 18 at a displacement (n_sources, 3); ``None`` where it is prescribed or at one of its limits."""
     o = method.options
     if o.weights != "luke" or o.alpha != "auto":
         return None
@@ -167,7 +167,7 @@ def automatic_alpha(method: PreparedIDW, displacement: Tracked) -> Tracked | Non
 
 
 def _apart(values: FloatArray, acting: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """Values (k, n) of all sources relative to that (k,) of those at rest, the last one of the reduced ``values``."""
+    """Values (k, n) of all sources relative to those at rest, and the latter (k,): the last of reduced ``values``."""
     common = np.zeros(len(values)) if acting.all() else values[:, -1]
     found = np.zeros((len(values), len(acting)))
     found[:, acting] = values[:, : np.count_nonzero(acting)] - common[:, None]
@@ -177,9 +177,10 @@ def _apart(values: FloatArray, acting: BoolArray) -> tuple[FloatArray, FloatArra
 def _accurate(
     bound: Bound, weights: Weights, values: FloatArray, acting: BoolArray, fast: bool, transition: bool
 ) -> tuple[LinearSums, _AtNodes]:
-    """Fast sums, the more accurate the larger their error is where they are compared with exact ones, or exact sums.
+    """Fast sums, refined until their error at the nodes where they are compared with exact ones is small enough; exact
+    sums if it remains too large.
 
-    Weights are in single precision unless they are too large for it, or the accuracy has been raised in vain.
+    Weights are in single precision unless they overflow it, or refinement did not help.
     """
     share, single = _FIRST_SHARE, True
     for attempt in range(1 + MAX_RETRIES if fast else 0):
@@ -199,10 +200,10 @@ def _accurate(
 
 
 class _AtNodes:
-    """Sums (n, 1 + k) of the values at the nodes, kept as total weights and means.
+    """Sums (n, 1 + k) of the values at the nodes, stored as total weights and means.
 
-    Weights, also those of moving sources alone, need all digits, as their difference is taken; for the means of fast
-    sums single precision is enough.
+    Weights, including those of moving sources alone, are in double precision, as their difference is taken; for the
+    means of fast sums single precision suffices.
     """
 
     def __init__(self, sums: LinearSums, values: FloatArray, fast: bool, transition: bool) -> None:
@@ -220,8 +221,8 @@ class _AtNodes:
         sums.push(values, keep, kept=(self._weight, self._means), weigh=True)
 
     def error(self, bound: Bound, sums: FrozenSums, weights: Weights, values: FloatArray) -> float:
-        """Largest error of a sum relative to the total weight, for values of one, at the nodes with the largest bounds
-        and at random ones; infinite if any sum is not finite."""
+        """Largest error of a sum of unit values relative to the total weight, at the nodes with the largest error
+        bounds and at random ones; infinite if any sum is not finite."""
         if not np.isfinite(self._weight).all():
             return np.inf
         n, (own, common) = len(sums.flat), _apart(values, sums.acting)
@@ -236,9 +237,9 @@ class _AtNodes:
         found = self.rows(rows)
         found[:, 1:] -= found[:, :1] * common
         gap = np.abs(found - exact) / exact[:, :1]
-        # The sum of all weights matters as far as sources act.
+        # An error of the total weight matters in proportion to the weight of the acting sources.
         gap[:, 0] *= acting / exact[:, 0]
-        # Means are kept in single precision.
+        # Means are stored in single precision.
         size = np.append(1.0, np.abs(own).max(axis=1) + np.abs(common))
         return float(np.max(gap[:, size > 0.0] / size[size > 0.0]))
 

@@ -28,7 +28,7 @@ class BlockRBF:
     options: RBF
 
     def skeleton(self, problem: Problem) -> Skeleton:
-        """The first step moves block faces except slip planes, whose nodes are not centres."""
+        """Skeleton of block faces except slip planes, whose nodes are not centres."""
         require_whole(problem.grid.points, "RBF inside of blocks")
         return dataclasses.replace(make_skeleton(problem, 0), left_out=_slip_sides(problem))
 
@@ -53,7 +53,7 @@ class _Block:
 
 
 class PreparedBlockRBF:
-    """Block systems of one undeformed grid, factorised at first use and kept as long as they fit into memory."""
+    """Block systems of one undeformed grid, factorised at first use and kept while they fit into memory."""
 
     def __init__(self, options: RBF, problem: Problem, skeleton: Skeleton):
         self._options, self._problem = options, problem
@@ -99,7 +99,7 @@ class PreparedBlockRBF:
         accounts: list[Account] = []
 
         def work(number: int) -> None:
-            # A block is the work of one rank, its system included.
+            # Each block, including its system, is computed by one rank.
             with alone():
                 accounts.append(self._fill(self._blocks[number], displacement))
 
@@ -109,7 +109,7 @@ class PreparedBlockRBF:
         report = of_stage(progress, "rbf blocks")
         for_items(work, len(self._blocks), [Shared(displacement, rows)], report)
         if accounts := current_ranks().gather(accounts):
-            # The worst solution of all blocks: not converged, or with the largest residual.
+            # Report the worst block: one not converged, or the one with the largest residual.
             self.account.notices.clear()
             self.account.include(
                 max(accounts, key=lambda each: (bool(each.notices), np.max(each.settings["residual"].value)))

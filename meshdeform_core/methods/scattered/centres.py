@@ -1,6 +1,6 @@
 """Centres of radial basis functions, the options of their linear system, and its solution.
 
-Apart from the system and the sums themselves, whose loops take a while to load.
+Separate from the system and the sums themselves, whose loops take a while to load.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from ...grid import FloatArray
 Solver = Literal["auto", "direct", "minres", "krylov"]
 SOLVERS: tuple[str, ...] = get_args(Solver)
 DIRECT_CENTRES = 4000
-"""Most centres that ``auto`` solves directly; beyond, a factorisation takes longer than GMRES with its set-up."""
+"""Largest number of centres that ``auto`` solves directly; beyond it, GMRES with its set-up is faster."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class SystemOptions:
 
 @dataclass(frozen=True)
 class SumOptions:
-    """The options of :class:`.rbf.RBF` that concern its sums; ``correct``: add what a greedy reduction has left."""
+    """The options of :class:`.rbf.RBF` that concern its sums; ``correct``: add the residual of a greedy reduction."""
 
     basis: str
     summation: str
@@ -43,8 +43,8 @@ class Centres:
     """Centres in normalised coordinates with the polynomial terms that they determine.
 
     Thin plate splines with a linear polynomial do not depend on the unit of length, and compact functions take
-    distances in radii; both are conditioned best with distances near one. A direction normal to a plane that holds all
-    centres has no polynomial term, so that 2-D grids and planar patches have a solution.
+    distances in radii; both are best conditioned with distances near one. If all centres lie in a plane, its normal
+    direction has no polynomial term, so that 2-D grids and planar patches have a solution.
     """
 
     points: FloatArray
@@ -67,7 +67,7 @@ class Centres:
         return (points - self.origin) / self.scale
 
     def polynomial(self, normalised: FloatArray) -> FloatArray:
-        """Polynomial terms (n, q) at normalised points: the constant and the directions in which centres spread."""
+        """Polynomial terms (n, q) at normalised points: the constant and the directions in which the centres extend."""
         return np.concatenate([np.ones((len(normalised), 1)), normalised @ self.axes.T], axis=1)
 
 

@@ -1,4 +1,4 @@
-"""Sums of IDW over clusters of sources."""
+"""Fast IDW sums over clusters of sources."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class FastEvaluator:
         trees = [build_tree(sources[group], order) for group in self.bound.groups]
         targets = make_targets(points, grid.shapes, grid.offsets, self.bound.flat, order)
         if points is not self.bound.points:
-            # Accuracy is relative to the undeformed cells; in later steps only the targets have moved.
+            # Accuracy is relative to the undeformed cells, although targets have moved in later steps.
             targets = targets.sized(self.bound.points, grid.shapes, grid.offsets)
         return FastSums(self.bound.strength, self.bound.groups, trees, targets, self._tolerance, self.bound.room)
 

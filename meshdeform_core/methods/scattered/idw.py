@@ -41,7 +41,7 @@ _KEPT = 2
 
 
 _LARGEST_ALPHA, _LARGEST_POWER = 1e4, 20.0
-"""Largest exponent accepted: powers of distances relative to the grid stay finite."""
+"""Largest exponent accepted, so that powers of distances relative to the grid remain finite."""
 
 
 @dataclass(frozen=True)
@@ -62,16 +62,16 @@ class IDW:
     a, b : exponents of eq. 16; a may be ``"auto"``: for ``lie`` 4 with one moving body and a transition, else 2.5 in
         plane grids; 3 otherwise
     transition : the share of the moving sources falls linearly across the gap to the fixed ones, except over this
-        fraction of it at either end (at most 0.5); 0: weights alone decide, as in eq. 14; ``"auto"``: for ``lie``
-        0.5, in plane grids 0.3
-    smoothing : number of times that rotations of nodes within as many edges of a sharp edge are averaged, or
-        ``"auto"``: 8 for ``lie``, none for the others
+        fraction of the gap at either end (at most 0.5); 0: the weights determine the share, as in eq. 14; ``"auto"``:
+        0.5 for ``lie``, 0.3 in plane grids
+    smoothing : how often rotations are averaged with those of neighbours, for nodes within as many edges of a sharp
+        edge; ``"auto"``: 8 for ``lie``, 0 otherwise
     length : L_def of eq. 16 (grid length unit), or ``"auto"``: eq. 17
     p_moving, p_fixed : exponents of ``shepard`` for moving and fixed sources
     divisions : m of eq. 26
     reweight : paper only: ``division`` recomputes its weights in every step; m times the cost
-    remove_mean : subtract the mean displacement first and add it back, for ``lie`` the mean rigid motion if the whole
-        boundary moves; ``"auto"``: only for ``lie``
+    remove_mean : subtract the mean displacement (for ``lie``, if the whole boundary moves, the mean rigid motion) first
+        and add it back; ``"auto"``: only for ``lie``
     summation : ``exact`` sums, or ``fast`` ones with clusters of sources, or ``"auto"``: fast from 2000
         sources and 2e8 pairs of nodes
     summation_tolerance : of fast sums: error of a node's displacement relative to its shortest cell edge, 1e-8 to 0.1
@@ -134,7 +134,7 @@ class IDW:
         return idle
 
     def bind(self, problem: Problem) -> PreparedIDW:
-        """Sources with their images at symmetry planes, nodal areas, L_def."""
+        """Bind to the sources: their images at symmetry planes, nodal areas, L_def."""
         return PreparedIDW(self, problem)
 
 
@@ -206,15 +206,15 @@ class PreparedIDW:
         return np.asarray(pairs[near[pairs[:, 0]]])
 
     def _grouped(self) -> tuple[tuple[IntArray, ...], FloatArray]:
-        """Sources (index arrays) with the same weight function, and the strength (n,) of every source."""
+        """Groups of sources (index arrays) with a common weight function, and the strength (n,) of every source."""
         o, moving = self.options, self._images.moving
         everything = (np.arange(len(moving)),)
         if o.weights == "luke":
-            # Relative to the largest, as in fast sums: the transition needs total weights in known units.
+            # Relative to the largest area, as in fast sums: the transition needs total weights in known units.
             return everything, self.area / self.area.max()
         if o.p_moving == o.p_fixed or moving.all() or not moving.any():
             return everything, np.ones(len(moving))
-        # (L_def / r)^p: with two exponents the reference length matters, so it has to be that of the grid.
+        # (L_def / r)^p: with two exponents the result depends on the reference length, so it has to be the grid's.
         strength = np.where(moving, self.length**o.p_moving, self.length**o.p_fixed)
         return (np.flatnonzero(moving), np.flatnonzero(~moving)), strength
 
@@ -262,14 +262,14 @@ class PreparedIDW:
         images = self._images
         d = images.displaced(displacement)
         frame = self._frame(d)
-        # After the common rotation is removed, half a turn of the whole boundary is no special case.
+        # Once the common rotation is removed, half a turn of the whole boundary is no special case.
         inside = d if frame.turn is None else frame.relative(images.points, d)
         q, w = np.tile([1.0, 0.0, 0.0, 0.0], (len(d), 1)), np.zeros((len(d), 3))
         if self.options.rotation != "none":
             found = self._rotations.quaternions(inside), self._rotations.vectors(inside)
             q, w = rot.smoothed(*found, self._blunt, self._rounds)
         rest = frame.relative(images.points, d)
-        # Frame-independent kinds are computed relative to the centroid: smaller numbers, less round-off.
+        # Frame-independent kinds are computed relative to the centroid, to reduce round-off.
         origin = np.zeros(3) if self.options.rotation in ("quaternion", "division") else self._problem.centroid
         start = images.points - origin
         values = motion_values(self.options.rotation, self.options.divisions, start, rest, q, w)
@@ -283,7 +283,7 @@ class PreparedIDW:
         return SourceValues(path, values, self._weights(plain(inside)), shift, turn, origin, frame, still, transition)
 
     def _frame(self, d: FloatArray) -> Frame:
-        """The mean motion of the images, which is taken out first: rigid for ``lie`` if the whole boundary moves."""
+        """The mean motion of the images, which is removed first: rigid for ``lie`` if the whole boundary moves."""
         if not self.remove_mean:
             return AT_REST
         if self.options.rotation == "lie" and with_motion(self._images).all():
@@ -293,11 +293,11 @@ class PreparedIDW:
     def _weights(self, d: FloatArray) -> tuple[tuple[float, float, float], ...]:
         """Weight function (a, b, kappa) of each group: r^-a + kappa r^-b.
 
-        Weights matter only up to a factor: dividing by L_def^a keeps the numbers near one.
+        Only ratios of weights matter; division by L_def^a keeps the numbers near one.
         """
         o = self.options
         if o.weights == "shepard":
-            # The second exponent has no effect here; Luke's selects the fastest loop.
+            # With kappa = 0 the second exponent has no effect; 5 selects the fastest loop.
             return tuple((p, 5.0, 0.0) for p in (o.p_moving, o.p_fixed)[: len(self.groups)])
         alpha = self._alpha(d) if o.alpha == "auto" else float(o.alpha)
         try:
@@ -332,7 +332,7 @@ class PreparedIDW:
         if not fast:
             return ExactEvaluator(bound)
         self.account.settings |= used(o, "summation_tolerance")
-        # Its loops take a while to load; exact sums need none of them.
+        # Imported here, as its loops take a while to load and exact sums need none of them.
         from .fast_idw_sums import FastEvaluator
 
         return FastEvaluator(bound, o.summation_tolerance, self.account)

@@ -1,4 +1,4 @@
-"""What IDW sums over its sources, and exact sums; :mod:`.fast_idw_sums` has those over clusters of sources."""
+"""The values that IDW sums over its sources, and exact sums; :mod:`.fast_idw_sums` sums over clusters of sources."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ...parallel import Shared, apart, for_chunks, rows_of
 from ..base import Progress, of_stage
 
 _CHUNK = 2048
-# The nodes at which fast sums are checked are few.
+# Nodes per chunk when fast sums are checked.
 _CHECKED = 64
 
 
@@ -22,11 +22,11 @@ _CHECKED = 64
 class SourceValues:
     """A displacement prepared for summation.
 
-    ``path`` source positions (n, 3) at the start of every step, relative to ``origin`` (3,): one step, unless the
-    weights are recomputed on the way; ``values`` (k, n) per source; ``weights`` (a, b, kappa) per group; ``shift`` and
-    ``turn`` (n,) displacement and rotation angle of each source; ``frame`` the mean motion that was taken out;
-    ``still`` (k,) the values of sources that do not move, if there are any; ``transition`` from moving sources to
-    others.
+    ``path`` : source positions (n, 3) at the start of every step, relative to ``origin`` (3,); one step, unless the
+    weights are recomputed in each. ``values`` (k, n) per source; ``weights`` (a, b, kappa) per group; ``shift`` and
+    ``turn`` (n,), magnitude of the displacement and rotation angle (radians) of each source; ``frame``, the mean motion
+    that was removed; ``still`` (k,), the values of sources that do not move, if any; ``transition`` between moving
+    sources and others.
     """
 
     path: tuple[FloatArray, ...]
@@ -42,9 +42,9 @@ class SourceValues:
 
 @dataclass(frozen=True)
 class Bound:
-    """Sources and targets of one undeformed grid: ``flat`` nodes of ``grid``; sources (n, 3) with strength (n,).
+    """Sources (n, 3) with strength (n,), and target nodes ``flat`` of an undeformed ``grid``.
 
-    ``room`` is the memory (bytes) for data kept between displacements.
+    ``room`` is the memory (bytes) for data stored between displacements.
     """
 
     grid: Grid
@@ -59,7 +59,7 @@ class Bound:
 
     @property
     def points(self) -> FloatArray:
-        """Coordinates (n_nodes, 3), of a grid in parts those that this rank holds."""
+        """Coordinates (n_nodes, 3); of a grid in parts, only the rows that this rank holds."""
         return np.asarray(rows_of(self.grid.points))
 
     @property
@@ -79,7 +79,7 @@ class Weighed:
 
 @dataclass(frozen=True)
 class ExactEvaluator:
-    """Every target with every source."""
+    """Exact sums: every target with every source."""
 
     bound: Bound
 
@@ -103,7 +103,7 @@ class ExactEvaluator:
         return fit.frame.absolute(self.bound.points[flat], total)
 
     def checked(self, fit: SourceValues, flat: IntArray, known: Weighed | None) -> tuple[FloatArray, Weighed | None]:
-        """The same, and the weights of these nodes; where they are ``known``, they are not summed again."""
+        """:meth:`displacement` and the weights of these nodes, which are not summed again if ``known``."""
         if len(fit.path) > 1 or fit.still is None:
             return self.displacement(fit, flat), None
         x = self.bound.points[flat] - fit.origin
@@ -119,7 +119,7 @@ class ExactEvaluator:
         return moved
 
     def _sums(self, fit: SourceValues, x: FloatArray, sources: FloatArray) -> FloatArray:
-        """Sums (n, 1 + k) at targets ``x`` over the sources where they are in one step."""
+        """Sums (n, 1 + k) at targets ``x`` over the sources, at their positions ``sources`` in one step."""
         sums = np.zeros((len(x), 1 + len(fit.values)))
         for group, weights in zip(self.bound.groups, fit.weights, strict=True):
             near = sources[group], self.bound.strength[group]
@@ -135,7 +135,10 @@ class ExactEvaluator:
         return total
 
     def _sums_of_moving(self, fit: SourceValues, x: FloatArray, total: FloatArray) -> FloatArray:
-        """Sums (n, 1 + k) for a total weight (n,), over the moving sources, relative to the value of those at rest."""
+        """Sums (n, 1 + k), with the ``total`` weight (n,), of values relative to those of the sources at rest.
+
+        Only moving sources are summed.
+        """
         assert fit.still is not None
         values, sums = fit.values - fit.still[:, None], np.empty((len(x), 1 + len(fit.values)))
         sums[:, 0], sums[:, 1:] = total, total[:, None] * fit.still

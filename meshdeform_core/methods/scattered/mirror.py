@@ -1,4 +1,4 @@
-"""Symmetry: every scattered-data method includes the mirror images of the sources."""
+"""Symmetry planes: every scattered-data method includes the mirror images of the sources."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def mirror_images(problem: Problem) -> Images:
 
 
 def _reflected(images: Images, plane: Plane, problem: Problem) -> Images:
-    """The images of one plane; a node on the plane is its own image and counts the area on both sides."""
+    """The images at one plane; a node on the plane is its own image, with the area of both sides."""
     height = (images.points - plane.point) @ plane.normal
     edge = problem.topology.edge[problem.source_numbers][images.owner]
     on_plane = np.abs(height) <= RELATIVE_TOLERANCE * edge

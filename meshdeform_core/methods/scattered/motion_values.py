@@ -31,6 +31,6 @@ def motion_values(
 
 
 def _divided_translation(w: FloatArray, translation: FloatArray, m: int) -> FloatArray:
-    """T_m = M^-1 T of eq. 27: one of ``m`` equal steps of a screw has the twist (w, v) / m."""
+    """T_m = M^-1 T of eq. 27; each of ``m`` equal steps of a screw motion has the twist (w, v) / m."""
     v = rot.twist_velocity(w, translation)
     return rot.translation_of_twist(w / m, v / m)

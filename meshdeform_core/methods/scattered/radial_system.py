@@ -20,12 +20,12 @@ _TOLERANCE = {"minres": 1e-10, "krylov": 1e-6}
 
 
 class RadialSystem:
-    """The linear system of one set of centres; factorisation or preconditioner are made when first needed and kept."""
+    """The linear system of one set of centres; its factorisation or preconditioner is made on first use and stored."""
 
     def __init__(self, options: SystemOptions, centres: Centres, limit: MemoryLimit = UNLIMITED):
         self.options, self.centres = options, centres
         self.kind = BASES[options.basis]
-        # A small set of greedy centres (one, if nothing moves) may not determine all polynomial terms.
+        # A small set of greedy centres (a single one if nothing moves) may not determine all polynomial terms.
         self.terms = independent(centres.polynomial(centres.points))
         n = len(centres.points)
         dense = 8 * n * n
@@ -61,7 +61,7 @@ class RadialSystem:
         return self._solve_direct(values, account)
 
     def multiply(self, coefficients: FloatArray) -> FloatArray:
-        """The matrix of basis values between centres times coefficients (n, 3), as the solver last took it."""
+        """The matrix of basis values between centres times coefficients (n, 3), with the solver's latest accuracy."""
         if self._krylov is not None:
             return np.asarray(self._krylov.product(coefficients))
         return ExactProduct(self.kind, self.centres.points)(coefficients)
@@ -72,7 +72,7 @@ class RadialSystem:
             account.settings["factorisation"] = Setting(self._direct.kind)
         multiply = ExactProduct(self.kind, self.centres.points)
         coefficients, polynomial = self._direct.solve(values)
-        # One step of iterative refinement: the matrix was overwritten; its product with a vector is a sum over centres.
+        # One step of iterative refinement, with a sum over centres, as the factorisation overwrote the matrix.
         rest = values - multiply(coefficients) - self.terms @ polynomial
         more, shift = self._direct.solve(rest)
         coefficients, polynomial = coefficients + more, polynomial + shift
@@ -118,7 +118,7 @@ class RadialSystem:
     ) -> None:
         account.settings["tolerance"] = Setting(self._tolerance)
         account.settings["residual"] = Setting(residual.tolist(), "||b - K x|| / ||b||, computed from the solution")
-        # With smooth bases of a large radius, coefficients nearly cancel, which limits the accuracy of their sums.
+        # For smooth bases of large radius, coefficients nearly cancel, which limits the accuracy of their sums.
         more = "the limit of round-off; " if stalled else "raise method.rbf.max_iterations, "
         other = " or solver = direct" if self._direct_fits and not stalled else ""
         failed = (

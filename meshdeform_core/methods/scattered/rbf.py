@@ -29,8 +29,8 @@ GREEDY: tuple[str, ...] = get_args(Greedy)
 ERRORS: tuple[str, ...] = get_args(GreedyError)
 
 REACH = 20.0
-"""Distance up to which nodes take over what a greedy reduction leaves at a wall, as a multiple of it: so large that the
-correction cannot fold cells."""
+"""Distance from a wall over which nodes are corrected by the residual of a greedy reduction there, as a multiple of the
+residual; large enough that the correction cannot fold cells."""
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ class RBF:
 class PreparedRBF:
     """RBF bound to the sources of one undeformed grid.
 
-    What its loops are in is imported when they are needed: other methods do without them.
+    Modules with compiled loops are imported when needed, as other methods do without them.
     """
 
     def __init__(self, options: RBF, problem: Problem):
@@ -144,7 +144,7 @@ class PreparedRBF:
         self._problem = problem
         self._images = mirror_images(problem)
         self.centres = Centres.of(self._images.points, self._radius())
-        # Without greedy reduction the size of the system is known: refuse it before anything is computed.
+        # Without greedy reduction the size of the system is known: refuse it now if it is too large.
         self._system = None if options.greedy != "none" else RadialSystem(options.system, self.centres, problem.memory)
         self.account.settings |= used(options, "basis", "solver", "tolerance", "max_iterations", "greedy") | {
             "centres": Setting(len(self._images.points)),

@@ -33,7 +33,7 @@ class RadialSums:
         self._nearest: tuple[FloatArray, IntArray] | None = None
 
     def prepare(self, n_centres: int) -> None:
-        """Sort the target nodes for fast sums, if these pay off for this number of centres."""
+        """Sort the target nodes for fast sums if these pay for this number of centres."""
         n_targets = sum(of_all(self._grid.points, len(self.flat)))
         self._is_fast, self._account.settings["summation"] = fast_pays(self._options.summation, n_targets, n_centres)
         if not self._is_fast or self.targets is not None:
@@ -63,7 +63,7 @@ class RadialSums:
 
     @property
     def _points(self) -> FloatArray:
-        """Coordinates (n_nodes, 3), of a grid in parts those that this rank holds."""
+        """Coordinates (n_nodes, 3); of a grid in parts, only the rows that this rank holds."""
         return np.asarray(rows_of(self._grid.points))
 
     def _displacement(self, fit: Coefficients, flat: IntArray) -> FloatArray:
@@ -107,7 +107,7 @@ class RadialSums:
         return self._nearest
 
     def _add_residual(self, fit: Coefficients, out: FloatArray) -> None:
-        """Residual of the nearest source, fading smoothly with the distance to it (Wendland C2)."""
+        """Add the residual of the nearest source, which fades out with the distance from it (Wendland C2)."""
         assert fit.residual is not None
         distance, nearest = self.nearest()
         residual, flat = fit.residual, self.flat

@@ -18,7 +18,7 @@ _FAST_PAIRS, _FAST_SOURCES = 2e8, 2000
 _WORST_BRICKS, _RANDOM_NODES = 64, 256
 """Bricks with the largest error bounds, and random nodes, at which fast sums are compared with exact ones."""
 MAX_RETRIES = 3
-"""Most times that fast sums are repeated with a higher accuracy."""
+"""Largest number of times that fast sums are repeated with higher accuracy."""
 
 Summation = Literal["auto", "exact", "fast"]
 SUMMATIONS: tuple[str, ...] = get_args(Summation)
@@ -45,11 +45,11 @@ class Refinable(Protocol):
     """Fast sums that can be made more accurate."""
 
     def restart(self) -> None:
-        """Return to the accuracy with which every displacement is summed first."""
+        """Return to the initial accuracy, with which the first sum of every displacement is taken."""
         ...
 
     def refine(self, excess: float) -> None:
-        """Increase the accuracy: the error was ``excess`` times too large."""
+        """Increase the accuracy, as the error was ``excess`` times too large."""
         ...
 
 
@@ -68,17 +68,17 @@ class HasSamples(Protocol):
 
 
 def sum_accurately(method: str, sums: Refinable, once: Callable[[], float], tolerance: float, account: Account) -> None:
-    """Call ``once``, which sums and returns the error found, until the error is within the tolerance.
+    """Call ``once``, which computes the sums and returns their error, until the error is within the tolerance.
 
-    Every displacement starts with the same accuracy, whatever earlier ones needed. Reports the error (in cells), and
-    warns if it stays too large.
+    Every displacement starts with the same accuracy, whatever earlier ones needed. The error (in cells) is reported,
+    with a warning if it remains too large.
     """
     sums.restart()
     for attempt in range(1 + MAX_RETRIES):
         error = once()
         if error <= tolerance or attempt == MAX_RETRIES or not np.isfinite(error):
             break
-        # Rare: the errors of several clusters add up.
+        # Rarely needed: when the errors of several clusters add up.
         sums.refine(error / tolerance)
     account.settings["sampled_error"] = Setting(error, "against exact sums at the worst nodes, in cells")
     failed = (
@@ -108,8 +108,10 @@ def largest_error(
 
 
 def doubtful(points: FloatArray, targets: HasSamples, risk: FloatArray) -> IntArray:
-    """Flat indices of samples of the bricks with the largest bounds ``risk`` (b,), and of random nodes; of
-    ``points`` in parts, those of all ranks that are targets of this one."""
+    """Flat indices of samples of the bricks with the largest bounds ``risk`` (b,), and of random nodes.
+
+    If ``points`` are in parts, the bricks of all ranks compete; returns those nodes that are targets of this rank.
+    """
     others = of_all(points, (risk, len(targets.every)))
     bricks, nodes = (np.cumsum([0, *sizes]) for sizes in zip(*((len(one), many) for one, many in others), strict=True))
     number = ranks_of(points).number

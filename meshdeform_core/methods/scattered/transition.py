@@ -1,8 +1,8 @@
 """Transition between moving sources and sources at rest: how ``lie`` distributes the motion across the gap.
 
-Weights alone give the moving sources a share that falls off as a power of the distance, steeply half-way between two
-boundaries: cells there shear most. The share that :func:`.rigid.finish_twist` computes from the same sums falls
-linearly across the gap instead, except near both ends, where cells follow their wall.
+With weights alone, the share of the moving sources falls steeply half-way between two boundaries, where cells then
+shear most. The share that :func:`.rigid.finish_twist` computes from the same sums instead falls linearly across the
+gap, except near both ends, where cells follow their wall.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from ..base import Problem
 from .mirror import Images
 
 _CURVE, _SURFACE = 1.0, 2.0
-"""The total weight of a curve falls off as r^(1 - a), so does that of a surface beyond its breadth; closer to it, the
-total weight of a surface falls off as r^(2 - a)."""
+"""The total weight of a curve decays like r^(1 - a), as does that of a surface at distances beyond its breadth; closer
+to a surface it decays like r^(2 - a)."""
 _PERIMETER = 5.0
-"""Perimeter of the longer section of a body over its largest radius."""
+"""Assumed ratio of the perimeter of a body's longer section to its largest radius."""
 
 
 def with_motion(images: Images) -> BoolArray:
@@ -70,9 +70,9 @@ class MovingShare:
     def of(cls, images: Images, problem: Problem, far: float, width: float) -> MovingShare:
         """Share for sources with the exponent ``far`` of eq. 16 and weights relative to the largest nodal area.
 
-        Close to a body that is at rest nowhere, weights are taken for those of surfaces: with the law of curves, walls
-        on the other side of the body would take part of the motion of its first cells. Where moving and fixed faces
-        meet, both weights have to fall off alike.
+        Close to a body that moves as a whole, weights decay as near a surface: with the law of curves, walls on the
+        other side of the body would contribute to the motion of its first cells. Where moving and fixed faces meet,
+        both weights must decay alike.
         """
         power = max(far - _CURVE, 1.0)
         if problem.plane or far <= _SURFACE or attached(problem):
@@ -83,9 +83,9 @@ class MovingShare:
         return cls(with_motion(images), power, near, crossing, width)
 
     def applied(self, values: FloatArray) -> tuple[FloatArray, Transition] | None:
-        """Twists (6, n) relative to those at rest, a row that is 1 for moving sources, and the transition.
+        """Twists (6, n) relative to those at rest with an additional row, 1 for moving sources; and the transition.
 
-        ``None`` if sources at rest were given different motions: then weights alone decide.
+        ``None`` if sources outside the moving faces have different motions; then the weights determine the share.
         """
         rest = values[:, ~self.moving]
         if (rest != rest[:, :1]).any():

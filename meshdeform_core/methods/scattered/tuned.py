@@ -1,23 +1,24 @@
-"""Numbers of IDW that were tuned together, and the studies that set them.
+"""Parameters of IDW that were tuned together, and the studies that set them.
 
-The exponents and the transition: large motions of the samples and of third-party grids, ``studies/which_method.py`` and
-``studies/robustness_table.py``; random motions of whole boundaries, ``studies/random_flows.py``. Their results are in
-docs/methods.md ("IDW") and docs/validity.md. Whoever changes one number runs these studies for all of them.
+The exponents and the transition result from large motions of the samples and of third-party grids
+(``studies/which_method.py``, ``studies/robustness_table.py``) and from random motions of whole boundaries
+(``studies/random_flows.py``); see docs/methods.md ("IDW") and docs/validity.md. After changing any of them, run all
+three studies.
 """
 
 ALPHA_CAP = 0.3
-"""Largest alpha that eq. 18 may choose: larger values cross cells with a = 3 and shares by weight."""
+"""Largest alpha that eq. 18 may choose; larger values cross cells if a = 3 and there is no transition."""
 FAR, FAR_IN_PLANES = 3.0, 2.5
 """Exponent a of eq. 16: Luke's, and that of ``lie`` in plane grids without a transition.
 
-The weights of a surface fall off as r^(2 - a), those of a curve as r^(1 - a): between two surfaces Luke's exponent
-spreads the deformation evenly, between two curves it concentrates it half-way.
+The weights of a surface decay like r^(2 - a), those of a curve like r^(1 - a): between two surfaces Luke's exponent
+spreads the deformation evenly, between two curves it concentrates the deformation half-way.
 """
 FAR_OF_ONE_BODY = 4.0
-"""Exponent a of eq. 16 for one moving body: with the transition, it only matters along the body."""
+"""Exponent a of eq. 16 for one moving body with a transition; it then matters only along the body."""
 WIDTH, WIDTH_IN_PLANES = 0.5, 0.3
 """Fraction of the gap at either end over which the slope of the share changes (``transition``)."""
 ROUNDS = 8
 """Rounds of smoothing near sharp edges with ``lie``."""
 STEEPER = 1.5
-"""Fast sums are made more accurate by this factor, because the share may vary faster than the weights."""
+"""With a transition, the tolerance of fast sums is divided by this, as the share may vary faster than the weights."""

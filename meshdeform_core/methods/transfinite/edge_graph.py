@@ -30,12 +30,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class _Rows:
-    """Rows of unique node numbers of different lengths, one after another.
+    """Rows of different lengths of unique node numbers, concatenated.
 
     Attributes
     ----------
     start : (n + 1,) index at which each row begins
-    nodes : their node numbers
+    nodes : node numbers of all rows
     """
 
     start: IntArray
@@ -59,7 +59,7 @@ class _Rows:
         return np.stack([self.nodes[self.start[:-1]], self.nodes[self.start[1:] - 1]], axis=1)
 
     def any(self, marked: BoolArray) -> BoolArray:
-        """Whether some of the items of every row are ``marked``, (n,)."""
+        """Whether each row (n,) has any ``marked`` node."""
         return np.logical_or.reduceat(marked, self.start[:-1]) if len(self) else np.zeros(0, dtype=bool)
 
 
@@ -106,12 +106,12 @@ class PreparedEdgeGraph:
 
     def warnings_for(self, motion: FloatArray, step: FloatArray) -> list[str]:
         """Warnings for a displacement (n_sources, 3) before it is applied; ``step`` is the first increment."""
-        # Steps do not help: blending is linear, so they lead to the same grid.
+        # Steps do not help: blending is linear, so several steps lead to the same grid.
         return warn_of_rotation(self._problem, motion, TFI_ROTATION, "TFI crosses cells", "use idw-tfi")
 
     def move(self, displacement: FloatArray, out: FloatArray, progress: Progress | None = None) -> FloatArray:
-        """Displacement (n_unique, 3) of all face nodes from that of the sources (n_sources, 3); nothing to ``out``."""
-        # NaN marks nodes that are not reached; zero would pass for a node that does not move.
+        """Displacement (n_unique, 3) of all face nodes from that of the sources (n_sources, 3); ``out`` is not used."""
+        # NaN marks nodes not reached; zero could be mistaken for a node at rest.
         face = np.full((self._problem.topology.n_unique, 3), np.nan)
         put_rows(displacement, self._problem.source_numbers, face)
         if self._graph:
@@ -133,7 +133,7 @@ def _block_edges(grid: Grid, topology: Topology) -> _Rows:
 
 
 def _nodes_of(topology: Topology, side: IntArray, low: IntArray, high: IntArray) -> tuple[_Rows, IntArray]:
-    """Node numbers of rectangles on block sides, and how many there are along the second index of each."""
+    """Node numbers of rectangles on block sides, and the number of nodes along the second index of each."""
     counts = high - low + 1
     sizes = counts.prod(axis=1)
     rectangle, place = spans(sizes)
@@ -143,7 +143,7 @@ def _nodes_of(topology: Topology, side: IntArray, low: IntArray, high: IntArray)
 
 
 def _borders(rectangles: _Rows, width: IntArray) -> tuple[_Rows, IntArray]:
-    """The four borders of every rectangle: the ends of its first index, then of its second; and its number (4 n,)."""
+    """The four borders of every rectangle (low and high first index, then second), and the rectangle of each (4 n,)."""
     start, size = rectangles.start[:-1], np.diff(rectangles.start)
     first = np.stack([start, start + size - width, start, start + width - 1], axis=1).ravel()
     step = np.stack([np.ones_like(width), np.ones_like(width), width, width], axis=1).ravel()
@@ -154,10 +154,10 @@ def _borders(rectangles: _Rows, width: IntArray) -> tuple[_Rows, IntArray]:
 
 
 def _segments(points: FloatArray, lines: _Rows, group: IntArray, knot: BoolArray, known: BoolArray) -> _Segments:
-    """Segments of ``lines`` between the nodes where ``knot`` holds; ``points`` (n_unique, 3).
+    """Segments of ``lines`` between nodes that are ``knot``; ``points`` (n_unique, 3).
 
-    Two ``known`` neighbours form no segment: there is nothing between them to fill. Each block that shares an edge
-    contributes it, in either direction: of those with equal ``group`` the first is kept.
+    Adjacent ``known`` nodes form no segment, as there is nothing between them to fill. Blocks that share an edge all
+    contribute it, in either direction; only the first of those with equal ``group`` is kept.
     """
     line = np.repeat(np.arange(len(lines)), np.diff(lines.start))
     at = np.flatnonzero(knot[lines.nodes])
@@ -182,9 +182,10 @@ def _segments(points: FloatArray, lines: _Rows, group: IntArray, knot: BoolArray
 class _Graph:
     """Harmonic extension to the free vertices.
 
-    ``row``, ``known``, ``weight`` (m,) list the edges from free vertices to nodes that are known; ``factor`` is the
-    Laplacian of the free ones; ``segments`` are all edges. Vertices on slip planes stay in them: ``removed`` lists sets
-    of them with the directions (3, 3) that they lose, and the Laplacian is that of all three components.
+    ``row``, ``known``, ``weight`` (m,) list the edges from free vertices to known nodes; ``factor`` is the factorised
+    Laplacian of the free vertices; ``segments`` are all edges. Vertices on slip planes remain in them: ``removed``
+    lists sets of such vertices with the projector (3, 3) onto the directions that are removed from their motion; the
+    Laplacian then covers all three components.
     """
 
     segments: _Segments
@@ -225,7 +226,7 @@ class _Graph:
         return self.harmonic(np.stack(pull, axis=1))
 
     def harmonic(self, right: FloatArray) -> FloatArray:
-        """Displacement of the free vertices for the pull ``right`` (n, 3) of the known ones; its own transpose."""
+        """Displacement of the free vertices for right-hand sides ``right`` (n, 3); a symmetric map."""
         if not self.removed:
             return np.asarray(self.factor.solve(right))
         along = right.copy()
@@ -235,8 +236,8 @@ class _Graph:
 
 
 def _within_planes(laplacian: csc_array, removed: tuple[tuple[IntArray, FloatArray], ...]) -> csc_array:
-    """The Laplacian (3 n, 3 n) of all components, 3 m + c of vertex m, restricted to motions along the planes; of what
-    is removed it is the identity."""
+    """The Laplacian (3 n, 3 n) of all components, row 3 m + c for component c of vertex m, restricted to motions along
+    the planes; for the removed directions it is the identity."""
     n = laplacian.shape[0]
     blocks = np.zeros((n, 3, 3))
     for rows, span in removed:
@@ -247,7 +248,7 @@ def _within_planes(laplacian: csc_array, removed: tuple[tuple[IntArray, FloatArr
 
 
 def _face_parts(grid: Grid, topology: Topology, reached: BoolArray) -> tuple[_Rows, IntArray, BoolArray]:
-    """Rectangles of each face with one neighbour: their nodes, their widths, and which nodes only this one moves."""
+    """Rectangles of faces that share one neighbour: their nodes, widths, and which of its nodes each one moves."""
     quads, partner = topology.quads, topology.partner
     if grid.dimension == 2:
         return _Rows.of(*np.zeros((2, 0), dtype=np.int64)), np.zeros(0, dtype=np.int64), np.zeros(0, dtype=bool)

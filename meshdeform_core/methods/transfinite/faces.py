@@ -1,4 +1,4 @@
-"""Lines and faces of nodes, blended from their ends and edges; stored in flat arrays for the compiled loops."""
+"""Lines and faces of nodes, blended from their ends and edges, in flat arrays for the compiled loops."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ class Lines:
 
     @classmethod
     def on(cls, points: FloatArray, start: IntArray, nodes: IntArray) -> Lines:
-        """With the arc coordinates of lines in the form of this class, as of rectangles that are one node wide."""
+        """Lines from ``start`` and ``nodes``, with their arc coordinates."""
         arc, across = np.empty(len(nodes)), np.empty(len(nodes))
         face_coordinates(points, start, np.ones(len(start) - 1, dtype=np.int64), nodes, arc, across)
         return cls(start, nodes, arc)
 
     def blend(self, displacement: FloatArray) -> None:
-        """Displacement inside the lines from that of their ends, in place, line by line."""
+        """Compute the displacement inside the lines from that of their ends, in place, line by line."""
         blend_lines(displacement, self.start, self.nodes, self.arc)
 
 
@@ -46,7 +46,7 @@ class Faces:
     start : (n + 1,) index at which each rectangle begins in the other arrays
     width : (n,) nodes along its second index
     nodes : node numbers, C-ordered
-    wanted : which of them are to be moved, if they are interior nodes
+    wanted : which interior nodes are to be moved
     s, t : coordinates from 0 to 1 along the first and second index
     """
 
@@ -59,19 +59,19 @@ class Faces:
 
     @classmethod
     def of(cls, points: FloatArray, nodes: Sequence[IntArray], wanted: Sequence[BoolArray]) -> Faces:
-        """One array (na, nb) per rectangle; node numbers are rows of ``points``."""
+        """Faces from one array (na, nb) of node numbers (rows of ``points``) per rectangle."""
         width = np.array([part.shape[1] for part in nodes], dtype=np.int64)
         return cls.on(points, _starts(nodes), width, _joined(nodes, np.int64), _joined(wanted, np.bool_))
 
     @classmethod
     def on(cls, points: FloatArray, start: IntArray, width: IntArray, nodes: IntArray, wanted: BoolArray) -> Faces:
-        """With the coordinates of rectangles in the form of this class."""
+        """Faces from ``start``, ``width`` and ``nodes``, with their arc coordinates."""
         s, t = np.empty(len(nodes)), np.empty(len(nodes))
         face_coordinates(points, start, width, nodes, s, t)
         return cls(start, width, nodes, wanted, s, t)
 
     def blend(self, displacement: FloatArray) -> None:
-        """Displacement inside the rectangles from that of their edges, in place, rectangle by rectangle."""
+        """Compute the displacement inside the rectangles from that of their edges, in place, one by one."""
         blend_faces(displacement, self.start, self.width, self.nodes, self.wanted, self.s, self.t)
 
 

@@ -14,13 +14,13 @@ from ...numerics.transfinite.boxes import apart, box_nodes, box_numbers
 from ...parallel import for_chunks
 from .faces import Faces
 
-# Planes and nodes per chunk, and chunks per group: enough to balance the load at negligible cost.
+# Planes and nodes per chunk, and chunks per group: enough chunks to balance the load at negligible cost.
 _PLANES, _NODES, _CHUNKS = (8, 32), 65536, 64
 
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Neighbouring sub-blocks and the coordinates of the nodes inside them; in a 2-D grid these are ``faces``.
+    """Neighbouring sub-blocks and the arc coordinates of the nodes inside them; in 2-D, sub-blocks are ``faces``.
 
     Attributes
     ----------
@@ -50,14 +50,14 @@ class Group:
         return cls(points, subs, arc)
 
     def apart(self, rows: IntArray) -> Group:
-        """Some of the sub-blocks, in arrays of their own."""
+        """Some of the sub-blocks, copied to separate arrays."""
         copies, table = apart(self.points, self.subs[rows])
         return Group(copies, table, self.arc, self.faces and _faces(copies, table))
 
     def blend(self, values: FloatArray, slabs: IntArray | None = None) -> None:
-        """Values (n_nodes, 3) inside the sub-blocks from those on their faces, in place.
+        """Compute ``values`` (n_nodes, 3) inside the sub-blocks from those on their faces, in place.
 
-        ``slabs`` (m, 3): only these planes, each row a row of ``subs`` and planes from .. to; in a 2-D grid everything.
+        ``slabs`` (m, 3): only these planes, given as row of ``subs``, first plane, end; ignored in 2-D grids.
         """
         if self.faces:
             self.faces.blend(values)
@@ -71,7 +71,7 @@ class Group:
 
     @property
     def slabs(self) -> IntArray:
-        """All planes inside, a few at a time so that threads can share the work."""
+        """All interior planes, a few per row, so that threads can share the work."""
         low, high = self.subs[:, 4:7], self.subs[:, 7:10]
         planes = np.clip(_NODES // np.prod(high[:, 1:] - low[:, 1:], axis=1), *_PLANES)
         found = portions(np.maximum(high[:, 0] - low[:, 0] - 1, 0), planes)

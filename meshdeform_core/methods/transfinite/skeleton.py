@@ -1,4 +1,4 @@
-"""Which nodes the first step of a hybrid moves: block faces and the faces of virtual sub-blocks."""
+"""Which nodes the first step of a hybrid method moves: block faces and the faces of virtual sub-blocks."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Skeleton:
         """All sub-blocks (n, 11) of all blocks, see :mod:`...numerics.transfinite.arcs`; the last column is not set."""
         counts = np.array([[max(len(cut) - 1, 1) for cut in cuts] for cuts in self.cuts])
         block, place = spans(counts.prod(axis=1))
-        # The one plane of a 2-D block is both ends of a sub-block.
+        # The single plane of a 2-D block is both ends of a sub-block.
         number = np.stack([place // counts[block, 1:].prod(axis=1), place // counts[block, 2], place]) % counts[block].T
         ends = np.empty((2, len(block), 3), dtype=np.int64)
         for axis, along in enumerate(zip(*self.cuts, strict=True)):
@@ -46,15 +46,15 @@ class Skeleton:
         return np.column_stack([self.grid.offsets[block], shapes, *ends, unset])
 
     def nodes(self) -> IntArray:
-        """Flat indices of all nodes that the first step moves, including coincident ones, ascending; of a grid in parts
-        those of this rank."""
+        """Flat indices, ascending, of all nodes that the first step moves, including coincident ones; if the grid is in
+        parts, those of this rank."""
         return np.concatenate([self._of_block(b) for b in range(self.grid.n_blocks)])
 
     def _of_block(self, block: int) -> IntArray:
         shape, own = self.grid.shapes[block], self.grid.planes(block)
         on = [np.zeros(n, dtype=bool) for n in shape]
         for axis, cut in enumerate(self.cuts[block]):
-            # The one plane of a 2-D block is not a cut: it holds the interior.
+            # The single plane of a 2-D block is not a cut: it contains the interior.
             on[axis][cut if shape[axis] > 1 else []] = True
         mask = on[0][own, None, None] | on[1][:, None] | on[2]
         for side in (side for side in Side if (block, side) in self.left_out):
@@ -67,7 +67,8 @@ class Skeleton:
 
 
 _TURNING = np.deg2rad(50.0)
-"""Grid lines that turn by more than this within a sub-block are cut twice as often: TFI does not move them rigidly."""
+"""Directions whose grid lines turn by more than this within a sub-block are cut twice as often, as TFI does not move
+such lines rigidly."""
 _LINES = 12
 """Number of grid lines per direction that are sampled for their turning angle."""
 
@@ -75,8 +76,8 @@ _LINES = 12
 def make_skeleton(problem: Problem, max_cells: int) -> Skeleton:
     """Cut every block into sub-blocks of at most ``max_cells`` cells per direction; 0 cuts nothing.
 
-    A direction with more than half of ``max_cells`` is cut at least once; one whose grid lines turn by more than 50
-    degrees within ``max_cells`` is cut at every half of it.
+    A direction with more than ``max_cells / 2`` cells is cut at least once; one whose grid lines turn by more than 50
+    degrees within ``max_cells`` cells is cut every ``max_cells / 2`` cells.
     """
     grid = problem.grid
     cuts = tuple(_cuts(grid, block, max_cells) for block in range(grid.n_blocks))
@@ -88,8 +89,8 @@ def _cuts(grid: Grid, block: int, max_cells: int) -> Cuts:
 
     def along(axis: int) -> IntArray:
         cells, most = shape[axis] - 1, max_cells
-        # Coarse blocks turn around a body as much as fine ones do: only short blocks stay uncut, whether their lines
-        # turn or not.
+        # Coarse blocks turn around a body as much as fine ones do, so only the number of cells decides whether a block
+        # remains uncut.
         long = max_cells > 0 and 2 * cells > max_cells
         if long and max_cells > 1 and _turning(grid, block, axis, max_cells) > _TURNING:
             most = -(-max_cells // 2)
@@ -100,7 +101,7 @@ def _cuts(grid: Grid, block: int, max_cells: int) -> Cuts:
 
 
 def _turning(grid: Grid, block: int, axis: int, cells: int) -> float:
-    """Largest angle (radians) by which one of some grid lines along ``axis`` turns within ``cells`` cells."""
+    """Largest angle (radians) by which any of the sampled grid lines along ``axis`` turns within ``cells`` cells."""
     shape = grid.shapes[block]
     chosen = [np.unique(np.linspace(0, n - 1, min(n, _LINES)).astype(int)) for n in shape]
     chosen[axis] = np.arange(shape[axis])
@@ -109,7 +110,7 @@ def _turning(grid: Grid, block: int, axis: int, cells: int) -> float:
     edge = np.diff(some, axis=0)
     cosine = (edge[1:] * edge[:-1]).sum(axis=-1)
     sine = np.linalg.norm(np.cross(edge[1:], edge[:-1]), axis=-1)
-    # An edge without length has no direction: both are zero, and so is the angle.
+    # An edge of zero length has no direction: sine and cosine are zero, and so is the angle.
     total = np.concatenate([np.zeros((1, *some.shape[1:3])), np.cumsum(np.arctan2(sine, cosine), axis=0)])
     window = min(cells, len(total)) - 1
     return float((total[window:] - total[: len(total) - window]).max(initial=0.0))

@@ -19,12 +19,12 @@ from .groups import Group
 from .skeleton import Skeleton, make_skeleton
 
 FEW_PAIRS = (5e7, 4), (2e8, 8), (np.inf, 16)
-"""Automatic ``max_cells``: largest number of pairs of nodes and sources, and cells per direction up to it.
+"""Automatic ``max_cells``: largest number of pairs of nodes and sources, and cells per direction up to that number.
 
-Sums over 5e7 pairs take less than a tenth of a second. Small grids are coarse: where a motion changes within a few
-cells, smaller sub-blocks follow it.
+Sums over 5e7 pairs take less than a tenth of a second. Small grids are coarse, and a motion may change within a few of
+their cells; smaller sub-blocks follow it better.
 """
-# Nodes of a group of sub-blocks: their coordinates stay in the cache until they are used.
+# Nodes in a group of sub-blocks, small enough for their coordinates to stay in the cache until they are used.
 _TOGETHER = 1 << 17
 
 
@@ -55,7 +55,7 @@ class TFI:
         return next(cells for limit, cells in FEW_PAIRS if _pairs(problem) <= limit)
 
     def skeleton(self, problem: Problem) -> Skeleton:
-        """The nodes that the first step has to move."""
+        """The nodes that the first step must move."""
         return make_skeleton(problem, self.cells(problem))
 
     def prepare(self, problem: Problem, skeleton: Skeleton) -> PreparedTFI:
@@ -68,7 +68,7 @@ def _pairs(problem: Problem) -> float:
 
 
 def _reason(problem: Problem, usual: str) -> str:
-    """Why sub-blocks have so many cells in this grid."""
+    """The reason for the number of cells per sub-block in this grid."""
     pairs = _pairs(problem)
     limit = next(limit for limit, _ in FEW_PAIRS if pairs <= limit)
     if np.isfinite(limit):
@@ -82,8 +82,8 @@ def _reason(problem: Problem, usual: str) -> str:
 class PreparedTFI:
     """The sub-blocks of one undeformed grid, filled group by group.
 
-    The coordinates of a group live as long as it is filled: computing them again takes less time than the blending, and
-    for all nodes they would take as much memory as the grid.
+    Arc coordinates exist only while their group is filled: recomputing them takes less time than the blending, and for
+    all nodes they would take as much memory as the grid.
     """
 
     def __init__(self, options: TFI, problem: Problem, skeleton: Skeleton):
@@ -95,18 +95,18 @@ class PreparedTFI:
             setting = dataclasses.replace(setting, reason=_reason(problem, setting.reason.removeprefix("default: ")))
         self.account.settings["max_cells"] = setting
         self.account.settings["sub_blocks"] = Setting(len(self._subs))
-        # Rows of the nodes of the sub-blocks of this rank.
+        # Rows of the nodes that this rank holds.
         self._rows = own_rows(problem.grid.points)
         if isinstance(problem.grid.points, Part):
             self._subs, self._rows = _within(self._subs, *self._rows)
             problem.grid.points.widen(*self._rows)
         self._groups = batches(box_numbers(self._subs), _TOGETHER)
         self._straight = cells == 0
-        # Which sub-blocks of a group are bent, once they have been looked at.
+        # The bent sub-blocks of each group, once it has been examined.
         self._bent: dict[int, Bent] = {}
 
     def fill(self, displacement: FloatArray, progress: Progress | None = None) -> None:
-        """Interior of every sub-block from its faces, in place in ``displacement`` (n_nodes, 3)."""
+        """Fill the interior of every sub-block from its faces, in place in ``displacement`` (n_nodes, 3)."""
         if isinstance(displacement, Part):
             displacement.widen(*self._rows)
         values = rows_of(displacement)
@@ -125,7 +125,7 @@ class PreparedTFI:
             for_items(work, len(self._groups), [Shared(values, filled)], of_stage(progress, "tfi"))
 
     def group(self, number: int) -> tuple[Group, CurvedLines | None]:
-        """A group of sub-blocks, and those of its grid lines that TFI would not generate."""
+        """A group of sub-blocks, and the deviations of those grid lines that TFI would not generate."""
         first, last = self._groups[number]
         group = Group.of(self._points, self._subs[first:last])
         if self._straight:
@@ -143,7 +143,7 @@ class PreparedTFI:
 def _within(subs: IntArray, low: int, high: int) -> tuple[IntArray, tuple[int, int]]:
     """The sub-blocks with nodes inside them among the rows low <= n < high, and the rows of all of their nodes.
 
-    Ranks whose parts end inside of sub-blocks both fill them.
+    If the parts of two ranks meet inside a sub-block, both fill it.
     """
     start, plane = subs[:, 0], subs[:, 2] * subs[:, 3]
     thick = subs[:, 7] > subs[:, 4]

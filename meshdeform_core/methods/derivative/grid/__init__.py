@@ -1,1 +1,1 @@
-"""Derivatives of methods with respect to the grid on which they are prepared, too: what steps after the first need."""
+"""Derivatives of methods also with respect to the grid on which they are prepared, as steps after the first require."""

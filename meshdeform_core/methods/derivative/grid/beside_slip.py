@@ -1,6 +1,6 @@
-"""Derivative with respect to the grid of what slip sides make of displacements: of the distances it depends on.
+"""Derivative of :mod:`...beside_slip` with respect to the grid: through the distances that the correction depends on.
 
-The planes stay where they are; nodes, walls and the borders of slip sides move.
+The planes are fixed; nodes, walls and the borders of slip sides move.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from ...composite import _Scattered
 
 
 class BesideSlipGridDerivative:
-    """For what an interpolation gives at one displacement (n_sources, 3) of the sources."""
+    """Derivative at the interpolated displacement for one displacement (n_sources, 3) of the sources."""
 
     def __init__(self, mover: _Scattered, displacement: FloatArray) -> None:
         method, flat, first = mover.beside_slip, mover.flat, mover.problem.topology.first
@@ -29,7 +29,7 @@ class BesideSlipGridDerivative:
         both = wall[:, None] + np.stack(sides, axis=1)
         steepness = -np.where(at < 1.0 - WIDTH, 1.0 / (1.0 - 0.5 * WIDTH), 2.0 * (1.0 - at) / (WIDTH * (2.0 - WIDTH)))
         scale = np.divide(steepness, both, out=np.zeros_like(both), where=both > 0.0)
-        # Of the lost parts with respect to the distances from sides, and from walls.
+        # Slopes of the lost parts with respect to the distances from slip sides, and from walls.
         self._slopes = scale * (1.0 - at), -scale * at
         self._ways = _ways(method.normals, lost(at))
         self._along = np.einsum("nki,ni->nk", self._ways, moved[flat])
@@ -44,7 +44,7 @@ class BesideSlipGridDerivative:
         out[self._flat] -= np.einsum("nk,nki->ni", parts * self._along, self._ways)
 
     def pull(self, gradient: FloatArray, of_grid: FloatArray) -> None:
-        """The transpose, in place; adds the gradient of the grid."""
+        """Transpose of :meth:`push`, in place; adds the gradient of the grid to ``of_grid``."""
         if len(self._method.normals):
             parts = -self._along * np.einsum("nki,ni->nk", self._ways, gradient[self._flat])
             of_distance = [(parts * self._slopes[1]).sum(axis=1), *(parts * self._slopes[0]).T]
@@ -68,19 +68,19 @@ class _Nearest:
         self._away = np.divide(away, distance[:, None], out=np.zeros_like(away), where=distance[:, None] > 0.0)
 
     def push(self, dx: FloatArray, change: FloatArray) -> FloatArray:
-        """Change (n,) of the distances for those of the nodes (n, 3) and of the points of the surface."""
+        """Change (n,) of the distances for changes ``dx`` (n, 3) of the nodes and ``change`` of the surface points."""
         apart = dx - np.einsum("nc,ncd->nd", self._weights, change[self._corners])
         return np.asarray(np.einsum("ni,ni->n", self._away, apart))
 
     def pull(self, gradient: FloatArray, of_x: FloatArray, of_points: FloatArray) -> None:
-        """The transpose: add the gradients."""
+        """Transpose of :meth:`push`: add the gradients of nodes and surface points."""
         pulled = gradient[:, None] * self._away
         of_x += pulled
         np.subtract.at(of_points, self._corners, self._weights[:, :, None] * pulled[:, None])
 
 
 def _ways(normals: FloatArray, parts: FloatArray) -> FloatArray:
-    """Directions q (n, k, 3): the displacement changes by -(q . u) q for a change of one in part k."""
+    """Directions q (n, k, 3): a unit change of part k changes the displacement by -(q . u) q."""
     found = np.empty((*parts.shape, 3))
     for last in range(len(normals)):
         ways: list[tuple[FloatArray, FloatArray]] = []

@@ -25,17 +25,17 @@ from .weighting import IDWGridDerivative
 
 class GridDerivative(Protocol):
     """Derivative of the displacement (n_nodes, 3) of all block nodes with respect to that (n_sources, 3) of the sources
-    and to the grid; ``moved`` is the displacement, ``on_edges`` as for :class:`..composite.Derivative`."""
+    and to the grid; ``moved`` is the displacement itself, ``on_edges`` as for :class:`..composite.Derivative`."""
 
     moved: FloatArray
     on_edges: int
 
     def push(self, change: FloatArray, dx: FloatArray) -> FloatArray:
-        """Change (n_nodes, 3) for those of the sources (n_sources, 3) and of the grid (n_nodes, 3)."""
+        """Change (n_nodes, 3) for changes of the sources (n_sources, 3) and of the grid (n_nodes, 3)."""
         ...
 
     def pull(self, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Gradients (n_sources, 3) and (n_nodes, 3) from that (n_nodes, 3) of all block nodes."""
+        """Gradients (n_sources, 3) of the sources and (n_nodes, 3) of the grid from that (n_nodes, 3) of the result."""
         ...
 
 
@@ -45,7 +45,7 @@ def grid_derivative_of(method: PreparedMethod, displacement: FloatArray) -> Grid
     Raises
     ------
     MethodError
-        Where gaps close, and for radial basis functions whose centres or radius follow the grid.
+        Where gaps close, and for radial basis functions whose choice of centres or radius depends on the grid.
     """
     if isinstance(method, PreparedInGaps):
         if method.closing(displacement) is not None:
@@ -96,7 +96,7 @@ class _Composite:
 
 
 class _Periodic:
-    """Periodic nodes first, the others with them as sources."""
+    """Derivative of a method that moves periodic nodes first, and all others with these as additional sources."""
 
     def __init__(self, method: PreparedPeriodic, displacement: FloatArray) -> None:
         problem = method._problem
@@ -141,7 +141,7 @@ def _first_step(mover: Mover, displacement: FloatArray) -> EdgeGraphGridDerivati
 
 
 class _Interpolated:
-    """An interpolation as the first step; sources on faces move as they are told."""
+    """Derivative of an interpolation as the first step; sources on faces take the change prescribed for them."""
 
     def __init__(self, mover: Any, displacement: FloatArray) -> None:
         self._problem = mover.problem

@@ -1,7 +1,7 @@
 """Derivative of radial basis functions with respect to displacements and to the grid, with exact sums.
 
-Centres and nodes move, and with them the matrix and the polynomial of the system. Held fixed is what changes nothing:
-the origin and, of thin plate splines, the unit of length.
+Centres and nodes move, and with them the matrix and the polynomial of the system. The origin and, for thin plate
+splines, the unit of length are held fixed, as the result does not depend on them.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ _NONE = "has no derivative with respect to the grid on which it is prepared"
 
 
 class MovingMap:
-    """The interpolation of values (m, 3) at centres, where they, the centres and the ``points`` (n, 3) change.
+    """The interpolation of values (m, 3) given at centres, where values, centres and the ``points`` (n, 3) change.
 
     Raises
     ------
     MethodError
-        For an automatic radius, and centres in a plane of a 3-D grid or on a line, which need not stay there.
+        For an automatic radius, and for centres in a plane of a 3-D grid or on a line, which they may leave.
     """
 
     def __init__(
@@ -51,7 +51,7 @@ class MovingMap:
         self._portions = max(1, min(_PORTIONS, len(points) // _CHUNK))
 
     def push(self, values: FloatArray, dy: FloatArray, dx: FloatArray) -> FloatArray:
-        """Change (n, 3) for those of values (m, 3), centres (m, 3) and points (n, 3)."""
+        """Change (n, 3) for changes of values (m, 3), centres (m, 3) and points (n, 3)."""
         scale, axes, coefficients = self._centres.scale, self._centres.axes, self._coefficients
         dy, dx = np.ascontiguousarray(dy / scale), np.ascontiguousarray(dx / scale)
         slope = axes.T @ self._polynomial[1:]
@@ -62,7 +62,7 @@ class MovingMap:
         return np.asarray(moved + radial_sums(self._kind, self._x, self._y, change))
 
     def pull(self, gradient: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Gradients of values (m, 3), centres (m, 3) and points (n, 3) from that (n, 3) of what they give."""
+        """Gradients of values (m, 3), centres (m, 3) and points (n, 3) from that (n, 3) of the interpolated values."""
         g, axes = np.ascontiguousarray(gradient), self._centres.axes
         of_values, lower = self._solved(radial_sums(self._kind, self._y, self._x, g), self._terms.T @ g)
         slope = axes.T @ self._polynomial[1:]
@@ -91,7 +91,7 @@ class MovingMap:
         return found
 
     def _gradients(self, x: FloatArray, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The transpose: gradients of ``x`` and of the centres."""
+        """Transpose of :meth:`_tangents`: gradients of ``x`` and of the centres."""
         of_x, of_y = np.zeros_like(x), empty((self._portions, *self._y.shape))
         cut = np.linspace(0, len(x), self._portions + 1).astype(np.int64)
 
@@ -133,15 +133,15 @@ class RBFGridDerivative:
         return self._gathered(of_values)
 
     def _gathered(self, of_images: FloatArray) -> FloatArray:
-        """Gradient (n_sources, 3) from that of the images of sources."""
+        """Gradient (n_sources, 3) from that of all images of the sources, the sources themselves included."""
         total = np.zeros((len(self._problem.source_flat), 3))
         np.add.at(total, self._images.owner, np.einsum("nij,ni->nj", self._images.reflection, of_images))
         return total
 
 
 class BlockRBFGridDerivative:
-    """The filling of blocks by :class:`...scattered.block_rbf.PreparedBlockRBF` at one displacement ``moved``
-    (n_nodes, 3), already filled."""
+    """Derivative of :class:`...scattered.block_rbf.PreparedBlockRBF`, which fills blocks, at its result ``moved``
+    (n_nodes, 3)."""
 
     def __init__(self, method: PreparedBlockRBF, problem: Problem, moved: FloatArray) -> None:
         points = problem.grid.points
@@ -156,7 +156,7 @@ class BlockRBFGridDerivative:
             change[block.targets] = inside.push(change[block.known], dx[block.known], dx[block.targets])
 
     def pull(self, gradient: FloatArray, of_grid: FloatArray) -> None:
-        """Pass gradients from inside blocks on to their faces, in place; adds that of the grid."""
+        """Pass gradients from inside blocks on to their faces, in place; add that of the grid to ``of_grid``."""
         for block, inside in self._blocks:
             of_values, of_y, of_x = inside.pull(gradient[block.targets])
             gradient[block.targets] = 0.0

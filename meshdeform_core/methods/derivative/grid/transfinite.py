@@ -1,4 +1,4 @@
-"""Derivative of transfinite interpolation with respect to displacements and to the grid, whose arc lengths it takes."""
+"""Derivative of transfinite interpolation with respect to displacements and to the grid, through its arc lengths."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ...transfinite.tfi import PreparedTFI
 
 
 class _Linear:
-    """The gradient (m, 3, 3) of the displacement of sub-blocks, fitted to their corners; ``None`` of any: zero."""
+    """The gradient (m, 3, 3) of the displacement of sub-blocks, fitted to their corners."""
 
     def __init__(self, points: FloatArray, subs: IntArray, displacement: FloatArray) -> None:
         self.corners = corners_of(subs)
@@ -24,8 +24,11 @@ class _Linear:
         self._rest = self._given - self._arms @ self.value
 
     def push(self, dx: FloatArray, change: FloatArray) -> FloatArray:
-        """Its change for changes of coordinates and displacements (n_nodes, 3): of a pseudo-inverse of constant rank
-        (Golub and Pereyra, SIAM J. Numer. Anal. 10, 413, 1973)."""
+        """Change (m, 3, 3) of the gradient for changes of coordinates and displacements (n_nodes, 3).
+
+        The derivative of a pseudo-inverse of constant rank is that of Golub and Pereyra (SIAM J. Numer. Anal. 10, 413,
+        1973).
+        """
         moved, inverse = arms(dx, self.corners), self._inverse
         found = inverse @ (change[self.corners] - moved @ self.value)
         found += inverse @ inverse.transpose(0, 2, 1) @ moved.transpose(0, 2, 1) @ self._rest
@@ -33,7 +36,7 @@ class _Linear:
         return np.asarray(found + across - inverse @ (self._arms @ across))
 
     def pull(self, gradient: FloatArray, of_x: FloatArray, of_change: FloatArray) -> None:
-        """The transpose: add the gradients of coordinates and displacements."""
+        """Transpose of :meth:`push`: add the gradients of coordinates and displacements."""
         inverse, value = self._inverse, self.value
         back = inverse.transpose(0, 2, 1) @ gradient
         np.add.at(of_change, self.corners, back)
@@ -60,7 +63,7 @@ class TFIGridDerivative:
             push_boxes(self._points, self._displacement, dx, *boxes, value, moved, change)
 
     def pull(self, gradient: FloatArray, of_grid: FloatArray) -> None:
-        """Pass gradients from inside on to faces, in place, and add that of the grid."""
+        """Pass gradients from inside on to faces, in place, and add the gradient of the grid to ``of_grid``."""
         for number in range(self._method.n_groups):
             boxes, linear = self._boxes(number)
             value, of_linear = _values(linear, len(boxes[1]))
@@ -100,7 +103,7 @@ class EdgeGraphGridDerivative:
         self._flat = np.zeros((max(len(long), len(wide)), 3, 3))
 
     def push(self, change: FloatArray, dx: FloatArray, out: FloatArray) -> FloatArray:
-        """Change (n_unique, 3) of all face nodes for those of the sources and of the grid (n_nodes, 3)."""
+        """Change (n_unique, 3) of all face nodes for changes of the sources and of the grid (n_nodes, 3)."""
         method, face, own = self._method, np.zeros_like(self._face), dx[self._first]
         face[self._sources] = change
         if method._graph:
@@ -135,9 +138,9 @@ class EdgeGraphGridDerivative:
         return face[self._sources]
 
     def _edges(self) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
-        """Ends of the edges of the graph, how far their displacements are apart, one over the squares of lengths.
+        """Ends of the graph's edges, difference of displacement between them, and the inverse squared lengths.
 
-        An edge that becomes longer holds its ends together less.
+        The longer an edge, the weaker the coupling of its ends.
         """
         assert self._method._graph
         segments = self._method._graph.segments
@@ -145,7 +148,7 @@ class EdgeGraphGridDerivative:
         return one, two, self._face[one] - self._face[two], segments.length**-2.0
 
     def _parts(self) -> tuple[IntArray, IntArray, IntArray, FloatArray]:
-        """Number of the edge, both nodes and direction of every part of an edge between neighbouring nodes."""
+        """Edge number, both nodes and direction of every segment of an edge between neighbouring nodes."""
         assert self._method._graph
         rows = self._method._graph.segments.rows
         row, place = spans(np.diff(rows.start))
@@ -162,7 +165,7 @@ class EdgeGraphGridDerivative:
         return np.asarray(np.bincount(row, part, len(self._edges()[0])))
 
     def _add_longer(self, gradient: FloatArray, of_x: FloatArray) -> None:
-        """The transpose."""
+        """Transpose of :meth:`_longer`."""
         row, here, there, direction = self._parts()
         part = gradient[row, None] * direction
         np.add.at(of_x, there, part)

@@ -1,8 +1,8 @@
 """Derivative of inverse distance weighting with respect to displacements and to the grid.
 
 Sources and nodes move, and with them areas, normals, the reference length and the breadth of the moving surface. Sums
-are exact ones of all pairs, whatever the method uses. Held fixed is what changes nothing: the origin of twists, and the
-unit of areas, of which weights and the ``crossing`` of the transition are multiples.
+are exact ones over all pairs, whatever the method uses. The origin of twists, and the unit of areas, of which weights
+and the ``crossing`` of the transition are multiples, are held fixed, as the result does not depend on them.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class IDWGridDerivative:
         }  # fmt: skip
         self._share = 0.0
         if fit.transition.width > 0.0 and method._share and method._share.near != method._share.power:
-            # Of a change of the breadth: the crossing falls off as its power.
+            # The crossing depends on the breadth, by a power law.
             wanted["breadth"] = found = breadth(moving._images)
             self._share = method._share.near / float(plain(found))
         self._numbers = {name: each.number for name, each in wanted.items() if isinstance(each, Tracked)}
@@ -93,7 +93,7 @@ class IDWGridDerivative:
         bound, frame = self._bound, self._fit.frame
         columns, n = self._charges.shape
         cut = np.linspace(0, len(bound.flat), self._portions + 1).astype(np.int64)
-        # Of every portion: gradients of charges, points; of turn, centre, rest, kappa, breadth.
+        # For every portion: gradients of charges and points; of turn, centre, rest, kappa and breadth.
         of_sources, rest = empty((self._portions, columns + 3, n)), np.zeros((self._portions, 9 + 3 + 6 + 1 + 1))
         of_x = empty((len(bound.flat), 3))
 
@@ -125,7 +125,7 @@ class IDWGridDerivative:
         return of_change
 
     def _pull_rows(self, gradient: FloatArray, flat: IntArray, of_sources: FloatArray, rest: FloatArray) -> FloatArray:
-        """Gradients of the positions of some nodes; adds to those of sources and of what is common to all."""
+        """Gradients of the positions of some nodes; adds to those of the sources and of the common quantities."""
         bound, fit, columns = self._bound, self._fit, len(self._charges)
         g, x, sums = gradient[flat], bound.grid.points[flat], self._sums(flat)
         kind, inside = (bound.rotation, sums, x - fit.origin), (bound.repeats, fit.transition)
@@ -153,20 +153,20 @@ class IDWGridDerivative:
         return ExactEvaluator(bound)._sums(self._fit, bound.grid.points[flat], bound.sources)
 
     def _moved(self, kind: str, sums: FloatArray, x: FloatArray) -> FloatArray:
-        """Displacement (n, 3) within the frame of nodes at ``x``, relative to the origin."""
+        """Displacement (n, 3), within the frame, of nodes at ``x``, which is relative to the origin."""
         moved = np.empty_like(x)
         finish(kind, sums, x, moved, self._bound.repeats, self._fit.transition)
         return moved
 
     def _slope(self, kind: str, sums: FloatArray, x: FloatArray) -> FloatArray:
-        """Its derivative (n, 3, 3) with respect to ``x`` for fixed sums: rigid and affine motions are linear in it."""
+        """Derivative (n, 3, 3) of :meth:`_moved` with respect to ``x`` for fixed sums: all motions are affine in x."""
         base = self._moved(kind, sums, np.zeros_like(x))
         columns = [self._moved(kind, sums, np.tile(e, (len(x), 1))) - base for e in np.eye(3)]
         return np.stack(columns, axis=2)
 
 
 def _values_of(fit: SourceValues) -> SourceValues:
-    """What was recorded, as plain arrays."""
+    """The recorded values as plain arrays."""
     frame, transition = fit.frame, fit.transition
     return dataclasses.replace(
         fit,
@@ -181,7 +181,7 @@ def _on_moving_sources(method: PreparedIDW, points: Tracked, centroid: Tracked) 
     images, problem, o = method._images, method._problem, method.options
     fixed = images.points - np.einsum("nij,nj->ni", images.reflection, problem.source_points[images.owner])
     moved: Any = np.einsum("nij,nj->ni", images.reflection, points[images.owner]) + fixed
-    # A node on a mirror counts the areas on both sides.
+    # The area of a node on a mirror plane includes that of the other side.
     before = problem.surface.area[images.owner]
     sides = np.divide(images.area, before, out=np.ones_like(before), where=before > 0.0)
     area: Any = nodal_area(points, problem.source_faces)[images.owner] * sides  # type: ignore[arg-type]
@@ -196,7 +196,7 @@ def _on_moving_sources(method: PreparedIDW, points: Tracked, centroid: Tracked) 
 
 
 def _strength(method: PreparedIDW, area: Any, length: Any) -> Any:
-    """What :class:`PreparedIDW` weights sources with, in its units."""
+    """Strengths of the sources as in :class:`PreparedIDW`, in its units."""
     o = method.options
     if o.weights == "luke":
         return area * (1.0 / method.area.max())
@@ -206,7 +206,7 @@ def _strength(method: PreparedIDW, area: Any, length: Any) -> Any:
 
 
 def _kappa(method: PreparedIDW, displacement: Tracked) -> Any:
-    """The factor of r^-b, where it depends on anything."""
+    """The factor of r^-b, tracked if it depends on points or displacement."""
     o = method.options
     if o.weights != "luke":
         return 0.0
@@ -217,6 +217,6 @@ def _kappa(method: PreparedIDW, displacement: Tracked) -> Any:
 
 
 def _plain_alpha(method: PreparedIDW, displacement: Tracked) -> float:
-    """Alpha where it does not depend on the displacement: given, or at its limits."""
+    """Alpha where it does not depend on the displacement: prescribed, or at one of its limits."""
     o = method.options
     return method._alpha(plain(displacement)) if o.alpha == "auto" else float(o.alpha)
