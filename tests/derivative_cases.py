@@ -7,7 +7,7 @@ from grids import frame, frame_2d
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.methods import IDW, Options
 
-METHODS = {name: options for name, options in ALL_METHODS.items() if name != "idw-division-reweight"} | {
+METHODS = ALL_METHODS | {
     "idw-alpha": Options("idw", idw=IDW(alpha="auto", eta=4.0)),
     "idw-alpha-none": Options("idw", idw=IDW(rotation="none", alpha="auto", eta=4.0)),
     "idw-smoothed": Options("idw", idw=IDW(rotation="blend", smoothing=3)),

@@ -322,7 +322,6 @@ def test_fast_sums_of_many_nodes():
 @pytest.mark.parametrize(
     ("options", "found"),
     [
-        (Options("idw", idw=IDW(rotation="division", reweight=True)), "reweight has no derivative"),
         (Options("rbf", rbf=RBF(basis="wendland-c2", radius=6.0, greedy="single")), "sequence of corrections"),
     ],
 )

@@ -17,6 +17,7 @@ from ..transfinite.edge_graph import PreparedEdgeGraph
 from ..transfinite.tfi import PreparedTFI
 from .constraints import Constraints
 from .greedy import GreedyDerivative
+from .grid.weighting import IDWOnFixedGrid
 from .radial import BlockRBFDerivative, RBFDerivative
 from .transfinite import EdgeGraphDerivative, TFIDerivative
 from .weighting import IDWDerivative
@@ -154,7 +155,10 @@ class _Interpolated:
 
     def __init__(self, mover: _Scattered, problem: Problem, displacement: FloatArray) -> None:
         self._problem, self._beside_slip, bound = problem, mover.beside_slip, mover._bound
-        self._derivative: IDWDerivative | RBFDerivative | GreedyDerivative
+        self._derivative: IDWDerivative | IDWOnFixedGrid | RBFDerivative | GreedyDerivative
+        if isinstance(bound, PreparedIDW) and bound.options.reweight:
+            self._derivative = IDWOnFixedGrid(bound, mover._evaluator.bound, displacement)
+            return
         if isinstance(bound, PreparedIDW):
             self._derivative = IDWDerivative(bound, mover._evaluator, displacement)  # type: ignore[arg-type]
             return

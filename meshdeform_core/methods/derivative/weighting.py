@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...errors import MethodError
 from ...grid import BoolArray, FloatArray, IntArray
 from ...numerics.exact.direct import weighted_sums
 from ...numerics.fastsum.weighted.frozen import FrozenSums
@@ -43,11 +42,6 @@ class IDWDerivative:
         self, method: PreparedIDW, evaluator: ExactEvaluator | FastEvaluator, displacement: FloatArray
     ) -> None:
         bound = evaluator.bound
-        if bound.reweight:
-            raise MethodError(
-                "method.idw.reweight has no derivative: its weights depend on the displacement of the nodes; "
-                "use reweight = false"
-            )
         self._bound, self._tape, fast = bound, Tape(), isinstance(evaluator, FastEvaluator)
         variable = self._tape.variable(displacement)
         self._variable = variable.number

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from ..arrays import FloatArray
 from ..rotation import rotate
 
 
 def division_path(start: FloatArray, values: FloatArray, m: int) -> tuple[FloatArray, ...]:
     """Source positions at the start of each of ``m`` steps (eq. 26): each source repeats its own rigid motion."""
-    part, translation = np.ascontiguousarray(values[:4].T), values[4:].T
+    part, translation = values[:4].T.copy(), values[4:].T
     path = [start]
     for _ in range(m - 1):
         path.append(rotate(part, path[-1]) + translation)

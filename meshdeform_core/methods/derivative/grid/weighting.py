@@ -1,8 +1,9 @@
 """Derivative of inverse distance weighting with respect to displacements and to the grid.
 
-Sources and nodes move, and with them areas, normals, the reference length and the breadth of the moving surface. Sums
-are exact ones over all pairs, whatever the method uses. The origin of twists, and the unit of areas, of which weights
-and the ``crossing`` of the transition are multiples, are held fixed, as the result does not depend on them.
+Sources and nodes move, and with them areas, normals, the reference length and the breadth of the moving surface; with
+``reweight`` they also move from one division of the rotation to the next. Sums are exact ones of all pairs, whatever
+the method uses. Held fixed is what changes nothing: the origin of twists, and the unit of areas, of which weights and
+the ``crossing`` of the transition are multiples.
 """
 
 from __future__ import annotations
@@ -46,8 +47,8 @@ class IDWGridDerivative:
         kappa, strength = _kappa(moving, variables[0]), moving.strength
         charges: Any = np.concatenate([strength.reshape(1, -1), strength * fit.values])
         wanted = {
-            "charges": charges, "points": moving.points, "kappa": kappa, "shift": fit.frame.shift,
-            "turn": fit.frame.turn, "centre": fit.frame.centre, "rest": fit.transition.rest,
+            "charges": charges, "kappa": kappa, "shift": fit.frame.shift, "turn": fit.frame.turn,
+            "centre": fit.frame.centre, "rest": fit.transition.rest, **dict(enumerate(fit.path)),
         }  # fmt: skip
         self._share = 0.0
         if fit.transition.width > 0.0 and method._share and method._share.near != method._share.power:
@@ -55,8 +56,9 @@ class IDWGridDerivative:
             wanted["breadth"] = found = breadth(moving._images)
             self._share = method._share.near / float(plain(found))
         self._numbers = {name: each.number for name, each in wanted.items() if isinstance(each, Tracked)}
-        self._charges, self._y = np.ascontiguousarray(plain(charges)), np.ascontiguousarray(bound.sources.T)
-        self._portions = max(1, min(_PORTIONS, len(bound.flat) // _CHUNK))
+        self._charges, path = np.ascontiguousarray(plain(charges)), self._fit.path
+        self._path = [np.ascontiguousarray(sources.T) for sources in path]
+        self._portions = max(1, min(_PORTIONS // len(path), len(bound.flat) // _CHUNK))
 
     def push(self, change: FloatArray, dx: FloatArray, out: FloatArray) -> None:
         """Write the change of the nodes into their rows of ``out`` (n_nodes, 3), for changes of the sources
@@ -66,35 +68,46 @@ class IDWGridDerivative:
         given = change, dx[self._problem.source_flat], mean / self._problem.n_unique_nodes
         changes = dict(zip(self._variables, given, strict=True))
         found = dict(zip(self._numbers, self._tape.push(changes, list(self._numbers.values())), strict=True))
-        charges, dy = (np.ascontiguousarray(each) for each in (found["charges"], found["points"].T))
-        rest, frame = found.get("rest", np.zeros(6)), self._fit.frame
+        frame = self._fit.frame
 
         def work(lo: int, hi: int) -> None:
             flat = bound.flat[lo:hi]
             x, own = bound.grid.points[flat], dx[flat]
-            sums = self._sums(flat)
-            total = self._share * float(found.get("breadth", 0.0)) * sums
-            for group, (a, b, kappa) in zip(bound.groups, self._fit.weights, strict=True):
-                ends = x, own, self._y[:, group], dy[:, group], self._charges[:, group], charges[:, group]
-                add_tangents(*ends, a, b, kappa, float(found.get("kappa", 0.0)), total)
-            kind, inside = (bound.rotation, sums, x - self._fit.origin), (bound.repeats, self._fit.transition)
-            moved = finish_tangents(*kind, total, *inside, rest)
-            moved += np.einsum("nij,nj->ni", self._slope(*kind), own)
+            total, moved = self._push_rows(x - self._fit.origin, own, found)
             if frame.turn is not None and frame.centre is not None:
-                seen = self._moved(*kind) + x - frame.centre
-                apart = own - found["centre"]
+                seen, apart = total + x - frame.centre, own - found["centre"]
                 moved = moved @ frame.turn.T + seen @ found["turn"].T + apart @ (frame.turn - np.eye(3)).T
             out[flat] = moved + found.get("shift", 0.0)
 
         for_chunks(work, len(bound.flat), _CHUNK, shared=[Shared(out, lambda lo, hi: bound.flat[lo:hi])])
+
+    def _push_rows(
+        self, x: FloatArray, dx: FloatArray, found: dict[str | int, FloatArray]
+    ) -> tuple[FloatArray, FloatArray]:
+        """Displacement (n, 3) of nodes at ``x``, relative to the origin, within the frame, and its change."""
+        bound, total, moved = self._bound, np.zeros_like(x), np.zeros_like(x)
+        charges, rest = np.ascontiguousarray(found["charges"]), found.get("rest", np.zeros(6))
+        for place, sources in enumerate(self._path):
+            here, own = x + total, dx + moved
+            dy = np.ascontiguousarray(found[place].T) if place in found else np.zeros_like(sources)
+            sums = ExactEvaluator(bound)._sums(self._fit, here, self._fit.path[place])
+            change = self._share * float(found.get("breadth", 0.0)) * sums
+            for group, (a, b, kappa) in zip(bound.groups, self._fit.weights, strict=True):
+                ends = here, own, sources[:, group], dy[:, group], self._charges[:, group], charges[:, group]
+                add_tangents(*ends, a, b, kappa, float(found.get("kappa", 0.0)), change)
+            kind, inside = (bound.rotation, sums, here), (bound.repeats, self._fit.transition)
+            total += self._moved(*kind)
+            moved += finish_tangents(*kind, change, *inside, rest) + np.einsum("nij,nj->ni", self._slope(*kind), own)
+        return total, moved
 
     def pull(self, gradient: FloatArray, of_grid: FloatArray) -> FloatArray:
         """Gradient (n_sources, 3) from that of the nodes, rows of ``gradient`` (n_nodes, 3); adds that of the grid."""
         bound, frame = self._bound, self._fit.frame
         columns, n = self._charges.shape
         cut = np.linspace(0, len(bound.flat), self._portions + 1).astype(np.int64)
-        # For every portion: gradients of charges and points; of turn, centre, rest, kappa and breadth.
-        of_sources, rest = empty((self._portions, columns + 3, n)), np.zeros((self._portions, 9 + 3 + 6 + 1 + 1))
+        # For every portion: gradients of charges and path; of turn, centre, rest, kappa and breadth.
+        of_sources = empty((self._portions, columns + 3 * len(self._path), n))
+        rest = np.zeros((self._portions, 9 + 3 + 6 + 1 + 1))
         of_x = empty((len(bound.flat), 3))
 
         def work(lo: int, hi: int) -> None:
@@ -108,10 +121,11 @@ class IDWGridDerivative:
         for_chunks(work, self._portions, 1, shared=rows)
         part = rest.sum(axis=0)
         sources = np.asarray(sum(of_sources[portion] for portion in range(self._portions)))
+        path = sources[columns:].reshape(-1, 3, n).transpose(0, 2, 1)
         known = {
-            "charges": sources[:columns], "points": sources[columns:].T, "shift": gradient[bound.flat].sum(axis=0),
+            "charges": sources[:columns], "shift": gradient[bound.flat].sum(axis=0),
             "turn": part[:9].reshape(3, 3), "centre": part[9:12], "rest": part[12:18], "kappa": part[18],
-            "breadth": part[19],
+            "breadth": part[19], **dict(enumerate(path)),
         }  # fmt: skip
         assert frame.turn is None or "centre" in self._numbers
         given = {number: known[name] for name, number in self._numbers.items()}
@@ -125,32 +139,44 @@ class IDWGridDerivative:
         return of_change
 
     def _pull_rows(self, gradient: FloatArray, flat: IntArray, of_sources: FloatArray, rest: FloatArray) -> FloatArray:
-        """Gradients of the positions of some nodes; adds to those of the sources and of the common quantities."""
-        bound, fit, columns = self._bound, self._fit, len(self._charges)
-        g, x, sums = gradient[flat], bound.grid.points[flat], self._sums(flat)
-        kind, inside = (bound.rotation, sums, x - fit.origin), (bound.repeats, fit.transition)
-        of_x = np.zeros_like(x)
-        if fit.frame.turn is not None and fit.frame.centre is not None:
-            rest[:9] += (g.T @ (self._moved(*kind) + x - fit.frame.centre)).ravel()
-            of_x += g @ (fit.frame.turn - np.eye(3))
+        """Gradients of the positions of some nodes; adds to those of sources and of what is common to all."""
+        fit, frame, points = self._fit, self._fit.frame, self._bound.grid.points[flat]
+        g, here, of_x = gradient[flat], points - fit.origin, np.zeros_like(points)
+        course = []
+        for sources in fit.path:
+            sums = ExactEvaluator(self._bound)._sums(fit, here, sources)
+            course.append((sums, here))
+            here = here + self._moved(self._bound.rotation, sums, here)
+        if frame.turn is not None and frame.centre is not None:
+            rest[:9] += (g.T @ (here + fit.origin - frame.centre)).ravel()
+            of_x += g @ (frame.turn - np.eye(3))
             rest[9:12] -= of_x.sum(axis=0)
-            g = g @ fit.frame.turn
-        of_x += np.einsum("nij,ni->nj", self._slope(*kind), g)
-        of_sums, of_rest = finish_gradients(*kind, g, *inside)
+            g = g @ frame.turn
+        for place in reversed(range(len(course))):
+            back = self._pull_division(place, *course[place], g, of_sources, rest)
+            of_x += back
+            g = g + back
+        return of_x
+
+    def _pull_division(
+        self, place: int, sums: FloatArray, x: FloatArray, g: FloatArray, of_sources: FloatArray, rest: FloatArray
+    ) -> FloatArray:
+        """Gradients of the positions of nodes at ``x`` in one division of the rotation, from those of their
+        displacement in it."""
+        bound, fit, columns = self._bound, self._fit, len(self._charges)
+        kind = bound.rotation, sums, x
+        of_x = np.einsum("nij,ni->nj", self._slope(*kind), g)
+        of_sums, of_rest = finish_gradients(*kind, g, bound.repeats, fit.transition)
         rest[12:18] += of_rest
         rest[19] += self._share * np.einsum("nk,nk->", of_sums, sums)
+        own = slice(columns + 3 * place, columns + 3 * place + 3)
         for group, (a, b, kappa) in zip(bound.groups, fit.weights, strict=True):
-            some = self._y[:, group], self._charges[:, group]
+            some = self._path[place][:, group], self._charges[:, group]
             of_y, of_charges = np.zeros((3, len(group))), np.zeros((columns, len(group)))
             rest[18] += add_gradients(x, *some, a, b, kappa, of_sums, of_x, of_y, of_charges)
             of_sources[:columns, group] += of_charges
-            of_sources[columns:, group] += of_y
+            of_sources[own, group] += of_y
         return of_x
-
-    def _sums(self, flat: IntArray) -> FloatArray:
-        """Sums (n, 1 + k) at some nodes."""
-        bound = self._bound
-        return ExactEvaluator(bound)._sums(self._fit, bound.grid.points[flat], bound.sources)
 
     def _moved(self, kind: str, sums: FloatArray, x: FloatArray) -> FloatArray:
         """Displacement (n, 3), within the frame, of nodes at ``x``, which is relative to the origin."""
@@ -165,11 +191,28 @@ class IDWGridDerivative:
         return np.stack(columns, axis=2)
 
 
+class IDWOnFixedGrid:
+    """The same where the grid is fixed, for weights that are recomputed on the way."""
+
+    def __init__(self, method: PreparedIDW, bound: Bound, displacement: FloatArray) -> None:
+        self._whole = IDWGridDerivative(method, bound, displacement)
+        self._shape = bound.grid.points.shape
+
+    def push(self, change: FloatArray, out: FloatArray) -> None:
+        """Write the change of the nodes into their rows of ``out`` (n_nodes, 3), for one of the sources."""
+        self._whole.push(change, np.broadcast_to(0.0, self._shape), out)
+
+    def pull(self, gradient: FloatArray) -> FloatArray:
+        """Gradient (n_sources, 3) from that of the nodes, rows of ``gradient`` (n_nodes, 3)."""
+        return self._whole.pull(gradient, np.zeros(self._shape))
+
+
 def _values_of(fit: SourceValues) -> SourceValues:
     """The recorded values as plain arrays."""
     frame, transition = fit.frame, fit.transition
     return dataclasses.replace(
         fit,
+        path=tuple(plain(each) for each in fit.path),
         values=plain(fit.values),
         transition=transition._replace(rest=plain(transition.rest)),
         frame=Frame(plain(frame.shift), plain(frame.turn), plain(frame.centre)),
