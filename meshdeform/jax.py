@@ -10,6 +10,7 @@ The grid is deformed outside of JAX, on the host, in double precision: switch on
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from typing import Any, Literal
 
@@ -47,7 +48,12 @@ def deform_function(
     GridError
         When a deformed grid is invalid (inside compiled programs JAX wraps it in an error of its own).
     MethodError
-        For single precision, or where the derivative is not that of the grid.
+        For single precision.
+
+    Warns
+    -----
+    UserWarning
+        Where the derivative is not that of the grid, see ``Linearisation.reason``.
     """
     if mode not in ("reverse", "forward"):
         raise MethodError(f"mode = {mode!r}; expected 'reverse' or 'forward'")
@@ -116,7 +122,7 @@ class _Host:
         if self._derivative is None or not np.array_equal(at, self._at):
             found = self._mesh.linearise(at, steps=self._steps, repair=self._repair)
             if not found.exact:
-                raise MethodError(f"the derivative is not that of the grid: {found.reason}")
+                warnings.warn(f"the derivative is not that of the grid: {found.reason}", stacklevel=2)
             self._at, self._derivative = at.copy(), found
         return self._derivative
 

@@ -16,7 +16,13 @@ from meshdeform_core.errors import GridError, MethodError
 from meshdeform_core.grid import FloatArray, IntArray
 from meshdeform_core.grid.connectivity.components import Component
 from meshdeform_core.methods import PreparedMethod
-from meshdeform_core.methods.derivative import ComponentsInSteps, StepsDerivative, derivative_of, derivative_of_steps
+from meshdeform_core.methods.derivative import (
+    ComponentsInSteps,
+    StepsDerivative,
+    derivative_of,
+    derivative_of_steps,
+    reason_of,
+)
 from meshdeform_core.repair.derivative import ComponentRepairs, RepairDerivative, derivative_of_repair
 
 from ..gate import checked_array
@@ -54,15 +60,7 @@ class Linearisation:
         self._derivative = chain or derivative_of(method, displacement)
         plain = chain.points if chain else setup.grid.points + method.apply(displacement)
         self._repair, self._reason = _difference(plain, step, why)
-        if not self._reason and self._derivative.on_edges:
-            self._reason = (
-                f"{self._derivative.on_edges:,} nodes that slide on curved surfaces are at edges of their flat faces, "
-                "where there is no derivative"
-            )
-
-        greedy = method.account.settings.get("greedy")
-        if not self._reason and greedy and greedy.value != "none":
-            self._reason = "the centres that the greedy reduction has chosen are held fixed"
+        self._reason = "; ".join(filter(None, (self._reason, reason_of(self._derivative.kinks))))
 
     @property
     def step(self) -> Step:

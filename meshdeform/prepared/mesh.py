@@ -169,8 +169,6 @@ class Mesh:
         ------
         MotionError
             As for :meth:`deform`.
-        MethodError
-            For options without a derivative: greedy RBF, and IDW with weights that are recomputed on the way.
         """
         at = np.zeros((len(self.points), 3)) if displacement is None else displacement
         step = self.deform(at, steps=steps, repair=repair)

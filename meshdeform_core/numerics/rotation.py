@@ -45,6 +45,11 @@ class SurfaceRotations:
     def _normals(self) -> FloatArray:
         return _node_normals(self._points, self._corners, self._plane_normal)
 
+    def folded(self, displacement: FloatArray) -> int:
+        """Number of nodes whose faces cancel after a displacement (n, 3), or before it, but not both."""
+        after = _node_normals(self._points + displacement, self._corners, self._plane_normal)
+        return int(np.count_nonzero(self._normals.any(axis=1) != after.any(axis=1)))
+
     def quaternions(self, displacement: FloatArray) -> FloatArray:
         """Quaternions (n, 4) for a displacement (n, 3), identity at nodes without faces.
 

@@ -13,11 +13,15 @@ from typing import Any
 import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
 
-from .arrays import FloatArray
+from .arrays import FloatArray, IntArray
 from .partials import FIXED, MATMUL, PARTIALS
 
 Linear = Callable[[FloatArray], FloatArray]
 Link = tuple["Tracked", Linear, Linear]
+
+
+_TIED = 1e-10
+"""Relative difference of values that count as equal."""
 
 
 class Tape:
@@ -125,8 +129,9 @@ class Tracked(NDArrayOperatorsMixin):
         )
 
     def max(self) -> Tracked:
-        """The largest value of a one-dimensional array."""
-        return self[int(np.argmax(self.value))]
+        """The largest value of a one-dimensional array; of several largest ones with the mean of their derivatives."""
+        rows = largest(self.value)
+        return self[rows].sum() * (1.0 / len(rows))
 
     def astype(self, _: Any) -> Tracked:
         """Unchanged, as tracked values are always in double precision."""
@@ -199,6 +204,11 @@ class Tracked(NDArrayOperatorsMixin):
         if function not in _FUNCTIONS:
             raise TypeError(f"no derivative of numpy's {function.__name__} is known")
         return _FUNCTIONS[function](*args, **options)
+
+
+def largest(values: FloatArray) -> IntArray:
+    """Places of the largest of some values, none of them negative, and of all that are equal but for round-off."""
+    return np.flatnonzero(values >= (1.0 - _TIED) * values.max())
 
 
 def plain(value: Any) -> Any:

@@ -69,8 +69,17 @@ def test_plane_grid():
         found.jvp(np.ones((len(flat.points), 3)))
 
 
+LOPSIDED = {"name": "idw-tfi", "idw": {"length": 3.0}}
+
+
+def lopsided(mesh, size):
+    """No two nodes are the farthest from a centre, which later steps depend on."""
+    return bend(mesh, size) * (1.0 + 0.2 * mesh.points[:, 2:])
+
+
 def test_several_steps(mesh):
-    at, change, h = bend(mesh, 0.15), bend(mesh, 1.0)[:, [1, 0, 2]], 1e-4
+    mesh = md.prepare(mesh.grid, case(**LOPSIDED))
+    at, change, h = lopsided(mesh, 0.15), bend(mesh, 1.0)[:, [1, 0, 2]], 1e-4
     one_step = mesh.linearise(at, repair="off").jvp(change)
     for steps in (2, "auto"):
         found = mesh.linearise(at, steps=steps)
@@ -87,7 +96,7 @@ def test_several_steps_of_components():
     own = [block.copy() for block in md.Grid._of(frame(2, 2)).blocks]
     blocks = [block + [shift, 0.0, 0.0] for shift in (0.0, 0.3, 0.1) for block in own]
     grid = md.Grid(blocks, [f"{name}.{n}" for name in "abc" for n in range(len(own))])
-    given = case()
+    given = case(**LOPSIDED)
     span, motion = given["boundary"][1], given["boundary"][0]["motion"]
     body = [
         {"name": name, "kind": "moving", "motion": motion, "select": [f"{name}.*.i*", f"{name}.*.j*"]}
@@ -95,7 +104,7 @@ def test_several_steps_of_components():
         for name, shift in (("a", 0.0), ("b", 0.3))
     ]
     mesh = md.prepare(grid, {**given, "boundary": [*body, span], "grid": {"components": "zone prefix"}})
-    at, change, h = bend(mesh, 0.1), bend(mesh, 1.0)[:, [1, 0, 2]], 1e-4
+    at, change, h = lopsided(mesh, 0.1), bend(mesh, 1.0)[:, [1, 0, 2]], 1e-4
     found = mesh.linearise(at, steps=2)
     assert found.exact, found.reason
     moved, one_step = found.jvp(change), mesh.linearise(at, steps=1).jvp(change)
@@ -125,6 +134,21 @@ def test_centres_chosen_greedily_are_named(mesh):
     found = greedy.linearise(bend(greedy), steps=1, repair="off")
     assert not found.exact
     assert "held fixed" in found.reason
+    at_rest = greedy.linearise()
+    assert not at_rest.exact
+    assert "with all centres" in at_rest.reason
+
+
+def test_ties_are_named_and_shared(mesh):
+    """The corners of the box at both ends of the span have the same distance from the centre: the later step takes
+    the mean of their derivatives, which is right for changes that are the same at both ends."""
+    at, change, h = bend(mesh, 0.15), bend(mesh, 1.0)[:, [1, 0, 2]], 1e-4
+    found = mesh.linearise(at, steps=2)
+    assert not found.exact
+    assert "2 sources share the largest distance, which sets L_def" in found.reason
+    one, two = (mesh.deform(at + s * h * change, steps=2).grid.blocks for s in (1, -1))
+    for a, b, block in zip(one, two, found.jvp(change), strict=True):
+        np.testing.assert_allclose((a - b) / (2 * h), block, atol=1e-7)
 
 
 def test_bad_arrays(mesh):
@@ -146,13 +170,6 @@ def test_bad_arrays(mesh):
             found.vjp(given)
     with pytest.raises(md.GridError, match="complex numbers"):
         found.operator @ (1j * np.ones(mesh.points.size))
-
-
-def test_methods_without_derivative():
-    rbf = {"basis": "wendland-c2", "radius": 6.0, "greedy": "hybrid"}
-    greedy = md.prepare(md.Grid([b.copy() for b in md.Grid._of(frame()).blocks]), case(name="rbf", rbf=rbf))
-    with pytest.raises(md.MethodError, match="greedy"):
-        greedy.linearise()
 
 
 def test_a_derivative_changes_no_later_step(mesh):

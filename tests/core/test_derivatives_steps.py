@@ -47,7 +47,7 @@ def test_central_differences_and_transposes(name, kind):
     change = 0.02 * rough + 0.01 * smooth[:, [1, 0, 2]]
     found = StepsDerivative(make_method(options).prepare(where), options, where, at, ENDS)
     np.testing.assert_allclose(found.points, imposed(options, where, at), rtol=0, atol=1e-14)
-    assert found.on_edges == 0
+    assert found.kinks == {}
     moved, errors = found.push(change), []
     for h in (2.4e-4, 6e-5):
         one, two = (imposed(options, where, at + sign * h * change) for sign in (1, -1))

@@ -13,17 +13,11 @@ from ..components import PreparedComponents
 from ..gaps import PreparedInGaps
 from .composite import Derivative, derivative_of_composite
 from .gaps import InGapsDerivative
+from .kinks import Kinks
 
 
 def derivative_of(method: PreparedMethod, displacement: FloatArray) -> Derivative:
-    """The derivative of a prepared method at one displacement (n_sources, 3).
-
-    Raises
-    ------
-    MethodError
-        For options without a derivative: some kinds of greedy reduction, and ``rotation = "division"``, whose weights
-        are recomputed in every step.
-    """
+    """The derivative of a prepared method at one displacement (n_sources, 3)."""
     if isinstance(method, PreparedComponents):
         return ComponentsDerivative(
             method, [derivative_of(own, displacement[rows]) if own else None for _, own, rows in method.parts]
@@ -42,7 +36,7 @@ class ComponentsDerivative:
 
     def __init__(self, method: PreparedComponents, own: Sequence[Derivative | None]) -> None:
         self._method, self._grid, self._own = method, method.problem.grid, own
-        self.on_edges = sum(each.on_edges for each in own if each)
+        self.kinks = sum((each.kinks for each in own if each), Kinks())
 
     def push(self, change: FloatArray) -> FloatArray:
         """Change (n_nodes, 3) for a ``change`` (n_sources, 3) of the sources."""

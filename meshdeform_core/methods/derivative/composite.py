@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -18,18 +18,18 @@ from ..transfinite.tfi import PreparedTFI
 from .constraints import Constraints
 from .greedy import GreedyDerivative
 from .grid.weighting import IDWOnFixedGrid
+from .kinks import UNCHOSEN, Kinks
 from .radial import BlockRBFDerivative, RBFDerivative
 from .transfinite import EdgeGraphDerivative, TFIDerivative
 from .weighting import IDWDerivative
 
 
 class Derivative(Protocol):
-    """Derivative of the displacement (n_nodes, 3) of all nodes with respect to that (n_sources, 3) of the sources.
-
-    ``on_edges`` is the number of sliding nodes where no derivative exists, see :class:`.constraints.Constraints`.
+    """Derivative of the displacement (n_nodes, 3) of all block nodes with respect to that (n_sources, 3) of the
+    sources; ``kinks``: why it is not that of the displacement field, see :mod:`.kinks`.
     """
 
-    on_edges: int
+    kinks: Kinks
 
     def push(self, change: FloatArray) -> FloatArray:
         """Change (n_nodes, 3) for a ``change`` (n_sources, 3) of the sources."""
@@ -57,12 +57,12 @@ class _Composite:
         out = np.full((problem.grid.n_nodes, 3), np.nan)
         face = method._mover.move(displacement, out)
         self._first = Constraints(problem, face.copy())
-        self.on_edges = self._first.on_edges
+        self.kinks = self._mover.kinks + self._first.kinks
         if self._left_out and self._filler:
             method._constrain(face, out)
             self._filler.push(out)
             self._second = Constraints(problem, _on_faces(out, problem))
-            self.on_edges += self._second.on_edges
+            self.kinks += self._second.kinks
 
     def push(self, change: FloatArray) -> FloatArray:
         problem, out = self._problem, np.empty((self._problem.grid.n_nodes, 3))
@@ -98,7 +98,7 @@ class _Periodic:
         boundary.slip.constrain(face, problem.grid.points, topology.first)
         boundary.periodic.constrain(face, ~boundary.known)
         self._rest = derivative_of_composite(method._rest, face[self._sources])
-        self.on_edges = self._constraints.on_edges + self._rest.on_edges
+        self.kinks = self._mover.kinks + self._constraints.kinks + self._rest.kinks
 
     def push(self, change: FloatArray) -> FloatArray:
         face = self._mover.push(change, np.zeros((self._problem.grid.n_nodes, 3)))
@@ -114,6 +114,8 @@ class _Periodic:
 
 
 class _FirstStep(Protocol):
+    kinks: Kinks
+
     def push(self, change: FloatArray, out: FloatArray) -> FloatArray: ...
 
     def pull(self, face: FloatArray, g: FloatArray) -> FloatArray: ...
@@ -141,7 +143,7 @@ def _filling(filler: PreparedFiller, problem: Problem) -> _Filling:
 
 class _Edges:
     def __init__(self, mover: PreparedEdgeGraph) -> None:
-        self._derivative = EdgeGraphDerivative(mover)
+        self._derivative, self.kinks = EdgeGraphDerivative(mover), Kinks()
 
     def push(self, change: FloatArray, out: FloatArray) -> FloatArray:
         return self._derivative.push(change, out)
@@ -154,19 +156,9 @@ class _Interpolated:
     """Derivative of an interpolation as the first step; sources on faces take the change prescribed for them."""
 
     def __init__(self, mover: _Scattered, problem: Problem, displacement: FloatArray) -> None:
-        self._problem, self._beside_slip, bound = problem, mover.beside_slip, mover._bound
-        self._derivative: IDWDerivative | IDWOnFixedGrid | RBFDerivative | GreedyDerivative
-        if isinstance(bound, PreparedIDW) and bound.options.reweight:
-            self._derivative = IDWOnFixedGrid(bound, mover._evaluator.bound, displacement)
-            return
-        if isinstance(bound, PreparedIDW):
-            self._derivative = IDWDerivative(bound, mover._evaluator, displacement)  # type: ignore[arg-type]
-            return
-        assert isinstance(bound, PreparedRBF)
-        if bound.options.greedy == "none":
-            self._derivative = RBFDerivative(bound, problem, mover._evaluator)  # type: ignore[arg-type]
-        else:
-            self._derivative = GreedyDerivative(bound, problem, mover._evaluator, displacement)  # type: ignore[arg-type]
+        self._problem, self._beside_slip = problem, mover.beside_slip
+        self._derivative = _interpolated(mover, problem, displacement)
+        self.kinks = self._derivative.kinks
 
     def push(self, change: FloatArray, out: FloatArray) -> FloatArray:
         self._derivative.push(change, out)
@@ -181,3 +173,20 @@ class _Interpolated:
         g[self._problem.topology.first] += face
         self._beside_slip.damp(g)
         return np.asarray(own + self._derivative.pull(g))
+
+
+def _interpolated(
+    mover: Any, problem: Problem, displacement: FloatArray
+) -> IDWDerivative | IDWOnFixedGrid | RBFDerivative | GreedyDerivative:
+    bound, evaluator = mover._bound, mover._evaluator
+    if isinstance(bound, PreparedIDW):
+        if bound.options.reweight:
+            return IDWOnFixedGrid(bound, evaluator.bound, displacement)
+        return IDWDerivative(bound, evaluator, displacement)
+    assert isinstance(bound, PreparedRBF)
+    if bound.options.greedy == "none":
+        return RBFDerivative(bound, problem, evaluator)
+    if not displacement.any():
+        # Few centres chosen for nothing would be those of no direction.
+        return RBFDerivative(bound, problem, evaluator, Kinks({UNCHOSEN: 1}))
+    return GreedyDerivative(bound, problem, evaluator, displacement)

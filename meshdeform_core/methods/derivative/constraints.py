@@ -8,6 +8,7 @@ from ...boundary.slip import CurvedSurface
 from ...grid import FloatArray, IntArray
 from ...numerics.rows import collect_rows, project_rows, spread_rows
 from ..base import Problem
+from .kinks import EDGES, Kinks, kinks_of
 
 
 class Constraints:
@@ -15,13 +16,12 @@ class Constraints:
 
     Attributes
     ----------
-    on_edges : number of nodes that slide on a curved surface and lie on an edge between its flat faces, where no
-        derivative exists
+    kinks : nodes that slide on a curved surface and are at the edge of a flat face
     """
 
     def __init__(self, problem: Problem, face: FloatArray) -> None:
         self._problem = problem
-        self.on_edges = 0
+        self.kinks = Kinks()
         self._sliding = [self._tangents(surface, face) for surface in problem.boundary.slip.curved]
 
     def _tangents(self, surface: CurvedSurface, face: FloatArray) -> tuple[IntArray, FloatArray]:
@@ -36,7 +36,7 @@ class Constraints:
         # Plane curves are represented by triangles of zero width.
         whole = 2 if (surface.triangles[:, 1] == surface.triangles[:, 2]).all() else 3
         edge = (count < whole) & (distance <= 1e-9 * size)
-        self.on_edges += int(np.count_nonzero(edge))
+        self.kinks += kinks_of([(EDGES, int(np.count_nonzero(edge)))])
         # Free directions: within the triangle, along the edge, or none at a vertex.
         base = np.where(positive | (edge & (count == 1))[:, None], 1.0, 0.0)
         middle = np.einsum("nc,ncd->nd", base, corners) / base.sum(axis=1)[:, None]

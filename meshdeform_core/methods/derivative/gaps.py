@@ -23,13 +23,13 @@ class InGapsDerivative:
         self._own: Derivative = derivative_of_composite(method.method, displacement)
         self._lines: Derivative = derivative_of_composite(method.transfinite, displacement)
         self._scalar: Derivative = derivative_of_composite(method.scalar, displacement)
-        self.on_edges = self._own.on_edges + self._lines.on_edges
+        self.kinks = self._own.kinks + self._lines.kinks
         # Blended nodes are projected back onto curved slip surfaces.
         self._problem, self._again = method._problem, None
         if self._problem.boundary.slip.curved:
             blend = own + self._share * apart
             self._again = Constraints(self._problem, _on_faces(blend, self._problem))
-            self.on_edges += self._again.on_edges
+            self.kinks += self._again.kinks
 
     def push(self, change: FloatArray) -> FloatArray:
         """Change (n_nodes, 3) for a ``change`` (n_sources, 3) of the sources."""

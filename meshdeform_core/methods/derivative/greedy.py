@@ -6,44 +6,36 @@ import dataclasses
 
 import numpy as np
 
-from ...errors import MethodError
 from ...grid import FloatArray
 from ..base import Problem
+from ..scattered.radial_system import RadialSystem
 from ..scattered.rbf import REACH, PreparedRBF
 from ..scattered.rbf_sums import RadialSums
-from .radial import RadialMap, accurate
+from .kinks import CHOSEN, Kinks
+from .radial import Corrections, RadialMap, accurate
 
 
 class GreedyDerivative:
     """Derivative of the displacement of some nodes at one displacement (n_sources, 3) of the sources.
 
-    It includes the interpolation between the chosen centres, the residual at all sources, which nearby nodes take over,
-    and the distance over which they do, which grows with the largest residual.
-
-    Raises
-    ------
-    MethodError
-        With ``greedy = "single"``, whose coefficients are not the solution of a system, and at zero displacement, where
-        only one centre is chosen.
+    It includes the interpolation between the chosen centres, the residual at all sources, which nodes near them take
+    over, and the distance over which they do, which grows with the largest residual. The choice of centres, with
+    ``single`` their sequence, is held fixed.
     """
 
     def __init__(self, method: PreparedRBF, problem: Problem, sums: RadialSums, displacement: FloatArray) -> None:
-        if method.options.greedy == "single":
-            raise MethodError(
-                'method.rbf.greedy = "single" has no derivative: its coefficients are a sequence of corrections; '
-                'use greedy = "hybrid" or "none"'
-            )
-        images, centres = method._images, method.centres
+        self._images, self._n, self.flat = method._images, len(problem.source_numbers), sums.flat
+        self.kinks, images, centres = Kinks({CHOSEN: 1}), method._images, method.centres
         values = images.displaced(displacement)
-        if not values.any():
-            raise MethodError(
-                "method.rbf.greedy has no derivative where nothing has moved: its centres belong to a displacement; "
-                'linearise at one, or use greedy = "none"'
-            )
-        self._images, self._n, self.flat = images, len(problem.source_numbers), sums.flat
-        self._active = method.selected(values).active
+        found = method.selected(values)
+        self._active = found.active
         chosen = dataclasses.replace(centres, points=np.ascontiguousarray(centres.points[self._active]))
-        system = accurate(method.options.system, chosen, problem)
+        if method.options.greedy == "single":
+            place = np.empty(len(values), dtype=np.int64)
+            place[self._active] = np.arange(len(self._active))
+            system: Corrections | RadialSystem = Corrections(method.options.system, chosen, place[found.sequence])
+        else:
+            system = accurate(method.options.system, chosen, problem)
         self._inside = RadialMap(system, problem.grid.points[self.flat])
         self._at_sources = RadialMap(system, images.points)
         left = values - self._at_sources.push(values[self._active])

@@ -11,6 +11,7 @@ from ...numerics.exact.basis import BASES
 from ...numerics.exact.radial import radial_sums
 from ...numerics.fastsum.radial.frozen import FrozenRadial
 from ...numerics.fastsum.radial.targets import RadialTargets
+from ...numerics.systems.greedy import correct_again, correct_transposed
 from ...parallel import current_ranks
 from ..base import Account, Problem
 from ..scattered.block_rbf import PreparedBlockRBF
@@ -19,6 +20,7 @@ from ..scattered.radial_system import RadialSystem
 from ..scattered.rbf import PreparedRBF
 from ..scattered.rbf_sums import RadialSums
 from ..scattered.summation import MAX_RETRIES, doubtful
+from .kinks import Kinks
 from .sums import TOLERANCE
 
 _TOLERANCE = 1e-13
@@ -26,10 +28,31 @@ _TOLERANCE = 1e-13
 _ROWS = 1 << 16
 
 
+class Corrections:
+    """What the greedy reduction ``single`` has in the place of a system: a ``sequence`` (u,) of centres, each of which
+    corrects the error at itself by its own basis function."""
+
+    def __init__(self, options: SystemOptions, centres: Centres, sequence: IntArray) -> None:
+        self.options, self.centres, self._sequence = options, centres, sequence
+        self._columns, self.terms = np.ascontiguousarray(centres.points.T), np.empty((len(centres.points), 0))
+
+    def solve(self, values: FloatArray, account: Account, progress: None) -> tuple[FloatArray, FloatArray]:
+        """Coefficients (n, 3) for values at the centres (n, 3), and no polynomial."""
+        left, coefficients = np.array(values), np.zeros_like(values)
+        correct_again(BASES[self.options.basis], self._columns, self._sequence, left, coefficients)
+        return coefficients, np.empty((0, 3))
+
+    def transposed(self, gradient: FloatArray) -> FloatArray:
+        """Gradient (n, 3) of the values from that of the coefficients."""
+        found = np.zeros_like(gradient)
+        correct_transposed(BASES[self.options.basis], self._columns, self._sequence, found, gradient)
+        return found
+
+
 class RadialMap:
     """The linear map from values at centres (m, 3) to those at points (n, 3), by exact sums, and its transpose."""
 
-    def __init__(self, system: RadialSystem, points: FloatArray) -> None:
+    def __init__(self, system: RadialSystem | Corrections, points: FloatArray) -> None:
         self._system, self._kind = system, BASES[system.options.basis]
         self._x = system.centres.normalised(points)
         self._terms = system.centres.polynomial(self._x)[:, : system.terms.shape[1]]
@@ -46,12 +69,14 @@ class RadialMap:
         return solved_transposed(self._system, upper, self._terms.T @ gradient)
 
 
-def solved_transposed(system: RadialSystem, upper: FloatArray, lower: FloatArray) -> FloatArray:
+def solved_transposed(system: RadialSystem | Corrections, upper: FloatArray, lower: FloatArray) -> FloatArray:
     """Gradient (m, 3) of the values at centres from those of coefficients (m, 3) and polynomial (q, 3).
 
     The matrix [A P; P^T 0] is symmetric. A combination of the columns of P satisfies the lower rows of the right-hand
     side; the solver takes what remains.
     """
+    if isinstance(system, Corrections):
+        return system.transposed(upper)
     terms = system.terms
     part = terms @ np.linalg.solve(terms.T @ terms, lower)
     return np.asarray(part + system.solve(upper - system.multiply(part), Account(), None)[0])
@@ -65,14 +90,17 @@ def accurate(options: SystemOptions, centres: Centres, problem: Problem) -> Radi
 
 
 class RBFDerivative:
-    """Derivative of the displacement of some nodes with respect to that of the sources, the same at any displacement.
+    """Derivative of the displacement of some nodes with respect to that of the sources, all of which are centres; the
+    same at all displacements.
 
     If the method uses fast sums, so does the derivative, provided their error, checked against exact sums at some
     nodes, is below :data:`.sums.TOLERANCE` of the derivative; otherwise sums are exact.
     """
 
-    def __init__(self, method: PreparedRBF, problem: Problem, sums: RadialSums) -> None:
+    def __init__(self, method: PreparedRBF, problem: Problem, sums: RadialSums, kinks: Kinks | None = None) -> None:
         self._images, self._points, self.flat = method._images, problem.grid.points, sums.flat
+        self.kinks = kinks or Kinks()
+        sums.prepare(len(method.centres.points))
         self._n = len(problem.source_numbers)
         self._system = accurate(method.options.system, method.centres, problem)
         self._fast = self._accurate(sums.targets) if sums.targets else None

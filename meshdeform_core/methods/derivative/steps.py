@@ -41,7 +41,7 @@ class StepsDerivative:
     Attributes
     ----------
     points : (n_nodes, 3) the grid reached, without repairs
-    on_edges : number of sliding nodes at which there is no derivative, see :class:`.constraints.Constraints`
+    kinks : see :mod:`.kinks`
 
     Raises
     ------
@@ -67,7 +67,7 @@ class StepsDerivative:
             self._later.append(grid_derivative_of(method, target - imposed))
             imposed, points = target, points + self._later[-1].moved
         self.points = points
-        self.on_edges = self._first.on_edges + sum(step.on_edges for step in self._later)
+        self.kinks = sum((step.kinks for step in self._later), self._first.kinks)
 
     def push(self, change: FloatArray) -> FloatArray:
         """Change (n_nodes, 3) for a ``change`` (n_sources, 3) of the sources."""

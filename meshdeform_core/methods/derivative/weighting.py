@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...grid import BoolArray, FloatArray, IntArray
+from ...numerics.arrays import lengths
 from ...numerics.exact.direct import weighted_sums
 from ...numerics.fastsum.weighted.frozen import FrozenSums
 from ...numerics.rigid import finish
@@ -13,10 +14,11 @@ from ...numerics.tape import Tape, Tracked, plain
 from ...parallel import current_ranks, empty
 from ..scattered.fast_idw_sums import FastEvaluator
 from ..scattered.idw import PreparedIDW
-from ..scattered.idw_sums import Bound, ExactEvaluator
+from ..scattered.idw_sums import Bound, ExactEvaluator, SourceValues
 from ..scattered.summation import MAX_RETRIES
 from ..scattered.transition import with_motion
 from ..scattered.tuned import ALPHA_CAP
+from .kinks import FOLDED, HALF_TURNS, LARGEST, Kinks, half_turns, kinks_of, tied
 from .reduced import reduced
 from .sums import TOLERANCE, LinearSums, Weights, sums_of
 
@@ -53,7 +55,7 @@ class IDWDerivative:
         self._fit = fit
         self._transition = fit.transition._replace(rest=plain(fit.transition.rest))
         self._alpha = automatic_alpha(method, variable)
-        self._slope = 0.0
+        self._slope, self.kinks = 0.0, idw_kinks(method, fit, displacement)
         if self._alpha is not None:
             o, value = method.options, float(plain(self._alpha))
             # The derivative of the factor of r^-b.
@@ -147,17 +149,32 @@ class IDWDerivative:
 
 
 def automatic_alpha(method: PreparedIDW, displacement: Tracked) -> Tracked | None:
-    """Alpha by eq. 18 at a displacement (n_sources, 3); ``None`` where it is prescribed or at one of its limits."""
-    o = method.options
-    if o.weights != "luke" or o.alpha != "auto":
+    """Alpha by eq. 18 at a displacement (n_sources, 3); ``None`` where it is given or at its limits."""
+    if method.options.weights != "luke" or method.options.alpha != "auto":
         return None
-    d = method._images.displaced(displacement)  # type: ignore[arg-type]
+    size: Tracked = np.linalg.norm(_arms(method, displacement), axis=1)  # type: ignore[arg-type]
+    alpha: Tracked = method.options.eta / method.length * size.max()
+    return alpha if _LEAST_ALPHA < float(plain(alpha)) < ALPHA_CAP else None
+
+
+def _arms(method: PreparedIDW, displacement: FloatArray) -> FloatArray:
+    """Displacements (n, 3) of the images of sources relative to their mean."""
+    d = method._images.displaced(displacement)
     frame = method._frame(d)
     inside = d if frame.turn is None else frame.relative(method._images.points, d)
-    arm = inside - (method.area / method.area.sum()) @ inside
-    largest = int(np.argmax(np.linalg.norm(plain(arm), axis=1)))
-    alpha: Tracked = o.eta / method.length * np.linalg.norm(arm[largest])  # type: ignore[assignment]
-    return alpha if _LEAST_ALPHA < float(plain(alpha)) < ALPHA_CAP else None
+    arms: FloatArray = inside - (method.area / method.area.sum()) @ inside
+    return arms
+
+
+def idw_kinks(method: PreparedIDW, fit: SourceValues, displacement: FloatArray) -> Kinks:
+    """Where rotations jump, and what the largest displacement of several sources sets, at one (n_sources, 3)."""
+    images, counts = method._images, list[tuple[str, int]]()
+    if method.options.rotation != "none":
+        counts.append((HALF_TURNS, half_turns(plain(fit.turn), images.owner)))
+        counts.append((FOLDED, method._rotations.folded(images.displaced(displacement))))
+    if method.options.alpha == "auto" and automatic_alpha(method, Tape().variable(displacement)) is not None:
+        counts.append((LARGEST, tied(lengths(_arms(method, displacement)), images.owner)))
+    return kinks_of(counts)
 
 
 def _apart(values: FloatArray, acting: BoolArray) -> tuple[FloatArray, FloatArray]:

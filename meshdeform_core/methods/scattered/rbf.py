@@ -235,7 +235,7 @@ class PreparedRBF:
             "greedy": Setting(self.options.greedy),
             "greedy_points": Setting(len(found.active), f"of {len(found.error)} centres"),
             "greedy_rounds": Setting(found.rounds),
-            "greedy_updates_done": Setting(found.updates),
+            "greedy_updates_done": Setting(len(found.sequence)),
             "greedy_tolerance": Setting(self.options.greedy_tolerance, unit),
             "greedy_error_reached": Setting(float(found.error.max()), unit),
         }

@@ -36,7 +36,8 @@ class Selection:
     active : (k,) int64, chosen centres in the order in which they were chosen
     coefficients, polynomial : (k, m), (q, m) of the reduced interpolation
     error : (n,) largest error component at every centre in units of ``scale``
-    rounds, updates : numbers of exact solutions and of single-point updates
+    rounds : exact solutions that it took
+    sequence : (u,) int64, the centres of all single-point updates, in their order
     converged : whether the largest error is within the tolerance
     """
 
@@ -45,7 +46,7 @@ class Selection:
     polynomial: np.ndarray
     error: np.ndarray
     rounds: int
-    updates: int
+    sequence: np.ndarray
     converged: bool
 
 
@@ -81,14 +82,16 @@ def select(
     chosen = np.zeros(n, dtype=np.bool_)
     order = np.empty(n, dtype=np.int64)
     pairs = method == "double-edged"
-    count = rounds = updates = 0
+    count = rounds = 0
+    sequence = [order[:0]]
     solved = weight[:0], np.zeros((polynomial.shape[1], values.shape[1]))
     while True:
         # Between exact solutions all updates are made, as the error is known only after the solution.
         limit, enough = (100 * n, tolerance) if method == "single" else (per_round, 0.0)
-        state = _State(columns, residual, weight, 1.0 / scale, chosen, order)
-        done, count = _update(kind, state, count, max_points, limit, enough, start if updates == 0 else -1, pairs)
-        updates += done
+        state = _State(columns, residual, weight, 1.0 / scale, chosen, order, np.empty(limit + 1, dtype=np.int64))
+        first = start if rounds == 0 else -1
+        done, count = _update(kind, state, count, max_points, limit, enough, first, pairs)
+        sequence.append(state.sequence[:done].copy())
         active = order[:count]
         if method == "single":
             solved = weight[active], solved[1]
@@ -102,7 +105,7 @@ def select(
             break
     error = np.abs(residual).max(axis=1) / scale
     converged = bool(error.max() <= tolerance)
-    return Selection(active.copy(), *solved, error, rounds, updates, converged)
+    return Selection(active.copy(), *solved, error, rounds, np.concatenate(sequence), converged)
 
 
 def _solve_exactly(
@@ -130,7 +133,8 @@ def independent(polynomial: FloatArray) -> FloatArray:
 
 class _State(NamedTuple):
     """State of a reduction: coordinates (3, n) of the centres, error (n, m), coefficients (n, m), one over the scale
-    (n,), which centres are chosen (n,), and the order in which they were (n,)."""
+    (n,), which centres are chosen (n,), and in which order (n,); ``sequence`` receives the centres of all corrections.
+    """
 
     columns: np.ndarray
     residual: np.ndarray
@@ -138,12 +142,13 @@ class _State(NamedTuple):
     inverse_scale: np.ndarray
     chosen: np.ndarray
     order: np.ndarray
+    sequence: np.ndarray
 
 
 @kernel
 def _update(kind, state, count, max_points, limit, tolerance, start, pairs):
     """Make at most ``limit`` single-point corrections; return their number and the number of chosen centres."""
-    columns, residual, weight, inverse_scale, chosen, order = state
+    columns, residual, weight, inverse_scale, chosen, order, sequence = state
     value = np.empty(residual.shape[0])
     done = 0
     while done < limit:
@@ -161,6 +166,7 @@ def _update(kind, state, count, max_points, limit, tolerance, start, pairs):
                 order[count] = point
                 count += 1
             _correct(kind, columns, residual, weight, point, value)
+            sequence[done] = point
             done += 1
         if count >= max_points:
             break
@@ -194,17 +200,49 @@ def _opposite(residual, inverse_scale, worst):
 
 
 @kernel
-def _correct(kind, columns, residual, weight, point, value):
-    """Remove the error at one centre with its own basis function."""
-    n, m = residual.shape
+def _basis_around(kind, columns, point, value):
+    """Basis values (n,) between one centre and all of them."""
+    n = columns.shape[1]
     for i in range(n):
         dx = columns[0, i] - columns[0, point]
         dy = columns[1, i] - columns[1, point]
         dz = columns[2, i] - columns[2, point]
         value[i] = dx * dx + dy * dy + dz * dz
     apply_basis(kind, value, n)
+
+
+@kernel
+def _correct(kind, columns, residual, weight, point, value):
+    """Remove the error at one centre with its own basis function."""
+    n, m = residual.shape
+    _basis_around(kind, columns, point, value)
     for c in range(m):
         change = residual[point, c]
         weight[point, c] += change
         for i in range(n):
             residual[i, c] -= change * value[i]
+
+
+@kernel
+def correct_again(kind, columns, sequence, residual, weight):
+    """The corrections of a ``sequence`` of centres, with coordinates (3, n), for other values: ``residual`` (n, m), the
+    values, becomes what is left of them, ``weight`` (n, m), zero, the coefficients."""
+    value = np.empty(residual.shape[0])
+    for point in sequence:
+        _correct(kind, columns, residual, weight, point, value)
+
+
+@kernel
+def correct_transposed(kind, columns, sequence, residual, weight):
+    """The transpose: ``residual`` (n, m), the gradient of what is left, becomes that of the values; ``weight`` (n, m):
+    the gradient of the coefficients."""
+    n, m = residual.shape
+    value = np.empty(n)
+    for step in range(len(sequence) - 1, -1, -1):
+        point = sequence[step]
+        _basis_around(kind, columns, point, value)
+        for c in range(m):
+            total = weight[point, c]
+            for i in range(n):
+                total -= residual[i, c] * value[i]
+            residual[point, c] += total

@@ -17,6 +17,7 @@ from ...scattered.idw import PreparedIDW
 from ...transfinite.edge_graph import PreparedEdgeGraph
 from ...transfinite.tfi import PreparedTFI
 from ..constraints import Constraints
+from ..kinks import Kinks
 from .beside_slip import BesideSlipGridDerivative
 from .radial import BlockRBFGridDerivative, RBFGridDerivative
 from .transfinite import EdgeGraphGridDerivative, TFIGridDerivative
@@ -25,10 +26,10 @@ from .weighting import IDWGridDerivative
 
 class GridDerivative(Protocol):
     """Derivative of the displacement (n_nodes, 3) of all block nodes with respect to that (n_sources, 3) of the sources
-    and to the grid; ``moved`` is the displacement itself, ``on_edges`` as for :class:`..composite.Derivative`."""
+    and to the grid; ``moved`` is the displacement, ``kinks`` as for :class:`..composite.Derivative`."""
 
     moved: FloatArray
-    on_edges: int
+    kinks: Kinks
 
     def push(self, change: FloatArray, dx: FloatArray) -> FloatArray:
         """Change (n_nodes, 3) for changes of the sources (n_sources, 3) and of the grid (n_nodes, 3)."""
@@ -63,13 +64,13 @@ class _Composite:
         out = np.full((self._problem.grid.n_nodes, 3), np.nan)
         face = mover.move(displacement, out)
         self._first, self._second = Constraints(self._problem, face.copy()), None
-        self.on_edges = self._first.on_edges
         if method._left_out and filler:
             method._constrain(face, out)
             filler.fill(out)
             self._second = Constraints(self._problem, _on_faces(out, self._problem))
-            self.on_edges += self._second.on_edges
         self._mover = _first_step(mover, displacement)
+        constraints = (each for each in (self._first, self._second) if each)
+        self.kinks = sum((each.kinks for each in constraints), self._mover.kinks)
         self.moved = method.apply(displacement)
         self._filler = _filling(filler, self._problem, self.moved)
 
@@ -109,7 +110,8 @@ class _Periodic:
         boundary.periodic.constrain(face, ~boundary.known)
         assert isinstance(method._rest, PreparedComposite)
         self._rest = _Composite(method._rest, face[self._sources])
-        self.moved, self.on_edges = self._rest.moved, self._constraints.on_edges + self._rest.on_edges
+        self.moved = self._rest.moved
+        self.kinks = self._mover.kinks + self._constraints.kinks + self._rest.kinks
 
     def push(self, change: FloatArray, dx: FloatArray) -> FloatArray:
         face = self._mover.push(change, dx, np.zeros_like(dx))
@@ -150,6 +152,7 @@ class _Interpolated:
             self._derivative = IDWGridDerivative(mover._bound, mover._evaluator.bound, displacement)
         else:
             self._derivative = RBFGridDerivative(mover._bound, self._problem, mover.flat, displacement)
+        self.kinks = self._derivative.kinks + self._derivative.of_grid
         self._beside_slip = BesideSlipGridDerivative(mover, displacement)
 
     def push(self, change: FloatArray, dx: FloatArray, out: FloatArray) -> FloatArray:

@@ -18,6 +18,7 @@ from ...base import Account, Problem
 from ...scattered.block_rbf import PreparedBlockRBF
 from ...scattered.centres import Centres
 from ...scattered.rbf import RBF, PreparedRBF
+from ..kinks import Kinks
 from ..radial import accurate
 
 _CHUNK = 256
@@ -115,6 +116,7 @@ class RBFGridDerivative:
         if method.options.greedy != "none":
             raise MethodError(f"method.rbf.greedy {_NONE}: other centres are chosen there")
         self._images, self._problem, self._flat = method._images, problem, flat
+        self.kinks, self.of_grid = Kinks(), Kinks()
         values = self._images.displaced(displacement)
         self._map = MovingMap(method.options, method.centres, problem, problem.grid.points[flat], values)
 

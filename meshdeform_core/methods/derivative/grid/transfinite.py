@@ -11,6 +11,7 @@ from ....numerics.transfinite.boxes import box_nodes, box_numbers
 from ...transfinite.curved import THINNEST, arms, corners_of
 from ...transfinite.edge_graph import PreparedEdgeGraph
 from ...transfinite.tfi import PreparedTFI
+from ..kinks import Kinks
 
 
 class _Linear:
@@ -89,7 +90,7 @@ class EdgeGraphGridDerivative:
     """TFI of block interfaces for one displacement (n_sources, 3) of the sources, and its transpose."""
 
     def __init__(self, method: PreparedEdgeGraph, displacement: FloatArray) -> None:
-        self._method, problem = method, method._problem
+        self._method, problem, self.kinks = method, method._problem, Kinks()
         self._sources = problem.source_numbers
         self._first, self._shape = problem.topology.first, (problem.grid.n_nodes, 3)
         self._points = problem.grid.points[self._first]

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from ....grid import FloatArray, IntArray
+from ....numerics.arrays import lengths
 from ....numerics.exact.direct_tangents import add_gradients, add_tangents
 from ....numerics.frame import Frame
 from ....numerics.rigid import finish
@@ -25,8 +26,9 @@ from ....parallel import Shared, empty, for_chunks
 from ...base import nodal_area
 from ...scattered.idw import PreparedIDW, farthest
 from ...scattered.idw_sums import Bound, ExactEvaluator, SourceValues
-from ...scattered.transition import breadth
-from ..weighting import automatic_alpha
+from ...scattered.transition import breadth, with_motion
+from ..kinks import FARTHEST, Kinks, kinks_of, tied
+from ..weighting import automatic_alpha, idw_kinks
 
 _CHUNK = 2048
 _PORTIONS = 32
@@ -34,7 +36,8 @@ _PORTIONS = 32
 
 class IDWGridDerivative:
     """Derivative of the displacement of the nodes of an evaluator, with exact sums, at one displacement (n_sources, 3)
-    of the sources."""
+    of the sources; ``kinks`` as for :class:`..composite.Derivative`, ``of_grid`` those that only changes of the grid
+    meet."""
 
     def __init__(self, method: PreparedIDW, bound: Bound, displacement: FloatArray) -> None:
         self._problem, self._bound, self._tape = method._problem, bound, Tape()
@@ -46,7 +49,7 @@ class IDWGridDerivative:
         self._fit = _values_of(fit)
         kappa, strength = _kappa(moving, variables[0]), moving.strength
         charges: Any = np.concatenate([strength.reshape(1, -1), strength * fit.values])
-        wanted = {
+        wanted: dict[str | int, Any] = {
             "charges": charges, "kappa": kappa, "shift": fit.frame.shift, "turn": fit.frame.turn,
             "centre": fit.frame.centre, "rest": fit.transition.rest, **dict(enumerate(fit.path)),
         }  # fmt: skip
@@ -55,10 +58,25 @@ class IDWGridDerivative:
             # The crossing depends on the breadth, by a power law.
             wanted["breadth"] = found = breadth(moving._images)
             self._share = method._share.near / float(plain(found))
+        self.kinks = idw_kinks(method, fit, displacement)
+        self.of_grid = self._farthest(method)
         self._numbers = {name: each.number for name, each in wanted.items() if isinstance(each, Tracked)}
         self._charges, path = np.ascontiguousarray(plain(charges)), self._fit.path
         self._path = [np.ascontiguousarray(sources.T) for sources in path]
         self._portions = max(1, min(_PORTIONS // len(path), len(bound.flat) // _CHUNK))
+
+    def _farthest(self, method: PreparedIDW) -> Kinks:
+        """Sources that share the largest distance from a centre."""
+        problem, images, counts = self._problem, method._images, list[tuple[str, int]]()
+        if method.options.length == "auto" and (method.options.weights == "luke" or len(method.groups) > 1):
+            size = lengths(problem.source_points - problem.centroid)
+            counts.append((FARTHEST.replace("{what}", "L_def of eq. 16"), tied(size, np.arange(len(size)))))
+        if self._share:
+            moving = with_motion(images)
+            area, x = images.area[moving], images.points[moving]
+            size = lengths(x - area @ x / area.sum())
+            counts.append((FARTHEST.replace("{what}", "the breadth of the body"), tied(size, images.owner[moving])))
+        return kinks_of(counts)
 
     def push(self, change: FloatArray, dx: FloatArray, out: FloatArray) -> None:
         """Write the change of the nodes into their rows of ``out`` (n_nodes, 3), for changes of the sources
@@ -122,7 +140,7 @@ class IDWGridDerivative:
         part = rest.sum(axis=0)
         sources = np.asarray(sum(of_sources[portion] for portion in range(self._portions)))
         path = sources[columns:].reshape(-1, 3, n).transpose(0, 2, 1)
-        known = {
+        known: dict[str | int, FloatArray] = {
             "charges": sources[:columns], "shift": gradient[bound.flat].sum(axis=0),
             "turn": part[:9].reshape(3, 3), "centre": part[9:12], "rest": part[12:18], "kappa": part[18],
             "breadth": part[19], **dict(enumerate(path)),
@@ -197,6 +215,7 @@ class IDWOnFixedGrid:
     def __init__(self, method: PreparedIDW, bound: Bound, displacement: FloatArray) -> None:
         self._whole = IDWGridDerivative(method, bound, displacement)
         self._shape = bound.grid.points.shape
+        self.kinks = self._whole.kinks
 
     def push(self, change: FloatArray, out: FloatArray) -> None:
         """Write the change of the nodes into their rows of ``out`` (n_nodes, 3), for one of the sources."""
