@@ -2,7 +2,7 @@
 
 The numba loops release the interpreter lock, so plain threads suffice within a process. MPI ranks run the same program
 on the same data, or each on its part of a grid (:mod:`.parts`). Loops that declare the arrays they fill are distributed
-among the ranks, and the results are exchanged afterwards, so that every rank continues with the same data.
+among the ranks; the results are then exchanged, so that every rank continues with the same data.
 """
 
 from __future__ import annotations
@@ -33,16 +33,18 @@ class Shared(NamedTuple):
 
 
 class Sharing(NamedTuple):
-    """Who shares the work: MPI ranks, and at most this number of threads on each, ``None`` for all its cores;
-    ``divided``: every rank holds a part of the grid (:mod:`.parts`)."""
+    """Who shares the work: MPI ranks, and the largest number of threads on each (``None``: one per core).
+
+    ``divided``: every rank holds only a part of each grid that is read (:mod:`.parts`).
+    """
 
     ranks: Ranks
     threads: int | None
     divided: bool = False
 
 
-# A context variable, not a global one: calls in different threads of a program do not change each other's setting, and
-# a block that sets it, such as work that one rank does alone, sets it for nobody else.
+# A context variable, not a global one: calls in different threads of a program do not change each other's settings,
+# and a block that sets it (such as work that one rank does alone) affects nothing outside.
 _ONE_PROCESS = Sharing(OneRank(), None)
 _sharing = ContextVar("sharing", default=_ONE_PROCESS)
 
@@ -84,7 +86,7 @@ def dividing() -> Iterator[None]:
 
 
 def holders() -> Ranks:
-    """The ranks each of which is to hold a part of a grid that is read: this process alone unless :func:`dividing`."""
+    """The ranks among which a grid is divided when it is read; this process alone unless within :func:`dividing`."""
     ranks, _, divided = _sharing.get()
     return ranks if divided else OneRank()
 
@@ -96,7 +98,7 @@ def alone(cores: int | None = None) -> AbstractContextManager[None]:
 
 
 def carried(action: Callable[P, T]) -> Callable[P, T]:
-    """``action`` for another thread, which shares the work as the caller does; for one call at a time."""
+    """``action`` to be called in another thread with the caller's ranks and threads; one call at a time."""
     return partial(copy_context().run, action)
 
 
@@ -124,15 +126,16 @@ def for_chunks(
 ) -> None:
     """Call ``work(first, last)`` for consecutive chunks of ``range(size)``, spread over the threads.
 
-    Chunks do not depend on the number of ranks. They are assigned to ranks round-robin, because neighbours cost alike,
-    and always in the same way for the same size and chunk. Without ``shared`` every rank does all.
+    Chunks do not depend on the number of ranks. They are assigned to ranks round-robin, as neighbouring chunks cost
+    about the same, and always in the same way for the same size and chunk. Without ``shared``, every rank does all.
 
     Parameters
     ----------
     work : function that releases the interpreter lock and touches only its own part of the result
     chunk : items per call; small enough that the threads finish together
     progress : called with (items done, number of items) as chunks finish
-    shared : all arrays that ``work`` fills and all ranks need: distributed among all ranks, the rows are exchanged
+    shared : all arrays that ``work`` fills and that all ranks need; chunks are then distributed among the ranks, and
+        rows exchanged
     threads : largest number of threads, for work that must not run concurrently
     """
     bounds = [(first, min(first + chunk, size)) for first in range(0, size, chunk)]
@@ -156,9 +159,9 @@ def for_items(
 ) -> None:
     """Call ``work(n)`` for every n of ``range(count)``, ascending, distributed among all ranks if they share arrays.
 
-    One at a time, for large items that use the threads themselves, or none; or on ``threads`` (``None``: all), and then
-    the loops of an item use no others. ``shared`` as for :func:`for_chunks`. An exception on one rank ends its items
-    and is raised on all of them.
+    By default one item at a time, for large items whose own loops use the threads. With more ``threads`` (``None``:
+    all), items run concurrently and their own loops on one thread. ``shared`` as for :func:`for_chunks`. An exception
+    on one rank ends its items and is raised on all ranks.
     """
     failures: list[tuple[int, Exception]] = []
 
@@ -202,7 +205,7 @@ def _on_threads(work: Work, bounds: list[Bounds], progress: Counter | None, limi
                     told, items = told + len(new), items + sum(new)
                     report(items, size)
         except BaseException as error:
-            # An interrupt or an error ends the run: chunks that have not started need not run.
+            # An interrupt or an error ends the run; chunks not yet started are skipped.
             failures.append(error)
 
     others = [
@@ -212,7 +215,7 @@ def _on_threads(work: Work, bounds: list[Bounds], progress: Counter | None, limi
         for other in others:
             other.start()
     except BaseException as error:
-        # A signal's: those that have started end after their chunk.
+        # Raised by a signal handler: threads already started end after their chunk.
         failures.append(error)
     run(progress)
     _joined(others, failures)
@@ -223,7 +226,7 @@ def _on_threads(work: Work, bounds: list[Bounds], progress: Counter | None, limi
 
 
 def _joined(others: list[threading.Thread], failures: list[BaseException]) -> None:
-    """Wait for the other threads, even after an interrupt, because they still write to arrays of the caller."""
+    """Wait for the other threads, even after an interrupt, as they still write to arrays of the caller."""
     for other in others:
         while other.is_alive():
             try:

@@ -61,7 +61,7 @@ class MPIRanks:
         return [each for own in self._comm.allgather(list(found)) for each in own]
 
     def collect(self, own: np.ndarray, counts: Sequence[int]) -> np.ndarray:
-        """The rows of all ranks, ``counts`` of each, one after the other."""
+        """The rows of all ranks, ``counts`` of each, concatenated in rank order."""
         import numpy as np
 
         found = np.empty((sum(counts), *own.shape[1:]), own.dtype)
@@ -71,7 +71,7 @@ class MPIRanks:
         return found
 
     def swap(self, sends: Mapping[int, np.ndarray], receives: Mapping[int, np.ndarray]) -> None:
-        """Send arrays to other ranks, by number, and fill those that they send; empty ones are left out."""
+        """Exchange arrays with other ranks, by number: send ``sends``, fill ``receives``; empty ones are skipped."""
         self._meet()
         requests = [self._comm.Irecv(array, source=number) for number, array in receives.items() if array.size]
         requests += [self._comm.Isend(array, dest=number) for number, array in sends.items() if array.size]
@@ -79,8 +79,8 @@ class MPIRanks:
             request.Wait()
 
     def on_first(self, action: Callable[[], T]) -> T:
-        """Run ``action`` on the first rank only, with all cores that it may use, while the others wait; all get its
-        result or fail with it."""
+        """Run ``action`` on the first rank only, with all cores that it may use, while the others wait; its result is
+        returned, or its error raised, on all ranks."""
         failure: Exception | None = None
         result: T | None = None
         if self.number == 0:
@@ -98,7 +98,7 @@ class MPIRanks:
         return result
 
     def _meet(self) -> None:
-        """Barrier that sleeps after a while, because the rank that is late may need the core."""
+        """Barrier that sleeps after a while, as the rank waited for may need the core."""
         arrived, tries = self._comm.Ibarrier(), 0
         while not arrived.Test():
             tries += 1

@@ -1,7 +1,7 @@
 """Arrays of which every rank holds only a part.
 
-Row n of such an array belongs to one rank. All ranks run the same program: rows asked for by number, the same on all of
-them, are sent by their owners; work on the rows of a rank is done by it :func:`alone <.loops.alone>`.
+Each row of such an array belongs to one rank. All ranks run the same program. When all of them ask for the same rows by
+number, the owners send these rows; work on the rows of one rank is done by that rank :func:`alone <.loops.alone>`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _ROWS = 1 << 14
 
 
 class WholeGridNeeded(Exception):
-    """What is asked for takes the whole grid on every rank; raised on all ranks alike, with the reason."""
+    """The request requires the whole grid on every rank; raised on all ranks alike, with the reason."""
 
 
 class Part:
@@ -34,14 +34,14 @@ class Part:
 
     Parameters
     ----------
-    ranks : that hold the others
-    bounds : (n_ranks + 1,) first row of every rank
+    ranks : the ranks that hold the parts
+    bounds : (n_ranks + 1,) first row of every rank, and the number of rows
     shape, dtype : of the whole array
 
     Attributes
     ----------
-    rows : array of this shape in which only the rows of this rank, and those that :meth:`widen` has added, have values;
-        the others take no memory
+    rows : array of this shape in which only the rows of this rank, and those added by :meth:`widen`, have values; the
+        others take no memory
     low, high : first and one past the last row of this rank
     """
 
@@ -55,7 +55,7 @@ class Part:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Of the whole array."""
+        """Shape of the whole array."""
         return self.rows.shape
 
     @property
@@ -64,7 +64,7 @@ class Part:
 
     @property
     def nbytes(self) -> int:
-        """Size of the whole array."""
+        """Size of the whole array in bytes."""
         return self.rows.nbytes
 
     def __len__(self) -> int:
@@ -97,20 +97,20 @@ class Part:
         return (self._sent(flat) if found is None else found).reshape(numbers.shape + self.shape[1:])
 
     def __array__(self, *_: Any, **__: Any) -> Any:
-        """Operations of numpy on all rows take all of them."""
+        """Refuse numpy operations on the whole array, which is nowhere in memory."""
         raise WholeGridNeeded("an operation on all nodes")
 
     def keep(self, rows: np.ndarray) -> None:
-        """Keep a copy of some rows (n,), ascending, on every rank: they need not be sent again."""
+        """Keep a copy of some rows (n,), ascending, on every rank, so that they need not be sent again."""
         self._known = rows, self._sent(rows)
 
     def keep_like(self, other: Part) -> None:
-        """Keep the rows that another array keeps."""
+        """Keep the same rows as another array."""
         if other._known:
             self.keep(other._known[0])
 
     def _looked_up(self, rows: np.ndarray) -> Any:
-        """Rows that all ranks keep; ``None`` if there are others."""
+        """The rows from the copies that all ranks keep; ``None`` if any is not among them."""
         import numpy as np
 
         if self._known is None or not len(rows):
@@ -120,7 +120,7 @@ class Part:
         return values[at] if np.array_equal(numbers[at], rows) else None
 
     def _sent(self, rows: np.ndarray) -> Any:
-        """Rows from their owners."""
+        """The rows, sent by their owners."""
         import numpy as np
 
         self._require_all()
@@ -138,13 +138,13 @@ class Part:
         return result
 
     def _first_of(self, rows: np.ndarray) -> np.ndarray:
-        """Where the rows (n,) of each rank begin, which come rank after rank."""
+        """Index at which those of the ascending ``rows`` (n,) begin that belong to each rank."""
         import numpy as np
 
         return np.searchsorted(np.searchsorted(self.bounds, rows, side="right"), np.arange(1, self.ranks.count + 2))
 
     def widen(self, first: int, last: int) -> None:
-        """Hold the rows first <= n < last, too, as they are now with their owners; all ranks call this together."""
+        """Also hold copies of the rows first <= n < last as their owners have them now; all ranks must call this."""
         self._require_all()
         first, last = min(first, self.low), max(last, self.high)
         wanted = self.ranks.gather([(first, last)])
@@ -158,11 +158,11 @@ class Part:
         self._held = first, last
 
     def any(self) -> bool:
-        """Whether any element is not zero."""
+        """Whether any element is nonzero."""
         return any(self.ranks.gather([bool(self.own.any())]))
 
     def nonzero_rows(self) -> np.ndarray:
-        """Numbers of the elements that are not zero, of an array with one axis."""
+        """Indices of the nonzero elements of a one-dimensional array."""
         import numpy as np
 
         return np.concatenate(self.ranks.gather([self.low + np.flatnonzero(self.own)]))
@@ -172,13 +172,13 @@ class Part:
         return min(self.ranks.gather([self.own.min()] if len(self.own) else []))
 
     def _require_all(self) -> None:
-        """Refuse to wait for ranks that do not take part."""
+        """Raise an error rather than wait for ranks that do not take part."""
         if current_ranks().count != self.ranks.count or threading.get_ident() != self._thread:
             raise RuntimeError("a rank reads rows of others by itself")
 
 
 def blank(shape: Sequence[int], dtype: Any) -> Any:
-    """An array whose pages take memory once they are written to; not counted by a limit on data."""
+    """An array of zeros whose pages take memory only once written to; it does not count towards a limit on data."""
     import numpy as np
 
     if not hasattr(mmap, "MAP_ANONYMOUS"):
@@ -190,13 +190,13 @@ def blank(shape: Sequence[int], dtype: Any) -> Any:
 
 
 def alike(array: Any, width: int = 3) -> Any:
-    """A new array (n, width) without values, in parts if ``array`` (n, ...) is."""
+    """A new, uninitialised array (n, width), in parts if ``array`` (n, ...) is."""
     shape = len(array), width
     return Part(array.ranks, array.bounds, shape, "float64") if isinstance(array, Part) else empty(shape)
 
 
 def require_whole(array: Any, what: str) -> None:
-    """Refuse what takes all rows.
+    """Require that the array is not in parts, for operations on all rows; ``what`` names the operation.
 
     Raises
     ------
@@ -213,24 +213,24 @@ def ranks_of(array: Any) -> Ranks:
 
 
 def rows_of(array: Any) -> Any:
-    """The array with the rows that this rank holds, or the array itself."""
+    """For an array in parts, the plain array with the rows that this rank holds; any other array itself."""
     return array.rows if isinstance(array, Part) else array
 
 
 def own_rows(array: Any) -> tuple[int, int]:
-    """First and one past the last row of this rank; all of an array that is not in parts."""
+    """First and one past the last row of this rank; all rows of an array that is not in parts."""
     return (array.low, array.high) if isinstance(array, Part) else (0, len(array))
 
 
 def apart(array: Any) -> AbstractContextManager[None]:
-    """For work on the rows of this rank: no loop is shared with other ranks, if the array is in parts."""
+    """Context for work on the rows of this rank: if the array is in parts, no loop is shared with other ranks."""
     return alone() if isinstance(array, Part) else nullcontext()
 
 
 def for_rows(fill: Callable[[slice], object], array: Any) -> None:
-    """Let ``fill(rows)`` fill slices of ``array`` (n, ...), of a part its own rows.
+    """Call ``fill(rows)`` for slices of ``array`` (n, ...), for an array in parts only for the rows of this rank.
 
-    For values that cost less to compute than to send.
+    For values that cost less to compute on every rank than to send.
     """
     begin, end = own_rows(array)
 
@@ -244,25 +244,25 @@ def for_rows(fill: Callable[[slice], object], array: Any) -> None:
 
 
 def check_rows(look: Callable[[slice], object], array: Any) -> None:
-    """Let ``look(rows)`` look at slices of ``array`` (n, ...): of a part its own rows, else every rank at all."""
+    """Call ``look(rows)`` for slices of ``array`` (n, ...), for an array in parts only for the rows of this rank."""
     begin, end = own_rows(array)
     with apart(array):
         for_chunks(lambda lo, hi: look(slice(begin + lo, begin + hi)), end - begin, _ROWS)
 
 
 def of_all(array: Any, value: T) -> list[T]:
-    """The values of all ranks, if the array is in parts."""
+    """The values of all ranks if the array is in parts, otherwise only ``value``."""
     return ranks_of(array).gather([value])
 
 
 def numbered(array: Any, count: int) -> tuple[int, int]:
-    """Number of the first of this rank's ``count`` items, which follow those of the ranks before, and of all items."""
+    """Number of this rank's first item, if it has ``count`` and items are numbered rank by rank; and their total."""
     counts = of_all(array, count)
     return sum(counts[: ranks_of(array).number]), sum(counts)
 
 
 def on_each(action: Callable[[], object]) -> None:
-    """Run ``action`` on every rank by itself; an error on one of them is raised on all."""
+    """Run ``action`` on every rank without sharing loops; an error on one rank is raised on all."""
     ranks, failures = current_ranks(), list[Exception]()
     try:
         with alone():

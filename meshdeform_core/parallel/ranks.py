@@ -24,11 +24,11 @@ class Ranks(Protocol):
 
     @property
     def cores(self) -> int:
-        """Number of cores of the machine for this rank."""
+        """Number of the machine's cores that this rank may use."""
         ...
 
     def share(self, array: Any, rows: Callable[[int], Sequence[Any]]) -> None:
-        """Complete ``array`` in place; ``rows(r)`` are the rows that rank r filled: index arrays."""
+        """Complete ``array`` in place; ``rows(r)`` are index arrays of the rows that rank r filled."""
         ...
 
     def gather(self, found: Sequence[T]) -> list[T]:
@@ -36,16 +36,16 @@ class Ranks(Protocol):
         ...
 
     def collect(self, own: Any, counts: Sequence[int]) -> Any:
-        """The rows of all ranks, ``counts`` of each, one after the other."""
+        """The rows of all ranks, ``counts`` of each, concatenated in rank order."""
         ...
 
     def swap(self, sends: Mapping[int, Any], receives: Mapping[int, Any]) -> None:
-        """Send arrays to other ranks, by number, and fill those that they send; empty ones are left out."""
+        """Exchange arrays with other ranks, by number: send ``sends``, fill ``receives``; empty ones are skipped."""
         ...
 
     def on_first(self, action: Callable[[], T]) -> T:
-        """Run ``action`` on the first rank only, with all cores that it may use, while the others wait; all get its
-        result or raise its error."""
+        """Run ``action`` on the first rank only, with all cores that it may use, while the others wait; its result is
+        returned, or its error raised, on all ranks."""
         ...
 
 

@@ -1,8 +1,8 @@
 """Large arrays in files mapped into memory, for grids that do not fit.
 
-The system keeps as much of such a file in memory as there is room; a watch returns the pages to it before the process
-exceeds its limit. All loops pass through large arrays from one end to the other, so that each pass reads them once.
-Results do not depend on where an array lies.
+The operating system keeps as much of such a file in memory as fits; a watching thread releases pages before the process
+exceeds its limit. All loops traverse large arrays from one end to the other, so each pass reads them once. Results do
+not depend on where an array is stored.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ from typing import Any
 from ..errors import MethodError
 
 SMALLEST = 1 << 24
-"""Bytes from which an array may lie in a file."""
-# Bytes below the limit from which on pages are returned, at most half of it: what was seen to be touched between two
-# looks on a busy machine.
+"""Size in bytes from which an array may be stored in a file."""
+# Pages are released when memory comes within this many bytes (at most half the limit) of the limit: as much as was seen
+# to be touched between two checks on a busy machine.
 RESERVE = 384 * 2**20
 _SECONDS = 0.01
 
 
 class Scratch:
-    """Where large arrays lie if memory is limited.
+    """Storage of large arrays if memory is limited.
 
     Parameters
     ----------
-    folder : for the files; they have no names and vanish with the process, however it ends
-    limit : bytes that the process may take, mapped files included
+    folder : for the files, which have no names and disappear with the process, however it ends
+    limit : bytes of memory that the process may use, mapped files included
     """
 
     def __init__(self, folder: Path, limit: int) -> None:
@@ -45,7 +45,7 @@ class Scratch:
         self._lock, self._watched, self._used = threading.Lock(), False, False
 
     def takes(self, size: int) -> bool:
-        """Whether an array of so many bytes lies in a file."""
+        """Whether an array of ``size`` bytes is stored in a file."""
         return size >= SMALLEST
 
     def empty(self, shape: Sequence[int], dtype: Any) -> Any:
@@ -54,7 +54,7 @@ class Scratch:
         Raises
         ------
         MethodError
-            When the disk has no room for it.
+            If the disk is full.
         """
         import numpy as np
 
@@ -68,12 +68,12 @@ class Scratch:
         return np.frombuffer(mapped, dtype).reshape(shape)
 
     def _mapped(self, size: int) -> mmap.mmap:
-        # A tenth of the time of ``--help``.
+        # Imported late, as it takes a tenth of the time of ``--help``.
         import tempfile
 
         try:
             with tempfile.TemporaryFile(dir=self._folder) as file:
-                # Without room a later write to the mapping would end the process by a signal.
+                # If the disk were full, a later write to the mapping would end the process by a signal.
                 os.posix_fallocate(file.fileno(), 0, size)
                 return mmap.mmap(file.fileno(), size)
         except OSError as error:
@@ -83,7 +83,7 @@ class Scratch:
             ) from error
 
     def _watch(self) -> None:
-        """Return pages to the system while there are files; ends with the last of them."""
+        """Release pages when needed, as long as there are files."""
         while True:
             with self._lock:
                 maps = [each for each in (one() for one in self._maps) if each is not None]
@@ -91,13 +91,13 @@ class Scratch:
                     self._watched = False
                     return
             self.look(maps)
-            # The files of arrays that nothing else holds any more are closed.
+            # Drop the references, so that files of arrays no longer in use are closed.
             del maps
             time.sleep(_SECONDS)
 
     def look(self, maps: Sequence[mmap.mmap | None] | None = None) -> None:
-        """Return pages to the system if there are too many: called by loops too, as a busy system may not wake the
-        watch in time."""
+        """Release pages if there are too many in memory; also called by loops, as a busy system may not wake the
+        watching thread in time."""
         if self._used and resident_memory() > self._full:
             for each in [one() for one in self._maps] if maps is None else maps:
                 if each is not None:
@@ -105,7 +105,7 @@ class Scratch:
 
 
 def resident_memory() -> int:
-    """Bytes of this process that are in memory, mapped files included."""
+    """Resident memory of this process in bytes, mapped files included."""
     with open("/proc/self/statm", "rb") as file:
         return int(file.read().split()[1]) * mmap.PAGESIZE
 
@@ -114,18 +114,18 @@ _scratch: ContextVar[Scratch | None] = ContextVar("scratch", default=None)
 
 
 def current_scratch() -> Scratch | None:
-    """Where large arrays lie; ``None``: in memory."""
+    """The storage of large arrays; ``None``: memory."""
     return _scratch.get()
 
 
 def set_scratch(scratch: Scratch | None) -> None:
-    """Let large arrays lie there from now on."""
+    """Store large arrays there from now on."""
     _scratch.set(scratch)
 
 
 @contextmanager
 def scratch_in(scratch: Scratch) -> Iterator[None]:
-    """Let large arrays made within the block lie there."""
+    """Store large arrays that are made within the block there."""
     before = _scratch.set(scratch)
     try:
         yield

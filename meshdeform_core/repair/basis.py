@@ -56,7 +56,7 @@ class Basis:
 
     @property
     def may_be_extruded(self) -> bool:
-        """Whether the grid may be extruded from a plane one, as far as a grid in parts tells."""
+        """Whether the grid may be an extrusion of a plane grid, as far as can be told of a grid in parts."""
         return may_be_extruded(self.original.grid)
 
     @cached_property
@@ -77,5 +77,5 @@ class Whole:
 
     @cached_property
     def system(self) -> NewtonSystem:
-        """The linear system of Newton's method, whose pattern is found once."""
+        """The linear system of Newton's method; its sparsity pattern is found once."""
         return NewtonSystem(self.plot.region)

@@ -1,4 +1,4 @@
-"""Constraints of a repair: held nodes, nodes that slide in planes or on surfaces, periodic images that move alike."""
+"""Constraints of a repair: nodes that are held, that slide in planes or on surfaces, or that are periodic images."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ class Constraints:
     Attributes
     ----------
     grid, topology : undeformed
-    held : (n_unique,) nodes that stay where they are: moving, fixed, and those at edges of curved slip surfaces
+    held : (n_unique,) nodes that repairs do not move: moving, fixed, and those at edges of curved slip surfaces
     walls : (n_unique,) nodes of moving and fixed faces that are likely to be walls, not far field
-    removed : (n_unique, 3, 3) projectors on the directions in which a node must not move
+    removed : (n_unique, 3, 3) projectors onto the directions in which a node must not move
     root : (n_unique,) the periodic image of a node with the smallest number, whose unknown all images share
     turn : node -> rotation (3, 3) from its root, unless that is the identity
     sliding : the nodes that slide on curved surfaces
@@ -88,7 +88,7 @@ def _on_one_surface(topology: Topology, boundary: Boundary) -> BoolArray:
 
 
 def _spans(sums: FloatArray) -> FloatArray:
-    """Projectors (n, 3, 3) on the ranges of sums of projectors; exact if these are along coordinate axes."""
+    """Projectors (n, 3, 3) onto the ranges of sums of projectors; exact if these are along coordinate axes."""
     values, vectors = np.linalg.eigh(sums)
     kept = np.where(values[:, None, :] > 1e-9, vectors, 0.0)
     exact = np.abs(sums - np.round(sums)).max(axis=(1, 2), initial=0.0) < 1e-12

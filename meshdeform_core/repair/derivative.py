@@ -1,8 +1,8 @@
 """The derivative of a repaired grid with respect to the grid of the method.
 
-At the minimum the gradient of the energy vanishes for any grid of the method (implicit function theorem). A change of
-that grid therefore moves the nodes by the solution of one linear system with the Hessian of the energy. Its right-hand
-side contains what the energy takes from that grid: the elastic reference, and the shares with which cells count.
+At the minimum the gradient of the energy vanishes, whatever the method's grid. By the implicit function theorem, a
+change of that grid moves the nodes by the solution of a linear system with the Hessian of the energy. The right-hand
+side collects how the energy depends on that grid: through the elastic reference, and through the shares of cells.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ class RepairDerivative(Protocol):
         ...
 
     def settle(self, rounding: float) -> float:
-        """Move on to the exact minimum, from coordinates that were rounded by up to ``rounding`` when written.
+        """Continue to the exact minimum from coordinates that were rounded by up to ``rounding`` when written.
 
-        Returns the largest distance to it beyond the rounding, in shortest edges; infinity if the Hessian is not
-        positive definite, or too nearly singular for the linear system to be solved.
+        Returns the largest distance moved beyond the rounding, relative to the shortest local edge; infinity if the
+        Hessian is not positive definite, or too nearly singular for the linear system to be solved.
         """
         ...
 
@@ -67,8 +67,8 @@ def derivative_of_repair(basis: Basis, start: FloatArray, end: FloatArray, polis
 
 
 class ComponentRepairs:
-    """Of the components of an overset ``grid``, each repaired by itself; ``own`` their derivatives, ``None`` where no
-    cell is weak."""
+    """Derivative of the separate repairs of the components of an overset ``grid``; ``own`` are the derivatives of the
+    components, ``None`` where no cell is weak."""
 
     def __init__(self, grid: Grid, own: Sequence[tuple[Component, RepairDerivative | None]]) -> None:
         self._grid, self._own = grid, own
@@ -165,7 +165,7 @@ class _AtMinimum:
                 break
             system.gradient[...] = -rest
             step, convex = system.direction(_LOOSE, _ITERATIONS)
-            # No minimum, or one that is nearly singular: further refinements would take minutes.
+            # Not a minimum, or a nearly singular one, for which further refinement would take minutes.
             if not convex or system.iterations == _ITERATIONS:
                 self._regular = False
                 break

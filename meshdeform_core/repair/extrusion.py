@@ -26,7 +26,7 @@ class Extrusion:
     ----------
     direction : (3,) unit vector, normal to the plane
     plane : the plane grid, blocks with one node along one index
-    line : (n_nodes,) the node of the plane grid that each block node is a copy of
+    line : (n_nodes,) plane node that each block node is a copy of; block nodes with the same one form a *line*
     constraints : of the plane grid
     scale : extent of the grid
     """
@@ -42,7 +42,7 @@ class Extrusion:
         return np.bincount(self.line, minlength=self.plane.n_nodes)
 
     def mean(self, change: FloatArray) -> FloatArray:
-        """The mean along lines (n_plane, 3) of a displacement (n_nodes, 3), projected on the plane."""
+        """The mean along lines (n_plane, 3) of a displacement (n_nodes, 3), projected onto the plane."""
         return self._in_plane(self.summed(change) / self._count[:, None])
 
     def of_mean(self, gradient: FloatArray) -> FloatArray:
@@ -57,7 +57,7 @@ class Extrusion:
         return np.asarray(vectors - (vectors @ self.direction)[:, None] * self.direction)
 
     def flattened(self, change: FloatArray) -> FloatArray | None:
-        """The displacement (n_plane, 3) of the plane grid: the mean along lines of that of the grid (n_nodes, 3).
+        """The displacement (n_plane, 3) of the plane grid: the mean along lines of ``change`` (n_nodes, 3).
 
         ``None`` if held nodes move out of the plane, or differently along a line.
         """
@@ -74,7 +74,7 @@ class Extrusion:
         return mean
 
     def spread(self, start: FloatArray, points: FloatArray, change: FloatArray) -> FloatArray:
-        """Coordinates (n_nodes, 3) for a displacement (n_plane, 3); held nodes stay where ``points`` have them.
+        """Coordinates (n_nodes, 3) for a displacement (n_plane, 3); held nodes keep their coordinates in ``points``.
 
         ``start`` (n_nodes, 3) are the undeformed coordinates.
         """
@@ -114,8 +114,7 @@ def may_be_extruded(grid: Grid) -> bool:
 
 
 def _heights(grid: Grid, scale: float) -> list[FloatArray]:
-    """Vectors between opposite faces of the first block that are the same at all nodes; none where the two faces
-    coincide."""
+    """Vectors between opposite faces of the first block, where they are the same at all nodes and not zero."""
     found = []
     for axis in range(3):
         low, high = (grid.points[side_nodes(grid, 0, Side(2 * axis + end))] for end in range(2))
@@ -171,7 +170,8 @@ def _in_plane(
 ) -> Constraints | None:
     """The constraints of the plane grid, or ``None`` if those of the grid vary along a line.
 
-    On lines through the interior of the plane grid's blocks only the ends may be constrained, and only to their planes.
+    On lines through the interior of the plane grid's blocks, only the end nodes may be constrained, and only to the end
+    planes.
     """
     space, flat = constraints.topology, np.eye(3) - np.outer(unit, unit)
     removed = flat @ constraints.removed @ flat
@@ -188,7 +188,7 @@ def _in_plane(
         difference = np.abs(values[space.number[on_edge]].astype(float) - values[chosen][of[on_edge]].astype(float))
         if difference.max(initial=0.0) > 1e-12:
             return None
-    # The periodic image of a line is a line; the images of its two ends may be ends of that line itself.
+    # The periodic image of a line is a line, possibly the same one with its ends exchanged.
     plane_of = np.full(space.n_unique, -1)
     plane_of[space.number] = of
     root = plane_of[constraints.root[chosen]]

@@ -7,13 +7,13 @@ import time as clock
 from ..parallel import current_ranks
 
 _PER_NODE, _FEWEST = 600.0, 35_000
-"""Work allowed per node (60 s per 100,000 nodes), and the number of nodes that smaller grids count as."""
+"""Work allowed per node (60 s per 100,000 nodes), and the smallest number of nodes used for it."""
 
 
 class Limit:
     """Wall-clock time, in seconds from its creation, and work.
 
-    Work is counted, not measured, so that what is done depends on neither the machine nor its load. Its unit is about a
+    Work is counted, not measured, so that results depend on neither the machine nor its load. Its unit is about a
     microsecond of one core.
     """
 
@@ -27,11 +27,11 @@ class Limit:
         return cls(seconds, _PER_NODE * max(n_nodes, _FEWEST))
 
     def spend(self, work: float) -> None:
-        """Count work that was done."""
+        """Count work done."""
         self._left -= work
 
     def affords(self, work: float) -> int:
-        """Number of times that such work may still be done, at least 1."""
+        """How often this work may still be done, at least 1."""
         return max(1, int(min(self._left / work, 1e9)))
 
     @property
@@ -50,5 +50,5 @@ class Limit:
         return self.exhausted or self.late
 
     def over(self) -> bool:
-        """Like :meth:`reached`, for one rank alone. Several ranks are not equally fast, so that only work counts."""
+        """As :meth:`reached`, for one rank alone; with several ranks only work counts, as they are not equally fast."""
         return self._left <= 0.0 or (current_ranks().count == 1 and clock.monotonic() >= self._end)

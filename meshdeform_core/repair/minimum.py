@@ -12,7 +12,7 @@ from .energy.untangle import CLOSE, Pace, Untangler
 from .limit import Limit
 from .tuned import POLISHED
 
-# A regularisation that starts large and falls slowly finds valid grids where a quick one gets stuck.
+# A regularisation that starts large and falls slowly finds valid grids where a fast one fails.
 QUICK, PATIENT = Pace(60, 2.0, 0.2, around=40), Pace(200, 50.0, 0.1)
 # Where no valid grid exists, most of the cells that can become valid do so early.
 HASTY = Pace(30, 2.0, 0.3)
@@ -25,11 +25,11 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class Search:
-    """The end of a search.
+    """Result of a search.
 
-    Block nodes ``moved`` (k,) with their ``shift`` (k, 3); ``succeeded``: the minimum is reached or, in a region, no
-    sample is inverted any more; the largest f ``before`` (infinite if a sample was inverted) and after. ``untangled``
-    is the shift at which no sample was inverted any more, if the minimum was not reached from there.
+    Block nodes ``moved`` (k,) and their ``shift`` (k, 3). ``succeeded``: the minimum was reached or, in a region, no
+    sample remains inverted. ``before`` and ``after``: the largest f, infinite if a sample was inverted. ``untangled``:
+    the shift at which no sample was inverted any more, if the minimum was not reached from there.
     """
 
     moved: IntArray
@@ -55,9 +55,12 @@ def minimise(
     limit: Limit,
     close: float = CLOSE,
 ) -> Search | None:
-    """Search for the minimum from ``points`` (n_nodes, 3) of the method, moved by a ``guess``; ``None`` if no cell is
-    weak. ``polish``: the energy always has its full share, and cells at walls count little more than others;
-    ``close``: the distance from the minimum at which the search ends, see :mod:`.energy.untangle`."""
+    """Search for the minimum from the method's ``points`` (n_nodes, 3), moved by a ``guess``; ``None`` if no cell is
+    weak.
+
+    ``polish``: the energy always has its full share, and cells at walls have little more weight than others.
+    ``close``: the distance from the minimum at which the search ends, see :mod:`.energy.untangle`.
+    """
     plot = whole.plot
     reference = plot.inside(points)
     share, energy = share_of(plot.region.energy, reference)

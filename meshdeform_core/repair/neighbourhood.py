@@ -24,8 +24,8 @@ from .walls import UNLIMITED, nearness, weigh
 class Plot(NamedTuple):
     """A region of a grid.
 
-    ``nodes`` (n,): one block node for each node of the region; ``moved`` (k,): block nodes that follow the region's
-    nodes ``at`` (k,). The region's coordinates are the components along ``axes`` (d, 3).
+    ``nodes`` (n,): one representative block node per node of the region; ``moved`` (k,): block nodes that follow node
+    ``at`` (k,) of the region. The region's coordinates are the components along ``axes`` (d, 3).
     """
 
     region: Region
@@ -46,7 +46,7 @@ class Plot(NamedTuple):
 class Neighbourhood:
     """Data shared by all regions of one undeformed grid.
 
-    A *class* consists of all unique nodes that one unknown moves: one node, or all periodic images of one.
+    A *class* consists of the unique nodes that one unknown moves: a single node, or all periodic images of one.
     """
 
     def __init__(self, constraints: Constraints):
@@ -76,12 +76,12 @@ class Neighbourhood:
 
     @cached_property
     def _from_walls(self) -> FloatArray:
-        """(n_nodes,) :func:`.walls.nearness` of every block node."""
+        """:func:`.walls.nearness` (n_nodes,) of every block node."""
         walls = self.topology.face_nodes[self.constraints.walls[self.topology.number]]
         return nearness(self._layers(walls, UNLIMITED))
 
     def around(self, cells: IntArray, layers: int | None) -> IntArray:
-        """Block nodes that may move, with all coincident ones, within ``layers`` cells of ``cells``; ``None``: all."""
+        """Block nodes that may move within ``layers`` (``None``: any) cells of ``cells``, with coincident ones."""
         near = np.arange(self.grid.n_nodes)
         if layers is not None:
             near = np.flatnonzero(self._layers(self._corners(cells).ravel(), layers) >= 0)
@@ -89,7 +89,7 @@ class Neighbourhood:
         return near[~on_face | ~self.constraints.held[self.number[near]]]
 
     def plot(self, free: IntArray, even: bool = False) -> Plot:
-        """The region that block nodes ``free`` from :meth:`around` span; ``even``: cells at walls count like others."""
+        """The region of the block nodes ``free``, from :meth:`around`; ``even``: without larger weights near walls."""
         owners = self._owners(free)
         touched = cells_at(free, self._shapes, self.grid.offsets, self.grid.n_cells)
         corners = self._corners(touched)
@@ -103,14 +103,14 @@ class Neighbourhood:
         return Plot(Region(energy, unknowns, freedom, slides), nodes, free, np.searchsorted(nodes, owners), self.axes)
 
     def _slides(self, nodes: IntArray, unknowns: Unknowns) -> Iterator[Slide]:
-        """See :class:`Region`."""
+        """The slides of the region's nodes, see :class:`Region`."""
         for each in self.constraints.sliding:
             local = np.flatnonzero(np.isin(nodes, self.topology.first[each.nodes]) & (unknowns.number >= 0))
             if local.size:
                 yield Slide(local, partial(self._normals, each), partial(self._onto, each))
 
     def _normals(self, sliding: Sliding, x: FloatArray) -> FloatArray:
-        """Unit normals (k, d) of a surface next to coordinates (k, d) of the region."""
+        """Unit normals (k, d) of a surface nearest to coordinates (k, d) of the region."""
         return np.asarray(sliding.normals(self._outside(x)) @ self.axes.T)
 
     def _onto(self, sliding: Sliding, x: FloatArray) -> FloatArray:
@@ -142,7 +142,7 @@ class Neighbourhood:
         return np.where(number >= 0, self.topology.first[number], flat)
 
     def _corners(self, cells: IntArray) -> IntArray:
-        """Block nodes at the corners of cells: (m, 8), in 2-D (m, 4)."""
+        """Block nodes (m, 8), in 2-D (m, 4), at the corners of cells."""
         found = np.empty((len(cells), 2**self.grid.dimension), dtype=np.int64)
         starts = cell_starts(self.grid)
         ends = np.searchsorted(cells, starts)
@@ -155,17 +155,17 @@ class Neighbourhood:
         return found
 
     def _signs(self, cells: IntArray) -> FloatArray:
-        """Sign of the determinants of sound cells in the order of their index axes."""
+        """Sign (m,) of the determinants of sound cells, with edges in the order of their index axes."""
         block = np.searchsorted(cell_starts(self.grid), cells, side="right") - 1
         sign = self.topology.handedness.astype(np.float64)
         if self.grid.dimension == 2:
             flat = np.array([shape.index(1) for shape in self.grid.shapes])
-            # As in quality.measures.cells: (i, j) and (j, k) have their positive normal in this order, (i, k) has not.
+            # As in quality.measures.cells: the normal is positive for axes (i, j) and (j, k), negative for (i, k).
             sign *= np.where(flat == 1, -1.0, 1.0) * np.sign(self.normal[np.argmax(np.abs(self.normal))])
         return sign[block]
 
     def _unknowns(self, nodes: IntArray, free: IntArray) -> tuple[Unknowns, FloatArray]:
-        """The dependence of a region's ``nodes`` on its unknowns, given its ``free`` nodes; see :class:`Region`."""
+        """Unknowns of a region's ``nodes``, given the ``free`` ones, and their projectors; see :class:`Region`."""
         constraints, axes = self.constraints, self.axes
         number = self.number[nodes]
         on_face = number >= 0

@@ -18,10 +18,10 @@ class RepairOptions:
 
     Attributes
     ----------
-    mode : ``auto``: when cells are invalid or weak (sheared or stretched so far that repairs set in); ``off``: never;
-        ``polish``: also the worst cells of a valid grid
-    time_limit : no repair, Newton step or further attempt begins after so many seconds
-    min_jacobian : cells with a corner below this share of its undeformed Jacobian count as invalid; 0 <= R < 1
+    mode : ``auto``: when cells are invalid or weak (sheared or stretched beyond the onset of repairs); ``off``: never;
+        ``polish``: also to improve the worst cells of a valid grid
+    time_limit : no repair, Newton step or further attempt begins after this many seconds
+    min_jacobian : cells with a corner below this fraction of its undeformed Jacobian count as invalid; 0 <= R < 1
     """
 
     mode: Mode = "auto"

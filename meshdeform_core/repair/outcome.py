@@ -14,10 +14,10 @@ from ..quality.verdict.validity import Verdict
 class Repair:
     """Summary of repairs.
 
-    ``cells`` that were invalid or weak before, ``nodes`` moved and their largest movement (grid length unit), Newton
-    steps, seconds. ``converged``: the grid is the minimum of the energy over all nodes, a smooth function of the
-    displacement of the boundary; otherwise it depends on the path of the search, and may change abruptly with the
-    displacement. ``unique``: whether Newton's method reached the same minimum from another start; ``None`` if not
+    ``cells``: number of cells that were invalid or weak; ``nodes``: number of nodes moved; ``max_movement``: largest
+    movement (grid length unit). ``converged``: the grid is the minimum of the energy over all nodes, a smooth function
+    of the displacement of the boundary; otherwise it depends on the path of the search, and may change abruptly with
+    the displacement. ``unique``: whether Newton's method reached the same minimum from another start; ``None`` if not
     tested.
     """
 
@@ -41,7 +41,7 @@ class Repair:
         )
 
     def beside(self, other: Repair) -> Repair:
-        """The summary of repairs in two different parts of a grid."""
+        """Joint summary of repairs in two different parts of a grid."""
         both = (self.unique, other.unique)
         unique = False if False in both else None if None in both else True
         nodes, converged = self.nodes + other.nodes, self.converged and other.converged
@@ -66,5 +66,5 @@ class Judged:
 
     @property
     def count(self) -> int:
-        """Invalid cells."""
+        """Number of invalid cells."""
         return int(np.count_nonzero(self.verdict.failed))

@@ -20,17 +20,18 @@ from .neighbourhood import Plot
 from .outcome import Judged
 
 WEAK = 0.35
-"""Cells with a corner below this share of its undeformed Jacobian are the centres of regions."""
+"""Cells with a corner below this fraction of its undeformed Jacobian are the centres of regions."""
 _LAYERS: dict[int, tuple[int | None, ...]] = {2: (32, None), 3: (8, 32, None)}
 _IMPROVING = 20
 _ROUNDS, _LAST_ROUNDS = 2, 6
-# More layers are tried while the largest f is above _ENOUGH; in valid grids, if the first lower it to _GAIN of it.
+# More layers are tried while the largest f exceeds _ENOUGH; in valid grids only if the first layers reduced it by
+# _GAIN.
 _ENOUGH, _GAIN = 2.9, 0.9
 
 
 class Way(NamedTuple):
-    """A strategy of untangling: ``patient`` or quick; ``even``: cells at walls count like all others; ``hasty``: only
-    around weak cells, and without subsequent improvement."""
+    """A strategy of untangling: ``patient`` or quick; ``even``: without larger weights near walls; ``hasty``: only
+    around weak cells, without subsequent improvement."""
 
     patient: bool = False
     even: bool = False
@@ -38,7 +39,7 @@ class Way(NamedTuple):
 
     @property
     def pace(self) -> Pace:
-        """The effort of its searches."""
+        """The effort spent on each search."""
         return PATIENT if self.patient else HASTY if self.hasty else QUICK
 
 
@@ -48,10 +49,7 @@ EVERY_WAY = QUICKLY + PATIENTLY
 
 @dataclass(frozen=True)
 class Growth:
-    """Regions that grow by stages until all cells are sound.
-
-    ``moved`` gives the grid after a search.
-    """
+    """Untangling in regions that grow until all cells are sound; ``moved`` returns the grid after a search."""
 
     basis: Basis
     moved: Callable[[Judged, Search], Judged]
@@ -61,8 +59,8 @@ class Growth:
     def best(self, start: Judged, weak: float, way: Way) -> tuple[Judged, int]:
         """The best grid, and the Newton steps taken; regions surround cells with a relative Jacobian below ``weak``.
 
-        At first the nodes within some layers move, then more, until the worst cell is no longer far from its undeformed
-        shape or more nodes do not help; a patient strategy moves all of them at once.
+        First the nodes within a few layers move, then more, until the worst cell is close enough to its undeformed
+        shape or more nodes do not help; a patient strategy moves all nodes at once.
         """
         stages = _LAYERS[self.basis.original.grid.dimension][-1 if way.patient else 0 : 1 if way.hasty else None]
         best = now = start
@@ -85,7 +83,7 @@ class Growth:
     def _stage(
         self, now: Judged, layers: int | None, weak: float, way: Way, done: int
     ) -> tuple[Judged, Search | None, int]:
-        """Searches with a number of layers: the grid, the last search, and the Newton steps taken."""
+        """Search with a given number of layers: the grid, the last search, and the Newton steps taken."""
         steps, found = 0, None
         for _ in range(_ROUNDS if layers else _LAST_ROUNDS):
             other = self._search(now, layers, weak, way, done)
@@ -98,8 +96,8 @@ class Growth:
         return now, found, steps
 
     def _search(self, now: Judged, layers: int | None, limit: float, way: Way, done: int) -> Search | None:
-        """Move the nodes within ``layers`` layers of weak cells; ``None`` if there are none, or no more than have been
-        ``done``."""
+        """Move the nodes within ``layers`` layers of weak cells; ``None`` if there are none, or no more than the number
+        ``done`` before."""
         weak = np.flatnonzero((now.verdict.failed != 0) | (now.verdict.ratio < limit))
 
         def make() -> Search | None:

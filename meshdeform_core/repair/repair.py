@@ -26,9 +26,9 @@ from .outcome import Judged, Outcome, Repair
 from .regions import EVERY_WAY, WEAK, Growth, Way
 
 POOR = 0.1
-"""Valid cells with a corner below this share of its undeformed Jacobian are counted as weak in reports."""
+"""Valid cells with a corner below this fraction of its undeformed Jacobian are counted as weak in reports."""
 COLLAPSING = 0.01
-"""Valid cells below this share are nearly collapsed: a warning."""
+"""Valid cells below this fraction are nearly collapsed and cause a warning."""
 
 
 class Repairer:
@@ -53,12 +53,12 @@ class Repairer:
 
     @property
     def size(self) -> int:
-        """Number of nodes of the repaired grid: that of the plane grid, if there is one."""
+        """Number of nodes of the grid that is repaired: the plane grid, if this one is extruded from it."""
         basis = self.basis.extrusion[1] if self.basis.extrusion else self.basis
         return basis.original.grid.n_nodes
 
     def needed(self, points: FloatArray, verdict: Verdict) -> bool:
-        """Whether there are cells that are invalid or weak.
+        """Whether any cell is invalid or weak.
 
         Raises
         ------
@@ -81,7 +81,7 @@ class Repairer:
         return current_ranks().on_first(weak)
 
     def _surely_healthy(self, points: FloatArray) -> bool:
-        """Whether cells in parts need no repair; all that is less clear takes the whole grid."""
+        """Whether it is certain that a grid in parts needs no repair; any doubt requires the whole grid."""
         for each in (points, self.original.grid.points):
             self.original.grid.hold_neighbours(each)
         if self.basis.may_be_extruded or not self.basis.healthy(points):
@@ -97,15 +97,15 @@ class Repairer:
         guess: FloatArray | None = None,
         close: float = CLOSE,
     ) -> Outcome:
-        """Make cells sound; the result may still have invalid cells, but not more than ``points`` (n_nodes, 3).
+        """Make cells sound; the result may still have invalid cells, but no more than ``points`` (n_nodes, 3).
 
-        If found, the result is the minimum of the energy over all nodes. Newton's method starts from ``guess``
+        If it is found, the result is the minimum of the energy over all nodes. Newton's method starts from ``guess``
         (n_nodes, 3), the displacement by the repair of a similar grid, which saves time.
 
         Otherwise the search is repeated without the guess; then cells are untangled in regions, and the minimum is
-        searched for from there. The ``ways`` are tried in turn until one succeeds; without any, the minimum is searched
-        for once. ``polish``: the weakest cells count as weak however good they are. ``close``: the distance from the
-        minimum at which its search ends.
+        searched for from there. The ``ways`` are tried in turn until one succeeds; without any, only the search for the
+        minimum is made, once. ``polish``: the weakest cells count as weak however good they are. ``close``: the
+        distance from the minimum at which the search ends.
 
         Raises
         ------
@@ -129,7 +129,7 @@ class Repairer:
         return Outcome(best.points, best.verdict, replace(record, converged=converged and best.verdict.valid))
 
     def _by_regions(self, start: Judged, best: Judged, polish: bool, ways: tuple[Way, ...]) -> tuple[Judged, int, bool]:
-        """The best grid of all ``ways``, the Newton steps, and whether the minimum was found from there."""
+        """The best grid of all ``ways``, the number of Newton steps, and whether the minimum was found from there."""
         weak = max(WEAK, min(1.0, 2.0 * float(start.verdict.ratio.min()))) if polish else WEAK
         growth, steps = Growth(self.basis, self._moved, self.progress, self.limit), 0
         for way in ways:
@@ -145,8 +145,8 @@ class Repairer:
     def _minimum(
         self, start: Judged, polish: bool, guess: FloatArray | None, close: float = CLOSE
     ) -> tuple[Judged, int, bool]:
-        """The grid at the minimum of the energy over all nodes or on the way to it, Newton steps, and whether the
-        minimum was reached."""
+        """The grid at, or on the way to, the minimum of the energy over all nodes; the number of Newton steps; and
+        whether the minimum was reached."""
 
         def make() -> Search | None:
             whole = self._whole(self.basis)
@@ -159,7 +159,7 @@ class Repairer:
             return start, 0, False
         end = self._moved(start, found)
         if not end.verdict.valid and found.untangled is not None:
-            # On the way to a minimum out of reach, cells may become invalid between the samples.
+            # On the way to a minimum that is not reached, cells may become invalid between their samples.
             end = self._moved(start, replace(found, shift=found.untangled))
         return end, found.steps, found.succeeded
 

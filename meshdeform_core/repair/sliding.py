@@ -16,8 +16,8 @@ _CREASE = np.cos(np.deg2rad(30.0))
 
 @dataclass(frozen=True, eq=False)
 class Sliding:
-    """One curved surface with the unique nodes (n,) that may slide on it; ``normal`` (3,) is that of a plane grid or
-    zero."""
+    """A curved surface and the unique nodes (n,) that may slide on it; ``normal`` (3,) is that of a plane grid, zero in
+    3-D."""
 
     surface: CurvedSurface
     nodes: IntArray
@@ -32,23 +32,24 @@ class Sliding:
         return cls(surface, surface.nodes[free[surface.nodes] & smooth], plane)
 
     def normals(self, points: FloatArray) -> FloatArray:
-        """Unit normals (k, 3) of the surface next to ``points`` (k, 3)."""
+        """Unit normals (k, 3) of the surface at its points nearest to ``points`` (k, 3)."""
         triangle, weights, _ = self.surface.tree.closest(points)
         corners = self._vertex_normals[self.surface.triangles[triangle]]
-        # Blocks may number the nodes of their sides in opposite senses.
+        # Triangles of different blocks may be oriented in opposite senses.
         sense = np.sign(np.einsum("ncd,nd->nc", corners, self._triangle_normals[triangle]))
         mean = np.einsum("nc,ncd->nd", weights * sense, corners)
         return np.asarray(mean / np.maximum(np.linalg.norm(mean, axis=1), 1e-300)[:, None])
 
     def project(self, points: FloatArray) -> FloatArray:
-        """The closest points (k, 3) of the surface."""
+        """The points (k, 3) of the surface closest to ``points`` (k, 3)."""
         triangle, weights, _ = self.surface.tree.closest(points)
         corners = self.surface.points[self.surface.triangles[triangle]]
         return np.asarray(np.einsum("nc,ncd->nd", weights, corners))
 
     @cached_property
     def _triangle_normals(self) -> FloatArray:
-        """Normals (m, 3), as long as triangles are large; of curves in a plane, as segments are long."""
+        """Normals (m, 3) whose length is the area of each triangle, or the length of each segment of a plane curve, up
+        to a factor."""
         a, b, c = (self.surface.points[self.surface.triangles[:, n]] for n in range(3))
         return np.asarray(np.cross(b - a, self.normal) if self.normal.any() else np.cross(b - a, c - a))
 

@@ -1,8 +1,8 @@
-"""Numbers of the energy of repairs that were tuned together, and the studies that measure them.
+"""Parameters of the repair energy that were tuned together, and the studies that measure them.
 
-How good repaired grids are: ``studies/robustness_table.py``, ``studies/random_flows.py`` and
-``studies/default_method.py``; how smoothly they move: ``studies/smoothness.py``. Results are in docs/validity.md and
-docs/series.md. Whoever changes one number runs these studies for all of them.
+``studies/robustness_table.py``, ``studies/random_flows.py`` and ``studies/default_method.py`` measure the quality of
+repaired grids, ``studies/smoothness.py`` how smoothly they move; results are in docs/validity.md and docs/series.md.
+After changing any parameter, run all of these studies.
 """
 
 import numpy as np

@@ -1,10 +1,10 @@
 """Weights of cells in a repair: cells near walls follow the wall, and boundary layers keep their heights.
 
-With equal weights, the minimum of the energy concentrates shear at a rotating wall (in a ring, as 1 / r^2), where first
-cells would lose nine tenths of their height. Weights that fall with a high power of distance reverse that.
+With equal weights, the minimum of the energy concentrates shear at a rotating wall (in a ring, like 1 / r^2), where
+first cells would lose nine tenths of their height. Weights that decay with a high power of distance reverse that.
 
 Where a grid is squeezed, the largest distortion is smallest if all cells share it, boundary layers included. Thin cells
-therefore have larger weights, at fixed walls, too; this costs little, as they take up little of the space.
+therefore have larger weights, also at fixed walls; this costs little, as they take up little space.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ UNLIMITED = 1 << 14
 
 
 def nearness(layers: np.ndarray) -> FloatArray:
-    """(n,) distance of nodes from walls relative to the reach of walls, at most 1; 1 without walls.
+    """Distance (n,) of nodes from walls relative to the reach of walls, at most 1; 1 without walls.
 
-    ``layers`` (n,) are the distances in cells, -1 where no wall can be reached.
+    ``layers`` (n,) are the distances in cells, -1 where no wall is connected.
     """
     reach = max(1.0, min(REACH, SHARE * int(layers.max(initial=0))))
     return np.where(layers < 0, 1.0, np.minimum((layers + 1.0) / reach, 1.0)).astype(np.float64)

@@ -30,12 +30,12 @@ from .steps import (
 from .uniqueness import compared
 
 MAX_HALVINGS = 8
-# The same for steps with a repair each, which are far more expensive.
+# As MAX_HALVINGS, for steps with a repair each, which are far more expensive.
 MAX_REPAIRED_HALVINGS = 4
 MAX_ATTEMPTS = 24
-"""Largest number of steps tried with repairs, so that hopeless cases end."""
+"""Largest number of steps tried with repairs, to bound the time spent on hopeless cases."""
 _BEFORE = 0.9
-"""Where the boundary crosses itself, this share of the motion before that point is tried and reported to the user."""
+"""If the boundary crosses itself, this fraction of the motion up to that point is tried and reported to the user."""
 RESCUE = "rbf-tfi"
 """The method tried when the chosen one finds no valid grid: it succeeds most often."""
 SQUEEZED = ("tfi", RESCUE)
@@ -54,8 +54,8 @@ def in_equal_steps(course: Course, count: int) -> Reached:
 def adaptively(course: Course) -> Reached:
     """Impose the motion in one step if that keeps the grid valid; else halve this step and all that follow.
 
-    Stops at the last valid grid when no step succeeds any more. Where the number of steps changes, a moving grid jumps:
-    a series says so.
+    Stops at the last valid grid when no step succeeds any more. A moving grid jumps where the number of steps changes,
+    of which a series warns.
     """
     state = beginning(course, course.setup.case.method)
     # Steps that are halved until they succeed are never too large.
@@ -78,15 +78,15 @@ def adaptively(course: Course) -> Reached:
 
 
 def until_valid(course: Course) -> Reached:
-    """Try one step with a repair, quick and then patient, then smaller steps with a repair in each, then the same with
-    another method. Where the boundary alone shows that no valid grid exists, one step and a part of the motion, each
-    with a short repair, are all that is tried.
+    """Try one step with a quick, then with a patient repair, then smaller steps with a repair in each, then the same
+    with another method. If the boundary alone shows that no valid grid exists, only one step and a part of the motion
+    are tried, each with a short repair.
 
-    Smaller steps and other methods are ways to a valid grid; from there the minimum is searched that the repair of one
-    step with the chosen method defines, so that the result does not depend on which way succeeds. Where that minimum
-    is not found, the grid found is kept; if it is nearly collapsed, the best one of several methods.
-    If nothing helps, the grid with the fewest invalid cells is kept, with its boundary where it was prescribed; the
-    warnings say why, and for what part of the motion a valid grid was found.
+    Smaller steps and other methods only serve to reach a valid grid. From there, the search is for the minimum that the
+    repair of a single step with the chosen method defines, so that the result does not depend on which attempt
+    succeeded. If that minimum is not found, the valid grid is kept, or, if it is nearly collapsed, the best one of
+    several methods. If nothing succeeds, the grid with the fewest invalid cells is kept, with its boundary as
+    prescribed; the warnings say why, and for which part of the motion a valid grid was found.
     """
     state = beginning(course, course.setup.case.method)
     course.log.warn(*warnings_ahead(state, 0.0))
@@ -113,8 +113,8 @@ def until_valid(course: Course) -> Reached:
 
 
 def _persistently(first: Trial) -> Trial | State:
-    """After a quick repair has failed: the best grid of one step, or what smaller steps have reached if that is the
-    whole motion."""
+    """After a failed quick repair: the best grid of one step, or the state that smaller steps have reached if that is
+    the whole motion."""
     course, options = first.state.course, first.state.options
     best = insist(first)
     if best.valid:
@@ -155,7 +155,7 @@ def _enough(course: Course) -> bool:
 
 
 def _with_other_methods(course: Course, names: tuple[str, ...], chosen: Options) -> Iterator[Trial]:
-    """One step with each of some methods that fits into memory and is not the chosen one."""
+    """One step with each of the named methods, except the chosen one and any that does not fit into memory."""
     for name in names:
         if name == chosen.name or _enough(course):
             continue
@@ -167,8 +167,8 @@ def _with_other_methods(course: Course, names: tuple[str, ...], chosen: Options)
 
 @dataclass(frozen=True)
 class _Impossible:
-    """Why no valid grid exists, as far as the boundary alone shows it, and the ``fraction`` of the motion up to which
-    that does not."""
+    """``reasons`` visible in the boundary alone why no valid grid exists, and the ``fraction`` of the motion up to
+    which there are none."""
 
     reasons: list[str]
     fraction: float

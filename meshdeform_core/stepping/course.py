@@ -1,4 +1,4 @@
-"""A motion to impose: what is the same for all of its steps, and the log of what was tried."""
+"""A motion to impose: data common to all of its steps, and the log of attempts."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from ..repair.repair import Repairer
 from ..setup import BoundaryMotion, Setup, Start, Timing
 
 _FEWEST_UNITS = 100
-"""A motion of fewer units in the last place of the coordinates is rounded visibly."""
+"""Below this many units in the last place of the coordinates, a motion is visibly rounded."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Log:
 class LastPrepared:
     """The method prepared last and the grid that it was prepared on.
 
-    Steps from the same grid share it. Only one is kept: two dense systems may not fit into memory.
+    Steps from the same grid share it. Only one is kept, as two dense systems may not fit into memory.
     """
 
     def __init__(self) -> None:
@@ -68,7 +68,7 @@ class LastPrepared:
         return last[2] if last and last[0] is points and last[1] is options else None
 
     def put(self, points: FloatArray, options: Options, prepared: PreparedMethod | None) -> None:
-        """Keep this method instead of the last one; with ``None``, none."""
+        """Replace the method kept; ``None`` keeps none."""
         self._last = None if prepared is None else (points, options, prepared)
 
 
@@ -79,10 +79,10 @@ class Course:
     Attributes
     ----------
     path : displacement of the boundary at a fraction of the motion
-    precision : of the coordinates that will be written; verdicts are about those
+    precision : of the coordinates that will be written, to which verdicts apply
     start : the grid from which the motion is imposed
-    limit : of the time that repairs and further attempts take
-    log : what has been tried
+    limit : limit on the time and work of repairs and further attempts
+    log : attempts and warnings
     """
 
     setup: Setup
@@ -107,12 +107,13 @@ class Course:
 
     @cached_property
     def begin(self) -> FloatArray:
-        """Displacement (n_unique, 3) of the boundary in the starting grid: exactly zero in the undeformed one."""
+        """Displacement (n_unique, 3) of the boundary in the starting grid, exactly zero if it is undeformed."""
         first, undeformed, points = self.setup.topology.first, self.setup.grid.points, self.start.points
         return np.zeros((len(first), 3)) if points is undeformed else points[first] - undeformed[first]
 
     def prescribed(self, fraction: float) -> FloatArray:
-        """Boundary displacement at a fraction: along the motion's path from the undeformed grid, else linear."""
+        """Boundary displacement (n_unique, 3) at a fraction of the motion: along the motion's path if it starts from
+        the undeformed grid, otherwise linear."""
         if fraction == 1.0:
             return self.total
         if not self.begin.any():
@@ -128,15 +129,15 @@ class Course:
 
     @cached_property
     def repairer(self) -> Repairer:
-        """Repairs cells relative to the undeformed grid."""
+        """The repairer, which compares cells with the undeformed grid."""
         setup = self.setup
-        # Not `self.rounded`: arrays of objects that refer to each other stay until the collector runs.
+        # Not `self.rounded`: with a reference cycle, large arrays would stay until the garbage collector runs.
         written = partial(rounded, precision=self.precision)
         return Repairer(setup.undeformed.repairs, written, setup.memory, self.progress, self.limit)
 
     @cached_property
     def components(self) -> tuple[tuple[Component, Course], ...]:
-        """The same motion of every component of an overset grid by itself; none if all blocks are one."""
+        """The motion of each component of an overset grid; empty if the blocks form a single component."""
         whole, start, parts = self.setup, self.start, self.setup.undeformed.components
         methods = start.prepared.methods if isinstance(start.prepared, PreparedComponents) else (None,) * len(parts)
         found = []
@@ -158,7 +159,7 @@ class Course:
 
     @property
     def polishing(self) -> bool:
-        """Whether it asks for better cells than valid ones."""
+        """Whether the case asks for better cells even in a valid grid."""
         return self.setup.case.repair.mode == "polish"
 
 
@@ -173,9 +174,9 @@ def _part_of(component: Component, whole: Grid, correction: Callable[[], FloatAr
 
 
 def doubts(course: Course, one_of_many: bool) -> Sequence[str]:
-    """Warnings about a motion before it is imposed; of ``one_of_many`` levels, one may have no displacement."""
+    """Warnings about a motion before it is imposed; ``one_of_many`` levels may have zero displacement unwarned."""
     boundary, largest = course.setup.boundary, course.max_displacement
-    # Tables of a sequence are read only when their time comes.
+    # Tables of a sequence are read only when their time is reached.
     found = first_of_each_kind(boundary.tables.warnings(), map(kind_of, course.setup.warnings))
     if not one_of_many and largest == 0.0:
         found.append("nothing moves: the displacement is zero everywhere")

@@ -32,19 +32,19 @@ class Coordinates:
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """The grid that has been reached at a fraction of the motion, and the method that goes on from it.
+    """The grid reached at a fraction of the motion, and the method that continues from it.
 
     Attributes
     ----------
     points : (n_nodes, 3)
-    moved : (n_unique, 3) displacement of the boundary that is imposed already
-    steps : number of steps that led here
+    moved : (n_unique, 3) displacement of the boundary imposed so far
+    steps : number of steps so far
     last : the grid as judged after the last step; ``None`` at the beginning
-    account : of the method in the last step
+    account : account of the method in the last step
     notices : the method's warnings in all steps, the last one of each kind
-    repairs : of all steps
+    repairs : repairs in all steps
     first_bad : cell number -> the step that made it invalid
-    plain : (n_nodes, 3) the grid before the repair, if one step with a repair of the chosen method led here
+    plain : (n_nodes, 3) the grid before the repair, if a single repaired step with the chosen method led here
     """
 
     course: Course
@@ -73,7 +73,7 @@ class State:
 
 
 class Reached(NamedTuple):
-    """The state kept in the end, and the step that failed if it was not the whole motion."""
+    """The state kept in the end, and the failed step if it is not the whole motion."""
 
     state: State
     failed: Trial | None = None
@@ -83,8 +83,8 @@ class Reached(NamedTuple):
 class Trial:
     """A step from a state that may be accepted.
 
-    ``plain`` is the grid that a repair would start from, ``found`` the grid after the ``repair``, the same if there was
-    none; ``account`` is the method's.
+    ``plain`` is the grid that a repair starts from; ``found`` is the grid after the ``repair``, or ``plain`` itself
+    without a repair; ``account`` is that of the method.
     """
 
     state: State
@@ -116,7 +116,7 @@ def beginning(course: Course, options: Options) -> State:
 
 
 def warnings_ahead(state: State, first: float) -> list[str]:
-    """The method's warnings for the rest of the motion, in steps of which the first is a fraction ``first``."""
+    """The method's warnings for the rest of the motion, whose first step is the fraction ``first`` of it."""
     course = state.course
     sources = course.setup.problem.source_numbers
     motion, step = ((course.prescribed(part) - state.moved)[sources] for part in (1.0, first))
@@ -129,7 +129,7 @@ def step(state: State, fraction: float, ways: tuple[Way, ...] = QUICKLY) -> Tria
 
 
 def plain_step(state: State, fraction: float) -> Trial:
-    """The same without a repair."""
+    """As :func:`step`, without a repair."""
     course, prepared = state.course, prepared_on(state)
     increment = (course.prescribed(fraction) - state.moved)[course.setup.problem.source_numbers]
     with course.timing.stage("apply"):
@@ -140,7 +140,7 @@ def plain_step(state: State, fraction: float) -> Trial:
 
 
 def repaired(trial: Trial, ways: tuple[Way, ...] = QUICKLY) -> Trial:
-    """A plain trial, repaired if its cells need that and the case asks for it."""
+    """A plain trial, repaired if its cells need it and the case asks for it."""
     course, plain = trial.state.course, trial.plain
     if not course.repairing:
         return trial
@@ -154,21 +154,21 @@ def repaired(trial: Trial, ways: tuple[Way, ...] = QUICKLY) -> Trial:
 
 
 def settled(trial: Trial, points: FloatArray) -> Trial | None:
-    """The minimum that a repair of a plain trial should find, searched from a valid grid (n_nodes, 3) that was made in
-    another way; ``None`` if it is not found."""
+    """The minimum that the repair of a plain trial should find, searched for from ``points`` (n_nodes, 3), a valid grid
+    obtained otherwise; ``None`` if it is not found."""
     plain = dataclasses.replace(trial, found=trial.plain, repair=None)
     found = _repaired(plain, (), points - trial.plain.points, trial.state.course.polishing)
     return found if found.repair and found.repair.converged else None
 
 
 def patient_step(state: State, fraction: float) -> Trial:
-    """A step whose repair, where it fails, is done once more with patience."""
+    """A step whose repair is repeated with a patient strategy if it fails."""
     trial = step(state, fraction)
     return insist(trial) if state.course.repairing and not trial.valid else trial
 
 
 def insist(trial: Trial) -> Trial:
-    """Repair the plain grid of a trial once more, with more patience; returns the better of both."""
+    """Repair the plain grid of a trial again, with a patient strategy; returns the better of the two results."""
     course = trial.state.course
     if course.limit.reached:
         return trial
@@ -219,7 +219,7 @@ def _add(state: State, moved: FloatArray) -> None:
 
     def add(rows: slice) -> None:
         np.add(state.points[rows], moved[rows], out=moved[rows])
-        # While they are in the cache: what is no number passes all tests of cells.
+        # Checked here, while rows are in the cache, as not-a-number passes all tests of cells.
         if not np.isfinite(moved[rows].sum()):
             _require_finite(state, moved[rows], rows.start)
 
@@ -236,7 +236,8 @@ def _require_finite(state: State, points: FloatArray, first: int) -> None:
 
 
 def _judged(course: Course, fraction: float, points: FloatArray) -> Coordinates:
-    """At the end of the motion all quality measures are taken at once: usually this grid is the result."""
+    """The coordinates with their verdict; at the end of the motion also all quality measures, as the grid is usually
+    the result."""
     original, final = course.setup.original, course.rounded(points)
     with course.timing.stage("quality"):
         if fraction < 1.0:
@@ -246,7 +247,7 @@ def _judged(course: Course, fraction: float, points: FloatArray) -> Coordinates:
 
 
 def _smallest_scaled(course: Course, found: Coordinates) -> float:
-    """The smallest scaled Jacobian, which polishing must not lower: it minimises another measure of cells."""
+    """The smallest scaled Jacobian, which polishing must not reduce although it minimises another measure."""
     cells = found.cells or Comparison(course.setup.original, course.rounded(found.points))
     return cells.after.smallest_scaled[1]
 
@@ -271,5 +272,5 @@ def _noted(trial: Trial, repair: bool) -> Trial:
 
 
 def _copy(account: Account) -> Account:
-    """The account as it is now: a prepared method changes its own with every displacement."""
+    """A copy of the account, as a prepared method changes its own with every displacement."""
     return Account(dict(account.settings), dict(account.notices))

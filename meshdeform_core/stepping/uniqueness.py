@@ -1,7 +1,8 @@
-"""Whether the minimum that a repair has found is the only one: another start is tried, where that costs little.
+"""Whether the minimum that a repair has found is the only one: another start is tried where that costs little.
 
-No start proves that there is no other minimum. The two that users meet are compared: the grid of the method alone, from
-which a single run begins, and a repaired grid of a part of the motion, from which a level of a series begins.
+No number of starts proves that there is no other minimum. The two that occur in practice are compared: the grid of the
+method alone, from which a single run starts, and the repaired grid of a part of the motion, from which a level of a
+series starts.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from .course import Course
 from .steps import Trial, prepared_on
 
 SAME = 1e-3
-"""Two grids are the same minimum where no node differs by more than this share of its shortest edge."""
+"""Two grids are the same minimum if no node differs by more than this fraction of its shortest edge."""
 _PART, _PARTS = 0.875, 12
 """A motion is followed from the largest of the first _PARTS powers of _PART of it at which the method alone keeps the
 grid valid, by steps of which the first is 1 - _PART, the smallest _SHORTEST."""
@@ -32,7 +33,7 @@ FOLLOWED = 50_000
 
 
 def compared(trial: Trial) -> Trial:
-    """The same with ``repair.unique`` set where another start was tried; where that led elsewhere, a warning."""
+    """The trial with ``repair.unique`` set if another start was tried; warns if that led to a different minimum."""
     course, repair = trial.state.course, trial.repair
     if repair is None or not repair.converged or course.polishing or course.limit.reached:
         return trial
@@ -62,9 +63,9 @@ def _from_another_start(trial: Trial) -> Outcome | None:
 
 
 def _follow(trial: Trial) -> Outcome | None:
-    """The minimum at the end of the motion, followed from a part of it at which the method keeps all cells valid.
+    """The minimum at the end of the motion, followed from a part of the motion at which the method keeps cells valid.
 
-    Every step is so short that the correction of the last one keeps the grid valid, too; ``None`` where that fails.
+    Every step is short enough for the grid to remain valid with the previous step's repair; ``None`` if that fails.
     """
     course, repairer = trial.state.course, trial.state.course.repairer
     parts = (_PART**power for power in range(1, _PARTS + 1))
@@ -102,6 +103,6 @@ def _plain(trial: Trial, fraction: float) -> FloatArray:
 
 
 def _distance(trial: Trial, points: FloatArray) -> float:
-    """The largest distance of a node from its place in ``points`` (n_nodes, 3), in local edges."""
+    """The largest distance of a node from its position in ``points`` (n_nodes, 3), relative to local edges."""
     edges = shortest_edges(trial.state.course.setup.grid)
     return float((lengths(trial.found.points - points) / edges).max())

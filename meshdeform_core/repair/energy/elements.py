@@ -21,9 +21,9 @@ from ...numerics.cell.foldover.samples import Samples, shortest_edges
 from ..tuned import HEALTHY, NORM, SOFT
 
 COLLAPSED = 1e-10
-"""A corner whose Jacobian is below this share of the product of its edges is collapsed."""
+"""A corner whose Jacobian is below this fraction of the product of its edges is collapsed."""
 _CORNERS = (1 << 8) - 1
-# Work, measured, for the derivatives at one sample of a hexahedron, and of a triangle.
+# Measured work for the derivatives at one sample of a hexahedron, and of a triangle, in the unit of limit.py.
 _SAMPLE, _TRIANGLE = 0.9, 0.4
 
 
@@ -39,8 +39,11 @@ class Penalty(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """The rows ``first <= row < last`` of a block-sparse matrix: ``columns`` of row r from ``starts[r]`` on, ``matrix``
-    (n_blocks, d, d) the blocks of these rows, ``gradient`` (n_unknowns, d) of all rows."""
+    """The rows ``first <= row < last`` of a block-sparse matrix.
+
+    The ``columns`` of row r begin at ``starts[r]``; ``matrix`` (n_blocks, d, d) holds the blocks of these rows,
+    ``gradient`` (n_unknowns, d) all rows.
+    """
 
     first: int
     last: int
@@ -56,7 +59,7 @@ class Rows(NamedTuple):
 
 
 class Energy(Protocol):
-    """A sum over elements, each of which depends on some nodes: ``nodes`` (m, k)."""
+    """A sum over m elements, each of which depends on k nodes, ``nodes`` (m, k)."""
 
     @property
     def nodes(self) -> IntArray: ...
@@ -67,7 +70,7 @@ class Energy(Protocol):
         ...
 
     def edges(self) -> FloatArray:
-        """(n,) the shortest undeformed edge of non-zero length at every node, infinite where there is none."""
+        """Length (n,) of the shortest undeformed edge at every node, ignoring zero lengths; infinite if none."""
         ...
 
     def softened(self, power: float) -> Energy:
@@ -75,7 +78,7 @@ class Energy(Protocol):
         ...
 
     def excess(self, x: FloatArray) -> FloatArray:
-        """(m,) the excess of the elements, see :mod:`.onset`."""
+        """Excess (m,) of the elements, see :mod:`.onset`."""
         ...
 
     def sum(
@@ -93,8 +96,8 @@ class Energy(Protocol):
     def products(
         self, x: FloatArray, penalty: Penalty, change: FloatArray, share: float, between: FloatArray
     ) -> tuple[FloatArray, float, FloatArray]:
-        """Change (n, d) of the gradient for a ``change`` (n, d) of ``x``, of the share, and of the shares (m,) of
-        samples between corners; and the transpose with respect to the shares.
+        """Change (n, d) of the gradient for changes of ``x`` (n, d), of the share, and of the shares ``between`` (m,)
+        of samples between corners; and the transposes with respect to the two kinds of shares.
 
         See :func:`..numerics.cell.foldover.tangents.products_of_cells`."""
         ...
@@ -108,11 +111,11 @@ class Energy(Protocol):
         ...
 
     def matrices(self, x: FloatArray) -> FloatArray:
-        """Jacobian matrices (m, d, d) of the maps from undeformed elements; for hexahedra their means."""
+        """Jacobian matrices (m, d, d) of the maps from undeformed elements, averaged over each hexahedron."""
         ...
 
     def stretched(self, stretch: FloatArray) -> Energy:
-        """The energy relative to undeformed elements after a linear map (m, d, d) of each."""
+        """The energy relative to undeformed elements to each of which a linear map ``stretch`` (m, d, d) is applied."""
         ...
 
 
@@ -122,8 +125,8 @@ class Hexahedra:
 
     Attributes
     ----------
-    start, own : (k, 3) undeformed coordinates, and those (m, 8) of each cell
-    nodes : (m, 8) as in :func:`..numerics.cell.foldover.samples.cell_samples`
+    start, own : (k, 3) undeformed coordinates, and the rows (m, 8) of each cell's corners
+    nodes : (m, 8) nodes of each cell, in the order of :func:`..numerics.cell.foldover.samples.cell_samples`
     mask : (m,) int64, bit s set where sample point s counts
     samples : the sample points
     weight : (m,) of the cells
@@ -184,7 +187,7 @@ class Hexahedra:
 
     def matrices(self, x: FloatArray) -> FloatArray:
         before = _edges(self.start, self.own)
-        # Flat cells have no shape to compare with.
+        # Undeformed cells without volume have no shape to compare with.
         before[np.linalg.det(before) == 0.0] = np.eye(3)
         return np.asarray(_edges(x, self.nodes) @ np.linalg.inv(before))
 
@@ -204,8 +207,11 @@ class Hexahedra:
 
 @dataclass(frozen=True)
 class Triangles:
-    """The energy of the corners of quadrilaterals, as triangles of ``nodes`` (m, 3): ``slope`` (m, 3, 2) gradients of
-    the shape functions in the undeformed grid, ``start`` (n, 2) undeformed coordinates, ``weight`` (m,) of cells."""
+    """The energy of the corners of quadrilaterals, as triangles of ``nodes`` (m, 3).
+
+    ``slope`` (m, 3, 2) are the gradients of the shape functions in the undeformed grid, ``start`` (n, 2) undeformed
+    coordinates, ``weight`` (m,) the weights of the cells.
+    """
 
     nodes: IntArray
     slope: FloatArray
@@ -276,7 +282,7 @@ class Triangles:
 
 
 def _edges(x: FloatArray, nodes: IntArray) -> FloatArray:
-    """Mean edges of hexahedra along their index axes, as the columns of matrices (m, 3, 3)."""
+    """Mean edge vectors of hexahedra along their index axes, as columns of matrices (m, 3, 3)."""
     corners = x[nodes].reshape(-1, 2, 2, 2, 3)
     means = [np.diff(corners, axis=axis).mean(axis=(1, 2, 3)) for axis in (1, 2, 3)]
     return np.stack(means, axis=-1)

@@ -17,7 +17,7 @@ from .region import Region
 
 # Unknowns per call of a loop.
 _ROWS = 2048
-# Work of one block in a product with the matrix, in the units of limit.py; measured.
+# Measured work of one block in a product with the matrix, in the unit of limit.py.
 _BLOCK = 0.0045
 
 
@@ -25,13 +25,13 @@ class NewtonSystem:
     """Gradient and Hessian of a region's energy, computed anew for every step by ``fill``.
 
     The Hessian is scaled from both sides by the inverse Cholesky factors of its diagonal blocks and stored in single
-    precision, which makes steps slightly inexact and nothing else. :mod:`.products` preconditions it further.
+    precision, which only makes steps slightly inexact. :mod:`.products` preconditions it further.
 
     Attributes
     ----------
     unknowns : how the region's nodes depend on the unknowns, at the coordinates of the last ``fill``
     gradient : (n_unknowns, d) of the energy there
-    work : cost of one iteration, in the units of :mod:`..limit`
+    work : cost of one iteration, in the unit of :mod:`..limit`
     iterations : number of iterations that the last ``direction`` took
     """
 
@@ -67,7 +67,7 @@ class NewtonSystem:
     def fill(self, region: Region, x: FloatArray, reference: FloatArray, penalty: Penalty) -> bool:
         """Compute gradient and scaled Hessian at the coordinates ``x`` (n, d); see :mod:`...numerics.cell.foldover`.
 
-        ``region`` is the one that the system was made for; only the weights of its samples may have changed.
+        ``region`` must be the one that the system was made for, except for the weights of its samples.
         Returns ``False`` if a diagonal block is not positive definite, which cannot happen with the convex part of the
         energy alone.
         """
@@ -95,7 +95,7 @@ class NewtonSystem:
         """The Newton step (n_unknowns, d), and whether the Hessian was convex along all directions searched.
 
         Conjugate gradients take at most ``most`` iterations, until ``|r| <= tolerance |b|`` after preconditioning. They
-        stop at a direction of negative curvature; the step found until then descends.
+        stop at a direction of negative curvature; the step found up to there is a descent direction.
         """
         factor, products = self._factor, self._products
         r = products.begin(-np.einsum("nij,nj->ni", factor, self.gradient))
@@ -127,10 +127,10 @@ class NewtonSystem:
 
 @kernel
 def factor_diagonal(blocks, rows, freedom, factor):
-    """Fill ``factor`` with the inverse Cholesky factors of diagonal blocks; returns how many pivots were negative.
+    """Fill ``factor`` with the inverse Cholesky factors of diagonal blocks; return the number of negative pivots.
 
     ``rows`` as in :func:`...numerics.cell.foldover.hexahedra.add_derivatives`. ``freedom`` (n, d, d) projects onto the
-    directions in which an unknown may move; in the others it gets the trace of its block as stiffness.
+    directions in which an unknown may move; in all others, the trace of its block serves as stiffness.
     """
     first, last, starts, columns = rows
     size, bad = freedom.shape[1], 0
@@ -147,7 +147,7 @@ def factor_diagonal(blocks, rows, freedom, factor):
         for d in range(size):
             for e in range(d + 1):
                 a[d, e] += ((1.0 if d == e else 0.0) - freedom[row, d, e]) * trace
-        # The factor, in the lower triangle of f, and then its inverse, column by column.
+        # First the factor, in the lower triangle of f, then its inverse, column by column.
         for d in range(size):
             for e in range(d + 1):
                 total = a[d, e]
@@ -178,7 +178,7 @@ def scale_left(blocks, rows, factor):
         f = factor[row]
         for at in range(starts[row] - starts[first], starts[row + 1] - starts[first]):
             block = blocks[at]
-            # F is a lower triangle: from below, nothing is overwritten before it is needed.
+            # F is lower triangular: from the last row up, nothing is overwritten before it is needed.
             for d in range(size - 1, -1, -1):
                 for e in range(size):
                     total = f[d, d] * block[d, e]
@@ -204,7 +204,7 @@ def scale_right(matrix, starts, columns, factor, low, high):
 
 @kernel
 def advance_rows(y, r, p, image, length, low, high):
-    """A step of conjugate gradients for entries low <= i < high of ``y`` and ``r``; their part of the new ``r . r``."""
+    """Update entries low <= i < high of ``y`` and ``r`` in a conjugate gradient step; return their part of r . r."""
     total = 0.0
     for i in range(low, high):
         y[i] += length * p[i]

@@ -1,6 +1,6 @@
-"""The onset of a repair: no effect while all cells are healthy, and a smoothly growing one as they become weak.
+"""The onset of a repair: no effect while all cells are healthy, and a smoothly growing effect as they become weak.
 
-A repair that set in at a threshold would make a moving grid jump when the threshold is passed. The energy of the cells
+A repair with a sharp threshold would make a moving grid jump when the threshold is passed. The energy of the cells
 is therefore weighted, against the elastic energy that holds the grid, by a *share* that grows as a power of the
 *excess* of the grid: the norm of log(f / HEALTHY) over all corners, with f regularised to stay finite on inversion.
 """

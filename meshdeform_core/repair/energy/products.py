@@ -1,14 +1,14 @@
 """Products of the matrix of a Newton step, and its preconditioning, in conjugate gradients.
 
-A symmetric matrix A of square blocks, those of its diagonal one, is cut into ranges of rows. With L its lower part
-inside the ranges, and E what is outside them, A = I + L + L^T + E. Conjugate gradients solve
+A symmetric matrix A of square blocks with unit diagonal is divided into ranges of rows: A = I + L + L^T + E, where L is
+the strictly lower part within the ranges, and E couples different ranges. Conjugate gradients solve
 
     (I + L)^-1 A (I + L^T)^-1 y = (I + L)^-1 b,    x = (I + L^T)^-1 y,
 
-whose matrix needs every block once (Eisenstat, Efficient implementation of a class of preconditioned conjugate gradient
-methods, SIAM J. Sci. Stat. Comput. 2, 1981): with t = (I + L^T)^-1 p it takes p to t + (I + L)^-1 (p - t + E t).
-In plane grids that takes a third of the iterations, which are hardly more costly. With blocks of 3 x 3 sweeps take more
-than twice as long as a product and save no more, so that there the matrix is taken as it is.
+whose matrix is applied with one pass over the blocks (Eisenstat, Efficient implementation of a class of preconditioned
+conjugate gradient methods, SIAM J. Sci. Stat. Comput. 2, 1981): with t = (I + L^T)^-1 p, the image of p is
+t + (I + L)^-1 (p - t + E t). In plane grids this takes a third of the iterations, each hardly more costly. With 3 x 3
+blocks the sweeps take more than twice as long as a product and save no more than that, so A itself is used.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from ...numerics.jit import kernel
 from ...parallel import for_chunks
 
 _LONG = 1 << 16
-# Rows in the ranges, each of which one thread sweeps through.
+# Number of rows in a range; a thread sweeps through a whole range.
 _SWEPT = 1 << 15
 
 Matrix = tuple[NDArray[np.float32], IntArray, IntArray]
@@ -33,14 +33,14 @@ Matrix = tuple[NDArray[np.float32], IntArray, IntArray]
 
 
 class Products(Protocol):
-    """Of the preconditioned matrix with vectors (n, d)."""
+    """Products of the preconditioned matrix with vectors (n, d)."""
 
     def begin(self, b: FloatArray) -> FloatArray:
         """The right-hand side of the preconditioned system."""
         ...
 
     def multiply(self, p: FloatArray, image: FloatArray) -> float:
-        """Fill the ``image`` of ``p``; returns ``p . image``."""
+        """Fill ``image`` with the product of the matrix and ``p``; return ``p . image``."""
         ...
 
     def end(self, y: FloatArray) -> FloatArray:
@@ -49,7 +49,7 @@ class Products(Protocol):
 
 
 class Plain:
-    """Of the matrix as it is, with blocks of 3 x 3."""
+    """Products of the matrix itself, with 3 x 3 blocks."""
 
     def __init__(self, matrix: Matrix) -> None:
         self._matrix = matrix
@@ -65,7 +65,7 @@ class Plain:
 
 
 class Swept:
-    """Of the matrix between its triangular factors, with blocks of 2 x 2."""
+    """Products of the matrix between triangular factors, with 2 x 2 blocks."""
 
     def __init__(self, matrix: Matrix) -> None:
         self._matrix, self._t = matrix, np.zeros((len(matrix[1]) - 1, 2))
@@ -104,7 +104,7 @@ def sum_over_rows(work: Callable[[int, int], float], n: int, chunk: int = _LONG)
 
 @kernel
 def multiply_rows(matrix, starts, columns, p, image, low, high):
-    """The rows low <= i < high of the product of the matrix and ``p`` (n, 3); returns their share of ``p . image``."""
+    """Rows low <= i < high of the product of the matrix and ``p`` (n, 3); return their part of ``p . image``."""
     total = 0.0
     for row in range(low, high):
         x = y = z = 0.0
@@ -138,7 +138,7 @@ def sweep_back(matrix, starts, columns, p, t, low, high):
 @kernel
 def sweep_on(matrix, starts, columns, p, t, image, low, high):
     """``image = t + (I + L)^-1 (p - t + E t)`` in the range low <= i < high, after :func:`sweep_back` of all ranges;
-    returns its share of ``p . image``."""
+    return its part of ``p . image``."""
     for row in range(low, high):
         x, y = p[row, 0] - t[row, 0], p[row, 1] - t[row, 1]
         for at in range(starts[row], starts[row + 1]):

@@ -14,8 +14,8 @@ from .elements import Energy
 
 
 class Slide(NamedTuple):
-    """Nodes (k,) that stay on a surface: functions of coordinates (k, d) for its unit ``normals`` (k, d), and for the
-    projection ``back`` onto it."""
+    """Nodes (k,) that remain on a surface: ``normals`` returns its unit normals (k, d) near coordinates (k, d),
+    ``back`` projects coordinates onto it."""
 
     nodes: IntArray
     normals: Callable[[FloatArray], FloatArray]
@@ -24,9 +24,9 @@ class Slide(NamedTuple):
 
 @dataclass(frozen=True)
 class Region:
-    """Cells whose nodes are moved. Nodes have local numbers and coordinates (n, d) in space or in the plane.
+    """Cells whose nodes are moved; nodes have local numbers and coordinates (n, d) in space or in the plane.
 
-    ``fixed`` (n_unknowns, d, d) projects on the directions in which unknowns may move; it does not include ``slides``.
+    ``fixed`` (n_unknowns, d, d) projects onto the directions in which unknowns may move, ignoring ``slides``.
     """
 
     energy: Energy
@@ -47,7 +47,7 @@ class Region:
         return self.unknowns.number
 
     def directions(self, x: FloatArray) -> tuple[Unknowns, FloatArray]:
-        """Dependence of nodes at ``x`` (n, d) on the unknowns, and the projectors on the directions of the latter."""
+        """Dependence of nodes at ``x`` (n, d) on the unknowns, and projectors onto the directions of these."""
         if not self.slides:
             return self.unknowns, self.fixed
         frame, plain, freedom = self.unknowns.frame.copy(), self.unknowns.plain.copy(), self.fixed.copy()

@@ -1,9 +1,9 @@
 """An energy that compares cells with their neighbours in the deformed grid instead of with undeformed cells.
 
 Where a gap closes to a few per cent, the cells of every valid grid are far from their undeformed shape, and an energy
-relative to that shape folds some of them so that others keep theirs. Relative to the mean metric of the surrounding
-deformed cells, a folded cell differs from its neighbours and opens within a few steps. Where cells are sheared between
-walls that rotate against each other, that metric is no better, and they are compared with undeformed cells.
+relative to that shape folds some cells so that others keep theirs. Relative to the mean metric of the surrounding
+deformed cells, a folded cell differs from its neighbours and unfolds within a few steps. Cells that are sheared between
+walls rotating against each other gain nothing from that metric and are compared with undeformed cells.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from ...grid import FloatArray, IntArray
 from .elements import Energy
 
 _SQUEEZED = 0.03
-"""Cells count as squeezed if the mean volume around them is less than this share of the undeformed one."""
+"""Cells count as squeezed if the mean volume around them is below this fraction of the undeformed volume."""
 _ROUNDS = 4
 """Number of times that metrics are averaged over the elements at each node and back over the nodes of each element."""
 
 
 def among_others(energy: Energy, x: FloatArray) -> Energy | None:
-    """The energy relative to elements stretched like the average of those around them in the grid ``x`` (n, d);
-    ``None`` where none is squeezed."""
+    """The energy relative to elements stretched like the average of their surroundings in the grid ``x`` (n, d);
+    ``None`` if no element is squeezed."""
     stretch = _stretch(energy.matrices(x), energy.nodes, len(x))
     return energy.stretched(stretch) if np.linalg.det(stretch).min() < _SQUEEZED else None
 
@@ -36,6 +36,6 @@ def _stretch(matrix: FloatArray, nodes: IntArray, n: int) -> FloatArray:
         columns = [np.bincount(at, np.repeat(column, corners), minlength=n) / count for column in metric.T]
         metric = np.stack([column[nodes].mean(axis=1) for column in columns], axis=1)
     squares, axes = np.linalg.eigh(metric.reshape(shape))
-    # Keep a small extent where all cells around are flat.
+    # A small extent remains where all surrounding cells are flat.
     lengths = np.sqrt(np.maximum(squares, 1e-12))
     return np.einsum("mij,mj,mkj->mik", axes, lengths, axes)

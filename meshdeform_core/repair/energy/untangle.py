@@ -17,15 +17,15 @@ from .region import Region
 from .surroundings import among_others
 
 _ELEMENTS = 4096
-# Work of evaluating the energy relative to that of its derivatives; measured.
+# Measured work of evaluating the energy, relative to that of its derivatives.
 _EVALUATION = 0.15
 _ROUGH, _ROUGH_ITERATIONS = 3e-2, 200
 _FINE, _FINE_ITERATIONS = 1e-5, 5000
 # A determinant that stays below -_LOCKED eps while eps falls cannot become positive in this region.
 _LOCKED = 100.0
 CLOSE = 1e-6
-"""The minimum is reached when a step moves no node by more than this share of its shortest edge, or the next one would
-not."""
+"""The minimum is reached when a step moves no node by more than this fraction of its shortest edge, or the next step is
+estimated not to."""
 # Largest ratio of the next step to its estimate; up to 6 was measured.
 _SAFETY = 10.0
 _SMALLEST_STEP = 1e-4
@@ -45,8 +45,8 @@ class State:
 
 @dataclass(frozen=True)
 class Pace:
-    """The effort spent on untangling a region: the largest number of ``steps``, the ``first`` regularisation, the
-    ``slowest`` relative decrease of it, and the largest number of steps before with cells compared with those
+    """The effort spent on untangling a region: the largest number of ``steps``, the ``first`` regularisation, its
+    ``slowest`` relative decrease, and the largest number of preceding steps in which cells are compared with those
     ``around`` them."""
 
     steps: int
@@ -84,9 +84,9 @@ class Untangler:
     def untangle(self, pace: Pace) -> bool:
         """Newton steps until every determinant is positive; returns whether this succeeded.
 
-        Cells are compared with undeformed ones; where some are squeezed, first with those around them, see
-        :mod:`.surroundings`. Cells at walls weigh less than in the energy to be minimised, as a fold opens sooner
-        where all cells take part.
+        Cells are compared with undeformed ones; if some are squeezed, first with those around them, see
+        :mod:`.surroundings`. Cells at walls have smaller weights than in the energy to be minimised, as folds open
+        sooner if all cells take part.
         """
         if self.state(self.x, Penalty(pace.first)).lowest > 0.0:
             return True
@@ -100,8 +100,8 @@ class Untangler:
     def _untangle(self, energy: Energy, pace: Pace) -> bool:
         """Newton steps with a given energy until every determinant is positive.
 
-        The regularisation falls as in Garanzha et al. 2021 (section 2.3), but by at least ``pace.slowest`` where the
-        energy hardly changes any more: a few extra steps at the end cost less than many on the way.
+        The regularisation falls as in Garanzha et al. 2021 (section 2.3), but by at least ``pace.slowest`` once the
+        energy hardly changes: a few extra steps at the end cost less than many before.
         """
         other = replace(self, region=replace(self.region, energy=energy))
         untangled = other._descend(pace)
@@ -138,7 +138,7 @@ class Untangler:
             before, length = length, float((np.abs(after.x - now.x).max(axis=1) / edges).max())
             now = after
             self.x = now.x
-            # The linear solver leaves that much of a step, and Newton's method shrinks steps quadratically.
+            # The next step is what the linear solver left of this one, or the quadratic convergence of Newton's method.
             shrinking = max(tolerance, (length / before) ** 2)
             if length < close or (step and _SAFETY * shrinking * length < close):
                 return True
