@@ -9,6 +9,7 @@ import numpy as np
 from meshdeform_core.grid import FloatArray
 from meshdeform_core.grid.faces.roles import Role
 from meshdeform_core.grid.faces.surfaces import Surface
+from meshdeform_core.numerics.geometry.vectors import doubled_areas
 
 from .content.facets import Facets, block_outlines, joined
 from .content.subject import Subject
@@ -33,8 +34,7 @@ def boundaries(subject: Subject, title: str = "") -> Page:
     if subject.grid.dimension == 2:
         page = overview(subject, Choice(), title)
         strokes = tuple(
-            (np.concatenate([_corners(subject, s) for s in surfaces]), colour_of(number))
-            for number, surfaces in enumerate(groups.values())
+            (corners_of(subject, surfaces), colour_of(number)) for number, surfaces in enumerate(groups.values())
         )
         flat = tuple(dataclasses.replace(panel, scene=_pale(panel.scene), strokes=strokes) for panel in page.panels)
         return dataclasses.replace(page, panels=flat, scale=None, legend=legend)
@@ -68,7 +68,7 @@ def _solid(subject: Subject, groups: dict[str, list[Surface]], view: View) -> Pa
     parts, quads = [], []
     for number, surfaces in enumerate(groups.values()):
         for surface in surfaces:
-            corners = _corners(subject, surface)
+            corners = corners_of(subject, [surface])
             keep = np.ones(len(corners), bool) if surface.role is Role.WALL else _away(corners, view)
             parts.append(Facets.plain(corners[keep], number))
             quads.append(surface.quads[keep])
@@ -78,13 +78,6 @@ def _solid(subject: Subject, groups: dict[str, list[Surface]], view: View) -> Pa
     return Panel(scene, view, shaped(window_of(view, facets.corners), (0.5, 1.1)), "outside")
 
 
-def _corners(subject: Subject, surface: Surface) -> FloatArray:
-    """Corners (n, 4, 3) of its quads, counter-clockwise from outside; in 2-D the ends (n, 2, 3) of its edges."""
-    topology = subject.topology
-    return np.asarray(subject.grid.points[topology.first[topology.quads.corners[surface.quads]]])
-
-
 def _away(corners: FloatArray, view: View) -> np.ndarray:
     """Quads (n, 4, 3) whose outer side faces away from the viewer: these hide nothing."""
-    normal = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
-    return np.asarray(normal @ view.towards < 0)
+    return np.asarray(doubled_areas(corners) @ view.towards < 0)

@@ -11,19 +11,12 @@ from ..errors import MotionError
 from ..grid import BoolArray, FloatArray, IntArray
 from ..grid.topology import Topology
 from ..notices import Notice
+from ..numerics.geometry.vectors import doubled_areas, unit
 from ..wording import counted, vector
 from .motions.motion import PreparedMotion
 from .tables.frames import far_points, other_frame
 from .tables.matching import Nodes, Transfer
-
-_MOST = 0.5
-"""A table with a larger fraction of its points off the walls is refused: it belongs to another grid."""
-_OFFSET = 0.1
-"""Matched points farther away than this fraction of the shortest edge are reported as not on the wall."""
-_SMOOTH = 0.85
-"""Faces whose normals have at least this cosine belong to one smooth surface."""
-_ABRUPT = 1e-2
-"""A jump of the displacement by more than this fraction of the shortest edge tears the wall."""
+from .tables.tuned import ABRUPT, ASTRAY, OFFSET, SMOOTH
 
 
 @dataclass(frozen=True)
@@ -119,7 +112,7 @@ def _unused(uses: Sequence[_Use]) -> list[Notice]:
         f"{vector(points[first])}{hint}"
     )
     partial = any(use.match.partial for use in uses)
-    if far.mean() > _MOST and (partial or hint):
+    if far.mean() > ASTRAY and (partial or hint):
         raise MotionError(f"{uses[0].match.label}{text}; expected a table of the wall, in the grid's length unit")
     return [uses[0].notice("unused points", text)]
 
@@ -144,7 +137,7 @@ def _gaps(topology: Topology, use: _Use) -> list[Notice]:
             f"first {nodes.label(int(single[0]))}: their neighbours have no match and stay"
             f"{other_frame(match.points, nodes)}. {_remedy(match.how)}"
         )
-        if single.size > _MOST * count:
+        if single.size > ASTRAY * count:
             raise MotionError(f"{match.label}{text}")
         return [use.notice("single nodes", text)]
     return _abrupt_end(use, corners, whole, mixed)
@@ -163,11 +156,10 @@ def _abrupt_end(use: _Use, corners: IntArray, whole: BoolArray, mixed: BoolArray
     along = np.zeros((len(nodes.points), 3))
     for column in corners.T:
         np.add.at(along, column[whole], direction[whole])
-    size = np.linalg.norm(along, axis=1, keepdims=True)
-    along /= np.where(size > 0, size, 1.0)
+    along = unit(along)
     step = np.linalg.norm(match.displacement, axis=1) * match.matched
-    torn = (step > _ABRUPT * nodes.edge)[corners[mixed]]
-    smooth = np.einsum("qcd,qd->qc", along[corners[mixed]], direction[mixed]) > _SMOOTH
+    torn = (step > ABRUPT * nodes.edge)[corners[mixed]]
+    smooth = np.einsum("qcd,qd->qc", along[corners[mixed]], direction[mixed]) > SMOOTH
     found = (torn & smooth).any(axis=1)
     if not found.any():
         return []
@@ -182,12 +174,7 @@ def _abrupt_end(use: _Use, corners: IntArray, whole: BoolArray, mixed: BoolArray
 
 def _directions(points: FloatArray) -> FloatArray:
     """Unit normals (m, 3) of quads (m, 4, 3); unit tangents of 2-D edges (m, 2, 3)."""
-    if points.shape[1] == 2:
-        vector = points[:, 1] - points[:, 0]
-    else:
-        vector = np.cross(points[:, 2] - points[:, 0], points[:, 3] - points[:, 1])
-    size = np.linalg.norm(vector, axis=1, keepdims=True)
-    return np.asarray(vector / np.where(size > 0, size, 1.0))
+    return unit(points[:, 1] - points[:, 0] if points.shape[1] == 2 else doubled_areas(points))
 
 
 def _distances(use: _Use) -> list[Notice]:
@@ -202,7 +189,7 @@ def _distances(use: _Use) -> list[Notice]:
             f"displacement is extrapolated"
         )
         return [use.notice("extrapolation", text)]
-    off = match.matched & (match.distance > _OFFSET * nodes.edge)
+    off = match.matched & (match.distance > OFFSET * nodes.edge)
     notes = []
     if off.any():
         text = (

@@ -23,6 +23,7 @@ from ..memory import UNLIMITED, MemoryLimit
 from ..notices import Notice
 from ..numerics.arrays import distinct_pairs, total
 from ..numerics.geometry.coincidence import distinct
+from ..numerics.geometry.vectors import face_sizes
 from ..numerics.rotation import SurfaceRotations
 
 Progress = Callable[[str, int, int], None]
@@ -143,12 +144,7 @@ class Problem:
 
 def nodal_area(points: FloatArray, quads: IntArray) -> FloatArray:
     """Nodal areas (n,) of the corners of ``quads``, see :class:`Surface`."""
-    corners = points[quads]
-    if quads.shape[1] == 2:
-        size = np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)
-    else:
-        size = 0.5 * np.linalg.norm(np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1]), axis=1)
-    share = np.repeat(size / quads.shape[1], quads.shape[1])
+    share = np.repeat(face_sizes(points[quads]) / quads.shape[1], quads.shape[1])
     return np.bincount(quads.ravel(), share, minlength=len(points)).astype(np.float64)
 
 

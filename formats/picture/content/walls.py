@@ -10,6 +10,7 @@ from meshdeform_core.grid import FloatArray, IntArray
 from meshdeform_core.grid.faces.roles import Role
 from meshdeform_core.grid.faces.surfaces import Surface
 from meshdeform_core.grid.planes import Plane
+from meshdeform_core.numerics.geometry.vectors import doubled_areas
 
 from ..view import View, towards
 from .subject import Subject
@@ -59,8 +60,7 @@ def onto_walls(subject: Subject) -> View:
 
 def _outward(subject: Subject, surface: Surface) -> FloatArray:
     """Mean unit normal out of the grid."""
-    corners = corners_of(subject, [surface])
-    total = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1]).sum(axis=0)
+    total = doubled_areas(corners_of(subject, [surface])).sum(axis=0)
     length = float(np.linalg.norm(total))
     return np.asarray(total / length) if length > 0 else np.zeros(3)
 

@@ -12,25 +12,11 @@ from ...grid import BoolArray, FloatArray, Grid, IntArray
 from ...grid.faces.roles import Role
 from ...grid.faces.surfaces import Surface, find_outside
 from ...grid.topology import Topology
+from ...numerics.geometry.vectors import face_sizes
 from ...wording import vector
 from .frames import other_frame
 from .matching import AUTOMATIC, Matching, Nodes, SurfaceData
-
-_SAMPLE = 5000
-_POINTS = 0.5
-"""A surface belongs to the table if at least this share of the table's points lies on it, ..."""
-_COVERED = 0.5
-"""... or if the table covers at least this share of its area."""
-_WHOLE = 0.9
-"""A surface of another guessed role than a wall counts as one if the table covers this share of its area."""
-_SOME = 0.1
-"""Without such a surface: those with at least this fraction of the points of the best one."""
-_FITS = 0.5
-"""A table with a smaller share of its points on the boundary is refused: it belongs to another grid."""
-_OWN, _SAME_NODE = 0.9, 1e-3
-"""A table is one of nodes if this share of its points lies on nodes, within this part of the shortest edge there."""
-_REACH = 0.1
-"""Nodes of the walls farther from a table than this part of its diagonal do not follow it."""
+from .tuned import COVERED, ON_BOUNDARY, OWN, POINTS, REACH, SAME_NODE, SAMPLE, SOME, WHOLE
 
 
 @dataclass(frozen=True)
@@ -56,26 +42,27 @@ def fit_table(grid: Grid, topology: Topology, data: SurfaceData, matching: Match
         When most points lie on no outside face; with what would make them, if that is found.
     """
     surfaces = find_outside(grid, topology).surfaces
-    points = data.points[:: max(1, len(data.points) // _SAMPLE)]
+    points = data.points[:: max(1, len(data.points) // SAMPLE)]
     owner = np.repeat(np.arange(len(surfaces)), [len(surface.quads) for surface in surfaces])
     quads = np.concatenate([np.empty(0, dtype=np.int64), *(surface.quads for surface in surfaces)])
     corners = grid.points[topology.first[topology.quads.corners[quads]]]
     center, reach = corners.mean(axis=1), np.linalg.norm(np.ptp(corners, axis=1), axis=1)
     distance, nearest = scipy.spatial.cKDTree(center).query(points)
     on = distance <= reach[nearest]
-    if on.mean() < _FITS:
+    if on.mean() < ON_BOUNDARY:
         raise _misfit(grid, topology, quads, data, on)
     votes = np.bincount(owner[nearest[on]], minlength=len(surfaces)) / len(points)
-    whole = np.bincount(owner, _areas(corners), minlength=len(surfaces))
-    under = np.bincount(owner, _areas(corners) * _under(data, points, center, reach), minlength=len(surfaces))
+    size = face_sizes(corners)
+    whole = np.bincount(owner, size, minlength=len(surfaces))
+    under = np.bincount(owner, size * _under(data, points, center, reach), minlength=len(surfaces))
     covered = np.divide(under, whole, out=np.zeros_like(whole), where=whole > 0)
-    chosen = (votes >= _POINTS) | (covered >= _COVERED)
+    chosen = (votes >= POINTS) | (covered >= COVERED)
     if not chosen.any():
-        chosen = votes >= _SOME * votes.max()
+        chosen = votes >= SOME * votes.max()
     # Along its rim a wall lies on symmetry and end planes too. A guessed role may be wrong where the table covers all.
     walls = chosen & np.array(
         [
-            surface.role in (Role.WALL, Role.UNKNOWN) or (not surface.declared and part >= _WHOLE)
+            surface.role in (Role.WALL, Role.UNKNOWN) or (not surface.declared and part >= WHOLE)
             for surface, part in zip(surfaces, covered, strict=True)
         ]
     )
@@ -90,7 +77,7 @@ def fit_table(grid: Grid, topology: Topology, data: SurfaceData, matching: Match
 
 
 def _misfit(grid: Grid, topology: Topology, quads: IntArray, data: SurfaceData, on: BoolArray) -> MotionError:
-    first = data.points[:: max(1, len(data.points) // _SAMPLE)][int(np.argmin(on))]
+    first = data.points[:: max(1, len(data.points) // SAMPLE)][int(np.argmin(on))]
     hint = other_frame(data.points, Nodes.of_quads(grid, topology, quads))
     whole = len(on) == len(data.points)
     how_many = f"{int((~on).sum())} of {len(on)}" if whole else f"{1 - on.mean():.0%} of {len(data.points)}"
@@ -127,21 +114,13 @@ def _under(data: SurfaceData, points: FloatArray, center: FloatArray, reach: Flo
     return np.asarray(under)
 
 
-def _areas(corners: FloatArray) -> FloatArray:
-    """Areas (n,) of quads (n, 4, 3); lengths of edges (n, 2, 3)."""
-    if corners.shape[1] == 2:
-        return np.asarray(np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1))
-    cross = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
-    return np.asarray(0.5 * np.linalg.norm(cross, axis=1))
-
-
 def _resolved(grid: Grid, topology: Topology, quads: IntArray, points: FloatArray, matching: Matching) -> Matching:
     how, tolerance = matching.how, matching.tolerance
     if how == AUTOMATIC:
         nodes = np.unique(topology.quads.corners[quads])
         distance, nearest = scipy.spatial.cKDTree(grid.points[topology.first[nodes]]).query(points)
-        own = distance <= (tolerance or _SAME_NODE * topology.edge[nodes[nearest]])
-        how = "nearest" if own.mean() >= _OWN else "interpolate"
+        own = distance <= (tolerance or SAME_NODE * topology.edge[nodes[nearest]])
+        how = "nearest" if own.mean() >= OWN else "interpolate"
     if how == "interpolate" and tolerance is None:
-        tolerance = _REACH * float(np.linalg.norm(np.ptp(points, axis=0)))
+        tolerance = REACH * float(np.linalg.norm(np.ptp(points, axis=0)))
     return replace(matching, how=how, tolerance=tolerance)

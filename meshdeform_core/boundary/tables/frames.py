@@ -10,6 +10,7 @@ import scipy
 
 from ...grid import BoolArray, FloatArray
 from .matching import Nodes
+from .tuned import COUNTED, FITS, FRAME_SAMPLE, GAIN, ON_NODE, PROBES, SPREAD
 
 _UNITS = (
     (1e-3, "in millimetres where the grid is in metres"),
@@ -26,17 +27,6 @@ _UNITS = (
     (1 / 0.3048, "in metres where the grid is in feet"),
 )
 """Factors between length units, and what a table needs the factor for."""
-_COUNTED = 3
-_PROBES, _ON_NODE = 12, 0.05
-"""So many points tell a shift onto nodes, within this part of the shortest edge there."""
-_SAMPLE = 2000
-_FITS = 0.9
-"""A frame is proposed if this share of the points would lie on the nodes, ..."""
-_GAIN = 0.25
-"""... and if this share exceeds that of the points as given by at least so much."""
-_SPREAD = 0.2
-"""Points that fit spread over at least this part of the diagonal of the nodes, or of the wall around them: a table
-shrunk to a point lies on any wall."""
 
 
 def far_points(points: FloatArray, nodes: Nodes) -> BoolArray:
@@ -55,14 +45,14 @@ def other_frame(points: FloatArray, nodes: Nodes) -> str:
     -------
     The end of a message, empty if nothing fits.
     """
-    if len(points) > _COUNTED and (points[:, 0] - points[0, 0] == np.arange(len(points))).all():
+    if len(points) > COUNTED and (points[:, 0] - points[0, 0] == np.arange(len(points))).all():
         return (
             " (its first column counts the points: a file of numbers and positions, like SU2's, is read by `positions`)"
         )
-    some = points[:: max(1, len(points) // _SAMPLE)]
+    some = points[:: max(1, len(points) // FRAME_SAMPLE)]
     tree = scipy.spatial.cKDTree(nodes.points)
     here, _ = _fit(some, nodes, tree)
-    best, share, distance = "", max(_FITS, here + _GAIN), np.inf
+    best, share, distance = "", max(FITS, here + GAIN), np.inf
     for (change, reason), candidate in _candidates(some, nodes, tree):
         hit, off = _fit(candidate, nodes, tree)
         # A rival must be clearly nearer: frames that differ by a symmetry of the wall fit alike.
@@ -82,7 +72,7 @@ def _fit(points: FloatArray, nodes: Nodes, tree: scipy.spatial.cKDTree) -> tuple
     whole = float(np.linalg.norm(np.ptp(nodes.points, axis=0)))
     spread = float(np.linalg.norm(np.ptp(found, axis=0)))
     # Far-field nodes among those selected must not set the scale: many faces in each direction are as good.
-    wide = spread >= _SPREAD * whole or len(found) >= max(4, len(points) // 2)
+    wide = spread >= SPREAD * whole or len(found) >= max(4, len(points) // 2)
     if not wide or spread < 0.5 * extent:
         return 0.0, np.inf
     return float(near.mean()), float((distance[near] / nodes.longest[nearest[near]]).mean())
@@ -107,11 +97,11 @@ def _shifts(points: FloatArray, nodes: Nodes, tree: scipy.spatial.cKDTree) -> It
     x = nodes.points
     yield (x.min(axis=0) + x.max(axis=0) - points.min(axis=0) - points.max(axis=0)) / 2
     # The first point lies on one node or another; each further one rules out most of what is left.
-    probes = points[np.unique(np.linspace(0, len(points) - 1, _PROBES).astype(np.int64))]
+    probes = points[np.unique(np.linspace(0, len(points) - 1, PROBES).astype(np.int64))]
     shifts = x - probes[0]
     for probe in probes[1:]:
         distance, nearest = tree.query(probe + shifts)
-        shifts = shifts[distance <= _ON_NODE * nodes.edge[nearest]]
+        shifts = shifts[distance <= ON_NODE * nodes.edge[nearest]]
     if len(probes) > 3 and len(shifts):
         yield shifts[int(np.argmin(np.linalg.norm(shifts, axis=1)))]
 

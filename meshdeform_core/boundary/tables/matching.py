@@ -11,6 +11,7 @@ from ...grid import BoolArray, FloatArray, Grid, IntArray
 from ...grid.planes import plane_normal
 from ...grid.topology import Topology
 from ...numerics.geometry.coincidence import distinct
+from ...numerics.geometry.vectors import doubled_areas, unit
 from ...wording import literal
 
 HOW = ("exact", "nearest", "interpolate")
@@ -79,12 +80,7 @@ class Nodes:
     def face_normals(self) -> FloatArray:
         """Unit normals (m, 3) of the faces, out of the grid."""
         corners, plane = self.points[self.faces], plane_normal(self.grid)
-        if plane is not None:
-            normal = np.cross(corners[:, 1] - corners[:, 0], plane)
-        else:
-            normal = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
-        size = np.linalg.norm(normal, axis=1, keepdims=True)
-        return np.asarray(normal / np.where(size > 0, size, 1.0))
+        return unit(doubled_areas(corners) if plane is None else np.cross(corners[:, 1] - corners[:, 0], plane))
 
     @property
     def normals(self) -> FloatArray:
@@ -92,8 +88,7 @@ class Nodes:
         total, faces = np.zeros((len(self.points), 3)), self.face_normals
         for column in self.faces.T:
             np.add.at(total, column, faces)
-        size = np.linalg.norm(total, axis=1, keepdims=True)
-        return np.asarray(total / np.where(size > 0, size, 1.0))
+        return unit(total)
 
     def label(self, index: int) -> str:
         """Name of one node: block and 1-based indices."""

@@ -10,6 +10,7 @@ import scipy
 from ...errors import MotionError
 from ...grid import BoolArray, FloatArray, Grid, IntArray, Side
 from ...grid.topology import RELATIVE_TOLERANCE, side_nodes
+from ...numerics.geometry.vectors import unit
 from ...wording import counted, vector
 from .frames import other_frame
 from .matching import Matching, Nodes, SurfaceData, Transfer
@@ -144,9 +145,7 @@ def _on_triangles(data: SurfaceData, points: FloatArray) -> tuple[FloatArray, Fl
     corners = data.triangles[triangle]
     displacement = np.einsum("nc,ncd->nd", weights, data.displacement[corners])
     a, b, c = (data.points[corners[:, n]] for n in range(3))
-    normal = np.cross(b - a, c - a)
-    size = np.linalg.norm(normal, axis=1, keepdims=True)
-    normal /= np.where(size > 0, size, 1.0)
+    normal = unit(np.cross(b - a, c - a))
     gap = points - np.einsum("nc,ncd->nd", weights, data.points[corners])
     aside = gap - (gap * normal).sum(axis=1, keepdims=True) * normal
     on_rim = ((weights <= 0) & _rim(data.triangles)[triangle]).any(axis=1)

@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from ...numerics.arrays import batches, medians, spans, spread
+from ...numerics.geometry.vectors import doubled_areas, unit
 from ..blocks import FloatArray, Grid, IntArray
 from ..parts import Patch, Window
 from ..planes import Plane, plane_normal, planes_of
@@ -101,18 +102,16 @@ def quad_geometry(grid: Grid, topology: Topology) -> QuadGeometry:
         some = slice(lo, min(lo + _TOGETHER, count))
         corners = grid.points[topology.first[topology.quads.corners[some]]]
         outward = _outward(corners, normal)
-        area = np.linalg.norm(outward, axis=1, keepdims=True)
-        unit = np.divide(outward, area, out=np.zeros_like(outward), where=area > 0)
         arm = _mean_first_edges(grid, topology.quads, np.arange(some.start, some.stop))
         found.center[some], found.outward[some] = corners.mean(axis=1), outward
-        found.height[some] = -np.einsum("ni,ni->n", unit, arm)
+        found.height[some] = -np.einsum("ni,ni->n", unit(outward), arm)
     return found
 
 
 def _outward(corners: FloatArray, normal: FloatArray | None) -> FloatArray:
     """Area vectors (n, 3) of quads with ``corners`` (n, 4, 3), or of edges (n, 2, 3) in a plane with a ``normal``."""
     if normal is None:
-        return 0.5 * np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
+        return 0.5 * doubled_areas(corners)
     # The outside lies to the right of the corner order, looking against the plane's positive normal.
     return np.cross(corners[:, 1] - corners[:, 0], normal)
 

@@ -11,6 +11,7 @@ import numpy as np
 from ...grid import BoolArray, FloatArray, Grid, IntArray, Side
 from ...grid.topology import Topology, inward_step, side_nodes
 from ...numerics.geometry.coincidence import distinct
+from ...numerics.geometry.vectors import unit
 
 LAYERS = 8
 """First cells of a grid line at a wall whose total thickness is measured; at most half of the cells of the line."""
@@ -165,15 +166,12 @@ def wall_lines(face: WallFace, points: FloatArray, plane_normal: FloatArray | No
     else:
         tangent = np.diff(x.reshape(-1, 3), axis=0).reshape(*face.wall.shape, 3)
         quad_normal = face.inward * np.cross(plane_normal, tangent)
-    length = np.linalg.norm(quad_normal, axis=-1, keepdims=True)
-    unit = np.divide(quad_normal, length, out=np.zeros_like(quad_normal), where=length > 0) * face.wall[..., None]
+    outward = unit(quad_normal) * face.wall[..., None]
     normal = np.zeros_like(x)
     touched = face.touched
     for window in face.corners:
-        normal[window] += unit
-    n = normal[touched]
-    size = np.linalg.norm(n, axis=1, keepdims=True)
-    n = np.divide(n, size, out=np.zeros_like(n), where=size > 0)
+        normal[window] += outward
+    n = unit(normal[touched])
     arm = points[face.nodes[touched] + face.step] - x[touched]
     height = np.einsum("ni,ni->n", n, arm)
     across = np.linalg.norm(np.cross(n, arm), axis=1)
