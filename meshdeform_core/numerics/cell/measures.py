@@ -9,6 +9,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..exact.elementary import cube_root
 from ..jit import inlined, kernel
+from .volume import along, twelve_volumes
 
 # Rows of the work array of a line of cells: coordinates of the four lines of nodes around it (3 r + axis for the line
 # r = 2 a + b at i + a, j + b), area vectors of the corners between the lines, squared edge lengths multiplied, results.
@@ -126,7 +127,7 @@ def _difference(p, row, k, other, n):
 
 @inlined
 def _twelve_volumes(p, k):
-    """Twelve times the exact volume of a trilinear cell, from diagonals of its faces and of itself (Grandy 1997)."""
+    """Twelve times the exact volume of a cell."""
     # Corner (a, b, g) is at k + g in the rows from 3 (2 a + b); diagonals towards the corner (1, 1, 1).
     ax, ay, az = p[9, k + 1] - p[6, k], p[10, k + 1] - p[7, k], p[11, k + 1] - p[8, k]
     bx, by, bz = p[9, k + 1] - p[3, k], p[10, k + 1] - p[4, k], p[11, k + 1] - p[5, k]
@@ -135,16 +136,7 @@ def _twelve_volumes(p, k):
     dx, dy, dz = p[3, k + 1] - p[0, k], p[4, k + 1] - p[1, k], p[5, k + 1] - p[2, k]
     ex, ey, ez = p[6, k + 1] - p[0, k], p[7, k + 1] - p[1, k], p[8, k + 1] - p[2, k]
     fx, fy, fz = p[9, k] - p[0, k], p[10, k] - p[1, k], p[11, k] - p[2, k]
-    return (
-        _triple(ax + dx, ay + dy, az + dz, bx, by, bz, fx, fy, fz)
-        + _triple(dx, dy, dz, bx + ex, by + ey, bz + ez, cx, cy, cz)
-        + _triple(ax, ay, az, ex, ey, ez, cx + fx, cy + fy, cz + fz)
-    )
-
-
-@inlined
-def _triple(ux, uy, uz, vx, vy, vz, wx, wy, wz):
-    return ux * (vy * wz - vz * wy) + uy * (vz * wx - vx * wz) + uz * (vx * wy - vy * wx)
+    return twelve_volumes(ax, ay, az, bx, by, bz, cx, cy, cz, dx, dy, dz, ex, ey, ez, fx, fy, fz)
 
 
 @kernel
@@ -160,11 +152,7 @@ def measure_quads(x, normal, i0, i1, skew, scaled, jacobian, area, bad):
                 a, b = c >> 1, c & 1
                 u = x[i + 1, j + b] - x[i, j + b]
                 v = x[i + a, j + 1] - x[i + a, j]
-                det = (
-                    normal[0] * (u[1] * v[2] - u[2] * v[1])
-                    + normal[1] * (u[2] * v[0] - u[0] * v[2])
-                    + normal[2] * (u[0] * v[1] - u[1] * v[0])
-                )
+                det = along(normal, u, v)
                 size = math.sqrt((u[0] * u[0] + u[1] * u[1] + u[2] * u[2]) * (v[0] * v[0] + v[1] * v[1] + v[2] * v[2]))
                 lowest = min(lowest, det)
                 lowest_scaled = min(lowest_scaled, det / size if size > 0.0 else 0.0)
@@ -178,11 +166,7 @@ def measure_quads(x, normal, i0, i1, skew, scaled, jacobian, area, bad):
             jacobian[n, j] = lowest
             u = x[i + 1, j + 1] - x[i, j]
             v = x[i, j + 1] - x[i + 1, j]
-            area[n, j] = 0.5 * (
-                normal[0] * (u[1] * v[2] - u[2] * v[1])
-                + normal[1] * (u[2] * v[0] - u[0] * v[2])
-                + normal[2] * (u[0] * v[1] - u[1] * v[0])
-            )
+            area[n, j] = 0.5 * along(normal, u, v)
             bad[n, j] = mask
 
 

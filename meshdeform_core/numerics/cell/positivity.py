@@ -10,6 +10,7 @@ coefficient is a mean of triple products u x v . w.
 import numpy as np
 
 from ..jit import inlined, kernel
+from .volume import along
 
 COLLAPSED = 1e-10
 """Corners below this share of the largest corner Jacobian of the undeformed cell are collapsed: no ratio is taken."""
@@ -38,11 +39,7 @@ def judge_quads(before, x, normal, i0, i1, ratio):
 @inlined
 def _quad_corner(x, normal, i, j, a, b):
     u, v = x[i + 1, j + b] - x[i, j + b], x[i + a, j + 1] - x[i + a, j]
-    return (
-        normal[0] * (u[1] * v[2] - u[2] * v[1])
-        + normal[1] * (u[2] * v[0] - u[0] * v[2])
-        + normal[2] * (u[0] * v[1] - u[1] * v[0])
-    )
+    return along(normal, u, v)
 
 
 @kernel

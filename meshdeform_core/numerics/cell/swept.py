@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from ..jit import inlined, kernel
+from .volume import triple, twelve_volumes
 
 
 @kernel
@@ -34,11 +35,8 @@ def sweep_faces(before, after, first, counts, along, across, weight, out):
                 d0, d1, d2 = _difference(after, b, before, a)
                 e0, e1, e2 = _difference(after, c, before, a)
                 f0, f1, f2 = _difference(before, d, before, a)
-                out[i, j, k] = (weight / 12.0) * (
-                    _triple(a0 + d0, a1 + d1, a2 + d2, b0, b1, b2, f0, f1, f2)
-                    + _triple(d0, d1, d2, b0 + e0, b1 + e1, b2 + e2, c0, c1, c2)
-                    + _triple(a0, a1, a2, e0, e1, e2, c0 + f0, c1 + f1, c2 + f2)
-                )
+                volume = twelve_volumes(a0, a1, a2, b0, b1, b2, c0, c1, c2, d0, d1, d2, e0, e1, e2, f0, f1, f2)
+                out[i, j, k] = (weight / 12.0) * volume
 
 
 @kernel
@@ -53,14 +51,9 @@ def sweep_edges(before, after, first, counts, step, across, normal, out):
                 a = first + i * across[0] + j * across[1] + k * across[2]
                 u0, u1, u2 = _difference(after, a + step, before, a)
                 v0, v1, v2 = _difference(after, a, before, a + step)
-                out[i, j, k] = 0.5 * _triple(normal[0], normal[1], normal[2], u0, u1, u2, v0, v1, v2)
+                out[i, j, k] = 0.5 * triple(normal[0], normal[1], normal[2], u0, u1, u2, v0, v1, v2)
 
 
 @inlined
 def _difference(p, one, q, other):
     return p[one, 0] - q[other, 0], p[one, 1] - q[other, 1], p[one, 2] - q[other, 2]
-
-
-@inlined
-def _triple(ux, uy, uz, vx, vy, vz, wx, wy, wz):
-    return ux * (vy * wz - vz * wy) + uy * (vz * wx - vx * wz) + uz * (vx * wy - vy * wx)

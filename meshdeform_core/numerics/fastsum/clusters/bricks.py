@@ -122,7 +122,6 @@ def _cut_box(x: FloatArray, mask: BoolArray, count: int, capacity: float) -> tup
 @kernel
 def _cut_boxes(x, mask, capacity, box, starts, firsts, targets):
     """Halve the first of ``box`` and fill the others with its parts; returns the number of bricks and of regions."""
-    nj, nk = mask.shape[1], mask.shape[2]
     at, previous = np.empty(3, np.int64), np.empty(3)
     depth = 1
     pieces = regions = used = 0
@@ -144,13 +143,7 @@ def _cut_boxes(x, mask, capacity, box, starts, firsts, targets):
             b[2 * axis] = middle
             depth += 2
             continue
-        before = used
-        for i in range(b[0], b[1]):
-            for j in range(b[2], b[3]):
-                for k in range(b[4], b[5]):
-                    if mask[i, j, k]:
-                        targets[used] = (i * nj + j) * nk + k
-                        used += 1
+        before, used = used, list_targets(mask, b, targets, used)
         if used > before:
             pieces += 1
             starts[pieces] = used
@@ -158,6 +151,19 @@ def _cut_boxes(x, mask, capacity, box, starts, firsts, targets):
         regions += 1
         firsts[regions] = pieces
     return pieces, regions
+
+
+@inlined
+def list_targets(mask, b, targets, used):
+    """Append the nodes of an index box where ``mask`` holds to the first ``used`` targets; returns how many there are
+    then."""
+    for i in range(b[0], b[1]):
+        for j in range(b[2], b[3]):
+            for k in range(b[4], b[5]):
+                if mask[i, j, k]:
+                    targets[used] = (i * mask.shape[1] + j) * mask.shape[2] + k
+                    used += 1
+    return used
 
 
 @inlined

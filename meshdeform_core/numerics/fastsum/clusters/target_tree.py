@@ -11,7 +11,7 @@ from ...jit import kernel
 from ...pieces import pieces
 from ..tuned import RADIAL_REGION
 from .boxes import fit_boxes
-from .bricks import longest_side
+from .bricks import list_targets, longest_side
 
 
 class TargetTree(NamedTuple):
@@ -69,12 +69,11 @@ def build_target_tree(
 @kernel
 def _cut(x, mask, count, capacity, region):
     """Targets, spans, children and roots of one block."""
-    ni, nj, nk = mask.shape
     # Per box: first and last index along each axis, and its tree node, -1 outside regions.
     box = np.empty((4096, 7), dtype=np.int64)
     at, previous = np.empty(3, dtype=np.int64), np.empty(3)
     box[0, 0] = box[0, 2] = box[0, 4] = 0
-    box[0, 1], box[0, 3], box[0, 5], box[0, 6] = ni, nj, nk, -1
+    (box[0, 1], box[0, 3], box[0, 5]), box[0, 6] = mask.shape, -1
     depth, used, nodes, regions = 1, 0, 0, 0
     limit = 64 + int(4 * mask.size / max(capacity, 1.0)) * 2
     targets, roots = np.empty(count, dtype=np.int64), np.empty(limit, dtype=np.int64)
@@ -99,12 +98,7 @@ def _cut(x, mask, count, capacity, region):
             depth += 2
             continue
         span[b[6], 0] = used
-        for i in range(b[0], b[1]):
-            for j in range(b[2], b[3]):
-                for k in range(b[4], b[5]):
-                    if mask[i, j, k]:
-                        targets[used] = (i * nj + j) * nk + k
-                        used += 1
+        used = list_targets(mask, b, targets, used)
         span[b[6], 1] = used
     for n in range(nodes - 1, -1, -1):
         if child[n, 0] >= 0:
