@@ -115,7 +115,7 @@ def _condition(name: str, patch: Patch, window: Window, shape: Shape, families: 
 
 def _corners(window: Window, shape: Shape) -> tuple[Shape, Shape]:
     begin, end = [0, 0, 0], [0, 0, 0]
-    begin[window.side.axis] = end[window.side.axis] = (shape[window.side.axis] - 1) * (window.side % 2)
+    begin[window.side.axis] = end[window.side.axis] = window.side.layer(shape)
     for axis, low, high in zip(window.side.tangential, window.low, window.high, strict=True):
         begin[axis], end[axis] = low, high
     return (begin[0], begin[1], begin[2]), (end[0], end[1], end[2])

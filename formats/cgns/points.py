@@ -112,7 +112,7 @@ def _of_faces(
     windows, used = [], 0
     for side in (Side(2 * axis), Side(2 * axis + 1)):
         a, b = side.tangential
-        on_side = points[:, axis] == (faces[axis] - 1) * (side % 2)
+        on_side = points[:, axis] == side.layer(faces.tolist())
         quads = np.zeros((faces[a], faces[b]), bool)
         quads[points[on_side, a], points[on_side, b]] = True
         windows += windows_of_quads(zone.shape, block, side, quads)

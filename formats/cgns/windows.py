@@ -34,7 +34,7 @@ def windows_of_nodes(shape: Shape, block: int, nodes: IntArray) -> tuple[list[Wi
     unused = np.ones(len(nodes), bool)
     for side in _sides(shape):
         a, b = side.tangential
-        on_side = nodes[:, side.axis] == (shape[side.axis] - 1) * (side % 2)
+        on_side = nodes[:, side.axis] == side.layer(shape)
         member = np.zeros((shape[a], shape[b]), bool)
         member[nodes[on_side, a], nodes[on_side, b]] = True
         quads = _quads(member)

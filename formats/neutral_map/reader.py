@@ -65,7 +65,7 @@ class _Frame:
             raise FormatError(f"{place}: face {face} does not exist; faces are 1 to {len(self.faces)}")
         size, (side, tangential) = self.sizes[block - 1], self.faces[face]
         begin, end = [0, 0, 0], [0, 0, 0]
-        begin[side.axis] = end[side.axis] = (size[side.axis] - 1) * (side.value % 2)
+        begin[side.axis] = end[side.axis] = side.layer(size)
         for axis, first, last in zip(tangential, limits[::2], limits[1::2], strict=True):
             if not (1 <= first <= size[axis] and 1 <= last <= size[axis]):
                 raise FormatError(
@@ -173,7 +173,6 @@ def _connection(name: str, entry: Entry, here: _Range, there: _Range) -> Connect
             )
         transform[axis] = (partner + 1) * (-1 if along * across < 0 else 1)
     # The direction out of one block leads into the other.
-    same_end = here.side.value % 2 == there.side.value % 2
-    transform[here.side.axis] = (there.side.axis + 1) * (-1 if same_end else 1)
+    transform[here.side.axis] = here.side.into(there.side)
     i, j, k = transform
     return Connection(name, here.block, here.begin, here.end, there.block, there.begin, there.end, (i, j, k))

@@ -17,8 +17,8 @@ from meshdeform_core.parallel import empty
 from meshdeform_core.wording import vector
 
 from ..plausible import LARGEST
+from ..unstructured.numbering import point_numbers
 from .poly_mesh.lists import read_points
-from .poly_mesh.numbering import point_numbers
 
 _DIGITS = 1e-6
 """Tolerance relative to the largest coordinate: points are written with six digits unless a case requests more."""

@@ -205,10 +205,9 @@ def _window(subject: Subject, request: Request, part: _Part, old: _Part | None, 
 
 def _worst(subject: Subject, request: Request, title: str) -> Page:
     block, cell = worst_cell(subject, request.choice.metric)
-    where = f"{subject.grid.names[block]} ({', '.join(str(n + 1) for n in cell)})"
     pair = Pair(subject.reference or subject.grid, subject.grid, subject.topology)
     page = worst_cells(pair, block, cell, request.choice)
-    after = dataclasses.replace(page.panels[1], title=f"worst cell: {where}")
+    after = dataclasses.replace(page.panels[1], title=f"worst cell: {subject.grid.label(block, cell)}")
     if subject.reference is None:
         return dataclasses.replace(page, panels=(after,), title=title)
     return dataclasses.replace(page, panels=(page.panels[0], after), title=title)

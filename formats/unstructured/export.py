@@ -32,10 +32,12 @@ from meshdeform_core.grid.topology import Topology, find_topology
 
 from ..files import replacing
 from ..hdf5_output import target
+from ..text.rows import text_rows
 from ..variant_options import checked_options
 from ..vtk.dataset import storable
 from .gmsh import Entity, write_msh41
 from .markers import find_markers
+from .numbering import point_numbers
 
 _BOUNDARY: dict[str, tuple[str, ...]] = {"boundary": ("false", "true")}
 _OPTIONS: dict[str, dict[str, tuple[str, ...]]] = {
@@ -44,7 +46,6 @@ _OPTIONS: dict[str, dict[str, tuple[str, ...]]] = {
     ".xdmf": _BOUNDARY,
 }
 
-_ROWS_AT_ONCE = 10_000
 
 # Corners of a right-handed cell, starting at the lowest indices, in the order of VTK, Gmsh, SU2 and Abaqus.
 _QUAD = ((0, 0), (1, 0), (1, 1), (0, 1))
@@ -112,11 +113,7 @@ class _Unstructured:
 
 
 def _unstructured(grid: Grid, topology: Topology) -> _Unstructured:
-    number: NDArray[Any] = np.full(grid.n_nodes, -1)
-    number[topology.face_nodes] = topology.number
-    interior = np.flatnonzero(number < 0)
-    number[interior] = topology.n_unique + np.arange(len(interior))
-    nodes = np.concatenate([topology.first, interior])
+    number, nodes = point_numbers(grid, topology)
     cells = [_cells(grid.block(b, number), int(topology.handedness[b])) for b in range(grid.n_blocks)]
     markers = find_markers(grid, topology)
     return _Unstructured(
@@ -259,8 +256,7 @@ def _write_elements(stream: BinaryIO, corners: IntArray) -> None:
 
 def _write_rows(stream: BinaryIO, rows: NDArray[Any], number: str) -> None:
     line = " ".join([number] * rows.shape[1]) + "\n"
-    for part in np.array_split(rows, len(rows) // _ROWS_AT_ONCE + 1):
-        stream.write((line * len(part) % tuple(part.ravel().tolist())).encode())
+    stream.writelines(text_rows(rows, line))
 
 
 def _plane(mesh: _Unstructured) -> tuple[FloatArray, IntArray]:

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from meshdeform_core.grid import FloatArray, IntArray
 
-_ROWS_AT_ONCE = 10_000
+from ..text.rows import text_rows
+
 _TYPES = {("line", 2): 1, ("quad", 4): 3, ("hexahedron", 8): 5}
 
 
@@ -89,6 +90,4 @@ class _Output:
             self._stream.write(np.ascontiguousarray(values, dtype=f"<{kind}").data)
             return
         line = " ".join(["%.17g" if kind == "d" else "%d"] * values.shape[1]) + "\n"
-        for begin in range(0, len(values), _ROWS_AT_ONCE):
-            part = values[begin : begin + _ROWS_AT_ONCE]
-            self._stream.write((line * len(part) % tuple(part.ravel().tolist())).encode())
+        self._stream.writelines(text_rows(values, line))

@@ -8,6 +8,7 @@ All blocks share one coordinate array ``points`` of shape ``(n_nodes, 3)``; ``gr
 from __future__ import annotations
 
 import copy
+import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -23,10 +24,11 @@ from ..parallel import Part, empty, for_items, holders, of_all, on_each, own_row
 from .dealing import in_parts
 from .lattice import SideLattice
 from .parts import Connection, Field, FileFormat, Patch, Planes, Shape
+from .sizes import BlockSizes
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Grid:
+class Grid(BlockSizes):
     """A block-structured grid.
 
     Attributes
@@ -95,11 +97,6 @@ class Grid:
         return grid
 
     @cached_property
-    def offsets(self) -> IntArray:
-        """Flat index of each block's first node; one more entry than blocks."""
-        return np.concatenate([[0], np.cumsum(np.prod(self.shapes, axis=1, dtype=np.int64))]).astype(np.int64)
-
-    @cached_property
     def sides(self) -> SideLattice:
         """Where the nodes of all block sides lie."""
         return SideLattice.of(self.shapes, self.offsets)
@@ -109,44 +106,6 @@ class Grid:
         """(n_blocks,) number of the component of each block, from 0 in the order of their first blocks."""
         names = list(dict.fromkeys(self.components))
         return np.array([names.index(name) for name in self.components] or [0] * self.n_blocks, dtype=np.int64)
-
-    @property
-    def n_blocks(self) -> int:
-        return len(self.shapes)
-
-    @property
-    def n_nodes(self) -> int:
-        """Block nodes; coincident nodes of different blocks count once per block."""
-        return int(self.offsets[-1])
-
-    @property
-    def n_face_nodes(self) -> int:
-        """Nodes on block faces; coincident nodes count as in :attr:`n_nodes`."""
-        return face_node_count(self.shapes)
-
-    @cached_property
-    def cell_shapes(self) -> tuple[Shape, ...]:
-        """Cells of each block along i, j, k; the single plane of a 2-D block counts as one."""
-        return tuple((max(a - 1, 1), max(b - 1, 1), max(c - 1, 1)) for a, b, c in self.shapes)
-
-    @property
-    def n_cells(self) -> int:
-        return int(self.cell_offsets[-1])
-
-    @cached_property
-    def cell_offsets(self) -> IntArray:
-        """Number of each block's first cell; one more entry than blocks."""
-        return np.concatenate([[0], np.cumsum(np.prod(self.cell_shapes, axis=1, dtype=np.int64))])
-
-    @property
-    def dimension(self) -> int:
-        """2 if every block is one plane of nodes, else 3."""
-        return 2 if 1 in self.shapes[0] else 3
-
-    @property
-    def precision(self) -> str:
-        """Floating point type of the grid's file; float64 for grids made in memory."""
-        return self.format.precision if self.format else "float64"
 
     def block(self, index: int, values: FloatArray | None = None) -> FloatArray:
         """View ``(ni, nj, nk, ...)`` of block ``index`` in ``points``, or in any array with one row per node."""
@@ -210,6 +169,10 @@ class Grid:
         else:
             fill()
 
+    def with_patches_of(self, other: Grid) -> Grid:
+        """The same grid; if it has no patches, with those of another grid of the same blocks."""
+        return self if self.patches else dataclasses.replace(self, patches=other.patches)
+
     def moved(self, points: FloatArray) -> Grid:
         """The same grid with other coordinates."""
         # A copy keeps the cached properties; recomputing them costs more than some loops over the nodes of a block.
@@ -230,19 +193,11 @@ class Grid:
 
     def node_label(self, flat: int) -> str:
         """Name of a node, block and 1-based indices: ``wing (3, 1, 17)``."""
-        block, (i, j, k) = self.locate(flat)
-        return f"{self.names[block]} ({i + 1}, {j + 1}, {k + 1})"
+        return self.label(*self.locate(flat))
 
-
-def node_count(shapes: Sequence[Shape]) -> int:
-    """Nodes of all blocks; coincident nodes of different blocks count once per block."""
-    return int(np.prod(shapes, axis=1, dtype=np.int64).sum())
-
-
-def face_node_count(shapes: Sequence[Shape]) -> int:
-    """Nodes on block faces; coincident nodes count as in :func:`node_count`."""
-    inside = np.maximum(np.array(shapes, dtype=np.int64) - 2, 0)
-    return node_count(shapes) - int(inside.prod(axis=1).sum())
+    def label(self, block: int, place: Shape) -> str:
+        """Name of the node or cell at ``place``, 0-based: block and 1-based indices."""
+        return f"{self.names[block]} ({', '.join(str(n + 1) for n in place)})"
 
 
 def _check_dimension(shapes: Sequence[Shape], names: Sequence[str]) -> None:

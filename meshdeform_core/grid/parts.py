@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from types import MappingProxyType
@@ -33,6 +33,14 @@ class Side(IntEnum):
         """The two index axes that vary on this face, ascending."""
         first, second = (a for a in range(3) if a != self.axis)
         return first, second
+
+    def layer(self, counts: Sequence[int]) -> int:
+        """Index of this face along its axis, of nodes or cells that are so many along i, j, k."""
+        return (counts[self.axis] - 1) * (self.value % 2)
+
+    def into(self, other: Side) -> int:
+        """Axis, from 1, along which a step out of this face leads into the block of ``other``; negative: backwards."""
+        return (other.axis + 1) * (-1 if self.value % 2 == other.value % 2 else 1)
 
     @property
     def label(self) -> str:

@@ -168,13 +168,25 @@ def _coincident(grid: Grid, face_nodes: IntArray, tolerance: FloatArray) -> IntA
     return coincident_within(part, grid.points[face_nodes], tolerance)
 
 
+def cells_behind(grid: Grid, topology: Topology, quads: IntArray) -> IntArray:
+    """Numbers (n,) in the whole grid of the cells behind face quads (n,)."""
+    side, u, v = topology.quads.places(quads)
+    block, shapes = side // 6, np.array(grid.cell_shapes)[side // 6]
+    axis, far = side % 6 // 2, side % 2
+    # Indices along the side's axes; the first or the last layer along the third.
+    row = np.arange(len(quads))
+    at = np.stack([np.where(axis == 0, 0, u), np.where(axis == 0, u, v), v], axis=1)
+    at[axis == 1, 1] = 0
+    at[row, axis] = far * (shapes[row, axis] - 1)
+    return np.asarray(grid.cell_offsets[block] + (at[:, 0] * shapes[:, 1] + at[:, 1]) * shapes[:, 2] + at[:, 2])
+
+
 def side_nodes(grid: Grid, block: int, side: Side) -> IntArray:
     """Flat indices of the nodes of one block face, shaped along ``side.tangential``."""
     shape = grid.shapes[block]
     strides = (shape[1] * shape[2], shape[2], 1)
     a, b = side.tangential
-    at = (shape[side.axis] - 1) * (side % 2)
-    origin = int(grid.offsets[block]) + at * strides[side.axis]
+    origin = int(grid.offsets[block]) + side.layer(shape) * strides[side.axis]
     return origin + np.arange(shape[a])[:, None] * strides[a] + np.arange(shape[b]) * strides[b]
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,27 +23,10 @@ def windows_of_quads(shape: Shape, block: int, side: Side, quads: NDArray[np.boo
     shape : of the block, in nodes
     quads : bool, the face's cells along ``side.tangential`` (one cell across the plane of a 2-D grid)
     """
-    steps = np.diff(np.pad(quads, ((0, 0), (1, 1))).astype(np.int8), axis=1)
-    row, start = np.nonzero(steps == 1)
-    stop = np.nonzero(steps == -1)[1]
-    order = np.lexsort((row, stop, start))
-    row, start, stop = row[order], start[order], stop[order]
-    first = np.ones(len(row), bool)
-    first[1:] = (start[1:] != start[:-1]) | (stop[1:] != stop[:-1]) | (row[1:] != row[:-1] + 1)
-    begins = np.flatnonzero(first)
-    lasts = np.append(begins[1:], len(row))[: len(begins)] - 1
-    a, b = side.tangential
+    u, v = np.nonzero(quads)
+    found = _divided(u * quads.shape[1] + v, np.full(len(u), 6 * block + side), u, v, np.zeros(len(u), dtype=np.int64))
     # In a 2-D grid a face has one node, not two, across the single plane.
-    more_a, more_b = int(shape[a] > 1), int(shape[b] > 1)
-    return [
-        Window(
-            block,
-            side,
-            (int(row[begin]), int(start[begin])),
-            (int(row[last]) + more_a, int(stop[begin]) - 1 + more_b),
-        )
-        for begin, last in zip(begins, lasts, strict=True)
-    ]
+    return found.reaching(np.array([int(shape[axis] > 1) for axis in side.tangential])).windows()
 
 
 @dataclass(frozen=True)
@@ -68,6 +51,10 @@ class Rectangles:
 
     def __len__(self) -> int:
         return len(self.side)
+
+    def reaching(self, more: IntArray) -> Rectangles:
+        """The same with last nodes (n, 2) that are so much farther."""
+        return replace(self, high=self.high + more)
 
     def windows(self) -> list[Window]:
         """The rectangles as windows of nodes."""
@@ -102,15 +89,20 @@ def rectangles(grid: Grid, faces: FaceQuads, label: IntArray) -> Rectangles:
     Ordered by side, label, first node along the second axis, last one, first node along the first axis.
     """
     some = np.flatnonzero(label >= 0)
-    side, u, v = faces.places(some)
+    found = _divided(some, *faces.places(some), label[some])
+    return found.reaching(grid.sides.corner_steps[found.side])
+
+
+def _divided(some: IntArray, side: IntArray, u: IntArray, v: IntArray, label: IntArray) -> Rectangles:
+    """Rectangles of the face quads ``some`` (n,), ascending, at (u, v) on their sides; ``high`` are the last quads."""
     # First runs of quads within one row of a side, then equal runs of successive rows.
     new = np.ones(len(some), dtype=bool)
-    new[1:] = (np.diff(some) != 1) | (v[1:] == 0) | (label[some[1:]] != label[some[:-1]])
+    new[1:] = (np.diff(some) != 1) | (v[1:] == 0) | (label[1:] != label[:-1])
     first = np.flatnonzero(new)
     last = np.append(first[1:], len(some))[: len(first)] - 1
-    order = np.lexsort((u[first], v[last], v[first], label[some[first]], side[first]))
+    order = np.lexsort((u[first], v[last], v[first], label[first], side[first]))
     first, last = first[order], last[order]
-    keys = side[first], label[some[first]], v[first], v[last], u[first]
+    keys = side[first], label[first], v[first], v[last], u[first]
     begins = np.ones(len(first), dtype=bool)
     begins[1:] = np.any([key[1:] != key[:-1] for key in keys[:4]], axis=0) | (np.diff(keys[4]) != 1)
     top = np.flatnonzero(begins)
@@ -118,12 +110,11 @@ def rectangles(grid: Grid, faces: FaceQuads, label: IntArray) -> Rectangles:
     number = np.empty(len(first), dtype=np.int64)
     number[order] = np.cumsum(begins) - 1
     number = number[np.cumsum(new) - 1]
-    more = grid.sides.corner_steps[keys[0][top]]
     return Rectangles(
         keys[0][top],
         keys[1][top],
         np.stack([keys[4][top], keys[2][top]], axis=1),
-        np.stack([keys[4][bottom], keys[3][top]], axis=1) + more,
+        np.stack([keys[4][bottom], keys[3][top]], axis=1),
         some[np.argsort(number, kind="stable")],
         np.append(0, np.cumsum(np.bincount(number, minlength=len(top)))),
     )

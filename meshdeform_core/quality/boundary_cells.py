@@ -6,11 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..grid import FloatArray, Grid, IntArray, Side
+from ..grid import FloatArray, Grid, IntArray
 from ..grid.planes import plane_normal
-from ..grid.topology import Topology
+from ..grid.topology import Topology, cells_behind
 from ..parallel import empty
-from .listed import cell_starts
 from .measures.lines import InterfaceLines, WallFace, kink_and_jump, lines_across, wall_faces, wall_lines
 
 
@@ -23,12 +22,13 @@ def wall_cells(before: Grid, topology: Topology, after: FloatArray, quads: IntAr
     deviation, ratio = _of_no_cell(before), _of_no_cell(before)
     chosen = np.zeros(len(topology.partner), dtype=bool)
     chosen[quads] = True
-    normal, starts = plane_normal(before), cell_starts(before)
+    normal = plane_normal(before)
     for face in wall_faces(before, topology, chosen):
         angle, height, _ = wall_lines(face, after, normal)
         old = wall_lines(face, before.points, normal).height
         change = np.divide(height, old, out=np.full(height.shape, np.nan), where=old > 0)
-        cells = starts[face.block] + _layer(before, face.block, face.side)[face.wall]
+        first = topology.quads.of_side(face.block, face.side).start
+        cells = cells_behind(before, topology, first + np.flatnonzero(face.wall))
         deviation[cells] = np.fmax(deviation[cells], _corners(face, angle).max(axis=1))
         ratio[cells] = _farthest(ratio[cells], _corners(face, change))
     return deviation, ratio
@@ -56,14 +56,6 @@ def _farthest(known: FloatArray, ratios: FloatArray) -> FloatArray:
     return np.asarray(np.take_along_axis(all_ratios, at[:, None], axis=1)[:, 0])
 
 
-def _layer(grid: Grid, block: int, side: Side) -> IntArray:
-    """Numbers within the block of the cells at one of its faces, shaped like the face's quads."""
-    shape = grid.cell_shapes[block]
-    places = [np.arange(n) for n in shape]
-    places[side.axis] = places[side.axis][[-1 if side % 2 else 0]]
-    return np.asarray(np.ravel_multi_index(np.ix_(*places), shape).squeeze(side.axis))
-
-
 def interface_cells(
     grid: Grid, topology: Topology, after: FloatArray, before: FloatArray | None
 ) -> tuple[FloatArray, FloatArray]:
@@ -83,21 +75,8 @@ def interface_cells(
     for target, values in zip((kink, jump), found, strict=True):
         worst = np.abs(values).max(axis=1)
         for sides in (quads, topology.partner[quads]):
-            np.fmax.at(target, _cells_behind(grid, topology, sides), worst)
+            np.fmax.at(target, cells_behind(grid, topology, sides), worst)
     return kink, jump
-
-
-def _cells_behind(grid: Grid, topology: Topology, quads: IntArray) -> IntArray:
-    """Numbers (n,) in the whole grid of the cells behind face quads (n,)."""
-    side, u, v = topology.quads.places(quads)
-    block, shapes = side // 6, np.array(grid.cell_shapes)[side // 6]
-    axis, far = side % 6 // 2, side % 2
-    # Indices along the side's axes; the first or the last layer along the third.
-    row = np.arange(len(quads))
-    at = np.stack([np.where(axis == 0, 0, u), np.where(axis == 0, u, v), v], axis=1)
-    at[axis == 1, 1] = 0
-    at[row, axis] = far * (shapes[row, axis] - 1)
-    return np.asarray(cell_starts(grid)[block] + (at[:, 0] * shapes[:, 1] + at[:, 1]) * shapes[:, 2] + at[:, 2])
 
 
 def cell_at_wall(grid: Grid, faces: Sequence[WallFace], number: int) -> int:
@@ -125,4 +104,4 @@ def _cell_along(grid: Grid, node: int, neighbour: int) -> int:
     ends = np.array(np.unravel_index([node - grid.offsets[block], neighbour - grid.offsets[block]], grid.shapes[block]))
     shape = grid.cell_shapes[block]
     cell = np.minimum(ends.min(axis=1), np.array(shape) - 1)
-    return int(cell_starts(grid)[block] + np.ravel_multi_index(tuple(cell), shape))
+    return int(grid.cell_offsets[block] + np.ravel_multi_index(tuple(cell), shape))

@@ -16,7 +16,6 @@ from ..grid.faces.surfaces import Outside, find_outside
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology
 from .boundary_cells import interface_cells, wall_cells
-from .listed import cell_starts
 from .measures.cells import CellMeasures, measure_block
 from .shape import shape_of_cells
 from .verdict.original import Original
@@ -163,7 +162,7 @@ class CellFields:
 
     def _box(self, values: np.ndarray, block: int, cells: Cells) -> np.ndarray:
         """A box of cells of an array with one row per cell of the grid."""
-        starts = cell_starts(self.grid)
+        starts = self.grid.cell_offsets
         return values[starts[block] : starts[block + 1]].reshape(self.grid.cell_shapes[block])[cells]
 
 

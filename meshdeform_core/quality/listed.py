@@ -11,7 +11,7 @@ import numpy as np
 from ..boundary import Boundary, Kind
 from ..grid import FloatArray, Grid, IntArray, Shape
 from ..grid.topology import Topology
-from .measures.cells import cell_starts, measure_block
+from .measures.cells import measure_block, places
 from .verdict.original import Original
 from .verdict.validity import Failure, Verdict
 
@@ -54,9 +54,7 @@ def worst_cell(grid: Grid, points: FloatArray, cell: int, value: float) -> Worst
 
 def place_of(grid: Grid, cell: int) -> tuple[int, Shape]:
     """Block and 0-based (i, j, k) of a cell."""
-    starts = cell_starts(grid)
-    block = int(np.searchsorted(starts, cell, side="right")) - 1
-    i, j, k = (int(n) for n in np.unravel_index(cell - starts[block], grid.cell_shapes[block]))
+    (block,), ((i, j, k),) = (found.tolist() for found in places(grid, np.array([cell])))
     return block, (i, j, k)
 
 

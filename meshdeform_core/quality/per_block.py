@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..grid import Grid
-from .measures.cells import cell_starts, slabs
+from .measures.cells import slabs
 from .measures.tally import Tally
 from .verdict.comparison import Comparison
 from .verdict.original import Original
@@ -36,9 +36,8 @@ class BlockQuality:
 def per_block(original: Original, cells: Comparison) -> tuple[BlockQuality, ...]:
     """The blocks of the grid in its order."""
     grid = original.grid
-    starts = cell_starts(grid)
-    counts = np.diff(starts).tolist()
-    invalid = np.diff(np.searchsorted(cells.verdict.invalid, starts)).tolist()
+    counts = np.diff(grid.cell_offsets).tolist()
+    invalid = np.diff(np.searchsorted(cells.verdict.invalid, grid.cell_offsets)).tolist()
     rows = zip(grid.names, counts, invalid, _skews(grid, original.tally), _skews(grid, cells.after), strict=True)
     return tuple(BlockQuality(*row) for row in rows)
 
@@ -48,6 +47,5 @@ def _skews(grid: Grid, tally: Tally) -> list[BlockSkew]:
     block_of = np.array([slab.block for slab in slabs(grid)])
     starts = np.searchsorted(block_of, np.arange(grid.n_blocks))
     lows = np.minimum.reduceat(tally.lows, starts, axis=0)
-    counts = np.array([a * b * c for a, b, c in grid.cell_shapes])
-    means = np.add.reduceat(tally.sums[:, 1], starts) / counts
+    means = np.add.reduceat(tally.sums[:, 1], starts) / np.diff(grid.cell_offsets)
     return [BlockSkew(float(low), float(mean), float(scaled)) for (low, scaled), mean in zip(lows, means, strict=True)]

@@ -14,7 +14,6 @@ from ..grid import FloatArray, Grid
 from .boundary_cells import cell_at_interface
 from .groups import InvalidGroup, group_cells
 from .listed import InvalidCell, Worst, list_cells, with_nearest_patch, worst_cell
-from .measures.cells import cell_starts
 from .measures.lines import kink_and_jump
 from .measures.tally import Range, Skew, Spread, Tally
 from .per_block import BlockQuality, per_block
@@ -77,11 +76,11 @@ class Assessment:
 
     def with_steps(self, grid: Grid, first_bad: Mapping[int, int], otherwise: int) -> Assessment:
         """The assessment with the first step after which each listed cell was invalid, by cell number."""
-        starts = cell_starts(grid)
 
         def number(cell: InvalidCell) -> int:
             block = grid.names.index(cell.block)
-            return int(starts[block] + np.ravel_multi_index([n - 1 for n in cell.ijk], grid.cell_shapes[block]))
+            place = [n - 1 for n in cell.ijk]
+            return int(grid.cell_offsets[block] + np.ravel_multi_index(place, grid.cell_shapes[block]))
 
         cells = (dataclasses.replace(c, step=first_bad.get(number(c), otherwise)) for c in self.invalid)
         return dataclasses.replace(self, invalid=tuple(cells))

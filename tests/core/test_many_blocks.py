@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from random_grids import turn_block
 
 from meshdeform_core.deform import Case, deform
-from meshdeform_core.grid import Grid, IntArray, Side
+from meshdeform_core.grid import Grid, IntArray, Side, Window
 from meshdeform_core.grid.connectivity.declared import check_connections, connected_nodes
 from meshdeform_core.grid.connectivity.interfaces import find_interfaces
 from meshdeform_core.grid.connectivity.openings import find_openings
@@ -27,7 +27,7 @@ from meshdeform_core.grid.handedness import block_handedness
 from meshdeform_core.grid.selection import quads_of_windows, select_quads
 from meshdeform_core.grid.sides import side_numbers
 from meshdeform_core.grid.topology import find_topology, side_nodes
-from meshdeform_core.grid.windows import rectangles, windows_of_quads
+from meshdeform_core.grid.windows import rectangles
 from meshdeform_core.methods.transfinite.edge_graph import PreparedEdgeGraph, _face_parts, _Rows, _segments
 from meshdeform_core.numerics.arrays import batches, medians, runs, spans, spread
 from meshdeform_core.numerics.geometry.boxes import overlapping_boxes
@@ -87,6 +87,25 @@ def test_no_boxes_overlap_none():
     none, some = np.empty((0, 3)), np.zeros((2, 3))
     assert overlapping_boxes((none, none), (some, some)).shape == (0, 2)
     assert overlapping_boxes((some, some), (none, none)).shape == (0, 2)
+
+
+def windows_of_quads(shape, block, side, quads):
+    """Row by row: runs of marked quads, continued while the next row has the same run."""
+    a, b = side.tangential
+    found, begun = [], {}
+    for row in range(quads.shape[0] + 1):
+        marked = [*quads[row], False] if row < quads.shape[0] else [False]
+        edges = np.flatnonzero(np.diff([False, *marked]))
+        runs = set(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+        for run in begun.keys() - runs:
+            found.append((*run, begun.pop(run), row))
+        for run in runs - begun.keys():
+            begun[run] = row
+    more_a, more_b = int(shape[a] > 1), int(shape[b] > 1)
+    return [
+        Window(block, side, (first, start), (last - 1 + more_a, stop - 1 + more_b))
+        for start, stop, first, last in sorted(found)
+    ]
 
 
 @pytest.mark.parametrize("seed", range(3))

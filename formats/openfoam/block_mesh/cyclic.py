@@ -91,7 +91,7 @@ def _connection(
         along = int(np.flatnonzero(step)[0])
         transform[axis] = (along + 1) * (1 if step[along] > 0 else -1)
     # The direction out of one side leads into the other.
-    transform[side.axis] = (there.axis + 1) * (-1 if side.value % 2 == there.value % 2 else 1)
+    transform[side.axis] = side.into(there)
     i, j, k = transform
     return Connection(name, block, at[0], at[3], other, images[0], images[3], (i, j, k), motion.periodicity())
 
@@ -103,7 +103,7 @@ def _corners(grid: Grid, block: int, side: Side) -> tuple[list[Shape], FloatArra
     for b in (0, 1):
         for a in (0, 1):
             index = [0, 0, 0]
-            index[side.axis] = (shape[side.axis] - 1) * (side.value % 2)
+            index[side.axis] = side.layer(shape)
             for axis, end in zip(side.tangential, (a, b), strict=True):
                 index[axis] = (shape[axis] - 1) * end
             found.append((index[0], index[1], index[2]))

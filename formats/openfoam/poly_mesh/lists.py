@@ -14,6 +14,7 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray, IntArray
 
 from ...files import reason_of, require_regular
+from ...text.rows import text_rows
 
 _ROWS_AT_ONCE = 20_000
 _LABEL = np.dtype("<i4")
@@ -122,7 +123,5 @@ def _rows(stream: BinaryIO, rows: NDArray, line: str, binary: bool) -> None:
         stream.write(b")\n")
         return
     stream.write(b"%d\n(\n" % len(rows))
-    for begin in range(0, len(rows), _ROWS_AT_ONCE):
-        part = rows[begin : begin + _ROWS_AT_ONCE]
-        stream.write((line * len(part) % tuple(part.ravel().tolist())).encode())
+    stream.writelines(text_rows(rows, line))
     stream.write(b")\n")

@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray, Grid, IntArray
-from meshdeform_core.grid.topology import find_topology
+from meshdeform_core.grid.topology import cells_behind, find_topology
 
+from ...unstructured.numbering import point_numbers
 from .boundary import BoundaryPatch, boundary_patches
 from .extrusion import extruded
 from .lists import write_dictionary, write_faces, write_labels, write_points
-from .numbering import cells_beside, internal_faces, kept_corners, point_numbers
+from .numbering import internal_faces, kept_corners
 
 PLACE = "constant/polyMesh"
 _LARGEST_LABEL = 2**31 - 1
@@ -65,7 +66,7 @@ def poly_mesh(grid: Grid, thickness: float) -> PolyMesh:
     solid = extruded(grid, thickness)
     topology = find_topology(solid)
     number, nodes = point_numbers(solid, topology)
-    cells = cells_beside(solid, topology)
+    cells = cells_behind(solid, topology, np.arange(len(topology.partner)))
     inside = internal_faces(solid, topology, number)
     patches = boundary_patches(solid, topology, cells)
     corners = np.concatenate([inside.corners, *(patch.corners for patch in patches)])

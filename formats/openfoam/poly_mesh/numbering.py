@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Grid, IntArray, Side
-from meshdeform_core.grid.topology import Topology
+from meshdeform_core.grid.topology import Topology, cells_behind
 
 
 @dataclass(frozen=True)
@@ -36,15 +36,6 @@ class Faces:
         return Faces(self.corners[rows], self.owner[rows], self.neighbour[rows])
 
 
-def point_numbers(grid: Grid, topology: Topology) -> tuple[IntArray, IntArray]:
-    """The point of every block node (n_nodes,), and the block node of every point (n_points,)."""
-    number = np.full(grid.n_nodes, -1, dtype=np.int64)
-    number[topology.face_nodes] = topology.number
-    interior = np.flatnonzero(number < 0)
-    number[interior] = topology.n_unique + np.arange(len(interior))
-    return number, np.concatenate([topology.first, interior])
-
-
 def internal_faces(grid: Grid, topology: Topology, number: NDArray[Any]) -> Faces:
     """All faces between two cells, in order; ``number`` as from :func:`point_numbers`.
 
@@ -57,7 +48,7 @@ def internal_faces(grid: Grid, topology: Topology, number: NDArray[Any]) -> Face
         raise FormatError(
             f"{topology.crowded} cell faces are shared by more than two blocks; OpenFOAM has no such mesh"
         )
-    first = np.concatenate([[0], np.cumsum([np.prod(shape) for shape in grid.cell_shapes])])
+    first = grid.cell_offsets
     parts = [
         _between(grid.block(b, number), int(first[b]), axis, int(topology.handedness[b]))
         for b in range(grid.n_blocks)
@@ -67,16 +58,6 @@ def internal_faces(grid: Grid, topology: Topology, number: NDArray[Any]) -> Face
     faces = Faces(*(np.concatenate([getattr(p, name) for p in parts]) for name in ("corners", "owner", "neighbour")))
     faces = faces[np.flatnonzero(~_degenerate(faces.corners))]
     return faces[np.argsort(faces.owner * int(first[-1]) + faces.neighbour, kind="stable")]
-
-
-def cells_beside(grid: Grid, topology: Topology) -> IntArray:
-    """The cell (n_quads,) that every face quad belongs to."""
-    found, first = [], 0
-    for shape in grid.cell_shapes:
-        cells = first + np.arange(int(np.prod(shape))).reshape(shape)
-        found += [np.take(cells, -(side.value % 2), axis=side.axis).ravel() for side in Side]
-        first += cells.size
-    return np.concatenate(found)
 
 
 def _between(number: NDArray[Any], first: int, axis: int, handedness: int) -> Faces:
@@ -97,9 +78,8 @@ def _between(number: NDArray[Any], first: int, axis: int, handedness: int) -> Fa
 
 def _across(grid: Grid, topology: Topology) -> Faces:
     """The faces between blocks; the corners of the owner's quad turn about the outward normal."""
-    cell = cells_beside(grid, topology)
     quads = np.flatnonzero(topology.partner >= 0)
-    here, there = cell[quads], cell[topology.partner[quads]]
+    here, there = (cells_behind(grid, topology, own) for own in (quads, topology.partner[quads]))
     if (here == there).any():
         quad = int(quads[int(np.argmax(here == there))])
         block, side = divmod(int(topology.quads.block_side[quad]), 6)

@@ -105,7 +105,7 @@ def surface_facets(subject: Subject, quads: IntArray, metric: str = "", group: i
         local = some - topology.quads.start[block, side]
         corners = quads_of(subject.grid.points[side_nodes(subject.grid, block, side)])
         if metric:
-            layer = subject.grid.cell_shapes[block][side.axis] - 1 if side % 2 else 0
+            layer = side.layer(subject.grid.cell_shapes[block])
             cells = _with_layer(subject.whole(block), side.axis, layer)
             parts.append(_facets(subject, block, cells, corners, metric, group).where(local))
         else:

@@ -83,19 +83,19 @@ def _edge_cover(p, x, y, strength, half):
     cover = 0.0
     for e in range(p.shape[0]):
         if strength[e] > 0.0:
-            distance = _distance(x, y, p[e], p[(e + 1) % p.shape[0]])
+            _, distance = _nearest(x, y, p[e], p[(e + 1) % p.shape[0]])
             cover = max(cover, strength[e] * min(max(half[e] + 0.5 - distance, 0.0), 1.0))
     return cover
 
 
 @inlined
-def _distance(x, y, a, b):
-    """From a point to the segment from a to b."""
+def _nearest(x, y, a, b):
+    """The place on the segment from a (0) to b (1) that is nearest to a point, and its distance."""
     ux, uy = b[0] - a[0], b[1] - a[1]
     square = ux * ux + uy * uy
     along = ((x - a[0]) * ux + (y - a[1]) * uy) / square if square > 0.0 else 0.0
     along = min(max(along, 0.0), 1.0)
-    return math.hypot(x - a[0] - along * ux, y - a[1] - along * uy)
+    return along, math.hypot(x - a[0] - along * ux, y - a[1] - along * uy)
 
 
 @kernel
@@ -116,14 +116,9 @@ def draw_segments(ends, half, bias, depth, cover):
         x1 = min(math.ceil(max(a[0], b[0]) + half + 1.0) + 1, depth.shape[1])
         y0 = max(math.floor(min(a[1], b[1]) - half - 1.0), 0)
         y1 = min(math.ceil(max(a[1], b[1]) + half + 1.0) + 1, depth.shape[0])
-        ux, uy = b[0] - a[0], b[1] - a[1]
-        square = ux * ux + uy * uy
         for row in range(y0, y1):
             for column in range(x0, x1):
-                x, y = column + 0.5, row + 0.5
-                along = ((x - a[0]) * ux + (y - a[1]) * uy) / square if square > 0.0 else 0.0
-                along = min(max(along, 0.0), 1.0)
-                distance = math.hypot(x - a[0] - along * ux, y - a[1] - along * uy)
+                along, distance = _nearest(column + 0.5, row + 0.5, a, b)
                 seen = a[2] + along * (b[2] - a[2]) >= depth[row, column] - bias
                 if seen and distance < half + 0.5:
                     cover[row, column] = max(cover[row, column], min(half + 0.5 - distance, 1.0))

@@ -60,7 +60,7 @@ class Skeleton:
         for side in (side for side in Side if (block, side) in self.left_out):
             a, b = side.tangential
             plane: list[slice | int] = [slice(None)] * 3
-            plane[side.axis] = shape[side.axis] - 1 if side % 2 else 0
+            plane[side.axis] = side.layer(shape)
             mask[tuple(plane)] = on[a][:, None] | on[b]
         start = self.grid.offsets[block] + own.start * shape[1] * shape[2]
         return np.asarray(start + np.flatnonzero(mask), dtype=np.int64)

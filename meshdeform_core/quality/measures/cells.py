@@ -172,18 +172,12 @@ def hold_cells(grid: Grid, *arrays: FloatArray) -> None:
 
 def places(grid: Grid, cells: IntArray) -> tuple[IntArray, IntArray]:
     """Block (n,) and 0-based i, j, k (n, 3) of cells, by number."""
-    starts = cell_starts(grid)
-    block = np.searchsorted(starts, cells, side="right") - 1
+    block = np.searchsorted(grid.cell_offsets, cells, side="right") - 1
     shapes = np.array(grid.cell_shapes)[block]
-    local = cells - starts[block]
+    local = cells - grid.cell_offsets[block]
     i, rest = np.divmod(local, shapes[:, 1] * shapes[:, 2])
     j, k = np.divmod(rest, shapes[:, 2])
     return block, np.stack([i, j, k], axis=1)
-
-
-def cell_starts(grid: Grid) -> IntArray:
-    """Number (n_blocks + 1,) of the first cell of every block."""
-    return grid.cell_offsets
 
 
 def corner_nodes(grid: Grid, block: IntArray, ijk: IntArray) -> IntArray:

@@ -13,7 +13,7 @@ from ...grid import FloatArray, Grid, IntArray
 from ...grid.planes import plane_normal
 from ...grid.topology import Topology
 from ...numerics.tape import Tape
-from .cells import cell_starts, corner_nodes, places, side_of_good_quads
+from .cells import corner_nodes, places, side_of_good_quads
 
 # Cells recorded on one tape.
 _CELLS = 8192
@@ -78,7 +78,7 @@ def quality_gradient(
 def _parts(grid: Grid, topology: Topology, blocks: Iterable[int]) -> Iterator[tuple[IntArray, Any]]:
     """Corner nodes (n, 8) of a limited number of cells of one block at a time, with the handedness of the block or, in
     2-D, the normal of its cells."""
-    starts, normal = cell_starts(grid), plane_normal(grid)
+    starts, normal = grid.cell_offsets, plane_normal(grid)
     for block in blocks:
         side: Any = float(topology.handedness[block])
         if normal is not None:
