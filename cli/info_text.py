@@ -46,9 +46,14 @@ def _blocks(facts: dict[str, Any], verbose: bool) -> list[str]:
         f"  {b['name']:{width}s}  {size:{wide}s}  {b['handedness']}-handed  {_box(b['bbox'])}"
         for b, size in zip(blocks, sizes, strict=True)
     ]
-    shown = lines if verbose or len(lines) <= _MAX_LISTED else lines[: _MAX_LISTED - 1]
-    hidden = len(lines) - len(shown)
-    return ["blocks", *shown, *([f"  ... and {hidden} more (-v shows all)"] if hidden else [])]
+    return ["blocks", *_listed(lines, verbose)]
+
+
+def _listed(lines: list[str], verbose: bool) -> list[str]:
+    """All lines, or the first ones and how many more there are."""
+    if verbose or len(lines) <= _MAX_LISTED:
+        return lines
+    return [*lines[: _MAX_LISTED - 1], f"  ... and {len(lines) - _MAX_LISTED + 1} more (-v shows all)"]
 
 
 def _surfaces(surfaces: list[dict[str, Any]], verbose: bool) -> list[str]:
@@ -106,10 +111,8 @@ def _title(surface: dict[str, Any]) -> str:
 def _interfaces(facts: dict[str, Any], verbose: bool) -> list[str]:
     found = facts["interfaces"]
     lines = [f"  {f['name']}  {_node(f['first'])}..{_node(f['last'])}  transform {f['transform']}" for f in found]
-    shown = lines if verbose or len(lines) <= _MAX_LISTED else lines[: _MAX_LISTED - 1]
-    hidden = len(lines) - len(shown)
     head = f"interfaces ({len(found)} found, {facts['declared_connections']} declared in the file)"
-    return [head, *shown, *([f"  ... and {hidden} more (-v shows all)"] if hidden else [])]
+    return [head, *_listed(lines, verbose)]
 
 
 def _patch(patch: dict[str, Any]) -> str:

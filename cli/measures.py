@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -36,6 +35,5 @@ def measured(grid: Grid, reference: Path | None) -> CellFields:
         return CellFields(grid, find_topology(grid))
     original = read_grid(reference)
     require_same_blocks(grid, original)
-    if not original.patches:
-        original = dataclasses.replace(original, patches=grid.patches)
+    original = original.with_patches_of(grid)
     return CellFields(grid, find_topology(original), original)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from meshdeform_core.errors import FormatError
+from meshdeform_core.errors import CaseError, FormatError
 
 
 def keep_inputs(path: Path, *inputs: Path | None) -> None:
@@ -38,6 +38,19 @@ def check_output(path: Path, force: bool, *inputs: Path | None) -> None:
     if not folder.is_dir():
         reason = "is a file" if folder.exists() else "does not exist; create it first"
         raise FormatError(f"cannot write {path}: the folder {folder} {reason}")
+
+
+def make_folder(output: Path) -> None:
+    """Make the folder for several outputs, unless it exists.
+
+    Raises
+    ------
+    CaseError
+        When there is a file in its place.
+    """
+    if output.exists() and not output.is_dir():
+        raise CaseError(f"{output} is a file; expected a folder")
+    output.mkdir(parents=True, exist_ok=True)
 
 
 def check_reports(reports: tuple[Path, ...], force: bool, *inputs: Path | None) -> None:

@@ -25,6 +25,11 @@ _LINES = 8
 _AHEAD = 3
 
 
+def common_type(stored: Iterable[Any]) -> np.dtype[Any]:
+    """The native type of numbers that holds those of all ``stored`` arrays or datasets."""
+    return np.result_type(*(each.dtype.newbyteorder("=") for each in stored))
+
+
 def split(block: FloatArray, kind: np.dtype[Any], count: int = 3) -> Iterator[NDArray[Any]]:
     """The first ``count`` components (nk, nj, ni) of a block (ni, nj, nk, 3), of type ``kind``."""
     for axes in _groups(block, count):

@@ -20,7 +20,7 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Grid, IntArray, Planes, Shape
 from meshdeform_core.parallel import Part, for_items
 
-from .coordinates import merge, split
+from .coordinates import common_type, merge, split
 
 # Smallest numbers of nodes and planes per range, so that reads are large and cache lines of the grid are not split.
 _NODES, _PLANES = 1 << 18, 8
@@ -154,7 +154,7 @@ def write_coordinates(grid: Grid, arrays: Mapping[int, Sequence[Stored]]) -> Non
 
     def put(part: Planes) -> None:
         places = arrays[part.block]
-        kind = np.result_type(*(place.dtype.newbyteorder("=") for place in places))
+        kind = common_type(places)
         block = grid.block(part.block)[:, :, part.first : part.last]
         for place, values in zip(places, split(block, kind, len(places)), strict=True):
             place.write(part.first, values)
@@ -177,7 +177,7 @@ def write_parts(grid: Grid, points: Part, arrays: Mapping[int, Sequence[Stored]]
         sends, receives, own = {}, {}, None
         for writer, (part, owners) in turn.items():
             places = arrays[part.block]
-            kind = np.result_type(*(place.dtype.newbyteorder("=") for place in places))
+            kind = common_type(places)
             if ranks.number in owners:
                 block = grid.in_planes(part.block)[:, :, part.first : part.last]
                 sends[writer] = np.stack(list(split(block, kind, len(places))))

@@ -6,6 +6,12 @@ from scipy.optimize import brentq
 from meshdeform_core.grid import FloatArray
 
 
+def even(span: tuple[float, float], size: int) -> FloatArray:
+    """Nodes over ``span``, ``size`` cells per unit: whole multiples of a cell, so that neighbouring blocks agree to the
+    last bit."""
+    return np.arange(round(span[0] * size), round(span[1] * size) + 1) / size
+
+
 def geometric(first: float, cells: int, length: float) -> FloatArray:
     """``cells`` + 1 nodes from 0 to ``length`` in geometric progression, the first cell of size ``first``."""
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import time as clock
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -98,5 +97,4 @@ def _original(grid: Grid, reference: Path) -> Grid:
     """The original grid, with the boundaries of the deformed one if its own file has none."""
     from meshdeform_formats import read_grid
 
-    original = read_grid(reference)
-    return original if original.patches else dataclasses.replace(original, patches=grid.patches)
+    return read_grid(reference).with_patches_of(grid)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import time as clock
 from pathlib import Path
@@ -92,9 +91,9 @@ def repaired(
     sources = [source, GridInput(reference, None, ())]
     make_room(run.memory, "repairing", sources, existing(output.absolute().parent) if output else None)
     start = clock.perf_counter()
-    grid, original = source.read(what.boundary_file), read_grid(reference)
+    grid = source.read(what.boundary_file)
     # Boundaries are selected on the reference.
-    original = original if original.patches else dataclasses.replace(original, patches=grid.patches)
+    original = read_grid(reference).with_patches_of(grid)
     seconds = {"read": clock.perf_counter() - start}
     if output is not None and not (run.force or run.dry_run or run.allow_invalid):
         require_earlier_grid(invalid_path(output), grid)

@@ -6,10 +6,8 @@ from pathlib import Path
 
 import click
 
-from meshdeform_core.errors import CaseError
-
 from ..options import PATH, force_option, quiet_option, threads_option
-from ..outputs import check_output
+from ..outputs import check_output, make_folder
 from ..process.machine import use_threads
 
 _RESULT = "results.json"
@@ -45,9 +43,7 @@ def command(
     from meshdeform_samples.reproduce.report import as_markdown
 
     check(what)
-    if output.exists() and not output.is_dir():
-        raise CaseError(f"{output} is a file; expected a folder")
-    output.mkdir(parents=True, exist_ok=True)
+    make_folder(output)
     check_output(output / _RESULT, force)
     if validation is not None:
         check_output(validation, force)

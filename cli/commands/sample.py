@@ -13,7 +13,7 @@ from meshdeform_core.wording import counted
 
 from .. import completion
 from ..options import PATH, force_option, parse_pairs, variant_option
-from ..outputs import check_output
+from ..outputs import check_output, make_folder
 
 if TYPE_CHECKING:
     from meshdeform_core.grid import Grid
@@ -65,7 +65,7 @@ def command(
     variant_of(grid, target, options)
     boundary_file = None if kind == "cgns" else _BOUNDARY_FILE
     texts = _texts(name, boundary_file)
-    _make_folder(output)
+    make_folder(output)
     for file in (target.name, boundary_file or target.name, *tables, *texts):
         check_output(output / file, force)
     write_grid(grid, target, options)
@@ -90,12 +90,6 @@ def _catalogue() -> str:
         names = ", ".join(f"{name} = {size}" for name, size in module.SIZES.items())
         entries.append(f"{key}\n    {title}\n    --size: {module.SIZE_HELP}; default {module.DEFAULT_SIZE}; {names}")
     return "\n".join(entries)
-
-
-def _make_folder(output: Path) -> None:
-    if output.exists() and not output.is_dir():
-        raise CaseError(f"{output} is a file; expected a folder")
-    output.mkdir(parents=True, exist_ok=True)
 
 
 def _texts(name: str, boundary_file: str | None) -> dict[str, str]:

@@ -11,7 +11,7 @@ from meshdeform_core.grid import Connection, Grid, Periodicity, Shape
 from .new_boundary import point_range
 from .periodic import inverse_motion
 from .storage.names import unique_names
-from .storage.tree import Node, make
+from .storage.tree import Node, make, name_list
 
 
 def connectivity_nodes(grid: Grid, zones: tuple[str, ...]) -> list[list[Node]]:
@@ -100,16 +100,10 @@ def _transform(connection: Connection, shape: Shape, donor_shape: Shape) -> np.n
 
 def _motion(periodic: Periodicity) -> list[Node]:
     """Periodic_t nodes of a motion; angles are in radians, declared explicitly because readers' defaults differ."""
-    units = make("DimensionalUnits", "DimensionalUnits_t", _words("Null", "Null", "Null", "Null", "Radian"))
+    units = make("DimensionalUnits", "DimensionalUnits_t", name_list(["Null", "Null", "Null", "Null", "Radian"]))
     angle = np.radians(periodic.rotation_angle).astype(np.float32)
     return [
         make("RotationCenter", "DataArray_t", np.array(periodic.rotation_center, np.float32)),
         make("RotationAngle", "DataArray_t", angle, [units]),
         make("Translation", "DataArray_t", np.array(periodic.translation, np.float32)),
     ]
-
-
-def _words(*words: str) -> np.ndarray:
-    """Strings of 32 characters each as CGNS stores them, ``(32, n)``."""
-    text = "".join(word.ljust(32) for word in words).encode()
-    return np.frombuffer(text, np.int8).reshape(-1, 32).T

@@ -22,7 +22,7 @@ from .notes import Notes
 from .storage.file import opened_cgns
 from .storage.hdf5 import hdf5_errors
 from .storage.hdf5_write import own_group, put_node
-from .storage.tree import NAME_LENGTH, Node, make
+from .storage.tree import Node, make, name_list
 from .write_new import solution_nodes
 from .zone import Zone, find_base, structured_zones
 
@@ -65,7 +65,7 @@ def write_series(
             pointers = [_add_level(groups, zones, level(n), n, variant.precision) for n in range(len(times))]
             for block, own in enumerate(groups):
                 names = {key: [found[block][key] for found in pointers] for key in pointers[0][block]}
-                arrays = [make(key, "DataArray_t", _words(words)) for key, words in names.items()]
+                arrays = [make(key, "DataArray_t", name_list(words)) for key, words in names.items()]
                 put_node(own, make("ZoneIterativeData", "ZoneIterativeData_t", None, arrays))
             put_node(group, _iterations(times))
             put_node(group, make("SimulationType", "SimulationType_t", "TimeAccurate"))
@@ -120,9 +120,3 @@ def _iterations(times: Sequence[float]) -> Node:
         make("IterationValues", "DataArray_t", np.arange(1, len(times) + 1, dtype=np.int32)),
     ]
     return make("BaseIterativeData", "BaseIterativeData_t", np.array([len(times)], np.int32), arrays)
-
-
-def _words(names: Sequence[str]) -> np.ndarray:
-    """Names in the form of a CGNS list: characters (32, n), padded with blanks."""
-    text = "".join(name.ljust(NAME_LENGTH) for name in names)
-    return np.frombuffer(text.encode(), np.int8).reshape(len(names), NAME_LENGTH).T

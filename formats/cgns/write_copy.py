@@ -9,7 +9,6 @@ import dataclasses
 import os
 import shutil
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -19,12 +18,10 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray, Grid
 from meshdeform_core.grid.extent import block_extents
 from meshdeform_core.numerics.arrays import extent
-from meshdeform_core.parallel import Part, ranks_of
+from meshdeform_core.parallel import Part
 
-from ..coordinates import ahead, split
-from ..files import replacing_by_all
+from ..coordinates import ahead, common_type, split
 from ..hdf5_output import hdf5_output
-from ..planes import Stored, write_coordinates
 from .notes import Notes
 from .storage.adf import is_adf
 from .storage.file import naming, opened_cgns
@@ -32,13 +29,11 @@ from .storage.hdf5 import DATA, LINK, LINK_FILE, hdf5_errors, place_of
 from .storage.hdf5_write import characters, own_group, put_node, reserve_dataset, write_hdf5
 from .storage.names import unique_names
 from .storage.tree import Node, data_type_of
-from .write_new import solution_nodes
+from .write_new import Places, solution_nodes, write_completed
 from .zone import Base, Zone, find_base, structured_zones
 
 Boxes = tuple[FloatArray, FloatArray]
 """Lowest and highest coordinates (n_blocks, 3) of blocks."""
-Places = dict[int, list[tuple[int, np.dtype[Any]]]]
-"""Offset and type of the coordinate arrays, by the number of the block."""
 
 
 def write_copy(grid: Grid, path: Path, precision: str | None) -> None:
@@ -53,13 +48,7 @@ def write_copy(grid: Grid, path: Path, precision: str | None) -> None:
         raise FormatError(f"cannot write {path}: {source}, whose other contents are to be copied, no longer exists")
     # The first rank alone does not know the boxes of a grid in parts.
     boxes = block_extents(grid) if isinstance(grid.points, Part) else None
-    with replacing_by_all(path, grid.points) as partial:
-        places = ranks_of(grid.points).on_first(lambda: _begin(grid, source, path, partial, precision, boxes))
-        arrays = {}
-        for block, found in places.items():
-            ni, nj, _ = grid.shapes[block]
-            arrays[block] = [Stored(partial, kind, (nj, ni), start, ni * nj * kind.itemsize) for start, kind in found]
-        write_coordinates(grid, arrays)
+    write_completed(grid, path, lambda partial: _begin(grid, source, path, partial, precision, boxes))
 
 
 def _begin(grid: Grid, source: Path, path: Path, partial: Path, precision: str | None, boxes: Boxes | None) -> Places:
@@ -121,8 +110,8 @@ def _replace_coordinates(
 
 
 def _write_packed(datasets: list[h5py.Dataset], zone: Zone, block: FloatArray) -> None:
-    kind = np.result_type(*(dataset.dtype.newbyteorder("=") for dataset in datasets))
-    for dataset, array in zip(datasets, ahead(split(block, kind, len(datasets))), strict=True):
+    arrays = ahead(split(block, common_type(datasets), len(datasets)))
+    for dataset, array in zip(datasets, arrays, strict=True):
         dataset[zone.core[::-1]] = array.reshape(zone.counts[::-1]).astype(dataset.dtype, copy=False)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,8 @@ from .storage.hdf5_write import write_hdf5
 from .storage.names import unique_names
 from .storage.tree import Node, data_type_of, make
 
+Places = dict[int, list[tuple[int, np.dtype[Any]]]]
+"""Offset and type of the coordinate arrays, by the number of the block."""
 # The version of the standard that defines everything written here.
 _LIBRARY_VERSION = 3.2
 _LOCATIONS = {
@@ -38,21 +40,27 @@ def write_new(grid: Grid, path: Path, precision: str) -> None:
     Names are cut to 32 characters and made unique. Fields (IBLANK, VTK arrays) become flow solutions at the nodes or
     cells. A grid in the plane z = 0 has two coordinates; a 2-D base cannot hold patches on the plane itself.
     """
+    write_completed(grid, path, lambda partial: _begin(grid, path, partial, precision))
+
+
+def write_completed(grid: Grid, path: Path, begin: Callable[[Path], Places]) -> None:
+    """Write a file with ``begin``, on the first rank, and then, on all of them, the coordinates for which it leaves
+    room."""
     with replacing_by_all(path, grid.points) as partial:
-        starts = ranks_of(grid.points).on_first(lambda: _begin(grid, path, partial, precision))
-        kind, arrays = np.dtype(precision), {}
-        for block, (ni, nj, _) in enumerate(grid.shapes):
-            step = ni * nj * kind.itemsize
-            arrays[block] = [Stored(partial, kind, (nj, ni), start, step) for start in starts[block]]
+        places = ranks_of(grid.points).on_first(lambda: begin(partial))
+        arrays = {}
+        for block, found in places.items():
+            ni, nj, _ = grid.shapes[block]
+            arrays[block] = [Stored(partial, kind, (nj, ni), start, ni * nj * kind.itemsize) for start, kind in found]
         write_coordinates(grid, arrays)
 
 
-def _begin(grid: Grid, path: Path, partial: Path, precision: str) -> list[list[int]]:
-    """Write everything but the coordinates; returns the offsets of the arrays of every block."""
+def _begin(grid: Grid, path: Path, partial: Path, precision: str) -> Places:
+    """Write everything but the coordinates; returns the places of the arrays of every block."""
     starts: list[list[int]] = [[] for _ in grid.shapes]
     with hdf5_errors(path, "write"):
         write_hdf5(_tree(grid, precision, starts), partial)
-    return starts
+    return {block: [(start, np.dtype(precision)) for start in found] for block, found in enumerate(starts)}
 
 
 def _tree(grid: Grid, precision: str, starts: list[list[int]]) -> Node:

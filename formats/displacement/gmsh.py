@@ -18,7 +18,7 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import IntArray
 
 from .cells import split_cells
-from .numbering import by_number, rows_of, text_numbers
+from .numbering import by_number, rows_of, text_numbers, whole
 from .table import NO_TRIANGLES, DisplacementTable, surface_table
 
 # Nodes of the elements up to type 19, and corners of those that are surfaces.
@@ -93,14 +93,14 @@ class _Numbers:
     def integers(self, count: int, kind: str = "i4") -> IntArray:
         """The next ``count`` whole numbers, of type ``kind`` in binary files."""
         if not self.order:
-            return _whole(self._words(count))
+            return whole(self._words(count))
         return self._records(count, np.dtype(self.order + kind)).astype(np.int64)
 
     def rows(self, count: int, floats: int) -> tuple[IntArray, NDArray[Any]]:
         """The next ``count`` rows of a number and floats."""
         if not self.order:
             table = self._words(count * (1 + floats)).reshape(count, 1 + floats)
-            return _whole(table[:, 0]), table[:, 1:]
+            return whole(table[:, 0]), table[:, 1:]
         found = self._records(count, np.dtype([("number", self.order + "i4"), ("x", self.order + "f8", (floats,))]))
         return found["number"].astype(np.int64), found["x"].reshape(count, floats).astype(np.float64)
 
@@ -125,12 +125,6 @@ class _Numbers:
             raise ValueError(f"{count} records announced, {len(self.data) - self.at} bytes found")
         self.at += count * kind.itemsize
         return np.frombuffer(self.data, kind, count, self.at - count * kind.itemsize)
-
-
-def _whole(values: NDArray[Any]) -> IntArray:
-    if not (np.abs(values) < 2.0**53).all() or (values != np.floor(values)).any():
-        raise ValueError("a whole number was expected")
-    return values.astype(np.int64)
 
 
 def _line(data: bytes, at: int) -> tuple[bytes, int]:
@@ -183,7 +177,7 @@ def _elements_2(numbers: _Numbers) -> Iterator[tuple[int, IntArray]]:
 
 
 def _elements_2_text(numbers: _Numbers) -> Iterator[tuple[int, IntArray]]:
-    words = _whole(numbers.words).tolist()
+    words = whole(numbers.words).tolist()
     found: dict[int, list[list[int]]] = {}
     seen: set[int] = set()
     at = 1

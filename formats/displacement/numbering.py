@@ -25,6 +25,19 @@ def text_numbers(data: bytes) -> NDArray[np.float64]:
     return np.array(data.split(), dtype=np.float64)
 
 
+def whole(values: NDArray[Any]) -> IntArray:
+    """Numbers that must be whole, as integers.
+
+    Raises
+    ------
+    ValueError
+        For any other.
+    """
+    if not (np.abs(values) < 2.0**53).all() or (values != np.floor(values)).any():
+        raise ValueError("a whole number was expected")
+    return values.astype(np.int64)
+
+
 def rows_of(path: Path, numbers: IntArray, wanted: IntArray) -> IntArray:
     """Rows of the nodes with the ``wanted`` numbers, in the shape of ``wanted``.
 

@@ -19,7 +19,7 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import IntArray
 
 from .cells import fans
-from .numbering import text_numbers
+from .numbering import text_numbers, whole
 from .table import NO_TRIANGLES, DisplacementTable, surface_table
 
 _KINDS = {
@@ -140,8 +140,8 @@ class _Rows:
         scalars = {p[0]: np.concatenate([part[p[0]] for part in parts]) for p in element.properties if len(p) == 2}
         entries = {
             name: (
-                _whole(np.concatenate([part[name].ravel() for part in parts])),
-                _whole(np.concatenate([part[f"{name} count"].ravel() for part in parts])),
+                whole(np.concatenate([part[name].ravel() for part in parts])),
+                whole(np.concatenate([part[f"{name} count"].ravel() for part in parts])),
             )
             for name, _, _ in lists
         }
@@ -172,7 +172,7 @@ class _Rows:
         start = self.at
         for name, *kinds in element.properties:
             if len(kinds) == 2:
-                lengths[name] = int(_whole(self._numbers(kinds[0], 1))[0])
+                lengths[name] = int(whole(self._numbers(kinds[0], 1))[0])
             self._numbers(kinds[-1], lengths.get(name, 1))
         self.at = start
         return lengths
@@ -202,9 +202,3 @@ class _Rows:
         table = self.words[self.at : self.at + count * width].reshape(count, width)
         ends = np.cumsum([size for _, _, size in fields])
         return {name: table[:, end - size : end] for (name, _, size), end in zip(fields, ends, strict=True)}, width
-
-
-def _whole(values: NDArray[Any]) -> IntArray:
-    if not (np.abs(values) < 2.0**53).all() or (values != np.floor(values)).any():
-        raise ValueError("a whole number was expected")
-    return values.astype(np.int64)

@@ -43,7 +43,8 @@ def read_vtk_xml(path: Path) -> DisplacementTable:
         pieces, sizes = [p for p, n in zip(pieces, sizes, strict=True) if n], [n for n in sizes if n]
         if not pieces:
             raise FormatError(f"{path} has no points")
-        points = [_points(reader, piece, n) for piece, n in zip(pieces, sizes, strict=True)]
+        own = [reader.arrays_of(piece, "Points", 1)[0] for piece in pieces]
+        points = [reader.values(array, n, 3) for array, n in zip(own, sizes, strict=True)]
         nodes = [read_section(reader, piece, "PointData", n, []) for piece, n in zip(pieces, sizes, strict=True)]
         triangles = [read_piece(reader, piece) for piece in pieces]
         reader.require_no_rest()
@@ -54,13 +55,6 @@ def read_vtk_xml(path: Path) -> DisplacementTable:
     except ValueError as error:
         raise FormatError(f"cannot read {path}: the node {error}") from error
     return surface_table(path, put_together(points), arrays, np.concatenate(triangles))
-
-
-def _points(reader: ArrayReader, piece: Element, number: int) -> NDArray[Any]:
-    arrays = [array for section in piece.all("Points") for array in section.arrays()]
-    if len(arrays) != 1:
-        raise reader.error(piece, f"has {len(arrays)} arrays of Points, expected 1")
-    return reader.values(arrays[0], number, 3)
 
 
 def _polygons(reader: ArrayReader, piece: Element) -> IntArray:

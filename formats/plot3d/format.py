@@ -81,8 +81,6 @@ def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
     """
     chosen = _usual_variant(grid, Path(path)).changed(parse_options(options))
     _require_writable(grid, Path(path), chosen)
-    if chosen.encoding == "ascii" or chosen.iblank:
-        require_whole(grid.points, f"{path} is written as a whole")
     return chosen.file_format()
 
 
@@ -96,8 +94,6 @@ def write(grid: Grid, path: Path, variant: FileFormat) -> None:
     """
     chosen = Variant.of(variant)
     _require_writable(grid, Path(path), chosen)
-    if chosen.encoding == "ascii" or chosen.iblank:
-        require_whole(grid.points, f"{path} is written as a whole")
     with replacing_by_all(Path(path), grid.points) as partial:
         if chosen.encoding == "ascii":
             _write_text(grid, partial, chosen)
@@ -145,6 +141,8 @@ def _require_writable(grid: Grid, path: Path, chosen: Variant) -> None:
         largest = max(float(high.max()), -float(low.min()))
         if largest > float(np.finfo(np.float32).max):
             raise FormatError(f"cannot write {path} as float32: a coordinate is {largest:g}; use precision=float64")
+    if chosen.encoding == "ascii" or chosen.iblank:
+        require_whole(grid.points, f"{path} is written as a whole")
 
 
 def _require_flat(grid: Grid, path: Path) -> None:

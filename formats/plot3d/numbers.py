@@ -97,10 +97,15 @@ def count_integers(stream: BinaryIO) -> int:
     count, rest = 0, b""
     while chunk := stream.read(_PIECE):
         text = rest + chunk
-        cut = 1 + max(text.rfind(gap) for gap in (b" ", b",", b"\t", b"\r", b"\n"))
+        cut = _end_of_numbers(text)
         text, rest = text[:cut], text[cut:]
         count += _count_integers(text)
     return count + _count_integers(rest)
+
+
+def _end_of_numbers(text: bytes) -> int:
+    """Where the last gap between numbers ends."""
+    return 1 + max(text.rfind(gap) for gap in (b" ", b",", b"\t", b"\r", b"\n"))
 
 
 def _count_integers(text: bytes) -> int:
@@ -128,8 +133,7 @@ def _read_pieces(stream: BinaryIO, path: Path) -> Iterator[FloatArray]:
     while chunk := stream.read(_PIECE):
         text = rest + chunk
         # The last number, and a comma after it, are held back for the next piece.
-        complete = text.rstrip(b" ,\t\r\n")
-        cut = 1 + max(complete.rfind(gap) for gap in (b" ", b",", b"\t", b"\r", b"\n"))
+        cut = _end_of_numbers(text.rstrip(b" ,\t\r\n"))
         text, rest = text[:cut], text[cut:]
         yield _numbers(text, line, path)
         line += text.count(b"\n")

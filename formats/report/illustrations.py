@@ -33,7 +33,7 @@ def deformation_figures(result: Result) -> Illustrations:
     pair = Pair(setup.grid, after, setup.topology, original=setup.original)
     figures = [_slider("Around the walls", "A plane through the grid, coloured by f_skew.", *quality_planes(pair))]
     block, cell = worst_cell(pair.new, "f_skew")
-    where = f"{setup.grid.names[block]} ({', '.join(str(n + 1) for n in cell)})"
+    where = setup.grid.label(block, cell)
     caption = (
         f"A close-up of cell {where}, where f_skew is smallest{', and of other invalid cells' if invalid else ''}."
     )
@@ -56,7 +56,7 @@ def _repaired_region(setup: Setup, plain: Grid, after: Grid) -> Figure:
     """Around the worst cell that the method alone gives, without and with the repair."""
     pair = Pair(plain, after, setup.topology, setup.grid)
     block, cell = worst_cell(pair.old, "f_skew")
-    where = f"{setup.grid.names[block]} ({', '.join(str(n + 1) for n in cell)})"
+    where = setup.grid.label(block, cell)
     caption = f"Around cell {where}, the worst that the method alone gives: without the repair and with it."
     page = worst_cells(pair, block, cell)
     # The same position, not the same cell, which the repair has moved.

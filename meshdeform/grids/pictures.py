@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import TYPE_CHECKING
 
 from meshdeform_core.grid import Grid
@@ -36,6 +35,5 @@ def _subject(grid: Grid, reference: Grid | None) -> Subject:
     if reference is None:
         return Subject(grid, find_topology(grid))
     require_same_blocks(grid, reference)
-    if not reference.patches:
-        reference = dataclasses.replace(reference, patches=grid.patches)
+    reference = reference.with_patches_of(grid)
     return Subject(grid, find_topology(reference), reference)

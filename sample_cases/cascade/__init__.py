@@ -5,6 +5,7 @@ import numpy as np
 from meshdeform_core.grid import Grid
 
 from ..patches import with_patches
+from ..spacing import even
 
 DEFAULT_SIZE = 32
 SIZES = {"small": 16, "medium": 32, "large": 128}
@@ -18,8 +19,8 @@ def generate(size: int = DEFAULT_SIZE) -> Grid:
     """Eight blocks of uniform square cells around a bar of unit edge; one pitch of 4 of the cascade."""
     if size < 4 or size % 2:
         raise ValueError(f"size = {size} cells along an edge of the bar; expected an even number, at least 4")
-    x = [_nodes(span, size) for span in ((_INLET, -0.5), (-0.5, 0.5), (0.5, _OUTLET))]
-    y = [_nodes(span, size) for span in ((-_PITCH / 2, -0.5), (-0.5, 0.5), (0.5, _PITCH / 2))]
+    x = [even(span, size) for span in ((_INLET, -0.5), (-0.5, 0.5), (0.5, _OUTLET))]
+    y = [even(span, size) for span in ((-_PITCH / 2, -0.5), (-0.5, 0.5), (0.5, _PITCH / 2))]
     names = [f"{row}-{column}" for column in ("upstream", "bar", "downstream") for row in ("lower", "middle", "upper")]
     blocks = [np.stack(np.meshgrid(a, b, [0.0], indexing="ij"), axis=-1) for a in x for b in y]
     del names[4], blocks[4]
@@ -33,8 +34,3 @@ def generate(size: int = DEFAULT_SIZE) -> Grid:
             ("upper", "", lambda c, side: c[:, 1] == _PITCH / 2),
         ],
     )
-
-
-def _nodes(span: tuple[float, float], size: int) -> np.ndarray:
-    # Integer multiples of the cell: nodes of neighbouring blocks are equal to the last bit.
-    return np.arange(round(span[0] * size), round(span[1] * size) + 1) / size

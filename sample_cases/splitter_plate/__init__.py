@@ -5,6 +5,7 @@ import numpy as np
 from meshdeform_core.grid import Grid
 
 from ..patches import with_patches
+from ..spacing import even
 
 DEFAULT_SIZE = 8
 SIZES = {"small": 8, "paper": 16, "large": 32}
@@ -30,12 +31,8 @@ def generate(size: int = DEFAULT_SIZE) -> Grid:
     if size < 8 or size % 8:
         raise ValueError(f"size = {size} cells per unit; expected a multiple of 8 (the plate is a quarter thick)")
 
-    def nodes(span: tuple[float, float]) -> np.ndarray:
-        # Integer multiples of the cell: nodes of neighbouring blocks are equal to the last bit.
-        return np.arange(round(span[0] * size), round(span[1] * size) + 1) / size
-
-    z = nodes((0.0, 0.5))
-    blocks = [np.stack(np.meshgrid(nodes(x), nodes(y), z, indexing="ij"), axis=-1) for _, x, y in _BLOCKS]
+    z = even((0.0, 0.5), size)
+    blocks = [np.stack(np.meshgrid(even(x, size), even(y, size), z, indexing="ij"), axis=-1) for _, x, y in _BLOCKS]
     grid = Grid.from_blocks(blocks, [name for name, _, _ in _BLOCKS])
     return with_patches(
         grid,

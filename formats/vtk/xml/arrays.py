@@ -78,6 +78,13 @@ class ArrayReader:
             flat = self._binary(array, count, np.dtype(self._order + TYPES[array.get("type")]), wanted)
         return flat if stated == 1 else flat.reshape(tuples, stated)
 
+    def arrays_of(self, piece: Element, tag: str, number: int) -> list[Element]:
+        """The arrays of all ``tag`` elements in ``piece``, which must be so many."""
+        arrays = [array for section in piece.all(tag) for array in section.arrays()]
+        if len(arrays) != number:
+            raise self.error(piece, f"has {len(arrays)} arrays of {tag}, expected {number}")
+        return arrays
+
     def number(self, element: Element, name: str) -> int:
         """A count that an element must declare.
 

@@ -152,23 +152,16 @@ def _piece_points(reader: ArrayReader, data_set: Element, piece: Element, extent
     """Coordinates of a piece, ``(nk, nj, ni, 3)``."""
     shape = extent.shape()
     if reader.file.kind == "StructuredGrid":
-        (array,) = _coordinate_arrays(reader, piece, "Points", 1)
+        (array,) = reader.arrays_of(piece, "Points", 1)
         return reader.values(array, math.prod(shape), 3).reshape(*shape, 3)
     if reader.file.kind == "RectilinearGrid":
-        arrays = _coordinate_arrays(reader, piece, "Coordinates", 3)
+        arrays = reader.arrays_of(piece, "Coordinates", 3)
         return lattice(*(reader.values(array, n, 1) for array, n in zip(arrays, shape[::-1], strict=True)))
     origin = _numbers(reader, data_set, "Origin", "0 0 0")
     spacing = _numbers(reader, data_set, "Spacing", "1 1 1")
     direction = _numbers(reader, data_set, "Direction", "1 0 0 0 1 0 0 0 1").reshape(3, 3)
     indices = lattice(*(np.arange(n) + low for n, low in zip(shape[::-1], extent.low, strict=True)))
     return indices @ (direction * spacing).T + origin
-
-
-def _coordinate_arrays(reader: ArrayReader, piece: Element, tag: str, number: int) -> list[Element]:
-    arrays = [array for section in piece.all(tag) for array in section.arrays()]
-    if len(arrays) != number:
-        raise reader.error(piece, f"has {len(arrays)} arrays of {tag}, expected {number}")
-    return arrays
 
 
 def _numbers(reader: ArrayReader, element: Element, name: str, otherwise: str) -> NDArray[np.float64]:
