@@ -57,6 +57,12 @@ def test_info_for_programs(bench, call):
     # 16 lines each way without the 4 x 4 inside the bar, four layers.
     assert facts["unique_nodes"] == (16 * 16 - 4 * 4) * 4
     assert len(facts["interfaces"]) == 8
+    grid = read_grid("grid.cgns")
+    for each in facts["interfaces"]:
+        own, donor = (grid.block(grid.names.index(name)) for name in each["blocks"])
+        for end in ("first", "last"):
+            here, there = (tuple(n - 1 for n in each[key]) for key in (end, f"donor_{end}"))
+            np.testing.assert_array_equal(own[here], donor[there])
     assert {p["family"] for p in facts["patches"]} == {"body", "outer", "span"}
     window = facts["patches"][0]["windows"][0]
     assert window["face"].split(".")[1] in {"imin", "imax", "jmin", "jmax"}

@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import h5py
 import numpy as np
@@ -15,7 +16,7 @@ import pytest
 from grids import frame
 
 import meshdeform as md
-from meshdeform_cli.process.mpi import Place, place
+from meshdeform_cli.process.mpi import Place, place, run_on_ranks
 from meshdeform_formats import read_grid, write_grid
 
 BESIDE = Path(sys.executable).with_name("mpiexec")
@@ -356,6 +357,14 @@ def test_the_mpiexec_of_another_mpi_is_refused(bench, snapshot):
     assert done.returncode == 2
     assert "sees 1; use the mpiexec of that MPI" in done.stderr
     assert snapshot(bench) == before
+
+
+def test_ranks_that_mpi4py_does_not_see_end_the_run(monkeypatch, capsys):
+    world = SimpleNamespace(COMM_WORLD=SimpleNamespace(size=1), Get_library_version=lambda: "Some MPI 5.0, of today")
+    monkeypatch.setitem(sys.modules, "mpi4py", SimpleNamespace(MPI=world))
+    codes = [run_on_ranks(lambda: pytest.fail("the command runs"), Place(rank, 3)) for rank in range(2)]
+    assert codes == [2, 0]
+    assert capsys.readouterr().err.count("mpi4py uses Some MPI 5.0, which sees 1") == 1
 
 
 def test_a_plain_start_does_not_touch_mpi(bench):

@@ -75,6 +75,18 @@ def test_extremes_are_those_of_the_report(grid):
         assert at_place(fields, name, measure.worst) == measure.max
 
 
+def test_interfaces_of_a_grid_without_a_reference():
+    """Grid lines that turn by 30 degrees and become twice as dense at the interface of two blocks."""
+    left = block_around(np.linspace(-2.0, 0.0, 3), np.linspace(0.0, 1.0, 3), np.linspace(0.0, 1.0, 3))
+    right = block_around(np.linspace(0.0, 1.0, 3), np.linspace(0.0, 1.0, 3), np.linspace(0.0, 1.0, 3))
+    turn, x = np.radians(30.0), right[..., 0].copy()
+    right[..., 0], right[..., 1] = np.cos(turn) * x, right[..., 1] + np.sin(turn) * x
+    grid = Grid.from_blocks([left, right])
+    before = assess(Original(grid, find_topology(grid)), grid.points, None).before
+    assert before.interface_kink_deg.max == pytest.approx(30.0)
+    assert before.interface_spacing_jump.max == pytest.approx(np.log(2.0))
+
+
 @pytest.mark.parametrize("make", [frame, frame_2d, polar])
 def test_wall_measures_are_those_of_the_report(make):
     grid = make()

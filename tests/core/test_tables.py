@@ -12,9 +12,11 @@ from scipy.interpolate import RBFInterpolator
 
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.boundary.motions.motion import Follow, Motion
+from meshdeform_core.boundary.tables.fitting import fit_table
 from meshdeform_core.boundary.tables.matching import Matching, SurfaceData
 from meshdeform_core.deform import Case, set_up
 from meshdeform_core.errors import MotionError
+from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.numerics.geometry.local_spline import local_spline
 
 FRAME = frame(cells=6, layers=6)
@@ -165,6 +167,13 @@ def test_one_table_for_several_entries_is_used_as_a_whole():
         for name, face in (("a", "block2.imax"), ("b", "block7.imin"), ("c", "block4.jmax"), ("d", "block5.jmin"))
     ]
     assert set_up(FRAME, Case((*entries, BoundarySpec("rest", ("*",), Kind.SLIP)))).boundary.notes == ()
+
+
+def test_a_side_of_which_a_table_covers_a_strip_does_not_follow_it():
+    points = bar()
+    top, strip = points[:, 1] > 0.49, (points[:, 0] < -0.3) & (points[:, 2] < 0.6)
+    fit = fit_table(FRAME, find_topology(FRAME), data(points[~top | strip]), Matching(how="interpolate"))
+    assert [surface.name for surface in fit.surfaces] == ["block2.imax", "block4.jmax", "block7.imin"]
 
 
 def test_a_shifted_table_is_said():

@@ -107,6 +107,17 @@ def test_whichever_way_leads_to_a_valid_grid_the_minimum_is_the_same():
     assert folded is None
 
 
+def test_a_motion_from_an_earlier_level_is_prescribed_from_there():
+    setup = bar(6)
+    start = impose(setup, setup.motion(20.0), 1, "float64", Timing()).grid.points
+    course = Course(setup, setup.motion(60.0), "float64", Timing(), None, Start(start), Limit(float("inf")))
+    begin = (start - setup.grid.points)[setup.topology.first]
+    middle, end = course.prescribed(0.5), course.prescribed(1.0)
+    np.testing.assert_array_equal(course.prescribed(0.0), begin)
+    np.testing.assert_allclose(middle, (begin + end) / 2, atol=1e-15)
+    assert np.abs(end - setup.motion(60.0)(1.0)).max() < 1e-15
+
+
 def test_a_repair_that_does_not_fit_into_memory_is_refused_not_done_otherwise():
     case = Case(tuple(body_specs(turning("80"), Kind.FIXED)))
     needed = set_up(frame(5, 3), case)
