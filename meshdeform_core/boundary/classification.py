@@ -139,7 +139,7 @@ def classify(
     """Apply the boundary entries of a case to a grid.
 
     Returns the topology with two-sided walls opened, and the boundary. External faces that no entry selects are
-    fixed; but the end planes of a grid that is one cell thick slide, because otherwise nothing could move.
+    fixed, except the end planes of a grid one cell thick, which slide, as otherwise nothing could move.
 
     Raises
     ------
@@ -212,7 +212,7 @@ def _fit(grid: Grid, topology: Topology, spec: BoundarySpec) -> Fit | None:
 
 
 def _following(spec: BoundarySpec, fit: Fit | None) -> BoundarySpec:
-    """The entry with the matching that fits."""
+    """The entry with the matching of ``fit``, if there is one."""
     if fit is None or spec.motion is None:
         return spec
     return replace(spec, motion=spec.motion.matched_by(fit.matching))
@@ -293,7 +293,7 @@ def _node_kinds(topology: Topology, entries: list[Entry], movers: list[tuple[Int
 
 
 def _spread_over_images(kind: np.ndarray, periodic: Periodic) -> None:
-    """Periodic images of a moving or fixed node are moving or fixed too: pairs move alike."""
+    """Give periodic images of a moving or fixed node its kind, as they move alike."""
     if periodic.one.size == 0:
         return
     nodes, root, _ = periodic.frames(len(kind))

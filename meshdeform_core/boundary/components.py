@@ -19,7 +19,7 @@ from .slip import find_sliding
 def boundary_of(component: Component, boundary: Boundary) -> Boundary:
     """The part of a boundary that belongs to a component.
 
-    Its motions are those of the whole entries, to be evaluated by the whole boundary, which also checks their tables.
+    Motions are evaluated, and tables checked, by the boundary of the whole grid only.
     """
     nodes, quads = _places(boundary.kind, component.numbers), _places(boundary.quad_kind, component.quads)
     patches = tuple(
@@ -72,7 +72,7 @@ def _of(component: Component, path: Callable[[float], FloatArray], fraction: flo
 
 
 def _places(whole: np.ndarray, members: IntArray) -> IntArray:
-    """Place (n,) of every entry of the whole among the ``members``, or -1."""
+    """Position (n,) of every entry of ``whole`` among the ``members``, or -1."""
     place = np.full(len(whole), -1)
     place[members] = np.arange(len(members))
     return place

@@ -26,7 +26,7 @@ class _Use:
     Attributes
     ----------
     quads : the faces that the entry selects
-    place : which table of which entry this is; the tables of a sequence have the same
+    place : identifies the table within its entry; all tables of a sequence share one
     """
 
     match: Transfer
@@ -71,7 +71,7 @@ def table_warnings(topology: Topology, movers: Sequence[tuple[IntArray, Prepared
     Raises
     ------
     MotionError
-        When most of a table lies off the walls, or it moves single nodes among others that stay.
+        When most of a table lies off the walls, or it moves single nodes among others that remain at rest.
     """
     uses = [
         _Use(match, motion.nodes, quads, f"table {number} of entry {entry}")

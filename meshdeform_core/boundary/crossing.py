@@ -68,8 +68,8 @@ class Contact:
 
     Attributes
     ----------
-    fraction : of the motion, up to which it does not
-    crossings : the patches that meet there, most faces first
+    fraction : fraction of the motion up to which it does not cross itself
+    crossings : the patches that meet there, those with most faces first
     """
 
     fraction: float
@@ -138,7 +138,7 @@ class CrossingTest:
         return Contact(low, self.crossings(at, gap) or found)
 
     def _surface_for(self, displacement: FloatArray) -> _Surface:
-        """A plane that nodes leave moves with them: the position of its faces is unknown, and they are left out."""
+        """The surface to test; faces of a slip plane that nodes leave are left out, as their position is unknown."""
         departs = self._boundary.slip.departure(displacement) > 1e-9 * self._size
         return self._open if departs else self._whole
 
@@ -172,7 +172,7 @@ class CrossingTest:
         return self._topology.quads.corners[self._topology.external]
 
     def _outside(self, displacement: FloatArray) -> bool:
-        """Whether a part of the boundary that moves has come to lie outside of the rest (or inside out)."""
+        """Whether a moving part of the boundary has come to lie outside the rest (or inside out)."""
         faces = self._outside_faces[(displacement[self._outside_faces] != 0.0).any(axis=2).all(axis=1)]
         if not len(faces):
             return False
@@ -194,7 +194,7 @@ class CrossingTest:
         return winding(points, triangles, (a + b + c) / 3.0 - _INSIDE * area / np.sqrt(np.maximum(size, 1e-300)))
 
     def _plane_winding(self, points: FloatArray, samples: IntArray) -> FloatArray:
-        """The same in 2-D, where the outside lies to the right of an edge."""
+        """As :meth:`_winding`, in 2-D, where the outside lies to the right of an edge."""
         assert self._normal is not None
         a, b = points[samples[:, 0]], points[samples[:, 1]]
         places = 0.5 * (a + b) + _INSIDE * np.cross(self._normal, b - a)
@@ -252,7 +252,7 @@ class _Surface:
         return np.random.default_rng(0).uniform(-1.0, 1.0, self.points.shape) * amplitude[:, None]
 
     def _amplitude(self, gap: float) -> FloatArray:
-        # Parts are tested for lying outside at a small distance from their faces, by which they may come closer.
+        # The test for lying outside uses points at a small distance from the faces, which is allowed for here.
         reach = gap + 4.0 * _INSIDE * self.edge if gap else 0.0
         return np.clip(reach, TOUCH * self.edge, 0.05 * self.edge)
 

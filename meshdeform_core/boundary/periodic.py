@@ -126,7 +126,7 @@ def _axis_rotations(p: FloatArray, q: FloatArray) -> list[FloatArray]:
 
 
 def find_periodicity(grid: Grid, topology: Topology, name: str, quads: IntArray, sides: Sequence[IntArray]) -> Periodic:
-    """Pairs of one periodic boundary: as the file declares them, else by matching its two sides.
+    """Pairs of one periodic boundary: as declared in the file, otherwise found by matching its two sides.
 
     Parameters
     ----------

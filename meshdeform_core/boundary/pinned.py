@@ -22,8 +22,8 @@ class PinnedCells:
 
     Attributes
     ----------
-    count : how many
-    block, ijk : the first of them, 1-based
+    count : number of cells
+    block, ijk : location of the first one, indices from 1
     center : mean of its corners after the motion (grid length unit)
     """
 

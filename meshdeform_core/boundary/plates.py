@@ -28,7 +28,7 @@ def open_two_sided_walls(grid: Grid, topology: Topology) -> tuple[Topology, list
 def open_plates(grid: Grid, topology: Topology, patterns: Sequence[str]) -> Topology:
     """Open the plates that the case names (``grid.plates``); one of the two sides is enough.
 
-    The nodes of the two sides stay one: a plate has no thickness and cannot open.
+    Nodes of the two sides remain coincident: a plate has no thickness, and its sides cannot separate.
 
     Raises
     ------

@@ -57,10 +57,11 @@ def given_displacement(
 
 
 def given_gradient(grid: Grid, boundary: Boundary, nodes: IntArray, gradient: FloatArray) -> FloatArray:
-    """The transpose of :func:`given_displacement`: gradients (n, 3) of ``nodes`` from those (n_unique, 3) of all.
+    """Transpose of :func:`given_displacement`: gradients (n, 3) of ``nodes`` from those (n_unique, 3) of all face
+    nodes.
 
-    If several periodic images of a node are given they share its gradient, so that a displacement along it moves them
-    alike.
+    If several periodic images of a node are given, they share its gradient, so that a displacement along the gradient
+    moves them alike.
     """
     periodic, normal = boundary.periodic, plane_normal(grid)
     total = gradient.copy()
@@ -118,7 +119,10 @@ def _require_agreement(
     nodes: IntArray,
     new: FloatArray,
 ) -> None:
-    """Compare the displacement of ``nodes`` by one entry with that by the entries before, -1 where there is none."""
+    """Require that the displacement ``new`` of ``nodes`` by one entry agrees with that by preceding entries.
+
+    ``entries`` are the preceding entry of each node, -1 where there is none, and the new entry.
+    """
     owner, index = entries
     both = owner >= 0
     if not both.any():

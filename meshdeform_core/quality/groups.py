@@ -22,7 +22,7 @@ class InvalidGroup:
 
     Attributes
     ----------
-    cells : how many
+    cells : number of cells
     blocks : names of the blocks they lie in
     box : lowest and highest coordinates of the deformed cells
     center : mean of the centres of the deformed cells
@@ -90,7 +90,7 @@ def _unique(topology: Topology, nodes: IntArray) -> IntArray:
 
 
 def _touching(nodes: IntArray) -> IntArray:
-    """(n,) number of the group of each row of ``nodes``; rows with a node in common are in one group."""
+    """Number (n,) of the group of each row of ``nodes``; rows with a common node belong to one group."""
     _, local = np.unique(nodes, return_inverse=True)
     n = len(nodes)
     rows = np.repeat(np.arange(n), nodes.shape[1])

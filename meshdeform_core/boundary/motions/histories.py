@@ -37,7 +37,8 @@ class History:
         return np.array([np.interp(time, self.times, column) for column in self.values.T])
 
     def require(self, time: float) -> None:
-        """Refuse a time that the table does not cover; half a millionth of a step beyond its ends is round-off."""
+        """Refuse a time that the table does not cover; up to half a millionth of a step beyond its ends is
+        round-off."""
         first, last = float(self.times[0]), float(self.times[-1])
         slack = 1e-6 * (float(np.diff(self.times).min()) if len(self.times) > 1 else max(abs(first), 1.0))
         if not first - slack <= time <= last + slack:
@@ -129,7 +130,7 @@ class Modes:
 
 @dataclass(frozen=True)
 class ImposedModes(Imposed):
-    """Shapes (m, n, 3) that have been transferred to the nodes; ``match`` is that of the first one."""
+    """Shapes (m, n, 3) that have been transferred to the nodes; ``match`` is the transfer of the first one."""
 
     modes: Modes
     shapes: FloatArray

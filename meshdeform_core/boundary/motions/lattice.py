@@ -38,7 +38,7 @@ class ControlMove:
 class Lattice:
     """A box of control points: products of Bernstein polynomials along its three edges.
 
-    Nodes on and inside the box move, others do not. It lies where it is when the motion's earlier steps are done.
+    Nodes on and inside the box move, others do not. The box refers to positions after the motion's preceding steps.
 
     Attributes
     ----------
@@ -92,7 +92,7 @@ class Lattice:
 
 
 def bernstein(degree: int, place: FloatArray) -> FloatArray:
-    """All Bernstein polynomials of a degree at places (n,) between 0 and 1: (n, degree + 1)."""
+    """All Bernstein polynomials of a degree at positions (n,) between 0 and 1: (n, degree + 1)."""
     power = np.arange(degree + 1)
     x = place[:, None]
     return np.asarray(scipy.special.comb(degree, power) * x**power * (1.0 - x) ** (degree - power))

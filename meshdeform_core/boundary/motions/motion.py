@@ -1,8 +1,8 @@
 """Prescribed motion of a boundary: rotate, translate, displace by formulas, or follow a table.
 
 A motion is a sequence of steps applied in order to the undeformed positions. A ``fraction`` of every step can be
-imposed, so that a large motion is marched along its own path: half of a rotation by 60 degrees is a rotation by 30
-degrees, not the midpoint of the chord.
+imposed, so that a large motion follows its own path: half of a rotation by 60 degrees is a rotation by 30 degrees, not
+the midpoint of the chord.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from .expression import Expression
 
 VARIABLES = ("x", "y", "z", "t")
 SMALLEST = 1e-30
-"""Smaller displacements are set to zero: their products with weights would be denormal numbers."""
+"""Smaller displacements are set to zero, as their products with weights would be subnormal numbers."""
 LARGEST = 1e30
 """Largest displacement, as for coordinates (``formats.plausible``): its square is finite."""
 
@@ -75,7 +75,7 @@ class Rotate:
     def increment(self, current: FloatArray, values: Mapping[str, Any], fraction: float) -> FloatArray:
         arm = current - _vector(self.center, values, len(current))
         angle = np.deg2rad(fraction * np.broadcast_to(self.angle(values), len(current)))[:, None]
-        # Scaled first, because squares of lengths above 1e154 overflow.
+        # Scaled first, as squares of lengths above 1e154 overflow.
         axis = np.asarray(self.axis) / np.abs(self.axis).max()
         axis /= np.linalg.norm(axis)
         # Rodrigues' formula as a displacement: exactly zero for a zero rotation.
@@ -198,7 +198,7 @@ class Motion:
         Raises
         ------
         MotionError
-            With the table and the time.
+            Naming the table and the time.
         """
         for step in self.steps:
             if isinstance(step, Timed):
@@ -217,7 +217,7 @@ class Motion:
 
 
 GIVEN = Motion((), {})
-"""The motion of boundaries whose displacement the caller gives as arrays, step by step."""
+"""The motion of boundaries whose displacement the caller passes as arrays, step by step."""
 
 
 @dataclass(frozen=True)
@@ -235,7 +235,7 @@ class PreparedMotion:
 
     @property
     def moved(self) -> BoolArray:
-        """(n,) bool: nodes that the motion moves; all, unless its tables match only some of them."""
+        """Nodes (n,) bool that the motion moves: all, unless its tables match only some of them."""
         moved = np.ones(len(self.nodes.numbers), dtype=bool)
         for match in self.matches:
             moved &= match.matched

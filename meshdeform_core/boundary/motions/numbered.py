@@ -1,4 +1,4 @@
-"""New positions of surface points that are given by their numbers, as SU2's motion files hold them."""
+"""New positions of surface points identified by number, as in SU2's motion files."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from ..tables.transfer import transfer
 from .motion import FollowSequence, Imposed, PreparedStep, level_at
 
 _ROUGH = 3.0
-"""Neighbours whose displacements usually differ by more than this many edges are not neighbours."""
+"""If the displacements of neighbours typically differ by more than this many edges, the numbers belong to another
+mesh."""
 
 
 @dataclass(frozen=True)
@@ -26,13 +27,13 @@ class Positions:
     label: str
 
     def at(self, nodes: Nodes) -> SurfaceData:
-        """The displacements of the points; numbers are those of the unstructured files that this program writes.
+        """The displacements of the points; numbering is that of the unstructured files that this program writes.
 
         Raises
         ------
         MotionError
-            When a number is not that of a point on a block face, nodes have no new position, or neighbours move so
-            differently that the numbers must be those of another mesh.
+            When a number does not denote a point on a block face, nodes have no new position, or neighbours move so
+            differently that the numbers must belong to another mesh.
         """
         topology = nodes.topology
         beyond = np.flatnonzero((self.numbers < 0) | (self.numbers >= topology.n_unique))

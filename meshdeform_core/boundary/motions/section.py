@@ -1,4 +1,4 @@
-"""New shapes of airfoils: nodes move along to the same part of the arc length between leading and trailing edge."""
+"""New shapes of airfoils: nodes keep their relative arc length between leading and trailing edge."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from ...wording import vector
 from ..tables.matching import Nodes
 
 _SAME = 1e-9
-"""Part of the chord within which points of a section are one."""
+"""Points of a section closer than this fraction of the chord are one point."""
 _CORNER = 60.0
-"""Degrees by which the outline turns at a trailing edge."""
+"""Smallest angle (degrees) by which the outline turns at a trailing edge."""
 _BASE = 0.1
-"""A blunt trailing edge is shorter than this part of the chord."""
+"""A blunt trailing edge is shorter than this fraction of the chord."""
 _GAUSS = np.polynomial.legendre.leggauss(8)
 
 
@@ -31,8 +31,8 @@ class Airfoil:
     ----------
     outline : (n, 2) from the trailing edge over the upper side to the leading edge and back over the lower side
     axes : coordinates (0, 1, 2) of the plane of the sections: along the chord, and upwards
-    fitted : scaled, turned and shifted so that leading and trailing edge stay where they are; else as it is
-    label : of the file, for messages
+    fitted : whether the outline is scaled, turned and shifted so that leading and trailing edge stay where they are
+    label : name of the file, for messages
     """
 
     outline: FloatArray
@@ -42,7 +42,7 @@ class Airfoil:
     names: ClassVar[frozenset[str]] = frozenset()
 
     def prepare(self, nodes: Nodes) -> ImposedOutline:
-        """Find the outline of the nodes and the place of each on the new one.
+        """Find the outline of the nodes and the position of each on the new one.
 
         Raises
         ------
@@ -96,8 +96,10 @@ class Outline:
 
     Attributes
     ----------
-    points : (n, 2); spline : by the length of the polygon; lengths : (n,) arc lengths of the points
-    nose : number of the point farthest from the middle of the trailing edge, the leading edge
+    points : (n, 2)
+    spline, knots : through the points, with the length of the polygon up to each of them as parameter
+    lengths : (n,) arc lengths of the points
+    nose : index of the leading edge, the point farthest from the middle of the trailing edge
     """
 
     points: FloatArray
@@ -108,7 +110,7 @@ class Outline:
 
     @classmethod
     def through(cls, points: FloatArray, label: str) -> Outline:
-        """The outline through points (n, 2), of which successive ones must differ."""
+        """The outline through points (n, 2), no two successive ones of which may coincide."""
         steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
         if len(points) < 5 or steps.min() <= _SAME * np.ptp(points, axis=0).max():
             at = int(np.argmin(steps)) if len(points) > 1 else 0
@@ -140,14 +142,14 @@ class Outline:
 
     @property
     def parts(self) -> FloatArray:
-        """Of every point (n,): 0 to 1 from the trailing to the leading edge, 1 to 2 back."""
+        """Relative arc length (n,) of every point: 0 to 1 from the trailing to the leading edge, 1 to 2 back."""
         half, whole = self.lengths[self.nose], self.lengths[-1]
         first = self.lengths / half
         second = 1.0 + (self.lengths - half) / (whole - half)
         return np.where(np.arange(len(self.lengths)) <= self.nose, first, second)
 
     def at(self, parts: FloatArray) -> FloatArray:
-        """The points (n, 2) of these parts, on the spline; its own points to the last bit at their own parts."""
+        """Points (n, 2) of the spline at relative arc lengths ``parts``; given points are reproduced exactly."""
         half, whole = self.lengths[self.nose], self.lengths[-1]
         length = np.where(parts <= 1.0, parts * half, half + (parts - 1.0) * (whole - half))
         segment = np.clip(np.searchsorted(self.lengths, length, side="right") - 1, 0, len(self.lengths) - 2)
@@ -170,20 +172,20 @@ def _arc(spline: scipy.interpolate.CubicSpline, low: FloatArray, high: FloatArra
 
 
 def _lengths(points: FloatArray) -> FloatArray:
-    """Lengths of the polygon up to each point, as parts of the whole."""
+    """Lengths of the polygon up to each point, relative to its whole length."""
     found = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     return np.asarray(found / found[-1])
 
 
 def _distinct(places: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Different points (m, 2) of a projection, and the point of every node (n,)."""
+    """Distinct points (m, 2) of a projection, and the index (n,) of the point of every node."""
     size = float(np.ptp(places, axis=0).max())
     _, first, of_node = np.unique(np.round(places / (_SAME * size)), axis=0, return_index=True, return_inverse=True)
     return places[first], of_node.reshape(-1)
 
 
 def _loop(points: FloatArray, faces: IntArray, label: str) -> IntArray:
-    """The points in order round the section, from edges of the projected faces (m, corners)."""
+    """The points in order around the section, from edges of the projected faces (m, corners)."""
     pairs = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
     pairs = np.unique(np.sort(pairs[pairs[:, 0] != pairs[:, 1]], axis=1), axis=0)
     count = np.bincount(pairs.ravel(), minlength=len(points))
@@ -208,8 +210,8 @@ def _loop(points: FloatArray, faces: IntArray, label: str) -> IntArray:
 
 
 def _trailing_edge(ring: FloatArray, label: str) -> tuple[int, int, bool]:
-    """Where the upper side of a counter-clockwise outline begins, how many points there are up to the lower corner, and
-    whether they are one corner: a sharp trailing edge.
+    """Index at which the upper side of a counter-clockwise outline begins, number of points up to the lower corner, and
+    whether both corners are one: a sharp trailing edge.
     """
     ahead = np.roll(ring, -1, axis=0) - ring
     behind = np.roll(ahead, 1, axis=0)
@@ -219,7 +221,7 @@ def _trailing_edge(ring: FloatArray, label: str) -> tuple[int, int, bool]:
         return int(corners[0]), len(ring), True
     chord = float(np.ptp(ring, axis=0).max())
     if len(corners) == 2 and np.linalg.norm(ring[corners[1]] - ring[corners[0]]) < _BASE * chord:
-        # The base is the short way from one corner to the other, and leads upwards.
+        # The base is the shorter way from one corner to the other, and leads upwards.
         one, two = corners.tolist()
         forth = two - one
         lower, upper = (one, two) if forth < len(ring) - forth else (two, one)

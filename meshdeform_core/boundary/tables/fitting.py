@@ -59,7 +59,7 @@ def fit_table(grid: Grid, topology: Topology, data: SurfaceData, matching: Match
     chosen = (votes >= POINTS) | (covered >= COVERED)
     if not chosen.any():
         chosen = votes >= SOME * votes.max()
-    # Along its rim a wall lies on symmetry and end planes too. A guessed role may be wrong where the table covers all.
+    # The rim of a wall also lies on symmetry and end planes. A guessed role may be wrong where the table covers all.
     walls = chosen & np.array(
         [
             surface.role in (Role.WALL, Role.UNKNOWN) or (not surface.declared and part >= WHOLE)

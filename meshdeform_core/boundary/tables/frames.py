@@ -26,7 +26,7 @@ _UNITS = (
     (0.3048, "in feet where the grid is in metres"),
     (1 / 0.3048, "in metres where the grid is in feet"),
 )
-"""Factors between length units, and what a table needs the factor for."""
+"""Factors between length units, and the mistake that each of them indicates."""
 
 
 def far_points(points: FloatArray, nodes: Nodes) -> BoolArray:
@@ -55,7 +55,7 @@ def other_frame(points: FloatArray, nodes: Nodes) -> str:
     best, share, distance = "", max(FITS, here + GAIN), np.inf
     for (change, reason), candidate in _candidates(some, nodes, tree):
         hit, off = _fit(candidate, nodes, tree)
-        # A rival must be clearly nearer: frames that differ by a symmetry of the wall fit alike.
+        # A later candidate must be clearly nearer, as frames that differ by a symmetry of the wall fit equally well.
         if hit >= share and off < 0.9 * distance - 1e-12:
             best, distance = f" ({change}, {hit:.0%} of its points would lie on the nodes: {reason}?)", off
     return best or _sizes(points, nodes)
@@ -93,10 +93,10 @@ def _candidates(
 
 
 def _shifts(points: FloatArray, nodes: Nodes, tree: scipy.spatial.cKDTree) -> Iterator[FloatArray]:
-    """The shift of the middle onto that of the nodes, and those that put points of a part of the nodes onto nodes."""
+    """The shift between the centres of points and nodes, and shifts that put points of part of a wall onto nodes."""
     x = nodes.points
     yield (x.min(axis=0) + x.max(axis=0) - points.min(axis=0) - points.max(axis=0)) / 2
-    # The first point lies on one node or another; each further one rules out most of what is left.
+    # The first point may lie on any node; each further point rules out most of the remaining shifts.
     probes = points[np.unique(np.linspace(0, len(points) - 1, PROBES).astype(np.int64))]
     shifts = x - probes[0]
     for probe in probes[1:]:

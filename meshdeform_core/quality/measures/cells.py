@@ -125,7 +125,7 @@ def _for_own_slabs(
     points: Part, ends: IntArray, parts: Sequence[Slab], work: Callable[[int, Slab], None],
     per_slab: Sequence[np.ndarray],
 ) -> None:  # fmt: skip
-    """The same for the slabs of every rank by itself; the rows per slab are exchanged."""
+    """As :func:`for_slabs`, each rank for its own slabs; the rows per slab are exchanged."""
     ranks = points.ranks
     first, last = ends[[ranks.number, ranks.number + 1]].tolist()
 

@@ -121,7 +121,7 @@ def _inverse_skew(x: Any, side: Any) -> Any:
 
 
 def _scaled_jacobians(x: Any, side: Any) -> Any:
-    """Jacobians of all corners (n, corners) for edges of length one; zero at collapsed edges."""
+    """Jacobians (n, corners) of all corners with edges scaled to unit length; zero at collapsed edges."""
     found = []
     for jacobian, edges in _corner_edges(x, side):
         for edge in edges:

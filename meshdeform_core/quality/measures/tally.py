@@ -13,7 +13,7 @@ from ...parallel import current_ranks
 from .cells import Slab
 
 HISTOGRAM_BINS = 20
-# A module's lock, as the objects that it guards are copied and locks cannot be.
+# A lock of the module, as the objects that it guards are copied and locks cannot be.
 _adding = threading.Lock()
 
 
@@ -69,7 +69,7 @@ class Sums:
         return sums
 
     def add(self, skew: FloatArray, volume: FloatArray, bad: BoolArray) -> None:
-        """Add cells (m,), but for their area."""
+        """Add cells (m,), except for their area."""
         with np.errstate(divide="ignore"):
             self.inverse += float((1.0 / skew).sum())
         self.skew += float(skew.sum())
