@@ -20,6 +20,7 @@ from tables import MarkdownTable
 
 from meshdeform_core.deform import deform
 from meshdeform_core.grid import Grid
+from meshdeform_core.grid.near import NearNodes
 from meshdeform_core.memory import peak_memory
 from meshdeform_core.parallel import OneRank, Part, dividing, sharing
 from meshdeform_formats.case import case_of
@@ -82,7 +83,7 @@ def share(nodes: int, count: int, number: int, method: str) -> MarkdownTable:
         grid = Grid.allocate([(n, n, n)])
         points = Box(grid.points, n)
         grid = grid.moved(points)
-        points.keep(grid.sides.near)
+        points.keep(NearNodes.of(grid.shapes, grid.offsets))
         start = time.process_time()
         result = deform(grid, case, steps=1)
         seconds = {**result.timing.seconds, "all of it": time.process_time() - start}

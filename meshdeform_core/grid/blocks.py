@@ -23,6 +23,7 @@ from ..numerics.pieces import pieces
 from ..parallel import Part, empty, for_items, holders, of_all, on_each, own_rows, require_whole
 from .dealing import in_parts
 from .lattice import SideLattice
+from .near import NearNodes
 from .parts import Connection, Field, FileFormat, Patch, Planes, Shape
 from .sizes import BlockSizes
 
@@ -165,7 +166,7 @@ class Grid(BlockSizes):
         fill = partial(for_items, lambda number: put(own[number]), len(own), threads=threads)
         if isinstance(self.points, Part):
             on_each(fill)
-            self.points.keep(self.sides.near)
+            self.points.keep(NearNodes.of(self.shapes, self.offsets))
         else:
             fill()
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..numerics.arrays import BoolArray, IntArray, spans
-from ..numerics.geometry.coincidence import ascending
 
 _AXES = np.repeat(np.arange(3), 2)
 _TANGENTIAL = np.array([[1, 2], [1, 2], [0, 2], [0, 2], [0, 1], [0, 1]])
@@ -75,9 +74,3 @@ class SideLattice:
         side = sides[side]
         u, v = np.divmod(local, self.nodes[side, 1])
         return side, u, v, self.at(side, u, v)
-
-    @property
-    def near(self) -> IntArray:
-        """Flat indices, ascending, of the nodes of all sides with quads, and of the next ones inside the blocks."""
-        side, _, _, flat = self.all_nodes(np.flatnonzero(self.has_quads))
-        return ascending(np.concatenate([flat, flat + self.inward[side]]))

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..errors import MotionError
 from ..grid import FloatArray, IntArray
+from ..memory import release_freed
 from ..numerics.rows import put_rows, spread_rows, take_rows
 from ..parallel import Part, alike, for_chunks, for_rows, own_rows, require_whole, rows_of
 from ..wording import vector
@@ -103,7 +104,9 @@ class _Scattered:
 
     def interpolate(self, displacement: FloatArray, out: FloatArray, progress: Progress | None = None) -> None:
         """Write the interpolated displacement into the rows of ``out`` (n_nodes, 3) of the target nodes."""
-        self._evaluator.evaluate(self._bound.fit(displacement, progress), out, progress)
+        values = self._bound.fit(displacement, progress)
+        release_freed()
+        self._evaluator.evaluate(values, out, progress)
 
 
 class PreparedComposite:

@@ -11,7 +11,7 @@ import mmap
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from .loops import alone, current_ranks, empty, for_chunks
 from .ranks import OneRank, Ranks
@@ -27,6 +27,19 @@ _ROWS = 1 << 14
 
 class WholeGridNeeded(Exception):
     """The request requires the whole grid on every rank; raised on all ranks alike, with the reason."""
+
+
+class Chosen(Protocol):
+    """Some rows of an array."""
+
+    @property
+    def rows(self) -> np.ndarray:
+        """Their numbers (n,), ascending."""
+        ...
+
+    def places(self, rows: np.ndarray) -> np.ndarray | None:
+        """Where row numbers (n,) are among them; ``None`` if some are not."""
+        ...
 
 
 class Part:
@@ -50,7 +63,7 @@ class Part:
         self.low, self.high = (int(bounds[ranks.number + end]) for end in range(2))
         self.rows = blank(shape, dtype)
         self._held = self.low, self.high
-        self._known: tuple[np.ndarray, np.ndarray] | None = None
+        self._known: tuple[Chosen, np.ndarray] | None = None
         self._thread = threading.get_ident()
 
     @property
@@ -100,9 +113,9 @@ class Part:
         """Refuse numpy operations on the whole array, which is nowhere in memory."""
         raise WholeGridNeeded("an operation on all nodes")
 
-    def keep(self, rows: np.ndarray) -> None:
-        """Keep a copy of some rows (n,), ascending, on every rank, so that they need not be sent again."""
-        self._known = rows, self._sent(rows)
+    def keep(self, chosen: Chosen) -> None:
+        """Keep a copy of some rows on every rank, so that they need not be sent again."""
+        self._known = chosen, self._sent(chosen.rows)
 
     def keep_like(self, other: Part) -> None:
         """Keep the same rows as another array."""
@@ -110,14 +123,12 @@ class Part:
             self.keep(other._known[0])
 
     def _looked_up(self, rows: np.ndarray) -> Any:
-        """The rows from the copies that all ranks keep; ``None`` if any is not among them."""
-        import numpy as np
-
+        """Rows that all ranks keep; ``None`` if there are others."""
         if self._known is None or not len(rows):
             return None
-        numbers, values = self._known
-        at = np.minimum(np.searchsorted(numbers, rows), len(numbers) - 1)
-        return values[at] if np.array_equal(numbers[at], rows) else None
+        chosen, values = self._known
+        places = chosen.places(rows)
+        return None if places is None else values[places]
 
     def _sent(self, rows: np.ndarray) -> Any:
         """The rows, sent by their owners."""

@@ -109,7 +109,9 @@ class Course:
     def begin(self) -> FloatArray:
         """Displacement (n_unique, 3) of the boundary in the starting grid, exactly zero if it is undeformed."""
         first, undeformed, points = self.setup.topology.first, self.setup.grid.points, self.start.points
-        return np.zeros((len(first), 3)) if points is undeformed else points[first] - undeformed[first]
+        if points is undeformed:
+            return np.broadcast_to(np.zeros(3), (len(first), 3))
+        return np.asarray(points[first] - undeformed[first])
 
     def prescribed(self, fraction: float) -> FloatArray:
         """Boundary displacement (n_unique, 3) at a fraction of the motion: along the motion's path if it starts from

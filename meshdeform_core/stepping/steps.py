@@ -119,7 +119,7 @@ def warnings_ahead(state: State, first: float) -> list[str]:
     """The method's warnings for the rest of the motion, whose first step is the fraction ``first`` of it."""
     course = state.course
     sources = course.setup.problem.source_numbers
-    motion, step = ((course.prescribed(part) - state.moved)[sources] for part in (1.0, first))
+    motion, step = (course.prescribed(part)[sources] - state.moved[sources] for part in (1.0, first))
     return prepared_on(state).warnings_for(motion, step)
 
 
@@ -131,7 +131,8 @@ def step(state: State, fraction: float, ways: tuple[Way, ...] = QUICKLY) -> Tria
 def plain_step(state: State, fraction: float) -> Trial:
     """As :func:`step`, without a repair."""
     course, prepared = state.course, prepared_on(state)
-    increment = (course.prescribed(fraction) - state.moved)[course.setup.problem.source_numbers]
+    sources = course.setup.problem.source_numbers
+    increment = course.prescribed(fraction)[sources] - state.moved[sources]
     with course.timing.stage("apply"):
         moved = prepared.apply(increment, course.progress)
         _add(state, moved)

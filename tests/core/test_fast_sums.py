@@ -183,8 +183,10 @@ def test_clusters_hold_their_sources_and_keep_their_charges(n, flat, seed):
     charges = rng.random((n, 8))
     tree = build_tree(points, 3)
     np.testing.assert_array_equal(np.sort(tree.order), np.arange(n))
-    proxy = np.empty((len(tree.boxes.proxies), 8))
-    gather_charges(tree, charges[tree.order], proxy, np.ones(len(tree.span), dtype=bool), 0, len(tree.span))
+    rows = np.empty((n + len(tree.boxes.proxies), 11))
+    rows[:n, 3:] = charges[tree.order]
+    gather_charges(tree, rows, np.ones(len(tree.span), dtype=bool), 0, len(tree.span))
+    proxy = rows[n:, 3:]
     for c, (lo, hi) in enumerate(tree.span):
         members = tree.order[lo:hi]
         inside = np.abs((points[members] - tree.boxes.center[c]) @ tree.boxes.axes[c].T)

@@ -16,6 +16,8 @@ from hypothesis import strategies as st
 from meshdeform_core.boundary import Kind
 from meshdeform_core.deform import Case, deform
 from meshdeform_core.grid.dealing import bounds_of
+from meshdeform_core.grid.lattice import SideLattice
+from meshdeform_core.grid.near import NearNodes
 from meshdeform_core.memory import PROGRAM_BYTES, Demand
 from meshdeform_core.methods import IDW, RBF, TFI, Options
 from meshdeform_core.numerics import pieces as pieces_module
@@ -112,6 +114,32 @@ def part_of(bounds, values):
     return part
 
 
+@dataclasses.dataclass
+class Some:
+    """Some rows of an array, in a table."""
+
+    rows: np.ndarray
+
+    def places(self, rows):
+        at = np.minimum(np.searchsorted(self.rows, rows), len(self.rows) - 1)
+        return at if np.array_equal(self.rows[at], rows) else None
+
+
+@given(st.lists(st.tuples(*[st.integers(2, 7)] * 3), min_size=1, max_size=4), st.sampled_from([None, 0, 1, 2]))
+def test_places_of_nodes_near_block_faces(shapes, flat_axis):
+    if flat_axis is not None:
+        shapes = [tuple(1 if axis == flat_axis else n for axis, n in enumerate(shape)) for shape in shapes]
+    offsets = np.append(0, np.cumsum(np.prod(shapes, axis=1)))
+    sides, near = SideLattice.of(shapes, offsets), NearNodes.of(shapes, offsets)
+    side, _, _, flat = sides.all_nodes(np.flatnonzero(sides.has_quads))
+    expected = np.unique([flat, flat + sides.inward[side]])
+    np.testing.assert_array_equal(near.rows, expected)
+    some = np.random.default_rng(len(flat)).permutation(expected)
+    np.testing.assert_array_equal(near.places(some), np.searchsorted(expected, some))
+    for row in np.setdiff1d(np.arange(offsets[-1]), expected):
+        assert near.places(np.append(some, row)) is None
+
+
 @settings(max_examples=5)
 @given(st.integers(1, 4), st.integers(0, 10**6))
 def test_rows_come_from_their_owners(count, seed):
@@ -124,7 +152,7 @@ def test_rows_come_from_their_owners(count, seed):
         part = part_of(bounds, values)
         np.testing.assert_array_equal(part[some], values[some])
         np.testing.assert_array_equal(part[7], values[7])
-        part.keep(ordered)
+        part.keep(Some(ordered))
         part.own[...] += 1.0
         # Copies that are kept do not follow.
         np.testing.assert_array_equal(part[ordered[::-1]], values[ordered[::-1]])

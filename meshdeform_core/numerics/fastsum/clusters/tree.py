@@ -88,16 +88,18 @@ def _halve(points, place, span, center, axes, half):
 
 
 @kernel
-def gather_charges(tree, charges, out, active, first_cluster, last_cluster):
-    """Charges (m, 8) of the interpolation points of some clusters from those (n, 8) of the sources in tree order.
+def gather_charges(tree, rows, active, first_cluster, last_cluster):
+    """Charges of the interpolation points of some clusters from those of the sources, in ``rows`` (n + m, 11):
+    coordinates and charges of the sources in tree order, then of the interpolation points.
 
     The Lagrange polynomials of each cluster distribute the charges of its sources among its interpolation points.
     Clusters not ``active`` (m,) have no charged sources.
     """
     node, weight, value = np.empty((3, 32)), np.empty((3, 32)), np.empty((3, 32))
+    count_sources = tree.order.size
     for n in range(tree.boxes.proxy[first_cluster], tree.boxes.proxy[last_cluster]):
         for c in range(CHARGES):
-            out[n, c] = 0.0
+            rows[count_sources + n, 3 + c] = 0.0
     for cluster in range(first_cluster, last_cluster):
         first = tree.boxes.proxy[cluster]
         if tree.boxes.proxy[cluster + 1] == first or not active[cluster]:
@@ -106,26 +108,26 @@ def gather_charges(tree, charges, out, active, first_cluster, last_cluster):
         for d in range(3):
             chebyshev(count[d], node[d], weight[d])
         for s in range(tree.span[cluster, 0], tree.span[cluster, 1]):
-            c0, c1, c2, c3 = charges[s, 0], charges[s, 1], charges[s, 2], charges[s, 3]
-            c4, c5, c6, c7 = charges[s, 4], charges[s, 5], charges[s, 6], charges[s, 7]
+            c0, c1, c2, c3 = rows[s, 3], rows[s, 4], rows[s, 5], rows[s, 6]
+            c4, c5, c6, c7 = rows[s, 7], rows[s, 8], rows[s, 9], rows[s, 10]
             if c0 == c1 == c2 == c3 == c4 == c5 == c6 == c7 == 0.0:
                 continue
             for d in range(3):
                 t = box_coordinate(tree.points, s, tree.boxes.center, tree.boxes.axes, tree.boxes.half, cluster, d)
                 lagrange(count[d], node[d], weight[d], t, value[d])
-            n = first
+            n = count_sources + first
             for i in range(count[0]):
                 for j in range(count[1]):
                     product = value[0, i] * value[1, j]
                     for k in range(count[2]):
                         # Consecutive entries, which the compiler vectorises.
                         w = product * value[2, k]
-                        out[n, 0] += w * c0
-                        out[n, 1] += w * c1
-                        out[n, 2] += w * c2
-                        out[n, 3] += w * c3
-                        out[n, 4] += w * c4
-                        out[n, 5] += w * c5
-                        out[n, 6] += w * c6
-                        out[n, 7] += w * c7
+                        rows[n, 3] += w * c0
+                        rows[n, 4] += w * c1
+                        rows[n, 5] += w * c2
+                        rows[n, 6] += w * c3
+                        rows[n, 7] += w * c4
+                        rows[n, 8] += w * c5
+                        rows[n, 9] += w * c6
+                        rows[n, 10] += w * c7
                         n += 1

@@ -21,7 +21,7 @@ from ..clusters.tree import CHARGES, SourceTree
 from .plan import Plan, PlanKey
 from .sums import CHUNK, allowance
 from .transposed import collect_sums, filled_by, spread_charges, spread_lists, used_clusters
-from .treesum import Charges, cluster_reach, gather, places_of
+from .treesum import Charges, charge_rows, cluster_reach, gather, places_of
 
 Use = Callable[[slice, IntArray, FloatArray], object]
 Make = Callable[[slice, IntArray, int], FloatArray]
@@ -196,9 +196,10 @@ class FrozenSums:
             if not (weigh or moving.any()):
                 charges.append(_NONE)
                 continue
-            members, source = group[tree.order], np.zeros((len(group), CHARGES))
+            rows, members = charge_rows(tree), group[tree.order]
+            source = rows[: len(members), 3:]
             if weigh:
                 source[:, 0] = self._strength[members]
             source[:, 1 : 1 + len(values)] = (self._strength * self.acting)[members][:, None] * values[:, members].T
-            charges.append(gather(tree, source))
+            charges.append(gather(tree, rows))
         return charges

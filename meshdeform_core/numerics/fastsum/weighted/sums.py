@@ -12,10 +12,10 @@ from ...arrays import BoolArray, FloatArray, IntArray, Report
 from ...exact.direct import N_VALUES
 from ..clusters.acceptance import Kernel, inverse_powers
 from ..clusters.targets import Targets, interpolation_order
-from ..clusters.tree import CHARGES, SourceTree
+from ..clusters.tree import SourceTree
 from ..tuned import SHARE, SINGLE_TOLERANCE
 from .plan import Plan, PlanKey, rounded_up
-from .treesum import Charges, add_totals, cluster_reach, gather
+from .treesum import Charges, add_totals, charge_rows, cluster_reach, gather
 from .walk import Reach
 
 CHUNK = 2
@@ -116,6 +116,7 @@ class FastSums:
             self._charges(scaled[first : first + N_VALUES], plan, weight is None and first == 0)
             for first in range(0, k, N_VALUES)
         ]
+        del scaled
 
         def work(lo: int, hi: int) -> None:
             flat, here = targets.flat(lo, hi), targets.places(lo, hi)
@@ -169,12 +170,12 @@ class FastSums:
         """Charges of one pass, per group; ``weighing`` includes the strength itself, whose sum is the weight."""
         charges = []
         for (group, tree), used in zip(self._groups, plan.used, strict=True):
-            source = np.zeros((len(group), CHARGES))
-            members = group[tree.order]
+            rows, members = charge_rows(tree), group[tree.order]
+            source = rows[: len(members), 3:]
             if weighing:
                 source[:, 0] = self._strength[members]
             source[:, 1 : 1 + len(values)] = (self._strength[members] * values[:, members]).T
-            charges.append(gather(tree, source, used if plan.complete else None))
+            charges.append(gather(tree, rows, used if plan.complete else None))
         return charges
 
 

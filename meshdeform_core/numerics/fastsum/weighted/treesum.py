@@ -48,17 +48,23 @@ class Charges(NamedTuple):
     all: bool
 
 
-def gather(tree: SourceTree, source: FloatArray, used: BoolArray | None = None) -> Charges:
-    """:class:`Charges` from those of the sources in tree order (n, 8); with ``used`` (m,), other clusters get none."""
+def charge_rows(tree: SourceTree) -> FloatArray:
+    """Rows of :class:`Charges` with coordinates, and without charges."""
+    n = len(tree.order)
+    rows = np.zeros((n + len(tree.boxes.proxies), 3 + CHARGES))
+    rows[:n, :3], rows[n:, :3] = tree.points, tree.boxes.proxies
+    return rows
+
+
+def gather(tree: SourceTree, rows: FloatArray, used: BoolArray | None = None) -> Charges:
+    """:class:`Charges` from ``rows`` of :func:`charge_rows` with those of the sources; with ``used`` (m,), other
+    clusters get none."""
+    source = rows[: len(tree.order), 3:]
     charged = np.append(0, np.cumsum(source.any(axis=1)))
     active = charged[tree.span[:, 1]] > charged[tree.span[:, 0]]
-    proxy = np.empty((len(tree.boxes.proxies), CHARGES))
     acting = active if used is None else active & used
     cut = _portions(tree)
-    for_chunks(lambda lo, hi: gather_charges(tree, source, proxy, acting, cut[lo], cut[hi]), len(cut) - 1, 1)
-    n = len(source)
-    rows = np.empty((n + len(proxy), 3 + CHARGES))
-    rows[:n, :3], rows[:n, 3:], rows[n:, :3], rows[n:, 3:] = tree.points, source, tree.boxes.proxies, proxy
+    for_chunks(lambda lo, hi: gather_charges(tree, rows, acting, cut[lo], cut[hi]), len(cut) - 1, 1)
     return Charges(rows, bool(source[:, [0, -1]].any()))
 
 

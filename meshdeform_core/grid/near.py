@@ -1,0 +1,64 @@
+"""The nodes near block faces, of which all ranks keep copies if a grid is in parts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..numerics.arrays import IntArray, Shapes
+
+_LAYERS = 2
+
+
+@dataclass(frozen=True, repr=False)
+class NearNodes:
+    """The nodes of all block sides that have quads, and the next ones inside, in the order of their flat indices.
+
+    Their places in this order follow from the block shapes, so that no table of them is kept.
+
+    Attributes
+    ----------
+    shapes : (n_blocks, 3) of the blocks
+    offsets : (n_blocks + 1,) flat index of the first node of each
+    inside : (n_blocks, 3, 2) first and one past the last index, along each direction, of the nodes that are not near
+    start : (n_blocks + 1,) number of near nodes of the blocks before
+    """
+
+    shapes: IntArray
+    offsets: IntArray
+    inside: IntArray
+    start: IntArray
+
+    @classmethod
+    def of(cls, shapes: Shapes, offsets: IntArray) -> NearNodes:
+        """Those of blocks of these shapes whose first nodes have the flat indices ``offsets`` (n_blocks + 1,)."""
+        size = np.array(shapes, dtype=np.int64)
+        # Across the plane of a 2-D block there are no sides.
+        low, high = np.where(size > 1, _LAYERS, 0), np.where(size > 1, size - _LAYERS, size)
+        thin = (high <= low).any(axis=1)
+        low[thin] = high[thin] = 0
+        near = size.prod(axis=1) - (high - low).prod(axis=1)
+        return cls(size, offsets, np.stack([low, high], axis=2), np.append(0, np.cumsum(near)))
+
+    @property
+    def rows(self) -> IntArray:
+        """Their flat indices (n,), ascending."""
+        # Imported late, as below: `meshdeform info` imports no numba.
+        from ..numerics.near import near_rows
+
+        found = np.empty(self.start[-1], dtype=np.int64)
+        near_rows(self.shapes, self.offsets, self.inside, found)
+        return found
+
+    def places(self, rows: IntArray) -> IntArray | None:
+        """Where flat indices (n,) are among them; ``None`` if some are not."""
+        from ..numerics.near import near_places
+
+        found = np.empty(len(rows), dtype=np.int64)
+        all_near = near_places(np.ascontiguousarray(rows, dtype=np.int64), *self._table, found)
+        return found if all_near else None
+
+    @property
+    def _table(self) -> tuple[IntArray, ...]:
+        return self.shapes, self.offsets, self.inside, self.start

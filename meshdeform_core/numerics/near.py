@@ -1,0 +1,65 @@
+"""The nodes near block faces, and their places among all of these: by arithmetic, without a table to search.
+
+Block b has rows from ``offsets[b]`` on and ``shapes[b]`` nodes; ``inside[b]`` (3, 2) are the first and one past the
+last index, along each direction, of its nodes that are not near, and ``start[b]`` near nodes come before its own.
+"""
+
+from .jit import kernel
+
+
+@kernel
+def near_rows(shapes, offsets, inside, out):
+    """The rows (n,) of all nodes near block faces, ascending."""
+    n = 0
+    for b in range(shapes.shape[0]):
+        row, box = offsets[b], inside[b]
+        for i in range(shapes[b, 0]):
+            for j in range(shapes[b, 1]):
+                through = box[0, 0] <= i < box[0, 1] and box[1, 0] <= j < box[1, 1]
+                for k in range(shapes[b, 2]):
+                    if not (through and box[2, 0] <= k < box[2, 1]):
+                        out[n] = row + k
+                        n += 1
+                row += shapes[b, 2]
+
+
+@kernel
+def near_places(rows, shapes, offsets, inside, start, out):
+    """Place of each row (n,) among the near ones; false if one is not near."""
+    block = 0
+    for r in range(rows.size):
+        row = rows[r]
+        if row < offsets[block] or row >= offsets[block + 1]:
+            block, last = 0, shapes.shape[0] - 1
+            while block < last:
+                middle = (block + last + 1) // 2
+                if offsets[middle] <= row:
+                    block = middle
+                else:
+                    last = middle - 1
+        local = row - offsets[block]
+        nj, nk = shapes[block, 1], shapes[block, 2]
+        line = local // nk
+        place = _place(inside[block], line // nj, line % nj, local - line * nk, local)
+        if place < 0:
+            return False
+        out[r] = start[block] + place
+    return True
+
+
+@kernel
+def _place(inside, i, j, k, local):
+    """Place in its block of node i, j, k, which is the ``local``-th: without the nodes inside that come before; -1 if
+    it is inside itself."""
+    low, high = inside[0, 0], inside[0, 1]
+    lines, depth = inside[1, 1] - inside[1, 0], inside[2, 1] - inside[2, 0]
+    local -= (min(max(i, low), high) - low) * lines * depth
+    if low <= i < high:
+        low, high = inside[1, 0], inside[1, 1]
+        local -= (min(max(j, low), high) - low) * depth
+        if low <= j < high:
+            low, high = inside[2, 0], inside[2, 1]
+            local -= min(max(k, low), high) - low
+            if low <= k < high:
+                return -1
+    return local
