@@ -163,7 +163,7 @@ class Mesh:
         ----------
         displacement : at which it is taken, as for :meth:`deform`; ``None``: the undeformed grid
         steps, repair : as for :meth:`deform`. ``.exact`` is false for a grid repaired without reaching the minimum of
-            the repair's energy, and for several steps with repairs on the way; ``.reason`` says why
+            the repair's energy, and where the result has no derivative; ``.reason`` says why
 
         Raises
         ------

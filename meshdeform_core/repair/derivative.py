@@ -7,14 +7,12 @@ side collects how the energy depends on that grid: through the elastic reference
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
 
-from ..grid import BoolArray, FloatArray, Grid
-from ..grid.connectivity.components import Component, assembled
+from ..grid import BoolArray, FloatArray
 from ..parallel import current_ranks
 from .basis import Basis, Whole
 from .energy.elements import Penalty
@@ -64,30 +62,6 @@ def derivative_of_repair(basis: Basis, start: FloatArray, end: FloatArray, polis
         return None
     found = _AtMinimum(whole, start, end, polish)
     return found if found.share > 0.0 else None
-
-
-class ComponentRepairs:
-    """Derivative of the separate repairs of the components of an overset ``grid``; ``own`` are the derivatives of the
-    components, ``None`` where no cell is weak."""
-
-    def __init__(self, grid: Grid, own: Sequence[tuple[Component, RepairDerivative | None]]) -> None:
-        self._grid, self._own = grid, own
-
-    def push(self, change: FloatArray) -> FloatArray:
-        return self._each(change, lambda derivative, values: derivative.push(values))
-
-    def pull(self, gradient: FloatArray) -> FloatArray:
-        return self._each(gradient, lambda derivative, values: derivative.pull(values))
-
-    def settle(self, rounding: float) -> float:
-        return max((derivative.settle(rounding) for _, derivative in self._own if derivative), default=0.0)
-
-    def _each(self, values: FloatArray, apply: Callable[[RepairDerivative, FloatArray], FloatArray]) -> FloatArray:
-        found = []
-        for component, derivative in self._own:
-            rows = component.rows(self._grid, values)
-            found.append((component, apply(derivative, rows) if derivative else rows))
-        return assembled(self._grid, found)
 
 
 class _AtMinimum:

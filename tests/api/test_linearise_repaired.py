@@ -84,7 +84,7 @@ def test_central_differences_through_a_repair(name, converged):
     change = np.stack([np.cos(3.0 * x[:, 1]), np.sin(4.0 * x[:, 0]), twist * np.cos(x[:, 0])], axis=1)
     moved = flat(found.jvp(change))
     # The method alone would be wrong by far.
-    method = flat(found._blocks(found._derivative.push(given(found, change))))
+    method = flat(mesh.linearise(at, steps=1, repair="off").jvp(change))
     assert np.abs(moved - method).max() > 0.05 * np.abs(moved).max()
     errors = []
     for h in (2e-4, 5e-5):
@@ -98,12 +98,36 @@ def test_central_differences_through_a_repair(name, converged):
     assert abs((flat(weights) * moved).sum() - product) < 1e-12 * size
 
 
-def given(found, change):
-    from meshdeform_core.boundary.prescribed import given_displacement
+def test_repairs_on_the_way(converged):
+    """Two steps with a repair in each: the second one starts from the minimum that the first has found."""
+    mesh = prepared(frame_2d(9), plane=True, method={"name": "idw-tfi", "idw": {"length": 3.0}})
+    at = bend(mesh, 1.2) * (1.0 + 0.1 * mesh.points[:, :1])
+    found = mesh.linearise(at, steps=2)
+    assert found.step.steps == 2
+    assert len([each for each in found.step._result.attempts if each.repair]) == 2
+    assert found.exact, found.reason
+    x = mesh.points
+    change = np.stack([np.cos(3.0 * x[:, 1]), np.sin(4.0 * x[:, 0]), 0.0 * x[:, 0]], axis=1)
+    moved, errors = flat(found.jvp(change)), []
+    for h in (2e-4, 5e-5):
+        one, two = (flat(mesh.deform(at + s * h * change, steps=2).grid.blocks) for s in (1, -1))
+        errors.append(np.abs((one - two) / (2.0 * h) - moved).max() / np.abs(moved).max())
+    assert errors[1] < 1e-6
+    assert errors[1] < errors[0] / 8 or errors[1] < 1e-7
+    weights = [np.random.default_rng(1).standard_normal(block.shape) for block in found.jvp(change)]
+    product = (found.vjp(weights) * change).sum()
+    assert abs((flat(weights) * moved).sum() - product) < 1e-12 * np.linalg.norm(flat(weights)) * np.linalg.norm(moved)
 
-    setup = found._setup
-    total = given_displacement(setup.grid, setup.topology, setup.boundary, found._moving.numbers, change)
-    return total[setup.problem.source_numbers]
+
+def test_a_repair_on_the_way_that_ends_elsewhere_says_so():
+    mesh = prepared(frame_2d(9), plane=True)
+    at = bend(mesh, 2.2)
+    found = mesh.linearise(at, steps=2)
+    assert not found.exact
+    assert "2 steps, and the grid was repaired, but is not the minimum" in found.reason
+    one = mesh.linearise(at, steps=1, repair="off")
+    for a, b in zip(found.jvp(at[:, :2]), one.jvp(at[:, :2]), strict=True):
+        np.testing.assert_array_equal(a, b)
 
 
 def test_a_repair_that_ends_elsewhere_says_so():

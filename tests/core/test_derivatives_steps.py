@@ -11,6 +11,7 @@ from grids import frame
 from meshdeform_core.errors import MethodError
 from meshdeform_core.methods import RBF, Options, make_method, prepare_method
 from meshdeform_core.methods.derivative import StepsDerivative
+from meshdeform_core.methods.derivative.grid.gaps import InGapsGridDerivative
 
 PLACES = KINDS | {"sub-blocks": lambda: problem_of(frame(7, 5), body_specs(turning(10)))}
 OF_IDW = [(name, "slip") for name in METHODS if name.startswith("idw") and name not in ("idw-rbf", "idw-tfi")]
@@ -44,7 +45,22 @@ def test_central_differences_and_transposes(name, kind):
     smooth, rough = directions(where)
     # Of a symmetric body several nodes are the farthest from its centre, and on a curved surface none may pass an edge.
     at = (0.3 if kind == "curved slip" else 1.0) * smooth * (1.0 + 0.2 * where.source_points @ [[1.0], [0.5], [0.3]])
-    change = 0.02 * rough + 0.01 * smooth[:, [1, 0, 2]]
+    check(options, where, at, 0.02 * rough + 0.01 * smooth[:, [1, 0, 2]])
+
+
+@pytest.mark.parametrize("name", ["idw-tfi", "idw-lie"])
+def test_gaps_that_close(name):
+    """The share of TFI follows how wide a gap still is, and how wide it was before the step."""
+    where, options = PLACES["slip"](), METHODS[name]
+    smooth, rough = directions(where)
+    moving = smooth.any(axis=1, keepdims=True)
+    at = moving * [0.9, 0.13, 0.0] + 0.2 * smooth * (1.0 + 0.2 * where.source_points @ [[1.0], [0.5], [0.3]])
+    found = check(options, where, at, 0.02 * rough + 0.01 * smooth[:, [1, 0, 2]])
+    assert isinstance(found._later[-1], InGapsGridDerivative) == (name == "idw-tfi")
+
+
+def check(options, where, at, change):
+    """Central differences fall as h^2, and the transpose is one."""
     found = StepsDerivative(make_method(options).prepare(where), options, where, at, ENDS)
     np.testing.assert_allclose(found.points, imposed(options, where, at), rtol=0, atol=1e-14)
     assert found.kinks == {}
@@ -54,10 +70,11 @@ def test_central_differences_and_transposes(name, kind):
         errors.append(np.abs((one - two) / (2.0 * h) - moved).max() / np.abs(moved).max())
     assert errors[1] < 1e-6
     # Solutions of systems are less accurate than sums, which differences divide by h.
-    assert errors[1] < errors[0] / 12 or errors[1] < (1e-7 if "rbf" in name else 1e-9)
+    assert errors[1] < errors[0] / 12 or errors[1] < (1e-7 if "rbf" in options.name else 1e-9)
     weight = np.random.default_rng(6).standard_normal(moved.shape)
     gap = (weight * moved).sum() - (found.pull(weight.copy()) * change).sum()
     assert abs(gap) < 1e-12 * np.linalg.norm(weight) * np.linalg.norm(moved)
+    return found
 
 
 def test_later_steps_are_not_those_of_the_first_grid():

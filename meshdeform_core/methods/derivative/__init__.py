@@ -1,8 +1,8 @@
 """Derivatives of prepared methods with respect to the displacement of the sources, forward and transposed."""
 
-from .choice import derivative_of
+from .choice import ComponentsDerivative, derivative_of
 from .composite import Derivative
 from .kinks import reason_of
-from .steps import ComponentsInSteps, StepsDerivative, derivative_of_steps
+from .steps import StepsDerivative
 
-__all__ = ["ComponentsInSteps", "Derivative", "StepsDerivative", "derivative_of", "derivative_of_steps", "reason_of"]
+__all__ = ["ComponentsDerivative", "Derivative", "StepsDerivative", "derivative_of", "reason_of"]

@@ -6,11 +6,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ....errors import MethodError
 from ....grid import FloatArray
 from ...base import Mover, PreparedMethod, Problem
 from ...composite import PreparedComposite, PreparedFiller, _on_faces
-from ...gaps import PreparedInGaps
 from ...periodic_steps import PreparedPeriodic
 from ...scattered.block_rbf import PreparedBlockRBF
 from ...scattered.idw import PreparedIDW
@@ -40,18 +38,8 @@ class GridDerivative(Protocol):
         ...
 
 
-def grid_derivative_of(method: PreparedMethod, displacement: FloatArray) -> GridDerivative:
-    """The derivative at one displacement (n_sources, 3) of the sources.
-
-    Raises
-    ------
-    MethodError
-        Where gaps close, and for radial basis functions whose choice of centres or radius depends on the grid.
-    """
-    if isinstance(method, PreparedInGaps):
-        if method.closing(displacement) is not None:
-            raise MethodError("what is blended in closing gaps has no derivative with respect to the grid")
-        method = method.method
+def grid_derivative_of_composite(method: PreparedMethod, displacement: FloatArray) -> GridDerivative:
+    """The derivative of a prepared composite at one displacement (n_sources, 3); see :func:`.grid_derivative_of`."""
     if isinstance(method, PreparedPeriodic):
         return _Periodic(method, displacement)
     assert isinstance(method, PreparedComposite)
