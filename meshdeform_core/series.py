@@ -17,11 +17,11 @@ from .errors import CaseError
 from .grid import Field, FloatArray, IntArray
 from .methods import PreparedMethod, Progress, prepare_method
 from .numerics.arrays import lengths
-from .parallel import empty, for_rows, of_all, own_rows, require_whole
+from .parallel import combined, for_rows, of_all, own_rows
 from .smoothness import Moment, Smoothness, shortest_edges, smoothness
 from .velocity import PAST, VELOCITIES, face_fields, grid_velocity
 
-REVISION = 10
+REVISION = 11
 """Number of the algorithms: a series is continued only by a program with the same one.
 
 Raise it with every change after which a level of some series gets other coordinates or another verdict.
@@ -229,12 +229,10 @@ class _Series:
         if last and last.repair is None and last.steps == 1:
             return None
         plain = last.plain if last else None
-        require_whole(before, "a repair of an earlier level is continued")
         if plain is None:
             known = self.setup.displacement(self.schedule.times[number - 1])[self.problem.source_numbers]
-            plain = self.setup.grid.points + self._prepared(Timing()).apply(known, self.progress)
-        result: FloatArray = empty(before.shape)
-        for_rows(lambda rows: np.subtract(before[rows], plain[rows], out=result[rows]), result)
+            plain = combined(np.add, self.setup.grid.points, self._prepared(Timing()).apply(known, self.progress))
+        result: FloatArray = combined(np.subtract, before, plain)
         # Rounding to the single precision of a file is not a repair.
         return result if _largest(result) > _WRITTEN * _largest(before) else None
 
@@ -263,7 +261,8 @@ class _Series:
 
 def _largest(points: FloatArray) -> float:
     """Largest absolute coordinate."""
-    return max(float(points.max()), -float(points.min()))
+    own = points[slice(*own_rows(points))]
+    return max(of_all(points, max(float(own.max(initial=0.0)), -float(own.min(initial=0.0)))))
 
 
 def _shortened(times: tuple[float, ...]) -> str:

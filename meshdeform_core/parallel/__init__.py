@@ -1,5 +1,6 @@
 """Loops over shared arrays by threads and MPI ranks."""
 
+from .halo import Halo
 from .loops import (
     Shared,
     alone,
@@ -21,6 +22,7 @@ from .parts import (
     alike,
     apart,
     check_rows,
+    combined,
     for_rows,
     numbered,
     of_all,
@@ -29,10 +31,12 @@ from .parts import (
     ranks_of,
     require_whole,
     rows_of,
+    together,
 )
 from .ranks import OneRank, Ranks
 
 __all__ = [
+    "Halo",
     "OneRank",
     "Part",
     "Ranks",
@@ -43,6 +47,7 @@ __all__ = [
     "apart",
     "carried",
     "check_rows",
+    "combined",
     "current_ranks",
     "dividing",
     "empty",
@@ -61,4 +66,5 @@ __all__ = [
     "set_threads",
     "sharing",
     "thread_count",
+    "together",
 ]

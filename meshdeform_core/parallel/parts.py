@@ -272,6 +272,18 @@ def numbered(array: Any, count: int) -> tuple[int, int]:
     return sum(counts[: ranks_of(array).number]), sum(counts)
 
 
+def together(array: Any, action: Callable[[], T]) -> T:
+    """The result of ``action`` on all ranks together, if the array is in parts, else on the first rank alone."""
+    return action() if isinstance(array, Part) else current_ranks().on_first(action)
+
+
+def combined(operation: Callable[..., object], one: Any, two: Any) -> Any:
+    """A new array (n, 3), in parts if ``one`` is, filled by ``operation(one, two, out=...)``, like ``np.subtract``."""
+    result = alike(one)
+    for_rows(lambda rows: operation(one[rows], two[rows], out=result[rows]), result)
+    return result
+
+
 def on_each(action: Callable[[], object]) -> None:
     """Run ``action`` on every rank without sharing loops; an error on one rank is raised on all."""
     ranks, failures = current_ranks(), list[Exception]()

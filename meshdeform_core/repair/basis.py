@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from functools import cached_property
 
-import numpy as np
-
 from ..boundary import Boundary
 from ..grid import FloatArray
 from ..numerics.cell.health import all_healthy
-from ..parallel import of_all
+from ..parallel import Part, of_all, require_whole
 from ..quality import Original
 from .constraints import Constraints
 from .energy.elements import COLLAPSED
@@ -39,6 +37,10 @@ class Basis:
     @cached_property
     def extrusion(self) -> tuple[Extrusion, Basis] | None:
         """The plane grid that this one is extruded from, with its own basis; ``None`` if it is no extrusion."""
+        grid = self.original.grid
+        if grid.dimension == 2 or (isinstance(grid.points, Part) and not may_be_extruded(grid)):
+            return None
+        require_whole(grid.points, "the grid may be extruded from a plane one")
         found = find_extrusion(self._constraints)
         if found is None:
             return None
@@ -50,22 +52,18 @@ class Basis:
         grid = self.original.grid
         if grid.dimension == 2:
             return False
+        for each in (points, grid.points):
+            grid.hold_neighbours(each)
         pairs = ((grid.in_planes(n, points, 1), grid.in_planes(n, grid.points, 1)) for n in range(grid.n_blocks))
         healthy = all(all_healthy(x, start, HEALTHY, SOFT, COLLAPSED) for x, start in pairs if len(x) > 1)
         return all(of_all(points, healthy))
 
-    @property
-    def may_be_extruded(self) -> bool:
-        """Whether the grid may be an extrusion of a plane grid, as far as can be told of a grid in parts."""
-        return may_be_extruded(self.original.grid)
-
     @cached_property
     def whole(self) -> Whole | None:
         """The region of all nodes that may move, or ``None`` if no node may."""
-        free = self.neighbourhood.around(np.empty(0, dtype=np.int64), None)
-        if not free.size:
+        if not self.neighbourhood.shares.n_unknowns:
             return None
-        plot = self.neighbourhood.plot(free)
+        plot = self.neighbourhood.plot()
         return Whole(plot, plot.region.energy.edges())
 
 

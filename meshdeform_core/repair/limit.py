@@ -48,7 +48,3 @@ class Limit:
     def reached(self) -> bool:
         """Whether the work is spent or the time is over; a collective call."""
         return self.exhausted or self.late
-
-    def over(self) -> bool:
-        """As :meth:`reached`, for one rank alone; with several ranks only work counts, as they are not equally fast."""
-        return self._left <= 0.0 or (current_ranks().count == 1 and clock.monotonic() >= self._end)

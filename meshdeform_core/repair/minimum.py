@@ -63,15 +63,15 @@ def minimise(
     """
     plot = whole.plot
     reference = plot.inside(points)
-    share, energy = share_of(plot.region.energy, reference)
+    share, energy = share_of(plot.region.energy, reference, plot.region.dealt)
     if polish:
         share, energy = max(share, 1.0), energy.softened(POLISHED)
     if share == 0.0:
         return None
     region = replace(plot.region, energy=energy)
-    start = reference if guess is None else plot.inside(points + guess)
+    start = reference if guess is None else reference + plot.inside(guess)
     untangler = Untangler(region, start, reference, whole.system, progress=progress, limit=limit)
-    most = most_steps(region.n_unknowns)
+    most = most_steps(region.dealt.rows.total)
     untangled = untangler.untangle(replace(QUICK, steps=min(QUICK.steps, most)))
     first = plot.shift(untangler.x - reference) if untangled else None
     converged = untangled and untangler.minimise(share, min(_CONVERGING, most), whole.edges, close)

@@ -5,49 +5,58 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator
 from functools import cached_property, partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..grid import BoolArray, FloatArray, Grid, IntArray
+from ..grid import BoolArray, FloatArray, IntArray
 from ..grid.planes import plane_axes, plane_normal
 from ..numerics.cell.foldover.hexahedra import Unknowns
 from ..numerics.cell.foldover.samples import cell_samples, samples_with_any, sound_samples
-from ..numerics.cell.layers import cells_at, layers_from
+from ..numerics.cell.layers import cells_at
+from ..parallel import Halo
 from .constraints import Constraints
 from .energy.elements import COLLAPSED, Energy, Hexahedra, Triangles
-from .energy.region import Region, Slide
+from .energy.region import Dealt, Region, Slide
+from .reach import Reach
+from .shares import CELLS, Shares
 from .sliding import Sliding
-from .walls import UNLIMITED, nearness, weigh
+from .walls import FARTHEST, nearness, weigh
 
 
 class Plot(NamedTuple):
-    """A region of a grid.
+    """A region of a grid, or this rank's share of it.
 
-    ``nodes`` (n,): one representative block node per node of the region; ``moved`` (k,): block nodes that follow node
-    ``at`` (k,) of the region. The region's coordinates are the components along ``axes`` (d, 3).
+    ``moved`` (k,): block nodes of this rank that follow the region's nodes ``at`` (k,). The region's coordinates are
+    the components along ``axes`` (d, 3).
     """
 
     region: Region
-    nodes: IntArray
     moved: IntArray
     at: IntArray
     axes: FloatArray
 
+    @property
+    def nodes(self) -> IntArray:
+        """One block node (n,) for each node of the region."""
+        return self.region.dealt.nodes.numbers
+
     def inside(self, points: FloatArray) -> FloatArray:
         """Coordinates (n, d) of the region's nodes."""
-        return np.asarray(points[self.nodes] @ self.axes.T)
+        return components(self.region.dealt.nodes.of(points), self.axes)
 
     def shift(self, change: FloatArray) -> FloatArray:
         """Shift (k, 3) of the block nodes ``moved`` for a change (n, d) of the region's coordinates."""
-        return np.asarray(change[self.at] @ self.axes)
+        return components(change[self.at], self.axes.T)
+
+
+def components(vectors: FloatArray, axes: FloatArray) -> FloatArray:
+    """Products (n, d) of vectors (n, e) and ``axes`` (d, e); the same to the last bit for any n, unlike ``@``."""
+    return np.asarray(sum(vectors[:, e, None] * axes[:, e] for e in range(axes.shape[1])))
 
 
 class Neighbourhood:
-    """Data shared by all regions of one undeformed grid.
-
-    A *class* consists of the unique nodes that one unknown moves: a single node, or all periodic images of one.
-    """
+    """Data shared by all regions of one undeformed grid."""
 
     def __init__(self, constraints: Constraints):
         self.constraints, self.grid, self.topology = constraints, constraints.grid, constraints.topology
@@ -55,52 +64,59 @@ class Neighbourhood:
         self.normal = np.zeros(3) if normal is None else normal
         self.axes = np.eye(3) if normal is None else plane_axes(normal)
         self._shapes = np.array(self.grid.shapes, dtype=np.int64)
+        self.shares = Shares(constraints)
 
     @cached_property
-    def number(self) -> IntArray:
-        """Unique node number of every block node (n_nodes,), -1 inside blocks."""
-        number = np.full(self.grid.n_nodes, -1, dtype=np.int64)
-        number[self.topology.face_nodes] = self.topology.number
-        return number
+    def _reach(self) -> Reach:
+        return Reach(self.constraints)
 
     @cached_property
-    def _classes(self) -> tuple[IntArray, IntArray, IntArray]:
-        """Class of every block node (n_nodes,), -1 inside blocks, and the nodes of every class:
-        ``nodes[start[c]:start[c + 1]]``."""
-        root, n = self.constraints.root, self.topology.n_unique
-        of = root[self.topology.number]
-        start = np.zeros(n + 1, dtype=np.int64)
-        np.cumsum(np.bincount(of, minlength=n), out=start[1:])
-        classes = np.where(self.number >= 0, root[self.number], -1)
-        return classes, start, self.topology.face_nodes[np.argsort(of, kind="stable")]
-
-    @cached_property
-    def _from_walls(self) -> FloatArray:
-        """:func:`.walls.nearness` (n_nodes,) of every block node."""
+    def _from_walls(self) -> tuple[Any, int]:
+        """Distance of every block node (n_nodes,) from walls, in cells, and the largest one."""
         walls = self.topology.face_nodes[self.constraints.walls[self.topology.number]]
-        return nearness(self._layers(walls, UNLIMITED))
+        return self._reach.layers(walls, FARTHEST)
 
-    def around(self, cells: IntArray, layers: int | None) -> IntArray:
-        """Block nodes that may move within ``layers`` (``None``: any) cells of ``cells``, with coincident ones."""
-        near = np.arange(self.grid.n_nodes)
-        if layers is not None:
-            near = np.flatnonzero(self._layers(self._corners(cells).ravel(), layers) >= 0)
-        on_face = self.number[near] >= 0
-        return near[~on_face | ~self.constraints.held[self.number[near]]]
+    @property
+    def free(self) -> IntArray:
+        """Block nodes of this rank that may move."""
+        return self.shares.moved
 
-    def plot(self, free: IntArray, even: bool = False) -> Plot:
-        """The region of the block nodes ``free``, from :meth:`around`; ``even``: without larger weights near walls."""
-        owners = self._owners(free)
-        touched = cells_at(free, self._shapes, self.grid.offsets, self.grid.n_cells)
+    def around(self, cells: IntArray, layers: int) -> IntArray:
+        """Block nodes that may move, with all coincident ones, within ``layers`` cells of ``cells``."""
+        found, _ = self._reach.layers(self._corners(cells).ravel(), layers)
+        near = np.flatnonzero(found <= layers)
+        return near[self.shares.may_move(near)]
+
+    def plot(self, free: IntArray | None = None, even: bool = False) -> Plot:
+        """The region that block nodes ``free`` from :meth:`around` span, by default all that may move; ``even``: cells
+        at walls count like others."""
+        shares = self.shares
+        if free is None:
+            moved, touched = shares.moved, shares.cells
+        else:
+            moved, touched = free, cells_at(free, self._shapes, self.grid.offsets, self.grid.n_cells)
         corners = self._corners(touched)
-        nodes, local = np.unique(self._owners(corners.ravel()), return_inverse=True)
-        unknowns, freedom = self._unknowns(nodes, owners)
-        start, cells = self.grid.points[nodes] @ self.axes.T, local.reshape(corners.shape)
-        walls = self._from_walls
-        weight = np.ones(len(cells)) if even else weigh(walls[corners], float(walls.min()), start, cells)
-        energy = self._energy(start, cells, self._signs(touched), weight, unknowns.number >= 0)
-        slides = tuple(self._slides(nodes, unknowns))
-        return Plot(Region(energy, unknowns, freedom, slides), nodes, free, np.searchsorted(nodes, owners), self.axes)
+        if free is None:
+            some = shares.may_move(corners).any(axis=1)
+            touched, corners = touched[some], corners[some]
+        owners = shares.owners(moved)
+        at_cells = np.append(shares.owners(corners.ravel()), owners[shares.elsewhere(owners)])
+        nodes, local = np.unique(at_cells, return_inverse=True)
+        moves = shares.may_move(nodes) if free is None else np.isin(nodes, owners)
+        roots, unknowns, freedom = self._unknowns(nodes, moves)
+        rows, held = shares.halos(roots, nodes) if free is None else (Halo.alone(roots), Halo.alone(nodes))
+        start, cells = components(held.of(self.grid.points), self.axes), local[: corners.size].reshape(corners.shape)
+        weight = np.ones(len(cells)) if even else self._weights(held, start, cells)
+        energy, of_cell = self._energy(start, cells, self._signs(touched), weight, unknowns.number >= 0)
+        ends = np.arange(0, len(cells) + CELLS, CELLS) if free is not None else shares.ends_among(touched)
+        dealt = Dealt(rows, held, np.unique(np.searchsorted(of_cell, ends)))
+        region = Region(energy, unknowns, freedom, dealt, tuple(self._slides(nodes, unknowns)))
+        return Plot(region, moved, np.searchsorted(nodes, owners), self.axes)
+
+    def _weights(self, nodes: Halo, start: FloatArray, cells: IntArray) -> FloatArray:
+        layers, most = self._from_walls
+        share, first = nearness(nodes.of(layers), most)
+        return weigh(share[cells], first, start, cells)
 
     def _slides(self, nodes: IntArray, unknowns: Unknowns) -> Iterator[Slide]:
         """The slides of the region's nodes, see :class:`Region`."""
@@ -111,40 +127,34 @@ class Neighbourhood:
 
     def _normals(self, sliding: Sliding, x: FloatArray) -> FloatArray:
         """Unit normals (k, d) of a surface nearest to coordinates (k, d) of the region."""
-        return np.asarray(sliding.normals(self._outside(x)) @ self.axes.T)
+        return components(sliding.normals(self._outside(x)), self.axes)
 
     def _onto(self, sliding: Sliding, x: FloatArray) -> FloatArray:
         """Coordinates (k, d) of the region projected onto a surface."""
-        return np.asarray(sliding.project(self._outside(x)) @ self.axes.T)
+        return components(sliding.project(self._outside(x)), self.axes)
 
     def _outside(self, x: FloatArray) -> FloatArray:
         """Coordinates in space (k, 3) from those of a region (k, d)."""
-        return np.asarray(x @ self.axes + self.grid.points[0] - self.axes.T @ (self.axes @ self.grid.points[0]))
-
-    def _layers(self, seeds: IntArray, layers: int) -> np.ndarray:
-        found: np.ndarray = layers_from(seeds, layers, self._shapes, self.grid.offsets, *self._classes)
-        return found
+        origin = self.grid.points[0]
+        return components(x, self.axes.T) + origin - self.axes.T @ (self.axes @ origin)
 
     def _energy(
         self, start: FloatArray, cells: IntArray, sign: FloatArray, weight: FloatArray, moves: BoolArray
-    ) -> Energy:
-        """The energy of the samples that depend on a node that ``moves`` (n,); the others are constant."""
+    ) -> tuple[Energy, IntArray]:
+        """The energy of the samples that depend on a node that ``moves`` (n,), as the others are constant; and the cell
+        of each of its elements."""
         if self.grid.dimension == 2:
-            return Triangles.at_corners(start, cells, sign, weight).with_any(moves)
+            return Triangles.at_corners(start, cells, sign, weight, moves)
         samples = cell_samples()
         mask = sound_samples(start, cells, samples, sign, COLLAPSED)
         mask &= samples_with_any(moves[cells], samples)
-        return Hexahedra(start, cells, cells, mask, samples, weight, np.ones(len(cells)))
-
-    def _owners(self, flat: IntArray) -> IntArray:
-        """The block node that represents each of ``flat``."""
-        number = self.number[flat]
-        return np.where(number >= 0, self.topology.first[number], flat)
+        energy = Hexahedra(start, cells, cells, mask, samples, weight, np.ones(len(cells)))
+        return energy, np.arange(len(cells))
 
     def _corners(self, cells: IntArray) -> IntArray:
         """Block nodes (m, 8), in 2-D (m, 4), at the corners of cells."""
         found = np.empty((len(cells), 2**self.grid.dimension), dtype=np.int64)
-        starts = cell_starts(self.grid)
+        starts = self.grid.cell_offsets
         ends = np.searchsorted(cells, starts)
         for block, shape in enumerate(self.grid.shapes):
             mine = slice(ends[block], ends[block + 1])
@@ -156,7 +166,7 @@ class Neighbourhood:
 
     def _signs(self, cells: IntArray) -> FloatArray:
         """Sign (m,) of the determinants of sound cells, with edges in the order of their index axes."""
-        block = np.searchsorted(cell_starts(self.grid), cells, side="right") - 1
+        block = np.searchsorted(self.grid.cell_offsets, cells, side="right") - 1
         sign = self.topology.handedness.astype(np.float64)
         if self.grid.dimension == 2:
             flat = np.array([shape.index(1) for shape in self.grid.shapes])
@@ -164,20 +174,18 @@ class Neighbourhood:
             sign *= np.where(flat == 1, -1.0, 1.0) * np.sign(self.normal[np.argmax(np.abs(self.normal))])
         return sign[block]
 
-    def _unknowns(self, nodes: IntArray, free: IntArray) -> tuple[Unknowns, FloatArray]:
-        """Unknowns of a region's ``nodes``, given the ``free`` ones, and their projectors; see :class:`Region`."""
+    def _unknowns(self, nodes: IntArray, moves: BoolArray) -> tuple[IntArray, Unknowns, FloatArray]:
+        """The unknowns of a region's ``nodes``, of which some may move, as the nodes with these unknowns; how the
+        ``nodes`` depend on them; see :class:`Region`."""
         constraints, axes = self.constraints, self.axes
-        number = self.number[nodes]
+        number = self.shares.numbers(nodes)
         on_face = number >= 0
-        root = nodes.copy()
-        root[on_face] = self.topology.first[constraints.root[number[on_face]]]
-        moves = np.isin(nodes, free)
-        roots, of_node = np.unique(root[moves], return_inverse=True)
+        roots, of_node = np.unique(self.shares.roots(nodes[moves]), return_inverse=True)
         unknown = np.full(len(nodes), -1, dtype=np.int64)
         unknown[moves] = of_node
         one = np.eye(len(axes))
         freedom = np.tile(one, (len(roots), 1, 1))
-        at = self.number[roots]
+        at = self.shares.numbers(roots)
         freedom[at >= 0] -= axes @ constraints.removed[at[at >= 0]] @ axes.T
         frame = np.tile(one, (len(nodes), 1, 1))
         frame[moves] = freedom[of_node]
@@ -185,9 +193,4 @@ class Neighbourhood:
             turn = constraints.turn.get(int(number[local]))
             if turn is not None:
                 frame[local] = axes @ turn @ axes.T @ frame[local]
-        return Unknowns(unknown, frame, (frame == one).all(axis=(1, 2))), freedom
-
-
-def cell_starts(grid: Grid) -> IntArray:
-    """Number (n_blocks + 1,) of the first cell of every block."""
-    return np.concatenate([[0], np.cumsum([a * b * c for a, b, c in grid.cell_shapes])])
+        return roots, Unknowns(unknown, frame, (frame == one).all(axis=(1, 2))), freedom

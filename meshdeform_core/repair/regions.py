@@ -102,7 +102,7 @@ class Growth:
 
         def make() -> Search | None:
             neighbourhood = self.basis.neighbourhood
-            free = neighbourhood.around(weak, layers)
+            free = neighbourhood.around(weak, layers) if layers else neighbourhood.free
             if free.size in (0, done):
                 return None
             return self._untangle(neighbourhood.plot(free, way.even), now, way)
@@ -111,7 +111,7 @@ class Growth:
 
     def _untangle(self, plot: Plot, now: Judged, way: Way) -> Search:
         start, region = plot.inside(now.points), plot.region
-        share, energy = share_of(region.energy, start)
+        share, energy = share_of(region.energy, start, region.dealt)
         region = replace(region, energy=energy)
         untangler = Untangler(region, start, start, NewtonSystem(region), progress=self.progress, limit=self.limit)
         before = untangler.state(start, Penalty()).highest

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..grid import FloatArray
 from ..memory import UNLIMITED, MemoryLimit
-from ..parallel import Part, current_ranks, empty, for_rows, require_whole
+from ..parallel import alike, for_rows, of_all, own_rows, require_whole, rows_of, together
 from ..quality.verdict.validity import Verdict, judge
 from .basis import Basis, Whole
 from .energy.newton import NewtonSystem
@@ -66,27 +66,19 @@ class Repairer:
             When the memory limit is too small to find out, or to repair them.
         """
         if verdict.failed.any():
-            require_whole(points, "cells are invalid and may be repaired")
             return True
-        if isinstance(points, Part):
-            return not self._surely_healthy(points)
 
         def weak() -> bool:
             flat, basis = self._flattened(points) or (points, self.basis)
             if basis.healthy(flat):
                 return False
             whole = self._whole(basis)
-            return whole is not None and share_of(whole.plot.region.energy, whole.plot.inside(flat))[0] > 0.0
+            if whole is None:
+                return False
+            region = whole.plot.region
+            return share_of(region.energy, whole.plot.inside(flat), region.dealt)[0] > 0.0
 
-        return current_ranks().on_first(weak)
-
-    def _surely_healthy(self, points: FloatArray) -> bool:
-        """Whether it is certain that a grid in parts needs no repair; any doubt requires the whole grid."""
-        for each in (points, self.original.grid.points):
-            self.original.grid.hold_neighbours(each)
-        if self.basis.may_be_extruded or not self.basis.healthy(points):
-            require_whole(points, "cells are weak and may be repaired")
-        return True
+        return together(points, weak)
 
     def repair(
         self,
@@ -123,6 +115,7 @@ class Repairer:
             best, more, converged = self._minimum(start, polish, None)
             steps += more
         if not best.verdict.valid:
+            require_whole(points, "cells stay invalid and may be untangled in regions")
             best, more, converged = self._by_regions(start, best, polish, ways)
             steps += more
         record = self._record(start, best, steps, clock.perf_counter() - begin)
@@ -154,7 +147,7 @@ class Repairer:
                 return None
             return minimise(whole, start.points, polish, guess, self.progress, self.limit, close)
 
-        found = current_ranks().on_first(make)
+        found = together(start.points, make)
         if found is None:
             return start, 0, False
         end = self._moved(start, found)
@@ -164,7 +157,7 @@ class Repairer:
         return end, found.steps, found.succeeded
 
     def _whole(self, basis: Basis) -> Whole | None:
-        nodes, dimension = basis.original.grid.n_nodes, basis.original.grid.dimension
+        nodes, dimension = basis.neighbourhood.shares.largest, basis.original.grid.dimension
         self.memory.require(
             NewtonSystem.memory(nodes, dimension), f"a repair of {nodes:,} nodes", "allow more, or take --repair off"
         )
@@ -202,13 +195,17 @@ class Repairer:
         return Outcome(spread, after.verdict, replace(record, converged=end.repair.converged))
 
     def _moved(self, now: Judged, found: Search) -> Judged:
-        points: FloatArray = empty(now.points.shape)
+        points: FloatArray = alike(now.points)
         for_rows(lambda rows: np.copyto(points[rows], now.points[rows]), points)
-        points[found.moved] += found.shift
+        rows_of(points)[found.moved] += found.shift
         return Judged(points, judge(self.original, self.rounded(points)))
 
     def _record(self, start: Judged, end: Judged, steps: int, seconds: float) -> Repair:
-        moved = (end.points - start.points).reshape(-1, 3)
+        (low, high), verdict = own_rows(start.points), start.verdict
+        moved = end.points[low:high] - start.points[low:high]
         distance = np.sqrt((moved**2).sum(axis=1))
-        bad = (start.verdict.failed != 0) | (start.verdict.ratio < POOR)
-        return Repair(int(bad.sum()), int((distance > 0).sum()), float(distance.max()), steps, seconds)
+        failed, ratio = (each[slice(*own_rows(each))] for each in verdict.arrays)
+        bad = (failed != 0) | (ratio < POOR)
+        own = int(bad.sum()), int((distance > 0).sum()), float(distance.max(initial=0.0))
+        cells, nodes, farthest = zip(*of_all(start.points, own), strict=True)
+        return Repair(sum(cells), sum(nodes), max(farthest), steps, seconds)

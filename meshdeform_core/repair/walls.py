@@ -10,22 +10,25 @@ therefore have larger weights, also at fixed walls; this costs little, as they t
 from __future__ import annotations
 
 import itertools
+import math
 
 import numpy as np
 
 from ..grid import FloatArray, IntArray
 from .tuned import CRAMPED, FALL, FIRST, GROWTH, HEAVIEST, REACH, ROOM, SHARE, STEEP, THIN
 
-UNLIMITED = 1 << 14
+FARTHEST = math.ceil(REACH / SHARE)
+"""Distances beyond that many cells need not be told apart."""
 
 
-def nearness(layers: np.ndarray) -> FloatArray:
-    """Distance (n,) of nodes from walls relative to the reach of walls, at most 1; 1 without walls.
+def nearness(layers: np.ndarray, largest: int) -> tuple[FloatArray, float]:
+    """Distance (n,) of nodes from walls relative to the reach of walls, at most 1, and that of walls themselves.
 
-    ``layers`` (n,) are the distances in cells, -1 where no wall is connected.
+    ``layers`` (n,) are the distances in cells, more than FARTHEST where no wall is that near, ``largest`` the largest
+    distance in the grid up to that.
     """
-    reach = max(1.0, min(REACH, SHARE * int(layers.max(initial=0))))
-    return np.where(layers < 0, 1.0, np.minimum((layers + 1.0) / reach, 1.0)).astype(np.float64)
+    reach = max(1.0, min(REACH, SHARE * largest))
+    return np.minimum((layers + 1.0) / reach, 1.0), 1.0 / reach
 
 
 def weigh(share: FloatArray, first: float, start: FloatArray, cells: IntArray) -> FloatArray:

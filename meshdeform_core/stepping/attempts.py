@@ -9,7 +9,6 @@ from ..boundary.pinned import find_pinned
 from ..errors import MethodError
 from ..methods import Options
 from ..notices import Notice
-from ..parallel import require_whole
 from ..repair.regions import HASTILY, QUICKLY
 from ..repair.repair import COLLAPSING
 from .course import Course
@@ -91,8 +90,6 @@ def until_valid(course: Course) -> Reached:
     state = beginning(course, course.setup.case.method)
     course.log.warn(*warnings_ahead(state, 0.0))
     plain = plain_step(state, 1.0)
-    if not plain.valid:
-        require_whole(state.points, "cells are invalid and may be repaired")
     impossible = None if plain.valid else _find_impossible(course)
     best = compared(repaired(plain, HASTILY if impossible else QUICKLY))
     if impossible and not best.valid:

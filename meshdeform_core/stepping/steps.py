@@ -12,7 +12,7 @@ import numpy as np
 from ..errors import MethodError
 from ..grid import FloatArray
 from ..methods import Account, Options, PreparedMethod, Problem, prepare_method
-from ..parallel import for_rows
+from ..parallel import combined, for_rows
 from ..quality.verdict.comparison import Comparison
 from ..quality.verdict.validity import Verdict, judge
 from ..repair.outcome import Repair
@@ -160,7 +160,7 @@ def settled(trial: Trial, points: FloatArray) -> Trial | None:
     """The minimum that the repair of a plain trial should find, searched for from ``points`` (n_nodes, 3), a valid grid
     obtained otherwise; ``None`` if it is not found."""
     plain = dataclasses.replace(trial, found=trial.plain, repair=None)
-    found = _repaired(plain, (), points - trial.plain.points, trial.state.course.polishing)
+    found = _repaired(plain, (), combined(np.subtract, points, trial.plain.points), trial.state.course.polishing)
     return found if found.repair and found.repair.converged else None
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from ..grid import FloatArray
 from ..notices import Notice
 from ..numerics.arrays import lengths
+from ..parallel import combined, of_all, own_rows
 from ..quality.verdict.validity import Verdict, judge
 from ..repair.outcome import Outcome
 from ..smoothness import shortest_edges
@@ -74,18 +75,19 @@ def _follow(trial: Trial) -> Outcome | None:
         return None
     start = _plain(trial, reached)
     outcome, step = repairer.repair(start, _verdict(course, start), ways=(), close=_NEAR), 1.0 - _PART
-    correction = outcome.points - start
+    correction = combined(np.subtract, outcome.points, start)
     for _ in range(_STEPS):
         if reached == 1.0 or step < _SHORTEST:
             break
         part = min(1.0, reached + step)
         plain = _plain(trial, part)
         found = None
-        if _verdict(course, plain + correction).valid:
+        if _verdict(course, combined(np.add, plain, correction)).valid:
             close = _NEAR if part < 1.0 else _ENOUGH
             found = repairer.repair(plain, _verdict(course, plain), ways=(), guess=correction, close=close)
         if found and found.repair.converged:
-            outcome, correction, reached, step = found, found.points - plain, part, 1.5 * step
+            correction = combined(np.subtract, found.points, plain)
+            outcome, reached, step = found, part, 1.5 * step
         else:
             step /= 2
     return outcome if reached == 1.0 else None
@@ -99,10 +101,11 @@ def _plain(trial: Trial, fraction: float) -> FloatArray:
     """The method's grid (n_nodes, 3) at a fraction of the motion."""
     state, course = trial.state, trial.state.course
     part = (course.prescribed(fraction) - state.moved)[course.setup.problem.source_numbers]
-    return np.asarray(state.points + prepared_on(state).apply(part, course.progress))
+    return combined(np.add, state.points, prepared_on(state).apply(part, course.progress))
 
 
 def _distance(trial: Trial, points: FloatArray) -> float:
     """The largest distance of a node from its position in ``points`` (n_nodes, 3), relative to local edges."""
-    edges = shortest_edges(trial.state.course.setup.grid)
-    return float((lengths(trial.found.points - points) / edges).max())
+    edges, (low, high) = shortest_edges(trial.state.course.setup.grid), own_rows(points)
+    apart = lengths(trial.found.points[low:high] - points[low:high]) / edges
+    return max(of_all(points, float(apart.max(initial=0.0))))

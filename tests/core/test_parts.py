@@ -23,7 +23,8 @@ from meshdeform_core.methods import IDW, RBF, TFI, Options
 from meshdeform_core.numerics import pieces as pieces_module
 from meshdeform_core.numerics.pieces import pieces
 from meshdeform_core.parallel import Part, WholeGridNeeded, alone, dividing, parts
-from meshdeform_core.repair import RepairOptions
+from meshdeform_core.repair import RepairOptions, shares
+from meshdeform_core.repair.energy import newton, products
 from meshdeform_core.series import Schedule, deform_series
 from meshdeform_core.setup import set_up
 from meshdeform_formats import plausible
@@ -52,6 +53,16 @@ def small_pieces(monkeypatch):
     pieces_module._ends.cache_clear()
     yield
     pieces_module._ends.cache_clear()
+
+
+@pytest.fixture
+def small_ranges(monkeypatch):
+    """Small regions are shared by several ranks."""
+    for module, name, size in (
+        (shares, "ROWS", 64), (shares, "CELLS", 16), (newton, "_ROWS", 16),
+        (products, "_LONG", 32), (products, "_SWEPT", 64),
+    ):  # fmt: skip
+        monkeypatch.setattr(module, name, size)
 
 
 @pytest.fixture
@@ -197,8 +208,11 @@ def outcome(source, target, case, **rest):
     result = deform(read_grid(source), case, **rest)
     variant = {"precision": rest["precision"]} if "precision" in rest else None
     write_grid(result.grid, target, variant)
-    account = dataclasses.asdict(result.account)
-    return target.read_bytes(), result.assessment, account, result.warnings, result.attempts
+    account, repair = (
+        dataclasses.asdict(result.account),
+        result.repair and dataclasses.replace(result.repair, seconds=0.0),
+    )
+    return target.read_bytes(), result.assessment, account, result.warnings, result.attempts, repair
 
 
 def same_on_ranks(tmp_path, count, case, suffix=".cgns", grid=None, **rest):
@@ -214,6 +228,7 @@ def same_on_ranks(tmp_path, count, case, suffix=".cgns", grid=None, **rest):
     for found in on_ranks(count, act):
         for one, two in zip(found, expected, strict=True):
             assert one == two
+    return expected
 
 
 @pytest.mark.parametrize(("name", "count"), [
@@ -279,6 +294,45 @@ def test_ranks_without_nodes_take_part(tmp_path, poisoned):
     same_on_ranks(tmp_path, 7, case_of(METHODS["idw-tfi-fast"]))
 
 
+def repaired(angle, mode="auto"):
+    return dataclasses.replace(case_of(METHODS["tfi"], angle), repair=RepairOptions(mode=mode))
+
+
+def tapered(*size):
+    """No extrusion: it narrows along z."""
+    grid = frame(*size)
+    return grid.moved(grid.points * (1.0 - 0.2 * grid.points[:, 2:]) ** np.array([1.0, 1.0, 0.0]))
+
+
+@pytest.mark.parametrize(("count", "angle", "mode"), [
+    (3, 50.0, "auto"), (2, 50.0, "polish"), pytest.param(4, 110.0, "auto", marks=pytest.mark.slow)
+])  # fmt: skip
+def test_repairs_of_grids_in_parts_give_the_same_bytes(
+    count, angle, mode, tmp_path, small_pieces, small_ranges, poisoned
+):
+    """Of weak cells and of inverted ones."""
+    assert same_on_ranks(tmp_path, count, repaired(angle, mode), grid=tapered(5, 4))[-1].newton_steps > 1
+
+
+def test_repairs_of_plane_grids_in_parts_give_the_same_bytes(tmp_path, small_pieces, small_ranges, poisoned):
+    body = dataclasses.replace(body_specs(turning(60))[0], select=("*",))
+    case = dataclasses.replace(repaired(60.0), boundaries=(body,))
+    assert same_on_ranks(tmp_path, 3, case, ".xyz", frame_2d(9))[-1].newton_steps > 1
+
+
+def test_repairs_in_a_series_are_the_same(tmp_path, small_pieces, small_ranges, poisoned):
+    source, schedule = tmp_path / "grid.cgns", Schedule((0.0, 1.0, 2.0))
+    write_grid(tapered(5, 4), source)
+    case = Case(tuple(body_specs(turning("40*t"))), method=METHODS["tfi"])
+    expected = levels(source, tmp_path / "one.cgns", case, schedule)
+
+    def act(number):
+        with dividing():
+            return levels(source, tmp_path / "ranks.cgns", case, schedule)
+
+    assert all(found == expected for found in on_ranks(3, act))
+
+
 def refused(tmp_path, count, grid, case, options=None):
     """Why the whole grid is needed on every rank."""
     source = tmp_path / "grid.xyz"
@@ -314,7 +368,9 @@ def test_what_takes_the_whole_grid_says_so(tmp_path, monkeypatch):
     monkeypatch.undo()
     with pytest.raises(Failed, match="a block is read as a whole"):
         on_ranks(2, lambda number: block_in_parts(tmp_path / "grid.xyz"))
-    assert refused(tmp_path, 2, frame(), repaired) == "cells are invalid and may be repaired"
+    assert refused(tmp_path, 2, frame(), repaired) == "the grid may be extruded from a plane one"
+    away = Case(tuple(body_specs(formulas("3.0", "0.0", "0.0"))), method=METHODS["tfi"])
+    assert refused(tmp_path, 2, tapered(), away) == "cells stay invalid and may be untangled in regions"
 
 
 def test_ranks_need_memory_for_their_part(small_pieces):

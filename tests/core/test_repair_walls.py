@@ -12,21 +12,21 @@ from meshdeform_core.deform import Case, Timing, impose, set_up
 from meshdeform_core.grid import Grid, Patch, Side, Window
 from meshdeform_core.methods import Options
 from meshdeform_core.repair.constraints import Constraints
-from meshdeform_core.repair.walls import nearness, weigh
+from meshdeform_core.repair.walls import FARTHEST, nearness, weigh
 
 
 def test_first_cells_at_walls_weigh_most_and_less_where_walls_are_few_cells_apart():
     cells, first = np.array([[0, 1, 2, 3], [2, 3, 4, 5], [6, 7, 8, 9]]), []
     for layers in (5, 9, 11, 40):
-        share = nearness(np.repeat(np.arange(layers), 2))
+        share, near = nearness(np.repeat(np.arange(layers), 2), layers - 1)
         start = np.random.default_rng(0).uniform(1.0, 2.0, (2 * layers, 2))
-        weight = weigh(share[cells], float(share.min()), start, cells)
+        weight = weigh(share[cells], near, start, cells)
         assert weight[0] > weight[1] >= weight[2] >= 1.0
-        first.append(weight[0] * share.min())
+        first.append(weight[0] * near)
     np.testing.assert_allclose(first[2:], 400.0)
     assert first[0] < 10.0 < 50.0 < first[1] < 100.0
-    free = nearness(np.full(10, -1))
-    np.testing.assert_array_equal(weigh(free[cells], float(free.min()), start, cells), 1.0)
+    free, near = nearness(np.full(10, FARTHEST + 1), 0)
+    np.testing.assert_array_equal(weigh(free[cells], near, start, cells), 1.0)
 
 
 def test_moving_far_field_is_no_wall_unless_nothing_else_moves():

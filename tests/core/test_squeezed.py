@@ -99,7 +99,7 @@ def test_work_is_limited_by_counts(monkeypatch):
 
 def test_a_limit_of_work():
     some = Limit(work=10.0)
-    assert (some.affords(2.0), some.affords(100.0), some.reached, some.over()) == (5, 1, False, False)
+    assert (some.affords(2.0), some.affords(100.0), some.reached) == (5, 1, False)
     some.spend(10.0)
-    assert (some.affords(2.0), some.exhausted, some.late, some.reached, some.over()) == (1, True, False, True, True)
+    assert (some.affords(2.0), some.exhausted, some.late, some.reached) == (1, True, False, True)
     assert Limit.of(10, 1.0).affords(1.0) == Limit.of(1000, 1.0).affords(1.0) < Limit.of(10**6, 1.0).affords(1.0)

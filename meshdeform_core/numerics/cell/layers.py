@@ -2,69 +2,70 @@
 
 import numpy as np
 
-from ..jit import kernel
+from ..jit import inlined, kernel
 
 
 @kernel
-def layers_from(seeds, layers, shapes, offsets, classes, start, copies):
-    """Distance (n_nodes,) int16 of every block node from ``seeds``, in cells; -1 where it exceeds ``layers``.
+def spread_layers(layers, most, planes, shapes, offsets, nodes, ends, classes, nearest):
+    """Lower ``layers``, distances in cells, until every node is at most one farther than its neighbours; returns how
+    often one was lowered.
+
+    Within a block two passes suffice, one in each direction, as the nodes of a box are connected by straight ways.
 
     Parameters
     ----------
-    seeds : (s,) block nodes
+    layers : (n_nodes,) int16, more than ``most`` where a node is farther away or not yet reached
+    planes : (n_blocks, 2) the planes first <= i < last of each block to look at
     shapes, offsets : (n_blocks, 3), (n_blocks + 1,) of the blocks
-    classes : (n_nodes,) number of the class of coincident nodes that a node belongs to, or -1
-    start, copies : the nodes of class c are ``copies[start[c] : start[c + 1]]``
+    nodes, ends, classes : (n_face,) block nodes on block faces, ascending, those of block b from ``ends[b]`` to
+        ``ends[b + 1]``, and the number of the set of nodes that count as one
+    nearest : (n_classes,) int16, the smallest distance of each set
     """
-    reached = np.full(classes.size, -1, dtype=np.int16)
-    queue = np.empty(1 << 12, dtype=np.int64)
-    # int64, not plain zeros: numba would compile ``_visit`` a second time for literals.
-    count, nearest = np.int64(0), np.int64(0)
-    for node in seeds:
-        queue, count = _visit(node, nearest, reached, queue, count, classes, start, copies)
-    first = 0
-    for layer in range(layers):
-        last = count
-        for at in range(first, last):
-            node = queue[at]
-            block = np.searchsorted(offsets, node, side="right") - 1
-            nj, nk = shapes[block, 1], shapes[block, 2]
-            i, j, k = (
-                (node - offsets[block]) // (nj * nk),
-                (node - offsets[block]) // nk % nj,
-                (node - offsets[block]) % nk,
-            )
-            for di in range(-1 if i else 0, 2 if i + 1 < shapes[block, 0] else 1):
-                for dj in range(-1 if j else 0, 2 if j + 1 < nj else 1):
-                    for dk in range(-1 if k else 0, 2 if k + 1 < nk else 1):
-                        other = node + (di * nj + dj) * nk + dk
-                        if reached[other] < 0:
-                            queue, count = _visit(other, layer + 1, reached, queue, count, classes, start, copies)
-        first = last
-        if first == count:
-            break
-    return reached
+    lowered, again, first = 0, True, True
+    while again:
+        again = False
+        for b in range(len(shapes)):
+            low, high = planes[b, 0], planes[b, 1]
+            if low >= high:
+                continue
+            size = shapes[b, 1] * shapes[b, 2]
+            start, stop = offsets[b] + low * size, offsets[b] + high * size
+            touched = first
+            for n in range(ends[b], ends[b + 1]):
+                if start <= nodes[n] < stop and nearest[classes[n]] < layers[nodes[n]]:
+                    layers[nodes[n]] = nearest[classes[n]]
+                    lowered += 1
+                    touched = True
+            if not touched:
+                continue
+            box = layers[start:stop].reshape(high - low, shapes[b, 1], shapes[b, 2])
+            lowered += _pass(box, most)
+            lowered += _pass(box[::-1, ::-1, ::-1], most)
+            for n in range(ends[b], ends[b + 1]):
+                if start <= nodes[n] < stop and layers[nodes[n]] < nearest[classes[n]]:
+                    nearest[classes[n]] = layers[nodes[n]]
+                    again = True
+        first = False
+    return lowered
 
 
-@kernel
-def _visit(node, layer, reached, queue, count, classes, start, copies):
-    """Append a node that was not reached yet, and all nodes of its class, to the queue."""
-    if reached[node] >= 0:
-        return queue, count
-    one = classes[node]
-    size = 1 if one < 0 else start[one + 1] - start[one]
-    if count + size > queue.size:
-        longer = np.empty(2 * queue.size + size, dtype=np.int64)
-        longer[:count] = queue[:count]
-        queue = longer
-    if one < 0:
-        queue[count] = node
-        reached[node] = layer
-    else:
-        for n in range(size):
-            queue[count + n] = copies[start[one] + n]
-            reached[queue[count + n]] = layer
-    return queue, count + size
+@inlined
+def _pass(box, most):
+    """Lower ``box`` (ni, nj, nk) to one more than the neighbours that come before; returns how often."""
+    ni, nj, nk = box.shape
+    lowered = 0
+    for i in range(ni):
+        for j in range(nj):
+            for k in range(nk):
+                near = box[i, j, k]
+                for p in range(max(i - 1, 0), i + 1):
+                    for q in range(max(j - 1, 0), min(j + 2, nj) if p < i else j + 1):
+                        for r in range(max(k - 1, 0), min(k + 2, nk) if p < i or q < j else k):
+                            near = min(near, box[p, q, r] + 1)
+                if near < box[i, j, k] and near <= most:
+                    box[i, j, k] = near
+                    lowered += 1
+    return lowered
 
 
 @kernel

@@ -66,7 +66,11 @@ class Energy(Protocol):
 
     @property
     def work(self) -> float:
-        """Work of computing the second derivatives of all elements, see :mod:`.limit`."""
+        """Work of computing the second derivatives at one sample, see :mod:`..limit`."""
+        ...
+
+    def samples_of(self, low: int, high: int) -> int:
+        """Number of samples of the elements low <= m < high."""
         ...
 
     def edges(self) -> FloatArray:
@@ -141,9 +145,12 @@ class Hexahedra:
     weight: FloatArray
     between: FloatArray
 
-    @cached_property
+    @property
     def work(self) -> float:
-        return _SAMPLE * float(np.bitwise_count(self.mask).sum())
+        return _SAMPLE
+
+    def samples_of(self, low: int, high: int) -> int:
+        return int(np.bitwise_count(self.mask[low:high]).sum())
 
     def edges(self) -> FloatArray:
         pairs = [(a, a | bit) for a in range(8) for bit in (1, 2, 4) if not a & bit]
@@ -220,7 +227,10 @@ class Triangles:
 
     @property
     def work(self) -> float:
-        return _TRIANGLE * len(self.nodes)
+        return _TRIANGLE
+
+    def samples_of(self, low: int, high: int) -> int:
+        return high - low
 
     def edges(self) -> FloatArray:
         return shortest_edges(self.start, self.nodes, np.array([(0, 1), (0, 2)]))
@@ -232,17 +242,16 @@ class Triangles:
         return np.asarray(excess_of_triangles(x, self.nodes, self.slope, HEALTHY, SOFT))
 
     @classmethod
-    def at_corners(cls, start: FloatArray, cells: IntArray, sign: FloatArray, weight: FloatArray) -> Triangles:
-        """From the sound corners of undeformed quadrilaterals (m, 4); ``sign`` (m,) is the sign of sound Jacobians."""
+    def at_corners(
+        cls, start: FloatArray, cells: IntArray, sign: FloatArray, weight: FloatArray, moves: BoolArray
+    ) -> tuple[Triangles, IntArray]:
+        """From the sound corners of undeformed quadrilaterals (m, 4) with at least one node that ``moves`` (n,), and
+        the quadrilateral of each; ``sign`` (m,) is the sign of sound Jacobians."""
         most = 4 * len(cells)
         nodes, slope, cell = np.empty((most, 3), np.int64), np.empty((most, 3, 2)), np.empty(most, np.int64)
         count = corner_triangles(start, cells, sign, COLLAPSED, nodes, slope, cell)
-        return cls(nodes[:count], slope[:count], start, weight[cell[:count]])
-
-    def with_any(self, moves: BoolArray) -> Triangles:
-        """The triangles with at least one node that ``moves`` (n,)."""
-        kept = np.asarray(moves[self.nodes].any(axis=1))
-        return self if kept.all() else Triangles(self.nodes[kept], self.slope[kept], self.start, self.weight[kept])
+        kept = np.flatnonzero(moves[nodes[:count]].any(axis=1))
+        return cls(nodes[kept], slope[kept], start, weight[cell[kept]]), cell[kept]
 
     def sum(
         self, x: FloatArray, reference: FloatArray, penalty: Penalty, low: int, high: int

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import numpy as np
 import scipy
 
 from ...numerics.arrays import FloatArray
 from ...numerics.jit import kernel
-from ...parallel import for_chunks
 from .elements import Penalty, Rows
-from .products import Plain, Products, Swept, sum_over_rows
+from .products import Plain, Products, Swept, over_rows, sum_over_rows
 from .region import Region
 
 # Unknowns per call of a loop.
@@ -22,7 +23,8 @@ _BLOCK = 0.0045
 
 
 class NewtonSystem:
-    """Gradient and Hessian of a region's energy, computed anew for every step by ``fill``.
+    """Gradient and Hessian of a region's energy, computed anew for every step by ``fill``; a rank has the rows of its
+    own unknowns, and the columns of those beside them.
 
     The Hessian is scaled from both sides by the inverse Cholesky factors of its diagonal blocks and stored in single
     precision, which only makes steps slightly inexact. :mod:`.products` preconditions it further.
@@ -36,27 +38,30 @@ class NewtonSystem:
     """
 
     def __init__(self, region: Region) -> None:
-        n, d = region.n_unknowns, region.dimension
-        self.unknowns = region.unknowns
+        n, d, rows = region.n_unknowns, region.dimension, region.dealt.rows
+        self.unknowns, self._rows = region.unknowns, rows
         of_element = region.number[region.energy.nodes]
         used = of_element >= 0
         element = np.broadcast_to(np.arange(len(of_element))[:, None], of_element.shape)[used]
         touch = scipy.sparse.csr_array(
             (np.ones(element.size, np.int32), (of_element[used], element)), shape=(n, len(of_element))
         )
-        pattern = (touch @ touch.T).tocsr()
+        own = touch if (rows.low, rows.high) == (0, n) else touch[rows.own]
+        pattern = (own @ touch.T).tocsr()
         pattern.sort_indices()
-        self._starts, self._columns = pattern.indptr.astype(np.int64), pattern.indices.astype(np.int64)
-        ends = [*range(0, n, _ROWS), n]
+        starts = np.pad(pattern.indptr.astype(np.int64), (rows.low, 0))
+        self._starts = np.pad(starts, (0, n - rows.high), mode="edge")
+        self._columns = pattern.indices.astype(np.int64)
+        ends = [*range(rows.low, rows.high, _ROWS), rows.high]
         self._elements = [
             np.unique(touch.indices[touch.indptr[lo] : touch.indptr[hi]]).astype(np.int64)
             for lo, hi in itertools.pairwise(ends)
         ]
         self._matrix = np.empty((len(self._columns), d, d), np.float32)
-        self._factor = np.empty((n, d, d))
+        self._factor = np.zeros((n, d, d))
         matrix = self._matrix, self._starts, self._columns
-        self._products: Products = Plain(matrix) if d == 3 else Swept(matrix)
-        self.work, self.iterations = _BLOCK * len(self._columns), 0
+        self._products: Products = Plain(matrix, rows) if d == 3 else Swept(matrix, rows)
+        self.work, self.iterations = _BLOCK * int(rows.joined(np.array([len(self._columns)])).sum()), 0
         self.gradient = np.empty((n, d))
 
     @staticmethod
@@ -71,25 +76,33 @@ class NewtonSystem:
         Returns ``False`` if a diagonal block is not positive definite, which cannot happen with the convex part of the
         energy alone.
         """
-        starts, columns = self._starts, self._columns
+        starts, columns, all_rows = self._starts, self._columns, self._rows
         self.unknowns, freedom = region.directions(x)
         self.gradient[...] = 0.0
-        bad = np.zeros(-(-region.n_unknowns // _ROWS), dtype=np.int64)
+        bad = np.zeros(len(self._elements), dtype=np.int64)
 
         def add(low: int, high: int) -> None:
             first, last = starts[low], starts[high]
             blocks = np.zeros((last - first, *self._matrix.shape[1:]))
-            rows = Rows(low, high, starts, columns, blocks, self.gradient)
-            region.energy.add(x, reference, penalty, self._elements[low // _ROWS], self.unknowns, rows)
-            bad[low // _ROWS] = factor_diagonal(blocks, rows.pattern, freedom, self._factor)
+            rows, number = Rows(low, high, starts, columns, blocks, self.gradient), (low - all_rows.low) // _ROWS
+            region.energy.add(x, reference, penalty, self._elements[number], self.unknowns, rows)
+            bad[number] = factor_diagonal(blocks, rows.pattern, freedom, self._factor)
             scale_left(blocks, rows.pattern, self._factor)
             self._matrix[first:last] = blocks
 
-        for_chunks(add, region.n_unknowns, _ROWS)
-        for_chunks(
-            lambda *ends: scale_right(self._matrix, starts, columns, self._factor, *ends), region.n_unknowns, _ROWS
-        )
-        return not penalty.exact or not bad.any()
+        over_rows(add, all_rows, _ROWS)
+        all_rows.complete(self._factor)
+        over_rows(partial(scale_right, self._matrix, starts, columns, self._factor), all_rows, _ROWS)
+        return not (penalty.exact and all_rows.joined(bad).any())
+
+    def slope(self, step: FloatArray) -> float:
+        """The product of the gradient with a step (n_unknowns, d)."""
+        return self._summed(dot_rows, self.gradient, step)
+
+    def _summed(self, work: Callable[..., float], *values: Any) -> float:
+        """Sum of ``work(*values, low, high)`` over the rows of vectors (n_unknowns, d), which are passed flat."""
+        d, flat = self.gradient.shape[1], [v.ravel() if isinstance(v, np.ndarray) else v for v in values]
+        return sum_over_rows(lambda low, high: work(*flat, low * d, high * d), self._rows)
 
     def direction(self, tolerance: float, most: int) -> tuple[FloatArray, bool]:
         """The Newton step (n_unknowns, d), and whether the Hessian was convex along all directions searched.
@@ -99,9 +112,8 @@ class NewtonSystem:
         """
         factor, products = self._factor, self._products
         r = products.begin(-np.einsum("nij,nj->ni", factor, self.gradient))
-        y, p, image = np.zeros_like(r), r.copy(), np.empty_like(r)
-        flat = [v.ravel() for v in (y, r, p, image)]
-        rho = sum_over_rows(partial(dot_rows, flat[1], flat[1]), r.size)
+        y, p, image = np.zeros_like(r), r.copy(), np.zeros_like(r)
+        rho = self._summed(dot_rows, r, r)
         goal, convex = tolerance * tolerance * rho, True
         self.iterations = 0
         for _ in range(most):
@@ -113,10 +125,10 @@ class NewtonSystem:
                 convex = False
                 break
             length, before = rho / curvature, rho
-            rho = sum_over_rows(partial(advance_rows, *flat, length), r.size)
+            rho = self._summed(advance_rows, y, r, p, image, length)
             p *= rho / before
             p += r
-        return np.einsum("nji,nj->ni", factor, products.end(y)), convex
+        return self._rows.complete(np.einsum("nji,nj->ni", factor, products.end(y))), convex
 
     def dense(self) -> FloatArray:
         """The scaled Hessian as a dense matrix (d n, d n), for small regions."""

@@ -7,19 +7,22 @@ is therefore weighted, against the elastic energy that holds the grid, by a *sha
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 from ...grid import FloatArray
 from ..tuned import BETWEEN, FULL, NORM, POWER, SLOWLY
 from .elements import Energy
+from .region import Dealt
 
 
-def share_of(energy: Energy, x: FloatArray) -> tuple[float, Energy]:
+def share_of(energy: Energy, x: FloatArray, dealt: Dealt | None = None) -> tuple[float, Energy]:
     """The share for a grid at ``x`` (n, d), 0 where all cells are healthy, and the energy to which it applies.
 
     Samples of hexahedra between corners are weighted by the excess of their own cell, with corners as the upper limit.
     """
-    excess, whole = _excess(energy, x)
+    excess, whole = _excess(energy, x, dealt or Dealt.alone(energy))
     if whole == 0.0:
         return 0.0, energy
     return (whole / FULL) ** POWER, energy.with_between(_share_between(excess))
@@ -27,7 +30,7 @@ def share_of(energy: Energy, x: FloatArray) -> tuple[float, Energy]:
 
 def share_slopes(energy: Energy, x: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Derivatives of the share, and of each cell's share of samples between corners, with respect to excess (m,)."""
-    excess, whole = _excess(energy, x)
+    excess, whole = _excess(energy, x, Dealt.alone(energy))
     if whole == 0.0:
         return np.zeros_like(excess), np.zeros_like(excess)
     between, beyond = _share_between(excess), excess - BETWEEN
@@ -36,13 +39,14 @@ def share_slopes(energy: Energy, x: FloatArray) -> tuple[FloatArray, FloatArray]
     return POWER / FULL * (whole / FULL) ** (POWER - 1.0) * (excess / whole) ** (NORM - 1.0), of_between
 
 
-def _excess(energy: Energy, x: FloatArray) -> tuple[FloatArray, float]:
+def _excess(energy: Energy, x: FloatArray, dealt: Dealt) -> tuple[FloatArray, float]:
     """The excess (m,) of the cells, and that of the grid."""
     excess = energy.excess(x)
-    largest = float(excess.max(initial=0.0))
+    largest = float(dealt.nodes.joined(np.array([excess.max(initial=0.0)])).max())
     if largest == 0.0:
         return excess, 0.0
-    return excess, largest * float(((excess / largest) ** NORM).sum()) ** (1.0 / NORM)
+    sums = [((excess[low:high] / largest) ** NORM).sum() for low, high in itertools.pairwise(dealt.chunks)]
+    return excess, largest * float(dealt.nodes.joined(np.array(sums)).sum()) ** (1.0 / NORM)
 
 
 def _share_between(excess: FloatArray) -> FloatArray:

@@ -22,9 +22,10 @@ from numpy.typing import NDArray
 
 from ...numerics.arrays import FloatArray, IntArray
 from ...numerics.jit import kernel
-from ...parallel import for_chunks
+from ...parallel import Halo, for_chunks
 
-_LONG = 1 << 16
+# Rows whose share of a product is summed at a time; ranks own whole ranges of :data:`..shares.ROWS`.
+_LONG = 1 << 14
 # Number of rows in a range; a thread sweeps through a whole range.
 _SWEPT = 1 << 15
 
@@ -33,7 +34,7 @@ Matrix = tuple[NDArray[np.float32], IntArray, IntArray]
 
 
 class Products(Protocol):
-    """Products of the preconditioned matrix with vectors (n, d)."""
+    """Products of this rank's rows of the preconditioned matrix with vectors (n, d); other rows have no meaning."""
 
     def begin(self, b: FloatArray) -> FloatArray:
         """The right-hand side of the preconditioned system."""
@@ -51,14 +52,15 @@ class Products(Protocol):
 class Plain:
     """Products of the matrix itself, with 3 x 3 blocks."""
 
-    def __init__(self, matrix: Matrix) -> None:
-        self._matrix = matrix
+    def __init__(self, matrix: Matrix, rows: Halo) -> None:
+        self._matrix, self._rows = matrix, rows
 
     def begin(self, b: FloatArray) -> FloatArray:
         return b
 
     def multiply(self, p: FloatArray, image: FloatArray) -> float:
-        return sum_over_rows(partial(multiply_rows, *self._matrix, p, image), len(p))
+        self._rows.complete(p)
+        return sum_over_rows(partial(multiply_rows, *self._matrix, p, image), self._rows)
 
     def end(self, y: FloatArray) -> FloatArray:
         return y
@@ -67,12 +69,12 @@ class Plain:
 class Swept:
     """Products of the matrix between triangular factors, with 2 x 2 blocks."""
 
-    def __init__(self, matrix: Matrix) -> None:
-        self._matrix, self._t = matrix, np.zeros((len(matrix[1]) - 1, 2))
+    def __init__(self, matrix: Matrix, rows: Halo) -> None:
+        self._matrix, self._rows, self._t = matrix, rows, np.zeros((len(matrix[1]) - 1, 2))
 
     def begin(self, b: FloatArray) -> FloatArray:
         self._t[...] = 0.0
-        image = np.empty_like(b)
+        image = np.zeros_like(b)
         self._on(b, image)
         return image
 
@@ -85,21 +87,28 @@ class Swept:
         return self._t.copy()
 
     def _back(self, p: FloatArray) -> None:
-        for_chunks(partial(sweep_back, *self._matrix, p, self._t), len(p), _SWEPT)
+        over_rows(partial(sweep_back, *self._matrix, p, self._t), self._rows, _SWEPT)
 
     def _on(self, p: FloatArray, image: FloatArray) -> float:
-        return sum_over_rows(partial(sweep_on, *self._matrix, p, self._t, image), len(p), _SWEPT)
+        self._rows.complete(self._t)
+        return sum_over_rows(partial(sweep_on, *self._matrix, p, self._t, image), self._rows, _SWEPT)
 
 
-def sum_over_rows(work: Callable[[int, int], float], n: int, chunk: int = _LONG) -> float:
-    """Sum of ``work(low, high)`` over chunks of rows, always in the same order."""
-    parts = np.zeros(-(-n // chunk))
+def over_rows(work: Callable[[int, int], object], rows: Halo, chunk: int) -> None:
+    """Call ``work(low, high)`` for chunks of this rank's rows."""
+    for_chunks(lambda low, high: work(rows.low + low, rows.low + high), rows.high - rows.low, chunk)
+
+
+def sum_over_rows(work: Callable[[int, int], float], rows: Halo, chunk: int | None = None) -> float:
+    """Sum of ``work(low, high)`` over chunks of the rows of all ranks, always in the same order."""
+    chunk = chunk or _LONG
+    parts = np.zeros(-(-(rows.high - rows.low) // chunk))
 
     def add(low: int, high: int) -> None:
-        parts[low // chunk] = work(low, high)
+        parts[(low - rows.low) // chunk] = work(low, high)
 
-    for_chunks(add, n, chunk)
-    return float(parts.sum())
+    over_rows(add, rows, chunk)
+    return float(rows.joined(parts).sum())
 
 
 @kernel

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
 from ...grid import FloatArray, IntArray
 from ...numerics.cell.foldover.hexahedra import Unknowns
+from ...parallel import Halo
 from .elements import Energy
 
 
@@ -22,6 +24,26 @@ class Slide(NamedTuple):
     back: Callable[[FloatArray], FloatArray]
 
 
+class Dealt(NamedTuple):
+    """How ranks share a region. Each holds the elements around its unknowns and nodes, with copies of what belongs to
+    others.
+
+    ``rows``: the unknowns; ``nodes``; ``chunks`` (k + 1,): the elements whose energy this rank sums, from ``chunks[n]``
+    to ``chunks[n + 1]`` at a time.
+    """
+
+    rows: Halo
+    nodes: Halo
+    chunks: IntArray
+
+    @classmethod
+    def alone(cls, energy: Energy) -> Dealt:
+        """All of it for one process."""
+        nodes = energy.nodes
+        none = Halo.alone(np.empty(0, dtype=np.int64))
+        return cls(none, Halo.alone(np.arange(int(nodes.max(initial=-1)) + 1)), np.array([0, len(nodes)]))
+
+
 @dataclass(frozen=True)
 class Region:
     """Cells whose nodes are moved; nodes have local numbers and coordinates (n, d) in space or in the plane.
@@ -32,11 +54,19 @@ class Region:
     energy: Energy
     unknowns: Unknowns
     fixed: FloatArray
+    dealt: Dealt
     slides: tuple[Slide, ...] = ()
 
     @property
     def n_unknowns(self) -> int:
         return len(self.fixed)
+
+    @cached_property
+    def work(self) -> float:
+        """Work of computing the second derivatives of all elements, see :mod:`..limit`."""
+        chunks = self.dealt.chunks
+        count = self.energy.samples_of(int(chunks[0]), int(chunks[-1]))
+        return self.energy.work * int(self.dealt.rows.joined(np.array([count])).sum())
 
     @property
     def dimension(self) -> int:

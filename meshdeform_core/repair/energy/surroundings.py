@@ -11,7 +11,9 @@ from __future__ import annotations
 import numpy as np
 
 from ...grid import FloatArray, IntArray
+from ...parallel import Halo
 from .elements import Energy
+from .region import Dealt
 
 _SQUEEZED = 0.03
 """Cells count as squeezed if the mean volume around them is below this fraction of the undeformed volume."""
@@ -19,22 +21,26 @@ _ROUNDS = 4
 """Number of times that metrics are averaged over the elements at each node and back over the nodes of each element."""
 
 
-def among_others(energy: Energy, x: FloatArray) -> Energy | None:
+def among_others(energy: Energy, x: FloatArray, dealt: Dealt | None = None) -> Energy | None:
     """The energy relative to elements stretched like the average of their surroundings in the grid ``x`` (n, d);
     ``None`` if no element is squeezed."""
-    stretch = _stretch(energy.matrices(x), energy.nodes, len(x))
-    return energy.stretched(stretch) if np.linalg.det(stretch).min() < _SQUEEZED else None
+    halo = (dealt or Dealt.alone(energy)).nodes
+    stretch = _stretch(energy.matrices(x), energy.nodes, halo)
+    volume = np.linalg.det(stretch).min(initial=np.inf)
+    return energy.stretched(stretch) if halo.joined(np.array([volume])).min() < _SQUEEZED else None
 
 
-def _stretch(matrix: FloatArray, nodes: IntArray, n: int) -> FloatArray:
+def _stretch(matrix: FloatArray, nodes: IntArray, halo: Halo) -> FloatArray:
     """The square root (m, d, d) of the mean metric around elements (m, k), from their Jacobian matrices (m, d, d)."""
+    n = len(halo.numbers)
     metric = np.einsum("mji,mjk->mik", matrix, matrix)
     shape, (elements, corners) = metric.shape, nodes.shape
-    at, count = nodes.ravel(), np.maximum(np.bincount(nodes.ravel(), minlength=n), 1)
+    at = nodes.ravel()
+    count = halo.complete(np.maximum(np.bincount(at, minlength=n), 1))
     metric = metric.reshape(elements, -1)
     for _ in range(_ROUNDS):
         columns = [np.bincount(at, np.repeat(column, corners), minlength=n) / count for column in metric.T]
-        metric = np.stack([column[nodes].mean(axis=1) for column in columns], axis=1)
+        metric = np.stack([halo.complete(column)[nodes].mean(axis=1) for column in columns], axis=1)
     squares, axes = np.linalg.eigh(metric.reshape(shape))
     # A small extent remains where all surrounding cells are flat.
     lengths = np.sqrt(np.maximum(squares, 1e-12))

@@ -16,7 +16,6 @@ from .newton import NewtonSystem
 from .region import Region
 from .surroundings import among_others
 
-_ELEMENTS = 4096
 # Measured work of evaluating the energy, relative to that of its derivatives.
 _EVALUATION = 0.15
 _ROUGH, _ROUGH_ITERATIONS = 3e-2, 200
@@ -71,14 +70,16 @@ class Untangler:
     limit: Limit = field(default_factory=Limit)
 
     def state(self, x: FloatArray, penalty: Penalty) -> State:
-        n = len(self.region.energy.nodes)
-        parts = np.empty((-(-n // _ELEMENTS), 3))
+        chunks, rows = self.region.dealt.chunks, self.region.dealt.rows
+        parts = np.empty((len(chunks) - 1, 3))
 
-        def work(low: int, high: int) -> None:
-            parts[low // _ELEMENTS] = self.region.energy.sum(x, self.reference, penalty, low, high)
+        def work(number: int, _: int) -> None:
+            low, high = chunks[number : number + 2]
+            parts[number] = self.region.energy.sum(x, self.reference, penalty, low, high)
 
-        for_chunks(work, n, _ELEMENTS)
-        self.limit.spend(_EVALUATION * self.region.energy.work)
+        for_chunks(work, len(parts), 1)
+        parts = rows.joined(parts)
+        self.limit.spend(_EVALUATION * self.region.work)
         return State(x, parts[:, 0].sum(), parts[:, 1].min(), parts[:, 2].max())
 
     def untangle(self, pace: Pace) -> bool:
@@ -91,7 +92,7 @@ class Untangler:
         if self.state(self.x, Penalty(pace.first)).lowest > 0.0:
             return True
         start, energy = self.x, self.region.energy.softened(SOFTENED)
-        among = among_others(energy, start) if pace.around else None
+        among = among_others(energy, start, self.region.dealt) if pace.around else None
         if among is not None and self._untangle(among, replace(pace, steps=pace.around)):
             return True
         self.x = start
@@ -114,7 +115,7 @@ class Untangler:
             now = self.state(self.x, Penalty(eps))
             if now.lowest > 0.0:
                 return True
-            if step == pace.steps or now.lowest < -_LOCKED * eps or self.limit.over():
+            if step == pace.steps or now.lowest < -_LOCKED * eps or self.limit.reached:
                 break
             self._tell(step, pace.steps)
             after = self._step(now, Penalty(eps), _ROUGH)
@@ -130,12 +131,12 @@ class Untangler:
         penalty = Penalty(0.0, share, CUBIC, 1.0)
         now, length = self.state(self.x, penalty), np.inf
         for step in range(most):
-            if self.limit.over():
+            if self.limit.reached:
                 break
             self._tell(step, most)
             tolerance = min(_ROUGH, max(_FINE, 0.1 * length))
             after = self._step(now, penalty, tolerance)
-            before, length = length, float((np.abs(after.x - now.x).max(axis=1) / edges).max())
+            before, length = length, self._largest(np.abs(after.x - now.x).max(axis=1) / edges)
             now = after
             self.x = now.x
             # The next step is what the linear solver left of this one, or the quadratic convergence of Newton's method.
@@ -143,6 +144,9 @@ class Untangler:
             if length < close or (step and _SAFETY * shrinking * length < close):
                 return True
         return False
+
+    def _largest(self, lengths: FloatArray) -> float:
+        return float(self.region.dealt.nodes.joined(np.array([lengths.max(initial=0.0)])).max())
 
     def _tell(self, done: int, most: int) -> None:
         if self.progress:
@@ -154,7 +158,7 @@ class Untangler:
         if step is None:
             self._fill(now.x, penalty)
             step, _ = self._direction(tolerance, _ROUGH_ITERATIONS)
-        slope = float(np.vdot(step, self.system.gradient))
+        slope = self.system.slope(step)
         self.steps += 1
         length = 1.0
         while length > _SMALLEST_STEP:
@@ -171,7 +175,7 @@ class Untangler:
         return step if convex else None
 
     def _fill(self, x: FloatArray, penalty: Penalty) -> bool:
-        self.limit.spend(self.region.energy.work)
+        self.limit.spend(self.region.work)
         return self.system.fill(self.region, x, self.reference, penalty)
 
     def _direction(self, tolerance: float, most: int) -> tuple[FloatArray, bool]:

@@ -1,0 +1,66 @@
+"""Distances in cells, over block interfaces and periodic boundaries."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ..grid import IntArray
+from ..numerics.cell.layers import spread_layers
+from ..parallel import Part, empty, of_all, own_rows, rows_of
+from .constraints import Constraints
+
+
+class Reach:
+    """How far nodes of a grid are from others; coincident nodes, and periodic images, count as one."""
+
+    def __init__(self, constraints: Constraints) -> None:
+        self._grid, topology = constraints.grid, constraints.topology
+        self._nodes, self._classes = topology.face_nodes, constraints.root[topology.number]
+        self._ends = np.searchsorted(self._nodes, self._grid.offsets)
+        self._shapes = np.array(self._grid.shapes, dtype=np.int64)
+
+    def layers(self, seeds: IntArray, most: int) -> tuple[Any, int]:
+        """How many cells every block node is away from ``seeds``, block nodes: (n_nodes,) int16, ``most + 1`` where
+        more than ``most``; in parts if the grid is. And the largest distance up to ``most``."""
+        points = self._grid.points
+        low, high = own_rows(points)
+        found: Any = empty([len(points)], np.int16)
+        if isinstance(points, Part):
+            found = Part(points.ranks, points.bounds, [len(points)], np.int16)
+        own = rows_of(found)[low:high]
+        own[...] = most + 1
+        own[seeds[(seeds >= low) & (seeds < high)] - low] = 0
+        nearest = np.full(len(self._nodes), most + 1, dtype=np.int16)
+        at = np.minimum(np.searchsorted(self._nodes, seeds), len(self._nodes) - 1)
+        nearest[self._classes[at[self._nodes[at] == seeds]]] = 0
+        self._spread(found, nearest, most)
+        largest = int(own[own <= most].max(initial=0))
+        return found, max(of_all(points, largest))
+
+    def _spread(self, found: Any, nearest: np.ndarray, most: int) -> None:
+        """Complete the distances of this rank's nodes, until no rank finds any that is too large."""
+        grid = self._grid
+        if not isinstance(grid.points, Part):
+            planes = np.stack([np.zeros_like(self._shapes[:, 0]), self._shapes[:, 0]], axis=1)
+            self._lower(found, nearest, most, planes)
+            return
+        own = [grid.planes(block) for block in range(grid.n_blocks)]
+        planes = np.array([
+            (max(each.start - 1, 0), min(each.stop + 1, ni)) if each.stop > each.start else (0, 0)
+            for each, ni in zip(own, self._shapes[:, 0].tolist(), strict=True)
+        ])  # fmt: skip
+        again = True
+        while again:
+            grid.hold_neighbours(found)
+            before = nearest.copy()
+            lowered = self._lower(rows_of(found), nearest, most, planes)
+            changed = np.flatnonzero(nearest < before)
+            for numbers, values in of_all(found, (changed, nearest[changed])):
+                nearest[numbers] = np.minimum(nearest[numbers], values)
+            again = any(of_all(found, lowered > 0))
+
+    def _lower(self, layers: np.ndarray, nearest: np.ndarray, most: int, planes: IntArray) -> int:
+        rest = self._shapes, self._grid.offsets, self._nodes, self._ends, self._classes, nearest
+        return int(spread_layers(layers, most, planes, *rest))
