@@ -1,4 +1,4 @@
-"""The program: a grid, its boundary and a method give a deformed grid and a verdict."""
+"""The whole sequence: from a grid, its boundary and a method to a deformed grid and a verdict."""
 
 from __future__ import annotations
 
@@ -104,8 +104,8 @@ def deform(
     Parameters
     ----------
     time : at which motions are evaluated
-    steps : number of increments, each from the last grid; ``"auto"``: as many as it takes. ``None`` is one step if
-        ``case.repair`` is off and ``"auto"`` otherwise
+    steps : number of increments, each from the previous grid; ``"auto"``: as many as needed; ``None``: one if
+        ``case.repair`` is off, otherwise ``"auto"``
     precision : ``float32`` or ``float64`` of the file that will be written (default: the grid's own); the verdict
         applies to the coordinates as written
     memory : limit for the method, in addition to the grid
@@ -187,13 +187,13 @@ def _joined(course: Course, found: list[tuple[Component, Result]]) -> Result:
 def _result(reached: Reached) -> Result:
     state, failed = reached
     course, setup, last = state.course, state.course.setup, state.last
-    # Nothing will be imposed any more: what the method has prepared makes room for the assessment.
+    # The motion is complete: free what the method has prepared, to make room for the assessment.
     course.latest.put(state.points, state.options, None)
     final = course.rounded(state.points)
     with course.timing.stage("quality"):
         assessment = assess(setup.original, final, setup.boundary, last.cells if last else None)
         if failed is not None:
-            # The kept grid is valid; the user needs to know which cells the next step would break.
+            # The grid kept is valid; users need to know which cells the next step would break.
             points, cells = course.rounded(failed.found.points), failed.found.cells
             broken = assess(setup.original, points, setup.boundary, cells)
             assessment = dataclasses.replace(assessment, invalid=broken.invalid, groups=broken.groups)

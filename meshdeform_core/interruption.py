@@ -73,7 +73,7 @@ def continued_by(advice: Callable[[], str]) -> Iterator[None]:
     try:
         yield
     finally:
-        # A signal's exception may have become another one.
+        # The exception raised by a signal may have been replaced by another one.
         if not _requests:
             _advice.remove(advice)
 

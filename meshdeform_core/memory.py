@@ -22,23 +22,23 @@ _UNITS = ("B", "KiB", "MiB", "GiB", "TiB")
 # from 2.7 to 21 million nodes, of 7.6 with the earlier levels of a series, 8.1 with all fields and 8.5 with repairs.
 PROGRAM_BYTES, COORDINATE_ARRAYS = 240 * 2**20, 9
 VELOCITY_ARRAYS, SWEPT_ARRAYS = 2, 4
-"""The grid velocity of a series, and the levels of which it is a difference; with the volumes swept by faces: those of
-two intervals, their combination, and what is written."""
+"""Coordinate arrays for the grid velocity of a series and the levels of which it is a difference; for the volumes swept
+by faces: those of two intervals, their combination, and what is written."""
 SMOOTHNESS_ARRAYS = 2
-"""The two earlier levels of a series from which the acceleration of its nodes is told."""
+"""Coordinate arrays for the two earlier levels of a series from which the acceleration of its nodes is computed."""
 WRITING_ARRAYS = 2
-"""What writing a level takes, at most, while the next one is computed."""
+"""Coordinate arrays for writing a level while the next one is computed."""
 PICTURE_BYTES = 280 * 2**20
-"""The library that draws the pictures of a report, and what it draws on: up to 273 MiB were measured."""
-# Where large arrays lie in files: bytes of all else per node and per node on
-# block faces, and the part of the limit for what is in use of them.
+"""Bytes for drawing the pictures of a report: up to 273 MiB were measured."""
+# With large arrays in files: bytes of everything else per node and per node on block faces; one part in this many of
+# the limit is for the pages of the files in use.
 _BESIDE_FILES, _PER_FACE_NODE, _WINDOW = 10, 250, 8
-# What the library for HDF5 keeps of a zone while it is read, and what the program knows of a block: 158 KiB were
-# measured with CGNS files, 32 with Plot3D.
+# Bytes that the HDF5 library holds for a zone while it is read, and the program for a block: 158 KiB were measured with
+# CGNS files, 32 KiB with Plot3D.
 _PER_BLOCK = 160 * 2**10
 _OTHER_COPIES = 3
-# Of a rank that holds a part of the grid: its size relative to the mean, bytes per node on block faces for what all
-# ranks have in common (510 to 920 were measured), and the MPI library.
+# For a rank that holds a part of the grid: largest size of the part relative to the mean, bytes per node on block faces
+# for data that all ranks hold (510 to 920 were measured), and bytes of the MPI library.
 _LARGEST_PART, _PER_SHELL_NODE, _MPI_BYTES = 1.25, 1000, 32 * 2**20
 _PER_NODE = 24
 """Bytes of the coordinates."""
@@ -46,7 +46,7 @@ _INSTEAD = "allow more, or use a machine that has it"
 
 
 def readable(size: float) -> str:
-    """``1.5 GiB`` and the like."""
+    """A size in bytes as text, such as ``1.5 GiB``."""
     unit = 0
     while size >= 1024 and unit < len(_UNITS) - 1:
         size, unit = size / 1024, unit + 1
@@ -66,12 +66,12 @@ class MemoryLimit:
     taken: int = 0
 
     def require(self, needed: int, what: str, instead: str) -> None:
-        """Refuse ``what`` if it needs more.
+        """Refuse ``what`` if it needs more than the limit.
 
         Raises
         ------
         MethodError
-            With the size, the limit and what to do instead.
+            Stating the size, the limit and what to do ``instead``.
         """
         if needed > self.size:
             raise MethodError(f"{what} needs about {readable(needed)}, {self.source} {readable(self.size)}; {instead}")
@@ -83,13 +83,13 @@ class MemoryLimit:
 
     @property
     def spare(self) -> int:
-        """What may be taken only to save time, once a first grid has been made: a quarter, if that is still there."""
+        """Bytes for data that only save time, once a first grid has been made: a quarter, if still available."""
         share = self.size // 4
         return min(share, self.left - share)
 
     @property
     def left(self) -> int:
-        """What the process may still take beyond its peak so far; everything if nothing has been set apart."""
+        """Bytes that the process may still take beyond its peak so far; everything if nothing has been set apart."""
         return self.size + self.taken - max(self.taken, peak_memory()) if self.taken else self.size
 
 
@@ -102,7 +102,7 @@ def parse_memory(text: str, name: str) -> MemoryLimit:
     Raises
     ------
     CaseError
-        For anything else.
+        For any other text.
     """
     match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([kmgt]?)(i?)b?\s*", text.lower())
     if not match or not 0 < float(match[1]) < float("inf"):
@@ -113,7 +113,7 @@ def parse_memory(text: str, name: str) -> MemoryLimit:
 
 
 class Sizes(Protocol):
-    """A grid, or what the header of its file tells of it."""
+    """Sizes of a grid, or of one of which only the file header has been read."""
 
     @property
     def n_nodes(self) -> int: ...
@@ -129,10 +129,10 @@ class Demand:
 
     Attributes
     ----------
-    what : like ``deforming 8,000 nodes``
+    what : description for messages, such as ``deforming 8,000 nodes``
     nodes, face_nodes, blocks : of the grid; ``face_nodes`` on block faces
     coordinate_bytes : size of the coordinates
-    arrays : how many arrays of that size the work takes
+    arrays : number of arrays of that size that the work takes
     other_bytes : size of point and cell data and displacement tables, which are read, kept and written again
     """
 
@@ -146,28 +146,28 @@ class Demand:
 
     @classmethod
     def of(cls, doing: str, *grids: Sizes, arrays: float = COORDINATE_ARRAYS, other_bytes: int = 0) -> Demand:
-        """What ``doing`` something, like ``deforming``, with one or more grids takes."""
+        """The memory that ``doing`` something, such as ``deforming``, with one or more grids takes."""
         nodes, faces = sum(grid.n_nodes for grid in grids), sum(grid.n_face_nodes for grid in grids)
         blocks = sum(grid.n_blocks for grid in grids)
         return cls(f"{doing} {nodes:,} nodes", nodes, _PER_NODE * nodes, faces, arrays, other_bytes, blocks)
 
     @property
     def in_memory(self) -> int:
-        """Bytes, where all of it is in memory."""
+        """Bytes taken if everything is in memory."""
         own = _OTHER_COPIES * self.other_bytes + _PER_BLOCK * self.blocks
         whole = PROGRAM_BYTES + int(self.arrays * self.coordinate_bytes) + own
-        # In a small grid most of what a part takes is common to all ranks.
+        # In a small grid, most of the memory of a part is for data that all ranks hold.
         parts = holders().count
         return min(whole, self._of_part(parts)) if parts > 1 else whole
 
     def _of_part(self, parts: int) -> int:
-        """Bytes for a rank that holds one of several parts of the grid, and what lies near block faces."""
+        """Bytes for a rank that holds one of several parts of the grid, and the data near block faces."""
         part = _LARGEST_PART * self.arrays * self.coordinate_bytes / parts
         shell = _PER_SHELL_NODE * self.face_nodes + _PER_BLOCK * self.blocks
         return PROGRAM_BYTES + _MPI_BYTES + int(part) + shell + _OTHER_COPIES * self.other_bytes
 
     def beside_files(self, limit: MemoryLimit) -> int:
-        """Bytes, where large arrays lie in files (:mod:`.parallel.scratch`)."""
+        """Bytes taken if large arrays are stored in files (:mod:`.parallel.scratch`)."""
         rest = _BESIDE_FILES * self.nodes + _PER_FACE_NODE * self.face_nodes + _PER_BLOCK * self.blocks
         rest += _OTHER_COPIES * self.other_bytes
         return PROGRAM_BYTES + rest + RESERVE + limit.size // _WINDOW
@@ -185,12 +185,12 @@ class Demand:
         return limit.after(needed, "program and grid")
 
     def place(self, limit: MemoryLimit, folder: Path | None) -> None:
-        """Let large arrays lie in files in ``folder``, if there is one, where they do not fit into memory.
+        """Store large arrays in files in ``folder``, if given, when they do not fit into memory.
 
         Raises
         ------
         MethodError
-            When the rest does not fit either, or the files not on the disk.
+            When the rest does not fit into memory either, or the files do not fit on the disk.
         """
         possible = sys.platform == "linux" and holders().count == 1
         files = folder if possible and self.in_memory > limit.size else None
@@ -213,7 +213,7 @@ def _require_disk(size: int, what: str, folder: Path) -> None:
 def machine_memory() -> MemoryLimit:
     """Memory available without swapping, as far as the system reports it; several ranks share it equally.
 
-    The smallest share applies to all ranks: it decides what they do, and they must all do the same.
+    The smallest share applies to all ranks, as the limit influences what they do and all must do the same.
     """
     ranks = current_ranks()
     source = "the machine has" if ranks.on_machine == 1 else f"each of {ranks.on_machine} ranks on the machine has"
@@ -229,8 +229,8 @@ def _available_memory() -> int:
 
 
 def peak_memory() -> int:
-    """Largest resident size of this process so far, bytes; 0 where the system does not report it."""
-    # Linux counts the size of the parent at the start of a process into ru_maxrss, but not into VmHWM.
+    """Largest resident size of this process so far, in bytes; 0 where the system does not report it."""
+    # On Linux ru_maxrss, unlike VmHWM, includes the size of the parent when the process was started.
     status = _first_number(Path("/proc/self/status"), "VmHWM:")
     if status is not None:
         return status * 1024

@@ -1,4 +1,4 @@
-"""The repair of a grid that another program has deformed: its boundary stays where it is."""
+"""The repair of a grid that another program has deformed; its boundary remains in place."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ from .repair.repair import Repairer
 from .setup import Case, Undeformed
 
 MANY = 0.01
-"""Where more than this share of the cells is bad, their positions say little: the interior is made again at once."""
+"""If more than this share of the cells is bad, their positions are of little use: the interior is remade at once."""
 
 
 @dataclass(frozen=True)
 class Renewal:
-    """An interior made again: by which method, in how many steps, and why."""
+    """An interior that was remade: by which method, in how many steps, and why."""
 
     method: str
     steps: int
@@ -45,9 +45,9 @@ class Renewal:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Mended:
-    """A repaired grid, its assessment against the original, what was done (``None``: nothing), and what is doubtful.
+    """A repaired grid, its assessment against the original, the repair (``None``: not needed), and warnings.
 
-    ``renewal`` is what was done instead where the interior was made again from the original.
+    ``renewal`` is set instead if the interior was remade from the original.
     """
 
     grid: Grid
@@ -73,16 +73,16 @@ def mend(
 ) -> Mended:
     """Move nodes of ``grid``, the deformed ``original``, until every cell is sound that is sound in ``original``.
 
-    Where many cells are bad, or moving nodes does not make all of them valid, ``original`` is deformed again with the
-    boundary of ``grid`` by the method of the case, and the better grid of the two is the result.
+    If many cells are bad, or moving nodes does not make all of them valid, ``original`` is deformed again by the method
+    of the case to match the boundary of ``grid``, and the better of the two grids is the result.
 
-    Nodes of moving and fixed boundaries of the case stay exactly in place, others slide or repeat as it specifies;
-    without boundary entries all outside nodes stay, except on the end planes of a grid that is one cell thick. With
+    Nodes of moving and fixed boundaries of the case remain exactly in place, others slide or follow their periodic
+    images; without boundary entries all outside nodes are held, except on the end planes of a grid one cell thick. With
     ``case.repair.mode`` ``polish`` the worst cells of a valid grid are improved; with ``off`` the grid is only judged.
 
     Parameters
     ----------
-    precision : ``float32`` or ``float64`` of the file that will be written; the verdict is about that
+    precision : ``float32`` or ``float64`` of the file that will be written, to which the verdict applies
 
     Raises
     ------
@@ -95,7 +95,7 @@ def mend(
     _require_closed(grid, topology, case.tolerance)
     width = precision or grid.precision
     measured = Original(original, topology, case.repair.min_jacobian)
-    # Another program may have left nodes beside the surface on which they slide.
+    # Another program may have left nodes off the surface on which they slide.
     constraints = Constraints.of(measured, boundary).without_sliding()
     moved = np.abs(grid.points - original.points)[topology.first].max(axis=1) > 0.0
     constraints = dataclasses.replace(constraints, walls=constraints.walls | (constraints.held & moved))
@@ -115,7 +115,7 @@ def mend(
 
         start, found = found, _mended(found, repairer, renew, mode == "polish")
         if mode == "polish" and cells.verdict.valid:
-            # Polishing minimises another measure of cells.
+            # Polishing minimises a different measure, so it may not improve this one.
             polished = Comparison(measured, rounded(found.points, width)).after.smallest_scaled[1]
             found = found if polished >= cells.after.smallest_scaled[1] else start
     final = rounded(found.points, width)
@@ -138,12 +138,12 @@ class _Found:
     renewal: Renewal | None = None
 
     def or_better(self, other: _Found) -> _Found:
-        """The one with fewer invalid cells; this one if they are as many."""
+        """The one with fewer invalid cells; this one if both have as many."""
         return other if len(other.verdict.invalid) < len(self.verdict.invalid) else self
 
 
 def _mended(start: _Found, repairer: Repairer, renew: Callable[[str, _Found], _Found], polish: bool) -> _Found:
-    """Move nodes, make the interior again, or both, the likelier one first, until the grid is valid."""
+    """Move nodes, remake the interior, or both, whichever is more promising first, until the grid is valid."""
     found, verdict = start, start.verdict
     bad = int(np.count_nonzero((verdict.ratio < WEAK) | (verdict.failed != 0)))
     many = not verdict.valid and bad > MANY * len(verdict.failed)
@@ -159,7 +159,7 @@ def _mended(start: _Found, repairer: Repairer, renew: Callable[[str, _Found], _F
 
 
 def _require_closed(grid: Grid, topology: Topology, tolerance: float) -> None:
-    """Nodes that coincide in the original must do so in the deformed grid."""
+    """Require that nodes that coincide in the original also do so in the deformed grid."""
     at = grid.points[topology.face_nodes]
     gap = np.sqrt(((at - grid.points[topology.first[topology.number]]) ** 2).sum(axis=1))
     apart = gap > tolerance * topology.edge[topology.number]

@@ -6,10 +6,10 @@ from collections.abc import Iterable
 
 
 class Notice(str):
-    """Text of a warning that may be given again with other figures, for example at every level of a series.
+    """Text of a warning that may be repeated with other numbers, for example at every level of a series.
 
-    ``kind`` names the finding and what it concerns (patches, blocks), without figures. Of several warnings of one kind
-    users see the first. A plain string is a kind of its own.
+    ``kind`` names the finding and what it concerns (patches, blocks), without numbers; users see only the first warning
+    of each kind. A plain string is its own kind.
     """
 
     __slots__ = ("kind",)

@@ -1,4 +1,4 @@
-"""A new interior for a grid whose boundary is given: the reference is deformed again, whatever the cells were like."""
+"""A new interior for a grid whose boundary is given: the original is deformed again, ignoring the old interior."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ def renewed(
     memory: MemoryLimit,
     progress: Progress | None = None,
 ) -> Result | None:
-    """Deform ``original`` with the positions that known boundary nodes have in ``grid``; ``None`` if none has moved.
+    """Deform ``original`` so that nodes of moving and fixed boundaries take their positions in ``grid``, to the bit.
 
-    ``placed`` are the classified faces of the case. Where known nodes have moved, faces count as moving, elsewhere as
-    fixed. The positions of known nodes in the result are those of ``grid``, to the bit.
+    ``placed`` are topology and boundary classified by the case. Faces count as moving where such nodes have moved, and
+    as fixed elsewhere. Returns ``None`` if none has moved.
     """
     topology, boundary = placed
     change = np.where(boundary.known[:, None], (grid.points - original.points)[topology.first], 0.0)
@@ -48,7 +48,7 @@ def renewed(
 
 
 def _moving_where(grid: Grid, topology: Topology, boundary: Boundary, moved: np.ndarray) -> Boundary:
-    """The boundary with faces moving that have ``moved`` nodes (n_unique,), and all other known ones fixed."""
+    """The boundary with faces that have ``moved`` nodes (n_unique,) moving, and other moving or fixed faces fixed."""
     known = boundary.quad_kind >= Kind.FIXED
     moving = known & moved[topology.quads.corners].any(axis=1)
     quad_kind = np.where(moving, Kind.MOVING, np.where(known, Kind.FIXED, boundary.quad_kind)).astype(np.int8)

@@ -22,16 +22,16 @@ from .smoothness import Moment, Smoothness, shortest_edges, smoothness
 from .velocity import PAST, VELOCITIES, face_fields, grid_velocity
 
 REVISION = 11
-"""Number of the algorithms: a series is continued only by a program with the same one.
+"""Revision of the algorithms: a series is continued only by a program of the same revision.
 
-Raise it with every change after which a level of some series gets other coordinates or another verdict.
+Increase it with every change that gives a level of any series different coordinates or a different verdict.
 """
 
 ORIGINS = ("reference", "last")
 _WRITTEN = 1e-6
 _SAMPLED = 16
 _RECENT = 2
-"""Levels before one from which its smoothness is known."""
+"""Number of preceding levels needed for the smoothness of a level."""
 
 
 @dataclass(frozen=True)
@@ -42,8 +42,7 @@ class Schedule:
     ----------
     times : of the levels, ascending
     origin : ``reference``: every level is made from the undeformed grid, so that equal boundaries give equal grids;
-        ``last``: each level from the previous one (marching), which reaches larger
-        motions but drifts
+        ``last``: each level from the previous one (marching), which reaches larger motions but drifts
     velocity : order of the backward differences of the grid velocity, ``swept``: with the volumes that faces sweep, or
         ``none``
     steps : increments of each level, or ``"auto"``; see :func:`meshdeform_core.deform.deform`
@@ -76,8 +75,8 @@ class Drift:
 
 
 class Made(NamedTuple):
-    """How a level was made: ``plain`` and ``way`` as in :class:`Moment`; ``doubtful`` whether the next one is compared
-    with a level that starts anew."""
+    """How a level was made: ``plain`` and ``way`` as in :class:`Moment`; ``doubtful``: whether the next level is also
+    made from scratch and compared."""
 
     plain: bool
     way: str
@@ -88,9 +87,9 @@ class Made(NamedTuple):
 class Level:
     """One time level.
 
-    ``rotation`` is the largest rotation of a moving wall against the undeformed grid (degrees), ``velocity``
-    (n_nodes, 3) the grid velocity, zero at the first level; ``faces`` are fields at the cell faces.
-    ``made`` is what later levels need to know of this one, beside its coordinates.
+    ``rotation`` is the largest rotation of a moving wall relative to the undeformed grid (degrees), ``velocity``
+    (n_nodes, 3) the grid velocity, zero at the first level; ``faces`` are fields at the cell faces. ``made`` is what
+    later levels need to know about this one in addition to its coordinates.
     """
 
     number: int
@@ -123,9 +122,10 @@ def deform_series(
     ----------
     precision : of the files that will be written. Marching and velocities use the coordinates as written, so that
         they match the files and a continued series equals an uninterrupted one
-    finished : coordinates (n_nodes, 3) as written of a level before ``first``; required if ``first`` needs any
-    made : of the levels before ``first``, if ``finished`` can tell their coordinates; without it the smoothness of
-        levels is known from ``first`` on only
+    finished : returns the coordinates (n_nodes, 3), as written, of a level before ``first``; required if ``first``
+        needs any
+    made : how the levels before ``first`` were made, if ``finished`` can return their coordinates; without it, the
+        smoothness is computed from ``first`` on only
     """
     for spec in setup.case.boundaries:
         if spec.motion:
@@ -143,7 +143,7 @@ def deform_series(
 
 
 class _Series:
-    """Shared by all levels: the set-up and the method prepared on the undeformed grid."""
+    """Data shared by all levels: the set-up and the method prepared on the undeformed grid."""
 
     def __init__(self, setup: Setup, schedule: Schedule, precision: str, progress: Progress | None):
         self.setup, self.schedule, self.precision, self.progress = setup, schedule, precision, progress
@@ -154,7 +154,8 @@ class _Series:
         self._doubtful = True
 
     def recall(self, past: list[FloatArray], first: int, made: Sequence[Made]) -> list[FloatArray]:
-        """Continue after the levels ``made``; of ``past``, coordinates of the last ones, those that ``first`` needs."""
+        """Continue after the levels ``made``, with the coordinates ``past`` of the last ones; returns those that level
+        ``first`` needs."""
         if made:
             numbers = range(first - min(first, _RECENT), first)
             self._recent = [
@@ -207,13 +208,13 @@ class _Series:
         return shortest_edges(self.setup.grid)
 
     def past(self, number: int) -> int:
-        """How many levels before level ``number`` are needed to make it; a repair starts from the one before."""
+        """Number of levels before level ``number`` needed to make it; a repair starts from the preceding one."""
         repairs = self.setup.case.repair.mode != "off"
         return max(self.schedule.past(number), min(number, int(repairs)))
 
     def _start(self, number: int, past: list[FloatArray], reference: PreparedMethod) -> Start:
-        """A repair starts from the level before; some are compared with one that starts anew: every sixteenth, the
-        first, and those after a level where the two differed or the grid jumped."""
+        """Start of level ``number``. Repairs start from the preceding level; some levels are compared with a repair
+        from scratch: the first, every sixteenth, and those after a level where the two differed or the grid jumped."""
         points = self.setup.grid.points
         if not past or self.setup.case.repair.mode == "off":
             return Start(points, reference)
@@ -221,10 +222,8 @@ class _Series:
         return Start(points, reference, cache(partial(self._correction, number, past)), compare)
 
     def _correction(self, number: int, past: list[FloatArray]) -> FloatArray | None:
-        """By how much repairs moved the nodes at the level before.
-
-        That is the difference of its coordinates as written and of those without a repair.
-        """
+        """Movement of the nodes by repairs at the preceding level: its coordinates as written minus those without a
+        repair."""
         before, last = past[-1], self._last
         if last and last.repair is None and last.steps == 1:
             return None

@@ -33,7 +33,7 @@ from .repair import Mode, RepairOptions
 from .repair.basis import Basis
 
 BoundaryMotion = Callable[[float], FloatArray]
-"""``motion(fraction)``: displacement (n_unique, 3) of all face nodes with that fraction of the motion imposed."""
+"""``motion(fraction)``: displacement (n_unique, 3) of all face nodes for that fraction of the motion."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class Case:
 class Timing:
     """Seconds spent per stage; compiling loops, once per installation, is the stage ``compile`` wherever it happens.
 
-    ``progress`` is told when a stage begins.
+    ``progress`` is called when a stage begins.
     """
 
     seconds: dict[str, float] = field(default_factory=dict)
@@ -97,10 +97,10 @@ class Timing:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Undeformed:
-    """The undeformed grid and its classified boundary, with what is computed from them once, when it is first needed.
+    """The undeformed grid and its classified boundary, with data computed from them on first use.
 
     Set-ups that differ in the method or the repair mode share it. ``min_jacobian``: cells with a corner below this
-    share of its undeformed Jacobian count as invalid.
+    fraction of its undeformed Jacobian count as invalid.
     """
 
     grid: Grid
@@ -117,7 +117,7 @@ class Undeformed:
 
     @cached_property
     def components(self) -> tuple[tuple[Component, Undeformed], ...]:
-        """The components of an overset grid, each a grid of its own; none if all blocks are one."""
+        """The components of an overset grid, each a grid of its own; empty if the blocks form a single component."""
         memory = self.memory
         if self.grid.components:
             memory = memory.after(self.grid.points.nbytes, "components as grids of their own")
@@ -133,24 +133,24 @@ class Undeformed:
 
     @cached_property
     def crossing_test(self) -> CrossingTest | ComponentCrossings:
-        """Whether the boundary crosses itself after a displacement."""
+        """The test whether the boundary crosses itself after a displacement."""
         if self.components:
             return ComponentCrossings([(component, own.crossing_test) for component, own in self.components])
         return CrossingTest(self.grid, self.topology, self.boundary)
 
     @cached_property
     def repairs(self) -> Basis:
-        """What all repairs share."""
+        """Data that all repairs share."""
         return Basis(self.original, self.boundary)
 
     @cached_property
     def round_off(self) -> float:
-        """What rounding may leave of a displacement that returns to zero (grid length unit)."""
+        """Largest round-off of a displacement that returns to zero (grid length unit)."""
         low, high = extent(self.grid.points[self.topology.first])
         return 1e-12 * float((high - low).max())
 
     def expect_more(self) -> None:
-        """Keep what the judgement of further grids needs of the undeformed one, if memory allows; for a series."""
+        """Store measures of the undeformed grid for the judgement of further grids, if memory permits; for a series."""
         for each in (self, *(own for _, own in self.components)):
             kept = each.original.kept
             if not kept.begun and kept.bytes <= self.memory.spare:
@@ -180,12 +180,12 @@ class Setup:
 
     @property
     def boundary(self) -> Boundary:
-        """Which node moves, stays or slides."""
+        """The classified boundary: which nodes move, are fixed or slide."""
         return self.undeformed.boundary
 
     @property
     def memory(self) -> MemoryLimit:
-        """The limit of methods and repairs, in addition to the grid."""
+        """The memory limit of methods and repairs, in addition to the grid."""
         return self.undeformed.memory
 
     @property
@@ -199,7 +199,7 @@ class Setup:
         return self.undeformed.original
 
     def with_repair(self, mode: Mode) -> Setup:
-        """The same with another repair mode."""
+        """The set-up with another repair mode."""
         repair = dataclasses.replace(self.case.repair, mode=mode)
         return dataclasses.replace(self, case=dataclasses.replace(self.case, repair=repair))
 
@@ -218,7 +218,7 @@ class Start:
 
     ``points`` (n_nodes, 3) are the undeformed coordinates or those of an earlier level; ``prepared`` is the method
     prepared on them, if available. ``correction`` is the movement of the nodes (n_nodes, 3) by repairs at the previous
-    level, or ``None``; a repair starts from it. ``compare``: such a repair is compared with one that starts anew.
+    level, or ``None``; a repair starts from it. ``compare``: such a repair is compared with one from scratch.
     """
 
     points: FloatArray

@@ -16,17 +16,24 @@ _JUMP, _JUMP_IN_EDGES = 0.5, 0.2
 
 _AT_REST = 0.01
 """Of two steps of the walls, one that is smaller than this share of the other tells little of how nodes follow."""
-# Nodes looked at together: no copy of a grid is made that may be larger than the memory.
+# Nodes per chunk, as a copy of the whole grid might not fit into memory.
 _ROWS = 1 << 16
 
 
 @dataclass(frozen=True)
 class Smoothness:
-    """Largest node ``velocity`` and ``acceleration``, times the interval and its square, relative to the largest step
-    of the walls, and the acceleration relative to the shortest undeformed edge at the node; ``None`` where nothing
-    moves or the levels before are not known. ``wall`` is the acceleration of the walls in the same measure, ``reach``
-    how many times as far as the walls a node moves, ``plain`` whether the levels are those of the method alone,
-    ``ways`` how the level and the one before were made, if that differs."""
+    """How smoothly the nodes move at a level of a series.
+
+    Attributes
+    ----------
+    velocity, acceleration : largest values of any node, times the interval and its square, relative to the largest step
+        of the walls; ``None`` where nothing moves or earlier levels are not known
+    acceleration_in_edges : largest acceleration relative to the shortest undeformed edge at the node
+    wall : largest acceleration of the walls, in the same unit as ``acceleration``
+    reach : largest ratio of a node's movement to that of the walls
+    plain : whether the levels are those of the method alone
+    ways : how the preceding level and this one were made, if that differs
+    """
 
     velocity: float | None
     acceleration: float | None
@@ -38,9 +45,10 @@ class Smoothness:
 
     @property
     def beyond(self) -> float:
-        """By how much the acceleration exceeds that of the walls; 0 where it is not known.
+        """Excess of the acceleration over that of the walls; 0 where it is not known.
 
-        Nodes that move v times as far as the walls may be accelerated v times as much: where a motion turns back.
+        Nodes that move v times as far as the walls may be accelerated v times as much, for example where a motion
+        reverses.
         """
         if self.acceleration is None or self.wall is None:
             return 0.0
@@ -71,8 +79,8 @@ class Smoothness:
 
 
 class Moment(NamedTuple):
-    """A level: its time and coordinates (n_nodes, 3), whether it is a method's grid in one step, without a repair, and
-    so as smooth as its walls, and the way in which it was made."""
+    """A level: its time and coordinates (n_nodes, 3); ``plain``: whether it was made in one step without a repair, and
+    so is as smooth as its walls; ``way``: how it was made."""
 
     time: float
     points: FloatArray
@@ -81,8 +89,8 @@ class Moment(NamedTuple):
 
 
 def shortest_edges(grid: Grid) -> FloatArray:
-    """(n_nodes,) the shortest edge of any length at every node, infinite where there is none; of a grid in parts, at
-    the nodes of this rank."""
+    """Length (n_nodes,) of the shortest edge at every node, ignoring zero lengths; infinite if none. If the grid is in
+    parts, only at the nodes of this rank."""
     grid.hold_neighbours()
     low, high = own_rows(grid.points)
     result: FloatArray = empty([high - low])
@@ -103,7 +111,7 @@ def shortest_edges(grid: Grid) -> FloatArray:
 
 
 def _shorten_along(axis: int, x: FloatArray, result: FloatArray) -> None:
-    """Lower ``result`` (ni, nj, nk) to the lengths of the edges along one axis between nodes (ni, nj, nk, 3)."""
+    """Lower ``result`` (ni, nj, nk) to the lengths of the edges along one axis of nodes ``x`` (ni, nj, nk, 3)."""
     length = np.moveaxis(np.linalg.norm(np.diff(x, axis=axis), axis=-1), axis, 0)
     length[length == 0.0] = np.inf
     ends = np.moveaxis(result, axis, 0)
@@ -112,7 +120,7 @@ def _shorten_along(axis: int, x: FloatArray, result: FloatArray) -> None:
 
 
 def smoothness(levels: list[Moment], walls: IntArray, edges: FloatArray) -> Smoothness:
-    """Of the last of up to three consecutive levels; ``walls`` are block nodes on moving walls."""
+    """Smoothness of the last of up to three consecutive levels; ``walls`` are block nodes on moving walls."""
     if len(levels) < 2:
         return Smoothness(None, None, None)
     ways = (levels[-2].way, levels[-1].way) if levels[-2].way != levels[-1].way else None
@@ -124,7 +132,7 @@ def smoothness(levels: list[Moment], walls: IntArray, edges: FloatArray) -> Smoo
     speed = float(largest[0]) / step
     if len(levels) == 2:
         return Smoothness(speed, None, None, ways=ways)
-    # A jump is in one of the two.
+    # A jump may lie in either of the last two movements.
     movements = zip(largest[:2].tolist(), at_walls[:2], strict=True)
     reach = min(moved / walled for moved, walled in movements if walled > _AT_REST * step)
     plain = all(level.plain for level in levels)
@@ -146,8 +154,8 @@ def _largest(levels: list[Moment], edges: FloatArray) -> tuple[FloatArray, float
 
 
 def _movements(levels: list[Moment], nodes: IntArray | slice) -> list[FloatArray]:
-    """How far some nodes move from level to level: the last movement, and with three levels the one before in the
-    same interval, and the difference of both."""
+    """Movements of some nodes between levels: the last one, and with three levels the preceding one, scaled to the same
+    interval, and the difference of the two."""
     last = levels[-1].points[nodes] - levels[-2].points[nodes]
     if len(levels) == 2:
         return [lengths(last)]

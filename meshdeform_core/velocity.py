@@ -1,4 +1,4 @@
-"""Velocities of a moving grid: at its nodes, and of its faces so that cells change their volume by what faces sweep."""
+"""Velocities of a moving grid: of its nodes, and of its faces such that they satisfy the geometric conservation law."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .quality.measures.cells import side_of_good_quads
 VELOCITIES = ("none", "first", "second", "swept")
 """Orders of backward differences at the nodes, or ``swept``: first order, with the volumes swept by the faces."""
 PAST = {"none": 0, "first": 1, "second": 2, "swept": 2}
-"""Earlier levels that they need."""
+"""Number of earlier levels that each order needs."""
 SWEPT, FLUX = "SweptVolume", "VolumeFlux"
 """Names of the fields at the faces."""
 FACES = ("iface", "jface", "kface")
@@ -53,9 +53,9 @@ def grid_velocity(times: Sequence[float], points: Sequence[FloatArray], order: s
 
 
 def _rates(times: Sequence[float]) -> list[float]:
-    """Factors of the differences between the last two and, of three ``times``, the two levels before.
+    """Factors of the differences between successive levels in the rate at the newest of two or three ``times``.
 
-    Of three: the derivative at the newest level of the parabola through them.
+    With three levels, it is the derivative of the parabola through them.
     """
     steps = np.diff(times)[::-1].tolist()
     if len(steps) < 2:
@@ -71,7 +71,7 @@ def swept_volumes(grid: Grid, before: FloatArray, after: FloatArray) -> FloatArr
     the sum over its faces, those at the far end added and those at the near end subtracted: exactly for straight paths
     of the nodes, up to round-off. :func:`at_faces` tells which value belongs to which face.
 
-    ``grid`` gives the blocks and their handedness: the undeformed grid.
+    ``grid`` is the undeformed grid, which provides the blocks and their handedness.
     """
     normal, handedness = plane_normal(grid), block_handedness(grid)
     swept: FloatArray = empty([sum(_counts(grid))])
@@ -99,12 +99,12 @@ def swept_volumes(grid: Grid, before: FloatArray, after: FloatArray) -> FloatArr
 def volume_flux(times: Sequence[float], swept: Sequence[FloatArray]) -> FloatArray:
     """Volume per time (2-D: area) that the faces sweep at the last of ``times``, by differences of second order.
 
-    Together with the backward differences of volumes over the same levels it keeps a uniform flow uniform: the rate of
-    a cell's volume is the sum over its faces. Of first order with one interval.
+    Together with backward differences of volumes over the same levels it keeps a uniform flow uniform: the rate of
+    change of a cell's volume is the sum over its faces. With a single interval it is of first order.
 
     Parameters
     ----------
-    swept : of the last intervals, one or two, the newest last
+    swept : volumes swept in the last one or two intervals, the newest last
     """
     rates = _rates(times[-len(swept) - 1 :])
     return np.asarray(sum(rate * part for rate, part in zip(rates, swept[::-1], strict=True)))
@@ -113,7 +113,7 @@ def volume_flux(times: Sequence[float], swept: Sequence[FloatArray]) -> FloatArr
 def face_fields(grid: Grid, times: Sequence[float], points: Sequence[FloatArray]) -> tuple[Field, ...]:
     """Fields ``SweptVolume`` and ``VolumeFlux`` at the faces of the last level; zero at the first one.
 
-    ``times`` and ``points``: of the last levels, at most three of the latter, the newest last.
+    ``times`` and ``points`` are those of the last levels, at most three, the newest last.
     """
     parts = [swept_volumes(grid, one, other) for one, other in itertools.pairwise(points)]
     nothing = np.zeros(0 if parts else sum(_counts(grid)))

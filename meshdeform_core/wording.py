@@ -1,4 +1,4 @@
-"""Words of messages and reports."""
+"""Wording of messages and reports: counts, lists, points, values."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ _LISTED = 6
 
 
 def counted(count: int, noun: str, plural: str = "") -> str:
-    """A number of things: ``1 block``, ``2 blocks``."""
+    """A count with its noun: ``1 block``, ``2 blocks``."""
     return f"{count:,} {noun}" if count == 1 else f"{count:,} {plural or noun + 's'}"
 
 
 def listed(texts: Iterable[str], separator: str = ", ", noun: str = "") -> str:
-    """The first six texts, and how many more there are (``nouns``): ``a, b, c, d, e, f and 3 more``."""
+    """The first six texts and the number of further ones (of ``noun``): ``a, b, c, d, e, f and 3 more``."""
     all_texts = list(texts)
     rest = len(all_texts) - _LISTED
     return separator.join(all_texts[:_LISTED]) + (f" and {rest} more{noun and ' ' + noun}" if rest > 0 else "")
