@@ -3,6 +3,7 @@
 from .halo import Halo
 from .loops import (
     Shared,
+    agreed,
     alone,
     carried,
     current_ranks,
@@ -42,6 +43,7 @@ __all__ = [
     "Ranks",
     "Shared",
     "WholeGridNeeded",
+    "agreed",
     "alike",
     "alone",
     "apart",

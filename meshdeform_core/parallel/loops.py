@@ -97,6 +97,14 @@ def alone(cores: int | None = None) -> AbstractContextManager[None]:
     return sharing(OneRank(cores or ranks.cores), threads)
 
 
+def agreed(value: float) -> float:
+    """The largest of the values that all ranks have found: collective, for decisions that they must take alike even if
+    their processors round differently."""
+    import numpy as np
+
+    return float(np.max(current_ranks().gather([value])))
+
+
 def carried(action: Callable[P, T]) -> Callable[P, T]:
     """``action`` to be called in another thread with the caller's ranks and threads; one call at a time."""
     return partial(copy_context().run, action)

@@ -5,11 +5,15 @@ import time
 
 import numpy as np
 import pytest
+from forked_ranks import on_ranks
+from grids import frame
 
 from meshdeform_core.grid import Grid
+from meshdeform_core.methods.scattered.summation import largest_error
 from meshdeform_core.parallel import (
     OneRank,
     Shared,
+    agreed,
     alone,
     carried,
     current_ranks,
@@ -173,3 +177,31 @@ def sharing_of_this() -> int | None:
     thread.join()
     assert seen == [here]
     return here
+
+
+def test_ranks_agree_on_the_largest_value():
+    assert on_ranks(3, lambda number: agreed(float(-number))) == [0.0, 0.0, 0.0]
+    assert np.isnan(on_ranks(2, lambda number: agreed([1.0, np.nan][number]))).all()
+    assert agreed(2.5) == 2.5
+
+
+class Targets:
+    """All nodes of a grid, in one group."""
+
+    def __init__(self, grid):
+        self.every = np.arange(grid.n_nodes)
+        self.samples = self.every[None, :9]
+
+
+def test_ranks_find_the_same_error_of_fast_sums_though_they_round_differently():
+    """Each rank holds the whole grid; the next attempt is collective, so that all must make it or none."""
+
+    def found(number):
+        grid = frame(3, 3)
+        zero = np.zeros((grid.n_nodes, 3))
+        return largest_error(
+            grid, Targets(grid), np.zeros(1), zero, lambda flat: np.full((len(flat), 3), 1e-3 * number)
+        )
+
+    one, two = on_ranks(2, found)
+    assert one == two > 0.0

@@ -37,10 +37,6 @@ class Facets:
         """Some of them."""
         return Facets(self.corners[mask], self.values[mask], self.bad[mask], self.group[mask])
 
-    @property
-    def centers(self) -> FloatArray:
-        return np.asarray(self.corners.mean(axis=1))
-
     def __len__(self) -> int:
         return len(self.corners)
 
@@ -97,7 +93,7 @@ def _facets(subject: Subject, block: int, cells: Cells, quads: FloatArray, metri
     return Facets(quads, values, subject.bad(block, cells).ravel(), np.full(len(quads), group))
 
 
-def surface_facets(subject: Subject, quads: IntArray, metric: str = "", group: int = 0) -> Facets:
+def surface_facets(subject: Subject, quads: IntArray, metric: str = "") -> Facets:
     """Face quads of a 3-D grid, with the value of the cell behind each; without ``metric`` only their shape."""
     topology, parts = subject.topology, []
     for block_side, some in topology.quads.by_side(quads):
@@ -107,9 +103,9 @@ def surface_facets(subject: Subject, quads: IntArray, metric: str = "", group: i
         if metric:
             layer = side.layer(subject.grid.cell_shapes[block])
             cells = _with_layer(subject.whole(block), side.axis, layer)
-            parts.append(_facets(subject, block, cells, corners, metric, group).where(local))
+            parts.append(_facets(subject, block, cells, corners, metric, 0).where(local))
         else:
-            parts.append(Facets.plain(corners[local], group))
+            parts.append(Facets.plain(corners[local]))
     return joined(parts)
 
 

@@ -12,7 +12,7 @@ from ...numerics.exact.radial import radial_sums
 from ...numerics.fastsum.radial.frozen import FrozenRadial
 from ...numerics.fastsum.radial.targets import RadialTargets
 from ...numerics.systems.greedy import correct_again, correct_transposed
-from ...parallel import current_ranks
+from ...parallel import agreed
 from ..base import Account, Problem
 from ..scattered.block_rbf import PreparedBlockRBF
 from ..scattered.centres import Centres, SystemOptions
@@ -133,7 +133,7 @@ class RBFDerivative:
             flat = doubtful(targets.points, targets, fast.push(coefficients, keep, found))
             # All ranks must decide alike, even if their processors round differently.
             gap = float(np.abs(found[flat] - exactly(flat)).max())
-            error = float(np.max(current_ranks().gather([gap]))) / size
+            error = agreed(gap) / size
             if error <= TOLERANCE:
                 return fast
             if not np.isfinite(error):

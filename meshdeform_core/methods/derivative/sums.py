@@ -97,7 +97,7 @@ class ExactSums:
         others = [(group[~acting], values[:0])] if weigh and not acting.all() else []
         return [(group[acting], values), *others]
 
-    def pull(self, make: Make, k: int) -> FloatArray:
+    def pull(self, make: Make, k: int, beside: FloatArray) -> FloatArray:
         """Transpose of :meth:`push`: gradients (k, n_sources) from those (m, k) of the sums of values."""
         bound, n = self._bound, len(self._bound.sources)
         cut = np.linspace(0, len(bound.flat), self.portions + 1).astype(np.int64)
@@ -117,7 +117,7 @@ class ExactSums:
                         found = weighted_sums(bound.sources[some], x, ones, weights, given, chunk=n)
                         totals[portion][:, place[some]] += bound.strength[some] * found[:, 1:].T
 
-        for_chunks(work, self.portions, 1, shared=[Shared(totals)])
+        for_chunks(work, self.portions, 1, shared=[Shared(totals), Shared(beside)])
         gradient = np.zeros((k, n))
         gradient[:, self.acting] = sum(totals[portion] for portion in range(self.portions))
         return gradient

@@ -11,7 +11,7 @@ from ...numerics.fastsum.weighted.frozen import FrozenSums
 from ...numerics.rigid import finish
 from ...numerics.tangents import finish_gradients, finish_tangents
 from ...numerics.tape import Tape, Tracked, plain
-from ...parallel import current_ranks, empty
+from ...parallel import agreed, empty
 from ..scattered.fast_idw_sums import FastEvaluator
 from ..scattered.idw import PreparedIDW
 from ..scattered.idw_sums import Bound, ExactEvaluator, SourceValues
@@ -136,8 +136,8 @@ class IDWDerivative:
 
         acting = self._sums.acting
         values = np.zeros((k, np.count_nonzero(acting)))
-        values[:changing] = self._sums.pull(make, changing)[:, acting]
-        part = np.sum(current_ranks().gather([parts]), axis=0).sum(axis=0)
+        values[:changing] = self._sums.pull(make, changing, parts)[:, acting]
+        part = parts.sum(axis=0)
         if not acting.all():
             values = np.append(values, (part[19:] - values.sum(axis=1))[:, None], axis=1)
         known = {
@@ -199,7 +199,7 @@ def _accurate(
         found = _AtNodes(sums, values, True, transition)
         assert isinstance(sums, FrozenSums)
         # All ranks must decide alike, also those whose processors round otherwise.
-        error = float(np.max(current_ranks().gather([found.error(bound, sums, weights, values)])))
+        error = agreed(found.error(bound, sums, weights, values))
         if error <= TOLERANCE:
             return sums, found
         if np.isfinite(error):

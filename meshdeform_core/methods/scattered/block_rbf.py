@@ -60,9 +60,7 @@ class PreparedBlockRBF:
         blocks = (self._block(n, skeleton.left_out) for n in range(problem.grid.n_blocks))
         self._blocks = [block for block in blocks if block.targets.size]
         sizes = [len(block.known) for block in self._blocks]
-        # Each rank keeps the systems of its own blocks.
-        ranks = current_ranks().count
-        self._keep = 8 * max(sum(n * n for n in sizes[r::ranks]) for r in range(ranks)) < problem.memory.size // 2
+        self._keep = 8 * sum(n * n for n in sizes) < problem.memory.size // 2
         self.account = Account()
         self.account.settings |= {
             **used(options, "basis", "solver", "tolerance"),

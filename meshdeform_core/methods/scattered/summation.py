@@ -9,7 +9,7 @@ import numpy as np
 
 from ...errors import MethodError
 from ...grid import FloatArray, Grid, IntArray
-from ...parallel import apart, of_all, ranks_of, rows_of
+from ...parallel import agreed, apart, of_all, ranks_of, rows_of
 from ..base import Account, Setting
 from ..options import choose, positive
 
@@ -104,7 +104,7 @@ def largest_error(
         with apart(grid.points):
             size = node_sizes(rows_of(grid.points), shape_table(grid.shapes), grid.offsets, flat)
             error = np.linalg.norm(found[flat] - exact(flat), axis=1) / size
-    return float(np.max(of_all(grid.points, error.max(initial=0.0))))
+    return agreed(error.max(initial=0.0))
 
 
 def doubtful(points: FloatArray, targets: HasSamples, risk: FloatArray) -> IntArray:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ....parallel import Shared, for_chunks, numbered, of_all
+from ....parallel import Shared, agreed, for_chunks, numbered
 from ...arrays import FloatArray, IntArray, Report
 from ...exact.basis import BASES
 from ...exact.radial import radial_block, radial_sums
@@ -146,7 +146,7 @@ class FastRadial:
             boxes = Boxes(targets.tree, *targets.spaces, self.share * permitted, every)
             found = self._on_leaves(chosen, targets, boxes, clusters)
             found = (np.linalg.norm(found - exact, axis=2) / targets.sizes[chosen]).max(initial=0.0)
-            error = max(of_all(targets.coordinates, float(found))) / tolerance
+            error = agreed(float(found)) / tolerance
             if error <= AIM:
                 break
             self.refine(error)

@@ -125,7 +125,7 @@ class FrozenSums:
         shared += [] if result is None else [Shared(result, targets.flat)]
         for_chunks(work, targets.n_regions, CHUNK, shared=shared)
 
-    def pull(self, make: Make, k: int) -> FloatArray:
+    def pull(self, make: Make, k: int, beside: FloatArray) -> FloatArray:
         """Transpose of :meth:`push`: gradients (k, n_sources) of the values from those (m, k) of their sums.
 
         ``make(rows, flat, portion)`` returns the gradients of the sums of some rows; it is called from several threads,
@@ -146,7 +146,7 @@ class FrozenSums:
                     rows, flat = self._targets.places(first, last), self._targets.flat(first, last)
                     self._spread(first, last, make(rows, flat, portion), totals[portion], sizes)
 
-        for_chunks(work, self.portions, 1, shared=[Shared(totals)])
+        for_chunks(work, self.portions, 1, shared=[Shared(totals), Shared(beside)])
         found = np.zeros((k, len(self._strength)))
         for number in range(passes):
             some = slice(number * N_VALUES, min(k, (number + 1) * N_VALUES))
