@@ -171,6 +171,7 @@ class _Interpolated:
         own = face[self._problem.source_numbers].copy()
         face[self._problem.source_numbers] = 0.0
         g[self._problem.topology.first] += face
+        del face
         self._beside_slip.damp(g)
         return np.asarray(own + self._derivative.pull(g))
 

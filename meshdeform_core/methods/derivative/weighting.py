@@ -203,7 +203,7 @@ def _accurate(
         if error <= TOLERANCE:
             return sums, found
         if np.isfinite(error):
-            share *= 0.5 * TOLERANCE / error
+            share *= 0.9 * TOLERANCE / error
         else:
             single = False
     sums = sums_of(bound, False, weights, acting)

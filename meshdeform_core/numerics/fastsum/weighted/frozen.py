@@ -79,8 +79,8 @@ class FrozenSums:
             for tree, moving in zip(trees, self._plan.moving, strict=True)
         ]
         size = CHARGES * sum(map(len, self._points))
-        # The sums of all portions together are no larger than half of the coordinates.
-        self.portions = int(np.clip(3 * len(targets.points) // (2 * size), 1, _MOST_PORTIONS))
+        # The sums of all portions together are no larger than a quarter of the coordinates, unless there are two.
+        self.portions = int(np.clip(3 * len(targets.points) // (4 * size), 2, _MOST_PORTIONS))
 
     @property
     def flat(self) -> IntArray:
