@@ -170,7 +170,7 @@ def require_earlier_grid(path: Path, grid: Grid) -> None:
         same = False
     if not same:
         raise FormatError(
-            f"{path} exists and is not a grid of an earlier run, which would be replaced where cells become invalid; "
+            f"{path} exists and is not a grid of an earlier run; it would be replaced if cells become invalid; "
             f"rename it, choose another output, or use --force"
         )
 

@@ -50,7 +50,7 @@ def run_on_ranks(run: Callable[[], int], here: Place) -> int:
         from mpi4py import MPI
     except (ImportError, RuntimeError) as error:
         # RuntimeError: mpi4py found no MPI library.
-        return _refuse(here, f"needs mpi4py ({error}); pip install mpi4py, or start it without mpiexec")
+        return _refuse(here, f"mpi4py is missing ({error}); pip install mpi4py, or start without mpiexec")
     if MPI.COMM_WORLD.size != here.count:
         library = MPI.Get_library_version().split(",")[0]
         return _refuse(here, f"mpi4py uses {library}, which sees {MPI.COMM_WORLD.size}; use the mpiexec of that MPI")
@@ -82,7 +82,7 @@ def _refuse(here: Place, reason: str) -> int:
     # Without MPI the ranks cannot communicate, but the launcher's numbers determine which one prints.
     if here.number:
         return 0
-    tell(f"error: a start on {here.count} ranks: {reason}")
+    tell(f"error: started on {here.count} ranks, but {reason}")
     return EXIT_INPUT
 
 

@@ -211,7 +211,7 @@ def _boundary(entry: Table, number: int, constants: Mapping[str, float], folder:
     where = f"boundary {literal(name)}"
     check_keys(entry, ("name", "select", "where", "kind", "motion"), where)
     if not isinstance(name, str):
-        raise fail(where, f"name = {literal(name)}; expected a text in quotes")
+        raise fail(where, f"name = {literal(name)}; expected a string in quotes")
     kind = _kind(entry, where)
     select = entry.get("select", ["*"])
     select = [select] if isinstance(select, str) else select

@@ -147,7 +147,7 @@ def _zone(node: Node, base: Base, notes: Notes) -> Zone:
     if (cells != sizes - 1).any():
         raise FormatError(
             f"zone {node.name} has {sizes.tolist()} nodes but {cells.tolist()} cells; expected one cell less along "
-            f"each index, {(sizes - 1).tolist()}: one of the two is wrong, and which cannot be told"
+            f"each index, {(sizes - 1).tolist()}: one of the two must be wrong"
         )
     grid = _grid_coordinates(node, notes)
     rind = _rind(grid, base.cell_dimension, node.name, notes)

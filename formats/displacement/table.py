@@ -142,7 +142,7 @@ def checked_surface(table: DisplacementTable, path: Path) -> SurfaceData:
             )
     _check_duplicates(points, displacement, table.place, path)
     if not (table.triangles == np.floor(table.triangles)).all():
-        raise FormatError(f"{path} has triangles whose corners are no whole numbers; expected row numbers of points")
+        raise FormatError(f"{path} has triangles whose corners are not whole numbers; expected row numbers of points")
     triangles = np.ascontiguousarray(table.triangles, dtype=np.int64)
     if triangles.size and not 0 <= triangles.min() <= triangles.max() < len(points):
         raise FormatError(f"{path}: triangles refer to points {triangles.min()} to {triangles.max()} of {len(points)}")

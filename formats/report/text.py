@@ -93,7 +93,7 @@ def _verdict(report: dict[str, Any]) -> Iterator[str]:
         yield f"steps     {report['steps']}{reached}"
     if new := report.get("new_interior"):
         yield (
-            f"interior  made again from the reference by {new['method']} in {counted(new['steps'], 'step')}: "
+            f"interior  remade from the reference by {new['method']} in {counted(new['steps'], 'step')}: "
             f"{new['reason']}"
         )
     for number, done in enumerate(repair_lines(report)):

@@ -92,7 +92,7 @@ def open_levels(path: Path) -> Levels:
     state = Manifest.load(folder / NAME)
     single = bool(state.ingredients.get("single file"))
     if single and not state.complete:
-        raise FormatError(f"{folder}: the series is not complete; go on with `meshdeform series ... --resume`")
+        raise FormatError(f"{folder}: the series is not complete; continue it with `meshdeform series ... --resume`")
     if not state.levels:
         raise FormatError(f"{folder}: no level of the series is done yet")
     files = tuple(folder / level["file"] for level in state.levels)

@@ -44,7 +44,7 @@ class Grid:
         if not isinstance(blocks, Sequence) or isinstance(blocks, str):
             raise GridError(f"blocks is a {type(blocks).__name__}; expected a sequence of arrays, like [block]")
         if isinstance(names, str) or not all(isinstance(name, str) and name for name in names or ()):
-            raise GridError(f"names = {names!r}; expected a text for every block, like ['upper', 'lower']")
+            raise GridError(f"names = {names!r}; expected one string per block, like ['upper', 'lower']")
         labels = [f"block{n}" for n in range(1, len(blocks) + 1)] if names is None else list(names)
         if len(labels) != len(blocks):
             raise GridError(f"{len(labels)} names for {len(blocks)} blocks; expected one each")

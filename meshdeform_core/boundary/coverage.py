@@ -134,7 +134,7 @@ def _gaps(topology: Topology, use: _Use) -> list[Notice]:
     if single.size:
         text = (
             f": {single.size} of the {count} nodes that it moves belong to no face that moves as a whole, "
-            f"first {nodes.label(int(single[0]))}: their neighbours have no match and stay"
+            f"first {nodes.label(int(single[0]))}: their neighbours have no match and do not move"
             f"{other_frame(match.points, nodes)}. {_remedy(match.how)}"
         )
         if single.size > ASTRAY * count:
@@ -167,7 +167,7 @@ def _abrupt_end(use: _Use, corners: IntArray, whole: BoolArray, mixed: BoolArray
     worst = int(ends[np.argmax(step[ends])])
     text = (
         f": the motion ends abruptly at {counted(int(found.sum()), 'face')} of a smooth wall, where nodes that move "
-        f"by up to {step[worst]:.3g} (at {nodes.label(worst)}) have neighbours without a match, which stay"
+        f"by up to {step[worst]:.3g} (at {nodes.label(worst)}) have neighbours without a match, which do not move"
     )
     return [use.notice("abrupt end", text)]
 

@@ -44,7 +44,7 @@ def read_single(path: Path) -> DisplacementTable:
     if len(results.shapes) > 1:
         labels = listed((f"{number}: {label}" for number, label in enumerate(results.labels, start=1)), "; ")
         raise FormatError(
-            f"{path} has {len(results.shapes)} displacements ({labels}); a table has one. Use them in a case as "
+            f"{path} has {len(results.shapes)} displacements ({labels}), but a table has one. Use them in a case as "
             f"modes = {{ file = ..., shapes = [...], amplitudes = [...] }}"
         )
     return _table(results, 0)
@@ -53,7 +53,7 @@ def read_single(path: Path) -> DisplacementTable:
 def _read(path: Path, geometry: Path | None) -> Results:
     suffix = path.suffix.lower()
     if suffix not in (".frd", ".op2"):
-        raise FormatError(f"{path} is no result of a structural solver; expected CalculiX .frd or Nastran .op2")
+        raise FormatError(f"{path} is not a result file of a structural solver; expected CalculiX .frd or Nastran .op2")
     if suffix == ".frd":
         if geometry is not None:
             raise FormatError(f"{path} has its own nodes; omit geometry = {geometry.name!r}")

@@ -131,7 +131,7 @@ def attempts_section(report: Report) -> str:
     html = table(title, heads, rows, text=(0, 2)) if rows else ""
     if new := report.get("new_interior"):
         reason = f"by {escape(new['method'])}: {escape(new['reason'])}"
-        html += f"<p>The interior was made again from the reference {reason}.</p>"
+        html += f"<p>The interior was remade from the reference {reason}.</p>"
     repair = report.get("repair")
     if repair:
         html += (
