@@ -59,11 +59,11 @@ def test_gaps_that_close(name):
     assert isinstance(found._later[-1], InGapsGridDerivative) == (name == "idw-tfi")
 
 
-def check(options, where, at, change):
+def check(options, where, at, change, tied=False):
     """Central differences fall as h^2, and the transpose is one."""
     found = StepsDerivative(make_method(options).prepare(where), options, where, at, ENDS)
     np.testing.assert_allclose(found.points, imposed(options, where, at), rtol=0, atol=1e-14)
-    assert found.kinks == {}
+    assert bool(found.kinks) == tied
     moved, errors = found.push(change), []
     for h in (2.4e-4, 6e-5):
         one, two = (imposed(options, where, at + sign * h * change) for sign in (1, -1))
@@ -88,15 +88,21 @@ def test_later_steps_are_not_those_of_the_first_grid():
     assert np.abs(moved - apart).max() > 0.01 * np.abs(moved).max()
 
 
-@pytest.mark.parametrize(
-    ("options", "found"),
-    [
-        ({"greedy": "hybrid", "radius": 6.0}, "greedy has no derivative"),
-        ({}, 'radius = "auto" has no derivative'),
-    ],
-)
-def test_systems_that_follow_the_grid_in_other_ways_are_refused(options, found):
-    where, chosen = PLACES["slip"](), Options("rbf", rbf=RBF(basis="wendland-c2", **options))
+@pytest.mark.parametrize("name", ["rbf", "rbf-tfi", "idw-rbf"])
+def test_an_automatic_radius_follows_the_grid(name):
+    """Of blocks it is a diagonal between flat sides, all nodes of which are the farthest."""
+    where, options = PLACES["slip"](), Options(name, rbf=RBF(basis="wendland-c2"))
+    smooth, rough = directions(where)
+    at = smooth * (1.0 + 0.2 * where.source_points @ [[1.0], [0.5], [0.3]])
+    found = check(options, where, at, 0.02 * rough + 0.01 * smooth[:, [1, 0, 2]], tied=name == "idw-rbf")
+    radius = (
+        found._later[-1]._mover._derivative._radius if name != "idw-rbf" else found._later[-1]._filler._blocks[0][2]
+    )
+    assert radius.push(found.push(rough)) != 0.0
+
+
+def test_centres_that_are_chosen_anew_in_every_step_are_refused():
+    where, chosen = PLACES["slip"](), Options("rbf", rbf=RBF(basis="wendland-c2", greedy="hybrid", radius=6.0))
     method = make_method(chosen).prepare(where)
-    with pytest.raises(MethodError, match=found):
+    with pytest.raises(MethodError, match="greedy has no derivative"):
         StepsDerivative(method, chosen, where, directions(where)[0], ENDS)

@@ -130,6 +130,14 @@ class RBF:
         return PreparedRBF(self, problem)
 
 
+def covering_radius(moving: FloatArray, face: FloatArray) -> FloatArray:
+    """Sum of the largest distances of the nodes ``moving`` (n, 3) and of all nodes ``face`` (m, 3) on faces of blocks
+    from the centre of the former: every node sees the whole moving body."""
+    center = moving.sum(axis=0) / len(moving)
+    radius: FloatArray = np.linalg.norm(moving - center, axis=1).max() + np.linalg.norm(face - center, axis=1).max()
+    return radius
+
+
 class PreparedRBF:
     """RBF bound to the sources of one undeformed grid.
 
@@ -174,10 +182,7 @@ class PreparedRBF:
             return float(o.radius)
         problem = self._problem
         moving = problem.source_points[problem.boundary.kind[problem.source_numbers] == Kind.MOVING]
-        center = moving.mean(axis=0)
-        body = float(np.linalg.norm(moving - center, axis=1).max())
-        face = problem.grid.points[problem.topology.first]
-        radius = body + float(np.linalg.norm(face - center, axis=1).max())
+        radius = float(covering_radius(moving, problem.grid.points[problem.topology.first]))
         self.account.settings["radius"] = Setting(radius, "every node sees the whole moving body")
         return radius
 

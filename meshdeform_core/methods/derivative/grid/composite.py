@@ -61,6 +61,8 @@ class _Composite:
         self.kinks = sum((each.kinks for each in constraints), self._mover.kinks)
         self.moved = method.apply(displacement)
         self._filler = _filling(filler, self._problem, self.moved)
+        if isinstance(self._filler, BlockRBFGridDerivative):
+            self.kinks += self._filler.kinks
 
     def push(self, change: FloatArray, dx: FloatArray) -> FloatArray:
         out, of_first = np.full((self._problem.grid.n_nodes, 3), np.nan), dx[self._problem.topology.first]

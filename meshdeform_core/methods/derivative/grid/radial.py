@@ -20,6 +20,7 @@ from ...scattered.centres import Centres
 from ...scattered.rbf import RBF, PreparedRBF
 from ..kinks import Kinks
 from ..radial import accurate
+from .radius import of_block, of_sources
 
 _CHUNK = 256
 _PORTIONS = 16
@@ -34,14 +35,12 @@ class MovingMap:
     Raises
     ------
     MethodError
-        For an automatic radius, and for centres in a plane of a 3-D grid or on a line, which they may leave.
+        For centres in a plane of a 3-D grid or on a line, which they may leave.
     """
 
     def __init__(
         self, options: RBF, centres: Centres, problem: Problem, points: FloatArray, values: FloatArray
     ) -> None:
-        if options.basis != "tps" and options.radius == "auto":
-            raise MethodError(f'method.rbf.radius = "auto" {_NONE}; give a length')
         self._kind, self._centres = BASES[options.basis], centres
         self._system = accurate(options.system, centres, problem)
         if self._system.terms.shape[1] < (4 if problem.plane_normal is None else 3):
@@ -51,10 +50,12 @@ class MovingMap:
         self._coefficients, self._polynomial = self._system.solve(values, Account(), None)
         self._portions = max(1, min(_PORTIONS, len(points) // _CHUNK))
 
-    def push(self, values: FloatArray, dy: FloatArray, dx: FloatArray) -> FloatArray:
-        """Change (n, 3) for changes of values (m, 3), centres (m, 3) and points (n, 3)."""
+    def push(self, values: FloatArray, dy: FloatArray, dx: FloatArray, growth: float = 0.0) -> FloatArray:
+        """Change (n, 3) for changes of values (m, 3), centres (m, 3) and points (n, 3); ``growth``: relative change of
+        the support radius."""
         scale, axes, coefficients = self._centres.scale, self._centres.axes, self._coefficients
-        dy, dx = np.ascontiguousarray(dy / scale), np.ascontiguousarray(dx / scale)
+        dy = np.ascontiguousarray(dy / scale - growth * self._y)
+        dx = np.ascontiguousarray(dx / scale - growth * self._x)
         slope = axes.T @ self._polynomial[1:]
         upper = values - self._tangents(self._y, dy, dy) - dy @ slope
         lower = -np.concatenate([np.zeros((1, 3)), axes @ (dy.T @ coefficients)])
@@ -62,8 +63,9 @@ class MovingMap:
         moved = self._tangents(self._x, dx, dy) + dx @ slope + self._terms @ polynomial
         return np.asarray(moved + radial_sums(self._kind, self._x, self._y, change))
 
-    def pull(self, gradient: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Gradients of values (m, 3), centres (m, 3) and points (n, 3) from that (n, 3) of the interpolated values."""
+    def pull(self, gradient: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, float]:
+        """Gradients of values (m, 3), centres (m, 3), points (n, 3) and growth from that (n, 3) of the interpolated
+        values."""
         g, axes = np.ascontiguousarray(gradient), self._centres.axes
         of_values, lower = self._solved(radial_sums(self._kind, self._y, self._x, g), self._terms.T @ g)
         slope = axes.T @ self._polynomial[1:]
@@ -72,7 +74,8 @@ class MovingMap:
         one, other = self._gradients(self._y, -of_values)
         of_y += one + other
         of_y -= of_values @ slope.T + self._coefficients @ (axes.T @ lower[1:]).T
-        return of_values, of_y / self._centres.scale, of_x / self._centres.scale
+        growth = -float((of_y * self._y).sum() + (of_x * self._x).sum())
+        return of_values, of_y / self._centres.scale, of_x / self._centres.scale, growth
 
     def _solved(self, upper: FloatArray, lower: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Solution (m, 3), (q, 3) of the symmetric system [A P; P^T 0]."""
@@ -116,7 +119,8 @@ class RBFGridDerivative:
         if method.options.greedy != "none":
             raise MethodError(f"method.rbf.greedy {_NONE}: other centres are chosen there")
         self._images, self._problem, self._flat = method._images, problem, flat
-        self.kinks, self.of_grid = Kinks(), Kinks()
+        self._radius = of_sources(method.options, problem)
+        self.kinks, self.of_grid = Kinks(), self._radius.kinks if self._radius else Kinks()
         values = self._images.displaced(displacement)
         self._map = MovingMap(method.options, method.centres, problem, problem.grid.points[flat], values)
 
@@ -125,11 +129,14 @@ class RBFGridDerivative:
         (n_sources, 3) and of the grid (n_nodes, 3)."""
         images = self._images
         dy = images.displaced(dx[self._problem.source_flat])
-        out[self._flat] = self._map.push(images.displaced(change), dy, dx[self._flat])
+        growth = self._radius.push(dx) if self._radius else 0.0
+        out[self._flat] = self._map.push(images.displaced(change), dy, dx[self._flat], growth)
 
     def pull(self, gradient: FloatArray, of_grid: FloatArray) -> FloatArray:
         """Gradient (n_sources, 3) from that of the nodes, rows of ``gradient`` (n_nodes, 3); adds that of the grid."""
-        of_values, of_y, of_x = self._map.pull(gradient[self._flat])
+        of_values, of_y, of_x, growth = self._map.pull(gradient[self._flat])
+        if self._radius:
+            self._radius.pull(growth, of_grid)
         of_grid[self._flat] += of_x
         of_grid[self._problem.source_flat] += self._gathered(of_y)
         return self._gathered(of_values)
@@ -146,21 +153,29 @@ class BlockRBFGridDerivative:
     (n_nodes, 3)."""
 
     def __init__(self, method: PreparedBlockRBF, problem: Problem, moved: FloatArray) -> None:
-        points = problem.grid.points
+        points, options = problem.grid.points, method._options
         self._blocks = [
-            (each, MovingMap(method._options, each.centres, problem, points[each.targets], moved[each.known]))
+            (
+                each,
+                MovingMap(options, each.centres, problem, points[each.targets], moved[each.known]),
+                of_block(options, problem, each.known),
+            )
             for each in method._blocks
         ]
+        self.kinks = sum((radius.kinks for _, _, radius in self._blocks if radius), Kinks())
 
     def push(self, change: FloatArray, dx: FloatArray) -> None:
         """Fill blocks from their faces, in place, for a change ``dx`` (n_nodes, 3) of the grid."""
-        for block, inside in self._blocks:
-            change[block.targets] = inside.push(change[block.known], dx[block.known], dx[block.targets])
+        for block, inside, radius in self._blocks:
+            growth = radius.push(dx) if radius else 0.0
+            change[block.targets] = inside.push(change[block.known], dx[block.known], dx[block.targets], growth)
 
     def pull(self, gradient: FloatArray, of_grid: FloatArray) -> None:
         """Pass gradients from inside blocks on to their faces, in place; add that of the grid to ``of_grid``."""
-        for block, inside in self._blocks:
-            of_values, of_y, of_x = inside.pull(gradient[block.targets])
+        for block, inside, radius in self._blocks:
+            of_values, of_y, of_x, growth = inside.pull(gradient[block.targets])
+            if radius:
+                radius.pull(growth, of_grid)
             gradient[block.targets] = 0.0
             gradient[block.known] += of_values
             of_grid[block.known] += of_y
