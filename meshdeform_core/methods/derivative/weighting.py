@@ -23,7 +23,7 @@ from .reduced import reduced
 from .sums import TOLERANCE, LinearSums, Weights, sums_of
 
 _LEAST_ALPHA = 1e-3
-_FIRST_SHARE = 2.0
+_FIRST_SHARE = 1.7
 """Initial error allowed to one cluster, as a multiple of that allowed to the sum; sufficient on the hemispheres, while
 the plates need half of it."""
 # Nodes per chunk when fast sums are checked.
