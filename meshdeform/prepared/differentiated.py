@@ -87,8 +87,6 @@ def _of_repair(
     setup = result.setup
     if not converged:
         raise MethodError(_NOT_MINIMAL)
-    if setup.boundary.slip.curved:
-        raise MethodError("nodes of a repaired grid slide on a curved surface")
     found = derivative_of_repair(setup.undeformed.repairs, plain, points, setup.case.repair.mode == "polish")
     if found is None or found.settle(rounding) > _CLOSE:
         raise MethodError(_NOT_MINIMAL)

@@ -17,6 +17,7 @@ from ..parallel import current_ranks
 from .basis import Basis, Whole
 from .energy.elements import Penalty
 from .energy.onset import share_of, share_slopes
+from .energy.region import Region
 from .extrusion import Extrusion
 from .tuned import CUBIC, POLISHED
 
@@ -58,14 +59,49 @@ def derivative_of_repair(basis: Basis, start: FloatArray, end: FloatArray, polis
             inside = derivative_of_repair(plane, flat + first, flat + last, polish)
             return None if inside is None else _Extruded(extrusion, inside)
     whole = basis.whole
-    if whole is None or whole.plot.region.slides:
+    if whole is None:
         return None
     found = _AtMinimum(whole, start, end, polish)
     return found if found.share > 0.0 else None
 
 
+class _Surfaces:
+    """Nodes (k,) that slide on curved surfaces: derivatives (k, d, d) of their projection onto a triangle, and of the
+    normal times the force on it, which turns as they slide."""
+
+    def __init__(self, region: Region, x: FloatArray, force: FloatArray) -> None:
+        self.nodes = np.concatenate([slide.nodes for slide in region.slides])
+        slopes = [slide.slopes(x[slide.nodes]) for slide in region.slides]
+        normals = np.concatenate([slide.normals(x[slide.nodes]) for slide in region.slides])
+        along = np.einsum("ni,ni->n", normals, force[region.number[self.nodes]])
+        self._onto = np.concatenate([onto for onto, _ in slopes])
+        self._turning = along[:, None, None] * np.concatenate([turning for _, turning in slopes])
+
+    def project(self, values: FloatArray) -> FloatArray:
+        """Changes, or gradients, (n, d) of coordinates without those that leave the triangles."""
+        found = values.copy()
+        found[self.nodes] = np.einsum("nij,nj->ni", self._onto, values[self.nodes])
+        return found
+
+    def turned(self, change: FloatArray, transposed: bool = False) -> FloatArray:
+        """The part (n, d) of the forces on the normals for a change (n, d) of coordinates."""
+        found = np.zeros_like(change)
+        found[self.nodes] = np.einsum("nji,nj->ni" if transposed else "nij,nj->ni", self._turning, change[self.nodes])
+        return found
+
+    def kept(self, values: FloatArray) -> FloatArray:
+        """Values (n, d) of these nodes only."""
+        found = np.zeros_like(values)
+        found[self.nodes] = values[self.nodes]
+        return found
+
+
 class _AtMinimum:
-    """The derivative for x = y + F u: coordinates x of the repaired grid, y of the method's grid, unknowns u."""
+    """The derivative for x = y + F u: coordinates x of the repaired grid, y of the method's grid, unknowns u.
+
+    Of nodes that slide on curved surfaces, x = B F u: they have coordinates of their own, within the triangle that B
+    projects onto. Forces vanish in the directions of F, which follow the normals.
+    """
 
     def __init__(self, whole: Whole, start: FloatArray, end: FloatArray, polish: bool) -> None:
         self._whole, self._plot = whole, whole.plot
@@ -77,6 +113,16 @@ class _AtMinimum:
         self._slopes = of_share, of_between
         self._region = replace(self._plot.region, energy=energy.softened(POLISHED) if polish else energy)
         self._regular = True
+        self._place()
+
+    def _place(self) -> None:
+        """Find the directions of the unknowns at the coordinates."""
+        region, self._surfaces = self._region, None
+        self._frame = region.directions(self._x)[0].frame
+        if region.slides:
+            system = self._whole.system
+            system.fill(replace(region, slides=()), self._x, self._start, self._penalty(1.0))
+            self._surfaces = _Surfaces(region, self._x, system.gradient)
 
     def push(self, change: FloatArray) -> FloatArray:
         plot, moved = self._plot, np.array(change)
@@ -86,7 +132,11 @@ class _AtMinimum:
             excess, _ = self._of_excess(given, np.zeros(self._cells))
             shares = float(self._slopes[0] @ excess), self._slopes[1] * excess
             force, _, _ = self._products(given, 0.0, *shares)
-            return plot.shift(self._spread(self._solved(-self._gathered(force))))
+            surfaces = self._surfaces
+            if surfaces:
+                force -= self._hessian(surfaces.kept(given))
+            step = self._spread(self._solved(-self._gathered(force)))
+            return plot.shift(step - surfaces.kept(given) if surfaces else step)
 
         moved[plot.moved] += current_ranks().on_first(make)
         return moved
@@ -97,9 +147,13 @@ class _AtMinimum:
         def make() -> FloatArray:
             own = np.zeros_like(self._x)
             np.add.at(own, plot.at, gradient[plot.moved] @ plot.axes.T)
-            step = self._spread(self._solved(-self._gathered(own)))
+            surfaces = self._surfaces
+            within = surfaces.project(own) if surfaces else own
+            step = self._turned(self._solved(-self._gathered(within), transposed=True))
             found, share, between = self._products(step, 0.0, 0.0, np.zeros(self._cells))
             _, rest = self._of_excess(step, share * self._slopes[0] + between * self._slopes[1])
+            if surfaces:
+                found -= surfaces.kept(self._hessian(step) + own)
             return np.asarray((found + rest) @ plot.axes)
 
         pulled[plot.nodes] += current_ranks().on_first(make)
@@ -112,6 +166,9 @@ class _AtMinimum:
                 self._x = self._x + self._spread(self._solved(-self._whole.system.gradient.copy()))
                 if not self._regular:
                     return np.full_like(self._x, np.inf)
+                for slide in self._region.slides:
+                    self._x[slide.nodes] = slide.back(self._x[slide.nodes])
+                self._place()
             return self._x
 
         before = self._x
@@ -129,8 +186,11 @@ class _AtMinimum:
     def _fill(self) -> None:
         self._whole.system.fill(self._region, self._x, self._start, self._penalty(1.0))
 
-    def _solved(self, right: FloatArray) -> FloatArray:
-        """Solution (n_unknowns, d) of the linear system with the Hessian and the ``right``-hand side."""
+    def _solved(self, right: FloatArray, transposed: bool = False) -> FloatArray:
+        """Solution (n_unknowns, d) of the linear system with the Hessian and the ``right``-hand side.
+
+        Curved surfaces make the matrix slightly different from that of Newton's method, and from its transpose.
+        """
         self._fill()
         system, found, rest = self._whole.system, np.zeros_like(right), right
         size = before = np.linalg.norm(right)
@@ -143,8 +203,7 @@ class _AtMinimum:
             if not convex or system.iterations == _ITERATIONS:
                 self._regular = False
                 break
-            image, _, _ = self._products(self._spread(found + step), 1.0, 0.0, np.zeros(self._cells))
-            rest = right - self._gathered(image)
+            rest = right - self._gathered(self._image(found + step, transposed))
             after = np.linalg.norm(rest)
             if after >= before:
                 break
@@ -153,16 +212,36 @@ class _AtMinimum:
                 break
         return found
 
+    def _image(self, unknowns: FloatArray, transposed: bool) -> FloatArray:
+        """Change (n, d) of the forces for one of the unknowns, or its transpose, before it is gathered."""
+        surfaces = self._surfaces
+        if not surfaces:
+            return self._hessian(self._spread(unknowns))
+        if transposed:
+            turned = self._turned(unknowns)
+            return surfaces.project(self._hessian(turned) - surfaces.turned(turned, transposed=True))
+        moved = self._spread(unknowns)
+        return np.asarray(self._hessian(moved) - surfaces.turned(moved))
+
+    def _hessian(self, change: FloatArray) -> FloatArray:
+        """Change (n, d) of the gradient for one of the coordinates (n, d)."""
+        return self._products(change, 1.0, 0.0, np.zeros(self._cells))[0]
+
     def _spread(self, unknowns: FloatArray) -> FloatArray:
-        """The change F u (n, d) of the nodes."""
-        number, frame, _ = self._region.unknowns
+        """The change (n, d) of the nodes: F u, or B F u."""
+        turned = self._turned(unknowns)
+        return self._surfaces.project(turned) if self._surfaces else turned
+
+    def _turned(self, unknowns: FloatArray) -> FloatArray:
+        """F u (n, d)."""
+        number, frame = self._region.number, self._frame
         free, result = number >= 0, np.zeros_like(self._x)
         result[free] = np.einsum("nij,nj->ni", frame[free], unknowns[number[free]])
         return result
 
     def _gathered(self, force: FloatArray) -> FloatArray:
-        """The transpose of :meth:`_spread`."""
-        number, frame, _ = self._region.unknowns
+        """The transpose of :meth:`_turned`."""
+        number, frame = self._region.number, self._frame
         free = number >= 0
         turned = np.einsum("nji,nj->ni", frame[free], force[free])
         n = self._region.n_unknowns

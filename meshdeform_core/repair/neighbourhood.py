@@ -123,7 +123,8 @@ class Neighbourhood:
         for each in self.constraints.sliding:
             local = np.flatnonzero(np.isin(nodes, self.topology.first[each.nodes]) & (unknowns.number >= 0))
             if local.size:
-                yield Slide(local, partial(self._normals, each), partial(self._onto, each))
+                slopes = partial(self._slopes, each)
+                yield Slide(local, partial(self._normals, each), partial(self._onto, each), slopes)
 
     def _normals(self, sliding: Sliding, x: FloatArray) -> FloatArray:
         """Unit normals (k, d) of a surface nearest to coordinates (k, d) of the region."""
@@ -132,6 +133,11 @@ class Neighbourhood:
     def _onto(self, sliding: Sliding, x: FloatArray) -> FloatArray:
         """Coordinates (k, d) of the region projected onto a surface."""
         return components(sliding.project(self._outside(x)), self.axes)
+
+    def _slopes(self, sliding: Sliding, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Derivatives (k, d, d) of the projection onto a surface, and of its normals."""
+        onto, normals = sliding.slopes(self._outside(x))
+        return self.axes @ onto @ self.axes.T, self.axes @ normals @ self.axes.T
 
     def _outside(self, x: FloatArray) -> FloatArray:
         """Coordinates in space (k, 3) from those of a region (k, d)."""

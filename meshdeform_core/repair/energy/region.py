@@ -17,11 +17,13 @@ from .elements import Energy
 
 class Slide(NamedTuple):
     """Nodes (k,) that remain on a surface: ``normals`` returns its unit normals (k, d) near coordinates (k, d),
-    ``back`` projects coordinates onto it."""
+    ``back`` projects coordinates onto it, ``slopes`` returns the derivatives (k, d, d) of both, first that of ``back``.
+    """
 
     nodes: IntArray
     normals: Callable[[FloatArray], FloatArray]
     back: Callable[[FloatArray], FloatArray]
+    slopes: Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 
 
 class Dealt(NamedTuple):
