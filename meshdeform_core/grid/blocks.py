@@ -117,13 +117,17 @@ class Grid(BlockSizes):
 
     def total_of(self, values: FloatArray) -> FloatArray:
         """Sum (3,) of ``values`` (n_nodes, 3), piece by piece: the same to the last bit for any ranks."""
-        low, high = own_rows(values)
+        sums = [total(values[rows]) for rows in self.own_pieces()]
+        return np.asarray(sum(each for found in of_all(values, sums) for each in found))
+
+    def own_pieces(self) -> list[slice]:
+        """Rows of the pieces of blocks, of this rank if the grid is in parts."""
+        low, high = own_rows(self.points)
         block, first, last = pieces(self.shapes).T
         size = np.prod(self.shapes, axis=1)[block] // np.array(self.shapes)[block, 0]
         rows = self.offsets[block] + np.stack([first, last]) * size
         own = rows[:, (rows[0] >= low) & (rows[1] <= high)].T
-        sums = [total(values[begin:end]) for begin, end in own.tolist()]
-        return np.asarray(sum(each for found in of_all(values, sums) for each in found))
+        return [slice(begin, end) for begin, end in own.tolist()]
 
     def planes(self, index: int) -> slice:
         """The planes i of a block that this rank owns; all of them unless the grid is in parts."""

@@ -7,12 +7,12 @@ from functools import cached_property
 from ..boundary import Boundary
 from ..grid import FloatArray
 from ..numerics.cell.health import all_healthy
-from ..parallel import Part, of_all, require_whole
+from ..parallel import of_all
 from ..quality import Original
 from .constraints import Constraints
 from .energy.elements import COLLAPSED
 from .energy.newton import NewtonSystem
-from .extrusion import Extrusion, find_extrusion, may_be_extruded
+from .extrusion import Extrusion, find_extrusion
 from .neighbourhood import Neighbourhood, Plot
 from .tuned import HEALTHY, SOFT
 
@@ -37,10 +37,6 @@ class Basis:
     @cached_property
     def extrusion(self) -> tuple[Extrusion, Basis] | None:
         """The plane grid that this one is extruded from, with its own basis; ``None`` if it is no extrusion."""
-        grid = self.original.grid
-        if grid.dimension == 2 or (isinstance(grid.points, Part) and not may_be_extruded(grid)):
-            return None
-        require_whole(grid.points, "the grid may be extruded from a plane one")
         found = find_extrusion(self._constraints)
         if found is None:
             return None

@@ -7,11 +7,11 @@ from functools import cached_property
 
 import numpy as np
 
-from ..grid import FloatArray, Grid, IntArray, Side
+from ..grid import BoolArray, FloatArray, Grid, IntArray, Side
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology, find_topology, side_nodes
 from ..numerics.arrays import extent
-from ..parallel import empty, for_rows
+from ..parallel import alike, for_rows, of_all, own_rows
 from .constraints import Constraints
 
 _STRAIGHT = 1e-10
@@ -26,7 +26,9 @@ class Extrusion:
     ----------
     direction : (3,) unit vector, normal to the plane
     plane : the plane grid, blocks with one node along one index
-    line : (n_nodes,) plane node that each block node is a copy of; block nodes with the same one form a *line*
+    line : plane node that each block node (of this rank) is a copy of; block nodes with the same one form a *line*
+    axes : (n_blocks,) index along which each block is extruded
+    grid : of the blocks
     constraints : of the plane grid
     scale : extent of the grid
     """
@@ -34,12 +36,22 @@ class Extrusion:
     direction: FloatArray
     plane: Grid
     line: IntArray
+    axes: tuple[int, ...]
+    grid: Grid
     constraints: Constraints
     scale: float
 
     @cached_property
     def _count(self) -> IntArray:
-        return np.bincount(self.line, minlength=self.plane.n_nodes)
+        layers = [shape[axis] for shape, axis in zip(self.grid.shapes, self.axes, strict=True)]
+        return np.repeat(layers, np.diff(self.plane.offsets))
+
+    @cached_property
+    def _held(self) -> BoolArray:
+        """Whether the nodes (n_plane,) of the plane grid are held."""
+        topology, held = self.constraints.topology, np.zeros(self.plane.n_nodes, dtype=bool)
+        held[topology.face_nodes] = self.constraints.held[topology.number]
+        return held
 
     def mean(self, change: FloatArray) -> FloatArray:
         """The mean along lines (n_plane, 3) of a displacement (n_nodes, 3), projected onto the plane."""
@@ -51,7 +63,16 @@ class Extrusion:
 
     def summed(self, gradient: FloatArray) -> FloatArray:
         """Sums along lines (n_plane, 3) of values (n_nodes, 3): the transpose of copying to all nodes of a line."""
-        return np.stack([np.bincount(self.line, c, self.plane.n_nodes) for c in gradient.T], axis=1)
+        result, (low, _) = np.zeros((self.plane.n_nodes, 3)), own_rows(gradient)
+        sums = []
+        for rows in self.grid.own_pieces():
+            line = self.line[rows.start - low : rows.stop - low]
+            first, last = int(line.min()), int(line.max()) + 1
+            columns = [np.bincount(line - first, column, last - first) for column in gradient[rows].T]
+            sums.append((first, np.stack(columns, axis=1)))
+        for first, each in (one for found in of_all(gradient, sums) for one in found):
+            result[first : first + len(each)] += each
+        return result
 
     def _in_plane(self, vectors: FloatArray) -> FloatArray:
         return np.asarray(vectors - (vectors @ self.direction)[:, None] * self.direction)
@@ -61,15 +82,11 @@ class Extrusion:
 
         ``None`` if held nodes move out of the plane, or differently along a line.
         """
-        normal = change @ self.direction
-        if np.abs(normal).max() > _STRAIGHT * self.scale:
-            return None
-        mean = self.mean(change)
-        topology = self.constraints.topology
-        held = np.zeros(self.plane.n_nodes, dtype=bool)
-        held[topology.face_nodes] = self.constraints.held[topology.number]
-        there = held[self.line]
-        if np.abs(change[there] - mean[self.line[there]]).max(initial=0.0) > _STRAIGHT * self.scale:
+        mean, most = self.mean(change), _STRAIGHT * self.scale
+        own, there = change[slice(*own_rows(change))], self._held[self.line]
+        normal = np.abs(own @ self.direction).max(initial=0.0)
+        apart = np.abs(own[there] - mean[self.line[there]]).max(initial=0.0)
+        if max(of_all(change, float(max(normal, apart)))) > most:
             return None
         return mean
 
@@ -78,14 +95,11 @@ class Extrusion:
 
         ``start`` (n_nodes, 3) are the undeformed coordinates.
         """
-        topology = self.constraints.topology
-        held = np.zeros(self.plane.n_nodes, dtype=bool)
-        held[topology.face_nodes] = self.constraints.held[topology.number]
-        result: FloatArray = empty(points.shape)
+        result, (low, _) = alike(points), own_rows(points)
 
         def fill(rows: slice) -> None:
-            line = self.line[rows]
-            result[rows] = np.where(held[line][:, None], points[rows], start[rows] + change[line])
+            line = self.line[rows.start - low : rows.stop - low]
+            np.copyto(result[rows], np.where(self._held[line][:, None], points[rows], start[rows] + change[line]))
 
         for_rows(fill, result)
         return result
@@ -97,20 +111,15 @@ def find_extrusion(constraints: Constraints) -> Extrusion | None:
     if grid.dimension == 2:
         return None
     constraints = constraints.without_sliding()
-    scale = float(np.ptp(grid.points, axis=0).max())
+    low, high = extent(grid.points)
+    scale = float((high - low).max())
     for height in _heights(grid, scale):
-        axes = [axis for b in range(grid.n_blocks) if (axis := _axis(grid.block(b), height, scale))]
+        axes = [axis for b in range(grid.n_blocks) if (axis := _axis(grid, b, height, scale))]
         unit = height / np.linalg.norm(height)
         found = _extruded(constraints, axes, unit, scale) if len(axes) == grid.n_blocks else None
         if found is not None:
             return found
     return None
-
-
-def may_be_extruded(grid: Grid) -> bool:
-    """Whether its first block has the same height everywhere."""
-    low, high = extent(grid.points)
-    return bool(_heights(grid, float((high - low).max())))
 
 
 def _heights(grid: Grid, scale: float) -> list[FloatArray]:
@@ -126,50 +135,76 @@ def _heights(grid: Grid, scale: float) -> list[FloatArray]:
     return found
 
 
-def _axis(block: FloatArray, height: FloatArray, scale: float) -> tuple[int, int] | None:
-    """Index axis along which a block is extruded by ``height``, and the index of its lower end (0 or -1)."""
+def _axis(grid: Grid, block: int, height: FloatArray, scale: float) -> tuple[int, int] | None:
+    """Index axis along which a block is extruded by ``height``, and which of its ends is the lower one (0 or 1)."""
     unit = height / np.linalg.norm(height)
     for axis in range(3):
-        whole = (block.take(-1, axis=axis) - block.take(0, axis=axis)).reshape(-1, 3)
+        first, last = (grid.points[side_nodes(grid, block, Side(2 * axis + end))] for end in range(2))
+        whole = (last - first).reshape(-1, 3)
         sign = 1.0 if whole[0] @ height > 0.0 else -1.0
         if np.abs(whole - sign * height).max() > _STRAIGHT * scale:
             continue
-        layers = np.moveaxis(block, axis, 0)
-        steps = layers - layers[:1]
-        along = (steps @ unit).reshape(block.shape[axis], -1)
-        across = np.abs(steps - (steps @ unit)[..., None] * unit).max()
-        if max(across, np.ptp(along, axis=1).max()) <= _STRAIGHT * scale:
-            return axis, 0 if sign > 0.0 else -1
+        if _roughness(grid, block, axis, first, unit) <= _STRAIGHT * scale:
+            return axis, 0 if sign > 0.0 else 1
     return None
+
+
+def _roughness(grid: Grid, block: int, axis: int, first: FloatArray, unit: FloatArray) -> float:
+    """The farthest that the layers of a block along ``axis`` are from being copies of the ``first``, moved along
+    ``unit``."""
+    own, count = grid.planes(block), grid.shapes[block][axis]
+    steps = grid.in_planes(block) - np.expand_dims(first if axis == 0 else first[own], axis)
+    along = steps @ unit
+    across = np.abs(steps - along[..., None] * unit).max(initial=0.0)
+    others = tuple(other for other in range(3) if other != axis)
+    low, high = np.full(count, np.inf), np.full(count, -np.inf)
+    layers = own if axis == 0 else slice(None)
+    low[layers] = along.min(axis=others, initial=np.inf)
+    high[layers] = along.max(axis=others, initial=-np.inf)
+    lows, highs, acrosses = zip(*of_all(grid.points, (low, high, across)), strict=True)
+    return float(max(*acrosses, (np.max(highs, axis=0) - np.min(lows, axis=0)).max()))
 
 
 def _extruded(
     constraints: Constraints, axes: list[tuple[int, int]], unit: FloatArray, scale: float
 ) -> Extrusion | None:
     grid = constraints.grid
-    base = [np.take(grid.block(b), [end], axis=axis) for b, (axis, end) in enumerate(axes)]
+    nodes = [np.expand_dims(side_nodes(grid, b, Side(2 * axis + end)), axis) for b, (axis, end) in enumerate(axes)]
+    base = [grid.points[each] for each in nodes]
     level = np.concatenate([(b @ unit).ravel() for b in base])
     if np.ptp(level) > _STRAIGHT * scale:
         return None
-    plane = Grid.from_blocks(base, grid.names)
+    points, along = np.concatenate([each.reshape(-1, 3) for each in base]), tuple(axis for axis, _ in axes)
+    # The same on all ranks, even if they hold parts of the grid.
+    plane = Grid(points, tuple(each.shape[:3] for each in base), grid.names)
     if abs(abs(unit @ plane_normal(plane)) - 1.0) > 1e-9:  # type: ignore[operator]
         return None
-    line, bottom = np.empty(grid.n_nodes, dtype=np.int64), np.empty(plane.n_nodes, dtype=np.int64)
-    every = np.arange(grid.n_nodes)
-    for b, (axis, end) in enumerate(axes):
-        mine = np.arange(plane.offsets[b], plane.offsets[b + 1]).reshape(plane.shapes[b])
-        rows = slice(grid.offsets[b], grid.offsets[b + 1])
-        line[rows].reshape(grid.shapes[b])[...] = mine
-        bottom[mine.ravel()] = np.take(every[rows].reshape(grid.shapes[b]), [end], axis=axis).ravel()
-    flat = _in_plane(constraints, find_topology(plane), plane, line, bottom, unit)
-    return None if flat is None else Extrusion(unit, plane, line, flat, scale)
+    bottom = np.concatenate([each.ravel() for each in nodes])
+    ends = _lines_of(grid, plane, along, constraints.topology.face_nodes)
+    flat = _in_plane(constraints, find_topology(plane), plane, ends, bottom, unit)
+    if flat is None:
+        return None
+    line = _lines_of(grid, plane, along, np.arange(*own_rows(grid.points)))
+    return Extrusion(unit, plane, line, along, grid, flat, scale)
+
+
+def _lines_of(grid: Grid, plane: Grid, axes: tuple[int, ...], nodes: IntArray) -> IntArray:
+    """The nodes (n,) of the plane grid that block nodes (n,), ascending, are copies of."""
+    result, ends = np.empty(len(nodes), dtype=np.int64), np.searchsorted(nodes, grid.offsets)
+    for block, axis in enumerate(axes):
+        rows = slice(ends[block], ends[block + 1])
+        ijk = list(np.unravel_index(nodes[rows] - grid.offsets[block], grid.shapes[block]))
+        ijk[axis] = np.zeros_like(ijk[axis])
+        result[rows] = plane.offsets[block] + np.ravel_multi_index(ijk, plane.shapes[block])
+    return result
 
 
 def _in_plane(
-    constraints: Constraints, topology: Topology, plane: Grid, line: IntArray, bottom: IntArray, unit: FloatArray
+    constraints: Constraints, topology: Topology, plane: Grid, ends: IntArray, bottom: IntArray, unit: FloatArray
 ) -> Constraints | None:
     """The constraints of the plane grid, or ``None`` if those of the grid vary along a line.
 
+    ``ends`` are the lines of all nodes on block faces, ``bottom`` the first node of each line.
     On lines through the interior of the plane grid's blocks, only the end nodes may be constrained, and only to the end
     planes.
     """
@@ -177,7 +212,7 @@ def _in_plane(
     removed = flat @ constraints.removed @ flat
     number = np.full(plane.n_nodes, -1)
     number[topology.face_nodes] = topology.number
-    of = number[line[space.face_nodes]]
+    of = number[ends]
     on_edge = of >= 0
     inside = space.number[~on_edge]
     if constraints.held[inside].any() or np.abs(removed[inside]).max(initial=0.0) > 1e-12:

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..grid import FloatArray
 from ..memory import UNLIMITED, MemoryLimit
-from ..parallel import alike, for_rows, of_all, own_rows, require_whole, rows_of, together
+from ..parallel import alike, combined, for_rows, of_all, own_rows, require_whole, rows_of, together
 from ..quality.verdict.validity import Verdict, judge
 from .basis import Basis, Whole
 from .energy.newton import NewtonSystem
@@ -68,8 +68,9 @@ class Repairer:
         if verdict.failed.any():
             return True
 
+        flat, basis = self._flattened(points) or (points, self.basis)
+
         def weak() -> bool:
-            flat, basis = self._flattened(points) or (points, self.basis)
             if basis.healthy(flat):
                 return False
             whole = self._whole(basis)
@@ -78,7 +79,7 @@ class Repairer:
             region = whole.plot.region
             return share_of(region.energy, whole.plot.inside(flat), region.dealt)[0] > 0.0
 
-        return together(points, weak)
+        return together(flat, weak)
 
     def repair(
         self,
@@ -168,7 +169,7 @@ class Repairer:
         if self.basis.extrusion is None:
             return None
         extrusion, basis = self.basis.extrusion
-        change = extrusion.flattened(points - self.original.grid.points)
+        change = extrusion.flattened(combined(np.subtract, points, self.original.grid.points))
         return None if change is None else (extrusion.plane.points + change, basis)
 
     def _in_plane(

@@ -13,7 +13,8 @@ from grids import frame, frame_2d, permuted
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from meshdeform_core.boundary import Kind
+from meshdeform_core.boundary import BoundarySpec, Kind
+from meshdeform_core.boundary.motions.expression import expression
 from meshdeform_core.deform import Case, deform
 from meshdeform_core.grid.dealing import bounds_of
 from meshdeform_core.grid.lattice import SideLattice
@@ -314,6 +315,15 @@ def test_repairs_of_grids_in_parts_give_the_same_bytes(
     assert same_on_ranks(tmp_path, count, repaired(angle, mode), grid=tapered(5, 4))[-1].newton_steps > 1
 
 
+@pytest.mark.parametrize("axes", [(0, 1, 2), (2, 0, 1)], ids=["along k", "along i"])
+def test_repairs_of_extrusions_in_parts_give_the_same_bytes(axes, tmp_path, small_pieces, small_ranges, poisoned):
+    body = dataclasses.replace(body_specs(turning(50))[0], select=("*",))
+    ends = BoundarySpec("ends", ("*",), Kind.SLIP, expression("z < 0.01 or z > 0.99", {"x", "y", "z"}))
+    case = dataclasses.replace(repaired(50.0), boundaries=(body, ends))
+    grid = permuted(frame(5, 8), axes, (False, False, False))
+    assert same_on_ranks(tmp_path, 3, case, grid=grid)[-1].newton_steps > 1
+
+
 def test_repairs_of_plane_grids_in_parts_give_the_same_bytes(tmp_path, small_pieces, small_ranges, poisoned):
     body = dataclasses.replace(body_specs(turning(60))[0], select=("*",))
     case = dataclasses.replace(repaired(60.0), boundaries=(body,))
@@ -362,13 +372,11 @@ def test_what_takes_the_whole_grid_says_so(tmp_path, monkeypatch):
     assert refused(tmp_path, 2, frame(), case_of(Options("idw-rbf"))) == "RBF inside of blocks"
     periodic = dataclasses.replace(case_of(idw), boundaries=tuple(body_specs(turning(5), Kind.PERIODIC)))
     assert refused(tmp_path, 2, frame(3, 4), periodic) == "periodic sides move"
-    repaired = dataclasses.replace(case_of(METHODS["tfi"], angle=150.0), repair=RepairOptions())
     monkeypatch.setattr(plausible, "_SAMPLE", 2)
     assert refused(tmp_path, 2, frame(), case_of(idw)) == "a sample of its nodes lies on one line"
     monkeypatch.undo()
     with pytest.raises(Failed, match="a block is read as a whole"):
         on_ranks(2, lambda number: block_in_parts(tmp_path / "grid.xyz"))
-    assert refused(tmp_path, 2, frame(), repaired) == "the grid may be extruded from a plane one"
     away = Case(tuple(body_specs(formulas("3.0", "0.0", "0.0"))), method=METHODS["tfi"])
     assert refused(tmp_path, 2, tapered(), away) == "cells stay invalid and may be untangled in regions"
 

@@ -25,7 +25,7 @@ from meshdeform_core.repair.energy import products
 from meshdeform_core.repair.energy.elements import Penalty
 from meshdeform_core.repair.energy.newton import NewtonSystem
 from meshdeform_core.repair.energy.untangle import Untangler
-from meshdeform_core.repair.extrusion import find_extrusion, may_be_extruded
+from meshdeform_core.repair.extrusion import _heights, find_extrusion
 from meshdeform_core.repair.neighbourhood import Neighbourhood
 from meshdeform_core.repair.repair import Repairer
 from meshdeform_samples.reproduce.experiment import Sample, prepare_sample
@@ -358,13 +358,14 @@ def test_extruded_grids_are_repaired_as_plane_ones_whatever_their_indices():
         np.testing.assert_allclose(np.ptp(inner[..., :2], axis=2), 0.0, atol=1e-12)
 
 
-def test_a_grid_turned_about_its_middle_may_be_extruded():
+def test_a_grid_turned_about_its_middle_has_straight_heights():
     """Round-off of its heights is relative to its extent, not to its distance from the origin."""
     grid = frame(3, 2)
     middle = grid.points - (grid.points.min(axis=0) + grid.points.max(axis=0)) / 2
     turned = middle @ Rotation.from_rotvec([0.3, 0.5, 0.7]).as_matrix().T
-    assert may_be_extruded(grid.moved(turned - (turned.min(axis=0) + turned.max(axis=0)) / 2))
-    assert not may_be_extruded(grid.moved(grid.points + 0.01 * np.sin(grid.points + 1.0).prod(axis=1)[:, None]))
+    scale = float(np.ptp(turned, axis=0).max())
+    assert _heights(grid.moved(turned - (turned.min(axis=0) + turned.max(axis=0)) / 2), scale)
+    assert not _heights(grid.moved(grid.points + 0.01 * np.sin(grid.points + 1.0).prod(axis=1)[:, None]), scale)
 
 
 def test_only_plane_motions_of_extruded_grids_are_taken_for_plane():
