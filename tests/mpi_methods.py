@@ -32,7 +32,7 @@ FAST = {
 # One global and one compact basis stand for the others, which share every loop with them.
 CHOSEN = {name: options for name, options in ALL_METHODS.items() if "ctps" not in name and name != "rbf-minres"}
 
-DIFFERENTIATED = ("idw-rbf", "idw-fast", "rbf-fast")
+DIFFERENTIATED = ("idw-rbf", "idw-fast", "idw-fast-reweight", "rbf-fast", "rbf-greedy")
 
 
 class Counting(MPIRanks):
