@@ -20,30 +20,38 @@ _WEIGHT, _FAR, _SLOPE = 0, 1, 2
 
 @inlined
 def _weights(px, py, pz, tile, m, a, b, kappa, work):
-    """Fill ``work`` for ``m`` sources: w = r^-a + kappa r^-b, r^-b, and (dw/dr) / r."""
-    # Whole exponents need no logarithms, as in :mod:`.direct`.
-    whole = (a == 3.0 or a == 4.0) and b == 5.0
-    three, four = (1.0, 0.0) if a == 3.0 else (0.0, 1.0)
+    """Of ``m`` sources: r^-a + kappa r^-b, r^-b, and the derivative of the former with respect to r, over r."""
     for s in range(m):
         dx, dy, dz = px - tile[0, s], py - tile[1, s], pz - tile[2, s]
-        work[_SLOPE, s] = 1.0 / (dx * dx + dy * dy + dz * dz)
-    for s in range(m):
-        square = work[_SLOPE, s]
-        if whole:
-            r = math.sqrt(square)
+        work[_SLOPE, s] = dx * dx + dy * dy + dz * dz
+    # Whole exponents need no logarithms, and roots in single precision are refined, as in :mod:`.direct`.
+    if (a == 3.0 or a == 4.0) and b == 5.0:
+        three, four = (1.0, 0.0) if a == 3.0 else (0.0, 1.0)
+        unit = math.ldexp(1.0, -(math.frexp(work[_SLOPE, 0])[1] // 2))
+        square_unit = unit * unit
+        for s in range(m):
+            scaled = square_unit * work[_SLOPE, s]
+            r = np.float64(np.float32(1.0) / math.sqrt(np.float32(scaled)))
+            rest = 1.0 - scaled * r * r
+            r = unit * (r + r * rest * (0.5 + 0.375 * rest))
+            square = r * r
             one, other = square * r * (three + four * r), square * square * r
-        else:
-            log_r = 0.5 * log(square)
+            work[_WEIGHT, s], work[_FAR, s] = one + kappa * other, other
+            work[_SLOPE, s] = -(a * one + b * kappa * other) * square
+    else:
+        for s in range(m):
+            log_r = -0.5 * log(work[_SLOPE, s])
             one, other = exp(a * log_r), exp(b * log_r)
-        work[_WEIGHT, s], work[_FAR, s] = one + kappa * other, other
-        work[_SLOPE, s] = -(a * one + b * kappa * other) * square
+            work[_WEIGHT, s], work[_FAR, s] = one + kappa * other, other
+            work[_SLOPE, s] = -(a * one + b * kappa * other) / work[_SLOPE, s]
 
 
 @inlined
-def _load(y, first, m, row, tile):
-    for d in range(3):
+def _load(rows, first, m, tile):
+    """Copy a tile of some rows: places in it are known to be no negative ones, as vector code needs."""
+    for d in range(rows.shape[0]):
         for s in range(m):
-            tile[row + d, s] = y[d, first + s]
+            tile[d, s] = rows[d, first + s]
 
 
 @fast_kernel
@@ -58,22 +66,25 @@ def add_tangents(x, dx, y, dy, charges, changes, a, b, kappa, d_kappa, out):
     d_kappa : change of kappa
     """
     # Arrays of a fixed size: the compiler sees that their rows do not alias.
-    work, tile = np.empty((3, _TILE)), np.empty((6, _TILE))
+    work, tile, moved = np.empty((3, _TILE)), np.empty((3, _TILE)), np.empty((3, _TILE))
+    own, other = np.empty((charges.shape[0], _TILE)), np.empty((charges.shape[0], _TILE))
     for first in range(0, y.shape[1], _TILE):
         m = min(_TILE, y.shape[1] - first)
-        _load(y, first, m, 0, tile)
-        _load(dy, first, m, 3, tile)
+        _load(y, first, m, tile)
+        _load(dy, first, m, moved)
+        _load(charges, first, m, own)
+        _load(changes, first, m, other)
         for t in range(x.shape[0]):
             px, py, pz, ex, ey, ez = x[t, 0], x[t, 1], x[t, 2], dx[t, 0], dx[t, 1], dx[t, 2]
             _weights(px, py, pz, tile, m, a, b, kappa, work)
             for s in range(m):
-                along = (px - tile[0, s]) * (ex - tile[3, s]) + (py - tile[1, s]) * (ey - tile[4, s])
-                along += (pz - tile[2, s]) * (ez - tile[5, s])
+                along = (px - tile[0, s]) * (ex - moved[0, s]) + (py - tile[1, s]) * (ey - moved[1, s])
+                along += (pz - tile[2, s]) * (ez - moved[2, s])
                 work[_SLOPE, s] = work[_SLOPE, s] * along + d_kappa * work[_FAR, s]
             for c in range(charges.shape[0]):
                 total = 0.0
                 for s in range(m):
-                    total += work[_SLOPE, s] * charges[c, first + s] + work[_WEIGHT, s] * changes[c, first + s]
+                    total += work[_SLOPE, s] * own[c, s] + work[_WEIGHT, s] * other[c, s]
                 out[t, c] += total
 
 
@@ -84,10 +95,13 @@ def add_gradients(x, y, charges, a, b, kappa, gradient, of_x, of_y, of_charges):
     Adds to ``of_x``, ``of_y`` and ``of_charges``, shaped like x, y and charges; returns the gradient of kappa.
     """
     work, tile, along, gain = np.empty((3, _TILE)), np.empty((3, _TILE)), np.empty(_TILE), np.empty((3, _TILE))
+    own, rest = np.empty((charges.shape[0], _TILE)), np.empty((charges.shape[0], _TILE))
     of_kappa = 0.0
     for first in range(0, y.shape[1], _TILE):
         m = min(_TILE, y.shape[1] - first)
-        _load(y, first, m, 0, tile)
+        _load(y, first, m, tile)
+        _load(charges, first, m, own)
+        rest[:] = 0.0
         for s in range(m):
             gain[0, s] = gain[1, s] = gain[2, s] = 0.0
         for t in range(x.shape[0]):
@@ -96,11 +110,11 @@ def add_gradients(x, y, charges, a, b, kappa, gradient, of_x, of_y, of_charges):
             for s in range(m):
                 along[s] = 0.0
             for c in range(charges.shape[0]):
-                g, own, rest = gradient[t, c], charges[c], of_charges[c]
+                g = gradient[t, c]
                 for s in range(m):
-                    along[s] += g * own[first + s]
+                    along[s] += g * own[c, s]
                 for s in range(m):
-                    rest[first + s] += g * work[_WEIGHT, s]
+                    rest[c, s] += g * work[_WEIGHT, s]
             total0 = total1 = total2 = 0.0
             for s in range(m):
                 of_kappa += along[s] * work[_FAR, s]
@@ -116,4 +130,7 @@ def add_gradients(x, y, charges, a, b, kappa, gradient, of_x, of_y, of_charges):
         for d in range(3):
             for s in range(m):
                 of_y[d, first + s] += gain[d, s]
+        for c in range(charges.shape[0]):
+            for s in range(m):
+                of_charges[c, first + s] += rest[c, s]
     return of_kappa
