@@ -35,6 +35,10 @@ class LonelyRank(OneRank):
         super().__init__(cores=1)
         self.number, self.count, self.on_machine = number, count, 1
 
+    def gather(self, found):
+        """As if all others had found the same."""
+        return list(found) * self.count
+
     def collect(self, own, counts):
         """Its own rows, and for those of the others the first of them."""
         ends = np.cumsum([0, *counts])

@@ -97,6 +97,7 @@ class _Scattered:
 
     def move(self, displacement: FloatArray, out: FloatArray, progress: Progress | None = None) -> FloatArray:
         self.interpolate(displacement, out, progress)
+        release_freed()
         self.beside_slip.apply(out)
         face = _on_faces(out, self.problem)
         put_rows(displacement, self.problem.source_numbers, face)

@@ -1,5 +1,6 @@
 """What work on a grid asks for, and what a memory limit leaves for work that only saves time."""
 
+import platform
 import subprocess
 import sys
 from types import SimpleNamespace
@@ -10,7 +11,8 @@ from grids import whole_face
 
 from meshdeform_core import memory
 from meshdeform_core.grid import Grid, Patch, Side
-from meshdeform_core.memory import UNLIMITED, Demand, MemoryLimit
+from meshdeform_core.memory import UNLIMITED, Demand, MemoryLimit, release_freed
+from meshdeform_core.parallel.scratch import resident_memory
 from meshdeform_formats import write_grid
 
 
@@ -60,3 +62,12 @@ def test_rows_of_other_ranks_do_not_count_as_data():
     code += "found[-1] = 1.0; print(found[-1].sum(), found[0].sum())"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, text=True)
     assert done.stdout.split() == ["3.0", "0.0"]
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="of the GNU C library")
+def test_freed_memory_below_a_lasting_block_returns_to_the_system():
+    blocks = [np.ones(1 << 12) for _ in range(3000)]
+    lasting, before = blocks[-1], resident_memory()
+    del blocks[:]
+    release_freed()
+    assert before - resident_memory() > 0.8 * 3000 * lasting.nbytes
