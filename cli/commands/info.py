@@ -161,7 +161,7 @@ def _face(grid: Grid, face: Face, role: Role) -> dict[str, Any]:
     return {
         "block": grid.names[face.window.block],
         "side": face.window.side.label,
-        "range": face.range_text,
+        "range": face.window.ranges,
         "patch": face.patch.name if face.patch else None,
         "family": (face.patch.family or None) if face.patch else None,
         "outside": face.outside,

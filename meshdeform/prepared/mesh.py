@@ -18,6 +18,7 @@ from meshdeform_core.deform import BoundaryMotion, Setup, Start, Timing, impose
 from meshdeform_core.errors import CaseError, MotionError
 from meshdeform_core.grid import BoolArray, FloatArray, IntArray
 from meshdeform_core.methods import PreparedMethod, Progress, prepare_method
+from meshdeform_core.numerics.arrays import places_among
 from meshdeform_core.parallel import Ranks, sharing
 from meshdeform_core.repair.options import Mode
 from meshdeform_core.wording import vector
@@ -85,8 +86,7 @@ class Mesh:
 
     @cached_property
     def _patches(self) -> dict[str, IntArray]:
-        row_of = np.full(self._setup.topology.n_unique, -1, dtype=np.int64)
-        row_of[self._numbers] = np.arange(len(self._numbers))
+        row_of = places_among(self._numbers, self._setup.topology.n_unique)
         moving = [patch for patch in self._setup.boundary.patches if patch.kind is Kind.MOVING]
         return {patch.name: rows[rows >= 0] for patch in moving for rows in [row_of[patch.nodes]]}
 
@@ -103,8 +103,7 @@ class Mesh:
         grid, topology = self._setup.grid, self._setup.topology
         if not 0 <= block < grid.n_blocks:
             raise MotionError(f"block {block}; expected 0 to {grid.n_blocks - 1}")
-        row_of = np.full(topology.n_unique, -1, dtype=np.int64)
-        row_of[self._numbers] = np.arange(len(self._numbers))
+        row_of = places_among(self._numbers, topology.n_unique)
         lo, hi = np.searchsorted(topology.face_nodes, grid.offsets[block : block + 2])
         rows = np.full(grid.shapes[block], -1, dtype=np.int64)
         rows.ravel()[topology.face_nodes[lo:hi] - grid.offsets[block]] = row_of[topology.number[lo:hi]]

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import partial
 
-import numpy as np
-
 from ..grid import FloatArray, IntArray
 from ..grid.connectivity.components import Component
+from ..numerics.arrays import places_among
 from .classification import Boundary, ClassifiedPatch, Kind
 from .coverage import Tables
 from .crossing import Contact, Crossing, CrossingTest
@@ -21,7 +20,8 @@ def boundary_of(component: Component, boundary: Boundary) -> Boundary:
 
     Motions are evaluated, and tables checked, by the boundary of the whole grid only.
     """
-    nodes, quads = _places(boundary.kind, component.numbers), _places(boundary.quad_kind, component.quads)
+    nodes = places_among(component.numbers, len(boundary.kind))
+    quads = places_among(component.quads, len(boundary.quad_kind))
     patches = tuple(
         ClassifiedPatch(patch.name, patch.kind, _within(nodes, patch.nodes), own)
         for patch in boundary.patches
@@ -69,13 +69,6 @@ class ComponentCrossings:
 
 def _of(component: Component, path: Callable[[float], FloatArray], fraction: float) -> FloatArray:
     return path(fraction)[component.numbers]
-
-
-def _places(whole: np.ndarray, members: IntArray) -> IntArray:
-    """Position (n,) of every entry of ``whole`` among the ``members``, or -1."""
-    place = np.full(len(whole), -1)
-    place[members] = np.arange(len(members))
-    return place
 
 
 def _within(place: IntArray, entries: IntArray) -> IntArray:

@@ -11,6 +11,7 @@ from ..errors import MotionError
 from ..grid import BoolArray, FloatArray, IntArray
 from ..grid.topology import Topology
 from ..notices import Notice
+from ..numerics.arrays import places_among
 from ..numerics.geometry.vectors import doubled_areas, unit
 from ..wording import counted, vector
 from .motions.motion import PreparedMotion
@@ -122,11 +123,11 @@ def _gaps(topology: Topology, use: _Use) -> list[Notice]:
     match, nodes = use.match, use.nodes
     if match.matched.all():
         return []
-    local = np.full(topology.n_unique, -1)
-    local[nodes.numbers] = np.arange(len(nodes.numbers))
+    local = places_among(nodes.numbers, topology.n_unique)
     corners = local[topology.quads.corners[use.quads]]
     inside = match.matched[corners]
-    whole, mixed = inside.all(axis=1), inside.any(axis=1) & ~inside.all(axis=1)
+    whole = np.all(inside, axis=1)
+    mixed = np.any(inside, axis=1) & ~whole
     held = np.zeros(len(nodes.numbers), dtype=bool)
     held[corners[whole]] = True
     single = np.flatnonzero(match.matched & ~held)

@@ -169,7 +169,7 @@ class Grid(BlockSizes):
         own = [part for part in parts if self.planes(part.block).start < self.planes(part.block).stop]
         fill = partial(for_items, lambda number: put(own[number]), len(own), threads=threads)
         if isinstance(self.points, Part):
-            on_each(fill)
+            on_each(self.points, fill)
             self.points.keep(NearNodes.of(self.shapes, self.offsets))
         else:
             fill()

@@ -7,6 +7,7 @@ import numpy as np
 from ..numerics.arrays import BoolArray, batches, spread
 from ..numerics.geometry.coincidence import distinct
 from .blocks import FloatArray, Grid, IntArray
+from .sizes import strides_of
 
 _SAMPLED_CELLS = 8
 _TOGETHER = 100_000
@@ -44,7 +45,7 @@ def _handedness(grid: Grid, blocks: IntArray) -> IntArray:
 
 def _mean_edges(grid: Grid, blocks: IntArray, shapes: IntArray, axes: list[int]) -> list[FloatArray]:
     """Mean edge vectors (n_blocks, n_cells, 3) of every sampled cell along each of the ``axes``."""
-    strides = np.stack([shapes[:, 1] * shapes[:, 2], shapes[:, 2], np.ones(len(blocks), dtype=np.int64)], axis=1)
+    strides = strides_of(shapes)
     first = grid.offsets[blocks][:, None]
     for axis in range(3):
         picks = spread(np.maximum(shapes[:, axis] - 1, 1), _SAMPLED_CELLS)[1].reshape(len(blocks), -1)

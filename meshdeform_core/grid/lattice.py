@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..numerics.arrays import BoolArray, IntArray, spans
+from .sizes import strides_of
 
 _AXES = np.repeat(np.arange(3), 2)
 _TANGENTIAL = np.array([[1, 2], [1, 2], [0, 2], [0, 2], [0, 1], [0, 1]])
@@ -38,7 +39,7 @@ class SideLattice:
     def of(cls, shapes: Sequence[tuple[int, int, int]], offsets: IntArray) -> SideLattice:
         """The sides of blocks of these shapes whose first nodes have the flat indices ``offsets``."""
         size = np.array(shapes, dtype=np.int64)
-        strides = np.stack([size[:, 1] * size[:, 2], size[:, 2], np.ones(len(size), dtype=np.int64)], axis=1)
+        strides = strides_of(size)
         far = np.arange(6) % 2
         across, along = strides[:, _AXES], size[:, _AXES]
         return cls(

@@ -69,6 +69,11 @@ class Window:
     low: tuple[int, int]
     high: tuple[int, int]
 
+    @property
+    def ranges(self) -> str:
+        """As in a case file, 1-based and inclusive: ``1:65,1:33``."""
+        return ",".join(f"{a + 1}:{b + 1}" for a, b in zip(self.low, self.high, strict=True))
+
 
 @dataclass(frozen=True)
 class Patch:

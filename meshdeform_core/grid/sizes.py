@@ -10,6 +10,11 @@ from ..numerics.arrays import IntArray
 from .parts import FileFormat, Shape
 
 
+def strides_of(shapes: IntArray) -> IntArray:
+    """Steps in flat index along i, j, k (n, 3) in blocks of these shapes (n, 3)."""
+    return np.stack([shapes[:, 1] * shapes[:, 2], shapes[:, 2], np.ones(len(shapes), dtype=np.int64)], axis=1)
+
+
 class BlockSizes:
     """What the shapes of blocks ``(ni, nj, nk)`` in nodes, and the format of their file, tell."""
 

@@ -21,7 +21,7 @@ from ..grid.sides import end_planes, side_numbers
 from ..grid.topology import Topology, inward_step, side_nodes
 from ..memory import UNLIMITED, MemoryLimit
 from ..notices import Notice
-from ..numerics.arrays import distinct_pairs, total
+from ..numerics.arrays import distinct_pairs, places_among, total
 from ..numerics.geometry.coincidence import distinct
 from ..numerics.geometry.vectors import face_sizes
 from ..numerics.rotation import SurfaceRotations
@@ -106,8 +106,7 @@ class Problem:
         return np.asarray(every[(every >= 0).all(axis=1)])
 
     def _between_sources(self, chosen: BoolArray) -> IntArray:
-        local = np.full(self.topology.n_unique, -1)
-        local[self.source_numbers] = np.arange(len(self.source_numbers))
+        local = places_among(self.source_numbers, self.topology.n_unique)
         return np.asarray(local[self.topology.quads.corners[chosen]])
 
     @cached_property

@@ -60,6 +60,13 @@ def spans(sizes: IntArray) -> tuple[IntArray, IntArray]:
     return run, np.arange(len(run)) - start[run]
 
 
+def places_among(members: IntArray, count: int) -> IntArray:
+    """Place (count,) of every number from 0 to ``count`` - 1 in ``members`` (n,), -1 for those that are not there."""
+    place = np.full(count, -1, dtype=np.int64)
+    place[members] = np.arange(len(members))
+    return place
+
+
 def portions(sizes: IntArray, steps: IntArray) -> IntArray:
     """Divide n items of ``sizes`` (n,) into ranges of at most ``steps`` (n,) elements: rows (m, 3) item, first, end."""
     item, number = spans(-(-sizes // steps))

@@ -249,7 +249,7 @@ def for_rows(fill: Callable[[slice], object], array: Any) -> None:
         fill(slice(begin + lo, begin + hi))
 
     if isinstance(array, Part):
-        on_each(lambda: for_chunks(work, end - begin, _ROWS))
+        on_each(array, lambda: for_chunks(work, end - begin, _ROWS))
     else:
         for_chunks(work, len(array), _ROWS)
 
@@ -284,13 +284,13 @@ def combined(operation: Callable[..., object], one: Any, two: Any) -> Any:
     return result
 
 
-def on_each(action: Callable[[], object]) -> None:
-    """Run ``action`` on every rank without sharing loops; an error on one rank is raised on all."""
-    ranks, failures = current_ranks(), list[Exception]()
+def on_each(array: Part, action: Callable[[], object]) -> None:
+    """Run ``action`` on every rank of an array without sharing loops; an error on one rank is raised on all."""
+    failures = list[Exception]()
     try:
         with alone():
             action()
     except Exception as error:
         failures.append(error)
-    for failure in ranks.gather(failures):
+    for failure in array.ranks.gather(failures):
         raise failure

@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from ..grid import BoolArray, FloatArray
-from ..parallel import current_ranks
+from ..parallel import together
 from .basis import Basis, Whole
 from .energy.elements import Penalty
 from .energy.onset import share_of, share_slopes
@@ -138,7 +138,7 @@ class _AtMinimum:
             step = self._spread(self._solved(-self._gathered(force)))
             return plot.shift(step - surfaces.kept(given) if surfaces else step)
 
-        moved[plot.moved] += current_ranks().on_first(make)
+        moved[plot.moved] += together(change, make)
         return moved
 
     def pull(self, gradient: FloatArray) -> FloatArray:
@@ -156,7 +156,7 @@ class _AtMinimum:
                 found -= surfaces.kept(self._hessian(step) + own)
             return np.asarray((found + rest) @ plot.axes)
 
-        pulled[plot.nodes] += current_ranks().on_first(make)
+        pulled[plot.nodes] += together(gradient, make)
         return pulled
 
     def settle(self, rounding: float) -> float:
@@ -172,7 +172,7 @@ class _AtMinimum:
             return self._x
 
         before = self._x
-        self._x = current_ranks().on_first(make)
+        self._x = together(before, make)
         moved = np.maximum(np.abs(self._x - before).max(axis=1) - rounding, 0.0)
         return float((moved / self._whole.edges).max())
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time as clock
 
-from ..parallel import current_ranks
+from ..parallel import agreed
 
 _PER_NODE, _FEWEST = 600.0, 35_000
 """Work allowed per node (60 s per 100,000 nodes), and the smallest number of nodes used for it."""
@@ -36,13 +36,13 @@ class Limit:
 
     @property
     def exhausted(self) -> bool:
-        """Whether all work is spent; a collective call with the same answer on all ranks."""
-        return current_ranks().on_first(lambda: self._left <= 0.0)
+        """Whether all work is spent on some rank; a collective call with the same answer on all."""
+        return agreed(-self._left) >= 0.0
 
     @property
     def late(self) -> bool:
-        """Whether the time is over; a collective call with the same answer on all ranks."""
-        return current_ranks().on_first(lambda: clock.monotonic() >= self._end)
+        """Whether the time is over on some rank; a collective call with the same answer on all."""
+        return agreed(clock.monotonic() - self._end) >= 0.0
 
     @property
     def reached(self) -> bool:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..parallel import current_ranks
+from ..parallel import together
 from .basis import Basis
 from .energy.elements import Penalty
 from .energy.newton import NewtonSystem
@@ -107,7 +107,7 @@ class Growth:
                 return None
             return self._untangle(neighbourhood.plot(free, way.even), now, way)
 
-        return current_ranks().on_first(make)
+        return together(now.points, make)
 
     def _untangle(self, plot: Plot, now: Judged, way: Way) -> Search:
         start, region = plot.inside(now.points), plot.region

@@ -26,19 +26,8 @@ from .steps import (
     step,
     warnings_ahead,
 )
+from .tuned import BEFORE, MAX_ATTEMPTS, MAX_HALVINGS, MAX_REPAIRED_HALVINGS, RESCUE, SQUEEZED
 from .uniqueness import compared
-
-MAX_HALVINGS = 8
-# As MAX_HALVINGS, for steps with a repair each, which are far more expensive.
-MAX_REPAIRED_HALVINGS = 4
-MAX_ATTEMPTS = 24
-"""Largest number of steps tried with repairs, to bound the time spent on hopeless cases."""
-_BEFORE = 0.9
-"""If the boundary crosses itself, this fraction of the motion up to that point is tried and reported to the user."""
-RESCUE = "rbf-tfi"
-"""The method tried when the chosen one finds no valid grid: it succeeds most often."""
-SQUEEZED = ("tfi", RESCUE)
-"""Methods tried when the best valid grid is nearly collapsed; in narrow gaps TFI often preserves grid lines better."""
 
 
 def in_equal_steps(course: Course, count: int) -> Reached:
@@ -94,7 +83,7 @@ def until_valid(course: Course) -> Reached:
     best = compared(repaired(plain, HASTILY if impossible else QUICKLY))
     if impossible and not best.valid:
         course.log.warn(*impossible.reasons)
-        step(state, _BEFORE * impossible.fraction, HASTILY)
+        step(state, BEFORE * impossible.fraction, HASTILY)
     elif not best.valid:
         found = _persistently(best)
         if isinstance(found, State):

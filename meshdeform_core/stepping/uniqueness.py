@@ -20,17 +20,7 @@ from ..repair.outcome import Outcome
 from ..smoothness import shortest_edges
 from .course import Course
 from .steps import Trial, prepared_on
-
-SAME = 1e-3
-"""Two grids are the same minimum if no node differs by more than this fraction of its shortest edge."""
-_PART, _PARTS = 0.875, 12
-"""A motion is followed from the largest of the first _PARTS powers of _PART of it at which the method alone keeps the
-grid valid, by steps of which the first is 1 - _PART, the smallest _SHORTEST."""
-_SHORTEST, _STEPS = 0.01, 24
-_NEAR, _ENOUGH = 0.02, 0.1 * SAME
-"""How near to the minimum, in local edges, it is followed on the way, and how near it is searched in the end."""
-FOLLOWED = 50_000
-"""Nodes of the largest grid on which a motion is followed."""
+from .tuned import ENOUGH, FOLLOWED, NEAR, PART, PARTS, SAME, SHORTEST, STEPS
 
 
 def compared(trial: Trial) -> Trial:
@@ -57,7 +47,7 @@ def _from_another_start(trial: Trial) -> Outcome | None:
     if course.start.correction() is not None:
         if not course.start.compare:
             return None
-        return course.repairer.repair(plain.points, plain.verdict, ways=(), close=_ENOUGH)
+        return course.repairer.repair(plain.points, plain.verdict, ways=(), close=ENOUGH)
     if plain.verdict.valid or course.repairer.size > FOLLOWED:
         return None
     return _follow(trial)
@@ -69,21 +59,21 @@ def _follow(trial: Trial) -> Outcome | None:
     Every step is short enough for the grid to remain valid with the previous step's repair; ``None`` if that fails.
     """
     course, repairer = trial.state.course, trial.state.course.repairer
-    parts = (_PART**power for power in range(1, _PARTS + 1))
+    parts = (PART**power for power in range(1, PARTS + 1))
     reached = next((part for part in parts if _verdict(course, _plain(trial, part)).valid), None)
     if reached is None:
         return None
     start = _plain(trial, reached)
-    outcome, step = repairer.repair(start, _verdict(course, start), ways=(), close=_NEAR), 1.0 - _PART
+    outcome, step = repairer.repair(start, _verdict(course, start), ways=(), close=NEAR), 1.0 - PART
     correction = combined(np.subtract, outcome.points, start)
-    for _ in range(_STEPS):
-        if reached == 1.0 or step < _SHORTEST:
+    for _ in range(STEPS):
+        if reached == 1.0 or step < SHORTEST:
             break
         part = min(1.0, reached + step)
         plain = _plain(trial, part)
         found = None
         if _verdict(course, combined(np.add, plain, correction)).valid:
-            close = _NEAR if part < 1.0 else _ENOUGH
+            close = NEAR if part < 1.0 else ENOUGH
             found = repairer.repair(plain, _verdict(course, plain), ways=(), guess=correction, close=close)
         if found and found.repair.converged:
             correction = combined(np.subtract, found.points, plain)

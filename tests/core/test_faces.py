@@ -81,7 +81,7 @@ def test_pieces_are_windows_of_patches_and_of_what_is_left():
     patch = Patch("hot", (Window(0, Side.KMIN, (0, 0), (2, 4)),))
     grid = dataclasses.replace(grid, patches=(patch,))
     found = [face for face in find_faces(grid, find_topology(grid)) if face.window.side is Side.KMIN]
-    assert {(face.patch and face.patch.name, face.range_text) for face in found} == {
+    assert {(face.patch and face.patch.name, face.window.ranges) for face in found} == {
         ("hot", "1:3,1:5"), (None, "3:5,1:5")
     }  # fmt: skip
     assert sum(face.area for face in found) == pytest.approx(1.0)

@@ -5,10 +5,13 @@ import time
 
 import numpy as np
 import pytest
+from cases import body_specs, turning
 from forked_ranks import on_ranks
 from grids import frame
 
+from meshdeform_core.deform import Case, deform
 from meshdeform_core.grid import Grid
+from meshdeform_core.methods import Options
 from meshdeform_core.methods.scattered.summation import largest_error
 from meshdeform_core.parallel import (
     OneRank,
@@ -205,3 +208,13 @@ def test_ranks_find_the_same_error_of_fast_sums_though_they_round_differently():
 
     one, two = on_ranks(2, found)
     assert one == two > 0.0
+
+
+@pytest.mark.parametrize("angle", [60.0, 150.0])
+def test_ranks_that_each_hold_the_whole_grid_repair_it_alike(angle):
+    def repaired(number):
+        result = deform(frame(5, 4), Case(tuple(body_specs(turning(angle))), method=Options("tfi")))
+        assert result.repair is not None
+        return result.grid.points.tobytes(), result.attempts, result.warnings
+
+    assert on_ranks(2, repaired) == [repaired(0)] * 2

@@ -9,6 +9,7 @@ import numpy as np
 
 from ...errors import MotionError
 from ...grid import FloatArray, IntArray
+from ...numerics.arrays import places_among
 from ..tables.matching import Matching, Nodes, SurfaceData
 from ..tables.transfer import transfer
 from .motion import FollowSequence, Imposed, PreparedStep, level_at
@@ -57,8 +58,7 @@ class Positions:
         return SurfaceData(points, moved - points, np.empty((0, 3), dtype=np.int64), self.label)
 
     def _require_neighbours(self, displacement: FloatArray, nodes: Nodes) -> None:
-        row = np.full(nodes.topology.n_unique, -1, dtype=np.int64)
-        row[self.numbers] = np.arange(len(self.numbers))
+        row = places_among(self.numbers, nodes.topology.n_unique)
         own = displacement[row[nodes.numbers]]
         a, b = nodes.faces[:, 0], nodes.faces[:, 1]
         edge = np.linalg.norm(nodes.points[a] - nodes.points[b], axis=1)

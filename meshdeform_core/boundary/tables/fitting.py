@@ -15,7 +15,7 @@ from ...grid.topology import Topology
 from ...numerics.geometry.vectors import face_sizes
 from ...wording import vector
 from .frames import other_frame
-from .matching import AUTOMATIC, Matching, Nodes, SurfaceData
+from .matching import AUTOMATIC, Matching, Nodes, SurfaceData, spacings
 from .tuned import COVERED, ON_BOUNDARY, OWN, POINTS, REACH, SAME_NODE, SAMPLE, SOME, WHOLE
 
 
@@ -104,7 +104,7 @@ def _under(data: SurfaceData, points: FloatArray, center: FloatArray, reach: Flo
     """Which faces with ``center`` (n, 3) lie within their size of the table's triangles, or within the spacing of its
     points of one of them."""
     tree = scipy.spatial.cKDTree(points)
-    spacing = tree.query(points, k=min(5, len(points)))[0].reshape(len(points), -1)[:, -1]
+    spacing = spacings(tree)
     distance, nearest = tree.query(center)
     under = distance <= np.maximum(reach, spacing[nearest])
     if len(data.triangles):

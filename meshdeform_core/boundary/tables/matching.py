@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from ...errors import CaseError
 from ...grid import BoolArray, FloatArray, Grid, IntArray
 from ...grid.planes import plane_normal
 from ...grid.topology import Topology
+from ...numerics.arrays import places_among
 from ...numerics.geometry.coincidence import distinct
 from ...numerics.geometry.vectors import doubled_areas, unit
 from ...wording import literal
@@ -72,8 +74,7 @@ class Nodes:
                 np.minimum.at(edge, end, np.where(a == b, np.inf, length))
                 np.maximum.at(longest, end, length)
         numbers = distinct(corners, topology.n_unique)
-        local = np.empty(topology.n_unique, dtype=np.int64)
-        local[numbers] = np.arange(len(numbers))
+        local = places_among(numbers, topology.n_unique)
         return cls(points[numbers], numbers, edge[numbers], longest[numbers], local[corners], grid, topology)
 
     @property
@@ -151,3 +152,8 @@ class Transfer:
     partial: bool
     plane: bool = False
     walls: tuple[str, ...] = ()
+
+
+def spacings(tree: scipy.spatial.cKDTree) -> FloatArray:
+    """Distance (n,) of every point of a tree from its fourth nearest neighbour, or from the last of fewer."""
+    return np.asarray(tree.query(tree.data, k=min(5, tree.n))[0].reshape(tree.n, -1)[:, -1])

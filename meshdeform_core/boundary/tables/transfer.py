@@ -13,7 +13,7 @@ from ...grid.topology import RELATIVE_TOLERANCE, side_nodes
 from ...numerics.geometry.vectors import unit
 from ...wording import counted, vector
 from .frames import other_frame
-from .matching import Matching, Nodes, SurfaceData, Transfer
+from .matching import Matching, Nodes, SurfaceData, Transfer, spacings
 
 # Two displacements at one point are the same up to this fraction of the largest one.
 _ALIKE = 1e-6
@@ -169,8 +169,7 @@ def _between_points(data: SurfaceData, nodes: Nodes) -> tuple[FloatArray, FloatA
     displacement, distance = local_spline(known, data.displacement[first], nodes.points, normals=normals)
     tree = scipy.spatial.cKDTree(known)
     nearest = tree.query(nodes.points)[1]
-    spacing = tree.query(known, k=min(5, len(known)))[0].reshape(len(known), -1)[:, -1]
-    return displacement, distance, np.maximum(distance - spacing[nearest], 0.0)
+    return displacement, distance, np.maximum(distance - spacings(tree)[nearest], 0.0)
 
 
 def _nearest_normals(nodes: Nodes, points: FloatArray) -> FloatArray:

@@ -13,6 +13,7 @@ from ...numerics.geometry.coincidence import distinct
 from ...wording import listed
 from ..blocks import FloatArray, Grid, IntArray
 from ..parts import Connection, Periodicity
+from ..sizes import strides_of
 from ..topology import RELATIVE_TOLERANCE, Topology
 
 _TOGETHER = 300_000
@@ -143,8 +144,7 @@ class _Table:
         flat = []
         for side in (0, 1):
             block = self.blocks[some, side]
-            shapes = self.shapes[block]
-            strides = np.stack([shapes[:, 1] * shapes[:, 2], shapes[:, 2], np.ones(len(some), dtype=np.int64)], axis=1)
+            strides = strides_of(self.shapes[block])
             first = self.offsets[block] + (self.begin[some, side] * strides).sum(axis=1)
             along = np.einsum("nij,ni->nj", self.steps[some, side], strides)[run]
             flat.append(first[run] + i * along[:, 0] + j * along[:, 1] + k * along[:, 2])

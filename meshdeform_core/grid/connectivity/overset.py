@@ -59,9 +59,8 @@ class Overlap:
 
     def describe(self, grid: Grid) -> str:
         """One line: where, how much of it, how deep."""
-        ranges = ",".join(f"{a + 1}:{b + 1}" for a, b in zip(self.window.low, self.window.high, strict=True))
         return (
-            f"{grid.names[self.block]}.{self.side.label}[{ranges}] ({len(self.quads)} quads) lies inside "
+            f"{grid.names[self.block]}.{self.side.label}[{self.window.ranges}] ({len(self.quads)} quads) lies inside "
             f"{grid.names[self.other]}, {self.share:.0%} of it up to {self.depth:.3g} deep (overset or overlapping "
             f"blocks)"
         )

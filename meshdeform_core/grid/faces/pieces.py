@@ -83,12 +83,7 @@ class Face:
         shape = grid.shapes[self.window.block]
         name = f"{grid.names[self.window.block]}.{side.label}"
         whole = self.window.low == (0, 0) and self.window.high == (shape[a] - 1, shape[b] - 1)
-        return name if whole else f"{name}[{self.range_text}]"
-
-    @property
-    def range_text(self) -> str:
-        """Window as in a case file, 1-based and inclusive: ``1:65,1:33``."""
-        return ",".join(f"{a + 1}:{b + 1}" for a, b in zip(self.window.low, self.window.high, strict=True))
+        return name if whole else f"{name}[{self.window.ranges}]"
 
 
 def quad_geometry(grid: Grid, topology: Topology) -> QuadGeometry:

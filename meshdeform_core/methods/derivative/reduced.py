@@ -12,6 +12,7 @@ import dataclasses
 import numpy as np
 
 from ...grid import BoolArray
+from ...numerics.arrays import places_among
 from ...numerics.rotation import SurfaceRotations
 from ..scattered.idw import PreparedIDW
 
@@ -23,8 +24,7 @@ def reduced(method: PreparedIDW, acting: BoolArray) -> PreparedIDW:
     """
     images, rest = method._images, np.flatnonzero(~acting)
     kept = np.concatenate([np.flatnonzero(acting), rest[:1]])
-    number = np.full(len(acting), -1)
-    number[kept] = np.arange(len(kept))
+    number = places_among(kept, len(acting))
     area = images.area[kept]
     if rest.size:
         area[-1] = images.area[rest].sum()

@@ -132,7 +132,7 @@ def _for_own_slabs(
     def one(lo: int, _: int) -> None:
         work(first + lo, parts[first + lo])
 
-    on_each(lambda: for_chunks(one, last - first, 1))
+    on_each(points, lambda: for_chunks(one, last - first, 1))
     counts = np.diff(ends).tolist()
     for array in per_slab:
         array[...] = ranks.collect(array[first:last], counts)
