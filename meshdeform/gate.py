@@ -5,17 +5,37 @@ from __future__ import annotations
 import inspect
 import math
 import numbers
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from meshdeform_core.boundary.motions.motion import LARGEST
-from meshdeform_core.errors import MeshDeformError, MotionError
+from meshdeform_core.errors import GridError, MeshDeformError, MotionError
 from meshdeform_core.grid import FloatArray
+from meshdeform_core.parallel import WholeGridNeeded
 
 _NUMBERS = "iuf"
+
+
+@contextmanager
+def in_parts() -> Iterator[None]:
+    """Turn what a grid in parts does not allow into an error for the user, the same on all ranks.
+
+    Raises
+    ------
+    GridError
+        With the reason.
+    """
+    try:
+        yield
+    except WholeGridNeeded as reason:
+        raise GridError(
+            f"{reason}: that takes the whole grid on every rank, which holds a part; expected a grid prepared without "
+            f"parts=True, or gathered by Grid.gathered()"
+        ) from None
 
 
 def checked_array(

@@ -5,7 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from meshdeform_core.errors import FormatError, GridError
+from meshdeform_core.parallel import held_together
 
+from ..gate import in_parts
 from .grid import Grid
 
 
@@ -35,6 +37,7 @@ def write(grid: Grid, path: str | Path, *, force: bool = False, **variant: str) 
 
     Parameters
     ----------
+    grid : if it is in parts, all ranks call this together, and each writes its part
     force : overwrite an existing file; the file that the grid was read from is never overwritten
     variant : format variant, like ``encoding="ascii"`` (see docs/formats.md)
 
@@ -53,7 +56,8 @@ def write(grid: Grid, path: str | Path, *, force: bool = False, **variant: str) 
             raise FormatError(f"{target} is the file that the grid was read from; choose another name")
         if not force:
             raise FormatError(f"{target} exists; choose another name, or force=True to overwrite it")
-    write_grid(complete_for_export(own, target), target, variant)
+    with in_parts(), held_together(own.points):
+        write_grid(complete_for_export(own, target), target, variant)
 
 
 def _path(path: object) -> Path:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,14 +12,24 @@ from numpy.typing import ArrayLike
 from meshdeform_core import grid as core
 from meshdeform_core.errors import GridError
 from meshdeform_core.grid import FloatArray
+from meshdeform_core.parallel import Part
 
-from ..gate import checked_array
+from ..gate import checked_array, in_parts
 from ..notebook import html_table
 
 if TYPE_CHECKING:
     import meshio
     import pyvista
     from matplotlib.figure import Figure
+
+
+class BlockPart(NamedTuple):
+    """Coordinates ``points`` (last - first, nj, nk, 3) of the planes first <= i < last of a block, counted from 0."""
+
+    block: int
+    first: int
+    last: int
+    points: FloatArray
 
 
 class Grid:
@@ -63,9 +73,56 @@ class Grid:
 
     @property
     def blocks(self) -> list[FloatArray]:
-        """Read-only views of the blocks' coordinates: (ni, nj, nk, 3), or (ni, nj, 2) if given in that form."""
-        views = [self._core.block(b)[:, :, 0, :2] if self._plane else self._core.block(b) for b in range(len(self))]
+        """Read-only views of the blocks' coordinates: (ni, nj, nk, 3), or (ni, nj, 2) if given in that form.
+
+        Raises
+        ------
+        GridError
+            When every rank holds a :attr:`part` of the grid.
+        """
+        with in_parts():
+            blocks = [self._core.block(b) for b in range(len(self))]
+        views = [block[:, :, 0, :2] if self._plane else block for block in blocks]
         return [_read_only(view) for view in views]
+
+    @property
+    def part(self) -> list[BlockPart]:
+        """The nodes of this rank, where ``prepare(..., comm=comm, parts=True)`` has dealt the grid; else all blocks.
+
+        Ranks hold consecutive ranges of planes i, block after block, with about equally many nodes.
+        """
+        grid, found = self._core, []
+        for number in range(len(self)):
+            planes = grid.planes(number)
+            if planes.start < planes.stop:
+                x = grid.in_planes(number)
+                found.append(
+                    BlockPart(number, planes.start, planes.stop, _read_only(x[:, :, 0, :2] if self._plane else x))
+                )
+        return found
+
+    def gathered(self, *, first_only: bool = False) -> Grid:
+        """The whole grid from the parts of all ranks, which call this together; the grid itself if it is not in parts.
+
+        Parameters
+        ----------
+        first_only : only the first rank gets the whole grid, the others this one
+        """
+        points = self._core.points
+        if not isinstance(points, Part) or points.ranks.count == 1:
+            return self
+        if not first_only:
+            whole = points.ranks.collect(points.own, np.diff(points.bounds).tolist())
+        else:
+            first = points.ranks.number == 0
+            whole = np.empty(points.shape) if first else points.own
+            sources = range(1, points.ranks.count) if first else ()
+            bounds = points.bounds.tolist()
+            points.ranks.swap({} if first else {0: points.own}, {n: whole[bounds[n] : bounds[n + 1]] for n in sources})
+            if not first:
+                return self
+            whole[: bounds[1]] = points.own
+        return Grid._of(self._core.moved(whole), self._plane)
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import cached_property
 from types import MappingProxyType
 from typing import Any, Literal
@@ -19,11 +19,11 @@ from meshdeform_core.errors import CaseError, MotionError
 from meshdeform_core.grid import BoolArray, FloatArray, IntArray
 from meshdeform_core.methods import PreparedMethod, Progress, prepare_method
 from meshdeform_core.numerics.arrays import places_among
-from meshdeform_core.parallel import Ranks, sharing
+from meshdeform_core.parallel import Part, Ranks, dividing, require_whole, sharing
 from meshdeform_core.repair.options import Mode
 from meshdeform_core.wording import vector
 
-from ..gate import checked_array, checked_time, require_arguments, whole
+from ..gate import checked_array, checked_time, in_parts, require_arguments, whole
 from ..grids.grid import Grid
 from ..notebook import html_table
 from .linearisation import Linearisation, Moving
@@ -62,7 +62,10 @@ class Mesh:
 
     @cached_property
     def points(self) -> FloatArray:
-        """Undeformed positions (n_moving, 3) of the nodes that move: coincident nodes once; read-only."""
+        """Undeformed positions (n_moving, 3) of the nodes that move: coincident nodes once; read-only.
+
+        All of them on every rank, also where the ranks hold parts of the grid.
+        """
         points: FloatArray = self._setup.grid.points[self._setup.topology.first[self._numbers]]
         points.flags.writeable = False
         return points
@@ -136,6 +139,8 @@ class Mesh:
         MotionError
             When an array has the wrong shape, carries a unit or contains values that are not finite, or patches
             disagree at shared nodes.
+        GridError
+            When the grid is in parts, and the method or the repair takes the whole of it.
         """
         moment, steps = checked_time(time, MotionError), whole(steps)
         if steps is True:
@@ -169,6 +174,8 @@ class Mesh:
         MotionError
             As for :meth:`deform`.
         """
+        with in_parts():
+            require_whole(self._setup.grid.points, "derivatives are asked for")
         at = np.zeros((len(self.points), 3)) if displacement is None else displacement
         step = self.deform(at, steps=steps, repair=repair)
         with self._at_work():
@@ -179,8 +186,11 @@ class Mesh:
     @contextmanager
     def _at_work(self) -> Iterator[None]:
         """Alone, with the threads and ranks of this mesh."""
-        with one_at_a_time(), sharing(self._ranks, self._threads):
+        with in_parts(), one_at_a_time(), sharing(self._ranks, self._threads), self._dividing():
             yield
+
+    def _dividing(self) -> AbstractContextManager[None]:
+        return dividing() if isinstance(self._setup.grid.points, Part) else nullcontext()
 
     @cached_property
     def _numbers(self) -> IntArray:

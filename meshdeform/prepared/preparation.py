@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.boundary.motions.motion import GIVEN
 from meshdeform_core.deform import Case, set_up
-from meshdeform_core.errors import CaseError
+from meshdeform_core.errors import CaseError, GridError
 from meshdeform_core.grid.connectivity.components import Components
 from meshdeform_core.memory import Demand, MemoryLimit, machine_memory, parse_memory
-from meshdeform_core.parallel import OneRank, Ranks, sharing
+from meshdeform_core.parallel import OneRank, Ranks, dividing, sharing
 from meshdeform_formats.case import CaseFile, case_of, read_case
 
 from ..choice import Method, options_of
-from ..gate import whole
+from ..gate import in_parts, whole
 from ..grids.grid import Grid
 from ..grids.inputs import user_grid
 from .mesh import Mesh
@@ -45,6 +46,7 @@ def prepare(
     comm: Comm | None = None,
     threads: int | None = None,
     max_memory: int | str | None = None,
+    parts: bool = False,
 ) -> Mesh:
     """Compute everything that does not depend on the displacement.
 
@@ -62,13 +64,19 @@ def prepare(
     comm : mpi4py communicator whose ranks share the work; every rank must make the same calls in the same order
     threads : largest number of threads; by default all cores available to the process
     max_memory : bytes, or a size like ``"2GiB"``; by default the available memory of the machine
+    parts : each rank of ``comm`` holds its part of the grid, ``mesh.grid.part`` and ``step.grid.part``, as with
+        ``mpiexec meshdeform deform``; by default every rank holds all of it. ``grid`` must be the name of a file
 
     Raises
     ------
     MeshDeformError
-        When a selection matches nothing, no node would move, options do not belong to the method, or the grid does not
-        fit into memory.
+        When a selection matches nothing, no node would move, options do not belong to the method, the grid does not
+        fit into memory, or cannot be held in parts.
     """
+    if parts and not isinstance(grid, str | Path):
+        raise GridError(
+            f"parts = True and a {type(grid).__name__}; expected the name of a grid file, read by all ranks"
+        )
     ranks, threads = _ranks(comm), whole(threads)
     if threads is not None and (isinstance(threads, bool) or not isinstance(threads, int) or threads < 1):
         raise CaseError(f"threads = {threads!r}; expected a whole number >= 1")
@@ -80,7 +88,7 @@ def prepare(
         Kind.PERIODIC: periodic,
         Kind.FREE: free,
     }
-    with one_at_a_time(), sharing(ranks, threads):
+    with in_parts(), one_at_a_time(), sharing(ranks, threads), dividing() if parts else nullcontext():
         what = _case(case, selections, components)
         held = user_grid(grid)
         if what.boundary_file is not None:

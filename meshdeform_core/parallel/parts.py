@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
-from .loops import alone, current_ranks, empty, for_chunks
+from .loops import alone, current_ranks, empty, for_chunks, sharing
 from .ranks import OneRank, Ranks
 
 if TYPE_CHECKING:
@@ -270,6 +270,11 @@ def numbered(array: Any, count: int) -> tuple[int, int]:
     """Number of this rank's first item, if it has ``count`` and items are numbered rank by rank; and their total."""
     counts = of_all(array, count)
     return sum(counts[: ranks_of(array).number]), sum(counts)
+
+
+def held_together(array: Any) -> AbstractContextManager[None]:
+    """For work by all ranks that hold parts of the array, outside of the run that dealt it."""
+    return sharing(array.ranks, None) if isinstance(array, Part) else nullcontext()
 
 
 def together(array: Any, action: Callable[[], T]) -> T:

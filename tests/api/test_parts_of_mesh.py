@@ -1,0 +1,85 @@
+"""``prepare(..., comm=comm, parts=True)``: every rank holds its part of the grid and of the results."""
+
+import numpy as np
+import pytest
+from forked_ranks import on_ranks
+from grids import frame
+
+import meshdeform as md
+from meshdeform.prepared import preparation
+from meshdeform_core.numerics import pieces as pieces_module
+from meshdeform_core.parallel import current_ranks
+
+
+@pytest.fixture
+def source(tmp_path, monkeypatch):
+    """A grid file; ``comm`` is the ranks themselves, and blocks are cut although they are small."""
+    monkeypatch.setattr(preparation, "_ranks", lambda comm: comm)
+    monkeypatch.setattr(pieces_module, "_NODES", 100)
+    monkeypatch.setattr(pieces_module, "_CELLS", 4)
+    pieces_module._ends.cache_clear()
+    grid = frame(9, 8)
+    grid = grid.moved(grid.points * (1.0 - 0.2 * grid.points[:, 2:]) ** np.array([1.0, 1.0, 0.0]))
+    path = tmp_path / "grid.xyz"
+    md.write(md.Grid([grid.block(b) for b in range(grid.n_blocks)]), path)
+    yield path
+    pieces_module._ends.cache_clear()
+
+
+def prepared(path, **rest):
+    bar = ["block2.imax", "block4.jmax", "block5.jmin", "block7.imin"]
+    return md.prepare(path, moving=bar, slip=["*.kmin", "*.kmax"], comm=current_ranks(), **rest)
+
+
+def turned(points, time):
+    """The bar turned far enough for weak cells."""
+    c, s = np.cos(0.9), np.sin(0.9)
+    return points @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) - points
+
+
+def lasting(report):
+    """What does not depend on the machine; the time of the repair is in the report, too."""
+    return {key: value for key, value in report.items() if key not in ("timing", "peak_memory_bytes", "repair")}
+
+
+def test_every_rank_has_its_part_of_the_grid_and_of_the_result(source, tmp_path):
+    one = prepared(source)
+    step = one.deform(turned)
+    expected, start, report = step.grid.blocks, one.grid.blocks, step.report
+    assert step.repair is not None
+    assert len(one.grid.part) == len(expected)
+
+    def act(number):
+        mesh = prepared(source, parts=True)
+        np.testing.assert_array_equal(mesh.points, one.points)
+        found = mesh.deform(turned)
+        for part, before in zip(found.grid.part, mesh.grid.part, strict=True):
+            np.testing.assert_array_equal(part.points, expected[part.block][part.first : part.last])
+            np.testing.assert_array_equal(before.points, start[part.block][part.first : part.last])
+        with pytest.raises(md.GridError, match=r"takes the whole grid on every rank.*Grid\.gathered"):
+            found.grid.blocks  # noqa: B018
+        with pytest.raises(md.GridError, match="derivatives are asked for"):
+            mesh.linearise(turned)
+        assert lasting(found.report) == lasting(report)
+        md.write(found.grid, tmp_path / "out.xyz")
+        first = found.grid.gathered(first_only=True)
+        assert (first is found.grid) == (number > 0)
+        for whole in [found.grid.gathered()] + [first] * (number == 0):
+            assert all(map(np.array_equal, whole.blocks, expected))
+        return [(part.block, part.first, part.last) for part in found.grid.part]
+
+    found = [rows for each in on_ranks(3, act) for rows in each]
+    nodes = [(block, i) for block, first, last in found for i in range(first, last)]
+    assert nodes == [(b, i) for b, block in enumerate(expected) for i in range(len(block))]
+    assert all(map(np.array_equal, md.read(tmp_path / "out.xyz").blocks, expected))
+
+
+def test_what_takes_the_whole_grid_is_refused_on_all_ranks(source):
+    def act(number):
+        with pytest.raises(md.GridError, match="RBF inside of blocks: that takes the whole grid"):
+            prepared(source, parts=True, method="idw-rbf").deform(turned)
+        with pytest.raises(md.GridError, match="expected the name of a grid file"):
+            prepared(md.read(source), parts=True)
+        return True
+
+    assert all(on_ranks(2, act))
