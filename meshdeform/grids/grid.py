@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from meshdeform_core import grid as core
 from meshdeform_core.errors import GridError
 from meshdeform_core.grid import FloatArray
-from meshdeform_core.parallel import Part
+from meshdeform_core.parallel import Part, require_whole
 
 from ..gate import checked_array, in_parts
 from ..notebook import html_table
@@ -80,9 +80,8 @@ class Grid:
         GridError
             When every rank holds a :attr:`part` of the grid.
         """
-        with in_parts():
-            blocks = [self._core.block(b) for b in range(len(self))]
-        views = [block[:, :, 0, :2] if self._plane else block for block in blocks]
+        whole = self._whole("all blocks")
+        views = [whole.block(b)[:, :, 0, :2] if self._plane else whole.block(b) for b in range(len(self))]
         return [_read_only(view) for view in views]
 
     @property
@@ -100,6 +99,12 @@ class Grid:
                     BlockPart(number, planes.start, planes.stop, _read_only(x[:, :, 0, :2] if self._plane else x))
                 )
         return found
+
+    def _whole(self, what: str) -> core.Grid:
+        """The grid, unless it is in parts: ``what`` takes the whole of it."""
+        with in_parts():
+            require_whole(self._core.points, what)
+        return self._core
 
     def gathered(self, *, first_only: bool = False) -> Grid:
         """The whole grid from the parts of all ranks, which call this together; the grid itself if it is not in parts.
@@ -205,7 +210,7 @@ class Grid:
             metric=metric, plane=plane, block=tuple(block), select=tuple(select), view=view, zoom=zoom, before=before,
             arrows=arrows, limits=limits, log=log, lines=lines,
         )  # fmt: skip
-        return plot(self._core, None if reference is None else reference._core, title, options)
+        return plot(self._whole("a picture"), None if reference is None else reference._core, title, options)
 
     def view(self, metric: str = "f_skew", *, reference: Grid | None = None, log: bool = False) -> pyvista.Plotter:
         """The grid in space, to turn and cut: a pyvista plotter, whose ``show()`` opens a window.
@@ -219,7 +224,7 @@ class Grid:
         """
         from .pictures import view
 
-        return view(self._core, None if reference is None else reference._core, metric, log)
+        return view(self._whole("a view"), None if reference is None else reference._core, metric, log)
 
     def to_pyvista(self) -> pyvista.MultiBlock:
         """The blocks as pyvista structured grids, by name.
@@ -233,14 +238,14 @@ class Grid:
 
         blocks = pyvista.MultiBlock()
         for b, name in enumerate(self.names):
-            blocks.append(pyvista.StructuredGrid(*np.moveaxis(self._core.block(b), 3, 0)), name)
+            blocks.append(pyvista.StructuredGrid(*np.moveaxis(self._whole("a view").block(b), 3, 0)), name)
         return blocks
 
     def to_meshio(self) -> meshio.Mesh:
         """Unstructured hexahedra (2-D: quadrilaterals) with coincident nodes merged, and the fields of the file."""
         from meshdeform_formats.unstructured.export import as_mesh
 
-        return as_mesh(self._core)
+        return as_mesh(self._whole("an unstructured grid"))
 
     def __len__(self) -> int:
         """Number of blocks."""
@@ -252,7 +257,7 @@ class Grid:
             return NotImplemented
         one, two = self._core, other._core
         same = one.shapes == two.shapes and one.names == two.names and self._plane == other._plane
-        return same and np.array_equal(one.points, two.points)
+        return same and np.array_equal(self._whole("a comparison").points, other._whole("a comparison").points)
 
     __hash__ = None  # type: ignore[assignment]
 

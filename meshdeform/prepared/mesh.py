@@ -19,7 +19,7 @@ from meshdeform_core.errors import CaseError, MotionError
 from meshdeform_core.grid import BoolArray, FloatArray, IntArray
 from meshdeform_core.methods import PreparedMethod, Progress, prepare_method
 from meshdeform_core.numerics.arrays import places_among
-from meshdeform_core.parallel import Part, Ranks, dividing, require_whole, sharing
+from meshdeform_core.parallel import Part, Ranks, dividing, sharing
 from meshdeform_core.repair.options import Mode
 from meshdeform_core.wording import vector
 
@@ -174,8 +174,7 @@ class Mesh:
         MotionError
             As for :meth:`deform`.
         """
-        with in_parts():
-            require_whole(self._setup.grid.points, "derivatives are asked for")
+        self.grid._whole("a derivative")
         at = np.zeros((len(self.points), 3)) if displacement is None else displacement
         step = self.deform(at, steps=steps, repair=repair)
         with self._at_work():

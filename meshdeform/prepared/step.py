@@ -65,7 +65,7 @@ class Step:
         from meshdeform_core.quality.difference import require_same_blocks
         from meshdeform_core.velocity import at_faces, swept_volumes
 
-        grid, before = self._result.grid, previous.grid if isinstance(previous, Step) else previous
+        grid, before = self.grid._whole("swept volumes"), previous.grid if isinstance(previous, Step) else previous
         if not isinstance(before, Grid):
             raise GridError(f"previous is a {type(before).__name__}; expected a step or a grid")
         require_same_blocks(grid, before._core)
@@ -98,7 +98,7 @@ class Step:
         """
         from meshdeform_core.quality.measures.gradients import quality_gradient
 
-        grid, setup = self._result.grid, self._result.setup
+        grid, setup = self.grid._whole("a gradient"), self._result.setup
         value, gradient = quality_gradient(grid, grid.points, setup.topology, measure, sharpness, blocks)
         found = [grid.block(b, gradient) for b in range(grid.n_blocks)]
         return QualityGradient(value, [block[:, :, 0, :2].copy() if self._plane else block for block in found])

@@ -56,9 +56,13 @@ def test_every_rank_has_its_part_of_the_grid_and_of_the_result(source, tmp_path)
         for part, before in zip(found.grid.part, mesh.grid.part, strict=True):
             np.testing.assert_array_equal(part.points, expected[part.block][part.first : part.last])
             np.testing.assert_array_equal(before.points, start[part.block][part.first : part.last])
-        with pytest.raises(md.GridError, match=r"takes the whole grid on every rank.*Grid\.gathered"):
-            found.grid.blocks  # noqa: B018
-        with pytest.raises(md.GridError, match="derivatives are asked for"):
+        for act in (
+            lambda: found.grid.blocks, lambda: found.swept_volumes(mesh.grid), lambda: found.quality_gradient("volume"),
+            found.grid.plot, found.grid.to_meshio,
+        ):  # fmt: skip
+            with pytest.raises(md.GridError, match=r"takes the whole grid on every rank.*Grid\.gathered"):
+                act()
+        with pytest.raises(md.GridError, match="a derivative: that takes"):
             mesh.linearise(turned)
         assert lasting(found.report) == lasting(report)
         md.write(found.grid, tmp_path / "out.xyz")
